@@ -1,0 +1,1 @@
+"""Scenes and gymnasium environments of torchdq; imported as `torchdq.envs`, never as `envs`."""

@@ -1,0 +1,767 @@
+"""The algebra of sections 2 to 4 on components: axioms, equations (1) to (24) and (33) to (36), inertia, and counts.
+
+Axioms are checked exactly, on integers; what needs unit quaternions, on 50-digit numbers. The evidence for an equation
+is another equation (a cross product against the Hamilton products it is defined by), numpy, or pinocchio.
+"""
+
+import itertools
+import math
+from functools import partial
+
+import mpmath as mp
+import numpy as np
+import pinocchio as pin
+import pytest
+import torch
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from torchdq.algebra import dual_quaternion as dq
+from torchdq.algebra import matrix, screw
+from torchdq.algebra import quaternion as quat
+
+EPS = 2.0**-52
+DIGITS = 50
+
+whole = st.integers(-9, 9)
+quaternions = st.tuples(whole, whole, whole, whole)
+vectors = st.tuples(whole, whole, whole)
+dual_quaternions = st.tuples(quaternions, quaternions)
+screws = st.tuples(vectors, vectors)
+claim = settings(max_examples=60, deadline=None, derandomize=True)
+
+
+@st.composite
+def poses(draw):
+    """Unit dual quaternions with rational components, as 50-digit numbers: r = q^2/|q|^2, p an integer vector."""
+    q = draw(quaternions)
+    assume(any(q))
+    with mp.workdps(DIGITS):
+        square, n2 = quat.mul(q, q), quat.norm2(q)
+        return dq.from_pose(tuple(mp.mpf(c) / n2 for c in square), tuple(mp.mpf(c) for c in draw(vectors)))
+
+
+def flat(a):
+    """Components of nested tuples in one list; a number is a list of one."""
+    return [c for b in a for c in flat(b)] if isinstance(a, tuple | list) else [a]
+
+
+def close(a, b, tolerance=mp.mpf(10) ** -40, size=1):
+    """Same components up to tolerance times size; 40 digits unless told otherwise."""
+    with mp.workdps(DIGITS):
+        return all(abs(x - y) <= tolerance * size for x, y in zip(flat(a), flat(b), strict=True))
+
+
+def pure(a):
+    """Dual quaternion of a screw."""
+    return (quat.pure(a[0]), quat.pure(a[1]))
+
+
+def half(a):
+    return dq.scale(0.5, a)
+
+
+def commutator(a, b):
+    """(ab - ba)/2 of dual quaternions."""
+    return half(dq.add(dq.mul(a, b), dq.scale(-1, dq.mul(b, a))))
+
+
+def anticommutator(a, b):
+    """-(ab + ba)/2 of dual quaternions."""
+    return dq.scale(-0.5, dq.add(dq.mul(a, b), dq.mul(b, a)))
+
+
+# --- axioms ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_units_multiply_as_hamilton_said():  # (1)
+    minus_one = (-1.0, 0.0, 0.0, 0.0)
+    i, j, k = quat.I, quat.J, quat.K
+    assert quat.mul(i, i) == quat.mul(j, j) == quat.mul(k, k) == quat.mul(quat.mul(i, j), k) == minus_one
+    assert quat.mul(i, j) == k
+    assert quat.mul(j, i) == quat.neg(k)
+
+
+def test_the_dual_unit_squares_to_zero():  # (5)
+    eps = (dq.ZERO, quat.ONE)
+    assert dq.mul(eps, eps) == (dq.ZERO, dq.ZERO)
+    x = ((1, 2, 3, 4), (5, 6, 7, 8))
+    assert dq.mul(eps, x) == dq.mul(x, eps) == (dq.ZERO, x[0])
+    assert dq.add((dq.primary(x), dq.ZERO), dq.mul(eps, (dq.dual(x), dq.ZERO))) == x
+
+
+@claim
+@given(dual_quaternions, dual_quaternions, dual_quaternions, whole)
+def test_dual_quaternions_are_an_associative_algebra(x, y, z, s):
+    assert dq.mul(dq.mul(x, y), z) == dq.mul(x, dq.mul(y, z))
+    assert dq.mul(x, dq.add(y, z)) == dq.add(dq.mul(x, y), dq.mul(x, z))
+    assert dq.mul(dq.add(x, y), z) == dq.add(dq.mul(x, z), dq.mul(y, z))
+    assert dq.mul(dq.scale(s, x), y) == dq.mul(x, dq.scale(s, y)) == dq.scale(s, dq.mul(x, y))
+    assert dq.mul(dq.ONE, x) == dq.mul(x, dq.ONE) == x
+
+
+@claim
+@given(dual_quaternions, dual_quaternions)
+def test_conjugation_reverses_products(x, y):
+    assert dq.conj(dq.mul(x, y)) == dq.mul(dq.conj(y), dq.conj(x))
+    assert dq.conj(dq.conj(x)) == x
+    assert dq.add(x, dq.conj(x)) == tuple((2 * quat.re(part), 0, 0, 0) for part in x)
+
+
+@claim
+@given(dual_quaternions, dual_quaternions)
+def test_the_squared_norm_is_multiplicative_and_is_x_times_its_conjugate(x, y):
+    (p, d), (r, e) = dq.norm2(x), dq.norm2(y)
+    assert dq.mul(x, dq.conj(x)) == ((p, 0, 0, 0), (d, 0, 0, 0))
+    assert dq.norm2(dq.mul(x, y)) == (p * r, p * e + d * r)
+    assert quat.norm2(quat.mul(x[0], y[0])) == quat.norm2(x[0]) * quat.norm2(y[0])
+
+
+@claim
+@given(vectors, vectors)
+def test_pure_quaternions_have_the_inner_and_cross_product_of_their_products(a, b):  # (2), (3), (4)
+    ab, ba = quat.mul(quat.pure(a), quat.pure(b)), quat.mul(quat.pure(b), quat.pure(a))
+    assert quat.conj(quat.pure(a)) == quat.neg(quat.pure(a))
+    assert quat.im(quat.pure(a)) == a
+    assert quat.scale(-0.5, quat.add(ab, ba)) == (quat.dot(a, b), 0, 0, 0)
+    assert quat.scale(0.5, quat.sub(ab, ba)) == quat.pure(quat.cross(a, b))
+    assert quat.dot(a, b) == np.dot(a, b)
+    assert quat.cross(a, b) == tuple(np.cross(a, b))
+
+
+@claim
+@given(screws, screws)
+def test_screws_have_the_inner_and_cross_product_of_their_products(a, b):  # (6), (16)
+    assert commutator(pure(a), pure(b)) == pure(screw.cross(a, b))
+    assert anticommutator(pure(a), pure(b)) == tuple((c, 0, 0, 0) for c in screw.inner(a, b))
+
+
+@claim
+@given(screws, screws, screws)
+def test_screws_are_a_lie_algebra(a, b, c):
+    def bracket(x, y):
+        return screw.cross(x, y)
+
+    assert bracket(a, b) == screw.neg(bracket(b, a))
+    jacobi = screw.add(screw.add(bracket(a, bracket(b, c)), bracket(b, bracket(c, a))), bracket(c, bracket(a, b)))
+    assert jacobi == ((0, 0, 0), (0, 0, 0))
+
+
+@claim
+@given(screws, screws)
+def test_power_is_the_dual_part_of_the_inner_product(wrench, twist):  # (7), (48)
+    assert screw.power(wrench, twist) == screw.inner(wrench, twist)[1]
+    assert screw.power(wrench, twist) == np.dot(wrench[0], twist[1]) + np.dot(wrench[1], twist[0])
+    assert screw.double_geodesic(wrench, twist) == np.dot(flat(wrench), flat(twist))
+    assert screw.swap(screw.swap(twist)) == twist
+
+
+@claim
+@given(screws, screws, whole)
+def test_screws_are_a_vector_space(a, b, s):
+    assert np.array_equal(flat(screw.add(a, screw.scale(s, b))), np.array(flat(a)) + s * np.array(flat(b)))
+    assert screw.sub(a, b) == screw.add(a, screw.neg(b))
+
+
+# --- Hamilton operators ----------------------------------------------------------------------------------------------
+
+
+@claim
+@given(quaternions, quaternions)
+def test_hamilton_operators_multiply_from_the_left_and_from_the_right(x, y):
+    xy = quat.mul(x, y)
+    assert tuple(np.array(quat.hamilton_left_matrix(x)) @ y) == xy  # (18), (19)
+    assert tuple(np.array(quat.hamilton_right_matrix(y)) @ x) == xy
+    assert quat.t4(quat.hamilton_left(x), y) == xy  # (20), (23)
+    assert quat.t4(quat.hamilton_right(y), x) == xy
+
+
+@claim
+@given(quaternions)
+def test_hamilton_vectors_hold_the_products_with_the_units(x):  # (22)
+    units = (quat.ONE, quat.I, quat.J, quat.K)
+    assert quat.hamilton_left(x) == tuple(quat.mul(x, e) for e in units)
+    assert quat.hamilton_right(x) == tuple(quat.mul(e, x) for e in units)
+    h = np.array(quat.hamilton_left_matrix(x))
+    assert np.array_equal(h @ h.T, quat.norm2(x) * np.eye(4))  # orthogonal only for a unit x
+
+
+@claim
+@given(dual_quaternions, dual_quaternions)
+def test_dual_hamilton_operators_multiply_from_the_left_and_from_the_right(x, y):  # (24)
+    assert dq.apply(dq.hamilton_left(x), y) == dq.apply(dq.hamilton_right(y), x) == dq.mul(x, y)
+
+
+@claim
+@given(st.tuples(*[quaternions] * 4), quaternions, st.tuples(*[dual_quaternions] * 8), dual_quaternions)
+def test_t4_and_t8_combine_the_columns_of_a_matrix(m, q, n, x):  # (20), (21)
+    assert quat.t4(m, q) == tuple(np.array(m).T @ q)
+    assert flat(dq.t8(n, x)) == list(np.array([flat(column) for column in n]).T @ flat(x))
+
+
+# --- change of frame -------------------------------------------------------------------------------------------------
+
+
+def conjugation(x, m):
+    """x m x* by two products."""
+    return dq.mul(dq.mul(x, pure(m)), dq.conj(x))
+
+
+def ad(x, m):
+    return screw.ad(screw.columns(x), m)
+
+
+@claim
+@given(poses(), screws)
+def test_the_adjoint_is_the_conjugation(x, m):  # (33), (36)
+    with mp.workdps(DIGITS):
+        assert close(pure(ad(x, m)), conjugation(x, m))
+        assert close(pure(screw.ad(screw.inverse(screw.columns(x)), m)), conjugation(dq.conj(x), m))
+
+
+@claim
+@given(poses())
+def test_the_columns_are_products_with_the_units(x):
+    (xp, xd), (a_p, a_d) = x, screw.columns(x)
+    with mp.workdps(DIGITS):
+        for e, p, d in zip((quat.I, quat.J, quat.K), a_p, a_d, strict=True):
+            assert close(quat.pure(p), quat.mul(quat.mul(xp, e), quat.conj(xp)))  # (34)
+            assert close(d, quat.scale(2, quat.im(quat.mul(quat.mul(xp, e), quat.conj(xd)))))  # (35)
+
+
+@claim
+@given(poses(), poses(), screws, screws)
+def test_the_adjoint_respects_products_of_poses_and_of_screws(x, y, a, b):
+    with mp.workdps(DIGITS):
+        assert close(ad(dq.mul(x, y), a), ad(x, ad(y, a)))
+        assert close(screw.compose(screw.columns(x), screw.columns(y)), screw.columns(dq.mul(x, y)))
+        assert close(ad(x, screw.cross(a, b)), screw.cross(ad(x, a), ad(x, b)))
+        assert close(ad(dq.conj(x), ad(x, a)), a)
+        assert ad((quat.neg(x[0]), quat.neg(x[1])), a) == ad(x, a)  # x and -x are the same pose
+
+
+@claim
+@given(poses(), screws, screws)
+def test_power_and_inner_product_are_the_same_in_every_frame(x, wrench, twist):
+    with mp.workdps(DIGITS):
+        assert close(screw.power(ad(x, wrench), ad(x, twist)), screw.power(wrench, twist))
+        assert close(screw.inner(ad(x, wrench), ad(x, twist)), screw.inner(wrench, twist))
+
+
+def test_the_double_geodesic_product_depends_on_the_frame():  # (7)
+    x = dq.from_pose(quat.ONE, (1.0, 2.0, 3.0))
+    a, b = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)), ((0.0, 1.0, 0.0), (1.0, 0.0, 1.0))
+    assert abs(screw.double_geodesic(ad(x, a), ad(x, b)) - screw.double_geodesic(a, b)) > 1
+
+
+@claim
+@given(poses(), vectors)
+def test_a_unit_quaternion_turns_a_vector_by_conjugation(x, v):
+    r = x[0]
+    with mp.workdps(DIGITS):
+        expected = quat.mul(quat.mul(r, quat.pure(v)), quat.conj(r))
+        assert close(quat.pure(quat.rotate(r, v)), expected)
+        by_columns = np.array(quat.rotation_columns(r)).T @ np.array(v)
+        assert close(tuple(by_columns), quat.im(expected))
+
+
+@claim
+@given(poses(), poses())
+def test_a_pose_holds_rotation_and_position_in_both_frames(x, y):  # (28)
+    r, p, p_body = x[0], dq.translation(x), dq.translation_body(x)
+    with mp.workdps(DIGITS):
+        assert close(dq.from_pose(r, p), x)
+        assert close((r, quat.scale(0.5, quat.mul(r, quat.pure(p_body)))), x)
+        assert close(p, quat.rotate(r, p_body))
+        # position of the composed pose: p_AC = p_AB + R_AB p_BC
+        assert close(dq.translation(dq.mul(x, y)), quat.add(p, quat.rotate(r, dq.translation(y))))
+        assert close(dq.norm2(x), (1, 0))
+
+
+# --- exponential of a joint ------------------------------------------------------------------------------------------
+
+
+def entire(x):
+    """C, S and K of `screw.exp` on multi-precision numbers."""
+    if x == 0:
+        return mp.mpf(1), mp.mpf(1), -mp.mpf(1) / 3
+    h = mp.sqrt(x)
+    return mp.cos(h), mp.sin(h) / h, (mp.cos(h) - mp.sin(h) / h) / x
+
+
+def series(a):
+    """Power series of the exponential of a dual quaternion."""
+    term = total = dq.ONE
+    for k in range(1, 60):
+        term = dq.scale(mp.mpf(1) / k, dq.mul(term, a))
+        total = dq.add(total, term)
+    return total
+
+
+@pytest.mark.parametrize("pitch", [0, 0.25])
+@pytest.mark.parametrize("angle", [-2.5, 0, 0.5, 3])
+def test_joint_exponentials_are_power_series_to_40_digits(pitch, angle):  # (27)
+    with mp.workdps(DIGITS):
+        angle, third = mp.mpf(angle), mp.mpf(1) / 3
+        axis = (2 * third, -third, 2 * third)
+        line = (axis, quat.cross((mp.mpf(1), mp.mpf(-2), mp.mpf(0.5)), axis))
+        joint = (axis, quat.add(line[1], quat.scale(pitch, axis)))
+        c, s = mp.cos(angle / 2), mp.sin(angle / 2)
+        expected = series(pure(screw.scale(angle / 2, joint)))
+        assert close(screw.exp_helical(joint, angle, c, s), expected)
+        assert close(screw.exp(screw.scale(angle / 2, joint), entire), expected)
+        if pitch == 0:
+            assert close(screw.exp_revolute(line, c, s), expected)
+        slide = ((mp.mpf(0),) * 3, quat.scale(angle / 2, axis))
+        assert close(screw.exp_prismatic(axis, angle), series(pure(slide)))
+
+
+# --- vectors and matrices of dual quaternions ------------------------------------------------------------------------
+
+
+def random_matrix(rng, rows, columns, make):
+    return tuple(tuple(make(rng) for _ in range(columns)) for _ in range(rows))
+
+
+def random_dq(rng):
+    return tuple(tuple(rng.integers(-9, 9, 4).tolist()) for _ in range(2))
+
+
+def random_screw(rng):
+    return tuple(tuple(rng.integers(-9, 9, 3).tolist()) for _ in range(2))
+
+
+def random_pose(rng):
+    r = rng.standard_normal(4)
+    return dq.from_pose(tuple((r / np.linalg.norm(r)).tolist()), tuple(rng.standard_normal(3).tolist()))
+
+
+def test_a_product_of_matrices_is_the_sum_over_rows_and_columns():  # (8), (10), (11), (12)
+    rng = np.random.default_rng(0)
+    a, b, c = (random_matrix(rng, *shape, random_dq) for shape in ((3, 4), (4, 2), (3, 4)))
+    product = matrix.matmul(a, b)
+    for i, j in itertools.product(range(3), range(2)):
+        expected = sum(np.array(flat(dq.mul(a[i][k], b[k][j]))) for k in range(4))
+        assert flat(product[i][j]) == list(expected)
+    for i, k in itertools.product(range(3), range(4)):
+        assert matrix.add(a, c)[i][k] == dq.add(a[i][k], c[i][k])
+    row, column = (a[0],), tuple((x,) for x in c[0])  # the product (11) of two vectors is a dual quaternion
+    assert flat(matrix.matmul(row, column)) == list(
+        sum(np.array(flat(dq.mul(x, y))) for x, y in zip(a[0], c[0], strict=True))
+    )
+
+
+def test_transposing_moves_entries_and_conjugating_changes_them_in_place():  # (9), (13)
+    a = random_matrix(np.random.default_rng(1), 3, 2, random_dq)
+    for i, j in itertools.product(range(3), range(2)):
+        assert matrix.transpose(a)[j][i] == a[i][j]
+        assert matrix.conj(a)[i][j] == dq.conj(a[i][j])
+    b = random_matrix(np.random.default_rng(2), 2, 3, random_dq)
+
+    def star(m):
+        return matrix.transpose(matrix.conj(m))
+
+    assert star(matrix.matmul(a, b)) == matrix.matmul(star(b), star(a))
+    # without the transposition, as (13) is printed, the factors do not even fit the other way round
+    assert matrix.conj(matrix.matmul(a, b)) != matrix.matmul(matrix.conj(a), matrix.conj(b))
+
+
+def test_elementwise_products_are_products_of_the_entries():  # (14), (15), (16), (17)
+    rng = np.random.default_rng(3)
+    (a,), (b,) = (random_matrix(rng, 1, 5, random_screw) for _ in range(2))
+    for product in (screw.cross, screw.inner, screw.double_geodesic):
+        assert matrix.elementwise(product, a, b) == tuple(product(x, y) for x, y in zip(a, b, strict=True))
+    with pytest.raises(ValueError, match="shorter"):
+        matrix.elementwise(screw.cross, a, b[:3])
+
+
+def fill(m, zero):
+    return tuple(tuple(zero if entry is None else entry for entry in row) for row in m)
+
+
+def test_none_stands_for_zero():
+    rng = np.random.default_rng(4)
+    a, b, c = (random_matrix(rng, 3, 3, random_dq) for _ in range(3))
+    # a lower triangle, a diagonal and an empty row, so that sums of none, one and several terms all occur
+    lower = tuple(tuple(x if j <= i else None for j, x in enumerate(row)) for i, row in enumerate(a))
+    diagonal = matrix.diagonal([b[0][0], None, b[2][2]])
+    zero = (dq.ZERO, dq.ZERO)
+    for left, right in itertools.product((lower, diagonal, c), repeat=2):
+        full = matrix.matmul(fill(left, zero), fill(right, zero))
+        assert fill(matrix.matmul(left, right), zero) == full
+        assert fill(matrix.add(left, right), zero) == matrix.add(fill(left, zero), fill(right, zero))
+    assert matrix.matmul(lower, diagonal)[0] == (dq.mul(a[0][0], b[0][0]), None, None)
+    assert matrix.conj(lower)[0][1] is None
+    assert matrix.transpose(lower)[0][1] == a[1][0]
+    assert matrix.elementwise(screw.cross, (None,), (random_screw(rng),)) == (None,)
+
+
+def lower_operators(rng, n=4):
+    """Lower triangle of adjoint operators, without structural zeros on and below the diagonal."""
+    return tuple(tuple(screw.columns(random_pose(rng)) if j <= i else None for j in range(n)) for i in range(n))
+
+
+def dense(operators):
+    """Blocks [n, n, 6, 6] of a matrix of operators, by their action on the unit screws."""
+    units = [((e[0], e[1], e[2]), (e[3], e[4], e[5])) for e in np.eye(6).tolist()]
+    blocks = [
+        [np.zeros((6, 6)) if a is None else np.array([flat(screw.ad(a, e)) for e in units]).T for a in row]
+        for row in operators
+    ]
+    return np.array(blocks)
+
+
+def test_matrices_of_operators_act_as_block_matrices():
+    rng = np.random.default_rng(5)
+    operators = lower_operators(rng)
+    blocks = dense(operators)
+    (v,), m = random_matrix(rng, 1, 4, random_screw), random_matrix(rng, 4, 3, random_screw)
+    numbers = rng.standard_normal(3).tolist()
+    as_array = np.array([[flat(s) for s in row] for row in m])
+    cases = [
+        (matrix.act(operators, v), np.einsum("ijab,jb->ia", blocks, [flat(s) for s in v])),
+        (matrix.act_on_matrix(operators, m), np.einsum("ijab,jkb->ika", blocks, as_array)),
+        (matrix.combine(m, numbers), np.einsum("jka,k->ja", as_array, numbers)),
+    ]
+    for found, expected in cases:
+        assert np.allclose(flat(found), expected.ravel(), rtol=0, atol=64 * EPS * np.abs(expected).max())
+
+
+def test_the_hermitian_conjugate_is_transposed_and_inverted_and_moves_to_the_other_side_of_power():
+    rng = np.random.default_rng(6)
+    operators = lower_operators(rng)
+    for i, j in itertools.product(range(4), range(4)):
+        entry = matrix.hermitian(operators)[i][j]
+        assert (entry is None) == (j < i)
+        if entry is not None:
+            assert np.allclose(dense(((entry,),))[0, 0] @ dense(operators)[j, i], np.eye(6), rtol=0, atol=64 * EPS * 10)
+    (f,), (v,) = (random_matrix(rng, 1, 4, random_screw) for _ in range(2))
+
+    def power(a, b):
+        return sum(screw.power(x, y) for x, y in zip(a, b, strict=True))
+
+    here, there = power(f, matrix.act(operators, v)), power(matrix.act(matrix.hermitian(operators), f), v)
+    assert abs(here - there) <= 1000 * EPS * 100
+    untransposed = tuple(tuple(None if a is None else screw.inverse(a) for a in row) for row in operators)
+    assert abs(here - power(matrix.act(untransposed, f), v)) > 1
+
+
+# --- inertia ---------------------------------------------------------------------------------------------------------
+
+
+def random_body(rng):
+    """Mass, centre of mass, and a rotational inertia about it with six different entries."""
+    a = rng.standard_normal((3, 3))
+    return rng.uniform(1, 3), rng.standard_normal(3), a @ a.T + np.eye(3)
+
+
+def rows(m):
+    return tuple(tuple(row) for row in np.asarray(m).tolist())
+
+
+def about_origin(mass, com, inertia):
+    """Rotational inertia about the frame's origin, by the parallel axis theorem."""
+    return inertia + mass * (com @ com * np.eye(3) - np.outer(com, com))
+
+
+def from_pin(spatial):
+    """(angular, linear) of a motion, (force, moment) of a force."""
+    parts = (spatial.linear, spatial.angular)
+    return np.concatenate(parts if isinstance(spatial, pin.Force) else parts[::-1])
+
+
+def to_se3(x):
+    return pin.SE3(np.array(quat.rotation_columns(x[0])).T, np.array(dq.translation(x)))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_adjoint_and_composition_are_those_of_pinocchio(seed):
+    rng = np.random.default_rng(seed)
+    x, y = random_pose(rng), random_pose(rng)
+    w, v = rng.standard_normal((2, 3))
+    a = (tuple(w), tuple(v))
+    placement = to_se3(x)
+    tolerance = 32 * EPS * 10
+    assert np.allclose(flat(ad(x, a)), from_pin(placement.act(pin.Motion(v, w))), rtol=0, atol=tolerance)
+    assert np.allclose(flat(ad(x, a)), from_pin(placement.act(pin.Force(w, v))), rtol=0, atol=tolerance)
+    assert np.allclose((to_se3(x) * to_se3(y)).homogeneous, to_se3(dq.mul(x, y)).homogeneous, rtol=0, atol=tolerance)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_inertia_transform_is_mass_times_velocity_and_tensor_times_rate(seed):  # (30)
+    rng = np.random.default_rng(seed)
+    mass, com, inertia = random_body(rng)
+    w, v = rng.standard_normal((2, 3))
+    a, size = (tuple(w), tuple(v)), 32 * EPS * 20
+    centred = screw.inertia_transform(mass, None, rows(inertia), a)
+    assert np.allclose(flat(centred), np.concatenate([mass * v, inertia @ w]), rtol=0, atol=size)
+    second = about_origin(mass, com, inertia)
+    found = screw.inertia_transform(mass, tuple(mass * com), rows(second), a)
+    expected = pin.Inertia(mass, com, inertia) * pin.Motion(v, w)
+    assert np.allclose(flat(found), from_pin(expected), rtol=0, atol=size)
+    printed = inertia.copy()
+    printed[2, 2] = inertia[1, 2]  # I_z as printed in (30)
+    assert np.abs(np.array(screw.inertia_transform(mass, None, rows(printed.T), a)[1]) - inertia @ w).max() > 0.1
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("centred", [True, False])
+def test_carried_inertia_is_that_of_pinocchio_and_exactly_symmetric(seed, centred):
+    rng = np.random.default_rng(seed)
+    mass, com, inertia = random_body(rng)
+    com = com * (not centred)
+    x = random_pose(rng)
+    second = rows(about_origin(mass, com, inertia))
+    first = None if centred else tuple(mass * com)
+    m, h, carried = screw.carry_inertia(screw.columns(x), dq.translation(x), mass, first, second)
+    expected = to_se3(x).act(pin.Inertia(mass, com, inertia))
+    assert m == mass
+    assert np.allclose(h, mass * expected.lever, rtol=0, atol=32 * EPS * 10)
+    tensor = about_origin(mass, expected.lever, expected.inertia)
+    assert np.allclose(carried, tensor, rtol=0, atol=64 * EPS * np.abs(tensor).max())
+    assert np.array_equal(carried, np.transpose(carried))
+    # the momentum of the same motion, seen from the other frame
+    twist = random_screw(rng)
+    momentum = ad(x, screw.inertia_transform(mass, first, second, twist))
+    assert np.allclose(flat(screw.inertia_transform(m, h, carried, ad(x, twist))), flat(momentum), rtol=0, atol=1e-11)
+
+
+# --- one source, any number ------------------------------------------------------------------------------------------
+
+R = (0.5, -0.5, 0.5, 0.5)  # exact in binary, so that every kind of number starts from the same values
+P = (1.25, -2.0, 0.75)
+V = ((0.5, 1.5, -2.0), (3.0, -0.25, 1.0))
+W = ((-1.0, 0.125, 2.5), (0.75, 2.0, -3.5))
+INERTIA = ((2.0, 0.25, -0.5), (0.25, 3.0, 0.125), (-0.5, 0.125, 1.5))
+
+
+def everything(r, p, v, w, mass, inertia):
+    """A result of every function of the algebra."""
+    x = dq.from_pose(r, p)
+    y = dq.mul(x, dq.conj(dq.add(x, dq.scale(mass, x))))
+    columns = screw.columns(x)
+    body = (mass, p, inertia)
+    operators = ((columns, None), (columns, screw.inverse(columns)))
+    return [
+        *(y, dq.norm2(y), dq.apply(dq.hamilton_left(y), x), dq.apply(dq.hamilton_right(y), x), dq.t8((y,) * 8, x)),
+        *(dq.translation(x), dq.translation_body(x), quat.rotate(r, p), quat.hamilton_left_matrix(r)),
+        *(quat.hamilton_right_matrix(r), quat.t4(quat.hamilton_left(r), r), quat.sub(r, quat.neg(r))),
+        *(screw.cross(v, w), screw.inner(v, w), screw.double_geodesic(v, w), screw.power(v, w), screw.sub(v, w)),
+        *(screw.ad(columns, v), screw.compose(columns, columns), screw.inertia_transform(*body, v)),
+        *screw.carry_inertia(columns, p, *body),
+        *(screw.exp_revolute(v, mass, mass), screw.exp_prismatic(p, mass), screw.exp_helical(v, mass, mass, mass)),
+        *(screw.exp(v, lambda s: (s, s, s)), screw.log(y, lambda a, b: (a, b)), matrix.act(operators, (v, w))),
+        *(matrix.combine(((v, w), (None, w)), (mass, mass)), matrix.act_on_matrix(operators, ((v,), (w,)))),
+        *(matrix.matmul(((x, None),), ((y,), (x,))), matrix.conj(((x,),)), matrix.transpose(((x, y),))),
+    ]
+
+
+def convert(number, a):
+    return tuple(convert(number, b) for b in a) if isinstance(a, tuple) else number(a)
+
+
+def numbers_of(kind):
+    """Every result on one kind of number."""
+    return everything(*(convert(kind, a) for a in (R, P, V, W, 1.5, INERTIA)))
+
+
+KINDS = {
+    "multi-precision number": mp.mpf,
+    "tensor": partial(torch.tensor, dtype=torch.float64),
+    "numpy number": np.float64,
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_one_source_gives_the_same_results_on_every_kind_of_number(kind):
+    expected, found = flat(numbers_of(float)), flat(numbers_of(KINDS[kind]))
+    assert len(expected) > 250
+    size = max(abs(e) for e in expected)
+    for e, f in zip(expected, found, strict=True):
+        assert abs(e - float(f)) <= 4 * EPS * size
+
+
+def test_multi_precision_results_have_all_their_digits():
+    with mp.workdps(DIGITS):
+        third = mp.mpf(1) / 3
+        x = dq.from_pose((2 * third, third, -2 * third, mp.mpf(0)), (third, mp.mpf(1) / 7, mp.mpf(-2) / 11))
+        a = ((third, mp.mpf(2) / 7, mp.mpf(1)), (mp.mpf(1) / 13, mp.mpf(5), mp.mpf(3) / 17))
+        y = dq.mul(x, x)
+        assert close(ad(y, a), ad(x, ad(x, a)))
+        assert close(dq.norm2(y), (1, 0))
+        assert not close(ad(y, a), ad(x, ad(x, a)), mp.mpf(0)) or not close(dq.norm2(y), (1, 0), mp.mpf(0))
+
+
+# --- counts ----------------------------------------------------------------------------------------------------------
+
+
+class Counted:
+    """A number that is only the operations it was made by.
+
+    Multiplying by the Python constants 0, 1 and -1, adding the constant 0, and negating are free; every other operation
+    is one multiplication or one addition, also if one operand is a constant. 2 a is written a + a, one addition.
+    """
+
+    def __init__(self, kind="input", *operands):
+        self.kind, self.operands = kind, [o for o in operands if isinstance(o, Counted)]
+
+    def __mul__(self, other):
+        if isinstance(other, int | float) and other in (0, 1, -1):
+            return 0.0 if other == 0 else self if other == 1 else -self
+        return Counted("multiplication", self, other)
+
+    def __add__(self, other):
+        if isinstance(other, int | float) and other == 0:
+            return self
+        return Counted("addition", self, other)
+
+    def __sub__(self, other):
+        return self + (-other)
+
+    def __rsub__(self, other):
+        return (-self) + other
+
+    def __neg__(self):
+        return Counted("negation", self)
+
+    __rmul__, __radd__ = __mul__, __add__
+
+
+def count(results):
+    """Multiplications and additions that the results depend on; what is computed and not used is not counted."""
+    seen, pending = {}, [r for r in flat(results) if isinstance(r, Counted)]
+    while pending:
+        number = pending.pop()
+        if id(number) not in seen:
+            seen[id(number)] = number
+            pending.extend(number.operands)
+    kinds = [number.kind for number in seen.values()]
+    return kinds.count("multiplication"), kinds.count("addition")
+
+
+def number():
+    return Counted()
+
+
+def vector(size=3):
+    return tuple(Counted() for _ in range(size))
+
+
+def quaternion():
+    return vector(4)
+
+
+def dual_quaternion():
+    return (quaternion(), quaternion())
+
+
+def motion():
+    return (vector(), vector())
+
+
+def operator():
+    return tuple(tuple(vector() for _ in range(3)) for _ in range(2))
+
+
+def tensor():
+    return tuple(vector() for _ in range(3))
+
+
+def four(make):
+    return tuple(make() for _ in range(4))
+
+
+def eight(make):
+    return (*four(make), *four(make))
+
+
+def residual(mass, inertia, twist, acceleration):
+    """G(wd) + w x G(w) (45), centred."""
+    g = partial(screw.inertia_transform, mass, None, inertia)
+    return screw.add(g(acceleration), screw.cross(twist, g(twist)))
+
+
+def accelerate(a, qd, qdd, x, twist, acceleration):
+    """a qdd + Ad(x) wd + (w x a) qd (44)."""
+    return screw.add(screw.add(screw.scale(qdd, a), screw.ad(x, acceleration)), screw.scale(qd, screw.cross(twist, a)))
+
+
+COUNTS = [
+    # result, multiplications, additions: the measured column of the cost tables
+    ("quaternion sum", lambda: quat.add(quaternion(), quaternion()), 0, 4),
+    ("quaternion times number", lambda: quat.scale(number(), quaternion()), 4, 0),
+    ("quaternion product (1)", lambda: quat.mul(quaternion(), quaternion()), 16, 12),
+    ("quaternion conjugate", lambda: quat.conj(quaternion()), 0, 0),
+    ("quaternion norm", lambda: quat.norm2(quaternion()), 4, 3),
+    ("inner product (3)", lambda: quat.dot(vector(), vector()), 3, 2),
+    ("cross product (4)", lambda: quat.cross(vector(), vector()), 6, 3),
+    ("rotated vector", lambda: quat.rotate(quaternion(), vector()), 15, 15),
+    ("rotation matrix", lambda: quat.rotation_columns(quaternion()), 9, 15),
+    (
+        "Hamilton matrices (19)",
+        lambda: (quat.hamilton_left_matrix(q := quaternion()), quat.hamilton_right_matrix(q)),
+        0,
+        0,
+    ),
+    ("T4 (20)", lambda: quat.t4(four(quaternion), quaternion()), 16, 12),
+    ("T4 of h+ (23)", lambda: quat.t4(quat.hamilton_left(quaternion()), quaternion()), 16, 12),
+    ("dual quaternion sum", lambda: dq.add(dual_quaternion(), dual_quaternion()), 0, 8),
+    ("dual quaternion times number", lambda: dq.scale(number(), dual_quaternion()), 8, 0),
+    ("dual quaternion product", lambda: dq.mul(dual_quaternion(), dual_quaternion()), 48, 40),
+    ("dual quaternion norm", lambda: dq.norm2(dual_quaternion()), 8, 7),
+    ("T8 (21)", lambda: dq.t8(eight(dual_quaternion), dual_quaternion()), 64, 56),
+    ("dual h+ applied (24)", lambda: dq.apply(dq.hamilton_left(dual_quaternion()), dual_quaternion()), 48, 40),
+    ("dual h- applied (24)", lambda: dq.apply(dq.hamilton_right(dual_quaternion()), dual_quaternion()), 48, 40),
+    ("dual cross product (6)", lambda: screw.cross(motion(), motion()), 18, 12),
+    ("double geodesic product (7)", lambda: screw.double_geodesic(motion(), motion()), 6, 5),
+    ("dual inner product (16)", lambda: screw.inner(motion(), motion()), 9, 7),
+    ("power (48)", lambda: screw.power(motion(), motion()), 6, 5),
+    ("screw times number", lambda: screw.scale(number(), motion()), 6, 0),
+    ("columns A_P, A_D (34), (35)", lambda: screw.columns(dual_quaternion()), 39, 36),
+    ("adjoint from the columns (36)", lambda: screw.ad(operator(), motion()), 27, 21),
+    ("inverse columns", lambda: screw.inverse(operator()), 0, 0),
+    ("composed columns", lambda: screw.compose(operator(), operator()), 81, 63),
+    ("inertia transform, centred (30)", lambda: screw.inertia_transform(number(), None, tensor(), motion()), 12, 6),
+    ("inertia transform", lambda: screw.inertia_transform(number(), vector(), tensor(), motion()), 24, 18),
+    ("acceleration (44)", lambda: accelerate(motion(), number(), number(), operator(), motion(), motion()), 57, 45),
+    ("momentum rate (45)", lambda: residual(number(), tensor(), motion(), motion()), 42, 30),
+    ("revolute exponential (27)", lambda: screw.exp_revolute(motion(), number(), number()), 6, 0),
+    ("prismatic exponential (27)", lambda: screw.exp_prismatic(vector(), number()), 4, 0),
+    ("adjoint of the identity", lambda: screw.ad(screw.IDENTITY, motion()), 0, 0),
+    ("product with one", lambda: dq.mul(dq.ONE, dual_quaternion()), 0, 0),
+]
+
+
+@pytest.mark.parametrize(("make", "multiplications", "additions"), [pytest.param(*c[1:], id=c[0]) for c in COUNTS])
+def test_an_operation_costs_what_the_tables_say(make, multiplications, additions):
+    assert count(make()) == (multiplications, additions)
+
+
+def test_the_adjoint_by_two_products_costs_three_times_as_much():  # x m x*, the real part of the result not needed
+    x, m = dual_quaternion(), motion()
+    products = dq.mul(dq.mul(x, pure(m)), dq.conj(x))
+    assert count(tuple(quat.im(part) for part in products)) == (72, 56)
+
+
+def test_a_structural_zero_costs_nothing():
+    n = 5
+    lower = tuple(tuple(dual_quaternion() if j <= i else None for j in range(n)) for i in range(n))
+    one_entry = tuple(tuple(dual_quaternion() if i == j == 0 else None for j in range(n)) for i in range(n))
+    terms, entries = n * (n + 1) * (n + 2) // 6, n * (n + 1) // 2
+    assert count([[e for e in row if e] for row in matrix.matmul(lower, lower)]) == (
+        48 * terms,
+        40 * terms + 8 * (terms - entries),
+    )
+    column = [row[0] for row in matrix.matmul(lower, one_entry)]
+    assert count(column) == (48 * n, 40 * n)
+    assert count([e for row in matrix.add(one_entry, lower) for e in row if e]) == (0, 8)
+
+
+def test_counting_is_of_what_was_asked_for():
+    a, b = number(), number()
+    assert count([a * b + a]) == (1, 1)
+    assert count([a * b, a]) == (1, 0)
+    assert count([(a * b) * 1.0 + 0.0, -(a * b)]) == (2, 0)
+    assert count([0.0 * a, 1.0 * a, -1 * a, a - 0.0]) == (0, 0)
+    assert count([0.5 * a, 1.0 - a]) == (1, 1)
+    assert math.prod(count([a - b])) == 0

@@ -1,0 +1,544 @@
+"""Exponential, logarithm and what is built on them: accuracy, derivatives and hard cases.
+
+The reference is multi-precision and shares no formula with the package: the exponential is the power series of dual
+quaternion products with scaling and squaring, the logarithm the geometry of a screw (angle, line, slide). Both are
+evaluated on the rounded inputs. Errors are norm-wise over the 8 or 6 components, in units of eps = 2.2e-16 or 1.2e-7.
+"""
+
+import math
+
+import mpmath as mp
+import numpy as np
+import pytest
+import torch
+from mpmath import mpf
+from torch.autograd.functional import hessian, jacobian
+
+from torchdq import dq
+from torchdq.algebra import dual_quaternion, screw
+
+F32, F64 = torch.float32, torch.float64
+EPS = {F32: 2.0**-23, F64: 2.0**-52}
+PI = math.pi
+DIGITS = 70  # 50 are compared; the squarings at 1e6 rad and the cancellation near a full turn take the others
+
+LOG_SWITCH = 2.0 * math.atan(math.sqrt(0.05))  # angle where the logarithm changes from series to closed form
+UP_TO_PI = [0.0, 1e-20, 1e-8, 1e-6, 1e-4, 1e-3, 1e-2, 0.1, LOG_SWITCH - 1e-6, LOG_SWITCH + 1e-6, 1.0]
+UP_TO_PI += [2.0 - 1e-7, 2.0 + 1e-7, PI - 1e-6, PI]
+UP_TO_FULL = [PI + 1e-6, 4.5, 2 * PI - 1e-3, 2 * PI - 1e-6]
+BEYOND = [7.0, 13.0, 1e3, 1e6]
+
+
+def with_dtype(angles, *also_in_f64):
+    """Pairs (dtype, angle); angles whose square is not even a subnormal float32 are for float64 only."""
+    return [(F32, a) for a in angles] + [(F64, a) for a in [*also_in_f64, *angles]]
+
+
+def halves(angle, dtype, rows=6, seed=0):
+    """Half-angle screws [rows, 6]: random lines about a metre from the origin, every second one with a pitch."""
+    g = torch.Generator().manual_seed(seed)
+    axis = torch.randn(rows, 3, generator=g, dtype=F64)
+    axis = axis / axis.norm(dim=-1, keepdim=True)
+    point = torch.randn(rows, 3, generator=g, dtype=F64)
+    pitch = torch.randn(rows, 1, generator=g, dtype=F64) * (torch.arange(rows) % 2).unsqueeze(-1)
+    return (torch.cat([axis, torch.linalg.cross(point, axis) + pitch * axis], -1) * (0.5 * angle)).to(dtype)
+
+
+# --- reference -------------------------------------------------------------------------------------------------------
+
+
+def exact(row):
+    return [mpf(v) for v in row.tolist()]
+
+
+def _hamilton(a, b):
+    """Quaternion product by the rule for scalar and vector parts."""
+    (s, u), (t, v) = (a[0], a[1:]), (b[0], b[1:])
+    cross = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]]
+    return [s * t - sum(p * q for p, q in zip(u, v, strict=True))] + [s * v[i] + t * u[i] + cross[i] for i in range(3)]
+
+
+def _product(x, y):
+    cross_terms = zip(_hamilton(x[:4], y[4:]), _hamilton(x[4:], y[:4]), strict=True)
+    return _hamilton(x[:4], y[:4]) + [p + q for p, q in cross_terms]
+
+
+def exact_exp(a):
+    """Power series of the dual quaternion a, scaled and squared."""
+    with mp.workdps(DIGITS):
+        size = mp.sqrt(sum(v * v for v in a[:3]))
+        squarings = int(mp.ceil(mp.log(size, 2))) + 4 if size > mpf(1) / 16 else 0
+        x = [v * mpf(2) ** -squarings for v in (mpf(0), *a[:3], mpf(0), *a[3:])]
+        term = total = [mpf(1)] + [mpf(0)] * 7
+        for k in range(1, 40):
+            term = [v / k for v in _product(term, x)]
+            total = [u + v for u, v in zip(total, term, strict=True)]
+        for _ in range(squarings):
+            total = _product(total, total)
+        return total
+
+
+def exact_log(x):
+    """Half of (angle * line + eps slide * axis) of the unit dual quaternion closest to x."""
+    with mp.workdps(DIGITS):
+        length = mp.sqrt(sum(v * v for v in x[:4]))
+        r, d = [v / length for v in x[:4]], [v / length for v in x[4:]]
+        off = sum(p * q for p, q in zip(r, d, strict=True))
+        d = [q - off * p for p, q in zip(r, d, strict=True)]
+        n = mp.sqrt(sum(v * v for v in r[1:]))
+        if n == 0:
+            return [mpf(0)] * 3 + d[1:]
+        half, axis, slide = mp.atan2(n, r[0]), [v / n for v in r[1:]], -d[0] / n
+        moment = [(d[i + 1] - slide * r[0] * axis[i]) / n for i in range(3)]
+        return [half * v for v in axis] + [half * m + slide * v for m, v in zip(moment, axis, strict=True)]
+
+
+def ulps(rows, references):
+    """Largest norm-wise error in units of eps of the rows against their references."""
+    worst = 0.0
+    with mp.workdps(DIGITS):
+        for row, reference in zip(rows, references, strict=True):
+            error = mp.sqrt(sum((p - q) ** 2 for p, q in zip(exact(row), reference, strict=True)))
+            size = mp.sqrt(sum(q * q for q in reference))
+            worst = max(worst, float(error / size) if size else float(error) * math.inf if error else 0.0)
+    return worst / EPS[rows.dtype]
+
+
+def rounded_exp(a):
+    """The exponential rounded once, component by component, to the dtype of a."""
+    values = [[float(v) for v in exact_exp(exact(row))] for row in a]
+    return torch.tensor(values, dtype=F64).to(a.dtype)
+
+
+def test_the_reference_logarithm_inverts_the_reference_exponential():
+    for angle in (1e-300, 1e-8, 1.0, PI, 6.0):
+        for row in halves(angle, F64, rows=2):
+            a = exact(row)
+            with mp.workdps(DIGITS):
+                error = max(abs(p - q) for p, q in zip(exact_log(exact_exp(a)), a, strict=True))
+                assert error <= mpf(10) ** -50 * max(abs(v) for v in a)
+
+
+# --- accuracy --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("dtype", "angle"), with_dtype(UP_TO_PI + UP_TO_FULL + BEYOND, 1e-300, 1e-160))
+def test_exp_is_within_4_ulp(dtype, angle):
+    a = halves(angle, dtype)
+    # beyond half a turn rounding the angle itself moves the result: the condition is the angle
+    condition = angle if angle > PI else 1.0
+    assert ulps(dq.exp(a), [exact_exp(exact(row)) for row in a]) <= 4 * condition
+
+
+@pytest.mark.parametrize(("dtype", "angle"), with_dtype(UP_TO_PI, 1e-300, 1e-160))
+def test_log_is_within_8_ulp_up_to_half_a_turn(dtype, angle):
+    x = rounded_exp(halves(angle, dtype))
+    assert ulps(dq.log(x), [exact_log(exact(row)) for row in x]) <= 8
+
+
+@pytest.mark.parametrize(("dtype", "angle"), with_dtype(UP_TO_FULL))
+def test_log_beyond_half_a_turn_loses_only_what_its_condition_takes(dtype, angle):
+    x = rounded_exp(halves(angle, dtype))
+    found, reference = dq.log(x), [exact_log(exact(row)) for row in x]
+    assert ulps(found[:, :3], [row[:3] for row in reference]) <= 8
+    # the line is divided by the sine of the half angle
+    assert ulps(found, reference) <= 8 + 50 / (2 * PI - angle)
+
+
+@pytest.mark.parametrize(("dtype", "angle"), with_dtype(UP_TO_PI, 1e-300, 1e-160))
+def test_log_of_exp_returns_the_screw_within_8_ulp(dtype, angle):
+    a = halves(angle, dtype)
+    assert ulps(dq.log(dq.exp(a)), [exact(row) for row in a]) <= 8
+
+
+@pytest.mark.parametrize(("dtype", "angle"), with_dtype(UP_TO_FULL))
+def test_log_of_exp_beyond_half_a_turn_returns_the_screw_to_its_condition(dtype, angle):
+    a = halves(angle, dtype)
+    assert ulps(dq.log(dq.exp(a)), [exact(row) for row in a]) <= 8 + 50 / (2 * PI - angle)
+
+
+@pytest.mark.parametrize("angle", BEYOND)
+def test_log_of_a_longer_turn_is_a_logarithm_within_a_full_turn(angle):
+    x = dq.exp(halves(angle, F64))
+    a = dq.log(x)
+    assert (a[:, :3].norm(dim=-1) <= PI).all()
+    rest = 2 * PI - 2 * a[:, :3].norm(dim=-1).max().item()
+    assert ulps(dq.exp(a), [exact(row) for row in x]) <= 8 + 50 / rest + 4 * angle  # x itself is off unit by as much
+
+
+@pytest.mark.parametrize("dtype", [F32, F64])
+def test_log_does_not_see_the_length_of_x_nor_its_part_along_itself(dtype):
+    x = rounded_exp(halves(1.3, dtype))
+    off = 3.0 * torch.cat([x[:, :4], x[:, 4:] + 0.25 * x[:, :4]], -1)
+    assert ulps(dq.log(off), [exact_log(exact(row)) for row in off]) <= 16
+    assert ulps(dq.log(off), [exact_log(exact(row)) for row in x]) <= 16
+
+
+@pytest.mark.parametrize("dtype", [F32, F64])
+def test_pure_translations_are_exact(dtype):
+    for length in (0.0, 1e-12, 1e-6, 1e-3, 1.0, 1e2, 1e4):
+        v = torch.tensor([2.0, -1.0, 2.0], dtype=dtype) * (length / 3)
+        a = torch.cat([torch.zeros(3, dtype=dtype), v])
+        x = dq.exp(a)
+        assert x.equal(torch.cat([torch.tensor([1.0, 0, 0, 0, 0], dtype=dtype), v]))
+        assert dq.log(x).equal(a)
+        assert dq.log_shortest(-x).equal(a)
+
+
+def test_a_full_turn_has_the_documented_logarithm():
+    along = torch.tensor([-1.0, 0, 0, 0, 0, 0.3, 0, 0.4], dtype=F64)  # a full turn while moving by 1 m
+    expected = torch.tensor([0.6 * PI, 0, 0.8 * PI, -0.3, 0, -0.4], dtype=F64)
+    torch.testing.assert_close(dq.log(along), expected, rtol=4 * EPS[F64], atol=0)
+    still = torch.tensor([-1.0, 0, 0, 0, 0, 0, 0, 0], dtype=F64)
+    assert dq.log(still).abs().equal(torch.tensor([PI, 0, 0, 0, 0, 0], dtype=F64))
+    for x in (along, still):
+        torch.testing.assert_close(dq.exp(dq.log(x)), x, rtol=0, atol=4 * PI * EPS[F64])
+
+
+# --- derivatives -----------------------------------------------------------------------------------------------------
+
+SWITCHES = [0.0, 1e-8, LOG_SWITCH - 1e-6, LOG_SWITCH + 1e-6, 2.0 - 1e-7, 2.0 + 1e-7, PI - 1e-6, PI + 1e-6]
+
+
+def round_trip(a):
+    return dq.log(dq.exp(a))
+
+
+def check_derivatives(f, x, first, second):
+    """First derivatives with step and tolerances `first`, second derivatives with those of `second`."""
+    x = x.clone().requires_grad_()
+    assert torch.autograd.gradcheck(f, x, **first)
+    assert torch.autograd.gradgradcheck(f, x, **second)
+
+
+@pytest.mark.parametrize("angle", [*SWITCHES, 2 * PI - 1e-6, 7.0, 13.0])
+def test_exp_has_its_derivatives(angle):
+    first, second = {"eps": 1e-6, "atol": 1e-8, "rtol": 1e-6}, {"atol": 1e-7, "rtol": 1e-5}
+    check_derivatives(dq.exp, halves(angle, F64, rows=2)[1], first, second)
+
+
+@pytest.mark.parametrize("angle", SWITCHES)
+def test_log_has_its_derivatives(angle):
+    first, second = {"eps": 1e-7, "atol": 1e-6, "rtol": 1e-5}, {"atol": 1e-5, "rtol": 1e-4}
+    check_derivatives(dq.log, dq.exp(halves(angle, F64, rows=2)[1]), first, second)
+
+
+@pytest.mark.parametrize("angle", SWITCHES)
+def test_log_of_exp_has_its_derivatives(angle):
+    first, second = {"eps": 1e-7, "atol": 1e-6, "rtol": 1e-5}, {"atol": 1e-5, "rtol": 1e-4}
+    a = halves(angle, F64, rows=2)[1]
+    check_derivatives(round_trip, a, first, second)
+    torch.testing.assert_close(jacobian(round_trip, a), torch.eye(6, dtype=F64), rtol=0, atol=1e3 * EPS[F64])
+
+
+def test_the_second_derivative_of_w_at_the_identity_is_minus_one():
+    h = hessian(lambda a: dq.exp(a)[0], torch.zeros(6, dtype=F64))
+    expected = torch.zeros(6, 6, dtype=F64)
+    expected[:3, :3] = -torch.eye(3)
+    assert h.equal(expected)
+
+
+def second_derivatives(f, x):
+    """Value, first and second derivatives of f at x, in one vector."""
+    weights = torch.arange(1.0, 1.0 + f(x).numel(), dtype=x.dtype)
+
+    def weighted(y):
+        return (weights * f(y)).sum()
+
+    return torch.cat([f(x), jacobian(weighted, x), hessian(weighted, x).flatten()])
+
+
+def test_nothing_jumps_where_exp_changes_from_series_to_closed_form():
+    below, above = (torch.tensor([h, 0.0, 0.0, 0.3, -0.5, 0.7], dtype=F64) for h in (math.nextafter(1.0, 0.0), 1.0))
+    assert below[0] ** 2 < 1.0 <= above[0] ** 2
+    jump = second_derivatives(dq.exp, above) - second_derivatives(dq.exp, below)
+    assert jump.abs().max() <= 1e-12
+
+
+def test_nothing_jumps_where_log_changes_from_series_to_closed_form():
+    n = math.sqrt(0.05)
+    while n * n >= 0.05:
+        n = math.nextafter(n, 0.0)
+    # the logarithm does not see the length, so that w = 1 puts the switch at n^2 = 0.05
+    below, above = (
+        torch.tensor([1.0, v, 0.0, 0.0, 0.1, 0.3, -0.5, 0.7], dtype=F64) for v in (n, math.nextafter(n, 1.0))
+    )
+    assert below[1] ** 2 < 0.05 <= above[1] ** 2
+    jump = second_derivatives(dq.log, above) - second_derivatives(dq.log, below)
+    assert jump.abs().max() <= 1e-11  # second derivatives of this point reach 40
+
+
+@pytest.mark.parametrize(("dtype", "angle"), with_dtype(UP_TO_PI + UP_TO_FULL + BEYOND, 1e-300, 1e-160))
+def test_values_gradients_and_hessians_are_finite(dtype, angle):
+    a = halves(angle, dtype, rows=2)[1]
+    x = dq.exp(a)
+    assert second_derivatives(dq.exp, a).isfinite().all()
+    assert second_derivatives(dq.log_shortest, x).isfinite().all()
+    for f, at in ((dq.log, x), (round_trip, a)):
+        found = second_derivatives(f, at)
+        if dtype == F32 and 2 * PI - 1e-5 < angle < 2 * PI:
+            # two float32 steps from a full turn the second derivatives pass through sin(angle/2)^-7 > 1e38
+            found = found[: f(at).numel() + at.numel()]
+        assert found.isfinite().all()
+
+
+@pytest.mark.parametrize("dtype", [F32, F64])
+def test_translations_and_full_turns_have_finite_derivatives(dtype):
+    slide = torch.tensor([0.0, 0.0, 0.0, 1e-12, 0.0, 1e4], dtype=dtype)
+    assert second_derivatives(dq.exp, slide).isfinite().all()
+    for sign in (1.0, -1.0):
+        for v in ([0.0, 0.0, 0.0], [0.3, 0.0, 0.4], [1e4, 0.0, 0.0]):
+            x = torch.tensor([sign, 0, 0, 0, 0, *v], dtype=dtype)
+            for f in (dq.log, dq.log_shortest):
+                assert second_derivatives(f, x).isfinite().all()
+
+
+# --- equation (25) ---------------------------------------------------------------------------------------------------
+
+
+def printed_exp(a):
+    """Equation (25) as printed: P(exp a) + eps D(a) P(exp a)."""
+    primary = dq.exp(torch.cat([a[..., :3], torch.zeros_like(a[..., :3])], -1))[..., :4]
+    dual = dq.mul(torch.cat([torch.zeros_like(a[..., :1]), a[..., 3:]], -1), primary)
+    return torch.cat([primary, dual], -1)
+
+
+def series_exp(a):
+    """The power series 1 + a + a^2/2 + ... of the dual quaternion a, in float64."""
+    zero = torch.zeros_like(a[..., :1])
+    x = torch.cat([zero, a[..., :3], zero, a[..., 3:]], -1)
+    term = total = torch.eye(8, dtype=a.dtype)[0].expand(x.shape)
+    for k in range(1, 30):
+        term = dq.mul(term, x) / k
+        total = total + term
+    return total
+
+
+def unit_lines(distance, rows=20, seed=1):
+    """Unit lines [rows, 6] at the given distance from the origin."""
+    g = torch.Generator().manual_seed(seed)
+    axis = torch.randn(rows, 3, generator=g, dtype=F64)
+    axis = axis / axis.norm(dim=-1, keepdim=True)
+    moment = torch.linalg.cross(torch.randn(rows, 3, generator=g, dtype=F64), axis)
+    return torch.cat([axis, distance * moment / moment.norm(dim=-1, keepdim=True)], -1)
+
+
+def test_the_printed_25_is_not_the_exponential_of_a_line_off_the_origin():
+    a = unit_lines(1.0) * (1.1 / 2)
+    series = series_exp(a)
+    assert (dq.exp(a) - series).abs().max() <= 5 * EPS[F64]
+    assert ((printed_exp(a) - series).abs().amax(-1) > 0.1).all()
+    # the printed form is a unit dual quaternion too, so that only a comparison shows it
+    length = dq.norm(printed_exp(a))
+    torch.testing.assert_close(length, torch.tensor([1.0, 0.0], dtype=F64).expand_as(length), rtol=0, atol=5 * EPS[F64])
+
+
+def test_the_printed_25_is_right_for_a_line_through_the_origin():
+    a = unit_lines(0.0) * (1.1 / 2)
+    assert (printed_exp(a) - series_exp(a)).abs().max() <= 5 * EPS[F64]
+
+
+def test_cosine_and_sine_of_the_half_angle_give_the_exponential_of_a_line():  # (27)
+    for distance in (0.0, 1.0):
+        for row in unit_lines(distance, rows=5):
+            parts = tuple(row.tolist())
+            line = (parts[:3], parts[3:])
+            for angle in (-2.0, 0.0, 0.7, 3.0):
+                expected = series_exp(row * (angle / 2))
+                revolute = screw.exp_revolute(line, math.cos(angle / 2), math.sin(angle / 2))
+                found = torch.tensor([*revolute[0], *revolute[1]], dtype=F64)
+                torch.testing.assert_close(found, expected, rtol=0, atol=8 * EPS[F64])
+
+
+# --- shortest way, interpolation -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-8, 1.0, PI - 1e-6, PI + 1e-6, 5.0, 2 * PI - 1e-6])
+def test_both_signs_of_a_pose_have_the_same_shortest_logarithm(angle):
+    x = dq.exp(halves(angle, F64))
+    assert dq.log_shortest(x).equal(dq.log_shortest(-x))
+    half = dq.log_shortest(x)[:, :3].norm(dim=-1)
+    torch.testing.assert_close(half, torch.full_like(half, min(angle, 2 * PI - angle) / 2), rtol=0, atol=8 * EPS[F64])
+
+
+def test_the_shortest_logarithm_is_the_logarithm_of_the_sign_with_positive_w():
+    x = dq.exp(halves(2.0, F64))
+    assert dq.log_shortest(x).equal(dq.log(x))
+    assert dq.log_shortest(-x).equal(dq.log(x))
+    assert not dq.log(-x).allclose(dq.log(x))
+
+
+def test_at_half_a_turn_each_sign_keeps_its_own_direction():
+    x = torch.tensor([0.0, 0.0, 0.6, 0.8, 0.0, 1.0, 0.0, 0.0], dtype=F64)
+    a = dq.log_shortest(x)
+    torch.testing.assert_close(a[:3], 0.5 * PI * x[1:4], rtol=4 * EPS[F64], atol=0)
+    assert dq.log_shortest(-x).equal(-a)
+
+
+def test_the_shortest_logarithm_turns_round_at_half_a_turn():
+    axis = torch.tensor([0.0, 0.6, 0.8, 0.0, 0.0, 0.0], dtype=F64)
+    below, above = (dq.log_shortest(dq.exp(axis * (PI / 2 + s * 1e-9))) for s in (-1, 1))
+    torch.testing.assert_close(above, -below, rtol=0, atol=1e-8)
+
+
+def same_pose(x, y):
+    """Distance of two dual quaternions that stand for poses, whatever their signs."""
+    return torch.minimum((x - y).norm(dim=-1), (x + y).norm(dim=-1))
+
+
+def pairs():
+    """Poses to interpolate between."""
+    x = dq.exp(halves(1.0, F64, seed=3))
+    half_turn = torch.tensor([0.0, 0.0, 0.6, 0.8, 0.0, 1.0, 0.0, 0.0], dtype=F64).expand_as(x)
+    slide = dq.exp(torch.tensor([0.0, 0.0, 0.0, 1.0, -2.0, 0.5], dtype=F64)).expand_as(x)
+    return {
+        "equal": (x, x),
+        "antipodal": (x, -x),
+        "half a turn": (x, dq.mul(x, half_turn)),
+        "1e-12 apart": (x, dq.mul(x, dq.exp(halves(1e-12, F64, seed=4)))),
+        "translation": (x, dq.mul(x, slide)),
+        "anywhere": (x, dq.exp(halves(5.0, F64, seed=5))),
+    }
+
+
+PAIRS = pairs()
+
+
+@pytest.mark.parametrize("case", PAIRS)
+def test_sclerp_meets_both_ends(case):
+    x, y = PAIRS[case]
+    size = x.norm(dim=-1) * y.norm(dim=-1)  # of the dual parts that cancel
+    assert (same_pose(dq.sclerp(x, y, 0.0), x) <= 8 * EPS[F64] * size).all()
+    assert (same_pose(dq.sclerp(x, y, 1.0), y) <= 8 * EPS[F64] * size * x.norm(dim=-1)).all()
+
+
+@pytest.mark.parametrize("case", PAIRS)
+def test_sclerp_stays_on_unit_dual_quaternions(case):
+    x, y = PAIRS[case]
+    middle = dq.sclerp(x, y, 0.5)
+    length = dq.norm(middle)
+    assert ((length[:, 0] - 1).abs() <= 4 * EPS[F64]).all()
+    assert (length[:, 1].abs() <= 4 * EPS[F64] * middle.norm(dim=-1) ** 2).all()
+
+
+@pytest.mark.parametrize("case", PAIRS)
+def test_sclerp_moves_with_a_constant_twist_also_outside_the_ends(case):
+    x, y = PAIRS[case]
+    whole = dq.log_shortest(dq.mul(dq.conj(x), y))
+    t = torch.tensor([-1.5, -0.75, -0.25, 0.25, 0.5, 0.75, 1.25, 1.5], dtype=F64)
+    path = dq.sclerp(x.unsqueeze(1), y.unsqueeze(1), t)
+    step = dq.mul(dq.conj(path[:, :-1]), path[:, 1:])
+    expected = (t[1:] - t[:-1]).unsqueeze(-1) * whole.unsqueeze(1)  # less than half a turn each
+    torch.testing.assert_close(dq.log_shortest(step), expected, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("dtype", [F32, F64])
+@pytest.mark.parametrize("case", PAIRS)
+def test_sclerp_has_finite_derivatives(case, dtype):
+    x, y = (v[0].to(dtype) for v in PAIRS[case])
+    for t in (0.0, 0.5, 1.0):
+        inputs = torch.cat([x, y, torch.tensor([t], dtype=dtype)])
+        assert second_derivatives(lambda z: dq.sclerp(z[:8], z[8:16], z[16]), inputs).isfinite().all()
+
+
+# --- normalisation ---------------------------------------------------------------------------------------------------
+
+
+def defects(components):
+    """How far a dual quaternion is from a unit one: | |P| - 1 | and |P.D| / |D|."""
+    p, d = (np.array(part, dtype=np.float64) for part in components)
+    return abs(np.linalg.norm(p) - 1), abs(p @ d) / np.linalg.norm(d)
+
+
+def run_products(number, every):
+    """1e5 products with one motion, in one precision, normalising after every so many (0: never)."""
+    motion = dq.exp(torch.tensor([0.1, -0.2, 0.15, 0.02, 0.01, -0.03], dtype=F64)).numpy().astype(number)
+    step = (tuple(motion[:4]), tuple(motion[4:]))
+    x = step
+    for k in range(1, 100_001):
+        x = dual_quaternion.mul(x, step)
+        if every and k % every == 0:
+            row = dq.normalize(torch.tensor(np.array([*x[0], *x[1]], dtype=number))).numpy()
+            x = (tuple(row[:4]), tuple(row[4:]))
+    return defects(x)
+
+
+@pytest.mark.parametrize("number", [np.float32, np.float64])
+def test_normalising_now_and_then_keeps_a_long_product_a_pose(number):
+    eps = float(np.finfo(number).eps)
+    length, off = run_products(number, every=100)
+    assert length <= 4 * eps
+    assert off <= 8 * eps
+
+
+@pytest.mark.parametrize("number", [np.float32, np.float64])
+def test_a_long_product_drifts_by_less_than_an_ulp_per_factor(number):
+    eps = float(np.finfo(number).eps)
+    length, off = run_products(number, every=0)
+    assert 100 * eps < length <= 1e5 * eps  # it does drift: normalising is needed
+    assert off <= 1e5 * eps
+
+
+def test_normalize_divides_by_the_dual_norm():
+    x = torch.randn(50, 8, dtype=F64, generator=torch.Generator().manual_seed(6))
+    y = dq.normalize(x)
+    torch.testing.assert_close(dq.norm(y)[:, 0], torch.ones(50, dtype=F64), rtol=0, atol=4 * EPS[F64])
+    assert (dq.norm(y)[:, 1].abs() <= 8 * EPS[F64] * y.norm(dim=-1)).all()
+    torch.testing.assert_close(dq.normalize(y), y, rtol=0, atol=16 * EPS[F64] * y.abs().max().item())
+    # |x| y = x with the dual number |x|
+    length = dq.norm(x)
+    back = torch.cat([length[:, :1] * y[:, :4], length[:, :1] * y[:, 4:] + length[:, 1:] * y[:, :4]], -1)
+    torch.testing.assert_close(back, x, rtol=0, atol=32 * EPS[F64] * x.abs().max().item())
+
+
+@pytest.mark.parametrize("dtype", [F32, F64])
+def test_a_row_without_a_direction_is_nan_and_leaves_the_others_alone(dtype):
+    for size in (4, 8):
+        x = torch.randn(4, size, dtype=dtype, generator=torch.Generator().manual_seed(7))
+        good = dq.normalize(x)
+        x[1, :4], x[2, 0] = 0.0, math.nan
+        found = dq.normalize(x)
+        assert found[1:3, :4].isnan().all()
+        assert found[[0, 3]].equal(good[[0, 3]])
+
+
+# --- screw parameters ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [F32, F64])
+@pytest.mark.parametrize("angle", [1e-3, 0.1, 1.0, PI - 1e-3])
+def test_screw_parameters_are_those_the_motion_was_made_of(angle, dtype):
+    line = unit_lines(0.7, rows=8)
+    slide = torch.linspace(-2, 2, 8, dtype=F64)
+    a = 0.5 * angle * line + 0.5 * torch.cat([torch.zeros(8, 3, dtype=F64), slide.unsqueeze(-1) * line[:, :3]], -1)
+    found = dq.screw_params(dq.exp(a).to(dtype))
+    tolerance = 16 * EPS[dtype]
+    torch.testing.assert_close(found.axis.to(F64), line[:, :3], rtol=0, atol=tolerance)
+    torch.testing.assert_close(found.angle.to(F64), torch.full((8,), angle, dtype=F64), rtol=tolerance, atol=0)
+    torch.testing.assert_close(found.slide.to(F64), slide, rtol=0, atol=tolerance * 2)
+    # the moment is what is left of |b| ~ slide after dividing by the angle
+    torch.testing.assert_close(found.moment.to(F64), line[:, 3:], rtol=0, atol=tolerance * (1 + 2 / angle))
+
+
+def test_screw_parameters_of_a_translation_lie_along_it():
+    found = dq.screw_params(dq.exp(torch.tensor([0.0, 0.0, 0.0, 0.0, -1.5, 2.0], dtype=F64)))
+    torch.testing.assert_close(found.axis, torch.tensor([0.0, -0.6, 0.8], dtype=F64), rtol=2 * EPS[F64], atol=0)
+    assert found.angle == 0
+    assert found.slide == 5.0
+    assert found.moment.equal(torch.zeros(3, dtype=F64))
+
+
+def test_screw_parameters_of_the_identity_are_finite_with_finite_gradients():
+    identity = torch.eye(8, dtype=F64)[0]
+    found = dq.screw_params(identity)
+    assert found.axis.equal(torch.tensor([1.0, 0, 0], dtype=F64))
+    assert found.angle == 0
+    assert found.slide == 0
+    assert all(j.isfinite().all() for j in jacobian(lambda x: tuple(dq.screw_params(x)), identity))
+
+
+def test_screw_parameters_take_the_shorter_way():
+    x = dq.exp(halves(5.0, F64))
+    torch.testing.assert_close(dq.screw_params(x).angle, torch.full((6,), 2 * PI - 5, dtype=F64), rtol=1e-14, atol=0)
+    for found, other in zip(dq.screw_params(x), dq.screw_params(-x), strict=True):
+        assert found.equal(other)

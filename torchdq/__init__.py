@@ -1,0 +1,69 @@
+"""torchdq: rigid-body dynamics for robot learning as PyTorch layers, written in dual quaternions.
+
+Conventions, everywhere:
+
+* A quaternion is (w, x, y, z), a dual quaternion [..., 8] its primary and its dual quaternion. The pose of frame B in
+  frame A is X_AB = r + (eps/2) p r: r turns B components into A components, p is B's origin in A; X_AC = X_AB X_BC.
+* A screw is [..., 6], primary xyz and dual xyz. A twist is (angular, linear), a wrench is (force, moment).
+* q, qd, qdd, tau are [..., n] in SI units, one number per joint, in the order of `robot.joint_names`; everything
+  before the last axis is batch and broadcasts. dtype (float32, float64) and device follow the inputs.
+* f_tip is the wrench the end effector exerts on the environment, in the tip frame; f_ext [..., n, 6] are the wrenches
+  the environment exerts on the links, in link frames.
+* None means absent: it is decided in Python and costs nothing.
+"""
+
+from torchdq import dq
+from torchdq.control import computed_torque
+from torchdq.errors import (
+    ArgumentError,
+    DescriptionError,
+    DtypeError,
+    TorchdqError,
+    UnknownNameError,
+    UnphysicalError,
+)
+from torchdq.functional import (
+    closed_form,
+    dynamics_jacobian,
+    forward_dynamics,
+    forward_kinematics,
+    inverse_dynamics,
+    jacobian,
+    kinetic_energy,
+    mass_matrix,
+    potential_energy,
+    regressor,
+    require_finite,
+)
+from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics
+from torchdq.robot import Robot
+from torchdq.robot import library as robots
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "DQRNEA",
+    "ArgumentError",
+    "ComputedTorque",
+    "DescriptionError",
+    "DtypeError",
+    "ForwardDynamics",
+    "Robot",
+    "TorchdqError",
+    "UnknownNameError",
+    "UnphysicalError",
+    "closed_form",
+    "computed_torque",
+    "dq",
+    "dynamics_jacobian",
+    "forward_dynamics",
+    "forward_kinematics",
+    "inverse_dynamics",
+    "jacobian",
+    "kinetic_energy",
+    "mass_matrix",
+    "potential_energy",
+    "regressor",
+    "require_finite",
+    "robots",
+]

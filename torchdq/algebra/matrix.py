@@ -1,0 +1,92 @@
+"""Vectors and matrices of dual quaternions, of screws, and of adjoint operators, as nested tuples.
+
+A matrix is a tuple of rows. An entry that is zero by structure is `None`: it is never multiplied or added.
+"""
+
+from collections.abc import Callable, Sequence
+
+from torchdq.algebra import dual_quaternion as dq
+from torchdq.algebra import screw
+from torchdq.algebra.quaternion import Number
+from torchdq.algebra.screw import Adjoint, Screw
+
+Rows = tuple[tuple, ...]
+
+
+def elementwise(f: Callable, *vectors: Sequence) -> tuple:
+    """f of the entries of equally long vectors, entry by entry; None where an entry is None.
+
+    With f = `screw.cross` it is the product (15), with `screw.inner` (16), with `screw.double_geodesic` (17).
+    """
+    return tuple(None if any(e is None for e in entries) else f(*entries) for entries in zip(*vectors, strict=True))
+
+
+def transpose(q: Rows) -> Rows:
+    """Transpose of a matrix of anything."""
+    return tuple(zip(*q, strict=True))  # (9), (13)
+
+
+def conj(q: Rows) -> Rows:
+    """Entry-wise conjugate of a matrix of dual quaternions, without transposing."""
+    return tuple(tuple(None if x is None else dq.conj(x) for x in row) for row in q)  # (9), (13)
+
+
+def total(terms: Sequence, add: Callable):
+    """Sum of the terms that are not None, or None."""
+    present = [term for term in terms if term is not None]
+    if not present:
+        return None
+    result = present[0]
+    for term in present[1:]:
+        result = add(result, term)
+    return result
+
+
+def add(a: Rows, b: Rows, plus: Callable = dq.add) -> Rows:
+    """Sum of two matrices of the same shape, None counting as zero."""
+    return tuple(tuple(total(pair, plus) for pair in zip(x, y, strict=True)) for x, y in zip(a, b, strict=True))  # (10)
+
+
+def matmul(a: Rows, b: Rows, times: Callable = dq.mul, plus: Callable = dq.add) -> Rows:
+    """Matrix product, by default of dual quaternion matrices; None entries are skipped."""
+    return tuple(
+        tuple(total(elementwise(times, row, column), plus) for column in transpose(b)) for row in a
+    )  # (11), (12)
+
+
+def matvec(a: Rows, v: Sequence, times: Callable, plus: Callable) -> tuple:
+    """Matrix times vector; None entries are skipped."""
+    return tuple(total(elementwise(times, row, v), plus) for row in a)
+
+
+def act(operators: Rows, v: Sequence[Screw | None]) -> tuple[Screw | None, ...]:
+    """Matrix of adjoint operators applied to a vector of screws."""
+    return matvec(operators, v, screw.ad, screw.add)
+
+
+def act_on_matrix(operators: Rows, m: Rows) -> Rows:
+    """Matrix of adjoint operators times a matrix of screws."""
+    return matmul(operators, m, screw.ad, screw.add)
+
+
+def combine(m: Rows, numbers: Sequence[Number]) -> tuple[Screw | None, ...]:
+    """Matrix of screws times a vector of numbers."""
+    return matvec(m, numbers, lambda s, x: screw.scale(x, s), screw.add)
+
+
+def diagonal(entries: Sequence) -> Rows:
+    """Diagonal matrix; everything else is None."""
+    n = len(entries)
+    return tuple(tuple(entries[i] if i == j else None for j in range(n)) for i in range(n))
+
+
+def hermitian(operators: Rows) -> Rows:
+    """Conjugate transpose L^H of a matrix of adjoint operators: transposed, and every operator inverted.
+
+    The paper writes L*; by its own (13) that would leave out the transposition (erratum Table 1, row 4).
+    """
+
+    def inverse(a: Adjoint | None) -> Adjoint | None:
+        return None if a is None else screw.inverse(a)
+
+    return tuple(tuple(inverse(a) for a in row) for row in transpose(operators))

@@ -1,0 +1,48 @@
+"""Computed torque control: feedback linearisation by the inverse dynamics, equations (73)-(78)."""
+
+from torch import Tensor
+
+from torchdq.functional import check, inverse_dynamics
+from torchdq.robot import Robot
+
+
+def computed_torque(
+    robot: Robot,
+    q: Tensor,
+    qd: Tensor,
+    q_des: Tensor,
+    qd_des: Tensor,
+    qdd_des: Tensor,
+    kp: Tensor | float,
+    kd: Tensor | float,
+    f_tip: Tensor | None = None,
+) -> Tensor:
+    """Torques tau [..., n] under which the tracking error e = q_des - q obeys e'' + kd e' + kp e = 0.
+
+        tau = M a + c + g + J^T f_tip,   a = qdd_des + kd (qd_des - qd) + kp (q_des - q)
+
+    which is one inverse dynamics with the acceleration a. Gravity is compensated, since the robot has it. With a wrong
+    model the error does not vanish but stays bounded by the mismatch over the gains.
+
+    Args:
+        robot: the model of the robot that is controlled.
+        q, qd: measured positions [rad or m] and velocities, shape [..., n].
+        q_des, qd_des, qdd_des: wanted positions, velocities and accelerations, shape [..., n].
+        kp: position gain [1/s^2], a number or shape [..., n].
+        kd: velocity gain [1/s], a number or shape [..., n]; 2 sqrt(kp) is critical damping.
+        f_tip: wrench the end effector exerts on the environment [N, N m], shape [..., 6], in the tip frame.
+
+    Source: (73)-(78); departure: erratum 75.
+    """
+    n = robot.n
+    check(
+        robot,
+        q=(q, (n,)),
+        qd=(qd, (n,)),
+        q_des=(q_des, (n,)),
+        qd_des=(qd_des, (n,)),
+        qdd_des=(qdd_des, (n,)),
+        f_tip=(f_tip, (6,)),
+    )
+    acceleration = qdd_des + kd * (qd_des - qd) + kp * (q_des - q)  # (75)-(77), erratum 75
+    return inverse_dynamics(robot, q, qd, acceleration, f_tip=f_tip)  # (73), (74)

@@ -1,0 +1,30 @@
+"""Robots that ship with the package, each with the source of its numbers."""
+
+from collections.abc import Callable
+
+from torchdq.errors import UnknownNameError
+from torchdq.robot.library import panda, puma560, two_link, ur10e
+from torchdq.robot.robot import Robot
+
+ROBOTS: dict[str, Callable[[], Robot]] = {
+    "two_link": two_link.build,
+    "panda": panda.build,
+    "ur10e": ur10e.build,
+    "puma560": puma560.build,
+}
+
+
+def names() -> tuple[str, ...]:
+    """Names of the shipped robots."""
+    return tuple(ROBOTS)
+
+
+def load(name: str) -> Robot:
+    """Shipped robot of that name.
+
+    >>> load("two_link").n
+    2
+    """
+    if name not in ROBOTS:
+        raise UnknownNameError("shipped robot", name, ROBOTS)
+    return ROBOTS[name]()

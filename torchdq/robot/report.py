@@ -1,0 +1,42 @@
+"""What a description asked for and what became of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from torchdq.robot.robot import Robot
+
+
+class Report(NamedTuple):
+    """A robot's report; `str` lays it out as a table."""
+
+    summary: str
+    joints: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, robot: Robot) -> Report:
+        """Report of a robot."""
+        used = ["mass, centre of mass and inertia of the links", "joint axes and placements"]
+        used += [] if robot.gravity is None else [f"gravity {robot.gravity.tolist()} m/s^2"]
+        used += [] if robot.armature is None else ["rotor inertia"]
+        joints = tuple(
+            (
+                robot.joint_names[i],
+                robot.kinds[i],
+                robot.link_names[i],
+                f"{float(robot.mass[..., i].mean()):.4g} kg",
+                f"[{float(robot.limits.lower[i]):.4g}, {float(robot.limits.upper[i]):.4g}]",
+            )
+            for i in range(robot.n)
+        )
+        return cls(f"{robot!r}\nused: {'; '.join(used)}", joints, robot.notes)
+
+    def __str__(self) -> str:
+        header = ("joint", "kind", "link", "mass", "limits (not enforced)")
+        rows = [header, *self.joints]
+        widths = [max(len(row[k]) for row in rows) for k in range(len(header))]
+        table = "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+        notes = "\n".join(f"- {note}" for note in self.notes) or "- nothing else was asked for"
+        return f"{self.summary}\n\n{table}\n\nnotes:\n{notes}"

@@ -1,0 +1,338 @@
+"""The frozen description of a robot: a tree of links, each carried by one joint, as float64 tensors."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_args
+
+import torch
+from torch import Tensor
+
+from torchdq import dq
+from torchdq.algebra import quaternion as quat
+from torchdq.dynamics.mechanism import BASE, Link, Mechanism
+from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.robot import dh, physical, screws, urdf
+from torchdq.robot.report import Report
+
+GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], in the base frame
+OnUnphysical = Literal["error", "warn", "ignore"]
+
+
+class Limits(NamedTuple):
+    """Limits of the joints as the description gives them, each [n]; infinite where it gives none."""
+
+    lower: Tensor  # [rad or m]
+    upper: Tensor  # [rad or m]
+    velocity: Tensor  # [rad/s or m/s]
+    effort: Tensor  # [N m or N]
+
+
+class Frame(NamedTuple):
+    """A named frame F fixed to a link B."""
+
+    name: str
+    link: int  # index of the link, -1: the base
+    X_BF: Tensor  # [8]
+
+
+# trailing shape of each tensor field; leading axes are batch axes, "n" is the number of joints
+SHAPES: dict[str, tuple] = {
+    "X_PB_home": ("n", 8),
+    "screw": ("n", 6),
+    "home": ("n",),
+    "mass": ("n",),
+    "com": ("n", 3),
+    "inertia": ("n", 6),
+    "gravity": (3,),
+    "armature": ("n",),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A robot with n one-degree-of-freedom joints, each carrying one link.
+
+    Link i's frame B_i is the frame of its joint (of its URDF link, of its DH frame), not its centre of mass. Every
+    parent comes before its children. Physical tensors may carry leading batch axes, which broadcast against the
+    batch axes of `q`: a batch of different robots is one robot with a batch axis. Change one with `replace`.
+
+    >>> import torchdq
+    >>> robot = torchdq.robots.load("two_link")
+    >>> robot.n, robot.joint_names
+    (2, ('joint1', 'joint2'))
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    link_names: tuple[str, ...]
+    parents: tuple[int, ...]  # link that link i hangs on; -1: the base
+    kinds: tuple[str, ...]  # "revolute", "prismatic", "helical"
+    X_PB_home: Tensor  # [..., n, 8] pose of each link frame in its parent's at home
+    screw: Tensor  # [..., n, 6] joint screw in the link frame: line of a revolute joint, eps l of a prismatic one
+    mass: Tensor  # [..., n] [kg]
+    com: Tensor  # [..., n, 3] centre of mass in the link frame [m]
+    inertia: Tensor  # [..., n, 6] about the centre of mass, link axes: xx xy yy xz yz zz [kg m^2]
+    gravity: Tensor | None  # [..., 3] gravitational acceleration in the base frame [m/s^2]; None: none
+    limits: Limits
+    damping: Tensor  # [n] viscous friction as described [N m s/rad or N s/m]; not part of the rigid-body dynamics
+    friction: Tensor  # [n] Coulomb friction as described [N m or N]; not part of the rigid-body dynamics
+    frames: tuple[Frame, ...]
+    tip: str | None = None  # the frame of the end effector, F_{n+1}; None: not decided
+    home: Tensor | None = None  # [..., n] joint positions at home [rad or m]; None: zero
+    armature: Tensor | None = None  # [..., n] rotor inertia seen at the joint [kg m^2 or kg]; None: none
+    notes: tuple[str, ...] = ()  # what the description asked for and what became of it
+
+    def __post_init__(self) -> None:
+        n = len(self.joint_names)
+        for field, trailing in SHAPES.items():
+            value = getattr(self, field)
+            shape = tuple(n if axis == "n" else axis for axis in trailing)
+            if value is None and field in ("gravity", "home", "armature"):
+                continue
+            if not isinstance(value, Tensor) or tuple(value.shape[value.ndim - len(shape) :]) != shape:
+                found = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
+                expected = ", ".join(["...", *map(str, shape)])
+                raise ArgumentError(
+                    f"{field} of robot {self.name!r} must be a tensor of shape [{expected}] for its {n} joints, "
+                    f"found {found}"
+                )
+
+    # --- where robots come from ---
+
+    @classmethod
+    def from_urdf(
+        cls,
+        source: str | Path,
+        base: Literal["fixed"] = "fixed",
+        lock: Mapping[str, float] | None = None,
+        tip: str | None = None,
+        gravity: Sequence[float] | None = GRAVITY,
+        on_unphysical: OnUnphysical = "error",
+    ) -> Robot:
+        """Robot of a URDF file.
+
+        Fixed joints are lumped and their links stay as frames; continuous joints take the plain angle; mimic joints
+        are independent joints. Meshes are never opened. Joint friction, damping and limits are read but are not part
+        of the rigid-body dynamics; `report()` says so for each.
+
+        Args:
+            source: path of the file, or its XML text.
+            base: "fixed"; the only kind of base there is so far.
+            lock: positions [rad or m] of joints to freeze, by name; they become fixed joints.
+            tip: name of the frame that is the end effector; None: the only leaf of the tree, if there is only one.
+            gravity: acceleration in the base frame [m/s^2]; None: none.
+            on_unphysical: what to do about a body that cannot exist: "error" raises, "warn" warns and goes on, "ignore"
+                only notes it in the report.
+
+        Raises:
+            DescriptionError: the text is not a usable URDF; every fault found is named.
+            UnphysicalError: a link cannot exist, or a joint moves no inertia.
+            UnknownNameError: a name in `lock` or `tip` is not in the file.
+        """
+        if base != "fixed":
+            raise ArgumentError(f"base must be 'fixed', found {base!r}")
+        description, findings = urdf.read(source, dict(lock or {}))
+        return cls._finish(description, findings, tip, gravity, on_unphysical)
+
+    @classmethod
+    def from_screws(
+        cls,
+        joint_screws: Any,
+        mass: Any,
+        com: Any,
+        inertia: Any,
+        link_poses: Any = None,
+        tip_pose: Any = None,
+        parents: Sequence[int] | None = None,
+        home: Any = None,
+        joint_names: Sequence[str] | None = None,
+        link_names: Sequence[str] | None = None,
+        gravity: Sequence[float] | None = GRAVITY,
+        name: str = "robot",
+        on_unphysical: OnUnphysical = "error",
+    ) -> Robot:
+        """Robot of joint screws given in the base frame at the home position, as in section 5.1 of the paper.
+
+        Args:
+            joint_screws: s_i, shape [n, 6]. A unit line (l | p x l) is a revolute joint, (0 | l) a prismatic one,
+                (l | p x l + h l) a helical one of pitch h [m/rad].
+            mass: [kg], shape [n].
+            com: centres of mass [m], shape [n, 3], in the link frames.
+            inertia: about the centres of mass [kg m^2], shape [n, 3, 3] or [n, 6] (xx xy yy xz yz zz), link axes.
+            link_poses: delta_i^0, pose of each link frame in the base frame at home, shape [n, 8]; None: all link
+                frames coincide with the base frame at home.
+            tip_pose: delta_{n+1}^0, pose of the end effector in the base frame at home, shape [8], on the last link.
+            parents: index of the link each link hangs on, -1 for the base, shape [n]; None: a serial chain.
+            home: joint positions at home [rad or m], shape [n]; None: zero.
+            joint_names, link_names, name: names; None: joint1, link1, ...
+            gravity, on_unphysical: as in `from_urdf`.
+        """
+        description, findings = screws.read(
+            joint_screws, mass, com, inertia, link_poses, tip_pose, parents, home, joint_names, link_names, name
+        )
+        return cls._finish(description, findings, None, gravity, on_unphysical)
+
+    @classmethod
+    def from_dh(
+        cls,
+        a: Sequence[float],
+        alpha: Sequence[float],
+        d: Sequence[float],
+        theta: Sequence[float],
+        mass: Any,
+        com: Any,
+        inertia: Any,
+        convention: Literal["standard", "modified"] = "standard",
+        kinds: Sequence[str] | None = None,
+        tip_pose: Any = None,
+        joint_names: Sequence[str] | None = None,
+        link_names: Sequence[str] | None = None,
+        gravity: Sequence[float] | None = GRAVITY,
+        name: str = "robot",
+        on_unphysical: OnUnphysical = "error",
+    ) -> Robot:
+        """Robot of Denavit-Hartenberg parameters; link frame i is DH frame i of the convention.
+
+            standard   frame i in frame i-1: Rot_z(theta + q) Trans_z(d) Trans_x(a) Rot_x(alpha)
+            modified   frame i in frame i-1: Rot_x(alpha) Trans_x(a) Rot_z(theta + q) Trans_z(d)
+
+        Args:
+            a, d: lengths [m], shape [n]; in the modified convention a is a_{i-1}.
+            alpha, theta: angles [rad], shape [n]; in the modified convention alpha is alpha_{i-1}; theta is the offset
+                at q = 0. The coordinate of a prismatic joint is added to d.
+            mass, com, inertia: as in `from_screws`, in the DH frames.
+            kinds: "revolute" or "prismatic" per joint; None: all revolute.
+            tip_pose: pose of the end effector in the last DH frame, shape [8]; None: that frame.
+            joint_names, link_names, name, gravity, on_unphysical: as in `from_screws`.
+        """
+        description, findings = dh.read(
+            a, alpha, d, theta, mass, com, inertia, convention, kinds, tip_pose, joint_names, link_names, name
+        )
+        return cls._finish(description, findings, None, gravity, on_unphysical)
+
+    @classmethod
+    def _finish(
+        cls,
+        description: dict[str, Any],
+        findings: list[str],
+        tip: str | None,
+        gravity: Sequence[float] | None,
+        on_unphysical: OnUnphysical,
+    ) -> Robot:
+        if on_unphysical not in get_args(OnUnphysical):
+            raise ArgumentError(f"on_unphysical must be one of {get_args(OnUnphysical)}, found {on_unphysical!r}")
+        g = None if gravity is None else torch.as_tensor(gravity, dtype=torch.float64)
+        if g is not None and not bool(g.isfinite().all()):
+            raise ArgumentError(f"gravity must be finite, found {g.tolist()}")
+        limits = Limits(**description.pop("limits"))
+        frames = tuple(Frame(*frame) for frame in description.pop("frames"))
+        robot = cls(**description, limits=limits, frames=frames, gravity=g)
+        if tip is not None:
+            robot = robot.with_tip(tip)
+        findings = findings + physical.inert_joints(robot.joint_names, robot.mechanism())
+        physical.object_to(robot.name, findings, on_unphysical)
+        return dataclasses.replace(robot, notes=(*findings, *robot.notes))
+
+    # --- names ---
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.joint_names)
+
+    @property
+    def frame_names(self) -> tuple[str, ...]:
+        """Names of all frames: every link of the description, those on fixed joints included."""
+        return tuple(frame.name for frame in self.frames)
+
+    def frame(self, name: str) -> Frame:
+        """Frame of that name; raises `UnknownNameError` with the closest names."""
+        for frame in self.frames:
+            if frame.name == name:
+                return frame
+        raise UnknownNameError(f"frame of robot {self.name!r}", name, self.frame_names)
+
+    def joint_index(self, name: str) -> int:
+        """Position in `q` of the joint of that name; raises `UnknownNameError` with the closest names."""
+        if name not in self.joint_names:
+            raise UnknownNameError(f"joint of robot {self.name!r}", name, self.joint_names)
+        return self.joint_names.index(name)
+
+    # --- changed copies ---
+
+    def replace(self, **changes: Any) -> Robot:
+        """Robot with some fields replaced; the rest is shared.
+
+        >>> import torchdq
+        >>> robot = torchdq.robots.load("two_link")
+        >>> heavier = robot.replace(mass=robot.mass * torch.tensor([[1.0], [1.1], [1.2]], dtype=torch.float64))
+        >>> heavier.mass.shape  # three robots
+        torch.Size([3, 2])
+        """
+        return dataclasses.replace(self, **changes)
+
+    def with_tip(self, name: str | None) -> Robot:
+        """Robot whose end effector is the frame of that name."""
+        return self.replace(tip=None if name is None else self.frame(name).name)
+
+    def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> Robot:
+        """Robot with every tensor cast to the dtype and moved to the device."""
+
+        def cast(x: Tensor | None) -> Tensor | None:
+            return None if x is None else x.to(dtype=dtype, device=device)
+
+        return self.replace(
+            **{field: cast(getattr(self, field)) for field in (*SHAPES, "damping", "friction")},
+            limits=Limits(*map(cast, self.limits)),
+            frames=tuple(frame._replace(X_BF=cast(frame.X_BF)) for frame in self.frames),
+        )
+
+    # --- what the algorithms see ---
+
+    def mechanism(self) -> Mechanism:
+        """The robot as numbers: every tensor taken apart along its last axes, batch axes staying in the numbers."""
+        mass, com, inertia = self.mass.unbind(-1), self.com.unbind(-2), self.inertia.unbind(-2)
+        placements, joint_screws = self.X_PB_home.unbind(-2), self.screw.unbind(-2)
+        armature = [None] * self.n if self.armature is None else self.armature.unbind(-1)
+        links = []
+        for i in range(self.n):
+            m, c, x, s = mass[i], com[i].unbind(-1), placements[i].unbind(-1), joint_screws[i].unbind(-1)
+            xx, xy, yy, xz, yz, zz = inertia[i].unbind(-1)
+            about_com = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+            links.append(
+                Link(
+                    parent=self.parents[i],
+                    kind=self.kinds[i],
+                    X_PB_home=(x[:4], x[4:]),
+                    screw=(s[:3], s[3:]),
+                    mass=m,
+                    first=quat.scale(m, c),
+                    second=dq.about_origin(m, c, about_com),
+                    armature=armature[i],
+                )
+            )
+        return Mechanism(tuple(links), None if self.gravity is None else self.gravity.unbind(-1))
+
+    @property
+    def inertial_parameters(self) -> Tensor:
+        """Parameters pi [..., 10 n] of the links about their frames, in the order of the regressor's columns."""
+        blocks = [
+            torch.stack([link.mass, *link.first, i[0][0], i[0][1], i[1][1], i[0][2], i[1][2], i[2][2]], -1)
+            for link in self.mechanism().links
+            for i in [link.second]
+        ]
+        return torch.cat(blocks, -1)
+
+    def report(self) -> Report:
+        """What the description asked for, what is used, what is not, and what is unphysical; `print` it."""
+        return Report.of(self)
+
+    def __repr__(self) -> str:
+        hangs = "chain" if self.parents == tuple(range(BASE, self.n - 1)) else "tree"
+        mass = float(self.mass.sum(-1).mean()) if self.n else math.nan
+        return f"Robot({self.name!r}, {self.n} joints, {hangs}, {mass:.4g} kg, tip={self.tip!r})"
