@@ -2,6 +2,7 @@
 
 from torch import Tensor
 
+from torchdq.errors import ArgumentError
 from torchdq.functional import check, inverse_dynamics
 from torchdq.robot import Robot
 
@@ -34,15 +35,19 @@ def computed_torque(
 
     Source: (73)-(78); departure: erratum 75.
     """
-    n = robot.n
+    for name, gain in (("kp", kp), ("kd", kd)):
+        if not isinstance(gain, Tensor | float | int):
+            raise ArgumentError(f"{name} must be a number or a tensor, found {type(gain).__name__}")
     check(
         robot,
-        q=(q, (n,)),
-        qd=(qd, (n,)),
-        q_des=(q_des, (n,)),
-        qd_des=(qd_des, (n,)),
-        qdd_des=(qdd_des, (n,)),
+        optional=("f_tip",),
+        q=(q, ("n",)),
+        qd=(qd, ("n",)),
+        q_des=(q_des, ("n",)),
+        qd_des=(qd_des, ("n",)),
+        qdd_des=(qdd_des, ("n",)),
         f_tip=(f_tip, (6,)),
+        **{name: (gain, ("n",)) for name, gain in (("kp", kp), ("kd", kd)) if isinstance(gain, Tensor) and gain.ndim},
     )
     acceleration = qdd_des + kd * (qd_des - qd) + kp * (q_des - q)  # (75)-(77), erratum 75
     return inverse_dynamics(robot, q, qd, acceleration, f_tip=f_tip)  # (73), (74)

@@ -166,7 +166,7 @@ def power(wrench: Tensor, twist: Tensor) -> Tensor:
 def t4(m: Tensor, q: Tensor) -> Tensor:
     """Combination m1 q1 + m2 q2 + m3 q3 + m4 q4 of quaternions m [..., 4 quaternions, 4] by q [..., 4] (20)."""
     _square("m", m, 4)
-    return stack(quaternion.t4(tuple(row.unbind(-1) for row in m.unbind(-2)), _split("q", q, 4)))
+    return stack(quaternion.t4(tuple(_split("m", row, 4) for row in m.unbind(-2)), _split("q", q, 4)))
 
 
 def t8(n: Tensor, q: Tensor) -> Tensor:
@@ -282,7 +282,8 @@ def inertia_transform(mass: Tensor, inertia: Tensor, a: Tensor, com: Tensor | No
     """
     parts = _split("a", a, 6)
     _square("inertia", inertia, 3)
-    rows = tuple(row.unbind(-1) for row in inertia.unbind(-2))
+    i_x, i_y, i_z = (_split("inertia", row, 3) for row in inertia.unbind(-2))
+    rows = (i_x, i_y, i_z)
     if com is None:
         return stack(screw.inertia_transform(mass, None, rows, parts))
     c = _split("com", com, 3)
@@ -315,16 +316,43 @@ def _horner(coefficients: list[float], x: Tensor) -> Tensor:
     return total
 
 
-def _entire(x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """C = cos(sqrt x), S = sin(sqrt x)/sqrt x, K = (C - S)/x, with every derivative finite at x = 0.
+def _halves(x: Tensor) -> tuple[Tensor, Tensor]:
+    """x as the sum of two numbers of half its digits, whose products are exact (Dekker 1971)."""
+    shifted = x * (2.0**27 + 1.0 if x.dtype == torch.float64 else 2.0**12 + 1.0)
+    high = shifted - (shifted - x)
+    return high, x - high
 
-    The switch sits far from the singular point, where both sides are accurate, and the side not taken gets a harmless
-    argument first: its infinite derivative would otherwise meet a zero and make NaN.
+
+def _length_defect(a: quaternion.Pure, h: Tensor) -> Tensor:
+    """|a| - h for a rounded length h, to twice the working precision; a constant for differentiation."""
+    v = torch.stack(torch.broadcast_tensors(*a, h), -1).detach()
+    high, low = _halves(v)
+    squares = v * v
+    x2, y2, z2, h2 = squares.unbind(-1)
+    ex, ey, ez, eh = (((high * high - squares) + 2.0 * high * low) + low * low).unbind(-1)
+    xy = x2 + y2
+    kept = xy - x2
+    e1 = (x2 - (xy - kept)) + (y2 - kept)
+    xyz = xy + z2
+    kept = xyz - xy
+    e2 = (xy - (xyz - kept)) + (z2 - kept)
+    return ((xyz - h2) + (((ex + ey) + (ez - eh)) + (e1 + e2))) / (2.0 * h.detach())
+
+
+def _entire(a: quaternion.Pure) -> tuple[Tensor, Tensor, Tensor]:
+    """C = cos |a|, S = sin |a|/|a|, K = (C - S)/|a|^2, with every derivative finite at a = 0.
+
+    The switch to the series sits far from the singular point, where both sides are accurate, and the side not taken
+    gets a harmless argument first: its infinite derivative would otherwise meet a zero and make NaN. Beyond it, the
+    rounding of |a| would cost an ulp per radian; it is measured and made good.
     """
+    x = quaternion.norm2(a)
     near = x < 1.0
     x_near, x_far = torch.where(near, x, 0.5), torch.where(near, 1.0, x)
     h = x_far.sqrt()
-    c, s = h.cos(), h.sin() / h
+    defect = torch.where(near, 0.0, _length_defect(a, h))
+    sin, cos = h.sin(), h.cos()
+    c, s = cos - defect * sin, (sin + defect * (cos - sin / h)) / h
     return (
         torch.where(near, _horner(_COS, x_near), c),
         torch.where(near, _horner(_SINC, x_near), s),
@@ -421,9 +449,9 @@ def screw_params(x: Tensor) -> ScrewParameters:
     """
     p, d = log_shortest(x).split(3, -1)
     half = torch.linalg.vector_norm(p, dim=-1, keepdim=True)
-    turns = half > 0
+    turns = half != 0  # also where it is NaN, which is then passed on
     length = torch.linalg.vector_norm(d, dim=-1, keepdim=True)
-    moves = length > 0
+    moves = length != 0
     still = torch.eye(3, dtype=x.dtype, device=x.device)[0]
     axis = torch.where(
         turns, p / torch.where(turns, half, 1.0), torch.where(moves, d / torch.where(moves, length, 1.0), still)

@@ -20,6 +20,10 @@ class DescriptionError(TorchdqError, ValueError):
     """A robot description cannot be used as it is written."""
 
 
+class MissingFileError(DescriptionError, FileNotFoundError):
+    """A robot description is to be read from a file that does not exist."""
+
+
 class UnphysicalError(DescriptionError):
     """A robot description holds a body that cannot exist."""
 
@@ -29,7 +33,7 @@ class UnknownNameError(TorchdqError, KeyError):
 
     def __init__(self, kind: str, name: str, known: Iterable[str]):
         known = list(known)
-        close = get_close_matches(name, known, n=3, cutoff=0.4)
+        close = get_close_matches(str(name), known, n=3, cutoff=0.4)
         hint = f"did you mean {', '.join(map(repr, close))}?" if close else f"known: {', '.join(known) or 'none'}"
         self.message = f"there is no {kind} named {name!r}; {hint}"
         super().__init__(self.message)

@@ -11,8 +11,7 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq import dq
-from torchdq.algebra import dual_quaternion, screw
+from torchdq.algebra import dual_quaternion, quaternion, screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.screw import Adjoint, Screw
 from torchdq.dynamics import closed_form as closed
@@ -21,8 +20,7 @@ from torchdq.dynamics import regressor as regression
 from torchdq.dynamics.mechanism import BASE, Coordinate, Mechanism
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.robot import Frame, Robot
-
-DTYPES = (torch.float32, torch.float64)
+from torchdq.robot.robot import DTYPES, SHAPES
 
 # --- arguments -------------------------------------------------------------------------------------------------------
 
@@ -34,15 +32,25 @@ class State(NamedTuple):
     mechanism: Mechanism
     X_PB: tuple[DualQuaternion, ...]
     Ad: tuple[Adjoint, ...]
-    like: Tensor  # scalar per sample: the broadcast batch shape, dtype and device of the results
+    like: Tensor  # scalar per sample: the batch shape of q and the robot, the dtype and device of the results
 
 
-def check(robot: Robot, **arguments: tuple[Tensor | None, tuple[int, ...]]) -> None:
-    """Raise, naming the argument, unless all tensors have their trailing shape, one dtype, one device, one batch."""
+def check(robot: Robot, optional: Sequence[str] = (), **arguments: tuple[Tensor | None, tuple[int | str, ...]]) -> None:
+    """Raise, naming the argument, unless all tensors have their trailing shape, one dtype, one device, one batch.
+
+    Args:
+        robot: the robot, whose batch axes must broadcast with the others.
+        optional: names of the arguments that may be None.
+        arguments: tensors with their trailing shapes, "n" being the number of joints.
+    """
+    if not isinstance(robot, Robot):
+        raise ArgumentError(f"robot must be a torchdq.Robot, found {type(robot).__name__}")
     first: tuple[str, Tensor] | None = None
-    for name, (x, trailing) in arguments.items():
-        if x is None:
+    batches = _robot_batches(robot)
+    for name, (x, shape) in arguments.items():
+        if x is None and name in optional:
             continue
+        trailing = tuple(robot.n if axis == "n" else axis for axis in shape)
         if not isinstance(x, Tensor):
             raise ArgumentError(f"{name} must be a tensor, found {type(x).__name__}; use torch.as_tensor")
         if x.dtype not in DTYPES:
@@ -56,6 +64,7 @@ def check(robot: Robot, **arguments: tuple[Tensor | None, tuple[int, ...]]) -> N
                 f"{name} must have the shape [{', '.join(['...', *map(str, trailing)])}]{joints}, "
                 f"found {tuple(x.shape)}"
             )
+        batches[name] = x.shape[: x.ndim - len(trailing)]
         if first is None:
             first = (name, x)
             continue
@@ -63,13 +72,21 @@ def check(robot: Robot, **arguments: tuple[Tensor | None, tuple[int, ...]]) -> N
             raise DtypeError(f"{name} is {x.dtype} but {first[0]} is {first[1].dtype}; convert one of them")
         if x.device != first[1].device:
             raise ArgumentError(f"{name} is on {x.device} but {first[0]} is on {first[1].device}; move one of them")
-    batches = {
-        name: tuple(x.shape[: x.ndim - len(trailing)]) for name, (x, trailing) in arguments.items() if x is not None
-    }
     try:
         torch.broadcast_shapes(*batches.values())
     except RuntimeError as error:
-        raise ArgumentError(f"the batch axes of the arguments do not broadcast: {batches}") from error
+        found = ", ".join(f"{name} {tuple(batch)}" for name, batch in batches.items())
+        raise ArgumentError(f"the batch axes of the arguments must broadcast, found {found}") from error
+
+
+def _robot_batches(robot: Robot) -> dict[str, torch.Size]:
+    """Batch axes of those tensors of the robot that have any."""
+    tensors = {field: getattr(robot, field) for field in SHAPES}
+    return {
+        f"robot.{field}": x.shape[: x.ndim - len(SHAPES[field])]
+        for field, x in tensors.items()
+        if x is not None and x.ndim > len(SHAPES[field])
+    }
 
 
 def require_finite(**arguments: Tensor | None) -> None:
@@ -84,6 +101,8 @@ def require_finite(**arguments: Tensor | None) -> None:
     for name, x in arguments.items():
         if x is None:
             continue
+        if not isinstance(x, Tensor):
+            raise ArgumentError(f"{name} must be a tensor, found {type(x).__name__}")
         bad = (~x.isfinite()).nonzero()
         if len(bad):
             at = tuple(bad[0].tolist())
@@ -95,13 +114,19 @@ def _state(robot: Robot, q: Tensor) -> State:
     value = q if robot.home is None else q - robot.home
     half = 0.5 * value
     coordinates = [
-        Coordinate(*parts)
-        for parts in zip(value.unbind(-1), half.cos().unbind(-1), half.sin().unbind(-1), strict=True)
+        Coordinate(*parts) for parts in zip(value.unbind(-1), half.cos().unbind(-1), half.sin().unbind(-1), strict=True)
     ]
     mechanism = robot.mechanism()
     X_PB = kinematics.joint_poses(mechanism, coordinates)
-    like = value[..., 0] if robot.n else value.sum(-1)
+    sample = _sample(value)
+    # a result need not depend on what has the batch axes; it has them all the same
+    like = sample.expand(torch.broadcast_shapes(sample.shape, *_robot_batches(robot).values()))
     return State(robot, mechanism, X_PB, kinematics.adjoints(X_PB), like)
+
+
+def _sample(x: Tensor) -> Tensor:
+    """A number per sample, for its batch shape, dtype and device."""
+    return x[..., 0] if x.shape[-1] else x.sum(-1)  # no joints, no first joint
 
 
 def _screw(x: Tensor | None) -> Screw | None:
@@ -142,7 +167,24 @@ def _filled(components: Sequence[Tensor | None], like: Sequence[Tensor | None]) 
     """Tensor [..., k] of components of which some are absent, with the batch axes of all of `like`."""
     shape = torch.broadcast_shapes(*[x.shape for x in [*components, *like] if x is not None])
     zero = next(x for x in like if x is not None).new_zeros(())
+    if not components:
+        return zero.expand(*shape, 0)
     return torch.stack([(zero if x is None else x).expand(shape) for x in components], -1)
+
+
+def _matrix(rows: Sequence[Sequence[Tensor | None]], width: int, like: Sequence[Tensor | None]) -> Tensor:
+    """Tensor [..., rows, width] of rows of components of which some are absent."""
+    entries = _filled([entry for row in rows for entry in row], like)
+    return entries.reshape(*entries.shape[:-1], len(rows), width)
+
+
+def _number(x: Tensor | float, like: Sequence[Tensor]) -> Tensor:
+    """Tensor [...] of a number per sample; a Python number is the zero of a sum without terms."""
+    return _filled([x if isinstance(x, Tensor) else None], like)[..., 0]
+
+
+def _components(x: Screw | None) -> tuple[Tensor | None, ...]:
+    return (None,) * 6 if x is None else (*x[0], *x[1])
 
 
 # --- dynamics --------------------------------------------------------------------------------------------------------
@@ -181,11 +223,18 @@ def inverse_dynamics(
     >>> inverse_dynamics(robot, torch.zeros(2, dtype=torch.float64))  # holding it out against gravity
     tensor([19.6200,  4.9050], dtype=torch.float64)
     """
-    n = robot.n
-    check(robot, q=(q, (n,)), qd=(qd, (n,)), qdd=(qdd, (n,)), f_tip=(f_tip, (6,)), f_ext=(f_ext, (n, 6)))
+    check(
+        robot,
+        optional=("qd", "qdd", "f_tip", "f_ext"),
+        q=(q, ("n",)),
+        qd=(qd, ("n",)),
+        qdd=(qdd, ("n",)),
+        f_tip=(f_tip, (6,)),
+        f_ext=(f_ext, ("n", 6)),
+    )
     s = _state(robot, q)
     tau = rnea.rnea(s.mechanism, s.Ad, _numbers(qd), _numbers(qdd), _exerted(s, f_tip, f_ext))
-    return _filled(tau, [s.like, *(x[..., 0] for x in (qd, qdd, f_tip) if x is not None)])
+    return _filled(tau, [s.like, *(_sample(x) for x in (qd, qdd, f_tip) if x is not None)])
 
 
 def mass_matrix(robot: Robot, q: Tensor) -> Tensor:
@@ -200,14 +249,9 @@ def mass_matrix(robot: Robot, q: Tensor) -> Tensor:
     tensor([[32., 10.],
             [10.,  4.]])
     """
-    check(robot, q=(q, (robot.n,)))
+    check(robot, q=(q, ("n",)))
     s = _state(robot, q)
-    return _matrix(crba.mass_matrix(s.mechanism, s.X_PB, s.Ad), s.like)
-
-
-def _matrix(rows: Sequence[Sequence[Tensor | None]], like: Tensor) -> Tensor:
-    entries = _filled([e for row in rows for e in row], [like])
-    return entries.reshape(*entries.shape[:-1], len(rows), len(rows))
+    return _matrix(crba.mass_matrix(s.mechanism, s.X_PB, s.Ad), robot.n, [s.like])
 
 
 def forward_dynamics(
@@ -234,13 +278,20 @@ def forward_dynamics(
     >>> forward_dynamics(robot, q, None, inverse_dynamics(robot, q)).abs().max() < 1e-13
     tensor(True)
     """
-    n = robot.n
-    check(robot, q=(q, (n,)), qd=(qd, (n,)), tau=(tau, (n,)), f_tip=(f_tip, (6,)), f_ext=(f_ext, (n, 6)))
+    check(
+        robot,
+        optional=("qd", "f_tip", "f_ext"),
+        q=(q, ("n",)),
+        qd=(qd, ("n",)),
+        tau=(tau, ("n",)),
+        f_tip=(f_tip, (6,)),
+        f_ext=(f_ext, ("n", 6)),
+    )
     s = _state(robot, q)
     bias = rnea.rnea(s.mechanism, s.Ad, _numbers(qd), None, _exerted(s, f_tip, f_ext))
     M = crba.mass_matrix(s.mechanism, s.X_PB, s.Ad)
     qdd = forward.forward_dynamics(s.mechanism, M, bias, tau.unbind(-1))
-    return _filled(qdd, [s.like, tau[..., 0]])
+    return _filled(qdd, [s.like, *(_sample(x) for x in (qd, tau, f_tip) if x is not None)])
 
 
 class ClosedForm(NamedTuple):
@@ -268,16 +319,12 @@ def closed_form(robot: Robot, q: Tensor, qd: Tensor) -> ClosedForm:
     >>> closed_form(robot, q, torch.zeros_like(q)).g
     tensor([18.5756,  4.5178], dtype=torch.float64)
     """
-    check(robot, q=(q, (robot.n,)), qd=(qd, (robot.n,)))
+    check(robot, q=(q, ("n",)), qd=(qd, ("n",)))
     s = _state(robot, q)
     terms = closed.closed_form(s.mechanism, s.Ad, qd.unbind(-1), None if robot.tip is None else _tip(s.robot))
-    like = [s.like, qd[..., 0]]
-    Jt = None
-    if terms.Jt is not None:
-        rows = [_filled((None,) * 6 if row is None else (*row[0], *row[1]), like) for row in terms.Jt]
-        Jt = torch.stack(rows, -2)
-    M = _matrix(terms.M, torch.broadcast_tensors(*like)[0])
-    return ClosedForm(M, _filled(terms.c, like), _filled(terms.g, like), Jt)
+    like = [s.like, _sample(qd)]
+    Jt = None if terms.Jt is None else _matrix([_components(row) for row in terms.Jt], 6, like)
+    return ClosedForm(_matrix(terms.M, robot.n, like), _filled(terms.c, like), _filled(terms.g, like), Jt)
 
 
 def regressor(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
@@ -296,14 +343,12 @@ def regressor(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
     >>> torch.allclose(tau, inverse_dynamics(robot, q, q), rtol=1e-12)
     True
     """
-    n = robot.n
-    check(robot, q=(q, (n,)), qd=(qd, (n,)), qdd=(qdd, (n,)))
+    check(robot, q=(q, ("n",)), qd=(qd, ("n",)), qdd=(qdd, ("n",)))
     s = _state(robot, q)
     V, A = rnea.outward(s.mechanism, s.Ad, qd.unbind(-1), qdd.unbind(-1), rnea.base_at_rest(s.mechanism))
     blocks = regression.regressor(s.mechanism, s.Ad, V, A)
-    like = [s.like, qd[..., 0], qdd[..., 0]]
-    rows = [_filled([e for block in row for e in (block or (None,) * 10)], like) for row in blocks]
-    return torch.stack(rows, -2)
+    rows = [[entry for block in row for entry in (block or (None,) * 10)] for row in blocks]
+    return _matrix(rows, 10 * robot.n, [s.like, _sample(qd), _sample(qdd)])
 
 
 def kinetic_energy(robot: Robot, q: Tensor, qd: Tensor) -> Tensor:
@@ -313,11 +358,11 @@ def kinetic_energy(robot: Robot, q: Tensor, qd: Tensor) -> Tensor:
         robot: the robot.
         q, qd: joint positions and velocities, shape [..., n].
     """
-    check(robot, q=(q, (robot.n,)), qd=(qd, (robot.n,)))
+    check(robot, q=(q, ("n",)), qd=(qd, ("n",)))
     s = _state(robot, q)
     rates = qd.unbind(-1)
     V, _ = rnea.outward(s.mechanism, s.Ad, rates, [None] * robot.n, rnea.Base(None, None))
-    return energy.kinetic_energy(s.mechanism, V, rates)
+    return _number(energy.kinetic_energy(s.mechanism, V, rates), [s.like, _sample(qd)])
 
 
 def potential_energy(robot: Robot, q: Tensor) -> Tensor:
@@ -327,10 +372,10 @@ def potential_energy(robot: Robot, q: Tensor) -> Tensor:
         robot: the robot.
         q: joint positions, shape [..., n].
     """
-    check(robot, q=(q, (robot.n,)))
+    check(robot, q=(q, ("n",)))
     s = _state(robot, q)
     value = energy.potential_energy(s.mechanism, kinematics.link_poses(s.mechanism, s.X_PB))
-    return value if isinstance(value, Tensor) else torch.zeros_like(s.like)
+    return _number(value, [s.like])
 
 
 # --- kinematics ------------------------------------------------------------------------------------------------------
@@ -349,7 +394,7 @@ def forward_kinematics(robot: Robot, q: Tensor, frame: str | None = None) -> Ten
     >>> torchdq.dq.translation(X)
     tensor([2., 0., 0.])
     """
-    check(robot, q=(q, (robot.n,)))
+    check(robot, q=(q, ("n",)))
     s = _state(robot, q)
     X_WB = kinematics.link_poses(s.mechanism, s.X_PB)
     frames = s.robot.frames if frame is None else (s.robot.frame(frame),)
@@ -377,7 +422,7 @@ def jacobian(robot: Robot, q: Tensor, frame: str, expressed: Literal["body", "wo
     >>> jacobian(torchdq.robots.load("two_link"), torch.zeros(2), "tip")[4]  # the tip's velocity along y
     tensor([2., 1.])
     """
-    check(robot, q=(q, (robot.n,)))
+    check(robot, q=(q, ("n",)))
     if expressed not in ("body", "world"):
         raise ArgumentError(f"expressed must be 'body' or 'world', found {expressed!r}")
     s = _state(robot, q)
@@ -386,11 +431,11 @@ def jacobian(robot: Robot, q: Tensor, frame: str, expressed: Literal["body", "wo
         columns: tuple[Screw | None, ...] = (None,) * robot.n
     else:
         columns = kinematics.jacobian(s.mechanism, s.Ad, f.link, _pose(f.X_BF))
-    J = torch.stack([_filled((None,) * 6 if c is None else (*c[0], *c[1]), [s.like]) for c in columns], -1)
-    if expressed == "body" or f.link == BASE:
-        return J
-    R_WF = dq.to_rotation_matrix(dq.rotation(forward_kinematics(robot, q, frame)))
-    return torch.cat([R_WF @ J[..., :3, :], R_WF @ J[..., 3:, :]], -2)
+    if expressed == "world" and f.link != BASE:
+        # component by component: a matrix product would be rounded to half precision under autocast
+        r_WF = quaternion.mul(kinematics.link_poses(s.mechanism, s.X_PB)[f.link][0], _pose(f.X_BF)[0])
+        columns = tuple(c and (quaternion.rotate(r_WF, c[0]), quaternion.rotate(r_WF, c[1])) for c in columns)
+    return _matrix([_components(c) for c in columns], 6, [s.like]).mT
 
 
 def dynamics_jacobian(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -400,10 +445,12 @@ def dynamics_jacobian(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> tuple
         robot: the robot.
         q, qd, qdd: joint positions, velocities and accelerations, shape [..., n].
     """
-    n = robot.n
-    check(robot, q=(q, (n,)), qd=(qd, (n,)), qdd=(qdd, (n,)))
+    check(robot, q=(q, ("n",)), qd=(qd, ("n",)), qdd=(qdd, ("n",)))
     q, qd, qdd = torch.broadcast_tensors(q, qd, qdd)
-    unit = torch.eye(n, dtype=q.dtype, device=q.device)
+    M = mass_matrix(robot, q)
+    if not robot.n:
+        return M, M, M  # vmap cannot map over no directions
+    unit = torch.eye(robot.n, dtype=q.dtype, device=q.device)
 
     def along(direction: Tensor, of: Callable[[Tensor], Tensor], at: Tensor) -> Tensor:
         return torch.func.jvp(of, (at,), (direction.expand_as(at),))[1]
@@ -414,5 +461,5 @@ def dynamics_jacobian(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> tuple
     return (
         columns(lambda x: inverse_dynamics(robot, x, qd, qdd), q),
         columns(lambda x: inverse_dynamics(robot, q, x, qdd), qd),
-        mass_matrix(robot, q),
+        M,
     )

@@ -83,7 +83,7 @@ def diagonal(entries: Sequence) -> Rows:
 def hermitian(operators: Rows) -> Rows:
     """Conjugate transpose L^H of a matrix of adjoint operators: transposed, and every operator inverted.
 
-    The paper writes L*; by its own (13) that would leave out the transposition (erratum Table 1, row 4).
+    The paper writes L*; by its own (13) that would leave out the transposition (erratum T1.4).
     """
 
     def inverse(a: Adjoint | None) -> Adjoint | None:

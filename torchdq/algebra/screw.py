@@ -176,16 +176,17 @@ def exp_helical(screw: Screw, angle: Number, cos: Number, sin: Number) -> DualQu
     return ((cos, *quat.scale(sin, axis)), (-(slide * sin), *dual))  # (27)
 
 
-def exp(a: Screw, entire: Callable[[Number], tuple[Number, Number, Number]]) -> DualQuaternion:
+def exp(a: Screw, entire: Callable[[Pure], tuple[Number, Number, Number]]) -> DualQuaternion:
     """Exponential of any pure dual quaternion a + eps b.
 
         exp = C + S a + eps (-S (a.b) + S b + K (a.b) a),   x = a.a
 
-    `entire(x)` returns C = cos(sqrt x), S = sin(sqrt x)/sqrt x and K = (C - S)/x, all entire functions of x, so that
-    nothing is singular at the identity. Departs from (25), which is not the exponential (erratum 25).
+    `entire(a)` returns C = cos(sqrt x), S = sin(sqrt x)/sqrt x and K = (C - S)/x, all entire functions of x, so that
+    nothing is singular at the identity; it is given a, whose length is better known than that of the rounded x.
+    Departs from (25), which is not the exponential (erratum 25).
     """
     p, d = a
-    c, s, k = entire(quat.norm2(p))
+    c, s, k = entire(p)
     pd = quat.dot(p, d)
     return ((c, *quat.scale(s, p)), (-(s * pd), *quat.add(quat.scale(s, d), quat.scale(k * pd, p))))  # (25), (26)
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchdq import dq
 from torchdq.dynamics.mechanism import BASE
 from torchdq.errors import DescriptionError
-from torchdq.robot.screws import assemble, table
+from torchdq.robot.screws import assemble, named, numbers, poses, table
 
 
 def _about(axis: int, angle: float, shift: float) -> Tensor:
@@ -47,35 +47,37 @@ def read(
     name: str,
 ) -> tuple[dict[str, Any], list[str]]:
     """Arguments of a `Robot`, and what is unphysical about it; `Robot.from_dh` says what is expected."""
-    n = len(a)
+    n = numbers("a", a).numel()
+    if n == 0:
+        raise DescriptionError("a must hold a number for each of at least one joint")
     rows = [table(what, x, n).tolist() for what, x in (("a", a), ("alpha", alpha), ("d", d), ("theta", theta))]
     types = ("revolute",) * n if kinds is None else tuple(kinds)
     if len(types) != n or not set(types) <= {"revolute", "prismatic"}:
         raise DescriptionError(f"kinds must be {n} times 'revolute' or 'prismatic', found {types}")
     if convention not in ("standard", "modified"):
         raise DescriptionError(f"convention must be 'standard' or 'modified', found {convention!r}")
-    poses, screws = [], []
+    placements, screws = [], []
     for kind, a_i, alpha_i, d_i, theta_i in zip(types, *rows, strict=True):
         z = torch.tensor([0.0, 0, 1, 0, 0, 0] if kind == "revolute" else [0.0, 0, 0, 0, 0, 1], dtype=torch.float64)
         joint, link = _about(2, theta_i, d_i), _about(0, alpha_i, a_i)
         if convention == "standard":
-            poses.append(dq.mul(joint, link))
+            placements.append(dq.mul(joint, link))
             screws.append(dq.ad(dq.conj(link), z))  # the joint turns about the z axis of the frame before
         else:
-            poses.append(dq.mul(link, joint))
+            placements.append(dq.mul(link, joint))
             screws.append(z)
     identity = torch.tensor([1.0, 0, 0, 0, 0, 0, 0, 0], dtype=torch.float64)
     return assemble(
         name,
-        joint_names,
+        named("joint_names", joint_names, "joint", n),
         link_names,
         tuple(range(BASE, n - 1)),
-        torch.stack(poses),
+        torch.stack(placements),
         torch.stack(screws),
         types,
         mass,
         com,
         inertia,
         None,
-        identity if tip_pose is None else dq.normalize(table("tip_pose", tip_pose, 8)),
+        identity if tip_pose is None else poses("tip_pose", tip_pose, 8),
     )

@@ -3,13 +3,15 @@
 import math
 import warnings
 from collections.abc import Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
+from torchdq.algebra import dual_quaternion, screw
+from torchdq.algebra import quaternion as quat
 from torchdq.dynamics import crba, kinematics
-from torchdq.dynamics.mechanism import Coordinate, Mechanism
+from torchdq.dynamics.mechanism import BASE, Coordinate, Link, Mechanism
 from torchdq.errors import UnphysicalError
 
 TOLERANCE = 1e-6  # of the trace: descriptions are printed with about six digits
@@ -44,21 +46,40 @@ def inert_joints(names: Sequence[str], mechanism: Mechanism) -> list[str]:
     """Joints that move no inertia in any position: the mass matrix is singular there whatever the robot does."""
     if not mechanism.links:
         return []
+    # tensors of one number each would take a thousand times as long
+    links = tuple(Link(*_numbers(link)) for link in mechanism.links)
+    mechanism = Mechanism(links, None)
+    n = len(names)
+    inertias, sizes = [0.0] * n, [0.0] * n
     # an inertia that vanishes in one position need not in another, so look at a few that have nothing special
-    largest = [0.0] * len(names)
     for seed in range(3):
-        angles = [math.sin(1.0 + 12.9898 * i + 78.233 * seed) for i in range(len(names))]
+        angles = [math.sin(1.0 + 12.9898 * i + 78.233 * seed) for i in range(n)]
         coordinates = [Coordinate(x, math.cos(0.5 * x), math.sin(0.5 * x)) for x in angles]
         X_PB = kinematics.joint_poses(mechanism, coordinates)
-        M = crba.mass_matrix(mechanism, X_PB, kinematics.adjoints(X_PB))
-        largest = [max(x, float(torch.as_tensor(M[i][i]).max())) for i, x in enumerate(largest)]
-    # an absolute bound would reject a microrobot; below this part of the largest, it is rounding
-    floor = 1e-14 * max(largest)
+        carried = crba.composites(mechanism, X_PB, kinematics.adjoints(X_PB))
+        spread = [sum(abs(link.second[k][k]) for k in range(3)) for link in links]  # the same sums without signs
+        for i in reversed(range(n)):
+            link, mass, (w, v) = links[i], carried[i][0], links[i].screw
+            inertia = screw.power(screw.inertia_transform(*carried[i], link.screw), link.screw) + (link.armature or 0.0)
+            inertias[i] = max(inertias[i], inertia)
+            sizes[i] = max(sizes[i], quat.norm2(w) * spread[i] + quat.norm2(v) * abs(mass))
+            if link.parent != BASE:
+                spread[link.parent] += spread[i] + abs(mass) * quat.norm2(dual_quaternion.translation(X_PB[i]))
+    # Below this part of its terms an inertia is rounding, and below that part of the robot's it is the square of the
+    # rounding of a distance. An absolute bound would reject a microrobot, or its hand on a crane.
+    square = 1e-28 * max(sizes)
     return [
         f"joint {name!r}: it moves no inertia, so its acceleration is undefined; give the links beyond it mass"
-        for name, x in zip(names, largest, strict=True)
-        if not x > floor
+        for name, inertia, size in zip(names, inertias, sizes, strict=True)
+        if not inertia > max(1e-14 * size, square)
     ]
+
+
+def _numbers(x: Any) -> Any:
+    """Nested tuples with floats in the place of tensors."""
+    if isinstance(x, tuple):
+        return tuple(map(_numbers, x))
+    return float(x) if isinstance(x, Tensor) else x
 
 
 def object_to(robot: str, findings: Sequence[str], on_unphysical: Literal["error", "warn", "ignore"]) -> None:

@@ -15,10 +15,11 @@ from torch import Tensor
 from torchdq import dq
 from torchdq.algebra import quaternion as quat
 from torchdq.dynamics.mechanism import BASE, Link, Mechanism
-from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 from torchdq.robot import dh, physical, screws, urdf
 from torchdq.robot.report import Report
 
+DTYPES = (torch.float32, torch.float64)  # of parameters and of the dynamics
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], in the base frame
 OnUnphysical = Literal["error", "warn", "ignore"]
 
@@ -101,6 +102,8 @@ class Robot:
                     f"{field} of robot {self.name!r} must be a tensor of shape [{expected}] for its {n} joints, "
                     f"found {found}"
                 )
+            if value.dtype not in DTYPES:
+                raise DtypeError(f"{field} of robot {self.name!r} must be float32 or float64, found {value.dtype}")
 
     # --- where robots come from ---
 
@@ -321,12 +324,13 @@ class Robot:
     @property
     def inertial_parameters(self) -> Tensor:
         """Parameters pi [..., 10 n] of the links about their frames, in the order of the regressor's columns."""
-        blocks = [
-            torch.stack([link.mass, *link.first, i[0][0], i[0][1], i[1][1], i[0][2], i[1][2], i[2][2]], -1)
+        numbers = [
+            x
             for link in self.mechanism().links
             for i in [link.second]
+            for x in (link.mass, *link.first, i[0][0], i[0][1], i[1][1], i[0][2], i[1][2], i[2][2])
         ]
-        return torch.cat(blocks, -1)
+        return torch.stack(torch.broadcast_tensors(*numbers), -1) if numbers else self.mass
 
     def report(self) -> Report:
         """What the description asked for, what is used, what is not, and what is unphysical; `print` it."""

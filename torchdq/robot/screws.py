@@ -14,9 +14,17 @@ from torchdq.robot import physical
 UNIT = 1e-9  # how far from 0 or 1 a direction may be and still count as that; exact input is meant
 
 
+def numbers(name: str, value: Any) -> Tensor:
+    """Value as a float64 tensor."""
+    try:
+        return torch.as_tensor(value, dtype=torch.float64)
+    except (TypeError, ValueError, RuntimeError) as error:  # words, or rows of different lengths
+        raise DescriptionError(f"{name} must be an array of numbers: {error}") from error
+
+
 def table(name: str, value: Any, *shape: int) -> Tensor:
     """Value as a finite float64 tensor of that shape."""
-    x = torch.as_tensor(value, dtype=torch.float64)
+    x = numbers(name, value)
     if tuple(x.shape) != shape:
         raise DescriptionError(f"{name} must have the shape {shape}, found {tuple(x.shape)}")
     if not bool(x.isfinite().all()):
@@ -24,12 +32,30 @@ def table(name: str, value: Any, *shape: int) -> Tensor:
     return x
 
 
+def poses(name: str, value: Any, *shape: int) -> Tensor:
+    """Value as unit dual quaternions of that shape."""
+    x = dq.normalize(table(name, value, *shape))
+    if not bool(x.isfinite().all()):
+        raise DescriptionError(f"{name} must be dual quaternions with a rotation, found {value}")
+    return x
+
+
+def named(what: str, names: Sequence[str] | None, kind: str, n: int) -> tuple[str, ...]:
+    """n different names; without any, the kind of thing with a number."""
+    chosen = tuple(f"{kind}{i + 1}" for i in range(n)) if names is None else tuple(names)
+    if len(chosen) != n or len(set(chosen)) != n:
+        raise DescriptionError(f"{what} must be {n} different names, found {chosen}")
+    return chosen
+
+
 def six(inertia: Any, n: int) -> Tensor:
     """Inertias [n, 6] in the order xx xy yy xz yz zz, from those or from matrices [n, 3, 3]."""
-    x = torch.as_tensor(inertia, dtype=torch.float64)
+    x = numbers("inertia", inertia)
     if tuple(x.shape) == (n, 3, 3):
-        if not torch.equal(x, x.mT):
+        # R I R^T is symmetric up to rounding only
+        if bool(((x - x.mT).abs() > UNIT * x.abs().amax()).any()):
             raise DescriptionError(f"inertia matrices must be symmetric, found {x.tolist()}")
+        x = 0.5 * (x + x.mT)
         x = torch.stack([x[:, 0, 0], x[:, 0, 1], x[:, 1, 1], x[:, 0, 2], x[:, 1, 2], x[:, 2, 2]], -1)
     return table("inertia", x, n, 6)
 
@@ -57,7 +83,7 @@ def kind_of(joint: str, screw: Tensor) -> str:
 
 def assemble(
     name: str,
-    joint_names: Sequence[str] | None,
+    joints: tuple[str, ...],
     link_names: Sequence[str] | None,
     parents: tuple[int, ...],
     X_PB_home: Tensor,
@@ -71,11 +97,9 @@ def assemble(
 ) -> tuple[dict[str, Any], list[str]]:
     """Arguments of a `Robot` without limits or friction, with a frame per link, one at the tip, and one at the base."""
     n = len(parents)
-    joints = tuple(joint_names) if joint_names is not None else tuple(f"joint{i + 1}" for i in range(n))
-    links = tuple(link_names) if link_names is not None else tuple(f"link{i + 1}" for i in range(n))
-    for what, names in (("joint_names", joints), ("link_names", links)):
-        if len(names) != n or len(set(names)) != n:
-            raise DescriptionError(f"{what} must be {n} different names, found {names}")
+    links = named("link_names", link_names, "link", n)
+    if {"base", "tip"} & set(links):
+        raise DescriptionError(f"link_names must not be 'base' or 'tip', which are frames already, found {links}")
     mass, com, inertia = table("mass", mass, n), table("com", com, n, 3), six(inertia, n)
     findings = [f for i in range(n) for f in physical.body(links[i], float(mass[i]), square(inertia[i]))]
     identity = torch.tensor([1.0, 0, 0, 0, 0, 0, 0, 0], dtype=torch.float64)
@@ -115,7 +139,7 @@ def read(
     name: str,
 ) -> tuple[dict[str, Any], list[str]]:
     """Arguments of a `Robot`, and what is unphysical about it; `Robot.from_screws` says what is expected."""
-    s = torch.as_tensor(joint_screws, dtype=torch.float64)
+    s = numbers("joint_screws", joint_screws)
     n = s.shape[0] if s.ndim else 0
     s = table("joint_screws", s, n, 6)
     if n == 0:
@@ -124,13 +148,14 @@ def read(
     if len(hangs_on) != n or any(not BASE <= p < i for i, p in enumerate(hangs_on)):
         raise DescriptionError(f"parents must hold, for each of {n} links, an earlier link or -1, found {hangs_on}")
     identity = torch.tensor([1.0, 0, 0, 0, 0, 0, 0, 0], dtype=torch.float64)
-    X_WB = identity.expand(n, 8) if link_poses is None else dq.normalize(table("link_poses", link_poses, n, 8))
-    X_WE = X_WB[-1] if tip_pose is None else dq.normalize(table("tip_pose", tip_pose, 8))
-    kinds = tuple(kind_of(f"joint{i + 1}" if joint_names is None else joint_names[i], s[i]) for i in range(n))
+    X_WB = identity.expand(n, 8) if link_poses is None else poses("link_poses", link_poses, n, 8)
+    X_WE = X_WB[-1] if tip_pose is None else poses("tip_pose", tip_pose, 8)
+    joints = named("joint_names", joint_names, "joint", n)
+    kinds = tuple(map(kind_of, joints, s))
     X_WP = torch.stack([identity if p == BASE else X_WB[p] for p in hangs_on])
     return assemble(
         name,
-        joint_names,
+        joints,
         link_names,
         hangs_on,
         dq.mul(dq.conj(X_WP), X_WB),

@@ -1,13 +1,16 @@
-"""Robots of URDF files. Pinocchio reads the tree and lumps fixed joints; what it accepts silently is checked here.
+"""Robots of URDF files. The file is read and checked here; pinocchio puts the tree together and lumps fixed joints.
 
-Only numbers that dynamics need are read; meshes are never opened, and entities are refused before parsing.
+Only what dynamics need is read: meshes are never opened, and entities are refused before parsing. Pinocchio is handed
+that and nothing else, because it drops an inertia it finds ill-written (a blank after the mass is enough) and goes on.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import reprlib
 import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,12 +20,14 @@ from torch import Tensor
 
 from torchdq import dq
 from torchdq.dynamics.mechanism import BASE
-from torchdq.errors import ArgumentError, DescriptionError, UnknownNameError
+from torchdq.errors import ArgumentError, DescriptionError, MissingFileError, UnknownNameError
 from torchdq.robot import physical
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 MOST_BYTES = 10_000_000
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+MOST_LINKS = 2_000  # pinocchio recurses over the tree and takes the process with it somewhere beyond 3000
+MOST = 1e50  # of any number: the products of three that dynamics form still do not overflow
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 class Inertial(NamedTuple):
@@ -30,6 +35,7 @@ class Inertial(NamedTuple):
 
     mass: float
     inertia: Tensor  # [3, 3] about the centre of mass
+    origin: dict[str, tuple[float, ...]]
 
 
 class Joint(NamedTuple):
@@ -38,7 +44,9 @@ class Joint(NamedTuple):
     kind: str
     parent: str
     child: str
-    axis: tuple[float, ...]
+    origin: dict[str, tuple[float, ...]]
+    axis: tuple[float, ...]  # of unit length
+    scaled: bool  # whether the file's axis had another length
     limits: dict[str, float]
     damping: float
     friction: float
@@ -58,11 +66,19 @@ class Document(NamedTuple):
 
 def text_of(source: str | Path) -> str:
     """XML text of a path, or the text itself."""
-    if isinstance(source, str) and source.lstrip().startswith("<"):
-        return source
-    data = Path(source).read_bytes()
+    if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
+        if len(source) > MOST_BYTES:
+            raise DescriptionError(f"the text has {len(source)} characters; a robot has at most {MOST_BYTES}")
+        return source.removeprefix("\ufeff")
+    try:
+        with Path(source).open("rb") as file:
+            data = file.read(MOST_BYTES + 1)
+    except FileNotFoundError as error:
+        raise MissingFileError(f"there is no file {str(source)!r}; XML text would begin with '<'") from error
+    except (OSError, ValueError) as error:  # a folder, no permission, a name no file can have
+        raise DescriptionError(f"the robot description cannot be read: {error}") from error
     if len(data) > MOST_BYTES:
-        raise DescriptionError(f"{source} holds {len(data)} bytes; a robot description has at most {MOST_BYTES}")
+        raise DescriptionError(f"{source} holds more than {MOST_BYTES} bytes, the most a robot description may have")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -75,13 +91,19 @@ def parse(text: str) -> Document:
         raise DescriptionError("the file declares a document type or entities, which a robot description never needs")
     try:
         root = ET.fromstring(text)
-    except ET.ParseError as error:
+    except (ET.ParseError, UnicodeError) as error:
         raise DescriptionError(f"the file is not well-formed XML: {error}") from error
     if root.tag != "robot":
-        raise DescriptionError(f"the file's root element must be <robot>, found <{root.tag}>; expand xacro files first")
+        raise DescriptionError(
+            f"the file's root element must be <robot>, found <{reprlib.repr(root.tag)[1:-1]}>; expand xacro files first"
+        )
     faults: list[str] = []
     links = _by_name(root, "link", faults)
     joints = _by_name(root, "joint", faults)
+    if max(len(links), len(joints)) > MOST_LINKS:
+        raise DescriptionError(
+            f"the file has {len(links)} links and {len(joints)} joints; at most {MOST_LINKS} are read"
+        )
     document = Document(
         root.get("name", "robot"),
         {name: _inertial(name, element, faults) for name, element in links.items()},
@@ -97,92 +119,108 @@ def _by_name(root: ET.Element, tag: str, faults: list[str]) -> dict[str, ET.Elem
     found: dict[str, ET.Element] = {}
     for element in root.findall(tag):
         name = element.get("name", "")
-        if not name:
-            faults.append(f"a <{tag}> has no name")
+        if not name.isprintable() or not name:
+            faults.append(f"a <{tag}> has no printable name, found {name!r}" if name else f"a <{tag}> has no name")
         elif name in found:
             faults.append(f"{tag} {name!r} is described twice")
         found[name] = element
     return found
 
 
-def _numbers(owner: str, element: ET.Element | None, attribute: str, default: str, count: int, faults: list[str]):
+def _numbers(
+    what: str,
+    element: ET.Element | None,
+    attribute: str,
+    default: str,
+    count: int,
+    faults: list[str],
+    most: float = MOST,
+) -> tuple[float, ...]:
     """The `count` finite numbers of an attribute; a plain float() would let 'nan', '1_0' and other digits through."""
     text = default if element is None else element.get(attribute, default)
     words = text.split()
-    if len(words) != count or not all(_NUMBER.fullmatch(word) for word in words):
-        faults.append(f"{owner}: {attribute} must be {count} finite number(s), found {text!r}")
-        return (0.0,) * count
-    values = tuple(float(word) for word in words)
-    if not all(map(math.isfinite, values)):
-        faults.append(f"{owner}: {attribute} must be finite, found {text!r}")
-        return (0.0,) * count
-    return values
+    values = tuple(float(word) for word in words if _NUMBER.fullmatch(word))
+    expected = "a finite number" if count == 1 else f"{count} finite numbers"
+    if len(words) != count or len(values) != count or not all(map(math.isfinite, values)):
+        faults.append(f"{what} {attribute} must be {expected}, found {reprlib.repr(text)}")
+    elif any(abs(value) > most for value in values):
+        faults.append(f"{what} {attribute} must not exceed {most:g} in size, found {reprlib.repr(text)}")
+    else:
+        return values
+    return (0.0,) * count
 
 
-def _origin(owner: str, element: ET.Element, faults: list[str]) -> None:
-    """Check an origin's numbers; their meaning is left to pinocchio."""
+def _origin(what: str, element: ET.Element, faults: list[str]) -> dict[str, tuple[float, ...]]:
     origin = element.find("origin")
-    _numbers(owner, origin, "xyz", "0 0 0", 3, faults)
-    _numbers(owner, origin, "rpy", "0 0 0", 3, faults)
+    if origin is not None and "quat_xyzw" in origin.attrib:
+        faults.append(f"{what} origin must be given as xyz and rpy, found quat_xyzw")
+    return {key: _numbers(f"{what} origin", origin, key, "0 0 0", 3, faults) for key in ("xyz", "rpy")}
 
 
 def _inertial(name: str, link: ET.Element, faults: list[str]) -> Inertial | None:
     element = link.find("inertial")
     if element is None:
         return None
-    owner = f"link {name!r}"
-    _origin(owner, element, faults)
+    what = f"link {name!r}:"
+    origin = _origin(f"{what} inertial", element, faults)
     mass, inertia = element.find("mass"), element.find("inertia")
     if mass is None or inertia is None:
-        faults.append(f"{owner}: <inertial> must hold <mass> and <inertia>")
+        faults.append(f"{what} <inertial> must hold <mass> and <inertia>")
         return None
-    entries = {k: _numbers(owner, inertia, k, "", 1, faults)[0] for k in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")}
-    xx, xy, xz, yy, yz, zz = entries.values()
+    xx, xy, xz, yy, yz, zz = (
+        _numbers(f"{what} inertia", inertia, key, "", 1, faults)[0]
+        for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    )
     matrix = torch.tensor([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=torch.float64)
-    return Inertial(_numbers(owner, mass, "value", "", 1, faults)[0], matrix)
+    return Inertial(_numbers(f"{what} mass", mass, "value", "", 1, faults)[0], matrix, origin)
 
 
 def _joint(name: str, joint: ET.Element, faults: list[str]) -> Joint:
-    owner, kind = f"joint {name!r}", joint.get("type", "")
+    what, kind = f"joint {name!r}:", joint.get("type", "")
     if kind not in MOVING and kind != "fixed":
-        faults.append(f"{owner}: type must be revolute, continuous, prismatic or fixed, found {kind!r}")
+        faults.append(f"{what} type must be revolute, continuous, prismatic or fixed, found {kind!r}")
     ends = {}
     for end in ("parent", "child"):
         element = joint.find(end)
         ends[end] = "" if element is None else element.get("link", "")
         if not ends[end]:
-            faults.append(f"{owner}: it names no {end} link")
-    _origin(owner, joint, faults)
-    axis = _numbers(owner, joint.find("axis"), "xyz", "1 0 0", 3, faults)
-    if kind in MOVING and math.hypot(*axis) < 1e-9:
-        faults.append(f"{owner}: axis must have a direction, found {axis}")
+            faults.append(f"{what} it names no {end} link")
+    origin = _origin(what, joint, faults)
+    before = len(faults)
+    x, y, z = _numbers(f"{what} axis", joint.find("axis"), "xyz", "1 0 0", 3, faults)
+    length = math.hypot(x, y, z)
+    if kind in MOVING and length < 1e-9 and len(faults) == before:
+        faults.append(f"{what} axis must have a direction, found {(x, y, z)}")
     limit, dynamics, mimic = joint.find("limit"), joint.find("dynamics"), joint.find("mimic")
     limits = {"lower": -math.inf, "upper": math.inf, "velocity": math.inf, "effort": math.inf}
     if limit is not None:
-        stated = ("velocity", "effort") if kind == "continuous" else tuple(limits)
-        for key in stated:
+        for key in ("velocity", "effort") if kind == "continuous" else tuple(limits):
             # the format's own default for a limit that is not stated is 0 for the positions
             default = "0" if key in ("lower", "upper") else None
             if default is not None or limit.get(key) is not None:
-                limits[key] = _numbers(owner, limit, key, default or "", 1, faults)[0]
+                limits[key] = _numbers(f"{what} limit", limit, key, default or "", 1, faults, most=math.inf)[0]
         if limits["lower"] > limits["upper"]:
-            faults.append(f"{owner}: lower limit {limits['lower']:g} is above upper limit {limits['upper']:g}")
+            faults.append(f"{what} lower limit {limits['lower']:g} is above upper limit {limits['upper']:g}")
     elif kind in ("revolute", "prismatic"):
-        faults.append(f"{owner}: a {kind} joint must have <limit>; a revolute joint without limits is 'continuous'")
+        faults.append(f"{what} a {kind} joint must have <limit>; a revolute joint without limits is 'continuous'")
     return Joint(
         kind,
         ends["parent"],
         ends["child"],
-        axis,
+        origin,
+        (x / length, y / length, z / length) if length >= 1e-9 else (1.0, 0.0, 0.0),
+        abs(length - 1.0) > 1e-6,
         limits,
-        _numbers(owner, dynamics, "damping", "0", 1, faults)[0],
-        _numbers(owner, dynamics, "friction", "0", 1, faults)[0],
+        _numbers(f"{what} dynamics", dynamics, "damping", "0", 1, faults)[0],
+        _numbers(f"{what} dynamics", dynamics, "friction", "0", 1, faults)[0],
         None if mimic is None else mimic.get("joint", ""),
     )
 
 
 def _tree_faults(document: Document) -> list[str]:
     """Everything that keeps the links and joints from being one tree."""
+    if not document.links:
+        return ["the robot has no links; exactly one link must be the base, carried by no joint; found 0"]
     faults = []
     carried: dict[str, str] = {}  # link -> joint that carries it
     for name, joint in document.joints.items():
@@ -191,19 +229,22 @@ def _tree_faults(document: Document) -> list[str]:
                 faults.append(f"joint {name!r}: there is no link {end!r}")
         if joint.child in carried:
             faults.append(f"link {joint.child!r} is carried by two joints, {carried[joint.child]!r} and {name!r}")
-        carried[joint.child] = name
+        if joint.child:
+            carried[joint.child] = name
     roots = [link for link in document.links if link not in carried]
     if len(roots) != 1:
         faults.append(f"exactly one link must be the base, carried by no joint; found {len(roots)}: {roots}")
-    reached, frontier = set(roots), list(roots)
     children = _children(document)
+    # what hangs on a link that is missing is not in a loop
+    frontier = [*roots, *(parent for parent in children if parent not in document.links)]
+    reached = set(frontier)
     while frontier:
         for child in children.get(frontier.pop(), ()):
             if child not in reached:
                 reached.add(child)
                 frontier.append(child)
     loose = [link for link in document.links if link not in reached]
-    return [*faults, f"links {loose} hang in a loop"] if loose and not faults else faults
+    return [*faults, f"links {loose} hang in a loop"] if loose else faults
 
 
 def _children(document: Document) -> dict[str, list[str]]:
@@ -216,28 +257,53 @@ def _children(document: Document) -> dict[str, list[str]]:
 # --- building the robot ----------------------------------------------------------------------------------------------
 
 
-def _reduced(text: str, document: Document, lock: dict[str, float]):
-    """Pinocchio's model of the text with some joints frozen."""
+def _plain(document: Document) -> str:
+    """URDF text of what was read and checked; every moving joint has one coordinate there."""
+
+    def words(numbers: Iterable[float]) -> str:
+        return " ".join(map(repr, numbers))
+
+    root = ET.Element("robot", name="robot")
+    for name, inertial in document.links.items():
+        link = ET.SubElement(root, "link", name=name)
+        if inertial is None:
+            continue
+        element = ET.SubElement(link, "inertial")
+        ET.SubElement(element, "origin", {key: words(value) for key, value in inertial.origin.items()})
+        ET.SubElement(element, "mass", value=repr(inertial.mass))
+        (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertial.inertia.tolist()
+        entries = {"ixx": xx, "ixy": xy, "ixz": xz, "iyy": yy, "iyz": yz, "izz": zz}
+        ET.SubElement(element, "inertia", {key: repr(value) for key, value in entries.items()})
+    for name, joint in document.joints.items():
+        element = ET.SubElement(root, "joint", name=name, type=MOVING.get(joint.kind, joint.kind))
+        ET.SubElement(element, "origin", {key: words(value) for key, value in joint.origin.items()})
+        ET.SubElement(element, "parent", link=joint.parent)
+        ET.SubElement(element, "child", link=joint.child)
+        ET.SubElement(element, "axis", xyz=words(joint.axis))
+        ET.SubElement(element, "limit", lower="0", upper="0", velocity="0", effort="0")
+    return ET.tostring(root, encoding="unicode")
+
+
+def _reduced(document: Document, lock: dict[str, float]):
+    """Pinocchio's model of the document with some joints frozen."""
     import pinocchio as pin
 
     movable = [name for name, joint in document.joints.items() if joint.kind in MOVING]
     for name, value in lock.items():
         if name not in movable:
             raise UnknownNameError("movable joint to lock", name, movable)
-        if not math.isfinite(value):
+        if not abs(value) <= MOST:
             raise ArgumentError(f"lock[{name!r}] must be finite, found {value}")
     try:
-        model = pin.buildModelFromXML(text)
+        model = pin.buildModelFromXML(_plain(document))
     except Exception as error:  # pinocchio raises its C++ errors as various types
         raise DescriptionError(f"pinocchio cannot read the robot description: {error}") from error
-    if not lock:
-        return model
+    # not getJointId, which takes a joint named 'universe' for the base
+    ids = {name: i for i, name in enumerate(model.names) if i > 0}
     at = pin.neutral(model)
     for name, value in lock.items():
-        joint = model.joints[model.getJointId(name)]
-        coordinates = [value] if joint.nq == 1 else [math.cos(value), math.sin(value)]
-        at[joint.idx_q : joint.idx_q + joint.nq] = coordinates
-    return pin.buildReducedModel(model, [model.getJointId(name) for name in lock], at)
+        at[model.joints[ids[name]].idx_q] = value
+    return pin.buildReducedModel(model, [ids[name] for name in lock], at) if lock else model
 
 
 def _pose(placement) -> Tensor:
@@ -248,9 +314,8 @@ def read(source: str | Path, lock: dict[str, float]) -> tuple[dict[str, Any], li
     """Arguments of a `Robot`, and what is unphysical about it; `Robot.from_urdf` says what is expected."""
     import pinocchio as pin
 
-    text = text_of(source)
-    document = parse(text)
-    model = _reduced(text, document, lock)
+    document = parse(text_of(source))
+    model = _reduced(document, lock)
     names = tuple(model.names)[1:]
     joints = [document.joints[name] for name in names]
     n = len(joints)
@@ -260,8 +325,8 @@ def read(source: str | Path, lock: dict[str, float]) -> tuple[dict[str, Any], li
         if frame.type == pin.FrameType.BODY
     ]
     axes = torch.tensor([joint.axis for joint in joints], dtype=torch.float64).reshape(n, 3)
-    axes = axes / torch.linalg.vector_norm(axes, dim=-1, keepdim=True)
-    turns = torch.tensor([MOVING[joint.kind] == "revolute" for joint in joints]).reshape(n, 1)
+    turns = torch.tensor([MOVING[joint.kind] == "revolute" for joint in joints], dtype=torch.bool).reshape(n, 1)
+    placements = [_pose(placement) for placement in list(model.jointPlacements)[1:]]
     bodies = list(model.inertias)[1:]
     inertias = torch.tensor(np.array([body.inertia for body in bodies]).reshape(n, 3, 3))
     moving = {name for name, link, _ in frames if link != BASE}
@@ -271,14 +336,15 @@ def read(source: str | Path, lock: dict[str, float]) -> tuple[dict[str, Any], li
         if inertial is not None and name in moving
         for fault in physical.body(name, inertial.mass, inertial.inertia)
     ]
-    leaves = [name for name in document.links if name in moving and name not in _children(document)]
+    children = _children(document)
+    leaves = [name for name in document.links if name in moving and name not in children]
     description = {
         "name": document.name,
         "joint_names": names,
         "link_names": tuple(joint.child for joint in joints),
         "parents": tuple(int(model.parents[i + 1]) - 1 for i in range(n)),
         "kinds": tuple(MOVING[joint.kind] for joint in joints),
-        "X_PB_home": torch.stack([_pose(p) for p in list(model.jointPlacements)[1:]]) if n else torch.zeros(0, 8).double(),
+        "X_PB_home": torch.stack(placements) if n else torch.zeros(0, 8, dtype=torch.float64),
         "screw": torch.where(turns, torch.cat([axes, 0 * axes], -1), torch.cat([0 * axes, axes], -1)),
         "mass": torch.tensor([body.mass for body in bodies], dtype=torch.float64),
         "com": torch.tensor(np.array([body.lever for body in bodies]).reshape(n, 3)),
@@ -302,28 +368,25 @@ def _notes(
     """What the file asked for that the dynamics do not use, or use otherwise than asked."""
     joints = {name: document.joints[name] for name in names}
 
-    def listed(wanted) -> str:
+    def listed(wanted: Callable[[Joint], object]) -> str:
         return ", ".join(name for name, joint in joints.items() if wanted(joint))
 
     massless = ", ".join(
         name for name, inertial in document.links.items() if name in moving and (inertial is None or inertial.mass == 0)
     )
     fixed = sum(joint.kind == "fixed" for joint in document.joints.values())
+    given = [
+        ("viscous damping given but not simulated", lambda j: j.damping),
+        ("Coulomb friction given but not simulated", lambda j: j.friction),
+        ("mimic joints treated as independent", lambda j: j.mimics is not None),
+        ("limits given but not enforced", lambda j: any(map(math.isfinite, j.limits.values()))),
+        ("axes scaled to unit length", lambda j: j.scaled),
+    ]
     notes = [
         (f"{fixed} fixed joints lumped; their links are frames", fixed),
         (f"locked: {', '.join(f'{k} at {v:g}' for k, v in lock.items())}", lock),
         (f"links without mass: {massless}", massless),
-        (f"viscous damping given but not simulated: {listed(lambda j: j.damping)}", listed(lambda j: j.damping)),
-        (f"Coulomb friction given but not simulated: {listed(lambda j: j.friction)}", listed(lambda j: j.friction)),
-        (f"mimic joints treated as independent: {listed(lambda j: j.mimics)}", listed(lambda j: j.mimics)),
-        (
-            f"position limits given but not enforced: {listed(lambda j: math.isfinite(j.limits['upper']))}",
-            listed(lambda j: math.isfinite(j.limits["upper"])),
-        ),
-        (
-            f"axes scaled to unit length: {listed(lambda j: abs(math.hypot(*j.axis) - 1) > 1e-6)}",
-            listed(lambda j: abs(math.hypot(*j.axis) - 1) > 1e-6),
-        ),
+        *((f"{what}: {listed(wanted)}", listed(wanted)) for what, wanted in given),
         (f"no tip chosen among the leaves {', '.join(leaves)}; name one with tip=", len(leaves) > 1),
     ]
     return tuple(note for note, applies in notes if applies)

@@ -1,0 +1,42 @@
+# make demo    the main job on a real robot; plots go to out/
+# make test    the whole suite, in parallel
+# make clean   removes the virtual environment and everything that was built
+#
+# Both make their own virtual environment in .venv, once; they run again without installing anything.
+# Variables: PYTHON (3.11 or newer), TORCH (pip's arguments for torch), JOBS (test processes), ARGS (of the demo or pytest).
+
+PYTHON ?= python3
+TORCH ?= torch==2.13.0
+JOBS ?= auto
+ARGS ?=
+
+VENV := .venv
+RUN := $(VENV)/bin/python
+PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
+
+.PHONY: demo test clean
+.DELETE_ON_ERROR:
+
+demo: $(VENV)/examples.installed
+	$(RUN) examples/01_inverse_dynamics.py $(ARGS)
+
+test: $(VENV)/test.installed
+	OMP_NUM_THREADS=1 $(RUN) -m pytest -n $(JOBS) $(ARGS)
+
+clean:
+	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+
+# torch comes first and alone: a later requirement would pull a build with several gigabytes of CUDA libraries
+$(VENV)/torch.installed:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "torchdq needs Python 3.11 or newer; name one with: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
+	@$(PYTHON) -m venv $(VENV) || \
+	  { echo "$(PYTHON) cannot make a virtual environment; on Debian and Ubuntu: apt install python3-venv"; exit 1; }
+	@$(PIP) $(TORCH) || \
+	  { echo "cannot install $(TORCH); check the network, or name another build with: make TORCH=..."; exit 1; }
+	@touch $@
+
+$(VENV)/%.installed: $(VENV)/torch.installed pyproject.toml
+	@$(PIP) $(TORCH) --editable '.[$*]' || \
+	  { echo "cannot install the packages of the extra '$*'; check the network, then run make again"; exit 1; }
+	@touch $@

@@ -1,0 +1,433 @@
+"""Every function of `torchdq.dq` as tensor code: batches, layouts, dtypes, transforms, bad rows, bad arguments.
+
+`FUNCTIONS` holds them all, with their arguments; a function that is not in it fails the first test. What the functions
+return is the business of the tests of the algebra and of exp and log; conversions are checked here against scipy.
+"""
+
+import inspect
+import math
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import RigidTransform, Rotation
+from torch.func import jacfwd, jacrev, vmap
+
+from torchdq import dq
+from torchdq.errors import ArgumentError, DtypeError
+
+F32, F64 = torch.float32, torch.float64
+EPS = {F32: 2.0**-23, F64: 2.0**-52}
+
+
+# --- arguments: name -> (trailing shape, random values of it) --------------------------------------------------------
+
+
+def normal(*trailing):
+    return trailing, lambda batch, g: torch.randn((*batch, *trailing), dtype=F64, generator=g)
+
+
+def _unit(batch, g):
+    return dq.normalize(torch.randn(*batch, 4, dtype=F64, generator=g))
+
+
+def _pose(batch, g):
+    # turns from 0.2 to 2 rad: far from the half turn, where the shortest way is not continuous
+    v = torch.randn(*batch, 3, dtype=F64, generator=g)
+    angle = 0.1 + 0.9 * torch.rand(*batch, 1, dtype=F64, generator=g)
+    b = torch.randn(*batch, 3, dtype=F64, generator=g)
+    return dq.exp(torch.cat([v / v.norm(dim=-1, keepdim=True) * angle, b], -1))
+
+
+def _symmetric(batch, g):
+    a = torch.randn(*batch, 3, 3, dtype=F64, generator=g)
+    return a @ a.mT + torch.eye(3, dtype=F64)
+
+
+QUATERNION, DUAL, VECTOR, SCREW, NUMBER = normal(4), normal(8), normal(3), normal(6), normal()
+UNIT, POSE = ((4,), _unit), ((8,), _pose)
+ROTATION = ((3, 3), lambda batch, g: dq.to_rotation_matrix(_unit(batch, g)))
+TRANSFORM = ((4, 4), lambda batch, g: dq.to_matrix(_pose(batch, g)))
+INERTIA = ((3, 3), _symmetric)
+MASS = ((), lambda batch, g: 1 + torch.rand(batch, dtype=F64, generator=g))
+
+FUNCTIONS = {
+    "mul": {"x": DUAL, "y": DUAL},
+    "mul/quaternion": {"x": QUATERNION, "y": QUATERNION},
+    "conj": {"x": DUAL},
+    "conj/quaternion": {"x": QUATERNION},
+    "matmul": {"a": normal(2, 3, 8), "b": normal(3, 4, 8)},
+    "transpose": {"a": normal(2, 3, 8)},
+    "dot": {"a": VECTOR, "b": VECTOR},
+    "cross": {"a": SCREW, "b": SCREW},
+    "cross/vector": {"a": VECTOR, "b": VECTOR},
+    "inner": {"a": SCREW, "b": SCREW},
+    "double_geodesic": {"a": SCREW, "b": SCREW},
+    "swap": {"a": SCREW},
+    "power": {"wrench": SCREW, "twist": SCREW},
+    "t4": {"m": normal(4, 4), "q": QUATERNION},
+    "t8": {"n": normal(8, 8), "q": DUAL},
+    "h_left": {"x": DUAL},
+    "h_left/quaternion": {"x": QUATERNION},
+    "h_right": {"x": DUAL},
+    "h_right/quaternion": {"x": QUATERNION},
+    "hamilton_left": {"x": DUAL},
+    "hamilton_left/quaternion": {"x": QUATERNION},
+    "hamilton_right": {"x": DUAL},
+    "hamilton_right/quaternion": {"x": QUATERNION},
+    "norm": {"x": DUAL},
+    "norm/quaternion": {"x": QUATERNION},
+    "normalize": {"x": DUAL},
+    "normalize/quaternion": {"x": QUATERNION},
+    "columns": {"x": POSE},
+    "ad": {"x": POSE, "m": SCREW},
+    "ad_matrix": {"x": POSE},
+    "inertia_transform": {"mass": MASS, "inertia": INERTIA, "a": SCREW, "com": VECTOR},
+    "inertia_transform/centred": {"mass": MASS, "inertia": INERTIA, "a": SCREW},
+    "exp": {"a": SCREW},
+    "log": {"x": POSE},
+    "log_shortest": {"x": POSE},
+    "sclerp": {"x": POSE, "y": POSE, "t": NUMBER},
+    "screw_params": {"x": POSE},
+    "from_pose": {"rotation": UNIT, "position": VECTOR},
+    "rotation": {"x": POSE},
+    "translation": {"x": POSE},
+    "translation_body": {"x": POSE},
+    "rotate": {"r": UNIT, "v": VECTOR},
+    "to_rotation_matrix": {"r": UNIT},
+    "from_rotation_matrix": {"matrix": ROTATION},
+    "to_matrix": {"x": POSE},
+    "from_matrix": {"matrix": TRANSFORM},
+}
+ALL = pytest.mark.parametrize("key", FUNCTIONS)
+
+
+def call(key, arguments):
+    """Results of a function as a tuple."""
+    found = getattr(dq, key.split("/")[0])(**arguments)
+    return tuple(found) if isinstance(found, tuple) else (found,)
+
+
+def arguments(key, *batches, dtype=F64, seed=0):
+    """Random arguments, in turn with the given batch shapes."""
+    g = torch.Generator().manual_seed(seed)
+    parameters = FUNCTIONS[key].items()
+    return {name: make(batches[i % len(batches)], g).to(dtype) for i, (name, (_, make)) in enumerate(parameters)}
+
+
+def near(found, expected, tolerance=16):
+    """Same to rounding: as many eps of the largest result."""
+    dtype, size = found.dtype, max(1.0, expected.detach().abs().max().item())
+    torch.testing.assert_close(found, expected.to(dtype), rtol=0, atol=tolerance * EPS[dtype] * size)
+
+
+def test_every_public_function_is_listed_with_its_parameters():
+    public = {name for name, f in inspect.getmembers(dq, inspect.isfunction) if f.__module__ == dq.__name__}
+    public = {name for name in public if not name.startswith("_")} - {"stack", "about_origin"}  # on components
+    assert public == {key.split("/")[0] for key in FUNCTIONS}
+    for name in public:
+        listed = set().union(*(FUNCTIONS[key] for key in FUNCTIONS if key.split("/")[0] == name))
+        assert listed == set(inspect.signature(getattr(dq, name)).parameters)
+
+
+# --- batches, layouts and dtypes -------------------------------------------------------------------------------------
+
+
+@ALL
+def test_leading_axes_broadcast(key):
+    given = arguments(key, (2, 1), (3,))
+    trailing = [len(shape) for shape, _ in FUNCTIONS[key].values()]
+    batch = torch.broadcast_shapes(*[v.shape[: v.ndim - n] for v, n in zip(given.values(), trailing, strict=True)])
+    full = {
+        name: v.expand(*batch, *v.shape[v.ndim - n :]) for (name, v), n in zip(given.items(), trailing, strict=True)
+    }
+    together = call(key, given)
+    for index in np.ndindex(*batch):
+        alone = call(key, {name: v[index].clone() for name, v in full.items()})
+        for one, all_ in zip(alone, together, strict=True):
+            assert all_.shape == batch + one.shape
+            near(all_[index], one)
+
+
+@ALL
+@pytest.mark.parametrize("batch", [(0,), (3, 0)])
+def test_an_empty_batch_gives_an_empty_batch(key, batch):
+    solo = call(key, arguments(key, ()))
+    for found, one in zip(call(key, arguments(key, batch)), solo, strict=True):
+        assert found.shape == batch + one.shape
+
+
+@ALL
+def test_the_layout_in_memory_does_not_matter(key):
+    given = arguments(key, (5, 7))
+    strided = {}
+    for name, v in given.items():
+        # every second element of a larger array, with the axes stored in reverse order
+        store = torch.full([2 * n for n in reversed(v.shape)], math.nan, dtype=v.dtype)
+        view = store[(slice(None, None, 2),) * v.ndim].permute(*reversed(range(v.ndim)))
+        strided[name] = view.copy_(v)
+        assert not strided[name].is_contiguous()
+    for found, expected in zip(call(key, strided), call(key, given), strict=True):
+        near(found, expected)
+
+
+@ALL
+def test_float32_stays_float32_and_is_as_accurate(key):
+    given = arguments(key, (20,), dtype=F32)
+    exact = call(key, {name: v.to(F64) for name, v in given.items()})
+    for found, expected in zip(call(key, given), exact, strict=True):
+        assert found.dtype == F32
+        assert expected.dtype == F64
+        near(found, expected)
+
+
+@ALL
+def test_a_row_of_nan_leaves_the_other_rows_bitwise_alone(key):
+    given = arguments(key, (6,))
+    before = call(key, given)
+    for name in given:
+        spoilt = {**given, name: given[name].clone()}
+        spoilt[name][2] = math.nan
+        for found, expected in zip(call(key, spoilt), before, strict=True):
+            assert found[[0, 1, 3, 4, 5]].equal(expected[[0, 1, 3, 4, 5]])
+            assert found[2].isnan().any()
+
+
+# --- derivatives and transforms --------------------------------------------------------------------------------------
+
+
+@ALL
+def test_vmap_is_the_batch(key):
+    given = arguments(key, (5,))
+    names = list(given)
+
+    def one(*values):
+        return call(key, dict(zip(names, values, strict=True)))
+
+    for found, expected in zip(vmap(one)(*given.values()), call(key, given), strict=True):
+        near(found, expected)
+
+
+@ALL
+def test_derivatives_are_right_in_both_directions_and_under_vmap(key):
+    given = arguments(key, (3,))
+    names = list(given)
+
+    def one(*values):
+        return call(key, dict(zip(names, values, strict=True)))
+
+    which = tuple(range(len(names)))
+    backward = vmap(jacrev(one, which))(*given.values())
+    forward = vmap(jacfwd(one, which))(*given.values())
+    for output_backward, output_forward in zip(backward, forward, strict=True):
+        for a, b in zip(output_backward, output_forward, strict=True):
+            near(a, b)
+    first = [v[0].clone().requires_grad_() for v in given.values()]
+    assert torch.autograd.gradcheck(one, first, eps=1e-6, atol=1e-7, rtol=1e-6)
+
+
+# --- errors ----------------------------------------------------------------------------------------------------------
+
+NUMBERS = {"mass", "t"}  # may be Python numbers, and have no trailing axis
+EACH = pytest.mark.parametrize(
+    ("key", "name"), [(key, name) for key in FUNCTIONS for name in FUNCTIONS[key] if name not in NUMBERS]
+)
+
+
+@EACH
+def test_a_wrong_shape_is_named(key, name):
+    given = arguments(key, (2,))
+    shapes = [(2, 5), (), (2, 5, 5)] if given[name].ndim == 2 else [(2, 5), (4,), (2, 5, 5), (), (8,)]
+    for shape in shapes:
+        with pytest.raises(ArgumentError, match=rf"^{name} (must|has)\b.*"):
+            call(key, {**given, name: torch.ones(shape, dtype=F64)})
+
+
+@EACH
+@pytest.mark.parametrize("dtype", [torch.int64, torch.bool, torch.complex128])
+def test_a_wrong_dtype_is_named(key, name, dtype):
+    given = arguments(key, (2,))
+    with pytest.raises(DtypeError, match=rf"^{name} must be a floating tensor, found {dtype}"):
+        call(key, {**given, name: given[name].to(dtype)})
+
+
+@EACH
+def test_what_is_not_a_tensor_is_named(key, name):
+    given = arguments(key, (2,))
+    for wrong in (given[name].tolist(), given[name].numpy(), None):
+        if wrong is None and name == "com":
+            continue  # None is allowed there: the centre of mass is the origin
+        with pytest.raises(ArgumentError, match=rf"^{name} must be a tensor, found {type(wrong).__name__}"):
+            call(key, {**given, name: wrong})
+
+
+def test_products_of_different_kinds_are_refused():
+    four, eight = torch.ones(4), torch.ones(8)
+    with pytest.raises(ArgumentError, match=r"^y must end with an axis of 4 components"):
+        dq.mul(four, eight)
+    with pytest.raises(ArgumentError, match=r"^y must end with an axis of 8 components"):
+        dq.mul(eight, four)
+    with pytest.raises(ArgumentError, match=r"^b must end with an axis of 3 components"):
+        dq.cross(torch.ones(3), torch.ones(6))
+    with pytest.raises(ArgumentError, match=r"^a has 3 columns and b has 2 rows"):
+        dq.matmul(torch.ones(2, 3, 8), torch.ones(2, 3, 8))
+
+
+def test_numbers_may_be_python_numbers():
+    given = arguments("inertia_transform", (4,))
+    expected = dq.inertia_transform(**{**given, "mass": torch.tensor(2.0, dtype=F64)})
+    assert dq.inertia_transform(**{**given, "mass": 2.0}).equal(expected)
+    poses = arguments("sclerp", (4,))
+    assert dq.sclerp(poses["x"], poses["y"], 0.25).equal(dq.sclerp(poses["x"], poses["y"], torch.tensor(0.25)))
+
+
+# --- the few that are more than their algebra ------------------------------------------------------------------------
+
+
+def test_matrices_of_dual_quaternions_multiply_by_rows_and_columns():
+    a, b = arguments("matmul", ()).values()
+    product = dq.matmul(a, b)
+    for i, j in np.ndindex(2, 4):
+        near(product[i, j], sum(dq.mul(a[i, k], b[k, j]) for k in range(3)))
+    near(dq.transpose(dq.conj(product)), dq.matmul(dq.transpose(dq.conj(b)), dq.transpose(dq.conj(a))))
+
+
+def test_hamilton_matrices_and_vectors_multiply_from_both_sides():
+    for size, combine in ((4, dq.t4), (8, dq.t8)):
+        x, y = torch.randn(2, 5, size, dtype=F64, generator=torch.Generator().manual_seed(0))
+        xy = dq.mul(x, y)
+        near((dq.hamilton_left(x) @ y.unsqueeze(-1)).squeeze(-1), xy)
+        near((dq.hamilton_right(y) @ x.unsqueeze(-1)).squeeze(-1), xy)
+        near(combine(dq.h_left(x), y), xy)
+        near(combine(dq.h_right(y), x), xy)
+        units = torch.eye(size, dtype=F64)
+        assert dq.h_left(x).equal(dq.mul(x.unsqueeze(1), units))  # (22): row k is x e_k, and e_k x
+        assert dq.h_right(x).equal(dq.mul(units, x.unsqueeze(1)))
+
+
+def test_adjoint_matrix_and_columns_are_those_of_the_adjoint():
+    x, m = arguments("ad", (5,)).values()
+    near((dq.ad_matrix(x) @ m.unsqueeze(-1)).squeeze(-1), dq.ad(x, m))
+    a_p, a_d = dq.columns(x)
+    near(a_p, dq.to_rotation_matrix(dq.rotation(x)))
+    p = dq.translation(x).unsqueeze(-1).expand(5, 3, 3)
+    near(a_d, torch.linalg.cross(p, a_p, dim=-2))
+    assert dq.ad(-x, m).equal(dq.ad(x, m))
+
+
+def test_inertia_about_the_centre_of_mass_is_carried_to_the_frame():
+    mass, inertia, a, com = arguments("inertia_transform", (5,)).values()
+    at_com = dq.from_pose(torch.tensor([1.0, 0, 0, 0], dtype=F64).expand(5, 4), com)
+    expected = dq.ad(at_com, dq.inertia_transform(mass, inertia, dq.ad(dq.conj(at_com), a)))
+    near(dq.inertia_transform(mass, inertia, a, com), expected)
+    assert (dq.power(expected, a) > 0).all()  # twice the kinetic energy
+
+
+def test_the_norm_is_a_dual_number_whose_square_is_x_times_its_conjugate():
+    x = arguments("norm", (5,))["x"]
+    n, square = dq.norm(x), dq.mul(x, dq.conj(x))
+    near(n[:, 0] ** 2, square[:, 0])
+    near(2 * n[:, 0] * n[:, 1], square[:, 4])
+    near(dq.norm(x[:, :4]), n[:, 0])
+
+
+# --- conversions -----------------------------------------------------------------------------------------------------
+
+
+def branches():
+    """Unit quaternions with w >= 0 around each of the four largest components, and on the borders between them."""
+    g = torch.Generator().manual_seed(0)
+    around = [torch.eye(4, dtype=F64)[k] + 0.3 * torch.randn(20, 4, dtype=F64, generator=g) for k in range(4)]
+    border = torch.tensor(list(np.ndindex(3, 3, 3, 3)), dtype=F64)[1:] - 1  # all of -1, 0, 1: components as large
+    border = border[border.norm(dim=-1) > 0]
+    half_turns = torch.cat([torch.zeros(20, 1, dtype=F64), torch.randn(20, 3, dtype=F64, generator=g)], -1)
+    q = dq.normalize(torch.cat([*around, border, half_turns]))
+    return torch.where(q[:, :1] < 0, -q, q)
+
+
+def same_rotation(found, expected, tolerance):
+    """The same quaternions, whatever the signs."""
+    distance = torch.minimum((found - expected).norm(dim=-1), (found + expected).norm(dim=-1))
+    assert distance.max() <= tolerance
+
+
+@pytest.mark.parametrize("dtype", [F32, F64])
+def test_rotation_matrices_there_and_back_at_every_branch_and_at_half_a_turn(dtype):
+    q = branches()
+    assert {int(k) for k in q.abs().argmax(-1)} == {0, 1, 2, 3}
+    found = dq.from_rotation_matrix(dq.to_rotation_matrix(q.to(dtype)))
+    same_rotation(found.double(), q, 8 * EPS[dtype])
+    assert (found[:, 0] >= 0).all()
+    assert ((found.norm(dim=-1) - 1).abs() <= 8 * EPS[dtype]).all()
+    clear = q[:, 0] > 1e-3
+    torch.testing.assert_close(found[clear].double(), q[clear], rtol=0, atol=8 * EPS[dtype])  # the sign with w > 0
+
+
+def test_rotation_matrices_are_those_of_scipy():
+    q = branches()
+    reference = Rotation.from_quat(q.numpy(), scalar_first=True)
+    matrices = torch.tensor(reference.as_matrix())
+    torch.testing.assert_close(dq.to_rotation_matrix(q), matrices, rtol=0, atol=8 * EPS[F64])
+    same_rotation(dq.from_rotation_matrix(matrices), q, 8 * EPS[F64])
+    v = torch.randn(len(q), 3, dtype=F64, generator=torch.Generator().manual_seed(1))
+    torch.testing.assert_close(dq.rotate(q, v), torch.tensor(reference.apply(v.numpy())), rtol=0, atol=32 * EPS[F64])
+    vectors = 2 * dq.log_shortest(torch.cat([q, torch.zeros_like(q)], -1))[:, :3]
+    away = q[:, 0] > 1e-9  # at half a turn both directions are right
+    near(vectors[away], torch.tensor(reference.as_rotvec())[away])
+
+
+def test_rotations_and_compositions_are_those_of_scipy():
+    q, r = branches()[:60], branches()[40:100]
+    product = Rotation.from_quat(q.numpy(), scalar_first=True) * Rotation.from_quat(r.numpy(), scalar_first=True)
+    same_rotation(dq.mul(q, r), torch.tensor(product.as_quat(scalar_first=True)), 8 * EPS[F64])
+
+
+def test_poses_are_those_of_scipy():
+    x, y = (arguments("log", (20,), seed=seed)["x"] for seed in (0, 1))
+    a, b = (RigidTransform.from_dual_quat(v.numpy(), scalar_first=True) for v in (x, y))
+    near(dq.to_matrix(x), torch.tensor(a.as_matrix()))
+    near(dq.translation(x), torch.tensor(a.translation))
+    near(dq.rotation(x), torch.tensor(a.rotation.as_quat(scalar_first=True, canonical=True)))
+    again = dq.from_matrix(torch.tensor(a.as_matrix()))
+    same_rotation(again, torch.tensor(a.as_dual_quat(scalar_first=True)), 16 * EPS[F64])
+    near(dq.to_matrix(dq.mul(x, y)), torch.tensor((a * b).as_matrix()))
+    near(dq.to_matrix(dq.conj(x)), torch.tensor(a.inv().as_matrix()))
+    near(dq.rotate(dq.conj(x[:, :4]), dq.translation(x)), dq.translation_body(x))
+    # its exponential coordinates are (rotation vector, velocity) of the whole motion: twice the half-angle screw
+    near(2 * dq.log(x), torch.tensor(a.as_exp_coords()))
+    near(dq.exp(0.5 * torch.tensor(a.as_exp_coords())), x, 1)
+
+
+@pytest.mark.parametrize("dtype", [F32, F64])
+def test_poses_there_and_back(dtype):
+    g = torch.Generator().manual_seed(2)
+    q = branches()
+    p = torch.randn(len(q), 3, dtype=F64, generator=g)
+    x = dq.from_pose(q, p).to(dtype)
+    torch.testing.assert_close(dq.translation(x).double(), p, rtol=0, atol=32 * EPS[dtype])
+    assert dq.rotation(x).equal(q.to(dtype))
+    matrix = dq.to_matrix(x)
+    assert matrix[:, 3].equal(torch.tensor([0.0, 0, 0, 1], dtype=dtype).expand(len(q), 4))
+    same_rotation(dq.from_matrix(matrix).double(), x.double(), 32 * EPS[dtype])
+    torch.testing.assert_close(dq.to_matrix(dq.from_matrix(matrix)), matrix, rtol=0, atol=64 * EPS[dtype])
+
+
+def test_a_quaternion_from_a_rotation_matrix_has_its_derivatives():
+    q = branches()
+    for branch in range(4):
+        matrix = dq.to_rotation_matrix(q[q.abs().argmax(-1) == branch][3]).requires_grad_()
+        assert torch.autograd.gradcheck(dq.from_rotation_matrix, matrix, eps=1e-6, atol=1e-8, rtol=1e-6)
+        assert torch.autograd.gradgradcheck(dq.from_rotation_matrix, matrix, eps=1e-6, atol=1e-7, rtol=1e-5)
+
+
+def test_derivatives_of_a_rotation_there_and_back_are_those_of_standing_still():
+    # at half a turn too, where a formula that divides by w has none
+    for q in (branches()[5], branches()[30], torch.tensor([1e-9, 0.6, 0.0, 0.8], dtype=F64)):
+
+        def round_trip(v, q=q):
+            turned = dq.mul(q, dq.exp(torch.cat([v, torch.zeros(3, dtype=F64)]))[:4])
+            back = dq.from_rotation_matrix(dq.to_rotation_matrix(turned))
+            return dq.log_shortest(torch.cat([dq.mul(dq.conj(q), back), torch.zeros(4, dtype=F64)]))[:3]
+
+        jacobian = torch.autograd.functional.jacobian(round_trip, torch.zeros(3, dtype=F64))
+        torch.testing.assert_close(jacobian, torch.eye(3, dtype=F64), rtol=0, atol=64 * EPS[F64])
