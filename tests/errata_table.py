@@ -1,8 +1,8 @@
 """The departures of this package from the printed paper, one row per reading of a wrong equation.
 
 Ids are the equation's number, `A` and a number for Algorithm 1, `T` table and row for the tables. Sizes are medians
-over twenty random six-joint chains on which the torques are about 58 N m, unless the row says otherwise; a joint whose
-torque is wrong by that much is found by `test_paper_errata.py`, which measures every one of them again.
+over twenty draws, where they are torques over twenty random six-joint chains whose torques are about 58 N m;
+`test_paper_errata.py` measures them again and shows that the package is right.
 """
 
 from typing import NamedTuple
@@ -25,7 +25,7 @@ class Erratum(NamedTuple):
         return f"{self.id} {self.reading}".rstrip()
 
 
-ALGEBRA, ADJOINT, TORQUE = "max abs component", "max abs component", "N m"
+COMPONENT, TORQUE = "largest component", "N m"
 
 ERRATA = (
     Erratum(
@@ -53,7 +53,7 @@ ERRATA = (
         "exp(q) = P(exp) + eps D(q) P(exp), for a unit line a metre from the origin, 1.3 rad",
         "exp(a + eps b) = C + S a + eps (-S (a.b) + S b + K (a.b) a), C = cos|a|, S = sin|a|/|a|, K = (C - S)/|a|^2",
         0.27,
-        ALGEBRA,
+        COMPONENT,
     ),
     Erratum("25", "in (38)", "(38), section 5.1", "the exponential (25)", "the exponential (27)", 15.3, TORQUE),
     Erratum(
@@ -81,7 +81,7 @@ ERRATA = (
         "A_Pi mu_1 + A_Pi mu_2 + A_Pi mu_3",
         "A_Pi mu_1 + A_Pj mu_2 + A_Pk mu_3",
         2.0,
-        ADJOINT,
+        COMPONENT,
     ),
     Erratum(
         "35",
@@ -90,7 +90,7 @@ ERRATA = (
         "A_Dk = 2 Im(x_P j x_D*)",
         "A_De = 2 Im(x_P e x_D*) for e = i, j, k",
         1.1,
-        ADJOINT,
+        COMPONENT,
     ),
     Erratum(
         "38",
@@ -104,8 +104,8 @@ ERRATA = (
     Erratum(
         "38",
         "indices exchanged",
-        "(38), (40), (44), section 5.1",
-        "(38), (40) and (44) as printed, x_i^{i-1} read as the pose of F_{i-1} in F_i",
+        "(38), (40), (44), (46), sections 5.1 and 5.2",
+        "(38), (40), (44) and the index of (46) as printed, x_i^{i-1} read as the pose of F_{i-1} in F_i",
         "no reading makes (38) and (40) right together: F_i in F_{i-1}, delta_i^{i-1}, and Ad(x_{i-1}^i) in (40)",
         91.0,
         TORQUE,

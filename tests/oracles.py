@@ -370,9 +370,10 @@ def shipped(name: str) -> Case:
 
 
 def tree(seed: int) -> Case:
-    """Random tree of 1 to 12 joints, every fifth with more; every second has rotors."""
+    """Random tree of 1 to 12 joints, some with more; every second has rotors, every third its tip on an inner link."""
     n = 13 + seed // 10 if seed % 25 == 24 else 1 + seed % 12
-    return random_tree(n, seed, armature=seed % 2 == 1)
+    built = random_tree(n, seed, armature=seed % 2 == 1)
+    return Case(built.robot.with_tip(f"b{n // 2}"), built.model) if seed % 3 == 0 else built
 
 
 TREE_NAMES = tuple(f"tree{seed}" for seed in range(TREES))
@@ -426,10 +427,56 @@ def states(robot: torchdq.Robot, batch: int = 3, seed: int = 0, dtype: torch.dty
     return States(*(torch.from_numpy(x).to(dtype) for x in arrays))
 
 
-def worst(difference, scale) -> float:
-    """Largest |difference| / scale, broadcast; 0 where both vanish, and not a number or infinite if anything is."""
-    difference, scale = np.broadcast_arrays(np.abs(np.asarray(difference, dtype=float)), np.asarray(scale, dtype=float))
-    if not difference.size:
-        return 0.0
-    ratio = np.divide(difference, scale, out=np.where(difference == 0, 0.0, np.inf), where=scale != 0)
-    return float("nan") if np.isnan(difference).any() else float(ratio.max())
+# --- pinocchio's answers, and sizes to measure errors by -------------------------------------------------------------
+
+
+def over(function, case: Case, s: States) -> np.ndarray:
+    """Results of function(model, data, q, qd, qdd, f_tip, f_ext) for each state, inputs in pinocchio's order."""
+    data = case.model.createData()
+    return np.array(
+        [
+            function(case.model, data, case.configuration(q), case.velocity(qd), case.velocity(qdd), f_tip, f_ext)
+            for q, qd, qdd, f_tip, f_ext in s.rows()
+        ]
+    )
+
+
+def size_of_torques(case: Case, s: States) -> np.ndarray:
+    """Size of what makes up each joint's torque, the largest over the states.
+
+    The sum of the magnitudes of its terms |Y| |pi|, the wrench in the joint, and the rates w x G(V) at which the
+    momenta beyond it turn: a torque that vanishes by symmetry is still a rounded sum of numbers of that size.
+    """
+    bodies = list(case.model.inertias)[1:]
+    parameters = np.abs(np.concatenate([body.toDynamicParameters() for body in bodies]))
+    turns, slides = np.array([kind != "prismatic" for kind in case.robot.kinds]), pitches(case)
+
+    def size(model, data, q, v, a, *_):
+        terms = np.abs(pin.computeJointTorqueRegressor(model, data, q, v, a)) @ parameters + model.armature * np.abs(a)
+        pin.rnea(model, data, q, v, a)
+        moments, forces = np.zeros(model.njoints), np.zeros(model.njoints)
+        for i in reversed(range(1, model.njoints)):
+            moments[i] += model.inertias[i].vtiv(data.v[i])
+            forces[i] += np.linalg.norm(data.v[i].angular) * np.linalg.norm((model.inertias[i] * data.v[i]).linear)
+            moments[model.parents[i]] += moments[i]
+            forces[model.parents[i]] += forces[i]
+            moments[i] += np.linalg.norm(data.f[i].angular)
+            forces[i] += np.linalg.norm(data.f[i].linear)
+        ids = [joint.id for joint in case.joints]
+        return terms[case.order] + turns * moments[ids] + slides * forces[ids]
+
+    return over(size, case, s).max(0)
+
+
+def pitches(case: Case) -> np.ndarray:
+    """Motion along the axis per unit of each joint's coordinate."""
+    rows = zip(case.robot.kinds, case.robot.screw.numpy(), strict=True)
+    return np.array([1.0 if kind == "prismatic" else abs(s[:3] @ s[3:]) for kind, s in rows])
+
+
+def worst(found, reference, size) -> float:
+    """Largest |found - reference| / size, broadcast; 0 where both vanish; NaN or infinite if the difference is."""
+    difference = np.abs(np.asarray(found, dtype=float) - np.asarray(reference, dtype=float))
+    difference, size = np.broadcast_arrays(difference, np.asarray(size, dtype=float))
+    ratio = np.divide(difference, size, out=np.where(difference == 0, 0.0, np.inf), where=size != 0)
+    return float("nan") if np.isnan(difference).any() else float(ratio.max(initial=0.0))

@@ -20,7 +20,7 @@ EPS = 2.0**-52
 PARAMETERS = ("mass", "com", "inertia", "gravity", "armature", "home", "X_PB_home", "screw")
 # step 1e-6: truncation 1e-12, rounding eps |f| / step = 2e-10 |f|, with torques up to 50 N m
 FIRST = {"eps": 1e-6, "atol": 1e-8, "rtol": 1e-6}
-SECOND = {"eps": 1e-6, "atol": 1e-7, "rtol": 1e-5}
+SECOND = {"eps": 1e-6, "atol": 1e-7, "rtol": 1e-5, "fast_mode": True}
 
 
 # --- robots and states -----------------------------------------------------------------------------------------------
@@ -222,6 +222,10 @@ def twins(name):
     return robot.replace(armature=armature, gravity=gravity), inputs, model, model.createData(), wrenches
 
 
+def worst(found, expected):
+    return max(relative(a, torch.tensor(np.array(b))) for a, b in zip(found, expected, strict=True))
+
+
 @pytest.mark.parametrize("name", TREES)
 def test_derivatives_of_inverse_dynamics_are_those_of_pinocchio(name):
     robot, x, model, data, wrenches = twins(name)
@@ -229,7 +233,7 @@ def test_derivatives_of_inverse_dynamics_are_those_of_pinocchio(name):
     found = jacrev(lambda q, qd, qdd: torchdq.inverse_dynamics(robot, q, qd, qdd, f_ext=x["f_ext"]), argnums=(0, 1, 2))(
         x["q"], x["qd"], x["qdd"]
     )
-    assert [relative(a, torch.tensor(np.array(b))) < 1e-10 for a, b in zip(found, expected, strict=True)] == [True] * 3
+    assert worst(found, expected) < 64 * robot.n * EPS
 
 
 @pytest.mark.parametrize("name", TREES)
@@ -239,7 +243,8 @@ def test_derivatives_of_forward_dynamics_are_those_of_pinocchio(name):
     found = jacrev(lambda q, qd, tau: torchdq.forward_dynamics(robot, q, qd, tau, f_ext=x["f_ext"]), argnums=(0, 1, 2))(
         x["q"], x["qd"], x["tau"]
     )
-    assert [relative(a, torch.tensor(np.array(b))) < 1e-9 for a, b in zip(found, expected, strict=True)] == [True] * 3
+    condition = float(torch.linalg.cond(torchdq.mass_matrix(robot, x["q"])))
+    assert worst(found, expected) < 64 * robot.n * EPS * condition < 1e-9
 
 
 # --- identities ------------------------------------------------------------------------------------------------------
@@ -302,7 +307,7 @@ def test_forward_and_reverse_mode_agree(key, where):
     at = {name: inputs[name] if name in inputs else getattr(robot, name) for name in names}
     forward, reverse = jacfwd(f)(at), jacrev(f)(at)
     scale = max(float(x.abs().max()) for x in reverse.values())
-    assert max(float((forward[name] - reverse[name]).abs().max()) for name in names) < 1e-12 * scale
+    assert max(float((forward[name] - reverse[name]).abs().max()) for name in names) <= 1e-12 * scale
 
 
 @pytest.mark.parametrize("key", ["inverse_dynamics", "forward_dynamics"])

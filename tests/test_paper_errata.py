@@ -134,10 +134,8 @@ class Chains(NamedTuple):
 def stacked(robots):
     """One robot with a batch axis, of robots that differ in nothing but numbers."""
     names = ("X_PB_home", "screw", "mass", "com", "inertia", "gravity", "home")
-    tip = robots[0].frame("tip")._replace(X_BF=torch.stack([robot.frame("tip").X_BF for robot in robots]))
-    frames = (*(frame for frame in robots[0].frames if frame.name != "tip"), tip)
     fields = {name: torch.stack([getattr(robot, name) for robot in robots]) for name in names}
-    return robots[0].replace(frames=frames, **fields)
+    return robots[0].replace(**fields)  # the tip sits alike on all of them
 
 
 def chains_of(models, axes, frames, home, q, qd, qdd, f_tip):
@@ -182,6 +180,7 @@ def chains():
     """The twenty chains."""
     rng = np.random.default_rng(7)
     models, axes, frames = [], [], []
+    tip = pin.SE3(random_rotation(rng), 0.3 * rng.normal(size=3))
     for _ in range(COUNT):
         model, parent, l, jMf = pin.Model(), 0, [], []
         for i in range(JOINTS):
@@ -194,7 +193,7 @@ def chains():
             inertia = 0.3 * mass * (np.trace(second) * np.eye(3) - second)
             model.appendBodyToJoint(parent, pin.Inertia(mass, com, inertia), pin.SE3.Identity())
             jMf.append(pin.SE3(random_rotation(rng), com))
-        jMf.append(pin.SE3(random_rotation(rng), 0.3 * rng.normal(size=3)))
+        jMf.append(jMf[-1] * tip)
         models.append(model)
         axes.append(l)
         frames.append(jMf)

@@ -5,8 +5,9 @@ skew axes, prismatic and helical joints, full inertia tensors, random homes, ran
 rotors; their pinocchio model is built from the same random numbers, not from the robot.
 
 An error is a largest difference relative to the size of what was added up, so that a small joint of a heavy robot is
-held to its own size: of a joint torque, the magnitudes of its terms (`size_of_torques`); of M_ij, sqrt(M_ii M_jj). Each quantity says what it is relative to. The tolerance is 1e-12 (4500 eps) and in single precision
-5e-6 (42 eps); for accelerations 32 eps times the condition number of the mass matrix scaled to a unit diagonal.
+held to its own size: of a joint torque, the magnitudes of its terms (`size_of_torques`); of M_ij, sqrt(M_ii M_jj). Each
+quantity says what it is relative to. The tolerance is 1e-12 (4500 eps) and in single precision 5e-6 (42 eps); for
+accelerations it is 32 eps times the condition number of the mass matrix scaled to a unit diagonal.
 """
 
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
-from oracles import Case, States, worst
+from oracles import Case, States, over, size_of_torques, worst
 
 import torchdq
 
@@ -35,53 +36,9 @@ TILTED = (4.0, -7.0, 5.5)  # gravity of a base that hangs askew [m/s^2]
 # --- pinocchio's answers, in the robot's joint order, link frames and twist order ------------------------------------
 
 
-def over(function, case: Case, s: States) -> np.ndarray:
-    """Results of function(model, data, q, qd, qdd, f_tip, f_ext) for each state, inputs in pinocchio's order."""
-    data = case.model.createData()
-    return np.array(
-        [
-            function(case.model, data, case.configuration(q), case.velocity(qd), case.velocity(qdd), f_tip, f_ext)
-            for q, qd, qdd, f_tip, f_ext in s.rows()
-        ]
-    )
-
-
 def torques_of(case: Case, s: States) -> np.ndarray:
     """Torques of a motion."""
     return over(lambda model, data, q, v, a, *_: pin.rnea(model, data, q, v, a), case, s)[:, case.order]
-
-
-def size_of_torques(case: Case, s: States) -> np.ndarray:
-    """Size of what makes up each joint's torque, the largest over the states.
-
-    The sum of the magnitudes of its terms |Y| |pi|, the wrench in the joint, and the rates w x G(V) at which the momenta
-    beyond it turn: a torque that vanishes by symmetry is still a rounded sum of numbers of that size.
-    """
-    bodies = list(case.model.inertias)[1:]
-    parameters = np.abs(np.concatenate([body.toDynamicParameters() for body in bodies]))
-    turns, slides = np.array([kind != "prismatic" for kind in case.robot.kinds]), pitches(case)
-
-    def size(model, data, q, v, a, *_):
-        terms = np.abs(pin.computeJointTorqueRegressor(model, data, q, v, a)) @ parameters + model.armature * np.abs(a)
-        pin.rnea(model, data, q, v, a)
-        moments, forces = np.zeros(model.njoints), np.zeros(model.njoints)
-        for i in reversed(range(1, model.njoints)):
-            moments[i] += model.inertias[i].vtiv(data.v[i])
-            forces[i] += np.linalg.norm(data.v[i].angular) * np.linalg.norm((model.inertias[i] * data.v[i]).linear)
-            moments[model.parents[i]] += moments[i]
-            forces[model.parents[i]] += forces[i]
-            moments[i] += np.linalg.norm(data.f[i].angular)
-            forces[i] += np.linalg.norm(data.f[i].linear)
-        ids = [joint.id for joint in case.joints]
-        return terms[case.order] + turns * moments[ids] + slides * forces[ids]
-
-    return over(size, case, s).max(0)
-
-
-def pitches(case: Case) -> np.ndarray:
-    """Motion along the axis per unit of each joint's coordinate."""
-    rows = zip(case.robot.kinds, case.robot.screw.numpy(), strict=True)
-    return np.array([1.0 if kind == "prismatic" else abs(s[:3] @ s[3:]) for kind, s in rows])
 
 
 def jacobians_of(case: Case, s: States, names, reference=pin.LOCAL) -> np.ndarray:
@@ -120,7 +77,7 @@ def mass_matrices(case: Case, s: States) -> np.ndarray:
 def torques(case: Case, s: States) -> float:
     """Joint torques of a motion under gravity, each relative to its terms."""
     tau = torchdq.inverse_dynamics(case.robot, s.q, s.qd, s.qdd)
-    return worst(tau - torques_of(case, s), size_of_torques(case, s))
+    return worst(tau, torques_of(case, s), size_of_torques(case, s))
 
 
 def torques_on_a_tilted_base(case: Case, s: States) -> float:
@@ -135,7 +92,7 @@ def torques_against_f_tip(case: Case, s: States) -> float:
     f = s.f_tip.double().numpy()[:, [3, 4, 5, 0, 1, 2]]  # (moment, force) on a twist's (angular, linear)
     J = jacobians_of(case, s, [robot.tip])[:, 0]
     size = size_of_torques(case, s) + np.einsum("bkn,bk->bn", np.abs(J), np.abs(f)).max(0)
-    return worst(tau - torques_of(case, s) - np.einsum("bkn,bk->bn", J, f), size)
+    return worst(tau, torques_of(case, s) + np.einsum("bkn,bk->bn", J, f), size)
 
 
 def torques_under_f_ext(case: Case, s: States) -> float:
@@ -148,7 +105,7 @@ def torques_under_f_ext(case: Case, s: States) -> float:
     f = np.abs(s.f_ext.double().numpy()[..., [3, 4, 5, 0, 1, 2]])
     J = np.abs(jacobians_of(case, s, case.robot.link_names))
     size = size_of_torques(case, s) + np.einsum("blkn,blk->bn", J, f).max(0)
-    return worst(tau - over(loaded, case, s)[:, case.order], size)
+    return worst(tau, over(loaded, case, s)[:, case.order], size)
 
 
 def mass_matrix(case: Case, s: States) -> float:
@@ -170,21 +127,21 @@ def closed_form_mass_matrix(case: Case, s: States) -> float:
 def _mass_matrix_error(M: torch.Tensor, case: Case, s: States) -> float:
     reference = mass_matrices(case, s)
     size = np.sqrt(np.diagonal(reference, axis1=-2, axis2=-1).max(0))
-    return worst(M - reference, size[:, None] * size)
+    return worst(M, reference, size[:, None] * size)
 
 
 def coriolis_torques(case: Case, s: States) -> float:
     """Torques c of the closed form (70), each relative to its terms."""
     free, moving = case.with_gravity((0.0, 0.0, 0.0)), s._replace(qdd=0 * s.qdd)
     c = closed_form(case, s).c
-    return worst(c - torques_of(free, moving), size_of_torques(free, moving))
+    return worst(c, torques_of(free, moving), size_of_torques(free, moving))
 
 
 def gravity_torques(case: Case, s: States) -> float:
     """Torques g of the closed form (71), each relative to its terms."""
     g = closed_form(case, s).g
     reference = over(lambda model, data, q, *_: pin.computeGeneralizedGravity(model, data, q), case, s)
-    return worst(g - reference[:, case.order], size_of_torques(case, s._replace(qd=0 * s.qd, qdd=0 * s.qdd)))
+    return worst(g, reference[:, case.order], size_of_torques(case, s._replace(qd=0 * s.qd, qdd=0 * s.qdd)))
 
 
 def transposed_tip_jacobian(case: Case, s: States) -> float:
@@ -197,7 +154,7 @@ def transposed_tip_jacobian(case: Case, s: States) -> float:
 def _jacobian_error(J, reference, case: Case, s: States) -> float:
     size = np.repeat([1.0, max(reach(case, s), 1e-3)], 3)[:, None]
     slides = np.array([kind != "revolute" for kind in case.robot.kinds], dtype=float)  # these also move by unit steps
-    return worst(J - reference, np.maximum(size, slides))
+    return worst(J, reference, np.maximum(size, slides))
 
 
 def spread(names: Sequence[str], most: int) -> list[str]:
@@ -229,8 +186,9 @@ def poses(case: Case, s: States) -> float:
         pin.framesForwardKinematics(model, data, q)
         return [data.oMf[frame].homogeneous for frame in ids]
 
-    difference = found - over(placements, case, s)
-    return max(worst(difference[..., :3], 1.0), worst(difference[..., 3], max(reach(case, s), 1e-3)))
+    reference = over(placements, case, s)
+    turned = worst(found[..., :3], reference[..., :3], 1.0)
+    return max(turned, worst(found[..., 3], reference[..., 3], max(reach(case, s), 1e-3)))
 
 
 def inertial_parameters(case: Case, s: States) -> float:
@@ -241,7 +199,7 @@ def inertial_parameters(case: Case, s: States) -> float:
         body = placement.actInv(case.model.inertias[joint.id])
         about_frame, (m, c) = body.toDynamicParameters(), (body.mass, np.linalg.norm(body.lever))
         size = np.repeat([m, m * c, np.linalg.norm(body.inertia) + m * c * c], [1, 3, 6])
-        error = max(error, worst(found - about_frame, np.maximum(size, 1e-30)))
+        error = max(error, worst(found, about_frame, np.maximum(size, 1e-30)))
     return error
 
 
@@ -259,7 +217,7 @@ def regressor(case: Case, s: States) -> float:
     reference = np.einsum("bjlk,lkp->bjlp", reference, moved)
     largest = np.abs(reference).max((0, 1, 2))
     size = np.repeat([largest[0], largest[1:4].max(), largest[4:].max()], [1, 3, 6])
-    return worst(Y - reference, size)
+    return worst(Y, reference, size)
 
 
 def derivatives(case: Case, s: States) -> float:
@@ -275,7 +233,7 @@ def derivatives(case: Case, s: States) -> float:
 
         reference = over(pinocchios, case, s)[:, case.order][..., case.order]
         row = np.maximum(np.abs(reference).max((0, 2)), size)[:, None]
-        error = max(error, worst(found[which] - reference, row))
+        error = max(error, worst(found[which], reference, row))
     return error
 
 
@@ -288,7 +246,7 @@ def kinetic_energy(case: Case, s: States) -> float:
         return pin.computeKineticEnergy(model, data, q, v) + 0.5 * case.model.armature @ v**2
 
     reference = over(energy, Case(case.robot, still), s)
-    return worst(torchdq.kinetic_energy(case.robot, s.q, s.qd) - reference, reference)
+    return worst(torchdq.kinetic_energy(case.robot, s.q, s.qd), reference, reference)
 
 
 def potential_energy(case: Case, s: States) -> float:
@@ -298,7 +256,7 @@ def potential_energy(case: Case, s: States) -> float:
     bodies = list(case.model.inertias)[1:]
     size = sum(body.mass * (reach(case, s) + np.linalg.norm(body.lever)) for body in bodies)
     weight = np.linalg.norm(case.model.gravity.linear)
-    return worst((found[1:] - found[0]) - (reference[1:] - reference[0]), weight * size)
+    return worst(found[1:] - found[0], reference[1:] - reference[0], weight * size)
 
 
 QUANTITIES = (
@@ -351,7 +309,7 @@ def acceleration_error(case: Case, s: States) -> float:
         singular_values = np.linalg.svd(D[:, None] * M[b] * D, compute_uv=False)
         condition = singular_values[0] / singular_values[-1]
         largest = np.abs(reference / D).max() + np.abs(D * terms).max() / singular_values[0]
-        error = max(error, worst((qdd[b] - reference) / D, largest) / condition)
+        error = max(error, worst(qdd[b] / D, reference / D, largest) / condition)
     return error / oracles.EPS[s.q.dtype]
 
 

@@ -129,10 +129,8 @@ def _sample(x: Tensor) -> Tensor:
     return x[..., 0] if x.shape[-1] else x.sum(-1)  # no joints, no first joint
 
 
-def _screw(x: Tensor | None) -> Screw | None:
-    if x is None:
-        return None
-    parts = x.unbind(-1)
+def _screw(x: Tensor) -> Screw:
+    parts: tuple = x.unbind(-1)
     return (parts[:3], parts[3:])
 
 
@@ -142,8 +140,9 @@ def _numbers(x: Tensor | None) -> tuple[Tensor, ...] | None:
 
 def _exerted(s: State, f_tip: Tensor | None, f_ext: Tensor | None) -> list[Screw | None]:
     on_links = None if f_ext is None else [_screw(f) for f in f_ext.unbind(-2)]
-    tip = None if f_tip is None else _tip(s.robot)
-    return rnea.exerted_wrenches(s.mechanism, on_links, tip, _screw(f_tip))
+    if f_tip is None:
+        return rnea.exerted_wrenches(s.mechanism, on_links, None, None)
+    return rnea.exerted_wrenches(s.mechanism, on_links, _tip(s.robot), _screw(f_tip))
 
 
 def _tip(robot: Robot) -> tuple[int, Adjoint]:
@@ -159,7 +158,7 @@ def _tip(robot: Robot) -> tuple[int, Adjoint]:
 
 
 def _pose(x: Tensor) -> DualQuaternion:
-    parts = x.unbind(-1)
+    parts: tuple = x.unbind(-1)
     return (parts[:4], parts[4:])
 
 
@@ -304,13 +303,13 @@ class ClosedForm(NamedTuple):
 
 
 def closed_form(robot: Robot, q: Tensor, qd: Tensor) -> ClosedForm:
-    """Mass matrix M, Coriolis torques c, gravity torques g and transposed tip Jacobian Jt, from DQ matrices.
+    """Mass matrix M [..., n, n], Coriolis and gravity torques c, g [..., n] and Jacobian Jt [..., n, 6].
 
         tau = M qdd + c + g + Jt f_tip   (63)
 
     Args:
         robot: the robot.
-        q, qd: joint positions and velocities, shape [..., n].
+        q, qd: joint positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
 
     Source: equations (57)-(72); departures: errata 57, 61, T1.4, 68, 70, 71.
 
@@ -335,7 +334,8 @@ def regressor(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
 
     Args:
         robot: the robot; its own mass, com and inertia do not enter.
-        q, qd, qdd: joint positions, velocities and accelerations, shape [..., n].
+        q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2],
+            shape [..., n].
 
     >>> import torch, torchdq
     >>> robot, q = torchdq.robots.load("puma560"), torch.ones(6, dtype=torch.float64)
@@ -356,7 +356,7 @@ def kinetic_energy(robot: Robot, q: Tensor, qd: Tensor) -> Tensor:
 
     Args:
         robot: the robot.
-        q, qd: joint positions and velocities, shape [..., n].
+        q, qd: joint positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
     """
     check(robot, q=(q, ("n",)), qd=(qd, ("n",)))
     s = _state(robot, q)
@@ -370,7 +370,7 @@ def potential_energy(robot: Robot, q: Tensor) -> Tensor:
 
     Args:
         robot: the robot.
-        q: joint positions, shape [..., n].
+        q: joint positions [rad or m], shape [..., n].
     """
     check(robot, q=(q, ("n",)))
     s = _state(robot, q)
@@ -443,10 +443,12 @@ def dynamics_jacobian(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> tuple
 
     Args:
         robot: the robot.
-        q, qd, qdd: joint positions, velocities and accelerations, shape [..., n].
+        q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2],
+            shape [..., n].
     """
     check(robot, q=(q, ("n",)), qd=(qd, ("n",)), qdd=(qdd, ("n",)))
-    q, qd, qdd = torch.broadcast_tensors(q, qd, qdd)
+    # forward mode refuses tensors whose elements share memory, which broadcasting makes
+    q, qd, qdd = (x.contiguous() for x in torch.broadcast_tensors(q, qd, qdd))
     M = mass_matrix(robot, q)
     if not robot.n:
         return M, M, M  # vmap cannot map over no directions

@@ -105,6 +105,9 @@ class ComputedTorque(RobotModule):
     torch.Size([3, 2])
     """
 
+    kp: Tensor
+    kd: Tensor
+
     def __init__(self, robot: Robot, kp: Tensor | float, kd: Tensor | float, learn: Sequence[str] = ()):
         learn = (learn,) if isinstance(learn, str) else tuple(learn)
         super().__init__(robot, tuple(field for field in learn if field not in ("kp", "kd")))

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Number
-from torchdq.algebra.screw import Adjoint, Screw
+from torchdq.algebra.screw import Screw
 
 Rows = tuple[tuple, ...]
 
@@ -85,8 +85,4 @@ def hermitian(operators: Rows) -> Rows:
 
     The paper writes L*; by its own (13) that would leave out the transposition (erratum T1.4).
     """
-
-    def inverse(a: Adjoint | None) -> Adjoint | None:
-        return None if a is None else screw.inverse(a)
-
-    return tuple(tuple(inverse(a) for a in row) for row in transpose(operators))
+    return tuple(elementwise(screw.inverse, row) for row in transpose(operators))

@@ -3,7 +3,8 @@
 A twist is (angular, linear) and a wrench (force, moment), both about the origin of the frame they are expressed in.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
@@ -71,7 +72,7 @@ def columns(x: DualQuaternion) -> Adjoint:
     half = quat.im(quat.mul(xd, quat.conj(xp)))
     p = quat.add(half, half)
     a_p = quat.rotation_columns(xp)  # (34), erratum 34
-    a_d = tuple(quat.cross(p, e) for e in a_p)  # (35), erratum 35
+    a_d = _three([quat.cross(p, e) for e in a_p])  # (35), erratum 35
     return (a_p, a_d)
 
 
@@ -87,9 +88,13 @@ def _times(m: Columns, v: Pure) -> Pure:
     return (m00 * x + m01 * y + m02 * z, m10 * x + m11 * y + m12 * z, m20 * x + m21 * y + m22 * z)
 
 
-def _transpose(m: Columns) -> Columns:
-    a, b, c = zip(*m, strict=True)
+def _three(items: Sequence) -> tuple[Any, Any, Any]:
+    a, b, c = items
     return (a, b, c)
+
+
+def _transpose(m: Columns) -> Columns:
+    return _three(list(zip(*m, strict=True)))
 
 
 def ad(a: Adjoint, m: Screw) -> Screw:
@@ -105,8 +110,8 @@ def inverse(a: Adjoint) -> Adjoint:
 
 def compose(a: Adjoint, b: Adjoint) -> Adjoint:
     """Columns of xy from those of x and y: Ad(xy) = Ad(x) Ad(y)."""
-    p = tuple(_times(a[0], e) for e in b[0])
-    d = tuple(quat.add(_times(a[0], f), _times(a[1], e)) for e, f in zip(b[0], b[1], strict=True))
+    p = _three([_times(a[0], e) for e in b[0]])
+    d = _three([quat.add(_times(a[0], f), _times(a[1], e)) for e, f in zip(b[0], b[1], strict=True)])
     return (p, d)
 
 
@@ -138,8 +143,8 @@ def carry_inertia(
 ) -> tuple[Number, Pure, Symmetric]:
     """Inertia (m, h, I) of a body, given in B, in the frame A whose pose of B has the columns `a` and position `p`."""
     rotation = a[0]
-    turned = tuple(_times(rotation, row) for row in second)  # rows of (R I)^T
-    rotated = tuple(_times(rotation, column) for column in _transpose(turned))  # R I R^T
+    turned = _three([_times(rotation, row) for row in second])  # rows of (R I)^T
+    rotated = _three([_times(rotation, column) for column in _transpose(turned)])  # R I R^T
     c = (0.0, 0.0, 0.0) if first is None else _times(rotation, first)
     h = quat.add(c, quat.scale(mass, p))
     # parallel axes: I - ([p][h] + [c][p]), written out so that the result is symmetric to the last bit
@@ -149,7 +154,7 @@ def carry_inertia(
         for j in range(i, 3):
             shift = -(p[i] * h[j] + c[i] * p[j])
             rows[i][j] = rows[j][i] = rotated[i][j] + (shift + trace if i == j else shift)
-    return (mass, h, tuple(tuple(row) for row in rows))
+    return (mass, h, _three([_three(row) for row in rows]))
 
 
 # --- exponential and logarithm ---------------------------------------------------------------------------------------

@@ -6,6 +6,8 @@ L holds the adjoint from link j to link i wherever j lies on the path from i to 
 lower triangle (62). The mass matrix is assembled directly, never by subtracting a bias.
 """
 
+from __future__ import annotations  # torch.compile cannot evaluate those of local functions
+
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -30,9 +32,9 @@ class ClosedForm(NamedTuple):
 def propagation(mechanism: Mechanism, Ad: Sequence[Adjoint]) -> Rows:
     """Matrix L = (I - Q)^-1 of operators A_H(x_j^i), by the recursion of its rows rather than by an inverse."""
     n = len(mechanism.links)
-    rows: list[list[Adjoint | None]] = []
+    rows: list[list] = []  # of Adjoint, or None
     for i, link in enumerate(mechanism.links):
-        row: list[Adjoint | None] = [None] * n
+        row: list = [None] * n
         row[i] = screw.IDENTITY
         if link.parent != BASE:
             step = screw.inverse(Ad[i])  # A_H(x_{i-1}^i), erratum 61
@@ -46,8 +48,7 @@ def propagation(mechanism: Mechanism, Ad: Sequence[Adjoint]) -> Rows:
 def on_base_links(mechanism: Mechanism, Ad: Sequence[Adjoint], m: Screw | None) -> tuple[Screw | None, ...]:
     """Vector with a screw of the base, carried into each link that hangs on the base: W_BASE, Wdot_BASE."""
     return tuple(
-        ad_inverse(Ad_i, m) if link.parent == BASE else None
-        for link, Ad_i in zip(mechanism.links, Ad, strict=True)
+        ad_inverse(Ad_i, m) if link.parent == BASE else None for link, Ad_i in zip(mechanism.links, Ad, strict=True)
     )
 
 
@@ -89,10 +90,7 @@ def closed_form(
     gyroscopic = matrix.elementwise(
         screw.cross,
         W,
-        tuple(
-            total(*pair)
-            for pair in zip(matrix.combine(G_LA, qd), inertia(matrix.act(L, W_base)), strict=True)
-        ),
+        tuple(total(*pair) for pair in zip(matrix.combine(G_LA, qd), inertia(matrix.act(L, W_base)), strict=True)),
     )
     coriolis = matrix.combine(matrix.act_on_matrix(L_H, G_LC), qd)
     c = geodesic(
@@ -110,9 +108,7 @@ def tip_jacobian_transpose(mechanism: Mechanism, L_H: Rows, i: int, Ad_BE: Adjoi
         to_link = operators[i]
         # f (.) swap(a) is the same in every frame, so the operator on f becomes its inverse on a
         rows.append(
-            None
-            if to_link is None
-            else screw.swap(screw.ad(screw.inverse(screw.compose(to_link, Ad_BE)), link.screw))
+            None if to_link is None else screw.swap(screw.ad(screw.inverse(screw.compose(to_link, Ad_BE)), link.screw))
         )
     return tuple(rows)  # (72)
 

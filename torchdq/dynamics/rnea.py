@@ -41,8 +41,8 @@ def outward(
     qd: Sequence[Number | None],
     qdd: Sequence[Number | None],
     base: Base,
-) -> tuple[list[Screw | None], list[Screw | None]]:
-    """Twist V and acceleration A of every link (Algorithm 1, forward iteration)."""
+) -> tuple[list, list]:
+    """Twist V and acceleration A of every link, None where there is none (Algorithm 1, forward iteration)."""
     V: list[Screw | None] = []
     A: list[Screw | None] = []
     for link, Ad_PB, qd_i, qdd_i in zip(mechanism.links, Ad, qd, qdd, strict=True):

@@ -37,6 +37,8 @@ class Report(NamedTuple):
         header = ("joint", "kind", "link", "mass", "limits (not enforced)")
         rows = [header, *self.joints]
         widths = [max(len(row[k]) for row in rows) for k in range(len(header))]
-        table = "\n".join("  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows)
+        table = "\n".join(
+            "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows
+        )
         notes = "\n".join(f"- {note}" for note in self.notes) or "- nothing else was asked for"
         return f"{self.summary}\n\n{table}\n\nnotes:\n{notes}"

@@ -286,11 +286,12 @@ class Robot:
     def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> Robot:
         """Robot with every tensor cast to the dtype and moved to the device."""
 
-        def cast(x: Tensor | None) -> Tensor | None:
-            return None if x is None else x.to(dtype=dtype, device=device)
+        def cast(x: Tensor) -> Tensor:
+            return x.to(dtype=dtype, device=device)
 
+        fields = {field: getattr(self, field) for field in (*SHAPES, "damping", "friction")}
         return self.replace(
-            **{field: cast(getattr(self, field)) for field in (*SHAPES, "damping", "friction")},
+            **{field: None if x is None else cast(x) for field, x in fields.items()},
             limits=Limits(*map(cast, self.limits)),
             frames=tuple(frame._replace(X_BF=cast(frame.X_BF)) for frame in self.frames),
         )
@@ -304,7 +305,9 @@ class Robot:
         armature = [None] * self.n if self.armature is None else self.armature.unbind(-1)
         links = []
         for i in range(self.n):
-            m, c, x, s = mass[i], com[i].unbind(-1), placements[i].unbind(-1), joint_screws[i].unbind(-1)
+            m, c = mass[i], com[i].unbind(-1)
+            x: tuple = placements[i].unbind(-1)
+            s: tuple = joint_screws[i].unbind(-1)
             xx, xy, yy, xz, yz, zz = inertia[i].unbind(-1)
             about_com = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
             links.append(
@@ -319,16 +322,17 @@ class Robot:
                     armature=armature[i],
                 )
             )
-        return Mechanism(tuple(links), None if self.gravity is None else self.gravity.unbind(-1))
+        gravity: tuple | None = None if self.gravity is None else self.gravity.unbind(-1)
+        return Mechanism(tuple(links), gravity)
 
     @property
     def inertial_parameters(self) -> Tensor:
         """Parameters pi [..., 10 n] of the links about their frames, in the order of the regressor's columns."""
         numbers = [
             x
-            for link in self.mechanism().links
-            for i in [link.second]
-            for x in (link.mass, *link.first, i[0][0], i[0][1], i[1][1], i[0][2], i[1][2], i[2][2])
+            for link, com in zip(self.mechanism().links, self.com.unbind(-2), strict=True)
+            for h, i in [(quat.scale(link.mass, com.unbind(-1)), link.second)]
+            for x in (link.mass, *h, i[0][0], i[0][1], i[1][1], i[0][2], i[1][2], i[2][2])
         ]
         return torch.stack(torch.broadcast_tensors(*numbers), -1) if numbers else self.mass
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,7 +18,7 @@ UNIT = 1e-9  # how far from 0 or 1 a direction may be and still count as that; e
 def numbers(name: str, value: Any) -> Tensor:
     """Value as a float64 tensor."""
     try:
-        return torch.as_tensor(value, dtype=torch.float64)
+        return torch.as_tensor(value if isinstance(value, Tensor) else np.array(value), dtype=torch.float64)
     except (TypeError, ValueError, RuntimeError) as error:  # words, or rows of different lengths
         raise DescriptionError(f"{name} must be an array of numbers: {error}") from error
 

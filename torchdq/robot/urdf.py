@@ -1,7 +1,8 @@
-"""Robots of URDF files. The file is read and checked here; pinocchio puts the tree together and lumps fixed joints.
+"""Robots of URDF files. Numbers are read and checked here; pinocchio puts the joints together and places the links.
 
-Only what dynamics need is read: meshes are never opened, and entities are refused before parsing. Pinocchio is handed
-that and nothing else, because it drops an inertia it finds ill-written (a blank after the mass is enough) and goes on.
+Only what dynamics need is read: meshes are never opened, and entities are refused before parsing. Bodies are lumped
+here too, because pinocchio drops an inertia that it finds ill-written (a blank after the mass is enough) and goes on,
+and loses the centre of mass of a body lighter than 2e-16 kg.
 """
 
 from __future__ import annotations
@@ -257,23 +258,15 @@ def _children(document: Document) -> dict[str, list[str]]:
 # --- building the robot ----------------------------------------------------------------------------------------------
 
 
-def _plain(document: Document) -> str:
-    """URDF text of what was read and checked; every moving joint has one coordinate there."""
+def _skeleton(document: Document) -> str:
+    """URDF text of the joints that were read and checked; every moving joint has one coordinate there."""
 
     def words(numbers: Iterable[float]) -> str:
         return " ".join(map(repr, numbers))
 
     root = ET.Element("robot", name="robot")
-    for name, inertial in document.links.items():
-        link = ET.SubElement(root, "link", name=name)
-        if inertial is None:
-            continue
-        element = ET.SubElement(link, "inertial")
-        ET.SubElement(element, "origin", {key: words(value) for key, value in inertial.origin.items()})
-        ET.SubElement(element, "mass", value=repr(inertial.mass))
-        (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertial.inertia.tolist()
-        entries = {"ixx": xx, "ixy": xy, "ixz": xz, "iyy": yy, "iyz": yz, "izz": zz}
-        ET.SubElement(element, "inertia", {key: repr(value) for key, value in entries.items()})
+    for name in document.links:
+        ET.SubElement(root, "link", name=name)
     for name, joint in document.joints.items():
         element = ET.SubElement(root, "joint", name=name, type=MOVING.get(joint.kind, joint.kind))
         ET.SubElement(element, "origin", {key: words(value) for key, value in joint.origin.items()})
@@ -295,7 +288,7 @@ def _reduced(document: Document, lock: dict[str, float]):
         if not abs(value) <= MOST:
             raise ArgumentError(f"lock[{name!r}] must be finite, found {value}")
     try:
-        model = pin.buildModelFromXML(_plain(document))
+        model = pin.buildModelFromXML(_skeleton(document))
     except Exception as error:  # pinocchio raises its C++ errors as various types
         raise DescriptionError(f"pinocchio cannot read the robot description: {error}") from error
     # not getJointId, which takes a joint named 'universe' for the base
@@ -304,6 +297,29 @@ def _reduced(document: Document, lock: dict[str, float]):
     for name, value in lock.items():
         at[model.joints[ids[name]].idx_q] = value
     return pin.buildReducedModel(model, [ids[name] for name in lock], at) if lock else model
+
+
+def _lumped(document: Document, model) -> tuple[Tensor, Tensor, Tensor]:
+    """Mass [n], centre of mass [n, 3] and inertia [n, 6] of everything that is fixed to each link."""
+    import pinocchio as pin
+
+    n = model.njoints - 1
+    mass, com, inertia = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))
+    for frame in model.frames:
+        i, inertial = frame.parentJoint - 1, document.links.get(frame.name)
+        if frame.type != pin.FrameType.BODY or inertial is None or i == BASE:
+            continue
+        xyz, rpy = (np.array(inertial.origin[key]) for key in ("xyz", "rpy"))
+        placement = frame.placement * pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
+        turned = placement.rotation @ inertial.inertia.numpy() @ placement.rotation.T
+        apart = placement.translation - com[i]
+        total = mass[i] + inertial.mass
+        share = inertial.mass / total if total else 0.0
+        com[i] += share * apart
+        inertia[i] += turned + mass[i] * share * (apart @ apart * np.eye(3) - np.outer(apart, apart))
+        mass[i] = total
+    six = inertia[:, [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    return torch.from_numpy(mass), torch.from_numpy(com), torch.from_numpy(six)
 
 
 def _pose(placement) -> Tensor:
@@ -327,8 +343,7 @@ def read(source: str | Path, lock: dict[str, float]) -> tuple[dict[str, Any], li
     axes = torch.tensor([joint.axis for joint in joints], dtype=torch.float64).reshape(n, 3)
     turns = torch.tensor([MOVING[joint.kind] == "revolute" for joint in joints], dtype=torch.bool).reshape(n, 1)
     placements = [_pose(placement) for placement in list(model.jointPlacements)[1:]]
-    bodies = list(model.inertias)[1:]
-    inertias = torch.tensor(np.array([body.inertia for body in bodies]).reshape(n, 3, 3))
+    mass, com, inertia = _lumped(document, model)
     moving = {name for name, link, _ in frames if link != BASE}
     findings = [
         fault
@@ -346,9 +361,9 @@ def read(source: str | Path, lock: dict[str, float]) -> tuple[dict[str, Any], li
         "kinds": tuple(MOVING[joint.kind] for joint in joints),
         "X_PB_home": torch.stack(placements) if n else torch.zeros(0, 8, dtype=torch.float64),
         "screw": torch.where(turns, torch.cat([axes, 0 * axes], -1), torch.cat([0 * axes, axes], -1)),
-        "mass": torch.tensor([body.mass for body in bodies], dtype=torch.float64),
-        "com": torch.tensor(np.array([body.lever for body in bodies]).reshape(n, 3)),
-        "inertia": torch.stack([inertias[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))], -1),
+        "mass": mass,
+        "com": com,
+        "inertia": inertia,
         "limits": {
             key: torch.tensor([joint.limits[key] for joint in joints], dtype=torch.float64)
             for key in ("lower", "upper", "velocity", "effort")

@@ -55,7 +55,5 @@ def build() -> Robot:
     return robot.replace(
         armature=_double(ROTOR) * ratio,
         damping=_double(VISCOUS) * ratio,
-        limits=Limits(
-            _double([radians(x) for x in LOWER]), _double([radians(x) for x in UPPER]), infinite, infinite
-        ),
+        limits=Limits(_double([radians(x) for x in LOWER]), _double([radians(x) for x in UPPER]), infinite, infinite),
     )

@@ -1,0 +1,292 @@
+"""How the package is built: who imports whom, what importing it costs, and what every file promises.
+
+A module imports only from the floors below its own and from its own package, so that any floor can be read, tested and
+replaced without those above it; the two lowest need neither torch nor numpy, because their numbers may be of any kind.
+"""
+
+import ast
+import importlib
+import importlib.resources
+import inspect
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import torchdq
+from torchdq import functional
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGE, ENVS = ROOT / "torchdq", ROOT / "envs"
+
+FLOORS = {
+    "torchdq.errors": 0,
+    "torchdq.algebra": 0,
+    "torchdq.dynamics": 1,
+    "torchdq.dq": 1,
+    "torchdq.convert": 2,
+    "torchdq.robot": 2,
+    "torchdq.functional": 3,
+    "torchdq.control": 4,
+    "torchdq.nn": 5,
+    "torchdq": 6,
+    "torchdq.envs": 7,
+}
+
+# storeys of the one package that has several: the sources of a description, the robot, the shipped robots
+STOREYS = {"torchdq.robot.robot": 1, "torchdq.robot": 2, "torchdq.robot.library": 3}
+
+NUMBER_GENERIC = ("torchdq.algebra", "torchdq.dynamics")
+NOT_AT_IMPORT = ("pinocchio", "pytorch_kinematics", "mujoco", "matplotlib", "scipy", "gymnasium")
+
+
+def name_of(path):
+    """Dotted name of a module's file; `envs` is installed as a part of the package."""
+    parts = ("torchdq", *path.relative_to(PACKAGE if path.is_relative_to(PACKAGE) else ROOT).with_suffix("").parts)
+    return ".".join(part for part in parts if part != "__init__")
+
+
+FILES = {name_of(path): path for folder in (PACKAGE, ENVS) for path in sorted(folder.rglob("*.py"))}
+TREES = {name: ast.parse(path.read_text(encoding="utf-8"), str(path)) for name, path in FILES.items()}
+MODULES = pytest.mark.parametrize("module", FILES)
+
+
+def within(module, package):
+    return module == package or module.startswith(package + ".")
+
+
+def longest(module, table):
+    """Entry of the table for the innermost package that the module is in; the top-level one is for itself only."""
+    known = [name for name in table if module == name or (within(module, name) and name != "torchdq")]
+    return table[max(known, key=len)] if known else None
+
+
+def nodes_at_run_time(node):
+    """All nodes below, but for what only a type checker sees."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.If) and ast.unparse(child.test).endswith("TYPE_CHECKING"):
+            continue
+        yield child
+        yield from nodes_at_run_time(child)
+
+
+def imports_of(tree):
+    """Dotted names of the modules that a tree imports, wherever in it."""
+    for node in nodes_at_run_time(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f"line {node.lineno}: imports name the whole path"
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                yield inner if inner in FILES else node.module
+
+
+def may_import(module, other):
+    """Whether a module of the package may import another."""
+    ours, theirs = longest(module, FLOORS), longest(other, FLOORS)
+    if theirs != ours:
+        return theirs < ours
+    package = next(name for name, floor in FLOORS.items() if floor == ours and within(module, name))
+    if not within(other, package):
+        return False  # a floor's packages do not know each other
+    if package != "torchdq.robot":
+        return True
+    here, there = (longest(name, STOREYS) if name in STOREYS or "library" in name else 0 for name in (module, other))
+    return there <= here
+
+
+# --- floors ----------------------------------------------------------------------------------------------------------
+
+
+@MODULES
+def test_every_module_has_a_floor(module):
+    assert longest(module, FLOORS) is not None
+
+
+@MODULES
+def test_a_module_imports_from_lower_floors_or_its_own_package(module):
+    inside = [other for other in imports_of(TREES[module]) if within(other, "torchdq")]
+    assert [other for other in inside if not may_import(module, other)] == []
+
+
+@pytest.mark.parametrize(
+    "module, other",
+    [
+        ("torchdq.algebra.screw", "torchdq.dq"),
+        ("torchdq.dynamics.rnea", "torchdq.robot.robot"),
+        ("torchdq.dynamics.rnea", "torchdq.dq"),
+        ("torchdq.dq", "torchdq.convert"),
+        ("torchdq.robot.robot", "torchdq.convert"),
+        ("torchdq.robot.robot", "torchdq.functional"),
+        ("torchdq.robot.robot", "torchdq.robot.library"),
+        ("torchdq.robot.urdf", "torchdq.robot.robot"),
+        ("torchdq.robot.robot", "torchdq.robot"),
+        ("torchdq.functional", "torchdq.nn"),
+        ("torchdq.functional", "torchdq"),
+        ("torchdq.nn", "torchdq.envs"),
+    ],
+)
+def test_the_rule_forbids_what_it_is_for(module, other):
+    assert not may_import(module, other)
+
+
+@pytest.mark.parametrize("module", [name for name in FILES if any(within(name, package) for package in NUMBER_GENERIC)])
+def test_the_lowest_floors_need_no_library(module):
+    outside = [other for other in imports_of(TREES[module]) if not within(other, "torchdq")]
+    assert [other for other in outside if other.partition(".")[0] not in sys.stdlib_module_names] == []
+
+
+@pytest.mark.parametrize("module", [name for name in FILES if any(within(name, package) for package in NUMBER_GENERIC)])
+def test_the_lowest_floors_import_only_each_other(module):
+    inside = [other for other in imports_of(TREES[module]) if within(other, "torchdq")]
+    assert [other for other in inside if not any(within(other, package) for package in NUMBER_GENERIC)] == []
+
+
+def test_importing_the_package_imports_nothing_heavy_but_torch():
+    program = "import sys, torchdq; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
+    assert "torch" in loaded
+    assert sorted(set(NOT_AT_IMPORT) & set(loaded)) == []
+
+
+# --- what a file promises --------------------------------------------------------------------------------------------
+
+EVERYWHERE = {
+    str(path.relative_to(ROOT)): path
+    for folder in ("torchdq", "envs", "tests", "examples", "benchmarks")
+    for path in sorted((ROOT / folder).rglob("*.py"))
+}
+
+
+@pytest.mark.parametrize("file", EVERYWHERE)
+def test_every_file_says_what_it_is(file):
+    assert ast.get_docstring(ast.parse(EVERYWHERE[file].read_text(encoding="utf-8")))
+
+
+def public(tree):
+    """Public functions and classes of a module, and the public methods of the latter, by name."""
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            yield node.name, node
+            if isinstance(node, ast.ClassDef):
+                yield from ((f"{node.name}.{name}", method) for name, method in public(node))
+
+
+@MODULES
+def test_everything_public_has_a_docstring(module):
+    assert [name for name, node in public(TREES[module]) if not ast.get_docstring(node)] == []
+
+
+ON_ROBOTS = [
+    name
+    for name, f in inspect.getmembers(functional, inspect.isfunction)
+    if f.__module__ == functional.__name__ and "q" in inspect.signature(f).parameters and not name.startswith("_")
+]
+
+
+def test_there_are_functions_on_robots():
+    assert {"inverse_dynamics", "forward_dynamics", "mass_matrix", "jacobian"} <= set(ON_ROBOTS)
+
+
+@pytest.mark.parametrize("name", ON_ROBOTS)
+def test_a_function_on_robots_states_units(name):
+    assert re.search(r"\[(rad|m|kg|N|J)\b", getattr(functional, name).__doc__)
+
+
+@pytest.mark.parametrize("name", ON_ROBOTS)
+def test_a_function_on_robots_states_the_shape_of_its_result_first(name):
+    assert "[..." in getattr(functional, name).__doc__.split("\n\n")[0]
+
+
+@pytest.mark.parametrize("name", ON_ROBOTS)
+def test_a_function_on_robots_states_the_shapes_of_its_arguments(name):
+    document = getattr(functional, name).__doc__
+    assert "shape [..., n]" in document.split("Args:")[1]
+
+
+@MODULES
+def test_every_name_that_is_offered_exists(module):
+    offered = getattr(importlib.import_module(module), "__all__", ())
+    assert [name for name in offered if not hasattr(importlib.import_module(module), name)] == []
+
+
+def test_the_package_offers_all_its_errors():
+    errors = {
+        name
+        for name, value in vars(importlib.import_module("torchdq.errors")).items()
+        if isinstance(value, type) and issubclass(value, Exception)
+    }
+    assert errors - set(torchdq.__all__) == set()
+
+
+@MODULES
+def test_input_is_checked_by_errors_not_by_assert(module):
+    # python -O leaves assertions out
+    assert [node.lineno for node in ast.walk(TREES[module]) if isinstance(node, ast.Assert)] == []
+
+
+@MODULES
+def test_nothing_is_printed(module):
+    calls = [node for node in ast.walk(TREES[module]) if isinstance(node, ast.Call)]
+    assert [node.lineno for node in calls if isinstance(node.func, ast.Name) and node.func.id == "print"] == []
+
+
+def test_nothing_is_named_after_what_it_is_not():
+    vague = re.compile(r"util|helper|misc", re.IGNORECASE)
+    names = [part for module in FILES for part in module.split(".")]
+    names += [name for tree in TREES.values() for name, _ in public(tree)]
+    assert [name for name in names if vague.search(name)] == []
+
+
+# --- what is installed -----------------------------------------------------------------------------------------------
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def test_every_package_is_installed():
+    packages = {name for name, path in FILES.items() if path.name == "__init__.py"}
+    assert set(PROJECT["tool"]["setuptools"]["packages"]) == packages
+
+
+def test_every_folder_of_modules_is_a_package():
+    assert {path.parent / "__init__.py" for path in FILES.values()} <= set(FILES.values())
+
+
+def test_the_environments_are_part_of_the_installed_package():
+    assert importlib.import_module("torchdq.envs").__name__ == "torchdq.envs"
+
+
+def test_the_package_is_typed():
+    assert importlib.resources.files("torchdq").joinpath("py.typed").is_file()
+
+
+def test_the_version_is_the_projects():
+    assert torchdq.__version__ == PROJECT["project"]["version"]
+
+
+def checked(*command):
+    """Output of a checker on the project; empty when it has nothing to say."""
+    environment = os.environ | {"NO_COLOR": "1"}
+    run = subprocess.run([sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True, env=environment)
+    return "" if run.returncode == 0 else run.stdout + run.stderr
+
+
+def test_ruff_has_nothing_to_say():
+    pytest.importorskip("ruff")
+    assert checked("ruff", "check", "--no-cache") == ""
+
+
+def test_the_code_is_formatted():
+    pytest.importorskip("ruff")
+    assert checked("ruff", "format", "--check", "--no-cache") == ""
+
+
+def test_mypy_has_nothing_to_say(tmp_path):
+    # Each run has its own cache: two at a time would spoil a shared one. Ten seconds, most of them for torch's types.
+    pytest.importorskip("mypy")
+    assert checked("mypy", "--cache-dir", str(tmp_path)) == ""

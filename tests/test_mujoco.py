@@ -1,0 +1,183 @@
+"""Dynamics agree with MuJoCo, which reads the same URDF files with a parser of its own.
+
+torchdq loads files through pinocchio; an error of that reading would show in no comparison with pinocchio. MuJoCo also
+turns every inertia to its principal axes and computes in other frames. It wants meshes, so those elements are removed
+from the text, and so is what torchdq does not simulate but MuJoCo would: limits, friction, damping and coupled (mimic)
+joints. Joints and bodies are mapped by name.
+
+An error is a largest difference relative to the magnitudes of a joint torque's terms (`size_of_torques`), for the mass
+matrix to sqrt(M_ii M_jj). MuJoCo stops looking for principal axes at 1e-12, so that is what its inertias are good for.
+The tolerance is 1e-12 for torques, whose size counts more than inertia, 2e-12 for the mass matrix, 1e-14 for frames.
+"""
+
+import xml.etree.ElementTree as ET
+from functools import cache
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+import oracles
+import pytest
+from oracles import worst
+
+import torchdq
+
+TOLERANCE = 1e-12
+AXES = 2e-12
+EXACT = 1e-14
+LEFT_OUT = {"link": ("visual", "collision"), "joint": ("limit", "dynamics", "mimic")}
+
+EIGENVALUES, TRIANGLE, MASSLESS = (
+    "inertia must have positive eigenvalues",
+    "inertia must satisfy",
+    "larger than mjMINVAL",
+)
+
+# MuJoCo reads no link with an inertia that no body could have; torchdq does where it does not move or when told to
+REFUSED = {
+    "alex_psyonic_hands": TRIANGLE,
+    "allegro_left_hand": TRIANGLE,
+    "allegro_right_hand": TRIANGLE,
+    "anymal-kinova": EIGENVALUES,
+    "anymal_b_simple-anymal": EIGENVALUES,
+    "anymal_c_simple-anymal": TRIANGLE,
+    "b1": EIGENVALUES,
+    "b1-z1": EIGENVALUES,
+    "finger_edu": EIGENVALUES,
+    "go1": EIGENVALUES,
+    "human": MASSLESS,
+    "hyq_no_sensors": EIGENVALUES,
+    "icub": EIGENVALUES,
+    "icub_reduced": EIGENVALUES,
+    "pr2": TRIANGLE,
+    "romeo": MASSLESS,
+    "romeo_laas_small": EIGENVALUES,
+    "romeo_small": TRIANGLE,
+    "tiago": EIGENVALUES,
+    "tiago_dual": EIGENVALUES,
+    "tiago_no_hand": EIGENVALUES,
+}
+NAMES = [name for name in oracles.example_robots() if name not in REFUSED]
+
+
+# --- MuJoCo's answers ------------------------------------------------------------------------------------------------
+
+
+def rigid_bodies(name: str) -> str:
+    """Text of a robot's file with rigid bodies alone, and with the compiler told to keep links as they are."""
+    root = ET.fromstring(oracles.urdf_paths()[name].read_text(encoding="utf-8-sig"))
+    for tag, unwanted in LEFT_OUT.items():
+        for parent in root.findall(tag):
+            for element in [child for child in parent if child.tag in unwanted]:
+                parent.remove(element)
+    settings = {"fusestatic": "false", "discardvisual": "false", "balanceinertia": "false"}
+    ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", settings)
+    return ET.tostring(root, encoding="unicode")
+
+
+@cache
+def compiled(name: str) -> mujoco.MjModel:
+    """MuJoCo's model of a robot."""
+    return mujoco.MjModel.from_xml_string(rigid_bodies(name))
+
+
+class Answers(NamedTuple):
+    """MuJoCo's results for states, in the robot's joint order."""
+
+    M: np.ndarray
+    bias: np.ndarray  # Coriolis and gravity torques
+    tau: np.ndarray
+    rotation: np.ndarray  # [states, frames, 3, 3]
+    position: np.ndarray  # [states, frames, 3]
+
+
+@cache
+def frames(name: str) -> list[str]:
+    """Names of the links that MuJoCo has as bodies; it makes a base link without inertia part of its world."""
+    bodies = {compiled(name).body(i).name for i in range(compiled(name).nbody)}
+    return [frame for frame in robot_of(name).frame_names if frame in bodies]
+
+
+def robot_of(name: str) -> torchdq.Robot:
+    """The robot under test."""
+    return oracles.example_case(name).robot
+
+
+@cache
+def answers(name: str) -> Answers:
+    """All of MuJoCo's results for a robot in `oracles.states`."""
+    model, robot = compiled(name), robot_of(name)
+    data = mujoco.MjData(model)
+    joints = [model.joint(joint) for joint in robot.joint_names]
+    at, dof = [j.qposadr[0] for j in joints], [j.dofadr[0] for j in joints]
+    assert sorted(dof) == list(range(model.nv))
+    rows = []
+    for q, qd, qdd, *_ in oracles.states(robot).rows():
+        data.qpos[at], data.qvel[dof] = q, qd
+        mujoco.mj_forward(model, data)
+        M = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, M)
+        bias = data.qfrc_bias[dof]
+        bodies = [data.body(body) for body in frames(name)]
+        rotations = [body.xmat.reshape(3, 3).copy() for body in bodies]
+        positions = [body.xpos.copy() for body in bodies]
+        data.qacc[dof] = qdd
+        mujoco.mj_inverse(model, data)
+        rows.append((M[np.ix_(dof, dof)], bias, data.qfrc_inverse[dof], rotations, positions))
+    return Answers(*map(np.array, zip(*rows, strict=True)))
+
+
+# --- tests -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_a_robot_left_out_is_one_that_mujoco_does_not_read(name):
+    with pytest.raises(ValueError, match=REFUSED[name]):
+        compiled(name)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_mass_matrix(name):
+    robot, M = robot_of(name), answers(name).M
+    size = np.sqrt(np.diagonal(M, axis1=-2, axis2=-1).max(0))
+    assert worst(torchdq.mass_matrix(robot, oracles.states(robot).q), M, size[:, None] * size) <= AXES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_bias_torques(name):
+    robot, bias = robot_of(name), answers(name).bias
+    s = oracles.states(robot)
+    size = oracles.size_of_torques(oracles.case(name), s._replace(qdd=0 * s.qdd))
+    assert worst(torchdq.inverse_dynamics(robot, s.q, s.qd), bias, size) <= TOLERANCE
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_inverse_dynamics(name):
+    robot, tau = robot_of(name), answers(name).tau
+    s = oracles.states(robot)
+    size = oracles.size_of_torques(oracles.case(name), s)
+    assert worst(torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd), tau, size) <= TOLERANCE
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_orientations_of_links(name):
+    robot = robot_of(name)
+    q = oracles.states(robot).q
+    X = torchdq.forward_kinematics(robot, q)[:, [robot.frame_names.index(frame) for frame in frames(name)]]
+    found = [[oracles.se3(x).rotation for x in row] for row in X]
+    assert worst(found, answers(name).rotation, 1.0) <= EXACT
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_positions_of_links(name):
+    robot, p = robot_of(name), answers(name).position
+    q = oracles.states(robot).q
+    X = torchdq.forward_kinematics(robot, q)[:, [robot.frame_names.index(frame) for frame in frames(name)]]
+    found = [[oracles.se3(x).translation for x in row] for row in X]
+    assert worst(found, p, np.linalg.norm(p, axis=-1).max()) <= EXACT
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_link_but_the_base_is_compared(name):
+    base, *others = robot_of(name).frame_names
+    assert set(others) <= set(frames(name)), base

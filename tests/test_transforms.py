@@ -1,0 +1,580 @@
+"""The dynamics as tensor code: batches, layouts, dtypes, bad rows, torch.func, torch.compile, export, modules.
+
+What the functions return is the business of other files; here it must be the same however it is asked for. The tests
+run over `FUNCTIONS`, every public function of the dynamics, unless they are about a module.
+"""
+
+import copy
+import io
+import pickle
+
+import pytest
+import torch
+from torch._dynamo.testing import CompileCounterWithBackend
+from torch.func import functional_call, grad, hessian, jacrev, jvp, vmap
+
+import torchdq
+
+F32, F64 = torch.float32, torch.float64
+EPS = {F32: 2.0**-23, F64: 2.0**-52}
+TRAILING = {"mass": 1, "com": 2, "inertia": 2, "gravity": 1, "armature": 1, "home": 1, "X_PB_home": 2, "screw": 2}
+FUNCTIONS = {
+    "inverse_dynamics": (torchdq.inverse_dynamics, "q qd qdd f_tip f_ext"),
+    "forward_dynamics": (torchdq.forward_dynamics, "q qd tau f_tip f_ext"),
+    "mass_matrix": (torchdq.mass_matrix, "q"),
+    "closed_form": (torchdq.closed_form, "q qd"),
+    "forward_kinematics": (torchdq.forward_kinematics, "q"),
+    "jacobian": (lambda robot, q: torchdq.jacobian(robot, q, "tip"), "q"),
+    "jacobian in world axes": (lambda robot, q: torchdq.jacobian(robot, q, "tip", "world"), "q"),
+    "regressor": (torchdq.regressor, "q qd qdd"),
+    "kinetic_energy": (torchdq.kinetic_energy, "q qd"),
+    "potential_energy": (torchdq.potential_energy, "q"),
+    "dynamics_jacobian": (torchdq.dynamics_jacobian, "q qd qdd"),
+    "computed_torque": (
+        lambda robot, q, qd, qdd, tau, f_tip: torchdq.computed_torque(robot, q, qd, tau, qd, qdd, 9.0, 6.0, f_tip),
+        "q qd qdd tau f_tip",
+    ),
+}
+# the module, and what its forward takes
+MODULES = {
+    "DQRNEA": (torchdq.DQRNEA, "q qd qdd f_tip"),
+    "ForwardDynamics": (torchdq.ForwardDynamics, "q qd tau f_tip"),
+    "ComputedTorque": (lambda robot, learn=(): torchdq.ComputedTorque(robot, 9.0, 6.0, learn), "q qd q qd qdd f_tip"),
+}
+every_function = pytest.mark.parametrize("key", FUNCTIONS)
+every_module = pytest.mark.parametrize("key", MODULES)
+
+
+# --- inputs and results ----------------------------------------------------------------------------------------------
+
+
+def random(seed):
+    g = torch.Generator().manual_seed(seed)
+    return lambda *shape, dtype=F64: torch.randn(shape, dtype=F64, generator=g).to(dtype)
+
+
+def arm(name="two_link"):
+    """A shipped robot with rotors and a home position, so that every optional tensor is there."""
+    robot, draw = torchdq.robots.load(name), random(1)
+    return robot.replace(armature=0.1 * draw(robot.n).abs(), home=draw(robot.n))
+
+
+def inputs(names, n, batch=(), dtype=F64, seed=0):
+    draw = random(seed)
+    trailing = {"f_tip": (6,), "f_ext": (n, 6)}
+    drawn = {name: draw(*batch, *trailing.get(name, (n,)), dtype=dtype) for name in dict.fromkeys(names.split())}
+    return [drawn[name] for name in names.split()]
+
+
+def call(key, robot, args):
+    """Results of a function as a tuple."""
+    result = FUNCTIONS[key][0](robot, *args)
+    return (result,) if isinstance(result, torch.Tensor) else tuple(result)
+
+
+def of(key, n, batch=(), dtype=F64, seed=0):
+    return inputs(FUNCTIONS[key][1], n, batch, dtype, seed)
+
+
+def same(a, b):
+    """Equal to the last bit, shapes, dtypes and places of NaN included."""
+    return len(a) == len(b) and all(
+        x.dtype == y.dtype and x.shape == y.shape and torch.equal(x.nan_to_num(), y.nan_to_num())
+        and torch.equal(x.isnan(), y.isnan())
+        for x, y in zip(a, b, strict=True)
+    )  # fmt: skip
+
+
+def relative(a, b):
+    pairs = [(x.detach(), y.detach()) for x, y in zip(a, b, strict=True)]
+    return max(float((x - y).abs().max() / y.abs().max().clamp_min(1e-30)) for x, y in pairs)
+
+
+def gradients(key, robot, args, weights=None):
+    """Derivatives of a weighted sum of all results in all inputs."""
+    args = [x.detach().clone().requires_grad_() for x in args]
+    results = call(key, robot, args)
+    weights = [torch.ones_like(y) for y in results] if weights is None else weights
+    return torch.autograd.grad(results, args, weights, allow_unused=True, materialize_grads=True)
+
+
+# --- batches ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("batch", [(1,), (5,), (3, 1, 2)])
+@every_function
+def test_a_row_of_a_batch_is_bitwise_the_row_alone(key, batch):
+    robot = arm("panda" if key != "dynamics_jacobian" else "two_link")
+    args = of(key, robot.n, batch)
+    together = call(key, robot, args)
+    for at in [
+        tuple(int(i) for i in at) for at in torch.cartesian_prod(*map(torch.arange, batch)).reshape(-1, len(batch))
+    ]:
+        assert same([y[at] for y in together], call(key, robot, [x[at] for x in args]))
+
+
+@every_function
+def test_leading_axes_broadcast(key):
+    robot = arm()
+    args = of(key, 2, (3, 1))
+    args = [x if i % 2 == 0 else x[0, 0] for i, x in enumerate(args)]
+    args[-1] = args[-1] if args[-1].ndim == 1 else args[-1][:1].expand(1, 4, *args[-1].shape[2:])
+    batch = torch.broadcast_shapes(*[x.shape[: x.ndim - t] for x, t in zip(args, trailing(key), strict=True)])
+    full = [x.expand(*batch, *x.shape[x.ndim - t :]).contiguous() for x, t in zip(args, trailing(key), strict=True)]
+    assert same(call(key, robot, args), call(key, robot, full))
+
+
+def trailing(key):
+    return [2 if name == "f_ext" else 1 for name in FUNCTIONS[key][1].split()]
+
+
+@pytest.mark.parametrize("batch", [(0,), (2, 0)])
+@every_function
+def test_an_empty_batch_gives_an_empty_batch_and_a_backward(key, batch):
+    robot = arm()
+    for dtype in (F32, F64):
+        args = of(key, 2, batch, dtype)
+        solo = call(key, robot, of(key, 2, (), dtype))
+        shapes = [(tuple(y.shape), y.dtype) for y in call(key, robot, args)]
+        assert shapes == [((*batch, *y.shape), dtype) for y in solo]
+        assert [g.shape for g in gradients(key, robot, args)] == [x.shape for x in args]
+
+
+@every_function
+def test_a_robot_without_joints_gives_empty_axes(key):
+    robot = torchdq.Robot.from_urdf("<robot name='rock'><link name='tip'/></robot>")
+    args = [x for x in of(key, 0, (4,)) if x.shape[-1] != 6 or x.ndim == 3]  # there is no tip to push
+    if "f_tip" in FUNCTIONS[key][1].split():
+        args.insert(FUNCTIONS[key][1].split().index("f_tip"), None)
+    found = [tuple(y.shape) for y in call(key, robot, args) if y is not None]
+    expected = {
+        "inverse_dynamics": [(4, 0)],
+        "forward_dynamics": [(4, 0)],
+        "mass_matrix": [(4, 0, 0)],
+        "closed_form": [(4, 0, 0), (4, 0), (4, 0)],
+        "forward_kinematics": [(4, 1, 8)],
+        "jacobian": [(4, 6, 0)],
+        "jacobian in world axes": [(4, 6, 0)],
+        "regressor": [(4, 0, 0)],
+        "kinetic_energy": [(4,)],
+        "potential_energy": [(4,)],
+        "dynamics_jacobian": [(4, 0, 0)] * 3,
+        "computed_torque": [(4, 0)],
+    }
+    assert found == expected[key]
+
+
+def transposed(x):
+    return x.transpose(0, -1).contiguous().transpose(0, -1)
+
+
+def sliced(x):
+    wide = x.new_full((2 * x.shape[0], *x.shape[1:-1], 3 * x.shape[-1]), torch.nan)
+    wide[::2, ..., 1::3] = x
+    return wide[::2, ..., 1::3]
+
+
+@pytest.mark.parametrize("layout", [transposed, sliced])
+@every_function
+def test_the_layout_in_memory_does_not_matter(key, layout):
+    robot = arm()
+    args = of(key, 2, (9,))
+    strided = [layout(x) for x in args]
+    assert not any(x.is_contiguous() for x in strided)
+    assert same(call(key, robot, strided), call(key, robot, args))
+
+
+@every_function
+def test_expanded_inputs_are_their_copies(key):
+    robot = arm()
+    args = [x.expand(5, *x.shape) for x in of(key, 2)]
+    assert same(call(key, robot, args), call(key, robot, [x.contiguous() for x in args]))
+
+
+# --- batches of robots -----------------------------------------------------------------------------------------------
+
+
+def varied(robot, fields, batch=(3,)):
+    """Robot with a batch axis in those fields, each row different."""
+    draw = random(7)
+    change = {f: getattr(robot, f) * (1.0 + 0.1 * draw(*batch, *[1] * TRAILING[f])) for f in fields}
+    return robot.replace(**change)
+
+
+def one(robot, k):
+    """Robot k of a batch of robots."""
+    fields = {f: getattr(robot, f) for f in TRAILING}
+    return robot.replace(**{f: x[k] for f, x in fields.items() if x.ndim > TRAILING[f]})
+
+
+@pytest.mark.parametrize("fields", [*([field] for field in TRAILING), list(TRAILING)], ids="+".join)
+@every_function
+def test_a_batch_of_robots_is_a_loop_over_robots(key, fields):
+    robot, args = varied(arm(), fields), of(key, 2, (3,))
+    loop = [call(key, one(robot, k), [x[k] for x in args]) for k in range(3)]
+    assert same(call(key, robot, args), [torch.stack(rows) for rows in zip(*loop, strict=True)])
+
+
+@pytest.mark.parametrize("field", TRAILING)
+@every_function
+def test_results_have_the_batch_axes_of_the_robot_even_where_they_do_not_depend_on_them(key, field):
+    robot, args = varied(arm(), [field]), of(key, 2)
+    loop = [call(key, one(robot, k), args) for k in range(3)]
+    assert same(call(key, robot, args), [torch.stack(rows) for rows in zip(*loop, strict=True)])
+
+
+@pytest.mark.parametrize("field", TRAILING)
+@pytest.mark.parametrize("key", ["inverse_dynamics", "forward_dynamics"])
+def test_each_robot_of_a_batch_gets_its_own_gradient(key, field):
+    robot, args = varied(arm(), [field]), of(key, 2, (3,))
+    x = getattr(robot, field).clone().requires_grad_()
+    (found,) = torch.autograd.grad(call(key, robot.replace(**{field: x}), args)[0].square().sum(), x)
+    for k in range(3):
+        alone = x[k].detach().requires_grad_()
+        y = call(key, one(robot, k).replace(**{field: alone}), [a[k] for a in args])[0]
+        assert relative([found[k]], torch.autograd.grad(y.square().sum(), alone)) < 64 * EPS[F64]
+
+
+def test_the_parameters_of_a_batch_of_robots_are_those_of_each():
+    robot = varied(arm(), ["com"])
+    assert same([robot.inertial_parameters], [torch.stack([one(robot, k).inertial_parameters for k in range(3)])])
+
+
+# --- bad rows --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf])
+@every_function
+def test_a_bad_row_leaves_the_other_rows_bitwise_alone(key, bad):
+    robot, args = arm(), of(key, 2, (5,))
+    for i in range(len(args)):
+        spoiled = [x.clone() for x in args]
+        spoiled[i][2] = bad
+        good = [0, 1, 3, 4]
+        values = [y[good] for y in call(key, robot, args)], [y[good] for y in call(key, robot, spoiled)]
+        slopes = [g[good] for g in gradients(key, robot, args)], [g[good] for g in gradients(key, robot, spoiled)]
+        assert same(*values)
+        assert same(*slopes)
+
+
+@every_function
+def test_a_bad_row_is_seen_in_its_own_result(key):
+    robot, args = arm(), of(key, 2, (5,))
+    args[0][2] = torch.nan
+    found = call(key, robot, args)
+    assert any(not bool(y[2].isfinite().all()) for y in found)
+    assert all(bool(y[[0, 1, 3, 4]].isfinite().all()) for y in found)
+
+
+@pytest.mark.parametrize("key", ["inverse_dynamics", "forward_dynamics", "closed_form", "mass_matrix"])
+def test_a_bad_robot_leaves_the_other_robots_bitwise_alone(key):
+    robot, args = varied(arm(), ["mass"]), of(key, 2, (3,))
+    mass = robot.mass.clone()
+    mass[1, 0] = torch.nan
+    spoiled = call(key, robot.replace(mass=mass), args)
+    assert same([y[[0, 2]] for y in call(key, robot, args)], [y[[0, 2]] for y in spoiled])
+
+
+def test_a_singular_robot_leaves_the_other_robots_bitwise_alone():
+    robot = varied(torchdq.robots.load("two_link"), ["mass", "inertia"])
+    args = of("forward_dynamics", 2, (3,))
+    empty = robot.replace(mass=robot.mass.index_fill(0, torch.tensor(1), 0.0))
+    empty = empty.replace(inertia=robot.inertia.index_fill(0, torch.tensor(1), 0.0))
+    found = call("forward_dynamics", empty, args)[0]
+    assert not bool(found[1].isfinite().all())
+    assert same([found[[0, 2]]], [call("forward_dynamics", robot, args)[0][[0, 2]]])
+
+
+# --- dtypes ----------------------------------------------------------------------------------------------------------
+
+
+@every_function
+def test_float32_stays_float32_and_is_as_accurate(key):
+    robot = torchdq.robots.load("panda")
+    args = of(key, 7, (20,), F32)
+    exact = call(key, robot, [x.double() for x in args])
+    found = call(key, robot, args)
+    assert {y.dtype for y in found} == {F32}
+    condition = 1.0
+    if key == "forward_dynamics":
+        # 5e-6 is about 40 eps; solving with M multiplies it by the condition of M scaled to a unit diagonal
+        M = torchdq.mass_matrix(robot, args[0].double())
+        d = M.diagonal(dim1=-2, dim2=-1).rsqrt()
+        condition = float(torch.linalg.cond(d[..., None] * M * d[..., None, :]).max())
+    assert relative([y.double() for y in found], exact) < 5e-6 * condition
+
+
+@every_function
+def test_autocast_does_not_change_the_results(key):
+    robot, args = torchdq.robots.load("panda"), of(key, 7, (3,), F32)
+    alone = call(key, robot, args)
+    with torch.autocast("cpu", torch.bfloat16):
+        under = call(key, robot, args)
+    assert same(under, alone)
+
+
+@every_function
+def test_denormal_numbers_do_not_matter(key):
+    robot, args = arm(), of(key, 2, (3,), F32)
+    args[0][:, 0] = 1e-40
+    kept = call(key, robot, args)
+    try:
+        flushes = torch.set_flush_denormal(True)
+        flushed = call(key, robot, args)
+    finally:
+        torch.set_flush_denormal(False)
+    assert flushes
+    assert relative(flushed, kept) <= 4 * EPS[F32]
+
+
+# --- torch.func ------------------------------------------------------------------------------------------------------
+
+
+def module_of(key, robot, learn=()):
+    return MODULES[key][0](robot, learn=learn)
+
+
+@every_module
+def test_vmap_over_a_module_is_its_batch(key):
+    module = module_of(key, arm("panda"))
+    args = inputs(MODULES[key][1], 7, (4,))
+    assert same([vmap(module)(*args)], [module(*args)])
+
+
+@every_module
+def test_vmap_of_jacrev_is_a_loop_over_backward_passes(key):
+    module = module_of(key, arm())
+    args = inputs(MODULES[key][1], 2, (3,))
+    found = vmap(jacrev(module, argnums=tuple(range(len(args)))))(*args)
+    for k in range(3):
+        rows = [x[k].clone().requires_grad_() for x in args]
+        y = module(*rows)
+        for i in range(2):
+            assert relative([J[k, i] for J in found], torch.autograd.grad(y[i], rows, retain_graph=True)) < 1e-12
+
+
+@every_module
+def test_jvp_is_the_jacobian_times_the_tangent(key):
+    module = module_of(key, arm())
+    args, tangents = inputs(MODULES[key][1], 2, seed=1), inputs(MODULES[key][1], 2, seed=2)
+    J = jacrev(module, argnums=tuple(range(len(args))))(*args)
+    expected = sum(j @ t for j, t in zip(J, tangents, strict=True))
+    assert relative([jvp(module, tuple(args), tuple(tangents))[1]], [expected]) < 1e-12
+
+
+@every_module
+def test_hessian_is_reverse_mode_twice(key):
+    module = module_of(key, arm())
+    q, *rest = inputs(MODULES[key][1], 2)
+    found = hessian(module)(q, *rest)
+    assert relative([found], [jacrev(jacrev(module))(q, *rest)]) < 1e-12
+
+
+@every_module
+def test_functional_call_takes_other_parameters(key):
+    robot = arm()
+    module = module_of(key, robot, ("mass",))
+    args = inputs(MODULES[key][1], 2, (3,))
+    other = module_of(key, robot.replace(mass=2.0 * robot.mass))
+    assert same([functional_call(module, {"mass": 2.0 * robot.mass}, tuple(args))], [other(*args)])
+
+
+@every_module
+def test_vmap_over_functional_call_is_a_batch_of_robots(key):
+    robot = varied(arm(), ["mass"])
+    module = module_of(key, one(robot, 0), ("mass",))
+    args = inputs(MODULES[key][1], 2, (3,))
+    found = vmap(lambda mass, *x: functional_call(module, {"mass": mass}, x))(robot.mass, *args)
+    assert same([found], [module_of(key, robot)(*args)])
+
+
+@every_module
+def test_grad_of_functional_call_is_that_of_backward(key):
+    module = module_of(key, arm(), ("mass", "com"))
+    args = inputs(MODULES[key][1], 2, (3,))
+    found = grad(lambda p: functional_call(module, p, tuple(args)).square().sum())(dict(module.named_parameters()))
+    module(*args).square().sum().backward()
+    assert relative(list(found.values()), [p.grad for p in module.parameters()]) < 1e-12
+
+
+# --- torch.compile and torch.export ----------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def fresh():
+    """A compiler that remembers nothing of other tests."""
+    torch._dynamo.reset()
+    yield
+    torch._dynamo.reset()
+
+
+@every_function
+def test_every_function_compiles_without_a_graph_break(key, fresh):
+    robot = arm()
+    args = of(key, 2, (3,))
+    compiled = torch.compile(lambda *x: call(key, robot, x), backend="eager", fullgraph=True)
+    assert relative(compiled(*args), call(key, robot, args)) < 1e-12
+
+
+@pytest.mark.parametrize("key", ["DQRNEA", "ForwardDynamics"])
+def test_a_new_batch_size_costs_one_recompilation_and_further_ones_none(key, fresh):
+    module = module_of(key, arm(), ("mass",))
+    counter = CompileCounterWithBackend("eager")
+    compiled = torch.compile(module, backend=counter, fullgraph=True)
+    for batch in (4, 7, 9, 33):
+        args = inputs(MODULES[key][1], 2, (batch,))
+        assert relative([compiled(*args)], [module(*args)]) < 1e-12
+    assert counter.frame_count <= 2
+
+
+def slopes(module, f, args):
+    args = [x.clone().requires_grad_() for x in args]
+    tau = f(*args)
+    return (tau, *torch.autograd.grad(tau.square().sum(), [*args, *module.parameters()]))
+
+
+def test_a_compiled_seven_joint_arm_has_the_same_values_and_gradients(fresh):
+    module = torchdq.DQRNEA(torchdq.robots.load("panda"), learn=("mass", "inertia"))
+    args = inputs("q qd qdd", 7, (4,))
+    compiled = torch.compile(module, backend="aot_eager", fullgraph=True)
+    assert relative(slopes(module, compiled, args), slopes(module, module, args)) < 1e-12
+
+
+def test_compiled_to_machine_code_for_any_batch_size_it_has_the_same_values_and_gradients(fresh):
+    module = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=("mass",))
+    compiled = torch.compile(module, backend="inductor", fullgraph=True, dynamic=True)
+    for batch in (5, 18):
+        args = inputs("q qd qdd", 2, (batch,))
+        assert relative(slopes(module, compiled, args), slopes(module, module, args)) < 1e-12
+
+
+@every_module
+def test_an_exported_module_takes_any_batch_size(key):
+    module = module_of(key, torchdq.robots.load("two_link"))
+    batch = torch.export.Dim("batch")
+    args = inputs(MODULES[key][1], 2, (3,))
+    exported = torch.export.export(module, tuple(args), dynamic_shapes=[{0: batch} for _ in args])
+    args = inputs(MODULES[key][1], 2, (11,))
+    assert same([exported.module()(*args)], [module(*args)])
+
+
+# --- modules ---------------------------------------------------------------------------------------------------------
+
+
+def saved(module):
+    """Through torch.save and torch.load of the state into a module of another robot."""
+    file = io.BytesIO()
+    torch.save(module.state_dict(), file)
+    file.seek(0)
+    robot = arm()
+    other = type(module)(robot.replace(mass=3.0 * robot.mass, gravity=-robot.gravity), learn=("mass", "com"))
+    other.load_state_dict(torch.load(file, weights_only=True))
+    return other
+
+
+ROUND_TRIPS = {"deepcopy": copy.deepcopy, "pickle": lambda module: pickle.loads(pickle.dumps(module)), "state": saved}
+
+
+@pytest.mark.parametrize("trip", ROUND_TRIPS)
+@pytest.mark.parametrize("key", ["DQRNEA", "ForwardDynamics"])
+def test_a_module_survives_a_round_trip_to_the_last_bit(key, trip):
+    module = module_of(key, arm(), ("mass", "com"))
+    torch.nn.init.constant_(module.mass, 1.7)
+    args = inputs(MODULES[key][1], 2, (3,))
+    other = ROUND_TRIPS[trip](module)
+    assert same([other(*args)], [module(*args)])
+    assert [name for name, _ in other.named_parameters()] == ["mass", "com"]
+
+
+def test_a_copied_module_trains_alone():
+    module = torchdq.DQRNEA(arm(), learn=("mass",))
+    torch.nn.init.zeros_(copy.deepcopy(module).mass)
+    assert torch.equal(module.mass, arm().mass)
+
+
+def test_the_state_of_a_controller_holds_its_gains():
+    robot = arm()
+    controller = torchdq.ComputedTorque(robot, 9.0, torch.tensor([6.0, 5.0]))
+    other = torchdq.ComputedTorque(robot, 1.0, torch.ones(2))
+    other.load_state_dict(controller.state_dict())
+    args = inputs("q qd q qd qdd", 2)
+    assert same([other(*args)], [controller(*args)])
+
+
+@every_module
+def test_parameters_are_kept_in_float64_and_cast_to_the_inputs(key):
+    module = module_of(key, arm(), ("mass",))
+    assert {x.dtype for x in module.state_dict().values()} == {F64}
+    assert [module(*inputs(MODULES[key][1], 2, (), dtype)).dtype for dtype in (F32, F64)] == [F32, F64]
+
+
+@every_module
+def test_a_module_in_float32_gives_what_casting_its_parameters_gives(key):
+    module = module_of(key, arm(), ("mass",))
+    args = inputs(MODULES[key][1], 2, (3,), F32)
+    before = module(*args)
+    module.to(F32)
+    assert {x.dtype for x in module.state_dict().values()} == {F32}
+    assert same([module(*args)], [before])
+
+
+@every_module
+def test_a_module_back_in_double_computes_in_double(key):
+    module = module_of(key, arm(), ("mass",)).to(F32).double()
+    args = inputs(MODULES[key][1], 2, (3,))
+    found = module(*args)
+    assert found.dtype == F64
+    # what was rounded stays rounded, to single precision and no worse
+    assert 0.0 < relative([found], [module_of(key, arm())(*args)]) < 100 * EPS[F32]
+
+
+LEARNT = tuple(TRAILING)
+
+
+@pytest.mark.parametrize("field", LEARNT)
+@every_module
+def test_what_is_learnt_is_a_parameter_with_a_gradient(key, field):
+    module = module_of(key, arm(), field)
+    module(*inputs(MODULES[key][1], 2, (3,))).square().sum().backward()
+    parameters = dict(module.named_parameters())
+    assert list(parameters) == [field]
+    assert float(parameters[field].grad.abs().max()) > 0.0
+
+
+@pytest.mark.parametrize("gain", ["kp", "kd"])
+def test_a_controller_learns_its_gains(gain):
+    module = torchdq.ComputedTorque(arm(), 9.0, 6.0, learn=(gain,))
+    module(*inputs("q qd qdd qdd qdd", 2, (3,))).square().sum().backward()
+    assert [(name, bool(p.grad != 0)) for name, p in module.named_parameters()] == [(gain, True)]
+
+
+def training():
+    """A module that starts with wrong masses and learns them from torques; the true robot, and the wrong one."""
+    true = torchdq.robots.load("two_link")
+    wrong = true.replace(mass=true.mass * torch.tensor([1.6, 0.5], dtype=F64))
+    module = torchdq.DQRNEA(wrong, learn=("mass",))
+    args = inputs("q qd qdd", 2, (50,))
+    tau = torchdq.inverse_dynamics(true, *args)
+    optimiser = torch.optim.LBFGS(module.parameters(), max_iter=50, line_search_fn="strong_wolfe", tolerance_grad=1e-12)
+
+    def loss():
+        optimiser.zero_grad()
+        error = (module(*args) - tau).square().mean()
+        error.backward()
+        return error
+
+    optimiser.step(loss)
+    return true, wrong, module
+
+
+def test_wrong_masses_are_recovered_from_torques():
+    true, _, module = training()
+    # torques are linear in the masses, so the loss is a bowl whose bottom is known to about the root of eps
+    assert relative([module.mass], [true.mass]) < 1e-6
+
+
+def test_training_leaves_the_robot_it_started_from_alone():
+    _, wrong, module = training()
+    assert torch.equal(wrong.mass, torch.tensor([1.6, 0.5], dtype=F64))
+    assert not wrong.mass.requires_grad
+    assert module.robot.mass is module.mass
