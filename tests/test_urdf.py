@@ -298,11 +298,25 @@ def test_a_link_without_inertial_has_no_mass():
     assert robot.mass.tolist() == [0.0, 0.5] and "links without mass: upper" in robot.notes
 
 
-@pytest.mark.parametrize("name", ["universe", "root_joint", "lower", "Gelenk ä", "a &amp; b"])
-def test_any_printable_name_will_do(name):
+NAMES = {"universe": "universe", "root_joint": "root_joint", "lower": "lower", "Gelenk ä": "Gelenk ä"}
+NAMES |= {"a &amp; b": "a & b", "a&#10;b&#13;&#9;": "a\nb\r\t"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_joint_may_have_any_name(name):
     robot = Robot.from_urdf(arm().replace('"elbow"', f'"{name}"'))
-    assert robot.joint_names == ("shoulder", name.replace("&amp;", "&"))
+    assert robot.joint_names == ("shoulder", NAMES[name])
     assert torch.equal(torques(robot), torques(Robot.from_urdf(arm())))
+
+
+@pytest.mark.parametrize("name", [*NAMES, "shoulder"])
+@pytest.mark.parametrize("link", ["base", "upper", "lower"])
+def test_a_link_may_have_any_name(link, name):
+    if name == "lower" and link != "lower":
+        name = "elbow"  # no two links of a name, but a joint's will do
+    robot = Robot.from_urdf(arm().replace(f'"{link}"', f'"{name}"'), lock={"shoulder": 0.3})
+    assert NAMES.get(name, name) in robot.frame_names
+    assert torch.equal(torques(robot), torques(Robot.from_urdf(arm(), lock={"shoulder": 0.3})))
 
 
 # --- trees -----------------------------------------------------------------------------------------------------------
@@ -395,8 +409,13 @@ def test_a_locked_joint_is_a_fixed_joint_at_that_position(kind, length):
 
 
 def test_the_right_joint_is_locked_whatever_its_name():
-    text = chain_of_three(joint("universe", "upper", "lower"))
-    assert Robot.from_urdf(text, lock={"universe": 0.7}).joint_names == ("shoulder", "wrist")
+    # pinocchio's own first joint, which carries the base, is called universe
+    elbow, universe = (
+        Robot.from_urdf(chain_of_three(joint(name, "upper", "lower")), lock={name: 0.7})
+        for name in ("elbow", "universe")
+    )
+    assert universe.joint_names == ("shoulder", "wrist")
+    assert torch.equal(torques(universe), torques(elbow))
 
 
 def test_a_robot_with_every_joint_locked_has_none():
@@ -664,6 +683,15 @@ MALFORMED = {
         link("x") + link("y") + joint("xy", "x", "y") + joint("yx", "y", "x"),
         "links ['x', 'y'] hang in a loop",
     ),
+    "two joints without a child": (
+        '<joint name="i" type="fixed"><parent link="base"/></joint>'
+        '<joint name="j" type="fixed"><parent link="base"/></joint>',
+        "joint 'j': it names no child link",
+    ),
+    "an axis that is none": (
+        link("x") + joint("j", "base", "x", axis="up"),
+        "joint 'j': axis xyz must be 3 finite numbers, found 'up'",
+    ),
     "a joint onto itself": (link("x") + joint("self", "x", "x"), "links ['x'] hang in a loop"),
     "no such parent": (link("x") + joint("j", "nobody", "x"), "joint 'j': there is no link 'nobody'"),
     "no such child": (joint("j", "base", "nobody"), "joint 'j': there is no link 'nobody'"),
@@ -674,7 +702,6 @@ MALFORMED = {
     "no child": ('<joint name="j" type="fixed"><parent link="base"/></joint>', "joint 'j': it names no child link"),
     "a link without a name": ("<link/>", "a <link> has no name"),
     "a joint without a name": (link("x") + fixed("", "base", "x"), "a <joint> has no name"),
-    "a name with a newline": (link("x&#10;y"), r"a <link> has no printable name, found 'x\ny'"),
     "no limit": (
         link("x") + joint("j", "base", "x", more=""),
         "joint 'j': a revolute joint must have <limit>; a revolute joint without limits is 'continuous'",
@@ -704,7 +731,9 @@ def test_a_fault_brings_no_others_with_it(case):
     more, _ = MALFORMED[case]
     lines = refusal(arm().replace("</robot>", more + "</robot>")).splitlines()[1:]
     # what has no place in the tree is a root as well
-    assert len([line for line in lines if "exactly one link" not in line]) == 1
+    assert len([line for line in lines if "exactly one link" not in line]) == (
+        2 if case.startswith("two joints w") else 1
+    )
 
 
 def test_all_faults_are_told_at_once():
@@ -845,7 +874,7 @@ def test_huge_text_is_refused():
 
 
 def test_a_long_number_takes_no_time_to_refuse():
-    refusal(arm(mass="1" * 1_000_000 + "x"))
+    refusal(arm(mass="1" * 50_000 + "x"))
 
 
 def test_a_refusal_does_not_repeat_the_file():
@@ -946,8 +975,8 @@ def test_robots_of_any_size_are_accepted(size):
 def test_a_micro_hand_on_a_crane_is_accepted():
     text = urdf(
         link("base", None),
-        link("crane", 1e6, (1e6, 0, 1e6, 0, 0, 1e6)),
-        link("hand", 1e-3, (1e-9, 0, 1e-9, 0, 0, 1e-9), (0, 0, 0)),
+        link("crane", 1e9, (1e6, 0, 1e6, 0, 0, 1e6)),
+        link("hand", 1e-6, (1e-12, 0, 1e-12, 0, 0, 1e-12), (0, 0, 0)),
         joint("rail", "base", "crane", "prismatic"),
         joint("wrist", "crane", "hand", xyz=(30, 0, 20)),
     )

@@ -56,7 +56,6 @@ def six(inertia: Any, n: int) -> Tensor:
         # R I R^T is symmetric up to rounding only
         if bool(((x - x.mT).abs() > UNIT * x.abs().amax()).any()):
             raise DescriptionError(f"inertia matrices must be symmetric, found {x.tolist()}")
-        x = 0.5 * (x + x.mT)
         x = torch.stack([x[:, 0, 0], x[:, 0, 1], x[:, 1, 1], x[:, 0, 2], x[:, 1, 2], x[:, 2, 2]], -1)
     return table("inertia", x, n, 6)
 

@@ -70,7 +70,7 @@ def text_of(source: str | Path) -> str:
     if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
         if len(source) > MOST_BYTES:
             raise DescriptionError(f"the text has {len(source)} characters; a robot has at most {MOST_BYTES}")
-        return source.removeprefix("\ufeff")
+        return source
     try:
         with Path(source).open("rb") as file:
             data = file.read(MOST_BYTES + 1)
@@ -81,7 +81,7 @@ def text_of(source: str | Path) -> str:
     if len(data) > MOST_BYTES:
         raise DescriptionError(f"{source} holds more than {MOST_BYTES} bytes, the most a robot description may have")
     try:
-        return data.decode("utf-8-sig")
+        return data.decode("utf-8")
     except UnicodeDecodeError as error:
         raise DescriptionError(f"{source} is not UTF-8 text: {error}") from error
 
@@ -120,8 +120,8 @@ def _by_name(root: ET.Element, tag: str, faults: list[str]) -> dict[str, ET.Elem
     found: dict[str, ET.Element] = {}
     for element in root.findall(tag):
         name = element.get("name", "")
-        if not name.isprintable() or not name:
-            faults.append(f"a <{tag}> has no printable name, found {name!r}" if name else f"a <{tag}> has no name")
+        if not name:
+            faults.append(f"a <{tag}> has no name")
         elif name in found:
             faults.append(f"{tag} {name!r} is described twice")
         found[name] = element
@@ -258,20 +258,29 @@ def _children(document: Document) -> dict[str, list[str]]:
 # --- building the robot ----------------------------------------------------------------------------------------------
 
 
+def _codes(kind: str, names: Iterable[str]) -> dict[str, str]:
+    """A plain name for each name, in the same alphabetic order, by which pinocchio sorts the joints on a link.
+
+    By their own names pinocchio confuses some; a joint named 'universe' is the base to it.
+    """
+    return {name: f"{kind}{i:05d}" for i, name in enumerate(sorted(names))}
+
+
 def _skeleton(document: Document) -> str:
     """URDF text of the joints that were read and checked; every moving joint has one coordinate there."""
+    links, joints = _codes("link", document.links), _codes("joint", document.joints)
 
     def words(numbers: Iterable[float]) -> str:
         return " ".join(map(repr, numbers))
 
     root = ET.Element("robot", name="robot")
     for name in document.links:
-        ET.SubElement(root, "link", name=name)
+        ET.SubElement(root, "link", name=links[name])
     for name, joint in document.joints.items():
-        element = ET.SubElement(root, "joint", name=name, type=MOVING.get(joint.kind, joint.kind))
+        element = ET.SubElement(root, "joint", name=joints[name], type=MOVING.get(joint.kind, joint.kind))
         ET.SubElement(element, "origin", {key: words(value) for key, value in joint.origin.items()})
-        ET.SubElement(element, "parent", link=joint.parent)
-        ET.SubElement(element, "child", link=joint.child)
+        ET.SubElement(element, "parent", link=links[joint.parent])
+        ET.SubElement(element, "child", link=links[joint.child])
         ET.SubElement(element, "axis", xyz=words(joint.axis))
         ET.SubElement(element, "limit", lower="0", upper="0", velocity="0", effort="0")
     return ET.tostring(root, encoding="unicode")
@@ -291,26 +300,27 @@ def _reduced(document: Document, lock: dict[str, float]):
         model = pin.buildModelFromXML(_skeleton(document))
     except Exception as error:  # pinocchio raises its C++ errors as various types
         raise DescriptionError(f"pinocchio cannot read the robot description: {error}") from error
-    # not getJointId, which takes a joint named 'universe' for the base
-    ids = {name: i for i, name in enumerate(model.names) if i > 0}
+    if not lock:
+        return model
+    codes = _codes("joint", document.joints)
+    frozen = [model.getJointId(codes[name]) for name in lock]
     at = pin.neutral(model)
-    for name, value in lock.items():
-        at[model.joints[ids[name]].idx_q] = value
-    return pin.buildReducedModel(model, [ids[name] for name in lock], at) if lock else model
+    for joint, value in zip(frozen, lock.values(), strict=True):
+        at[model.joints[joint].idx_q] = value
+    return pin.buildReducedModel(model, frozen, at)
 
 
-def _lumped(document: Document, model) -> tuple[Tensor, Tensor, Tensor]:
+def _lumped(document: Document, placed: dict[str, tuple[int, Any]], n: int) -> tuple[Tensor, Tensor, Tensor]:
     """Mass [n], centre of mass [n, 3] and inertia [n, 6] of everything that is fixed to each link."""
     import pinocchio as pin
 
-    n = model.njoints - 1
     mass, com, inertia = np.zeros(n), np.zeros((n, 3)), np.zeros((n, 3, 3))
-    for frame in model.frames:
-        i, inertial = frame.parentJoint - 1, document.links.get(frame.name)
-        if frame.type != pin.FrameType.BODY or inertial is None or i == BASE:
+    for name, (i, at) in placed.items():
+        inertial = document.links[name]
+        if inertial is None or i == BASE:
             continue
         xyz, rpy = (np.array(inertial.origin[key]) for key in ("xyz", "rpy"))
-        placement = frame.placement * pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
+        placement = at * pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)
         turned = placement.rotation @ inertial.inertia.numpy() @ placement.rotation.T
         apart = placement.translation - com[i]
         total = mass[i] + inertial.mass
@@ -332,19 +342,22 @@ def read(source: str | Path, lock: dict[str, float]) -> tuple[dict[str, Any], li
 
     document = parse(text_of(source))
     model = _reduced(document, lock)
-    names = tuple(model.names)[1:]
+    known = {code: name for name, code in _codes("joint", document.joints).items()}
+    names = tuple(known[code] for code in list(model.names)[1:])
     joints = [document.joints[name] for name in names]
     n = len(joints)
-    frames = [
-        (frame.name, frame.parentJoint - 1, _pose(frame.placement))
+    links = {code: name for name, code in _codes("link", document.links).items()}
+    # link and placement there of every link's frame
+    placed = {
+        links[frame.name]: (frame.parentJoint - 1, frame.placement)
         for frame in model.frames
         if frame.type == pin.FrameType.BODY
-    ]
+    }
     axes = torch.tensor([joint.axis for joint in joints], dtype=torch.float64).reshape(n, 3)
     turns = torch.tensor([MOVING[joint.kind] == "revolute" for joint in joints], dtype=torch.bool).reshape(n, 1)
     placements = [_pose(placement) for placement in list(model.jointPlacements)[1:]]
-    mass, com, inertia = _lumped(document, model)
-    moving = {name for name, link, _ in frames if link != BASE}
+    mass, com, inertia = _lumped(document, placed, n)
+    moving = {name for name, (link, _) in placed.items() if link != BASE}
     findings = [
         fault
         for name, inertial in document.links.items()
@@ -370,7 +383,7 @@ def read(source: str | Path, lock: dict[str, float]) -> tuple[dict[str, Any], li
         },
         "damping": torch.tensor([joint.damping for joint in joints], dtype=torch.float64),
         "friction": torch.tensor([joint.friction for joint in joints], dtype=torch.float64),
-        "frames": frames,
+        "frames": [(name, link, _pose(placement)) for name, (link, placement) in placed.items()],
         "tip": leaves[0] if len(leaves) == 1 else None,
         "notes": _notes(document, names, moving, leaves, lock),
     }
