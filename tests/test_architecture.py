@@ -30,17 +30,19 @@ FLOORS = {
     "torchdq.dq": 1,
     "torchdq.convert": 2,
     "torchdq.robot": 2,
-    "torchdq.functional": 3,
-    "torchdq.control": 4,
-    "torchdq.nn": 5,
-    "torchdq": 6,
-    "torchdq.envs": 7,
+    "torchdq.numbers": 0,
+    "torchdq.program": 3,
+    "torchdq.functional": 4,
+    "torchdq.control": 5,
+    "torchdq.nn": 6,
+    "torchdq": 7,
+    "torchdq.envs": 8,
 }
 
 # storeys of the one package that has several: the sources of a description, the robot, the shipped robots
-STOREYS = {"torchdq.robot.robot": 1, "torchdq.robot": 2, "torchdq.robot.library": 3}
+STOREYS = {"torchdq.robot.robot": 1, "torchdq.robot.frames": 2, "torchdq.robot": 3, "torchdq.robot.library": 4}
 
-NUMBER_GENERIC = ("torchdq.algebra", "torchdq.dynamics")
+NUMBER_GENERIC = ("torchdq.algebra", "torchdq.dynamics", "torchdq.numbers")
 NOT_AT_IMPORT = ("pinocchio", "pytorch_kinematics", "mujoco", "matplotlib", "scipy", "gymnasium")
 
 

@@ -12,6 +12,8 @@ from oracles import random_tree, shipped, states
 
 import torchdq
 
+BACKEND = "auto"
+
 EPS = 2.0**-52
 ARMS = {name: shipped(name).robot for name in torchdq.robots.names()}
 ARMS |= {"tree": random_tree(8, seed=3, armature=True).robot}

@@ -26,6 +26,8 @@ import logs  # noqa: E402
 from matplotlib.image import imread  # noqa: E402
 from rich.console import Console  # noqa: E402
 
+BACKEND = "auto"
+
 
 def example(name: str) -> ModuleType:
     """Module of an example, whose file name no import statement can spell."""

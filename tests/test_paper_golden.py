@@ -15,6 +15,8 @@ from torchdq.dynamics import rnea
 from torchdq.dynamics.kinematics import adjoints, joint_poses
 from torchdq.dynamics.mechanism import Coordinate
 
+BACKEND = "auto"
+
 TOLERANCE = 1e-11  # [N m], absolute; the numbers below carry twelve decimals
 ROUNDING = 64 * 2.0**-52  # relative, where the other side is a formula
 ROD = 1.0 / 12.0  # [kg m^2]

@@ -207,12 +207,17 @@ def one(robot, k):
     return robot.replace(**{f: x[k] for f, x in fields.items() if x.ndim > TRAILING[f]})
 
 
+def alike(found, expected):
+    """Equal shapes, and values equal but for the order of operations: what varies is not summed up beforehand."""
+    return [x.shape for x in found] == [x.shape for x in expected] and relative(found, expected) < 4096 * EPS[F64]
+
+
 @pytest.mark.parametrize("fields", [*([field] for field in TRAILING), list(TRAILING)], ids="+".join)
 @every_function
 def test_a_batch_of_robots_is_a_loop_over_robots(key, fields):
     robot, args = varied(arm(), fields), of(key, 2, (3,))
     loop = [call(key, one(robot, k), [x[k] for x in args]) for k in range(3)]
-    assert same(call(key, robot, args), [torch.stack(rows) for rows in zip(*loop, strict=True)])
+    assert alike(call(key, robot, args), [torch.stack(rows) for rows in zip(*loop, strict=True)])
 
 
 @pytest.mark.parametrize("field", TRAILING)
@@ -220,7 +225,7 @@ def test_a_batch_of_robots_is_a_loop_over_robots(key, fields):
 def test_results_have_the_batch_axes_of_the_robot_even_where_they_do_not_depend_on_them(key, field):
     robot, args = varied(arm(), [field]), of(key, 2)
     loop = [call(key, one(robot, k), args) for k in range(3)]
-    assert same(call(key, robot, args), [torch.stack(rows) for rows in zip(*loop, strict=True)])
+    assert alike(call(key, robot, args), [torch.stack(rows) for rows in zip(*loop, strict=True)])
 
 
 @pytest.mark.parametrize("field", TRAILING)
@@ -385,7 +390,7 @@ def test_vmap_over_functional_call_is_a_batch_of_robots(key):
     module = module_of(key, one(robot, 0), ("mass",))
     args = inputs(MODULES[key][1], 2, (3,))
     found = vmap(lambda mass, *x: functional_call(module, {"mass": mass}, x))(robot.mass, *args)
-    assert same([found], [module_of(key, robot)(*args)])
+    assert alike([found], [module_of(key, robot)(*args)])
 
 
 @every_module
@@ -467,7 +472,7 @@ def saved(module):
     torch.save(module.state_dict(), file)
     file.seek(0)
     robot = arm()
-    other = type(module)(robot.replace(mass=3.0 * robot.mass, gravity=-robot.gravity), learn=("mass", "com"))
+    other = type(module)(robot.replace(mass=3.0 * robot.mass, com=-robot.com), learn=("mass", "com"))
     other.load_state_dict(torch.load(file, weights_only=True))
     return other
 
@@ -520,7 +525,7 @@ def test_a_module_in_float32_gives_what_casting_its_parameters_gives(key):
 
 @every_module
 def test_a_module_back_in_double_computes_in_double(key):
-    module = module_of(key, arm(), ("mass",)).to(F32).double()
+    module = module_of(key, arm(), ("mass", "inertia")).to(F32).double()
     args = inputs(MODULES[key][1], 2, (3,))
     found = module(*args)
     assert found.dtype == F64

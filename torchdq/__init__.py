@@ -37,6 +37,7 @@ from torchdq.functional import (
     require_finite,
 )
 from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics
+from torchdq.program.backends import backend
 from torchdq.robot import Robot
 from torchdq.robot import library as robots
 
@@ -54,6 +55,7 @@ __all__ = [
     "TorchdqError",
     "UnknownNameError",
     "UnphysicalError",
+    "backend",
     "closed_form",
     "computed_torque",
     "dq",

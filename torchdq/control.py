@@ -4,6 +4,7 @@ from torch import Tensor
 
 from torchdq.errors import ArgumentError
 from torchdq.functional import check, inverse_dynamics
+from torchdq.program.backends import Backend
 from torchdq.robot import Robot
 
 
@@ -17,6 +18,7 @@ def computed_torque(
     kp: Tensor | float,
     kd: Tensor | float,
     f_tip: Tensor | None = None,
+    backend: Backend | None = None,
 ) -> Tensor:
     """Torques tau [..., n] under which the tracking error e = q_des - q obeys e'' + kd e' + kp e = 0.
 
@@ -38,16 +40,11 @@ def computed_torque(
     for name, gain in (("kp", kp), ("kd", kd)):
         if not isinstance(gain, Tensor | float | int):
             raise ArgumentError(f"{name} must be a number or a tensor, found {type(gain).__name__}")
-    check(
-        robot,
-        optional=("f_tip",),
-        q=(q, ("n",)),
-        qd=(qd, ("n",)),
-        q_des=(q_des, ("n",)),
-        qd_des=(qd_des, ("n",)),
-        qdd_des=(qdd_des, ("n",)),
-        f_tip=(f_tip, (6,)),
-        **{name: (gain, ("n",)) for name, gain in (("kp", kp), ("kd", kd)) if isinstance(gain, Tensor) and gain.ndim},
-    )
+    for name, gain in (("kp", kp), ("kd", kd)):
+        if not isinstance(gain, Tensor | float | int):
+            raise ArgumentError(f"{name} must be a number or a tensor, found {type(gain).__name__}")
+    of_joints = {"q": q, "qd": qd, "q_des": q_des, "qd_des": qd_des, "qdd_des": qdd_des}
+    of_joints |= {name: gain for name, gain in (("kp", kp), ("kd", kd)) if isinstance(gain, Tensor) and gain.ndim}
+    check(robot, **{name: (x, ("n",), False) for name, x in of_joints.items()}, f_tip=(f_tip, (6,), True))
     acceleration = qdd_des + kd * (qd_des - qd) + kp * (q_des - q)  # (75)-(77), erratum 75
-    return inverse_dynamics(robot, q, qd, acceleration, f_tip=f_tip)  # (73), (74)
+    return inverse_dynamics(robot, q, qd, acceleration, f_tip=f_tip, backend=backend)  # (73), (74)

@@ -287,16 +287,9 @@ def inertia_transform(mass: Tensor, inertia: Tensor, a: Tensor, com: Tensor | No
     if com is None:
         return stack(screw.inertia_transform(mass, None, rows, parts))
     c = _split("com", com, 3)
-    return stack(screw.inertia_transform(mass, quaternion.scale(mass, c), about_origin(mass, c, rows), parts))
-
-
-def about_origin(mass, com, inertia):
-    """Rows of the rotational inertia about the frame's origin, from the one about the centre of mass."""
-    x, y, z = com
-    xx, yy, zz = mass * (x * x), mass * (y * y), mass * (z * z)
-    xy, xz, yz = mass * (x * y), mass * (x * z), mass * (y * z)
-    shift = ((yy + zz, -xy, -xz), (-xy, xx + zz, -yz), (-xz, -yz, xx + yy))
-    return tuple(quaternion.add(a, b) for a, b in zip(inertia, shift, strict=True))
+    return stack(
+        screw.inertia_transform(mass, quaternion.scale(mass, c), screw.inertia_about_origin(mass, c, rows), parts)
+    )
 
 
 # --- exponential and logarithm ---------------------------------------------------------------------------------------

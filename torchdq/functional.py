@@ -2,55 +2,50 @@
 
 Every function broadcasts the leading axes of its inputs against each other and against the robot's own batch axes,
 follows the dtype (float32 or float64) and the device of its inputs, and is differentiable to any order in all of
-them and in the robot's tensors. A row that is not finite gives a row that is not finite and touches no other.
+them and in those of the robot's tensors that were replaced (`robot.replace`). A row that is not finite gives a row that
+is not finite and touches no other.
+
+`backend` says what runs the program that is recorded for the robot: "c", compiled for the processor; "eager", torch
+operations, on any device; "auto", the first that can.
 """
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchdq.algebra import dual_quaternion, quaternion, screw
-from torchdq.algebra.dual_quaternion import DualQuaternion
-from torchdq.algebra.screw import Adjoint, Screw
-from torchdq.dynamics import closed_form as closed
-from torchdq.dynamics import crba, energy, forward, kinematics, rnea
-from torchdq.dynamics import regressor as regression
-from torchdq.dynamics.mechanism import BASE, Coordinate, Mechanism
 from torchdq.errors import ArgumentError, DtypeError
-from torchdq.robot import Frame, Robot
+from torchdq.program import backends, run
+from torchdq.program.backends import Backend
+from torchdq.program.program import Program
+from torchdq.program.recipes import RECIPES, Signature, program
+from torchdq.robot import Robot
 from torchdq.robot.robot import DTYPES, SHAPES
 
 # --- arguments -------------------------------------------------------------------------------------------------------
 
 
-class State(NamedTuple):
-    """A robot in a position: what every algorithm starts from."""
-
-    robot: Robot  # cast to the inputs
-    mechanism: Mechanism
-    X_PB: tuple[DualQuaternion, ...]
-    Ad: tuple[Adjoint, ...]
-    like: Tensor  # scalar per sample: the batch shape of q and the robot, the dtype and device of the results
+Shape = tuple[int, ...]
 
 
-def check(robot: Robot, optional: Sequence[str] = (), **arguments: tuple[Tensor | None, tuple[int | str, ...]]) -> None:
-    """Raise, naming the argument, unless all tensors have their trailing shape, one dtype, one device, one batch.
+def check(robot: Robot, **arguments: tuple[Tensor | None, Sequence[int | str], bool]) -> Shape:
+    """Batch axes of the arguments and the robot together.
+
+    Raises, naming the argument, unless all tensors have their trailing axes, one dtype, one device, and batch axes that
+    broadcast with each other and with the robot's.
 
     Args:
-        robot: the robot, whose batch axes must broadcast with the others.
-        optional: names of the arguments that may be None.
-        arguments: tensors with their trailing shapes, "n" being the number of joints.
+        robot: the robot.
+        arguments: tensors with their trailing axes, "n" being the number of joints, and whether they may be None.
     """
-    if not isinstance(robot, Robot):
-        raise ArgumentError(f"robot must be a torchdq.Robot, found {type(robot).__name__}")
+    _robot(robot)
     first: tuple[str, Tensor] | None = None
-    batches = _robot_batches(robot)
-    for name, (x, shape) in arguments.items():
-        if x is None and name in optional:
+    batches: dict[str, Sequence[int]] = {}
+    for name, (x, axes, optional) in arguments.items():
+        if x is None and optional:
             continue
-        trailing = tuple(robot.n if axis == "n" else axis for axis in shape)
         if not isinstance(x, Tensor):
             raise ArgumentError(f"{name} must be a tensor, found {type(x).__name__}; use torch.as_tensor")
         if x.dtype not in DTYPES:
@@ -58,35 +53,37 @@ def check(robot: Robot, optional: Sequence[str] = (), **arguments: tuple[Tensor 
                 f"{name} must be float32 or float64, found {x.dtype}; integers would round angles and half precision "
                 f"loses centimetres over an arm, so convert it yourself"
             )
-        if tuple(x.shape[x.ndim - len(trailing) :]) != trailing or x.ndim < len(trailing):
-            joints = f" for the {robot.n} joints of robot {robot.name!r}"
+        trailing = _numbers(axes, robot.n)
+        if x.ndim < len(trailing) or tuple(x.shape[x.ndim - len(trailing) :]) != trailing:
             raise ArgumentError(
-                f"{name} must have the shape [{', '.join(['...', *map(str, trailing)])}]{joints}, "
-                f"found {tuple(x.shape)}"
+                f"{name} must have the shape [{', '.join(['...', *map(str, trailing)])}] for the {robot.n} joints of "
+                f"robot {robot.name!r}, found {tuple(x.shape)}"
             )
         batches[name] = x.shape[: x.ndim - len(trailing)]
-        if first is None:
-            first = (name, x)
-            continue
+        first = first or (name, x)
         if x.dtype != first[1].dtype:
             raise DtypeError(f"{name} is {x.dtype} but {first[0]} is {first[1].dtype}; convert one of them")
         if x.device != first[1].device:
             raise ArgumentError(f"{name} is on {x.device} but {first[0]} is on {first[1].device}; move one of them")
+    for name in robot.varying:
+        x = getattr(robot, name)
+        if x.ndim > len(SHAPES[name]):
+            batches[f"robot.{name}"] = x.shape[: x.ndim - len(SHAPES[name])]
     try:
-        torch.broadcast_shapes(*batches.values())
+        return tuple(torch.broadcast_shapes(*batches.values()))
     except RuntimeError as error:
         found = ", ".join(f"{name} {tuple(batch)}" for name, batch in batches.items())
         raise ArgumentError(f"the batch axes of the arguments must broadcast, found {found}") from error
 
 
-def _robot_batches(robot: Robot) -> dict[str, torch.Size]:
-    """Batch axes of those tensors of the robot that have any."""
-    tensors = {field: getattr(robot, field) for field in SHAPES}
-    return {
-        f"robot.{field}": x.shape[: x.ndim - len(SHAPES[field])]
-        for field, x in tensors.items()
-        if x is not None and x.ndim > len(SHAPES[field])
-    }
+def _robot(robot: Robot) -> Robot:
+    if not isinstance(robot, Robot):
+        raise ArgumentError(f"robot must be a torchdq.Robot, found {type(robot).__name__}")
+    return robot
+
+
+def _numbers(axes: Sequence[int | str], n: int) -> Shape:
+    return tuple([n if axis == "n" else int(axis) for axis in axes])
 
 
 def require_finite(**arguments: Tensor | None) -> None:
@@ -109,81 +106,131 @@ def require_finite(**arguments: Tensor | None) -> None:
             raise ArgumentError(f"{name} must be finite, found {x[at].item()} at {at}, and {len(bad) - 1} more")
 
 
-def _state(robot: Robot, q: Tensor) -> State:
-    robot = robot.to(dtype=q.dtype, device=q.device)
-    value = q if robot.home is None else q - robot.home
-    half = 0.5 * value
-    coordinates = [
-        Coordinate(*parts) for parts in zip(value.unbind(-1), half.cos().unbind(-1), half.sin().unbind(-1), strict=True)
+# --- evaluation ------------------------------------------------------------------------------------------------------
+
+
+class _Layout(NamedTuple):
+    """How inputs of certain shapes become rows of a program, and its results tensors."""
+
+    signature: tuple
+    rows: tuple[tuple[Shape, Shape], ...]  # of every input: what it is expanded to, and then reshaped to
+    results: tuple[Shape, ...]
+
+
+class _Plan(NamedTuple):
+    """A layout with the program and the backend that run it."""
+
+    layout: _Layout
+    program: Program
+    eager: bool
+
+
+_plans: dict[tuple, _Plan] = {}  # found once for all inputs that look the same
+_MOST_PLANS = 4096
+
+
+def _evaluate(
+    name: str,
+    robot: Robot,
+    arguments: tuple[Tensor | None, ...],
+    backend: Backend | None,
+    options: tuple[str, ...] = (),
+) -> list[Tensor]:
+    """Results of a recipe, with the batch axes of everything that went in."""
+    if torch.compiler.is_compiling():
+        return _traced(name, robot, arguments, backend, options)
+    try:
+        inputs = [x for x in (*arguments, *[getattr(robot, field) for field in robot.varying]) if x is not None]
+        like = inputs[0]
+        look = [None if x is None else (x.shape, x.dtype, x.device) for x in arguments]
+        key = (name, robot.identity, robot.varying, options, backend, backends.present(), *look)
+        if robot.varying:
+            key += tuple([getattr(robot, field).shape for field in robot.varying])
+    except (AttributeError, IndexError):
+        _check(name, robot, arguments)  # something is no tensor, or no robot, and the check says what
+        raise
+    plan = _plans.get(key)
+    if plan is None:
+        layout = _layout(name, robot, arguments, options)
+        eager = backends.choose(backend, like.device.type) == "eager"
+        plan = _Plan(layout, program(robot.origin or robot, Signature(*layout.signature)), eager)
+        if len(_plans) >= _MOST_PLANS:
+            _plans.clear()
+        _plans[key] = plan
+    rows = [_row(x, like, shapes) for x, shapes in zip(inputs, plan.layout.rows, strict=True)]
+    outputs = run.eager(plan.program, rows) if plan.eager else run.compiled(plan.program, rows)
+    return [y if y.shape == shape else y.view(shape) for y, shape in zip(outputs, plan.layout.results, strict=True)]
+
+
+def _row(x: Tensor, like: Tensor, shapes: tuple[Shape, Shape]) -> Tensor:
+    if x.dtype != like.dtype or x.device != like.device:
+        x = x.to(like)
+    return x if x.shape == shapes[1] else x.expand(shapes[0]).reshape(shapes[1])
+
+
+def _check(name: str, robot: Robot, arguments: tuple[Tensor | None, ...]) -> Shape:
+    expected = RECIPES[name].arguments
+    return check(
+        robot,
+        **{argument: (x, axes, optional) for (argument, axes, optional), x in zip(expected, arguments, strict=True)},
+    )
+
+
+def _layout(name: str, robot: Robot, arguments: tuple[Tensor | None, ...], options: tuple[str, ...]) -> _Layout:
+    """Layout of checked inputs."""
+    batch = _check(name, robot, arguments)
+    samples, n, recipe = math.prod(batch), robot.n, RECIPES[name]
+    present = [
+        (argument, _numbers(axes, n))
+        for (argument, axes, _), x in zip(recipe.arguments, arguments, strict=True)
+        if x is not None
     ]
-    mechanism = robot.mechanism()
-    X_PB = kinematics.joint_poses(mechanism, coordinates)
-    sample = _sample(value)
-    # a result need not depend on what has the batch axes; it has them all the same
-    like = sample.expand(torch.broadcast_shapes(sample.shape, *_robot_batches(robot).values()))
-    return State(robot, mechanism, X_PB, kinematics.adjoints(X_PB), like)
+    rows: list[tuple[Shape, Shape]] = [(batch + axes, (samples, math.prod(axes))) for _, axes in present]
+    fields = []
+    for field in robot.varying:
+        x = getattr(robot, field)
+        axes = _numbers(SHAPES[field], n)
+        uniform = x.ndim == len(axes)
+        fields.append((field, math.prod(axes), uniform))
+        rows.append((axes, (math.prod(axes),)) if uniform else (batch + axes, (samples, math.prod(axes))))
+    signature = (
+        robot.identity,
+        name,
+        tuple([(argument, math.prod(axes)) for argument, axes in present]),
+        tuple(fields),
+        options,
+    )
+    return _Layout(signature, tuple(rows), tuple([batch + axes for axes in recipe.results(n, *options)]))
 
 
-def _sample(x: Tensor) -> Tensor:
-    """A number per sample, for its batch shape, dtype and device."""
-    return x[..., 0] if x.shape[-1] else x.sum(-1)  # no joints, no first joint
+def _traced(
+    name: str,
+    robot: Robot,
+    arguments: tuple[Tensor | None, ...],
+    backend: Backend | None,
+    options: tuple[str, ...],
+) -> list[Tensor]:
+    """The same in a graph that is being traced: sizes may be symbols, and the program goes by its name."""
+    layout = _layout(name, robot, arguments, options)
+    inputs = [x for x in (*arguments, *[getattr(robot, field) for field in robot.varying]) if x is not None]
+    rows = [_row(x, inputs[0], shapes) for x, shapes in zip(inputs, layout.rows, strict=True)]
+    origin = robot.origin or robot
+    if backends.choose(backend, inputs[0].device.type) == "eager":
+        outputs = run.eager(_constant_program(origin, layout.signature), rows)
+    else:
+        outputs = run.operator(_constant_key(origin, layout.signature), rows)
+    return [y.reshape(shape) for y, shape in zip(outputs, layout.results, strict=True)]
 
 
-def _screw(x: Tensor) -> Screw:
-    parts: tuple = x.unbind(-1)
-    return (parts[:3], parts[3:])
+@torch.compiler.assume_constant_result
+def _constant_program(robot: Robot, signature: tuple) -> Program:
+    # a tracer hands over plain tuples, not named ones
+    return program(robot, Signature(*signature))
 
 
-def _numbers(x: Tensor | None) -> tuple[Tensor, ...] | None:
-    return None if x is None else x.unbind(-1)
-
-
-def _exerted(s: State, f_tip: Tensor | None, f_ext: Tensor | None) -> list[Screw | None]:
-    on_links = None if f_ext is None else [_screw(f) for f in f_ext.unbind(-2)]
-    if f_tip is None:
-        return rnea.exerted_wrenches(s.mechanism, on_links, None, None)
-    return rnea.exerted_wrenches(s.mechanism, on_links, _tip(s.robot), _screw(f_tip))
-
-
-def _tip(robot: Robot) -> tuple[int, Adjoint]:
-    if robot.tip is None:
-        raise ArgumentError(
-            f"f_tip needs an end effector, and robot {robot.name!r} has none chosen; load it with tip=, or use "
-            f"robot.with_tip(name) with one of {', '.join(robot.frame_names)}"
-        )
-    frame = robot.frame(robot.tip)
-    if frame.link == BASE:
-        raise ArgumentError(f"the tip {frame.name!r} of robot {robot.name!r} is fixed to the base")
-    return frame.link, screw.columns(_pose(frame.X_BF))
-
-
-def _pose(x: Tensor) -> DualQuaternion:
-    parts: tuple = x.unbind(-1)
-    return (parts[:4], parts[4:])
-
-
-def _filled(components: Sequence[Tensor | None], like: Sequence[Tensor | None]) -> Tensor:
-    """Tensor [..., k] of components of which some are absent, with the batch axes of all of `like`."""
-    shape = torch.broadcast_shapes(*[x.shape for x in [*components, *like] if x is not None])
-    zero = next(x for x in like if x is not None).new_zeros(())
-    if not components:
-        return zero.expand(*shape, 0)
-    return torch.stack([(zero if x is None else x).expand(shape) for x in components], -1)
-
-
-def _matrix(rows: Sequence[Sequence[Tensor | None]], width: int, like: Sequence[Tensor | None]) -> Tensor:
-    """Tensor [..., rows, width] of rows of components of which some are absent."""
-    entries = _filled([entry for row in rows for entry in row], like)
-    return entries.reshape(*entries.shape[:-1], len(rows), width)
-
-
-def _number(x: Tensor | float, like: Sequence[Tensor]) -> Tensor:
-    """Tensor [...] of a number per sample; a Python number is the zero of a sum without terms."""
-    return _filled([x if isinstance(x, Tensor) else None], like)[..., 0]
-
-
-def _components(x: Screw | None) -> tuple[Tensor | None, ...]:
-    return (None,) * 6 if x is None else (*x[0], *x[1])
+@torch.compiler.assume_constant_result
+def _constant_key(robot: Robot, signature: tuple) -> str:
+    return run.key(program(robot, Signature(*signature)))
 
 
 # --- dynamics --------------------------------------------------------------------------------------------------------
@@ -196,6 +243,7 @@ def inverse_dynamics(
     qdd: Tensor | None = None,
     f_tip: Tensor | None = None,
     f_ext: Tensor | None = None,
+    backend: Backend | None = None,
 ) -> Tensor:
     """Joint torques tau [..., n] that produce a motion, by the recursive dual-quaternion Newton-Euler algorithm.
 
@@ -222,21 +270,10 @@ def inverse_dynamics(
     >>> inverse_dynamics(robot, torch.zeros(2, dtype=torch.float64))  # holding it out against gravity
     tensor([19.6200,  4.9050], dtype=torch.float64)
     """
-    check(
-        robot,
-        optional=("qd", "qdd", "f_tip", "f_ext"),
-        q=(q, ("n",)),
-        qd=(qd, ("n",)),
-        qdd=(qdd, ("n",)),
-        f_tip=(f_tip, (6,)),
-        f_ext=(f_ext, ("n", 6)),
-    )
-    s = _state(robot, q)
-    tau = rnea.rnea(s.mechanism, s.Ad, _numbers(qd), _numbers(qdd), _exerted(s, f_tip, f_ext))
-    return _filled(tau, [s.like, *(_sample(x) for x in (qd, qdd, f_tip) if x is not None)])
+    return _evaluate("inverse_dynamics", robot, (q, qd, qdd, f_tip, f_ext), backend)[0]
 
 
-def mass_matrix(robot: Robot, q: Tensor) -> Tensor:
+def mass_matrix(robot: Robot, q: Tensor, backend: Backend | None = None) -> Tensor:
     """Mass matrix M(q) [..., n, n], symmetric to the last bit, rotor inertia on its diagonal (69).
 
     Args:
@@ -248,9 +285,7 @@ def mass_matrix(robot: Robot, q: Tensor) -> Tensor:
     tensor([[32., 10.],
             [10.,  4.]])
     """
-    check(robot, q=(q, ("n",)))
-    s = _state(robot, q)
-    return _matrix(crba.mass_matrix(s.mechanism, s.X_PB, s.Ad), robot.n, [s.like])
+    return _evaluate("mass_matrix", robot, (q,), backend)[0]
 
 
 def forward_dynamics(
@@ -260,6 +295,7 @@ def forward_dynamics(
     tau: Tensor,
     f_tip: Tensor | None = None,
     f_ext: Tensor | None = None,
+    backend: Backend | None = None,
 ) -> Tensor:
     """Joint accelerations qdd [..., n] that torques produce: the inverse of `inverse_dynamics` in qdd.
 
@@ -277,20 +313,7 @@ def forward_dynamics(
     >>> forward_dynamics(robot, q, None, inverse_dynamics(robot, q)).abs().max() < 1e-13
     tensor(True)
     """
-    check(
-        robot,
-        optional=("qd", "f_tip", "f_ext"),
-        q=(q, ("n",)),
-        qd=(qd, ("n",)),
-        tau=(tau, ("n",)),
-        f_tip=(f_tip, (6,)),
-        f_ext=(f_ext, ("n", 6)),
-    )
-    s = _state(robot, q)
-    bias = rnea.rnea(s.mechanism, s.Ad, _numbers(qd), None, _exerted(s, f_tip, f_ext))
-    M = crba.mass_matrix(s.mechanism, s.X_PB, s.Ad)
-    qdd = forward.forward_dynamics(s.mechanism, M, bias, tau.unbind(-1))
-    return _filled(qdd, [s.like, *(_sample(x) for x in (qd, tau, f_tip) if x is not None)])
+    return _evaluate("forward_dynamics", robot, (q, qd, tau, f_tip, f_ext), backend)[0]
 
 
 class ClosedForm(NamedTuple):
@@ -302,7 +325,7 @@ class ClosedForm(NamedTuple):
     Jt: Tensor | None  # [..., n, 6] on (force, moment) in the tip frame; None: the robot has no tip
 
 
-def closed_form(robot: Robot, q: Tensor, qd: Tensor) -> ClosedForm:
+def closed_form(robot: Robot, q: Tensor, qd: Tensor, backend: Backend | None = None) -> ClosedForm:
     """Mass matrix M [..., n, n], Coriolis and gravity torques c, g [..., n] and Jacobian Jt [..., n, 6].
 
         tau = M qdd + c + g + Jt f_tip   (63)
@@ -318,15 +341,11 @@ def closed_form(robot: Robot, q: Tensor, qd: Tensor) -> ClosedForm:
     >>> closed_form(robot, q, torch.zeros_like(q)).g
     tensor([18.5756,  4.5178], dtype=torch.float64)
     """
-    check(robot, q=(q, ("n",)), qd=(qd, ("n",)))
-    s = _state(robot, q)
-    terms = closed.closed_form(s.mechanism, s.Ad, qd.unbind(-1), None if robot.tip is None else _tip(s.robot))
-    like = [s.like, _sample(qd)]
-    Jt = None if terms.Jt is None else _matrix([_components(row) for row in terms.Jt], 6, like)
-    return ClosedForm(_matrix(terms.M, robot.n, like), _filled(terms.c, like), _filled(terms.g, like), Jt)
+    M, c, g, *Jt = _evaluate("closed_form", robot, (q, qd), backend, (_robot(robot).tip or "",))
+    return ClosedForm(M, c, g, Jt[0] if Jt else None)
 
 
-def regressor(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
+def regressor(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, backend: Backend | None = None) -> Tensor:
     """Regressor Y [..., n, 10 n]: tau = Y pi, with pi = `robot.inertial_parameters`, without rotor inertia.
 
     Ten columns per link: mass, first moments m c (x y z) and inertia about the link frame's origin
@@ -343,45 +362,33 @@ def regressor(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
     >>> torch.allclose(tau, inverse_dynamics(robot, q, q), rtol=1e-12)
     True
     """
-    check(robot, q=(q, ("n",)), qd=(qd, ("n",)), qdd=(qdd, ("n",)))
-    s = _state(robot, q)
-    V, A = rnea.outward(s.mechanism, s.Ad, qd.unbind(-1), qdd.unbind(-1), rnea.base_at_rest(s.mechanism))
-    blocks = regression.regressor(s.mechanism, s.Ad, V, A)
-    rows = [[entry for block in row for entry in (block or (None,) * 10)] for row in blocks]
-    return _matrix(rows, 10 * robot.n, [s.like, _sample(qd), _sample(qdd)])
+    return _evaluate("regressor", robot, (q, qd, qdd), backend)[0]
 
 
-def kinetic_energy(robot: Robot, q: Tensor, qd: Tensor) -> Tensor:
+def kinetic_energy(robot: Robot, q: Tensor, qd: Tensor, backend: Backend | None = None) -> Tensor:
     """Kinetic energy qd^T M qd / 2 [J], shape [...], rotors included.
 
     Args:
         robot: the robot.
         q, qd: joint positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
     """
-    check(robot, q=(q, ("n",)), qd=(qd, ("n",)))
-    s = _state(robot, q)
-    rates = qd.unbind(-1)
-    V, _ = rnea.outward(s.mechanism, s.Ad, rates, [None] * robot.n, rnea.Base(None, None))
-    return _number(energy.kinetic_energy(s.mechanism, V, rates), [s.like, _sample(qd)])
+    return _evaluate("kinetic_energy", robot, (q, qd), backend)[0]
 
 
-def potential_energy(robot: Robot, q: Tensor) -> Tensor:
+def potential_energy(robot: Robot, q: Tensor, backend: Backend | None = None) -> Tensor:
     """Potential energy -sum of m g . p_com [J], shape [...]; its gradient in q is the gravity torque.
 
     Args:
         robot: the robot.
         q: joint positions [rad or m], shape [..., n].
     """
-    check(robot, q=(q, ("n",)))
-    s = _state(robot, q)
-    value = energy.potential_energy(s.mechanism, kinematics.link_poses(s.mechanism, s.X_PB))
-    return _number(value, [s.like])
+    return _evaluate("potential_energy", robot, (q,), backend)[0]
 
 
 # --- kinematics ------------------------------------------------------------------------------------------------------
 
 
-def forward_kinematics(robot: Robot, q: Tensor, frame: str | None = None) -> Tensor:
+def forward_kinematics(robot: Robot, q: Tensor, frame: str | None = None, backend: Backend | None = None) -> Tensor:
     """Pose X_WF [..., 8] of a frame in the base frame, or [..., frames, 8] of all frames in `robot.frame_names` (39).
 
     Args:
@@ -394,21 +401,14 @@ def forward_kinematics(robot: Robot, q: Tensor, frame: str | None = None) -> Ten
     >>> torchdq.dq.translation(X)
     tensor([2., 0., 0.])
     """
-    check(robot, q=(q, ("n",)))
-    s = _state(robot, q)
-    X_WB = kinematics.link_poses(s.mechanism, s.X_PB)
-    frames = s.robot.frames if frame is None else (s.robot.frame(frame),)
-    poses = [_frame_pose(X_WB, f, s.like) for f in frames]
-    return poses[0] if frame is not None else torch.stack(torch.broadcast_tensors(*poses), -2)
+    names = _robot(robot).frame_names if frame is None else (_robot(robot).frame(frame).name,)
+    X = _evaluate("forward_kinematics", robot, (q,), backend, names)[0]
+    return X if frame is None else X.squeeze(-2)
 
 
-def _frame_pose(X_WB: Sequence[DualQuaternion], frame: Frame, like: Tensor) -> Tensor:
-    X_BF = _pose(frame.X_BF)
-    x = X_BF if frame.link == BASE else dual_quaternion.mul(X_WB[frame.link], X_BF)
-    return _filled((*x[0], *x[1]), [like])
-
-
-def jacobian(robot: Robot, q: Tensor, frame: str, expressed: Literal["body", "world"] = "body") -> Tensor:
+def jacobian(
+    robot: Robot, q: Tensor, frame: str, expressed: Literal["body", "world"] = "body", backend: Backend | None = None
+) -> Tensor:
     """Jacobian J [..., 6, n]: the twist (angular, linear) of a frame is J qd.
 
     Args:
@@ -422,23 +422,14 @@ def jacobian(robot: Robot, q: Tensor, frame: str, expressed: Literal["body", "wo
     >>> jacobian(torchdq.robots.load("two_link"), torch.zeros(2), "tip")[4]  # the tip's velocity along y
     tensor([2., 1.])
     """
-    check(robot, q=(q, ("n",)))
     if expressed not in ("body", "world"):
         raise ArgumentError(f"expressed must be 'body' or 'world', found {expressed!r}")
-    s = _state(robot, q)
-    f = s.robot.frame(frame)
-    if f.link == BASE:
-        columns: tuple[Screw | None, ...] = (None,) * robot.n
-    else:
-        columns = kinematics.jacobian(s.mechanism, s.Ad, f.link, _pose(f.X_BF))
-    if expressed == "world" and f.link != BASE:
-        # component by component: a matrix product would be rounded to half precision under autocast
-        r_WF = quaternion.mul(kinematics.link_poses(s.mechanism, s.X_PB)[f.link][0], _pose(f.X_BF)[0])
-        columns = tuple(c and (quaternion.rotate(r_WF, c[0]), quaternion.rotate(r_WF, c[1])) for c in columns)
-    return _matrix([_components(c) for c in columns], 6, [s.like]).mT
+    return _evaluate("jacobian", robot, (q,), backend, (_robot(robot).frame(frame).name, expressed))[0]
 
 
-def dynamics_jacobian(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def dynamics_jacobian(
+    robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, backend: Backend | None = None
+) -> tuple[Tensor, Tensor, Tensor]:
     """Derivatives (dtau/dq, dtau/dqd, M) of `inverse_dynamics`, each [..., n, n]; M is dtau/dqdd.
 
     Args:
@@ -446,22 +437,5 @@ def dynamics_jacobian(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> tuple
         q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2],
             shape [..., n].
     """
-    check(robot, q=(q, ("n",)), qd=(qd, ("n",)), qdd=(qdd, ("n",)))
-    # forward mode refuses tensors whose elements share memory, which broadcasting makes
-    q, qd, qdd = (x.contiguous() for x in torch.broadcast_tensors(q, qd, qdd))
-    M = mass_matrix(robot, q)
-    if not robot.n:
-        return M, M, M  # vmap cannot map over no directions
-    unit = torch.eye(robot.n, dtype=q.dtype, device=q.device)
-
-    def along(direction: Tensor, of: Callable[[Tensor], Tensor], at: Tensor) -> Tensor:
-        return torch.func.jvp(of, (at,), (direction.expand_as(at),))[1]
-
-    def columns(of: Callable[[Tensor], Tensor], at: Tensor) -> Tensor:
-        return torch.func.vmap(lambda direction: along(direction, of, at), out_dims=-1)(unit)
-
-    return (
-        columns(lambda x: inverse_dynamics(robot, x, qd, qdd), q),
-        columns(lambda x: inverse_dynamics(robot, q, x, qdd), qd),
-        M,
-    )
+    dtau_dq, dtau_dqd = _evaluate("inverse_dynamics_jacobian", robot, (q, qd, qdd), backend)
+    return dtau_dq, dtau_dqd, mass_matrix(robot, q, backend).expand_as(dtau_dq)

@@ -8,39 +8,40 @@ from torch import Tensor, nn
 from torchdq.control import computed_torque
 from torchdq.errors import ArgumentError
 from torchdq.functional import forward_dynamics, inverse_dynamics
+from torchdq.program.backends import Backend
 from torchdq.robot import Robot
 from torchdq.robot.robot import SHAPES
 
 
 class RobotModule(nn.Module):
-    """A module that holds a robot: its tensors are buffers, and those named in `learn` are parameters.
+    """A module that holds a robot; the robot's tensors named in `learn` are its parameters.
+
+    The others are constants of the compiled programs and are not part of the state dict.
 
     Args:
         robot: the robot.
         learn: names of robot tensors to make parameters: "mass", "com", "inertia", "gravity", "armature", "home",
             "X_PB_home", "screw". They are free real numbers; nothing keeps a mass positive.
+        backend: as in `torchdq.functional`; None: what `torchdq.backend` says at the time of the call.
     """
 
-    def __init__(self, robot: Robot, learn: Sequence[str] = ()):
+    def __init__(self, robot: Robot, learn: Sequence[str] = (), backend: Backend | None = None):
         super().__init__()
-        learn = (learn,) if isinstance(learn, str) else tuple(learn)
-        present = [field for field in SHAPES if getattr(robot, field) is not None]
-        for field in learn:
-            if field not in present:
-                raise ArgumentError(f"learn must name tensors of the robot among {present}, found {field!r}")
+        self.learn = (learn,) if isinstance(learn, str) else tuple(learn)
+        present = [name for name in SHAPES if getattr(robot, name) is not None]
+        for name in self.learn:
+            if name not in present:
+                raise ArgumentError(f"learn must name tensors of the robot among {present}, found {name!r}")
+            self.register_parameter(name, nn.Parameter(getattr(robot, name).detach().clone()))
         self._robot = robot
-        for field in present:
-            value = getattr(robot, field).detach().clone()
-            if field in learn:
-                self.register_parameter(field, nn.Parameter(value))
-            else:
-                self.register_buffer(field, value)
-        self._fields = tuple(present)
+        self.backend = backend
 
     @property
     def robot(self) -> Robot:
-        """The robot with the module's present tensors."""
-        return self._robot.replace(**{field: getattr(self, field) for field in self._fields})
+        """The robot with the module's present parameters."""
+        if not self.learn:
+            return self._robot
+        return self._robot.replace(**{name: getattr(self, name) for name in self.learn})
 
     def extra_repr(self) -> str:
         """The robot, for `print(module)`."""
@@ -67,7 +68,7 @@ class DQRNEA(RobotModule):
         f_ext: Tensor | None = None,
     ) -> Tensor:
         """Joint torques [..., n]; see `torchdq.inverse_dynamics`."""
-        return inverse_dynamics(self.robot, q, qd, qdd, f_tip, f_ext)
+        return inverse_dynamics(self.robot, q, qd, qdd, f_tip, f_ext, self.backend)
 
 
 class ForwardDynamics(RobotModule):
@@ -88,7 +89,7 @@ class ForwardDynamics(RobotModule):
         f_ext: Tensor | None = None,
     ) -> Tensor:
         """Joint accelerations [..., n]; see `torchdq.forward_dynamics`."""
-        return forward_dynamics(self.robot, q, qd, tau, f_tip, f_ext)
+        return forward_dynamics(self.robot, q, qd, tau, f_tip, f_ext, self.backend)
 
 
 class ComputedTorque(RobotModule):
@@ -108,9 +109,16 @@ class ComputedTorque(RobotModule):
     kp: Tensor
     kd: Tensor
 
-    def __init__(self, robot: Robot, kp: Tensor | float, kd: Tensor | float, learn: Sequence[str] = ()):
+    def __init__(
+        self,
+        robot: Robot,
+        kp: Tensor | float,
+        kd: Tensor | float,
+        learn: Sequence[str] = (),
+        backend: Backend | None = None,
+    ):
         learn = (learn,) if isinstance(learn, str) else tuple(learn)
-        super().__init__(robot, tuple(field for field in learn if field not in ("kp", "kd")))
+        super().__init__(robot, tuple(name for name in learn if name not in ("kp", "kd")), backend)
         for name, gain in (("kp", kp), ("kd", kd)):
             value = torch.as_tensor(gain, dtype=torch.float64)
             if value.shape not in ((), (robot.n,)) or not bool((value >= 0).all()):
@@ -131,4 +139,4 @@ class ComputedTorque(RobotModule):
     ) -> Tensor:
         """Joint torques [..., n]; see `torchdq.computed_torque`."""
         kp, kd = (gain.to(dtype=q.dtype, device=q.device) for gain in (self.kp, self.kd))
-        return computed_torque(self.robot, q, qd, q_des, qd_des, qdd_des, kp, kd, f_tip)
+        return computed_torque(self.robot, q, qd, q_des, qd_des, qdd_des, kp, kd, f_tip, self.backend)

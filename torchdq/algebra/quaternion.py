@@ -3,8 +3,9 @@
 from typing import Any
 
 Number = Any  # whatever has + - * /
-Pure = tuple[Number, Number, Number]
-Quaternion = tuple[Number, Number, Number, Number]
+# a type checker loses count of components that pass through zip or unbind, so it is not asked to
+Pure = tuple[Number, ...]  # (x, y, z)
+Quaternion = tuple[Number, ...]  # (w, x, y, z)
 
 ONE: Quaternion = (1.0, 0.0, 0.0, 0.0)
 I: Quaternion = (0.0, 1.0, 0.0, 0.0)

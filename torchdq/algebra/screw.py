@@ -11,9 +11,9 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
 
 Screw = tuple[Pure, Pure]
-Columns = tuple[Pure, Pure, Pure]  # of a 3x3 matrix
+Columns = tuple[Pure, ...]  # three, of a 3x3 matrix
 Adjoint = tuple[Columns, Columns]  # (A_P, A_D)
-Symmetric = tuple[Pure, Pure, Pure]  # rows, equally columns, of a symmetric 3x3 matrix
+Symmetric = tuple[Pure, ...]  # three rows, equally columns, of a symmetric 3x3 matrix
 
 
 def add(a: Screw, b: Screw) -> Screw:
@@ -136,6 +136,16 @@ def inertia_transform(mass: Number, first: Pure | None, second: Symmetric, a: Sc
     if first is None:
         return (force, moment)
     return (quat.sub(force, quat.cross(first, w)), quat.add(moment, quat.cross(first, v)))
+
+
+def inertia_about_origin(mass: Number, com: Pure, inertia: Symmetric) -> Symmetric:
+    """Rotational inertia about the frame's origin, from the one about the centre of mass, by parallel axes."""
+    x, y, z = com
+    xx, yy, zz = mass * (x * x), mass * (y * y), mass * (z * z)
+    xy, xz, yz = mass * (x * y), mass * (x * z), mass * (y * z)
+    shift = ((yy + zz, -xy, -xz), (-xy, xx + zz, -yz), (-xz, -yz, xx + yy))
+    a, b, c = (quat.add(i, d) for i, d in zip(inertia, shift, strict=True))
+    return (a, b, c)
 
 
 def carry_inertia(

@@ -5,41 +5,44 @@ branches stays absent in the factors (Featherstone, Rigid Body Dynamics Algorith
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torchdq.algebra.matrix import Rows
 from torchdq.algebra.quaternion import Number
-from torchdq.dynamics.mechanism import BASE, Mechanism, path
+from torchdq.dynamics.mechanism import BASE, path
+
+Links = Sequence[Any]  # of a mechanism or an aligned one; only their parents are read
 
 
 class Factors(NamedTuple):
-    """M = L^T D L: pivots D, and L's entries below its unit diagonal as (row, column) -> number."""
+    """M = L^T D L: the inverses of D, and L's entries below its unit diagonal as (row, column) -> number."""
 
-    pivots: tuple[Number, ...]
+    inverses: tuple[Number, ...]
     lower: dict[tuple[int, int], Number]
 
 
-def factorise(mechanism: Mechanism, M: Rows) -> Factors:
-    """Factors of a mass matrix; a pivot that is not positive means a configuration without inertia."""
-    links = mechanism.links
+def factorise(links: Links, M: Rows) -> Factors:
+    """Factors of a mass matrix; a D that is not positive means a position without inertia."""
     H = {(i, j): M[i][j] for i in range(len(links)) for j in path(links, i)}
     lower = {}
+    inverses: list[Number] = [0.0] * len(links)
     for k in reversed(range(len(links))):
+        inverses[k] = 1.0 / H[k, k]
         for i in path(links, links[k].parent):
-            ratio = H[k, i] / H[k, k]
+            ratio = H[k, i] * inverses[k]
             for j in path(links, i):
                 H[i, j] = H[i, j] - ratio * H[k, j]
             lower[k, i] = ratio
-    return Factors(tuple(H[k, k] for k in range(len(links))), lower)
+    return Factors(tuple(inverses), lower)
 
 
-def solve(mechanism: Mechanism, factors: Factors, b: Sequence[Number]) -> tuple[Number, ...]:
+def solve(links: Links, factors: Factors, b: Sequence[Number]) -> tuple[Number, ...]:
     """Solution x of M x = b."""
-    links, x = mechanism.links, list(b)
+    x = list(b)
     for i in reversed(range(len(links))):
         for j in path(links, links[i].parent):
             x[j] = x[j] - factors.lower[i, j] * x[i]
-    x = [x_i / d for x_i, d in zip(x, factors.pivots, strict=True)]
+    x = [x_i * d for x_i, d in zip(x, factors.inverses, strict=True)]
     for i, link in enumerate(links):
         if link.parent != BASE:
             for j in path(links, link.parent):
@@ -47,9 +50,7 @@ def solve(mechanism: Mechanism, factors: Factors, b: Sequence[Number]) -> tuple[
     return tuple(x)
 
 
-def forward_dynamics(
-    mechanism: Mechanism, M: Rows, bias: Sequence[Number | None], tau: Sequence[Number]
-) -> tuple[Number, ...]:
+def forward_dynamics(links: Links, M: Rows, bias: Sequence[Number | None], tau: Sequence[Number]) -> tuple[Number, ...]:
     """Accelerations qdd = M^-1 (tau - bias), bias being the inverse dynamics at qdd = 0."""
     net = [t if b is None else t - b for t, b in zip(tau, bias, strict=True)]
-    return solve(mechanism, factorise(mechanism, M), net)  # (63) solved for qdd
+    return solve(links, factorise(links, M), net)  # (63) solved for qdd

@@ -5,16 +5,15 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, get_args
+from uuid import uuid4
 
 import torch
 from torch import Tensor
 
-from torchdq import dq
-from torchdq.algebra import quaternion as quat
-from torchdq.dynamics.mechanism import BASE, Link, Mechanism
+from torchdq.dynamics.mechanism import BASE, Mechanism, mechanism
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 from torchdq.robot import dh, physical, screws, urdf
 from torchdq.robot.report import Report
@@ -87,23 +86,35 @@ class Robot:
     home: Tensor | None = None  # [..., n] joint positions at home [rad or m]; None: zero
     armature: Tensor | None = None  # [..., n] rotor inertia seen at the joint [kg m^2 or kg]; None: none
     notes: tuple[str, ...] = ()  # what the description asked for and what became of it
+    varying: tuple[str, ...] = ()  # tensors that programs take as arguments; the others are built into them
+    origin: Robot | None = None  # the robot this is a variation of, and whose constants it has; None: itself
+    identity: str = field(default_factory=lambda: uuid4().hex)  # of the constants: programs are kept by it
 
     def __post_init__(self) -> None:
         n = len(self.joint_names)
-        for field, trailing in SHAPES.items():
-            value = getattr(self, field)
+        for name, trailing in SHAPES.items():
+            value = getattr(self, name)
             shape = tuple(n if axis == "n" else axis for axis in trailing)
-            if value is None and field in ("gravity", "home", "armature"):
+            if value is None and name in ("gravity", "home", "armature"):
                 continue
             if not isinstance(value, Tensor) or tuple(value.shape[value.ndim - len(shape) :]) != shape:
                 found = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
                 expected = ", ".join(["...", *map(str, shape)])
                 raise ArgumentError(
-                    f"{field} of robot {self.name!r} must be a tensor of shape [{expected}] for its {n} joints, "
+                    f"{name} of robot {self.name!r} must be a tensor of shape [{expected}] for its {n} joints, "
                     f"found {found}"
                 )
             if value.dtype not in DTYPES:
-                raise DtypeError(f"{field} of robot {self.name!r} must be float32 or float64, found {value.dtype}")
+                raise DtypeError(f"{name} of robot {self.name!r} must be float32 or float64, found {value.dtype}")
+        # what differs from sample to sample cannot be a constant
+        present = [name for name in SHAPES if getattr(self, name) is not None]
+        varying = tuple(name for name in present if name in self.varying or self._batch(name))
+        object.__setattr__(self, "varying", varying)
+
+    def _batch(self, name: str) -> tuple[int, ...]:
+        """Batch axes of a tensor."""
+        value = getattr(self, name)
+        return tuple(value.shape[: value.ndim - len(SHAPES[name])])
 
     # --- where robots come from ---
 
@@ -271,17 +282,43 @@ class Robot:
     def replace(self, **changes: Any) -> Robot:
         """Robot with some fields replaced; the rest is shared.
 
+        A replaced physical tensor becomes an argument of the programs, so that new values, batches and gradients need
+        no new program; `bake` makes it a constant again.
+
         >>> import torchdq
         >>> robot = torchdq.robots.load("two_link")
         >>> heavier = robot.replace(mass=robot.mass * torch.tensor([[1.0], [1.1], [1.2]], dtype=torch.float64))
         >>> heavier.mass.shape  # three robots
         torch.Size([3, 2])
         """
-        return dataclasses.replace(self, **changes)
+        varying = tuple(name for name in SHAPES if name in self.varying or changes.get(name) is not None)
+        if all(name in SHAPES and value is not None for name, value in changes.items()):
+            return dataclasses.replace(self, **changes, varying=varying, origin=self.origin or self)
+        return dataclasses.replace(self, **changes, varying=varying, origin=None, identity=uuid4().hex)
+
+    def bake(self) -> Robot:
+        """Robot whose tensors, all without batch axes, are constants of its programs: the fastest for a known robot."""
+        for name in self.varying:
+            if self._batch(name):
+                raise ArgumentError(f"{name} of robot {self.name!r} has batch axes and cannot be a constant")
+        detached = {name: getattr(self, name).detach() for name in self.varying}
+        return dataclasses.replace(self, **detached, varying=(), origin=None, identity=uuid4().hex)
 
     def with_tip(self, name: str | None) -> Robot:
         """Robot whose end effector is the frame of that name."""
         return self.replace(tip=None if name is None else self.frame(name).name)
+
+    def end_effector(self) -> Frame:
+        """Frame of the end effector; raises `ArgumentError` if none was chosen or if it does not move."""
+        if self.tip is None:
+            raise ArgumentError(
+                f"f_tip needs an end effector, and robot {self.name!r} has none chosen; load it with tip=, or use "
+                f"robot.with_tip(name) with one of {', '.join(self.frame_names)}"
+            )
+        frame = self.frame(self.tip)
+        if frame.link == BASE:
+            raise ArgumentError(f"the tip {frame.name!r} of robot {self.name!r} is fixed to the base")
+        return frame
 
     def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> Robot:
         """Robot with every tensor cast to the dtype and moved to the device."""
@@ -289,50 +326,40 @@ class Robot:
         def cast(x: Tensor) -> Tensor:
             return x.to(dtype=dtype, device=device)
 
-        fields = {field: getattr(self, field) for field in (*SHAPES, "damping", "friction")}
-        return self.replace(
-            **{field: None if x is None else cast(x) for field, x in fields.items()},
-            limits=Limits(*map(cast, self.limits)),
-            frames=tuple(frame._replace(X_BF=cast(frame.X_BF)) for frame in self.frames),
-        )
+        fields = {name: getattr(self, name) for name in (*SHAPES, "damping", "friction")}
+        changes: dict[str, Any] = {name: None if x is None else cast(x) for name, x in fields.items()}
+        changes["limits"] = Limits(*map(cast, self.limits))
+        changes["frames"] = tuple(frame._replace(X_BF=cast(frame.X_BF)) for frame in self.frames)
+        return dataclasses.replace(self, **changes, origin=None, identity=uuid4().hex)
 
     # --- what the algorithms see ---
 
     def mechanism(self) -> Mechanism:
         """The robot as numbers: every tensor taken apart along its last axes, batch axes staying in the numbers."""
-        mass, com, inertia = self.mass.unbind(-1), self.com.unbind(-2), self.inertia.unbind(-2)
-        placements, joint_screws = self.X_PB_home.unbind(-2), self.screw.unbind(-2)
-        armature = [None] * self.n if self.armature is None else self.armature.unbind(-1)
-        links = []
-        for i in range(self.n):
-            m, c = mass[i], com[i].unbind(-1)
-            x: tuple = placements[i].unbind(-1)
-            s: tuple = joint_screws[i].unbind(-1)
-            xx, xy, yy, xz, yz, zz = inertia[i].unbind(-1)
-            about_com = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
-            links.append(
-                Link(
-                    parent=self.parents[i],
-                    kind=self.kinds[i],
-                    X_PB_home=(x[:4], x[4:]),
-                    screw=(s[:3], s[3:]),
-                    mass=m,
-                    first=quat.scale(m, c),
-                    second=dq.about_origin(m, c, about_com),
-                    armature=armature[i],
-                )
-            )
-        gravity: tuple | None = None if self.gravity is None else self.gravity.unbind(-1)
-        return Mechanism(tuple(links), gravity)
+
+        def rows(x: Tensor) -> list[tuple[Tensor, ...]]:
+            return [row.unbind(-1) for row in x.unbind(-2)]
+
+        return mechanism(
+            self.parents,
+            self.kinds,
+            rows(self.X_PB_home),
+            rows(self.screw),
+            self.mass.unbind(-1),
+            rows(self.com),
+            rows(self.inertia),
+            None if self.gravity is None else self.gravity.unbind(-1),
+            None if self.armature is None else self.armature.unbind(-1),
+        )
 
     @property
     def inertial_parameters(self) -> Tensor:
         """Parameters pi [..., 10 n] of the links about their frames, in the order of the regressor's columns."""
         numbers = [
             x
-            for link, com in zip(self.mechanism().links, self.com.unbind(-2), strict=True)
-            for h, i in [(quat.scale(link.mass, com.unbind(-1)), link.second)]
-            for x in (link.mass, *h, i[0][0], i[0][1], i[1][1], i[0][2], i[1][2], i[2][2])
+            for link in self.mechanism().links
+            for i in [link.second]
+            for x in (link.mass, *(link.first or ()), i[0][0], i[0][1], i[1][1], i[0][2], i[1][2], i[2][2])
         ]
         return torch.stack(torch.broadcast_tensors(*numbers), -1) if numbers else self.mass
 

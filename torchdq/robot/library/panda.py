@@ -46,4 +46,4 @@ def build() -> Robot:
     upper = [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973]
     velocity, effort = [2.175] * 4 + [2.61] * 3, [87.0] * 4 + [12.0] * 3
     rows = (torch.tensor(row, dtype=torch.float64) for row in (lower, upper, velocity, effort))
-    return robot.replace(limits=Limits(*rows))
+    return robot.replace(limits=Limits(*rows)).bake()

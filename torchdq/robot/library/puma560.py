@@ -56,4 +56,4 @@ def build() -> Robot:
         armature=_double(ROTOR) * ratio,
         damping=_double(VISCOUS) * ratio,
         limits=Limits(_double([radians(x) for x in LOWER]), _double([radians(x) for x in UPPER]), infinite, infinite),
-    )
+    ).bake()

@@ -63,4 +63,4 @@ def build() -> Robot:
             velocity=_double([3.14, 3.14, 3.14, 6.28, 6.28, 6.28]),
             effort=_double([330, 330, 150, 54, 54, 54]),
         )
-    )
+    ).bake()

@@ -1,0 +1,540 @@
+"""Backends: the compiled programs against the same programs run by torch, operation by operation.
+
+Values, gradients, batches, transforms, traced graphs and threads; that no row of a batch touches another; that the
+kernels write nowhere but into their results; and that their sine and cosine are as good as mpmath says.
+"""
+
+import ctypes
+import warnings
+
+import mpmath
+import numpy as np
+import pytest
+import torch
+from oracles import EPS, random_tree, states
+from torch.autograd import forward_ad, gradcheck, gradgradcheck
+
+import torchdq
+from torchdq.errors import ArgumentError
+from torchdq.program import build, run
+from torchdq.program.program import Argument, record
+
+F32, F64 = torch.float32, torch.float64
+BACKEND = "auto"  # see conftest.py
+
+pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
+
+
+def tree(n: int = 4, armature: bool = True, seeds=range(100)) -> torchdq.Robot:
+    """The first random tree with joints of all kinds."""
+    cases = (random_tree(n, seed, armature) for seed in seeds)
+    return next(case.robot for case in cases if set(case.robot.kinds) == {"revolute", "prismatic", "helical"})
+
+
+TWO, TREE, PANDA = torchdq.robots.load("two_link"), tree(), torchdq.robots.load("panda")
+RPH = tree(3).bake()
+
+FUNCTIONS = {
+    "inverse_dynamics": lambda r, s: torchdq.inverse_dynamics(r, s.q, s.qd, s.qdd, s.f_tip, s.f_ext),
+    "inverse_dynamics at rest": lambda r, s: torchdq.inverse_dynamics(r, s.q),
+    "mass_matrix": lambda r, s: torchdq.mass_matrix(r, s.q),
+    "forward_dynamics": lambda r, s: torchdq.forward_dynamics(r, s.q, s.qd, s.qdd, s.f_tip, s.f_ext),
+    "closed_form": lambda r, s: tuple(torchdq.closed_form(r, s.q, s.qd)),
+    "regressor": lambda r, s: torchdq.regressor(r, s.q, s.qd, s.qdd),
+    "kinetic_energy": lambda r, s: torchdq.kinetic_energy(r, s.q, s.qd),
+    "potential_energy": lambda r, s: torchdq.potential_energy(r, s.q),
+    "forward_kinematics": lambda r, s: torchdq.forward_kinematics(r, s.q),
+    "jacobian": lambda r, s: torchdq.jacobian(r, s.q, r.tip),
+    "jacobian in world": lambda r, s: torchdq.jacobian(r, s.q, r.tip, "world"),
+    "dynamics_jacobian": lambda r, s: torchdq.dynamics_jacobian(r, s.q, s.qd, s.qdd),
+    "DQRNEA": lambda r, s: torchdq.DQRNEA(r, learn=("mass",))(s.q, s.qd, s.qdd),
+    "ForwardDynamics": lambda r, s: torchdq.ForwardDynamics(r)(s.q, s.qd, s.qdd),
+    "ComputedTorque": lambda r, s: torchdq.ComputedTorque(r, 25.0, 10.0)(s.q, s.qd, s.qdd, s.qd, s.q, s.f_tip),
+}
+
+
+def as_tuple(x):
+    return x if isinstance(x, tuple) else (x,)
+
+
+def on(backend: str, function, *args):
+    with torchdq.backend(backend):
+        return as_tuple(function(*args))
+
+
+def agree(found, expected, factor: float = 256.0) -> None:
+    """Both are the same sums, rounded differently: the error is a multiple of eps and of the largest entry."""
+    for f, e in zip(found, expected, strict=True):
+        assert f.shape == e.shape and f.dtype == e.dtype
+        assert (f - e).abs().max() <= factor * EPS[e.dtype] * e.abs().max()
+
+
+def random(*shape: int, seed: int = 0, dtype=F64) -> torch.Tensor:
+    return torch.randn(*shape, dtype=dtype, generator=torch.Generator().manual_seed(seed))
+
+
+# --- values ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+@pytest.mark.parametrize("robot", [TWO, TREE], ids=lambda r: r.name)
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_compiled_functions_equal_torch_operations(name, robot, dtype):
+    s = states(robot, 19, dtype=dtype)
+    if "orward" in name and "kinematics" not in name:
+        worst = torch.linalg.cond(torchdq.mass_matrix(robot, s.q.double())).max().item()
+    else:
+        worst = 1.0
+    agree(on("c", FUNCTIONS[name], robot, s), on("eager", FUNCTIONS[name], robot, s), 256.0 * worst)
+
+
+@pytest.mark.parametrize("name", ["inverse_dynamics", "mass_matrix"])
+def test_compiled_functions_of_an_arm_equal_torch_operations(name):
+    s = states(PANDA, 19)
+    agree(on("c", FUNCTIONS[name], PANDA, s), on("eager", FUNCTIONS[name], PANDA, s))
+
+
+@pytest.mark.parametrize("batch", [(), (19,)], ids=["uniform", "per sample"])
+@pytest.mark.parametrize(
+    "fields", [("mass",), ("gravity", "home"), ("com", "inertia", "armature"), ("X_PB_home", "screw")]
+)
+def test_robots_that_vary_equal_torch_operations(fields, batch):
+    scale = 1 + 0.1 * random(*batch, 1).squeeze(-1)
+    changes = {}
+    for name in fields:
+        x = getattr(TREE, name)
+        changes[name] = x * scale.reshape(batch + (1,) * x.ndim)
+    robot, s = TREE.replace(**changes), states(TREE, 19)
+    agree(on("c", FUNCTIONS["inverse_dynamics"], robot, s), on("eager", FUNCTIONS["inverse_dynamics"], robot, s))
+
+
+def test_batch_axes_of_the_robot_and_the_arguments_broadcast():
+    robot, q = TWO.replace(mass=TWO.mass * (1 + random(3, 1, 1).abs())), random(5, 2)
+    tau = torchdq.inverse_dynamics(robot, q, backend="c")
+    assert tau.shape == (3, 5, 2)
+    for k in range(3):
+        alone = torchdq.inverse_dynamics(TWO.replace(mass=robot.mass[k, 0]), q, backend="eager")
+        agree([tau[k]], [alone])
+
+
+@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+@pytest.mark.parametrize("batch", [0, 1, 2, 7, 8, 9, 15, 16, 17, 31, 33, 1000])
+def test_a_row_of_a_batch_is_bitwise_the_row_alone(batch, dtype):
+    s = states(TREE, batch, dtype=dtype)
+    tau = torchdq.inverse_dynamics(TREE, *s, backend="c")
+    assert tau.shape == (batch, TREE.n)
+    for k in {*range(min(batch, 40)), *range(max(batch - 9, 0), batch)}:
+        alone = torchdq.inverse_dynamics(TREE, *(x[k : k + 1] for x in s), backend="c")
+        assert torch.equal(tau[k], alone[0])
+
+
+@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf"), 1e30, 1e-320])
+def test_a_bad_row_leaves_every_other_bitwise_as_it_was(bad, dtype):
+    def run_(s):
+        x = [v.clone().requires_grad_() for v in s[:3]]
+        tau = torchdq.inverse_dynamics(TREE, *x, backend="c")
+        return tau.detach(), *torch.autograd.grad(tau.sum(), x)
+
+    rows = 35
+    s = states(TREE, rows, dtype=dtype)
+    before = run_(s)
+    for k in (0, 9, 34):
+        spoiled = [x.clone() for x in s]
+        for x in spoiled:
+            x[k] = bad
+        others = torch.arange(rows) != k
+        for y, z in zip(run_(spoiled), before, strict=True):
+            assert torch.equal(y[others], z[others])
+
+
+# --- sine and cosine -------------------------------------------------------------------------------------------------
+
+TRIG = record("trig", [Argument("x", 1)], lambda x: {"y": [x[0].sin(), x[0].cos()]})
+
+
+def angles(largest: float, dtype) -> torch.Tensor:
+    """Random angles, and angles near multiples of pi/2, where a sine or cosine is small."""
+    x = np.random.default_rng(5).uniform(-largest, largest, 1500)
+    quarter = (x[:500] / (np.pi / 2)).round() * np.pi / 2
+    x = torch.from_numpy(np.concatenate([x, quarter, np.geomspace(1e-300, 1e-3, 100)])).to(dtype)
+    return x[x.abs() <= largest]
+
+
+def ulps(x: torch.Tensor, floor: float) -> float:
+    """Largest error in units of the last place of the result, or of `floor` where that is larger."""
+    y = run.kernel(TRIG, x.dtype == F32)([x[:, None]], len(x))[0].numpy()
+    worst = 0.0
+    with mpmath.workdps(60):
+        for angle, row in zip(x.tolist(), y, strict=True):
+            for found, f in zip(row, (mpmath.sin, mpmath.cos), strict=True):
+                exact = f(mpmath.mpf(angle))
+                unit = np.spacing(np.abs(found.dtype.type(max(abs(float(exact)), floor))))
+                worst = max(worst, float(abs(mpmath.mpf(float(found)) - exact) / mpmath.mpf(float(unit))))
+    return worst
+
+
+@pytest.mark.parametrize(("largest", "dtype"), [(1.0, F64), (1e5, F64), (1e6, F64), (1.0, F32), (4e3, F32), (1e5, F32)])
+def test_sine_and_cosine_are_within_two_units_in_the_last_place(largest, dtype):
+    """A unit of 0.25 where the result is smaller, since the angle is rounded to one of its own anyway."""
+    assert ulps(angles(largest, dtype), 0.25) <= 2.0
+
+
+@pytest.mark.parametrize("largest", [10.0, 1e5, 1e6])
+def test_small_sines_and_cosines_keep_their_relative_accuracy_in_double_precision(largest):
+    assert ulps(angles(largest, F64), 0.0) <= 2.5
+
+
+def test_sine_and_cosine_of_what_is_no_angle_are_not_numbers():
+    x = torch.tensor([[float("nan")], [float("inf")], [-float("inf")], [1.0]], dtype=F64)
+    y = run.kernel(TRIG, False)([x], 4)[0]
+    assert y[:3].isnan().all() and y[3].isfinite().all()
+
+
+# --- rows in and out of vectors --------------------------------------------------------------------------------------
+
+GUARD = -777.25
+
+
+@pytest.mark.parametrize("single", [False, True], ids=["double", "single"])
+@pytest.mark.parametrize("width", [1, 2, 3, 4, 5, 7, 8, 9, 12, 15, 16, 17, 20])
+def test_rows_of_any_width_are_read_and_written_and_nothing_else(width, single):
+    """Arguments end where a protected page begins, so reading beyond them would be a fault; results are guarded."""
+    program = record(
+        "widths",
+        [Argument("x", width), Argument("c", 1, True)],
+        lambda x, c: {"y": [*reversed(x)], "z": [x[0] + c[0]], "w": [v * 2.0 for v in x]},
+        summed=["w"],
+    )
+    kernel = run.kernel(program, single)
+    dtype = F32 if single else F64
+    for samples in (0, 1, 2, 3, 5, 8, 9, 15, 16, 17, 23, 33, 40):
+        x, c = random(samples, width, dtype=dtype), torch.tensor([3.0], dtype=dtype)
+        out = [torch.full((64 + size + 64,), GUARD, dtype=dtype) for size in (samples * width, samples, width)]
+        step = x.element_size()
+        with Page(x) as page:
+            kernel.function(samples, page, c.data_ptr(), *(y.data_ptr() + 64 * step for y in out))
+        y, z, w = (y[64:-64] for y in out)
+        assert all((y[:64] == GUARD).all() and (y[-64:] == GUARD).all() for y in out)
+        assert torch.equal(y.view(samples, width), x.flip(-1))
+        assert torch.equal(z, x[:, 0] + 3.0)
+        assert torch.allclose(w, 2 * x.sum(0), rtol=0, atol=64 * EPS[dtype] * max(samples, 1))
+
+
+class Page:
+    """A copy of a tensor that ends where memory ends that may be read."""
+
+    def __init__(self, x: torch.Tensor):
+        self.x = x.contiguous()
+        self.bytes = x.numel() * x.element_size()
+        self.size = -(-max(self.bytes, 1) // 4096) * 4096
+        self.libc = ctypes.CDLL(None)
+        self.libc.mmap.restype = ctypes.c_void_p
+        self.libc.mmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t, *[ctypes.c_int] * 3, ctypes.c_long]
+        self.libc.mprotect.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
+        self.libc.munmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t]
+
+    def __enter__(self) -> int:
+        read_write, private_anonymous = 3, 0x22
+        self.at = self.libc.mmap(None, self.size + 4096, read_write, private_anonymous, -1, 0)
+        assert self.libc.mprotect(self.at + self.size, 4096, 0) == 0
+        start = self.at + self.size - self.bytes
+        ctypes.memmove(start, self.x.data_ptr(), self.bytes)
+        return start
+
+    def __exit__(self, *_):
+        self.libc.munmap(self.at, self.size + 4096)
+
+
+def test_a_program_longer_than_a_function_may_be_is_right():
+    def algorithm(x):
+        values = list(x)
+        for i in range(2600):
+            values.append(values[-1] * values[-3] - values[i % 4] if i % 50 else (values[-1] + values[-2]).sin())
+        return {"y": values[-3:], "z": [values[7].cos(), values[7].sin()]}
+
+    program = record("long", [Argument("x", 4)], algorithm)
+    x = 0.1 * random(21, 4)
+    agree(run.kernel(program, False)([x], 21), run.eager(program, [x]), 1e4)
+
+
+# --- threads ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def threads():
+    """Sets the number of threads; it is put back."""
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
+
+
+def test_the_number_of_threads_changes_no_bit_of_a_result(threads):
+    s = states(TREE, 9001)
+    results = []
+    for number in (1, 2, 3):
+        threads(number)
+        results.append(torchdq.inverse_dynamics(TREE, *s, backend="c"))
+    assert torch.equal(results[0], results[1]) and torch.equal(results[0], results[2])
+
+
+def test_the_number_of_threads_changes_summed_gradients_by_rounding_only(threads):
+    s = states(TREE, 9001)
+    gradients = []
+    for number in (1, 2):
+        threads(number)
+        mass = TREE.mass.clone().requires_grad_()
+        tau = torchdq.inverse_dynamics(TREE.replace(mass=mass), s.q, s.qd, s.qdd, backend="c")
+        gradients.append(torch.autograd.grad((tau**2).sum(), mass))
+    agree(*gradients)
+
+
+# --- derivatives -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("robot", [TWO, RPH], ids=["two_link", "R-P-H"])
+@pytest.mark.parametrize("function", [torchdq.inverse_dynamics, torchdq.forward_dynamics], ids=lambda f: f.__name__)
+def test_derivatives_are_finite_differences(function, robot):
+    x = tuple(0.5 * random(3, robot.n, seed=k).requires_grad_() for k in range(3))
+
+    def f(*x):
+        return function(robot, *x, backend="c")
+
+    assert gradcheck(f, x, eps=1e-6, atol=1e-7, rtol=1e-6, check_forward_ad=True, check_batched_grad=True)
+    assert gradgradcheck(f, x, eps=1e-6, atol=1e-6, rtol=1e-5, fast_mode=True)
+
+
+@pytest.mark.parametrize(
+    "learn", [("mass",), ("com", "inertia", "gravity"), ("armature", "home"), ("X_PB_home", "screw")], ids=str
+)
+def test_gradients_of_what_is_learned_equal_torch_operations(learn):
+    s, layer = states(RPH, 21), torchdq.DQRNEA(RPH.replace(armature=torch.ones(3, dtype=F64)), learn=learn)
+    gradients = []
+    for backend in ("c", "eager"):
+        with torchdq.backend(backend):
+            gradients.append(torch.autograd.grad((layer(s.q, s.qd, s.qdd, s.f_tip) ** 2).sum(), layer.parameters()))
+    agree(*gradients, 1024)
+
+
+def tau(q, qd, qdd):
+    return torchdq.inverse_dynamics(RPH, q, qd, qdd)
+
+
+TRANSFORMS = {
+    "vmap": lambda q, qd, qdd: torch.func.vmap(tau, in_dims=(0, None, 1))(q, qd[0], qdd.mT),
+    "vmap of vmap": lambda *x: torch.func.vmap(torch.func.vmap(tau))(*(v.unflatten(0, (2, 3)) for v in x)),
+    "jacrev": lambda *x: torch.func.jacrev(tau, argnums=(0, 1, 2))(*(v[0] for v in x)),
+    "jacfwd": lambda *x: torch.func.jacfwd(tau, argnums=(0, 1, 2))(*(v[0] for v in x)),
+    "vmap of jacrev": lambda *x: torch.func.vmap(torch.func.jacrev(tau))(*x),
+    "hessian": lambda *x: torch.func.hessian(tau)(*(v[0] for v in x)),
+    "jacrev of jacfwd": lambda *x: torch.func.jacrev(torch.func.jacfwd(tau))(*(v[0] for v in x)),
+    "jvp": lambda *x: torch.func.jvp(tau, x, (x[1], x[2], x[0])),
+    "gradient of jvp": lambda *x: torch.func.vjp(
+        lambda q, v: torch.func.jvp(lambda q: tau(q, x[1], x[2]), (q,), (v,))[1], x[0], x[1]
+    )[1](x[2]),
+    "third derivative": lambda *x: torch.func.jacrev(torch.func.jacfwd(torch.func.jacrev(tau)))(*(v[0] for v in x)),
+}
+
+
+@pytest.mark.parametrize("name", TRANSFORMS)
+def test_transforms_equal_torch_operations(name):
+    x = [random(6, 3, seed=k) for k in range(3)]
+    agree(on("c", TRANSFORMS[name], *x), on("eager", TRANSFORMS[name], *x), 1024)
+
+
+def test_vmap_over_robots_equals_their_batch():
+    mass, q = RPH.mass * (1 + random(5, 1).abs()), random(5, 3)
+    mapped = torch.func.vmap(lambda m, q: torchdq.inverse_dynamics(RPH.replace(mass=m), q, backend="c"))(mass, q)
+    agree([mapped], [torchdq.inverse_dynamics(RPH.replace(mass=mass), q, backend="eager")])
+
+
+def test_forward_mode_differentiation_equals_torch_operations():
+    q, direction = random(4, 3), random(4, 3, seed=1)
+    found = []
+    for backend in ("c", "eager"):
+        with torchdq.backend(backend), forward_ad.dual_level():
+            dual = forward_ad.make_dual(q, direction)
+            found.append(forward_ad.unpack_dual(torchdq.inverse_dynamics(RPH, dual, q)))
+    agree(*found)
+
+
+def test_nothing_but_the_inputs_is_kept_for_backward():
+    x = [random(50, 7, seed=k).requires_grad_() for k in range(3)]
+    kept = []
+    with torch.autograd.graph.saved_tensors_hooks(lambda t: kept.append(t) or t, lambda t: t):
+        torchdq.inverse_dynamics(PANDA, *x, backend="c")
+    assert sum(t.numel() for t in kept) == sum(v.numel() for v in x)
+    assert {t.data_ptr() for t in kept} == {v.data_ptr() for v in x}
+
+
+# --- what torch hands over -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda x: x.mT.contiguous().mT,
+        lambda x: torch.stack([x, x], -1)[..., 0],
+        lambda x: x[:1].expand_as(x),
+        lambda x: x.flip(0),
+        lambda x: torch.cat([x.new_zeros(1), x.flatten()])[1:].view(x.shape),
+    ],
+    ids=["transposed", "strided", "expanded", "flipped", "misaligned"],
+)
+def test_how_an_input_lies_in_memory_does_not_matter(change):
+    q, qd = change(random(9, 3)), random(9, 3, seed=1)
+    found = torchdq.inverse_dynamics(RPH, q, qd, backend="c")
+    assert torch.equal(found, torchdq.inverse_dynamics(RPH, q.clone(memory_format=torch.contiguous_format), qd))
+
+
+def test_autocast_changes_nothing():
+    q, layer = random(9, 3, dtype=F32), torchdq.DQRNEA(RPH, learn=("mass",), backend="c")
+    plain = layer(q, q, q)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        cast = layer(q, q, q)
+    assert cast.dtype == F32 and torch.equal(cast, plain)
+
+
+# --- traced graphs ---------------------------------------------------------------------------------------------------
+
+
+def traced(function):
+    torch._dynamo.reset()
+    return torch.compile(function, fullgraph=True, backend="aot_eager")
+
+
+def test_a_compiled_graph_runs_forward_and_backward():
+    layer = torchdq.DQRNEA(RPH, learn=("mass",), backend="c")
+    found = []
+    for f in (traced(lambda *x: layer(*x)), layer):
+        x = [random(9, 3, seed=k).requires_grad_() for k in range(3)]
+        y = f(*x)
+        found.append((y, *torch.autograd.grad((y**2).sum(), (*x, *layer.parameters()))))
+    agree(*found)
+
+
+def test_a_compiled_graph_is_not_served_the_program_of_another_robot():
+    f = traced(lambda robot, q: torchdq.inverse_dynamics(robot, q, backend="c"))
+    q = random(9, 3)
+    for robot in (RPH, RPH.replace(mass=2 * RPH.mass).bake(), RPH.replace(gravity=None), RPH):
+        agree([f(robot, q)], [torchdq.inverse_dynamics(robot, q, backend="eager")])
+
+
+def test_compiled_graphs_of_one_robot_and_of_a_batch_of_robots_do_not_mix():
+    """Their programs differ in nothing but whether an argument is uniform."""
+    q, gravity = random(9, 3), RPH.gravity * (1 + random(9, 1).abs())
+    one = traced(lambda q, g: torchdq.inverse_dynamics(RPH.replace(gravity=g), q, backend="c"))
+    before = one(q, gravity[0])
+    many = torch.compile(
+        lambda q, g: torchdq.inverse_dynamics(RPH.replace(gravity=g), q, backend="c"),
+        fullgraph=True,
+        backend="aot_eager",
+    )
+    agree([many(q, gravity)], [torchdq.inverse_dynamics(RPH.replace(gravity=gravity), q, backend="eager")])
+    assert torch.equal(one(q, gravity[0]), before)
+
+
+def test_a_graph_finds_a_derivative_that_this_process_has_not_recorded():
+    """As when torch takes the graph from its cache, where another process put it."""
+    f = traced(lambda q: torchdq.inverse_dynamics(RPH, q, backend="c"))
+    q = random(9, 3).requires_grad_()
+    (before,) = torch.autograd.grad(f(q).sum(), q)
+    derived = [name for name in run._known if ":" in name]
+    for name in derived:
+        del run._known[name]
+    assert derived and torch.equal(torch.autograd.grad(f(q).sum(), q)[0], before)
+
+
+def test_a_graph_of_a_program_that_was_never_recorded_says_so():
+    with pytest.raises(ArgumentError, match="recorded in another process"):
+        run.operator("0" * 64, [random(1, 1)])
+
+
+def test_an_exported_graph_takes_any_batch():
+    class Inverse(torch.nn.Module):
+        def forward(self, q, qd):
+            return torchdq.inverse_dynamics(RPH, q, qd, backend="c")
+
+    axis = {0: torch.export.Dim("batch", min=2, max=4096)}
+    graph = torch.export.export(Inverse(), (random(9, 3), random(9, 3)), dynamic_shapes=(axis, axis)).module()
+    for batch in (2, 33):
+        x = random(batch, 3), random(batch, 3, seed=1)
+        agree([graph(*x)], [torchdq.inverse_dynamics(RPH, *x, backend="eager")])
+
+
+# --- choosing a backend, and recording no more than needed -----------------------------------------------------------
+
+
+def test_an_unknown_backend_is_named():
+    with pytest.raises(ArgumentError, match=r"backend must be one of .*'eager'.*found 'fast'"):
+        torchdq.inverse_dynamics(TWO, random(2), backend="fast")
+    with pytest.raises(ArgumentError, match="found 'fast'"), torchdq.backend("fast"):
+        pass
+
+
+@pytest.fixture
+def ran(monkeypatch):
+    """Names of the backends that ran, in order."""
+    log: list[str] = []
+    for name in ("eager", "compiled"):
+        original = getattr(run, name)
+        monkeypatch.setattr(run, name, lambda *a, f=original, name=name: log.append(name) or f(*a))
+    return log
+
+
+def test_a_block_chooses_the_backend_and_an_argument_overrides_it(ran):
+    q = random(2)
+    with torchdq.backend("eager"):
+        torchdq.inverse_dynamics(TWO, q)
+        torchdq.inverse_dynamics(TWO, q, backend="c")
+        with torchdq.backend("c"):
+            torchdq.inverse_dynamics(TWO, q)
+        torchdq.inverse_dynamics(TWO, q)
+    torchdq.inverse_dynamics(TWO, q)
+    assert ran == ["eager", "compiled", "compiled", "eager", "compiled"]
+
+
+def test_a_module_keeps_its_backend(ran):
+    q = random(2)
+    torchdq.DQRNEA(TWO, backend="eager")(q)
+    with torchdq.backend("eager"):
+        torchdq.DQRNEA(TWO, backend="c")(q)
+    assert ran == ["eager", "compiled"]
+
+
+@pytest.fixture
+def built(monkeypatch):
+    """Names of the programs that were recorded into kernels."""
+    log: list[str] = []
+    original = build.load
+    monkeypatch.setattr(build, "load", lambda source, name, *a: log.append(name) or original(source, name, *a))
+    return log
+
+
+def test_new_values_of_a_replaced_tensor_need_no_new_kernel(built):
+    robot, q = TWO.bake(), random(5, 2)
+    results = [torchdq.inverse_dynamics(robot.replace(mass=k * TWO.mass), q, backend="c") for k in (1.0, 2.0, 3.0)]
+    assert len(built) == 1
+    assert not torch.equal(results[0], results[1])
+    agree([results[2]], [3 * results[0]])
+
+
+def test_new_batch_sizes_need_no_new_kernel(built):
+    robot = TWO.bake()
+    for batch in (1, 5, 70):
+        torchdq.inverse_dynamics(robot, random(batch, 2), backend="c")
+    assert len(built) == 1
+
+
+def test_baking_makes_constants(built):
+    heavy = TWO.replace(mass=2 * TWO.mass).bake()
+    q = random(5, 2)
+    assert heavy.varying == ()
+    agree([torchdq.inverse_dynamics(heavy, q, backend="c")], [2 * torchdq.inverse_dynamics(TWO, q, backend="c")])
+    assert "inverse_dynamics_two_link" in built
+
+
+def test_the_compiler_is_found_without_a_warning():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        torchdq.inverse_dynamics(TWO.bake(), random(2))

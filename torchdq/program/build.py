@@ -1,0 +1,137 @@
+"""Compiling C source into a function, and keeping what was compiled.
+
+Built libraries lie in a directory that only the user can write, under a name that is the hash of everything they
+depend on: source, compiler, flags and processor. The file ends with a hash of itself, so that one that was cut short,
+changed or put there by somebody else is rebuilt and never loaded. It appears under its name in one step, when it is
+complete, so any number of processes may build the same program at once.
+"""
+
+import ctypes
+import hashlib
+import os
+import platform
+import shutil
+import stat
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+from torchdq.errors import TorchdqError
+
+FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-shared", "-fPIC", "-w")
+SLOW = 1.0  # a build longer than this is announced [s]
+
+
+class BuildError(TorchdqError, RuntimeError):
+    """The compiler refused a program."""
+
+
+@cache
+def compiler() -> tuple[str, str] | None:
+    """Path and version text of the C compiler: `$CC`, or cc, gcc or clang on the path; None: there is none."""
+    for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
+        path = shutil.which(name)
+        if path is None:
+            continue
+        try:
+            version = subprocess.run([path, "--version"], capture_output=True, text=True, timeout=20, check=True)
+        except (OSError, subprocess.SubprocessError):
+            continue
+        return path, version.stdout
+    return None
+
+
+@cache
+def _processor() -> str:
+    """What -march=native depends on."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        kinds = sorted({line for line in lines if line.startswith(("flags", "Features", "model name", "CPU part"))})
+    except OSError:
+        kinds = []
+    return "\n".join([platform.machine(), platform.processor(), sys.platform, *kinds])
+
+
+def directory() -> Path:
+    """Directory of the built libraries, private to the user: `$TORCHDQ_CACHE`, or torchdq in the user's cache."""
+    stated = os.environ.get("TORCHDQ_CACHE")
+    base = Path(stated) if stated else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "torchdq"
+    try:
+        base.mkdir(mode=0o700, parents=True, exist_ok=True)
+        status = base.stat()
+        private = status.st_uid == os.getuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        if private and os.access(base, os.W_OK | os.X_OK):
+            return base
+    except OSError:
+        pass
+    return _temporary()
+
+
+@cache
+def _temporary() -> Path:
+    """A directory for this process alone, when the cache cannot be used or is not the user's own."""
+    return Path(tempfile.mkdtemp(prefix="torchdq-"))
+
+
+def _digest(key: str, body: bytes) -> bytes:
+    return hashlib.sha256(key.encode() + body).digest()
+
+
+def _intact(path: Path, key: str) -> bool:
+    """Whether a library is there, is the user's, and is what was built."""
+    try:
+        with path.open("rb") as file:
+            if os.fstat(file.fileno()).st_uid != os.getuid():
+                return False
+            data = file.read()
+    except OSError:
+        return False
+    return len(data) > 32 and _digest(key, data[:-32]) == data[-32:]
+
+
+def _compile(path: Path, key: str, source: str, name: str) -> None:
+    found = compiler()
+    if found is None:
+        raise BuildError("there is no C compiler; install gcc or clang, or name one in $CC")
+    with tempfile.TemporaryDirectory(prefix=".build-", dir=path.parent) as folder:
+        text, library = Path(folder) / "program.c", Path(folder) / "program.so"
+        text.write_text(source)
+        announcement = threading.Timer(SLOW, _announce, (name,))
+        announcement.daemon = True
+        announcement.start()
+        try:
+            done = subprocess.run(
+                [found[0], *FLAGS, "-o", str(library), str(text), "-lm"], capture_output=True, text=True
+            )
+        finally:
+            announcement.cancel()
+        if done.returncode != 0:
+            raise BuildError(f"{found[0]} could not compile the program {name!r}:\n{done.stderr[-2000:]}")
+        body = library.read_bytes()
+        with library.open("ab") as file:
+            file.write(_digest(key, body))
+            file.flush()
+            os.fsync(file.fileno())
+        library.replace(path)
+
+
+def _announce(name: str) -> None:
+    sys.stderr.write(f"torchdq: compiling {name}, once for this robot and machine ...\n")
+
+
+def load(source: str, name: str, pointers: int) -> Callable[..., None]:
+    """The function `run` of a C source, compiled unless it was before; it takes a count and that many pointers."""
+    found = compiler()
+    version = "" if found is None else "\n".join(found)
+    key = hashlib.sha256("\0".join([source, version, *FLAGS, _processor()]).encode()).hexdigest()
+    path = directory() / f"{key}.so"
+    if not _intact(path, key):
+        _compile(path, key, source, name)
+    function = ctypes.CDLL(str(path)).run
+    function.restype = None
+    function.argtypes = (ctypes.c_long, *(ctypes.c_void_p,) * pointers)
+    return function

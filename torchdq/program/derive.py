@@ -1,0 +1,167 @@
+"""Derivatives of programs, which are programs again, to any order."""
+
+from collections.abc import Callable, Sequence
+
+from torchdq.numbers.record import Number, Tape
+from torchdq.program.program import Argument, Program, Value, finish, replay, results
+
+
+def cotangents(program: Program, values: Sequence[Value], seeds: dict[int, Value]) -> dict[tuple[int, int], Value]:
+    """Cotangents of the argument components, reverse mode, from those of some values; what is left out is zero."""
+    adjoint: list[Value] = [0.0] * len(values)
+    for i, seed in seeds.items():
+        adjoint[i] = seed
+    found: dict[tuple[int, int], Value] = {}
+    for i in reversed(range(len(values))):
+        op, g = program.ops[i], adjoint[i]
+        if not isinstance(g, Number) and g == 0:
+            continue
+        if op.code == "in":
+            found[int(op.a), op.b] = g
+            continue
+        if op.code == "const":
+            continue
+        a = int(op.a)
+        if op.code == "add" or op.code == "sub":
+            adjoint[a] = adjoint[a] + g
+            adjoint[op.b] = adjoint[op.b] + g if op.code == "add" else adjoint[op.b] - g
+        elif op.code == "mul":
+            x, y = values[a], values[op.b]
+            adjoint[a] = adjoint[a] + g * y
+            adjoint[op.b] = adjoint[op.b] + g * x
+        elif op.code == "div":
+            r = g / values[op.b]
+            adjoint[a] = adjoint[a] + r
+            adjoint[op.b] = adjoint[op.b] - r * values[i]
+        elif op.code == "sin":
+            adjoint[a] = adjoint[a] + g * values[a].cos()
+        else:
+            adjoint[a] = adjoint[a] - g * values[a].sin()
+    return found
+
+
+def vjp(program: Program, wrt: Sequence[int]) -> Program:
+    """Vector-Jacobian product by reverse mode: takes the arguments and a cotangent per result, returns the gradients.
+
+    `wrt` are positions of arguments; the gradients come in that order. The gradient of an argument that is uniform is
+    summed over the samples; the cotangent of a summed result is uniform.
+    """
+    tape = Tape()
+    arguments = [*program.arguments]
+    for r in program.results:
+        arguments.append(Argument(_unused(f"{r.name}'", arguments), len(r.values), r.summed))
+    inputs = [[tape.input(k, j) for j in range(a.width)] for k, a in enumerate(arguments)]
+    values = replay(program, tape, inputs)
+    seeds: dict[int, Value] = {}
+    for result, row in zip(program.results, inputs[len(program.arguments) :], strict=True):
+        for v, seed in zip(result.values, row, strict=True):
+            if not isinstance(v, float):
+                seeds[v[0]] = seeds.get(v[0], 0.0) + (-seed if v[1] else seed)
+    found = cotangents(program, values, seeds)
+    outputs = {
+        f"{program.arguments[k].name}'": [found.get((k, j), 0.0) for j in range(program.arguments[k].width)]
+        for k in wrt
+    }
+    summed = [f"{program.arguments[k].name}'" for k in wrt if program.arguments[k].uniform]
+    return finish(f"{program.name}_vjp", arguments, tape, outputs, summed)
+
+
+def _unused(name: str, arguments: Sequence[Argument]) -> str:
+    """The name, or one made from it that none of the arguments has: results of derivatives are told apart by it."""
+    while any(a.name == name for a in arguments):
+        name += "'"
+    return name
+
+
+def tangents(program: Program, tape: Tape, values: Sequence[Value], seeds: dict[tuple[int, int], Value]) -> list[Value]:
+    """Tangent of every value, forward mode, from the tangents of some argument components; the others are zero."""
+    t: list[Value] = []
+    for i, op in enumerate(program.ops):
+        if op.code == "in":
+            t.append(seeds.get((int(op.a), op.b), 0.0))
+        elif op.code == "const":
+            t.append(0.0)
+        else:
+            a = int(op.a)
+            if op.code == "add":
+                t.append(t[a] + t[op.b])
+            elif op.code == "sub":
+                t.append(t[a] - t[op.b])
+            elif op.code == "mul":
+                t.append(t[a] * values[op.b] + values[a] * t[op.b])
+            elif op.code == "div":
+                t.append((t[a] - values[i] * t[op.b]) / values[op.b])
+            elif op.code == "sin":
+                t.append(t[a] * values[a].cos())
+            else:
+                t.append(-(t[a] * values[a].sin()))
+    return t
+
+
+def _tangent_results(program: Program, t: Sequence[Value]) -> dict[str, list[Value]]:
+    """Tangents of the results; that of a constant is zero."""
+    constant = {r.name: [isinstance(v, float) for v in r.values] for r in program.results}
+    return {
+        name: [0.0 if fixed else x for x, fixed in zip(row, constant[name], strict=True)]
+        for name, row in results(program, t).items()
+    }
+
+
+def jvp(program: Program, wrt: Sequence[int]) -> Program:
+    """Jacobian-vector product by forward mode: takes the arguments and a tangent of each argument in `wrt`."""
+    tape = Tape()
+    arguments = [*program.arguments]
+    for k in wrt:
+        arguments.append(program.arguments[k]._replace(name=_unused(f"d{program.arguments[k].name}", arguments)))
+    inputs = [[tape.input(k, j) for j in range(a.width)] for k, a in enumerate(arguments)]
+    values = replay(program, tape, inputs)
+    rows = zip(wrt, inputs[len(program.arguments) :], strict=True)
+    t = tangents(program, tape, values, {(k, j): x for k, row in rows for j, x in enumerate(row)})
+    summed = [r.name for r in program.results if r.summed]
+    return finish(f"{program.name}_jvp", arguments, tape, _tangent_results(program, t), summed)
+
+
+def jacobian(program: Program, wrt: Sequence[int]) -> Program:
+    """Full Jacobians of every result in every argument of `wrt`, [result, argument] row-major.
+
+    Recorded by forward mode with a unit tangent per argument component, and by reverse mode with a unit cotangent per
+    result component; the shorter program is returned.
+    """
+    return min(
+        (_jacobian(program, wrt, by) for by in (_by_columns, _by_rows)), key=lambda derived: derived.count().total
+    )
+
+
+def _jacobian(program: Program, wrt: Sequence[int], by: Callable[..., dict[str, list[Value]]]) -> Program:
+    tape = Tape()
+    inputs = [[tape.input(k, j) for j in range(a.width)] for k, a in enumerate(program.arguments)]
+    outputs = by(program, tape, replay(program, tape, inputs), wrt)
+    return finish(f"{program.name}_jacobian", program.arguments, tape, outputs)
+
+
+def _name(result: str, argument: Argument) -> str:
+    return f"d{result}/d{argument.name}"
+
+
+def _by_columns(program: Program, tape: Tape, values: Sequence[Value], wrt: Sequence[int]) -> dict[str, list[Value]]:
+    outputs: dict[str, list[Value]] = {}
+    for k in wrt:
+        argument = program.arguments[k]
+        columns = [
+            _tangent_results(program, tangents(program, tape, values, {(k, j): 1.0})) for j in range(argument.width)
+        ]
+        for r in program.results:
+            outputs[_name(r.name, argument)] = [c[r.name][i] for i in range(len(r.values)) for c in columns]
+    return outputs
+
+
+def _by_rows(program: Program, tape: Tape, values: Sequence[Value], wrt: Sequence[int]) -> dict[str, list[Value]]:
+    outputs: dict[str, list[Value]] = {_name(r.name, program.arguments[k]): [] for k in wrt for r in program.results}
+    for r in program.results:
+        for v in r.values:
+            seeds: dict[int, Value] = {} if isinstance(v, float) else {v[0]: -1.0 if v[1] else 1.0}
+            found = cotangents(program, values, seeds)
+            for k in wrt:
+                argument = program.arguments[k]
+                outputs[_name(r.name, argument)] += [found.get((k, j), 0.0) for j in range(argument.width)]
+    return outputs

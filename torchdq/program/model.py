@@ -1,0 +1,226 @@
+"""A robot as numbers to record: constants where its tensors are known, arguments where they are learned or varied."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra import screw
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.matrix import Rows
+from torchdq.algebra.quaternion import Number, Pure
+from torchdq.algebra.screw import Screw
+from torchdq.dynamics import aligned, composite, crba, kinematics, newton_euler, rnea
+from torchdq.dynamics.aligned import Aligned, AlignedLink, Body, Step, Turn
+from torchdq.dynamics.mechanism import Coordinate, Mechanism, mechanism
+from torchdq.robot import frames
+from torchdq.robot.robot import SHAPES, Robot
+
+Given = Mapping[str, Sequence[Number]]  # flat components of the robot's tensors that are arguments
+
+GEOMETRY = ("X_PB_home", "screw")
+INERTIAL = ("mass", "com", "inertia")
+
+
+def field(robot: Robot, name: str, given: Given):
+    """A tensor of the robot as nested tuples of numbers, or None if the robot has none."""
+    if name in given:
+        flat, shape = tuple(given[name]), SHAPES[name]
+        if len(shape) == 1:
+            return flat
+        return tuple(flat[k : k + shape[1]] for k in range(0, len(flat), shape[1]))
+    value = getattr(robot, name)
+    if value is None:
+        return None
+    rows = value.tolist()
+    return tuple(tuple(row) if isinstance(row, list) else row for row in rows)
+
+
+def general(robot: Robot, given: Given) -> Mechanism:
+    """The robot in its own link frames, as the paper has it."""
+    return mechanism(
+        robot.parents,
+        robot.kinds,
+        **{
+            name: field(robot, name, given)
+            for name in ("X_PB_home", "screw", "mass", "com", "inertia", "gravity", "armature")
+        },
+    )
+
+
+def displacements(robot: Robot, q: Sequence[Number], given: Given) -> list[Number]:
+    """Joint positions relative to home."""
+    home = field(robot, "home", given)
+    return list(q) if home is None else [x - h for x, h in zip(q, home, strict=True)]
+
+
+def coordinates(robot: Robot, q: Sequence[Number], given: Given) -> list[Coordinate]:
+    """Joint displacements with cosine and sine of their halves."""
+    halves = [(x, 0.5 * x) for x in displacements(robot, q, given)]
+    return [Coordinate(x, half.cos(), half.sin()) for x, half in halves]
+
+
+# --- aligned frames ---------------------------------------------------------------------------------------------------
+
+
+class AlignedModel(NamedTuple):
+    """A robot in a position, in the frames that cost least; its geometry must be constant."""
+
+    robot: Robot
+    placements: tuple[frames.Placement, ...]
+    aligned: Aligned
+    steps: tuple[Step, ...]
+
+    @classmethod
+    def of(cls, robot: Robot, q: Sequence[Number], given: Given, group: bool) -> AlignedModel:
+        """The robot at q; `group` moves inertia towards the base, which pays unless it varies from sample to sample."""
+        placements = frames.align(robot)
+        armature = field(robot, "armature", given) or (None,) * robot.n
+        bodies = _bodies(robot, placements, given)
+        links = tuple(
+            AlignedLink(parent, kind, at.pitch, at.gamma, at.alpha, at.p, body, rotor)
+            for parent, kind, at, body, rotor in zip(
+                robot.parents, robot.kinds, placements, bodies, armature, strict=True
+            )
+        )
+        tree = Aligned(links, field(robot, "gravity", given))
+        if group:
+            tree = aligned.grouped(tree)
+        x = displacements(robot, q, given)
+        turns = [_turn(at, kind, x_i) for at, kind, x_i in zip(placements, robot.kinds, x, strict=True)]
+        return cls(robot, placements, tree, aligned.steps(tree.links, x, turns))
+
+    @property
+    def links(self) -> tuple[AlignedLink, ...]:
+        """Links of the tree."""
+        return self.aligned.links
+
+    def torques(
+        self,
+        qd: Sequence[Number] | None,
+        qdd: Sequence[Number] | None,
+        f_tip: Screw | None,
+        f_ext: Sequence[Screw] | None,
+    ) -> Sequence[Number]:
+        """Inverse dynamics."""
+        exerted = wrenches(self.robot, f_tip, f_ext)
+        in_aligned = (
+            None
+            if exerted is None
+            else [None if f is None else _into(at, f) for at, f in zip(self.placements, exerted, strict=True)]
+        )
+        return newton_euler.inverse_dynamics(self.aligned, self.steps, qd, qdd, in_aligned)
+
+    def mass_matrix(self) -> Rows:
+        """Mass matrix."""
+        return composite.mass_matrix(self.aligned, self.steps)
+
+
+def _turn(at: frames.Placement, kind: str, x: Number) -> Turn:
+    """Cosine and sine of the joint's turn."""
+    offset = frames.turn(at.offset)
+    if kind == "prismatic":
+        return offset
+    if abs(offset[0]) in (0.0, 1.0):
+        c, s, _ = aligned.turn_z(offset, (x.cos(), x.sin(), 0.0))
+        return c, s
+    angle = x + at.offset
+    return angle.cos(), angle.sin()
+
+
+def _bodies(robot: Robot, placements: Sequence[frames.Placement], given: Given) -> list[Body]:
+    """Mass distribution of every link about its aligned frame."""
+    bodies = []
+    for at, m, com, inertia in zip(placements, *(field(robot, name, given) for name in INERTIAL), strict=True):
+        columns = tuple(zip(*at.R_BL, strict=True))
+        shifted = quat.sub(com, at.p_BL)
+        c = tuple(quat.dot(e, shifted) for e in columns)
+        xx, xy, yy, xz, yz, zz = inertia
+        rows = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+        half = tuple(tuple(quat.dot(row, e) for row in rows) for e in columns)  # I e
+        turned = tuple(tuple(quat.dot(e, v) for v in half) for e in columns)
+        bodies.append(Body(m, quat.scale(m, c), aligned.second_moments(c, m, turned)))
+    return bodies
+
+
+def _into(at: frames.Placement, f: Screw) -> Screw:
+    """A wrench of the link frame, in the aligned frame."""
+    columns = tuple(zip(*at.R_BL, strict=True))
+    force, moment = f
+    moment = quat.sub(moment, quat.cross(at.p_BL, force))
+    return tuple(quat.dot(e, force) for e in columns), tuple(quat.dot(e, moment) for e in columns)
+
+
+# --- the paper's frames -----------------------------------------------------------------------------------------------
+
+
+class PaperModel(NamedTuple):
+    """A robot in a position, in its own link frames, by the paper's recursion; anything about it may vary."""
+
+    robot: Robot
+    mechanism: Mechanism
+    X_PB: tuple[DualQuaternion, ...]
+    Ad: tuple
+
+    @classmethod
+    def of(cls, robot: Robot, q: Sequence[Number], given: Given) -> PaperModel:
+        """The robot at q."""
+        m = general(robot, given)
+        X_PB = kinematics.joint_poses(m, coordinates(robot, q, given))
+        return cls(robot, m, X_PB, kinematics.adjoints(X_PB))
+
+    @property
+    def links(self):
+        """Links of the tree."""
+        return self.mechanism.links
+
+    def torques(
+        self,
+        qd: Sequence[Number] | None,
+        qdd: Sequence[Number] | None,
+        f_tip: Screw | None,
+        f_ext: Sequence[Screw] | None,
+    ) -> Sequence[Number | None]:
+        """Inverse dynamics."""
+        return rnea.rnea(self.mechanism, self.Ad, qd, qdd, wrenches(self.robot, f_tip, f_ext))
+
+    def mass_matrix(self) -> Rows:
+        """Mass matrix."""
+        return crba.mass_matrix(self.mechanism, self.X_PB, self.Ad)
+
+
+def wrenches(robot: Robot, f_tip: Screw | None, f_ext: Sequence[Screw] | None) -> list[Screw | None] | None:
+    """Wrench each link exerts on the environment, in link frames; None if there is none."""
+    if f_tip is None and f_ext is None:
+        return None
+    exerted: list[Screw | None] = [None if f_ext is None else screw.neg(f_ext[i]) for i in range(robot.n)]
+    if f_tip is not None:
+        frame = robot.end_effector()
+        f = screw.ad(screw.columns(constant_pose(frame.X_BF)), f_tip)
+        before = exerted[frame.link]
+        exerted[frame.link] = f if before is None else screw.add(before, f)
+    return exerted
+
+
+def constant_pose(x) -> DualQuaternion:
+    """Pose tensor as numbers."""
+    components = tuple(x.tolist())
+    return components[:4], components[4:]
+
+
+def model(robot: Robot, q: Sequence[Number], given: Given, varied: Sequence[str]) -> AlignedModel | PaperModel:
+    """The robot at q, in the frames that cost least for what is constant about it.
+
+    `varied` names the tensors of the robot that differ from sample to sample.
+    """
+    if any(name in given for name in GEOMETRY):
+        return PaperModel.of(robot, q, given)
+    return AlignedModel.of(robot, q, given, group=not any(name in varied for name in INERTIAL))
+
+
+def as_screw(x: Sequence[Number]) -> Screw:
+    """Six components as a screw."""
+    a: Pure = (x[0], x[1], x[2])
+    b: Pure = (x[3], x[4], x[5])
+    return a, b

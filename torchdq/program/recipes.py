@@ -1,0 +1,241 @@
+"""What is recorded: each public function as a computation on numbers, and the programs it has become.
+
+A recipe takes the robot, its arguments as tuples of numbers, and those of the robot's own tensors that are arguments,
+and returns named rows of numbers. Its program depends on the robot's constants and on which arguments are present.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+from torchdq.algebra import dual_quaternion, quaternion, screw
+from torchdq.algebra.quaternion import Number
+from torchdq.algebra.screw import Screw
+from torchdq.dynamics import articulated, energy, forward, kinematics, rnea
+from torchdq.dynamics import closed_form as closed
+from torchdq.dynamics import regressor as regression
+from torchdq.dynamics.mechanism import BASE
+from torchdq.program import derive
+from torchdq.program.model import Given, PaperModel, as_screw, constant_pose, model
+from torchdq.program.program import Argument, Program, Value, record
+from torchdq.robot.robot import Robot
+
+LONG = 9  # joints from which an alternative is worth recording
+KEPT = 1024  # programs that a process remembers
+
+Rows = dict[str, Sequence[Value | None]]
+
+
+class Inputs(NamedTuple):
+    """What a recipe is given."""
+
+    robot: Robot
+    arguments: Mapping[str, Sequence[Number]]  # those that are present
+    given: Given  # tensors of the robot that are arguments
+    varied: tuple[str, ...]  # and those among them that differ from sample to sample
+
+    @property
+    def q(self) -> Sequence[Number]:
+        """Joint positions."""
+        return self.arguments["q"]
+
+    def wrenches(self) -> tuple[Screw | None, list[Screw] | None]:
+        """f_tip and f_ext."""
+        f_tip, f_ext = self.arguments.get("f_tip"), self.arguments.get("f_ext")
+        return (
+            None if f_tip is None else as_screw(f_tip),
+            None if f_ext is None else [as_screw(f_ext[6 * i : 6 * i + 6]) for i in range(self.robot.n)],
+        )
+
+    def model(self):
+        """The robot in its position, in the cheapest frames."""
+        return model(self.robot, self.q, self.given, self.varied)
+
+    def paper(self) -> PaperModel:
+        """The robot in its position, in its own link frames."""
+        return PaperModel.of(self.robot, self.q, self.given)
+
+
+def inverse_dynamics(x: Inputs) -> Rows:
+    """tau."""
+    f_tip, f_ext = x.wrenches()
+    return {"tau": x.model().torques(x.arguments.get("qd"), x.arguments.get("qdd"), f_tip, f_ext)}
+
+
+def mass_matrix(x: Inputs) -> Rows:
+    """M, row-major."""
+    return {"M": [entry for row in x.model().mass_matrix() for entry in row]}
+
+
+def forward_dynamics(x: Inputs) -> Rows:
+    """qdd, by the mass matrix and its factors."""
+    m = x.model()
+    f_tip, f_ext = x.wrenches()
+    bias = m.torques(x.arguments.get("qd"), None, f_tip, f_ext)
+    return {"qdd": forward.forward_dynamics(m.links, m.mass_matrix(), bias, x.arguments["tau"])}
+
+
+def forward_dynamics_articulated(x: Inputs) -> Rows:
+    """qdd, by articulated bodies."""
+    m = x.model()
+    f_tip, f_ext = x.wrenches()
+    bias = m.torques(x.arguments.get("qd"), None, f_tip, f_ext)
+    if isinstance(m, PaperModel):
+        return {"qdd": forward.forward_dynamics(m.links, m.mass_matrix(), bias, x.arguments["tau"])}
+    net = [t - b for t, b in zip(x.arguments["tau"], bias, strict=True)]
+    return {"qdd": articulated.solve(m.aligned, m.steps, net)}
+
+
+def closed_form(x: Inputs, tip_name: str) -> Rows:
+    """M, c, g, and Jt if there is a tip."""
+    m = x.paper()
+    tip = None
+    if tip_name:
+        frame = x.robot.frame(tip_name)
+        tip = (frame.link, screw.columns(constant_pose(frame.X_BF)))
+    terms = closed.closed_form(m.mechanism, m.Ad, x.arguments["qd"], tip)
+    rows: Rows = {"M": [entry for row in terms.M for entry in row], "c": terms.c, "g": terms.g}
+    if terms.Jt is not None:
+        rows["Jt"] = [entry for row in terms.Jt for entry in _six(row)]
+    return rows
+
+
+def regressor(x: Inputs) -> Rows:
+    """Y, row-major."""
+    m = x.paper()
+    base = rnea.base_at_rest(m.mechanism)
+    V, A = rnea.outward(m.mechanism, m.Ad, x.arguments["qd"], x.arguments["qdd"], base)
+    blocks = regression.regressor(m.mechanism, m.Ad, V, A)
+    return {"Y": [entry for row in blocks for block in row for entry in (block or (None,) * 10)]}
+
+
+def kinetic_energy(x: Inputs) -> Rows:
+    """T."""
+    m = x.paper()
+    rates = x.arguments["qd"]
+    V, _ = rnea.outward(m.mechanism, m.Ad, rates, [None] * x.robot.n, rnea.Base(None, None))
+    return {"T": [energy.kinetic_energy(m.mechanism, V, rates)]}
+
+
+def potential_energy(x: Inputs) -> Rows:
+    """U."""
+    m = x.paper()
+    return {"U": [energy.potential_energy(m.mechanism, kinematics.link_poses(m.mechanism, m.X_PB))]}
+
+
+def forward_kinematics(x: Inputs, *names: str) -> Rows:
+    """Poses of the frames, one after the other."""
+    m = x.paper()
+    X_WB = kinematics.link_poses(m.mechanism, m.X_PB)
+    rows: list[Value | None] = []
+    for name in names:
+        frame = x.robot.frame(name)
+        pose = constant_pose(frame.X_BF)
+        pose = pose if frame.link == BASE else dual_quaternion.mul(X_WB[frame.link], pose)
+        rows += [*pose[0], *pose[1]]
+    return {"X": rows}
+
+
+def jacobian(x: Inputs, name: str, expressed: str) -> Rows:
+    """J, row-major, twist components by joints."""
+    m = x.paper()
+    frame = x.robot.frame(name)
+    columns: Sequence[Screw | None] = (None,) * x.robot.n
+    if frame.link != BASE:
+        X_BF = constant_pose(frame.X_BF)
+        columns = kinematics.jacobian(m.mechanism, m.Ad, frame.link, X_BF)
+        if expressed == "world":
+            r_WF = quaternion.mul(kinematics.link_poses(m.mechanism, m.X_PB)[frame.link][0], X_BF[0])
+            columns = [c and (quaternion.rotate(r_WF, c[0]), quaternion.rotate(r_WF, c[1])) for c in columns]
+    return {"J": [_six(c)[i] for i in range(6) for c in columns]}
+
+
+def _six(s: Screw | None) -> tuple[Number | None, ...]:
+    return (None,) * 6 if s is None else (*s[0], *s[1])
+
+
+Axes = tuple[int | str, ...]  # trailing axes, "n" being the number of joints
+
+
+class Recipe(NamedTuple):
+    """A public function: what it takes, how it is computed, and what it returns."""
+
+    arguments: tuple[tuple[str, Axes, bool], ...]  # name, trailing axes, whether it may be absent
+    # ways to compute it; the one with the fewest operations for the robot at hand becomes its program
+    ways: tuple[Callable[..., Rows], ...]
+    results: Callable[..., tuple[tuple[int, ...], ...]]  # trailing axes of the results, from n and the options
+
+
+def _joints(*names: str) -> tuple[tuple[str, Axes, bool], ...]:
+    return tuple((name, ("n",), False) for name in names)
+
+
+_WRENCHES: tuple[tuple[str, Axes, bool], ...] = (("f_tip", (6,), True), ("f_ext", ("n", 6), True))
+_RATES: tuple[tuple[str, Axes, bool], ...] = (("qd", ("n",), True), ("qdd", ("n",), True))
+
+RECIPES: dict[str, Recipe] = {
+    "inverse_dynamics": Recipe((*_joints("q"), *_RATES, *_WRENCHES), (inverse_dynamics,), lambda n: ((n,),)),
+    "inverse_dynamics_jacobian": Recipe(_joints("q", "qd", "qdd"), (inverse_dynamics,), lambda n: ((n, n), (n, n))),
+    "mass_matrix": Recipe(_joints("q"), (mass_matrix,), lambda n: ((n, n),)),
+    "forward_dynamics": Recipe(
+        (*_joints("q"), _RATES[0], *_joints("tau"), *_WRENCHES),
+        (forward_dynamics, forward_dynamics_articulated),
+        lambda n: ((n,),),
+    ),
+    "closed_form": Recipe(
+        _joints("q", "qd"), (closed_form,), lambda n, tip: ((n, n), (n,), (n,), *(((n, 6),) if tip else ()))
+    ),
+    "regressor": Recipe(_joints("q", "qd", "qdd"), (regressor,), lambda n: ((n, 10 * n),)),
+    "kinetic_energy": Recipe(_joints("q", "qd"), (kinetic_energy,), lambda n: ((),)),
+    "potential_energy": Recipe(_joints("q"), (potential_energy,), lambda n: ((),)),
+    "forward_kinematics": Recipe(_joints("q"), (forward_kinematics,), lambda n, *frames: ((len(frames), 8),)),
+    "jacobian": Recipe(_joints("q"), (jacobian,), lambda n, frame, expressed: ((6, n),)),
+}
+DERIVATIVES = {"inverse_dynamics_jacobian": (0, 1)}  # positions of the arguments in which a recipe is differentiated
+
+
+class Signature(NamedTuple):
+    """Everything but the robot's constants that a program depends on."""
+
+    identity: str  # of the robot's constants
+    recipe: str
+    arguments: tuple[tuple[str, int], ...]  # present ones, with their widths
+    fields: tuple[tuple[str, int, bool], ...]  # tensors of the robot that are arguments: width, uniform
+    options: tuple[str, ...]
+
+
+_robots: dict[str, Robot] = {}
+
+
+def program(robot: Robot, signature: Signature) -> Program:
+    """Program of a recipe for a robot, recorded once."""
+    # recordings are kept by the name of the robot's constants, so that no robot is kept alive by them
+    _robots[signature.identity] = robot
+    try:
+        return _program(signature)
+    finally:
+        del _robots[signature.identity]
+
+
+@lru_cache(KEPT)
+def _program(signature: Signature) -> Program:
+    robot, recipe = _robots[signature.identity], RECIPES[signature.recipe]
+    arguments = [Argument(name, width) for name, width in signature.arguments]
+    arguments += [Argument(name, width, uniform) for name, width, uniform in signature.fields]
+    present = [name for name, _ in signature.arguments]
+    varied = tuple(name for name, _, uniform in signature.fields if not uniform)
+
+    def recorded(way: Callable[..., Rows]) -> Program:
+        def algorithm(*rows: Sequence[Number]) -> Rows:
+            by_name = dict(zip(present, rows[: len(present)], strict=True))
+            given = {name: row for (name, _, _), row in zip(signature.fields, rows[len(present) :], strict=True)}
+            return way(Inputs(robot, by_name, given, varied), *signature.options)
+
+        return record(f"{signature.recipe}_{robot.name}", arguments, algorithm)
+
+    ways = recipe.ways if robot.n >= LONG else recipe.ways[:1]
+    best = min(map(recorded, ways), key=lambda p: p.count().total)
+    wrt = DERIVATIVES.get(signature.recipe)
+    return best if wrt is None else derive.jacobian(best, wrt)

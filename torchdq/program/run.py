@@ -1,0 +1,284 @@
+"""Running a program on tensors: compiled or operation by operation, with derivatives, batches and transforms.
+
+Arguments are tensors [samples, width], or [width] where the argument is uniform; so are results. Derivatives of a
+program are programs, run in the same way, so nothing but the arguments is kept between forward and backward.
+"""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import cache, lru_cache
+from hashlib import sha256
+
+import torch
+from torch import Tensor
+from torch.autograd import forward_ad
+
+from torchdq.errors import ArgumentError
+from torchdq.program import build, c, derive
+from torchdq.program.program import Argument, Program
+
+PER_THREAD = 30_000.0  # operations on vectors that are worth a thread
+KEPT = 1024  # programs of each kind that a process remembers
+BLOCK = 64  # samples; threads get whole blocks, so that no vector is shared
+
+# --- one program, one precision --------------------------------------------------------------------------------------
+
+
+class Kernel:
+    """A compiled program in one precision."""
+
+    def __init__(self, program: Program, single: bool):
+        self.program = program
+        self.dtype = torch.float32 if single else torch.float64
+        pointers = len(program.arguments) + len(program.results)
+        self.function = build.load(c.source(program, single), program.name, pointers)
+        size = 4 if single else 8
+        self.widths = [len(r.values) for r in program.results]
+        self.any_summed = any(r.summed for r in program.results)
+        # bytes from one sample's row to the next, of arguments and results
+        self.strides = [0 if a.uniform else a.width * size for a in program.arguments]
+        self.strides += [w * size for w in self.widths]
+        # samples that are worth a thread of their own
+        self.share = max(BLOCK, int(8 * PER_THREAD / max(1, program.count().total)))
+
+    def __call__(self, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
+        """Results of dense arguments."""
+        if samples >= 2 * self.share and torch.get_num_threads() > 1:
+            return self.in_threads(inputs, samples)
+        device = inputs[0].device
+        if self.any_summed:
+            results = [
+                torch.empty((w,) if r.summed else (samples, w), dtype=self.dtype, device=device)
+                for r, w in zip(self.program.results, self.widths, strict=True)
+            ]
+        else:
+            results = [torch.empty((samples, w), dtype=self.dtype, device=device) for w in self.widths]
+        self.function(samples, *[x.data_ptr() for x in inputs], *[y.data_ptr() for y in results])
+        return results
+
+    def in_threads(self, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
+        """The same, the samples split into whole blocks among torch's number of threads."""
+        threads = min(torch.get_num_threads(), samples // self.share)
+        share = -(-samples // (threads * BLOCK)) * BLOCK
+        starts = range(0, samples, share)
+        device = inputs[0].device
+        results = [
+            torch.empty((len(starts) if r.summed else samples, w), dtype=self.dtype, device=device)
+            for r, w in zip(self.program.results, self.widths, strict=True)
+        ]
+        # a thread has its own row of a sum
+        rows = [0] * len(inputs) + [int(r.summed) for r in self.program.results]
+        pointers = [x.data_ptr() for x in (*inputs, *results)]
+
+        def run(k: int) -> None:
+            at = [
+                p + (k if summed else starts[k]) * stride
+                for p, stride, summed in zip(pointers, self.strides, rows, strict=True)
+            ]
+            self.function(min(share, samples - starts[k]), *at)
+
+        list(_pool().map(run, range(len(starts))))
+        return [y.sum(0) if r.summed else y for y, r in zip(results, self.program.results, strict=True)]
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max(2, os.cpu_count() or 2), thread_name_prefix="torchdq")
+
+
+os.register_at_fork(after_in_child=_pool.cache_clear)  # threads do not survive a fork
+
+
+@lru_cache(KEPT)
+def kernel(program: Program, single: bool) -> Kernel:
+    """Kernel of a program, compiled once per process and, in the cache, once per machine."""
+    return Kernel(program, single)
+
+
+vjp = lru_cache(KEPT)(derive.vjp)
+jvp = lru_cache(KEPT)(derive.jvp)
+
+
+# --- eager -----------------------------------------------------------------------------------------------------------
+
+
+def eager(program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
+    """Results of a program, operation by operation in torch; differentiable by torch itself."""
+    samples = next((x.shape[0] for x, a in zip(inputs, program.arguments, strict=True) if not a.uniform), 1)
+    rows = [x.unbind(-1) for x in inputs]
+    values: list = []  # tensors, or Python numbers
+    for code, a, b in program.ops:
+        if code == "in":
+            values.append(rows[int(a)][b])
+        elif code == "const":
+            values.append(a)
+        elif code == "sin":
+            values.append(torch.sin(values[int(a)]))
+        elif code == "cos":
+            values.append(torch.cos(values[int(a)]))
+        else:
+            x, y = values[int(a)], values[b]
+            values.append(x + y if code == "add" else x - y if code == "sub" else x * y if code == "mul" else x / y)
+    results = []
+    for r in program.results:
+        columns = []
+        for v in r.values:
+            x = v if isinstance(v, float) else -values[v[0]] if v[1] else values[v[0]]
+            x = inputs[0].new_full((), x) if isinstance(x, float) else x
+            columns.append(x.expand(samples))
+        row = torch.stack(columns, -1) if columns else inputs[0].new_empty((samples, 0))
+        results.append(row.sum(0) if r.summed else row)
+    return results
+
+
+# --- torch -----------------------------------------------------------------------------------------------------------
+
+
+def _samples(program: Program, inputs: Sequence[Tensor]) -> int:
+    return next((x.shape[0] for x, a in zip(inputs, program.arguments, strict=True) if not a.uniform), 1)
+
+
+def _execute(program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
+    return kernel(program, inputs[0].dtype == torch.float32)(
+        [x.contiguous() for x in inputs], _samples(program, inputs)
+    )
+
+
+def _gradients(ctx, program: Program, needed: Sequence[bool], cotangents: Sequence[Tensor]) -> list:
+    """Gradients of the inputs that need one, by the program's vector-Jacobian product."""
+    wrt = tuple([k for k, wanted in enumerate(needed) if wanted])
+    # autograd's own vmap (is_grads_batched) knows no rule for us, but torch's operations know it
+    run = eager if any(map(torch._C._functorch.is_legacy_batchedtensor, cotangents)) else compiled
+    gradients = iter(run(vjp(program, wrt), [*ctx.saved_tensors, *cotangents]))
+    return [next(gradients) if wanted else None for wanted in needed]
+
+
+class _Differentiable(torch.autograd.Function):
+    """A compiled program with its gradients."""
+
+    @staticmethod
+    def forward(ctx, program: Program, *inputs: Tensor) -> tuple[Tensor, ...]:
+        ctx.program = program
+        ctx.save_for_backward(*inputs)
+        return tuple(_execute(program, inputs))
+
+    @staticmethod
+    def backward(ctx, *cotangents: Tensor):
+        return None, *_gradients(ctx, ctx.program, ctx.needs_input_grad[1:], cotangents)
+
+
+class _Transformable(torch.autograd.Function):
+    """The same for torch.func and forward-mode differentiation, whose bookkeeping costs more."""
+
+    @staticmethod
+    def forward(program: Program, *inputs: Tensor) -> tuple[Tensor, ...]:
+        return tuple(_execute(program, inputs))
+
+    @staticmethod
+    def setup_context(ctx, inputs, output) -> None:
+        ctx.program = inputs[0]
+        ctx.save_for_backward(*inputs[1:])
+        ctx.save_for_forward(*inputs[1:])
+
+    @staticmethod
+    def backward(ctx, *cotangents: Tensor):
+        return None, *_gradients(ctx, ctx.program, ctx.needs_input_grad[1:], cotangents)
+
+    @staticmethod
+    def jvp(ctx, _, *tangents: Tensor | None) -> tuple[Tensor, ...]:
+        wrt = tuple(k for k, t in enumerate(tangents) if t is not None)
+        present = [t for t in tangents if t is not None]
+        return tuple(compiled(jvp(ctx.program, wrt), [*ctx.saved_tensors, *present]))
+
+    @staticmethod
+    def vmap(info, in_dims, program: Program, *inputs: Tensor):
+        size = info.batch_size
+        own = per_sample(program)
+        samples = next(
+            (
+                x.shape[int(d == 0)]
+                for x, d, a in zip(inputs, in_dims[1:], program.arguments, strict=True)
+                if not a.uniform
+            ),
+            1,
+        )
+        rows = []
+        for x, d, a in zip(inputs, in_dims[1:], program.arguments, strict=True):
+            x = x.unsqueeze(0) if d is None else x.movedim(d, 0)
+            x = x.unsqueeze(1) if a.uniform else x
+            rows.append(x.expand(size, samples, a.width).reshape(size * samples, a.width))
+        results = [y.reshape(size, samples, y.shape[-1]) for y in compiled(own, rows)]
+        results = [y.sum(1) if r.summed else y for y, r in zip(results, program.results, strict=True)]
+        return tuple(results), (0,) * len(results)
+
+
+@lru_cache(KEPT)
+def per_sample(program: Program) -> Program:
+    """The program with nothing shared between samples: no uniform argument, no sum."""
+    return replace(
+        program,
+        arguments=tuple(Argument(a.name, a.width) for a in program.arguments),
+        results=tuple(r._replace(summed=False) for r in program.results),
+    )
+
+
+_known: dict[str, Program] = {}
+
+
+def key(program: Program) -> str:
+    """Name under which a compiled graph finds a program again."""
+    name = sha256(str(program).encode()).hexdigest()
+    _known[name] = program
+    return name
+
+
+def _found(name: str) -> Program:
+    """Program of a name; a graph that torch kept from an earlier process may name derivatives not yet recorded here."""
+    if name not in _known:
+        primal, derived, wrt = name.rpartition(":")
+        if not derived:
+            raise ArgumentError(
+                "a graph calls a program that was recorded in another process; trace or export it again in this one"
+            )
+        _known[name] = vjp(_found(primal), tuple(map(int, wrt.split(","))))
+    return _known[name]
+
+
+@torch.library.custom_op("torchdq::run", mutates_args=())
+def operator(program: str, inputs: Sequence[Tensor]) -> list[Tensor]:
+    """Results of a program by its compiled kernel, for graphs that are traced: the program goes by its name."""
+    return _execute(_found(program), inputs)
+
+
+@operator.register_fake
+def _(program: str, inputs: Sequence[Tensor]) -> list[Tensor]:
+    samples = _samples(_found(program), inputs)
+    return [
+        inputs[0].new_empty((len(r.values),) if r.summed else (samples, len(r.values))) for r in _found(program).results
+    ]
+
+
+def _setup(ctx, inputs, output) -> None:
+    ctx.program = inputs[0]
+    ctx.save_for_backward(*inputs[1])
+
+
+def _backward(ctx, cotangents: Sequence[Tensor]):
+    saved = ctx.saved_tensors
+    wrt = tuple(k for k, needed in enumerate(ctx.needs_input_grad[1]) if needed)
+    gradients = iter(operator(f"{ctx.program}:{','.join(map(str, wrt))}", [*saved, *cotangents]))
+    return None, [next(gradients) if k in wrt else None for k in range(len(saved))]
+
+
+operator.register_autograd(_backward, setup_context=_setup)
+
+
+def compiled(program: Program, inputs: Sequence[Tensor]) -> Sequence[Tensor]:
+    """Results of a program by its compiled kernel, with no more bookkeeping than is asked for."""
+    if torch._C._are_functorch_transforms_active() or forward_ad._current_level >= 0:
+        return _Transformable.apply(program, *inputs)
+    if torch.is_grad_enabled() and any([x.requires_grad for x in inputs]):
+        return _Differentiable.apply(program, *inputs)
+    return _execute(program, inputs)
