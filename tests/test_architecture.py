@@ -33,6 +33,7 @@ FLOORS = {
     "torchdq.numbers": 0,
     "torchdq.program": 3,
     "torchdq.functional": 4,
+    "torchdq.compiling": 4,
     "torchdq.control": 5,
     "torchdq.nn": 6,
     "torchdq": 7,

@@ -538,3 +538,26 @@ def test_the_compiler_is_found_without_a_warning():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         torchdq.inverse_dynamics(TWO.bake(), random(2))
+
+
+# --- ahead of time ---------------------------------------------------------------------------------------------------
+
+
+def test_a_program_compiled_ahead_is_the_function():
+    q, qd, qdd = (random(4, TWO.n, seed=k) for k in range(3))
+    compiled = torchdq.compile(TWO, "inverse_dynamics")
+    assert torch.equal(compiled(q, qd, qdd), torchdq.inverse_dynamics(TWO, q, qd, qdd))
+    x = [t.clone().requires_grad_() for t in (q, qd, qdd)]
+    cotangent = torch.ones_like(q)
+    expected = torch.autograd.grad(torchdq.inverse_dynamics(TWO, *x), x, cotangent)
+    assert all(map(torch.equal, compiled.vjp()(q, qd, qdd, cotangent), expected))
+    assert "void run(long samples" in compiled.source("c")
+
+
+def test_compiling_ahead_names_what_it_does_not_know():
+    with pytest.raises(KeyError, match="inverse_dynamics"):
+        torchdq.compile(TWO, "inverse_dynamic")
+    with pytest.raises(KeyError, match="f_tip"):
+        torchdq.compile(TWO, "inverse_dynamics", arguments=("q", "f_tips"))
+    with pytest.raises(ArgumentError, match=r"qd must be .* tensor \[\.\.\., 2\]"):
+        torchdq.compile(TWO, "inverse_dynamics")(random(4, 2), random(4, 3), random(4, 2))

@@ -730,13 +730,17 @@ def randomised(field, rows=3):
 
 
 @pytest.mark.parametrize("field", ["mass", "com", "inertia", "gravity", "armature"])
-def test_a_row_of_a_batch_of_robots_is_that_robot_alone(field):
+@pytest.mark.parametrize("backend", ["auto", "eager"])
+def test_a_row_of_a_batch_of_robots_is_that_robot_alone(backend, field):
     robots = randomised(field)
     q, qd, qdd = states(6, rows=3)
-    tau = torchdq.inverse_dynamics(robots, q, qd, qdd)
-    for row in range(3):
-        alone = robots.replace(**{field: getattr(robots, field)[row]})
-        assert torch.equal(tau[row], torchdq.inverse_dynamics(alone, q[row], qd[row], qdd[row]))
+    with torchdq.backend(backend):
+        tau = torchdq.inverse_dynamics(robots, q, qd, qdd)
+        for row in range(3):
+            alone = robots.replace(**{field: getattr(robots, field)[row]})
+            # a compiled robot that is known has its numbers folded, one of many has them as inputs: other roundings
+            tolerance = 0.0 if backend == "eager" else 64 * EPS
+            assert same(tau[row], torchdq.inverse_dynamics(alone, q[row], qd[row], qdd[row]), tolerance)
 
 
 def test_batches_of_robots_and_of_states_broadcast():

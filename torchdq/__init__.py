@@ -13,6 +13,7 @@ Conventions, everywhere:
 """
 
 from torchdq import dq
+from torchdq.compiling import compile
 from torchdq.control import computed_torque
 from torchdq.errors import (
     ArgumentError,
@@ -57,6 +58,7 @@ __all__ = [
     "UnphysicalError",
     "backend",
     "closed_form",
+    "compile",
     "computed_torque",
     "dq",
     "dynamics_jacobian",

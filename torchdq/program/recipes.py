@@ -177,7 +177,7 @@ _RATES: tuple[tuple[str, Axes, bool], ...] = (("qd", ("n",), True), ("qdd", ("n"
 
 RECIPES: dict[str, Recipe] = {
     "inverse_dynamics": Recipe((*_joints("q"), *_RATES, *_WRENCHES), (inverse_dynamics,), lambda n: ((n,),)),
-    "inverse_dynamics_jacobian": Recipe(_joints("q", "qd", "qdd"), (inverse_dynamics,), lambda n: ((n, n), (n, n))),
+    "inverse_dynamics_jacobian": Recipe(_joints("q", "qd", "qdd"), (inverse_dynamics,), lambda n: ((n, n),) * 3),
     "mass_matrix": Recipe(_joints("q"), (mass_matrix,), lambda n: ((n, n),)),
     "forward_dynamics": Recipe(
         (*_joints("q"), _RATES[0], *_joints("tau"), *_WRENCHES),
@@ -193,7 +193,7 @@ RECIPES: dict[str, Recipe] = {
     "forward_kinematics": Recipe(_joints("q"), (forward_kinematics,), lambda n, *frames: ((len(frames), 8),)),
     "jacobian": Recipe(_joints("q"), (jacobian,), lambda n, frame, expressed: ((6, n),)),
 }
-DERIVATIVES = {"inverse_dynamics_jacobian": (0, 1)}  # positions of the arguments in which a recipe is differentiated
+DERIVATIVES = {"inverse_dynamics_jacobian": (0, 1, 2)}  # positions of the arguments in which a recipe is differentiated
 
 
 class Signature(NamedTuple):

@@ -19,7 +19,7 @@ from torchdq.errors import ArgumentError
 from torchdq.program import build, c, derive
 from torchdq.program.program import Argument, Program
 
-PER_THREAD = 30_000.0  # operations on vectors that are worth a thread
+PER_THREAD = 1e6  # operations on vectors that are worth a thread: waking one takes as long as tens of thousands
 KEPT = 1024  # programs of each kind that a process remembers
 BLOCK = 64  # samples; threads get whole blocks, so that no vector is shared
 
@@ -79,7 +79,10 @@ class Kernel:
             ]
             self.function(min(share, samples - starts[k]), *at)
 
-        list(_pool().map(run, range(len(starts))))
+        waiting = [_pool().submit(run, k) for k in range(1, len(starts))]
+        run(0)
+        for job in waiting:
+            job.result()
         return [y.sum(0) if r.summed else y for y, r in zip(results, self.program.results, strict=True)]
 
 

@@ -26,6 +26,7 @@ from torchdq.robot import physical
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 MOST_BYTES = 10_000_000
+MOST_TAGS = 200_000
 MOST_LINKS = 2_000  # pinocchio recurses over the tree and takes the process with it somewhere beyond 3000
 MOST = 1e50  # of any number: the products of three that dynamics form still do not overflow
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -90,6 +91,8 @@ def parse(text: str) -> Document:
     """Document of a URDF text; raises `DescriptionError` with every fault found."""
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise DescriptionError("the file declares a document type or entities, which a robot description never needs")
+    if text.count("<") > MOST_TAGS:
+        raise DescriptionError(f"the file has {text.count('<')} tags; a robot description has at most {MOST_TAGS}")
     try:
         root = ET.fromstring(text)
     except (ET.ParseError, UnicodeError) as error:
