@@ -1,6 +1,6 @@
 """Speed beside the field's tools, in one run: medians and spreads per sample, and ratios.
 
-    python benchmarks/peers.py [--quick] [--json FILE] [--threads N]
+    python benchmarks/peers.py [--quick] [--json FILE] [--readme] [--threads N]
 
 Every contender gets ordinary inputs in the layout it likes best, prepared beforehand, and is warmed up; compile and
 recording time is a column of its own. The contenders of one row take turns, so that a noisy machine is noisy to all.
@@ -21,7 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -34,6 +34,7 @@ import torch
 import torchdq
 
 SECONDS = 1.0  # of measuring per contender
+TURN = 0.02  # of one contender before it is the next one's turn [s]
 
 
 @dataclass
@@ -61,8 +62,8 @@ def measure(contenders: dict[str, Callable[[], object]], batch: int, seconds: fl
         call()
         start = time.perf_counter()
         call()
-        # short calls are repeated, so that the clock does not matter
-        inner[name] = max(1, int(2e-3 / max(time.perf_counter() - start, 1e-7)))
+        # a turn lasts long enough that what the others left in the caches does not matter
+        inner[name] = max(1, int(TURN / max(time.perf_counter() - start, 1e-7)))
     end = time.perf_counter() + seconds * len(contenders)
     while time.perf_counter() < end or min(map(len, times.values())) < 5:
         for name, call in contenders.items():
@@ -229,7 +230,7 @@ class Task:
             contenders.update(peer(task))
         rows = []
         for name, times in measure(contenders, self.batch, seconds).items():
-            low, _, high = statistics.quantiles(times, n=10)[0], None, statistics.quantiles(times, n=10)[-1]
+            low, *_, high = statistics.quantiles(times, n=10)
             rows.append(
                 Row(
                     self.robot.name,
@@ -248,28 +249,161 @@ class Task:
         return rows
 
 
-def cold_start(path: Path, gradient: bool, recipe: str = "DQRNEA") -> tuple[float, float]:
-    """First call [s] in a fresh process, with an empty cache and with a full one, imports excluded."""
-    code = f"""
-import sys, time, torch, torchdq
-robot = torchdq.Robot.from_urdf({str(path)!r}, on_unphysical="ignore")
-x = [torch.zeros(4, robot.n, dtype=torch.float64, requires_grad={gradient}) for _ in range(3)]
+# --- what is asked of this package -----------------------------------------------------------------------------------
+
+FRESH = """
+import time, torch, torchdq
+torch.set_num_threads(1)
+{setup}
 start = time.perf_counter()
-y = torchdq.{recipe}(robot)(*x)
-if {gradient}: y.sum().backward()
+{work}
 print(time.perf_counter() - start)
 """
-    with tempfile.TemporaryDirectory() as folder:
-        environment = {**os.environ, "TORCHDQ_CACHE": folder}
-        times = [
-            float(
-                subprocess.run(
-                    [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
-                ).stdout
-            )
-            for _ in range(2)
-        ]
-    return times[0], times[1]
+# peak of the resident memory over what it was before the inputs, the kernels being loaded already
+MEMORY = """
+def resident(key):
+    return int(next(l for l in open("/proc/self/status") if l.startswith(key)).split()[1]) / 1024
+def work(batch):
+    x = [torch.ones(batch, 7, dtype=torch.float64, requires_grad=True) for _ in range(3)]
+    y = torchdq.DQRNEA(robot)(*x)
+    y.backward(torch.ones_like(y))
+work(10)
+open("/proc/self/clear_refs", "w").write("5")
+before = resident("VmRSS")
+work({batch})
+print(resident("VmHWM") - before)
+"""
+CHAIN = """
+def chain(n, seed=0):
+    g = torch.Generator().manual_seed(seed)
+    def random(*shape):
+        return torch.randn(*shape, dtype=torch.float64, generator=g)
+    l = torch.nn.functional.normalize(random(n, 3), dim=-1)
+    turn = torch.nn.functional.normalize(random(n, 4), dim=-1)
+    root = random(n, 3, 3)
+    second = 0.1 * root @ root.mT + 0.05 * torch.eye(3)
+    inertia = second.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None] * torch.eye(3) - second
+    return torchdq.Robot.from_screws(
+        torch.cat([l, torch.linalg.cross(0.5 * random(n, 3), l)], -1), torch.ones(n), 0.3 * random(n, 3),
+        0.5 * (inertia + inertia.mT), link_poses=torchdq.dq.from_pose(turn, random(n, 3)))
+"""
+
+
+def fresh(setup: str, work: str, cache: str) -> float:
+    """What the last line of a process of its own prints: by default the seconds of the work, after its set-up."""
+    code = FRESH.format(setup=setup, work=work)
+    environment = {**os.environ, "TORCHDQ_CACHE": cache}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    return float(done.stdout.split()[0])
+
+
+def first_calls(setup: str, gradient: bool, modules: Sequence[str] = ("DQRNEA",)) -> tuple[float, float]:
+    """First call [s] in a fresh process, with an empty cache and with a full one; imports and loading excluded."""
+    setup += f"\nx = [torch.zeros(4, robot.n, dtype=torch.float64, requires_grad={gradient}) for _ in range(3)]"
+    backward = ".sum().backward()" if gradient else ""
+    work = "\n".join(f"torchdq.{module}(robot)(*x){backward}" for module in modules)
+    with tempfile.TemporaryDirectory() as cache:
+        return fresh(setup, work, cache), fresh(setup, work, cache)
+
+
+def requirements(arm: Path, seconds: float) -> list[tuple[str, str, str]]:
+    """What is asked, and what was measured, on one thread unless stated, batch 4096, seven joints, float64."""
+    case = Task(arm, 4096, torch.float64, 1)
+    single = Task(arm, 4096, torch.float32, 1)
+    lines: list[tuple[str, str, str]] = []
+
+    def against(task: str, peer: dict[str, Callable], asked: str) -> None:
+        name, other = next(iter(peer.items()))
+        times = measure({"ours": case.torchdq(task, "c"), name: other}, 4096, seconds)
+        ours, theirs = (statistics.median(times[key]) for key in ("ours", name))
+        lines.append((f"{task}, against {name}", asked, f"{theirs / ours:.1f} x ({ours:.1f} against {theirs:.0f} ns)"))
+
+    for task, asked in (
+        ("inverse dynamics", "25 x"),
+        ("forward dynamics", "25 x"),
+        ("inverse dynamics, forward + backward", "30 x"),
+        ("dynamics jacobian", "12 x"),
+    ):
+        against(task, case.pinocchio(task), asked)
+    if peer := case.pytorch_kinematics("forward kinematics"):
+        against("forward kinematics", peer, "50 x")
+    for task in ("inverse dynamics", "forward dynamics"):
+        calls = {"double": case.torchdq(task, "c"), "single": single.torchdq(task, "c")}
+        times = {k: statistics.median(v) for k, v in measure(calls, 4096, seconds).items()}
+        lines.append((f"{task}, float32 against float64", "1.6 x", f"{times['double'] / times['single']:.2f} x"))
+
+    large = Task(arm, 65536, torch.float64, 1)
+    call = large.torchdq("inverse dynamics", "c")
+
+    def with_threads(number: int) -> Callable:
+        def run() -> None:
+            torch.set_num_threads(number)
+            call()
+
+        return run
+
+    times = measure({"one": with_threads(1), "two": with_threads(2)}, 65536, seconds)
+    torch.set_num_threads(1)
+    ratio = statistics.median(times["one"]) / statistics.median(times["two"])
+    lines.append(("inverse dynamics, two threads against one, batch 65536", "1.7 x", f"{ratio:.2f} x"))
+
+    namespace: dict = {"torch": torch, "torchdq": torchdq}
+    exec(CHAIN, namespace)
+    per_joint = {}
+    for n in (7, 14, 28, 42):
+        layer = torchdq.DQRNEA(namespace["chain"](n))
+        x = torch.randn(3, 4096, n, dtype=torch.float64)
+        found = measure({"ours": lambda layer=layer, x=x: layer(*x)}, 4096, 0.5 * seconds)["ours"]
+        per_joint[n] = statistics.median(found) / n
+    shown = ", ".join(f"{t:.1f} ns at n = {n}" for n, t in per_joint.items())
+    spread = max(per_joint.values()) / min(per_joint.values())
+    lines.append(
+        ("inverse dynamics of a general chain, time per joint", "flat within 1.5 x", f"{spread:.2f} x ({shown})")
+    )
+
+    one = Task(arm, 1, torch.float64, 1)
+    times = measure({"ours": one.torchdq("inverse dynamics", "c")}, 1, seconds)
+    lines.append(("one sample, one call, no gradient", "20 us", f"{statistics.median(times['ours']) / 1e3:.1f} us"))
+
+    load = f"robot = torchdq.Robot.from_urdf({str(arm)!r}, on_unphysical='ignore')"
+    plain, warm = first_calls(load, False)
+    both, warm_both = first_calls(load, True)
+    long, _ = first_calls(CHAIN + "\nrobot = chain(36)", True, ("DQRNEA", "ForwardDynamics"))
+    lines.append(("first call, empty cache, inverse dynamics", "1 s", f"{plain:.2f} s"))
+    lines.append(("first call, empty cache, inverse dynamics with gradient", "2 s", f"{both:.2f} s"))
+    lines.append(("first call, empty cache, 36-joint chain, both dynamics with gradients", "30 s", f"{long:.1f} s"))
+    lines.append(("first call, full cache", "50 ms", f"{1e3 * warm:.0f} ms, with gradient {1e3 * warm_both:.0f} ms"))
+
+    batch = 1_000_000
+    with tempfile.TemporaryDirectory() as cache:
+        peak = fresh(load + MEMORY.format(batch=batch), "", cache)
+    needed = (3 + 1 + 1 + 3) * 7 * 8 * batch / 2**20
+    lines.append(
+        (
+            "memory of forward + backward, batch 1e6",
+            "inputs, outputs, gradients",
+            f"{peak:.0f} MB, of which inputs, output and gradients {needed:.0f} MB",
+        )
+    )
+    return lines
+
+
+def summary(lines: list[tuple[str, str, str]]) -> str:
+    """What is asked and what was measured, as a table."""
+    rows = "\n".join(f"| {what} | {asked} | {found} |" for what, asked, found in lines)
+    return (
+        f"| seven-joint arm, one thread, batch 4096, float64 unless stated | asked | measured |\n|---|---|---|\n{rows}"
+    )
+
+
+def into_readme(text: str) -> None:
+    """Write a table between the README's marks."""
+    readme = Path(__file__).resolve().parents[1] / "README.md"
+    before, rest = readme.read_text().split(BEGIN)
+    readme.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}")
+
+
+BEGIN, END = "<!-- benchmarks/peers.py begins -->", "<!-- benchmarks/peers.py ends -->"
 
 
 def machine() -> dict[str, str]:
@@ -330,36 +464,32 @@ TASKS = (
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="one robot, two batches")
-    parser.add_argument("--json", type=Path, help="write the rows here")
-    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--quick", action="store_true", help="only what is asked of this package")
+    parser.add_argument("--json", type=Path, help="write everything here")
+    parser.add_argument("--readme", action="store_true", help="write what is asked and measured into the README")
+    parser.add_argument("--threads", type=int, default=1, help="for the rows of all contenders")
     arguments = parser.parse_args()
-    torch.set_num_threads(arguments.threads)
+    torch.set_num_threads(1)
     arm = urdf("example-robot-data", "xarm7.urdf")
-    robots = [arm] if arguments.quick else [arm, urdf("example-robot-data", "ur5_robot.urdf")]
-    batches = [1, 4096] if arguments.quick else [1, 64, 4096, 65536]
-    seconds = 0.4 if arguments.quick else SECONDS
+    lines = requirements(arm, 0.5 if arguments.quick else SECONDS)
+    on = ", ".join(f"{k} {v}" for k, v in machine().items())
+    print(summary(lines))
     rows: list[Row] = []
-    for path in robots:
-        for dtype in (torch.float64, torch.float32):
-            for batch in batches:
-                case = Task(path, batch, dtype, arguments.threads)
-                for task in TASKS:
-                    rows += case.rows(task, seconds, ("c", "eager") if batch <= 4096 else ("c",))
-    starts = {
-        "inverse dynamics": cold_start(arm, False),
-        "inverse dynamics with gradient": cold_start(arm, True),
-        "forward dynamics with gradient": cold_start(arm, True, "ForwardDynamics"),
-    }
-    print(table(rows))
-    print()
-    for name, (cold, warm) in starts.items():
-        print(f"first call, {name}: {cold:.2f} s with an empty cache, {1e3 * warm:.0f} ms with a full one")
-    print("\n" + ", ".join(f"{k} {v}" for k, v in machine().items()))
+    if not arguments.quick:
+        torch.set_num_threads(arguments.threads)
+        for path in (arm, urdf("example-robot-data", "ur5_robot.urdf")):
+            for dtype in (torch.float64, torch.float32):
+                for batch in (1, 64, 4096, 65536):
+                    case = Task(path, batch, dtype, arguments.threads)
+                    for task in TASKS:
+                        rows += case.rows(task, 0.3, ("c", "eager") if batch <= 4096 else ("c",))
+        print("\n" + table(rows))
+    print(f"\n{on}")
+    if arguments.readme:
+        into_readme(f"{summary(lines)}\n\nMeasured on: {on}.")
     if arguments.json:
-        arguments.json.write_text(
-            json.dumps({"machine": machine(), "rows": [asdict(r) for r in rows], "first_call": starts}, indent=1)
-        )
+        everything = {"machine": machine(), "asked": lines, "rows": [asdict(r) for r in rows]}
+        arguments.json.write_text(json.dumps(everything, indent=1))
 
 
 if __name__ == "__main__":

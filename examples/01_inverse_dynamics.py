@@ -282,9 +282,9 @@ def time_all(
     heads = ("", "threads", "torchdq\nfloat64", "torchdq\nfloat32", "the other\nfloat64", "ratio of\nfloat64")
     show(console, title, 1, heads, lines)
     console.print(
-        "torchdq is eager torch here, rows of samples in and out. The other is Pinocchio's rneaInParallel and\n"
-        "abaInParallel, on arrays in its own order of memory (it has no batched crba), and pytorch_kinematics\n"
-        "for the frames. The ratio is torchdq's time over the other's, on the same number of threads."
+        "torchdq runs compiled programs if there is a C compiler, on rows of samples. The other is Pinocchio's\n"
+        "rneaInParallel and abaInParallel, on arrays in its own order of memory (it has no batched crba), and\n"
+        "pytorch_kinematics for the frames. The ratio is torchdq's time over the other's, on as many threads."
     )
 
 

@@ -738,9 +738,8 @@ def test_a_row_of_a_batch_of_robots_is_that_robot_alone(backend, field):
         tau = torchdq.inverse_dynamics(robots, q, qd, qdd)
         for row in range(3):
             alone = robots.replace(**{field: getattr(robots, field)[row]})
-            # a compiled robot that is known has its numbers folded, one of many has them as inputs: other roundings
-            tolerance = 0.0 if backend == "eager" else 64 * EPS
-            assert same(tau[row], torchdq.inverse_dynamics(alone, q[row], qd[row], qdd[row]), tolerance)
+            # up to rounding: one robot's numbers are folded once, those of many are worked on in every row
+            assert same(tau[row], torchdq.inverse_dynamics(alone, q[row], qd[row], qdd[row]))
 
 
 def test_batches_of_robots_and_of_states_broadcast():
