@@ -5,6 +5,7 @@ kernels write nowhere but into their results; and that their sine and cosine are
 """
 
 import ctypes
+import platform
 import warnings
 
 import mpmath
@@ -561,3 +562,19 @@ def test_compiling_ahead_names_what_it_does_not_know():
         torchdq.compile(TWO, "inverse_dynamics", arguments=("q", "f_tips"))
     with pytest.raises(ArgumentError, match=r"qd must be .* tensor \[\.\.\., 2\]"):
         torchdq.compile(TWO, "inverse_dynamics")(random(4, 2), random(4, 3), random(4, 2))
+
+
+# --- other processors ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="the flags are those of x86")
+@pytest.mark.parametrize("flags", [("-mno-avx512f",), ("-mno-avx512f", "-mno-avx")], ids=["32 bytes", "16 bytes"])
+@pytest.mark.parametrize("dtype", [F32, F64])
+def test_narrower_vectors_compute_the_same(monkeypatch, flags, dtype):
+    recorded = torchdq.compile(TWO, "forward_dynamics").program
+    x = [random(37, TWO.n, seed=k, dtype=dtype) for k in range(3)]
+    monkeypatch.setattr(build, "FLAGS", (*build.FLAGS, *flags))
+    (found,) = run.Kernel(recorded, dtype == F32)(x, 37)
+    (expected,) = run.eager(recorded, x)
+    # without fused multiplication and addition some roundings differ
+    assert (found - expected).abs().max() <= 256 * torch.finfo(dtype).eps * expected.abs().max()

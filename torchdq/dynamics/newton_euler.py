@@ -73,15 +73,16 @@ def inverse_dynamics(
     g = ZERO if aligned.gravity is None else quat.neg(aligned.gravity)
     base = (ZERO, ZERO, g, (ZERO, ZERO, ZERO))
     motion: list[tuple[Pure, Pure, Pure, Matrix]] = []
+    net: list[tuple[Pure, Pure]] = []  # taken at once: six numbers to keep until the way back, instead of twelve
     for link, step, qd_i, qdd_i in zip(links, steps, qd, qdd, strict=True):
         parent = base if link.parent == BASE else motion[link.parent]
         motion.append(outward_link(link, step, parent, qd_i, qdd_i))
+        net.append(net_wrench(link.body, motion[-1][3], motion[-1][2]))
     tau: list[Number] = [0.0] * len(links)
     passed_on: list[list[tuple[Pure, Pure]]] = [[] for _ in links]
     for i in reversed(range(len(links))):
         link, step = links[i], steps[i]
-        net = net_wrench(link.body, motion[i][3], motion[i][2])
-        f, n = total([net, None if exerted is None else exerted[i], *passed_on[i]], _add)
+        f, n = total([net[i], None if exerted is None else exerted[i], *passed_on[i]], _add)
         force, moment = f[2], n[2]
         along = force if link.kind == "prismatic" else moment
         along = along + link.pitch * force if link.kind == "helical" else along
