@@ -263,19 +263,24 @@ def test_a_program_longer_than_a_function_may_be_is_right():
 
 
 @pytest.fixture
-def threads():
-    """Sets the number of threads; it is put back."""
+def threads(monkeypatch):
+    """Sets the number of threads, which even small batches are worth meanwhile; it is put back."""
     before = torch.get_num_threads()
+    monkeypatch.setattr(run, "PER_THREAD", 1e4)
+    run.kernel.cache_clear()
     yield torch.set_num_threads
+    run.kernel.cache_clear()
     torch.set_num_threads(before)
 
 
 def test_the_number_of_threads_changes_no_bit_of_a_result(threads):
     s = states(TREE, 9001)
+    run._pool.cache_clear()
     results = []
     for number in (1, 2, 3):
         threads(number)
         results.append(torchdq.inverse_dynamics(TREE, *s, backend="c"))
+    assert run._pool.cache_info().currsize == 1, "the batch was to be large enough for threads"
     assert torch.equal(results[0], results[1]) and torch.equal(results[0], results[2])
 
 
