@@ -269,7 +269,8 @@ import numpy, torch, torchdq
 from torchdq.program import run
 torch.set_num_threads(2)
 robot = torchdq.robots.load("two_link")
-q = torch.from_numpy(numpy.linspace(-3, 3, 1_400_000).reshape(-1, 2))
+run.PER_THREAD = 1e4
+q = torch.from_numpy(numpy.linspace(-3, 3, 400_000).reshape(-1, 2))
 before = torchdq.inverse_dynamics(robot, q, backend="c").numpy()
 assert run._pool.cache_info().currsize == 1, "the batch was to be large enough for threads"
 child = os.fork()
