@@ -7,6 +7,7 @@ run over `FUNCTIONS`, every public function of the dynamics, unless they are abo
 import copy
 import io
 import pickle
+import shutil
 
 import pytest
 import torch
@@ -445,6 +446,7 @@ def test_a_compiled_seven_joint_arm_has_the_same_values_and_gradients(fresh):
     assert relative(slopes(module, compiled, args), slopes(module, module, args)) < 1e-12
 
 
+@pytest.mark.skipif(shutil.which("g++") is None, reason="inductor needs a C++ compiler")
 def test_compiled_to_machine_code_for_any_batch_size_it_has_the_same_values_and_gradients(fresh):
     module = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=("mass",))
     compiled = torch.compile(module, backend="inductor", fullgraph=True, dynamic=True)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
-from torchdq.program import c, run
+from torchdq.program import backends, c, run
 from torchdq.program.program import Count, Program
 from torchdq.program.recipes import RECIPES, Signature, program
 from torchdq.robot import Robot
@@ -72,7 +72,8 @@ class CompiledProgram:
             x if a.uniform else x.expand(*batch, a.width).reshape(math.prod(batch), a.width)
             for a, x in zip(arguments, inputs, strict=True)
         ]
-        outputs = run.compiled(self.program, rows)
+        compiled = backends.choose("auto", inputs[0].device.type) == "c"
+        outputs = (run.compiled if compiled else run.eager)(self.program, rows)
         results = tuple(
             y if r.summed else y.reshape(*batch, y.shape[-1])
             for y, r in zip(outputs, self.program.results, strict=True)
@@ -84,7 +85,8 @@ class CompiledProgram:
 
 
 def _ready(recorded: Program, dtype: torch.dtype) -> CompiledProgram:
-    run.kernel(recorded, dtype == torch.float32)
+    if backends.choose("auto", "cpu") == "c":
+        run.kernel(recorded, dtype == torch.float32)
     return CompiledProgram(recorded, dtype)
 
 
@@ -107,7 +109,7 @@ def compile(
             "" for "closed_form".
     Raises:
         UnknownNameError: there is no such function or argument.
-        BuildError: there is no C compiler, or it failed.
+        BuildError: the C compiler failed. Without one the program runs as torch operations, and a warning says so once.
     """
     if function not in RECIPES:
         raise UnknownNameError("function that is compiled", function, RECIPES)
