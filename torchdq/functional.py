@@ -437,5 +437,5 @@ def dynamics_jacobian(
         q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2],
             shape [..., n].
     """
-    dtau_dq, dtau_dqd = _evaluate("inverse_dynamics_jacobian", robot, (q, qd, qdd), backend)[0].unbind(-3)
+    dtau_dq, dtau_dqd = _evaluate("inverse_dynamics_jacobian", robot, (q, qd, qdd), backend)
     return dtau_dq, dtau_dqd, mass_matrix(robot, q, backend).expand_as(dtau_dq)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from torchdq.numbers.record import Number, Op, Tape
@@ -115,12 +115,6 @@ def finish(
         ops,
         tuple(Result(key, tuple(map(value, values)), key in summed) for key, values in results.items()),
     )
-
-
-def joined(program: Program, name: str) -> Program:
-    """The program with its results, none of them summed, in one row."""
-    values = tuple(v for result in program.results for v in result.values)
-    return replace(program, results=(Result(name, values),))
 
 
 def operands(op: Op) -> tuple[int, ...]:

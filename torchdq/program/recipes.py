@@ -19,7 +19,7 @@ from torchdq.dynamics import regressor as regression
 from torchdq.dynamics.mechanism import BASE
 from torchdq.program import derive
 from torchdq.program.model import Given, PaperModel, as_screw, constant_pose, model
-from torchdq.program.program import Argument, Program, Value, joined, record
+from torchdq.program.program import Argument, Program, Value, record
 from torchdq.robot.robot import Robot
 
 LONG = 9  # joints from which an alternative is worth recording
@@ -177,7 +177,7 @@ _RATES: tuple[tuple[str, Axes, bool], ...] = (("qd", ("n",), True), ("qdd", ("n"
 
 RECIPES: dict[str, Recipe] = {
     "inverse_dynamics": Recipe((*_joints("q"), *_RATES, *_WRENCHES), (inverse_dynamics,), lambda n: ((n,),)),
-    "inverse_dynamics_jacobian": Recipe(_joints("q", "qd", "qdd"), (inverse_dynamics,), lambda n: ((2, n, n),)),
+    "inverse_dynamics_jacobian": Recipe(_joints("q", "qd", "qdd"), (inverse_dynamics,), lambda n: ((n, n), (n, n))),
     "mass_matrix": Recipe(_joints("q"), (mass_matrix,), lambda n: ((n, n),)),
     "forward_dynamics": Recipe(
         (*_joints("q"), _RATES[0], *_joints("tau"), *_WRENCHES),
@@ -238,5 +238,4 @@ def _program(signature: Signature) -> Program:
     ways = recipe.ways if robot.n >= LONG else recipe.ways[:1]
     best = min(map(recorded, ways), key=lambda p: p.count().total)
     wrt = DERIVATIVES.get(signature.recipe)
-    # one row for all derivatives: several results of this size would be given back to the system after every call
-    return best if wrt is None else joined(derive.jacobian(best, wrt), "J")
+    return best if wrt is None else derive.jacobian(best, wrt)
