@@ -249,7 +249,7 @@ class Task:
         return rows
 
 
-# --- what is asked of this package -----------------------------------------------------------------------------------
+# --- the goals of this package ---------------------------------------------------------------------------------------
 
 FRESH = """
 import time, torch, torchdq
@@ -307,7 +307,7 @@ def first_calls(setup: str, gradient: bool, modules: Sequence[str] = ("DQRNEA",)
 
 
 def requirements(arm: Path, seconds: float) -> list[tuple[str, str, str]]:
-    """What is asked, and what was measured, on one thread unless stated, batch 4096, seven joints, float64."""
+    """The goals, and what was measured, on one thread unless stated, batch 4096, seven joints, float64."""
     case = Task(arm, 4096, torch.float64, 1)
     single = Task(arm, 4096, torch.float32, 1)
     lines: list[tuple[str, str, str]] = []
@@ -389,10 +389,10 @@ def requirements(arm: Path, seconds: float) -> list[tuple[str, str, str]]:
 
 
 def summary(lines: list[tuple[str, str, str]]) -> str:
-    """What is asked and what was measured, as a table."""
+    """Goals and measurements as a table."""
     rows = "\n".join(f"| {what} | {asked} | {found} |" for what, asked, found in lines)
     return (
-        f"| seven-joint arm, one thread, batch 4096, float64 unless stated | asked | measured |\n|---|---|---|\n{rows}"
+        f"| seven-joint arm, one thread, batch 4096, float64 unless stated | goal | measured |\n|---|---|---|\n{rows}"
     )
 
 
@@ -464,9 +464,9 @@ TASKS = (
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="only what is asked of this package")
+    parser.add_argument("--quick", action="store_true", help="only the goals of this package")
     parser.add_argument("--json", type=Path, help="write everything here")
-    parser.add_argument("--readme", action="store_true", help="write what is asked and measured into the README")
+    parser.add_argument("--readme", action="store_true", help="write goals and measurements into the README")
     parser.add_argument("--threads", type=int, default=1, help="for the rows of all contenders")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
@@ -488,7 +488,7 @@ def main() -> None:
     if arguments.readme:
         into_readme(f"{summary(lines)}\n\nMeasured on: {on}.")
     if arguments.json:
-        everything = {"machine": machine(), "asked": lines, "rows": [asdict(r) for r in rows]}
+        everything = {"machine": machine(), "goals": lines, "rows": [asdict(r) for r in rows]}
         arguments.json.write_text(json.dumps(everything, indent=1))
 
 
