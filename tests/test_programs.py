@@ -406,7 +406,7 @@ def test_aligned_frames_put_the_links_where_they_are_and_the_axes_along_z(robot)
 @pytest.mark.parametrize("case", TREES, ids=lambda case: case.robot.name)
 def test_torques_in_aligned_frames_equal_the_papers_recursion(case, group):
     s = states(case.robot, 5)
-    found = stack(aligned(case.robot, s.q, group).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None, None), 5)
+    found = stack(aligned(case.robot, s.q, group).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None), 5)
     error = (found - torques(case.robot, s)).abs() / torch.from_numpy(size_of_torques(case, s))
     assert error.max() <= 256 * EPS64
 
@@ -426,7 +426,7 @@ def test_the_mass_matrix_by_composite_bodies_equals_the_papers(case, group):
 def test_axes_that_are_nearly_parallel_lose_no_accuracy(tilt):
     robot = chain(6, tilt=tilt)
     s = states(robot, 5)
-    found = stack(aligned(robot, s.q, True).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None, None), 5)
+    found = stack(aligned(robot, s.q, True).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None), 5)
     size = torch.from_numpy(size_of_torques(Case(robot, pinocchio_model(robot)), s))
     assert ((found - torques(robot, s)).abs() / size).max() <= 1e-12
 
@@ -434,7 +434,7 @@ def test_axes_that_are_nearly_parallel_lose_no_accuracy(tilt):
 def test_axes_that_meet_lose_no_accuracy():
     robot = chain(8, meeting=True)
     s = states(robot, 5)
-    found = stack(aligned(robot, s.q, True).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None, None), 5)
+    found = stack(aligned(robot, s.q, True).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None), 5)
     size = torch.from_numpy(size_of_torques(Case(robot, pinocchio_model(robot)), s))
     assert ((found - torques(robot, s)).abs() / size).max() <= 1e-12
 

@@ -12,7 +12,7 @@ Conventions, everywhere:
 * None means absent: it is decided in Python and costs nothing.
 """
 
-from torchdq import dq
+from torchdq import convert, dq
 from torchdq.compiling import compile
 from torchdq.control import computed_torque
 from torchdq.errors import (
@@ -60,6 +60,7 @@ __all__ = [
     "closed_form",
     "compile",
     "computed_torque",
+    "convert",
     "dq",
     "dynamics_jacobian",
     "forward_dynamics",

@@ -75,13 +75,13 @@ def inward(
 
 
 def exerted_wrenches(
-    mechanism: Mechanism,
+    n: int,
     f_ext: Sequence[Screw] | None,
     tip: tuple[int, Adjoint] | None,
     f_tip: Screw | None,
 ) -> list[Screw | None]:
     """Wrench each link exerts on the environment, in link frames: the tip's f_tip, less the f_ext it receives."""
-    exerted = [None if f_ext is None else neg(f_ext[i]) for i in range(len(mechanism.links))]
+    exerted = [None if f_ext is None else neg(f_ext[i]) for i in range(n)]
     if tip is not None and f_tip is not None:
         i, Ad_BE = tip
         exerted[i] = total(exerted[i], ad(Ad_BE, f_tip))

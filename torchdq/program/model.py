@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from torchdq.algebra import quaternion as quat
-from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.matrix import Rows
 from torchdq.algebra.quaternion import Number, Pure
@@ -100,11 +99,9 @@ class AlignedModel(NamedTuple):
         self,
         qd: Sequence[Number] | None,
         qdd: Sequence[Number] | None,
-        f_tip: Screw | None,
-        f_ext: Sequence[Screw] | None,
+        exerted: Sequence[Screw | None] | None,
     ) -> Sequence[Number]:
-        """Inverse dynamics."""
-        exerted = wrenches(self.robot, f_tip, f_ext)
+        """Inverse dynamics; `exerted` are the wrenches of the links on the environment, in link frames."""
         in_aligned = (
             None
             if exerted is None
@@ -179,28 +176,14 @@ class PaperModel(NamedTuple):
         self,
         qd: Sequence[Number] | None,
         qdd: Sequence[Number] | None,
-        f_tip: Screw | None,
-        f_ext: Sequence[Screw] | None,
+        exerted: Sequence[Screw | None] | None,
     ) -> Sequence[Number | None]:
-        """Inverse dynamics."""
-        return rnea.rnea(self.mechanism, self.Ad, qd, qdd, wrenches(self.robot, f_tip, f_ext))
+        """Inverse dynamics; `exerted` are the wrenches of the links on the environment, in link frames."""
+        return rnea.rnea(self.mechanism, self.Ad, qd, qdd, exerted)
 
     def mass_matrix(self) -> Rows:
         """Mass matrix."""
         return crba.mass_matrix(self.mechanism, self.X_PB, self.Ad)
-
-
-def wrenches(robot: Robot, f_tip: Screw | None, f_ext: Sequence[Screw] | None) -> list[Screw | None] | None:
-    """Wrench each link exerts on the environment, in link frames; None if there is none."""
-    if f_tip is None and f_ext is None:
-        return None
-    exerted: list[Screw | None] = [None if f_ext is None else screw.neg(f_ext[i]) for i in range(robot.n)]
-    if f_tip is not None:
-        frame = robot.end_effector()
-        f = screw.ad(screw.columns(constant_pose(frame.X_BF)), f_tip)
-        before = exerted[frame.link]
-        exerted[frame.link] = f if before is None else screw.add(before, f)
-    return exerted
 
 
 def constant_pose(x) -> DualQuaternion:

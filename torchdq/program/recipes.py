@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
+from threading import RLock
 from typing import NamedTuple
 
 from torchdq.algebra import dual_quaternion, quaternion, screw
@@ -41,12 +42,20 @@ class Inputs(NamedTuple):
         """Joint positions."""
         return self.arguments["q"]
 
-    def wrenches(self) -> tuple[Screw | None, list[Screw] | None]:
-        """f_tip and f_ext."""
+    def exerted(self) -> list[Screw | None] | None:
+        """Wrench each link exerts on the environment, in link frames; None if there is none."""
         f_tip, f_ext = self.arguments.get("f_tip"), self.arguments.get("f_ext")
-        return (
-            None if f_tip is None else as_screw(f_tip),
+        if f_tip is None and f_ext is None:
+            return None
+        tip = None
+        if f_tip is not None:
+            frame = self.robot.end_effector()
+            tip = (frame.link, screw.columns(constant_pose(frame.X_BF)))
+        return rnea.exerted_wrenches(
+            self.robot.n,
             None if f_ext is None else [as_screw(f_ext[6 * i : 6 * i + 6]) for i in range(self.robot.n)],
+            tip,
+            None if f_tip is None else as_screw(f_tip),
         )
 
     def model(self):
@@ -60,8 +69,7 @@ class Inputs(NamedTuple):
 
 def inverse_dynamics(x: Inputs) -> Rows:
     """tau."""
-    f_tip, f_ext = x.wrenches()
-    return {"tau": x.model().torques(x.arguments.get("qd"), x.arguments.get("qdd"), f_tip, f_ext)}
+    return {"tau": x.model().torques(x.arguments.get("qd"), x.arguments.get("qdd"), x.exerted())}
 
 
 def mass_matrix(x: Inputs) -> Rows:
@@ -72,18 +80,16 @@ def mass_matrix(x: Inputs) -> Rows:
 def forward_dynamics(x: Inputs) -> Rows:
     """qdd, by the mass matrix and its factors."""
     m = x.model()
-    f_tip, f_ext = x.wrenches()
-    bias = m.torques(x.arguments.get("qd"), None, f_tip, f_ext)
+    bias = m.torques(x.arguments.get("qd"), None, x.exerted())
     return {"qdd": forward.forward_dynamics(m.links, m.mass_matrix(), bias, x.arguments["tau"])}
 
 
 def forward_dynamics_articulated(x: Inputs) -> Rows:
-    """qdd, by articulated bodies."""
+    """qdd, by articulated bodies; in aligned frames only."""
     m = x.model()
-    f_tip, f_ext = x.wrenches()
-    bias = m.torques(x.arguments.get("qd"), None, f_tip, f_ext)
     if isinstance(m, PaperModel):
-        return {"qdd": forward.forward_dynamics(m.links, m.mass_matrix(), bias, x.arguments["tau"])}
+        return forward_dynamics(x)
+    bias = m.torques(x.arguments.get("qd"), None, x.exerted())
     net = [t - b for t, b in zip(x.arguments["tau"], bias, strict=True)]
     return {"qdd": articulated.solve(m.aligned, m.steps, net)}
 
@@ -207,16 +213,18 @@ class Signature(NamedTuple):
 
 
 _robots: dict[str, Robot] = {}
+_recording = RLock()
 
 
 def program(robot: Robot, signature: Signature) -> Program:
     """Program of a recipe for a robot, recorded once."""
     # recordings are kept by the name of the robot's constants, so that no robot is kept alive by them
-    _robots[signature.identity] = robot
-    try:
-        return _program(signature)
-    finally:
-        del _robots[signature.identity]
+    with _recording:
+        _robots[signature.identity] = robot
+        try:
+            return _program(signature)
+        finally:
+            del _robots[signature.identity]
 
 
 @lru_cache(KEPT)

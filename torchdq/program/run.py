@@ -109,7 +109,7 @@ jvp = lru_cache(KEPT)(derive.jvp)
 
 def eager(program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
     """Results of a program, operation by operation in torch; differentiable by torch itself."""
-    samples = next((x.shape[0] for x, a in zip(inputs, program.arguments, strict=True) if not a.uniform), 1)
+    samples = _samples(program, inputs)
     rows = [x.unbind(-1) for x in inputs]
     values: list = []  # tensors, or Python numbers
     for code, a, b in program.ops:
