@@ -227,7 +227,13 @@ class Task:
             self.adam,
         )
         for peer in peers:
-            contenders.update(peer(task))
+            for name, call in peer(task).items():
+                try:
+                    call()
+                except Exception as error:
+                    print(f"{name} cannot do {task} on {self.robot.name}, batch {self.batch}: {error}", file=sys.stderr)
+                    continue
+                contenders[name] = call
         rows = []
         for name, times in measure(contenders, self.batch, seconds).items():
             low, *_, high = statistics.quantiles(times, n=10)

@@ -67,7 +67,7 @@ def script(path: Path, text: str) -> str:
     return str(path)
 
 
-REAL = build.compiler()[0] if build.compiler() else ""
+REAL = build.compiler().command[0] if build.compiler() else ""
 
 # --- here: one function, built and loaded by hand --------------------------------------------------------------------
 
@@ -165,8 +165,7 @@ def test_a_broken_or_foreign_entry_is_built_again(cache, spoil):
 
 def cache_entry(cache: Path, program: tuple[str, str, int]) -> Path:
     """Where a program's library lies, or will."""
-    text = "\0".join([program[0], "\n".join(build.compiler()), *build.FLAGS, build._processor()])
-    return build.directory() / f"{hashlib.sha256(text.encode()).hexdigest()}.so"
+    return build.directory() / f"{build.library_key(program[0])}.so"
 
 
 # --- processes -------------------------------------------------------------------------------------------------------
@@ -253,6 +252,26 @@ def test_the_compiler_named_in_the_environment_is_used(tmp_path):
     found, _ = torques(tmp_path / "cache", CC=mine)
     assert right(found)
     assert any("-march=native" in line for line in log.read_text().splitlines())
+
+
+def test_the_compiler_named_in_the_environment_may_have_arguments(tmp_path):
+    log = tmp_path / "log"
+    mine = script(tmp_path / "mine", f'echo "$*" >> {log}\nexec {REAL} "$@"\n')
+    found, _ = torques(tmp_path / "cache", ", backend='c'", CC=f"{mine} -g0")
+    assert right(found)
+    assert any(line.startswith("-g0 ") and "-march=native" in line for line in log.read_text().splitlines())
+
+
+def test_what_a_killed_build_left_behind_is_removed_by_a_later_one(cache):
+    directory = build.directory()
+    abandoned, at_work = directory / ".build-abandoned", directory / ".build-atwork"
+    for folder in (abandoned, at_work):
+        folder.mkdir()
+        (folder / "program.c").touch()
+    long_ago = time.time() - 2 * build.ABANDONED
+    os.utime(abandoned, (long_ago, long_ago))
+    build.load(*double(7.0))
+    assert not abandoned.exists() and at_work.exists()
 
 
 def test_a_slow_build_is_announced(tmp_path):

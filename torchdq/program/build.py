@@ -10,38 +10,51 @@ import ctypes
 import hashlib
 import os
 import platform
+import shlex
 import shutil
 import stat
 import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from torchdq.errors import TorchdqError
 
 FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-shared", "-fPIC", "-w")
 SLOW = 1.0  # a build longer than this is announced [s]
+ABANDONED = 3600.0  # age from which a build's folder is what a killed process left behind [s]
 
 
 class BuildError(TorchdqError, RuntimeError):
     """The compiler refused a program."""
 
 
+class Compiler(NamedTuple):
+    """A C compiler that answers."""
+
+    command: tuple[str, ...]  # path and arguments
+    version: str  # what it says of itself
+
+
 @cache
-def compiler() -> tuple[str, str] | None:
-    """Path and version text of the C compiler: `$CC`, or cc, gcc or clang on the path; None: there is none."""
+def compiler() -> Compiler | None:
+    """The C compiler: `$CC`, which may have arguments, or cc, gcc or clang on the path; None: there is none."""
     for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
-        path = shutil.which(name)
+        program, *arguments = shlex.split(name) or [name]
+        path = shutil.which(program)
         if path is None:
             continue
+        command = (path, *arguments)
         try:
-            version = subprocess.run([path, "--version"], capture_output=True, text=True, timeout=20, check=True)
+            version = subprocess.run([*command, "--version"], capture_output=True, text=True, timeout=20, check=True)
         except (OSError, subprocess.SubprocessError):
             continue
-        return path, version.stdout
+        return Compiler(command, version.stdout)
     return None
 
 
@@ -97,6 +110,7 @@ def _compile(path: Path, key: str, source: str, name: str) -> None:
     found = compiler()
     if found is None:
         raise BuildError("there is no C compiler; install gcc or clang, or name one in $CC")
+    _sweep(path.parent)
     with tempfile.TemporaryDirectory(prefix=".build-", dir=path.parent) as folder:
         text, library = Path(folder) / "program.c", Path(folder) / "program.so"
         text.write_text(source)
@@ -105,12 +119,12 @@ def _compile(path: Path, key: str, source: str, name: str) -> None:
         announcement.start()
         try:
             done = subprocess.run(
-                [found[0], *FLAGS, "-o", str(library), str(text), "-lm"], capture_output=True, text=True
+                [*found.command, *FLAGS, "-o", str(library), str(text), "-lm"], capture_output=True, text=True
             )
         finally:
             announcement.cancel()
         if done.returncode != 0:
-            raise BuildError(f"{found[0]} could not compile the program {name!r}:\n{done.stderr[-2000:]}")
+            raise BuildError(f"{found.command[0]} could not compile the program {name!r}:\n{done.stderr[-2000:]}")
         body = library.read_bytes()
         with library.open("ab") as file:
             file.write(_digest(key, body))
@@ -119,15 +133,31 @@ def _compile(path: Path, key: str, source: str, name: str) -> None:
         library.replace(path)
 
 
+def _sweep(base: Path) -> None:
+    """Remove what builds that were killed left behind."""
+    for folder in base.glob(".build-*"):
+        try:
+            abandoned = time.time() - folder.stat().st_mtime > ABANDONED
+        except OSError:
+            continue  # another process was faster
+        if abandoned:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
 def _announce(name: str) -> None:
     sys.stderr.write(f"torchdq: compiling {name}, once for this robot and machine ...\n")
 
 
+def library_key(source: str) -> str:
+    """Name of the library of a source: a hash of everything it depends on."""
+    found = compiler()
+    version = "" if found is None else "\n".join([*found.command, found.version])
+    return hashlib.sha256("\0".join([source, version, *FLAGS, _processor()]).encode()).hexdigest()
+
+
 def load(source: str, name: str, pointers: int) -> Callable[..., None]:
     """The function `run` of a C source, compiled unless it was before; it takes a count and that many pointers."""
-    found = compiler()
-    version = "" if found is None else "\n".join(found)
-    key = hashlib.sha256("\0".join([source, version, *FLAGS, _processor()]).encode()).hexdigest()
+    key = library_key(source)
     path = directory() / f"{key}.so"
     if not _intact(path, key):
         _compile(path, key, source, name)
