@@ -48,9 +48,3 @@ def solve(links: Links, factors: Factors, b: Sequence[Number]) -> tuple[Number, 
             for j in path(links, link.parent):
                 x[i] = x[i] - factors.lower[i, j] * x[j]
     return tuple(x)
-
-
-def forward_dynamics(links: Links, M: Rows, bias: Sequence[Number | None], tau: Sequence[Number]) -> tuple[Number, ...]:
-    """Accelerations qdd = M^-1 (tau - bias), bias being the inverse dynamics at qdd = 0."""
-    net = [t if b is None else t - b for t, b in zip(tau, bias, strict=True)]
-    return solve(links, factorise(links, M), net)  # (63) solved for qdd

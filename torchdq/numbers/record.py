@@ -14,7 +14,8 @@ from typing import NamedTuple
 class Op(NamedTuple):
     """One operation; `a` and `b` are indices of earlier values, or an input's position, or `a` a constant."""
 
-    code: str  # "in", "const", "add", "sub", "mul", "div", "sin", "cos"
+    # "in", "const", "add", "sub", "mul", "div", "sin", "cos", "sqrt", "exp", "log", "floor", "max", "min", "ge"
+    code: str
     a: float = -1
     b: int = -1
 
@@ -97,6 +98,57 @@ class Number:
     def cos(self) -> Number:
         """Cosine."""
         return Number(self.tape, self.tape.value("cos", self.index), False)
+
+    def sqrt(self) -> Number:
+        """Square root."""
+        return Number(self.tape, self.tape.value("sqrt", self._signed()), False)
+
+    def exp(self) -> Number:
+        """Exponential."""
+        return Number(self.tape, self.tape.value("exp", self._signed()), False)
+
+    def log(self) -> Number:
+        """Natural logarithm."""
+        return Number(self.tape, self.tape.value("log", self._signed()), False)
+
+    def floor(self) -> Number:
+        """Largest whole number that is not above."""
+        return Number(self.tape, self.tape.value("floor", self._signed()), False)
+
+    def maximum(self, other: Number | float) -> Number:
+        """The larger of two numbers; this one if they are equal."""
+        a, b, negative = self._alike(other)
+        index = a if a == b else self.tape.value("min" if negative else "max", a, b)
+        return Number(self.tape, index, negative)
+
+    def minimum(self, other: Number | float) -> Number:
+        """The smaller of two numbers; this one if they are equal."""
+        a, b, negative = self._alike(other)
+        index = a if a == b else self.tape.value("max" if negative else "min", a, b)
+        return Number(self.tape, index, negative)
+
+    def at_least(self, other: Number | float) -> Number:
+        """1 if this number is at least the other, or else 0."""
+        a, b, negative = self._alike(other)
+        return Number(self.tape, self.tape.value("ge", *((b, a) if negative else (a, b))), False)
+
+    def _signed(self) -> int:
+        """Index of the value that the number is, its sign worked in."""
+        if not self.negative:
+            return self.index
+        op = self.tape.ops[self.index]
+        if op.code == "const":
+            return self.tape.value("const", 0.0 - op.a)
+        return self.tape.value("sub", self.tape.constant(0.0).index, self.index)
+
+    def _alike(self, other: Number | float) -> tuple[int, int, bool]:
+        """Indices of the values of two numbers, and the sign that both have."""
+        if not isinstance(other, Number):
+            # a constant can be had with either sign; a sum with 0.0 is a float and never -0.0
+            return self.index, self.tape.value("const", 0.0 + (-other if self.negative else other)), self.negative
+        if self.negative == other.negative:
+            return self.index, other.index, self.negative
+        return self._signed(), other._signed(), False
 
 
 def _sum(x: Number, y: Number) -> Number | float:

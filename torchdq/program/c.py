@@ -1,8 +1,8 @@
 """A program in C: one sample per lane of the compiler's vector type, rows [batch, n] read and written directly.
 
 The source does not depend on the processor: the lane count follows from what the compiler is told to build for. It
-needs nothing but the compiler; sine and cosine are its own, so lanes never wait for a library call, and fall back to
-the C library only for lanes whose angle is huge or not finite.
+needs nothing but the compiler; sine, cosine, exponential and logarithm are its own, so lanes never wait for a library
+call, and fall back to the C library only for lanes whose angle is huge or not finite.
 """
 
 from collections.abc import Sequence
@@ -12,7 +12,10 @@ from torchdq.program.program import Program, operands
 
 CHUNK = 1500  # operations per C function; compile time grows faster than its length
 
-# fdlibm's minimax polynomials of sine and cosine on [-pi/4, pi/4] (Sun Microsystems 1993), and pi/2 in three parts
+_SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
+
+# fdlibm's minimax polynomials (Sun Microsystems 1993) of sine and cosine on [-pi/4, pi/4], with pi/2 in three parts; of
+# r (exp r + 1)/(exp r - 1) on [-ln2/2, ln2/2] and (log(1 + s) - log(1 - s))/s on [0, 0.1716], with ln2 in two parts
 _DOUBLE = """
 typedef double S;
 #define SIZE 8
@@ -27,11 +30,29 @@ typedef long long N;
   +z*(-0x1.ae5e68a2b9cebp-26+z*0x1.5d93a5acfd57cp-33)))))
 #define COS(z) (0x1.555555555554cp-5+z*(-0x1.6c16c16c15177p-10+z*(0x1.a01a019cb1590p-16+z*(-0x1.27e4f809c52adp-22 \\
   +z*(0x1.1ee9ebdb4b1c4p-29+z*-0x1.8fae9be8838d4p-37)))))
+#define MANTISSA 52
+#define BIAS 1023
+#define SMALLEST 0x1p-1022
+#define GREATEST 0x1.fffffffffffffp+1023
+#define LOWEST -746.0
+#define HIGHEST 710.0
+#define ROOT_HALF 0x3fe6a09e667f3bcdLL
+#define LN2_1 0x1.62e42feep-1
+#define LN2_2 0x1.a39ef35793c76p-33
+#define ONE_OVER_LN2 0x1.71547652b82fep+0
+#define EXP(z) (1.66666666666666019037e-01+z*(-2.77777777770155933842e-03+z*(6.61375632143793436117e-05 \\
+  +z*(-1.65339022054652515390e-06+z*4.13813679705723846039e-08))))
+#define LOG(z,w) (w*(3.999999999940941908e-01+w*(2.222219843214978396e-01+w*1.531383769920937332e-01)) \\
+  +z*(6.666666666666735130e-01+w*(2.857142874366239149e-01+w*(1.818357216161805012e-01+w*1.479819860511658591e-01))))
 #define LIBRARY_SIN __builtin_sin
 #define LIBRARY_COS __builtin_cos
+#define LIBRARY_SQRT __builtin_sqrt
+#define LIBRARY_EXP __builtin_exp
+#define LIBRARY_LOG __builtin_log
+#define LIBRARY_FLOOR __builtin_floor
 """
 
-# the same in single precision (Cephes, Moshier 1992)
+# the same in single precision (sine and cosine: Cephes, Moshier 1992; the others: FreeBSD's fdlibm)
 _FLOAT = """
 typedef float S;
 #define SIZE 4
@@ -44,8 +65,24 @@ typedef int N;
 #define LARGEST 4e3f
 #define SIN(z) (-1.6666654611e-1f+z*(8.3321608736e-3f+z*-1.9515295891e-4f))
 #define COS(z) (4.166664568298827e-2f+z*(-1.388731625493765e-3f+z*2.443315711809948e-5f))
+#define MANTISSA 23
+#define BIAS 127
+#define SMALLEST 0x1p-126f
+#define GREATEST 0x1.fffffep+127f
+#define LOWEST -104.0f
+#define HIGHEST 89.0f
+#define ROOT_HALF 0x3f3504f3
+#define LN2_1 0x1.62e4p-1f
+#define LN2_2 0x1.7f7d1cp-20f
+#define ONE_OVER_LN2 0x1.715476p+0f
+#define EXP(z) (1.6666625440e-1f+z*-2.7667332906e-3f)
+#define LOG(z,w) (w*(0.40000972152f+w*0.24279078841f)+z*(0.66666662693f+w*0.28498786688f))
 #define LIBRARY_SIN __builtin_sinf
 #define LIBRARY_COS __builtin_cosf
+#define LIBRARY_SQRT __builtin_sqrtf
+#define LIBRARY_EXP __builtin_expf
+#define LIBRARY_LOG __builtin_logf
+#define LIBRARY_FLOOR __builtin_floorf
 """
 
 _PRELUDE = """
@@ -88,7 +125,43 @@ static inline void sincos_(T x,T*s,T*c){
   N any=0;for(int l=0;l<LANES;l++)any|=wild[l];
   if(__builtin_expect(any!=0,0))rare(x,s,c);
 }
+
+static inline T max_(T a,T b){return choose((a>=b)|(a!=a),a,b);}
+static inline T min_(T a,T b){return choose((a<=b)|(a!=a),a,b);}
+static inline T ge_(T a,T b){return (T)((a>=b)&(M)((T){}+1));}
+static inline T sqrt_(T x){T y;for(int l=0;l<LANES;l++)y[l]=LIBRARY_SQRT(x[l]);return y;}
+static inline T floor_(T x){T y;for(int l=0;l<LANES;l++)y[l]=LIBRARY_FLOOR(x[l]);return y;}
+
+/* scaled by a power of two in two steps, of which the second rounds to what is subnormal, zero or infinite */
+static inline T exp_(T x){
+  const T least=(T){}+LOWEST,most=(T){}+HIGHEST;
+  x=choose(x<least,least,choose(x>most,most,x));
+  T k=(x*ONE_OVER_LN2+ROUND)-ROUND,half=k*(S)0.5+ROUND,rest=(k-(half-ROUND))+ROUND;
+  T h=x-k*LN2_1,l=k*LN2_2,r=h-l,z=r*r,c=r-z*EXP(z);
+  T y=1-((l-(r*c)/(2-c))-h);
+  return y*(T)(((M)half+BIAS)<<MANTISSA)*(T)(((M)rest+BIAS)<<MANTISSA);
+}
+
+/* x = 2^k (1 + f), 1 + f between the roots of 1/2 and 2 */
+static inline T log_(T x){
+  const N up=(N)BIAS<<MANTISSA;
+  const S whole=(S)((N)1<<MANTISSA);
+  M tiny=x<(T){}+SMALLEST;
+  M i=(M)choose(tiny,x*(whole*4),x),e=((i-ROOT_HALF+up)>>MANTISSA)&(2*BIAS+1);
+  T k=(T)(e|(M)((T){}+whole))-(whole+BIAS)-choose(tiny,(T){}+(MANTISSA+2),(T){});
+  T f=(T)(i-((e-BIAS)<<MANTISSA))-1,s=f/(2+f),z=s*s,w=z*z,h=(S)0.5*f*f;
+  T y=k*LN2_1-((h-(s*(h+LOG(z,w))+k*LN2_2))-f);
+  T other=choose(x<(T){},(T){}+(S)__builtin_nan(""),choose(x==(T){},(T){}-(S)__builtin_inf(),x));
+  return choose((x>(T){})&(x<=(T){}+GREATEST),y,other);
+}
 """
+
+# the same of single numbers; what is not here is in the C library
+_SINGLE = {
+    "max": "{0}>={1}||{0}!={0}?{0}:{1}",
+    "min": "{0}<={1}||{0}!={0}?{0}:{1}",
+    "ge": "(S)({0}>={1})",
+}
 
 
 def _turns() -> str:
@@ -231,11 +304,19 @@ class _Emitter:
             return f"({self.literal(op.a)})"
         return f"u[{i}]" if self.uniform[i] else f"x{i}"
 
+    def vector(self, i: int) -> str:
+        """Expression for a value that has been computed, the same in all lanes if it is uniform."""
+        return f"(T){{}}+({self.name(i)})" if self.uniform[i] else self.name(i)
+
     def expression(self, i: int) -> str:
-        """Right-hand side of an arithmetic operation."""
+        """Right-hand side of an operation that is no sine or cosine."""
         op = self.program.ops[i]
-        sign = {"add": "+", "sub": "-", "mul": "*", "div": "/"}[op.code]
-        return f"{self.name(int(op.a))}{sign}{self.name(op.b)}"
+        if op.code in _SIGNS:
+            return f"{self.name(int(op.a))}{_SIGNS[op.code]}{self.name(op.b)}"
+        if not self.uniform[i]:
+            return f"{op.code}_({','.join(map(self.vector, operands(op)))})"
+        names = list(map(self.name, operands(op)))
+        return _SINGLE[op.code].format(*names) if op.code in _SINGLE else f"LIBRARY_{op.code.upper()}({names[0]})"
 
     # --- statements ---
 
@@ -279,7 +360,7 @@ class _Emitter:
                     lines.append(f"O{k}[{j}]=(T){{}}+{self.literal(v)};")
                     continue
                 index, negative = v
-                right = f"(T){{}}+({self.name(index)})" if self.uniform[index] else self.name(index)
+                right = self.vector(index)
                 lines.append(f"O{k}[{j}]={f'-({right})' if negative else right};")
         return lines
 

@@ -2,7 +2,8 @@
 
 from collections.abc import Callable, Sequence
 
-from torchdq.numbers.record import Number, Tape
+from torchdq.numbers.functions import at_least
+from torchdq.numbers.record import Number, Op, Tape
 from torchdq.program.program import Argument, Program, Value, finish, replay, results
 
 
@@ -35,9 +36,27 @@ def cotangents(program: Program, values: Sequence[Value], seeds: dict[int, Value
             adjoint[op.b] = adjoint[op.b] - r * values[i]
         elif op.code == "sin":
             adjoint[a] = adjoint[a] + g * values[a].cos()
-        else:
+        elif op.code == "cos":
             adjoint[a] = adjoint[a] - g * values[a].sin()
+        elif op.code == "sqrt":
+            adjoint[a] = adjoint[a] + g / (2.0 * values[i])
+        elif op.code == "exp":
+            adjoint[a] = adjoint[a] + g * values[i]
+        elif op.code == "log":
+            adjoint[a] = adjoint[a] + g / values[a]
+        elif op.code == "max" or op.code == "min":
+            first = _first(op, values)
+            adjoint[a] = adjoint[a] + g * first
+            adjoint[op.b] = adjoint[op.b] + g * (1.0 - first)
+        elif op.code != "floor" and op.code != "ge":  # which are constant wherever they have a derivative
+            raise ValueError(f"no derivative is known of {op.code!r}")
     return found
+
+
+def _first(op: Op, values: Sequence[Value]) -> Value:
+    """1 where the larger or smaller of two values is the first of them, 0 where it is the second."""
+    x, y = values[int(op.a)], values[op.b]
+    return at_least(x, y) if op.code == "max" else at_least(y, x)
 
 
 def vjp(program: Program, wrt: Sequence[int]) -> Program:
@@ -93,8 +112,21 @@ def tangents(program: Program, tape: Tape, values: Sequence[Value], seeds: dict[
                 t.append((t[a] - values[i] * t[op.b]) / values[op.b])
             elif op.code == "sin":
                 t.append(t[a] * values[a].cos())
-            else:
+            elif op.code == "cos":
                 t.append(-(t[a] * values[a].sin()))
+            elif op.code == "sqrt":
+                t.append(t[a] / (2.0 * values[i]))
+            elif op.code == "exp":
+                t.append(t[a] * values[i])
+            elif op.code == "log":
+                t.append(t[a] / values[a])
+            elif op.code == "max" or op.code == "min":
+                first = _first(op, values)
+                t.append(first * t[a] + (1.0 - first) * t[op.b])
+            elif op.code == "floor" or op.code == "ge":
+                t.append(0.0)
+            else:
+                raise ValueError(f"no derivative is known of {op.code!r}")
     return t
 
 

@@ -10,13 +10,14 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.matrix import Rows
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics import aligned, composite, crba, kinematics, newton_euler, rnea
+from torchdq.dynamics import aligned, articulated, composite, crba, forward, kinematics, newton_euler, rnea
 from torchdq.dynamics.aligned import Aligned, AlignedLink, Body, Step, Turn
 from torchdq.dynamics.mechanism import Coordinate, Mechanism, mechanism
 from torchdq.robot import frames
 from torchdq.robot.robot import SHAPES, Robot
 
-Given = Mapping[str, Sequence[Number]]  # flat components of the robot's tensors that are arguments
+# flat components of the robot's tensors that are arguments, or otherwise not its own; None: there is none
+Given = Mapping[str, Sequence[Number] | None]
 
 GEOMETRY = ("X_PB_home", "screw")
 INERTIAL = ("mass", "com", "inertia")
@@ -25,7 +26,10 @@ INERTIAL = ("mass", "com", "inertia")
 def field(robot: Robot, name: str, given: Given):
     """A tensor of the robot as nested tuples of numbers, or None if the robot has none."""
     if name in given:
-        flat, shape = tuple(given[name]), SHAPES[name]
+        row, shape = given[name], SHAPES[name]
+        if row is None:
+            return None
+        flat = tuple(row)
         if len(shape) == 1:
             return flat
         return tuple(flat[k : k + shape[1]] for k in range(0, len(flat), shape[1]))
@@ -113,6 +117,16 @@ class AlignedModel(NamedTuple):
         """Mass matrix."""
         return composite.mass_matrix(self.aligned, self.steps)
 
+    def with_rotors(self, inertia: Sequence[Number]) -> AlignedModel:
+        """The same with more inertia at the joints, on the diagonal of the mass matrix."""
+        return self._replace(aligned=self.aligned._replace(links=_with_rotors(self.links, inertia)))
+
+    def solve(self, b: Sequence[Number], linear: bool) -> Sequence[Number]:
+        """Solution x of M x = b; `linear` in the number of joints, by articulated bodies, or by the mass matrix."""
+        if linear:
+            return articulated.solve(self.aligned, self.steps, b)
+        return forward.solve(self.links, forward.factorise(self.links, self.mass_matrix()), b)
+
 
 def _turn(at: frames.Placement, kind: str, x: Number) -> Turn:
     """Cosine and sine of the joint's turn."""
@@ -184,6 +198,21 @@ class PaperModel(NamedTuple):
     def mass_matrix(self) -> Rows:
         """Mass matrix."""
         return crba.mass_matrix(self.mechanism, self.X_PB, self.Ad)
+
+    def with_rotors(self, inertia: Sequence[Number]) -> PaperModel:
+        """The same with more inertia at the joints, on the diagonal of the mass matrix."""
+        return self._replace(mechanism=self.mechanism._replace(links=_with_rotors(self.links, inertia)))
+
+    def solve(self, b: Sequence[Number], linear: bool) -> Sequence[Number]:
+        """Solution x of M x = b, by the mass matrix."""
+        return forward.solve(self.links, forward.factorise(self.links, self.mass_matrix()), b)
+
+
+def _with_rotors(links, inertia: Sequence[Number]):
+    return tuple(
+        link._replace(armature=x if link.armature is None else link.armature + x)
+        for link, x in zip(links, inertia, strict=True)
+    )
 
 
 def constant_pose(x) -> DualQuaternion:

@@ -7,9 +7,21 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from torchdq.numbers import functions
 from torchdq.numbers.record import Number, Op, Tape
 
 Value = Any  # a recorded number, or one that is known
+
+# operations that are neither arithmetic nor a sine or cosine
+FUNCTIONS: Mapping[str, Callable[..., Value]] = {
+    "sqrt": functions.sqrt,
+    "exp": functions.exp,
+    "log": functions.log,
+    "floor": functions.floor,
+    "max": functions.maximum,
+    "min": functions.minimum,
+    "ge": functions.at_least,
+}
 
 
 class Argument(NamedTuple):
@@ -35,10 +47,13 @@ class Count(NamedTuple):
     additions: int
     divisions: int
     sines: int
+    roots: int = 0
+    exponentials: int = 0
+    comparisons: int = 0
 
     @property
     def total(self) -> int:
-        """All operations, a sine or cosine counting once."""
+        """All operations, a sine, a cosine or another function counting once."""
         return sum(self)
 
 
@@ -52,9 +67,21 @@ class Program:
     results: tuple[Result, ...]
 
     def count(self) -> Count:
-        """Operations per sample: multiplications, additions, divisions, sines and cosines; negations are free."""
+        """Operations per sample; negations are free.
+
+        Subtractions count as additions, cosines as sines, logarithms as exponentials, and the larger or smaller of two
+        numbers and the whole part of one as comparisons.
+        """
         codes = Counter(op.code for op in self.ops)
-        return Count(codes["mul"], codes["add"] + codes["sub"], codes["div"], codes["sin"] + codes["cos"])
+        return Count(
+            multiplications=codes["mul"],
+            additions=codes["add"] + codes["sub"],
+            divisions=codes["div"],
+            sines=codes["sin"] + codes["cos"],
+            roots=codes["sqrt"],
+            exponentials=codes["exp"] + codes["log"],
+            comparisons=codes["max"] + codes["min"] + codes["ge"] + codes["floor"],
+        )
 
     def __str__(self) -> str:
         sign = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
@@ -68,7 +95,7 @@ class Program:
             elif op.code in sign:
                 text = f"x{op.a} {sign[op.code]} x{op.b}"
             else:
-                text = f"{op.code} x{op.a}"
+                text = " ".join([op.code, *(f"x{k}" for k in operands(op))])
             lines.append(f"  x{i} = {text}")
         for result in self.results:
             shown = [repr(v) if isinstance(v, float) else f"{'-' if v[1] else ''}x{v[0]}" for v in result.values]
@@ -140,6 +167,8 @@ def replay(program: Program, tape: Tape, inputs: Sequence[Sequence[Value]]) -> l
             values.append(op.a)
         elif op.code == "sin" or op.code == "cos":
             values.append(getattr(values[int(op.a)], op.code)())
+        elif op.code in FUNCTIONS:
+            values.append(FUNCTIONS[op.code](*(values[k] for k in operands(op))))
         else:
             a, b = values[int(op.a)], values[op.b]
             values.append(

@@ -14,8 +14,8 @@ from typing import NamedTuple
 from torchdq.algebra import dual_quaternion, quaternion, screw
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics import articulated, energy, forward, kinematics, rnea
 from torchdq.dynamics import closed_form as closed
+from torchdq.dynamics import energy, kinematics, rnea
 from torchdq.dynamics import regressor as regression
 from torchdq.dynamics.mechanism import BASE
 from torchdq.program import derive
@@ -77,21 +77,17 @@ def mass_matrix(x: Inputs) -> Rows:
     return {"M": [entry for row in x.model().mass_matrix() for entry in row]}
 
 
-def forward_dynamics(x: Inputs) -> Rows:
-    """qdd, by the mass matrix and its factors."""
+def forward_dynamics(x: Inputs, linear: bool = False) -> Rows:
+    """qdd, by the mass matrix and its factors, or by articulated bodies."""
     m = x.model()
     bias = m.torques(x.arguments.get("qd"), None, x.exerted())
-    return {"qdd": forward.forward_dynamics(m.links, m.mass_matrix(), bias, x.arguments["tau"])}
+    net = [t if b is None else t - b for t, b in zip(x.arguments["tau"], bias, strict=True)]
+    return {"qdd": m.solve(net, linear)}  # (63) solved for qdd
 
 
 def forward_dynamics_articulated(x: Inputs) -> Rows:
-    """qdd, by articulated bodies; in aligned frames only."""
-    m = x.model()
-    if isinstance(m, PaperModel):
-        return forward_dynamics(x)
-    bias = m.torques(x.arguments.get("qd"), None, x.exerted())
-    net = [t - b for t, b in zip(x.arguments["tau"], bias, strict=True)]
-    return {"qdd": articulated.solve(m.aligned, m.steps, net)}
+    """qdd, by articulated bodies."""
+    return forward_dynamics(x, linear=True)
 
 
 def closed_form(x: Inputs, tip_name: str) -> Rows:

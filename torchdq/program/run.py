@@ -112,6 +112,11 @@ def eager(program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
     samples = _samples(program, inputs)
     rows = [x.unbind(-1) for x in inputs]
     values: list = []  # tensors, or Python numbers
+
+    def tensor(k: float) -> Tensor:
+        x = values[int(k)]
+        return x if isinstance(x, Tensor) else inputs[0].new_full((), x)
+
     for code, a, b in program.ops:
         if code == "in":
             values.append(rows[int(a)][b])
@@ -121,6 +126,15 @@ def eager(program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
             values.append(torch.sin(values[int(a)]))
         elif code == "cos":
             values.append(torch.cos(values[int(a)]))
+        elif code in ("sqrt", "exp", "log", "floor"):
+            values.append(getattr(torch, code)(tensor(a)))
+        elif code in ("max", "min", "ge"):
+            x, y = tensor(a), tensor(b)
+            if code == "ge":
+                values.append((x >= y).to(x.dtype))
+            else:
+                # torch's own would share the gradient where both are equal; compiled programs give it to the first
+                values.append(torch.where(((x >= y) if code == "max" else (x <= y)) | (x != x), x, y))
         else:
             x, y = values[int(a)], values[b]
             values.append(x + y if code == "add" else x - y if code == "sub" else x * y if code == "mul" else x / y)

@@ -1,0 +1,89 @@
+"""Controllers: what turns a reference into torques. They see the readings once per step and hold the torque over it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+from torchdq.envs.effects.effect import Parameter, Parametric, Shapes
+
+from torchdq.algebra.quaternion import Number
+from torchdq.program.model import Given, model
+from torchdq.robot import Robot
+
+Row = Sequence[Number]
+
+
+@dataclass(frozen=True)
+class Controller(Parametric):
+    """Torques from the input `reference` [..., 3 n]: wanted positions, velocities and accelerations."""
+
+    def torques(
+        self, robot: Robot, fields: Given, varied: Sequence[str], reference: Row, q: Row, qd: Row
+    ) -> Sequence[Number]:
+        """Torques at the measured positions and velocities; `fields` are the scene's changes of the robot."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class ComputedTorque(Controller):
+    """Feedback linearisation: tau = M a + c + g, a = qdd_des + kd (qd_des - qd) + kp (q_des - q), equations (73)-(78).
+
+    With the scene's own model and small steps the error obeys e'' + kd e' + kp e = 0; friction, and everything else
+    that is not in the model, disturbs it.
+
+    Args:
+        kp: position gain [1/s^2], shape [..., n].
+        kd: velocity gain [1/s], shape [..., n].
+        model: the robot as the controller believes it to be, with its own gravity and rotor inertia; its tensors are
+            constants. None: as it is in the scene, payload and gravity included.
+    """
+
+    SHAPES: ClassVar[Shapes] = {"kp": ("n",), "kd": ("n",)}
+    kp: Parameter
+    kd: Parameter
+    model: Robot | None = None
+
+    def torques(
+        self, robot: Robot, fields: Given, varied: Sequence[str], reference: Row, q: Row, qd: Row
+    ) -> Sequence[Number]:
+        a = _corrected(reference, q, qd, self.kp, self.kd)
+        own = self.model is None
+        believed = model(robot, q, fields, varied) if own else model(self.model, q, {}, ())
+        return believed.torques(qd, a, None)  # (73), (74)
+
+
+@dataclass(frozen=True)
+class PD(Controller):
+    """Torques of errors alone: tau = kp (q_des - q) + kd (qd_des - qd), and of gravity if a model is given.
+
+    Args:
+        kp: position gain [N m/rad or N/m], shape [..., n].
+        kd: velocity gain [N m s/rad or N s/m], shape [..., n].
+        model: the robot whose gravity torques are added; None: none are.
+    """
+
+    SHAPES: ClassVar[Shapes] = {"kp": ("n",), "kd": ("n",)}
+    kp: Parameter
+    kd: Parameter
+    model: Robot | None = None
+
+    def torques(
+        self, robot: Robot, fields: Given, varied: Sequence[str], reference: Row, q: Row, qd: Row
+    ) -> Sequence[Number]:
+        n = len(q)
+        tau = _corrected((*reference[: 2 * n], *[0.0] * n), q, qd, self.kp, self.kd)
+        if self.model is None:
+            return tau
+        weight = model(self.model, q, {}, ()).torques(None, None, None)
+        return [t if w is None else t + w for t, w in zip(tau, weight, strict=True)]
+
+
+def _corrected(reference: Row, q: Row, qd: Row, kp: Row, kd: Row) -> list[Number]:
+    """Wanted acceleration, or feed-forward, with the errors fed back."""
+    n = len(q)
+    return [
+        reference[2 * n + i] + kd[i] * (reference[n + i] - qd[i]) + kp[i] * (reference[i] - q[i])  # (75), erratum 75
+        for i in range(n)
+    ]

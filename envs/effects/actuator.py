@@ -1,0 +1,177 @@
+"""Effects of the actuators: what becomes of a commanded torque. They act once per step, in the order they are given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from torchdq.envs.effects.effect import Effect, Parameter, Shapes, listed
+from torchdq.numbers.functions import clip, exp, floor
+
+from torchdq.algebra.quaternion import Number
+from torchdq.errors import ArgumentError
+from torchdq.robot import Robot
+
+Row = Sequence[Number]
+
+
+@dataclass(frozen=True)
+class Actuator(Effect):
+    """A change of the torques on their way to the joints."""
+
+    SLOT: ClassVar[str] = "actuator"
+
+    def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
+        """Torques that leave it, and what it remembers."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Saturation(Actuator):
+    """The torque clipped to its limit, exactly: tau = min(max(u, -limit), limit).
+
+    Args:
+        limit: [N m or N], shape [..., n]; None: the effort limits of the robot's description, infinite where none.
+    """
+
+    SHAPES: ClassVar[Shapes] = {"limit": ("n",)}
+    UNBOUNDED = frozenset({"limit"})
+    limit: Parameter = None
+
+    def described(self, robot: Robot) -> Self:
+        return self if self.limit is not None else type(self)(listed(robot.limits.effort))
+
+    def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
+        unlimited = float("inf")
+        return [
+            x if isinstance(limit, float) and limit == unlimited else clip(x, -limit, limit)
+            for x, limit in zip(u, self.limit, strict=True)
+        ], ()
+
+
+@dataclass(frozen=True)
+class TorqueSpeed(Actuator):
+    """A motor whose torque falls with speed: tau <= stall (1 - qd/speed), tau >= -stall (1 + qd/speed), |tau| <= stall.
+
+    The torque-speed line of a direct-current motor at its highest voltage, either way; braking keeps the full torque.
+
+    Args:
+        stall: torque at rest [N m or N], shape [..., n]; None: the effort limits of the description.
+        speed: at which no torque is left [rad/s or m/s], shape [..., n]; None: the velocity limits of the description.
+    """
+
+    SHAPES: ClassVar[Shapes] = {"stall": ("n",), "speed": ("n",)}
+    stall: Parameter = None
+    speed: Parameter = None
+
+    def described(self, robot: Robot) -> Self:
+        return type(self)(
+            listed(robot.limits.effort) if self.stall is None else self.stall,
+            listed(robot.limits.velocity) if self.speed is None else self.speed,
+        )
+
+    def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
+        result = []
+        for x, v, stall, speed in zip(u, qd, self.stall, self.speed, strict=True):
+            ratio = v / speed
+            upper = stall * clip(1.0 - ratio, 0.0, 1.0)
+            lower = -(stall * clip(1.0 + ratio, 0.0, 1.0))
+            result.append(clip(x, lower, upper))
+        return result, ()
+
+
+@dataclass(frozen=True)
+class Lag(Actuator):
+    """A first-order lag: T tau' = u - tau, solved exactly over a step in which u is constant.
+
+    Args:
+        time: T [s], shape [..., n]; zero is no lag.
+    """
+
+    SHAPES: ClassVar[Shapes] = {"time": ("n",)}
+    time: Parameter
+
+    def memory(self, n: int) -> int:
+        return n
+
+    def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
+        tau = []
+        for x, before, T in zip(u, memory, self.time, strict=True):
+            kept = 0.0 if isinstance(T, float) and T == 0 else exp(-(dt / T))
+            tau.append(x + kept * (before - x))
+        return tau, tau
+
+
+@dataclass(frozen=True)
+class Delay(Actuator):
+    """Torques that arrive a whole number of steps late; before that, none.
+
+    Args:
+        steps: at least 1.
+    """
+
+    steps: int
+
+    def described(self, robot: Robot) -> Self:
+        return whole(self)
+
+    def memory(self, n: int) -> int:
+        return self.steps * n
+
+    def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
+        return memory[: len(u)], (*memory[len(u) :], *u)
+
+
+@dataclass(frozen=True)
+class DeadBand(Actuator):
+    """Commands smaller than the width are lost, larger ones shrink by it: tau = u - min(max(u, -width), width).
+
+    Args:
+        width: [N m or N], shape [..., n].
+    """
+
+    SHAPES: ClassVar[Shapes] = {"width": ("n",)}
+    width: Parameter
+
+    def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
+        return [x - clip(x, -w, w) for x, w in zip(u, self.width, strict=True)], ()
+
+
+@dataclass(frozen=True)
+class QuantisedCommand(Actuator):
+    """Commands rounded to whole multiples of a step; its gradient is zero, as that of a staircase is.
+
+    Args:
+        step: [N m or N], shape [..., n], positive.
+    """
+
+    SHAPES: ClassVar[Shapes] = {"step": ("n",)}
+    step: Parameter
+
+    def resolved(self, robot: Robot) -> Self:
+        return positive(super().resolved(robot), "step")
+
+    def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
+        return [rounded(x, s) for x, s in zip(u, self.step, strict=True)], ()
+
+
+def rounded(x: Number, step: Number) -> Number:
+    """The multiple of a step that is nearest."""
+    return step * floor(x / step + 0.5)
+
+
+def whole(effect):
+    """The effect, whose number of steps must be a positive whole number."""
+    if not isinstance(effect.steps, int) or effect.steps < 1:
+        raise ArgumentError(f"steps of {type(effect).__name__} must be a whole number from 1, found {effect.steps!r}")
+    return effect
+
+
+def positive(effect, *names: str):
+    """The effect, whose constant parameters of those names must not be zero."""
+    for name in names:
+        value = getattr(effect, name)
+        if (isinstance(value, float) and value == 0) or (isinstance(value, tuple) and 0.0 in value):
+            raise ArgumentError(f"{name} of {type(effect).__name__} must be positive, found 0; it divides")
+    return effect

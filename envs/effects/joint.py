@@ -1,0 +1,260 @@
+"""Effects at the joints: friction, springs, servos, limits, elasticity.
+
+A joint effect is an impedance: the torque -D qd - K (q - rest) with a damping D >= 0 and a stiffness K >= 0 that may
+depend on the state. Written this way a linearly implicit integrator can take the velocity and the position at the end
+of the step, with D and K as they are at its beginning: however stiff, such a torque cannot overshoot, and friction
+cannot turn a motion round. Explicit integrators evaluate it as it stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple, Self
+
+from torchdq.envs.effects.effect import Effect, Parameter, Shapes, listed
+from torchdq.numbers.functions import at_least, clip, maximum, sqrt
+
+from torchdq.algebra.quaternion import Number
+from torchdq.errors import ArgumentError
+from torchdq.robot import Robot
+
+Inputs = Mapping[str, Sequence[Number]]
+
+
+class Impedance(NamedTuple):
+    """Torque -damping qd - stiffness (q - rest) of one joint."""
+
+    damping: Number = 0.0  # D >= 0 [N m s/rad or N s/m]
+    stiffness: Number = 0.0  # K >= 0 [N m/rad or N/m]
+    rest: Number = 0.0  # [rad or m]
+
+    def torque(self, q: Number, qd: Number) -> Number:
+        """The torque [N m or N]."""
+        return -(self.damping * qd) - self.stiffness * (q - self.rest)
+
+
+@dataclass(frozen=True)
+class JointEffect(Effect):
+    """A torque at every joint that depends on the state of that joint alone."""
+
+    SLOT: ClassVar[str] = "joint"
+
+    def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
+        """Impedance of every joint at a state."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Viscous(JointEffect):
+    """Viscous friction: tau = -d qd.
+
+    Args:
+        coefficient: d [N m s/rad or N s/m], shape [..., n]; None: the damping of the robot's description.
+    """
+
+    SHAPES: ClassVar[Shapes] = {"coefficient": ("n",)}
+    coefficient: Parameter = None
+
+    def described(self, robot: Robot) -> Self:
+        return self if self.coefficient is not None else type(self)(listed(robot.damping))
+
+    def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
+        return [Impedance(d) for d in self.coefficient]
+
+
+@dataclass(frozen=True)
+class Coulomb(JointEffect):
+    """Dry friction, regularised: tau = -level qd / sqrt(qd^2 + width^2).
+
+    Below the width the joint creeps, at width tau / sqrt(level^2 - tau^2) under a torque tau smaller than the level; it
+    never sticks for good. An explicit integrator chatters once dt level / (inertia width) exceeds 2; the linearly
+    implicit one does not at any width.
+
+    Args:
+        level: Coulomb friction [N m or N], shape [..., n]; None: the friction of the robot's description.
+        width: velocity below which it is viscous [rad/s or m/s], a number or [...].
+    """
+
+    SHAPES: ClassVar[Shapes] = {"level": ("n",), "width": ()}
+    level: Parameter = None
+    width: Parameter = 1e-2
+
+    def described(self, robot: Robot) -> Self:
+        return self if self.level is not None else type(self)(listed(robot.friction), self.width)
+
+    def resolved(self, robot: Robot) -> Self:
+        return _with_width(super().resolved(robot))
+
+    def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
+        return [Impedance(_over_speed(level, v, self.width)) for level, v in zip(self.level, qd, strict=True)]
+
+
+@dataclass(frozen=True)
+class Stribeck(JointEffect):
+    """Dry friction that is higher at rest: tau = -(c + (s - c) / (1 + (qd/v)^2)) qd / sqrt(qd^2 + width^2).
+
+    Source: D. P. Hess, A. Soom, "Friction at a lubricated line contact operating at oscillating sliding velocities",
+    Journal of Tribology 112 (1990), without its viscous term, which is `Viscous`.
+
+    Args:
+        coulomb: c, friction of a moving joint [N m or N], shape [..., n]; None: the friction of the description.
+        static: s, friction at rest [N m or N], shape [..., n], at least c.
+        velocity: v at which the excess has halved [rad/s or m/s], shape [..., n].
+        width: velocity below which it is viscous [rad/s or m/s], a number or [...].
+    """
+
+    SHAPES: ClassVar[Shapes] = {"coulomb": ("n",), "static": ("n",), "velocity": ("n",), "width": ()}
+    coulomb: Parameter = None
+    static: Parameter = None
+    velocity: Parameter = 0.1
+    width: Parameter = 1e-2
+
+    def described(self, robot: Robot) -> Self:
+        if self.coulomb is not None:
+            return self
+        return type(self)(listed(robot.friction), self.static, self.velocity, self.width)
+
+    def resolved(self, robot: Robot) -> Self:
+        return _with_width(super().resolved(robot), "velocity")
+
+    def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
+        result = []
+        for c, s, v_s, v in zip(self.coulomb, self.static, self.velocity, qd, strict=True):
+            ratio = v / v_s
+            level = c + (s - c) / (1.0 + ratio * ratio)
+            result.append(Impedance(_over_speed(level, v, self.width)))
+        return result
+
+
+@dataclass(frozen=True)
+class Spring(JointEffect):
+    """A linear spring at every joint: tau = -k (q - rest).
+
+    Args:
+        stiffness: k [N m/rad or N/m], shape [..., n].
+        rest: position in which it is relaxed [rad or m], shape [..., n].
+    """
+
+    SHAPES: ClassVar[Shapes] = {"stiffness": ("n",), "rest": ("n",)}
+    SIGNED = frozenset({"rest"})
+    stiffness: Parameter
+    rest: Parameter = 0.0
+
+    def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
+        return [Impedance(0.0, k, r) for k, r in zip(self.stiffness, self.rest, strict=True)]
+
+
+@dataclass(frozen=True)
+class Servo(JointEffect):
+    """A position servo that acts continuously: tau = kp (target - q) - kd qd, the input `target` [..., n].
+
+    Unlike a controller, which sees the state once per step, it is part of what is integrated, and the linearly implicit
+    integrator keeps it stable at any gain.
+
+    Args:
+        kp: stiffness [N m/rad or N/m], shape [..., n].
+        kd: damping [N m s/rad or N s/m], shape [..., n].
+    """
+
+    SHAPES: ClassVar[Shapes] = {"kp": ("n",), "kd": ("n",)}
+    kp: Parameter
+    kd: Parameter = 0.0
+
+    def inputs(self, n: int) -> dict[str, int]:
+        return {"target": n}
+
+    def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
+        return [Impedance(d, k, x) for k, d, x in zip(self.kp, self.kd, inputs["target"], strict=True)]
+
+
+@dataclass(frozen=True)
+class Limits(JointEffect):
+    """Compliant joint limits: tau = -k p (1 + c pd) beyond a limit by the distance p, with pd only while it grows.
+
+    The torque is continuous, never pulls towards the limit, and takes energy out (after K. H. Hunt and F. R. E.
+    Crossley, "Coefficient of restitution interpreted as damping in vibroimpact", Journal of Applied Mechanics, 1975).
+
+    Args:
+        lower, upper: [rad or m], shape [..., n]; None: those of the robot's description. A joint whose limits are
+            infinite numbers has none, and costs nothing.
+        stiffness: k [N m/rad or N/m], shape [..., n].
+        dissipation: c [s/rad or s/m], shape [..., n].
+    """
+
+    SHAPES: ClassVar[Shapes] = {"lower": ("n",), "upper": ("n",), "stiffness": ("n",), "dissipation": ("n",)}
+    SIGNED = frozenset({"lower", "upper"})
+    UNBOUNDED = frozenset({"lower", "upper"})
+    lower: Parameter = None
+    upper: Parameter = None
+    stiffness: Parameter = 1e4
+    dissipation: Parameter = 1.0
+
+    def described(self, robot: Robot) -> Self:
+        lower = listed(robot.limits.lower) if self.lower is None else self.lower
+        upper = listed(robot.limits.upper) if self.upper is None else self.upper
+        return type(self)(lower, upper, self.stiffness, self.dissipation)
+
+    def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
+        result = []
+        for x, v, low, high, k, c in zip(q, qd, self.lower, self.upper, self.stiffness, self.dissipation, strict=True):
+            has_low, has_high = _finite(low), _finite(high)
+            if not (has_low or has_high):
+                result.append(Impedance())
+                continue
+            below = maximum(low - x, 0.0) if has_low else 0.0
+            above = maximum(x - high, 0.0) if has_high else 0.0
+            outside = (1.0 - at_least(x, low) if has_low else 0.0) + (1.0 - at_least(high, x) if has_high else 0.0)
+            deeper = below * at_least(0.0, v) + above * at_least(v, 0.0)
+            nearest = clip(x, low, high) if has_low and has_high else x + below - above
+            result.append(Impedance(k * c * deeper, k * outside, nearest))
+        return result
+
+
+@dataclass(frozen=True)
+class Elastic(Effect):
+    """Elastic joints: the actuator turns a rotor, and a spring and damper turn the joint.
+
+        J thd' = u - t,   t = k (th - q) + d (thd - qd) acts on the joint
+
+    Source: M. W. Spong, "Modeling and control of elastic joint robots", Journal of Dynamic Systems, Measurement, and
+    Control 109 (1987), with the damper added. The state remembers the rotor's position and velocity [2 n].
+
+    Args:
+        stiffness: k [N m/rad or N/m], shape [..., n].
+        damping: d [N m s/rad or N s/m], shape [..., n].
+        inertia: J of the rotor, seen at the joint [kg m^2 or kg], shape [..., n]; None: the robot's rotor inertia.
+    """
+
+    SLOT: ClassVar[str] = "joint"
+    SHAPES: ClassVar[Shapes] = {"stiffness": ("n",), "damping": ("n",), "inertia": ("n",)}
+    stiffness: Parameter
+    damping: Parameter = 0.0
+    inertia: Parameter = None
+
+    def described(self, robot: Robot) -> Self:
+        return self if self.inertia is not None else type(self)(self.stiffness, self.damping, listed(robot.armature))
+
+    def memory(self, n: int) -> int:
+        return 2 * n
+
+    def start(self, q: Sequence[Number], qd: Sequence[Number]) -> Sequence[Number]:
+        return (*q, *qd)
+
+
+def _over_speed(level: Number, v: Number, width: Number) -> Number:
+    """level / sqrt(v^2 + width^2)."""
+    return 0.0 if isinstance(level, float) and level == 0 else level / sqrt(v * v + width * width)
+
+
+def _finite(x: Number) -> bool:
+    return not (isinstance(x, float) and x in (float("inf"), -float("inf")))
+
+
+def _with_width(effect: Any, *others: str) -> Any:
+    """The effect, whose constant widths must not be zero."""
+    for name in ("width", *others):
+        value = getattr(effect, name)
+        if value == 0.0 or (isinstance(value, tuple) and 0.0 in value):
+            raise ArgumentError(f"{name} of {type(effect).__name__} must be positive, found 0; it divides")
+    return effect

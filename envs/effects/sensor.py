@@ -1,0 +1,120 @@
+"""Effects of the sensors: what is read of positions and velocities. They act at the end of a step, in their order.
+
+With a sensor in the scene, its controller acts on the readings, and so should whoever else decides about torques.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from torchdq.envs.effects.actuator import rounded, whole
+from torchdq.envs.effects.effect import Effect, Parameter, Shapes
+from torchdq.numbers.functions import log, sqrt
+
+from torchdq.algebra.quaternion import Number
+from torchdq.robot import Robot
+
+Row = Sequence[Number]
+
+
+@dataclass(frozen=True)
+class Sensor(Effect):
+    """A change of the readings: a row of n positions and n velocities."""
+
+    SLOT: ClassVar[str] = "sensor"
+
+    def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
+        """Reading that leaves it, and what it remembers."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Noise(Sensor):
+    """White Gaussian noise on every reading, made of uniform numbers (G. E. P. Box, M. E. Muller, 1958).
+
+    Args:
+        position: standard deviation [rad or m], shape [..., n].
+        velocity: standard deviation [rad/s or m/s], shape [..., n].
+    """
+
+    SHAPES: ClassVar[Shapes] = {"position": ("n",), "velocity": ("n",)}
+    position: Parameter = 0.0
+    velocity: Parameter = 0.0
+
+    def noises(self, n: int) -> int:
+        return 2 * n
+
+    def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
+        result = []
+        n = len(reading) // 2
+        for i in range(n):  # one pair of uniform numbers makes a pair of normal ones
+            radius = sqrt(-2.0 * log(noise[2 * i]))
+            angle = (2 * math.pi) * noise[2 * i + 1]
+            result.append((radius * angle.cos(), radius * angle.sin()))
+        positions = [x + s * z[0] for x, s, z in zip(reading[:n], self.position, result, strict=True)]
+        velocities = [x + s * z[1] for x, s, z in zip(reading[n:], self.velocity, result, strict=True)]
+        return [*positions, *velocities], ()
+
+
+@dataclass(frozen=True)
+class Bias(Sensor):
+    """Readings off by a constant.
+
+    Args:
+        position: [rad or m], shape [..., n].
+        velocity: [rad/s or m/s], shape [..., n].
+    """
+
+    SHAPES: ClassVar[Shapes] = {"position": ("n",), "velocity": ("n",)}
+    SIGNED = frozenset({"position", "velocity"})
+    position: Parameter = 0.0
+    velocity: Parameter = 0.0
+
+    def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
+        return [x + b for x, b in zip(reading, (*self.position, *self.velocity), strict=True)], ()
+
+
+@dataclass(frozen=True)
+class QuantisedReading(Sensor):
+    """Readings rounded to whole multiples of a step; zero leaves them as they are, and costs nothing.
+
+    Args:
+        position: [rad or m], shape [..., n].
+        velocity: [rad/s or m/s], shape [..., n].
+    """
+
+    SHAPES: ClassVar[Shapes] = {"position": ("n",), "velocity": ("n",)}
+    position: Parameter = 0.0
+    velocity: Parameter = 0.0
+
+    def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
+        return [
+            x if isinstance(s, float) and s == 0 else rounded(x, s)
+            for x, s in zip(reading, (*self.position, *self.velocity), strict=True)
+        ], ()
+
+
+@dataclass(frozen=True)
+class ReadingDelay(Sensor):
+    """Readings that arrive a whole number of steps late; at the beginning, those of the initial state.
+
+    Args:
+        steps: at least 1.
+    """
+
+    steps: int
+
+    def described(self, robot: Robot) -> Self:
+        return whole(self)
+
+    def memory(self, n: int) -> int:
+        return 2 * n * self.steps
+
+    def start(self, q: Row, qd: Row) -> Row:
+        return (*q, *qd) * self.steps
+
+    def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
+        return memory[: len(reading)], (*memory[len(reading) :], *reading)

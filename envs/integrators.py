@@ -1,0 +1,224 @@
+"""Integrators: how a state is carried over a step.
+
+All but the last are recorded into the scene's program, so their formulas are written for any kind of number. A system
+has positions x and velocities v (the joints', and the rotors' behind elastic ones) and knows its accelerations.
+
+| integrator | order | evaluations | energy of a conservative arm |
+|---|---|---|---|
+| ExplicitEuler | 1 | 1 | grows |
+| SemiImplicitEuler | 1 | 1 | drifts: the mass matrix depends on q, so it is not symplectic in (q, qd) |
+| LinearlyImplicit | 1 | 1 | drifts; the damping, stiffness and friction of joints cannot make it unstable |
+| RungeKutta4 | 4 | 4 | falls slowly |
+| StoermerVerlet | 2 | about 2 + 2 iterations | stays within a band of width dt^2: symplectic in (q, p) |
+| DormandPrince | 5 | adaptive | to tolerance |
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Protocol
+
+import torch
+from torch import Tensor
+
+from torchdq.algebra.quaternion import Number
+from torchdq.errors import ArgumentError
+
+Row = Sequence[Number]
+
+
+class System(Protocol):
+    """What a recorded integrator needs to know."""
+
+    def accelerations(self, x: Row, v: Row) -> list[Number]:
+        """Accelerations in a state."""
+
+    def implicit_accelerations(self, x: Row, v: Row, h: float) -> list[Number]:
+        """Mean accelerations over a step h whose impedances act on the state at its end."""
+
+    def momentum_accelerations(self, x: Row, v: Row, at: Row | None = None) -> list[Number]:
+        """M(at)^-1 (dL/dx + forces): the rate of the momentum at (x, v), as an acceleration."""
+
+    def carried(self, x: Row, v: Row, to: Row) -> list[Number]:
+        """Velocities at the positions `to` that have the momentum of (x, v)."""
+
+
+class Integrator:
+    """One way to carry a state over a step."""
+
+    order: ClassVar[int]
+
+    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+        """State after a step h [s]."""
+        raise NotImplementedError
+
+
+def _plus(a: Row, h: Number, b: Row) -> list[Number]:
+    """a + h b."""
+    return [x + h * y for x, y in zip(a, b, strict=True)]
+
+
+@dataclass(frozen=True)
+class ExplicitEuler(Integrator):
+    """x + h v, v + h a. Here to be compared with."""
+
+    order = 1
+
+    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+        return _plus(x, h, v), _plus(v, h, system.accelerations(x, v))
+
+
+@dataclass(frozen=True)
+class SemiImplicitEuler(Integrator):
+    """v' = v + h a(x, v), x' = x + h v'. The cheapest; what most simulators call Euler."""
+
+    order = 1
+
+    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+        v = _plus(v, h, system.accelerations(x, v))
+        return _plus(x, h, v), v
+
+
+@dataclass(frozen=True)
+class LinearlyImplicit(Integrator):
+    """(M + h D + h^2 K)(v' - v) = h (forces(x, v) - h K v), x' = x + h v'.
+
+    D and K are the damping and stiffness of the joint effects, on the diagonal, where they cost an addition each. For
+    stiff friction, servos and limits; what acts on bodies and actuators stays explicit.
+    """
+
+    order = 1
+
+    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+        v = _plus(v, h, system.implicit_accelerations(x, v, h))
+        return _plus(x, h, v), v
+
+
+@dataclass(frozen=True)
+class RungeKutta4(Integrator):
+    """The classical method of order 4."""
+
+    order = 4
+
+    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+        a = system.accelerations
+        a1 = a(x, v)
+        v2 = _plus(v, 0.5 * h, a1)
+        a2 = a(_plus(x, 0.5 * h, v), v2)
+        v3 = _plus(v, 0.5 * h, a2)
+        a3 = a(_plus(x, 0.5 * h, v2), v3)
+        v4 = _plus(v, h, a3)
+        a4 = a(_plus(x, h, v3), v4)
+
+        def mean(k1: Row, k2: Row, k3: Row, k4: Row) -> list[Number]:
+            return [p + 2.0 * (q + r) + s for p, q, r, s in zip(k1, k2, k3, k4, strict=True)]
+
+        return _plus(x, h / 6.0, mean(v, v2, v3, v4)), _plus(v, h / 6.0, mean(a1, a2, a3, a4))
+
+
+@dataclass(frozen=True)
+class StoermerVerlet(Integrator):
+    """Generalised leapfrog in positions and momenta p = M(x) v, symplectic and symmetric.
+
+        p1 = p + h/2 f(x, v1),  M(x) v1 = p1;   x' = x + h/2 (v1 + v2),  M(x') v2 = p1;   p' = p1 + h/2 f(x', v2)
+
+    with f = dL/dx + forces. The two implicit lines are iterated a fixed number of times; each iteration takes a factor
+    of order h off their error. For energies over long times; over short
+    ones RungeKutta4 is more accurate at the same cost.
+
+    Source: E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, section VI.3.
+
+    Args:
+        iterations: of the implicit lines.
+    """
+
+    order = 2
+    iterations: int = 3
+
+    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+        v1: Row = v
+        for _ in range(self.iterations):
+            v1 = _plus(v, 0.5 * h, system.momentum_accelerations(x, v1))
+        v2, to = v1, x
+        for _ in range(self.iterations):
+            to = _plus(_plus(x, 0.5 * h, v1), 0.5 * h, v2)
+            v2 = system.carried(x, v1, to)
+        return to, _plus(v2, 0.5 * h, system.momentum_accelerations(to, v2))
+
+
+Rates = Callable[[Tensor, Tensor], Tensor]  # accelerations [samples, n] of positions and velocities
+
+
+@dataclass(frozen=True)
+class DormandPrince(Integrator):
+    """The embedded pair of order 5(4), every sample with steps of its own; for references, not for speed.
+
+    The step sizes are not differentiated: gradients are those of the steps that were taken.
+
+    Source: J. R. Dormand, P. J. Prince, "A family of embedded Runge-Kutta formulae", 1980.
+
+    Args:
+        rtol, atol: tolerated error of a step, relative to the state and absolute.
+        most: steps after which a sample that has not arrived becomes NaN, as does one that no step size helps.
+    """
+
+    order = 5
+    rtol: float = 1e-9
+    atol: float = 1e-12
+    most: int = 100_000
+
+    def __post_init__(self) -> None:
+        if not (self.rtol > 0 and self.atol > 0):
+            raise ArgumentError(f"rtol and atol must be positive, found {self.rtol} and {self.atol}")
+
+    def flow(self, rates: Rates, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
+        """State after the time T, of rows [..., n]; rows that have arrived stand still while others go on."""
+        n, floor = x.shape[-1], 100 * torch.finfo(x.dtype).eps
+        rtol = max(self.rtol, floor)  # a tighter one would never be met
+        y = torch.cat([x, v], -1)
+
+        def slope(y: Tensor) -> Tensor:
+            return torch.cat([y[..., n:], rates(y[..., :n], y[..., n:])], -1)
+
+        t = y.new_zeros(y.shape[:-1])
+        h = torch.full_like(t, T / 16)
+        lost = torch.zeros_like(t, dtype=torch.bool)
+        for _ in range(self.most):
+            going = ~lost & (t < T * (1 - floor))
+            if not bool(going.any()):
+                break
+            step = torch.where(going, torch.minimum(h, T - t), 0.0)
+            k = [slope(y)]
+            for row in _TABLEAU:
+                end = y + step[..., None] * _combined(row, k)
+                k.append(slope(end))
+            with torch.no_grad():
+                size = self.atol + rtol * torch.maximum(y.abs(), end.abs())
+                error = (step[..., None] * _combined(_ERROR, k) / size).square().mean(-1).sqrt()
+                good = going & (error <= 1)
+                factor = (0.9 * error.clamp(min=1e-10) ** -0.2).clamp(0.2, 5.0)
+                lost = lost | going & ~good & (step <= floor * T)
+                # the last step was cut to end on time, and says nothing about the next
+                kept = good & (step < h)
+                h = torch.where(kept | ~going, h, step * torch.where(error.isfinite(), factor, 0.2))
+                t = torch.where(good, t + step, t)
+            y = torch.where(good[..., None], end, y)
+        y = torch.where((lost | (t < T * (1 - floor)))[..., None], torch.nan, y)
+        return y[..., :n], y[..., n:]
+
+
+def _combined(weights: Sequence[float], k: Sequence[Tensor]) -> Tensor:
+    """Weighted sum of slopes."""
+    return sum((w * s for w, s in zip(weights, k, strict=True) if w), torch.zeros_like(k[0]))
+
+
+_TABLEAU = (
+    (1 / 5,),
+    (3 / 40, 9 / 40),
+    (44 / 45, -56 / 15, 32 / 9),
+    (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
+    (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
+    (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
+)
+_ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)

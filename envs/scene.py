@@ -1,0 +1,540 @@
+"""Scenes: a robot and the effects that are simulated, stepped on tensors.
+
+A scene assumes nothing: a bare one has no gravity, no friction and no limits. Every effect is named, belongs to one
+slot, and costs what it adds to the one program that a step is recorded into.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint as checkpointed
+from torchdq.envs import plan as plans
+from torchdq.envs.controllers import Controller
+from torchdq.envs.effects import Effect, Push
+from torchdq.envs.effects.joint import Elastic
+from torchdq.envs.integrators import DormandPrince, Integrator, SemiImplicitEuler
+from torchdq.envs.leftout import left_out
+from torchdq.envs.plan import CONTROLLER, ROBOT, Blueprint, Signature, Task
+
+from torchdq.errors import ArgumentError, DtypeError
+from torchdq.program import backends, run
+from torchdq.program.backends import Backend
+from torchdq.program.program import Count, Program
+from torchdq.robot import Robot
+from torchdq.robot.robot import DTYPES, SHAPES
+
+
+class State(NamedTuple):
+    """State of a scene: what has to be known to go on."""
+
+    q: Tensor  # [..., n] positions [rad or m]
+    qd: Tensor  # [..., n] velocities [rad/s or m/s]
+    memory: Tensor | None = None  # [..., m] what the effects remember; None: nothing
+    reading: Tensor | None = None  # [..., 2 n] measured positions and velocities; None: there are no sensors
+
+    @property
+    def measured(self) -> tuple[Tensor, Tensor]:
+        """Positions and velocities as the sensors read them."""
+        if self.reading is None:
+            return self.q, self.qd
+        n = self.q.shape[-1]
+        return self.reading[..., :n], self.reading[..., n:]
+
+
+class Cost(NamedTuple):
+    """What an effect adds to a step."""
+
+    effect: str
+    slot: str
+    operations: int
+    nanoseconds: float
+
+
+class Description(NamedTuple):
+    """What a scene simulates, what each part costs, and what it leaves out; `print` it."""
+
+    costs: tuple[Cost, ...]  # the bare step first, then every effect in its order
+    total: Cost
+    left_out: tuple[str, ...]
+    measured_on: str
+
+    def __str__(self) -> str:
+        rows = [("effect", "slot", "operations", "ns per step")]
+        rows += [(c.effect, c.slot, f"{c.operations}", f"{c.nanoseconds:.1f}") for c in (*self.costs, self.total)]
+        widths = [max(len(row[k]) for row in rows) for k in range(4)]
+        lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+        asked = "\n".join(f"- {what}" for what in self.left_out) or "- nothing"
+        return "\n".join(lines) + f"\n({self.measured_on})\n\nasked for by the description, and left out:\n{asked}"
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A robot, the effects that are simulated, and how time passes.
+
+        state = scene.start(q)
+        state = scene.step(state, torque)
+
+    A step is one program: controller, actuators, forces, forward dynamics, integrator and sensors. It is differentiable
+    in the state, the inputs, and every parameter that is a tensor.
+
+    Args:
+        robot: its gravity and rotor inertia only act if `effects.Gravity()` and `effects.RotorInertia()` are there.
+        effects: what is simulated; see `torchdq.envs.effects`. Actuators and sensors act in their order.
+        controller: turns the input `reference` into torques; None: there are only the torques that are given.
+        integrator: see `torchdq.envs.integrators`.
+        dt: duration of a step [s]; torques are constant over it.
+        substeps: of the integrator within a step.
+        backend: as in `torchdq.functional`.
+
+    >>> import torch, torchdq
+    >>> from torchdq.envs import Scene, effects
+    >>> scene = Scene(torchdq.robots.load("two_link"), (effects.Gravity(), effects.Viscous(0.1)), dt=0.01)
+    >>> state = scene.start(torch.zeros(3, 2))
+    >>> scene.step(state, torque=torch.zeros(2)).q.shape
+    torch.Size([3, 2])
+    """
+
+    robot: Robot
+    effects: Sequence[Effect] = ()
+    controller: Controller | None = None
+    integrator: Integrator = field(default_factory=SemiImplicitEuler)
+    dt: float = 0.01
+    substeps: int = 1
+    backend: Backend | None = None
+    blueprint: Blueprint = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.robot, Robot):
+            raise ArgumentError(f"robot must be a torchdq.Robot, found {type(self.robot).__name__}")
+        for effect in self.effects:
+            if not isinstance(effect, Effect):
+                raise ArgumentError(
+                    f"effects must be objects of torchdq.envs.effects, found {effect!r}"
+                    + ("; it is a class, call it" if isinstance(effect, type) else "")
+                )
+        if not isinstance(self.integrator, Integrator):
+            raise ArgumentError(f"integrator must be one of torchdq.envs.integrators, found {self.integrator!r}")
+        if not (isinstance(self.dt, int | float) and 0 < self.dt < math.inf):
+            raise ArgumentError(f"dt must be a positive number of seconds, found {self.dt!r}")
+        if not isinstance(self.substeps, int) or self.substeps < 1:
+            raise ArgumentError(f"substeps must be a whole number from 1, found {self.substeps!r}")
+        if sum(isinstance(effect, Elastic) for effect in self.effects) > 1:
+            raise ArgumentError("effects must not hold Elastic twice: a joint has one spring to its rotor")
+        resolved = tuple(effect.resolved(self.robot) for effect in self.effects)
+        names = Counter(name for effect in resolved for name in effect.inputs(self.robot.n))
+        for name, number in names.items():
+            if number > 1:
+                raise ArgumentError(f"the input {name!r} belongs to {number} effects; give them names of their own")
+        controller = None if self.controller is None else self.controller.resolved(self.robot)
+        object.__setattr__(self, "effects", resolved)
+        object.__setattr__(self, "controller", controller)
+        plan = Blueprint(
+            self.robot.origin or self.robot,
+            tuple(name for name in self.robot.varying if name not in ("gravity", "armature")),
+            tuple(effect.blueprint() for effect in resolved),
+            None if controller is None else controller.blueprint(),
+            self.integrator,
+            float(self.dt),
+            self.substeps,
+        )
+        object.__setattr__(self, "blueprint", _interned.setdefault(plan, plan))
+
+    # --- what it is ---
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.robot.n
+
+    @property
+    def inputs(self) -> dict[str, int]:
+        """Names and widths of everything that may be given at a step."""
+        found = {"torque": self.n}
+        if self.controller is not None:
+            found["reference"] = 3 * self.n
+        for effect in self.effects:
+            found.update(effect.inputs(self.n))
+        return found
+
+    @property
+    def noises(self) -> int:
+        """How many random numbers a step consumes."""
+        return sum(effect.noises(self.n) for effect in self.effects)
+
+    def replace(self, **changes: Any) -> Scene:
+        """Scene with some fields replaced; tensors of equal shapes need no new program."""
+        return replace(self, **changes)
+
+    # --- time ---
+
+    def start(self, q: Tensor, qd: Tensor | None = None, noise: Tensor | None = None) -> State:
+        """State at the beginning, effects at rest, sensors read once.
+
+        Args:
+            q: positions [rad or m], shape [..., n].
+            qd: velocities [rad/s or m/s], shape [..., n]; None: at rest.
+            noise: random numbers for the sensors, as in `step`.
+        """
+        qd = torch.zeros_like(q) if qd is None else qd
+        q, qd = torch.broadcast_tensors(q, qd)
+        state = State(q, qd, self._memory(q, qd))
+        return self._sensed(state, {}, noise, None)[0]
+
+    def step(self, state: State, torque: Tensor | None = None, noise: Tensor | None = None, **inputs: Tensor) -> State:
+        """State after `dt`.
+
+        Args:
+            state: from `start` or an earlier step.
+            torque: commanded torques [N m or N], shape [..., n], constant over the step; they add to the controller's.
+                None: none.
+            noise: uniform random numbers in (0, 1), shape [..., `noises`]; None: drawn from torch's generator if the
+                sensors need them.
+            inputs: what controller and effects ask for, by name; see `inputs`.
+        """
+        return self.advance(state, {"torque": torque, **inputs}, noise)[0]
+
+    def advance(
+        self,
+        state: State,
+        inputs: Mapping[str, Tensor | None],
+        noise: Tensor | None = None,
+        task: Task | None = None,
+    ) -> tuple[State, dict[str, Tensor]]:
+        """State after `dt`, and rows that a task computes from it in the same program."""
+        present = {name: x for name, x in inputs.items() if x is not None}
+        if isinstance(self.integrator, DormandPrince):
+            return self._adaptive(state, present, noise, task)
+        rows = self._call("step", self._given(state, present, noise), task)
+        return State(rows.pop("q"), rows.pop("qd"), rows.pop("memory", None), rows.pop("reading", None)), rows
+
+    def rollout(
+        self,
+        state: State,
+        torque: Tensor | None = None,
+        steps: int | None = None,
+        checkpoint: int = 0,
+        **inputs: Tensor,
+    ) -> State:
+        """States after each of a number of steps, shape [steps, ...].
+
+        Args:
+            state: at the beginning; it is not part of the result.
+            torque: [steps, ..., n]; None: none, for `steps` steps.
+            steps: how many; None: as many as there are torques.
+            checkpoint: for the gradient, only every so many states are kept and those between are computed again;
+                0 keeps the inputs of every step.
+            inputs: as in `step`, shape [steps, ...].
+        """
+        series = {name: x for name, x in (("torque", torque), *inputs.items()) if x is not None}
+        lengths = {name: len(x) for name, x in series.items()}
+        total = steps if steps is not None else next(iter(lengths.values()), None)
+        if total is None or any(length != total for length in lengths.values()):
+            raise ArgumentError(f"steps and the first axes of the inputs must agree, found {steps} and {lengths}")
+
+        def part(first: int, last: int, state: State) -> list[State]:
+            found = []
+            for k in range(first, last):
+                state = self.step(state, **{name: x[k] for name, x in series.items()})
+                found.append(state)
+            return found
+
+        stride = checkpoint or max(total, 1)
+        found: list[State] = []
+        for first in range(0, total, stride):
+            last = min(first + stride, total)
+            if checkpoint:
+                found += checkpointed(part, first, last, state, use_reentrant=False)
+            else:
+                found += part(first, last, state)
+            state = found[-1]
+        if not found:
+            return State(*(None if x is None else x[None][:0] for x in state))
+        return State(*(None if rows[0] is None else torch.stack(rows) for rows in zip(*found, strict=True)))
+
+    def energy(self, state: State) -> Tensor:
+        """Kinetic and potential energy [J] of the rigid bodies, shape [..., 2]."""
+        return self._call("energy", {"q": state.q, "qd": state.qd}, None)["E"]
+
+    # --- what it costs ---
+
+    def program(self, *present: str, task: Task | None = None) -> Program:
+        """Program of a step at which the inputs of those names are given; by default, torques."""
+        n = self.n
+        widths = {"q": n, "qd": n, "memory": self._memory_size(), "reading": 2 * n, **self.inputs, "noise": self.noises}
+        wanted = ["q", "qd", *(present or ("torque", *(name for name in self.inputs if name != "torque")))]
+        wanted += ["memory"] if self._memory_size() else []
+        wanted += ["reading"] if self.blueprint.of_slot("sensor") else []
+        wanted += ["noise"] if self.noises else []
+        tensors = tuple((owner, name, width, x.ndim == axes) for owner, name, x, width, axes in self._tensors())
+        inputs = tuple((name, widths[name], False) for name in wanted)
+        return plans.program(self.blueprint, Signature("step", inputs, tensors, task))
+
+    def count(self) -> Count:
+        """Operations of a step."""
+        return self.program().count()
+
+    def describe(self, batch: int = 4096, dtype: torch.dtype = torch.float64, seconds: float = 0.2) -> Description:
+        """What the scene simulates, what each effect adds to a step, and what it leaves out of the description.
+
+        Effects are added one after the other to the bare step; each costs the difference it makes.
+
+        Args:
+            batch: samples per step of which the time is taken, on torch's present number of threads.
+            dtype: of those samples.
+            seconds: of measuring per effect.
+        """
+        bare = self.replace(effects=(), controller=None)
+        scenes = [bare]
+        labels = [("bare step", "rigid bodies, integrator")]
+        for effect in self.effects:
+            scenes.append(bare.replace(effects=(*scenes[-1].effects, effect)))
+            labels.append((type(effect).__name__, effect.SLOT))
+        if self.controller is not None:
+            scenes.append(self)
+            labels.append((type(self.controller).__name__, "controller"))
+        times = _times([scene._trial(batch, dtype) for scene in scenes], batch, seconds)
+        counts = [scene.count().total for scene in scenes]
+        costs = [
+            Cost(*label, count - before, t - t_before)
+            for label, count, before, t, t_before in zip(
+                labels, counts, [0, *counts], times, [0.0, *times], strict=False
+            )
+        ]
+        on = f"{batch} samples of {str(dtype).removeprefix('torch.')}, {torch.get_num_threads()} threads"
+        whole = Cost("all", "", counts[-1], times[-1])
+        return Description(tuple(costs), whole, left_out(self.robot, self.effects), on)
+
+    def _trial(self, batch: int, dtype: torch.dtype):
+        """A step on a batch of states, to be timed."""
+        generator = torch.Generator().manual_seed(0)
+
+        def random(width: int) -> Tensor:
+            return torch.rand(batch, width, generator=generator, dtype=dtype)
+
+        state = self.start(random(self.n), random(self.n), random(self.noises))
+        inputs = {name: random(width) for name, width in self.inputs.items()}
+        noise = random(self.noises) if self.noises else None
+        return lambda: self.step(state, noise=noise, **inputs)
+
+    # --- how ---
+
+    def _memory_size(self) -> int:
+        return sum(effect.memory(self.n) for effect in self.effects)
+
+    def _memory(self, q: Tensor, qd: Tensor) -> Tensor | None:
+        rows = [x for e in self.effects for x in e.start(q.unbind(-1), qd.unbind(-1))]
+        if not rows:
+            return None
+        zero = q.new_zeros(q.shape[:-1])
+        return torch.stack([x if isinstance(x, Tensor) else zero + x for x in rows], -1)
+
+    def _tensors(self) -> list[tuple[int, str, Tensor, int, int]]:
+        """Owner, name, tensor, width and number of trailing axes of every argument that is not an input."""
+        found = []
+        for name in self.blueprint.varying:
+            x = getattr(self.robot, name)
+            axes = len(SHAPES[name])
+            found.append((ROBOT, name, x, math.prod(x.shape[x.ndim - axes :]), axes))
+        parts = [(CONTROLLER, self.controller)] if self.controller is not None else []
+        for owner, part in (*parts, *enumerate(self.effects)):
+            for name, x in part.tensors().items():
+                axes = len(part.SHAPES[name])
+                found.append((owner, name, x, math.prod(x.shape[x.ndim - axes :]), axes))
+        return found
+
+    def _given(self, state: State, inputs: Mapping[str, Tensor], noise: Tensor | None) -> dict[str, Tensor]:
+        """Everything a step's program takes beside the tensors of robot and effects."""
+        given = {"q": state.q, "qd": state.qd}
+        if state.memory is not None:
+            given["memory"] = state.memory
+        if state.reading is not None:
+            given["reading"] = state.reading
+        given.update(inputs)
+        return self._with_noise(given, noise)
+
+    def _with_noise(self, given: dict[str, Tensor], noise: Tensor | None) -> dict[str, Tensor]:
+        if self.noises:
+            q = given["q"]
+            if noise is None:
+                # 1 - [0, 1) lies in (0, 1], and the logarithm of 0 is infinite
+                noise = 1 - torch.rand(*q.shape[:-1], self.noises, dtype=q.dtype, device=q.device)
+            given["noise"] = noise
+        return given
+
+    def _sensed(
+        self, state: State, inputs: Mapping[str, Tensor], noise: Tensor | None, task: Task | None
+    ) -> tuple[State, dict[str, Tensor]]:
+        """The state with its readings, and the task's rows."""
+        if not self.blueprint.of_slot("sensor") and task is None:
+            return state, {}
+        given = {name: x for name, x in (("q", state.q), ("qd", state.qd), ("memory", state.memory)) if x is not None}
+        given.update(inputs)
+        if self.blueprint.of_slot("sensor"):
+            given = self._with_noise(given, noise)
+        rows = self._call("sense", given, task)
+        return state._replace(memory=rows.pop("memory", None), reading=rows.pop("reading", None)), rows
+
+    def observe(
+        self, state: State, inputs: Mapping[str, Tensor], noise: Tensor | None, task: Task
+    ) -> tuple[State, dict[str, Tensor]]:
+        """The state with new readings, and rows that a task computes from it."""
+        return self._sensed(state, inputs, noise, task)
+
+    def _adaptive(
+        self, state: State, inputs: Mapping[str, Tensor], noise: Tensor | None, task: Task | None
+    ) -> tuple[State, dict[str, Tensor]]:
+        """A step of an integrator that chooses its own: drive, flow and senses are programs of their own."""
+        own = {name: x for name, x in inputs.items() if name in self.inputs}
+        driven = self._call("drive", {k: x for k, x in self._given(state, own, noise).items() if k != "noise"}, None)
+        u, memory = driven["u"], driven.get("memory")
+        x, v = state.q, state.qd
+        elastic, n = self.blueprint.elastic(), self.n
+        if elastic is not None and memory is not None:
+            rotors = memory[..., self.blueprint.memory()[elastic]]
+            x, v = torch.cat([x, rotors[..., :n]], -1), torch.cat([v, rotors[..., n:]], -1)
+        others = {name: y for name, y in own.items() if name not in ("torque", "reference")}
+
+        def rates(x: Tensor, v: Tensor) -> Tensor:
+            return self._call("rates", {"x": x, "v": v, "u": u, **others}, None)["a"]
+
+        batch = torch.broadcast_shapes(u.shape[:-1], x.shape[:-1])
+        x, v = (y.expand(*batch, y.shape[-1]) for y in (x, v))
+        x, v = self.integrator.flow(rates, x, v, self.dt)  # type: ignore[attr-defined]
+        if elastic is not None and memory is not None:
+            at = self.blueprint.memory()[elastic]
+            memory = torch.cat([memory[..., : at.start], x[..., n:], v[..., n:], memory[..., at.stop :]], -1)
+        after = State(x[..., :n], v[..., :n], memory)
+        return self._sensed(after, {**inputs, "u": u}, noise, task)
+
+    def _call(self, stage: str, given: Mapping[str, Tensor], task: Task | None) -> dict[str, Tensor]:
+        """Rows of a stage's program, with the batch axes of everything that goes in."""
+        like = given["x"] if stage == "rates" else given["q"]
+        tensors = self._tensors()
+        look = (
+            self.blueprint, stage, task, self.backend, backends.present(), like.dtype, like.device,
+            *[(name, x.shape) for name, x in given.items()],
+            *[x.shape for _, _, x, _, _ in tensors],
+        )  # fmt: skip
+        plan = _plans.get(look)
+        if plan is None:
+            plan = self._plan(stage, given, tensors, like, task)
+            if len(_plans) >= _MOST_PLANS:
+                _plans.clear()
+            _plans[look] = plan
+        rows = [
+            _row(x, like, shapes)
+            for x, shapes in zip([*given.values(), *[t[2] for t in tensors]], plan.rows, strict=True)
+        ]
+        outputs = run.eager(plan.program, rows) if plan.eager else run.compiled(plan.program, rows)
+        return {
+            result.name: y.reshape(*plan.batch, y.shape[-1])
+            for y, result in zip(outputs, plan.program.results, strict=True)
+        }
+
+    def _plan(
+        self, stage: str, given: Mapping[str, Tensor], tensors: Sequence[tuple[int, str, Tensor, int, int]],
+        like: Tensor, task: Task | None,
+    ) -> _Plan:  # fmt: skip
+        """How inputs of these shapes run, after they were checked."""
+        self._check(stage, given, like, task)
+        shapes = [x.shape[:-1] for x in given.values()]
+        shapes += [x.shape[: x.ndim - axes] for _, _, x, _, axes in tensors]
+        try:
+            batch = torch.broadcast_shapes(*shapes)
+        except RuntimeError as error:
+            found = ", ".join(f"{name} {tuple(x.shape)}" for name, x in given.items())
+            raise ArgumentError(
+                f"the batch axes of state, inputs and parameters must broadcast, found {found}"
+            ) from error
+        samples = math.prod(batch)
+        rows: list[_Shapes] = [((*batch, x.shape[-1]), (samples, x.shape[-1])) for x in given.values()]
+        arguments = []
+        for owner, name, x, width, axes in tensors:
+            uniform = x.ndim == axes
+            trailing = tuple(x.shape[x.ndim - axes :])
+            arguments.append((owner, name, width, uniform))
+            rows.append((trailing, (width,)) if uniform else ((*batch, *trailing), (samples, width)))
+        inputs = tuple((name, x.shape[-1], False) for name, x in given.items())
+        program = plans.program(self.blueprint, Signature(stage, inputs, tuple(arguments), task))
+        eager = backends.choose(self.backend, like.device.type) == "eager"
+        return _Plan(program, tuple(batch), tuple(rows), eager)
+
+    def _check(self, stage: str, given: Mapping[str, Tensor], like: Tensor, task: Task | None) -> None:
+        """Raise, naming what does not fit."""
+        n = self.n
+        goals = {} if task is None else task.inputs(n)
+        widths = {"q": n, "qd": n, "memory": self._memory_size(), "reading": 2 * n, "noise": self.noises}
+        widths.update({**self.inputs, **goals, "u": n})
+        elastic = 0 if self.blueprint.elastic() is None else n
+        widths.update({"x": n + elastic, "v": n + elastic})
+        for name, x in given.items():
+            if name not in widths:
+                raise ArgumentError(f"{name} is no input of this scene; it has {', '.join(self.inputs)}")
+            if not isinstance(x, Tensor):
+                raise ArgumentError(f"{name} must be a tensor, found {type(x).__name__}")
+            if x.dtype not in DTYPES or x.dtype != like.dtype:
+                raise DtypeError(f"{name} must be float32 or float64 like the state, {like.dtype}, found {x.dtype}")
+            if x.device != like.device:
+                raise ArgumentError(f"{name} is on {x.device} but the state is on {like.device}; move one of them")
+            if x.shape[-1:] != (widths[name],):
+                raise ArgumentError(
+                    f"{name} must have the shape [..., {widths[name]}] for robot {self.robot.name!r}, "
+                    f"found {tuple(x.shape)}"
+                )
+        optional = {effect.name for effect in self.effects if isinstance(effect, Push)}
+        if stage in ("step", "drive", "rates"):
+            skipped = {"torque", "reference"} if stage == "rates" else {"torque"}
+            for name in self.inputs:
+                if name not in given and name not in optional | skipped:
+                    raise ArgumentError(f"{name} must be given, shape [..., {widths[name]}]; the scene asks for it")
+
+
+_Shapes = tuple[tuple[int, ...], tuple[int, ...]]
+
+
+class _Plan(NamedTuple):
+    """How inputs of certain shapes run."""
+
+    program: Program
+    batch: tuple[int, ...]
+    rows: tuple[_Shapes, ...]  # of every argument: what it is expanded to, and then reshaped to
+    eager: bool
+
+
+_interned: dict[Blueprint, Blueprint] = {}  # equal scenes share their programs
+_plans: dict[tuple, _Plan] = {}
+_MOST_PLANS = 1024
+
+
+def _row(x: Tensor, like: Tensor, shapes: _Shapes) -> Tensor:
+    if x.dtype != like.dtype or x.device != like.device:
+        x = x.to(like)
+    return x if x.shape == shapes[1] else x.expand(shapes[0]).reshape(shapes[1])
+
+
+def _times(calls: Sequence[Callable[[], object]], batch: int, seconds: float) -> list[float]:
+    """Median time of every call per sample [ns]; they take turns, so that a noisy machine is noisy to all."""
+    inner = []
+    for call in calls:
+        call()
+        start = time.perf_counter()
+        call()
+        inner.append(max(1, int(0.01 / max(time.perf_counter() - start, 1e-7))))
+    found: list[list[float]] = [[] for _ in calls]
+    end = time.perf_counter() + seconds * len(calls)
+    while time.perf_counter() < end or len(found[0]) < 5:
+        for times, call, number in zip(found, calls, inner, strict=True):
+            start = time.perf_counter()
+            for _ in range(number):
+                call()
+            times.append((time.perf_counter() - start) / number / batch * 1e9)
+    return [statistics.median(times) for times in found]
