@@ -402,11 +402,11 @@ def summary(lines: list[tuple[str, str, str]]) -> str:
     )
 
 
-def into_readme(text: str) -> None:
-    """Write a table between the README's marks."""
+def into_readme(text: str, begin: str, end: str) -> None:
+    """Write a table between two marks of the README."""
     readme = Path(__file__).resolve().parents[1] / "README.md"
-    before, rest = readme.read_text().split(BEGIN)
-    readme.write_text(f"{before}{BEGIN}\n{text}\n{END}{rest.split(END)[1]}")
+    before, rest = readme.read_text().split(begin)
+    readme.write_text(f"{before}{begin}\n{text}\n{end}{rest.split(end)[1]}")
 
 
 BEGIN, END = "<!-- benchmarks/peers.py begins -->", "<!-- benchmarks/peers.py ends -->"
@@ -492,7 +492,7 @@ def main() -> None:
         print("\n" + table(rows))
     print(f"\n{on}")
     if arguments.readme:
-        into_readme(f"{summary(lines)}\n\nMeasured on: {on}.")
+        into_readme(f"{summary(lines)}\n\nMeasured on: {on}.", BEGIN, END)
     if arguments.json:
         everything = {"machine": machine(), "goals": lines, "rows": [asdict(r) for r in rows]}
         arguments.json.write_text(json.dumps(everything, indent=1))

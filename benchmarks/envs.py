@@ -1,0 +1,180 @@
+"""Speed of scenes and environments: steps per second beside MuJoCo's C, on one thread.
+
+    python benchmarks/envs.py [--quick] [--json FILE] [--readme]
+
+A seven-joint arm with gravity, damping and dry friction, the same URDF for both. MuJoCo steps its batch in C
+(`mujoco.rollout`), so that no Python stands between its steps; torchdq is called from Python, one call per step.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import xml.etree.ElementTree as ET
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import mujoco
+import numpy as np
+import torch
+from mujoco import rollout
+from peers import into_readme, machine, measure, urdf
+
+import torchdq
+from torchdq.envs import ArmVectorEnv, Scene, effects, integrators
+
+BATCH, DT, STEPS = 4096, 2e-3, 5
+BEGIN, END = "<!-- benchmarks/envs.py begins -->", "<!-- benchmarks/envs.py ends -->"
+
+
+@dataclass
+class Row:
+    """Steps of one system."""
+
+    what: str
+    system: str
+    dtype: str
+    nanoseconds: float  # per step of one arm, median
+    low: float  # 10 % and 90 % of the repeats
+    high: float
+
+
+def mujoco_model(path: Path, integrator: int, friction: bool) -> mujoco.MjModel:
+    """The arm in MuJoCo, without what it has to show, with or without its friction loss."""
+    root = ET.fromstring(path.read_bytes())
+    for link in root.findall("link"):
+        for tag in ("visual", "collision"):
+            for element in link.findall(tag):
+                link.remove(element)
+    for joint in root.findall("joint"):
+        limit = joint.find("limit")
+        if limit is not None:  # neither side simulates limits here
+            joint.set("type", "continuous" if joint.get("type") == "revolute" else joint.get("type", ""))
+    model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
+    model.opt.timestep = DT
+    model.opt.integrator = integrator
+    model.dof_frictionloss[:] = model.dof_frictionloss if friction else 0.0
+    return model
+
+
+def mujoco_steps(model: mujoco.MjModel):
+    """STEPS steps of a batch in C."""
+    data = mujoco.MjData(model)
+    rng = np.random.default_rng(0)
+    size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    state = np.zeros((BATCH, size))
+    state[:, 1 : 1 + model.nq + model.nv] = rng.uniform(-1, 1, (BATCH, model.nq + model.nv))
+    return lambda: rollout.rollout(model, data, state, nstep=STEPS)
+
+
+def torchdq_steps(scene: Scene, dtype: torch.dtype):
+    """One step of a batch."""
+    generator = torch.Generator().manual_seed(0)
+    q, qd, u = (2 * torch.rand(BATCH, scene.n, generator=generator, dtype=dtype) - 1 for _ in range(3))
+    state = scene.start(q, qd)
+    return lambda: scene.step(state, u)
+
+
+def gradient_steps(scene: Scene, dtype: torch.dtype, steps: int):
+    """Gradient of a rollout in its torques."""
+    generator = torch.Generator().manual_seed(0)
+    q = 2 * torch.rand(BATCH, scene.n, generator=generator, dtype=dtype) - 1
+    u = torch.zeros(steps, BATCH, scene.n, dtype=dtype, requires_grad=True)
+    state = scene.start(q)
+
+    def call() -> None:
+        u.grad = None
+        scene.rollout(state, u).q[-1].square().sum().backward()
+
+    return call
+
+
+def environment_steps(env: ArmVectorEnv):
+    """One step of an environment, rewards, observations and resets included."""
+    env.reset(seed=0)
+    action = torch.zeros(env.num_envs, env.single_action_space.shape[0], dtype=torch.float32)
+    return lambda: env.step(action)
+
+
+def rows(found: dict[str, list[float]], what: str, dtype: str, steps: int = 1) -> list[Row]:
+    """Rows of what was measured."""
+    result = []
+    for system, times in found.items():
+        low, *_, high = statistics.quantiles(times, n=10)
+        result.append(Row(what, system, dtype, statistics.median(times) / steps, low / steps, high / steps))
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="shorter measurements")
+    parser.add_argument("--json", type=Path, help="write everything here")
+    parser.add_argument("--readme", action="store_true", help="write the table into the README")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    seconds = 0.5 if arguments.quick else 2.0
+    path = urdf("example-robot-data", "xarm7.urdf")
+    robot = torchdq.Robot.from_urdf(path, on_unphysical="ignore", tip="link7")
+    parts = (effects.Gravity(), effects.Viscous(), effects.Coulomb())
+    found: list[Row] = []
+    goals: list[tuple[str, str, str]] = []
+
+    matched = [
+        ("Euler", mujoco.mjtIntegrator.mjINT_EULER, integrators.LinearlyImplicit()),
+        ("RK4", mujoco.mjtIntegrator.mjINT_RK4, integrators.RungeKutta4()),
+    ]
+    for name, theirs, ours in matched:
+        what = f"step, {name}, gravity, damping, friction"
+        times = measure(
+            {
+                "mujoco": mujoco_steps(mujoco_model(path, theirs, friction=True)),
+                "mujoco, no friction loss": mujoco_steps(mujoco_model(path, theirs, friction=False)),
+            },
+            BATCH * STEPS,
+            seconds,
+        )
+        peer = rows(times, what, "float64")
+        found += peer
+        for dtype in (torch.float64, torch.float32):
+            scene = Scene(robot, parts, integrator=ours, dt=DT)
+            label = str(dtype).removeprefix("torch.")
+            (row,) = rows(measure({"torchdq": torchdq_steps(scene, dtype)}, BATCH, seconds), what, label)
+            found.append(row)
+            ratio = peer[0].nanoseconds / row.nanoseconds
+            shown = f"{ratio:.0f} x ({row.nanoseconds:.0f} against {peer[0].nanoseconds:.0f} ns)"
+            asked = "25 x" if name == "Euler" and dtype == torch.float64 else ""
+            goals.append((f"{what}, {label}, against mujoco", asked, shown))
+
+    for task in ("reach", "track"):
+        env = ArmVectorEnv(BATCH, task=task, robot=robot, effects=parts, dt=DT)
+        (row,) = rows(measure({"torchdq": environment_steps(env)}, BATCH, seconds), f"environment, {task}", "float32")
+        found.append(row)
+        asked = "5 million" if task == "reach" else ""
+        goals.append((f"{task} environment, steps per second, float32", asked, f"{1e3 / row.nanoseconds:.1f} million"))
+
+    scene = Scene(robot, parts, integrator=integrators.SemiImplicitEuler(), dt=DT)
+    calls = {"torchdq": gradient_steps(scene, torch.float32, 20)}
+    (row,) = rows(measure(calls, BATCH, seconds), "gradient of a rollout of 20 steps", "float32", 20)
+    found.append(row)
+    goals.append(
+        ("rollout of 20 steps with gradient in the torques, float32", "", f"{row.nanoseconds:.0f} ns per step")
+    )
+
+    lines = "\n".join(f"| {what} | {asked} | {shown} |" for what, asked, shown in goals)
+    table = f"| seven-joint arm, one thread, batch {BATCH} | goal | measured |\n|---|---|---|\n{lines}"
+    description = scene.describe(BATCH, torch.float32)
+    on = ", ".join(f"{k} {v}" for k, v in machine().items()) + f", mujoco {mujoco.__version__}"
+    print(f"{table}\n\n{description}\n\n{on}")
+    if arguments.readme:
+        into_readme(f"{table}\n\nMeasured on: {on}.", BEGIN, END)
+    if arguments.json:
+        everything = {"machine": machine(), "goals": goals, "rows": [asdict(row) for row in found]}
+        arguments.json.write_text(json.dumps(everything, indent=1))
+
+
+if __name__ == "__main__":
+    main()
