@@ -16,7 +16,7 @@ from torchdq.envs.controllers import Controller
 from torchdq.envs.effects.body import Bodies
 from torchdq.envs.effects.effect import Effect
 from torchdq.envs.effects.joint import Elastic, Impedance
-from torchdq.envs.integrators import Integrator
+from torchdq.envs.integrators import Integrator, System
 
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
@@ -150,7 +150,7 @@ class Recording:
 
 
 @dataclass(frozen=True)
-class Motion:
+class Motion(System):
     """The moving bodies under torques that are constant over a step: what integrators integrate."""
 
     scene: Recording

@@ -19,7 +19,7 @@ from torchdq.dynamics import articulated, crba, forward, kinematics, rnea
 from torchdq.dynamics.mechanism import BASE, Coordinate
 from torchdq.program import derive, run
 from torchdq.program.model import AlignedModel
-from torchdq.program.program import Argument, Program, record, replay, results
+from torchdq.program.program import Argument, Count, Program, record, replay, results
 from torchdq.robot import frames
 
 F64 = torch.float64
@@ -48,7 +48,7 @@ def scalar(function, width: int = 2) -> Program:
     ],
 )
 def test_equal_operations_are_recorded_once_and_negations_never(function, count):
-    assert scalar(function).count() == count
+    assert scalar(function).count() == Count(*count)
 
 
 def test_a_difference_and_its_opposite_are_one_value_with_two_signs():

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from torchdq.envs.effects.effect import Effect, Parameter, Shapes, listed
-from torchdq.numbers.functions import clip, exp, floor
 
 from torchdq.algebra.quaternion import Number
 from torchdq.errors import ArgumentError
+from torchdq.numbers.functions import clip, exp, floor
 from torchdq.robot import Robot
 
 Row = Sequence[Number]
@@ -43,11 +43,7 @@ class Saturation(Actuator):
         return self if self.limit is not None else type(self)(listed(robot.limits.effort))
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
-        unlimited = float("inf")
-        return [
-            x if isinstance(limit, float) and limit == unlimited else clip(x, -limit, limit)
-            for x, limit in zip(u, self.limit, strict=True)
-        ], ()
+        return [x if _unlimited(limit) else clip(x, -limit, limit) for x, limit in zip(u, self.limit, strict=True)], ()
 
 
 @dataclass(frozen=True)
@@ -57,11 +53,14 @@ class TorqueSpeed(Actuator):
     The torque-speed line of a direct-current motor at its highest voltage, either way; braking keeps the full torque.
 
     Args:
-        stall: torque at rest [N m or N], shape [..., n]; None: the effort limits of the description.
+        stall: torque at rest [N m or N], shape [..., n]; None: the effort limits of the description. Where it is an
+            infinite number there is no limit.
         speed: at which no torque is left [rad/s or m/s], shape [..., n]; None: the velocity limits of the description.
     """
 
     SHAPES: ClassVar[Shapes] = {"stall": ("n",), "speed": ("n",)}
+    UNBOUNDED = frozenset({"stall", "speed"})
+    DIVIDING = frozenset({"speed"})
     stall: Parameter = None
     speed: Parameter = None
 
@@ -74,6 +73,9 @@ class TorqueSpeed(Actuator):
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
         result = []
         for x, v, stall, speed in zip(u, qd, self.stall, self.speed, strict=True):
+            if _unlimited(stall):
+                result.append(x)
+                continue
             ratio = v / speed
             upper = stall * clip(1.0 - ratio, 0.0, 1.0)
             lower = -(stall * clip(1.0 + ratio, 0.0, 1.0))
@@ -147,10 +149,8 @@ class QuantisedCommand(Actuator):
     """
 
     SHAPES: ClassVar[Shapes] = {"step": ("n",)}
+    DIVIDING = frozenset({"step"})
     step: Parameter
-
-    def resolved(self, robot: Robot) -> Self:
-        return positive(super().resolved(robot), "step")
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
         return [rounded(x, s) for x, s in zip(u, self.step, strict=True)], ()
@@ -168,10 +168,5 @@ def whole(effect):
     return effect
 
 
-def positive(effect, *names: str):
-    """The effect, whose constant parameters of those names must not be zero."""
-    for name in names:
-        value = getattr(effect, name)
-        if (isinstance(value, float) and value == 0) or (isinstance(value, tuple) and 0.0 in value):
-            raise ArgumentError(f"{name} of {type(effect).__name__} must be positive, found 0; it divides")
-    return effect
+def _unlimited(limit: Number) -> bool:
+    return isinstance(limit, float) and limit == float("inf")

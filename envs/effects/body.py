@@ -8,7 +8,6 @@ from typing import ClassVar, Literal, Self
 
 from torchdq.envs.effects.effect import Effect, Parameter, Shapes
 from torchdq.envs.effects.joint import Inputs
-from torchdq.numbers.functions import maximum, sqrt
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
@@ -19,6 +18,7 @@ from torchdq.algebra.screw import Screw
 from torchdq.dynamics import kinematics, rnea
 from torchdq.dynamics.mechanism import BASE
 from torchdq.errors import ArgumentError
+from torchdq.numbers.functions import maximum, sqrt
 from torchdq.program.model import Given, PaperModel, constant_pose, field
 from torchdq.robot import Robot
 
@@ -108,6 +108,7 @@ class Drag(BodyEffect):
     """
 
     SHAPES: ClassVar[Shapes] = {"linear": ("n",), "quadratic": ("n",), "angular": ("n",), "width": ()}
+    DIVIDING = frozenset({"width"})
     linear: Parameter = 0.0
     quadratic: Parameter = 0.0
     angular: Parameter = 0.0
@@ -152,6 +153,7 @@ class Contact(BodyEffect):
         "width": (),
     }
     SIGNED = frozenset({"height", "normal"})
+    DIVIDING = frozenset({"width"})
     frame: str | None = None
     height: Parameter = 0.0
     normal: Parameter = (0.0, 0.0, 1.0)

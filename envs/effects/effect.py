@@ -43,6 +43,7 @@ class Parametric:
     SHAPES: ClassVar[Shapes] = {}  # trailing axes of each parameter
     SIGNED: ClassVar[frozenset[str]] = frozenset()  # those that may be negative
     UNBOUNDED: ClassVar[frozenset[str]] = frozenset()  # those that may be infinite
+    DIVIDING: ClassVar[frozenset[str]] = frozenset()  # those that must not be zero
 
     def described(self, robot: Robot) -> Self:
         """The same with what is None taken from the robot's description."""
@@ -78,6 +79,8 @@ class Parametric:
                 raise ArgumentError(f"{what} must be finite, found {x}")
             if x < 0 and name not in self.SIGNED:
                 raise ArgumentError(f"{what} must not be negative, found {x}")
+            if x == 0 and name in self.DIVIDING:
+                raise ArgumentError(f"{what} must be positive, found 0; it divides")
         return tuple(numbers) if shape else numbers[0]
 
     def tensors(self) -> dict[str, Tensor]:
@@ -114,6 +117,11 @@ class Effect(Parametric):
     def start(self, q: Sequence[Number], qd: Sequence[Number]) -> Sequence[Number]:
         """What it remembers at the beginning."""
         return (0.0,) * self.memory(len(q))
+
+
+def owned(robot: Robot, name: str) -> Tensor | tuple[float, ...] | None:
+    """A tensor of a robot as a parameter: numbers if it is constant, or else the tensor itself."""
+    return getattr(robot, name) if name in robot.varying else listed(getattr(robot, name))
 
 
 def listed(x: Tensor | None) -> tuple[float, ...] | None:

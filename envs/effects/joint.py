@@ -10,13 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self
 
-from torchdq.envs.effects.effect import Effect, Parameter, Shapes, listed
-from torchdq.numbers.functions import at_least, clip, maximum, sqrt
+from torchdq.envs.effects.effect import Effect, Parameter, Shapes, listed, owned
 
 from torchdq.algebra.quaternion import Number
-from torchdq.errors import ArgumentError
+from torchdq.numbers.functions import at_least, clip, maximum, sqrt
 from torchdq.robot import Robot
 
 Inputs = Mapping[str, Sequence[Number]]
@@ -77,14 +76,12 @@ class Coulomb(JointEffect):
     """
 
     SHAPES: ClassVar[Shapes] = {"level": ("n",), "width": ()}
+    DIVIDING = frozenset({"width"})
     level: Parameter = None
     width: Parameter = 1e-2
 
     def described(self, robot: Robot) -> Self:
         return self if self.level is not None else type(self)(listed(robot.friction), self.width)
-
-    def resolved(self, robot: Robot) -> Self:
-        return _with_width(super().resolved(robot))
 
     def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
         return [Impedance(_over_speed(level, v, self.width)) for level, v in zip(self.level, qd, strict=True)]
@@ -105,6 +102,7 @@ class Stribeck(JointEffect):
     """
 
     SHAPES: ClassVar[Shapes] = {"coulomb": ("n",), "static": ("n",), "velocity": ("n",), "width": ()}
+    DIVIDING = frozenset({"velocity", "width"})
     coulomb: Parameter = None
     static: Parameter = None
     velocity: Parameter = 0.1
@@ -114,9 +112,6 @@ class Stribeck(JointEffect):
         if self.coulomb is not None:
             return self
         return type(self)(listed(robot.friction), self.static, self.velocity, self.width)
-
-    def resolved(self, robot: Robot) -> Self:
-        return _with_width(super().resolved(robot), "velocity")
 
     def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
         result = []
@@ -228,12 +223,15 @@ class Elastic(Effect):
 
     SLOT: ClassVar[str] = "joint"
     SHAPES: ClassVar[Shapes] = {"stiffness": ("n",), "damping": ("n",), "inertia": ("n",)}
+    DIVIDING = frozenset({"inertia"})
     stiffness: Parameter
     damping: Parameter = 0.0
     inertia: Parameter = None
 
     def described(self, robot: Robot) -> Self:
-        return self if self.inertia is not None else type(self)(self.stiffness, self.damping, listed(robot.armature))
+        if self.inertia is not None:
+            return self
+        return type(self)(self.stiffness, self.damping, owned(robot, "armature"))
 
     def memory(self, n: int) -> int:
         return 2 * n
@@ -249,12 +247,3 @@ def _over_speed(level: Number, v: Number, width: Number) -> Number:
 
 def _finite(x: Number) -> bool:
     return not (isinstance(x, float) and x in (float("inf"), -float("inf")))
-
-
-def _with_width(effect: Any, *others: str) -> Any:
-    """The effect, whose constant widths must not be zero."""
-    for name in ("width", *others):
-        value = getattr(effect, name)
-        if value == 0.0 or (isinstance(value, tuple) and 0.0 in value):
-            raise ArgumentError(f"{name} of {type(effect).__name__} must be positive, found 0; it divides")
-    return effect

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
-from torchdq.envs.effects.effect import Effect, Parameter, Shapes, listed
+from torchdq.envs.effects.effect import Effect, Parameter, Shapes, owned
 
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
@@ -42,7 +42,9 @@ class Gravity(ModelEffect):
     acceleration: Parameter = None
 
     def described(self, robot: Robot) -> Self:
-        return self if self.acceleration is not None else type(self)(listed(robot.gravity) or GRAVITY)
+        if self.acceleration is not None:
+            return self
+        return type(self)(GRAVITY if robot.gravity is None else owned(robot, "gravity"))
 
     def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
         return {"gravity": self.acceleration}
@@ -60,7 +62,7 @@ class RotorInertia(ModelEffect):
     inertia: Parameter = None
 
     def described(self, robot: Robot) -> Self:
-        return self if self.inertia is not None else type(self)(listed(robot.armature))
+        return self if self.inertia is not None else type(self)(owned(robot, "armature"))
 
     def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
         before = fields.get("armature")

@@ -12,9 +12,9 @@ from typing import ClassVar, Self
 
 from torchdq.envs.effects.actuator import rounded, whole
 from torchdq.envs.effects.effect import Effect, Parameter, Shapes
-from torchdq.numbers.functions import log, sqrt
 
 from torchdq.algebra.quaternion import Number
+from torchdq.numbers.functions import log, sqrt
 from torchdq.robot import Robot
 
 Row = Sequence[Number]

@@ -77,7 +77,7 @@ def _exp(x: float) -> float:
 def _of_one(name: str, of_float: Callable[[float], float], x: Value) -> Value:
     """Function of one number: its own method, or that of floats."""
     method = getattr(x, name, None)
-    if method is not None:
+    if callable(method):  # some kinds have an attribute of that name: mpmath's exp is an exponent
         return method()
     if isinstance(x, float | int):
         return of_float(float(x))

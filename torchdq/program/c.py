@@ -130,7 +130,14 @@ static inline T max_(T a,T b){return choose((a>=b)|(a!=a),a,b);}
 static inline T min_(T a,T b){return choose((a<=b)|(a!=a),a,b);}
 static inline T ge_(T a,T b){return (T)((a>=b)&(M)((T){}+1));}
 static inline T sqrt_(T x){T y;for(int l=0;l<LANES;l++)y[l]=LIBRARY_SQRT(x[l]);return y;}
-static inline T floor_(T x){T y;for(int l=0;l<LANES;l++)y[l]=LIBRARY_FLOOR(x[l]);return y;}
+
+/* rounded by adding what leaves no bits after the point; without it compilers take one lane at a time */
+static inline T floor_(T x){
+  const T whole=(T){}+(S)((N)1<<MANTISSA);
+  const M sign=(M)-(T){};
+  T size=(T)((M)x&~sign),y=(T)((M)((size+whole)-whole)|((M)x&sign));
+  return choose(size<whole,y-(T)((y>x)&(M)((T){}+1)),x);
+}
 
 /* scaled by a power of two in two steps, of which the second rounds to what is subnormal, zero or infinite */
 static inline T exp_(T x){

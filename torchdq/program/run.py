@@ -129,12 +129,7 @@ def eager(program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
         elif code in ("sqrt", "exp", "log", "floor"):
             values.append(getattr(torch, code)(tensor(a)))
         elif code in ("max", "min", "ge"):
-            x, y = tensor(a), tensor(b)
-            if code == "ge":
-                values.append((x >= y).to(x.dtype))
-            else:
-                # torch's own would share the gradient where both are equal; compiled programs give it to the first
-                values.append(torch.where(((x >= y) if code == "max" else (x <= y)) | (x != x), x, y))
+            values.append(_compared(code, tensor(a), tensor(b)))
         else:
             x, y = values[int(a)], values[b]
             values.append(x + y if code == "add" else x - y if code == "sub" else x * y if code == "mul" else x / y)
@@ -148,6 +143,13 @@ def eager(program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
         row = torch.stack(columns, -1) if columns else inputs[0].new_empty((samples, 0))
         results.append(row.sum(0) if r.summed else row)
     return results
+
+
+def _compared(code: str, x: Tensor, y: Tensor) -> Tensor:
+    if code == "ge":
+        return (x >= y).to(x.dtype)
+    # torch's own would share the gradient where both are equal; compiled programs give it to the first
+    return torch.where((x >= y if code == "max" else x <= y) | (x != x), x, y)
 
 
 # --- torch -----------------------------------------------------------------------------------------------------------

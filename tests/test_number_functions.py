@@ -1,0 +1,399 @@
+"""Roots, exponentials, logarithms and comparisons: on floats, recorded, differentiated and compiled.
+
+The references are mpmath, plain Python comparisons, and torch's own autograd of the program run operation by operation.
+"""
+
+import math
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import EPS
+from torch.autograd import gradcheck, gradgradcheck
+
+from torchdq.numbers.functions import absolute, at_least, clip, exp, floor, log, maximum, minimum, sqrt
+from torchdq.program import build, c, derive, run
+from torchdq.program.program import Argument, Program, record, replay, results
+
+F32, F64 = torch.float32, torch.float64
+INF, NAN = math.inf, math.nan
+DTYPES = pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+compiles = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
+BACKENDS = pytest.mark.parametrize("backend", [pytest.param(run.compiled, marks=compiles), run.eager])
+
+
+def program(function, width: int, uniform: bool = False) -> Program:
+    """Program of a function of `width` numbers that returns a list of numbers."""
+    return record("f", [Argument("x", width, uniform)], lambda x: {"y": function(*x)})
+
+
+ONE = {f.__name__: program(lambda x, f=f: [f(x)], 1) for f in (sqrt, exp, log, floor)}
+
+
+def column(p: Program, values, dtype=F64, backend=run.compiled) -> list[float]:
+    """Result of a program of one number and one result for many numbers."""
+    return backend(p, [torch.tensor(values, dtype=dtype)[:, None]])[0][:, 0].tolist()
+
+
+def same(found, expected) -> bool:
+    """Whether floats are equal, NaN being equal to itself."""
+    return all(f == e or (f != f and e != e) for f, e in zip(found, expected, strict=True))
+
+
+# --- what is recorded ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("function", "codes"),
+    [
+        (lambda x, y: [maximum(x, y), maximum(x, y)], ["max"]),
+        (lambda x, y: [maximum(-x, -y), -minimum(x, y)], ["min"]),
+        (lambda x, y: [minimum(-x, -y), -maximum(x, y)], ["max"]),
+        (lambda x, y: [maximum(x, x), minimum(-x, -x)], []),
+        (lambda x, y: [at_least(x, y), at_least(-y, -x)], ["ge"]),
+        (lambda x, y: [maximum(-x, 2.0)], ["const", "min"]),
+        (lambda x, y: [at_least(0.5, x)], ["const", "ge"]),
+        (lambda x, y: [maximum(x, -y)], ["const", "sub", "max"]),
+        (lambda x, y: [exp(-x), exp(-x), exp(x)], ["exp", "const", "sub", "exp"]),
+        (lambda x, y: [log(x), sqrt(x), floor(x), log(x)], ["log", "sqrt", "floor"]),
+        (lambda x, y: [clip(x, 1.0, 2.0)], ["const", "max", "const", "min"]),
+    ],
+)
+def test_equal_operations_are_recorded_once_and_signs_are_worked_in(function, codes):
+    assert sorted(op.code for op in program(function, 2).ops if op.code != "in") == sorted(codes)
+
+
+def test_functions_of_constants_are_not_recorded():
+    p = program(
+        lambda x: [sqrt(4.0), exp(0), log(1.0), floor(-1.5), maximum(1, 2.0), at_least(2, 1), clip(5.0, 0, 1)], 1
+    )
+    assert p.ops == () and p.results[0].values == (2.0, 1.0, 0.0, -2.0, 2.0, 1.0, 1.0)
+
+
+def test_a_program_counts_and_prints_them():
+    p = program(lambda x, y: [sqrt(x) + exp(x) + log(y), floor(x) * maximum(x, y), minimum(x, y), at_least(x, y)], 2)
+    assert p.count() == (1, 2, 0, 0, 1, 2, 4) and p.count().total == 10
+    assert "= sqrt x0\n" in str(p) and "= max x0 x1\n" in str(p)
+
+
+# --- on floats and other kinds ---------------------------------------------------------------------------------------
+
+
+def test_floats_that_python_refuses_give_what_programs_give():
+    assert same(map(sqrt, [-1.0, -0.0, INF, NAN]), [NAN, 0.0, INF, NAN])
+    assert same(map(exp, [1000.0, -1000.0, INF, -INF, NAN]), [INF, 0.0, INF, 0.0, NAN])
+    assert same(map(log, [0.0, -0.0, -1.0, INF, NAN]), [-INF, -INF, NAN, INF, NAN])
+    assert same(map(floor, [-0.5, 2.0**60, INF, -INF, NAN]), [-1.0, 2.0**60, INF, -INF, NAN])
+    assert same(map(absolute, [-3.0, 3.0, -INF, NAN]), [3.0, 3.0, INF, NAN])
+
+
+@pytest.mark.parametrize("kind", [mpmath.mpf, Fraction])
+def test_other_kinds_are_compared_exactly_and_have_the_functions_that_they_offer(kind):
+    third, more = kind(1) / 3, kind(1) / 3 + kind(2) ** -50
+    assert maximum(third, more) == more and minimum(third, more) == third and absolute(-more) == more
+    assert at_least(more, third) == 1.0 and at_least(third, more) == 0.0 and clip(kind(5), third, more) == more
+    for function in (exp, log, floor):
+        with pytest.raises(TypeError, match=kind.__name__):
+            function(third)
+    if kind is mpmath.mpf:
+        assert sqrt(third) == mpmath.sqrt(third)
+
+
+LEAVES = st.one_of(
+    st.sampled_from([("x", 0), ("x", 1), ("x", 2)]),
+    st.integers(-8, 8).map(lambda k: ("known", k / 4)),
+)
+UNARY = {
+    "neg": lambda a: -a,
+    "sqrt": lambda a: sqrt(absolute(a)),
+    "exp": lambda a: exp(minimum(a, 3.0)),
+    "log": lambda a: log(1.0 + a * a),
+    "floor": floor,
+    "absolute": absolute,
+    "clip": lambda a: clip(a, -1.0, 0.5),
+}
+BINARY = {
+    "add": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "maximum": maximum,
+    "minimum": minimum,
+    "at_least": at_least,
+}
+EXPRESSIONS = st.recursive(
+    LEAVES,
+    lambda inner: st.one_of(
+        st.tuples(st.sampled_from(sorted(UNARY)), inner), st.tuples(st.sampled_from(sorted(BINARY)), inner, inner)
+    ),
+    max_leaves=12,
+)
+
+
+def value(expression, x):
+    """Value of a random expression on numbers of any kind."""
+    code, *rest = expression
+    if code == "known":
+        return rest[0]
+    if code == "x":
+        return x[rest[0]]
+    inner = [value(e, x) for e in rest]
+    return UNARY[code](*inner) if code in UNARY else BINARY[code](*inner)
+
+
+@settings(deadline=None, max_examples=400, derandomize=True)
+@given(EXPRESSIONS, st.tuples(*[st.integers(-8, 8).map(lambda k: k / 4)] * 3))
+def test_a_recorded_expression_is_the_expression_bitwise(expression, x):
+    """Signs, value numbering and constants; quarters are equal often enough for ties."""
+    p = program(lambda *numbers: [value(expression, numbers)], 3)
+    again = program(lambda *numbers: results(p, replay(p, None, [numbers]))["y"], 3)
+    for q in (p, again):
+        assert same(results(q, replay(q, None, [x]))["y"], [value(expression, x)])
+
+
+# --- values of programs ----------------------------------------------------------------------------------------------
+
+
+def spread(name: str, dtype) -> torch.Tensor:
+    """Random arguments over the whole range, denser where a function is hard."""
+    rng, double = np.random.default_rng(11), dtype is F64
+    low, high = (-1022, 1024) if double else (-126, 128)
+    everywhere = 2.0 ** rng.uniform(low, high - 1e-6, 2000)
+    if name == "exp":
+        ends = (-745.1, 709.78) if double else (-103.9, 88.72)
+        gradual = (-745.1, -708.0) if double else (-103.9, -87.0)
+        near = rng.normal(size=300) * 2.0 ** rng.uniform(-60, 0, 300)
+        x = np.concatenate([rng.uniform(*ends, 2000), rng.uniform(*gradual, 300), rng.uniform(-1, 1, 1500), near])
+    elif name == "log":
+        near = 1 + rng.normal(size=500) * 2.0 ** rng.uniform(-50, -2, 500)
+        x = np.concatenate([everywhere, rng.uniform(0.5, 2, 2000), near, 2.0 ** rng.uniform(low - 20, low, 300)])
+    else:
+        x = np.concatenate([everywhere, rng.uniform(0, 4, 500)])
+    x = torch.from_numpy(x).to(dtype)
+    return x[x.isfinite() & ((x > 0) | (name == "exp"))]
+
+
+@compiles
+@DTYPES
+@pytest.mark.parametrize(("name", "bound"), [("exp", 1.0), ("log", 1.0), ("sqrt", 0.5001)])
+def test_functions_are_within_a_unit_in_the_last_place(name, bound, dtype):
+    x = spread(name, dtype)
+    found = np.array(column(ONE[name], x.tolist(), dtype), dtype=np.float64 if dtype is F64 else np.float32)
+    worst = 0.0
+    with mpmath.workdps(50):
+        for argument, y in zip(x.tolist(), found, strict=True):
+            exact = getattr(mpmath, name)(mpmath.mpf(argument))
+            unit = np.spacing(np.abs(found.dtype.type(float(exact))))
+            worst = max(worst, float(abs(mpmath.mpf(float(y)) - exact) / mpmath.mpf(float(unit))))
+    assert worst <= bound
+
+
+@BACKENDS
+@DTYPES
+def test_special_values(dtype, backend):
+    tiny = torch.finfo(dtype).tiny / 8
+    large = torch.finfo(dtype).max
+    for name, x, expected in [
+        ("exp", [NAN, INF, -INF, 0.0, 1e4, -1e4, large, -large], [NAN, INF, 0.0, 1.0, INF, 0.0, INF, 0.0]),
+        ("log", [NAN, INF, -INF, 0.0, -0.0, 1.0, -1.0, -tiny], [NAN, INF, NAN, -INF, -INF, 0.0, NAN, NAN]),
+        ("sqrt", [NAN, INF, -INF, 0.0, 1.0, -1.0, 4.0], [NAN, INF, NAN, 0.0, 1.0, NAN, 2.0]),
+        ("floor", [NAN, INF, -INF, 0.0, large, -large, -0.5, -tiny], [NAN, INF, -INF, 0.0, large, -large, -1.0, -1.0]),
+    ]:
+        assert same(column(ONE[name], x, dtype, backend), expected), name
+    found = column(ONE["log"], [tiny], dtype, backend)[0]
+    assert abs(found - math.log(tiny)) <= EPS[dtype] * abs(found)
+
+
+@compiles
+@DTYPES
+def test_the_whole_part_is_exact_for_numbers_of_any_size(dtype):
+    bits = 53 if dtype is F64 else 24
+    rng = np.random.default_rng(2)
+    x = rng.uniform(-1, 1, 2000) * 2.0 ** rng.integers(-3, bits + 6, 2000)
+    whole = [k + d for k in (0, 1, 2 ** (bits - 3), 2 ** (bits - 2) - 1, 2 ** (bits - 1) - 1) for d in (0.0, 0.25, 0.5)]
+    x = torch.from_numpy(np.concatenate([x, whole, np.negative(whole)])).to(dtype).tolist()
+    assert column(ONE["floor"], x, dtype) == [float(math.floor(v)) for v in x]
+
+
+AWKWARD = [NAN, INF, -INF, 0.0, 1.0, -1.0, 1.0 + 2.0**-20, 3.0]
+PAIRS = [(a, b) for a in AWKWARD for b in AWKWARD]
+
+
+@BACKENDS
+@DTYPES
+@pytest.mark.parametrize("signs", [(1, 1), (-1, 1), (1, -1), (-1, -1)])
+def test_comparisons_of_awkward_numbers(signs, dtype, backend):
+    """The references are Python's own comparisons; a program carries NaN on."""
+    s, t = signs
+    p = program(lambda a, b: [f(s * a, t * b) for f in (maximum, minimum, at_least)], 2)
+    found = backend(p, [torch.tensor(PAIRS, dtype=dtype)])[0].tolist()
+    for (a, b), row in zip(PAIRS, found, strict=True):
+        a, b = s * a, t * b
+        expected = [NAN, NAN, 0.0] if a != a or b != b else [max(a, b), min(a, b), float(a >= b)]
+        assert same(row, expected)
+        assert same([f(a, b) for f in (maximum, minimum, at_least)], expected)
+
+
+@BACKENDS
+@DTYPES
+def test_clipped_numbers_are_the_bounds_exactly(dtype, backend):
+    lower, upper = -0.1, 1 / 3
+    p = program(lambda x: [clip(x, lower, upper), -clip(-x, -upper, -lower)], 1)
+    x = torch.tensor([-INF, -1e30, -0.2, -0.1, 0.25, 1 / 3, 7.0, INF, NAN], dtype=dtype)
+    low, high = torch.tensor([lower, upper], dtype=dtype)
+    expected = torch.stack([low, low, low, low, x[4], high, high, high, x[8]])
+    for y in backend(p, [x[:, None]])[0].unbind(-1):
+        assert same(y.tolist(), expected.tolist())
+
+
+def everything(x, y, z):
+    """All functions, of positive numbers."""
+    a = sqrt(x) + exp(-y) * log(z)
+    b = maximum(a, y) - minimum(-z, a) * clip(x, 0.5, 1.5)
+    return [a, b, sqrt(absolute(b)), floor(3.0 * a) + at_least(x, y), exp(minimum(b, 0.25)) / log(1.0 + z)]
+
+
+@compiles
+@DTYPES
+def test_compiled_functions_equal_torch_operations(dtype, monkeypatch):
+    x = (0.1 + 3 * torch.rand(100, 3, dtype=F64, generator=torch.Generator().manual_seed(4))).to(dtype)
+    for chunk in (c.CHUNK, 4):  # in one function of C, and in many
+        monkeypatch.setattr(c, "CHUNK", chunk)
+        p = program(everything, 3)
+        found, expected = run.compiled(p, [x])[0], run.eager(p, [x])[0]
+        assert (found - expected).abs().max() <= 64 * EPS[dtype] * expected.abs().max()
+
+
+@compiles
+@DTYPES
+def test_a_row_is_bitwise_the_row_alone_whatever_the_others_hold(dtype):
+    p = program(everything, 3)
+    gradient = derive.vjp(p, (0,))
+    rows = 37
+    x = (0.1 + 3 * torch.rand(rows, 3, dtype=F64, generator=torch.Generator().manual_seed(5))).to(dtype)
+    seeds = torch.ones(rows, 5, dtype=dtype)
+    bad = dict(zip(range(0, rows, 5), [NAN, INF, -INF, 1e30, -1e30, 0.0, 1e-320, -1.0], strict=True))
+    for k, v in bad.items():
+        x[k] = v
+    for q, inputs in ((p, [x]), (gradient, [x, seeds])):
+        together = run.compiled(q, inputs)[0]
+        for k in set(range(rows)) - set(bad):
+            alone = run.compiled(q, [v[k : k + 1] for v in inputs])[0]
+            assert alone.isfinite().all() and torch.equal(together[k], alone[0])
+
+
+@compiles
+@DTYPES
+def test_numbers_that_all_samples_share_give_what_those_of_each_sample_give(dtype):
+    x = torch.tensor([0.7, 1.9, 2.3], dtype=dtype)
+    shared = run.compiled(program(everything, 3, uniform=True), [x])[0]
+    own = run.compiled(program(everything, 3), [x[None]])[0]
+    assert (shared - own).abs().max() <= 16 * EPS[dtype] * own.abs().max()
+
+
+@BACKENDS
+@DTYPES
+def test_numbers_of_a_sample_are_compared_with_those_that_all_share(dtype, backend):
+    def algorithm(x, u):
+        two = x[0].tape.constant(2.0)  # recorded, and not folded
+        return {
+            "y": [
+                maximum(u[0], x[0]),
+                minimum(x[0], u[0]),
+                at_least(x[0], u[0]),
+                maximum(u[0], 1.0),
+                at_least(1.0, u[0]),
+            ],
+            "z": [two.sqrt() * x[0], two.maximum(-two) * x[0], (-two).floor() * x[0]],
+        }
+
+    p = record("f", [Argument("x", 1), Argument("u", 1, True)], algorithm)
+    x = torch.tensor([[-1.0], [0.5], [2.0]], dtype=dtype)
+    y, z = backend(p, [x, torch.tensor([0.5], dtype=dtype)])
+    assert y.tolist() == [[0.5, -1.0, 0.0, 1.0, 1.0], [0.5, 0.5, 1.0, 1.0, 1.0], [2.0, 0.5, 1.0, 1.0, 1.0]]
+    expected = x * torch.tensor([math.sqrt(2.0), 2.0, -2.0], dtype=dtype)
+    assert (z - expected).abs().max() <= 2 * EPS[dtype] * 4
+
+
+# --- derivatives -----------------------------------------------------------------------------------------------------
+
+
+def smooth(x, y, z):
+    """All functions that have derivatives, nowhere near a tie."""
+    a = sqrt(x * x + y * y) * exp(-0.3 * z) + log(x)
+    return [a, maximum(a, 9.0 + y) * minimum(x, 8.0 - z), log(1.0 + exp(a)) / sqrt(z), clip(y, -5.0, 5.0) * exp(x)]
+
+
+@BACKENDS
+def test_first_and_second_derivatives_are_those_of_finite_differences(backend):
+    p = program(smooth, 3)
+    x = 0.5 + torch.rand(5, 3, dtype=F64, generator=torch.Generator().manual_seed(6))
+    x.requires_grad_()
+    assert gradcheck(lambda v: backend(p, [v])[0], x, check_forward_ad=True)
+    assert gradgradcheck(lambda v: backend(p, [v])[0], x)
+
+
+@compiles
+@pytest.mark.parametrize("derivative", [derive.vjp, derive.jvp])
+def test_compiled_derivatives_equal_autograd(derivative):
+    p = program(smooth, 3)
+    x = 0.5 + torch.rand(19, 3, dtype=F64, generator=torch.Generator().manual_seed(7))
+    if derivative is derive.vjp:
+        x.requires_grad_()
+        seeds = torch.randn(19, 4, dtype=F64, generator=torch.Generator().manual_seed(8))
+        expected = torch.autograd.grad(run.eager(p, [x])[0], x, seeds)[0]
+    else:
+        seeds = torch.randn(19, 3, dtype=F64, generator=torch.Generator().manual_seed(8))
+        _, expected = torch.func.jvp(lambda v: run.eager(p, [v])[0], (x,), (seeds,))
+    found = run.compiled(derivative(p, (0,)), [x.detach(), seeds])[0]
+    assert (found - expected).abs().max() <= 64 * EPS[F64] * expected.abs().max()
+
+
+def kinks(x, y):
+    """Functions with ties, steps and bounds; the last is smooth, so that torch can differentiate every one."""
+    return [
+        maximum(x, y),
+        minimum(x, y),
+        maximum(-x, -y),
+        maximum(x, -y),
+        minimum(-y, x),
+        clip(x, -1.0, 1.0),
+        maximum(-x, 1.0),
+        maximum(1.0, x),
+        absolute(x),
+        floor(x) + at_least(x, y) + at_least(0.5, -x) + 2.0 * x,
+    ]
+
+
+TIES = torch.tensor([(a, b) for a in (-1.0, 0.0, 0.5, 1.0) for b in (-1.0, 0.0, 0.5, 1.0)], dtype=F64)
+
+
+@compiles
+def test_derivatives_where_two_numbers_are_equal_are_those_of_the_first_and_of_torch():
+    p = program(kinks, 2)
+    jacobian = run.compiled(derive.jacobian(p, (0,)), [TIES])[0].view(-1, 10, 2)
+    expected = torch.func.vmap(torch.func.jacrev(lambda v: run.eager(p, [v[None]])[0][0]))(TIES)
+    assert torch.equal(jacobian, expected)
+    x = TIES.clone().requires_grad_()
+    assert torch.equal(torch.autograd.grad(run.compiled(p, [x])[0].sum(), x)[0], expected.sum(1))
+    at_one = jacobian[(TIES == 1.0).all(-1).nonzero().item()]
+    assert at_one[:3].tolist() == [[1.0, 0.0], [1.0, 0.0], [-1.0, 0.0]]
+    # at its bound a number still moves, and where it has no whole part of its own it moves alone
+    assert at_one[5].tolist() == [1.0, 0.0] and at_one[9].tolist() == [2.0, 0.0]
+
+
+@compiles
+@pytest.mark.filterwarnings("error")
+def test_gradients_may_be_batched():
+    p = program(smooth, 3)
+    x = 0.5 + torch.rand(5, 3, dtype=F64, generator=torch.Generator().manual_seed(9))
+    x.requires_grad_()
+    seeds = torch.eye(4, dtype=F64)[:, None].expand(4, 5, 4)
+    y = run.compiled(p, [x])[0]
+    found = torch.autograd.grad(y, x, seeds, is_grads_batched=True, retain_graph=True)[0]
+    for k in range(4):
+        expected = torch.autograd.grad(y, x, seeds[k], retain_graph=True)[0]
+        assert (found[k] - expected).abs().max() <= 64 * EPS[F64] * (1 + expected.abs().max())
