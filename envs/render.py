@@ -1,0 +1,359 @@
+"""Pictures of a robot: images by matplotlib, a live view in the browser by viser, films by Pillow.
+
+What is drawn is the skeleton: of every link a thick line from the frame of its parent, by way of its joint's axis, to
+its own frame. That is a picture of the robot if link frames are where the links are, as those of URDF and of DH
+parameters are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchdq.dq import rotate, rotation, translation
+from torchdq.dynamics.mechanism import BASE
+from torchdq.errors import ArgumentError, TorchdqError
+from torchdq.functional import forward_kinematics
+from torchdq.robot import Robot
+from torchdq.robot.robot import SHAPES
+
+MOST_ARMS = 16  # in one image
+
+PAPER, GROUND, GRID, SHADOW, INK = "#f7f8fa", "#eef1f4", "#d9dfe6", "#cfd6de", "#2f4156"
+LINK, JOINT, TIP, TARGET = "#7d9fc0", "#f7f8fa", "#f2a541", "#d1344b"
+
+AZIMUTH, ELEVATION = math.radians(-55.0), math.radians(25.0)  # of the camera
+DISTANCE = 5.0  # of the camera, in radii of the view
+MARGIN = 1.04  # of the view around the ball that the robot stays in
+PIECES = 6  # that a line is cut into, so that what is nearer covers what is farther
+
+
+class MissingLibraryError(TorchdqError, ImportError):
+    """A library that draws is not installed."""
+
+
+def _library(module: str) -> Any:
+    """Module of a library that only drawing needs."""
+    try:
+        return import_module(module)
+    except ImportError as error:
+        name = module.partition(".")[0].replace("PIL", "Pillow")
+        raise MissingLibraryError(f"{name}, which draws, is not installed; pip install 'torchdq[viz]'") from error
+
+
+def _rows(name: str, x: Any, size: int, most: int | None = None) -> Tensor:
+    """Rows [k, size] of an argument of shape [size] or, with k <= most, [k, size]; None: any number."""
+    rows = torch.as_tensor(x, dtype=torch.float64, device="cpu").detach()
+    several = rows.ndim == 2 and len(rows) > 0 and (most is None or len(rows) <= most) and most != 1
+    if rows.shape[-1:] != (size,) or not (rows.ndim == 1 or several):
+        expected = f"[{size}]" if most == 1 else f"[{size}] or [k, {size}]"
+        expected += f" with k from 1 to {most}" if most and most > 1 else ""
+        raise ArgumentError(f"{name} must have the shape {expected}, found {tuple(rows.shape)}")
+    return rows.reshape(-1, size)
+
+
+class Skeleton:
+    """The points of a robot that are drawn and the lines between them.
+
+    The points are the base, every link's origin, the points on joint axes that are nearest to the origins, and ends: a
+    link that carries no other ends at the end effector or, where that is at its origin, at its centre of mass. Of a
+    batch of robots it is the first.
+
+    >>> import torchdq
+    >>> skeleton = Skeleton(torchdq.robots.load("two_link"))
+    >>> skeleton.points([0.0, 0.0])[0, :, 0]  # base, link 1, joint 1, link 2, joint 2, tip
+    array([0. , 0.5, 0. , 1.5, 1. , 2. ])
+    """
+
+    def __init__(self, robot: Robot):
+        if not isinstance(robot, Robot):
+            raise ArgumentError(f"robot must be a torchdq.Robot, found {type(robot).__name__}")
+        batched = {name: getattr(robot, name).detach() for name in robot.varying}
+        first = {name: x.reshape(-1, *x.shape[x.ndim - len(SHAPES[name]) :])[0] for name, x in batched.items()}
+        self.robot = robot.replace(**first).to(torch.float64, "cpu")
+        self.joints: list[int] = []  # of every joint, the point on its axis
+        self.tip: int | None = None  # the point that is the end effector
+        self.lines: list[tuple[int, int]] = []
+        self.links: list[int] = []  # that the lines belong to
+        self._frames: list[int] = []  # of every point but the base, the frame it is fixed to
+        self._offsets: list[Tensor] = []  # and where in it
+
+        axes = torch.linalg.cross(*self.robot.screw.split(3, -1))  # nearest to the origin; zero of a prismatic joint
+        tip = None if robot.tip is None else self.robot.frame(robot.tip)
+        origins: list[int] = []
+        for i, (name, parent) in enumerate(zip(robot.link_names, robot.parents, strict=True)):
+            origins.append(self._point(name, torch.zeros(3)))
+            self.joints.append(self._point(name, axes[i]) if axes[i].norm() > 1e-6 else origins[i])
+            self._line(i, 0 if parent == BASE else origins[parent], self.joints[i])
+            if self.joints[i] != origins[i]:
+                self._line(i, self.joints[i], origins[i])
+        if tip is not None:
+            self.tip = self._point(tip.name, torch.zeros(3))
+            self._line(tip.link, 0 if tip.link == BASE else origins[tip.link], self.tip)
+        for i, name in enumerate(robot.link_names):
+            ends_in_tip = tip is not None and tip.link == i and translation(tip.X_BF).norm() > 1e-6
+            if i not in robot.parents and not ends_in_tip:
+                self._line(i, origins[i], self._point(name, self.robot.com[i]))
+
+    def _point(self, frame: str, offset: Tensor) -> int:
+        self._frames.append(self.robot.frame_names.index(frame))
+        self._offsets.append(offset.double())
+        return len(self._frames)
+
+    def _line(self, link: int, start: int, end: int) -> None:
+        self.links.append(link)
+        self.lines.append((start, end))
+
+    def points(self, q: Any, most: int | None = None) -> np.ndarray:
+        """Positions [k, points, 3] in the base frame [m] at q [rad or m], shape [n] or, with k <= most, [k, n]."""
+        rows = _rows("q", q, self.robot.n, most)
+        with torch.no_grad():
+            X = forward_kinematics(self.robot, rows, backend="eager")[:, self._frames]
+            moving = translation(X) + rotate(rotation(X), torch.stack(self._offsets))
+        return np.pad(moving.numpy(), ((0, 0), (1, 0), (0, 0)))
+
+    def view(self) -> tuple[np.ndarray, float]:
+        """Middle [3] and radius [m] of a ball that the robot stays in, found at 512 positions within its limits."""
+        free = torch.tensor([1.0 if kind == "prismatic" else math.pi for kind in self.robot.kinds], dtype=torch.float64)
+        limits = self.robot.limits
+        lower = torch.where(limits.lower.isfinite(), limits.lower, -free)
+        upper = torch.where(limits.upper.isfinite(), limits.upper, free)
+        share = torch.rand(512, self.robot.n, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+        points = self.points(lower + share * (upper - lower)).reshape(-1, 3)
+        middle = (points.min(0) + points.max(0)) / 2
+        return middle, float(np.linalg.norm(points - middle, axis=-1).max())
+
+
+class _Strokes(NamedTuple):
+    """What is drawn with round ends, and how."""
+
+    artist: Any
+    widths: np.ndarray  # [strokes], radii of the view
+    colours: np.ndarray  # [strokes, 4]
+    biases: np.ndarray  # [strokes] toward the camera, radii of the view
+
+
+class Painter:
+    """Draws images of a robot, or of up to 16 of them side by side.
+
+    Args:
+        robot: the robot.
+        size: width and height of the images [pixels].
+
+    Raises:
+        MissingLibraryError: matplotlib is not installed.
+    """
+
+    def __init__(self, robot: Robot, size: tuple[int, int] = (400, 400)):
+        if len(size) != 2 or not all(isinstance(x, int) and x >= 16 for x in size):
+            raise ArgumentError(f"size must be (width, height), whole numbers from 16, found {size!r}")
+        self.size = size
+        self.skeleton = Skeleton(robot)
+        self.middle, self.radius = self.skeleton.view()
+
+        right = np.array([-math.sin(AZIMUTH), math.cos(AZIMUTH), 0.0])
+        toward = np.array([math.cos(AZIMUTH), math.sin(AZIMUTH), math.tan(ELEVATION)]) * math.cos(ELEVATION)
+        self._camera = np.stack([right, np.cross(toward, right), toward], -1)
+
+        figure, self._collections = _library("matplotlib.figure"), _library("matplotlib.collections")
+        width, height = size
+        self._figure = figure.Figure(figsize=(width / 72, height / 72), dpi=72)  # a point is a pixel
+        self._canvas = _library("matplotlib.backends.backend_agg").FigureCanvasAgg(self._figure)
+        self._axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0, width), ylim=(0, height))
+        self._axes.set_axis_off()
+        self._figure.set_facecolor(PAPER)
+        self._text = self._figure.text(0.03, 0.97, "", va="top", color=INK, size=max(8.0, min(size) / 28))
+        self._ground: list[Any] = []
+        self._centres = np.zeros((0, 2))
+        self._scale = 1.0  # pixels per metre
+        lines, joints, tips = len(self.skeleton.lines), len(self.skeleton.joints), int(self.skeleton.tip is not None)
+        # number, width, colour and bias toward the camera; lengths in radii of the view
+        self._shadows = self._strokes(2, (lines, 0.06, SHADOW, 0.0), (1, 0.07, SHADOW, 0.0))
+        self._bodies = self._strokes(
+            4,
+            (1, 0.008, TARGET, -0.01),  # from the target to the ground
+            (lines * PIECES, 0.085, INK, -0.06),
+            (lines * PIECES, 0.06, LINK, 0.0),
+            (joints, 0.075, INK, 0.06),
+            (joints, 0.045, JOINT, 0.061),
+            (tips, 0.09, INK, 0.06),
+            (tips, 0.065, TIP, 0.062),
+            (1, 0.1, TARGET, 0.06),
+            (1, 0.06, JOINT, 0.061),
+            (1, 0.03, TARGET, 0.062),
+        )
+
+    def _strokes(self, zorder: int, *rows: tuple[int, float, str, float]) -> _Strokes:
+        numbers, widths, colours, biases = zip(*rows, strict=True)
+        artist = self._collections.LineCollection([], capstyle="round", snap=False, zorder=zorder)
+        self._axes.add_collection(artist, autolim=False)
+        rgba = _library("matplotlib.colors").to_rgba_array(colours)
+        return _Strokes(artist, np.repeat(widths, numbers), np.repeat(rgba, numbers, 0), np.repeat(biases, numbers))
+
+    def _draw(self, strokes: _Strokes, ends: np.ndarray) -> None:
+        """Move strokes to their ends [k, strokes, 2, 3], those farthest from the camera first."""
+        pixels, nearness = self.project(ends)
+        pixels[..., 1, 0] += 0.01  # a stroke without length would not be drawn
+        nearness = nearness.mean(-1)
+        order = np.argsort((nearness + strokes.biases).ravel(), kind="stable")
+        width = strokes.widths * self._scale * self.radius * DISTANCE / (DISTANCE - nearness)
+        strokes.artist.set_segments(pixels.reshape(-1, 2, 2)[order])
+        strokes.artist.set_linewidths(width.ravel()[order])
+        strokes.artist.set_color(np.tile(strokes.colours, (len(ends), 1))[order])
+
+    def project(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Pixels [k, ..., 2] from the lower left corner, and nearness [k, ...], of positions [k, ..., 3] of k arms.
+
+        Nearness is toward the camera from the middle of the view, in its radii. What is at the camera or behind it is
+        nowhere: not a number.
+        """
+        seen = (x - self.middle) @ self._camera / self.radius
+        nearness = np.where(seen[..., 2] < DISTANCE - 1, seen[..., 2], np.nan)
+        scale = self._scale * self.radius * DISTANCE / (DISTANCE - nearness)
+        centres = self._centres.reshape(-1, *(1,) * (x.ndim - 2), 2)
+        return centres + seen[..., :2] * scale[..., None], nearness
+
+    def _arrange(self, arms: int) -> None:
+        """Make place for so many arms, and draw the ground that they stand on."""
+        (width, height), counts = self.size, range(1, arms + 1)
+        columns = max(counts, key=lambda c: min(width / c, height / math.ceil(arms / c)))
+        rows = math.ceil(arms / columns)
+        cell = np.array([width / columns, height / rows])
+        at = np.arange(arms)
+        self._centres = (np.stack([at % columns, rows - 1 - at // columns], -1) + 0.5) * cell
+        self._scale = cell.min() / (2 * MARGIN * self.radius)
+
+        for artist in self._ground:
+            artist.remove()
+        reach = math.sqrt(max(self.radius**2 - self.middle[2] ** 2, 0.3 * self.radius**2))  # where the ball cuts it
+        turn = np.linspace(0.0, 2 * np.pi, 97)
+        disc = reach * np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
+        offset = np.linspace(-1.0, 1.0, 9)[1:-1] * reach
+        half = np.sqrt(reach**2 - offset**2)
+        along = np.stack([np.stack([offset, s * half, 0 * half], -1) for s in (-1, 1)], 1)
+        grid = np.concatenate([along, along[..., [1, 0, 2]]])
+        base = 0.09 * self.radius * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
+        discs, grids, bases = (self.project(np.broadcast_to(x, (arms, *x.shape)))[0] for x in (disc, grid, base))
+        self._ground = [
+            self._collections.PolyCollection(discs, facecolor=GROUND, edgecolor="none", zorder=0),
+            self._collections.LineCollection(grids.reshape(-1, 2, 2), colors=GRID, linewidths=0.8, zorder=1),
+            self._collections.PolyCollection(bases, facecolor=INK, edgecolor="none", zorder=3),
+        ]
+        for artist in self._ground:
+            self._axes.add_collection(artist, autolim=False)
+
+    def frame(self, q: Any, target: Any = None, text: str | None = None) -> np.ndarray:
+        """Image [height, width, 3], uint8, of one robot or of k <= 16 of them.
+
+        Args:
+            q: joint positions [rad or m], shape [n] or [k, n]. A robot whose position is not finite is left out.
+            target: positions in the base frame to be marked [m], shape [3] or [k, 3]; None: none.
+            text: to be written in the upper left corner.
+        """
+        points = self.skeleton.points(q, MOST_ARMS)
+        arms = len(points)
+        goal = np.full((1, 3), np.nan) if target is None else _rows("target", target, 3, arms).numpy()
+        if len(goal) not in (1, arms):
+            raise ArgumentError(f"target must have one row or one for each of the {arms} robots, found {len(goal)}")
+        if arms != len(self._centres):
+            self._arrange(arms)
+        goal = np.broadcast_to(goal, (arms, 3))[:, None]
+        lines, joints = points[:, self.skeleton.lines], points[:, self.skeleton.joints]  # [k, lines, 2, 3]
+        tips = points[:, [] if self.skeleton.tip is None else [self.skeleton.tip]]
+        t = np.linspace(0.0, 1.0, PIECES + 1)[:, None]
+        cuts = lines[:, :, :1] * (1 - t) + lines[:, :, 1:] * t
+        pieces = np.stack([cuts[:, :, :-1], cuts[:, :, 1:]], -2).reshape(arms, -1, 2, 3)
+        joint, tip, mark = (np.stack([x, x], -2) for x in (joints, tips, goal))
+        flat = np.array([1.0, 1.0, 0.0])
+        fall = np.stack([goal, goal * flat], -2)
+        self._draw(self._shadows, np.concatenate([lines * flat, mark * flat], 1))
+        self._draw(self._bodies, np.concatenate([fall, pieces, pieces, joint, joint, tip, tip, mark, mark, mark], 1))
+        self._text.set_text(text or "")
+        self._canvas.draw()
+        return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+
+
+class Viewer:
+    """A live view of a robot in the browser, at the address `url`, which viser prints.
+
+    Args:
+        robot: the robot.
+        port: of the address; the next free one is taken.
+
+    Raises:
+        MissingLibraryError: viser is not installed.
+    """
+
+    def __init__(self, robot: Robot, port: int = 8080):
+        self.skeleton = Skeleton(robot)
+        middle, radius = self.skeleton.view()
+        self._server = _library("viser").ViserServer(host="127.0.0.1", port=port)
+        self.url = f"http://127.0.0.1:{self._server.get_port()}"
+        scene = self._server.scene
+        scene.set_up_direction("+z")
+        camera = self._server.initial_camera
+        camera.look_at, camera.position = tuple(middle), tuple(middle + radius * np.array([1.6, -2.2, 1.0]))
+        scene.add_grid("/ground", width=4 * radius, height=4 * radius, cell_size=radius / 4, section_size=radius)
+        scene.add_box("/base", color=_rgb(INK), dimensions=(0.18 * radius, 0.18 * radius, 0.02 * radius))
+        lines = np.zeros((len(self.skeleton.lines), 2, 3))
+        self._lines = scene.add_line_segments("/links", lines, colors=_rgb(LINK), thickness=0.05 * radius)
+        self._balls = {
+            point: scene.add_icosphere(f"/joints/{point}", radius=0.04 * radius, color=_rgb(INK))
+            for point in self.skeleton.joints
+        }
+        if self.skeleton.tip is not None:
+            self._balls[self.skeleton.tip] = scene.add_icosphere("/tip", radius=0.045 * radius, color=_rgb(TIP))
+        self._target = scene.add_icosphere("/target", radius=0.045 * radius, color=_rgb(TARGET), visible=False)
+        self.show(torch.zeros(robot.n))
+
+    def show(self, q: Any, target: Any = None) -> None:
+        """Show the robot at the positions q [n] [rad or m], and a target [3] in the base frame [m]."""
+        points = self.skeleton.points(q, 1)[0]
+        goal = None if target is None else tuple(_rows("target", target, 3, 1)[0].tolist())
+        with self._server.atomic():
+            self._lines.points = points[self.skeleton.lines].astype(np.float32)
+            for point, ball in self._balls.items():
+                ball.position = tuple(points[point])
+            self._target.visible = goal is not None
+            if goal is not None:
+                self._target.position = goal
+
+    def close(self) -> None:
+        """Stop serving the view."""
+        self._server.stop()
+
+
+def _rgb(colour: str) -> tuple[int, ...]:
+    return tuple(bytes.fromhex(colour[1:]))
+
+
+def save_gif(frames: Iterable[np.ndarray], path: str | Path, fps: float = 25.0) -> None:
+    """Write images as a film that repeats itself.
+
+    A GIF counts in hundredths of a second, and images that do not differ from the one before only make that last
+    longer.
+
+    Args:
+        frames: images [height, width, 3], uint8, of one size.
+        path: of the file.
+        fps: images per second, up to 50.
+
+    Raises:
+        MissingLibraryError: Pillow is not installed.
+    """
+    images = [np.asarray(frame) for frame in frames]
+    found = sorted({f"{image.dtype}{list(image.shape)}" for image in images})
+    if len(found) != 1 or images[0].dtype != np.uint8 or images[0].shape[2:] != (3,):
+        raise ArgumentError(f"frames must be uint8 [height, width, 3] of one size, found {', '.join(found) or 'none'}")
+    if not 0 < fps <= 50:
+        raise ArgumentError(f"fps must be above 0 and at most 50, found {fps!r}")
+    image = _library("PIL.Image")
+    first, *others = [image.fromarray(x) for x in images]
+    first.save(path, format="GIF", save_all=True, append_images=others, duration=10 * round(100 / fps), loop=0)

@@ -1,0 +1,244 @@
+"""Pictures: what they show, how large they are, and what is refused."""
+
+import sys
+import urllib.request
+
+import pytest
+import torch
+
+import torchdq
+from torchdq.envs.render import LINK, MOST_ARMS, TARGET, MissingLibraryError, Painter, Skeleton, Viewer, save_gif
+
+np = pytest.importorskip("numpy")
+pytest.importorskip("matplotlib")
+Image = pytest.importorskip("PIL.Image")
+
+POSE = [0.3, -0.5, 0.2, -2.0, 0.1, 1.8, 0.4]
+
+INERTIAL = (
+    '<inertial><origin xyz="0 0 0.03"/><mass value="1"/>'
+    '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+)
+
+
+def gripper():
+    """A wrist with two fingers that slide apart."""
+    links = "".join(f'<link name="{name}">{INERTIAL}</link>' for name in ("wrist", "left", "right"))
+    joints = "".join(
+        f'<joint name="{child}_joint" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="0 0 {z}"/><axis xyz="{axis}"/><limit lower="{lower}" upper="{upper}" effort="1" velocity="1"/>'
+        f"</joint>"
+        for child, parent, kind, z, axis, lower, upper in (
+            ("wrist", "base", "revolute", 0.1, "0 0 1", -3, 3),
+            ("left", "wrist", "prismatic", 0.2, "0 1 0", 0, 0.1),
+            ("right", "wrist", "prismatic", 0.2, "0 -1 0", 0, 0.1),
+        )
+    )
+    return torchdq.Robot.from_urdf(f'<robot name="gripper"><link name="base"/>{links}{joints}</robot>')
+
+
+@pytest.fixture(scope="module")
+def panda():
+    return torchdq.robots.load("panda")
+
+
+@pytest.fixture(scope="module")
+def painter(panda):
+    return Painter(panda)
+
+
+def coloured(image, colour):
+    """Where an image has just that colour."""
+    return (image == np.frombuffer(bytes.fromhex(colour[1:]), np.uint8)).all(-1)
+
+
+# --- the skeleton ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["two_link", "panda", "ur10e", "puma560"])
+def test_points_are_where_the_kinematics_put_them(name):
+    robot = torchdq.robots.load(name)
+    skeleton, q = Skeleton(robot), torch.linspace(-1, 1, 3 * robot.n, dtype=torch.float64).view(3, robot.n)
+    points = skeleton.points(q)
+    X = torchdq.forward_kinematics(robot, q, "tip")
+    assert points[:, skeleton.tip] == pytest.approx(torchdq.dq.translation(X).numpy())
+    assert (points[:, 0] == 0).all()
+
+
+def test_joints_lie_on_their_axes(panda):
+    for robot in (panda, torchdq.robots.load("puma560"), torchdq.robots.load("two_link")):
+        skeleton, q = Skeleton(robot), torch.zeros(robot.n)
+        for i, joint in enumerate(skeleton.joints):
+            turned = q.clone()
+            turned[i] = 1.0
+            assert skeleton.points(turned)[0, joint] == pytest.approx(skeleton.points(q)[0, joint], abs=1e-12)
+
+
+def test_every_link_of_a_tree_has_a_line_from_its_parent():
+    robot = gripper()
+    skeleton = Skeleton(robot)
+    assert set(skeleton.links) == {0, 1, 2}
+    starts, ends = skeleton.points([0.0, 0.02, 0.05])[0][skeleton.lines].swapaxes(0, 1)
+    wrist, left, right = [0.0, 0.0, 0.1], [0.0, 0.02, 0.3], [0.0, -0.05, 0.3]
+    assert starts == pytest.approx(np.array([[0.0, 0.0, 0.0], wrist, wrist, left, right]))
+    tips = [[0.0, 0.02, 0.33], [0.0, -0.05, 0.33]]  # without an end effector fingers end at their centres of mass
+    assert ends == pytest.approx(np.array([wrist, left, right, *tips]))
+
+
+def test_nothing_leaves_the_view(panda):
+    skeleton = Skeleton(panda)
+    middle, radius = skeleton.view()
+    assert 0.7 < radius < 1.2
+    q = torch.rand(200, 7) * (panda.limits.upper - panda.limits.lower) + panda.limits.lower
+    assert np.linalg.norm(skeleton.points(q) - middle, axis=-1).max() < 1.04 * radius
+
+
+def test_of_a_batch_of_robots_the_first_is_drawn(panda):
+    heavier = panda.replace(mass=panda.mass * torch.tensor([[1.0], [2.0]]).double())
+    assert (Skeleton(heavier).points(POSE) == Skeleton(panda).points(POSE)).all()
+
+
+# --- images ----------------------------------------------------------------------------------------------------------
+
+
+def test_an_image_has_the_size_that_was_asked_for(panda):
+    image = Painter(panda, (320, 200)).frame(POSE)
+    assert image.shape == (200, 320, 3)
+    assert image.dtype == np.uint8
+
+
+def test_equal_positions_give_equal_images(painter):
+    first = painter.frame(POSE)
+    other = painter.frame([x + 0.2 for x in POSE], target=[0.4, 0.0, 0.3], text="t = 1 s")
+    assert (first != other).any()
+    assert (painter.frame(torch.tensor(POSE)) == painter.frame(np.array(POSE, np.float32))).all()
+    assert (painter.frame(POSE) == first).all()
+
+
+def test_the_target_is_where_it_is(painter):
+    target = np.array([0.5, -0.3, 0.4])
+    assert not coloured(painter.frame(POSE), TARGET).any()
+    marked = coloured(painter.frame(POSE, target), TARGET)
+    x, y = painter.project(target[None])[0][0]
+    row = 400 - y
+    assert marked[int(row), int(x)]
+    above, columns = np.nonzero(marked[: int(row)])  # its line to the ground is below
+    assert abs((columns.min() + columns.max() + 1) / 2 - x) < 1
+    assert row - 12 < above.min() < row - 6
+
+
+def test_what_is_nearer_covers_what_is_farther(painter):
+    """A target on the line of sight to the elbow, before it and behind it."""
+    elbow = painter.skeleton.points(POSE)[0, painter.skeleton.joints[3]]
+    toward = painter._camera[:, 2]
+    before, behind = (coloured(painter.frame(POSE, elbow + s * 0.5 * toward), TARGET).sum() for s in (1, -1))
+    assert before > behind
+
+
+def test_text_is_in_the_upper_left_corner(painter):
+    rows, columns, _ = np.nonzero(painter.frame(POSE, text="t = 1 s") != painter.frame(POSE))
+    assert max(rows) < 40
+    assert max(columns) < 200
+
+
+def test_several_robots_are_side_by_side(panda):
+    painter = Painter(panda, (400, 200))
+    alone = Painter(panda, (200, 200))
+    q = torch.tensor([POSE, [0.0, 0.5, 0.0, -1.0, 0.0, 1.0, 0.0]])
+    targets = [[0.5, 0.0, 0.5], [0.0, 0.5, 0.2]]
+    image = painter.frame(q, targets)
+    for i in range(2):
+        assert (image[:, 200 * i : 200 * (i + 1)] == alone.frame(q[i], targets[i])).mean() > 0.99
+    painter.frame(q.repeat(8, 1), [0.5, 0.0, 0.5])
+    assert (painter.frame(q, targets) == image).all()
+
+
+def test_a_robot_whose_position_is_not_finite_is_left_out(painter):
+    image = painter.frame([POSE, [float("nan")] * 7])
+    assert coloured(image[:200], LINK).any()
+    assert not coloured(image[200:], LINK).any()
+
+
+def test_what_is_behind_the_camera_is_left_out(painter):
+    far = painter.middle + 100 * painter.radius * painter._camera[:, 2]
+    assert not coloured(painter.frame(POSE, far), TARGET).any()
+
+
+# --- what is refused -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape", [(6,), (0, 7), (MOST_ARMS + 1, 7), (2, 2, 7), ()])
+def test_positions_of_a_wrong_shape_are_refused(painter, shape):
+    with pytest.raises(torchdq.ArgumentError, match=r"^q must have the shape \[7\] or \[k, 7\] with k from 1 to 16, "):
+        painter.frame(torch.zeros(shape))
+
+
+@pytest.mark.parametrize("shape", [(2,), (3, 3), (1, 1, 3)])
+def test_targets_of_a_wrong_shape_are_refused(painter, shape):
+    with pytest.raises(torchdq.ArgumentError, match=r"^target must "):
+        painter.frame([POSE, POSE], torch.zeros(shape))
+
+
+@pytest.mark.parametrize("size", [(400,), (0, 400), (400.0, 400.0)])
+def test_a_wrong_size_is_refused(panda, size):
+    with pytest.raises(torchdq.ArgumentError, match=r"^size must be"):
+        Painter(panda, size)
+
+
+def test_what_is_no_robot_is_refused():
+    with pytest.raises(torchdq.ArgumentError, match=r"^robot must be a torchdq.Robot, found str"):
+        Painter("panda")
+
+
+@pytest.mark.parametrize(
+    "module, name, draw",
+    [
+        ("matplotlib.figure", "matplotlib", Painter),
+        ("viser", "viser", Viewer),
+        ("PIL.Image", "Pillow", lambda _: save_gif([np.zeros((4, 4, 3), np.uint8)], "never.gif")),
+    ],
+)
+def test_a_library_that_is_missing_is_named(panda, monkeypatch, module, name, draw):
+    monkeypatch.setitem(sys.modules, module, None)
+    with pytest.raises(MissingLibraryError, match=rf"^{name}, .*; pip install 'torchdq\[viz\]'$") as raised:
+        draw(panda)
+    assert isinstance(raised.value, torchdq.TorchdqError)
+
+
+# --- films and the live view -----------------------------------------------------------------------------------------
+
+
+def test_a_film_has_all_its_images(painter, tmp_path):
+    path = tmp_path / "film.gif"
+    save_gif((painter.frame([0.1 * i, *POSE[1:]]) for i in range(5)), path, fps=20)
+    with Image.open(path) as film:
+        assert film.n_frames == 5
+        assert film.size == (400, 400)
+        assert film.info["duration"] == 50
+
+
+@pytest.mark.parametrize(
+    "frames", [[], [np.zeros((4, 4, 3))], [np.zeros((4, 4), np.uint8)], [np.zeros((s, 4, 3), np.uint8) for s in (4, 5)]]
+)
+def test_frames_that_make_no_film_are_refused(frames, tmp_path):
+    with pytest.raises(torchdq.ArgumentError, match=r"^frames must be uint8"):
+        save_gif(frames, tmp_path / "film.gif")
+
+
+@pytest.mark.parametrize("fps", [0, 51, float("nan")])
+def test_a_wrong_rate_is_refused(fps, tmp_path):
+    with pytest.raises(torchdq.ArgumentError, match=r"^fps must be"):
+        save_gif([np.zeros((4, 4, 3), np.uint8)], tmp_path / "film.gif", fps)
+
+
+def test_the_live_view_is_served_until_it_is_closed(panda):
+    pytest.importorskip("viser")
+    viewer = Viewer(panda)
+    viewer.show(POSE, target=[0.5, 0.0, 0.5])
+    with urllib.request.urlopen(viewer.url) as page:
+        assert b"<html" in page.read()
+    with pytest.raises(torchdq.ArgumentError, match=r"^q must have the shape \[7\], found"):
+        viewer.show([POSE, POSE])
+    viewer.close()
+    with pytest.raises(OSError):
+        urllib.request.urlopen(viewer.url, timeout=2)
