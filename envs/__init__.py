@@ -1,6 +1,19 @@
 """Scenes and gymnasium environments of torchdq; imported as `torchdq.envs`, never as `envs`."""
 
-from torchdq.envs import controllers, effects, integrators
-from torchdq.envs.scene import Scene, State
+from gymnasium import register
 
-__all__ = ["Scene", "State", "controllers", "effects", "integrators"]
+from torchdq.envs import controllers, effects, integrators
+from torchdq.envs.arm import ArmVectorEnv
+from torchdq.envs.scene import Scene, State
+from torchdq.envs.single import ArmEnv
+
+__all__ = ["ArmEnv", "ArmVectorEnv", "Scene", "State", "controllers", "effects", "integrators"]
+
+for _task in ("Reach", "Track"):
+    register(
+        f"torchdq/{_task}-v0",
+        entry_point="torchdq.envs.single:ArmEnv",
+        vector_entry_point="torchdq.envs.arm:ArmVectorEnv",
+        max_episode_steps=250,
+        kwargs={"task": _task.lower()},
+    )

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar
-
-from torchdq.envs.effects.effect import Parameter, Parametric, Shapes
+from typing import ClassVar, Self
 
 from torchdq.algebra.quaternion import Number
+from torchdq.envs.effects.effect import Parameter, Parametric, Shapes
+from torchdq.errors import ArgumentError
 from torchdq.program.model import Given, model
 from torchdq.robot import Robot
+from torchdq.robot.robot import SHAPES
 
 Row = Sequence[Number]
 
@@ -45,6 +46,9 @@ class ComputedTorque(Controller):
     kd: Parameter
     model: Robot | None = None
 
+    def described(self, robot: Robot) -> Self:
+        return _with_constant_model(self, robot)
+
     def torques(
         self, robot: Robot, fields: Given, varied: Sequence[str], reference: Row, q: Row, qd: Row
     ) -> Sequence[Number]:
@@ -69,6 +73,9 @@ class PD(Controller):
     kd: Parameter
     model: Robot | None = None
 
+    def described(self, robot: Robot) -> Self:
+        return _with_constant_model(self, robot)
+
     def torques(
         self, robot: Robot, fields: Given, varied: Sequence[str], reference: Row, q: Row, qd: Row
     ) -> Sequence[Number]:
@@ -78,6 +85,20 @@ class PD(Controller):
             return tau
         weight = model(self.model, q, {}, ()).torques(None, None, None)
         return [t if w is None else t + w for t, w in zip(tau, weight, strict=True)]
+
+
+def _with_constant_model(controller, robot: Robot):
+    """The controller, whose model must have the robot's joints and one number for each of its own."""
+    believed = controller.model
+    if believed is None:
+        return controller
+    what = f"model of {type(controller).__name__}"
+    if believed.n != robot.n:
+        raise ArgumentError(f"{what} must have the {robot.n} joints of robot {robot.name!r}, found {believed.n}")
+    for name in believed.varying:
+        if getattr(believed, name).ndim > len(SHAPES[name]):
+            raise ArgumentError(f"{what} must be one robot, found batch axes of its {name}; its tensors are constants")
+    return controller
 
 
 def _corrected(reference: Row, q: Row, qd: Row, kp: Row, kd: Row) -> list[Number]:

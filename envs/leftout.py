@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 import torch
+
 from torchdq.envs import effects as kinds
 from torchdq.envs.effects import Effect
-
 from torchdq.robot import Robot
 
 

@@ -12,16 +12,15 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
 
+from torchdq.algebra.quaternion import Number
+from torchdq.algebra.screw import Screw
+from torchdq.dynamics import energy, kinematics, rnea
+from torchdq.dynamics.absent import neg, total
 from torchdq.envs.controllers import Controller
 from torchdq.envs.effects.body import Bodies
 from torchdq.envs.effects.effect import Effect
 from torchdq.envs.effects.joint import Elastic, Impedance
 from torchdq.envs.integrators import Integrator, System
-
-from torchdq.algebra.quaternion import Number
-from torchdq.algebra.screw import Screw
-from torchdq.dynamics import energy, kinematics, rnea
-from torchdq.dynamics.absent import neg, total
 from torchdq.numbers.record import Number as Recorded
 from torchdq.program import derive
 from torchdq.program.model import INERTIAL, AlignedModel, Given, PaperModel, model

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint as checkpointed
+
 from torchdq.envs import plan as plans
 from torchdq.envs.controllers import Controller
 from torchdq.envs.effects import Effect, Push
@@ -24,7 +25,6 @@ from torchdq.envs.effects.joint import Elastic
 from torchdq.envs.integrators import DormandPrince, Integrator, SemiImplicitEuler
 from torchdq.envs.leftout import left_out
 from torchdq.envs.plan import CONTROLLER, ROBOT, Blueprint, Signature, Task
-
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program import backends, run
 from torchdq.program.backends import Backend
@@ -115,12 +115,16 @@ class Scene:
     def __post_init__(self) -> None:
         if not isinstance(self.robot, Robot):
             raise ArgumentError(f"robot must be a torchdq.Robot, found {type(self.robot).__name__}")
+        if not isinstance(self.effects, Sequence):
+            raise ArgumentError(f"effects must be a sequence of effects, found {self.effects!r}")
         for effect in self.effects:
             if not isinstance(effect, Effect):
                 raise ArgumentError(
                     f"effects must be objects of torchdq.envs.effects, found {effect!r}"
                     + ("; it is a class, call it" if isinstance(effect, type) else "")
                 )
+        if not (self.controller is None or isinstance(self.controller, Controller)):
+            raise ArgumentError(f"controller must be one of torchdq.envs.controllers, found {self.controller!r}")
         if not isinstance(self.integrator, Integrator):
             raise ArgumentError(f"integrator must be one of torchdq.envs.integrators, found {self.integrator!r}")
         if not (isinstance(self.dt, int | float) and 0 < self.dt < math.inf):
@@ -184,8 +188,13 @@ class Scene:
             qd: velocities [rad/s or m/s], shape [..., n]; None: at rest.
             noise: random numbers for the sensors, as in `step`.
         """
-        qd = torch.zeros_like(q) if qd is None else qd
-        q, qd = torch.broadcast_tensors(q, qd)
+        given = {"q": q} if qd is None else {"q": q, "qd": qd}
+        self._check("start", given, q, None)
+        try:
+            q, qd = torch.broadcast_tensors(q, torch.zeros_like(q) if qd is None else qd)
+        except RuntimeError as error:
+            found = ", ".join(f"{name} {tuple(x.shape)}" for name, x in given.items())
+            raise ArgumentError(f"the batch axes of the state must broadcast, found {found}") from error
         state = State(q, qd, self._memory(q, qd))
         return self._sensed(state, {}, noise, None)[0]
 
@@ -239,6 +248,9 @@ class Scene:
         total = steps if steps is not None else next(iter(lengths.values()), None)
         if total is None or any(length != total for length in lengths.values()):
             raise ArgumentError(f"steps and the first axes of the inputs must agree, found {steps} and {lengths}")
+        for name, number in (("steps", total), ("checkpoint", checkpoint)):
+            if number < 0:
+                raise ArgumentError(f"{name} must not be negative, found {number}")
 
         def part(first: int, last: int, state: State) -> list[State]:
             found = []
@@ -267,7 +279,9 @@ class Scene:
     # --- what it costs ---
 
     def program(self, *present: str, task: Task | None = None) -> Program:
-        """Program of a step at which the inputs of those names are given; by default, torques."""
+        """Program of a step at which the inputs of those names are given; by default, all."""
+        if isinstance(self.integrator, DormandPrince):
+            raise ArgumentError("a step of DormandPrince is no program of its own, for its cost depends on the state")
         n = self.n
         widths = {"q": n, "qd": n, "memory": self._memory_size(), "reading": 2 * n, **self.inputs, "noise": self.noises}
         wanted = ["q", "qd", *(present or ("torque", *(name for name in self.inputs if name != "torque")))]
@@ -393,10 +407,11 @@ class Scene:
         self, state: State, inputs: Mapping[str, Tensor], noise: Tensor | None, task: Task | None
     ) -> tuple[State, dict[str, Tensor]]:
         """A step of an integrator that chooses its own: drive, flow and senses are programs of their own."""
-        own = {name: x for name, x in inputs.items() if name in self.inputs}
+        goals = {} if task is None else task.inputs(self.n)
+        own = {name: x for name, x in inputs.items() if name not in goals}  # the drive refuses what nobody knows
         driven = self._call("drive", {k: x for k, x in self._given(state, own, noise).items() if k != "noise"}, None)
         u, memory = driven["u"], driven.get("memory")
-        x, v = state.q, state.qd
+        x, v = (y.expand(*u.shape[:-1], y.shape[-1]) for y in (state.q, state.qd))
         elastic, n = self.blueprint.elastic(), self.n
         if elastic is not None and memory is not None:
             rotors = memory[..., self.blueprint.memory()[elastic]]
@@ -406,8 +421,6 @@ class Scene:
         def rates(x: Tensor, v: Tensor) -> Tensor:
             return self._call("rates", {"x": x, "v": v, "u": u, **others}, None)["a"]
 
-        batch = torch.broadcast_shapes(u.shape[:-1], x.shape[:-1])
-        x, v = (y.expand(*batch, y.shape[-1]) for y in (x, v))
         x, v = self.integrator.flow(rates, x, v, self.dt)  # type: ignore[attr-defined]
         if elastic is not None and memory is not None:
             at = self.blueprint.memory()[elastic]
@@ -421,7 +434,7 @@ class Scene:
         tensors = self._tensors()
         look = (
             self.blueprint, stage, task, self.backend, backends.present(), like.dtype, like.device,
-            *[(name, x.shape) for name, x in given.items()],
+            *[(name, getattr(x, "shape", None)) for name, x in given.items()],
             *[x.shape for _, _, x, _, _ in tensors],
         )  # fmt: skip
         plan = _plans.get(look)
@@ -481,6 +494,7 @@ class Scene:
                 raise ArgumentError(f"{name} is no input of this scene; it has {', '.join(self.inputs)}")
             if not isinstance(x, Tensor):
                 raise ArgumentError(f"{name} must be a tensor, found {type(x).__name__}")
+        for name, x in given.items():
             if x.dtype not in DTYPES or x.dtype != like.dtype:
                 raise DtypeError(f"{name} must be float32 or float64 like the state, {like.dtype}, found {x.dtype}")
             if x.device != like.device:
@@ -491,6 +505,11 @@ class Scene:
                     f"found {tuple(x.shape)}"
                 )
         optional = {effect.name for effect in self.effects if isinstance(effect, Push)}
+        if stage in ("step", "drive"):
+            kept = {"memory": bool(widths["memory"]), "reading": bool(self.blueprint.of_slot("sensor"))}
+            for name, there in kept.items():
+                if there and name not in given:
+                    raise ArgumentError(f"{name} must be part of the state; `start` makes one that has it")
         if stage in ("step", "drive", "rates"):
             skipped = {"torque", "reference"} if stage == "rates" else {"torque"}
             for name in self.inputs:

@@ -17,9 +17,9 @@ import tyro
 from matplotlib import pyplot as plt
 from rich.console import Console
 from rich.table import Table
-from torchdq.envs import Scene, effects, integrators
 
 import torchdq
+from torchdq.envs import Scene, effects, integrators
 
 
 @dataclass

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
-from torchdq.envs.effects.effect import Effect, Parameter, Shapes, listed
-
 from torchdq.algebra.quaternion import Number
+from torchdq.envs.effects.effect import Effect, Parameter, Shapes, listed
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import clip, exp, floor
 from torchdq.robot import Robot

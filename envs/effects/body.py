@@ -6,9 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Literal, Self
 
-from torchdq.envs.effects.effect import Effect, Parameter, Shapes
-from torchdq.envs.effects.joint import Inputs
-
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
@@ -17,6 +14,8 @@ from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics import kinematics, rnea
 from torchdq.dynamics.mechanism import BASE
+from torchdq.envs.effects.effect import Effect, Parameter, Shapes
+from torchdq.envs.effects.joint import Inputs
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import maximum, sqrt
 from torchdq.program.model import Given, PaperModel, constant_pose, field

@@ -67,7 +67,7 @@ class Parametric:
                 value = value.expand(shape)
             if shape and value.shape[-1] not in (1, size):
                 raise ArgumentError(f"{what} must have the shape [..., {size}], found {tuple(value.shape)}")
-            return value.expand(*value.shape[: value.ndim - len(shape)], *shape)
+            return value.expand((*value.shape[: value.ndim - len(shape)], *shape))
         try:
             numbers = [float(x) for x in value] if isinstance(value, Sequence) else [float(value)] * size
         except (TypeError, ValueError) as error:

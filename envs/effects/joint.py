@@ -12,9 +12,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Self
 
-from torchdq.envs.effects.effect import Effect, Parameter, Shapes, listed, owned
-
 from torchdq.algebra.quaternion import Number
+from torchdq.envs.effects.effect import Effect, Parameter, Shapes, listed, owned
 from torchdq.numbers.functions import at_least, clip, maximum, sqrt
 from torchdq.robot import Robot
 

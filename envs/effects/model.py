@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
-from torchdq.envs.effects.effect import Effect, Parameter, Shapes, owned
-
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
+from torchdq.envs.effects.effect import Effect, Parameter, Shapes, owned
 from torchdq.program.model import Given, constant_pose, field
 from torchdq.robot import Robot
 from torchdq.robot.robot import GRAVITY

@@ -1,0 +1,126 @@
+"""Does a policy learn in these environments? PPO of stable-baselines3 on Reach, with seeds and intervals.
+
+    python benchmarks/learn.py [--quick] [--steps N] [--seeds N] [--json FILE]
+
+Actions are offsets of the joint positions that a joint PD controller with gravity compensation follows. Returns are
+sums over episodes of 100 steps from 512 states and goals that training never saw; the interval is the 95 % bootstrap
+interval of the mean over seeds. Beside PPO: the policy before training, the controller alone (no offset), and a policy
+that is given the arm's kinematics, which PPO is not (the damped inverse of the Jacobian, towards the goal).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+import torch
+from peers import machine
+from scipy.stats import bootstrap
+from stable_baselines3 import PPO
+
+import torchdq
+from torchdq.envs import ArmVectorEnv, controllers
+from torchdq.envs.sb3 import StableBaselinesVecEnv
+
+EPISODE, TESTS = 100, 512
+Policy = Callable[[torch.Tensor], torch.Tensor]
+
+
+def environments(number: int) -> ArmVectorEnv:
+    """Environments of a Panda under a PD controller that knows its weight."""
+    robot = torchdq.robots.load("panda")
+    gains = ([600.0] * 4 + [250.0, 150.0, 50.0], [50.0] * 4 + [25.0, 25.0, 10.0])
+    controller = controllers.PD(*gains, model=robot)
+    return ArmVectorEnv(
+        number, "reach", robot, action="reference", controller=controller, scale=0.3, max_episode_steps=EPISODE
+    )
+
+
+def evaluate(policy: Policy) -> tuple[float, float]:
+    """Mean return and median final distance [m] on unseen episodes."""
+    envs = environments(TESTS)
+    observation, _ = envs.reset(seed=1_000_000)
+    returns = torch.zeros(TESTS)
+    for _ in range(EPISODE):
+        observation, reward, _, _, info = envs.step(policy(observation))
+        returns += reward
+    return float(returns.mean()), float(info["final_info"]["distance"].median())
+
+
+def nothing(observation: torch.Tensor) -> torch.Tensor:
+    """No offset: the controller alone."""
+    return torch.zeros(len(observation), 7)
+
+
+def kinematic(observation: torch.Tensor) -> torch.Tensor:
+    """Towards the goal by the damped inverse of the Jacobian."""
+    robot = torchdq.robots.load("panda")
+    q, way = torch.atan2(observation[:, :14:2], observation[:, 1:14:2]), observation[:, 21:24]
+    J = torchdq.jacobian(robot, q, robot.end_effector().name, expressed="world")[:, 3:]
+    damped = J @ J.mT + 0.05**2 * torch.eye(3)
+    return (J.mT @ torch.linalg.solve(damped, way[:, :, None])).squeeze(-1) / 0.3
+
+
+def train(seed: int, steps: int) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Results of the policy before and after training."""
+    envs = StableBaselinesVecEnv(environments(256))
+    envs.seed(seed * 1000)
+    network = {"net_arch": [64, 64], "log_std_init": -0.7}
+    rates = {"n_steps": 50, "batch_size": 3200, "n_epochs": 5, "learning_rate": 1e-3, "gamma": 0.97, "gae_lambda": 0.9}
+    model = PPO("MlpPolicy", envs, seed=seed, policy_kwargs=network, device="cpu", **rates)
+
+    def policy(observation: torch.Tensor) -> torch.Tensor:
+        return torch.as_tensor(model.predict(observation.numpy(), deterministic=True)[0])
+
+    before = evaluate(policy)
+    model.learn(steps)
+    return before, evaluate(policy)
+
+
+def interval(values: list[float]) -> str:
+    """Mean and bootstrap interval."""
+    if len(values) < 2:
+        return f"{values[0]:.1f}"
+    low, high = bootstrap((np.array(values),), np.mean, confidence_level=0.95, rng=0).confidence_interval
+    return f"{np.mean(values):.1f} [{low:.1f}, {high:.1f}]"
+
+
+def main() -> dict[str, list[tuple[float, float]]]:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="one seed, a tenth of the steps")
+    parser.add_argument("--steps", type=int, default=3_000_000, help="environment steps of training")
+    parser.add_argument("--seeds", type=int, default=5, help="how often it is trained")
+    parser.add_argument("--json", type=Path, help="write everything here")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    seeds, steps = (1, arguments.steps // 10) if arguments.quick else (arguments.seeds, arguments.steps)
+    found: dict[str, list[tuple[float, float]]] = {
+        "PD alone": [evaluate(nothing)],
+        "PD, given the kinematics": [evaluate(kinematic)],
+        "PPO, untrained": [],
+        f"PPO, {steps / 1e6:g} million steps": [],
+    }
+    start = time.perf_counter()
+    for seed in range(seeds):
+        for name, result in zip(list(found)[2:], train(seed, steps), strict=True):
+            found[name].append(result)
+    spent = (time.perf_counter() - start) / seeds
+    print("| policy | return of an episode | distance at its end |\n|---|---|---|")
+    for name, results in found.items():
+        returns, distances = zip(*results, strict=True)
+        print(f"| {name} | {interval(list(returns))} | {1e3 * np.median(distances):.0f} mm |")
+    print(f"\n{seeds} seeds, {spent:.0f} s of training each on one thread; {machine()['processor']}")
+    if arguments.json:
+        arguments.json.write_text(json.dumps({"machine": machine(), "results": found}, indent=1))
+    return found
+
+
+if __name__ == "__main__":
+    main()

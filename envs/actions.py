@@ -1,0 +1,76 @@
+"""What the actions of an environment are: torques, torques on top of a controller, or offsets of what it follows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from torchdq.envs.tasks import velocities
+from torchdq.errors import ArgumentError
+from torchdq.robot import Robot
+
+Kind = Literal["torque", "residual", "reference"]
+SHARE = {"torque": 1.0, "residual": 0.2}  # of the torque limits that a full action is
+HORIZON = 0.2  # a full reference action is as far away as a joint gets in this time at its limit of velocity [s]
+
+
+@dataclass(frozen=True, eq=False)
+class Actions:
+    """Actions in [-1, 1]^n of a number of environments."""
+
+    kind: Kind
+    robot: Robot
+    scale: Tensor  # [n] what a full action is [N m or N; rad or m of a reference]
+
+    def clipped(self, actions: Any, num_envs: int) -> tuple[Tensor, Tensor]:
+        """Actions [N, n] within their bounds, and how many of every row [N] were not; raises if one is not finite."""
+        found = torch.as_tensor(actions, device=self.scale.device).detach().to(self.scale.dtype)
+        shape = (num_envs, self.robot.n)
+        if found.shape != shape:
+            raise ArgumentError(
+                f"actions must have the shape {shape}, one row for each environment and one number for each joint of "
+                f"robot {self.robot.name!r}, found {tuple(found.shape)}"
+            )
+        inside = found.clamp(-1.0, 1.0)
+        if torch.equal(inside, found):  # not so if one is not a number
+            return inside, torch.zeros(num_envs, dtype=torch.int64, device=found.device)
+        if not math.isfinite(found.sum().item()) and len(bad := (~found.isfinite()).nonzero()):
+            row, joint = bad[0].tolist()
+            raise ArgumentError(
+                f"actions must be finite, found {found[row, joint].item()} in row {row} for joint "
+                f"{self.robot.joint_names[joint]!r}, and {len(bad) - 1} more; nothing was stepped"
+            )
+        return inside, (inside != found).sum(1)
+
+    def inputs(self, actions: Tensor, reference: Tensor) -> dict[str, Tensor]:
+        """What they are for a scene, at a reference [N, 3 n] that is the task's."""
+        scaled = actions * self.scale
+        if self.kind == "torque":
+            return {"torque": scaled}
+        if self.kind == "residual":
+            return {"torque": scaled, "reference": reference}
+        n = self.robot.n
+        return {"reference": torch.cat([reference[:, :n] + scaled, reference[:, n:]], 1)}
+
+
+def full(robot: Robot, kind: Kind, scale: float | Sequence[float] | None) -> list[float]:
+    """What a full action of every joint is; None: what follows from the robot's limits."""
+    if scale is not None:
+        numbers = [float(x) for x in scale] if isinstance(scale, Sequence) else [float(scale)] * robot.n
+        if len(numbers) != robot.n or not all(0 < x < math.inf for x in numbers):
+            raise ArgumentError(f"scale must be a positive number or {robot.n} of them, found {scale!r}")
+        return numbers
+    if kind == "reference":
+        return [HORIZON * v for v in velocities(robot)]
+    for name, limit in zip(robot.joint_names, robot.limits.effort.tolist(), strict=True):
+        if not 0 < limit < math.inf:
+            raise ArgumentError(
+                f"scale must be given: joint {name!r} of robot {robot.name!r} has no torque limit that actions could "
+                f"be fractions of; for instance scale=10.0"
+            )
+    return [SHARE[kind] * x for x in robot.limits.effort.tolist()]

@@ -1,0 +1,92 @@
+"""Random numbers that belong to one environment each, so that a row does not depend on how many rows there are.
+
+A stream is a key and a counter; word k of it is a hash of the key and k (the finaliser of SplitMix64: G. L. Steele,
+D. Lea, C. H. Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014). Nothing is kept between draws but
+the counter, so streams are saved, restored and drawn from in any subset of rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from numbers import Integral
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.errors import ArgumentError
+
+_STEP = 0x9E3779B97F4A7C15  # 2^64 over the golden ratio
+_ONE = {torch.float32: 0x3F800000, torch.float64: 0x3FF0000000000000}  # the bits of 1
+_FIRST, _SECOND = 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
+SEEDS = 2**63  # seeds are below it
+
+
+class Streams(NamedTuple):
+    """Streams of random numbers, one per row."""
+
+    key: Tensor  # [N] int64
+    counter: Tensor  # [N] int64
+
+    def uniform(self, width: int, dtype: torch.dtype = torch.float32) -> tuple[Tensor, Streams]:
+        """Numbers in (0, 1), ends excluded, shape [N, width], and the streams that go on behind them."""
+        double = dtype == torch.float64
+        words = width if double else (width + 1) // 2  # one makes a double or two floats
+        steps = torch.arange(words, device=self.key.device).mul_(_signed(_STEP))
+        bits = _mixed((self.counter * _signed(_STEP) + self.key)[:, None] + steps)
+        if not double:
+            bits = bits.view(torch.int32)[:, :width]
+        size, kept = (64, 52) if double else (32, 23)
+        # bits k are the fraction of 1 + k/2^kept; taking the 1 off adds half a step, so that neither end occurs
+        fraction = (bits >> (size - kept)).bitwise_and_((1 << kept) - 1)
+        numbers = fraction.bitwise_or_(_ONE[dtype]).view(dtype).sub_(1 - 2.0 ** -(kept + 1))
+        return numbers, self._replace(counter=self.counter + words)
+
+    def rows(self, rows: Tensor) -> Streams:
+        """Streams of some rows, by their numbers [k]."""
+        return Streams(self.key[rows], self.counter[rows])
+
+    def with_rows(self, rows: Tensor, streams: Streams) -> Streams:
+        """The streams with some rows replaced."""
+        return Streams(*(own.index_copy(0, rows, new) for own, new in zip(self, streams, strict=True)))
+
+
+def seeded(seed: int | Sequence[int], size: int, device: torch.device | str = "cpu") -> Streams:
+    """Streams at their beginning.
+
+    Row i of those seeded with a number s is the first row of those seeded with s + i.
+
+    Args:
+        seed: from 0, or one for every row.
+        size: number of rows.
+        device: of the streams.
+    """
+    if isinstance(seed, str) or not isinstance(seed, Integral | Sequence):
+        raise ArgumentError(f"seed must be a whole number or a sequence of them, found {seed!r}")
+    seeds = list(seed) if isinstance(seed, Sequence) else [int(seed) + i for i in range(size)]
+    if len(seeds) != size:
+        raise ArgumentError(f"seed must be one number or one for each of the {size} rows, found {len(seeds)}")
+    for s in seeds:
+        if not isinstance(s, Integral) or not 0 <= int(s) < SEEDS:
+            raise ArgumentError(f"seed must be a whole number from 0 and below {SEEDS}, found {s!r}")
+    key = torch.tensor(seeds, dtype=torch.int64, device=device)
+    # twice, so that keys of neighbouring seeds are not neighbours in any stream
+    key = _mixed(_mixed(key.mul_(_signed(_STEP)).add_(_signed(_FIRST))).add_(_signed(_STEP)))
+    return Streams(key, torch.zeros_like(key))
+
+
+def _mixed(z: Tensor) -> Tensor:
+    """The hash of 64-bit words, computed in their place."""
+    shifted = torch.empty_like(z)
+    for by, factor in ((30, _FIRST), (27, _SECOND), (31, 1)):
+        # the mask takes away the copies of the sign that come in from the left
+        torch.bitwise_right_shift(z, by, out=shifted).bitwise_and_((1 << (64 - by)) - 1)
+        z.bitwise_xor_(shifted)
+        if factor != 1:
+            z.mul_(_signed(factor))
+    return z
+
+
+def _signed(word: int) -> int:
+    """A 64-bit word as torch's signed integers write it."""
+    return word - (1 << 64) if word >= 1 << 63 else word

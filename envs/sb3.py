@@ -1,0 +1,89 @@
+"""The environments as Stable-Baselines3 wants them; importing this module is what needs that library."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode
+
+from torchdq.envs.arm import ArmVectorEnv
+from torchdq.errors import ArgumentError
+
+try:
+    VecEnv: Any = import_module("stable_baselines3.common.vec_env").VecEnv
+except ImportError:
+    VecEnv = object
+
+
+class StableBaselinesVecEnv(VecEnv):
+    """A vector environment of Stable-Baselines3, numpy in and out.
+
+    model = stable_baselines3.PPO("MlpPolicy", StableBaselinesVecEnv(ArmVectorEnv(256, "reach")))
+
+    Args:
+        envs: in the mode SAME_STEP.
+    """
+
+    def __init__(self, envs: ArmVectorEnv) -> None:
+        if VecEnv is object:
+            raise ImportError("StableBaselinesVecEnv needs stable-baselines3; install it with pip")
+        if envs.autoreset_mode != AutoresetMode.SAME_STEP:
+            raise ArgumentError(f"envs must have the autoreset_mode SAME_STEP, found {envs.autoreset_mode}")
+        self.envs = envs
+        self.render_mode = envs.render_mode
+        super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
+
+    def reset(self) -> np.ndarray:
+        """Observations [N, ...] at the beginning of new episodes, seeded as `seed` was told."""
+        seed = self._seeds[0]  # row i has seed + i, as theirs have
+        observations, _ = self.envs.reset(seed=seed)
+        self._reset_seeds()
+        self._reset_options()
+        return _array(observations)
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Keep the actions until `step_wait`."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        """Observations, rewards, whether episodes are done, and an info for each environment."""
+        observations, rewards, terminated, truncated, info = self.envs.step(self._actions)
+        terminated, done = _array(terminated), _array(terminated) | _array(truncated)
+        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        if done.any():
+            last = _array(info["final_obs"])
+            for i in done.nonzero()[0]:
+                infos[i] = {"terminal_observation": last[i], "TimeLimit.truncated": not terminated[i]}
+        return _array(observations), _array(rewards), done, infos
+
+    def close(self) -> None:
+        """Close the environments."""
+        self.envs.close()
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        """Frames of the first environments."""
+        return self.envs.render() or ()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute, which all environments share, once for each."""
+        return [getattr(self.envs, attr_name) for _ in self._get_indices(indices)]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Nothing: environments that share everything cannot be changed one by one."""
+        raise NotImplementedError("environments of a batch share their attributes; change them in `envs`")
+
+    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """Nothing: there are no single environments to call."""
+        raise NotImplementedError("environments of a batch have no methods of their own; call those of `envs`")
+
+    def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
+        """False for each: what they return is not wrapped."""
+        return [False for _ in self._get_indices(indices)]
+
+
+def _array(x: Any) -> np.ndarray:
+    return x.cpu().numpy() if isinstance(x, torch.Tensor) else x

@@ -1,0 +1,282 @@
+"""Tasks: what an environment asks of a robot, written for any kind of number and recorded into the step's own program.
+
+A task says where an episode starts and what its goal is, from random numbers; and, from the state at the end of a step,
+what the policy sees, what it is rewarded with, and what the robot would do without it: the reference.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+from torchdq.algebra import dual_quaternion as dq
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra.quaternion import Number, Pure
+from torchdq.envs.effects.body import Bodies
+from torchdq.envs.plan import Rows, View
+from torchdq.numbers.functions import at_least, clip, minimum, sqrt
+from torchdq.robot import Robot
+
+Row = Sequence[Number]
+
+SPEED = 2.0  # of a joint whose description names no limit [rad/s or m/s]
+FASTEST = 10.0  # velocity that is still told from faster ones, in multiples of the limit
+EFFORT = 0.01  # what full actions of all joints cost per step
+CLOSE = 0.05  # distance at which half of the bonus is earned [m]
+TIGHT = 0.1  # root mean square error at which half of the reward is earned [rad or m]
+HIGHEST = 2.0  # rate of the sinusoids of a reference [rad/s]
+SENSIBLE = 1e6  # positions, velocities and rewards beyond it are those of a simulation that has failed
+
+
+class EpisodeTask(Protocol):
+    """A task of an environment; frozen and hashable, since programs are kept by it.
+
+    Its rows are "observation", "reward" [1] and "reference" [3 n], the positions, velocities and accelerations that a
+    controller is to follow over the next step; "terminated" [1], not zero where the episode has come to its end, may
+    be among them. Others go to the environment's `info`. Beside its "goal" it may ask for the "action" [n] in [-1, 1]
+    and for the "time" [1] since the episode began [s]; at the beginning of an episode there is no action. A goal of
+    three numbers is drawn as a point.
+    """
+
+    def __hash__(self) -> int: ...
+
+    def inputs(self, n: int) -> dict[str, int]:
+        """Names and widths of what it needs beside the state."""
+
+    def draws(self, robot: Robot) -> int:
+        """How many random numbers an episode begins with."""
+
+    def start(self, robot: Robot, u: Row) -> Rows:
+        """Rows "q", "qd" and "goal" of random numbers in (0, 1)."""
+
+    def bounds(self, robot: Robot) -> list[tuple[float, float]]:
+        """Lower and upper bound of every number of an observation."""
+
+    def rows(self, view: View) -> Rows:
+        """Observation, reward, reference and whatever else."""
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Bring the end effector to a point that it can reach, from standstill.
+
+    Goal: the point in the base frame [m], that of random joint positions within their limits. Observation: sine and
+    cosine of revolute joints or the position of prismatic ones, velocities as fractions of their limits, the way from
+    the end effector to the goal, and the end effector, as measured. Reward, of the true state:
+
+        1 / (1 + (d / 0.05)^2) - d - 0.01 mean(action^2),   d the distance [m]
+
+    Reference: to stand still where the robot is.
+    """
+
+    def inputs(self, n: int) -> dict[str, int]:
+        """The goal [3] and the action."""
+        return {"goal": 3, "action": n}
+
+    def draws(self, robot: Robot) -> int:
+        """Two for every joint."""
+        return 2 * robot.n
+
+    def start(self, robot: Robot, u: Row) -> Rows:
+        """At rest in the middle half of the joints' ranges."""
+        at = [r.lower + r.span * (0.25 + 0.5 * x) for r, x in zip(ranges(robot), u[: robot.n], strict=True)]
+        there = [r.lower + r.span * x for r, x in zip(ranges(robot), u[robot.n :], strict=True)]
+        return {"q": at, "qd": [0.0] * robot.n, "goal": tip(Bodies(robot, there, [0.0] * robot.n, {}))}
+
+    def bounds(self, robot: Robot) -> list[tuple[float, float]]:
+        """Of sines and cosines, positions, velocities, way and end effector."""
+        seen = []
+        for kind, r in zip(robot.kinds, ranges(robot), strict=True):
+            seen += [(-1.0, 1.0)] * 2 if kind == "revolute" else [r.beyond]
+        length = reach(robot)
+        return [*seen, *[(-FASTEST, FASTEST)] * robot.n, *[(-2 * length, 2 * length)] * 3, *[(-length, length)] * 3]
+
+    def rows(self, view: View) -> Rows:
+        """See the class."""
+        robot, n, goal = view.scene.plan.robot, len(view.q), view.inputs["goal"]
+        q, qd = view.reading[:n], view.reading[n:]
+        p = tip(Bodies(robot, q, qd, view.scene.fields))
+        seen = [y for kind, x in zip(robot.kinds, q, strict=True) for y in (turned(x) if kind == "revolute" else (x,))]
+        seen += [*speeds(robot, qd), *quat.sub(goal, p), *p]
+        way = quat.sub(goal, tip(view.bodies()))
+        squared = quat.dot(way, way)
+        distance = sqrt(squared + 1e-12)
+        bonus = 1.0 / (1.0 + squared * (1.0 / CLOSE**2))
+        return {
+            "observation": within(seen, self.bounds(robot)),
+            "reward": [bonus - distance - cost(view)],
+            "reference": [*q, *[0.0] * (2 * n)],
+            "distance": [distance],
+        }
+
+
+@dataclass(frozen=True)
+class Track:
+    """Follow a smooth reference, the sum of two sinusoids per joint, from a start on it.
+
+    Goal: middle, and amplitude, rate [rad/s] and phase [rad] of both sinusoids, of every joint [7 n]; within the limits
+    of the positions and below half of those of the velocities. Observation: errors of the positions, velocities, and
+    positions, velocities and accelerations of the reference; all velocities and accelerations as fractions of the
+    velocity's limit. Reward, of the true state:
+
+        1 / (1 + e^2 / 0.1^2) - 0.01 mean(action^2),   e^2 the mean squared error of the positions
+    """
+
+    def inputs(self, n: int) -> dict[str, int]:
+        """The goal, the action and the time."""
+        return {"goal": 7 * n, "action": n, "time": 1}
+
+    def draws(self, robot: Robot) -> int:
+        """Seven for every joint."""
+        return 7 * robot.n
+
+    def start(self, robot: Robot, u: Row) -> Rows:
+        """On the reference, moving with it."""
+        goal: list[Number] = []
+        for i, r in enumerate(ranges(robot)):
+            x = u[7 * i : 7 * i + 7]
+            waves: list[Number] = []
+            for share, rate, phase in (x[1:4], x[4:7]):
+                w = 0.25 * HIGHEST + (0.75 * HIGHEST) * rate
+                largest = 0.25 * r.speed / w
+                waves += [share * minimum(largest, r.span / 8), w, (2 * math.pi) * phase]
+            widest = waves[0] + waves[3]
+            goal += [r.lower + widest + x[0] * (r.span - 2.0 * widest), *waves]
+        reference = self.reference(goal, 0.0)
+        return {"q": reference[: robot.n], "qd": reference[robot.n : 2 * robot.n], "goal": goal}
+
+    def reference(self, goal: Row, time: Number) -> list[Number]:
+        """Positions, velocities and accelerations at a time [s]."""
+        q: list[Number] = []
+        qd: list[Number] = []
+        qdd: list[Number] = []
+        for k in range(0, len(goal), 7):
+            x: list[Number] = [goal[k], 0.0, 0.0]
+            for a, w, phase in (goal[k + 1 : k + 4], goal[k + 4 : k + 7]):
+                angle = w * time + phase
+                s, c = a * angle.sin(), a * angle.cos()
+                x = [x[0] + s, x[1] + w * c, x[2] - w * w * s]
+            for row, value in zip((q, qd, qdd), x, strict=True):
+                row.append(value)
+        return [*q, *qd, *qdd]
+
+    def bounds(self, robot: Robot) -> list[tuple[float, float]]:
+        """Of errors, velocities and reference."""
+        n = robot.n
+        wide = [(-2.0 * r.span, 2.0 * r.span) for r in ranges(robot)]
+        return [*wide, *[(-FASTEST, FASTEST)] * n, *[r.beyond for r in ranges(robot)], *[(-HIGHEST, HIGHEST)] * (2 * n)]
+
+    def rows(self, view: View) -> Rows:
+        """See the class."""
+        robot, n = view.scene.plan.robot, len(view.q)
+        q, qd = view.reading[:n], view.reading[n:]
+        reference = self.reference(view.inputs["goal"], view.inputs["time"][0])
+        wanted, moving = reference[:n], reference[n:]
+        errors = [r - x for r, x in zip(wanted, q, strict=True)]
+        rates = [*speeds(robot, moving[:n]), *speeds(robot, moving[n:])]
+        seen = [*errors, *speeds(robot, qd), *wanted, *rates]
+        squared = sum(((r - x) * (r - x) for r, x in zip(wanted, view.q, strict=True)), 0.0) * (1.0 / n)
+        return {
+            "observation": within(seen, self.bounds(robot)),
+            "reward": [1.0 / (1.0 + squared * (1.0 / TIGHT**2)) - cost(view)],
+            "reference": reference,
+            "error": [sqrt(squared + 1e-12)],
+        }
+
+
+@dataclass(frozen=True)
+class Watched:
+    """A task that says as well whether all its numbers make sense: "sound" [1] is 1 where they do, or else 0."""
+
+    task: EpisodeTask
+
+    def inputs(self, n: int) -> dict[str, int]:
+        """Those of the task."""
+        return self.task.inputs(n)
+
+    def rows(self, view: View) -> Rows:
+        """Those of the task, and "sound"; what is not a number is not below a bound either."""
+        rows = self.task.rows(view)
+        judged = (*view.q, *view.qd, *rows["observation"], *rows["reward"])
+        return {**rows, "sound": [at_least(SENSIBLE**2, sum((x * x for x in judged), 0.0))]}
+
+
+# --- what tasks have in common ---------------------------------------------------------------------------------------
+
+
+class Range(NamedTuple):
+    """Where a joint may be, and how fast."""
+
+    lower: float  # [rad or m]
+    span: float  # from there to the upper limit [rad or m]
+    speed: float  # [rad/s or m/s]
+
+    @property
+    def beyond(self) -> tuple[float, float]:
+        """Bounds half a range beyond the limits."""
+        return self.lower - 0.5 * self.span, self.lower + 1.5 * self.span
+
+
+def ranges(robot: Robot) -> list[Range]:
+    """Range of every joint; a whole turn, or a metre, where the description names none."""
+    found = []
+    for kind, lower, upper, speed in zip(
+        robot.kinds, robot.limits.lower.tolist(), robot.limits.upper.tolist(), velocities(robot), strict=True
+    ):
+        if not math.isfinite(upper - lower) or upper <= lower:
+            half = 0.5 if kind == "prismatic" else math.pi
+            lower, upper = -half, half
+        found.append(Range(lower, upper - lower, speed))
+    return found
+
+
+def velocities(robot: Robot) -> list[float]:
+    """Limits of the velocities [rad/s or m/s], `SPEED` where the description names none."""
+    return [v if math.isfinite(v) and v > 0 else SPEED for v in robot.limits.velocity.tolist()]
+
+
+def speeds(robot: Robot, qd: Row) -> list[Number]:
+    """Velocities, or accelerations per second, as fractions of the velocities' limits."""
+    return [v * (1.0 / limit) for v, limit in zip(qd, velocities(robot), strict=True)]
+
+
+def tip(bodies: Bodies) -> Pure:
+    """Position of the end effector in the base frame [m]."""
+    return dq.translation(bodies.at(bodies.robot.end_effector().name)[2])
+
+
+def reach(robot: Robot) -> float:
+    """A distance from the base's origin that no end effector exceeds [m]: all lengths on the way in one line."""
+    frame = robot.end_effector()
+    length, i = _length(frame.X_BF.tolist()), frame.link
+    while i >= 0:
+        length += _length(robot.X_PB_home[i].tolist())
+        if robot.kinds[i] != "prismatic":  # a turn about an axis that passes the frame's origin at a distance
+            length += 2 * math.hypot(*robot.screw[i, 3:].tolist())
+        if robot.kinds[i] != "revolute":
+            length += max(map(abs, ranges(robot)[i].beyond))
+        i = robot.parents[i]
+    return 1.01 * length
+
+
+def _length(X: Sequence[float]) -> float:
+    return math.hypot(*dq.translation((tuple(X[:4]), tuple(X[4:]))))
+
+
+def turned(x: Number) -> tuple[Number, Number]:
+    """Sine and cosine of an angle, from those of its half, which kinematics computes anyway."""
+    s, c = (0.5 * x).sin(), (0.5 * x).cos()
+    return 2.0 * (s * c), 1.0 - 2.0 * (s * s)
+
+
+def within(row: Row, bounds: Sequence[tuple[float, float]]) -> list[Number]:
+    """Numbers clipped to their bounds."""
+    return [clip(x, *b) for x, b in zip(row, bounds, strict=True)]
+
+
+def cost(view: View) -> Number:
+    """What the action costs; nothing if there was none."""
+    action = view.inputs.get("action", ())
+    return (EFFORT / len(view.q)) * sum((a * a for a in action), 0.0) if action else 0.0
