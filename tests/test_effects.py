@@ -782,6 +782,11 @@ def test_a_draw_of_one_is_no_noise():
     assert torch.equal(state.reading, torch.zeros(4, dtype=torch.float64))
 
 
+def test_noise_is_finite_even_if_the_generator_gives_zero(monkeypatch):
+    monkeypatch.setattr(torch, "rand", torch.zeros)
+    assert read(effects.Noise(0.1, 0.1), torch.zeros(2, dtype=torch.float64)).reading.isfinite().all()
+
+
 @pytest.mark.parametrize("form", FORMS)
 def test_readings_are_off_by_their_bias(form):
     q, qd = U[:SAMPLES], U[SAMPLES : 2 * SAMPLES]

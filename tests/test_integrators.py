@@ -155,6 +155,23 @@ def test_dormand_prince_agrees_with_scipy_on_pinocchios_accelerations(name, comp
     assert np.abs(np.concatenate(found[:2]) - solution.y[:, -1]).max() < 1e-9
 
 
+def test_dormand_prince_meets_its_tolerance_with_steps_of_its_order():
+    """On x'' = -x, ten times the work buys five digits."""
+    errors, evaluations = [], []
+    for rtol in (1e-6, 1e-11):
+        calls = []
+
+        def rates(x, v, calls=calls):
+            calls.append(1)
+            return -x
+
+        x, v = DormandPrince(rtol, rtol).flow(rates, double(1.0)[None], double(0.0)[None], 5.0)
+        errors.append(max(abs(float(x) - math.cos(5.0)), abs(float(v) + math.sin(5.0))) / rtol)
+        evaluations.append(len(calls))
+    assert all(0.01 < error < 20 for error in errors)
+    assert 7 < evaluations[1] / evaluations[0] < 14
+
+
 def test_a_sample_does_not_depend_on_those_beside_it():
     """Neither on a stiff one, which takes many more steps, nor on one that is lost."""
     q, qd = random(2, 5, 2, seed=1)

@@ -705,24 +705,28 @@ def test_checkpoints_change_neither_values_nor_gradients(checkpoint):
         assert torch.equal(a, b) or (a - b).abs().max() <= 1e-12 * b.abs().max()
 
 
-def saved(checkpoint):
-    """Bytes that are kept for the gradient of a rollout of 60 steps."""
-    kept = {}
+@pytest.mark.parametrize("checkpoint, computed", [(0, 60), (8, 120)])
+def test_checkpoints_keep_less_and_compute_again(checkpoint, computed, monkeypatch):
+    """Without them the graph keeps every step's inputs; with them none, and each step is computed twice."""
+    kept, calls, step = {}, [], Scene.step
 
     def pack(x):
         kept[x.untyped_storage().data_ptr()] = x.untyped_storage().nbytes()
         return x
 
-    d = random(2).abs().requires_grad_()
-    scene = Scene(ARM, (effects.Gravity(), effects.Viscous(d)))
+    def counted(*args, **given):
+        calls.append(1)
+        return step(*args, **given)
+
+    monkeypatch.setattr(Scene, "step", counted)
+    scene = Scene(ARM, (effects.Gravity(), effects.Viscous(random(2).abs().requires_grad_())))
     start = scene.start(random(64, 2))
     with torch.autograd.graph.saved_tensors_hooks(pack, lambda x: x):
         found = scene.rollout(start, steps=60, checkpoint=checkpoint)
-    return sum(kept.values()), found
-
-
-def test_checkpoints_keep_less():
-    assert saved(8)[0] < 0.2 * saved(0)[0]
+    assert (sum(kept.values()) >= 60 * 64 * 4 * 8) == (checkpoint == 0)
+    assert checkpoint == 0 or sum(kept.values()) <= 8 * 64 * 4 * 8
+    found.q.sum().backward()
+    assert len(calls) == computed
 
 
 def test_a_coefficient_is_found_from_a_rollout():
