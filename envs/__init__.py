@@ -2,7 +2,8 @@
 
 from gymnasium import register
 
-from torchdq.envs import controllers, effects, integrators
+from torchdq import effects
+from torchdq.envs import controllers, integrators
 from torchdq.envs.arm import ArmVectorEnv
 from torchdq.envs.scene import Scene, State
 from torchdq.envs.single import ArmEnv

@@ -26,10 +26,10 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
+from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, full
 from torchdq.envs.beginning import Beginning, asked
 from torchdq.envs.controllers import ComputedTorque, Controller
-from torchdq.envs.effects import Effect
 from torchdq.envs.integrators import Integrator, LinearlyImplicit
 from torchdq.envs.random import Streams, seeded
 from torchdq.envs.scene import Scene, State

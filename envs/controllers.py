@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from torchdq.algebra.quaternion import Number
-from torchdq.envs.effects.effect import Parameter, Parametric, Shapes
+from torchdq.effects.effect import Parameter, Parametric, Shapes
 from torchdq.errors import ArgumentError
 from torchdq.program.model import Given, model
 from torchdq.robot import Robot

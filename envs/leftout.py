@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 import torch
 
-from torchdq.envs import effects as kinds
-from torchdq.envs.effects import Effect
+from torchdq import effects as kinds
+from torchdq.effects import Effect
 from torchdq.robot import Robot
 
 

@@ -16,10 +16,10 @@ from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics import energy, kinematics, rnea
 from torchdq.dynamics.absent import neg, total
+from torchdq.effects.body import Bodies
+from torchdq.effects.effect import Effect
+from torchdq.effects.joint import Elastic, Impedance
 from torchdq.envs.controllers import Controller
-from torchdq.envs.effects.body import Bodies
-from torchdq.envs.effects.effect import Effect
-from torchdq.envs.effects.joint import Elastic, Impedance
 from torchdq.envs.integrators import Integrator, System
 from torchdq.numbers.record import Number as Recorded
 from torchdq.program import derive

@@ -18,10 +18,10 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint as checkpointed
 
+from torchdq.effects import Effect, Push
+from torchdq.effects.joint import Elastic
 from torchdq.envs import plan as plans
 from torchdq.envs.controllers import Controller
-from torchdq.envs.effects import Effect, Push
-from torchdq.envs.effects.joint import Elastic
 from torchdq.envs.integrators import DormandPrince, Integrator, SemiImplicitEuler
 from torchdq.envs.leftout import left_out
 from torchdq.envs.plan import CONTROLLER, ROBOT, Blueprint, Signature, Task
@@ -88,7 +88,7 @@ class Scene:
 
     Args:
         robot: its gravity and rotor inertia only act if `effects.Gravity()` and `effects.RotorInertia()` are there.
-        effects: what is simulated; see `torchdq.envs.effects`. Actuators and sensors act in their order.
+        effects: what is simulated; see `torchdq.effects`. Actuators and sensors act in their order.
         controller: turns the input `reference` into torques; None: there are only the torques that are given.
         integrator: see `torchdq.envs.integrators`.
         dt: duration of a step [s]; torques are constant over it.
@@ -120,7 +120,7 @@ class Scene:
         for effect in self.effects:
             if not isinstance(effect, Effect):
                 raise ArgumentError(
-                    f"effects must be objects of torchdq.envs.effects, found {effect!r}"
+                    f"effects must be objects of torchdq.effects, found {effect!r}"
                     + ("; it is a class, call it" if isinstance(effect, type) else "")
                 )
         if not (self.controller is None or isinstance(self.controller, Controller)):

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.envs import effects as kinds
-from torchdq.envs.effects import Effect
-from torchdq.envs.effects.effect import listed
+from torchdq import effects as kinds
+from torchdq.effects import Effect
+from torchdq.effects.effect import listed
 from torchdq.envs.scene import Scene
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import Robot

@@ -33,6 +33,7 @@ FLOORS = {
     "torchdq.robot": 2,
     "torchdq.numbers": 0,
     "torchdq.program": 3,
+    "torchdq.effects": 4,
     "torchdq.functional": 4,
     "torchdq.compiling": 4,
     "torchdq.control": 5,

@@ -356,7 +356,7 @@ def test_a_model_that_is_no_single_robot_with_these_joints_is_refused(controller
         ({"robot": "panda"}, "robot must be a torchdq.Robot, found str"),
         ({"effects": (effects.Gravity,)}, "it is a class, call it"),
         ({"effects": effects.Gravity()}, "effects must be a sequence"),
-        ({"effects": ("gravity",)}, "effects must be objects of torchdq.envs.effects, found 'gravity'"),
+        ({"effects": ("gravity",)}, "effects must be objects of torchdq.effects, found 'gravity'"),
         ({"controller": PD}, "controller must be one of"),
         ({"integrator": RungeKutta4}, "integrator must be one of"),
         ({"dt": 0.0}, "dt must be a positive number"),

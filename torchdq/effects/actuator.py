@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from torchdq.algebra.quaternion import Number
-from torchdq.envs.effects.effect import Effect, Parameter, Shapes, listed
+from torchdq.effects.effect import Effect, Parameter, Shapes, listed
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import clip, exp, floor
 from torchdq.robot import Robot

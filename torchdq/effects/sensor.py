@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from torchdq.algebra.quaternion import Number
-from torchdq.envs.effects.actuator import rounded, whole
-from torchdq.envs.effects.effect import Effect, Parameter, Shapes
+from torchdq.effects.actuator import rounded, whole
+from torchdq.effects.effect import Effect, Parameter, Shapes
 from torchdq.numbers.functions import log, sqrt
 from torchdq.robot import Robot
 

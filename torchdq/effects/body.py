@@ -14,8 +14,8 @@ from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics import kinematics, rnea
 from torchdq.dynamics.mechanism import BASE
-from torchdq.envs.effects.effect import Effect, Parameter, Shapes
-from torchdq.envs.effects.joint import Inputs
+from torchdq.effects.effect import Effect, Parameter, Shapes
+from torchdq.effects.joint import Inputs
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import maximum, sqrt
 from torchdq.program.model import Given, PaperModel, constant_pose, field

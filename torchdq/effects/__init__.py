@@ -1,11 +1,11 @@
 """The effects a scene may be asked to simulate, each an object that belongs to one slot."""
 
-from torchdq.envs.effects.actuator import DeadBand, Delay, Lag, QuantisedCommand, Saturation, TorqueSpeed
-from torchdq.envs.effects.body import Contact, Drag, Push
-from torchdq.envs.effects.effect import Effect
-from torchdq.envs.effects.joint import Coulomb, Elastic, Limits, Servo, Spring, Stribeck, Viscous
-from torchdq.envs.effects.model import Gravity, MassScale, Payload, RotorInertia
-from torchdq.envs.effects.sensor import Bias, Noise, QuantisedReading, ReadingDelay
+from torchdq.effects.actuator import DeadBand, Delay, Lag, QuantisedCommand, Saturation, TorqueSpeed
+from torchdq.effects.body import Contact, Drag, Push
+from torchdq.effects.effect import Effect
+from torchdq.effects.joint import Coulomb, Elastic, Limits, Servo, Spring, Stribeck, Viscous
+from torchdq.effects.model import Gravity, MassScale, Payload, RotorInertia
+from torchdq.effects.sensor import Bias, Noise, QuantisedReading, ReadingDelay
 
 __all__ = [
     "Bias",

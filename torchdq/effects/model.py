@@ -8,7 +8,7 @@ from typing import ClassVar, Self
 
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
-from torchdq.envs.effects.effect import Effect, Parameter, Shapes, owned
+from torchdq.effects.effect import Effect, Parameter, Shapes, owned
 from torchdq.program.model import Given, constant_pose, field
 from torchdq.robot import Robot
 from torchdq.robot.robot import GRAVITY

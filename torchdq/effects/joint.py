@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Self
 
 from torchdq.algebra.quaternion import Number
-from torchdq.envs.effects.effect import Effect, Parameter, Shapes, listed, owned
+from torchdq.effects.effect import Effect, Parameter, Shapes, listed, owned
 from torchdq.numbers.functions import at_least, clip, maximum, sqrt
 from torchdq.robot import Robot
 
