@@ -66,6 +66,7 @@ def main(args: Args) -> tuple[torch.Tensor, float]:
         if k % 3 == 0:
             now = envs.unwrapped.get_state()
             frames.append(painter.frame(now["q"][:9], now["goal"][:9]))
+    args.out.mkdir(parents=True, exist_ok=True)
     save_gif(frames, args.out / "reach.gif", fps=50 / 3)
     distance, rate = info["distance"], args.arms * (args.steps - 1) / spent
     print(f"{args.arms} arms, {args.steps} steps: {rate / 1e6:.1f} million environment steps per second on one thread")

@@ -67,7 +67,8 @@ class Coulomb(JointEffect):
 
     Below the width the joint creeps, at width tau / sqrt(level^2 - tau^2) under a torque tau smaller than the level; it
     never sticks for good. An explicit integrator chatters once dt level / (inertia width) exceeds 2; the linearly
-    implicit one does not at any width.
+    implicit one does not at any width, but a joint at rest under a torque tau above the level leaves the width only by
+    a factor tau/level per step.
 
     Args:
         level: Coulomb friction [N m or N], shape [..., n]; None: the friction of the robot's description.

@@ -1,0 +1,42 @@
+"""The examples of scenes and environments run, and what they return holds."""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+import pytest
+
+for needed in ("matplotlib", "rich", "tyro"):
+    pytest.importorskip(needed, reason="the examples need the extra 'examples'")
+from matplotlib.image import imread  # noqa: E402
+from PIL import Image  # noqa: E402
+
+EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+BACKEND = "auto"
+
+
+def example(name):
+    """Module of an example, whose file name no import statement can spell."""
+    spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_scene_is_built_effect_by_effect(tmp_path, capsys):
+    main = example("04_scene")
+    moved, off = main.main(main.Args(duration=0.3, seconds=0.01, out=tmp_path))
+    assert list(moved)[1:] == [type(effect).__name__ for effect in main.PARTS]
+    assert moved["Gravity"] > 0.1 and moved["Viscous"] > 1e-3
+    assert moved["Noise"] < 1e-12  # nobody acts on the readings
+    assert off < 0.05
+    assert imread(tmp_path / "scene.png")[..., :3].std() > 0.03
+    assert "left out" in capsys.readouterr().out
+
+
+def test_many_arms_reach_and_are_filmed(tmp_path):
+    main = example("05_environment")
+    distance, _ = main.main(main.Args(arms=64, steps=90, out=tmp_path / "new"))
+    assert distance.shape == (64,) and float(distance.median()) < 0.02
+    with Image.open(tmp_path / "new" / "reach.gif") as film:
+        assert film.n_frames == 30
