@@ -53,8 +53,7 @@ class ComputedTorque(Controller):
         self, robot: Robot, fields: Given, varied: Sequence[str], reference: Row, q: Row, qd: Row
     ) -> Sequence[Number]:
         a = _corrected(reference, q, qd, self.kp, self.kd)
-        own = self.model is None
-        believed = model(robot, q, fields, varied) if own else model(self.model, q, {}, ())
+        believed = model(robot, q, fields, varied) if self.model is None else model(self.model, q, {}, ())
         return believed.torques(qd, a, None)  # (73), (74)
 
 

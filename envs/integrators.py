@@ -37,8 +37,8 @@ class System(Protocol):
     def implicit_accelerations(self, x: Row, v: Row, h: float) -> list[Number]:
         """Mean accelerations over a step h whose impedances act on the state at its end."""
 
-    def momentum_accelerations(self, x: Row, v: Row, at: Row | None = None) -> list[Number]:
-        """M(at)^-1 (dL/dx + forces): the rate of the momentum at (x, v), as an acceleration."""
+    def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
+        """M(x)^-1 (dL/dx + forces): the rate of the momentum at (x, v), as an acceleration."""
 
     def carried(self, x: Row, v: Row, to: Row) -> list[Number]:
         """Velocities at the positions `to` that have the momentum of (x, v)."""

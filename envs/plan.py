@@ -180,8 +180,7 @@ class Motion(System):
         return [list(joint) for joint in zip(*found, strict=True)] if found else [[] for _ in q]
 
     def _elastic(self) -> Elastic | None:
-        i = self.scene.plan.elastic()
-        return None if i is None else self.scene.plan.effects[i]
+        return next((effect for _, effect in self.scene.plan.of_slot("joint") if isinstance(effect, Elastic)), None)
 
     def _springs(self, x: Row, v: Row) -> list[Number]:
         """Torques that the springs of elastic joints pass on to the joints; without any, those of the actuators."""

@@ -269,8 +269,8 @@ class Scene:
                 found += part(first, last, state)
             state = found[-1]
         if not found:
-            return State(*(None if x is None else x[None][:0] for x in state))
-        return State(*(None if rows[0] is None else torch.stack(rows) for rows in zip(*found, strict=True)))
+            return State._make(None if x is None else x[None][:0] for x in state)
+        return State._make(None if rows[0] is None else torch.stack(rows) for rows in zip(*found, strict=True))
 
     def energy(self, state: State) -> Tensor:
         """Kinetic and potential energy [J] of the rigid bodies, shape [..., 2]."""

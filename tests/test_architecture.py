@@ -37,9 +37,12 @@ FLOORS = {
     "torchdq.functional": 4,
     "torchdq.compiling": 4,
     "torchdq.control": 5,
+    "torchdq.parameters": 5,
     "torchdq.nn": 6,
-    "torchdq": 7,
-    "torchdq.envs": 8,
+    "torchdq.residual": 7,
+    "torchdq.learning": 8,
+    "torchdq": 9,
+    "torchdq.envs": 10,
 }
 
 # storeys of the one package that has several: the sources of a description, the robot, the shipped robots
@@ -279,10 +282,10 @@ def test_the_version_is_the_projects():
     assert torchdq.__version__ == PROJECT["project"]["version"]
 
 
-def checked(*command):
+def checked(*command, at=ROOT):
     """Output of a checker on the project; empty when it has nothing to say."""
     environment = os.environ | {"NO_COLOR": "1"}
-    run = subprocess.run([sys.executable, "-m", *command], cwd=ROOT, capture_output=True, text=True, env=environment)
+    run = subprocess.run([sys.executable, "-m", *command], cwd=at, capture_output=True, text=True, env=environment)
     return "" if run.returncode == 0 else run.stdout + run.stderr
 
 
@@ -297,6 +300,12 @@ def test_the_code_is_formatted():
 
 
 def test_mypy_has_nothing_to_say(tmp_path):
+    """On the package as it installs: with `envs` in it, which lies beside it here."""
     # Each run has its own cache: two at a time would spoil a shared one. Ten seconds, most of them for torch's types.
     pytest.importorskip("mypy")
-    assert checked("mypy", "--cache-dir", str(tmp_path)) == ""
+    (tmp_path / "torchdq").mkdir()
+    for part in PACKAGE.iterdir():
+        (tmp_path / "torchdq" / part.name).symlink_to(part)
+    (tmp_path / "torchdq" / "envs").symlink_to(ENVS)
+    options = ("--config-file", str(ROOT / "pyproject.toml"), "--cache-dir", str(tmp_path / "cache"))
+    assert checked("mypy", *options, at=tmp_path) == ""
