@@ -46,7 +46,7 @@ TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track()}
 KP, KD = 100.0, 20.0  # of the controller that is there unless told [1/s^2, 1/s]
 SHOWN = 4  # environments that are rendered
 _GIVEN_AWAY = ("observation", "finished")  # tensors that callers may hold, and that are never written into
-WORST = 1000.0  # what a failed simulation costs if episodes have no end
+WORST = -1000.0  # reward of a step that failed, worse than any episode
 
 
 class ArmVectorEnv(VectorEnv):
@@ -56,7 +56,7 @@ class ArmVectorEnv(VectorEnv):
     each other: row i of a batch that was seeded with s is, bit for bit, the single environment seeded with s + i.
 
     A row whose numbers have left the finite range terminates alone: its observation is the last finite one, its reward
-    minus the number of steps in an episode, and `info["nonfinite"]` says so.
+    -1000, worse than any episode, and `info["nonfinite"]` says so; what else is in `info` is not a number then.
 
     Args:
         num_envs: number of environments.
@@ -160,6 +160,7 @@ class ArmVectorEnv(VectorEnv):
         elif controller is not None:
             raise ArgumentError("controller must be None for torque actions; did you mean action='residual'?")
         self.scene, self._varied = varied(scene, randomise or {}, num_envs, like)
+        _fits(self.scene, num_envs)
         self._actions = Actions(action, self.robot, torch.as_tensor(full(self.robot, action, scale)).to(like))
         self._watched = Watched(self.task)
         self._beginning = Beginning(self.scene, self.task, self._watched, self._varied)
@@ -186,6 +187,9 @@ class ArmVectorEnv(VectorEnv):
             options: {"reset_mask": mask}: a bool [N], numpy or torch; only those rows begin anew.
         """
         self._open()
+        for name in options or {}:
+            if name != "reset_mask":
+                raise UnknownNameError("option of reset", name, ("reset_mask",))
         mask = self._mask((options or {}).get("reset_mask"))
         if mask is not None and not self._now:
             raise ResetNeeded("a first reset must be of all environments; call reset() without a reset_mask")
@@ -193,6 +197,8 @@ class ArmVectorEnv(VectorEnv):
         now = self._now or self._blank()
         streams = self._streams(now)
         if seed is not None:
+            if isinstance(seed, Tensor | np.ndarray):
+                seed = seed.tolist()
             if isinstance(seed, Sequence):
                 seeds = list(seed)
             else:
@@ -239,9 +245,9 @@ class ArmVectorEnv(VectorEnv):
         any_done = bool(done.any())
         if any_done and bool(lost.any()):
             now = self._without(lost, now)
-            reward = reward.masked_fill(lost, -float(limit or WORST))
+            reward = reward.masked_fill(lost, WORST)
             for name in rows:
-                info[name][lost] = 0.0
+                info[name][lost] = torch.nan
         self._now = now
         if self._pending:  # in the mode NEXT_STEP, this step was the reset of what had finished
             now["counter"] = torch.where(finished, counter, now["counter"])
@@ -324,7 +330,7 @@ class ArmVectorEnv(VectorEnv):
 
     def _parameters(self) -> dict[str, Tensor]:
         """The scene's own tensors that are drawn anew for every episode."""
-        return {f"{v.effect}.{v.parameter}": v.tensor(self.scene) for v in self._varied}
+        return {f"{v.effect}.{name}": x for v in self._varied for name, x in v.tensors(self.scene).items()}
 
     # --- how ---
 
@@ -415,6 +421,22 @@ def _robot(robot: str | Path | Robot) -> Robot:
         if x is not None and x.ndim > len(SHAPES[name]):
             raise ArgumentError(f"{name} of robot {found.name!r} has batch axes; environments need one geometry")
     return found
+
+
+def _fits(scene: Scene, num_envs: int) -> None:
+    """Raise if an effect asks for what an environment does not give, or has rows of another number."""
+    for effect in scene.effects:
+        for name in effect.inputs(scene.n):
+            raise ArgumentError(
+                f"effects must not hold {type(effect).__name__}, whose input {name!r} an environment has nobody to give"
+            )
+        for name, x in effect.tensors().items():
+            batch = tuple(x.shape[: x.ndim - len(effect.SHAPES[name])])
+            if batch not in ((), (1,), (num_envs,)):
+                raise ArgumentError(
+                    f"{name} of {type(effect).__name__} must be one for all or have {num_envs} rows, found the batch "
+                    f"axes {batch}"
+                )
 
 
 def _one_of(name: str, value: Any, known: Sequence[Any]) -> None:

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from torchdq.envs.plan import Task
 from torchdq.envs.random import Streams
-from torchdq.envs.scene import Scene, State
+from torchdq.envs.scene import Scene
 from torchdq.envs.tasks import EpisodeTask
 from torchdq.envs.variation import Varied
 from torchdq.program import backends, run
@@ -70,10 +70,8 @@ class Beginning:
 
     def _sensed(self, rows: Tensor, fresh: dict[str, Tensor], noise: Tensor) -> dict[str, Tensor]:
         """What is remembered, read and observed at the start."""
-        state, senses = State(fresh["q"], fresh["qd"]), _of_rows(self.senses, rows)
-        if senses.effects:
-            state = senses.start(*state[:2], noise)
-        state, seen = senses.observe(state, asked(self.task, fresh, senses), noise, self.watched)
+        senses = _of_rows(self.senses, rows)
+        state, seen = senses.begin(fresh["q"], fresh["qd"], asked(self.task, fresh, senses), noise, self.watched)
         found = {"observation": seen["observation"], "reference": seen["reference"]}
         if state.reading is not None:
             found["reading"] = state.reading

@@ -112,8 +112,9 @@ class Recording:
             )
             u = [a + b for a, b in zip(u, control, strict=True)]
         slices, remembered = self.plan.memory(), {}
+        _, speeds = self.extended(q, qd, memory)
         for i, actuator in self.plan.of_slot("actuator"):
-            u, kept = actuator.driven(u, qd, memory[slices[i]] if i in slices else (), self.plan.dt)
+            u, kept = actuator.driven(u, speeds[-n:], memory[slices[i]] if i in slices else (), self.plan.dt)
             if i in slices:
                 remembered[i] = kept
         return u, remembered
@@ -134,14 +135,15 @@ class Recording:
         rotors = memory[self.plan.memory()[i]]
         return (*q, *rotors[:n]), (*qd, *rotors[n:])
 
-    def sense(self, q: Row, qd: Row, memory: Row) -> tuple[Row, dict[int, Row]]:
-        """Readings, and what the sensors remember."""
+    def sense(self, q: Row, qd: Row, memory: Row, beginning: bool = False) -> tuple[Row, dict[int, Row]]:
+        """Readings, and what the sensors remember; at the beginning they remember what comes to them then."""
         reading: Row = (*q, *qd)
         slices, remembered, used = self.plan.memory(), {}, 0
         noise = self.inputs.get("noise", ())
         for i, sensor in self.plan.of_slot("sensor"):
-            wanted = sensor.noises(self.plan.robot.n)
-            reading, kept = sensor.read(reading, memory[slices[i]] if i in slices else (), noise[used : used + wanted])
+            wanted, n = sensor.noises(self.plan.robot.n), len(q)
+            kept = sensor.start(reading[:n], reading[n:]) if beginning else memory[slices[i]] if i in slices else ()
+            reading, kept = sensor.read(reading, kept, noise[used : used + wanted])
             used += wanted
             if i in slices:
                 remembered[i] = kept
@@ -309,7 +311,7 @@ def lagrangian_gradient(scene: Recording, q: Row, qd: Row) -> list[Number]:
 class Signature(NamedTuple):
     """What the program of a stage depends on beside the blueprint."""
 
-    stage: str  # "step", "drive", "rates", "sense" or "energy"
+    stage: str  # one of STAGES
     inputs: tuple[tuple[str, int, bool], ...]  # name, width, uniform
     tensors: tuple[
         tuple[int, str, int, bool], ...
@@ -410,11 +412,16 @@ def rates(scene: Recording, task: Task | None) -> Rows:
     return {"a": Motion(scene, x["u"]).accelerations(x["x"], x["v"])}
 
 
-def sense(scene: Recording, task: Task | None) -> Rows:
+def begin(scene: Recording, task: Task | None) -> Rows:
+    """Memory, reading and the task's rows at the beginning."""
+    return sense(scene, task, beginning=True)
+
+
+def sense(scene: Recording, task: Task | None, beginning: bool = False) -> Rows:
     """Memory, reading and the task's rows in a state."""
     x = scene.inputs
     q, qd, memory = x["q"], x["qd"], x.get("memory", ())
-    reading, sensed = scene.sense(q, qd, memory)
+    reading, sensed = scene.sense(q, qd, memory, beginning)
     rows: Rows = {}
     if memory:
         rows["memory"] = _joined(scene.plan, memory, sensed)
@@ -430,4 +437,4 @@ def energy_rows(scene: Recording, task: Task | None) -> Rows:
     return {"E": energies(scene.plan.robot, scene.fields, scene.inputs["q"], scene.inputs["qd"])}
 
 
-STAGES = {"step": step, "drive": drive, "rates": rates, "sense": sense, "energy": energy_rows}
+STAGES = {"step": step, "drive": drive, "rates": rates, "sense": sense, "begin": begin, "energy": energy_rows}

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint as checkpointed
 
-from torchdq.effects import Effect, Push
+from torchdq.effects import Effect, Gravity, Push, RotorInertia
 from torchdq.effects.joint import Elastic
 from torchdq.envs import plan as plans
 from torchdq.envs.controllers import Controller
@@ -133,6 +133,17 @@ class Scene:
             raise ArgumentError(f"substeps must be a whole number from 1, found {self.substeps!r}")
         if sum(isinstance(effect, Elastic) for effect in self.effects) > 1:
             raise ArgumentError("effects must not hold Elastic twice: a joint has one spring to its rotor")
+        for effect in self.effects:
+            if effect.SLOT not in SLOTS:
+                raise ArgumentError(f"{type(effect).__name__}.SLOT must be one of {SLOTS}, found {effect.SLOT!r}")
+        if sum(isinstance(effect, Gravity) for effect in self.effects) > 1:
+            raise ArgumentError("effects must not hold Gravity twice: there is one acceleration")
+        described = [type(effect) for effect in self.effects if getattr(effect, "inertia", ()) is None]
+        if Elastic in described and RotorInertia in described:
+            raise ArgumentError(
+                "Elastic and RotorInertia would both take the rotor inertia of the description; behind a spring it "
+                "does not turn with the link, so leave RotorInertia out"
+            )
         resolved = tuple(effect.resolved(self.robot) for effect in self.effects)
         names = Counter(name for effect in resolved for name in effect.inputs(self.robot.n))
         for name, number in names.items():
@@ -150,6 +161,8 @@ class Scene:
             float(self.dt),
             self.substeps,
         )
+        if len(_interned) >= _MOST_PLANS:
+            _interned.clear()
         object.__setattr__(self, "blueprint", _interned.setdefault(plan, plan))
 
     # --- what it is ---
@@ -195,8 +208,13 @@ class Scene:
         except RuntimeError as error:
             found = ", ".join(f"{name} {tuple(x.shape)}" for name, x in given.items())
             raise ArgumentError(f"the batch axes of the state must broadcast, found {found}") from error
-        state = State(q, qd, self._memory(q, qd))
-        return self._sensed(state, {}, noise, None)[0]
+        return self.begin(q, qd, {}, noise)[0]
+
+    def begin(
+        self, q: Tensor, qd: Tensor, inputs: Mapping[str, Tensor], noise: Tensor | None = None, task: Task | None = None
+    ) -> tuple[State, dict[str, Tensor]]:
+        """State at the beginning, and rows that a task computes from it."""
+        return self._sensed("begin", State(q, qd, self._memory(q, qd)), inputs, noise, task)
 
     def step(self, state: State, torque: Tensor | None = None, noise: Tensor | None = None, **inputs: Tensor) -> State:
         """State after `dt`.
@@ -273,7 +291,7 @@ class Scene:
         return State._make(None if rows[0] is None else torch.stack(rows) for rows in zip(*found, strict=True))
 
     def energy(self, state: State) -> Tensor:
-        """Kinetic and potential energy [J] of the rigid bodies, shape [..., 2]."""
+        """Kinetic and potential energy [J] of the rigid bodies, without springs and their rotors, shape [..., 2]."""
         return self._call("energy", {"q": state.q, "qd": state.qd}, None)["E"]
 
     # --- what it costs ---
@@ -288,6 +306,11 @@ class Scene:
         wanted += ["memory"] if self._memory_size() else []
         wanted += ["reading"] if self.blueprint.of_slot("sensor") else []
         wanted += ["noise"] if self.noises else []
+        for name in wanted:
+            if name not in widths:
+                raise ArgumentError(f"{name} is no input of this scene; it has {', '.join(self.inputs)}")
+        if self.controller is not None and "reference" not in wanted:
+            raise ArgumentError("reference must be among the inputs of a scene with a controller")
         tensors = tuple((owner, name, width, x.ndim == axes) for owner, name, x, width, axes in self._tensors())
         inputs = tuple((name, widths[name], False) for name in wanted)
         return plans.program(self.blueprint, Signature("step", inputs, tensors, task))
@@ -302,10 +325,13 @@ class Scene:
         Effects are added one after the other to the bare step; each costs the difference it makes.
 
         Args:
-            batch: samples per step of which the time is taken, on torch's present number of threads.
+            batch: samples per step of which the time is taken, on torch's present number of threads; that of the
+                parameters if they differ from sample to sample.
             dtype: of those samples.
             seconds: of measuring per effect.
         """
+        batches = [x.shape[: x.ndim - axes] for _, _, x, _, axes in self._tensors()]
+        batch = math.prod(torch.broadcast_shapes(*batches)) if any(batches) else batch
         bare = self.replace(effects=(), controller=None)
         scenes = [bare]
         labels = [("bare step", "rigid bodies, integrator")]
@@ -385,7 +411,12 @@ class Scene:
         return given
 
     def _sensed(
-        self, state: State, inputs: Mapping[str, Tensor], noise: Tensor | None, task: Task | None
+        self,
+        stage: str,
+        state: State,
+        inputs: Mapping[str, Tensor],
+        noise: Tensor | None,
+        task: Task | None,
     ) -> tuple[State, dict[str, Tensor]]:
         """The state with its readings, and the task's rows."""
         if not self.blueprint.of_slot("sensor") and task is None:
@@ -394,14 +425,8 @@ class Scene:
         given.update(inputs)
         if self.blueprint.of_slot("sensor"):
             given = self._with_noise(given, noise)
-        rows = self._call("sense", given, task)
+        rows = self._call(stage, given, task)
         return state._replace(memory=rows.pop("memory", None), reading=rows.pop("reading", None)), rows
-
-    def observe(
-        self, state: State, inputs: Mapping[str, Tensor], noise: Tensor | None, task: Task
-    ) -> tuple[State, dict[str, Tensor]]:
-        """The state with new readings, and rows that a task computes from it."""
-        return self._sensed(state, inputs, noise, task)
 
     def _adaptive(
         self, state: State, inputs: Mapping[str, Tensor], noise: Tensor | None, task: Task | None
@@ -426,15 +451,18 @@ class Scene:
             at = self.blueprint.memory()[elastic]
             memory = torch.cat([memory[..., : at.start], x[..., n:], v[..., n:], memory[..., at.stop :]], -1)
         after = State(x[..., :n], v[..., :n], memory)
-        return self._sensed(after, {**inputs, "u": u}, noise, task)
+        return self._sensed("sense", after, {**inputs, "u": u}, noise, task)
 
     def _call(self, stage: str, given: Mapping[str, Tensor], task: Task | None) -> dict[str, Tensor]:
         """Rows of a stage's program, with the batch axes of everything that goes in."""
         like = given["x"] if stage == "rates" else given["q"]
         tensors = self._tensors()
+        if torch.compiler.is_compiling():
+            return self._traced(stage, given, tensors, like, task)
         look = (
             self.blueprint, stage, task, self.backend, backends.present(), like.dtype, like.device,
-            *[(name, getattr(x, "shape", None)) for name, x in given.items()],
+            *[(name, getattr(x, "shape", None), getattr(x, "dtype", None), type(x)) for name, x in given.items()],
+            *[x.device for x in given.values() if isinstance(x, Tensor)],
             *[x.shape for _, _, x, _, _ in tensors],
         )  # fmt: skip
         plan = _plans.get(look)
@@ -453,6 +481,29 @@ class Scene:
             for y, result in zip(outputs, plan.program.results, strict=True)
         }
 
+    def _traced(
+        self,
+        stage: str,
+        given: Mapping[str, Tensor],
+        tensors: Sequence[tuple[int, str, Tensor, int, int]],
+        like: Tensor,
+        task: Task | None,
+    ) -> dict[str, Tensor]:
+        """The same in a graph that is being traced: sizes may be symbols, and the program goes by its name."""
+        batch = torch.broadcast_shapes(
+            *[x.shape[:-1] for x in given.values()], *[x.shape[: x.ndim - axes] for _, _, x, _, axes in tensors]
+        )
+        shapes, inputs, arguments = _layout(given, tensors, batch)
+        rows = [
+            _row(x, like, shape) for x, shape in zip([*given.values(), *[t[2] for t in tensors]], shapes, strict=True)
+        ]
+        key, names = _constant_program(self.blueprint, (stage, inputs, arguments, task))
+        if backends.choose(self.backend, like.device.type) == "eager":
+            outputs = run.eager(run.found(key), rows)
+        else:
+            outputs = run.operator(key, rows)
+        return {name: y.reshape((*batch, y.shape[-1])) for name, y in zip(names, outputs, strict=True)}
+
     def _plan(
         self, stage: str, given: Mapping[str, Tensor], tensors: Sequence[tuple[int, str, Tensor, int, int]],
         like: Tensor, task: Task | None,
@@ -468,18 +519,15 @@ class Scene:
             raise ArgumentError(
                 f"the batch axes of state, inputs and parameters must broadcast, found {found}"
             ) from error
-        samples = math.prod(batch)
-        rows: list[_Shapes] = [((*batch, x.shape[-1]), (samples, x.shape[-1])) for x in given.values()]
-        arguments = []
-        for owner, name, x, width, axes in tensors:
-            uniform = x.ndim == axes
-            trailing = tuple(x.shape[x.ndim - axes :])
-            arguments.append((owner, name, width, uniform))
-            rows.append((trailing, (width,)) if uniform else ((*batch, *trailing), (samples, width)))
-        inputs = tuple((name, x.shape[-1], False) for name, x in given.items())
-        program = plans.program(self.blueprint, Signature(stage, inputs, tuple(arguments), task))
+        own = torch.broadcast_shapes(*shapes[: len(given)])
+        for (_, name, _, _, axes), shape in zip(tensors, shapes[len(given) :], strict=True):
+            # one number per sample in a column would make every sample meet every number
+            if not axes and own and tuple(shape) == (*own, 1) and own[-1] > 1:
+                raise ArgumentError(f"{name} is one number for each sample: shape {tuple(own)}, found {tuple(shape)}")
+        rows, inputs, arguments = _layout(given, tensors, batch)
+        program = plans.program(self.blueprint, Signature(stage, inputs, arguments, task))
         eager = backends.choose(self.backend, like.device.type) == "eager"
-        return _Plan(program, tuple(batch), tuple(rows), eager)
+        return _Plan(program, tuple(batch), rows, eager)
 
     def _check(self, stage: str, given: Mapping[str, Tensor], like: Tensor, task: Task | None) -> None:
         """Raise, naming what does not fit."""
@@ -517,6 +565,7 @@ class Scene:
                     raise ArgumentError(f"{name} must be given, shape [..., {widths[name]}]; the scene asks for it")
 
 
+SLOTS = ("model", "joint", "body", "actuator", "sensor")
 _Shapes = tuple[tuple[int, ...], tuple[int, ...]]
 
 
@@ -532,6 +581,32 @@ class _Plan(NamedTuple):
 _interned: dict[Blueprint, Blueprint] = {}  # equal scenes share their programs
 _plans: dict[tuple, _Plan] = {}
 _MOST_PLANS = 1024
+
+
+_Inputs = tuple[tuple[str, int, bool], ...]
+_Arguments = tuple[tuple[int, str, int, bool], ...]
+
+
+def _layout(
+    given: Mapping[str, Tensor], tensors: Sequence[tuple[int, str, Tensor, int, int]], batch: Sequence[int]
+) -> tuple[tuple[_Shapes, ...], _Inputs, _Arguments]:
+    """How inputs and tensors become rows of a program, and what the program's signature says of them."""
+    samples = math.prod(batch)
+    rows: list[_Shapes] = [((*batch, x.shape[-1]), (samples, x.shape[-1])) for x in given.values()]
+    arguments = []
+    for owner, name, x, width, axes in tensors:
+        uniform = x.ndim == axes
+        trailing = tuple(x.shape[x.ndim - axes :])
+        arguments.append((owner, name, width, uniform))
+        rows.append((trailing, (width,)) if uniform else ((*batch, *trailing), (samples, width)))
+    return tuple(rows), tuple([(name, x.shape[-1], False) for name, x in given.items()]), tuple(arguments)
+
+
+@torch.compiler.assume_constant_result
+def _constant_program(plan: Blueprint, signature: tuple) -> tuple[str, tuple[str, ...]]:
+    """Name of a program, and those of its results; a tracer hands over plain tuples, not named ones."""
+    program = plans.program(plan, Signature(*signature))
+    return run.key(program), tuple(result.name for result in program.results)
 
 
 def _row(x: Tensor, like: Tensor, shapes: _Shapes) -> Tensor:

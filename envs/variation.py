@@ -12,13 +12,18 @@ from torch import Tensor
 
 from torchdq import effects as kinds
 from torchdq.effects import Effect
-from torchdq.effects.effect import listed
+from torchdq.effects.effect import owned
 from torchdq.envs.scene import Scene
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import Robot
 
 ROTOR, DAMPING = 0.1, 1.0  # where a description has none [kg m^2 or kg, N m s/rad or N s/m]; common for geared arms
-FRICTION = ((kinds.Viscous, "coefficient"), (kinds.Coulomb, "level"), (kinds.Stribeck, "coulomb"))
+# effects with friction, and which of their parameters grow and shrink together
+FRICTION = (
+    (kinds.Viscous, ("coefficient",)),
+    (kinds.Coulomb, ("level",)),
+    (kinds.Stribeck, ("coulomb", "static")),
+)
 
 
 def usual(robot: Robot) -> tuple[Effect, ...]:
@@ -28,7 +33,7 @@ def usual(robot: Robot) -> tuple[Effect, ...]:
     without them small joints would turn faster than any motor does. Motors lose torque with speed if the limits of
     torque and velocity of all joints are known; if not, torques are only limited.
     """
-    limits, rotors = robot.limits, listed(robot.armature)
+    limits, rotors = robot.limits, owned(robot, robot.armature)
     found: list[Effect] = [
         kinds.Gravity(),
         kinds.RotorInertia((ROTOR,) * robot.n if rotors is None else rotors),
@@ -67,27 +72,29 @@ def _constant(x: Tensor | Sequence[float]) -> Tensor:
 
 
 class Varied(NamedTuple):
-    """A parameter of an effect that is drawn anew, uniformly, for every episode."""
+    """Parameters of an effect that are drawn anew for every episode: what they are, times one factor per number."""
 
     effect: int  # position among the scene's effects
-    parameter: str
-    lower: Tensor  # [width]
-    upper: Tensor  # [width]
+    bases: dict[str, Tensor]  # by parameter, [width] or [N, width]
+    lower: float  # bounds of the factor
+    upper: float
 
     @property
     def width(self) -> int:
         """How many random numbers it takes."""
-        return len(self.lower)
+        return next(iter(self.bases.values())).shape[-1]
 
-    def tensor(self, scene: Scene) -> Tensor:
-        """The scene's own tensor, a row per environment; what is written into it, the next step uses."""
-        return getattr(scene.effects[self.effect], self.parameter)
+    def tensors(self, scene: Scene) -> dict[str, Tensor]:
+        """The scene's own tensors, a row per environment; what is written into them, the next step uses."""
+        return {name: getattr(scene.effects[self.effect], name) for name in self.bases}
 
     def draw(self, scene: Scene, rows: Tensor, u: Tensor) -> None:
         """Write new values into some rows; u are random numbers [k, width]."""
-        values = self.lower + (self.upper - self.lower) * u
-        target = self.tensor(scene)
-        target.index_copy_(0, rows, values.reshape(-1, *target.shape[1:]))
+        factor = self.lower + (self.upper - self.lower) * u
+        for name, target in self.tensors(scene).items():
+            base = self.bases[name]
+            values = (base if base.ndim == 1 else base[rows]) * factor
+            target.index_copy_(0, rows, values.reshape(-1, *target.shape[1:]))
 
 
 def varied(
@@ -107,10 +114,14 @@ def varied(
     sensors = [e for e in scene.effects if e.SLOT == "sensor"]
     drawn: list[Varied] = []
 
-    def vary(effect: Effect, parameter: str, lower: Tensor, upper: Tensor, at: int) -> None:
-        shape = (num_envs, *(robot.n if axis == "n" else int(axis) for axis in effect.SHAPES[parameter]))
-        found[at] = replace(effect, **{parameter: like.new_ones(shape)})
-        drawn.append(Varied(at, parameter, lower.to(like), upper.to(like)))
+    def vary(at: int, parameters: Sequence[str], lower: float, upper: float) -> None:
+        effect, bases, rows = found[at], {}, {}
+        for name in parameters:
+            value = torch.as_tensor(getattr(effect, name)).to(like)
+            bases[name] = value.reshape(*value.shape, 1) if not effect.SHAPES[name] else value
+            rows[name] = like.new_ones((num_envs, *(robot.n if a == "n" else int(a) for a in effect.SHAPES[name])))
+        found[at] = replace(effect, **rows)
+        drawn.append(Varied(at, bases, lower, upper))
 
     for name, half in sorted(half_widths.items()):  # the payload last: it does not grow with the link that holds it
         if not (isinstance(half, int | float) and 0 <= half < math.inf) or (name != "payload" and half >= 1):
@@ -118,20 +129,18 @@ def varied(
                 f"randomise[{name!r}] must be {'a mass in kg' if name == 'payload' else 'a fraction from 0 to 1'}, "
                 f"found {half!r}"
             )
-        one = torch.ones(robot.n)
         if name == "mass":
-            found.append(kinds.MassScale(1.0))
-            vary(found[-1], "factor", one - half, one + half, len(found) - 1)
+            found.append(kinds.MassScale((1.0,) * robot.n))
+            vary(len(found) - 1, ("factor",), 1 - half, 1 + half)
         elif name == "payload":
-            found.append(kinds.Payload(0.0))
-            vary(found[-1], "mass", torch.zeros(1), torch.full((1,), float(half)), len(found) - 1)
+            found.append(kinds.Payload(float(half)))
+            vary(len(found) - 1, ("mass",), 0.0, 1.0)
         elif name == "friction":
-            there = [(i, e, p) for i, e in enumerate(found) for kind, p in FRICTION if isinstance(e, kind)]
+            there = [(i, names) for i, e in enumerate(found) for kind, names in FRICTION if isinstance(e, kind)]
             if not there:
                 raise ArgumentError("randomise['friction'] needs effects with friction, found none; add Viscous()")
-            for i, effect, parameter in there:
-                value = _constant(getattr(effect, parameter))
-                vary(effect, parameter, value * (1 - half), value * (1 + half), i)
+            for i, names in there:
+                vary(i, names, 1 - half, 1 + half)
         else:
             raise UnknownNameError("thing to randomise", name, ("mass", "friction", "payload"))
     return scene.replace(effects=(*found, *sensors)), tuple(drawn)

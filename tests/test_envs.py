@@ -18,6 +18,7 @@ import torchdq
 from torchdq.envs import ArmEnv, ArmVectorEnv, controllers, effects
 from torchdq.envs.tasks import Reach, Track
 from torchdq.envs.variation import nominal, usual
+from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.program import build
 
 BACKEND = "auto"
@@ -409,11 +410,11 @@ def test_a_row_that_fails_terminates_alone(mode, bad):
     others = [0, 1, 3, 4]
     expected = healthy.step(action)
     assert terminated.tolist() == info["nonfinite"].tolist() == [False, False, True, False, False]
-    assert not bool(truncated.any()) and rewards[2] == -250
+    assert not bool(truncated.any()) and rewards[2] == -1000
     assert torch.equal(observations[others], expected[0][others]) and torch.equal(rewards[others], expected[1][others])
     last = info["final_obs"] if mode == AutoresetMode.SAME_STEP else observations
     assert torch.equal(last[2], before[2])  # the last one that made sense
-    assert bool(info["distance"].isfinite().all())
+    assert info["distance"].isfinite().tolist() == [True, True, False, True, True]
     if mode == AutoresetMode.DISABLED:
         envs.reset(options={"reset_mask": terminated})
     for _ in range(2):
@@ -657,7 +658,7 @@ def test_a_reward_that_is_not_a_number_is_a_failure():
     envs = make(5, Undefined(), effects=())
     envs.reset(seed=0)
     _, rewards, terminated, _, info = envs.step(torch.zeros(5, 2))
-    assert bool(info["nonfinite"].all()) and bool(terminated.all()) and rewards.tolist() == [-250] * 5
+    assert bool(info["nonfinite"].all()) and bool(terminated.all()) and rewards.tolist() == [-1000] * 5
     assert info["where"].shape == (5, 2)
 
 
@@ -728,3 +729,35 @@ def test_skrl_wraps_them():
     envs = library.wrap_env(make(4), wrapper="gymnasium")
     observations, _ = envs.reset()
     assert observations.shape[0] == 4
+
+
+# --- what strangers trip over ----------------------------------------------------------------------------------------
+
+
+def test_an_unknown_option_of_reset_is_refused():
+    envs = ArmVectorEnv(2)
+    with pytest.raises(UnknownNameError, match="did you mean 'reset_mask'"):
+        envs.reset(options={"mask": torch.tensor([True, False])})
+
+
+def test_seeds_may_be_an_array():
+    a, b = ArmVectorEnv(3), ArmVectorEnv(3)
+    assert torch.equal(a.reset(seed=np.arange(4, 7))[0], b.reset(seed=[4, 5, 6])[0])
+
+
+def test_effects_that_nobody_serves_are_refused():
+    with pytest.raises(ArgumentError, match="input 'target'"):
+        ArmVectorEnv(2, effects=(effects.Servo(10.0),))
+    with pytest.raises(ArgumentError, match="must be one for all or have 4 rows"):
+        ArmVectorEnv(4, effects=(effects.Payload(torch.rand(4, 1)),))
+
+
+def test_static_friction_stays_above_that_of_motion_and_rows_keep_their_own():
+    rows = torch.tensor([[1.0], [2.0], [3.0], [4.0]]).expand(4, 7)
+    parts = (effects.Stribeck(2.0, 2.2), effects.Viscous(rows))
+    envs = ArmVectorEnv(4, effects=parts, randomise={"friction": 0.5})
+    envs.reset(seed=0)
+    stribeck, viscous = envs.scene.effects[:2]
+    assert torch.allclose(stribeck.static, 1.1 * stribeck.coulomb)
+    assert bool((viscous.coefficient >= 0.5 * rows).all()) and bool((viscous.coefficient <= 1.5 * rows).all())
+    assert float((viscous.coefficient / rows).std()) > 0.1

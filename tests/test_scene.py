@@ -24,6 +24,7 @@ from torchdq.envs.integrators import (
     SemiImplicitEuler,
     StoermerVerlet,
 )
+from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program import build
 
 EPS = 2.0**-52
@@ -763,3 +764,83 @@ def test_the_energy_is_that_of_pinocchio():
         assert found[k, 0] == pytest.approx(pin.computeKineticEnergy(case.model, data, q, qd), rel=1e-12)
     rise = [pin.computePotentialEnergy(case.model, data, case.configuration(q)) for q in s.q]
     assert np.diff(found[:, 1]) == pytest.approx(np.diff(rise), rel=1e-11)
+
+
+# --- what strangers trip over ----------------------------------------------------------------------------------------
+
+
+def test_a_payload_on_the_base_is_refused():
+    with pytest.raises(ArgumentError, match="fixed to the base"):
+        Scene(PANDA, (effects.Payload(1.0, frame=PANDA.frame_names[0]),))
+
+
+def test_a_column_of_numbers_for_the_samples_is_refused():
+    scene = Scene(ARM, (effects.Payload(torch.rand(3, 1, dtype=torch.float64)),))
+    with pytest.raises(ArgumentError, match=r"mass is one number for each sample: shape \(3,\), found \(3, 1\)"):
+        scene.step(scene.start(random(3, 2)))
+
+
+def test_a_rotor_is_not_counted_twice():
+    geared = ARM.replace(armature=double(0.1, 0.1)).bake()
+    with pytest.raises(ArgumentError, match="rotor inertia of the description"):
+        Scene(geared, (effects.RotorInertia(), effects.Elastic(1e3)))
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_readings_are_the_same_from_the_first_in_any_order_of_bias_and_delay(order):
+    sensors = (effects.Bias(0.1), effects.ReadingDelay(2))
+    scene = Scene(ARM, [sensors[i] for i in order])
+    state = scene.start(double(0.3, -0.2))
+    for _ in range(4):
+        assert torch.allclose(state.measured[0], double(0.4, -0.1))
+        state = scene.step(state)
+
+
+def test_a_motor_behind_a_spring_runs_out_of_torque_at_its_own_speed():
+    scene = Scene(ARM, (effects.Elastic(50.0, inertia=0.5), effects.TorqueSpeed(10.0, 1.0)), dt=1e-3)
+    state = scene.start(ZERO)
+    fast = state._replace(memory=torch.cat([ZERO, double(5.0, 5.0)]))  # the rotors, at five times that speed
+    after = scene.step(fast, double(10.0, 10.0))
+    assert torch.allclose(after.memory[2:], double(5.0, 5.0), atol=1e-3)
+
+
+def test_a_learned_damping_of_the_robot_is_learned_in_a_scene():
+    damping = double(0.1, 0.2).requires_grad_()
+    scene = Scene(ARM.replace(damping=damping), (effects.Viscous(),))
+    state = scene.step(scene.start(ZERO, double(1.0, 1.0)))
+    (gradient,) = torch.autograd.grad(state.qd.sum(), damping)
+    assert bool((gradient != 0).any())
+
+
+def test_inputs_are_checked_at_every_step_not_only_at_the_first():
+    scene = Scene(ARM)
+    state = scene.start(random(3, 2))
+    scene.step(state, random(3, 2))
+    with pytest.raises(DtypeError, match="torque must be float32 or float64 like the state"):
+        scene.step(state, random(3, 2).float())
+    with pytest.raises(ArgumentError, match="torque must be a tensor"):
+        scene.step(state, random(3, 2).numpy())
+
+
+# --- graphs ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("backend", ["c", "eager"])
+def test_steps_are_traced_whole(backend):
+    """torch.compile without a break; eager tracing, since what torch makes of the graph is not our claim."""
+    learned = double(0.1, 0.2).requires_grad_()
+    scene = Scene(ARM, (effects.Gravity(), effects.Viscous(learned), effects.Coulomb(0.2)), backend=backend)
+
+    def roll(q, qd):
+        state = State(q, qd)
+        for _ in range(2):
+            state = scene.step(state, q)
+        return state.q
+
+    traced = torch.compile(roll, fullgraph=True, backend="aot_eager")
+    for batch in (3, 5):
+        q = random(batch, 2)
+        found, expected = traced(q, 0 * q), roll(q, 0 * q)
+        assert torch.equal(found, expected)
+        gradients = [torch.autograd.grad(x.sum(), learned)[0] for x in (found, expected)]
+        assert torch.allclose(*gradients, rtol=1e-13)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from torchdq.algebra.quaternion import Number
-from torchdq.effects.effect import Effect, Parameter, Shapes, listed
+from torchdq.effects.effect import Effect, Parameter, Shapes, owned
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import clip, exp, floor
 from torchdq.robot import Robot
@@ -39,7 +39,7 @@ class Saturation(Actuator):
     limit: Parameter = None
 
     def described(self, robot: Robot) -> Self:
-        return self if self.limit is not None else type(self)(listed(robot.limits.effort))
+        return self if self.limit is not None else type(self)(owned(robot, robot.limits.effort))
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
         return [x if _unlimited(limit) else clip(x, -limit, limit) for x, limit in zip(u, self.limit, strict=True)], ()
@@ -65,8 +65,8 @@ class TorqueSpeed(Actuator):
 
     def described(self, robot: Robot) -> Self:
         return type(self)(
-            listed(robot.limits.effort) if self.stall is None else self.stall,
-            listed(robot.limits.velocity) if self.speed is None else self.speed,
+            owned(robot, robot.limits.effort) if self.stall is None else self.stall,
+            owned(robot, robot.limits.velocity) if self.speed is None else self.speed,
         )
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:

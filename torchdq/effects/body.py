@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
 from torchdq.algebra import dual_quaternion as dq
@@ -14,7 +14,7 @@ from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics import kinematics, rnea
 from torchdq.dynamics.mechanism import BASE
-from torchdq.effects.effect import Effect, Parameter, Shapes
+from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link
 from torchdq.effects.joint import Inputs
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import maximum, sqrt
@@ -78,7 +78,7 @@ class Push(BodyEffect):
     def described(self, robot: Robot) -> Self:
         if self.axes not in ("world", "body"):
             raise ArgumentError(f"axes of Push must be 'world' or 'body', found {self.axes!r}")
-        return _on_a_link(self, robot)
+        return on_a_link(self, robot)
 
     def inputs(self, n: int) -> dict[str, int]:
         return {self.name: 6}
@@ -162,7 +162,9 @@ class Contact(BodyEffect):
     width: Parameter = 1e-2
 
     def described(self, robot: Robot) -> Self:
-        return _on_a_link(self, robot)
+        if isinstance(self.normal, tuple) and abs(sum(x * x for x in self.normal) - 1) > 1e-6:
+            raise ArgumentError(f"normal of Contact must be a unit vector, found {self.normal}")
+        return on_a_link(self, robot)
 
     def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
         link, X_BF, X_WF = bodies.at(str(self.frame))
@@ -180,11 +182,3 @@ class Contact(BodyEffect):
             force = quat.sub(force, quat.scale(self.friction * f_n / speed, sliding))
         f_B = quat.rotate(quat.conj(r_WB), force)
         return {link: (f_B, quat.cross(p_B, f_B))}
-
-
-def _on_a_link(effect, robot: Robot):
-    """The effect with its frame named, which must be on a moving link."""
-    frame = robot.end_effector() if effect.frame is None else robot.frame(effect.frame)
-    if frame.link == BASE:
-        raise ArgumentError(f"frame of {type(effect).__name__} is {frame.name!r}, which is fixed to the base")
-    return replace(effect, frame=frame.name)

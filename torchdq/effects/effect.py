@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
+from torchdq.dynamics.mechanism import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 
@@ -31,6 +32,9 @@ class Varying:
 
     def __repr__(self) -> str:
         return "varying"
+
+    def __reduce__(self) -> str:
+        return "VARYING"  # a copy is the same one, so that copies of scenes share their programs
 
 
 VARYING = Varying()
@@ -119,11 +123,19 @@ class Effect(Parametric):
         return (0.0,) * self.memory(len(q))
 
 
-def owned(robot: Robot, name: str) -> Tensor | tuple[float, ...] | None:
-    """A tensor of a robot as a parameter: numbers if it is constant, or else the tensor itself."""
-    return getattr(robot, name) if name in robot.varying else listed(getattr(robot, name))
+def owned(robot: Robot, x: Tensor | None) -> Tensor | tuple[float, ...] | None:
+    """A tensor of a robot's description as a parameter: numbers if it is a constant, or else the tensor itself."""
+    if x is None:
+        return None
+    replaced = any(x is getattr(robot, name) for name in robot.varying)
+    if replaced or x.requires_grad or x.ndim > 1:
+        return x
+    return tuple(x.to(torch.float64).tolist())
 
 
-def listed(x: Tensor | None) -> tuple[float, ...] | None:
-    """Numbers of a tensor of a robot's description."""
-    return None if x is None else tuple(x.detach().to(torch.float64).flatten().tolist())
+def on_a_link(effect: Any, robot: Robot) -> Any:
+    """The effect with its frame named, None being the end effector; the frame must be on a moving link."""
+    frame = robot.end_effector() if effect.frame is None else robot.frame(effect.frame)
+    if frame.link == BASE:
+        raise ArgumentError(f"frame of {type(effect).__name__} is {frame.name!r}, which is fixed to the base")
+    return replace(effect, frame=frame.name)

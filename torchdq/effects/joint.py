@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple, Self
 
 from torchdq.algebra.quaternion import Number
-from torchdq.effects.effect import Effect, Parameter, Shapes, listed, owned
+from torchdq.effects.effect import Effect, Parameter, Shapes, owned
 from torchdq.numbers.functions import at_least, clip, maximum, sqrt
 from torchdq.robot import Robot
 
@@ -55,7 +55,7 @@ class Viscous(JointEffect):
     coefficient: Parameter = None
 
     def described(self, robot: Robot) -> Self:
-        return self if self.coefficient is not None else type(self)(listed(robot.damping))
+        return self if self.coefficient is not None else type(self)(owned(robot, robot.damping))
 
     def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
         return [Impedance(d) for d in self.coefficient]
@@ -81,7 +81,7 @@ class Coulomb(JointEffect):
     width: Parameter = 1e-2
 
     def described(self, robot: Robot) -> Self:
-        return self if self.level is not None else type(self)(listed(robot.friction), self.width)
+        return self if self.level is not None else type(self)(owned(robot, robot.friction), self.width)
 
     def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
         return [Impedance(_over_speed(level, v, self.width)) for level, v in zip(self.level, qd, strict=True)]
@@ -111,7 +111,7 @@ class Stribeck(JointEffect):
     def described(self, robot: Robot) -> Self:
         if self.coulomb is not None:
             return self
-        return type(self)(listed(robot.friction), self.static, self.velocity, self.width)
+        return type(self)(owned(robot, robot.friction), self.static, self.velocity, self.width)
 
     def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
         result = []
@@ -186,8 +186,8 @@ class Limits(JointEffect):
     dissipation: Parameter = 1.0
 
     def described(self, robot: Robot) -> Self:
-        lower = listed(robot.limits.lower) if self.lower is None else self.lower
-        upper = listed(robot.limits.upper) if self.upper is None else self.upper
+        lower = owned(robot, robot.limits.lower) if self.lower is None else self.lower
+        upper = owned(robot, robot.limits.upper) if self.upper is None else self.upper
         return type(self)(lower, upper, self.stiffness, self.dissipation)
 
     def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
@@ -231,7 +231,7 @@ class Elastic(Effect):
     def described(self, robot: Robot) -> Self:
         if self.inertia is not None:
             return self
-        return type(self)(self.stiffness, self.damping, owned(robot, "armature"))
+        return type(self)(self.stiffness, self.damping, owned(robot, robot.armature))
 
     def memory(self, n: int) -> int:
         return 2 * n

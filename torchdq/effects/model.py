@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import ClassVar, Self
 
+from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
-from torchdq.effects.effect import Effect, Parameter, Shapes, owned
+from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link, owned
 from torchdq.program.model import Given, constant_pose, field
 from torchdq.robot import Robot
 from torchdq.robot.robot import GRAVITY
-
-Fields = Mapping[str, Sequence[Number]]  # flat rows of the robot's tensors that are not its own
 
 
 @dataclass(frozen=True)
@@ -43,7 +42,7 @@ class Gravity(ModelEffect):
     def described(self, robot: Robot) -> Self:
         if self.acceleration is not None:
             return self
-        return type(self)(GRAVITY if robot.gravity is None else owned(robot, "gravity"))
+        return type(self)(GRAVITY if robot.gravity is None else owned(robot, robot.gravity))
 
     def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
         return {"gravity": self.acceleration}
@@ -61,11 +60,11 @@ class RotorInertia(ModelEffect):
     inertia: Parameter = None
 
     def described(self, robot: Robot) -> Self:
-        return self if self.inertia is not None else type(self)(owned(robot, "armature"))
+        return self if self.inertia is not None else type(self)(owned(robot, robot.armature))
 
     def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
         before = fields.get("armature")
-        return {"armature": self.inertia if before is None else tuple(quat_sum(before, self.inertia))}
+        return {"armature": self.inertia if before is None else tuple(_sums(before, self.inertia))}
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ class Payload(ModelEffect):
     frame: str | None = None
 
     def described(self, robot: Robot) -> Self:
-        return replace(self, frame=robot.end_effector().name if self.frame is None else robot.frame(self.frame).name)
+        return on_a_link(self, robot)
 
     def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
         frame = robot.frame(str(self.frame))
@@ -96,7 +95,7 @@ class Payload(ModelEffect):
         i = frame.link
         masses, coms, inertias = (list(field(robot, name, fields)) for name in ("mass", "com", "inertia"))
         m, c = masses[i], coms[i]
-        held = quat.add(translation(X_BF), _turned(turn, self.com))
+        held = quat.add(dual_quaternion.translation(X_BF), _turned(turn, self.com))
         xx, xy, yy, xz, yz, zz = self.inertia
         rows = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
         half = [_turned(turn, row) for row in rows]  # rows of I R^T
@@ -139,15 +138,9 @@ def flat(rows: Sequence[Sequence[Number]]) -> list[Number]:
     return [x for row in rows for x in row]
 
 
-def quat_sum(a: Sequence[Number], b: Sequence[Number]) -> list[Number]:
+def _sums(a: Sequence[Number], b: Sequence[Number]) -> list[Number]:
     """Sums of two rows, entry by entry."""
     return [x + y for x, y in zip(a, b, strict=True)]
-
-
-def translation(X) -> tuple[Number, ...]:
-    """Position of a pose."""
-    p = quat.im(quat.mul(X[1], quat.conj(X[0])))
-    return quat.add(p, p)
 
 
 def _turned(columns: Sequence[Sequence[Number]], v: Sequence[Number]) -> tuple[Number, ...]:

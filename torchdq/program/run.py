@@ -253,7 +253,7 @@ def key(program: Program) -> str:
     return name
 
 
-def _found(name: str) -> Program:
+def found(name: str) -> Program:
     """Program of a name; a graph that torch kept from an earlier process may name derivatives not yet recorded here."""
     if name not in _known:
         primal, derived, wrt = name.rpartition(":")
@@ -261,21 +261,21 @@ def _found(name: str) -> Program:
             raise ArgumentError(
                 "a graph calls a program that was recorded in another process; trace or export it again in this one"
             )
-        _known[name] = vjp(_found(primal), tuple(map(int, wrt.split(","))))
+        _known[name] = vjp(found(primal), tuple(map(int, wrt.split(","))))
     return _known[name]
 
 
 @torch.library.custom_op("torchdq::run", mutates_args=())
 def operator(program: str, inputs: Sequence[Tensor]) -> list[Tensor]:
     """Results of a program by its compiled kernel, for graphs that are traced: the program goes by its name."""
-    return _execute(_found(program), inputs)
+    return _execute(found(program), inputs)
 
 
 @operator.register_fake
 def _(program: str, inputs: Sequence[Tensor]) -> list[Tensor]:
-    samples = _samples(_found(program), inputs)
+    samples = _samples(found(program), inputs)
     return [
-        inputs[0].new_empty((len(r.values),) if r.summed else (samples, len(r.values))) for r in _found(program).results
+        inputs[0].new_empty((len(r.values),) if r.summed else (samples, len(r.values))) for r in found(program).results
     ]
 
 
