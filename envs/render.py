@@ -19,7 +19,7 @@ from torch import Tensor
 
 from torchdq.dq import rotate, rotation, translation
 from torchdq.dynamics.mechanism import BASE
-from torchdq.errors import ArgumentError, TorchdqError
+from torchdq.errors import ArgumentError, MissingLibraryError
 from torchdq.functional import forward_kinematics
 from torchdq.robot import Robot
 from torchdq.robot.robot import SHAPES
@@ -33,10 +33,6 @@ AZIMUTH, ELEVATION = math.radians(-55.0), math.radians(25.0)  # of the camera
 DISTANCE = 5.0  # of the camera, in radii of the view
 MARGIN = 1.04  # of the view around the ball that the robot stays in
 PIECES = 6  # that a line is cut into, so that what is nearer covers what is farther
-
-
-class MissingLibraryError(TorchdqError, ImportError):
-    """A library that draws is not installed."""
 
 
 def _library(module: str) -> Any:

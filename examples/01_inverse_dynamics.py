@@ -17,7 +17,6 @@ from importlib.metadata import files
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-import logs
 import matplotlib
 import numpy as np
 import pinocchio as pin
@@ -32,6 +31,7 @@ from torch import Tensor
 from torch.utils.benchmark import Timer
 
 import torchdq
+from torchdq.learning import logs
 
 EPS = {torch.float64: 2.0**-52, torch.float32: 2.0**-23}
 NAME = {torch.float64: "float64", torch.float32: "float32"}
@@ -75,8 +75,8 @@ class Args:
     """Recordings of a real arm, each PATH or PATH:FIRST:LAST (rows, counted from 0)."""
     test_log: str | None = None
     """Recording to test the friction on; none: it is fitted on the first 60 % of each log, tested on the rest."""
-    format: Literal["auto", "panda", "ur10e"] = "auto"
-    """Layout of the recordings; see `logs.py`."""
+    format: Literal["auto", "panda", "ur10e", "double_pendulum", "csv"] = "auto"
+    """Layout of the recordings; see `torchdq.learning.logs`."""
     step: float = 1e-3
     """Step of the simulated two-link arm [s]."""
     timing: float = 0.2
@@ -293,7 +293,8 @@ def time_all(
 
 def differentiate(console: Console, robot: torchdq.Robot, model: pin.Model, *state: Tensor) -> dict[str, Check]:
     """Gradients of half the sum of squared torques in the state, the masses and the centres of mass."""
-    layer = torchdq.DQRNEA(robot, learn=("mass", "com"))
+    mass, com = robot.mass.clone().requires_grad_(), robot.com.clone().requires_grad_()
+    layer = torchdq.DQRNEA(robot.replace(mass=mass, com=com))
     inputs = [x.clone().requires_grad_() for x in state]
     tau = layer(*inputs)
     (tau.square().sum() / 2).backward()
@@ -328,8 +329,8 @@ def differentiate(console: Console, robot: torchdq.Robot, model: pin.Model, *sta
         ("loss in q", derivative, inputs[0].grad, expected[0]),
         ("loss in qd", derivative, inputs[1].grad, expected[1]),
         ("loss in qdd", derivative, inputs[2].grad, expected[2]),
-        ("loss in the masses", "pinocchio.rnea, differences", layer.mass.grad, expected[3]),
-        ("loss in the centres of mass", "pinocchio.rnea, differences", layer.com.grad, expected[4]),
+        ("loss in the masses", "pinocchio.rnea, differences", mass.grad, expected[3]),
+        ("loss in the centres of mass", "pinocchio.rnea, differences", com.grad, expected[4]),
         ("torques in qdd: all of M", derivative, jacobian, np.array([d[2] for d in derivatives])),
     ]
     checks, lines = {}, []
@@ -455,8 +456,10 @@ def explain_logs(
     The test rows are the last log, or the last 40 % of each. The robot is the log's own if none is given.
     """
     kind = read[0].layout
+    if robot is None and kind.robot is None:
+        raise logs.LogError(f"{read[0].path} does not say which robot it is of; name its URDF by --robot")
     robot = robot or torchdq.robots.load(kind.robot)
-    if any(log.layout is not kind for log in read) or robot.n != kind.joints:
+    if any(log.layout != kind for log in read) or robot.n != kind.joints:
         raise logs.LogError(f"the recordings must be of one robot, with the {robot.n} joints of {robot.name}")
     recordings = []
     console.print()

@@ -274,7 +274,7 @@ def test_a_tip_wrench_on_a_robot_whose_tip_is_on_the_base_is_refused():
 
 
 @pytest.mark.parametrize("module", ["DQRNEA", "ForwardDynamics", "ComputedTorque"])
-@pytest.mark.parametrize("field", ["masses", "limits", "armature"])
+@pytest.mark.parametrize("field", ["masses", "limits", "home", "viscous"])
 def test_learning_what_the_robot_does_not_have_is_refused(module, field):
     gains = (9.0, 6.0) if module == "ComputedTorque" else ()
     with pytest.raises(ArgumentError) as raised:

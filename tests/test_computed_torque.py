@@ -109,7 +109,7 @@ def test_gains_are_buffers_unless_learnt():
 def test_learnt_gains_are_parameters():
     controller = torchdq.ComputedTorque(ARMS["two_link"], 25.0, double([10.0, 9.0]), learn=("kp", "kd", "mass"))
     shapes = {name: tuple(p.shape) for name, p in controller.named_parameters()}
-    assert shapes == {"kp": (), "kd": (2,), "mass": (2,)}
+    assert shapes == {"kp": (), "kd": (2,), "parametrizations.mass.original": (2,)}
 
 
 @pytest.mark.parametrize("gain", ["kp", "kd"])

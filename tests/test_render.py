@@ -7,7 +7,8 @@ import pytest
 import torch
 
 import torchdq
-from torchdq.envs.render import LINK, MOST_ARMS, TARGET, MissingLibraryError, Painter, Skeleton, Viewer, save_gif
+from torchdq.envs.render import LINK, MOST_ARMS, TARGET, Painter, Skeleton, Viewer, save_gif
+from torchdq.errors import MissingLibraryError
 
 np = pytest.importorskip("numpy")
 pytest.importorskip("matplotlib")

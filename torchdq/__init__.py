@@ -20,6 +20,7 @@ from torchdq.errors import (
     DescriptionError,
     DtypeError,
     MissingFileError,
+    MissingLibraryError,
     TorchdqError,
     UnknownNameError,
     UnphysicalError,
@@ -39,6 +40,7 @@ from torchdq.functional import (
 )
 from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics
 from torchdq.program.backends import backend
+from torchdq.residual import ResidualDynamics
 from torchdq.robot import Robot
 from torchdq.robot import library as robots
 
@@ -52,6 +54,8 @@ __all__ = [
     "DtypeError",
     "ForwardDynamics",
     "MissingFileError",
+    "MissingLibraryError",
+    "ResidualDynamics",
     "Robot",
     "TorchdqError",
     "UnknownNameError",

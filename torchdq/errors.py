@@ -28,6 +28,10 @@ class UnphysicalError(DescriptionError):
     """A robot description holds a body that cannot exist."""
 
 
+class MissingLibraryError(TorchdqError, ImportError):
+    """A package that only some functions need is not installed."""
+
+
 class UnknownNameError(TorchdqError, KeyError):
     """A joint, link, frame or robot of that name does not exist."""
 

@@ -1,57 +1,206 @@
 """The dynamics as torch modules; the algorithms are `torchdq.functional` and `torchdq.control`."""
 
+from __future__ import annotations
+
+import math
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torch.nn.utils import parametrize
 
 from torchdq.control import computed_torque
+from torchdq.effects import Coulomb, Viscous
 from torchdq.errors import ArgumentError
-from torchdq.functional import forward_dynamics, inverse_dynamics
+from torchdq.functional import check, forward_dynamics, inverse_dynamics
+from torchdq.parameters import PhysicalInertia, Positive
 from torchdq.program.backends import Backend
 from torchdq.robot import Robot
 from torchdq.robot.robot import SHAPES
 
+# the form of what must not be every real number
+FORMS: dict[str, type[nn.Module]] = {
+    "mass": Positive,
+    "inertia": PhysicalInertia,
+    "armature": Positive,
+    "viscous": Positive,
+    "coulomb": Positive,
+}
+# where something starts that the description has none of [SI units]
+STARTS = {"armature": 1e-3, "viscous": 1e-2, "coulomb": 1e-2}
+SMALLEST_SIZE = 1e-2  # of a body, against which `prior` measures how far its centre of mass moved [m]
+
 
 class RobotModule(nn.Module):
-    """A module that holds a robot; the robot's tensors named in `learn` are its parameters.
+    """A module that holds a robot, and learns what `learn` names of it.
 
-    The others are constants of the compiled programs and are not part of the state dict.
+    What is learned stays physical, whatever an optimiser does: masses, rotor inertias and friction stay positive, and
+    inertias are those of bodies that can exist. `module.mass` and so on are the present quantities, and assigning to
+    them sets them; the parameters are the free numbers behind them (`torchdq.parameters`, by
+    `torch.nn.utils.parametrize`), `module.parametrizations.mass.original`. Weight decay would pull those towards
+    1 kg; `prior` pulls towards the description. What is not learned is a constant of the compiled programs, and not
+    part of the state dict.
 
     Args:
         robot: the robot.
-        learn: names of robot tensors to make parameters: "mass", "com", "inertia", "gravity", "armature", "home",
-            "X_PB_home", "screw". They are free real numbers; nothing keeps a mass positive.
+        learn: names of what to learn. Tensors of the robot: "mass", "com", "inertia", "gravity", "armature", "home",
+            "X_PB_home", "screw" (the last three and gravity are free numbers); "armature" starts at 1e-3 kg m^2 (or kg)
+            if the robot has none. "friction": the friction torque viscous qd + coulomb qd / sqrt(qd^2 + width^2) of
+            every joint, as `torchdq.effects.Viscous` and `Coulomb` have it, from the damping and the friction of the
+            robot's description, or 1e-2 (in SI units) where it has none. "offset": a constant torque of every joint,
+            from zero.
         backend: as in `torchdq.functional`; None: what `torchdq.backend` says at the time of the call.
+        friction_width: the width of the friction, below which it is viscous [rad/s or m/s].
+
+    Raises:
+        ArgumentError: `learn` names something else, or what the robot does not have.
     """
 
-    def __init__(self, robot: Robot, learn: Sequence[str] = (), backend: Backend | None = None):
+    def __init__(
+        self,
+        robot: Robot,
+        learn: Sequence[str] = (),
+        backend: Backend | None = None,
+        friction_width: float = 1e-2,
+    ):
         super().__init__()
-        self.learn = (learn,) if isinstance(learn, str) else tuple(learn)
-        present = [name for name in SHAPES if getattr(robot, name) is not None]
-        for name in self.learn:
-            if name not in present:
-                raise ArgumentError(f"learn must name tensors of the robot among {present}, found {name!r}")
-            self.register_parameter(name, nn.Parameter(getattr(robot, name).detach().clone()))
+        if not (math.isfinite(friction_width) and friction_width > 0):
+            raise ArgumentError(f"friction_width must be a positive number, found {friction_width}")
+        self.learn = tuple(dict.fromkeys((learn,) if isinstance(learn, str) else learn))
         self._robot = robot
         self.backend = backend
+        self.friction_width = float(friction_width)
+        for name in self.learn:
+            for quantity, value in _starting(robot, name).items():
+                self.register_parameter(quantity, nn.Parameter(value))
+                if quantity in FORMS:
+                    parametrize.register_parametrization(self, quantity, FORMS[quantity]())
+                if quantity in FORMS or quantity == "com":
+                    start = self._free(quantity).detach().clone()
+                    self.register_buffer(f"_start_of_{quantity}", start, persistent=False)
 
     @property
     def robot(self) -> Robot:
         """The robot with the module's present parameters."""
-        if not self.learn:
-            return self._robot
-        return self._robot.replace(**{name: getattr(self, name) for name in self.learn})
+        changes = {name: getattr(self, name) for name in self.learn if name in SHAPES}
+        return self._robot.replace(**changes) if changes else self._robot
+
+    def friction_torque(self, qd: Tensor) -> Tensor:
+        """Torque [..., n] that overcomes the friction at velocities qd [..., n], in its dtype and on its device.
+
+        Zero unless "friction" is learned. A scene with the same effects exerts the opposite on its joints.
+
+        >>> import torchdq
+        >>> layer = DQRNEA(torchdq.robots.load("two_link"), learn="friction")
+        >>> layer.viscous = torch.tensor([2.0, 3.0], dtype=torch.float64)
+        >>> layer.friction_torque(torch.tensor([10.0, -10.0]))
+        tensor([ 20.0100, -30.0100], grad_fn=<MulBackward0>)
+        """
+        if "friction" not in self.learn:
+            return torch.zeros_like(qd)
+        viscous, coulomb = (x.to(dtype=qd.dtype, device=qd.device) for x in (self.viscous, self.coulomb))
+        # all joints are one number to the effects, a tensor; friction is a damping and nothing else
+        effects = Viscous((viscous,)), Coulomb((coulomb,), self.friction_width)
+        first, second = (effect.impedances((qd,), (qd,), {})[0].damping for effect in effects)
+        return (first + second) * qd
+
+    def _beside(self, q: Tensor, qd: Tensor | None) -> Tensor | None:
+        """Torque that the motors give beside moving the bodies: friction and offset, or None."""
+        friction = None if qd is None or "friction" not in self.learn else self.friction_torque(qd)
+        if "offset" not in self.learn:
+            return friction
+        offset = self._free("offset").to(dtype=q.dtype, device=q.device)
+        return offset if friction is None else friction + offset
+
+    def prior(self) -> Tensor:
+        """How far what is learned is from where it started: a number >= 0 without units, zero at the start.
+
+        The sum of the mean squares, over links or joints and over robots, of the logarithms of what masses, rotor
+        inertias and frictions were multiplied by; of the distances that centres of mass moved, as parts of the size of
+        the body, the root of its second moments over its mass, at least 1 cm; and of the changes of the six free
+        numbers of `torchdq.parameters.PhysicalInertia`. Gravity, geometry, home and offset are not part of it.
+
+        >>> import torchdq
+        >>> layer = DQRNEA(torchdq.robots.load("panda"), learn=("mass", "com", "inertia"))
+        >>> layer.mass = 1.1 * layer.mass.detach()
+        >>> f"{layer.prior().item():.6f}", f"{torch.tensor(1.1).log().square():.6f}"
+        ('0.009084', '0.009084')
+        """
+        terms = []
+        for name, start in self.named_buffers(recurse=False):
+            quantity = name.removeprefix("_start_of_")
+            if quantity == name:
+                continue
+            square = (self._free(quantity) - start).square()
+            if quantity == "com":
+                square = square / self._sizes_squared(square).unsqueeze(-1)
+            terms.append(square.sum(-1).mean() if quantity in ("com", "inertia") else square.mean())
+        return torch.stack(terms).sum() if terms else torch.zeros((), dtype=torch.float64)
+
+    def _free(self, quantity: str) -> Tensor:
+        """The free numbers behind a quantity."""
+        if parametrize.is_parametrized(self, quantity):
+            return self.parametrizations[quantity].original  # type: ignore[union-attr,index]
+        return getattr(self, quantity)
+
+    def _sizes_squared(self, like: Tensor) -> Tensor:
+        """Second moments of every described body over its mass [..., n] [m^2]."""
+        inertia, mass = (x.detach().to(like) for x in (self._robot.inertia, self._robot.mass))
+        spread = inertia[..., (0, 2, 5)].sum(-1) / 2
+        # without a mass the ratio is undefined, and the least size is as good as any
+        return (spread / mass.where(mass > 0, torch.inf)).clamp(min=SMALLEST_SIZE**2)
 
     def extra_repr(self) -> str:
         """The robot, for `print(module)`."""
         return repr(self._robot)
 
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """For pickle: torch has no way of its own to pickle a module whose class it made for its parametrizations."""
+        if not parametrize.is_parametrized(self):
+            return super().__reduce_ex__(protocol)
+        modules = dict(self._modules)
+        forms = dict(modules.pop("parametrizations").items())  # type: ignore[union-attr,operator]
+        state = {**self.__dict__, "_modules": modules}
+        return _restored, (parametrize.type_before_parametrizations(self), state, forms)
+
+
+def _starting(robot: Robot, name: str) -> dict[str, Tensor]:
+    """Quantities that a name in `learn` stands for, and where they start."""
+    zeros = torch.zeros_like(robot.damping)
+    if name == "friction":
+        described = {"viscous": robot.damping, "coulomb": robot.friction}
+        return {quantity: x.detach().where(x > 0, STARTS[quantity]) for quantity, x in described.items()}
+    if name == "offset":
+        return {name: zeros}
+    if name == "armature" and robot.armature is None:
+        return {name: zeros + STARTS[name]}
+    present = [field for field in SHAPES if getattr(robot, field) is not None or field == "armature"]
+    if name not in present:
+        known = [*present, "friction", "offset"]
+        raise ArgumentError(f"learn must name what robot {robot.name!r} has among {known}, found {name!r}")
+    return {name: getattr(robot, name).detach().clone()}
+
+
+def _restored(
+    kind: type[nn.Module], state: dict[str, Any], lists: dict[str, parametrize.ParametrizationList]
+) -> nn.Module:
+    """A module of that kind with its parametrizations, to the last bit."""
+    module = kind.__new__(kind)
+    module.__setstate__(state)
+    for name, forms in lists.items():
+        module.register_parameter(name, nn.Parameter(forms().detach()))
+        for form in forms:
+            parametrize.register_parametrization(module, name, form, unsafe=forms.unsafe)
+        module.parametrizations[name] = forms  # type: ignore[index,operator,assignment]
+    return module
+
 
 class DQRNEA(RobotModule):
     """Inverse dynamics as a differentiable layer: `forward(q, qd, qdd, f_tip, f_ext)` returns tau [..., n].
 
-    See `torchdq.inverse_dynamics` for the arguments. dtype and device follow the inputs.
+    See `torchdq.inverse_dynamics` for the arguments. dtype and device follow the inputs. What is learned of friction
+    and offset is added: the torques are those of the motors.
 
     >>> import torchdq
     >>> layer = DQRNEA(torchdq.robots.load("two_link"), learn=("mass",))
@@ -68,11 +217,15 @@ class DQRNEA(RobotModule):
         f_ext: Tensor | None = None,
     ) -> Tensor:
         """Joint torques [..., n]; see `torchdq.inverse_dynamics`."""
-        return inverse_dynamics(self.robot, q, qd, qdd, f_tip, f_ext, self.backend)
+        tau = inverse_dynamics(self.robot, q, qd, qdd, f_tip, f_ext, self.backend)
+        beside = self._beside(q, qd)
+        return tau if beside is None else tau + beside
 
 
 class ForwardDynamics(RobotModule):
     """Forward dynamics as a differentiable layer: `forward(q, qd, tau, f_tip, f_ext)` returns qdd [..., n].
+
+    What is learned of friction and offset is taken from the torques, which are those of the motors.
 
     >>> import torchdq
     >>> layer = ForwardDynamics(torchdq.robots.load("two_link"))
@@ -89,16 +242,22 @@ class ForwardDynamics(RobotModule):
         f_ext: Tensor | None = None,
     ) -> Tensor:
         """Joint accelerations [..., n]; see `torchdq.forward_dynamics`."""
-        return forward_dynamics(self.robot, q, qd, tau, f_tip, f_ext, self.backend)
+        robot = self.robot
+        check(robot, q=(q, ("n",), False), qd=(qd, ("n",), True), tau=(tau, ("n",), False))
+        beside = self._beside(q, qd)
+        return forward_dynamics(robot, q, qd, tau if beside is None else tau - beside, f_tip, f_ext, self.backend)
 
 
 class ComputedTorque(RobotModule):
     """Computed torque controller: `forward(q, qd, q_des, qd_des, qdd_des, f_tip)` returns tau [..., n].
 
+    What is learned of friction and offset is added, at the measured velocity.
+
     Args:
         robot: the model of the robot that is controlled.
         kp, kd: position gain [1/s^2] and velocity gain [1/s], numbers or shape [n].
-        learn: as in `RobotModule`, and "kp", "kd".
+        learn: as in `RobotModule`, and "kp", "kd", which are free numbers.
+        backend, friction_width: as in `RobotModule`.
 
     >>> import torchdq
     >>> controller = ComputedTorque(torchdq.robots.load("two_link"), kp=25.0, kd=10.0)
@@ -116,9 +275,10 @@ class ComputedTorque(RobotModule):
         kd: Tensor | float,
         learn: Sequence[str] = (),
         backend: Backend | None = None,
+        friction_width: float = 1e-2,
     ):
         learn = (learn,) if isinstance(learn, str) else tuple(learn)
-        super().__init__(robot, tuple(name for name in learn if name not in ("kp", "kd")), backend)
+        super().__init__(robot, tuple(name for name in learn if name not in ("kp", "kd")), backend, friction_width)
         for name, gain in (("kp", kp), ("kd", kd)):
             value = torch.as_tensor(gain, dtype=torch.float64)
             if value.shape not in ((), (robot.n,)) or not bool((value >= 0).all()):
@@ -139,4 +299,6 @@ class ComputedTorque(RobotModule):
     ) -> Tensor:
         """Joint torques [..., n]; see `torchdq.computed_torque`."""
         kp, kd = (gain.to(dtype=q.dtype, device=q.device) for gain in (self.kp, self.kd))
-        return computed_torque(self.robot, q, qd, q_des, qd_des, qdd_des, kp, kd, f_tip, self.backend)
+        tau = computed_torque(self.robot, q, qd, q_des, qd_des, qdd_des, kp, kd, f_tip, self.backend)
+        beside = self._beside(q, qd)
+        return tau if beside is None else tau + beside

@@ -76,9 +76,9 @@ def _exp(x: float) -> float:
 
 def _of_one(name: str, of_float: Callable[[float], float], x: Value) -> Value:
     """Function of one number: its own method, or that of floats."""
-    method = getattr(x, name, None)
-    if callable(method):  # some kinds have an attribute of that name: mpmath's exp is an exponent
-        return method()
+    # the kind is asked, not the number: mpmath's exp is an exponent, and torch.compile can trace no other question
+    if callable(getattr(type(x), name, None)):
+        return getattr(x, name)()
     if isinstance(x, float | int):
         return of_float(float(x))
     raise TypeError(f"{name} is not known for numbers of kind {type(x).__name__}")

@@ -1,0 +1,64 @@
+"""One training run on several processes, as `torchrun` starts them."""
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+import torch
+import torch.distributed as dist
+from torch import Tensor
+
+
+class Team(NamedTuple):
+    """The processes of a run and this one's place among them; a process alone is a team of one."""
+
+    rank: int = 0
+    size: int = 1
+
+    @property
+    def leads(self) -> bool:
+        """Whether this process is the one that writes and prints."""
+        return self.rank == 0
+
+    def share(self, rows: Tensor) -> Tensor:
+        """This process' rows among all rows of a batch."""
+        return rows[self.rank :: self.size]
+
+    def summed(self, tensors: list[Tensor]) -> list[Tensor]:
+        """Sums of tensors over the team, in one message."""
+        if self.size == 1:
+            return tensors
+        flat = torch.cat([x.flatten() for x in tensors])
+        dist.all_reduce(flat)
+        parts = flat.split([x.numel() for x in tensors])
+        return [part.view_as(x).to(x.dtype) for part, x in zip(parts, tensors, strict=True)]
+
+    def leaders(self, value: Any) -> Any:
+        """The leader's value, in every process; tensors in it lie on the CPU."""
+        if self.size == 1:
+            return value
+        values = [value]
+        dist.broadcast_object_list(values, src=0)
+        return values[0]
+
+
+@contextmanager
+def team(device: torch.device) -> Iterator[Team]:
+    """The team this process belongs to: joined here if `torchrun` started it, unless the caller has joined already.
+
+    Args:
+        device: where the model lies; it decides between nccl and gloo.
+    """
+    if dist.is_available() and dist.is_initialized():
+        yield Team(dist.get_rank(), dist.get_world_size())
+    elif int(os.environ.get("WORLD_SIZE", "1")) > 1:
+        if device.type == "cuda":
+            torch.cuda.set_device(device)  # what is sent goes by the current device
+        dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
+        try:
+            yield Team(dist.get_rank(), dist.get_world_size())
+        finally:
+            dist.destroy_process_group()
+    else:
+        yield Team()

@@ -1,0 +1,119 @@
+"""Free real numbers behind quantities that must not be everything: positive numbers, inertias of bodies that exist.
+
+Each is a module for `torch.nn.utils.parametrize`: `forward` makes physical quantities of any real numbers, whatever an
+optimiser did to them, and `right_inverse` finds the real numbers of given quantities. All of them are without units, so
+that one step width suits a crane and a finger: a change by 0.01 is one percent of a mass or of a body's size.
+"""
+
+import torch
+from torch import Tensor, nn
+
+from torchdq.errors import ArgumentError
+
+SMALLEST = 1e-6  # what a quantity that must be positive becomes if it is not, in SI units
+FLAT = 1e-6  # smallest second moment of a body, as a part of their sum; a rod or a plate has it in its flat directions
+POINT = 1e-8  # second moments of a body that has none [kg m^2]
+LARGEST_LOGARITHM = 30.0  # keeps squares of exponentials, and a good deal more, within the range of float32
+
+# The inertia of L = [a 0 0; b c 0; d e f] is made of the ten products that L L^T is made of: xx xy yy xz yz zz are rows
+PRODUCTS = ("aa", "bb", "cc", "dd", "ee", "ff", "ab", "ad", "bd", "ce")
+SUMS = (
+    (0, 1, 1, 1, 1, 1, 0, 0, 0, 0),
+    (0, 0, 0, 0, 0, 0, -1, 0, 0, 0),
+    (1, 0, 0, 1, 1, 1, 0, 0, 0, 0),
+    (0, 0, 0, 0, 0, 0, 0, -1, 0, 0),
+    (0, 0, 0, 0, 0, 0, 0, 0, -1, -1),
+    (1, 1, 1, 0, 0, 0, 0, 0, 0, 0),
+)
+
+
+class Positive(nn.Module):
+    """Positive numbers as the exponentials of free ones, between exp(-30) and exp(30).
+
+    What is zero or negative cannot be the exponential of anything, and becomes 1e-6 (in SI units).
+
+    >>> form = Positive()
+    >>> form(torch.tensor([-1e9, 0.0])), form(form.right_inverse(torch.tensor([0.0, 2.5])))
+    (tensor([9.3576e-14, 1.0000e+00]), tensor([1.0000e-06, 2.5000e+00]))
+    """
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Positive numbers of the shape of `x`; beyond the bounds they are constant, and so have no gradient."""
+        return _exponential(x)
+
+    def right_inverse(self, value: Tensor) -> Tensor:
+        """Free numbers that `forward` makes the values of; raises `ArgumentError` unless they are finite."""
+        _finite(value)
+        return value.where(value > 0, SMALLEST).log()
+
+
+class PhysicalInertia(nn.Module):
+    """Inertias [..., 6] about the centre of mass (xx xy yy xz yz zz) of bodies that can exist, by free numbers.
+
+    A positive mass distribution is one whose second moments Sigma = tr(I)/2 1 - I are positive definite, which is that
+    I is, and that no principal moment exceeds the sum of the others (P. M. Wensing, S. Kim, J.-J. E. Slotine, "Linear
+    matrix inequalities for physically-consistent inertial parameter identification", IEEE Robotics and Automation
+    Letters 3 (2018)). Every such Sigma has one Cholesky factor L, Sigma = L L^T, with a positive diagonal. The free
+    numbers [..., 6] are its lower triangle row by row: the logarithms of the diagonal, and the others in units of
+    the norm of the diagonal. With any positive mass and any centre of mass this covers the bodies that can exist;
+    points, rods and plates are its limits.
+
+    >>> form = PhysicalInertia()
+    >>> rod = torch.tensor([0.0, 0.0, 1.0, 0.0, 0.0, 1.0])
+    >>> form(form.right_inverse(rod))[..., (0, 2, 5)]  # the thin rod gets a thickness
+    tensor([2.0000e-06, 1.0000e+00, 1.0000e+00])
+    """
+
+    diagonal: Tensor
+    pairs: Tensor
+    sums: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        # whole numbers, which follow the device but not the dtype of a module
+        self.register_buffer("diagonal", torch.tensor([1, 0, 1, 0, 0, 1], dtype=torch.bool), persistent=False)
+        pairs = torch.tensor([["abcdef".index(x) for x in pair] for pair in PRODUCTS])
+        self.register_buffer("pairs", pairs, persistent=False)
+        self.register_buffer("sums", torch.tensor(SUMS, dtype=torch.int8), persistent=False)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Inertias [..., 6] in the units of Sigma; the diagonal of L stays between exp(-30) and exp(30)."""
+        pivots = _exponential(x)
+        size = (pivots * pivots * self.diagonal).sum(-1, keepdim=True).sqrt()
+        entries = torch.where(self.diagonal, pivots, x * size)
+        first, second = self.pairs.unbind(-1)
+        products = entries.index_select(-1, first) * entries.index_select(-1, second)
+        return (products.unsqueeze(-2) * self.sums).sum(-1)
+
+    def right_inverse(self, value: Tensor) -> Tensor:
+        """Free numbers that `forward` makes the inertias [..., 6] of.
+
+        Principal second moments below 1e-6 of their sum are lifted to that: a thin rod or plate gets a thickness, and
+        an inertia that no body has becomes the one of a body near by. With no inertia at all they become 1e-8 kg m^2.
+
+        Raises:
+            ArgumentError: a value is not finite.
+        """
+        _finite(value)
+        xx, xy, yy, xz, yz, zz = value.to(torch.float64).unbind(-1)
+        half = (xx + yy + zz) / 2
+        rows = ((half - xx, -xy, -xz), (-xy, half - yy, -yz), (-xz, -yz, half - zz))
+        second = torch.stack([torch.stack(row, -1) for row in rows], -2)
+        moments, axes = torch.linalg.eigh(second)
+        floor = (FLAT * moments.clamp(min=0).sum(-1, keepdim=True)).where(moments[..., -1:] > 0, POINT)
+        lifted = (axes * moments.maximum(floor).unsqueeze(-2)) @ axes.mT
+        second = second.where((moments >= floor).all(-1)[..., None, None], lifted)
+        L = torch.linalg.cholesky(second)
+        row, column = torch.tril_indices(3, 3, device=L.device).unbind(0)
+        entries, pivots = L[..., row, column], L.diagonal(dim1=-2, dim2=-1)
+        size = pivots.square().sum(-1, keepdim=True).sqrt()
+        return torch.where(self.diagonal.to(L.device), entries.clamp(min=0).log(), entries / size).to(value.dtype)
+
+
+def _exponential(x: Tensor) -> Tensor:
+    return x.clamp(-LARGEST_LOGARITHM, LARGEST_LOGARITHM).exp()
+
+
+def _finite(value: Tensor) -> None:
+    if not bool(value.isfinite().all()):
+        raise ArgumentError(f"a physical quantity must be finite, found {value.tolist()}; correct it first")

@@ -1,0 +1,182 @@
+"""Rigid-body dynamics with a network that learns what they leave unexplained."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor, nn
+
+from torchdq.errors import ArgumentError
+from torchdq.nn import DQRNEA
+from torchdq.robot import Robot
+
+Inputs = Literal["joint", "all"]
+FEATURES = 6  # per joint: sin q, cos q, qd, qdd, a smooth sign of qd, the model's torque
+
+
+class Perceptrons(nn.Module):
+    """Several perceptrons of one shape side by side: [..., groups, inputs] to [..., groups, outputs], in one go.
+
+    Hidden layers are hyperbolic tangents. The last layer is zero, and so is what comes out, until it is trained.
+
+    Args:
+        groups: how many there are; each has its own weights and sees its own inputs only.
+        inputs, outputs: numbers that go in and come out of each.
+        hidden: widths of the hidden layers.
+
+    >>> Perceptrons(7, 6, 1)(torch.ones(100, 7, 6)).shape
+    torch.Size([100, 7, 1])
+    """
+
+    def __init__(self, groups: int, inputs: int, outputs: int, hidden: Sequence[int] = (32, 32)):
+        super().__init__()
+        widths = [inputs, *hidden, outputs]
+        self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
+        for k, (width, following) in enumerate(pairwise(widths)):
+            # the spread of torch's own linear layers; what is last starts at zero
+            bound = 0.0 if k == len(hidden) else 1.0 / math.sqrt(width)
+            self.weights.append(nn.Parameter(torch.empty(groups, following, width).uniform_(-bound, bound)))
+            self.biases.append(nn.Parameter(torch.empty(groups, following, 1).uniform_(-bound, bound)))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """What comes out [..., groups, outputs] of x [..., groups, inputs]."""
+        y = x.reshape(-1, *x.shape[-2:]).permute(1, 2, 0)  # samples last: rows are long
+        for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            y = torch.baddbmm(bias, weight, torch.tanh(y) if k else y)
+        return y.permute(2, 0, 1).reshape(*x.shape[:-1], y.shape[1])
+
+
+class ResidualDynamics(nn.Module):
+    """Inverse dynamics and a network that learns the rest: `forward(q, qd, qdd, f_tip, f_ext)` returns tau [..., n].
+
+    The sum of the model's torques and the network's. The network starts at zero, so that before training the torques
+    are the model's to the last bit. It sees, of every joint, sin q, cos q, qd, qdd, qd / sqrt(qd^2 + width^2) with the
+    model's friction width, and the model's own torque, on which friction depends; through the last no gradient flows.
+    Call `standardise` with the training data before training.
+
+    Args:
+        model: the dynamics; what it learns is learned along with the network.
+        network: a network of your own, taken as it is: from [..., n, 6] to [..., n, 1] if inputs is "joint", from
+            [..., 6 n] (joint by joint) to [..., n] if "all". It computes in the dtype of its parameters. None: small
+            perceptrons with tanh, in torch's default dtype.
+        inputs: "joint": each joint has a network of its own that sees that joint only, which finds friction and gears
+            but cannot imitate couplings and generalises the better for it; "all": one network sees all joints.
+        hidden: widths of the hidden layers, if network is None.
+
+    Raises:
+        ArgumentError: an argument is none of these.
+
+    >>> import torchdq
+    >>> layer = ResidualDynamics(DQRNEA(torchdq.robots.load("panda"), learn="friction"))
+    >>> layer(*torch.ones(3, 100, 7, dtype=torch.float64)).shape
+    torch.Size([100, 7])
+    """
+
+    feature_mean: Tensor
+    feature_spread: Tensor
+    torque_scale: Tensor
+
+    def __init__(
+        self,
+        model: DQRNEA,
+        network: nn.Module | None = None,
+        inputs: Inputs = "joint",
+        hidden: Sequence[int] = (32, 32),
+    ):
+        super().__init__()
+        if not isinstance(model, DQRNEA):
+            raise ArgumentError(f"model must be a torchdq.DQRNEA, found {type(model).__name__}; make one of the robot")
+        if inputs not in get_args(Inputs):
+            raise ArgumentError(f"inputs must be one of {get_args(Inputs)}, found {inputs!r}")
+        if any(not isinstance(width, int) or width < 1 for width in hidden):
+            raise ArgumentError(f"hidden must be positive whole numbers, one per layer, found {hidden}")
+        n = model.robot.n
+        self.model = model
+        self.inputs = inputs
+        if network is None and inputs == "joint":
+            network = Perceptrons(n, FEATURES, 1, hidden)
+        elif network is None:
+            network = nn.Sequential(nn.Unflatten(-1, (1, -1)), Perceptrons(1, FEATURES * n, n, hidden), nn.Flatten(-2))
+        self.network = network
+        self.register_buffer("feature_mean", torch.zeros(n, FEATURES, dtype=torch.float64))
+        self.register_buffer("feature_spread", torch.ones(n, FEATURES, dtype=torch.float64))
+        self.register_buffer("torque_scale", torch.ones(n, dtype=torch.float64))
+
+    @property
+    def robot(self) -> Robot:
+        """The robot with the model's present parameters."""
+        return self.model.robot
+
+    def prior(self) -> Tensor:
+        """The prior of the model, which is about its physical parameters; see `torchdq.nn.RobotModule.prior`."""
+        return self.model.prior()
+
+    def forward(
+        self,
+        q: Tensor,
+        qd: Tensor,
+        qdd: Tensor | None = None,
+        f_tip: Tensor | None = None,
+        f_ext: Tensor | None = None,
+    ) -> Tensor:
+        """Joint torques [..., n]; see `torchdq.inverse_dynamics`."""
+        tau = self.model(q, qd, qdd, f_tip, f_ext)
+        return tau + self.correction(self.features(q, qd, qdd, tau))
+
+    def residual(
+        self,
+        q: Tensor,
+        qd: Tensor,
+        qdd: Tensor | None = None,
+        f_tip: Tensor | None = None,
+        f_ext: Tensor | None = None,
+    ) -> Tensor:
+        """What the network adds to the torques of the model [..., n]."""
+        return self.correction(self.features(q, qd, qdd, self.model(q, qd, qdd, f_tip, f_ext)))
+
+    def features(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> Tensor:
+        """What the network sees of every joint [..., n, 6], as it is; tau [..., n] are the torques of the model."""
+        direction = qd * (qd * qd + self.model.friction_width**2).rsqrt()
+        columns = (q.sin(), q.cos(), qd, torch.zeros_like(qd) if qdd is None else qdd, direction, tau.detach())
+        return torch.stack(torch.broadcast_tensors(*columns), -1)
+
+    def correction(self, features: Tensor) -> Tensor:
+        """Torques [..., n] that the network makes of features [..., n, 6]."""
+        mean, spread, scale = (x.to(features) for x in (self.feature_mean, self.feature_spread, self.torque_scale))
+        seen = (features - mean) / spread
+        like = next(self.network.parameters(), seen)
+        seen = seen.to(like.dtype)
+        found = self.network(seen).squeeze(-1) if self.inputs == "joint" else self.network(seen.flatten(-2))
+        return found.to(features.dtype) * scale
+
+    @torch.no_grad()
+    def standardise(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> None:
+        """Have the network see features of mean zero and spread one over these motions, and answer in their torques.
+
+        Call it once, before training: afterwards it changes what the network computes.
+
+        Args:
+            q, qd, qdd: positions, velocities and accelerations, shape [..., n]; qdd may be None.
+            tau: measured torques [N m or N], shape [..., n]; their standard deviation becomes the network's unit.
+
+        Raises:
+            ArgumentError: there are fewer than two samples.
+        """
+        features = self.features(q, qd, qdd, self.model(q, qd, qdd))
+        features, torques = features.reshape(-1, *features.shape[-2:]), tau.reshape(-1, tau.shape[-1])
+        if min(len(features), len(torques)) < 2:
+            raise ArgumentError(f"q must have at least two samples, found the shape {tuple(q.shape)}")
+        mean = features.mean(0)
+        self.feature_mean.copy_(mean)
+        self.feature_spread.copy_(_spread(features, mean))
+        self.torque_scale.copy_(_spread(torques, torques.mean(0)))
+
+
+def _spread(x: Tensor, mean: Tensor) -> Tensor:
+    """Standard deviations over samples; one where a column is constant but for rounding, so that dividing is safe."""
+    spread = (x - mean).square().mean(0).sqrt()
+    return spread.where(spread > 1e-6 * mean.abs(), 1.0)
