@@ -153,7 +153,7 @@ def main(args: Args) -> Result:
     plain = torchdq.inverse_dynamics(described, test.q, test.qd, test.qdd)
     after = found.predict(test.q, test.qd, test.qdd)
     before_rms, after_rms = ((x - test.tau).square().mean(0).sqrt() for x in (plain, after.tau))
-    table = Table("torque error in the test motion [N m]", *described.joint_names)
+    table = Table("joint", *(str(j + 1) for j in range(n)), title="torque error in the test motion [N m]")
     rows = {"as described": before_rms, "as found": after_rms, "noise": found.noise}
     rows["error of the prediction"] = after.error.square().mean(0).sqrt()
     for name, row in rows.items():
@@ -184,6 +184,7 @@ def draw(args: Args, test: Motions, plain: Tensor, after: Tensor, off: tuple[Ten
     axes["c"].plot(place, described[order], "o", color="#D55E00", markersize=4, label="as described")
     axes["c"].errorbar(place, value[order], error[order], fmt="o", color="#0072B2", markersize=4, label="as found")
     axes["c"].set_yscale("symlog", linthresh=4)
+    axes["c"].set_yticks([-100, -10, 0, 10, 100])
     axes["c"].set(xlabel="combination of parameters", ylabel="off the truth [standard errors]")
     axes["c"].set_title("what the motion tells", loc="left", fontsize=11)
     axes["c"].legend(frameon=False, ncols=3, loc="lower right")

@@ -63,7 +63,8 @@ class Identified(NamedTuple):
     squared standard error that noise of the found size, independent from sample to sample, leaves. Smoothed signals
     are not independent: keep about two samples per period of the filter's cutoff, or the errors come out too small.
     What the samples cannot tell has the width of the prior instead, the described size over sqrt(prior), which is
-    large; that the robot must be physical narrows it further and is not counted. Single masses and inertias are mostly
+    large, and right as long as the description is not off by more; that the robot must be physical narrows it further
+    and is not counted. Single masses and inertias are mostly
     of that kind. What the samples do tell are `rank` combinations, the base parameters `base` @ `parameters`.
     """
 
