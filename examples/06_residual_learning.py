@@ -66,7 +66,7 @@ class Args:
     seeds: int = 5
     """Number of arms."""
     samples: tuple[int, ...] = (100, 300, 1000, 3000, 10000)
-    """Numbers of samples to learn from, upwards; the table is of the last one."""
+    """Numbers of samples to learn from, upwards: the same motions, thinned. The table is of the last one."""
     seconds: float = 12.0
     """Length of every motion [s]."""
     steps: int = 1500
@@ -495,13 +495,13 @@ def draw(found: Study, path: Path) -> None:
     """Torque errors by number of samples, near and far, and tracking errors."""
     matplotlib.use("Agg")
     plt.rcParams.update({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False, "savefig.dpi": 160})
-    figure, (near, far, bars) = plt.subplots(1, 3, figsize=(14, 4.4), layout="constrained")
+    figure, (near, far, bars) = plt.subplots(1, 3, figsize=(14, 4.8), layout="constrained")
     draw_curves(near, found, "near")
     draw_curves(far, found, "far")
     far.sharey(near)
     near.set_title("motions like those learned from", loc="left", fontsize=11)
     far.set_title("faster and elsewhere", loc="left", fontsize=11)
-    near.legend(frameon=False, fontsize=9)
+    figure.legend(*near.get_legend_handles_labels(), loc="outside lower left", ncols=6, frameon=False, fontsize=10)
     draw_tracking(bars, found[max(found)])
     figure.savefig(path)
     plt.close(figure)

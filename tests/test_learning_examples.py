@@ -103,7 +103,7 @@ def test_filtering_recovers_a_known_motion(example):
     )
     found = example.learnable(readings)
     assert len(found.q) == 300  # 100 Hz, without half a second at either end
-    assert (found.qdd + 9 * found.q).abs().max() < 0.15
+    assert (found.qdd + 9 * found.q).square().mean().sqrt() < 0.08  # 3.5 without the filter
     assert (found.tau - 5 * found.q).abs().max() < 1e-2
 
 
