@@ -294,12 +294,17 @@ def test_a_killed_run_loses_nothing(tmp_path, undisturbed):
     """Twenty trials, each killed once or twice at random moments, from before the first step to after the last."""
     fork = multiprocessing.get_context("fork")
     rng, reached = random.Random(0), []
+    start = time.monotonic()  # moments are parts of what a whole run takes on this machine
+    child = fork.Process(target=run, args=(tmp_path / "whole.pt",))
+    child.start()
+    child.join()
+    whole = time.monotonic() - start
     for trial in range(20):
         path = tmp_path / f"run{trial}.pt"
         for _ in range(1 + trial % 2):
             child = fork.Process(target=run, args=(path,))
             child.start()
-            time.sleep(rng.uniform(0.0, 0.4))
+            time.sleep(rng.uniform(0.0, whole))
             os.kill(child.pid, signal.SIGKILL)
             child.join()
         reached.append(checkpoints.read(path)["step"] if path.exists() else 0)
@@ -307,7 +312,7 @@ def test_a_killed_run_loses_nothing(tmp_path, undisturbed):
         model, history = run(path, other)
         assert torch.equal(weights(model), undisturbed[0]) and history == undisturbed[1], (trial, reached[-1])
         assert not list(tmp_path.glob(".*.tmp"))
-    assert sum(0 < step < OPTIONS["steps"] for step in reached) >= 8, reached
+    assert sum(0 < step < OPTIONS["steps"] for step in reached) >= 5, reached
 
 
 class Killed(BaseException):
