@@ -11,6 +11,10 @@ for needed in ("matplotlib", "rich", "tyro"):
 from matplotlib.image import imread  # noqa: E402
 from PIL import Image  # noqa: E402
 
+from torchdq.program import build  # noqa: E402
+
+# thousands of steps, which take minutes as torch operations
+pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 BACKEND = "auto"
 
