@@ -39,8 +39,8 @@ from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 from torchdq.program.backends import Backend
 from torchdq.program.model import GEOMETRY
 from torchdq.robot import Robot
-from torchdq.robot.library import ROBOTS, load
 from torchdq.robot.robot import DTYPES, SHAPES
+from torchdq.robot.shipped import ROBOTS, load
 
 TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track()}
 KP, KD = 100.0, 20.0  # of the controller that is there unless told [1/s^2, 1/s]

@@ -46,7 +46,7 @@ FLOORS = {
 }
 
 # storeys of the one package that has several: the sources of a description, the robot, the shipped robots
-STOREYS = {"torchdq.robot.robot": 1, "torchdq.robot.frames": 2, "torchdq.robot": 3, "torchdq.robot.library": 4}
+STOREYS = {"torchdq.robot.robot": 1, "torchdq.robot.frames": 2, "torchdq.robot": 3, "torchdq.robot.shipped": 4}
 
 NUMBER_GENERIC = ("torchdq.algebra", "torchdq.dynamics", "torchdq.numbers")
 NOT_AT_IMPORT = ("pinocchio", "pytorch_kinematics", "mujoco", "matplotlib", "scipy", "gymnasium")
@@ -104,7 +104,7 @@ def may_import(module, other):
         return False  # a floor's packages do not know each other
     if package != "torchdq.robot":
         return True
-    here, there = (longest(name, STOREYS) if name in STOREYS or "library" in name else 0 for name in (module, other))
+    here, there = (longest(name, STOREYS) if name in STOREYS or "shipped" in name else 0 for name in (module, other))
     return there <= here
 
 
@@ -131,7 +131,7 @@ def test_a_module_imports_from_lower_floors_or_its_own_package(module):
         ("torchdq.dq", "torchdq.convert"),
         ("torchdq.robot.robot", "torchdq.convert"),
         ("torchdq.robot.robot", "torchdq.functional"),
-        ("torchdq.robot.robot", "torchdq.robot.library"),
+        ("torchdq.robot.robot", "torchdq.robot.shipped"),
         ("torchdq.robot.urdf", "torchdq.robot.robot"),
         ("torchdq.robot.robot", "torchdq.robot"),
         ("torchdq.functional", "torchdq.nn"),

@@ -165,7 +165,7 @@ def test_a_broken_or_foreign_entry_is_built_again(cache, spoil):
 
 def cache_entry(cache: Path, program: tuple[str, str, int]) -> Path:
     """Where a program's library lies, or will."""
-    return build.directory() / f"{build.library_key(program[0])}.so"
+    return build.directory() / f"{build.entry_key(program[0])}.so"
 
 
 # --- processes -------------------------------------------------------------------------------------------------------

@@ -42,7 +42,7 @@ from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics
 from torchdq.program.backends import backend
 from torchdq.residual import ResidualDynamics
 from torchdq.robot import Robot
-from torchdq.robot import library as robots
+from torchdq.robot import shipped as robots
 
 __version__ = "0.1.0"
 

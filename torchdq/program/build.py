@@ -148,7 +148,7 @@ def _announce(name: str) -> None:
     sys.stderr.write(f"torchdq: compiling {name}, once for this robot and machine ...\n")
 
 
-def library_key(source: str) -> str:
+def entry_key(source: str) -> str:
     """Name of the library of a source: a hash of everything it depends on."""
     found = compiler()
     version = "" if found is None else "\n".join([*found.command, found.version])
@@ -157,7 +157,7 @@ def library_key(source: str) -> str:
 
 def load(source: str, name: str, pointers: int) -> Callable[..., None]:
     """The function `run` of a C source, compiled unless it was before; it takes a count and that many pointers."""
-    key = library_key(source)
+    key = entry_key(source)
     path = directory() / f"{key}.so"
     if not _intact(path, key):
         _compile(path, key, source, name)

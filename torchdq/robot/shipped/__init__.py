@@ -3,8 +3,8 @@
 from collections.abc import Callable
 
 from torchdq.errors import UnknownNameError
-from torchdq.robot.library import panda, puma560, two_link, ur10e
 from torchdq.robot.robot import Robot
+from torchdq.robot.shipped import panda, puma560, two_link, ur10e
 
 ROBOTS: dict[str, Callable[[], Robot]] = {
     "two_link": two_link.build,
