@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from torchdq.algebra.quaternion import Number
-from torchdq.effects.effect import Effect, Parameter, Shapes, owned
+from torchdq.effects.effect import Effect, Parameter, Shapes, unbounded
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import clip, exp, floor
 from torchdq.robot import Robot
@@ -36,13 +36,11 @@ class Saturation(Actuator):
 
     SHAPES: ClassVar[Shapes] = {"limit": ("n",)}
     UNBOUNDED = frozenset({"limit"})
+    DESCRIBED: ClassVar[Mapping[str, str]] = {"limit": "limits.effort"}
     limit: Parameter = None
 
-    def described(self, robot: Robot) -> Self:
-        return self if self.limit is not None else type(self)(owned(robot, robot.limits.effort))
-
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
-        return [x if _unlimited(limit) else clip(x, -limit, limit) for x, limit in zip(u, self.limit, strict=True)], ()
+        return [x if unbounded(limit) else clip(x, -limit, limit) for x, limit in zip(u, self.limit, strict=True)], ()
 
 
 @dataclass(frozen=True)
@@ -60,19 +58,14 @@ class TorqueSpeed(Actuator):
     SHAPES: ClassVar[Shapes] = {"stall": ("n",), "speed": ("n",)}
     UNBOUNDED = frozenset({"stall", "speed"})
     DIVIDING = frozenset({"speed"})
+    DESCRIBED: ClassVar[Mapping[str, str]] = {"stall": "limits.effort", "speed": "limits.velocity"}
     stall: Parameter = None
     speed: Parameter = None
-
-    def described(self, robot: Robot) -> Self:
-        return type(self)(
-            owned(robot, robot.limits.effort) if self.stall is None else self.stall,
-            owned(robot, robot.limits.velocity) if self.speed is None else self.speed,
-        )
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
         result = []
         for x, v, stall, speed in zip(u, qd, self.stall, self.speed, strict=True):
-            if _unlimited(stall):
+            if unbounded(stall):
                 result.append(x)
                 continue
             ratio = v / speed
@@ -165,7 +158,3 @@ def whole(effect):
     if not isinstance(effect.steps, int) or effect.steps < 1:
         raise ArgumentError(f"steps of {type(effect).__name__} must be a whole number from 1, found {effect.steps!r}")
     return effect
-
-
-def _unlimited(limit: Number) -> bool:
-    return isinstance(limit, float) and limit == float("inf")

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any, ClassVar, Self
 
 import torch
@@ -48,10 +49,12 @@ class Parametric:
     SIGNED: ClassVar[frozenset[str]] = frozenset()  # those that may be negative
     UNBOUNDED: ClassVar[frozenset[str]] = frozenset()  # those that may be infinite
     DIVIDING: ClassVar[frozenset[str]] = frozenset()  # those that must not be zero
+    DESCRIBED: ClassVar[Mapping[str, str]] = {}  # what of a robot those are that are None
 
     def described(self, robot: Robot) -> Self:
         """The same with what is None taken from the robot's description."""
-        return self
+        missing = [name for name in self.DESCRIBED if getattr(self, name) is None]
+        return replace(self, **{name: owned(robot, attrgetter(self.DESCRIBED[name])(robot)) for name in missing})
 
     def resolved(self, robot: Robot) -> Self:
         """The same for a robot: described, checked, every parameter a tuple of floats, a float, or a tensor."""
@@ -110,6 +113,10 @@ class Effect(Parametric):
         """Names and widths of what is given to it at a step."""
         return {}
 
+    def needs(self, n: int) -> tuple[str, ...]:
+        """Names of those inputs that have to be given at every step."""
+        return tuple(self.inputs(n))
+
     def noises(self, n: int) -> int:
         """How many random numbers, uniform in (0, 1), it consumes at a step."""
         return 0
@@ -131,6 +138,11 @@ def owned(robot: Robot, x: Tensor | None) -> Tensor | tuple[float, ...] | None:
     if replaced or x.requires_grad or x.ndim > 1:
         return x
     return tuple(x.to(torch.float64).tolist())
+
+
+def unbounded(x: Number) -> bool:
+    """Whether a parameter is an infinite constant: no limit, which costs nothing."""
+    return isinstance(x, float) and math.isinf(x)
 
 
 def on_a_link(effect: Any, robot: Robot) -> Any:

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple, Self
+from typing import ClassVar, NamedTuple
 
 from torchdq.algebra.quaternion import Number
-from torchdq.effects.effect import Effect, Parameter, Shapes, owned
+from torchdq.effects.effect import Effect, Parameter, Shapes, unbounded
 from torchdq.numbers.functions import at_least, clip, maximum, sqrt
-from torchdq.robot import Robot
 
 Inputs = Mapping[str, Sequence[Number]]
 
@@ -52,12 +51,11 @@ class Viscous(JointEffect):
     """
 
     SHAPES: ClassVar[Shapes] = {"coefficient": ("n",)}
+    DESCRIBED: ClassVar[Mapping[str, str]] = {"coefficient": "damping"}
     coefficient: Parameter = None
 
-    def described(self, robot: Robot) -> Self:
-        return self if self.coefficient is not None else type(self)(owned(robot, robot.damping))
-
     def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
+        """D = d."""
         return [Impedance(d) for d in self.coefficient]
 
 
@@ -77,13 +75,12 @@ class Coulomb(JointEffect):
 
     SHAPES: ClassVar[Shapes] = {"level": ("n",), "width": ()}
     DIVIDING = frozenset({"width"})
+    DESCRIBED: ClassVar[Mapping[str, str]] = {"level": "friction"}
     level: Parameter = None
     width: Parameter = 1e-2
 
-    def described(self, robot: Robot) -> Self:
-        return self if self.level is not None else type(self)(owned(robot, robot.friction), self.width)
-
     def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
+        """D = level / sqrt(qd^2 + width^2)."""
         return [Impedance(_over_speed(level, v, self.width)) for level, v in zip(self.level, qd, strict=True)]
 
 
@@ -103,17 +100,14 @@ class Stribeck(JointEffect):
 
     SHAPES: ClassVar[Shapes] = {"coulomb": ("n",), "static": ("n",), "velocity": ("n",), "width": ()}
     DIVIDING = frozenset({"velocity", "width"})
+    DESCRIBED: ClassVar[Mapping[str, str]] = {"coulomb": "friction"}
     coulomb: Parameter = None
     static: Parameter = None
     velocity: Parameter = 0.1
     width: Parameter = 1e-2
 
-    def described(self, robot: Robot) -> Self:
-        if self.coulomb is not None:
-            return self
-        return type(self)(owned(robot, robot.friction), self.static, self.velocity, self.width)
-
     def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
+        """D = level(qd) / sqrt(qd^2 + width^2)."""
         result = []
         for c, s, v_s, v in zip(self.coulomb, self.static, self.velocity, qd, strict=True):
             ratio = v / v_s
@@ -137,6 +131,7 @@ class Spring(JointEffect):
     rest: Parameter = 0.0
 
     def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
+        """K = k about the rest."""
         return [Impedance(0.0, k, r) for k, r in zip(self.stiffness, self.rest, strict=True)]
 
 
@@ -157,9 +152,11 @@ class Servo(JointEffect):
     kd: Parameter = 0.0
 
     def inputs(self, n: int) -> dict[str, int]:
+        """The target [n]."""
         return {"target": n}
 
     def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
+        """D = kd, and K = kp about the target."""
         return [Impedance(d, k, x) for k, d, x in zip(self.kp, self.kd, inputs["target"], strict=True)]
 
 
@@ -180,20 +177,17 @@ class Limits(JointEffect):
     SHAPES: ClassVar[Shapes] = {"lower": ("n",), "upper": ("n",), "stiffness": ("n",), "dissipation": ("n",)}
     SIGNED = frozenset({"lower", "upper"})
     UNBOUNDED = frozenset({"lower", "upper"})
+    DESCRIBED: ClassVar[Mapping[str, str]] = {"lower": "limits.lower", "upper": "limits.upper"}
     lower: Parameter = None
     upper: Parameter = None
     stiffness: Parameter = 1e4
     dissipation: Parameter = 1.0
 
-    def described(self, robot: Robot) -> Self:
-        lower = owned(robot, robot.limits.lower) if self.lower is None else self.lower
-        upper = owned(robot, robot.limits.upper) if self.upper is None else self.upper
-        return type(self)(lower, upper, self.stiffness, self.dissipation)
-
     def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
+        """Beyond a limit K = k about it, and D = k c p while p grows."""
         result = []
         for x, v, low, high, k, c in zip(q, qd, self.lower, self.upper, self.stiffness, self.dissipation, strict=True):
-            has_low, has_high = _finite(low), _finite(high)
+            has_low, has_high = not unbounded(low), not unbounded(high)
             if not (has_low or has_high):
                 result.append(Impedance())
                 continue
@@ -207,7 +201,7 @@ class Limits(JointEffect):
 
 
 @dataclass(frozen=True)
-class Elastic(Effect):
+class Elastic(JointEffect):
     """Elastic joints: the actuator turns a rotor, and a spring and damper turn the joint.
 
         J thd' = u - t,   t = k (th - q) + d (thd - qd) acts on the joint
@@ -221,29 +215,26 @@ class Elastic(Effect):
         inertia: J of the rotor, seen at the joint [kg m^2 or kg], shape [..., n]; None: the robot's rotor inertia.
     """
 
-    SLOT: ClassVar[str] = "joint"
     SHAPES: ClassVar[Shapes] = {"stiffness": ("n",), "damping": ("n",), "inertia": ("n",)}
     DIVIDING = frozenset({"inertia"})
+    DESCRIBED: ClassVar[Mapping[str, str]] = {"inertia": "armature"}
     stiffness: Parameter
     damping: Parameter = 0.0
     inertia: Parameter = None
 
-    def described(self, robot: Robot) -> Self:
-        if self.inertia is not None:
-            return self
-        return type(self)(self.stiffness, self.damping, owned(robot, robot.armature))
-
     def memory(self, n: int) -> int:
+        """Position and velocity of every rotor."""
         return 2 * n
 
     def start(self, q: Sequence[Number], qd: Sequence[Number]) -> Sequence[Number]:
+        """With the joints: the springs are relaxed."""
         return (*q, *qd)
+
+    def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
+        """None: what it does depends on the rotors, and stands between the actuators and the joints."""
+        return [Impedance()] * len(q)
 
 
 def _over_speed(level: Number, v: Number, width: Number) -> Number:
     """level / sqrt(v^2 + width^2)."""
-    return 0.0 if isinstance(level, float) and level == 0 else level / sqrt(v * v + width * width)
-
-
-def _finite(x: Number) -> bool:
-    return not (isinstance(x, float) and x in (float("inf"), -float("inf")))
+    return level / sqrt(v * v + width * width)

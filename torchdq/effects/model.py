@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
-from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link, owned
+from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link
 from torchdq.program.model import Given, constant_pose, field
 from torchdq.robot import Robot
 from torchdq.robot.robot import GRAVITY
@@ -37,12 +37,13 @@ class Gravity(ModelEffect):
 
     SHAPES: ClassVar[Shapes] = {"acceleration": (3,)}
     SIGNED = frozenset({"acceleration"})
+    DESCRIBED: ClassVar[Mapping[str, str]] = {"acceleration": "gravity"}
     acceleration: Parameter = None
 
     def described(self, robot: Robot) -> Self:
-        if self.acceleration is not None:
-            return self
-        return type(self)(GRAVITY if robot.gravity is None else owned(robot, robot.gravity))
+        """With the robot's gravity, or 9.81 downwards if it has none."""
+        found = super().described(robot)
+        return replace(found, acceleration=GRAVITY) if found.acceleration is None else found
 
     def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
         return {"gravity": self.acceleration}
@@ -57,10 +58,8 @@ class RotorInertia(ModelEffect):
     """
 
     SHAPES: ClassVar[Shapes] = {"inertia": ("n",)}
+    DESCRIBED: ClassVar[Mapping[str, str]] = {"inertia": "armature"}
     inertia: Parameter = None
-
-    def described(self, robot: Robot) -> Self:
-        return self if self.inertia is not None else type(self)(owned(robot, robot.armature))
 
     def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
         before = fields.get("armature")
