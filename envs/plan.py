@@ -174,11 +174,7 @@ class Motion(System):
 
     def _impedances(self, q: Row, qd: Row) -> list[list[Impedance]]:
         """Impedances of every joint."""
-        found = [
-            effect.impedances(q, qd, self.scene.inputs)
-            for _, effect in self.scene.plan.of_slot("joint")
-            if not isinstance(effect, Elastic)
-        ]
+        found = [effect.impedances(q, qd, self.scene.inputs) for _, effect in self.scene.plan.of_slot("joint")]
         return [list(joint) for joint in zip(*found, strict=True)] if found else [[] for _ in q]
 
     def _elastic(self) -> Elastic | None:
@@ -210,18 +206,23 @@ class Motion(System):
             return []
         return [(u - t) / J for u, t, J in zip(self.u, springs, elastic.inertia, strict=True)]
 
-    def accelerations(self, x: Row, v: Row) -> list[Number]:
+    def _net(self, x: Row, v: Row) -> tuple[AlignedModel | PaperModel, list[Number]]:
+        """The bodies in their positions, and the torques that are left to accelerate them."""
         n = self.scene.plan.robot.n
         q, qd = x[:n], v[:n]
         m = self._model(q)
-        net = _less(self._joint_torques(x, v), m.torques(qd, None, self._exerted(q, qd)))
+        return m, _less(self._joint_torques(x, v), m.torques(qd, None, self._exerted(q, qd)))
+
+    def accelerations(self, x: Row, v: Row) -> list[Number]:
+        """Accelerations in a state."""
+        m, net = self._net(x, v)
         return [*m.solve(net, self.scene.linear), *self._rotors(self._springs(x, v))]
 
     def implicit_accelerations(self, x: Row, v: Row, h: float) -> list[Number]:
+        """Mean accelerations over a step whose impedances and springs act on the state at its end."""
         n = self.scene.plan.robot.n
         q, qd = x[:n], v[:n]
-        m = self._model(q)
-        net = _less(self._joint_torques(x, v), m.torques(qd, None, self._exerted(q, qd)))
+        m, net = self._net(x, v)
         diagonal: list[Number] = [0.0] * n
         for i, impedances in enumerate(self._impedances(q, qd)):
             for impedance in impedances:
@@ -246,6 +247,7 @@ class Motion(System):
         return [*qdd, *rotors]
 
     def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
+        """M(q)^-1 (dL/dq + forces), and the accelerations of the rotors."""
         n = self.scene.plan.robot.n
         q, qd = x[:n], v[:n]
         forces = self._joint_torques(x, v)
@@ -258,6 +260,7 @@ class Motion(System):
         return [*self._model(q).solve(rate, self.scene.linear), *self._rotors(self._springs(x, v))]
 
     def carried(self, x: Row, v: Row, to: Row) -> list[Number]:
+        """Velocities at other positions that have the same momentum."""
         n = self.scene.plan.robot.n
         M = self._model(x[:n]).mass_matrix()
         momentum = [sum((M[i][j] * v[j] for j in range(n)), 0.0) for i in range(n)]
