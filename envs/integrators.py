@@ -147,11 +147,19 @@ class StoermerVerlet(Integrator):
         return to, _plus(v2, 0.5 * h, system.momentum_accelerations(to, v2))
 
 
-Rates = Callable[[Tensor, Tensor], Tensor]  # accelerations [samples, n] of positions and velocities
+Rates = Callable[[Tensor, Tensor], Tensor]  # accelerations [..., n] of positions and velocities
+
+
+class Adaptive(Integrator):
+    """An integrator that chooses its steps as it goes, and therefore is not recorded."""
+
+    def flow(self, rates: Rates, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
+        """State after the time T [s], of rows [..., n]."""
+        raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class DormandPrince(Integrator):
+class DormandPrince(Adaptive):
     """The embedded pair of order 5(4), every sample with steps of its own; for references, not for speed.
 
     The step sizes are not differentiated: gradients are those of the steps that were taken.

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple, Protocol
 
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics import energy, kinematics, rnea
 from torchdq.dynamics.absent import neg, total
 from torchdq.effects.body import Bodies
 from torchdq.effects.effect import Effect
@@ -277,11 +276,7 @@ def _less(a: Sequence[Number], b: Sequence[Number | None]) -> list[Number]:
 def energies(robot: Robot, fields: Given, q: Row, qd: Row) -> tuple[Number, Number]:
     """Kinetic and potential energy of the rigid bodies."""
     m = PaperModel.of(robot, q, fields)
-    V, _ = rnea.outward(m.mechanism, m.Ad, qd, [None] * robot.n, rnea.Base(None, None))
-    return (
-        energy.kinetic_energy(m.mechanism, V, qd),
-        energy.potential_energy(m.mechanism, kinematics.link_poses(m.mechanism, m.X_PB)),
-    )
+    return m.kinetic_energy(qd), m.potential_energy()
 
 
 def lagrangian_gradient(scene: Recording, q: Row, qd: Row) -> list[Number]:
@@ -315,7 +310,7 @@ class Signature(NamedTuple):
     """What the program of a stage depends on beside the blueprint."""
 
     stage: str  # one of STAGES
-    inputs: tuple[tuple[str, int, bool], ...]  # name, width, uniform
+    inputs: tuple[tuple[str, int], ...]  # name, width
     tensors: tuple[
         tuple[int, str, int, bool], ...
     ]  # owner (-2: robot, -1: controller, i: effect), name, width, uniform
@@ -356,9 +351,9 @@ ROBOT, CONTROLLER = -2, -1
 @lru_cache(KEPT)
 def program(plan: Blueprint, signature: Signature) -> Program:
     """Program of a stage, recorded once."""
-    arguments = [Argument(name, width, uniform) for name, width, uniform in signature.inputs]
+    arguments = [Argument(name, width) for name, width in signature.inputs]
     arguments += [Argument(f"{owner}.{name}", width, uniform) for owner, name, width, uniform in signature.tensors]
-    names = [name for name, _, _ in signature.inputs]
+    names = [name for name, _ in signature.inputs]
     owners = [(owner, name) for owner, name, _, _ in signature.tensors]
     varied = [(owner, name) for owner, name, _, uniform in signature.tensors if not uniform]
 

@@ -18,11 +18,11 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint as checkpointed
 
-from torchdq.effects import Effect, Gravity, Push, RotorInertia
+from torchdq.effects import Effect, Gravity, RotorInertia
 from torchdq.effects.joint import Elastic
 from torchdq.envs import plan as plans
 from torchdq.envs.controllers import Controller
-from torchdq.envs.integrators import DormandPrince, Integrator, SemiImplicitEuler
+from torchdq.envs.integrators import Adaptive, Integrator, SemiImplicitEuler
 from torchdq.envs.leftout import left_out
 from torchdq.envs.plan import CONTROLLER, ROBOT, Blueprint, Signature, Task
 from torchdq.errors import ArgumentError, DtypeError
@@ -238,8 +238,8 @@ class Scene:
     ) -> tuple[State, dict[str, Tensor]]:
         """State after `dt`, and rows that a task computes from it in the same program."""
         present = {name: x for name, x in inputs.items() if x is not None}
-        if isinstance(self.integrator, DormandPrince):
-            return self._adaptive(state, present, noise, task)
+        if isinstance(self.integrator, Adaptive):
+            return self._adaptive(self.integrator, state, present, noise, task)
         rows = self._call("step", self._given(state, present, noise), task)
         return State(rows.pop("q"), rows.pop("qd"), rows.pop("memory", None), rows.pop("reading", None)), rows
 
@@ -298,8 +298,9 @@ class Scene:
 
     def program(self, *present: str, task: Task | None = None) -> Program:
         """Program of a step at which the inputs of those names are given; by default, all."""
-        if isinstance(self.integrator, DormandPrince):
-            raise ArgumentError("a step of DormandPrince is no program of its own, for its cost depends on the state")
+        if isinstance(self.integrator, Adaptive):
+            name = type(self.integrator).__name__
+            raise ArgumentError(f"a step of {name} is no program of its own, for its cost depends on the state")
         n = self.n
         widths = {"q": n, "qd": n, "memory": self._memory_size(), "reading": 2 * n, **self.inputs, "noise": self.noises}
         wanted = ["q", "qd", *(present or ("torque", *(name for name in self.inputs if name != "torque")))]
@@ -312,7 +313,7 @@ class Scene:
         if self.controller is not None and "reference" not in wanted:
             raise ArgumentError("reference must be among the inputs of a scene with a controller")
         tensors = tuple((owner, name, width, x.ndim == axes) for owner, name, x, width, axes in self._tensors())
-        inputs = tuple((name, widths[name], False) for name in wanted)
+        inputs = tuple((name, widths[name]) for name in wanted)
         return plans.program(self.blueprint, Signature("step", inputs, tensors, task))
 
     def count(self) -> Count:
@@ -429,7 +430,12 @@ class Scene:
         return state._replace(memory=rows.pop("memory", None), reading=rows.pop("reading", None)), rows
 
     def _adaptive(
-        self, state: State, inputs: Mapping[str, Tensor], noise: Tensor | None, task: Task | None
+        self,
+        integrator: Adaptive,
+        state: State,
+        inputs: Mapping[str, Tensor],
+        noise: Tensor | None,
+        task: Task | None,
     ) -> tuple[State, dict[str, Tensor]]:
         """A step of an integrator that chooses its own: drive, flow and senses are programs of their own."""
         goals = {} if task is None else task.inputs(self.n)
@@ -446,7 +452,7 @@ class Scene:
         def rates(x: Tensor, v: Tensor) -> Tensor:
             return self._call("rates", {"x": x, "v": v, "u": u, **others}, None)["a"]
 
-        x, v = self.integrator.flow(rates, x, v, self.dt)  # type: ignore[attr-defined]
+        x, v = integrator.flow(rates, x, v, self.dt)
         if elastic is not None and memory is not None:
             at = self.blueprint.memory()[elastic]
             memory = torch.cat([memory[..., : at.start], x[..., n:], v[..., n:], memory[..., at.stop :]], -1)
@@ -472,7 +478,7 @@ class Scene:
                 _plans.clear()
             _plans[look] = plan
         rows = [
-            _row(x, like, shapes)
+            run.row(x, like, shapes)
             for x, shapes in zip([*given.values(), *[t[2] for t in tensors]], plan.rows, strict=True)
         ]
         outputs = run.eager(plan.program, rows) if plan.eager else run.compiled(plan.program, rows)
@@ -495,7 +501,8 @@ class Scene:
         )
         shapes, inputs, arguments = _layout(given, tensors, batch)
         rows = [
-            _row(x, like, shape) for x, shape in zip([*given.values(), *[t[2] for t in tensors]], shapes, strict=True)
+            run.row(x, like, shape)
+            for x, shape in zip([*given.values(), *[t[2] for t in tensors]], shapes, strict=True)
         ]
         key, names = _constant_program(self.blueprint, (stage, inputs, arguments, task))
         if backends.choose(self.backend, like.device.type) == "eager":
@@ -552,16 +559,16 @@ class Scene:
                     f"{name} must have the shape [..., {widths[name]}] for robot {self.robot.name!r}, "
                     f"found {tuple(x.shape)}"
                 )
-        optional = {effect.name for effect in self.effects if isinstance(effect, Push)}
         if stage in ("step", "drive"):
             kept = {"memory": bool(widths["memory"]), "reading": bool(self.blueprint.of_slot("sensor"))}
             for name, there in kept.items():
                 if there and name not in given:
                     raise ArgumentError(f"{name} must be part of the state; `start` makes one that has it")
         if stage in ("step", "drive", "rates"):
-            skipped = {"torque", "reference"} if stage == "rates" else {"torque"}
-            for name in self.inputs:
-                if name not in given and name not in optional | skipped:
+            needed = [name for effect in self.effects for name in effect.needs(n)]
+            needed += ["reference"] if self.controller is not None and stage != "rates" else []
+            for name in needed:
+                if name not in given:
                     raise ArgumentError(f"{name} must be given, shape [..., {widths[name]}]; the scene asks for it")
 
 
@@ -583,7 +590,7 @@ _plans: dict[tuple, _Plan] = {}
 _MOST_PLANS = 1024
 
 
-_Inputs = tuple[tuple[str, int, bool], ...]
+_Inputs = tuple[tuple[str, int], ...]
 _Arguments = tuple[tuple[int, str, int, bool], ...]
 
 
@@ -599,7 +606,7 @@ def _layout(
         trailing = tuple(x.shape[x.ndim - axes :])
         arguments.append((owner, name, width, uniform))
         rows.append((trailing, (width,)) if uniform else ((*batch, *trailing), (samples, width)))
-    return tuple(rows), tuple([(name, x.shape[-1], False) for name, x in given.items()]), tuple(arguments)
+    return tuple(rows), tuple([(name, x.shape[-1]) for name, x in given.items()]), tuple(arguments)
 
 
 @torch.compiler.assume_constant_result
@@ -607,12 +614,6 @@ def _constant_program(plan: Blueprint, signature: tuple) -> tuple[str, tuple[str
     """Name of a program, and those of its results; a tracer hands over plain tuples, not named ones."""
     program = plans.program(plan, Signature(*signature))
     return run.key(program), tuple(result.name for result in program.results)
-
-
-def _row(x: Tensor, like: Tensor, shapes: _Shapes) -> Tensor:
-    if x.dtype != like.dtype or x.device != like.device:
-        x = x.to(like)
-    return x if x.shape == shapes[1] else x.expand(shapes[0]).reshape(shapes[1])
 
 
 def _times(calls: Sequence[Callable[[], object]], batch: int, seconds: float) -> list[float]:

@@ -157,15 +157,9 @@ def _evaluate(
         if len(_plans) >= _MOST_PLANS:
             _plans.clear()
         _plans[key] = plan
-    rows = [_row(x, like, shapes) for x, shapes in zip(inputs, plan.layout.rows, strict=True)]
+    rows = [run.row(x, like, shapes) for x, shapes in zip(inputs, plan.layout.rows, strict=True)]
     outputs = run.eager(plan.program, rows) if plan.eager else run.compiled(plan.program, rows)
     return [y if y.shape == shape else y.view(shape) for y, shape in zip(outputs, plan.layout.results, strict=True)]
-
-
-def _row(x: Tensor, like: Tensor, shapes: tuple[Shape, Shape]) -> Tensor:
-    if x.dtype != like.dtype or x.device != like.device:
-        x = x.to(like)
-    return x if x.shape == shapes[1] else x.expand(shapes[0]).reshape(shapes[1])
 
 
 def _check(name: str, robot: Robot, arguments: tuple[Tensor | None, ...]) -> Shape:
@@ -213,7 +207,7 @@ def _traced(
     """The same in a graph that is being traced: sizes may be symbols, and the program goes by its name."""
     layout = _layout(name, robot, arguments, options)
     inputs = [x for x in (*arguments, *[getattr(robot, field) for field in robot.varying]) if x is not None]
-    rows = [_row(x, inputs[0], shapes) for x, shapes in zip(inputs, layout.rows, strict=True)]
+    rows = [run.row(x, inputs[0], shapes) for x, shapes in zip(inputs, layout.rows, strict=True)]
     origin = robot.origin or robot
     if backends.choose(backend, inputs[0].device.type) == "eager":
         outputs = run.eager(_constant_program(origin, layout.signature), rows)

@@ -12,7 +12,6 @@ from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics import kinematics, rnea
 from torchdq.dynamics.mechanism import BASE
 from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link
 from torchdq.effects.joint import Inputs
@@ -29,9 +28,7 @@ class Bodies:
         self.robot = robot
         self.fields = fields
         model = PaperModel.of(robot, q, fields)
-        self.X_WB = kinematics.link_poses(model.mechanism, model.X_PB)
-        still = rnea.Base(None, None)
-        self.V_WB_B, _ = rnea.outward(model.mechanism, model.Ad, qd, [None] * robot.n, still)
+        self.X_WB, self.V_WB_B = model.poses(), model.twists(qd)
 
     def com(self, i: int) -> Pure:
         """Centre of mass of a link, in the link frame."""
@@ -76,14 +73,21 @@ class Push(BodyEffect):
     name: str = "push"
 
     def described(self, robot: Robot) -> Self:
+        """With the frame named."""
         if self.axes not in ("world", "body"):
             raise ArgumentError(f"axes of Push must be 'world' or 'body', found {self.axes!r}")
         return on_a_link(self, robot)
 
     def inputs(self, n: int) -> dict[str, int]:
+        """The wrench [6]."""
         return {self.name: 6}
 
+    def needs(self, n: int) -> tuple[str, ...]:
+        """Nothing: a step without a push has none."""
+        return ()
+
     def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
+        """The wrench on the link, if it is given."""
         if self.name not in inputs:
             return {}
         link, X_BF, X_WF = bodies.at(str(self.frame))
@@ -114,6 +118,7 @@ class Drag(BodyEffect):
     width: Parameter = 1e-3
 
     def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
+        """The resistance to every link."""
         result = {}
         for i in range(bodies.robot.n):
             c = bodies.com(i)
@@ -162,11 +167,13 @@ class Contact(BodyEffect):
     width: Parameter = 1e-2
 
     def described(self, robot: Robot) -> Self:
+        """With the frame named."""
         if isinstance(self.normal, tuple) and abs(sum(x * x for x in self.normal) - 1) > 1e-6:
             raise ArgumentError(f"normal of Contact must be a unit vector, found {self.normal}")
         return on_a_link(self, robot)
 
     def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
+        """The force on the link that touches."""
         link, X_BF, X_WF = bodies.at(str(self.frame))
         p_B = dq.translation(X_BF)
         r_WB = bodies.X_WB[link][0]
@@ -176,9 +183,8 @@ class Contact(BodyEffect):
         depth = maximum(self.height - quat.dot(n, dq.translation(X_WF)), 0.0)
         f_n = maximum(self.stiffness * depth * (1.0 - self.dissipation * approach), 0.0)
         force = quat.scale(f_n, n)
-        if not (isinstance(self.friction, float) and self.friction == 0):
-            sliding = quat.sub(v, quat.scale(approach, n))
-            speed = sqrt(quat.dot(sliding, sliding) + self.width * self.width)
-            force = quat.sub(force, quat.scale(self.friction * f_n / speed, sliding))
+        sliding = quat.sub(v, quat.scale(approach, n))
+        speed = sqrt(quat.dot(sliding, sliding) + self.width * self.width)
+        force = quat.sub(force, quat.scale(self.friction * f_n / speed, sliding))
         f_B = quat.rotate(quat.conj(r_WB), force)
         return {link: (f_B, quat.cross(p_B, f_B))}

@@ -10,7 +10,7 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.matrix import Rows
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics import aligned, articulated, composite, crba, forward, kinematics, newton_euler, rnea
+from torchdq.dynamics import aligned, articulated, composite, crba, energy, forward, kinematics, newton_euler, rnea
 from torchdq.dynamics.aligned import Aligned, AlignedLink, Body, Step, Turn
 from torchdq.dynamics.mechanism import Coordinate, Mechanism, mechanism
 from torchdq.robot import frames
@@ -185,6 +185,23 @@ class PaperModel(NamedTuple):
     def links(self):
         """Links of the tree."""
         return self.mechanism.links
+
+    def poses(self) -> tuple[DualQuaternion, ...]:
+        """Pose X_WB of every link in the base frame."""
+        return kinematics.link_poses(self.mechanism, self.X_PB)
+
+    def twists(self, qd: Sequence[Number]) -> list[Screw]:
+        """Twist V_WB_B of every link, in its frame."""
+        V, _ = rnea.outward(self.mechanism, self.Ad, qd, [None] * len(qd), rnea.Base(None, None))
+        return V
+
+    def kinetic_energy(self, qd: Sequence[Number]) -> Number:
+        """Kinetic energy, rotors included."""
+        return energy.kinetic_energy(self.mechanism, self.twists(qd), qd)
+
+    def potential_energy(self) -> Number:
+        """Potential energy of gravity."""
+        return energy.potential_energy(self.mechanism, self.poses())
 
     def torques(
         self,

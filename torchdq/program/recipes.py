@@ -15,7 +15,7 @@ from torchdq.algebra import dual_quaternion, quaternion, screw
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics import closed_form as closed
-from torchdq.dynamics import energy, kinematics, rnea
+from torchdq.dynamics import kinematics, rnea
 from torchdq.dynamics import regressor as regression
 from torchdq.dynamics.mechanism import BASE
 from torchdq.program import derive
@@ -115,22 +115,17 @@ def regressor(x: Inputs) -> Rows:
 
 def kinetic_energy(x: Inputs) -> Rows:
     """T."""
-    m = x.paper()
-    rates = x.arguments["qd"]
-    V, _ = rnea.outward(m.mechanism, m.Ad, rates, [None] * x.robot.n, rnea.Base(None, None))
-    return {"T": [energy.kinetic_energy(m.mechanism, V, rates)]}
+    return {"T": [x.paper().kinetic_energy(x.arguments["qd"])]}
 
 
 def potential_energy(x: Inputs) -> Rows:
     """U."""
-    m = x.paper()
-    return {"U": [energy.potential_energy(m.mechanism, kinematics.link_poses(m.mechanism, m.X_PB))]}
+    return {"U": [x.paper().potential_energy()]}
 
 
 def forward_kinematics(x: Inputs, *names: str) -> Rows:
     """Poses of the frames, one after the other."""
-    m = x.paper()
-    X_WB = kinematics.link_poses(m.mechanism, m.X_PB)
+    X_WB = x.paper().poses()
     rows: list[Value | None] = []
     for name in names:
         frame = x.robot.frame(name)
@@ -149,7 +144,7 @@ def jacobian(x: Inputs, name: str, expressed: str) -> Rows:
         X_BF = constant_pose(frame.X_BF)
         columns = kinematics.jacobian(m.mechanism, m.Ad, frame.link, X_BF)
         if expressed == "world":
-            r_WF = quaternion.mul(kinematics.link_poses(m.mechanism, m.X_PB)[frame.link][0], X_BF[0])
+            r_WF = quaternion.mul(m.poses()[frame.link][0], X_BF[0])
             columns = [c and (quaternion.rotate(r_WF, c[0]), quaternion.rotate(r_WF, c[1])) for c in columns]
     return {"J": [_six(c)[i] for i in range(6) for c in columns]}
 

@@ -152,6 +152,16 @@ def _compared(code: str, x: Tensor, y: Tensor) -> Tensor:
     return torch.where((x >= y if code == "max" else x <= y) | (x != x), x, y)
 
 
+# --- arguments -------------------------------------------------------------------------------------------------------
+
+
+def row(x: Tensor, like: Tensor, shapes: tuple[tuple[int, ...], tuple[int, ...]]) -> Tensor:
+    """A tensor as rows of a program, in the dtype and on the device of another: expanded, and then reshaped."""
+    if x.dtype != like.dtype or x.device != like.device:
+        x = x.to(like)
+    return x if x.shape == shapes[1] else x.expand(shapes[0]).reshape(shapes[1])
+
+
 # --- torch -----------------------------------------------------------------------------------------------------------
 
 
