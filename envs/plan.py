@@ -22,9 +22,9 @@ from torchdq.envs.controllers import Controller
 from torchdq.envs.integrators import Integrator, System
 from torchdq.numbers.record import Number as Recorded
 from torchdq.program import derive
-from torchdq.program.model import INERTIAL, AlignedModel, Given, PaperModel, model
+from torchdq.program.model import INERTIAL, AlignedModel, Given, PaperModel, model, solve
 from torchdq.program.program import Argument, Program, record, replay
-from torchdq.program.recipes import LONG
+from torchdq.program.recipes import ways
 from torchdq.robot import Robot
 
 Row = Sequence[Number]
@@ -215,7 +215,7 @@ class Motion(System):
     def accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations in a state."""
         m, net = self._net(x, v)
-        return [*m.solve(net, self.scene.linear), *self._rotors(self._springs(x, v))]
+        return [*solve(m, net, self.scene.linear), *self._rotors(self._springs(x, v))]
 
     def implicit_accelerations(self, x: Row, v: Row, h: float) -> list[Number]:
         """Mean accelerations over a step whose impedances and springs act on the state at its end."""
@@ -229,7 +229,7 @@ class Motion(System):
                 net[i] = net[i] - h * impedance.stiffness * qd[i]
         elastic = self._elastic()
         if elastic is None:
-            return list(m.with_rotors(diagonal).solve(net, self.scene.linear))
+            return list(solve(m.with_rotors(diagonal), net, self.scene.linear))
         # the rotor's velocity at the end of the step, thd' = (b + s qd')/a, is eliminated from the joint's equation
         coupled = []
         for i, (k, d, J) in enumerate(zip(elastic.stiffness, elastic.damping, elastic.inertia, strict=True)):
@@ -240,7 +240,7 @@ class Motion(System):
             diagonal[i] = diagonal[i] + s * J / a
             # the spring acts with the state at the end of the step instead of the one at its beginning
             net[i] = net[i] - d * (v[n + i] - v[i]) + (s * b / a - s * J / a * v[i]) / h
-        qdd = m.with_rotors(diagonal).solve(net, self.scene.linear)
+        qdd = solve(m.with_rotors(diagonal), net, self.scene.linear)
         ends = [v_i + h * a_i for v_i, a_i in zip(qd, qdd, strict=True)]
         rotors = [((b + s * end) / a - before) / h for (s, a, b), end, before in zip(coupled, ends, v[n:], strict=True)]
         return [*qdd, *rotors]
@@ -256,14 +256,14 @@ class Motion(System):
             # the wrenches' share of the inverse dynamics, which is linear in them
             forces = _less(forces, _less(m.torques(None, None, exerted), m.torques(None, None, None)))
         rate = [f + g for f, g in zip(forces, lagrangian_gradient(self.scene, q, qd), strict=True)]
-        return [*self._model(q).solve(rate, self.scene.linear), *self._rotors(self._springs(x, v))]
+        return [*solve(self._model(q), rate, self.scene.linear), *self._rotors(self._springs(x, v))]
 
     def carried(self, x: Row, v: Row, to: Row) -> list[Number]:
         """Velocities at other positions that have the same momentum."""
         n = self.scene.plan.robot.n
         M = self._model(x[:n]).mass_matrix()
         momentum = [sum((M[i][j] * v[j] for j in range(n)), 0.0) for i in range(n)]
-        return [*self._model(to[:n]).solve(momentum, self.scene.linear), *v[n:]]
+        return [*solve(self._model(to[:n]), momentum, self.scene.linear), *v[n:]]
 
 
 def _less(a: Sequence[Number], b: Sequence[Number | None]) -> list[Number]:
@@ -366,8 +366,7 @@ def program(plan: Blueprint, signature: Signature) -> Program:
 
         return record(f"{signature.stage}_{plan.robot.name}", arguments, algorithm)
 
-    ways = (False, True) if plan.robot.n >= LONG else (False,)
-    return min(map(recorded, ways), key=lambda p: p.count().total)
+    return min(map(recorded, ways(plan.robot.n, (False, True))), key=lambda p: p.count().total)
 
 
 def _joined(plan: Blueprint, memory: Row, *changes: Mapping[int, Row]) -> Row:

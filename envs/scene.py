@@ -26,6 +26,7 @@ from torchdq.envs.integrators import Adaptive, Integrator, SemiImplicitEuler
 from torchdq.envs.leftout import left_out
 from torchdq.envs.plan import CONTROLLER, ROBOT, Blueprint, Signature, Task
 from torchdq.errors import ArgumentError, DtypeError
+from torchdq.functional import Precision, check_precision
 from torchdq.program import backends, run
 from torchdq.program.backends import Backend
 from torchdq.program.program import Count, Program
@@ -94,6 +95,9 @@ class Scene:
         dt: duration of a step [s]; torques are constant over it.
         substeps: of the integrator within a step.
         backend: as in `torchdq.functional`.
+        precision: "auto": in the dtype of the state; a sample whose mass matrix would cost float32 half of its digits
+            takes that step in float64, one whose mass matrix is singular becomes NaN. "double": a float32 state, and
+            everything computed in float64.
 
     >>> import torch, torchdq
     >>> from torchdq.envs import Scene, effects
@@ -110,6 +114,7 @@ class Scene:
     dt: float = 0.01
     substeps: int = 1
     backend: Backend | None = None
+    precision: Precision = "auto"
     blueprint: Blueprint = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -131,6 +136,7 @@ class Scene:
             raise ArgumentError(f"dt must be a positive number of seconds, found {self.dt!r}")
         if not isinstance(self.substeps, int) or self.substeps < 1:
             raise ArgumentError(f"substeps must be a whole number from 1, found {self.substeps!r}")
+        check_precision(self.precision)
         if sum(isinstance(effect, Elastic) for effect in self.effects) > 1:
             raise ArgumentError("effects must not hold Elastic twice: a joint has one spring to its rotor")
         for effect in self.effects:
@@ -462,6 +468,9 @@ class Scene:
     def _call(self, stage: str, given: Mapping[str, Tensor], task: Task | None) -> dict[str, Tensor]:
         """Rows of a stage's program, with the batch axes of everything that goes in."""
         like = given["x"] if stage == "rates" else given["q"]
+        if self.precision == "double" and like.dtype == torch.float32:
+            wide = {name: x.double() if x.dtype == torch.float32 else x for name, x in given.items()}
+            return {name: y.to(like.dtype) for name, y in self._call(stage, wide, task).items()}
         tensors = self._tensors()
         if torch.compiler.is_compiling():
             return self._traced(stage, given, tensors, like, task)

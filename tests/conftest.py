@@ -1,15 +1,77 @@
-"""Which backend the tests run on: operation by operation, unless a test file names another as BACKEND.
+"""Which backend the tests run on, and how close they come to what they allow.
 
-Compiling costs a fraction of a second for every robot and function, which thousands of random robots do not repay. That
-the compiled programs give the same numbers, gradients and errors is the claim of test_backends.py.
+Tests run operation by operation, unless a test file names another backend as BACKEND. Compiling costs a fraction of a
+second for every robot and function, which thousands of random robots do not repay. That the compiled programs give the
+same numbers, gradients and errors is the claim of test_backends.py.
+
+A test marked `case("G1")` holds a case of `hard_cases/catalogue.py`, and says by the fixture `margin` what it observed
+and what it allows. `pytest --margins FILE` writes both, and their ratio, for every criterion.
 """
+
+import json
+import math
+from pathlib import Path
 
 import pytest
 
 import torchdq
+
+LOOSE = 1e-4  # a criterion that is never approached closer than this says little
 
 
 @pytest.fixture(autouse=True)
 def chosen_backend(request):
     with torchdq.backend(getattr(request.module, "BACKEND", "eager")):
         yield
+
+
+@pytest.fixture
+def margin(request, record_property):
+    """Assert that what is observed is at most what is allowed, and put both on record.
+
+    `margin(observed, allowed, what)`: numbers, and a word for the criterion where a test has several.
+    """
+    marks = list(request.node.iter_markers("case"))
+    assert marks, "a test with margins is marked with the cases that it holds"
+    ids = ", ".join(id for mark in marks for id in mark.args)
+
+    def hold(observed, allowed, what: str = "") -> None:
+        observed, allowed = float(observed), float(allowed)
+        record_property("margin", (ids, what, observed, allowed))
+        assert observed <= allowed, f"{ids} {what}: observed {observed:.3g}, allowed {allowed:.3g}"
+
+    return hold
+
+
+def pytest_addoption(parser):
+    parser.addoption("--margins", metavar="FILE", help="write observed and allowed of every criterion to a JSON file")
+
+
+def pytest_configure(config):
+    config.addinivalue_line("markers", "case(*ids): cases of tests/hard_cases/catalogue.py that a test holds")
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """The margins of all tests, those of other processes included."""
+    found = [
+        {"test": report.nodeid, "case": case, "what": what, "observed": observed, "allowed": allowed}
+        for reports in terminalreporter.stats.values()
+        for report in reports
+        for name, value in getattr(report, "user_properties", ())
+        if name == "margin" and report.when == "call"
+        for case, what, observed, allowed in [value]
+    ]
+    if not found:
+        return
+    ratios = [row["observed"] / row["allowed"] if row["allowed"] else math.nan for row in found]
+    loose = sum(ratio < LOOSE and row["observed"] > 0 for ratio, row in zip(ratios, found, strict=True))
+    terminalreporter.write_line(
+        f"margins: {len(found)} criteria, closest {max(ratios, default=0):.2g} of what is allowed, "
+        f"{loose} never above {LOOSE:g} of it"
+    )
+    if config.getoption("--margins"):
+        rows = [{**row, "ratio": ratio} for row, ratio in zip(found, ratios, strict=True)]
+        rows.sort(key=lambda row: -row["ratio"])
+        path = Path(config.getoption("--margins"))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(rows, indent=1))

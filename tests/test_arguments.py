@@ -22,7 +22,8 @@ TRAILING = {"f_tip": (6,), "f_ext": (N, 6)}  # of the others: (N,)
 # function -> its tensors, those that may be None, and its other arguments
 FUNCTIONS = {
     "inverse_dynamics": ("q qd qdd f_tip f_ext", "qd qdd f_tip f_ext", {}),
-    "forward_dynamics": ("q qd tau f_tip f_ext", "qd f_tip f_ext", {}),
+    "forward_dynamics": ("q qd tau f_tip f_ext", "qd f_tip f_ext", {"precision": "auto"}),
+    "error_growth": ("q", "", {}),
     "mass_matrix": ("q", "", {}),
     "closed_form": ("q qd", "", {}),
     "forward_kinematics": ("q", "", {"frame": None}),

@@ -557,7 +557,7 @@ def test_a_program_compiled_ahead_is_the_function():
     cotangent = torch.ones_like(q)
     expected = torch.autograd.grad(torchdq.inverse_dynamics(TWO, *x), x, cotangent)
     assert all(map(torch.equal, compiled.vjp()(q, qd, qdd, cotangent), expected))
-    assert "void run(long samples" in compiled.source("c")
+    assert "int run(long samples" in compiled.source("c")
 
 
 def test_compiling_ahead_names_what_it_does_not_know():

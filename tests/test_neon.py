@@ -44,6 +44,9 @@ def on_arm(program, inputs, folder, single):
     ]
     buffers += [f"S*r{k}=malloc(sizeof(S)*{samples * w});" for k, w in enumerate(widths)]
     pointers = [f"a{k}" for k in range(len(inputs))] + [f"r{k}" for k in range(len(widths))]
+    if program.growth is not None:
+        buffers.append(f"unsigned char*lost=malloc({samples});")
+        pointers.append("lost")
     writing = [f"fwrite(r{k},sizeof(S),{samples * w},to);" for k, w in enumerate(widths)]
     text = c.source(program, single) + MAIN.format(
         buffers="".join(buffers), samples=samples, pointers=",".join(pointers), writing="".join(writing)

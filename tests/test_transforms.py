@@ -23,6 +23,7 @@ TRAILING = {"mass": 1, "com": 2, "inertia": 2, "gravity": 1, "armature": 1, "hom
 FUNCTIONS = {
     "inverse_dynamics": (torchdq.inverse_dynamics, "q qd qdd f_tip f_ext"),
     "forward_dynamics": (torchdq.forward_dynamics, "q qd tau f_tip f_ext"),
+    "error_growth": (torchdq.error_growth, "q"),
     "mass_matrix": (torchdq.mass_matrix, "q"),
     "closed_form": (torchdq.closed_form, "q qd"),
     "forward_kinematics": (torchdq.forward_kinematics, "q"),
@@ -153,6 +154,7 @@ def test_a_robot_without_joints_gives_empty_axes(key):
     expected = {
         "inverse_dynamics": [(4, 0)],
         "forward_dynamics": [(4, 0)],
+        "error_growth": [(4,)],
         "mass_matrix": [(4, 0, 0)],
         "closed_form": [(4, 0, 0), (4, 0), (4, 0)],
         "forward_kinematics": [(4, 1, 8)],

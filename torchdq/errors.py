@@ -28,6 +28,10 @@ class UnphysicalError(DescriptionError):
     """A robot description holds a body that cannot exist."""
 
 
+class SingularInertiaError(UnphysicalError):
+    """Accelerations are asked of a robot with a joint that moves no inertia in any position."""
+
+
 class MissingLibraryError(TorchdqError, ImportError):
     """A package that only some functions need is not installed."""
 

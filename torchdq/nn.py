@@ -13,7 +13,7 @@ from torch.nn.utils import parametrize
 from torchdq.control import computed_torque
 from torchdq.effects import Coulomb, Viscous
 from torchdq.errors import ArgumentError
-from torchdq.functional import check, forward_dynamics, inverse_dynamics
+from torchdq.functional import Precision, check, check_precision, forward_dynamics, inverse_dynamics
 from torchdq.parameters import PhysicalInertia, Positive
 from torchdq.program.backends import Backend
 from torchdq.robot import Robot
@@ -227,11 +227,26 @@ class ForwardDynamics(RobotModule):
 
     What is learned of friction and offset is taken from the torques, which are those of the motors.
 
+    Args:
+        precision: as in `torchdq.forward_dynamics`.
+        robot, learn, backend, friction_width: as in `RobotModule`.
+
     >>> import torchdq
     >>> layer = ForwardDynamics(torchdq.robots.load("two_link"))
     >>> layer(torch.zeros(5, 2), torch.zeros(5, 2), torch.zeros(5, 2)).shape
     torch.Size([5, 2])
     """
+
+    def __init__(
+        self,
+        robot: Robot,
+        learn: Sequence[str] = (),
+        backend: Backend | None = None,
+        friction_width: float = 1e-2,
+        precision: Precision = "auto",
+    ):
+        super().__init__(robot, learn, backend, friction_width)
+        self.precision = check_precision(precision)
 
     def forward(
         self,
@@ -245,7 +260,8 @@ class ForwardDynamics(RobotModule):
         robot = self.robot
         check(robot, q=(q, ("n",), False), qd=(qd, ("n",), True), tau=(tau, ("n",), False))
         beside = self._beside(q, qd)
-        return forward_dynamics(robot, q, qd, tau if beside is None else tau - beside, f_tip, f_ext, self.backend)
+        tau = tau if beside is None else tau - beside
+        return forward_dynamics(robot, q, qd, tau, f_tip, f_ext, self.backend, self.precision)
 
 
 class ComputedTorque(RobotModule):

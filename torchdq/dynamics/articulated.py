@@ -29,6 +29,7 @@ from torchdq.dynamics.aligned import (
     turn_z,
 )
 from torchdq.dynamics.mechanism import BASE
+from torchdq.dynamics.pivots import inverse
 
 Matrix = tuple[Pure, ...]  # three rows
 
@@ -123,25 +124,42 @@ def carried(link: AlignedLink, step: Step, inertia: Articulated) -> Articulated:
     return Articulated(A, shifted, C)
 
 
-def solve(aligned: Aligned, steps: Sequence[Step], b: Sequence[Number]) -> tuple[Number, ...]:
-    """Solution x of M(q) x = b."""
+class Factors(NamedTuple):
+    """What a solution takes of the robot's position: each joint's response, and the inverse of its own part of it."""
+
+    responses: tuple[tuple[Pure, Pure], ...]
+    inverses: tuple[Number, ...]
+
+
+def factorise(aligned: Aligned, steps: Sequence[Step]) -> Factors:
+    """Articulated bodies, from the leaves to the base."""
     links = aligned.links
     inertia = [rigid(link.body) for link in links]
-    bias: list = [None] * len(links)  # wrench (n, f) that b drives against a still parent
     responses: list[tuple[Pure, Pure]] = [((), ())] * len(links)
     inverses: list[Number] = [0.0] * len(links)
-    net = list(b)
     for i in reversed(range(len(links))):
-        link, step = links[i], steps[i]
+        link = links[i]
         n, f = response(link, inertia[i])
         own = felt(link, n, f)
-        r = 1.0 / (own if link.armature is None else own + link.armature)
+        responses[i] = (n, f)
+        inverses[i] = inverse(i, own if link.armature is None else own + link.armature)
+        if link.parent != BASE:
+            behind = carried(link, steps[i], freed(link, inertia[i], n, f, inverses[i]))
+            inertia[link.parent] = joined(inertia[link.parent], behind)
+    return Factors(tuple(responses), tuple(inverses))
+
+
+def solve(aligned: Aligned, steps: Sequence[Step], factors: Factors, b: Sequence[Number]) -> tuple[Number, ...]:
+    """Solution x of M(q) x = b."""
+    links = aligned.links
+    bias: list = [None] * len(links)  # wrench (n, f) that b drives against a still parent
+    net = list(b)
+    for i in reversed(range(len(links))):
+        link, step, (n, f), r = links[i], steps[i], factors.responses[i], factors.inverses[i]
         if bias[i] is not None:
             net[i] = net[i] - felt(link, *bias[i])
-        responses[i], inverses[i] = (n, f), r
         if link.parent == BASE:
             continue
-        inertia[link.parent] = joined(inertia[link.parent], carried(link, step, freed(link, inertia[i], n, f, r)))
         driven = (quat.scale(r * net[i], n), quat.scale(r * net[i], f))
         if bias[i] is not None:
             driven = (quat.add(bias[i][0], driven[0]), quat.add(bias[i][1], driven[1]))
@@ -158,8 +176,8 @@ def solve(aligned: Aligned, steps: Sequence[Step], b: Sequence[Number]) -> tuple
         wd_P, d_P = (zero, zero) if link.parent == BASE else motion[link.parent]
         wd = to_link(link, step, wd_P)
         d = to_link(link, step, quat.add(d_P, quat.cross(wd_P, step.p)))
-        n, f = responses[i]
-        x[i] = (net[i] - (quat.dot(n, wd) + quat.dot(f, d))) * inverses[i]
+        n, f = factors.responses[i]
+        x[i] = (net[i] - (quat.dot(n, wd) + quat.dot(f, d))) * factors.inverses[i]
         if link.kind != "prismatic":
             wd = (wd[0], wd[1], wd[2] + x[i])
         if link.kind != "revolute":

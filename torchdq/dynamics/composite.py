@@ -33,23 +33,43 @@ def along(link: AlignedLink, momentum: tuple[Pure, Pure]) -> Number:
     return momentum[1][2] + link.pitch * momentum[0][2]
 
 
+def composites(aligned: Aligned, steps: Sequence[Step]) -> list[Body]:
+    """Everything that each joint carries, as one body in its frame."""
+    links = aligned.links
+    found = [link.body for link in links]
+    for i in reversed(range(len(links))):
+        parent = links[i].parent
+        if parent != BASE:
+            found[parent] = joined(found[parent], carried(links[i], steps[i], found[i]))
+    return found
+
+
+def _own(link: AlignedLink, momentum: tuple[Pure, Pure]) -> Number:
+    """Entry of the diagonal, rotor included."""
+    entry = along(link, momentum)
+    return entry if link.armature is None else entry + link.armature
+
+
+def diagonal(aligned: Aligned, steps: Sequence[Step]) -> tuple[Number, ...]:
+    """Diagonal of the mass matrix."""
+    bodies = zip(aligned.links, composites(aligned, steps), strict=True)
+    return tuple(_own(link, unit_momentum(link, body)) for link, body in bodies)
+
+
 def mass_matrix(aligned: Aligned, steps: Sequence[Step]) -> Rows:
     """Mass matrix M(q); entries of joints that are on no common path are None."""
     links = aligned.links
     n = len(links)
-    composite = [link.body for link in links]
+    composite = composites(aligned, steps)
     M: list[list[Number | None]] = [[None] * n for _ in range(n)]
     for i in reversed(range(n)):
         link = links[i]
         linear, angular = unit_momentum(link, composite[i])
-        diagonal = along(link, (linear, angular))
-        M[i][i] = diagonal if link.armature is None else diagonal + link.armature
+        M[i][i] = _own(link, (linear, angular))
         j = i
         while links[j].parent != BASE:
             linear = to_parent(links[j], steps[j], linear)
             angular = quat.add(to_parent(links[j], steps[j], angular), quat.cross(steps[j].p, linear))
             j = links[j].parent
             M[i][j] = M[j][i] = along(links[j], (linear, angular))
-        if link.parent != BASE:
-            composite[link.parent] = joined(composite[link.parent], carried(link, steps[i], composite[i]))
     return tuple(tuple(row) for row in M)

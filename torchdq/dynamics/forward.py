@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from torchdq.algebra.matrix import Rows
 from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.mechanism import BASE, path
+from torchdq.dynamics.pivots import inverse
 
 Links = Sequence[Any]  # of a mechanism or an aligned one; only their parents are read
 
@@ -27,7 +28,7 @@ def factorise(links: Links, M: Rows) -> Factors:
     lower = {}
     inverses: list[Number] = [0.0] * len(links)
     for k in reversed(range(len(links))):
-        inverses[k] = 1.0 / H[k, k]
+        inverses[k] = inverse(k, H[k, k])
         for i in path(links, links[k].parent):
             ratio = H[k, i] * inverses[k]
             for j in path(links, i):

@@ -4,7 +4,7 @@ Floats give what programs give, infinities and NaN included, where Python's own 
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 Value = Any  # a number of any kind
@@ -55,6 +55,14 @@ def at_least(a: Value, b: Value) -> Value:
     if hasattr(b, "at_least"):
         return (-b).at_least(-a)
     return 1.0 if a >= b else 0.0
+
+
+def note_growth(results: Iterable[Value], growth: Value) -> None:
+    """Say by what factor the way to some results magnifies rounding errors, if they are of a kind that notes it."""
+    for x in results:
+        if hasattr(x, "note_growth"):
+            x.note_growth(growth)
+            return
 
 
 def absolute(x: Value) -> Value:

@@ -25,6 +25,7 @@ class Tape:
 
     def __init__(self) -> None:
         self.ops: list[Op] = []
+        self.growths: list[Number | float] = []  # factors by which rounding errors are magnified
         self._index: dict[Op, int] = {}
 
     def value(self, code: str, a: float = -1, b: int = -1) -> int:
@@ -126,6 +127,10 @@ class Number:
         a, b, negative = self._alike(other)
         index = a if a == b else self.tape.value("max" if negative else "min", a, b)
         return Number(self.tape, index, negative)
+
+    def note_growth(self, growth: Number | float) -> None:
+        """Have the tape remember that rounding errors on the way to this number are magnified."""
+        self.tape.growths.append(growth)
 
     def at_least(self, other: Number | float) -> Number:
         """1 if this number is at least the other, or else 0."""

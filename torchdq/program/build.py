@@ -155,13 +155,13 @@ def entry_key(source: str) -> str:
     return hashlib.sha256("\0".join([source, version, *FLAGS, _processor()]).encode()).hexdigest()
 
 
-def load(source: str, name: str, pointers: int) -> Callable[..., None]:
+def load(source: str, name: str, pointers: int) -> Callable[..., int]:
     """The function `run` of a C source, compiled unless it was before; it takes a count and that many pointers."""
     key = entry_key(source)
     path = directory() / f"{key}.so"
     if not _intact(path, key):
         _compile(path, key, source, name)
     function = ctypes.CDLL(str(path)).run
-    function.restype = None
+    function.restype = ctypes.c_int
     function.argtypes = (ctypes.c_long, *(ctypes.c_void_p,) * pointers)
     return function

@@ -8,7 +8,7 @@ call, and fall back to the C library only for lanes whose angle is huge or not f
 from collections.abc import Sequence
 from itertools import pairwise
 
-from torchdq.program.program import Program, operands
+from torchdq.program.program import LARGEST_GROWTH, Program, operands
 
 CHUNK = 1500  # operations per C function; compile time grows faster than its length
 
@@ -256,7 +256,9 @@ def source(program: Program, single: bool) -> str:
     """C source of a program in double or single precision.
 
     It defines `run`, which takes the number of samples and a pointer per argument and per result: dense arrays
-    [samples, width], or [width] where they are uniform or summed.
+    [samples, width], or [width] where they are uniform or summed. If the program says how far it magnifies rounding
+    errors, one more pointer follows, to a byte per sample that becomes 1 where that is too far. It returns whether any
+    is.
     """
     return _Emitter(program, single).text()
 
@@ -315,6 +317,13 @@ class _Emitter:
         """Expression for a value that has been computed, the same in all lanes if it is uniform."""
         return f"(T){{}}+({self.name(i)})" if self.uniform[i] else self.name(i)
 
+    def value(self, v: tuple[int, bool] | float) -> str:
+        """Expression for a result."""
+        if isinstance(v, float):
+            return f"(T){{}}+{self.literal(v)}"
+        index, negative = v
+        return f"-({self.vector(index)})" if negative else self.vector(index)
+
     def expression(self, i: int) -> str:
         """Right-hand side of an operation that is no sine or cosine."""
         op = self.program.ops[i]
@@ -359,16 +368,15 @@ class _Emitter:
                 lines.append(f"const T x{i}={self.expression(i)};")
         return lines
 
+    def outputs(self) -> list[tuple[int, bool] | float]:
+        """What a sample is computed for."""
+        growth = self.program.growth
+        return [*(v for r in self.program.results for v in r.values), *([] if growth is None else [growth])]
+
     def result_lines(self) -> list[str]:
         lines = []
         for k, result in enumerate(self.program.results):
-            for j, v in enumerate(result.values):
-                if isinstance(v, float):
-                    lines.append(f"O{k}[{j}]=(T){{}}+{self.literal(v)};")
-                    continue
-                index, negative = v
-                right = self.vector(index)
-                lines.append(f"O{k}[{j}]={f'-({right})' if negative else right};")
+            lines += [f"O{k}[{j}]={self.value(v)};" for j, v in enumerate(result.values)]
         return lines
 
     # --- the whole ---
@@ -381,7 +389,8 @@ class _Emitter:
         functions, body = self.loop_body(rows)
         lines = [_FLOAT if self.single else _DOUBLE, _PRELUDE.replace("@TURNS@", _turns()), *functions]
         pointers = [f"const S*in{k}" for k in range(len(p.arguments))] + [f"S*out{k}" for k in range(len(p.results))]
-        lines += [f"void run(long samples,{','.join(pointers)}){{", *self.uniform_lines()]
+        pointers += ["unsigned char*lost"] if p.growth is not None else []
+        lines += [f"int run(long samples,{','.join(pointers)}){{int any=0;", *self.uniform_lines()]
         lines += [f"T A{k}[{w}];for(int j=0;j<{w};j++)A{k}[j]=(T){{}};" for k, w in self.summed(widths)]
         lines += ["for(long b=0;b<samples;b+=LANES){", "const long here=samples-b<LANES?samples-b:LANES;"]
         # a tail repeats its last sample in the idle lanes, so that every sample takes the same path
@@ -404,12 +413,20 @@ class _Emitter:
                     f"if(here==LANES)store(out{k}+b*{w},O{k},{w});"
                     f"else{{for(int l=0;l<here;l++)for(int j=0;j<{w};j++)out{k}[(b+l)*{w}+j]=O{k}[j][l];}}"
                 )
+        if p.growth is not None:
+            largest = LARGEST_GROWTH.single if self.single else LARGEST_GROWTH.double
+            lines += [
+                f"const M bad=~(({self.value(p.growth)})<=(T){{}}+{self.literal(largest)});",
+                "N some=0;for(int l=0;l<LANES;l++)some|=bad[l];",
+                "for(int l=0;l<here;l++)lost[b+l]=0;",
+                "if(__builtin_expect(some!=0,0)){any=1;for(int l=0;l<here;l++)lost[b+l]=bad[l]!=0;}",
+            ]
         lines.append("}")
         lines += [
             f"for(int j=0;j<{len(p.results[k].values)};j++){{S t=0;for(int l=0;l<LANES;l++)t+=A{k}[j][l];out{k}[j]=t;}}"
             for k, _ in self.summed(widths)
         ]
-        return "\n".join([*lines, "}"]) + "\n"
+        return "\n".join([*lines, "return any;}"]) + "\n"
 
     def summed(self, widths: Sequence[int]) -> list[tuple[int, int]]:
         return [(k, widths[k]) for k, r in enumerate(self.program.results) if r.summed]
@@ -434,10 +451,8 @@ class _Emitter:
             for operand in operands(self.program.ops[i]):
                 if operand in home:
                     last[operand] = max(last[operand], home[i])
-        for result in self.program.results:
-            for v in result.values:
-                if not isinstance(v, float) and v[0] in home:
-                    last[v[0]] = end
+        wanted = {v[0] for v in self.outputs() if not isinstance(v, float) and v[0] in home}
+        last.update(dict.fromkeys(wanted, end))
         slots: dict[int, int] = {}
         free: list[int] = []
         most = 0
@@ -461,6 +476,5 @@ class _Emitter:
             functions += [f"v[{slots[i]}]=x{i};" for i in part if i in slots]
             functions += ["}"]
             calls.append(f"part{k}({arguments});")
-        wanted = {v[0] for r in self.program.results for v in r.values if not isinstance(v, float) and v[0] in home}
         calls += [f"const T x{i}=v[{slots[i]}];" for i in sorted(wanted)]
         return functions, [*calls, *self.result_lines()]

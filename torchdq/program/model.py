@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 from torchdq.algebra import quaternion as quat
@@ -10,9 +11,22 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.matrix import Rows
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics import aligned, articulated, composite, crba, energy, forward, kinematics, newton_euler, rnea
+from torchdq.dynamics import (
+    aligned,
+    articulated,
+    composite,
+    crba,
+    energy,
+    forward,
+    kinematics,
+    newton_euler,
+    pivots,
+    rnea,
+)
 from torchdq.dynamics.aligned import Aligned, AlignedLink, Body, Step, Turn
 from torchdq.dynamics.mechanism import Coordinate, Mechanism, mechanism
+from torchdq.errors import SingularInertiaError
+from torchdq.numbers.functions import note_growth
 from torchdq.robot import frames
 from torchdq.robot.robot import SHAPES, Robot
 
@@ -62,6 +76,19 @@ def coordinates(robot: Robot, q: Sequence[Number], given: Given) -> list[Coordin
     """Joint displacements with cosine and sine of their halves."""
     halves = [(x, 0.5 * x) for x in displacements(robot, q, given)]
     return [Coordinate(x, half.cos(), half.sin()) for x, half in halves]
+
+
+class Factorised(NamedTuple):
+    """A mass matrix taken apart."""
+
+    diagonal: Sequence[Number]
+    inverses: Sequence[Number]  # of its pivots
+    solve: Callable[[Sequence[Number]], Sequence[Number]]  # x of M x = b
+
+    @property
+    def growth(self) -> Number:
+        """Factor by which a solution magnifies rounding errors."""
+        return pivots.growth(self.diagonal, self.inverses)
 
 
 # --- aligned frames ---------------------------------------------------------------------------------------------------
@@ -121,11 +148,13 @@ class AlignedModel(NamedTuple):
         """The same with more inertia at the joints, on the diagonal of the mass matrix."""
         return self._replace(aligned=self.aligned._replace(links=_with_rotors(self.links, inertia)))
 
-    def solve(self, b: Sequence[Number], linear: bool) -> Sequence[Number]:
-        """Solution x of M x = b; `linear` in the number of joints, by articulated bodies, or by the mass matrix."""
-        if linear:
-            return articulated.solve(self.aligned, self.steps, b)
-        return forward.solve(self.links, forward.factorise(self.links, self.mass_matrix()), b)
+    def factorised(self, linear: bool) -> Factorised:
+        """The mass matrix taken apart; `linear` in the number of joints, by articulated bodies, or entry by entry."""
+        if not linear:
+            return _by_entries(self)
+        factors = articulated.factorise(self.aligned, self.steps)
+        diagonal = composite.diagonal(self.aligned, self.steps)
+        return Factorised(diagonal, factors.inverses, partial(articulated.solve, self.aligned, self.steps, factors))
 
 
 def _turn(at: frames.Placement, kind: str, x: Number) -> Turn:
@@ -220,9 +249,9 @@ class PaperModel(NamedTuple):
         """The same with more inertia at the joints, on the diagonal of the mass matrix."""
         return self._replace(mechanism=self.mechanism._replace(links=_with_rotors(self.links, inertia)))
 
-    def solve(self, b: Sequence[Number], linear: bool) -> Sequence[Number]:
-        """Solution x of M x = b, by the mass matrix."""
-        return forward.solve(self.links, forward.factorise(self.links, self.mass_matrix()), b)
+    def factorised(self, linear: bool) -> Factorised:
+        """The mass matrix taken apart, entry by entry."""
+        return _by_entries(self)
 
 
 def _with_rotors(links, inertia: Sequence[Number]):
@@ -246,6 +275,32 @@ def model(robot: Robot, q: Sequence[Number], given: Given, varied: Sequence[str]
     if any(name in given for name in GEOMETRY):
         return PaperModel.of(robot, q, given)
     return AlignedModel.of(robot, q, given, group=not any(name in varied for name in INERTIAL))
+
+
+def _by_entries(m: AlignedModel | PaperModel) -> Factorised:
+    """The mass matrix of a model taken apart entry by entry."""
+    M = m.mass_matrix()
+    factors = forward.factorise(m.links, M)
+    return Factorised([M[i][i] for i in range(len(M))], factors.inverses, partial(forward.solve, m.links, factors))
+
+
+def factorised(m: AlignedModel | PaperModel, linear: bool) -> Factorised:
+    """The mass matrix of a model taken apart."""
+    try:
+        return m.factorised(linear)
+    except pivots.NoInertiaError as error:
+        raise SingularInertiaError(
+            f"joint {m.robot.joint_names[error.joint]!r} of robot {m.robot.name!r} moves no inertia, so its "
+            f"acceleration is undefined; give the links beyond it mass, or the joint armature"
+        ) from error
+
+
+def solve(m: AlignedModel | PaperModel, b: Sequence[Number], linear: bool) -> Sequence[Number]:
+    """Solution x of M x = b; a recorder is told how far it magnifies rounding errors."""
+    parts = factorised(m, linear)
+    x = parts.solve(b)
+    note_growth(x, parts.growth)
+    return x
 
 
 def as_screw(x: Sequence[Number]) -> Screw:

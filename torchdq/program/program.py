@@ -5,12 +5,25 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any, NamedTuple
 
 from torchdq.numbers import functions
+from torchdq.numbers.functions import maximum
 from torchdq.numbers.record import Number, Op, Tape
 
 Value = Any  # a recorded number, or one that is known
+
+
+class Largest(NamedTuple):
+    """What a program's growth of errors may be in single and in double precision."""
+
+    single: float
+    double: float
+
+
+# half of the digits in single precision; all but six bits in double
+LARGEST_GROWTH = Largest(2.0**10, 2.0**46)
 
 # operations that are neither arithmetic nor a sine or cosine
 FUNCTIONS: Mapping[str, Callable[..., Value]] = {
@@ -65,6 +78,7 @@ class Program:
     arguments: tuple[Argument, ...]
     ops: tuple[Op, ...]
     results: tuple[Result, ...]
+    growth: tuple[int, bool] | float | None = None  # factor by which it magnifies rounding errors, where it says so
 
     def count(self) -> Count:
         """Operations per sample; negations are free.
@@ -98,8 +112,10 @@ class Program:
                 text = " ".join([op.code, *(f"x{k}" for k in operands(op))])
             lines.append(f"  x{i} = {text}")
         for result in self.results:
-            shown = [repr(v) if isinstance(v, float) else f"{'-' if v[1] else ''}x{v[0]}" for v in result.values]
-            lines.append(f"  {result.name} = [{', '.join(shown)}]{' summed over samples' if result.summed else ''}")
+            row = ", ".join(map(_shown, result.values))
+            lines.append(f"  {result.name} = [{row}]{' summed over samples' if result.summed else ''}")
+        if self.growth is not None:
+            lines.append(f"  growth of errors = {_shown(self.growth)}")
         return "\n".join(lines)
 
 
@@ -123,7 +139,8 @@ def finish(
     summed: Sequence[str] = (),
 ) -> Program:
     """Program of what a tape holds, without the operations that no result needs."""
-    wanted = [v.index for values in results.values() for v in values if isinstance(v, Number)]
+    growth = reduce(maximum, tape.growths) if tape.growths else 1.0
+    wanted = [v.index for values in (*results.values(), [growth]) for v in values if isinstance(v, Number)]
     live, stack = set(wanted), list(wanted)
     while stack:
         for operand in operands(tape.ops[stack.pop()]):
@@ -141,7 +158,12 @@ def finish(
         tuple(arguments),
         ops,
         tuple(Result(key, tuple(map(value, values)), key in summed) for key, values in results.items()),
+        None if isinstance(growth, float) and growth <= LARGEST_GROWTH.single else value(growth),
     )
+
+
+def _shown(v: tuple[int, bool] | float) -> str:
+    return repr(v) if isinstance(v, float) else f"{'-' if v[1] else ''}x{v[0]}"
 
 
 def operands(op: Op) -> tuple[int, ...]:
@@ -157,8 +179,8 @@ def _renumber(op: Op, renumbered: dict[int, int]) -> Op:
     return Op(op.code, renumbered[int(op.a)], renumbered[op.b] if op.b >= 0 else -1)
 
 
-def replay(program: Program, tape: Tape, inputs: Sequence[Sequence[Value]]) -> list[Value]:
-    """Every value of a program, run on other numbers."""
+def replay(program: Program, tape: Tape | None, inputs: Sequence[Sequence[Value]]) -> list[Value]:
+    """Every value of a program, run on other numbers; the tape, if there is one, learns how far errors grow."""
     values: list[Value] = []
     for op in program.ops:
         if op.code == "in":
@@ -174,15 +196,17 @@ def replay(program: Program, tape: Tape, inputs: Sequence[Sequence[Value]]) -> l
             values.append(
                 a + b if op.code == "add" else a - b if op.code == "sub" else a * b if op.code == "mul" else a / b
             )
+    if tape is not None and program.growth is not None:
+        tape.growths.append(_picked(program.growth, values))
     return values
 
 
 def results(program: Program, values: Sequence[Value]) -> dict[str, list[Value]]:
     """Named results of a program from its values."""
+    return {result.name: [_picked(v, values) for v in result.values] for result in program.results}
 
-    def pick(v: tuple[int, bool] | float) -> Value:
-        if isinstance(v, float):
-            return v
-        return -values[v[0]] if v[1] else values[v[0]]
 
-    return {result.name: [pick(v) for v in result.values] for result in program.results}
+def _picked(v: tuple[int, bool] | float, values: Sequence[Value]) -> Value:
+    if isinstance(v, float):
+        return v
+    return -values[v[0]] if v[1] else values[v[0]]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from threading import RLock
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from torchdq.algebra import dual_quaternion, quaternion, screw
 from torchdq.algebra.quaternion import Number
@@ -19,14 +19,16 @@ from torchdq.dynamics import kinematics, rnea
 from torchdq.dynamics import regressor as regression
 from torchdq.dynamics.mechanism import BASE
 from torchdq.program import derive
-from torchdq.program.model import Given, PaperModel, as_screw, constant_pose, model
+from torchdq.program.model import Given, PaperModel, as_screw, constant_pose, factorised, model, solve
 from torchdq.program.program import Argument, Program, Value, record
 from torchdq.robot.robot import Robot
 
-LONG = 9  # joints from which an alternative is worth recording
+LONG = 9  # joints from which an alternative that is linear in their number is worth recording
+VERY_LONG = 64  # joints from which nothing else is
 KEPT = 1024  # programs that a process remembers
 
 Rows = dict[str, Sequence[Value | None]]
+Way = TypeVar("Way")
 
 
 class Inputs(NamedTuple):
@@ -82,12 +84,22 @@ def forward_dynamics(x: Inputs, linear: bool = False) -> Rows:
     m = x.model()
     bias = m.torques(x.arguments.get("qd"), None, x.exerted())
     net = [t if b is None else t - b for t, b in zip(x.arguments["tau"], bias, strict=True)]
-    return {"qdd": m.solve(net, linear)}  # (63) solved for qdd
+    return {"qdd": solve(m, net, linear)}  # (63) solved for qdd
 
 
 def forward_dynamics_articulated(x: Inputs) -> Rows:
     """qdd, by articulated bodies."""
     return forward_dynamics(x, linear=True)
+
+
+def error_growth(x: Inputs, linear: bool = False) -> Rows:
+    """Largest M_ii over pivot."""
+    return {"growth": [factorised(x.model(), linear).growth]}
+
+
+def error_growth_articulated(x: Inputs) -> Rows:
+    """The same by articulated bodies."""
+    return error_growth(x, linear=True)
 
 
 def closed_form(x: Inputs, tip_name: str) -> Rows:
@@ -160,7 +172,8 @@ class Recipe(NamedTuple):
     """A public function: what it takes, how it is computed, and what it returns."""
 
     arguments: tuple[tuple[str, Axes, bool], ...]  # name, trailing axes, whether it may be absent
-    # ways to compute it; the one with the fewest operations for the robot at hand becomes its program
+    # ways to compute it, the last of them linear in the number of joints; the one with the fewest operations for the
+    # robot at hand becomes its program
     ways: tuple[Callable[..., Rows], ...]
     results: Callable[..., tuple[tuple[int, ...], ...]]  # trailing axes of the results, from n and the options
 
@@ -181,6 +194,7 @@ RECIPES: dict[str, Recipe] = {
         (forward_dynamics, forward_dynamics_articulated),
         lambda n: ((n,),),
     ),
+    "error_growth": Recipe(_joints("q"), (error_growth, error_growth_articulated), lambda n: ((),)),
     "closed_form": Recipe(
         _joints("q", "qd"), (closed_form,), lambda n, tip: ((n, n), (n,), (n,), *(((n, 6),) if tip else ()))
     ),
@@ -191,6 +205,11 @@ RECIPES: dict[str, Recipe] = {
     "jacobian": Recipe(_joints("q"), (jacobian,), lambda n, frame, expressed: ((6, n),)),
 }
 DERIVATIVES = {"inverse_dynamics_jacobian": (0, 1)}  # positions of the arguments in which a recipe is differentiated
+
+
+def ways(n: int, known: Sequence[Way]) -> Sequence[Way]:
+    """Those of the ways to compute something that are worth recording for a number of joints."""
+    return known[:1] if n < LONG else known if n < VERY_LONG else known[-1:]
 
 
 class Signature(NamedTuple):
@@ -234,7 +253,6 @@ def _program(signature: Signature) -> Program:
 
         return record(f"{signature.recipe}_{robot.name}", arguments, algorithm)
 
-    ways = recipe.ways if robot.n >= LONG else recipe.ways[:1]
-    best = min(map(recorded, ways), key=lambda p: p.count().total)
+    best = min(map(recorded, ways(robot.n, recipe.ways)), key=lambda p: p.count().total)
     wrt = DERIVATIVES.get(signature.recipe)
     return best if wrt is None else derive.jacobian(best, wrt)

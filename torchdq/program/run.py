@@ -17,7 +17,7 @@ from torch.autograd import forward_ad
 
 from torchdq.errors import ArgumentError
 from torchdq.program import build, c, derive
-from torchdq.program.program import Argument, Program
+from torchdq.program.program import LARGEST_GROWTH, Argument, Program
 
 PER_THREAD = 1e6  # operations on vectors that are worth a thread: waking one takes as long as tens of thousands
 KEPT = 1024  # programs of each kind that a process remembers
@@ -32,21 +32,34 @@ class Kernel:
     def __init__(self, program: Program, single: bool):
         self.program = program
         self.dtype = torch.float32 if single else torch.float64
-        pointers = len(program.arguments) + len(program.results)
+        self.watched = program.growth is not None
+        pointers = len(program.arguments) + len(program.results) + self.watched
         self.function = build.load(c.source(program, single), program.name, pointers)
         size = 4 if single else 8
         self.widths = [len(r.values) for r in program.results]
         self.any_summed = any(r.summed for r in program.results)
         # bytes from one sample's row to the next, of arguments and results
         self.strides = [0 if a.uniform else a.width * size for a in program.arguments]
-        self.strides += [w * size for w in self.widths]
+        self.strides += [w * size for w in self.widths] + [1] * self.watched
         # samples that are worth a thread of their own
         self.share = max(BLOCK, int(8 * PER_THREAD / max(1, program.count().total)))
 
     def __call__(self, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
-        """Results of dense arguments."""
+        """Results of dense arguments.
+
+        Samples whose rounding errors would grow too far are computed in double precision; what they would there as
+        well, is NaN.
+        """
+        device = inputs[0].device
+        lost = [torch.empty((samples,), dtype=torch.bool, device=device)] if self.watched else []
         if samples >= 2 * self.share and torch.get_num_threads() > 1:
-            return self.in_threads(inputs, samples)
+            results, any_lost = self.in_threads(inputs, samples, lost)
+        else:
+            results, any_lost = self.at_once(inputs, samples, lost)
+        return self.mended(inputs, results, lost[0]) if any_lost else results
+
+    def at_once(self, inputs: Sequence[Tensor], samples: int, lost: list[Tensor]) -> tuple[list[Tensor], int]:
+        """Results, and whether any sample is lost."""
         device = inputs[0].device
         if self.any_summed:
             results = [
@@ -55,10 +68,9 @@ class Kernel:
             ]
         else:
             results = [torch.empty((samples, w), dtype=self.dtype, device=device) for w in self.widths]
-        self.function(samples, *[x.data_ptr() for x in inputs], *[y.data_ptr() for y in results])
-        return results
+        return results, self.function(samples, *[x.data_ptr() for x in (*inputs, *results, *lost)])
 
-    def in_threads(self, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
+    def in_threads(self, inputs: Sequence[Tensor], samples: int, lost: list[Tensor]) -> tuple[list[Tensor], int]:
         """The same, the samples split into whole blocks among torch's number of threads."""
         threads = min(torch.get_num_threads(), samples // self.share)
         share = -(-samples // (threads * BLOCK)) * BLOCK
@@ -69,21 +81,38 @@ class Kernel:
             for r, w in zip(self.program.results, self.widths, strict=True)
         ]
         # a thread has its own row of a sum
-        rows = [0] * len(inputs) + [int(r.summed) for r in self.program.results]
-        pointers = [x.data_ptr() for x in (*inputs, *results)]
+        rows = [0] * len(inputs) + [int(r.summed) for r in self.program.results] + [0] * len(lost)
+        pointers = [x.data_ptr() for x in (*inputs, *results, *lost)]
 
-        def run(k: int) -> None:
+        def run(k: int) -> int:
             at = [
                 p + (k if summed else starts[k]) * stride
                 for p, stride, summed in zip(pointers, self.strides, rows, strict=True)
             ]
-            self.function(min(share, samples - starts[k]), *at)
+            return self.function(min(share, samples - starts[k]), *at)
 
         waiting = [_pool().submit(run, k) for k in range(1, len(starts))]
-        run(0)
+        any_lost = run(0)
         for job in waiting:
-            job.result()
-        return [y.sum(0) if r.summed else y for y, r in zip(results, self.program.results, strict=True)]
+            any_lost |= job.result()
+        return [y.sum(0) if r.summed else y for y, r in zip(results, self.program.results, strict=True)], any_lost
+
+    def mended(self, inputs: Sequence[Tensor], results: list[Tensor], lost: Tensor) -> list[Tensor]:
+        """Results whose lost samples are those of double precision, or NaN."""
+        outputs, at, others = self.program.results, lost.nonzero()[:, 0], (~lost).nonzero()[:, 0]
+        if self.dtype == torch.float64:
+            return [
+                y + torch.nan if r.summed else y.index_fill_(0, at, torch.nan)
+                for y, r in zip(results, outputs, strict=True)
+            ]
+        wide = kernel(self.program, False)(_among(self.program, inputs, at, torch.float64), len(at))
+        wide = [y.to(self.dtype) for y in wide]
+        # a sum holds the lost samples already
+        kept = self(_among(self.program, inputs, others, self.dtype), len(others)) if self.any_summed else results
+        return [
+            k + w if r.summed else y.index_copy_(0, at, w)
+            for y, k, w, r in zip(results, kept, wide, outputs, strict=True)
+        ]
 
 
 @cache
@@ -109,6 +138,50 @@ jvp = lru_cache(KEPT)(derive.jvp)
 
 def eager(program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
     """Results of a program, operation by operation in torch; differentiable by torch itself."""
+    return [y.sum(0) if r.summed else y for y, r in zip(_rows(program, inputs), program.results, strict=True)]
+
+
+def _rows(program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
+    """Results by sample; those whose rounding errors would grow too far are treated as in `Kernel`."""
+    results, lost = _operations(program, inputs)
+    blind = lost is not None and _transformed(inputs)
+    if lost is None or not (blind or bool(lost.any())):
+        return results
+    dtype = inputs[0].dtype
+    if dtype == torch.float64:
+        kept = torch.where(lost, torch.nan, 1.0)[:, None]
+        return [kept * y for y in results]  # gradients become NaN as well
+    if blind:
+        wide = _rows(program, [x.double() for x in inputs])
+        return [torch.where(lost[:, None], w.to(dtype), y) for w, y in zip(wide, results, strict=True)]
+    # not masked: a sample that divides by zero in single precision would have gradients 0 * inf
+    at, others = lost.nonzero()[:, 0], (~lost).nonzero()[:, 0]
+    wide = _rows(program, _among(program, inputs, at, torch.float64))
+    narrow = _rows(program, _among(program, inputs, others, dtype))
+    return [
+        torch.empty_like(y).index_copy(0, at, w.to(dtype)).index_copy(0, others, kept)
+        for y, w, kept in zip(results, wide, narrow, strict=True)
+    ]
+
+
+def _among(program: Program, inputs: Sequence[Tensor], rows: Tensor, dtype: torch.dtype) -> list[Tensor]:
+    """Arguments of some samples, in a dtype."""
+    return [(x if a.uniform else x[rows]).to(dtype) for x, a in zip(inputs, program.arguments, strict=True)]
+
+
+def _transformed(inputs: Sequence[Tensor]) -> bool:
+    """Whether tensors are being traced or transformed, or have no values, and cannot be asked for them."""
+    functorch = torch._C._functorch
+    return (
+        torch.compiler.is_compiling()
+        or inputs[0].device.type == "meta"
+        or torch._C._are_functorch_transforms_active()
+        or any(map(functorch.is_legacy_batchedtensor, inputs))
+    )
+
+
+def _operations(program: Program, inputs: Sequence[Tensor]) -> tuple[list[Tensor], Tensor | None]:
+    """Results by sample, operation by operation, and which samples are lost, if the program can tell."""
     samples = _samples(program, inputs)
     rows = [x.unbind(-1) for x in inputs]
     values: list = []  # tensors, or Python numbers
@@ -133,16 +206,20 @@ def eager(program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
         else:
             x, y = values[int(a)], values[b]
             values.append(x + y if code == "add" else x - y if code == "sub" else x * y if code == "mul" else x / y)
-    results = []
-    for r in program.results:
-        columns = []
-        for v in r.values:
-            x = v if isinstance(v, float) else -values[v[0]] if v[1] else values[v[0]]
-            x = inputs[0].new_full((), x) if isinstance(x, float) else x
-            columns.append(x.expand(samples))
-        row = torch.stack(columns, -1) if columns else inputs[0].new_empty((samples, 0))
-        results.append(row.sum(0) if r.summed else row)
-    return results
+
+    def column(v: tuple[int, bool] | float) -> Tensor:
+        x = v if isinstance(v, float) else -values[v[0]] if v[1] else values[v[0]]
+        x = inputs[0].new_full((), x) if isinstance(x, float) else x
+        return x.expand(samples)
+
+    results = [
+        torch.stack([column(v) for v in r.values], -1) if r.values else inputs[0].new_empty((samples, 0))
+        for r in program.results
+    ]
+    if program.growth is None:
+        return results, None
+    largest = LARGEST_GROWTH.double if inputs[0].dtype == torch.float64 else LARGEST_GROWTH.single
+    return results, ~(column(program.growth).detach() <= largest)
 
 
 def _compared(code: str, x: Tensor, y: Tensor) -> Tensor:
