@@ -8,8 +8,6 @@ A seven-joint arm with gravity, damping and dry friction, the same URDF for both
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import statistics
 import xml.etree.ElementTree as ET
@@ -20,9 +18,11 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import mujoco
 import numpy as np
+import report
 import torch
 from mujoco import rollout
-from peers import into_readme, machine, measure, urdf
+from peers import urdf
+from timing import measure
 
 import torchdq
 from torchdq.envs import ArmVectorEnv, Scene, effects, integrators
@@ -116,18 +116,14 @@ def rows(found: dict[str, list[float]], what: str, dtype: str, steps: int = 1) -
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="shorter measurements")
-    parser.add_argument("--json", type=Path, help="write everything here")
-    parser.add_argument("--readme", action="store_true", help="write the table into the README")
-    arguments = parser.parse_args()
+    arguments = report.parser(__doc__, quick="shorter measurements").parse_args()
     torch.set_num_threads(1)
     seconds = 0.5 if arguments.quick else 2.0
     path = urdf("example-robot-data", "xarm7.urdf")
     robot = torchdq.Robot.from_urdf(path, on_unphysical="ignore", tip="link7")
     parts = (effects.Gravity(), effects.Viscous(), effects.Coulomb())
     found: list[Row] = []
-    goals: list[tuple[str, str, str]] = []
+    goals: list[report.Goal] = []
 
     matched = [
         ("Euler", mujoco.mjtIntegrator.mjINT_EULER, integrators.LinearlyImplicit(), DT),
@@ -171,16 +167,14 @@ def main() -> None:
         ("rollout of 20 steps with gradient in the torques, float32", "", f"{row.nanoseconds:.0f} ns per step")
     )
 
-    lines = "\n".join(f"| {what} | {asked} | {shown} |" for what, asked, shown in goals)
-    table = f"| seven-joint arm, one thread, batch {BATCH} | goal | measured |\n|---|---|---|\n{lines}"
+    table = report.goals_table(f"seven-joint arm, one thread, batch {BATCH}", goals)
     description = scene.describe(BATCH, torch.float32)
-    on = ", ".join(f"{k} {v}" for k, v in machine().items()) + f", mujoco {mujoco.__version__}"
+    machine = report.machine("mujoco")
+    on = ", ".join(f"{k} {v}" for k, v in machine.items())
     print(f"{table}\n\n{description}\n\n{on}")
     if arguments.readme:
-        into_readme(f"{table}\n\nMeasured on: {on}.", BEGIN, END)
-    if arguments.json:
-        everything = {"machine": machine(), "goals": goals, "rows": [asdict(row) for row in found]}
-        arguments.json.write_text(json.dumps(everything, indent=1))
+        report.into_readme(f"{table}\n\nMeasured on: {on}.", BEGIN, END)
+    report.into_json(arguments.json, machine=machine, goals=goals, rows=[asdict(row) for row in found])
 
 
 if __name__ == "__main__":

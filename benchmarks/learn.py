@@ -10,18 +10,15 @@ that is given the arm's kinematics, which PPO is not (the damped inverse of the 
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import time
 from collections.abc import Callable
-from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+import report
 import torch
-from peers import machine
 from scipy.stats import bootstrap
 from stable_baselines3 import PPO
 
@@ -93,11 +90,9 @@ def interval(values: list[float]) -> str:
 
 
 def main() -> dict[str, list[tuple[float, float]]]:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="one seed, a tenth of the steps")
+    parser = report.parser(__doc__, quick="one seed, a tenth of the steps", readme=False)
     parser.add_argument("--steps", type=int, default=3_000_000, help="environment steps of training")
     parser.add_argument("--seeds", type=int, default=5, help="how often it is trained")
-    parser.add_argument("--json", type=Path, help="write everything here")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     seeds, steps = (1, arguments.steps // 10) if arguments.quick else (arguments.seeds, arguments.steps)
@@ -116,9 +111,9 @@ def main() -> dict[str, list[tuple[float, float]]]:
     for name, results in found.items():
         returns, distances = zip(*results, strict=True)
         print(f"| {name} | {interval(list(returns))} | {1e3 * np.median(distances):.0f} mm |")
-    print(f"\n{seeds} seeds, {spent:.0f} s of training each on one thread; {machine()['processor']}")
-    if arguments.json:
-        arguments.json.write_text(json.dumps({"machine": machine(), "results": found}, indent=1))
+    machine = report.machine()
+    print(f"\n{seeds} seeds, {spent:.0f} s of training each on one thread; {machine['processor']}")
+    report.into_json(arguments.json, machine=machine, results=found)
     return found
 
 

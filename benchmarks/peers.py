@@ -9,13 +9,9 @@ Peers that are not installed are left out, and said to be.
 
 from __future__ import annotations
 
-import argparse
 import importlib.metadata
 import importlib.util
-import json
 import os
-import platform
-import shutil
 import statistics
 import subprocess
 import sys
@@ -29,12 +25,14 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 import pinocchio as pin
+import report
 import torch
+from timing import measure
 
 import torchdq
 
 SECONDS = 1.0  # of measuring per contender
-TURN = 0.02  # of one contender before it is the next one's turn [s]
+BEGIN, END = "<!-- benchmarks/peers.py begins -->", "<!-- benchmarks/peers.py ends -->"
 
 
 @dataclass
@@ -52,26 +50,6 @@ class Row:
     low: float  # 10 % and 90 % of the repeats
     high: float
     first_call: float | None  # [s], recording and compiling included
-
-
-def measure(contenders: dict[str, Callable[[], object]], batch: int, seconds: float) -> dict[str, list[float]]:
-    """Times per sample [ns] of contenders that take turns."""
-    times: dict[str, list[float]] = {name: [] for name in contenders}
-    inner = {}
-    for name, call in contenders.items():
-        call()
-        start = time.perf_counter()
-        call()
-        # a turn lasts long enough that what the others left in the caches does not matter
-        inner[name] = max(1, int(TURN / max(time.perf_counter() - start, 1e-7)))
-    end = time.perf_counter() + seconds * len(contenders)
-    while time.perf_counter() < end or min(map(len, times.values())) < 5:
-        for name, call in contenders.items():
-            start = time.perf_counter()
-            for _ in range(inner[name]):
-                call()
-            times[name].append((time.perf_counter() - start) / inner[name] / batch * 1e9)
-    return times
 
 
 def urdf(package: str, name: str) -> Path:
@@ -312,11 +290,11 @@ def first_calls(setup: str, gradient: bool, modules: Sequence[str] = ("DQRNEA",)
         return fresh(setup, work, cache), fresh(setup, work, cache)
 
 
-def requirements(arm: Path, seconds: float) -> list[tuple[str, str, str]]:
+def requirements(arm: Path, seconds: float) -> list[report.Goal]:
     """The goals, and what was measured, on one thread unless stated, batch 4096, seven joints, float64."""
     case = Task(arm, 4096, torch.float64, 1)
     single = Task(arm, 4096, torch.float32, 1)
-    lines: list[tuple[str, str, str]] = []
+    lines: list[report.Goal] = []
 
     def against(task: str, peer: dict[str, Callable], asked: str) -> None:
         name, other = next(iter(peer.items()))
@@ -394,49 +372,6 @@ def requirements(arm: Path, seconds: float) -> list[tuple[str, str, str]]:
     return lines
 
 
-def summary(lines: list[tuple[str, str, str]]) -> str:
-    """Goals and measurements as a table."""
-    rows = "\n".join(f"| {what} | {asked} | {found} |" for what, asked, found in lines)
-    return (
-        f"| seven-joint arm, one thread, batch 4096, float64 unless stated | goal | measured |\n|---|---|---|\n{rows}"
-    )
-
-
-def into_readme(text: str, begin: str, end: str) -> None:
-    """Write a table between two marks of the README."""
-    readme = Path(__file__).resolve().parents[1] / "README.md"
-    before, rest = readme.read_text().split(begin)
-    readme.write_text(f"{before}{begin}\n{text}\n{end}{rest.split(end)[1]}")
-
-
-BEGIN, END = "<!-- benchmarks/peers.py begins -->", "<!-- benchmarks/peers.py ends -->"
-
-
-def machine() -> dict[str, str]:
-    """What was measured on."""
-    model = next(
-        (
-            line.split(":", 1)[1].strip()
-            for line in Path("/proc/cpuinfo").read_text().splitlines()
-            if "model name" in line
-        ),
-        platform.processor(),
-    )
-    compiler = shutil.which(os.environ.get("CC", "cc"))
-    version = (
-        subprocess.run([compiler, "--version"], capture_output=True, text=True).stdout.splitlines()[0]
-        if compiler
-        else "none"
-    )
-    return {
-        "processor": model,
-        "cores": str(os.cpu_count()),
-        "compiler": version,
-        "python": platform.python_version(),
-        **{name: importlib.metadata.version(name) for name in ("torch", "pin", "numpy")},
-    }
-
-
 def table(rows: list[Row]) -> str:
     """Rows as text, with the ratio of every contender to compiled torchdq."""
     lines = ["| robot | task | precision | batch | threads | system | ns per sample | 10-90 % | against torchdq c |"]
@@ -469,17 +404,16 @@ TASKS = (
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="only the goals of this package")
-    parser.add_argument("--json", type=Path, help="write everything here")
-    parser.add_argument("--readme", action="store_true", help="write goals and measurements into the README")
+    parser = report.parser(__doc__, quick="only the goals of this package")
     parser.add_argument("--threads", type=int, default=1, help="for the rows of all contenders")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
     arm = urdf("example-robot-data", "xarm7.urdf")
-    lines = requirements(arm, 0.5 if arguments.quick else SECONDS)
-    on = ", ".join(f"{k} {v}" for k, v in machine().items())
-    print(summary(lines))
+    goals = requirements(arm, 0.5 if arguments.quick else SECONDS)
+    summary = report.goals_table("seven-joint arm, one thread, batch 4096, float64 unless stated", goals)
+    machine = report.machine()
+    on = ", ".join(f"{k} {v}" for k, v in machine.items())
+    print(summary)
     rows: list[Row] = []
     if not arguments.quick:
         torch.set_num_threads(arguments.threads)
@@ -492,10 +426,8 @@ def main() -> None:
         print("\n" + table(rows))
     print(f"\n{on}")
     if arguments.readme:
-        into_readme(f"{summary(lines)}\n\nMeasured on: {on}.", BEGIN, END)
-    if arguments.json:
-        everything = {"machine": machine(), "goals": lines, "rows": [asdict(r) for r in rows]}
-        arguments.json.write_text(json.dumps(everything, indent=1))
+        report.into_readme(f"{summary}\n\nMeasured on: {on}.", BEGIN, END)
+    report.into_json(arguments.json, machine=machine, goals=goals, rows=[asdict(row) for row in rows])
 
 
 if __name__ == "__main__":

@@ -233,7 +233,7 @@ class ArmVectorEnv(VectorEnv):
             )
         actions, clipped = self._actions.clipped(actions, self.num_envs)
         rows, now = self._advanced(actions)
-        reward, lost = rows.pop("reward").squeeze(1), rows.pop("sound").squeeze(1) == 0
+        reward, lost = rows.pop("reward").squeeze(1), rows.pop("sound").squeeze(1) != 1
         terminated = lost
         if "terminated" in rows:
             terminated = lost | (rows.pop("terminated").squeeze(1) != 0)

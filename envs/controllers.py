@@ -28,7 +28,44 @@ class Controller(Parametric):
 
 
 @dataclass(frozen=True)
-class ComputedTorque(Controller):
+class Feedback(Controller):
+    """What feeds the errors of positions and velocities back, and may know a model of the robot.
+
+    Args:
+        kp, kd: gains of the errors of positions and velocities, shape [..., n].
+        model: one robot, whose tensors are constants.
+    """
+
+    SHAPES: ClassVar[Shapes] = {"kp": ("n",), "kd": ("n",)}
+    kp: Parameter
+    kd: Parameter
+    model: Robot | None = None
+
+    def described(self, robot: Robot) -> Self:
+        """The same, once its model is known to have the robot's joints and one number for each of its own."""
+        believed, what = self.model, f"model of {type(self).__name__}"
+        if believed is None:
+            return self
+        if believed.n != robot.n:
+            raise ArgumentError(f"{what} must have the {robot.n} joints of robot {robot.name!r}, found {believed.n}")
+        for name in believed.varying:
+            if getattr(believed, name).ndim > len(SHAPES[name]):
+                raise ArgumentError(
+                    f"{what} must be one robot, found batch axes of its {name}; its tensors are constants"
+                )
+        return self
+
+    def corrected(self, reference: Row, q: Row, qd: Row) -> list[Number]:
+        """Wanted acceleration, or feed-forward, with the errors fed back."""
+        n = len(q)
+        return [
+            reference[2 * n + i] + self.kd[i] * (reference[n + i] - qd[i]) + self.kp[i] * (reference[i] - q[i])
+            for i in range(n)
+        ]  # (75), erratum 75
+
+
+@dataclass(frozen=True)
+class ComputedTorque(Feedback):
     """Feedback linearisation: tau = M a + c + g, a = qdd_des + kd (qd_des - qd) + kp (q_des - q), equations (73)-(78).
 
     With the scene's own model and small steps the error obeys e'' + kd e' + kp e = 0; friction, and everything else
@@ -41,24 +78,17 @@ class ComputedTorque(Controller):
             constants. None: as it is in the scene, payload and gravity included.
     """
 
-    SHAPES: ClassVar[Shapes] = {"kp": ("n",), "kd": ("n",)}
-    kp: Parameter
-    kd: Parameter
-    model: Robot | None = None
-
-    def described(self, robot: Robot) -> Self:
-        return _with_constant_model(self, robot)
-
     def torques(
         self, robot: Robot, fields: Given, varied: Sequence[str], reference: Row, q: Row, qd: Row
     ) -> Sequence[Number]:
-        a = _corrected(reference, q, qd, self.kp, self.kd)
+        """Torques of the corrected acceleration."""
+        a = self.corrected(reference, q, qd)
         believed = model(robot, q, fields, varied) if self.model is None else model(self.model, q, {}, ())
         return believed.torques(qd, a, None)  # (73), (74)
 
 
 @dataclass(frozen=True)
-class PD(Controller):
+class PD(Feedback):
     """Torques of errors alone: tau = kp (q_des - q) + kd (qd_des - qd), and of gravity if a model is given.
 
     Args:
@@ -67,43 +97,13 @@ class PD(Controller):
         model: the robot whose gravity torques are added; None: none are.
     """
 
-    SHAPES: ClassVar[Shapes] = {"kp": ("n",), "kd": ("n",)}
-    kp: Parameter
-    kd: Parameter
-    model: Robot | None = None
-
-    def described(self, robot: Robot) -> Self:
-        return _with_constant_model(self, robot)
-
     def torques(
         self, robot: Robot, fields: Given, varied: Sequence[str], reference: Row, q: Row, qd: Row
     ) -> Sequence[Number]:
+        """Torques of the errors, and the model's weight."""
         n = len(q)
-        tau = _corrected((*reference[: 2 * n], *[0.0] * n), q, qd, self.kp, self.kd)
+        tau = self.corrected((*reference[: 2 * n], *[0.0] * n), q, qd)
         if self.model is None:
             return tau
         weight = model(self.model, q, {}, ()).torques(None, None, None)
         return [t if w is None else t + w for t, w in zip(tau, weight, strict=True)]
-
-
-def _with_constant_model(controller, robot: Robot):
-    """The controller, whose model must have the robot's joints and one number for each of its own."""
-    believed = controller.model
-    if believed is None:
-        return controller
-    what = f"model of {type(controller).__name__}"
-    if believed.n != robot.n:
-        raise ArgumentError(f"{what} must have the {robot.n} joints of robot {robot.name!r}, found {believed.n}")
-    for name in believed.varying:
-        if getattr(believed, name).ndim > len(SHAPES[name]):
-            raise ArgumentError(f"{what} must be one robot, found batch axes of its {name}; its tensors are constants")
-    return controller
-
-
-def _corrected(reference: Row, q: Row, qd: Row, kp: Row, kd: Row) -> list[Number]:
-    """Wanted acceleration, or feed-forward, with the errors fed back."""
-    n = len(q)
-    return [
-        reference[2 * n + i] + kd[i] * (reference[n + i] - qd[i]) + kp[i] * (reference[i] - q[i])  # (75), erratum 75
-        for i in range(n)
-    ]

@@ -66,6 +66,7 @@ class ExplicitEuler(Integrator):
     order = 1
 
     def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+        """Both at the rates of the beginning."""
         return _plus(x, h, v), _plus(v, h, system.accelerations(x, v))
 
 
@@ -76,6 +77,7 @@ class SemiImplicitEuler(Integrator):
     order = 1
 
     def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+        """Velocities first, positions with the new ones."""
         v = _plus(v, h, system.accelerations(x, v))
         return _plus(x, h, v), v
 
@@ -91,6 +93,7 @@ class LinearlyImplicit(Integrator):
     order = 1
 
     def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+        """Velocities first, the impedances acting on the end of the step; positions with the new ones."""
         v = _plus(v, h, system.implicit_accelerations(x, v, h))
         return _plus(x, h, v), v
 
@@ -102,6 +105,7 @@ class RungeKutta4(Integrator):
     order = 4
 
     def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+        """The weighted mean of four rates."""
         a = system.accelerations
         a1 = a(x, v)
         v2 = _plus(v, 0.5 * h, a1)
@@ -124,8 +128,8 @@ class StoermerVerlet(Integrator):
         p1 = p + h/2 f(x, v1),  M(x) v1 = p1;   x' = x + h/2 (v1 + v2),  M(x') v2 = p1;   p' = p1 + h/2 f(x', v2)
 
     with f = dL/dx + forces. The two implicit lines are iterated a fixed number of times; each iteration takes a factor
-    of order h off their error. For energies over long times; over short
-    ones RungeKutta4 is more accurate at the same cost.
+    of order h off their error. For energies over long times; over short ones RungeKutta4 is more accurate at the same
+    cost.
 
     Source: E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, section VI.3.
 
@@ -137,6 +141,7 @@ class StoermerVerlet(Integrator):
     iterations: int = 3
 
     def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+        """Half a kick, a drift that both ends agree on, half a kick."""
         v1: Row = v
         for _ in range(self.iterations):
             v1 = _plus(v, 0.5 * h, system.momentum_accelerations(x, v1))

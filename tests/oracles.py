@@ -8,6 +8,7 @@ exist nowhere else; `pinocchio_model` does that. Poses are translated here by pi
 import dataclasses
 import importlib.metadata
 import math
+import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -327,6 +328,8 @@ UNPHYSICAL = {
 
 SINGULAR = ("romeo", "romeo_laas_small")  # fingers without mass: accelerations are undefined
 
+BEYOND_RIGID_BODIES = {"link": ("visual", "collision"), "joint": ("limit", "dynamics", "mimic")}  # for MuJoCo
+
 
 @cache
 def urdf_paths() -> dict[str, Path]:
@@ -358,6 +361,18 @@ def example_case(name: str) -> Case:
     if robot.tip is None:
         robot = robot.with_tip([frame.name for frame in robot.frames if frame.link >= 0][-1])
     return Case(robot, pin.buildModelFromUrdf(str(path)))
+
+
+def rigid_bodies(name: str) -> str:
+    """Text of a robot's file with rigid bodies alone, for MuJoCo, whose compiler is told to keep links as they are."""
+    root = ET.fromstring(urdf_paths()[name].read_text(encoding="utf-8-sig"))
+    for tag, unwanted in BEYOND_RIGID_BODIES.items():
+        for parent in root.findall(tag):
+            for element in [child for child in parent if child.tag in unwanted]:
+                parent.remove(element)
+    settings = {"fusestatic": "false", "discardvisual": "false", "balanceinertia": "false"}
+    ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", settings)
+    return ET.tostring(root, encoding="unicode")
 
 
 # --- all cases -------------------------------------------------------------------------------------------------------

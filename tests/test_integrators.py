@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
+from helpers import FIXED, called, double, random
 from oracles import random_tree, shipped
 from scipy.integrate import solve_ivp
 
@@ -35,12 +36,6 @@ WHEEL = torchdq.Robot.from_screws(
     [[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], [1.0], [[0.0, 0.0, 0.0]], [np.diag([INERTIA] * 3)], name="wheel"
 )
 
-FIXED = (ExplicitEuler(), SemiImplicitEuler(), LinearlyImplicit(), RungeKutta4(), StoermerVerlet())
-
-
-def called(integrator):
-    return type(integrator).__name__
-
 
 @pytest.fixture
 def compiled():
@@ -49,14 +44,6 @@ def compiled():
         pytest.skip("there is no C compiler")
     with torchdq.backend("c"), torch.no_grad():
         yield
-
-
-def double(*x):
-    return torch.tensor(x, dtype=torch.float64)
-
-
-def random(*shape, seed=0):
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
 
 
 def rolled(scene, state, steps, torque=None, **inputs):

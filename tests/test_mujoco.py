@@ -10,7 +10,6 @@ matrix to sqrt(M_ii M_jj). MuJoCo stops looking for principal axes at 1e-12, so 
 The tolerance is 1e-12 for torques, whose size counts more than inertia, 2e-12 for the mass matrix, 1e-14 for frames.
 """
 
-import xml.etree.ElementTree as ET
 from functools import cache
 from typing import NamedTuple
 
@@ -25,7 +24,6 @@ import torchdq
 TOLERANCE = 1e-12
 AXES = 2e-12
 EXACT = 1e-14
-LEFT_OUT = {"link": ("visual", "collision"), "joint": ("limit", "dynamics", "mimic")}
 
 EIGENVALUES, TRIANGLE, MASSLESS = (
     "inertia must have positive eigenvalues",
@@ -63,22 +61,10 @@ NAMES = [name for name in oracles.example_robots() if name not in REFUSED]
 # --- MuJoCo's answers ------------------------------------------------------------------------------------------------
 
 
-def rigid_bodies(name: str) -> str:
-    """Text of a robot's file with rigid bodies alone, and with the compiler told to keep links as they are."""
-    root = ET.fromstring(oracles.urdf_paths()[name].read_text(encoding="utf-8-sig"))
-    for tag, unwanted in LEFT_OUT.items():
-        for parent in root.findall(tag):
-            for element in [child for child in parent if child.tag in unwanted]:
-                parent.remove(element)
-    settings = {"fusestatic": "false", "discardvisual": "false", "balanceinertia": "false"}
-    ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", settings)
-    return ET.tostring(root, encoding="unicode")
-
-
 @cache
 def compiled(name: str) -> mujoco.MjModel:
     """MuJoCo's model of a robot."""
-    return mujoco.MjModel.from_xml_string(rigid_bodies(name))
+    return mujoco.MjModel.from_xml_string(oracles.rigid_bodies(name))
 
 
 class Answers(NamedTuple):

@@ -7,9 +7,11 @@ same effects simulates, and formulas are written out here.
 import copy
 import pickle
 
+import helpers
 import numpy as np
 import pytest
 import torch
+from helpers import double, random
 from oracles import random_tree, shipped, states
 from torch.func import functional_call, grad
 from torch.nn.utils import parametrize
@@ -27,23 +29,7 @@ EVERYTHING = ("mass", "com", "inertia", "friction", "armature", "offset")
 TREE = random_tree(6, seed=3).robot
 ROBOTS = {**{name: shipped(name).robot for name in ("panda", "ur10e", "puma560")}, "tree": TREE}
 every_robot = pytest.mark.parametrize("name", ROBOTS)
-
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    """Tensors this small gain nothing by threads, which wait for each other on a busy machine."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
-def random(*shape, seed=0, dtype=F64):
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64).to(dtype)
-
-
-def double(*x):
-    return torch.tensor(x, dtype=F64)
+one_thread = helpers.one_thread
 
 
 def matrices(inertia):

@@ -3,8 +3,10 @@
 import copy
 import pickle
 
+import helpers
 import pytest
 import torch
+from helpers import random
 from oracles import shipped
 
 import torchdq
@@ -13,19 +15,7 @@ from torchdq.residual import Perceptrons, ResidualDynamics
 F32, F64 = torch.float32, torch.float64
 PANDA, TWO = shipped("panda").robot, shipped("two_link").robot
 every_kind = pytest.mark.parametrize("inputs", ["joint", "all"])
-
-
-@pytest.fixture(autouse=True)
-def one_thread():
-    """Tensors this small gain nothing by threads, which wait for each other on a busy machine."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
-def random(*shape, seed=0, dtype=F64):
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=F64).to(dtype)
+one_thread = helpers.one_thread
 
 
 def trained(robot, inputs, seed=0, **options):

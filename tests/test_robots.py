@@ -1,4 +1,4 @@
-"""Robots from joint screws, from Denavit-Hartenberg tables and from the library, and what can be done with a robot.
+"""Robots from joint screws, from Denavit-Hartenberg tables and shipped ones, and what can be done with a robot.
 
 Evidence: homogeneous matrices multiplied out here, formulas of one-joint robots, published numbers of the shipped arms,
 and description files of two of them that were written by others.

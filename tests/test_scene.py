@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
+from helpers import FIXED, called, double, random
 from oracles import random_tree, shipped, states
 
 import torchdq
@@ -31,20 +32,7 @@ EPS = 2.0**-52
 ARM = shipped("two_link").robot
 TREE = random_tree(3, seed=6, armature=True).robot
 PANDA = shipped("panda").robot
-INTEGRATORS = (ExplicitEuler(), SemiImplicitEuler(), LinearlyImplicit(), RungeKutta4(), StoermerVerlet())
 needs_compiler = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
-
-
-def called(integrator):
-    return type(integrator).__name__
-
-
-def double(*x):
-    return torch.tensor(x, dtype=torch.float64)
-
-
-def random(*shape, seed=0):
-    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
 
 
 def equal(a, b):
@@ -86,7 +74,7 @@ def test_an_effect_of_no_size_is_no_operation(kind, robot):
 
 
 @pytest.mark.parametrize("kind", ["Viscous", "Coulomb", "Spring", "Limits", "Saturation", "RotorInertia"])
-@pytest.mark.parametrize("integrator", INTEGRATORS, ids=called)
+@pytest.mark.parametrize("integrator", FIXED, ids=called)
 def test_an_effect_of_no_size_leaves_the_very_same_program(kind, integrator):
     bare = Scene(TREE, integrator=integrator)
     assert bare.replace(effects=(NOTHING[kind],)).program().ops == bare.program().ops
@@ -156,7 +144,7 @@ def test_the_cost_of_the_controller_is_described():
 
 
 @pytest.mark.parametrize("robot", [ARM, TREE, PANDA], ids=["two_link", "tree", "panda"])
-@pytest.mark.parametrize("integrator", INTEGRATORS, ids=called)
+@pytest.mark.parametrize("integrator", FIXED, ids=called)
 def test_a_resting_arm_of_a_bare_scene_stays_where_it_is(integrator, robot):
     """No gravity, whatever the robot has: bit by bit the same place."""
     q = states(robot).q
@@ -529,7 +517,7 @@ def test_a_start_reads_the_sensors_once():
     assert torch.allclose(state.reading, expected, rtol=1e-14)
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS[1:4], ids=called)
+@pytest.mark.parametrize("integrator", FIXED[1:4], ids=called)
 def test_batch_axes_broadcast(integrator):
     """State, inputs and parameters each with their own axes are the same, bit by bit, as all of them written out."""
     q, qd, torque, push = random(4, 1, 2), random(2, seed=1), random(3, 2, seed=2), random(4, 3, 6, seed=3)
@@ -556,7 +544,7 @@ def test_an_adaptive_step_broadcasts_too():
 
 
 @pytest.mark.parametrize("shape", [(0,), (3, 0), (0, 4)])
-@pytest.mark.parametrize("integrator", [*INTEGRATORS, DormandPrince()], ids=called)
+@pytest.mark.parametrize("integrator", [*FIXED, DormandPrince()], ids=called)
 def test_a_batch_may_be_empty(integrator, shape):
     scene = Scene(ARM, (effects.Gravity(), effects.Lag(0.1), effects.Bias(0.1)), integrator=integrator)
     q = torch.zeros(*shape, 2, dtype=torch.float64, requires_grad=True)

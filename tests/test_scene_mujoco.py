@@ -4,7 +4,6 @@ With gravity, damping and rotors, integrators that are the same on paper are the
 thousand steps; against a reference that is exact, both are off by the order of the method.
 """
 
-import xml.etree.ElementTree as ET
 from functools import cache
 
 import mujoco
@@ -21,7 +20,6 @@ from torchdq.program import build
 ROBOTS = ("ur5_robot", "panda")  # of 6 joints, and of 7 and two fingers that slide
 DT, STEPS = 1e-3, 1000
 SAME = 1e-9  # [rad]; a thousandth of what the task asks for, measured are some 1e-12
-LEFT_OUT = {"link": ("visual", "collision"), "joint": ("limit", "dynamics", "mimic")}
 
 
 @pytest.fixture(autouse=True)
@@ -55,14 +53,7 @@ def parameters(name):
 @cache
 def model_of(name):
     """MuJoCo's model of a file without shapes, limits and friction, with the damping and the rotors."""
-    root = ET.fromstring(oracles.urdf_paths()[name].read_text(encoding="utf-8-sig"))
-    for tag, unwanted in LEFT_OUT.items():
-        for parent in root.findall(tag):
-            for element in [child for child in parent if child.tag in unwanted]:
-                parent.remove(element)
-    settings = {"fusestatic": "false", "discardvisual": "false", "balanceinertia": "false"}
-    ET.SubElement(ET.SubElement(root, "mujoco"), "compiler", settings)
-    model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
+    model = mujoco.MjModel.from_xml_string(oracles.rigid_bodies(name))
     order = [model.joint(joint).dofadr[0] for joint in robot_of(name).joint_names]
     assert sorted(order) == list(range(model.nv))
     model.dof_damping[order] = parameters(name)["damping"]

@@ -116,27 +116,22 @@ class ResidualDynamics(nn.Module):
         return self.model.prior()
 
     def forward(
-        self,
-        q: Tensor,
-        qd: Tensor,
-        qdd: Tensor | None = None,
-        f_tip: Tensor | None = None,
-        f_ext: Tensor | None = None,
+        self, q: Tensor, qd: Tensor, qdd: Tensor | None = None, f_tip: Tensor | None = None, f_ext: Tensor | None = None
     ) -> Tensor:
         """Joint torques [..., n]; see `torchdq.inverse_dynamics`."""
-        tau = self.model(q, qd, qdd, f_tip, f_ext)
-        return tau + self.correction(self.features(q, qd, qdd, tau))
+        tau, rest = self._parts(q, qd, qdd, f_tip, f_ext)
+        return tau + rest
 
     def residual(
-        self,
-        q: Tensor,
-        qd: Tensor,
-        qdd: Tensor | None = None,
-        f_tip: Tensor | None = None,
-        f_ext: Tensor | None = None,
+        self, q: Tensor, qd: Tensor, qdd: Tensor | None = None, f_tip: Tensor | None = None, f_ext: Tensor | None = None
     ) -> Tensor:
         """What the network adds to the torques of the model [..., n]."""
-        return self.correction(self.features(q, qd, qdd, self.model(q, qd, qdd, f_tip, f_ext)))
+        return self._parts(q, qd, qdd, f_tip, f_ext)[1]
+
+    def _parts(self, q: Tensor, qd: Tensor, qdd: Tensor | None, *wrenches: Tensor | None) -> tuple[Tensor, Tensor]:
+        """Torques of the model, and what the network adds to them."""
+        tau = self.model(q, qd, qdd, *wrenches)
+        return tau, self.correction(self.features(q, qd, qdd, tau))
 
     def features(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> Tensor:
         """What the network sees of every joint [..., n, 6], as it is; tau [..., n] are the torques of the model."""

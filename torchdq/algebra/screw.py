@@ -82,7 +82,8 @@ IDENTITY: Adjoint = (
 )
 
 
-def _times(m: Columns, v: Pure) -> Pure:
+def columns_times(m: Columns, v: Pure) -> Pure:
+    """Product of a 3x3 matrix, given by its columns, and a vector."""
     (m00, m10, m20), (m01, m11, m21), (m02, m12, m22) = m
     x, y, z = v
     return (m00 * x + m01 * y + m02 * z, m10 * x + m11 * y + m12 * z, m20 * x + m21 * y + m22 * z)
@@ -100,7 +101,7 @@ def _transpose(m: Columns) -> Columns:
 def ad(a: Adjoint, m: Screw) -> Screw:
     """Ad(x) m = x m x* from the columns of x = X_AB: takes screws from B to A."""
     a_p, a_d = a
-    return (_times(a_p, m[0]), quat.add(_times(a_p, m[1]), _times(a_d, m[0])))  # (36)
+    return (columns_times(a_p, m[0]), quat.add(columns_times(a_p, m[1]), columns_times(a_d, m[0])))  # (36)
 
 
 def inverse(a: Adjoint) -> Adjoint:
@@ -110,8 +111,8 @@ def inverse(a: Adjoint) -> Adjoint:
 
 def compose(a: Adjoint, b: Adjoint) -> Adjoint:
     """Columns of xy from those of x and y: Ad(xy) = Ad(x) Ad(y)."""
-    p = _three([_times(a[0], e) for e in b[0]])
-    d = _three([quat.add(_times(a[0], f), _times(a[1], e)) for e, f in zip(b[0], b[1], strict=True)])
+    p = _three([columns_times(a[0], e) for e in b[0]])
+    d = _three([quat.add(columns_times(a[0], f), columns_times(a[1], e)) for e, f in zip(b[0], b[1], strict=True)])
     return (p, d)
 
 
@@ -153,9 +154,9 @@ def carry_inertia(
 ) -> tuple[Number, Pure, Symmetric]:
     """Inertia (m, h, I) of a body, given in B, in the frame A whose pose of B has the columns `a` and position `p`."""
     rotation = a[0]
-    turned = _three([_times(rotation, row) for row in second])  # rows of (R I)^T
-    rotated = _three([_times(rotation, column) for column in _transpose(turned)])  # R I R^T
-    c = (0.0, 0.0, 0.0) if first is None else _times(rotation, first)
+    turned = _three([columns_times(rotation, row) for row in second])  # rows of (R I)^T
+    rotated = _three([columns_times(rotation, column) for column in _transpose(turned)])  # R I R^T
+    c = (0.0, 0.0, 0.0) if first is None else columns_times(rotation, first)
     h = quat.add(c, quat.scale(mass, p))
     # parallel axes: I - ([p][h] + [c][p]), written out so that the result is symmetric to the last bit
     trace = quat.dot(p, quat.add(c, h))

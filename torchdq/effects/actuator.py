@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
 from torchdq.algebra.quaternion import Number
-from torchdq.effects.effect import Effect, Parameter, Shapes, unbounded
-from torchdq.errors import ArgumentError
+from torchdq.effects.effect import Effect, Late, Parameter, Shapes, unbounded
 from torchdq.numbers.functions import clip, exp, floor
-from torchdq.robot import Robot
 
 Row = Sequence[Number]
 
@@ -40,6 +38,7 @@ class Saturation(Actuator):
     limit: Parameter = None
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
+        """The torques within their limits."""
         return [x if unbounded(limit) else clip(x, -limit, limit) for x, limit in zip(u, self.limit, strict=True)], ()
 
 
@@ -63,6 +62,7 @@ class TorqueSpeed(Actuator):
     speed: Parameter = None
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
+        """The torques that the motors have at their speeds."""
         result = []
         for x, v, stall, speed in zip(u, qd, self.stall, self.speed, strict=True):
             if unbounded(stall):
@@ -87,9 +87,11 @@ class Lag(Actuator):
     time: Parameter
 
     def memory(self, n: int) -> int:
+        """The torques of the last step."""
         return n
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
+        """The torques at the end of the step, which it remembers."""
         tau = []
         for x, before, T in zip(u, memory, self.time, strict=True):
             kept = 0.0 if isinstance(T, float) and T == 0 else exp(-(dt / T))
@@ -98,23 +100,18 @@ class Lag(Actuator):
 
 
 @dataclass(frozen=True)
-class Delay(Actuator):
+class Delay(Late, Actuator):
     """Torques that arrive a whole number of steps late; before that, none.
 
     Args:
         steps: at least 1.
     """
 
-    steps: int
-
-    def described(self, robot: Robot) -> Self:
-        return whole(self)
-
-    def memory(self, n: int) -> int:
-        return self.steps * n
+    PER_JOINT = 1
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
-        return memory[: len(u)], (*memory[len(u) :], *u)
+        """The torques of `steps` steps ago."""
+        return self.passed(u, memory)
 
 
 @dataclass(frozen=True)
@@ -129,6 +126,7 @@ class DeadBand(Actuator):
     width: Parameter
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
+        """What the commands exceed the width by."""
         return [x - clip(x, -w, w) for x, w in zip(u, self.width, strict=True)], ()
 
 
@@ -145,16 +143,10 @@ class QuantisedCommand(Actuator):
     step: Parameter
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
+        """The nearest multiples of the step."""
         return [rounded(x, s) for x, s in zip(u, self.step, strict=True)], ()
 
 
 def rounded(x: Number, step: Number) -> Number:
     """The multiple of a step that is nearest."""
     return step * floor(x / step + 0.5)
-
-
-def whole(effect):
-    """The effect, whose number of steps must be a positive whole number."""
-    if not isinstance(effect.steps, int) or effect.steps < 1:
-        raise ArgumentError(f"steps of {type(effect).__name__} must be a whole number from 1, found {effect.steps!r}")
-    return effect

@@ -130,6 +130,32 @@ class Effect(Parametric):
         return (0.0,) * self.memory(len(q))
 
 
+@dataclass(frozen=True)
+class Late(Effect):
+    """An effect that hands a row of numbers on a whole number of steps late.
+
+    Args:
+        steps: at least 1.
+    """
+
+    PER_JOINT: ClassVar[int]  # numbers in a row for each joint
+    steps: int
+
+    def described(self, robot: Robot) -> Self:
+        """The same, once its number of steps is known to be a positive whole one."""
+        if not isinstance(self.steps, int) or self.steps < 1:
+            raise ArgumentError(f"steps of {type(self).__name__} must be a whole number from 1, found {self.steps!r}")
+        return self
+
+    def memory(self, n: int) -> int:
+        """The rows that are on their way."""
+        return self.steps * self.PER_JOINT * n
+
+    def passed(self, row: Sequence[Number], memory: Sequence[Number]) -> tuple[Sequence[Number], Sequence[Number]]:
+        """The row that arrives, and what is on its way after it."""
+        return memory[: len(row)], (*memory[len(row) :], *row)
+
+
 def owned(robot: Robot, x: Tensor | None) -> Tensor | tuple[float, ...] | None:
     """A tensor of a robot's description as a parameter: numbers if it is a constant, or else the tensor itself."""
     if x is None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
-from torchdq.algebra import dual_quaternion
+from torchdq.algebra import dual_quaternion, screw
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
 from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link
@@ -46,6 +46,7 @@ class Gravity(ModelEffect):
         return replace(found, acceleration=GRAVITY) if found.acceleration is None else found
 
     def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
+        """Its acceleration."""
         return {"gravity": self.acceleration}
 
 
@@ -62,6 +63,7 @@ class RotorInertia(ModelEffect):
     inertia: Parameter = None
 
     def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
+        """The rotor inertia, and what other effects have put there."""
         before = fields.get("armature")
         return {"armature": self.inertia if before is None else tuple(_sums(before, self.inertia))}
 
@@ -85,20 +87,22 @@ class Payload(ModelEffect):
     frame: str | None = None
 
     def described(self, robot: Robot) -> Self:
+        """With the frame named."""
         return on_a_link(self, robot)
 
     def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
+        """The bodies, one of them merged with what it carries."""
         frame = robot.frame(str(self.frame))
         X_BF = constant_pose(frame.X_BF)
         turn = quat.rotation_columns(X_BF[0])
         i = frame.link
         masses, coms, inertias = (list(field(robot, name, fields)) for name in ("mass", "com", "inertia"))
         m, c = masses[i], coms[i]
-        held = quat.add(dual_quaternion.translation(X_BF), _turned(turn, self.com))
+        held = quat.add(dual_quaternion.translation(X_BF), screw.columns_times(turn, self.com))
         xx, xy, yy, xz, yz, zz = self.inertia
         rows = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
-        half = [_turned(turn, row) for row in rows]  # rows of I R^T
-        turned = [_turned(turn, column) for column in zip(*half, strict=True)]  # columns of R I R^T
+        half = [screw.columns_times(turn, row) for row in rows]  # rows of I R^T
+        turned = [screw.columns_times(turn, column) for column in zip(*half, strict=True)]  # columns of R I R^T
         total = m + self.mass
         apart = quat.sub(held, c)
         reduced = m * self.mass / total  # of two bodies about their common centre of mass
@@ -125,6 +129,7 @@ class MassScale(ModelEffect):
     factor: Parameter
 
     def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
+        """Masses and inertias, scaled."""
         mass, inertia = field(robot, "mass", fields), field(robot, "inertia", fields)
         return {
             "mass": [k * m for k, m in zip(self.factor, mass, strict=True)],
@@ -140,8 +145,3 @@ def flat(rows: Sequence[Sequence[Number]]) -> list[Number]:
 def _sums(a: Sequence[Number], b: Sequence[Number]) -> list[Number]:
     """Sums of two rows, entry by entry."""
     return [x + y for x, y in zip(a, b, strict=True)]
-
-
-def _turned(columns: Sequence[Sequence[Number]], v: Sequence[Number]) -> tuple[Number, ...]:
-    a, b, c = columns
-    return quat.add(quat.add(quat.scale(v[0], a), quat.scale(v[1], b)), quat.scale(v[2], c))

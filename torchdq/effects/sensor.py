@@ -8,13 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
 from torchdq.algebra.quaternion import Number
-from torchdq.effects.actuator import rounded, whole
-from torchdq.effects.effect import Effect, Parameter, Shapes
+from torchdq.effects.actuator import rounded
+from torchdq.effects.effect import Effect, Late, Parameter, Shapes
 from torchdq.numbers.functions import log, sqrt
-from torchdq.robot import Robot
 
 Row = Sequence[Number]
 
@@ -44,9 +43,11 @@ class Noise(Sensor):
     velocity: Parameter = 0.0
 
     def noises(self, n: int) -> int:
+        """Two for every joint, which make two independent normal ones."""
         return 2 * n
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
+        """The readings with noise of the given spread."""
         result = []
         n = len(reading) // 2
         for i in range(n):  # one pair of uniform numbers makes a pair of normal ones
@@ -73,6 +74,7 @@ class Bias(Sensor):
     velocity: Parameter = 0.0
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
+        """The readings, each off by its constant."""
         return [x + b for x, b in zip(reading, (*self.position, *self.velocity), strict=True)], ()
 
 
@@ -90,6 +92,7 @@ class QuantisedReading(Sensor):
     velocity: Parameter = 0.0
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
+        """The nearest multiples of the steps."""
         return [
             x if isinstance(s, float) and s == 0 else rounded(x, s)
             for x, s in zip(reading, (*self.position, *self.velocity), strict=True)
@@ -97,23 +100,19 @@ class QuantisedReading(Sensor):
 
 
 @dataclass(frozen=True)
-class ReadingDelay(Sensor):
+class ReadingDelay(Late, Sensor):
     """Readings that arrive a whole number of steps late; at the beginning, those of the initial state.
 
     Args:
         steps: at least 1.
     """
 
-    steps: int
-
-    def described(self, robot: Robot) -> Self:
-        return whole(self)
-
-    def memory(self, n: int) -> int:
-        return 2 * n * self.steps
+    PER_JOINT = 2
 
     def start(self, q: Row, qd: Row) -> Row:
+        """The initial state, again and again."""
         return (*q, *qd) * self.steps
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
-        return memory[: len(reading)], (*memory[len(reading) :], *reading)
+        """The readings of `steps` steps ago."""
+        return self.passed(reading, memory)

@@ -51,23 +51,23 @@ class LogError(TorchdqError, ValueError):
 class Layout:
     """How one kind of log is written, and how its signals want to be treated."""
 
-    robot: str | None
+    robot: str | None = None
     """Name of the shipped robot it was recorded on, if it is one."""
-    joints: int
+    joints: int = 0
     """Number of joints; 0: as many as the header names."""
-    blocks: tuple[str, ...]
+    blocks: tuple[str, ...] = ("q", "qd", "tau")
     """Names of the columns but for the number of the joint; the first three hold q, qd and the effort, and are read."""
-    header: bool
+    header: bool = True
     """Whether the first line holds the names of the columns; else they are the time and `blocks`, in order."""
-    gain: tuple[float, ...]
-    """Torque per unit of effort [N m]."""
-    cutoff_qd: float
+    gain: tuple[float, ...] = ()
+    """Torque per unit of effort [N m]; empty: the effort is the torque."""
+    cutoff_qd: float = 8.0
     """Low-pass frequency of the velocities [Hz]."""
-    cutoff_tau: float
+    cutoff_tau: float = 8.0
     """Low-pass frequency of the torques [Hz]."""
-    slow: float
+    slow: float = 0.02
     """Speed over which Coulomb friction changes sign [rad/s]: about the noise of the filtered velocity."""
-    rotors: bool
+    rotors: bool = False
     """Whether torques are taken at the motors, before the rotors' inertia."""
     farthest: float = 8 * math.pi
     """Position beyond which numbers are taken for degrees [rad]."""
@@ -81,17 +81,7 @@ class Layout:
 
 
 LAYOUTS = {
-    "panda": Layout(
-        robot="panda",
-        joints=7,
-        blocks=("q", "qd", "tau"),
-        header=True,
-        gain=(1.0,) * 7,
-        cutoff_qd=6.0,
-        cutoff_tau=8.0,
-        slow=0.05,
-        rotors=False,
-    ),
+    "panda": Layout(robot="panda", joints=7, cutoff_qd=6.0, slow=0.05),
     "ur10e": Layout(
         robot="ur10e",
         joints=6,
@@ -104,27 +94,12 @@ LAYOUTS = {
         rotors=True,
     ),
     "double_pendulum": Layout(
-        robot=None,
         joints=2,
         blocks=("pos_meas", "vel_meas", "tau_meas"),
-        header=True,
-        gain=(1.0, 1.0),
         cutoff_qd=8.0,  # above 8 Hz, the shoulder's torques are those of the shaking mount
-        cutoff_tau=8.0,
-        slow=0.02,
         rotors=True,
     ),
-    "csv": Layout(
-        robot=None,
-        joints=0,
-        blocks=("q", "qd", "tau"),
-        header=True,
-        gain=(),
-        cutoff_qd=8.0,
-        cutoff_tau=8.0,
-        slow=0.02,
-        rotors=False,
-    ),
+    "csv": Layout(),
 }
 
 
@@ -185,7 +160,14 @@ def read(path: str | Path, layout: str = "auto", rows: tuple[int, int] | None = 
     _require_radians(path, kind, table)
     repeats = int((~new).sum())
     return Log(
-        path, kind, table.values[new, 0], q[new], qd[new], effort[new] * kind.gain, repeats, *(x[new] for x in qdd)
+        path,
+        kind,
+        table.values[new, 0],
+        q[new],
+        qd[new],
+        effort[new] * (kind.gain or 1.0),
+        repeats,
+        *(x[new] for x in qdd),
     )
 
 
@@ -393,8 +375,7 @@ def _joints(kind: Layout, heads: Sequence[str]) -> int:
 def _named(where: str, kind: Layout, heads: Sequence[str]) -> tuple[Layout, list[str]]:
     """The layout with its number of joints, and the names of the columns to read."""
     if not kind.joints:
-        joints = max(_joints(kind, heads), 1)
-        kind = replace(kind, joints=joints, gain=(1.0,) * joints)
+        kind = replace(kind, joints=max(_joints(kind, heads), 1))
     blocks = [*kind.blocks[:3], *(["qdd"] if any(re.fullmatch(r"qdd\d+", head) for head in heads) else [])]
     names = replace(kind, blocks=tuple(blocks)).columns
     for name in names:

@@ -1,0 +1,68 @@
+"""What all benchmarks are asked and report: options, goals and measurements, the machine; the README and JSON files."""
+
+import argparse
+import importlib.metadata
+import json
+import os
+import platform
+import shutil
+import subprocess
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+Goal = tuple[str, str, str]  # what, the goal, what was measured
+
+
+def parser(document: str, quick: str, readme: bool = True) -> argparse.ArgumentParser:
+    """Parser of the options that benchmarks share; `quick` is the help of --quick, and not all write to the README."""
+    found = argparse.ArgumentParser(description=document.splitlines()[0])
+    found.add_argument("--quick", action="store_true", help=quick)
+    found.add_argument("--json", type=Path, help="write everything here")
+    if readme:
+        found.add_argument("--readme", action="store_true", help="write goals and measurements into the README")
+    return found
+
+
+def goals_table(title: str, goals: Sequence[Goal]) -> str:
+    """Goals and measurements as a table."""
+    lines = "\n".join(f"| {what} | {asked} | {found} |" for what, asked, found in goals)
+    return f"| {title} | goal | measured |\n|---|---|---|\n{lines}"
+
+
+def into_json(path: Path | None, **everything: Any) -> None:
+    """Write everything to a path, if there is one."""
+    if path:
+        path.write_text(json.dumps(everything, indent=1))
+
+
+def into_readme(text: str, begin: str, end: str) -> None:
+    """Write a table between two marks of the README."""
+    readme = Path(__file__).resolve().parents[1] / "README.md"
+    before, rest = readme.read_text().split(begin)
+    readme.write_text(f"{before}{begin}\n{text}\n{end}{rest.split(end)[1]}")
+
+
+def machine(*packages: str) -> dict[str, str]:
+    """What was measured on: names and versions, also of further packages."""
+    model = next(
+        (
+            line.split(":", 1)[1].strip()
+            for line in Path("/proc/cpuinfo").read_text().splitlines()
+            if "model name" in line
+        ),
+        platform.processor(),
+    )
+    compiler = shutil.which(os.environ.get("CC", "cc"))
+    version = (
+        subprocess.run([compiler, "--version"], capture_output=True, text=True).stdout.splitlines()[0]
+        if compiler
+        else "none"
+    )
+    return {
+        "processor": model,
+        "cores": str(os.cpu_count()),
+        "compiler": version,
+        "python": platform.python_version(),
+        **{name: importlib.metadata.version(name) for name in ("torch", "pin", "numpy", *packages)},
+    }
