@@ -1,7 +1,7 @@
 """Integrators: how a state is carried over a step.
 
-All but the last are recorded into the scene's program, so their formulas are written for any kind of number. A system
-has positions x and velocities v (the joints', and the rotors' behind elastic ones) and knows its accelerations.
+All but the last two are recorded into the scene's program, so their formulas are written for any kind of number. A
+system has positions x and velocities v (the joints', and the rotors' behind elastic ones) and knows its accelerations.
 
 | integrator | order | evaluations | energy of a conservative arm |
 |---|---|---|---|
@@ -10,12 +10,13 @@ has positions x and velocities v (the joints', and the rotors' behind elastic on
 | LinearlyImplicit | 1 | 1 | drifts; the damping, stiffness and friction of joints cannot make it unstable |
 | RungeKutta4 | 4 | 4 | falls slowly |
 | StoermerVerlet | 2 | about 2 + 2 iterations | stays within a band of width dt^2: symplectic in (q, p) |
+| Repeated | as another | as another | as another |
 | DormandPrince | 5 | adaptive | to tolerance |
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
@@ -29,12 +30,12 @@ Row = Sequence[Number]
 
 
 class System(Protocol):
-    """What a recorded integrator needs to know."""
+    """What an integrator needs to know."""
 
     def accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations in a state."""
 
-    def implicit_accelerations(self, x: Row, v: Row, h: float) -> list[Number]:
+    def implicit_accelerations(self, x: Row, v: Row, h: Number) -> list[Number]:
         """Mean accelerations over a step h whose impedances act on the state at its end."""
 
     def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
@@ -44,6 +45,7 @@ class System(Protocol):
         """Velocities at the positions `to` that have the momentum of (x, v)."""
 
 
+@dataclass(frozen=True)
 class Integrator:
     """One way to carry a state over a step."""
 
@@ -152,19 +154,38 @@ class StoermerVerlet(Integrator):
         return to, _plus(v2, 0.5 * h, system.momentum_accelerations(to, v2))
 
 
-Rates = Callable[[Tensor, Tensor], Tensor]  # accelerations [..., n] of positions and velocities
+class Unrecorded(Integrator):
+    """An integrator that is not recorded into the scene's program, but calls those of the scene's accelerations."""
 
-
-class Adaptive(Integrator):
-    """An integrator that chooses its steps as it goes, and therefore is not recorded."""
-
-    def flow(self, rates: Rates, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
-        """State after the time T [s], of rows [..., n]."""
+    def flow(self, system: System, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
+        """State [..., n] after the time T [s]; the rows of the system are lists of one tensor [..., n]."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True)
-class DormandPrince(Adaptive):
+class Repeated(Unrecorded):
+    """Another integrator in so many equal steps, called one by one: slower, but their number makes no new program.
+
+    For more steps than a program can hold, and for finding out how many are needed (`recommend`).
+    """
+
+    integrator: Integrator
+    times: int
+
+    def __post_init__(self) -> None:
+        if self.times < 1:
+            raise ArgumentError(f"times must be a whole number from 1, found {self.times}")
+
+    def flow(self, system: System, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
+        """State after that many steps."""
+        rows: tuple[Row, Row] = [x], [v]
+        for _ in range(self.times):
+            rows = self.integrator.step(system, *rows, T / self.times)
+        return rows[0][0], rows[1][0]
+
+
+@dataclass(frozen=True)
+class DormandPrince(Unrecorded):
     """The embedded pair of order 5(4), every sample with steps of its own; for references, not for speed.
 
     The step sizes are not differentiated: gradients are those of the steps that were taken.
@@ -185,14 +206,14 @@ class DormandPrince(Adaptive):
         if not (self.rtol > 0 and self.atol > 0):
             raise ArgumentError(f"rtol and atol must be positive, found {self.rtol} and {self.atol}")
 
-    def flow(self, rates: Rates, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
+    def flow(self, system: System, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
         """State after the time T, of rows [..., n]; rows that have arrived stand still while others go on."""
         n, floor = x.shape[-1], 100 * torch.finfo(x.dtype).eps
         rtol = max(self.rtol, floor)  # a tighter one would never be met
         y = torch.cat([x, v], -1)
 
         def slope(y: Tensor) -> Tensor:
-            return torch.cat([y[..., n:], rates(y[..., :n], y[..., n:])], -1)
+            return torch.cat([y[..., n:], *system.accelerations([y[..., :n]], [y[..., n:]])], -1)
 
         t = y.new_zeros(y.shape[:-1])
         h = torch.full_like(t, T / 16)

@@ -217,7 +217,7 @@ class Motion(System):
         m, net = self._net(x, v)
         return [*solve(m, net, self.scene.linear), *self._rotors(self._springs(x, v))]
 
-    def implicit_accelerations(self, x: Row, v: Row, h: float) -> list[Number]:
+    def implicit_accelerations(self, x: Row, v: Row, h: Number) -> list[Number]:
         """Mean accelerations over a step whose impedances and springs act on the state at its end."""
         n = self.scene.plan.robot.n
         q, qd = x[:n], v[:n]
@@ -348,9 +348,16 @@ def recording(
 ROBOT, CONTROLLER = -2, -1
 
 
-@lru_cache(KEPT)
 def program(plan: Blueprint, signature: Signature) -> Program:
     """Program of a stage, recorded once."""
+    if signature.stage in MOTION:
+        # how time passes does not enter
+        plan = replace(plan, integrator=Integrator(), dt=1.0, substeps=1, controller=None)
+    return _program(plan, signature)
+
+
+@lru_cache(KEPT)
+def _program(plan: Blueprint, signature: Signature) -> Program:
     arguments = [Argument(name, width) for name, width in signature.inputs]
     arguments += [Argument(f"{owner}.{name}", width, uniform) for owner, name, width, uniform in signature.tensors]
     names = [name for name, _ in signature.inputs]
@@ -403,10 +410,28 @@ def drive(scene: Recording, task: Task | None) -> Rows:
     return {"u": u, **({"memory": _joined(scene.plan, memory, driven)} if memory else {})}
 
 
-def rates(scene: Recording, task: Task | None) -> Rows:
+def accelerations(scene: Recording, task: Task | None) -> Rows:
     """Accelerations under the torques `u`, rotors of elastic joints included in the state."""
     x = scene.inputs
     return {"a": Motion(scene, x["u"]).accelerations(x["x"], x["v"])}
+
+
+def implicit_accelerations(scene: Recording, task: Task | None) -> Rows:
+    """Mean accelerations over a step `h` whose impedances act on the state at its end."""
+    x = scene.inputs
+    return {"a": Motion(scene, x["u"]).implicit_accelerations(x["x"], x["v"], x["h"][0])}
+
+
+def momentum_accelerations(scene: Recording, task: Task | None) -> Rows:
+    """Rate of the momentum, as an acceleration."""
+    x = scene.inputs
+    return {"a": Motion(scene, x["u"]).momentum_accelerations(x["x"], x["v"])}
+
+
+def carried(scene: Recording, task: Task | None) -> Rows:
+    """Velocities at the positions `to` that have the same momentum."""
+    x = scene.inputs
+    return {"a": Motion(scene, x["u"]).carried(x["x"], x["v"], x["to"])}
 
 
 def begin(scene: Recording, task: Task | None) -> Rows:
@@ -434,4 +459,6 @@ def energy_rows(scene: Recording, task: Task | None) -> Rows:
     return {"E": energies(scene.plan.robot, scene.fields, scene.inputs["q"], scene.inputs["qd"])}
 
 
-STAGES = {"step": step, "drive": drive, "rates": rates, "sense": sense, "begin": begin, "energy": energy_rows}
+# what an integrator asks of the moving bodies, where it is not recorded with them
+MOTION = {stage.__name__: stage for stage in (accelerations, implicit_accelerations, momentum_accelerations, carried)}
+STAGES = {"step": step, "drive": drive, "sense": sense, "begin": begin, "energy": energy_rows, **MOTION}

@@ -22,9 +22,9 @@ from torchdq.effects import Effect, Gravity, RotorInertia
 from torchdq.effects.joint import Elastic
 from torchdq.envs import plan as plans
 from torchdq.envs.controllers import Controller
-from torchdq.envs.integrators import Adaptive, Integrator, SemiImplicitEuler
+from torchdq.envs.integrators import Integrator, Row, SemiImplicitEuler, Unrecorded
 from torchdq.envs.leftout import left_out
-from torchdq.envs.plan import CONTROLLER, ROBOT, Blueprint, Signature, Task
+from torchdq.envs.plan import CONTROLLER, MOTION, ROBOT, Blueprint, Signature, Task
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.functional import Precision, check_precision
 from torchdq.program import backends, run
@@ -244,8 +244,8 @@ class Scene:
     ) -> tuple[State, dict[str, Tensor]]:
         """State after `dt`, and rows that a task computes from it in the same program."""
         present = {name: x for name, x in inputs.items() if x is not None}
-        if isinstance(self.integrator, Adaptive):
-            return self._adaptive(self.integrator, state, present, noise, task)
+        if isinstance(self.integrator, Unrecorded):
+            return self._unrecorded(self.integrator, state, present, noise, task)
         rows = self._call("step", self._given(state, present, noise), task)
         return State(rows.pop("q"), rows.pop("qd"), rows.pop("memory", None), rows.pop("reading", None)), rows
 
@@ -304,9 +304,9 @@ class Scene:
 
     def program(self, *present: str, task: Task | None = None) -> Program:
         """Program of a step at which the inputs of those names are given; by default, all."""
-        if isinstance(self.integrator, Adaptive):
+        if isinstance(self.integrator, Unrecorded):
             name = type(self.integrator).__name__
-            raise ArgumentError(f"a step of {name} is no program of its own, for its cost depends on the state")
+            raise ArgumentError(f"a step of {name} is no program of its own")
         n = self.n
         widths = {"q": n, "qd": n, "memory": self._memory_size(), "reading": 2 * n, **self.inputs, "noise": self.noises}
         wanted = ["q", "qd", *(present or ("torque", *(name for name in self.inputs if name != "torque")))]
@@ -435,15 +435,15 @@ class Scene:
         rows = self._call(stage, given, task)
         return state._replace(memory=rows.pop("memory", None), reading=rows.pop("reading", None)), rows
 
-    def _adaptive(
+    def _unrecorded(
         self,
-        integrator: Adaptive,
+        integrator: Unrecorded,
         state: State,
         inputs: Mapping[str, Tensor],
         noise: Tensor | None,
         task: Task | None,
     ) -> tuple[State, dict[str, Tensor]]:
-        """A step of an integrator that chooses its own: drive, flow and senses are programs of their own."""
+        """A step of an integrator that is not recorded: drive, motion and senses are programs of their own."""
         goals = {} if task is None else task.inputs(self.n)
         own = {name: x for name, x in inputs.items() if name not in goals}  # the drive refuses what nobody knows
         driven = self._call("drive", {k: x for k, x in self._given(state, own, noise).items() if k != "noise"}, None)
@@ -455,10 +455,7 @@ class Scene:
             x, v = torch.cat([x, rotors[..., :n]], -1), torch.cat([v, rotors[..., n:]], -1)
         others = {name: y for name, y in own.items() if name not in ("torque", "reference")}
 
-        def rates(x: Tensor, v: Tensor) -> Tensor:
-            return self._call("rates", {"x": x, "v": v, "u": u, **others}, None)["a"]
-
-        x, v = integrator.flow(rates, x, v, self.dt)
+        x, v = integrator.flow(_Bodies(self, {**others, "u": u}), x, v, self.dt)
         if elastic is not None and memory is not None:
             at = self.blueprint.memory()[elastic]
             memory = torch.cat([memory[..., : at.start], x[..., n:], v[..., n:], memory[..., at.stop :]], -1)
@@ -467,7 +464,7 @@ class Scene:
 
     def _call(self, stage: str, given: Mapping[str, Tensor], task: Task | None) -> dict[str, Tensor]:
         """Rows of a stage's program, with the batch axes of everything that goes in."""
-        like = given["x"] if stage == "rates" else given["q"]
+        like = given["x"] if stage in MOTION else given["q"]
         if self.precision == "double" and like.dtype == torch.float32:
             wide = {name: x.double() if x.dtype == torch.float32 else x for name, x in given.items()}
             return {name: y.to(like.dtype) for name, y in self._call(stage, wide, task).items()}
@@ -552,7 +549,7 @@ class Scene:
         widths = {"q": n, "qd": n, "memory": self._memory_size(), "reading": 2 * n, "noise": self.noises}
         widths.update({**self.inputs, **goals, "u": n})
         elastic = 0 if self.blueprint.elastic() is None else n
-        widths.update({"x": n + elastic, "v": n + elastic})
+        widths.update({"x": n + elastic, "v": n + elastic, "to": n + elastic, "h": 1})
         for name, x in given.items():
             if name not in widths:
                 raise ArgumentError(f"{name} is no input of this scene; it has {', '.join(self.inputs)}")
@@ -573,9 +570,9 @@ class Scene:
             for name, there in kept.items():
                 if there and name not in given:
                     raise ArgumentError(f"{name} must be part of the state; `start` makes one that has it")
-        if stage in ("step", "drive", "rates"):
+        if stage in ("step", "drive", *MOTION):
             needed = [name for effect in self.effects for name in effect.needs(n)]
-            needed += ["reference"] if self.controller is not None and stage != "rates" else []
+            needed += ["reference"] if self.controller is not None and stage not in MOTION else []
             for name in needed:
                 if name not in given:
                     raise ArgumentError(f"{name} must be given, shape [..., {widths[name]}]; the scene asks for it")
@@ -597,6 +594,29 @@ class _Plan(NamedTuple):
 _interned: dict[Blueprint, Blueprint] = {}  # equal scenes share their programs
 _plans: dict[tuple, _Plan] = {}
 _MOST_PLANS = 1024
+
+
+@dataclass(frozen=True)
+class _Bodies:
+    """The moving bodies of a scene as a `System` whose rows are one tensor [..., n], by programs of their own."""
+
+    scene: Scene
+    inputs: Mapping[str, Tensor]
+
+    def _asked(self, stage: str, **given: Tensor) -> list[Tensor]:
+        return [self.scene._call(stage, {**given, **self.inputs}, None)["a"]]
+
+    def accelerations(self, x: Row, v: Row) -> list[Tensor]:
+        return self._asked("accelerations", x=x[0], v=v[0])
+
+    def implicit_accelerations(self, x: Row, v: Row, h: float) -> list[Tensor]:
+        return self._asked("implicit_accelerations", x=x[0], v=v[0], h=x[0].new_full((1,), h))
+
+    def momentum_accelerations(self, x: Row, v: Row) -> list[Tensor]:
+        return self._asked("momentum_accelerations", x=x[0], v=v[0])
+
+    def carried(self, x: Row, v: Row, to: Row) -> list[Tensor]:
+        return self._asked("carried", x=x[0], v=v[0], to=to[0])
 
 
 _Inputs = tuple[tuple[str, int], ...]

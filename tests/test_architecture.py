@@ -40,8 +40,8 @@ FLOORS = {
     "torchdq.nn": 6,
     "torchdq.residual": 7,
     "torchdq.learning": 8,
-    "torchdq": 9,
-    "torchdq.envs": 10,
+    "torchdq.envs": 9,
+    "torchdq": 10,
 }
 
 # storeys of the one package that has several: the sources of a description, the robot, the shipped robots

@@ -34,7 +34,7 @@ FUNCTIONS = {
     "potential_energy": ("q", "", {}),
     "computed_torque": ("q qd q_des qd_des qdd_des f_tip", "f_tip", {"kp": 9.0, "kd": 6.0}),
 }
-NOT_DYNAMICS = {"dq", "robots", "require_finite", "convert", "compile", "backend"}
+NOT_DYNAMICS = {"dq", "robots", "require_finite", "convert", "compile", "backend", "recommend"}
 CASES = [(key, name) for key, (names, _, _) in FUNCTIONS.items() for name in names.split()]
 # the first tensor decides the dtype, the device and the batch; the others must follow it
 FOLLOWERS = [(key, name) for key, name in CASES if name != "q"]
@@ -80,6 +80,7 @@ def test_every_public_function_is_listed_with_its_arguments():
 # --- shape -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.case("P14")
 @pytest.mark.parametrize("size", [0, 1, 5, 8])
 @every_tensor
 def test_a_last_axis_of_the_wrong_size_is_named(key, name, size):
@@ -91,12 +92,14 @@ def test_a_last_axis_of_the_wrong_size_is_named(key, name, size):
     assert says(message, name, f"..., {expected}", "panda") and str(tuple(wrong.shape)) in message
 
 
+@pytest.mark.case("P14")
 @every_tensor
 def test_a_tensor_without_axes_is_named(key, name):
     message = objection(ArgumentError, key, tensors(key) | {name: torch.tensor(1.0, dtype=F64)})
     assert says(message, name) and "found ()" in message
 
 
+@pytest.mark.case("P14")
 @pytest.mark.parametrize("key", ["inverse_dynamics", "forward_dynamics"])
 @pytest.mark.parametrize("shape", [(6,), (N,), (3, 6), (3, 6, N)])
 def test_link_wrenches_of_the_wrong_rank_are_named(key, shape):
@@ -104,6 +107,7 @@ def test_link_wrenches_of_the_wrong_rank_are_named(key, shape):
     assert says(message, "f_ext") and f"found {shape}" in message
 
 
+@pytest.mark.case("P14")
 @every_follower
 def test_batch_axes_that_do_not_broadcast_are_all_named(key, name):
     arguments = tensors(key)
@@ -150,6 +154,7 @@ def test_a_missing_tensor_is_named_unless_it_may_be_absent(key, name):
         assert says(objection(ArgumentError, key, arguments), name, "tensor", "NoneType")
 
 
+@pytest.mark.case("P5", "P7")
 @pytest.mark.parametrize("dtype", [torch.int64, torch.bool, torch.float16, torch.bfloat16, torch.complex128], ids=str)
 @every_tensor
 def test_a_dtype_that_dynamics_are_not_computed_in_is_named(key, name, dtype):
@@ -166,6 +171,7 @@ def test_an_argument_error_is_a_value_error():
     assert issubclass(ArgumentError, ValueError)
 
 
+@pytest.mark.case("P8")
 @every_follower
 def test_mixed_dtypes_are_named(key, name):
     arguments = tensors(key)
@@ -173,6 +179,7 @@ def test_mixed_dtypes_are_named(key, name):
     assert says(message, name, "torch.float32", "q", "torch.float64")
 
 
+@pytest.mark.case("P8")
 @every_follower
 def test_mixed_devices_are_named(key, name):
     arguments = tensors(key)
@@ -295,6 +302,7 @@ def test_a_parameter_of_the_wrong_shape_is_named(field):
     assert says(str(raised.value), field, "panda") and "found (2, 2, 2)" in str(raised.value)
 
 
+@pytest.mark.case("P5", "P7")
 @pytest.mark.parametrize("field", FIELDS)
 @pytest.mark.parametrize("dtype", [torch.int64, torch.float16, torch.bfloat16], ids=str)
 def test_a_parameter_of_a_dtype_without_the_precision_is_named(field, dtype):
@@ -304,6 +312,7 @@ def test_a_parameter_of_a_dtype_without_the_precision_is_named(field, dtype):
     assert says(str(raised.value), field, "panda", "float32", "float64", str(dtype))
 
 
+@pytest.mark.case("P5")
 @pytest.mark.parametrize("module", ["DQRNEA", "ForwardDynamics"])
 def test_a_module_in_half_precision_is_refused(module):
     x = torch.zeros(3, N)

@@ -62,6 +62,7 @@ NOTHING = {
 }
 
 
+@pytest.mark.case("T14")
 @pytest.mark.parametrize("robot", [ARM, PANDA], ids=["two_link", "panda"])
 @pytest.mark.parametrize("kind", NOTHING)
 def test_an_effect_of_no_size_is_no_operation(kind, robot):
@@ -73,6 +74,7 @@ def test_an_effect_of_no_size_is_no_operation(kind, robot):
     assert equal(made.step(made.start(s.q, s.qd), s.qdd, **inputs)[:2], bare.step(State(s.q, s.qd), s.qdd)[:2])
 
 
+@pytest.mark.case("T14")
 @pytest.mark.parametrize("kind", ["Viscous", "Coulomb", "Spring", "Limits", "Saturation", "RotorInertia"])
 @pytest.mark.parametrize("integrator", FIXED, ids=called)
 def test_an_effect_of_no_size_leaves_the_very_same_program(kind, integrator):
@@ -112,6 +114,7 @@ def test_every_effect_is_switched_off_and_on():
     assert {type(effect).__name__ for effect in SOMETHING} == set(effects.__all__) - {"Effect"}
 
 
+@pytest.mark.case("T14")
 @pytest.mark.parametrize("effect", SOMETHING, ids=lambda e: type(e).__name__)
 def test_a_scene_that_lost_its_effect_is_one_that_never_had_it(effect):
     bare, without = Scene(TREE), Scene(TREE, (effect,)).replace(effects=())
@@ -122,6 +125,7 @@ def test_a_scene_that_lost_its_effect_is_one_that_never_had_it(effect):
     assert kept.count() == Scene(TREE, (effects.Viscous(0.2),)).count()
 
 
+@pytest.mark.case("T14")
 @pytest.mark.parametrize("effect", SOMETHING, ids=lambda e: type(e).__name__)
 def test_an_effect_costs_what_its_description_says(effect):
     """Operations of the bare step and of its parts add up to those of the scene."""
@@ -395,6 +399,7 @@ STRICT = Scene(ARM, (effects.Servo(1.0), effects.Push(), effects.Delay(1), effec
 ZERO = torch.zeros(2, dtype=torch.float64)
 
 
+@pytest.mark.case("P8", "P14")
 @pytest.mark.parametrize("integrator", [SemiImplicitEuler(), DormandPrince()], ids=called)
 @pytest.mark.parametrize(
     "change, message",
@@ -517,6 +522,7 @@ def test_a_start_reads_the_sensors_once():
     assert torch.allclose(state.reading, expected, rtol=1e-14)
 
 
+@pytest.mark.case("P2")
 @pytest.mark.parametrize("integrator", FIXED[1:4], ids=called)
 def test_batch_axes_broadcast(integrator):
     """State, inputs and parameters each with their own axes are the same, bit by bit, as all of them written out."""
@@ -543,6 +549,7 @@ def test_an_adaptive_step_broadcasts_too():
     assert [tuple(x.shape) for x in found if x is not None] == [(3, 4, 2), (3, 4, 2), (3, 4, 4)]
 
 
+@pytest.mark.case("P1")
 @pytest.mark.parametrize("shape", [(0,), (3, 0), (0, 4)])
 @pytest.mark.parametrize("integrator", [*FIXED, DormandPrince()], ids=called)
 def test_a_batch_may_be_empty(integrator, shape):
@@ -571,6 +578,7 @@ def test_parameters_follow_the_dtype_of_the_state():
     assert scene.step(scene.start(torch.zeros(3, 2))).q.dtype == torch.float32
 
 
+@pytest.mark.case("T13", "P9")
 def test_a_sample_that_is_lost_takes_no_other_with_it():
     scene, d = rich(ARM), random(5, 2, seed=6).abs()
     scene = scene.replace(effects=(*RICH, effects.Spring(d)))
@@ -635,10 +643,10 @@ def test_new_values_of_tensors_need_no_new_recording():
         return scene(k).step(State(random(4, 2), random(4, 2, seed=1)), reference=random(6)).qd
 
     first = step(0)
-    before = plans.program.cache_info().misses
+    before = plans._program.cache_info().misses
     assert not torch.equal(step(1), first)
     assert not torch.equal(step(2), first)
-    assert plans.program.cache_info().misses == before
+    assert plans._program.cache_info().misses == before
 
 
 def test_equal_scenes_share_their_programs():
@@ -800,6 +808,7 @@ def test_a_learned_damping_of_the_robot_is_learned_in_a_scene():
     assert bool((gradient != 0).any())
 
 
+@pytest.mark.case("P8")
 def test_inputs_are_checked_at_every_step_not_only_at_the_first():
     scene = Scene(ARM)
     state = scene.start(random(3, 2))
@@ -813,6 +822,7 @@ def test_inputs_are_checked_at_every_step_not_only_at_the_first():
 # --- graphs ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.case("P4")
 @pytest.mark.parametrize("backend", ["c", "eager"])
 def test_steps_are_traced_whole(backend):
     """torch.compile without a break; eager tracing, since what torch makes of the graph is not our claim."""

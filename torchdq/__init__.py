@@ -12,6 +12,8 @@ Conventions, everywhere:
 * None means absent: it is decided in Python and costs nothing.
 """
 
+from typing import TYPE_CHECKING
+
 from torchdq import convert, dq
 from torchdq.compiling import compile
 from torchdq.control import computed_torque
@@ -46,7 +48,20 @@ from torchdq.residual import ResidualDynamics
 from torchdq.robot import Robot
 from torchdq.robot import shipped as robots
 
+if TYPE_CHECKING:
+    from torchdq.envs.recommend import recommend
+
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> object:
+    # it tries scenes, and scenes need gymnasium, which most programs have no use for
+    if name == "recommend":
+        from torchdq.envs.recommend import recommend
+
+        return recommend
+    raise AttributeError(f"module 'torchdq' has no attribute {name!r}")
+
 
 __all__ = [
     "DQRNEA",
@@ -78,6 +93,7 @@ __all__ = [
     "kinetic_energy",
     "mass_matrix",
     "potential_energy",
+    "recommend",
     "regressor",
     "require_finite",
     "robots",

@@ -251,7 +251,7 @@ def _program(signature: Signature) -> Program:
             given = {name: row for (name, _, _), row in zip(signature.fields, rows[len(present) :], strict=True)}
             return way(Inputs(robot, by_name, given, varied), *signature.options)
 
-        return record(f"{signature.recipe}_{robot.name}", arguments, algorithm)
+        return record(f"{way.__name__}_{robot.name}", arguments, algorithm)
 
     best = min(map(recorded, ways(robot.n, recipe.ways)), key=lambda p: p.count().total)
     wrt = DERIVATIVES.get(signature.recipe)

@@ -1,0 +1,177 @@
+"""What is recommended keeps the error that was asked for, and nothing that costs less does."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import torch
+from oracles import pinocchio_model, random_tree
+from scipy.integrate import solve_ivp
+
+import torchdq
+from torchdq.envs import Scene, State, controllers, effects, integrators
+from torchdq.envs.recommend import ARITHMETICS, SAFETY, SAMPLES, Trial, random_states, recommend
+from torchdq.program import build
+
+BACKEND = "auto"
+pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
+
+ROBOTS = {
+    "two_link": torchdq.robots.load("two_link"),
+    "ur10e": torchdq.robots.load("ur10e"),
+    "puma560": torchdq.robots.load("puma560"),
+    "a tree of four": random_tree(4, seed=11).robot,
+}
+HORIZON = 0.3
+
+
+def others(robot, samples=5):
+    """States that were not tried: the last of more random ones than are."""
+    q, qd = random_states(robot, SAMPLES + samples)
+    return q[-samples:], qd[-samples:]
+
+
+def truth(robot, q, qd, horizon):
+    """Positions under gravity by scipy's DOP853 on pinocchio's accelerations."""
+    model = pinocchio_model(robot)
+    data, n = model.createData(), robot.n
+
+    def rate(_, y):
+        return np.concatenate([y[n:], pin.aba(model, data, y[:n], y[n:], np.zeros(n))])
+
+    ends = [
+        solve_ivp(rate, (0, horizon), np.concatenate(start), method="DOP853", rtol=1e-12, atol=1e-12).y[:n, -1]
+        for start in zip(q.numpy(), qd.numpy(), strict=True)
+    ]
+    return torch.tensor(np.array(ends))
+
+
+def end(scene, state, horizon, dtype, **inputs):
+    state = State._make(None if x is None else x.to(dtype) for x in state)
+    for _ in range(round(horizon / scene.dt)):
+        state = scene.step(state, **{name: x.to(dtype) for name, x in inputs.items()})
+    return state.q.double()
+
+
+@pytest.mark.parametrize("error", [1e-2, 1e-4, 1e-8])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_what_is_recommended_keeps_the_error_on_other_states(name, error):
+    robot = ROBOTS[name]
+    found = recommend(robot, error, HORIZON)
+    q, qd = others(robot)
+    made = (end(found.scene, State(q, qd), HORIZON, found.dtype) - truth(robot, q, qd, HORIZON)).abs().max()
+    assert made <= error
+    assert found.error <= error
+
+
+@pytest.mark.parametrize("error", [1e-2, 1e-6])
+@pytest.mark.parametrize("name", ["two_link", "ur10e"])
+def test_nothing_that_costs_less_keeps_the_error(name, error):
+    """Of every integrator and precision, with the steps that two thirds of the operations pay for."""
+    robot = ROBOTS[name]
+    found = recommend(robot, error, HORIZON)
+    trial = Trial.of(Scene(robot, (effects.Gravity(),), dt=HORIZON / 8), HORIZON, None, {})
+    q, qd = trial.state.q, trial.state.qd
+    expected = truth(robot, q, qd, HORIZON)
+    budget = found.others[0].operations / 1.5 * trial.scene.dt
+    tried = 0
+    for integrator in (integrators.SemiImplicitEuler(), integrators.RungeKutta4(), integrators.StoermerVerlet()):
+        for arithmetic in ARITHMETICS:
+            per_step = arithmetic.weight * trial.scene.replace(integrator=integrator).count().total
+            times = math.floor(budget / per_step)
+            if times:
+                tried += 1
+                assert (trial.end(integrator, times, arithmetic) - expected).abs().nan_to_num(
+                    9.0
+                ).max() > SAFETY * error
+    assert tried
+
+
+def test_float32_is_recommended_until_it_no_longer_keeps_the_error():
+    robot = ROBOTS["ur10e"]
+    dtypes = [recommend(robot, error, HORIZON).dtype for error in (1e-2, 1e-3, 1e-9)]
+    assert dtypes == [torch.float32, torch.float32, torch.float64]
+
+
+def test_stiff_joints_are_given_to_the_implicit_integrator():
+    servo = Scene(ROBOTS["two_link"], (effects.Gravity(), effects.Viscous(1e4)), dt=0.05)
+    assert isinstance(recommend(servo, 0.05, 0.2).integrator, integrators.LinearlyImplicit)
+
+
+def test_a_scene_with_a_controller_keeps_its_interval():
+    robot = ROBOTS["two_link"]
+    scene = Scene(robot, (effects.Gravity(),), controllers.ComputedTorque(400.0, 40.0), dt=0.02)
+    q, qd = others(robot)
+    reference = torch.cat([q + 0.3, 0 * q, 0 * q], -1)
+    found = recommend(scene, 1e-6, 0.2, State(q, qd), reference=reference)
+    assert found.scene.dt == scene.dt and found.repeats == 1
+    assert found.step == pytest.approx(scene.dt / found.scene.substeps)
+    fine = scene.replace(integrator=integrators.Repeated(integrators.RungeKutta4(), 64))
+    ends = [end(s, State(q, qd), 0.2, d, reference=reference) for s, d in ((found.scene, found.dtype), (fine, F64))]
+    assert (ends[0] - ends[1]).abs().max() <= 1e-6
+
+
+F64 = torch.float64
+
+
+def test_a_scene_without_anything_sampled_is_divided():
+    scene = Scene(ROBOTS["two_link"], (effects.Gravity(),), dt=0.1)
+    found = recommend(scene, 1e-6, 0.4)
+    assert found.scene.dt * found.repeats == pytest.approx(scene.dt)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("error", [1e-2, 3e-6, 1e-11])
+def test_accelerations_keep_the_error_on_other_states(name, error):
+    robot = ROBOTS[name]
+    found = recommend(robot, error, None)
+    q, qd = others(robot, 50)
+    tau = torchdq.inverse_dynamics(robot, q, qd, torch.rand_like(q))
+    q, qd, tau = (x.float().double() for x in (q, qd, tau))
+    model = pinocchio_model(robot)
+    data = model.createData()
+    expected = torch.tensor(
+        np.array([pin.aba(model, data, *x) for x in zip(q.numpy(), qd.numpy(), tau.numpy(), strict=True)])
+    )
+    x = torchdq.forward_dynamics(robot, *[y.to(found.dtype) for y in (q, qd, tau)], precision=found.precision)
+    assert ((x.double() - expected).abs().amax(-1) / expected.abs().amax(-1)).max() <= error
+
+
+def test_long_chains_are_recommended_articulated_bodies():
+    robot = random_tree(3, seed=1).robot
+    assert recommend(robot, 1e-2, None).method == "mass matrix"
+    n = 30
+    screws = [[0, 1, 0, 0, 0, float(i)] for i in range(n)]
+    poses = [[1, 0, 0, 0, 0, i / 2, 0, 0] for i in range(n)]
+    chain = torchdq.Robot.from_screws(
+        screws, [1.0] * n, [[0.5, 0, 0]] * n, [np.eye(3) / 12] * n, link_poses=np.array(poses, dtype=float)
+    )
+    assert recommend(chain, 1e-2, None).method == "articulated bodies"
+
+
+def test_it_says_what_it_recommends():
+    text = str(recommend(ROBOTS["two_link"], 1e-3, HORIZON))
+    for word in ("float32", "RungeKutta4", "steps of", "backend", "error", "ns per robot", "beside it"):
+        assert word in text
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        (lambda robot: recommend(robot, 0.0), "error must be a positive number"),
+        (lambda robot: recommend(robot, 1e-3, -1.0), "horizon must be"),
+        (lambda robot: recommend(Scene(robot), 1e-3, None), "a scene needs a horizon"),
+        (lambda robot: recommend("panda"), "torchdq.Robot"),
+        (lambda robot: recommend(robot, 1e-17, 0.2), "at best"),
+        (lambda robot: recommend(robot, 1e-18, None), "at best"),
+        (lambda robot: recommend(Scene(robot, (effects.Servo(10.0, 1.0),)), 1e-3, 0.1), "must be given"),
+    ],
+)
+def test_what_cannot_be_is_named(ask, message):
+    with pytest.raises(torchdq.ArgumentError, match=message):
+        ask(ROBOTS["two_link"])
+
+
+def test_it_is_found_at_the_top():
+    assert torchdq.recommend is recommend
