@@ -1,9 +1,11 @@
-# make demo    the main job on a real robot; plots go to out/
-# make test    the whole suite, in parallel
-# make clean   removes the virtual environment and everything that was built
+# make demo     the main job on a real robot; plots go to out/
+# make test     the whole suite, in parallel
+# make mutants  plants faults in a copy of the sources, one at a time; the suite must notice each
+# make clean    removes the virtual environment and everything that was built
 #
-# Both make their own virtual environment in .venv, once; they run again without installing anything.
-# Variables: PYTHON (3.11 or newer), TORCH (pip's arguments for torch), JOBS (test processes), ARGS (of the demo or pytest).
+# All but the last make their own virtual environment in .venv, once; they run again without installing anything.
+# Variables: PYTHON (3.11 or newer), TORCH (pip's arguments for torch), JOBS (test processes), ARGS (of the demo, of pytest
+# or of mutants.py).
 
 PYTHON ?= python3
 TORCH ?= torch==2.13.0
@@ -14,7 +16,7 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
 
-.PHONY: demo test clean
+.PHONY: demo test mutants clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/examples.installed
@@ -22,6 +24,9 @@ demo: $(VENV)/examples.installed
 
 test: $(VENV)/test.installed
 	OMP_NUM_THREADS=1 $(RUN) -m pytest -n $(JOBS) $(ARGS)
+
+mutants: $(VENV)/test.installed
+	$(RUN) tests/mutants.py $(ARGS)
 
 clean:
 	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
