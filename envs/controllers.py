@@ -61,7 +61,7 @@ class Feedback(Controller):
         return [
             reference[2 * n + i] + self.kd[i] * (reference[n + i] - qd[i]) + self.kp[i] * (reference[i] - q[i])
             for i in range(n)
-        ]  # (75), erratum 75
+        ]  # (75)-(78), erratum 75
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ system has positions x and velocities v (the joints', and the rotors' behind ela
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
@@ -193,7 +194,8 @@ class DormandPrince(Unrecorded):
     Source: J. R. Dormand, P. J. Prince, "A family of embedded Runge-Kutta formulae", 1980.
 
     Args:
-        rtol, atol: tolerated error of a step, relative to the state and absolute.
+        rtol, atol: tolerated error of a step, relative to the state and absolute; an rtol below 100 roundings cannot be
+            met, is taken for that, and a warning says so.
         most: steps after which a sample that has not arrived becomes NaN, as does one that no step size helps.
     """
 
@@ -209,7 +211,9 @@ class DormandPrince(Unrecorded):
     def flow(self, system: System, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
         """State after the time T, of rows [..., n]; rows that have arrived stand still while others go on."""
         n, floor = x.shape[-1], 100 * torch.finfo(x.dtype).eps
-        rtol = max(self.rtol, floor)  # a tighter one would never be met
+        rtol = max(self.rtol, floor)
+        if rtol > self.rtol:
+            warnings.warn(f"rtol {self.rtol:g} is below the rounding of {x.dtype}; {rtol:.1g} is kept", stacklevel=2)
         y = torch.cat([x, v], -1)
 
         def slope(y: Tensor) -> Tensor:

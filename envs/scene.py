@@ -307,8 +307,7 @@ class Scene:
         if isinstance(self.integrator, Unrecorded):
             name = type(self.integrator).__name__
             raise ArgumentError(f"a step of {name} is no program of its own")
-        n = self.n
-        widths = {"q": n, "qd": n, "memory": self._memory_size(), "reading": 2 * n, **self.inputs, "noise": self.noises}
+        widths = self._widths(task)
         wanted = ["q", "qd", *(present or ("torque", *(name for name in self.inputs if name != "torque")))]
         wanted += ["memory"] if self._memory_size() else []
         wanted += ["reading"] if self.blueprint.of_slot("sensor") else []
@@ -505,7 +504,7 @@ class Scene:
         batch = torch.broadcast_shapes(
             *[x.shape[:-1] for x in given.values()], *[x.shape[: x.ndim - axes] for _, _, x, _, axes in tensors]
         )
-        shapes, inputs, arguments = _layout(given, tensors, batch)
+        shapes, inputs, arguments = _layout(given, tensors, batch, self._widths(task))
         rows = [
             run.row(x, like, shape)
             for x, shape in zip([*given.values(), *[t[2] for t in tensors]], shapes, strict=True)
@@ -537,19 +536,22 @@ class Scene:
             # one number per sample in a column would make every sample meet every number
             if not axes and own and tuple(shape) == (*own, 1) and own[-1] > 1:
                 raise ArgumentError(f"{name} is one number for each sample: shape {tuple(own)}, found {tuple(shape)}")
-        rows, inputs, arguments = _layout(given, tensors, batch)
+        rows, inputs, arguments = _layout(given, tensors, batch, self._widths(task))
         program = plans.program(self.blueprint, Signature(stage, inputs, arguments, task))
         eager = backends.choose(self.backend, like.device.type) == "eager"
         return _Plan(program, tuple(batch), rows, eager)
 
+    def _widths(self, task: Task | None) -> dict[str, int]:
+        """Width of everything that a program of the scene may be given."""
+        n = self.n
+        moving = n if self.blueprint.elastic() is None else 2 * n
+        own = {"q": n, "qd": n, "memory": self._memory_size(), "reading": 2 * n, "noise": self.noises}
+        asked = {} if task is None else task.inputs(n)
+        return {**own, **self.inputs, **asked, "u": n, "x": moving, "v": moving, "to": moving, "h": 1}
+
     def _check(self, stage: str, given: Mapping[str, Tensor], like: Tensor, task: Task | None) -> None:
         """Raise, naming what does not fit."""
-        n = self.n
-        goals = {} if task is None else task.inputs(n)
-        widths = {"q": n, "qd": n, "memory": self._memory_size(), "reading": 2 * n, "noise": self.noises}
-        widths.update({**self.inputs, **goals, "u": n})
-        elastic = 0 if self.blueprint.elastic() is None else n
-        widths.update({"x": n + elastic, "v": n + elastic, "to": n + elastic, "h": 1})
+        n, widths = self.n, self._widths(task)
         for name, x in given.items():
             if name not in widths:
                 raise ArgumentError(f"{name} is no input of this scene; it has {', '.join(self.inputs)}")
@@ -624,18 +626,22 @@ _Arguments = tuple[tuple[int, str, int, bool], ...]
 
 
 def _layout(
-    given: Mapping[str, Tensor], tensors: Sequence[tuple[int, str, Tensor, int, int]], batch: Sequence[int]
+    given: Mapping[str, Tensor],
+    tensors: Sequence[tuple[int, str, Tensor, int, int]],
+    batch: Sequence[int],
+    widths: Mapping[str, int],
 ) -> tuple[tuple[_Shapes, ...], _Inputs, _Arguments]:
     """How inputs and tensors become rows of a program, and what the program's signature says of them."""
     samples = math.prod(batch)
-    rows: list[_Shapes] = [((*batch, x.shape[-1]), (samples, x.shape[-1])) for x in given.values()]
+    inputs = {name: widths[name] for name in given}
+    rows: list[_Shapes] = [((*batch, width), (samples, width)) for width in inputs.values()]
     arguments = []
     for owner, name, x, width, axes in tensors:
         uniform = x.ndim == axes
         trailing = tuple(x.shape[x.ndim - axes :])
         arguments.append((owner, name, width, uniform))
         rows.append((trailing, (width,)) if uniform else ((*batch, *trailing), (samples, width)))
-    return tuple(rows), tuple([(name, x.shape[-1]) for name, x in given.items()]), tuple(arguments)
+    return tuple(rows), tuple(inputs.items()), tuple(arguments)
 
 
 @torch.compiler.assume_constant_result

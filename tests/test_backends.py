@@ -118,6 +118,7 @@ def test_batch_axes_of_the_robot_and_the_arguments_broadcast():
         agree([tau[k]], [alone])
 
 
+@pytest.mark.case("P1")
 @pytest.mark.parametrize("dtype", [F64, F32], ids=str)
 @pytest.mark.parametrize("batch", [0, 1, 2, 7, 8, 9, 15, 16, 17, 31, 33, 1000])
 def test_a_row_of_a_batch_is_bitwise_the_row_alone(batch, dtype):
@@ -129,6 +130,7 @@ def test_a_row_of_a_batch_is_bitwise_the_row_alone(batch, dtype):
         assert torch.equal(tau[k], alone[0])
 
 
+@pytest.mark.case("P9")
 @pytest.mark.parametrize("dtype", [F64, F32], ids=str)
 @pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf"), 1e30, 1e-320])
 def test_a_bad_row_leaves_every_other_bitwise_as_it_was(bad, dtype):
@@ -273,6 +275,7 @@ def threads(monkeypatch):
     torch.set_num_threads(before)
 
 
+@pytest.mark.case("P13")
 def test_the_number_of_threads_changes_no_bit_of_a_result(threads):
     s = states(TREE, 9001)
     run._pool.cache_clear()
@@ -284,6 +287,7 @@ def test_the_number_of_threads_changes_no_bit_of_a_result(threads):
     assert torch.equal(results[0], results[1]) and torch.equal(results[0], results[2])
 
 
+@pytest.mark.case("P13")
 def test_the_number_of_threads_changes_summed_gradients_by_rounding_only(threads):
     s = states(TREE, 9001)
     gradients = []
@@ -342,18 +346,21 @@ TRANSFORMS = {
 }
 
 
+@pytest.mark.case("P3")
 @pytest.mark.parametrize("name", TRANSFORMS)
 def test_transforms_equal_torch_operations(name):
     x = [random(6, 3, seed=k) for k in range(3)]
     agree(on("c", TRANSFORMS[name], *x), on("eager", TRANSFORMS[name], *x), 1024)
 
 
+@pytest.mark.case("P3")
 def test_vmap_over_robots_equals_their_batch():
     mass, q = RPH.mass * (1 + random(5, 1).abs()), random(5, 3)
     mapped = torch.func.vmap(lambda m, q: torchdq.inverse_dynamics(RPH.replace(mass=m), q, backend="c"))(mass, q)
     agree([mapped], [torchdq.inverse_dynamics(RPH.replace(mass=mass), q, backend="eager")])
 
 
+@pytest.mark.case("P3")
 def test_forward_mode_differentiation_equals_torch_operations():
     q, direction = random(4, 3), random(4, 3, seed=1)
     found = []
@@ -376,6 +383,7 @@ def test_nothing_but_the_inputs_is_kept_for_backward():
 # --- what torch hands over -------------------------------------------------------------------------------------------
 
 
+@pytest.mark.case("P2")
 @pytest.mark.parametrize(
     "change",
     [
@@ -393,6 +401,7 @@ def test_how_an_input_lies_in_memory_does_not_matter(change):
     assert torch.equal(found, torchdq.inverse_dynamics(RPH, q.clone(memory_format=torch.contiguous_format), qd))
 
 
+@pytest.mark.case("P5")
 def test_autocast_changes_nothing():
     q, layer = random(9, 3, dtype=F32), torchdq.DQRNEA(RPH, learn=("mass",), backend="c")
     plain = layer(q, q, q)
@@ -409,6 +418,7 @@ def traced(function):
     return torch.compile(function, fullgraph=True, backend="aot_eager")
 
 
+@pytest.mark.case("P4")
 def test_a_compiled_graph_runs_forward_and_backward():
     layer = torchdq.DQRNEA(RPH, learn=("mass",), backend="c")
     found = []
@@ -456,6 +466,7 @@ def test_a_graph_of_a_program_that_was_never_recorded_says_so():
         run.operator("0" * 64, [random(1, 1)])
 
 
+@pytest.mark.case("P4")
 def test_an_exported_graph_takes_any_batch():
     class Inverse(torch.nn.Module):
         def forward(self, q, qd):

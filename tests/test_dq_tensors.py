@@ -305,6 +305,7 @@ def test_hamilton_matrices_and_vectors_multiply_from_both_sides():
         assert dq.h_right(x).equal(dq.mul(units, x.unsqueeze(1)))
 
 
+@pytest.mark.case("G9")
 def test_adjoint_matrix_and_columns_are_those_of_the_adjoint():
     x, m = arguments("ad", (5,)).values()
     near((dq.ad_matrix(x) @ m.unsqueeze(-1)).squeeze(-1), dq.ad(x, m))

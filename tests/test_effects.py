@@ -332,6 +332,7 @@ def test_limits_do_nothing_within_them(q, qd):
     assert limit_torque(q, qd) == 0.0
 
 
+@pytest.mark.case("T11")
 @pytest.mark.parametrize("side", [-1, 1])
 @pytest.mark.parametrize("qd", [-100.0, -1.0, 0.0, 1.0, 100.0])
 def test_limits_never_pull(side, qd):
@@ -341,6 +342,7 @@ def test_limits_never_pull(side, qd):
     assert (abs(torque) > 1e4 * 0.01 * (1 + 1e-9)) == (qd * side > 0)  # damped only while it goes deeper
 
 
+@pytest.mark.case("T11")
 def test_limits_are_continuous_at_the_limit():
     sizes = [abs(limit_torque(1.0 + depth, 2.0)) for depth in (1e-3, 1e-6, 1e-9)]
     assert sizes[0] == pytest.approx(1e3 * sizes[1], rel=1e-3)
@@ -912,6 +914,7 @@ FRICTION = {
 }
 
 
+@pytest.mark.case("T10")
 @pytest.mark.parametrize("kind", FRICTION)
 def test_friction_only_takes_power(kind):
     robot = CASES["two_link"].robot
@@ -927,6 +930,7 @@ def test_friction_only_takes_power(kind):
     assert (each < 0).double().mean() > 0.9
 
 
+@pytest.mark.case("T10")
 @pytest.mark.parametrize("width", [1e-2, 1e-6])
 @pytest.mark.parametrize("kind", ["Viscous", "Coulomb", "Stribeck"])
 def test_an_arm_never_gains_energy_from_friction_when_integrated_implicitly(kind, width):
@@ -1037,6 +1041,7 @@ def test_gradients_through_rounding_are_those_of_a_staircase(kind):
     assert torch.autograd.gradcheck(*differentiable(*TENSORS[kind](), SemiImplicitEuler(), 1), atol=1e-7)
 
 
+@pytest.mark.case("T10", "T11", "P11")
 @pytest.mark.parametrize("where", ["rest", "limit", "home"])
 @pytest.mark.parametrize(
     "integrator", [SemiImplicitEuler(), LinearlyImplicit(), RungeKutta4()], ids=lambda i: type(i).__name__
@@ -1052,6 +1057,7 @@ def test_gradients_are_finite_where_formulas_have_corners(kind, integrator, wher
     assert found[0] is not None
 
 
+@pytest.mark.case("T10")
 @pytest.mark.parametrize("torque", [0.0, 0.2, 2.0])
 @pytest.mark.parametrize("qd", [0.0, 1e-9, 1e-6, 1.0])
 @pytest.mark.parametrize("width", [1e-2, 1e-4, 1e-6])

@@ -398,6 +398,7 @@ def test_a_full_action_is_the_limit_of_the_torque():
 # --- failing simulations ---------------------------------------------------------------------------------------------
 
 
+@pytest.mark.case("T13")
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 1e8])
 @pytest.mark.parametrize("mode", AutoresetMode)
 def test_a_row_that_fails_terminates_alone(mode, bad):

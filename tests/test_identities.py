@@ -51,6 +51,7 @@ def agree(found, expected, size, roundings=20):
 # --- the terms of (63) -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.case("D7")
 @every_robot
 def test_torques_are_the_sum_of_their_causes(robot):
     """tau = M qdd + c + g + J^T f_tip."""
@@ -76,12 +77,14 @@ def test_columns_of_the_mass_matrix_are_torques_per_acceleration(robot):
     agree(columns, M, M.abs().amax((-2, -1))[:, None])
 
 
+@pytest.mark.case("D6")
 @every_robot
 def test_the_mass_matrix_is_symmetric_to_the_last_bit(robot):
     M = torchdq.mass_matrix(robot, states(robot, batch=20).q)
     assert torch.equal(M, M.mT)
 
 
+@pytest.mark.case("D6")
 @every_robot
 def test_the_mass_matrix_is_positive_definite(robot):
     M = torchdq.mass_matrix(robot, states(robot, batch=20).q)
@@ -161,6 +164,7 @@ def test_wrenches_at_the_tip_superpose(robot):
     agree(together - free, (of(s.f_tip) - free) + (of(t.f_tip) - free), size)
 
 
+@pytest.mark.case("D10")
 @every_robot
 def test_wrenches_on_links_take_their_transposed_jacobians_off_the_torques(robot):
     s = states(robot)
@@ -174,6 +178,7 @@ def test_wrenches_on_links_take_their_transposed_jacobians_off_the_torques(robot
     agree(found, expected, size)
 
 
+@pytest.mark.case("D10")
 @every_robot
 def test_what_the_tip_exerts_is_the_negative_of_what_its_link_feels(robot):
     s = states(robot)
@@ -193,6 +198,7 @@ def size_of_rates(robot, s):
 # --- energy ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.case("D6")
 @every_robot
 def test_kinetic_energy_is_half_the_mass_matrix_between_velocities(robot):
     s = states(robot)
@@ -223,6 +229,7 @@ def test_energy_grows_by_the_power_of_the_torques(robot):
     agree(rate[:, None], inner(tau, s.qd)[:, None], size, roundings=20 * robot.n)
 
 
+@pytest.mark.case("D10")
 @every_robot
 def test_a_wrench_at_the_tip_takes_its_power_from_the_torques(robot):
     s = states(robot)
@@ -233,6 +240,7 @@ def test_a_wrench_at_the_tip_takes_its_power_from_the_torques(robot):
     agree(spent[:, None], dq.power(s.f_tip, V_tip)[:, None], size, roundings=20 * robot.n)
 
 
+@pytest.mark.case("D8")
 @every_robot
 def test_coriolis_torques_take_half_of_what_the_changing_mass_matrix_takes(robot):
     """qd^T (Mdot - 2 C) qd = 0 with C qd = c: they move energy about and make none."""
@@ -244,6 +252,7 @@ def test_coriolis_torques_take_half_of_what_the_changing_mass_matrix_takes(robot
     agree(found[:, None], 2.0 * inner(s.qd, c)[:, None], size, roundings=20 * robot.n)
 
 
+@pytest.mark.case("D8")
 @every_robot
 def test_coriolis_torques_are_the_christoffel_symbols_of_the_mass_matrix(robot):
     """c = Mdot qd - grad (qd^T M qd / 2): Lagrange's equations, all components and not only their power."""
@@ -257,6 +266,7 @@ def test_coriolis_torques_are_the_christoffel_symbols_of_the_mass_matrix(robot):
 # --- there and back --------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.case("D9")
 @every_robot
 def test_forward_dynamics_undoes_inverse_dynamics(robot):
     s = states(robot)
@@ -267,6 +277,7 @@ def test_forward_dynamics_undoes_inverse_dynamics(robot):
     agree(found, s.qdd, inverse * (size_of_torques(robot, s) + tau.abs().amax(-1)))
 
 
+@pytest.mark.case("D9")
 @every_robot
 def test_inverse_dynamics_undoes_forward_dynamics(robot):
     s = states(robot)
@@ -375,6 +386,7 @@ def test_turning_the_base_and_gravity_with_it_changes_nothing(body):
     check_same(at_centres(body), at_centres(body, turn=turn))
 
 
+@pytest.mark.case("G13")
 def test_a_base_ten_kilometres_away_changes_nothing(body):
     """Link frames hold only what is near them, so the distance costs digits once, when the robot is read."""
     far = (6e3, -7e3, 4e3)
@@ -398,6 +410,7 @@ def test_turning_a_joint_around_turns_its_torque_around(body):
     agree(found, sign * torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd, s.f_tip), size_of_torques(robot, s))
 
 
+@pytest.mark.case("D10")
 def test_in_free_fall_there_is_no_gravity():
     """A robot whose slide lets it fall freely takes the torques it takes where there is no gravity."""
     falling = at_centres(Body(6, seed=4, slide=True))
@@ -408,6 +421,7 @@ def test_in_free_fall_there_is_no_gravity():
     agree(found, torchdq.inverse_dynamics(floating, s.q, s.qd, s.qdd), size_of_torques(falling, s))
 
 
+@pytest.mark.case("D10")
 def test_left_alone_a_robot_on_a_slide_falls_with_gravity_and_does_not_move_otherwise():
     falling = at_centres(Body(6, seed=4, slide=True))
     q = states(falling).q
@@ -444,6 +458,7 @@ def from_urdf(*parts, massless=()):
     return torchdq.Robot.from_urdf(f'<robot name="r">{links}{"".join(parts)}</robot>', tip="hand")
 
 
+@pytest.mark.case("I1")
 def test_a_massless_link_in_a_file_changes_nothing_wherever_it_is():
     """At the end of an arm, under its base, and between two joints, where it carries the next joint."""
     shoulder, elbow = TURNING.format("a", "base", "arm", "0 0 0"), TURNING.format("b", "arm", "hand", "0.4 -0.3 0")

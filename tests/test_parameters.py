@@ -72,6 +72,7 @@ def bodies(*batch, seed=0, flat=1.0):
 # --- forms -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.case("I4")
 @pytest.mark.parametrize("dtype", [F32, F64], ids=str)
 @pytest.mark.parametrize("size", [1e-3, 1.0, 30.0, 1e3])
 def test_any_free_numbers_are_a_body_that_exists(size, dtype):
@@ -136,6 +137,7 @@ DEGENERATE = {
 }
 
 
+@pytest.mark.case("I4")
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 @pytest.mark.parametrize("kind", DEGENERATE)
 def test_a_body_at_or_beyond_the_limit_becomes_one_near_by(kind, scale):
@@ -158,6 +160,7 @@ def test_what_is_not_finite_is_refused(form, bad):
         form.right_inverse(torch.full((6,), bad, dtype=F64))
 
 
+@pytest.mark.case("I4")
 @pytest.mark.parametrize("form, columns", [(Positive(), ()), (PhysicalInertia(), (6,))], ids=["positive", "inertia"])
 def test_forms_have_the_derivatives_of_finite_differences(form, columns):
     x = random(3, *columns, seed=6).requires_grad_()
@@ -181,6 +184,7 @@ def wanting_the_impossible(module, k):
     (module(q, qd, qdd) - target).square().mean().backward()
 
 
+@pytest.mark.case("I4")
 @pytest.mark.parametrize("gradients", [adversarial, wanting_the_impossible], ids=lambda f: f.__name__)
 @pytest.mark.parametrize("kind", ["adam", "sgd"])
 @every_robot
@@ -238,6 +242,7 @@ def test_what_the_description_has_none_of_starts_small():
     assert not module.offset.any()
 
 
+@pytest.mark.case("I1", "I4")
 def test_links_without_mass_become_light_links():
     robot = ROBOTS["ur10e"]
     keep = double(1, 0, 1, 1, 1, 1)
@@ -420,6 +425,7 @@ def loaded(module):
 TRIPS = {"deepcopy": copy.deepcopy, "pickle": lambda m: pickle.loads(pickle.dumps(m)), "state": loaded}
 
 
+@pytest.mark.case("P12")
 @pytest.mark.parametrize("trip", TRIPS)
 def test_a_module_survives_a_round_trip(trip):
     module, x = moved()

@@ -105,6 +105,7 @@ def test_a_screw_jack_lifts_with_its_pitch():
     assert same(tau, [(0.02 + 3.0 * 0.05**2) * 2.0 + 3.0 * 9.81 * 0.05])
 
 
+@pytest.mark.case("G14")
 @pytest.mark.parametrize(
     "screw",
     [
@@ -175,6 +176,7 @@ def test_names_must_differ():
         )
 
 
+@pytest.mark.case("I1")
 def test_a_link_without_a_body_is_unphysical():
     with pytest.raises(UnphysicalError, match="joint 'joint1': it moves no inertia"):
         one_joint(LINE, mass=[0.0], inertia=[(0,) * 6])
@@ -260,12 +262,14 @@ def forked():
     )
 
 
+@pytest.mark.case("U10")
 def test_arms_of_a_tree_hang_on_the_trunk_not_on_each_other():
     at_rest = matrices(forked(), [0.2, 0.0, 0.0], "link3")
     assert same(matrices(forked(), [0.2, 0.9, 0.0], "link3"), at_rest)
     assert not same(matrices(forked(), [0.5, 0.0, 0.0], "link3"), at_rest)
 
 
+@pytest.mark.case("U10")
 def test_the_mass_matrix_of_a_tree_is_its_textbook_one():
     q2, q3 = 0.9, 0.4
     # the turning arm's centre of mass: 0.5 below x-axis at y = 1, swung by q2 about x
@@ -631,6 +635,7 @@ def test_replace_wants_tensors(value):
         panda().replace(mass=value)
 
 
+@pytest.mark.case("P7")
 def test_replace_refuses_integers():
     with pytest.raises(DtypeError, match="mass of robot 'panda' must be float32 or float64"):
         panda().replace(mass=torch.ones(7, dtype=torch.int64))

@@ -115,6 +115,7 @@ def test_integrators_that_are_not_the_same_differ(name):
         assert np.abs(ends[i] - ends[i - 1]).max() > 1000 * SAME
 
 
+@pytest.mark.case("T1")
 @pytest.mark.parametrize("pair", PAIRS)
 def test_both_approach_the_exact_motion_with_the_order_of_the_method(pair):
     name, T = ROBOTS[0], 0.5

@@ -117,6 +117,7 @@ def test_a_row_of_a_batch_is_bitwise_the_row_alone(key, batch):
         assert same([y[at] for y in together], call(key, robot, [x[at] for x in args]))
 
 
+@pytest.mark.case("P2")
 @every_function
 def test_leading_axes_broadcast(key):
     robot = arm()
@@ -132,6 +133,7 @@ def trailing(key):
     return [2 if name == "f_ext" else 1 for name in FUNCTIONS[key][1].split()]
 
 
+@pytest.mark.case("P1")
 @pytest.mark.parametrize("batch", [(0,), (2, 0)])
 @every_function
 def test_an_empty_batch_gives_an_empty_batch_and_a_backward(key, batch):
@@ -144,6 +146,7 @@ def test_an_empty_batch_gives_an_empty_batch_and_a_backward(key, batch):
         assert [g.shape for g in gradients(key, robot, args)] == [x.shape for x in args]
 
 
+@pytest.mark.case("P1")
 @every_function
 def test_a_robot_without_joints_gives_empty_axes(key):
     robot = torchdq.Robot.from_urdf("<robot name='rock'><link name='tip'/></robot>")
@@ -179,6 +182,7 @@ def sliced(x):
     return wide[::2, ..., 1::3]
 
 
+@pytest.mark.case("P2")
 @pytest.mark.parametrize("layout", [transposed, sliced])
 @every_function
 def test_the_layout_in_memory_does_not_matter(key, layout):
@@ -189,6 +193,7 @@ def test_the_layout_in_memory_does_not_matter(key, layout):
     assert same(call(key, robot, strided), call(key, robot, args))
 
 
+@pytest.mark.case("P2")
 @every_function
 def test_expanded_inputs_are_their_copies(key):
     robot = arm()
@@ -253,6 +258,7 @@ def test_the_parameters_of_a_batch_of_robots_are_those_of_each():
 # --- bad rows --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.case("P9")
 @pytest.mark.parametrize("bad", [torch.nan, torch.inf])
 @every_function
 def test_a_bad_row_leaves_the_other_rows_bitwise_alone(key, bad):
@@ -267,6 +273,7 @@ def test_a_bad_row_leaves_the_other_rows_bitwise_alone(key, bad):
         assert same(*slopes)
 
 
+@pytest.mark.case("P9")
 @every_function
 def test_a_bad_row_is_seen_in_its_own_result(key):
     robot, args = arm(), of(key, 2, (5,))
@@ -276,6 +283,7 @@ def test_a_bad_row_is_seen_in_its_own_result(key):
     assert all(bool(y[[0, 1, 3, 4]].isfinite().all()) for y in found)
 
 
+@pytest.mark.case("P9")
 @pytest.mark.parametrize("key", ["inverse_dynamics", "forward_dynamics", "closed_form", "mass_matrix"])
 def test_a_bad_robot_leaves_the_other_robots_bitwise_alone(key):
     robot, args = varied(arm(), ["mass"]), of(key, 2, (3,))
@@ -285,6 +293,8 @@ def test_a_bad_robot_leaves_the_other_robots_bitwise_alone(key):
     assert same([y[[0, 2]] for y in call(key, robot, args)], [y[[0, 2]] for y in spoiled])
 
 
+@pytest.mark.case("D3")
+@pytest.mark.case("P9")
 def test_a_singular_robot_leaves_the_other_robots_bitwise_alone():
     robot = varied(torchdq.robots.load("two_link"), ["mass", "inertia"])
     args = of("forward_dynamics", 2, (3,))
@@ -314,6 +324,7 @@ def test_float32_stays_float32_and_is_as_accurate(key):
     assert relative([y.double() for y in found], exact) < 5e-6 * condition
 
 
+@pytest.mark.case("P5")
 @every_function
 def test_autocast_does_not_change_the_results(key):
     robot, args = torchdq.robots.load("panda"), of(key, 7, (3,), F32)
@@ -323,6 +334,7 @@ def test_autocast_does_not_change_the_results(key):
     assert same(under, alone)
 
 
+@pytest.mark.case("P10")
 @every_function
 def test_denormal_numbers_do_not_matter(key):
     robot, args = arm(), of(key, 2, (3,), F32)
@@ -344,6 +356,7 @@ def module_of(key, robot, learn=()):
     return MODULES[key][0](robot, learn=learn)
 
 
+@pytest.mark.case("P3")
 @every_module
 def test_vmap_over_a_module_is_its_batch(key):
     module = module_of(key, arm("panda"))
@@ -351,6 +364,7 @@ def test_vmap_over_a_module_is_its_batch(key):
     assert same([vmap(module)(*args)], [module(*args)])
 
 
+@pytest.mark.case("P3")
 @every_module
 def test_vmap_of_jacrev_is_a_loop_over_backward_passes(key):
     module = module_of(key, arm())
@@ -363,6 +377,7 @@ def test_vmap_of_jacrev_is_a_loop_over_backward_passes(key):
             assert relative([J[k, i] for J in found], torch.autograd.grad(y[i], rows, retain_graph=True)) < 1e-12
 
 
+@pytest.mark.case("P3")
 @every_module
 def test_jvp_is_the_jacobian_times_the_tangent(key):
     module = module_of(key, arm())
@@ -372,6 +387,7 @@ def test_jvp_is_the_jacobian_times_the_tangent(key):
     assert relative([jvp(module, tuple(args), tuple(tangents))[1]], [expected]) < 1e-12
 
 
+@pytest.mark.case("P3")
 @every_module
 def test_hessian_is_reverse_mode_twice(key):
     module = module_of(key, arm())
@@ -380,6 +396,7 @@ def test_hessian_is_reverse_mode_twice(key):
     assert relative([found], [jacrev(jacrev(module))(q, *rest)]) < 1e-12
 
 
+@pytest.mark.case("P3")
 @every_module
 def test_functional_call_takes_other_parameters(key):
     robot = arm()
@@ -390,6 +407,7 @@ def test_functional_call_takes_other_parameters(key):
     assert relative([found], [other(*args)]) < 16 * EPS[F64]  # of the exponential of a logarithm
 
 
+@pytest.mark.case("P3")
 @every_module
 def test_vmap_over_functional_call_is_a_batch_of_robots(key):
     robot = varied(arm(), ["mass"])
@@ -399,6 +417,7 @@ def test_vmap_over_functional_call_is_a_batch_of_robots(key):
     assert alike([found], [module_of(key, robot)(*args)])
 
 
+@pytest.mark.case("P3")
 @every_module
 def test_grad_of_functional_call_is_that_of_backward(key):
     module = module_of(key, arm(), ("mass", "com"))
@@ -419,6 +438,7 @@ def fresh():
     torch._dynamo.reset()
 
 
+@pytest.mark.case("P4")
 @every_function
 def test_every_function_compiles_without_a_graph_break(key, fresh):
     robot = arm()
@@ -427,6 +447,7 @@ def test_every_function_compiles_without_a_graph_break(key, fresh):
     assert relative(compiled(*args), call(key, robot, args)) < 1e-12
 
 
+@pytest.mark.case("P4")
 @pytest.mark.parametrize("key", ["DQRNEA", "ForwardDynamics"])
 def test_a_new_batch_size_costs_one_recompilation_and_further_ones_none(key, fresh):
     module = module_of(key, arm(), ("mass",))
@@ -444,6 +465,7 @@ def slopes(module, f, args):
     return (tau, *torch.autograd.grad(tau.square().sum(), [*args, *module.parameters()]))
 
 
+@pytest.mark.case("P4")
 def test_a_compiled_seven_joint_arm_has_the_same_values_and_gradients(fresh):
     module = torchdq.DQRNEA(torchdq.robots.load("panda"), learn=("mass", "inertia"))
     args = inputs("q qd qdd", 7, (4,))
@@ -451,6 +473,7 @@ def test_a_compiled_seven_joint_arm_has_the_same_values_and_gradients(fresh):
     assert relative(slopes(module, compiled, args), slopes(module, module, args)) < 1e-12
 
 
+@pytest.mark.case("P4")
 @pytest.mark.skipif(shutil.which("g++") is None, reason="inductor needs a C++ compiler")
 def test_compiled_to_machine_code_for_any_batch_size_it_has_the_same_values_and_gradients(fresh):
     module = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=("mass",))
@@ -460,6 +483,7 @@ def test_compiled_to_machine_code_for_any_batch_size_it_has_the_same_values_and_
         assert relative(slopes(module, compiled, args), slopes(module, module, args)) < 1e-12
 
 
+@pytest.mark.case("P4")
 @every_module
 def test_an_exported_module_takes_any_batch_size(key):
     module = module_of(key, torchdq.robots.load("two_link"))
@@ -489,6 +513,7 @@ def saved(module):
 ROUND_TRIPS = {"deepcopy": copy.deepcopy, "pickle": lambda module: pickle.loads(pickle.dumps(module)), "state": saved}
 
 
+@pytest.mark.case("P12")
 @pytest.mark.parametrize("trip", ROUND_TRIPS)
 @pytest.mark.parametrize("key", ["DQRNEA", "ForwardDynamics"])
 def test_a_module_survives_a_round_trip_to_the_last_bit(key, trip):
@@ -500,6 +525,7 @@ def test_a_module_survives_a_round_trip_to_the_last_bit(key, trip):
     assert {name for name, _ in other.named_parameters()} == {MASS, "com"}
 
 
+@pytest.mark.case("P12")
 def test_a_copied_module_trains_alone():
     module = torchdq.DQRNEA(arm(), learn=("mass", "com"))
     before, other = copy.deepcopy(module.state_dict()), copy.deepcopy(module)
@@ -508,6 +534,7 @@ def test_a_copied_module_trains_alone():
     assert same(module.state_dict().values(), before.values())
 
 
+@pytest.mark.case("P12")
 def test_the_state_of_a_controller_holds_its_gains():
     robot = arm()
     controller = torchdq.ComputedTorque(robot, 9.0, torch.tensor([6.0, 5.0]))
@@ -517,6 +544,7 @@ def test_the_state_of_a_controller_holds_its_gains():
     assert same([other(*args)], [controller(*args)])
 
 
+@pytest.mark.case("P12")
 @every_module
 def test_parameters_are_kept_in_float64_and_cast_to_the_inputs(key):
     module = module_of(key, arm(), ("mass",))

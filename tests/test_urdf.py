@@ -141,6 +141,7 @@ def refusal(text, error=DescriptionError, **arguments):
 # --- fixed joints ----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.case("U5")
 @pytest.mark.parametrize("on", ["base", "upper", "lower"])
 def test_a_massless_link_on_a_fixed_joint_changes_no_torque(on):
     plain = arm()
@@ -149,6 +150,7 @@ def test_a_massless_link_on_a_fixed_joint_changes_no_torque(on):
     assert torch.equal(torques(with_tool), torques(Robot.from_urdf(plain)))
 
 
+@pytest.mark.case("U5")
 def test_a_body_described_on_a_fixed_link_is_the_body_on_its_carrier():
     p, rpy, c = np.array([0.1, -0.2, 0.3]), (0.4, -0.5, 0.6), np.array([0.02, -0.03, 0.1])
     R = rotation(rpy)
@@ -165,6 +167,7 @@ def test_the_masses_of_fixed_links_add_up():
     assert robot.mass.tolist() == [1.75, 0.5]
 
 
+@pytest.mark.case("U5")
 def test_a_fixed_link_adds_its_inertia_by_the_parallel_axis_theorem():
     # two equal balls of 1 kg, 0.6 m apart along x: the centre lies between them, 0.3 m from each
     ball = (0.01, 0, 0.01, 0, 0, 0.01)
@@ -181,6 +184,7 @@ def test_a_fixed_link_adds_its_inertia_by_the_parallel_axis_theorem():
     assert same(robot.inertia[0], [0.02, 0, 0.02 + 2 * 0.09, 0, 0, 0.02 + 2 * 0.09])
 
 
+@pytest.mark.case("U5")
 def test_two_fixed_joints_in_a_row_are_one():
     R1, R2, p1, p2 = rotation((0.4, 0.5, -0.6)), rotation((-0.2, 0.3, 0.9)), np.array([0.1, 0.2, 0.3]), np.ones(3)
     end, base = link("tool", 0.7), arm().removesuffix("</robot>")
@@ -216,6 +220,7 @@ def test_the_inertial_frame_may_be_turned():
     assert same(robot.inertia[0], flat(rotation(rpy) @ tensor(ORDINARY) @ rotation(rpy).T))
 
 
+@pytest.mark.case("U9")
 def test_a_joint_may_turn_a_quarter_in_pitch():
     robot = Robot.from_urdf(
         urdf(link("base", None), link("a"), joint("j", "base", "a", rpy=(0.3, math.pi / 2, 0.2), axis=(0, 0, 1)))
@@ -231,6 +236,7 @@ def test_a_continuous_joint_takes_the_plain_angle():
     assert torch.equal(torques(turning), torques(Robot.from_urdf(arm())))
 
 
+@pytest.mark.case("U7")
 def test_a_continuous_joint_has_no_position_limits():
     robot = Robot.from_urdf(arm().replace("revolute", "continuous"))
     assert robot.limits.lower.tolist() == [-math.inf] * 2 and robot.limits.upper.tolist() == [math.inf] * 2
@@ -261,6 +267,7 @@ def test_an_axis_may_point_anywhere(kind):
     assert same(X[:3, :3], turned) and same(X[:3, 3], moved)
 
 
+@pytest.mark.case("U6")
 @pytest.mark.parametrize("length", [3.0, 1e-6, 1e40])
 def test_an_axis_may_have_any_length(length):
     axis = np.array([2.0, -3.0, 6.0]) / 7.0
@@ -272,11 +279,13 @@ def test_an_axis_may_have_any_length(length):
     assert "axes scaled to unit length: j" in scaled.notes and not any("scaled" in note for note in unit.notes)
 
 
+@pytest.mark.case("U6")
 def test_an_axis_that_is_not_given_is_x():
     text = urdf(link("base", None), link("a"), joint("j", "base", "a", axis=None))
     assert Robot.from_urdf(text).screw.tolist() == [[1, 0, 0, 0, 0, 0]]
 
 
+@pytest.mark.case("U6")
 def test_the_axis_of_a_fixed_joint_does_not_matter():
     more = link("tool", None) + joint("mount", "lower", "tool", "fixed", axis=(0, 0, 0), more="")
     assert Robot.from_urdf(arm().replace("</robot>", more + "</robot>")).n == 2
@@ -293,6 +302,7 @@ def test_numbers_may_be_separated_by_any_blanks(text):
     assert torch.equal(torques(Robot.from_urdf(arm(xyz=text))), torques(Robot.from_urdf(arm())))
 
 
+@pytest.mark.case("U1")
 def test_a_link_without_inertial_has_no_mass():
     robot = Robot.from_urdf(arm(mass=None))
     assert robot.mass.tolist() == [0.0, 0.5] and "links without mass: upper" in robot.notes
@@ -340,6 +350,7 @@ def tree(order=None):
     return urdf(*elements)
 
 
+@pytest.mark.case("U10")
 def test_a_tree_hangs_as_described():
     robot = Robot.from_urdf(tree())
     links = ("base", *robot.link_names)
@@ -357,6 +368,7 @@ def test_every_joint_carries_the_link_of_its_name():
     assert carried == {"waist": "trunk", "left_a": "left1", "left_b": "left2", "right_a": "right1"}
 
 
+@pytest.mark.case("U10")
 @pytest.mark.parametrize("order", range(4))
 def test_the_order_of_the_file_does_not_matter(order):
     plain, shuffled = Robot.from_urdf(tree()), Robot.from_urdf(tree(order))
@@ -368,6 +380,7 @@ def test_the_order_of_the_file_does_not_matter(order):
     assert same(tau, torchdq.inverse_dynamics(plain, q, qd, qdd))
 
 
+@pytest.mark.case("U10")
 def test_a_branch_bends_where_its_own_joint_turns():
     robot = Robot.from_urdf(tree())
     q = torch.zeros(4, dtype=F64)
@@ -500,6 +513,7 @@ def test_limits_are_reported():
     assert "limits given but not enforced: shoulder, elbow" in Robot.from_urdf(arm()).notes
 
 
+@pytest.mark.case("U7")
 def test_positions_that_a_limit_does_not_state_are_zero():
     robot = Robot.from_urdf(arm().replace(LIMIT, '<limit velocity="3" effort="4"/>'))
     assert robot.limits.lower.tolist() == robot.limits.upper.tolist() == [0.0, 0.0]
@@ -523,6 +537,7 @@ def test_damping_and_friction_are_reported():
     assert "Coulomb friction given but not simulated: shoulder" in notes
 
 
+@pytest.mark.case("U4")
 @pytest.mark.parametrize("mimic", ['<mimic joint="shoulder" multiplier="2"/>', '<mimic joint="nobody"/>', "<mimic/>"])
 def test_a_mimic_joint_is_independent_and_reported(mimic):
     robot = Robot.from_urdf(arm().replace(LIMIT + "</joint></robot>", LIMIT + mimic + "</joint></robot>"))
@@ -579,6 +594,7 @@ def test_what_is_neither_a_path_nor_xml_is_refused(source):
     refusal(source)
 
 
+@pytest.mark.case("U8")
 @pytest.mark.parametrize("prefix", ["", "file://", "package://arm", "http://localhost:1"])
 def test_meshes_are_never_opened(tmp_path, prefix):
     pipe = tmp_path / "mesh.stl"
@@ -605,16 +621,19 @@ NOT_NUMBERS = ["", "nan", "NaN", "inf", "-inf", "1e999", "1_0", "0x10", "1,5", "
 NOT_NUMBERS += ["\u0967", "\uff11.5"]  # digits of other scripts, which Python would read
 
 
+@pytest.mark.case("U2")
 @pytest.mark.parametrize("text", NOT_NUMBERS)
 def test_what_is_not_a_finite_number_is_refused(text):
     assert f"link 'upper': mass value must be a finite number, found {text!r}" in refusal(arm(mass=text))
 
 
+@pytest.mark.case("U2")
 @pytest.mark.parametrize("text", ["", "0 0", "0 0 0 0", "0,0,1", "0 0 nan", "0 0 z", "0 0 1e999", "0 0 1_0"])
 def test_what_is_not_three_finite_numbers_is_refused(text):
     assert f"link 'upper': inertial origin xyz must be 3 finite numbers, found {text!r}" in refusal(arm(xyz=text))
 
 
+@pytest.mark.case("U2")
 @pytest.mark.parametrize(
     "before, after, named",
     [
@@ -641,23 +660,27 @@ def test_every_number_that_is_read_is_checked(before, after, named):
     assert named in refusal(arm().replace(before, after, 1))
 
 
+@pytest.mark.case("U2")
 @pytest.mark.parametrize("broken", [{"mass": "1e60"}, {"xyz": "0 0 -1e60"}, {"inertia": ("1e60", 0, 1, 0, 0, 1)}])
 def test_numbers_whose_products_would_overflow_are_refused(broken):
     message = refusal(arm(**broken))
     assert "link 'upper': " in message and "must not exceed 1e+50 in size" in message
 
 
+@pytest.mark.case("U7")
 def test_a_limit_may_be_as_large_as_a_number_can_be():
     robot = Robot.from_urdf(arm().replace('upper="2"', 'upper="1.7976931348623157e308"'))
     assert robot.limits.upper[0] == 1.7976931348623157e308
 
 
+@pytest.mark.case("U6")
 @pytest.mark.parametrize("axis", ["0 0 0", "1e-10 0 0", "-0 0 0", "1e-320 0 0"])
 def test_an_axis_must_have_a_direction(axis):
     text = urdf(link("base", None), link("a"), joint("knee", "base", "a", axis=axis))
     assert "joint 'knee': axis must have a direction" in refusal(text)
 
 
+@pytest.mark.case("U7")
 def test_limits_must_not_be_reversed():
     message = refusal(arm().replace('upper="2"', 'upper="-2"', 1))
     assert "joint 'shoulder': lower limit -1 is above upper limit -2" in message
@@ -720,12 +743,14 @@ MALFORMED = {
 }
 
 
+@pytest.mark.case("U3", "U5")
 @pytest.mark.parametrize("case", MALFORMED)
 def test_a_malformed_file_is_refused_by_name(case):
     more, expected = MALFORMED[case]
     assert expected in refusal(arm().replace("</robot>", more + "</robot>"))
 
 
+@pytest.mark.case("U3")
 @pytest.mark.parametrize("case", sorted(set(MALFORMED) - {"two roots"}))
 def test_a_fault_brings_no_others_with_it(case):
     more, _ = MALFORMED[case]
@@ -736,6 +761,7 @@ def test_a_fault_brings_no_others_with_it(case):
     )
 
 
+@pytest.mark.case("U3")
 def test_all_faults_are_told_at_once():
     faults = [case for case in MALFORMED if not case.startswith(("two joints", "two links"))]
     # every case with names of its own
@@ -754,12 +780,14 @@ def test_all_faults_are_told_at_once():
         assert expected in message
 
 
+@pytest.mark.case("U3")
 def test_every_root_is_named_when_there_is_none():
     text = urdf(link("a"), link("b"), joint("ab", "a", "b"), joint("ba", "b", "a"))
     message = refusal(text)
     assert "found 0: []" in message and "links ['a', 'b'] hang in a loop" in message
 
 
+@pytest.mark.case("U3")
 def test_a_robot_without_links_is_refused():
     assert "the robot has no links" in refusal('<robot name="nothing"/>')
 
@@ -781,6 +809,7 @@ BOMB = '<!DOCTYPE robot [<!ENTITY a "aaaaaaaaaa">' + "".join(
 )
 
 
+@pytest.mark.case("U8")
 @pytest.mark.parametrize(
     "head",
     [
@@ -798,17 +827,20 @@ def test_document_types_and_entities_are_refused(head):
     assert "document type or entities" in refusal(text)
 
 
+@pytest.mark.case("U8")
 def test_an_entity_bomb_in_another_encoding_is_refused(tmp_path):
     path = tmp_path / "bomb.urdf"
     path.write_bytes((BOMB + "]>" + arm()).encode("utf-16"))
     assert "not UTF-8" in refusal(path)
 
 
+@pytest.mark.case("U8")
 @pytest.mark.parametrize("around", [arm, lambda more: urdf(more)], ids=["in a link", "in the robot"])
 def test_deep_nesting_is_refused(around):
     assert "400" in refusal(around(more="<a>" * 200_000 + "</a>" * 200_000))
 
 
+@pytest.mark.case("U8")
 def test_nesting_that_is_not_refused_is_survived():
     assert Robot.from_urdf(arm(more="<a>" * 90_000 + "</a>" * 90_000)).n == 2
 
@@ -817,6 +849,7 @@ def test_robots_within_robots_are_none():
     assert "no links" in refusal("<robot>" * 90_000 + "</robot>" * 90_000)
 
 
+@pytest.mark.case("U8")
 @pytest.mark.parametrize("shape", ["chain", "star"])
 def test_more_links_than_can_be_read_safely_are_refused(shape):
     n = 10_000  # a chain of so many overflows the stack of the library that puts the tree together
@@ -852,6 +885,7 @@ def test_truncated_bytes_are_refused(tmp_path):
     assert "not UTF-8" in refusal(path)
 
 
+@pytest.mark.case("U8")
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-32", "latin-1"])
 def test_a_file_that_is_not_utf8_is_refused(tmp_path, encoding):
     path = tmp_path / "arm.urdf"
@@ -864,6 +898,7 @@ def test_text_that_is_not_xml_is_refused(bad):
     assert "not well-formed XML" in refusal(arm().replace("</robot>", bad + "</robot>"))
 
 
+@pytest.mark.case("U8")
 def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
     path = tmp_path / "arm.urdf"
     with path.open("wb") as file:
@@ -871,6 +906,7 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
     assert "more than 10000000 bytes" in refusal(path)
 
 
+@pytest.mark.case("U8")
 def test_huge_text_is_refused():
     assert "10000000" in refusal(arm() + " " * 10_000_000)
 
@@ -879,6 +915,7 @@ def test_a_long_number_takes_no_time_to_refuse():
     refusal(arm(mass="1" * 50_000 + "x"))
 
 
+@pytest.mark.case("U8")
 def test_a_refusal_does_not_repeat_the_file():
     assert len(refusal(arm(mass="secret " * 10_000, xyz="x" * 10_000))) < 500
 
@@ -908,12 +945,15 @@ UNPHYSICAL = {
 }
 
 
+@pytest.mark.case("I3")
+@pytest.mark.case("U2")
 @pytest.mark.parametrize("case", UNPHYSICAL)
 def test_a_body_that_cannot_exist_is_refused_by_name_and_number(case):
     upper, expected = UNPHYSICAL[case]
     assert expected in refusal(arm(**upper), UnphysicalError)
 
 
+@pytest.mark.case("I3")
 @pytest.mark.parametrize("scale", [1e-12, 1e12])
 def test_the_judgement_does_not_depend_on_the_scale(scale):
     inertia = np.array([0.1, 0, 0.1, 0, 0, 0.25]) * scale
@@ -926,6 +966,7 @@ def test_every_unphysical_body_is_told_at_once():
     assert "link 'upper'" in message and "link 'lower'" in message
 
 
+@pytest.mark.case("I2")
 def test_numbers_printed_with_six_digits_are_believed():
     # a thin plate: xx + yy = zz, each rounded where the file was written
     robot = Robot.from_urdf(arm(inertia=("0.333333", 0, "0.666667", 0, 0, "1.00000049")))
@@ -942,6 +983,7 @@ THIN = {
 }
 
 
+@pytest.mark.case("I2")
 @pytest.mark.parametrize("inertia", THIN.values(), ids=THIN)
 def test_points_rods_and_plates_can_exist(inertia):
     robot = Robot.from_urdf(arm(inertia=inertia))
@@ -967,6 +1009,7 @@ def arm_of_size(s):
     )
 
 
+@pytest.mark.case("U9")
 @pytest.mark.parametrize("size", [1e-6, 1e-3, 1e3, 1e6], ids=["dust", "worm", "giant", "moon"])
 def test_robots_of_any_size_are_accepted(size):
     ordinary = Robot.from_urdf(arm_of_size(1.0))
@@ -985,6 +1028,8 @@ def test_a_micro_hand_on_a_crane_is_accepted():
     assert Robot.from_urdf(text).n == 2
 
 
+@pytest.mark.case("I1")
+@pytest.mark.case("U1")
 def test_a_massless_link_between_heavy_ones_is_accepted():
     """A universal joint: the cross between its two axes has no mass of its own."""
     text = urdf(
@@ -1008,6 +1053,8 @@ NO_INERTIA = {
 }
 
 
+@pytest.mark.case("I1")
+@pytest.mark.case("U1")
 @pytest.mark.parametrize("case", NO_INERTIA)
 def test_a_joint_that_moves_nothing_is_refused_by_name(case):
     finger, how = NO_INERTIA[case]
@@ -1017,6 +1064,7 @@ def test_a_joint_that_moves_nothing_is_refused_by_name(case):
     assert "shoulder" not in message and "elbow" not in message
 
 
+@pytest.mark.case("U1")
 def test_an_inertia_that_is_only_rounding_is_none():
     # the point lies on the knuckle's axis, but only up to the rounding of 0.1 + 0.2 - 0.3
     more = link("finger", None) + joint("knuckle", "lower", "finger") + link("tip", 1.0, (0,) * 6, (0.1, 0, 0))
@@ -1041,6 +1089,7 @@ def test_a_link_on_a_fixed_joint_that_moves_is_judged():
     assert "link 'tool': mass must not" in refusal(arm().replace("</robot>", more + "</robot>"), UnphysicalError)
 
 
+@pytest.mark.case("I3")
 def test_a_warning_can_take_the_place_of_the_error():
     with pytest.warns(UserWarning, match="link 'upper': mass must not be negative, found -1 kg") as caught:
         robot = Robot.from_urdf(arm(mass=-1.0), on_unphysical="warn")
@@ -1162,6 +1211,7 @@ def test_the_unwounded_file_is_a_robot():
     assert isinstance(fate(RICH, "error"), Robot)
 
 
+@pytest.mark.case("U2", "U3", "U8")
 @pytest.mark.parametrize("batch", range(25))
 def test_a_wounded_file_is_a_robot_or_one_of_the_packages_errors(batch):
     for seed in range(batch * SEEDS_OF_A_BATCH, (batch + 1) * SEEDS_OF_A_BATCH):

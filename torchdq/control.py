@@ -40,11 +40,8 @@ def computed_torque(
     for name, gain in (("kp", kp), ("kd", kd)):
         if not isinstance(gain, Tensor | float | int):
             raise ArgumentError(f"{name} must be a number or a tensor, found {type(gain).__name__}")
-    for name, gain in (("kp", kp), ("kd", kd)):
-        if not isinstance(gain, Tensor | float | int):
-            raise ArgumentError(f"{name} must be a number or a tensor, found {type(gain).__name__}")
     of_joints = {"q": q, "qd": qd, "q_des": q_des, "qd_des": qd_des, "qdd_des": qdd_des}
     of_joints |= {name: gain for name, gain in (("kp", kp), ("kd", kd)) if isinstance(gain, Tensor) and gain.ndim}
     check(robot, **{name: (x, ("n",), False) for name, x in of_joints.items()}, f_tip=(f_tip, (6,), True))
-    acceleration = qdd_des + kd * (qd_des - qd) + kp * (q_des - q)  # (75)-(77), erratum 75
+    acceleration = qdd_des + kd * (qd_des - qd) + kp * (q_des - q)  # (75)-(78), erratum 75
     return inverse_dynamics(robot, q, qd, acceleration, f_tip=f_tip, backend=backend)  # (73), (74)

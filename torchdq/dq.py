@@ -212,18 +212,27 @@ def _hamilton(x: Tensor, matrix: Callable) -> Tensor:
 # --- norms -----------------------------------------------------------------------------------------------------------
 
 
+def _moderate(x: Tensor) -> tuple[Tensor, Tensor]:
+    """A power of two [...], and x divided by it, so that the squares of its primary part can be written."""
+    _split("x", x, 4, 8)
+    _, exponent = torch.frexp(x[..., :4].detach().abs().amax(-1))
+    size = torch.ldexp(torch.ones_like(x[..., 0]), exponent)
+    return size, x / size.unsqueeze(-1)
+
+
 def norm(x: Tensor) -> Tensor:
     """Norm [...] of a quaternion [..., 4], or the dual number [..., 2] (|P|, P.D/|P|) of a dual quaternion [..., 8].
 
     >>> norm(torch.tensor([1.0, 2, 2, 4]))
     tensor(5.)
     """
+    size, x = _moderate(x)
     parts = _split("x", x, 4, 8)
     if x.shape[-1] == 4:
-        return quaternion.norm2(parts).sqrt()
+        return size * quaternion.norm2(parts).sqrt()
     p2, pd2 = dual_quaternion.norm2(parts)
     p = p2.sqrt()
-    return stack((p, 0.5 * pd2 / p))
+    return size.unsqueeze(-1) * stack((p, 0.5 * pd2 / p))
 
 
 def normalize(x: Tensor) -> Tensor:
@@ -231,6 +240,7 @@ def normalize(x: Tensor) -> Tensor:
 
     A zero primary part has no direction: that row is NaN.
     """
+    _, x = _moderate(x)
     parts = _split("x", x, 4, 8)
     if x.shape[-1] == 4:
         return x / quaternion.norm2(parts).sqrt().unsqueeze(-1)

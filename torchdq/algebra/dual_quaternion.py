@@ -80,7 +80,7 @@ def from_pose(r: Quaternion, p: Pure) -> DualQuaternion:
 def translation(x: DualQuaternion) -> Pure:
     """Position p = 2 D(x) P(x)* of B's origin, in A, of the pose x = X_AB."""
     half = quat.im(quat.mul(x[1], quat.conj(x[0])))
-    return quat.add(half, half)
+    return quat.add(half, half)  # (28)
 
 
 def translation_body(x: DualQuaternion) -> Pure:

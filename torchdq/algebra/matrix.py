@@ -10,7 +10,7 @@ from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 
-Rows = tuple[tuple, ...]
+Rows = tuple[tuple, ...]  # (8), (12)
 
 
 def elementwise(f: Callable, *vectors: Sequence) -> tuple:

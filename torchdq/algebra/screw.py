@@ -10,9 +10,9 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
 
-Screw = tuple[Pure, Pure]
+Screw = tuple[Pure, Pure]  # (14)
 Columns = tuple[Pure, ...]  # three, of a 3x3 matrix
-Adjoint = tuple[Columns, Columns]  # (A_P, A_D)
+Adjoint = tuple[Columns, Columns]  # (A_P, A_D), for A_H of (60)
 Symmetric = tuple[Pure, ...]  # three rows, equally columns, of a symmetric 3x3 matrix
 
 
@@ -204,7 +204,8 @@ def exp(a: Screw, entire: Callable[[Pure], tuple[Number, Number, Number]]) -> Du
     p, d = a
     c, s, k = entire(p)
     pd = quat.dot(p, d)
-    return ((c, *quat.scale(s, p)), (-(s * pd), *quat.add(quat.scale(s, d), quat.scale(k * pd, p))))  # (25), (26)
+    dual = (-(s * pd), *quat.add(quat.scale(s, d), quat.scale(k * pd, p)))
+    return ((c, *quat.scale(s, p)), dual)  # (25), (26), erratum 25
 
 
 def log(x: DualQuaternion, angle: Callable[[Number, Number], tuple[Number, Number]]) -> Screw:

@@ -37,7 +37,7 @@ def propagation(mechanism: Mechanism, Ad: Sequence[Adjoint]) -> Rows:
         row: list = [None] * n
         row[i] = screw.IDENTITY
         if link.parent != BASE:
-            step = screw.inverse(Ad[i])  # A_H(x_{i-1}^i), erratum 61
+            step = screw.inverse(Ad[i])  # A_H(x_{i-1}^i) of (61), erratum 61
             row[link.parent] = step
             for j in path(mechanism.links, mechanism.links[link.parent].parent):
                 row[j] = screw.compose(step, rows[link.parent][j])

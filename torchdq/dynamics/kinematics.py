@@ -14,8 +14,8 @@ def joint_motion(link: Link, q: Coordinate) -> DualQuaternion:
     if link.kind == "revolute":
         return screw.exp_revolute(link.screw, q.cos, q.sin)  # (27), erratum 25
     if link.kind == "prismatic":
-        return screw.exp_prismatic(link.screw[1], q.value)
-    return screw.exp_helical(link.screw, q.value, q.cos, q.sin)
+        return screw.exp_prismatic(link.screw[1], q.value)  # (27)
+    return screw.exp_helical(link.screw, q.value, q.cos, q.sin)  # (27)
 
 
 def joint_poses(mechanism: Mechanism, q: Sequence[Coordinate]) -> tuple[DualQuaternion, ...]:

@@ -43,14 +43,14 @@ def outward(
     base: Base,
 ) -> tuple[list, list]:
     """Twist V and acceleration A of every link, None where there is none (Algorithm 1, forward iteration)."""
-    V: list[Screw | None] = []
-    A: list[Screw | None] = []
+    V: list[Screw | None] = []  # (53)
+    A: list[Screw | None] = []  # (56)
     for link, Ad_PB, qd_i, qdd_i in zip(mechanism.links, Ad, qd, qdd, strict=True):
         V_P, A_P = base if link.parent == BASE else (V[link.parent], A[link.parent])
         rate = scale(qd_i, link.screw)
         carried = ad_inverse(Ad_PB, V_P)
         V.append(total(rate, carried))  # (40), erratum 40
-        # (44) has V_i x (a qd); V_i may lose its own a qd, since a x a = 0
+        # (44), derived in (41) and (43), has V_i x (a qd); V_i may lose its own a qd, since a x a = 0
         A.append(total(scale(qdd_i, link.screw), ad_inverse(Ad_PB, A_P), cross(carried, rate)))  # (44), erratum 40
     return V, A
 
@@ -64,11 +64,11 @@ def inward(
 ) -> list[Screw | None]:
     """Wrench F on every link from its parent (Algorithm 1, backward iteration); `f_link` is exerted by the links."""
     passed_on: list[list[Screw | None]] = [[] for _ in mechanism.links]
-    F: list[Screw | None] = [None] * len(mechanism.links)
+    F: list[Screw | None] = [None] * len(mechanism.links)  # (52)
     for i in reversed(range(len(mechanism.links))):
         link = mechanism.links[i]
-        net = total(momentum(link, A[i]), cross(V[i], momentum(link, V[i])))  # (45)
-        F[i] = total(net, f_link[i], *passed_on[i])  # (47), errata 46 and 47
+        net = total(momentum(link, A[i]), cross(V[i], momentum(link, V[i])))  # (31), (45)
+        F[i] = total(net, f_link[i], *passed_on[i])  # (46), (47), errata 46 and 47
         if link.parent != BASE:
             passed_on[link.parent].append(ad(Ad[i], F[i]))
     return F

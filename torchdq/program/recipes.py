@@ -18,9 +18,21 @@ from torchdq.dynamics import closed_form as closed
 from torchdq.dynamics import kinematics, rnea
 from torchdq.dynamics import regressor as regression
 from torchdq.dynamics.mechanism import BASE
+from torchdq.errors import SingularInertiaError
 from torchdq.program import derive
-from torchdq.program.model import Given, PaperModel, as_screw, constant_pose, factorised, model, solve
+from torchdq.program.model import (
+    GEOMETRY,
+    INERTIAL,
+    Given,
+    PaperModel,
+    as_screw,
+    constant_pose,
+    factorised,
+    model,
+    solve,
+)
 from torchdq.program.program import Argument, Program, Value, record
+from torchdq.robot import physical
 from torchdq.robot.robot import Robot
 
 LONG = 9  # joints from which an alternative that is linear in their number is worth recording
@@ -60,6 +72,14 @@ class Inputs(NamedTuple):
             None if f_tip is None else as_screw(f_tip),
         )
 
+    def require_inertia(self) -> None:
+        """Raise `SingularInertiaError` if a joint of a constant robot moves nothing in any position but rounding."""
+        if any(name in self.given for name in (*INERTIAL, *GEOMETRY, "armature")):
+            return
+        found = physical.inert_joints(self.robot.joint_names, self.robot.mechanism())
+        if found:
+            raise SingularInertiaError(f"robot {self.robot.name!r} cannot be accelerated: {'; '.join(found)}")
+
     def model(self):
         """The robot in its position, in the cheapest frames."""
         return model(self.robot, self.q, self.given, self.varied)
@@ -81,6 +101,7 @@ def mass_matrix(x: Inputs) -> Rows:
 
 def forward_dynamics(x: Inputs, linear: bool = False) -> Rows:
     """qdd, by the mass matrix and its factors, or by articulated bodies."""
+    x.require_inertia()
     m = x.model()
     bias = m.torques(x.arguments.get("qd"), None, x.exerted())
     net = [t if b is None else t - b for t, b in zip(x.arguments["tau"], bias, strict=True)]
@@ -94,6 +115,7 @@ def forward_dynamics_articulated(x: Inputs) -> Rows:
 
 def error_growth(x: Inputs, linear: bool = False) -> Rows:
     """Largest M_ii over pivot."""
+    x.require_inertia()
     return {"growth": [factorised(x.model(), linear).growth]}
 
 

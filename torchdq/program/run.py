@@ -22,6 +22,7 @@ from torchdq.program.program import LARGEST_GROWTH, Argument, Program
 PER_THREAD = 1e6  # operations on vectors that are worth a thread: waking one takes as long as tens of thousands
 KEPT = 1024  # programs of each kind that a process remembers
 BLOCK = 64  # samples; threads get whole blocks, so that no vector is shared
+PART = 64 * BLOCK  # samples whose sum is formed at once
 
 # --- one program, one precision --------------------------------------------------------------------------------------
 
@@ -50,52 +51,48 @@ class Kernel:
         Samples whose rounding errors would grow too far are computed in double precision; what they would there as
         well, is NaN.
         """
-        device = inputs[0].device
+        device, outputs = inputs[0].device, self.program.results
+        threads = min(torch.get_num_threads(), samples // self.share)
+        size = max(samples, 1)
+        if self.any_summed:
+            size = PART  # a sum is the same, however many threads take part in it
+        elif threads > 1:
+            size = -(-samples // (threads * BLOCK)) * BLOCK
+        starts = range(0, samples, size)
+        parts = max(len(starts), 1)
+        results = [
+            torch.empty((parts if r.summed else samples, w), dtype=self.dtype, device=device)
+            for r, w in zip(outputs, self.widths, strict=True)
+        ]
         lost = [torch.empty((samples,), dtype=torch.bool, device=device)] if self.watched else []
-        if samples >= 2 * self.share and torch.get_num_threads() > 1:
-            results, any_lost = self.in_threads(inputs, samples, lost)
-        else:
-            results, any_lost = self.at_once(inputs, samples, lost)
+        pointers = [x.data_ptr() for x in (*inputs, *results, *lost)]
+        any_lost = (
+            self.function(samples, *pointers) if parts == 1 else self.in_parts(pointers, samples, starts, threads)
+        )
+        if self.any_summed:
+            results = [y.sum(0) if r.summed else y for y, r in zip(results, outputs, strict=True)]
         return self.mended(inputs, results, lost[0]) if any_lost else results
 
-    def at_once(self, inputs: Sequence[Tensor], samples: int, lost: list[Tensor]) -> tuple[list[Tensor], int]:
-        """Results, and whether any sample is lost."""
-        device = inputs[0].device
-        if self.any_summed:
-            results = [
-                torch.empty((w,) if r.summed else (samples, w), dtype=self.dtype, device=device)
-                for r, w in zip(self.program.results, self.widths, strict=True)
-            ]
-        else:
-            results = [torch.empty((samples, w), dtype=self.dtype, device=device) for w in self.widths]
-        return results, self.function(samples, *[x.data_ptr() for x in (*inputs, *results, *lost)])
+    def in_parts(self, pointers: Sequence[int], samples: int, starts: range, threads: int) -> int:
+        """Whether any sample is lost, the samples in parts that are shared among threads."""
+        # a part has its own row of a sum
+        rows = [0] * len(self.program.arguments) + [int(r.summed) for r in self.program.results] + [0] * self.watched
 
-    def in_threads(self, inputs: Sequence[Tensor], samples: int, lost: list[Tensor]) -> tuple[list[Tensor], int]:
-        """The same, the samples split into whole blocks among torch's number of threads."""
-        threads = min(torch.get_num_threads(), samples // self.share)
-        share = -(-samples // (threads * BLOCK)) * BLOCK
-        starts = range(0, samples, share)
-        device = inputs[0].device
-        results = [
-            torch.empty((len(starts) if r.summed else samples, w), dtype=self.dtype, device=device)
-            for r, w in zip(self.program.results, self.widths, strict=True)
-        ]
-        # a thread has its own row of a sum
-        rows = [0] * len(inputs) + [int(r.summed) for r in self.program.results] + [0] * len(lost)
-        pointers = [x.data_ptr() for x in (*inputs, *results, *lost)]
+        def run(first: int) -> int:
+            any_lost = 0
+            for k in range(first, len(starts), max(threads, 1)):
+                at = [
+                    p + (k if summed else starts[k]) * stride
+                    for p, stride, summed in zip(pointers, self.strides, rows, strict=True)
+                ]
+                any_lost |= self.function(min(starts.step, samples - starts[k]), *at)
+            return any_lost
 
-        def run(k: int) -> int:
-            at = [
-                p + (k if summed else starts[k]) * stride
-                for p, stride, summed in zip(pointers, self.strides, rows, strict=True)
-            ]
-            return self.function(min(share, samples - starts[k]), *at)
-
-        waiting = [_pool().submit(run, k) for k in range(1, len(starts))]
+        waiting = [_pool().submit(run, k) for k in range(1, threads)]
         any_lost = run(0)
         for job in waiting:
             any_lost |= job.result()
-        return [y.sum(0) if r.summed else y for y, r in zip(results, self.program.results, strict=True)], any_lost
+        return any_lost
 
     def mended(self, inputs: Sequence[Tensor], results: list[Tensor], lost: Tensor) -> list[Tensor]:
         """Results whose lost samples are those of double precision, or NaN."""
@@ -142,18 +139,22 @@ def eager(program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
 
 
 def _rows(program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
-    """Results by sample; those whose rounding errors would grow too far are treated as in `Kernel`."""
-    results, lost = _operations(program, inputs)
-    blind = lost is not None and _transformed(inputs)
-    if lost is None or not (blind or bool(lost.any())):
-        return results
+    """Results by sample, of which those whose rounding errors would grow too far are treated as in `Kernel`.
+
+    Where tensors are traced or transformed, all are computed in double precision.
+    """
     dtype = inputs[0].dtype
+    if program.growth is not None and dtype != torch.float64 and _transformed(inputs):
+        # what is traced or transformed cannot be asked which rows are lost
+        return [y.to(dtype) for y in _rows(program, [x.double() for x in inputs])]
+    results, lost = _operations(program, inputs)
+    if lost is None:
+        return results
     if dtype == torch.float64:
         kept = torch.where(lost, torch.nan, 1.0)[:, None]
         return [kept * y for y in results]  # gradients become NaN as well
-    if blind:
-        wide = _rows(program, [x.double() for x in inputs])
-        return [torch.where(lost[:, None], w.to(dtype), y) for w, y in zip(wide, results, strict=True)]
+    if not bool(lost.any()):
+        return results
     # not masked: a sample that divides by zero in single precision would have gradients 0 * inf
     at, others = lost.nonzero()[:, 0], (~lost).nonzero()[:, 0]
     wide = _rows(program, _among(program, inputs, at, torch.float64))
@@ -207,13 +208,15 @@ def _operations(program: Program, inputs: Sequence[Tensor]) -> tuple[list[Tensor
             x, y = values[int(a)], values[b]
             values.append(x + y if code == "add" else x - y if code == "sub" else x * y if code == "mul" else x / y)
 
+    nothing = inputs[0][..., :0]  # a constant has gradients too, and they are zero
+
     def column(v: tuple[int, bool] | float) -> Tensor:
         x = v if isinstance(v, float) else -values[v[0]] if v[1] else values[v[0]]
-        x = inputs[0].new_full((), x) if isinstance(x, float) else x
+        x = nothing.sum(-1) + x if isinstance(x, float) else x
         return x.expand(samples)
 
     results = [
-        torch.stack([column(v) for v in r.values], -1) if r.values else inputs[0].new_empty((samples, 0))
+        torch.stack([column(v) for v in r.values], -1) if r.values else nothing.expand(samples, 0)
         for r in program.results
     ]
     if program.growth is None:

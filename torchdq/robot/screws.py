@@ -81,6 +81,15 @@ def kind_of(joint: str, screw: Tensor) -> str:
     )
 
 
+def straight(kind: str, screw: Tensor) -> Tensor:
+    """The exact line, screw or translation of a joint whose screw is one up to rounding."""
+    axis, moment = screw[:3], screw[3:]
+    if kind == "prismatic":
+        return torch.cat([torch.zeros_like(axis), moment / moment.norm()])
+    axis = axis / axis.norm()
+    return torch.cat([axis, moment - (axis @ moment) * axis if kind == "revolute" else moment])
+
+
 def assemble(
     name: str,
     joints: tuple[str, ...],
@@ -152,13 +161,14 @@ def read(
     X_WE = X_WB[-1] if tip_pose is None else poses("tip_pose", tip_pose, 8)
     joints = named("joint_names", joint_names, "joint", n)
     kinds = tuple(map(kind_of, joints, s))
+    s = torch.stack(list(map(straight, kinds, s)))
     X_WP = torch.stack([identity if p == BASE else X_WB[p] for p in hangs_on])
     return assemble(
         name,
         joints,
         link_names,
         hangs_on,
-        dq.mul(dq.conj(X_WP), X_WB),
+        dq.mul(dq.conj(X_WP), X_WB),  # delta_i^{i-1}, (37)
         dq.ad(dq.conj(X_WB), s),  # a_i = Ad(delta_0^i) s_i
         kinds,
         mass,
