@@ -5,7 +5,6 @@ is another equation (a cross product against the Hamilton products it is defined
 """
 
 import itertools
-import math
 from functools import partial
 
 import mpmath as mp
@@ -19,6 +18,18 @@ from hypothesis import strategies as st
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import matrix, screw
 from torchdq.algebra import quaternion as quat
+from torchdq.cost import (
+    accelerated,
+    dual_quaternion,
+    motion,
+    net_wrench,
+    number,
+    operator,
+    quaternion,
+    tensor,
+    vector,
+)
+from torchdq.numbers.count import cost
 
 EPS = 2.0**-52
 DIGITS = 50
@@ -229,6 +240,7 @@ def test_the_columns_are_products_with_the_units(x):
             assert close(d, quat.scale(2, quat.im(quat.mul(quat.mul(xp, e), quat.conj(xd)))))  # (35)
 
 
+@pytest.mark.case("G15")
 @claim
 @given(poses(), poses(), screws, screws)
 def test_the_adjoint_respects_products_of_poses_and_of_screws(x, y, a, b):
@@ -596,95 +608,12 @@ def test_multi_precision_results_have_all_their_digits():
 # --- counts ----------------------------------------------------------------------------------------------------------
 
 
-class Counted:
-    """A number that is only the operations it was made by.
-
-    Multiplying by the Python constants 0, 1 and -1, adding the constant 0, and negating are free; every other operation
-    is one multiplication or one addition, also if one operand is a constant. 2 a is written a + a, one addition.
-    """
-
-    def __init__(self, kind="input", *operands):
-        self.kind, self.operands = kind, [o for o in operands if isinstance(o, Counted)]
-
-    def __mul__(self, other):
-        if isinstance(other, int | float) and other in (0, 1, -1):
-            return 0.0 if other == 0 else self if other == 1 else -self
-        return Counted("multiplication", self, other)
-
-    def __add__(self, other):
-        if isinstance(other, int | float) and other == 0:
-            return self
-        return Counted("addition", self, other)
-
-    def __sub__(self, other):
-        return self + (-other)
-
-    def __rsub__(self, other):
-        return (-self) + other
-
-    def __neg__(self):
-        return Counted("negation", self)
-
-    __rmul__, __radd__ = __mul__, __add__
-
-
-def count(results):
-    """Multiplications and additions that the results depend on; what is computed and not used is not counted."""
-    seen, pending = {}, [r for r in flat(results) if isinstance(r, Counted)]
-    while pending:
-        number = pending.pop()
-        if id(number) not in seen:
-            seen[id(number)] = number
-            pending.extend(number.operands)
-    kinds = [number.kind for number in seen.values()]
-    return kinds.count("multiplication"), kinds.count("addition")
-
-
-def number():
-    return Counted()
-
-
-def vector(size=3):
-    return tuple(Counted() for _ in range(size))
-
-
-def quaternion():
-    return vector(4)
-
-
-def dual_quaternion():
-    return (quaternion(), quaternion())
-
-
-def motion():
-    return (vector(), vector())
-
-
-def operator():
-    return tuple(tuple(vector() for _ in range(3)) for _ in range(2))
-
-
-def tensor():
-    return tuple(vector() for _ in range(3))
-
-
 def four(make):
     return tuple(make() for _ in range(4))
 
 
 def eight(make):
     return (*four(make), *four(make))
-
-
-def residual(mass, inertia, twist, acceleration):
-    """G(wd) + w x G(w) (45), centred."""
-    g = partial(screw.inertia_transform, mass, None, inertia)
-    return screw.add(g(acceleration), screw.cross(twist, g(twist)))
-
-
-def accelerate(a, qd, qdd, x, twist, acceleration):
-    """a qdd + Ad(x) wd + (w x a) qd (44)."""
-    return screw.add(screw.add(screw.scale(qdd, a), screw.ad(x, acceleration)), screw.scale(qd, screw.cross(twist, a)))
 
 
 HAMILTON = (quat.hamilton_left_matrix, quat.hamilton_right_matrix, quat.hamilton_left, quat.hamilton_right)
@@ -721,8 +650,8 @@ COUNTS = [
     ("composed columns", lambda: screw.compose(operator(), operator()), 81, 63),
     ("inertia transform, centred (30)", lambda: screw.inertia_transform(number(), None, tensor(), motion()), 12, 6),
     ("inertia transform", lambda: screw.inertia_transform(number(), vector(), tensor(), motion()), 24, 18),
-    ("acceleration (44)", lambda: accelerate(motion(), number(), number(), operator(), motion(), motion()), 57, 45),
-    ("momentum rate (45)", lambda: residual(number(), tensor(), motion(), motion()), 42, 30),
+    ("acceleration (44)", lambda: accelerated(motion(), number(), number(), operator(), motion(), motion()), 57, 45),
+    ("momentum rate (45)", lambda: net_wrench(number(), tensor(), motion(), motion()), 42, 30),
     ("revolute exponential (27)", lambda: screw.exp_revolute(motion(), number(), number()), 6, 0),
     ("prismatic exponential (27)", lambda: screw.exp_prismatic(vector(), number()), 4, 0),
     ("adjoint of the identity", lambda: screw.ad(screw.IDENTITY, motion()), 0, 0),
@@ -732,13 +661,13 @@ COUNTS = [
 
 @pytest.mark.parametrize(("make", "multiplications", "additions"), [pytest.param(*c[1:], id=c[0]) for c in COUNTS])
 def test_an_operation_costs_what_the_tables_say(make, multiplications, additions):
-    assert count(make()) == (multiplications, additions)
+    assert cost(make())[:2] == (multiplications, additions)
 
 
 def test_the_adjoint_by_two_products_costs_more_than_twice_as_much():  # x m x*, without the real part of the result
     x, m = dual_quaternion(), motion()
     products = dq.mul(dq.mul(x, pure(m)), dq.conj(x))
-    assert count(tuple(quat.im(part) for part in products)) == (72, 58)
+    assert cost(tuple(quat.im(part) for part in products))[:2] == (72, 58)
 
 
 def test_a_structural_zero_costs_nothing():
@@ -746,20 +675,10 @@ def test_a_structural_zero_costs_nothing():
     lower = tuple(tuple(dual_quaternion() if j <= i else None for j in range(n)) for i in range(n))
     one_entry = tuple(tuple(dual_quaternion() if i == j == 0 else None for j in range(n)) for i in range(n))
     terms, entries = n * (n + 1) * (n + 2) // 6, n * (n + 1) // 2
-    assert count([[e for e in row if e] for row in matrix.matmul(lower, lower)]) == (
+    assert cost([[e for e in row if e] for row in matrix.matmul(lower, lower)])[:2] == (
         48 * terms,
         40 * terms + 8 * (terms - entries),
     )
     column = [row[0] for row in matrix.matmul(lower, one_entry)]
-    assert count(column) == (48 * n, 40 * n)
-    assert count([e for row in matrix.add(one_entry, lower) for e in row if e]) == (0, 8)
-
-
-def test_counting_is_of_what_was_asked_for():
-    a, b = number(), number()
-    assert count([a * b + a]) == (1, 1)
-    assert count([a * b, a]) == (1, 0)
-    assert count([(a * b) * 1.0 + 0.0, -(a * b)]) == (2, 0)
-    assert count([0.0 * a, 1.0 * a, -1 * a, a - 0.0]) == (0, 0)
-    assert count([0.5 * a, 1.0 - a]) == (1, 1)
-    assert math.prod(count([a - b])) == 0
+    assert cost(column)[:2] == (48 * n, 40 * n)
+    assert cost([e for row in matrix.add(one_entry, lower) for e in row if e])[:2] == (0, 8)

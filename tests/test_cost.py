@@ -1,0 +1,145 @@
+"""The paper's cost tables, counted, are those of the independent counts on record; the counting number counts right."""
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+import torchdq
+from torchdq import cost
+from torchdq.dynamics import kinematics
+from torchdq.numbers.count import Cost, Counted, dense, executed
+from torchdq.numbers.count import cost as needed
+
+# multiplications and additions as counted on record; storage is the numbers that are read
+TABLE_2 = [(0, 4), (4, 0), (16, 12), (6, 3), (22, 14), (3, 2), (16, 12), (16, 12), (28, 20), (15, 15)]
+TABLE_3 = [
+    (0, 8),
+    (8, 0),
+    (48, 40),
+    (18, 12),
+    (9, 7),
+    (6, 5),
+    (64, 56),
+    (48, 40),
+    (108, 72),
+    (39, 36),
+    (27, 21),
+    (72, 58),
+]
+TABLE_4 = [
+    (144, 120), (16, 4), (48, 40), (50, 36), (108, 72), (33, 27), (57, 45), (42, 30), (27, 27), (6, 5)
+]  # fmt: skip
+# the entries of the paper that are wrong in their operations
+WRONG = {
+    "quaternion cross product (4)",
+    "quaternion adjoint transformation",
+    "inner product (16)",
+    "Hamilton operator applied (24)",
+    "adjoint from them (36)",
+    "(40)",
+    "(44)",
+    "(46)",
+}
+
+
+@pytest.mark.parametrize(
+    ("entries", "expected"), [(cost.TABLE_2, TABLE_2), (cost.TABLE_3, TABLE_3), (cost.TABLE_4, TABLE_4)]
+)
+def test_an_operation_costs_what_is_on_record(entries, expected):
+    assert [tuple(entry.counted[:2]) for entry in entries] == expected
+
+
+def test_the_wrong_entries_are_the_known_ones():
+    entries = [entry for entries in cost.TABLES.values() for entry in entries if entry.printed]
+    assert {entry.operation for entry in entries if entry.printed[:2] != entry.counted[:2]} == WRONG
+
+
+def test_every_entry_that_differs_says_why():
+    for entries in cost.TABLES.values():
+        for entry in entries:
+            if entry.printed is None or entry.printed != entry.counted:
+                assert entry.remark, entry.operation
+
+
+def test_table_4_sums_to_321n_and_with_its_slips_mended_246n():
+    rows = [entry for entry in cost.TABLE_4 if entry.operation in cost.PER_JOINT]
+    assert [sum(x) for x in zip(*(row.printed[:2] for row in rows), strict=True)] == [321, 273]
+    assert [sum(x) for x in zip(*(row.counted[:2] for row in rows), strict=True)] == [321, 246]
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "law"),
+    [
+        (cost.dqrnea_as_printed, "323n-51, 242n-51"),
+        (cost.htm_rnea, "243n-51, 185n-51"),
+        (lambda n: cost.htm_rnea(n, full=True), "394n+27, 335n+18"),
+        (lambda n: cost.htm_dh_kinematics(n), "39n-40, 24n-28"),
+        (lambda n: cost.udq_dh_kinematics(n), "64n-48, 44n-40"),
+        (lambda n: cost.udq_screw_kinematics(n), "50n+0, 36n+0"),
+    ],
+)
+def test_an_algorithm_costs_what_is_on_record(algorithm, law):
+    assert cost.Line("", algorithm).law() == law
+    a, b, c = (algorithm(n) for n in (5, 6, 7))
+    assert [y - x for x, y in zip(a, b, strict=True)] == [y - x for x, y in zip(b, c, strict=True)], "it is a line"
+
+
+def general(n):
+    """The chain that is counted, as a robot."""
+    chain, _ = cost.chain(n)
+    home = kinematics.link_poses(chain, [link.X_PB_home for link in chain.links])
+    poses = np.array([[*p, *d] for p, d in home])
+    axes = np.array([[*link.screw[0], *link.screw[1]] for link in chain.links])
+    return torchdq.Robot.from_screws(
+        torchdq.dq.ad(torch.tensor(poses), torch.tensor(axes)).numpy(),
+        [link.mass for link in chain.links],
+        np.zeros((n, 3)),
+        np.array([link.second for link in chain.links]),
+        link_poses=poses,
+    )
+
+
+@pytest.mark.parametrize("n", [6, 7, 12])
+def test_a_program_of_a_general_chain_costs_less_than_the_best_on_record(n):
+    count = torchdq.compile(general(n), "inverse_dynamics").count()
+    assert count.multiplications <= 91 * n - 93 and count.additions <= 76 * n - 83
+
+
+def test_the_command_prints_every_table():
+    done = subprocess.run([sys.executable, "-m", "torchdq", "cost"], capture_output=True, text=True, check=True)
+    for title in cost.TABLES:
+        assert title in done.stdout
+    assert "323n-51, 242n-51" in done.stdout
+
+
+# --- the counting number ----------------------------------------------------------------------------------------------
+
+
+def test_counting_is_of_what_was_asked_for():
+    a, b = Counted(), Counted()
+    assert needed([a * b + a]) == Cost(1, 1, 2)
+    assert needed([a * b, a]) == Cost(1, 0, 2)
+    assert needed([(a * b) * 1.0 + 0.0, -(a * b)])[:2] == (2, 0)
+    assert needed([0.0 * a, 1.0 * a, -1 * a, a - 0.0])[:2] == (0, 0)
+    assert needed([0.5 * a, 1.0 - a, a / b, a / 4.0])[:2] == (3, 1)
+    assert math.prod(needed([a - b])[:2]) == 0
+
+
+def test_what_is_executed_counts_whether_it_is_used_or_not():
+    def formula():
+        a, b = Counted(), Counted()
+        _ = a * b + a
+        return a
+
+    assert executed(formula) == Cost(1, 1, 2)
+    assert needed(formula()) == Cost(0, 0, 1)
+
+
+def test_hidden_zeros_are_counted():
+    a = Counted()
+    assert needed([x * a for x in (0.0, 1.0)])[:2] == (0, 0)
+    assert needed([x * a for x in dense((0.0, 1.0))])[:2] == (2, 0)
