@@ -101,7 +101,7 @@ class Recommendation:
     repeats: int
     """Steps of `scene` in one of the scene that was given."""
     error: float
-    """Predicted error at the horizon [rad or m]; without a horizon, of accelerations, relative."""
+    """Predicted error up to the horizon [rad or m]; without a horizon, of accelerations, relative."""
     nanoseconds: float
     """Measured time of an integrator's step, or of a call, per robot of a batch of 4096, on this machine."""
     others: tuple[Candidate, ...]
@@ -134,8 +134,9 @@ def recommend(
         what: a robot, which moves under gravity and no torques; or a scene. Its effects, controller and substance stay;
             precision, integrator and step are what is looked for. A scene with controller, actuators or sensors keeps
             its dt, for they act once in it, and gets substeps.
-        error: largest error of a joint's position at the horizon [rad or m]; without a horizon, of the accelerations
-            that `forward_dynamics` finds, relative to the largest of them.
+        error: largest error of a joint's position [rad or m] at the end of any of the scene's steps up to the horizon,
+            or of eighths of the horizon for a robot; without a horizon, of the accelerations that `forward_dynamics`
+            finds, relative to the largest of them.
         horizon: time over which trajectories count [s]; None: accelerations alone, of a robot.
         state: starting states, float64, shape [samples, n]; None: 64 random ones within the limits, moving at up to
             1 rad/s.
@@ -206,8 +207,8 @@ class Trial:
         """Whether something happens once per dt, so that dt must stay."""
         return self.scene.controller is not None or any(e.SLOT in ("actuator", "sensor") for e in self.scene.effects)
 
-    def end(self, integrator: Integrator, times: int, arithmetic: Arithmetic) -> Tensor:
-        """Positions at the horizon, after so many steps in every interval."""
+    def path(self, integrator: Integrator, times: int, arithmetic: Arithmetic) -> Tensor:
+        """Positions at the ends of all intervals, [intervals, samples, n], after so many steps in each."""
         # a scene rounds its state at the end of its step, which is an interval or, if it may be, a step
         dt, inner, outer = self.scene.dt, times, 1
         if not self.sampled:
@@ -217,9 +218,12 @@ class Trial:
         )
         state = State._make(None if x is None else x.to(arithmetic.dtype) for x in self.state)
         inputs = {name: x.to(arithmetic.dtype) for name, x in self.inputs.items()}
-        for _ in range(self.intervals * outer):
-            state = scene.step(state, **inputs)
-        return state.q.double()
+        found = []
+        for _ in range(self.intervals):
+            for _ in range(outer):
+                state = scene.step(state, **inputs)
+            found.append(state.q.double())
+        return torch.stack(found)
 
 
 def random_states(robot: Robot, samples: int = SAMPLES) -> tuple[Tensor, Tensor]:
@@ -243,13 +247,13 @@ def _worst(x: Tensor, truth: Tensor) -> float:
 
 
 def _truth(trial: Trial, error: float) -> Tensor:
-    """Positions at the horizon, to a fiftieth of the error: extrapolated from steps that are halved until it is met."""
+    """Positions up to the horizon to a fiftieth of the error, extrapolated from steps that are halved till then."""
     closest = math.inf
     for integrator in _ways(trial.scene)[:2]:
         row: list[Tensor] = []
         stuck = 0
         for k in range(int(math.log2(MOST_STEPS / trial.intervals)) + 1):
-            before, row = row, [trial.end(integrator, 2**k, ARITHMETICS[-1])]
+            before, row = row, [trial.path(integrator, 2**k, ARITHMETICS[-1])]
             # an error that is a series in the step, from the power of the order on, loses a term with every column
             for j, coarser in enumerate(before[:4]):
                 row.append(row[j] + (row[j] - coarser) / (2 ** (integrator.order + j) - 1))
@@ -276,7 +280,7 @@ def _ways(scene: Scene) -> list[Integrator]:
 def _needed(trial: Trial, integrator: Integrator, truth: Tensor, error: float, most: float) -> tuple[int, float] | None:
     """Steps per interval by which an integrator meets an error in float64, and the error that it then makes."""
     exact = ARITHMETICS[-1]
-    times, found = 1, _worst(trial.end(integrator, 1, exact), truth)
+    times, found = 1, _worst(trial.path(integrator, 1, exact), truth)
     too_few = 0
     while found > error:
         too_few = times
@@ -285,13 +289,13 @@ def _needed(trial: Trial, integrator: Integrator, truth: Tensor, error: float, m
         if times * (factor if found < 0.01 else 1.0) > most:
             return None
         times = math.ceil(times * min(max(1.1 * factor, 1.25), 8.0))
-        found = _worst(trial.end(integrator, times, exact), truth)
+        found = _worst(trial.path(integrator, times, exact), truth)
     # the last jump may have been far
     while too_few and times > CLOSE * too_few:
         between = math.ceil(math.sqrt(times * too_few))
         if between == times:
             break
-        made = _worst(trial.end(integrator, between, exact), truth)
+        made = _worst(trial.path(integrator, between, exact), truth)
         times, too_few, found = (between, too_few, made) if made <= error else (times, between, found)
     return times, found
 
@@ -310,7 +314,7 @@ def _candidates(trial: Trial, truth: Tensor, error: float) -> list[Stepping]:
             continue
         times, exact = needed
         for arithmetic in ARITHMETICS:
-            made = exact if arithmetic is ARITHMETICS[-1] else _worst(trial.end(integrator, times, arithmetic), truth)
+            made = exact if arithmetic is ARITHMETICS[-1] else _worst(trial.path(integrator, times, arithmetic), truth)
             if made <= error:
                 operations = arithmetic.weight * per_step * times / dt
                 found.append(Stepping(arithmetic, made, operations, integrator, dt / times, times))

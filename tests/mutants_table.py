@@ -42,6 +42,7 @@ def within(file: str, *rows: tuple) -> tuple[Mutant, ...]:
 
 
 ALGEBRA = "algebra.py"
+GROWTH = "error_growth.py"
 TENSORS = "dq_tensors.py"
 EXP_LOG = "exp_log.py"
 GOLDEN = "paper_golden.py"
@@ -512,6 +513,42 @@ MUTANTS = (
             "x[j] - factors.lower[i, j] * x[i]",
             "x[j] + factors.lower[i, j] * x[i]",
             ARTICULATED,
+        ),
+    ),
+    *within(
+        "torchdq/dynamics/pivots.py",
+        (
+            "a pivot that may be negative",
+            "-HUGE * reduce",
+            "HUGE * reduce",
+            f"{GROWTH}::test_samples_that_float32_would_lose_are_those_of_float64_rounded",
+        ),
+        (
+            "the smallest growth for the largest",
+            "maximum(reduce(maximum, factors), ",
+            "maximum(reduce(minimum, factors), ",
+            f"{GROWTH}::test_growth_is_the_diagonal_over_the_pivots_of_the_mass_matrix",
+        ),
+    ),
+    *within(
+        "torchdq/program/run.py",
+        (
+            "lost samples put back in the wrong places",
+            "y.index_copy_(0, at, w)",
+            "y.index_copy_(0, at.flip(0), w)",
+            f"{GROWTH}::test_samples_that_float32_would_lose_are_those_of_float64_rounded",
+        ),
+        (
+            "lost samples that stay in a sum",
+            "if self.any_summed else results",
+            "if False else results",
+            f"{GROWTH}::test_gradients_that_are_summed_hold_every_sample_once",
+        ),
+        (
+            "singular samples that keep their numbers",
+            "y.index_fill_(0, at, torch.nan)",
+            "y",
+            f"{GROWTH}::test_a_mass_matrix_that_is_rounding_gives_nan_and_never_a_huge_number",
         ),
     ),
     *within(

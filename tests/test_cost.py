@@ -4,13 +4,10 @@ import math
 import subprocess
 import sys
 
-import numpy as np
 import pytest
-import torch
 
 import torchdq
 from torchdq import cost
-from torchdq.dynamics import kinematics
 from torchdq.numbers.count import Cost, Counted, dense, executed
 from torchdq.numbers.count import cost as needed
 
@@ -88,24 +85,9 @@ def test_an_algorithm_costs_what_is_on_record(algorithm, law):
     assert [y - x for x, y in zip(a, b, strict=True)] == [y - x for x, y in zip(b, c, strict=True)], "it is a line"
 
 
-def general(n):
-    """The chain that is counted, as a robot."""
-    chain, _ = cost.chain(n)
-    home = kinematics.link_poses(chain, [link.X_PB_home for link in chain.links])
-    poses = np.array([[*p, *d] for p, d in home])
-    axes = np.array([[*link.screw[0], *link.screw[1]] for link in chain.links])
-    return torchdq.Robot.from_screws(
-        torchdq.dq.ad(torch.tensor(poses), torch.tensor(axes)).numpy(),
-        [link.mass for link in chain.links],
-        np.zeros((n, 3)),
-        np.array([link.second for link in chain.links]),
-        link_poses=poses,
-    )
-
-
 @pytest.mark.parametrize("n", [6, 7, 12])
 def test_a_program_of_a_general_chain_costs_less_than_the_best_on_record(n):
-    count = torchdq.compile(general(n), "inverse_dynamics").count()
+    count = torchdq.compile(cost.robot(*cost.chain(n)), "inverse_dynamics").count()
     assert count.multiplications <= 91 * n - 93 and count.additions <= 76 * n - 83
 
 

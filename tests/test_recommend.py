@@ -82,7 +82,7 @@ def test_nothing_that_costs_less_keeps_the_error(name, error):
             times = math.floor(budget / per_step)
             if times:
                 tried += 1
-                assert (trial.end(integrator, times, arithmetic) - expected).abs().nan_to_num(
+                assert (trial.path(integrator, times, arithmetic)[-1] - expected).abs().nan_to_num(
                     9.0
                 ).max() > SAFETY * error
     assert tried

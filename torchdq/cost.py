@@ -20,6 +20,7 @@ from torchdq.baselines import homogeneous, printed
 from torchdq.dynamics import kinematics, rnea
 from torchdq.dynamics.mechanism import BASE, Coordinate, Link, Mechanism
 from torchdq.numbers.count import Cost, Counted, cost, dense, executed
+from torchdq.robot import Robot
 
 
 class Entry(NamedTuple):
@@ -280,6 +281,22 @@ def chain(n: int, kinds: str = "R") -> tuple[Mechanism, DualQuaternion]:
         inertia = ((a, off[0], off[1]), (off[0], b, off[2]), (off[1], off[2], c))
         links.append(Link(i - 1 if i else BASE, kind, pose(), line[kind], rng.uniform(1.0, 2.0), None, inertia, None))
     return Mechanism(tuple(links), (0.0, 0.0, -9.81)), pose()
+
+
+def robot(mechanism: Mechanism, tip: DualQuaternion) -> Robot:
+    """The robot of such a chain, whose tip has that pose in the last link."""
+    poses = kinematics.link_poses(mechanism, [link.X_PB_home for link in mechanism.links])
+    axes = [screw.ad(screw.columns(X), link.screw) for X, link in zip(poses, mechanism.links, strict=True)]
+    end = dq.mul(poses[-1], tip)
+    return Robot.from_screws(
+        [[*a[0], *a[1]] for a in axes],
+        [link.mass for link in mechanism.links],
+        [[0.0] * 3] * len(poses),
+        [link.second for link in mechanism.links],
+        link_poses=[[*X[0], *X[1]] for X in poses],
+        tip_pose=[*end[0], *end[1]],
+        gravity=mechanism.gravity,
+    )
 
 
 def coordinates(n: int) -> list[Coordinate]:

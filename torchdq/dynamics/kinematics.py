@@ -1,6 +1,7 @@
 """Poses, adjoint columns and Jacobians: the forward kinematics of section 5.1."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import screw
@@ -36,6 +37,28 @@ def link_poses(mechanism: Mechanism, X_PB: Sequence[DualQuaternion]) -> tuple[Du
     for link, x in zip(mechanism.links, X_PB, strict=True):
         X_WB.append(x if link.parent == BASE else dq.mul(X_WB[link.parent], x))  # (39)
     return tuple(X_WB)
+
+
+class FromBase(NamedTuple):
+    """Pose of a link as what its joints did to the one at home: X_WB = motion home."""
+
+    motion: DualQuaternion
+    home: DualQuaternion
+
+
+def link_poses_from_base(mechanism: Mechanism, q: Sequence[Coordinate]) -> tuple[FromBase, ...]:
+    """Pose of every link, by screws that are given in the base frame.
+
+    One product less per joint than `link_poses` where few poses are wanted, if the robot's geometry is constant.
+    """
+    homes = link_poses(mechanism, [link.X_PB_home for link in mechanism.links])
+    found: list[FromBase] = []
+    for link, q_i, home in zip(mechanism.links, q, homes, strict=True):
+        s = screw.ad(screw.columns(home), link.screw)
+        step = joint_motion(link._replace(screw=s), q_i)
+        motion = step if link.parent == BASE else dq.mul(found[link.parent].motion, step)  # (39)
+        found.append(FromBase(motion, home))
+    return tuple(found)
 
 
 def joint_screws(mechanism: Mechanism, Ad: Sequence[Adjoint], i: int) -> dict[int, Screw]:

@@ -27,7 +27,9 @@ from torchdq.program.model import (
     PaperModel,
     as_screw,
     constant_pose,
+    coordinates,
     factorised,
+    general,
     model,
     solve,
 )
@@ -169,6 +171,21 @@ def forward_kinematics(x: Inputs, *names: str) -> Rows:
     return {"X": rows}
 
 
+def forward_kinematics_from_base(x: Inputs, *names: str) -> Rows:
+    """The same by screws in the base frame."""
+    mechanism = general(x.robot, x.given)
+    links = kinematics.link_poses_from_base(mechanism, coordinates(x.robot, x.q, x.given))
+    rows: list[Value | None] = []
+    for name in names:
+        frame = x.robot.frame(name)
+        pose = constant_pose(frame.X_BF)
+        if frame.link != BASE:
+            at = links[frame.link]
+            pose = dual_quaternion.mul(at.motion, dual_quaternion.mul(at.home, pose))
+        rows += [*pose[0], *pose[1]]
+    return {"X": rows}
+
+
 def jacobian(x: Inputs, name: str, expressed: str) -> Rows:
     """J, row-major, twist components by joints."""
     m = x.paper()
@@ -190,14 +207,19 @@ def _six(s: Screw | None) -> tuple[Number | None, ...]:
 Axes = tuple[int | str, ...]  # trailing axes, "n" being the number of joints
 
 
+def ways(n: int, known: Sequence[Way]) -> Sequence[Way]:
+    """Those of two ways that are worth recording for a number of joints, if the second is linear in it."""
+    return known[:1] if n < LONG else known if n < VERY_LONG else known[-1:]
+
+
 class Recipe(NamedTuple):
     """A public function: what it takes, how it is computed, and what it returns."""
 
     arguments: tuple[tuple[str, Axes, bool], ...]  # name, trailing axes, whether it may be absent
-    # ways to compute it, the last of them linear in the number of joints; the one with the fewest operations for the
-    # robot at hand becomes its program
+    # ways to compute it; the one with the fewest operations for the robot at hand becomes its program
     ways: tuple[Callable[..., Rows], ...]
     results: Callable[..., tuple[tuple[int, ...], ...]]  # trailing axes of the results, from n and the options
+    each: bool = False  # whether all ways are worth recording for every robot
 
 
 def _joints(*names: str) -> tuple[tuple[str, Axes, bool], ...]:
@@ -223,15 +245,15 @@ RECIPES: dict[str, Recipe] = {
     "regressor": Recipe(_joints("q", "qd", "qdd"), (regressor,), lambda n: ((n, 10 * n),)),
     "kinetic_energy": Recipe(_joints("q", "qd"), (kinetic_energy,), lambda n: ((),)),
     "potential_energy": Recipe(_joints("q"), (potential_energy,), lambda n: ((),)),
-    "forward_kinematics": Recipe(_joints("q"), (forward_kinematics,), lambda n, *frames: ((len(frames), 8),)),
+    "forward_kinematics": Recipe(
+        _joints("q"),
+        (forward_kinematics, forward_kinematics_from_base),
+        lambda n, *frames: ((len(frames), 8),),
+        each=True,
+    ),
     "jacobian": Recipe(_joints("q"), (jacobian,), lambda n, frame, expressed: ((6, n),)),
 }
 DERIVATIVES = {"inverse_dynamics_jacobian": (0, 1)}  # positions of the arguments in which a recipe is differentiated
-
-
-def ways(n: int, known: Sequence[Way]) -> Sequence[Way]:
-    """Those of the ways to compute something that are worth recording for a number of joints."""
-    return known[:1] if n < LONG else known if n < VERY_LONG else known[-1:]
 
 
 class Signature(NamedTuple):
@@ -275,6 +297,7 @@ def _program(signature: Signature) -> Program:
 
         return record(f"{way.__name__}_{robot.name}", arguments, algorithm)
 
-    best = min(map(recorded, ways(robot.n, recipe.ways)), key=lambda p: p.count().total)
+    worth = recipe.ways if recipe.each else ways(robot.n, recipe.ways)
+    best = min(map(recorded, worth), key=lambda p: p.count().total)
     wrt = DERIVATIVES.get(signature.recipe)
     return best if wrt is None else derive.jacobian(best, wrt)

@@ -1,0 +1,42 @@
+"""Times of calls: warmed up, repeated, median and quartiles."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+WARM_UPS, LONG, TURN = 3, 0.2, 1e-3  # calls; seconds after which one is enough; seconds that a timing lasts at least
+
+
+class Time(NamedTuple):
+    """Nanoseconds."""
+
+    nanoseconds: float  # median
+    low: float  # quartiles
+    high: float
+    repeats: int
+
+    def times(self, factor: float) -> Time:
+        """All of it so many times."""
+        return Time(self.nanoseconds * factor, self.low * factor, self.high * factor, self.repeats)
+
+
+def clock(call: Callable[[], object], samples: int = 1, repeats: int = 20, turn: float = TURN) -> Time:
+    """Time of a call per sample."""
+    for _ in range(WARM_UPS):
+        start = time.perf_counter()
+        call()
+        once = time.perf_counter() - start
+        if once > LONG:
+            break
+    inner = max(1, int(turn / max(once, 1e-7)))
+    found = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        for _ in range(inner):
+            call()
+        found.append((time.perf_counter() - start) / inner / samples * 1e9)
+    low, _, high = statistics.quantiles(found, n=4)
+    return Time(statistics.median(found), low, high, repeats)

@@ -1,0 +1,100 @@
+"""Numpy arrays as a kind of number, one array per component, so that torchdq's formulas run in any precision."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+import torchdq
+from accuracy.scenes import Case
+from torchdq.envs import plan
+from torchdq.program.model import INERTIAL
+from torchdq.program.program import Argument, record, replay, results
+
+LONG = np.longdouble  # 64 bits of mantissa on x86, 53 on machines that have no more: agreements tell
+
+
+class Rows(np.ndarray):
+    """An array [batch...] that knows the functions which `torchdq.numbers.functions` asks of a number."""
+
+    def sin(self) -> Rows:
+        """Sine."""
+        return np.sin(self)
+
+    def cos(self) -> Rows:
+        """Cosine."""
+        return np.cos(self)
+
+    def sqrt(self) -> Rows:
+        """Square root."""
+        return np.sqrt(self)
+
+    def maximum(self, other: Any) -> Rows:
+        """The larger of two numbers."""
+        return np.maximum(self, other)
+
+    def minimum(self, other: Any) -> Rows:
+        """The smaller of two numbers."""
+        return np.minimum(self, other)
+
+    def at_least(self, other: Any) -> Rows:
+        """1 where it is at least the other, or else 0."""
+        return np.greater_equal(self, other).astype(self.dtype).view(Rows)
+
+
+def split(x: np.ndarray) -> list[Rows]:
+    """Components along the last axis."""
+    return [np.ascontiguousarray(x[..., i]).view(Rows) for i in range(x.shape[-1])]
+
+
+def joined(components: Sequence[Any]) -> np.ndarray:
+    """The array of components; numbers among them become constants."""
+    return np.stack([np.asarray(c) for c in np.broadcast_arrays(*components)], -1)
+
+
+def exact(robot: torchdq.Robot) -> dict[str, np.ndarray]:
+    """The robot's numbers in extended precision; poses and axes, unit to float64, are made unit to that."""
+    x = robot.X_PB_home.numpy().astype(LONG)
+    p, d = x[:, :4], x[:, 4:]
+    size = np.sqrt((p * p).sum(-1, keepdims=True))
+    p, d = p / size, d / size
+    d = d - (p * d).sum(-1, keepdims=True) * p
+    s = robot.screw.numpy().astype(LONG)
+    a, m = s[:, :3], s[:, 3:]
+    size = np.sqrt((a * a).sum(-1, keepdims=True))
+    a, m = a / size, m / size
+    m = m - (a * m).sum(-1, keepdims=True) * a  # all joints here are revolute
+    found = {"X_PB_home": np.concatenate([p, d], -1), "screw": np.concatenate([a, m], -1)}
+    return found | {name: getattr(robot, name).numpy().astype(LONG) for name in INERTIAL}
+
+
+class Formulas:
+    """Accelerations of a scene by torchdq's own formulas in the paper's frames, on arrays of any precision.
+
+    They are recorded with the robot's numbers as arguments, all but zeros and ones: a constant would be a float64.
+    """
+
+    def __init__(self, case: Case):
+        known = {(plan.ROBOT, name): x.ravel() for name, x in exact(case.robot).items()}
+        self.numbers = [x for row in known.values() for x in row if x not in (0, 1, -1)]
+        inputs = {name: x.tolist() for name, x in case.inputs.items()}
+        n = case.robot.n
+
+        def algorithm(q: Sequence, qd: Sequence, u: Sequence, numbers: Sequence) -> dict[str, Sequence]:
+            given = iter(numbers)
+            tensors = {
+                key: tuple(float(x) if x in (0, 1, -1) else next(given) for x in row) for key, row in known.items()
+            }
+            scene = plan.recording(case.scene.blueprint, False, inputs, tensors, ())
+            return {"a": plan.Motion(scene, u).accelerations(q, qd)}
+
+        arguments = [Argument(name, n) for name in ("q", "qd", "u")] + [Argument("numbers", len(self.numbers))]
+        self.program = record("accelerations", arguments, algorithm)
+
+    def __call__(self, q: np.ndarray, qd: np.ndarray, torque: np.ndarray) -> np.ndarray:
+        """Accelerations [..., n]."""
+        u = np.broadcast_to(torque, q.shape)
+        values = replay(self.program, None, [split(q), split(qd), split(u), self.numbers])
+        return joined(results(self.program, values)["a"])

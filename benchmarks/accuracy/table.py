@@ -1,0 +1,172 @@
+"""What the results advise, from the JSON alone: the table of the README, dominated settings, crossovers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+from accuracy import fits
+
+Results = dict[str, Any]
+NEEDS = (("rollouts for reinforcement learning", 1e-3), ("learning and MPC", 1e-6), ("verification", 1e-10))
+STIFF = 1e-2  # error asked of the scene with stiff servos
+
+
+def usable(scene: dict[str, Any]) -> list[fits.Point]:
+    """Points of a scene that were timed and did not lose the motion."""
+    return [p for p in scene["points"] if p["nanoseconds"] is not None and p["error_max"] < scene["limit"]]
+
+
+def front(scene: dict[str, Any]) -> list[fits.Point]:
+    """Best settings of a scene, from the fastest to the most accurate."""
+    return fits.front(usable(scene))
+
+
+def cheapest(scene: dict[str, Any], error: float) -> fits.Point | None:
+    """Fastest setting of a scene that reaches an error."""
+    return next((p for p in front(scene) if p["error_max"] <= error), None)
+
+
+def readme(results: Results) -> str:
+    """The table of the README."""
+    scenes = {scene["scene"]: scene for scene in results.get("trajectories", ())}
+    rows = []
+    arm = scenes.get("arm7")
+    for need, error in NEEDS:
+        rows.append(_trajectory(f"{need} ({error:.0e})", arm, error, results))
+    rows.append(_energy(results))
+    rows.append(_trajectory(f"stiff servos ({STIFF:.0e})", scenes.get("servo"), STIFF, results))
+    rows.append(_forward(results))
+    lines = [
+        "| I need | use | error reached | time per robot step | gradient error |",
+        "|---|---|---|---|---|",
+        *(f"| {' | '.join(row)} |" for row in rows),
+    ]
+    return "\n".join(lines)
+
+
+def time(nanoseconds: float | None) -> str:
+    """A time in words."""
+    if nanoseconds is None:
+        return "not taken"
+    return f"{nanoseconds:.0f} ns" if nanoseconds < 1e4 else f"{nanoseconds / 1e3:.0f} us"
+
+
+def called(point: fits.Point, horizon: float) -> str:
+    """A setting in words."""
+    if point["integrator"] == "DormandPrince":
+        return f"{point['precision']} DormandPrince at rtol {point['size']:.0e}"
+    return f"{point['precision']} {point['integrator']}, {1e3 * horizon / point['steps']:.3g} ms"
+
+
+def _gradient(results: Results, precision: str) -> str:
+    """Error of gradients by the compiled reverse mode in a precision."""
+    for p in results.get("gradients", {}).get("points", ()):
+        if p["way"] == "compiled reverse" and p["precision"] == ("float64" if precision == "float64" else "float32"):
+            return f"{p['error_max']:.0e}" if p["measured"] else f"below {p['floor']:.0e}"
+    return "not taken"
+
+
+def _trajectory(need: str, scene: dict[str, Any] | None, error: float, results: Results) -> tuple[str, ...]:
+    best = cheapest(scene, error) if scene else None
+    if scene is None or best is None:
+        return need, "nothing that was tried", "", "", ""
+    return (
+        need,
+        called(best, scene["horizon"]),
+        f"{best['error_max']:.0e}",
+        time(best["per_step"]),
+        _gradient(results, best["precision"]),
+    )
+
+
+def _energy(results: Results) -> tuple[str, ...]:
+    need, found = "energy over hours", results.get("energy")
+    rows = [r for r in found["rows"] if r["drift"] is not None and r["precision"] == "float64"] if found else []
+    # a drift grows with time, so the one that keeps a band is worth more than a smaller error that grows; a band's own
+    # width must not be mistaken for a drift, which is why the drift is compared with it
+    banded = [r for r in rows if abs(r["drift"]) < 0.01 * r["largest"]]
+    if not banded:
+        return need, "nothing that was tried", "", "", ""
+    best = min(banded, key=lambda r: r["largest"])
+    return (
+        need,
+        f"{best['precision']} {best['integrator']}, {1e3 * found['dt']:.3g} ms",
+        f"{best['largest']:.0e}, drift {abs(best['drift']):.0e} over {found['steps']} steps",
+        time(best["nanoseconds"]),
+        _gradient(results, best["precision"]),
+    )
+
+
+def _forward(results: Results) -> tuple[str, ...]:
+    need, points = "forward dynamics of more than 40 joints", results.get("forward_dynamics", {}).get("points", ())
+    # float32 in and out: how it is computed inside is the choice
+    tried = [p for p in points if p["method"] in ("mixed", "float32, auto") and p["n"] == 42 and p.get("nanoseconds")]
+    if not tried:
+        return need, "nothing that was tried", "", "", ""
+    best = min(tried, key=lambda p: p["nanoseconds"])
+    use = 'float32, `precision="double"`' if best["method"] == "mixed" else 'float32, `precision="auto"`'
+    worst = max(p["error_max"] for p in points if p["method"] == best["method"])
+    largest = max(p["n"] for p in points if p["method"] == best["method"])
+    return (
+        need,
+        use,
+        f"{best['error_max']:.0e} at 42 joints, {worst:.0e} at most up to {largest}",
+        f"{time(best['nanoseconds'])} at 42 joints",
+        "",
+    )
+
+
+def dominated(results: Results) -> list[str]:
+    """Settings most of whose points lose to another one of the same scene in both error and time, in words.
+
+    A setting is an integrator in a precision; by ten per cent in both, among the points that did not lose the motion.
+    """
+    counts: dict[str, list[str]] = {}
+    for scene in results.get("trajectories", ()):
+        points = usable(scene)
+        losers = Counter(_setting(p) for p, _ in fits.dominated(points))
+        for setting, number in Counter(map(_setting, points)).items():
+            if 2 * losers[setting] > number:
+                counts.setdefault(setting, []).append(f"{scene['scene']} ({losers[setting]} of {number} points)")
+    return [f"{setting}: {', '.join(scenes)}" for setting, scenes in sorted(counts.items())]
+
+
+def crossovers(results: Results) -> list[str]:
+    """Where along the front of a scene one setting takes over from another, in words."""
+    found = []
+    for scene in results.get("trajectories", ()):
+        for before, after in pairwise(fits.thinned(front(scene))):
+            a, b = _setting(before), _setting(after)
+            if a == b:
+                continue
+            # whether the one before would get as far, if slower
+            reaches = any(_setting(p) == a and p["error_max"] <= after["error_max"] for p in usable(scene))
+            why = f"is cheaper than {a}" if reaches else f"takes over from {a}, which does not get there"
+            found.append(f"{scene['scene']}: below {before['error_max']:.0e}, {b} {why}")
+    return found
+
+
+def _setting(point: fits.Point) -> str:
+    return f"{point['precision']} {point['integrator']}"
+
+
+def slopes(results: Results) -> str:
+    """Measured orders and plateaus as a table."""
+    lines = ["scene            integrator         precision    nominal  slope            plateau"]
+    for scene in results.get("trajectories", ()):
+        for s in scene["slopes"]:
+            order = "-" if s["nominal"] is None else str(s["nominal"])
+            slope = "-" if s["slope"] is None else f"{s['slope']:.2f} ({s['fitted']} points)"
+            plateau = "-" if s["plateau"] is None else f"{s['plateau']:.1e}"
+            lines.append(
+                f"{scene['scene']:<16} {s['integrator']:<18} {s['precision']:<12} {order:<8} {slope:<16} {plateau}"
+            )
+    return "\n".join(lines)
+
+
+def lines(title: str, items: Sequence[str]) -> str:
+    """A titled list."""
+    return f"{title}\n" + "\n".join(f"- {item}" for item in items or ["none"])
