@@ -159,7 +159,7 @@ def main() -> None:
         asked = "5 million" if task == "reach" else ""
         goals.append((f"{task} environment, steps per second, float32", asked, f"{1e3 / row.nanoseconds:.1f} million"))
 
-    scene = Scene(robot, parts, integrator=integrators.SemiImplicitEuler(), dt=DT)
+    scene = Scene(robot, parts, integrator=integrators.LinearlyImplicit(), dt=DT)
     calls = {"torchdq": gradient_steps(scene, torch.float32, 20)}
     (row,) = rows(measure(calls, BATCH, seconds), "gradient of a rollout of 20 steps", "float32", 20)
     found.append(row)
