@@ -255,6 +255,15 @@ MUTANTS = (
             f"{TENSORS}::test_rotation_matrices_there_and_back_at_every_branch_and_at_half_a_turn",
         ),
         (
+            "half the slide",
+            "2.0 * slide.squeeze(-1)",
+            "slide.squeeze(-1)",
+            f"{EXP_LOG}::test_screw_parameters_are_those_the_motion_was_made_of",
+        ),
+    ),
+    *within(
+        "torchdq/maps.py",
+        (
             "one coefficient of a series",
             "_SINC = [(-1) ** k / math.factorial(2 * k + 1)",
             "_SINC = [(-1) ** k / math.factorial(2 * k + 1 + k // 6)",
@@ -262,11 +271,27 @@ MUTANTS = (
         ),
         ("the rounding of an angle not made good", "c, s = cos - defect * sin,", "c, s = cos,", MANY_TURNS),
         (
-            "half the slide",
-            "2.0 * slide.squeeze(-1)",
-            "slide.squeeze(-1)",
-            f"{EXP_LOG}::test_screw_parameters_are_those_the_motion_was_made_of",
+            "the longer half of a turn for the shorter",
+            "f = arctangent(n, w, single) / n",
+            "f = arctangent(n, absolute(w), single) / n",
+            f"{EXP_LOG}::test_log_beyond_half_a_turn_loses_only_what_its_condition_takes",
         ),
+        (
+            "a full turn about nothing",
+            "pick(turned, math.pi * e, y)",
+            "pick(turned, 0.0 * e, y)",
+            f"{EXP_LOG}::test_a_full_turn_has_the_documented_logarithm",
+        ),
+    ),
+    *within(
+        "torchdq/numbers/functions.py",
+        (
+            "an arc tangent without the eighth of a turn it was reduced by",
+            "0.25 * high * steep +",
+            "0.0 * steep +",
+            f"{EXP_LOG}::test_log_is_within_8_ulp_up_to_half_a_turn",
+        ),
+    ),
     ),
     # --- dynamics -----------------------------------------------------------------------------------------------------
     *within(

@@ -14,12 +14,25 @@ import torch
 from mpmath import mpf
 from torch.autograd.functional import hessian, jacobian
 
+import torchdq
 from torchdq import dq
 from torchdq.algebra import dual_quaternion, screw
+from torchdq.program import build
 
 F32, F64 = torch.float32, torch.float64
 EPS = {F32: 2.0**-23, F64: 2.0**-52}
 PI = math.pi
+
+
+@pytest.fixture(autouse=True, params=["eager", "c"])
+def on_both_backends(request):
+    """Every claim of this file is one about torch operations and about the compiled programs."""
+    if request.param == "c" and build.compiler() is None:
+        pytest.skip("there is no C compiler")
+    with torchdq.backend(request.param):
+        yield
+
+
 DIGITS = 70  # 50 are compared; the squarings at 1e6 rad and the cancellation near a full turn take the others
 
 LOG_SWITCH = 2.0 * math.atan(math.sqrt(0.05))  # angle where the logarithm changes from series to closed form

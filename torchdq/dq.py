@@ -13,13 +13,13 @@ The pose of B in A is X_AB = r + (eps/2) p r, and X_AC = mul(X_AB, X_BC). x and 
 Rows never mix: a row that is not finite, or that has no direction to normalise, is NaN in its own row only.
 """
 
-import math
 from collections.abc import Callable
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchdq import maps
 from torchdq.algebra import dual_quaternion, quaternion, screw
 from torchdq.errors import ArgumentError, DtypeError
 
@@ -304,78 +304,6 @@ def inertia_transform(mass: Tensor, inertia: Tensor, a: Tensor, com: Tensor | No
 
 # --- exponential and logarithm ---------------------------------------------------------------------------------------
 
-_TERMS = 11
-_COS = [(-1) ** k / math.factorial(2 * k) for k in range(_TERMS)]
-_SINC = [(-1) ** k / math.factorial(2 * k + 1) for k in range(_TERMS)]
-_K = [(-1) ** (k + 1) * (2 * k + 2) / math.factorial(2 * k + 3) for k in range(_TERMS)]
-_ATAN = [(-1) ** k / (2 * k + 1) for k in range(_TERMS + 2)]
-_ATAN_K = [(-1) ** (k + 1) * (2 * k + 2) / (2 * k + 3) for k in range(_TERMS + 2)]
-
-
-def _horner(coefficients: list[float], x: Tensor) -> Tensor:
-    total = torch.full_like(x, coefficients[-1])
-    for c in reversed(coefficients[:-1]):
-        total = total * x + c
-    return total
-
-
-def _halves(x: Tensor) -> tuple[Tensor, Tensor]:
-    """x as the sum of two numbers of half its digits, whose products are exact (Dekker 1971)."""
-    shifted = x * (2.0**27 + 1.0 if x.dtype == torch.float64 else 2.0**12 + 1.0)
-    high = shifted - (shifted - x)
-    return high, x - high
-
-
-def _length_defect(a: quaternion.Pure, h: Tensor) -> Tensor:
-    """|a| - h for a rounded length h, to twice the working precision; a constant for differentiation."""
-    v = torch.stack(torch.broadcast_tensors(*a, h), -1).detach()
-    high, low = _halves(v)
-    squares = v * v
-    x2, y2, z2, h2 = squares.unbind(-1)
-    ex, ey, ez, eh = (((high * high - squares) + 2.0 * high * low) + low * low).unbind(-1)
-    xy = x2 + y2
-    kept = xy - x2
-    e1 = (x2 - (xy - kept)) + (y2 - kept)
-    xyz = xy + z2
-    kept = xyz - xy
-    e2 = (xy - (xyz - kept)) + (z2 - kept)
-    return ((xyz - h2) + (((ex + ey) + (ez - eh)) + (e1 + e2))) / (2.0 * h.detach())
-
-
-def _entire(a: quaternion.Pure) -> tuple[Tensor, Tensor, Tensor]:
-    """C = cos |a|, S = sin |a|/|a|, K = (C - S)/|a|^2, with every derivative finite at a = 0.
-
-    The switch to the series sits far from the singular point, where both sides are accurate, and the side not taken
-    gets a harmless argument first: its infinite derivative would otherwise meet a zero and make NaN. Beyond it, the
-    rounding of |a| would cost an ulp per radian; it is measured and made good.
-    """
-    x = quaternion.norm2(a)
-    near = x < 1.0
-    x_near, x_far = torch.where(near, x, 0.5), torch.where(near, 1.0, x)
-    h = x_far.sqrt()
-    defect = torch.where(near, 0.0, _length_defect(a, h))
-    sin, cos = h.sin(), h.cos()
-    c, s = cos - defect * sin, (sin + defect * (cos - sin / h)) / h
-    return (
-        torch.where(near, _horner(_COS, x_near), c),
-        torch.where(near, _horner(_SINC, x_near), s),
-        torch.where(near, _horner(_K, x_near), (c - s) / x_far),
-    )
-
-
-def _angle(w: Tensor, n2: Tensor) -> tuple[Tensor, Tensor]:
-    """f = atan2(n, w)/n and g = (w/(w^2 + n2) - f)/n2, n = sqrt n2, with every derivative finite at n = 0, w > 0."""
-    near = (w > 0) & (n2 < 0.05 * (w * w))
-    w_near = torch.where(near, w, 1.0)
-    y = torch.where(near, n2, 0.0) / (w_near * w_near)
-    n2_far = torch.where(near | ((n2 == 0) & (w < 0)), 1.0, n2)
-    n = n2_far.sqrt()
-    f = torch.atan2(n, w) / n
-    return (
-        torch.where(near, _horner(_ATAN, y) / w_near, f),
-        torch.where(near, _horner(_ATAN_K, y) / (w_near * w_near * w_near), (w / (w * w + n2_far) - f) / n2_far),
-    )
-
 
 def exp(a: Tensor) -> Tensor:
     """Unit dual quaternion exp(a) [..., 8] of any pure dual quaternion a [..., 6] (25)-(27).
@@ -387,7 +315,8 @@ def exp(a: Tensor) -> Tensor:
     >>> translation(exp(torch.tensor([0.0, 0, 0, 0, 0, 1])))  # half a translation by 2 m
     tensor([0., 0., 2.])
     """
-    return stack(screw.exp(_split("a", a, 6), _entire))
+    _split("a", a, 6)
+    return maps.mapped(maps.exp, a)
 
 
 def log(x: Tensor) -> Tensor:
@@ -400,16 +329,8 @@ def log(x: Tensor) -> Tensor:
     >>> log(exp(torch.tensor([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))).mul(10).round().int().tolist()
     [1, 2, 3, 10, 20, 30]
     """
-    parts = _split("x", x, 8)
-    general = stack(screw.log(parts, _angle))
-    (w, *v), (_, *dv) = parts
-    full_turn = (quaternion.norm2(v) == 0) & (w < 0)
-    b = torch.stack(dv, -1)
-    slides = full_turn.unsqueeze(-1) & (b != 0).any(-1, keepdim=True)
-    b_safe = torch.where(slides, b, 1.0)
-    x_axis = torch.eye(3, dtype=x.dtype, device=x.device)[0]
-    along = torch.where(slides, b_safe / torch.linalg.vector_norm(b_safe, dim=-1, keepdim=True), x_axis)
-    return torch.where(full_turn.unsqueeze(-1), torch.cat([math.pi * along, -b], -1), general)
+    _split("x", x, 8)
+    return maps.mapped(maps.log, x)
 
 
 def log_shortest(x: Tensor) -> Tensor:

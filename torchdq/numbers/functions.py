@@ -57,6 +57,61 @@ def at_least(a: Value, b: Value) -> Value:
     return 1.0 if a >= b else 0.0
 
 
+def below(a: Value, b: Value) -> Value:
+    """1 if a is less than b, or else 0, also if one of them is NaN."""
+    return at_least(b, a) * (1.0 - at_least(a, b))
+
+
+def pick(mask: Value, a: Value, b: Value) -> Value:
+    """a where the mask is 1, b where it is 0; both must be finite."""
+    return mask * a + (1.0 - mask) * b
+
+
+# fdlibm's polynomial of the arc tangent on [0, 7/16] (Sun Microsystems 1993)
+_ARCTANGENT = (
+    3.33333333333329318027e-01,
+    -1.99999999998764832476e-01,
+    1.42857142725034663711e-01,
+    -1.11111104054623557880e-01,
+    9.09088713343650656196e-02,
+    -7.69187620504482999495e-02,
+    6.66107313738753120669e-02,
+    -5.83357013379057348645e-02,
+    4.97687799461593236017e-02,
+    -3.65315727442169155270e-02,
+    1.62858201153657823623e-02,
+)
+_EIGHTH = math.tan(math.pi / 8)
+
+
+def arctangent(y: Value, x: Value, single: bool) -> Value:
+    """Angle in [0, pi] of the point (x, y), y positive, within two units in the last place.
+
+    Args:
+        single: whether constants are rounded to single precision later, and need another remainder.
+    """
+    size = absolute(x)
+    t = minimum(y, size) / maximum(y, size)
+    steep = at_least(t, _EIGHTH)
+    u = pick(steep, (t - 1.0) / (t + 1.0), t)
+    z = u * u
+    total: Value = _ARCTANGENT[-1]
+    for c in reversed(_ARCTANGENT[:-1]):
+        total = total * z + c
+    high, low = _pi_in_two(single)
+    r = 0.25 * high * steep + ((u - u * (z * total)) + 0.25 * low * steep)
+    r = pick(below(size, y), 0.5 * high - (r - 0.5 * low), r)
+    return pick(below(x, 0.0), high - (r - low), r)
+
+
+def _pi_in_two(single: bool) -> tuple[float, float]:
+    """Pi as a number of the precision and what is left."""
+    if not single:
+        return math.pi, 1.2246467991473532e-16
+    high = float.fromhex("0x1.921fb6p+1")
+    return high, math.pi - high
+
+
 def note_growth(results: Iterable[Value], growth: Value) -> None:
     """Say by what factor the way to some results magnifies rounding errors, if they are of a kind that notes it."""
     for x in results:
