@@ -292,7 +292,6 @@ MUTANTS = (
             f"{EXP_LOG}::test_log_is_within_8_ulp_up_to_half_a_turn",
         ),
     ),
-    ),
     # --- dynamics -----------------------------------------------------------------------------------------------------
     *within(
         "torchdq/dynamics/kinematics.py",
