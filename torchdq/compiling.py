@@ -72,7 +72,7 @@ class CompiledProgram:
             x if a.uniform else x.expand(*batch, a.width).reshape(math.prod(batch), a.width)
             for a, x in zip(arguments, inputs, strict=True)
         ]
-        compiled = backends.choose("auto", inputs[0].device.type) == "c"
+        compiled = backends.choose(None, inputs[0].device.type) == "c"
         outputs = (run.compiled if compiled else run.eager)(self.program, rows)
         results = tuple(
             y if r.summed else y.reshape(*batch, y.shape[-1])
@@ -85,7 +85,7 @@ class CompiledProgram:
 
 
 def _ready(recorded: Program, dtype: torch.dtype) -> CompiledProgram:
-    if backends.choose("auto", "cpu") == "c":
+    if backends.choose(None, "cpu") == "c":
         run.kernel(recorded, dtype == torch.float32)
     return CompiledProgram(recorded, dtype)
 
