@@ -62,7 +62,7 @@ def commit() -> str:
 
 
 def main() -> None:
-    parser = report.parser(__doc__, quick="fewer steps, sizes and repeats: five minutes")
+    parser = report.parser(__doc__, quick="fewer steps, sizes and repeats: three minutes")
     parser.add_argument("--full", action="store_true", help="forward dynamics of up to 1000 joints also with --quick")
     parser.add_argument("--scene", nargs="+", choices=list(CASES), help="only these trajectories, and nothing else")
     parser.add_argument("--plots", type=Path, default=FOLDER / "accuracy", help="folder of the plots")

@@ -174,8 +174,15 @@ class Repeated(Unrecorded):
     times: int
 
     def __post_init__(self) -> None:
-        if self.times < 1:
-            raise ArgumentError(f"times must be a whole number from 1, found {self.times}")
+        if not isinstance(self.integrator, Integrator) or isinstance(self.integrator, Unrecorded):
+            raise ArgumentError(f"integrator of Repeated must be one that can be recorded, found {self.integrator!r}")
+        if not isinstance(self.times, int) or isinstance(self.times, bool) or self.times < 1:
+            raise ArgumentError(f"times of Repeated must be a whole number from 1, found {self.times!r}")
+
+    @property
+    def order(self) -> int:  # type: ignore[override]
+        """That of the other integrator."""
+        return self.integrator.order
 
     def flow(self, system: System, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
         """State after that many steps."""

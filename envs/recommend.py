@@ -17,13 +17,14 @@ import torch
 from torch import Tensor
 
 from torchdq.compiling import compile
-from torchdq.effects import Gravity, RotorInertia
+from torchdq.effects import Gravity, Limits, RotorInertia
 from torchdq.envs.integrators import Integrator, LinearlyImplicit, Repeated, RungeKutta4, SemiImplicitEuler
 from torchdq.envs.scene import Scene, State
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, error_growth, forward_dynamics, inverse_dynamics
 from torchdq.program import backends
-from torchdq.program.program import Program
+from torchdq.program.backends import Backend
+from torchdq.program.program import LARGEST_GROWTH, Program
 from torchdq.robot import Robot
 
 SAMPLES = 64  # trajectories
@@ -31,6 +32,7 @@ STATES = 256  # of which accelerations are found
 TYPICAL = 100.0  # errors of accelerations in units of eps times `error_growth`; measured on robots and chains
 SAFETY = 0.3  # of the asked error, for states that were not among the samples
 MOST_STEPS = 2**15  # of a trajectory
+AGAIN = 1.5  # of an operation that is done in float64 after it was done in float32, with what gathers and scatters it
 CLOSE = 1.3  # between a number of steps that is enough and one that is not
 MANY = 8.0  # times the cost of the best, from which nothing is of interest
 MOST_SUBSTEPS = 16  # in one program
@@ -43,6 +45,11 @@ class Arithmetic(NamedTuple):
     dtype: torch.dtype
     precision: Precision
     weight: float  # of an operation
+
+    def cost(self, lost: float) -> float:
+        """Of an operation, if that part of the samples is lost in float32 and computed again."""
+        again = self.dtype == torch.float32 and self.precision == "auto"
+        return self.weight + lost * AGAIN if again else self.weight
 
     def __str__(self) -> str:
         state = str(self.dtype).removeprefix("torch.")
@@ -99,7 +106,7 @@ class Recommendation:
     scene: Scene | None
     """The scene with all of this; torques are held for `repeats` of its steps if the scene that was given is longer."""
     repeats: int
-    """Steps of `scene` in one of the scene that was given."""
+    """Steps of `scene` in one of the scene that was given, or in an eighth of the horizon for a robot."""
     error: float
     """Predicted error up to the horizon [rad or m]; without a horizon, of accelerations, relative."""
     nanoseconds: float
@@ -137,7 +144,8 @@ def recommend(
         error: largest error of a joint's position [rad or m] at the end of any of the scene's steps up to the horizon,
             or of eighths of the horizon for a robot; without a horizon, of the accelerations that `forward_dynamics`
             finds, relative to the largest of them.
-        horizon: time over which trajectories count [s]; None: accelerations alone, of a robot.
+        horizon: time over which trajectories count [s], rounded to steps of the scene; None: accelerations alone, of a
+            robot.
         state: starting states, float64, shape [samples, n]; None: 64 random ones within the limits, moving at up to
             1 rad/s.
         inputs: what the scene asks for at a step, held over the horizon; None: torques are zero, and a controller's
@@ -150,19 +158,32 @@ def recommend(
     >>> found.scene.step(found.scene.start(torch.zeros(8, 2, dtype=found.dtype))).q.shape
     torch.Size([8, 2])
     """
-    if not (isinstance(error, int | float) and error > 0):
+    if isinstance(error, bool) or not (isinstance(error, int | float) and 0 < error < math.inf):
         raise ArgumentError(f"error must be a positive number, found {error!r}")
     if not (horizon is None or (isinstance(horizon, int | float) and 0 < horizon < math.inf)):
         raise ArgumentError(f"horizon must be a positive number of seconds or None, found {horizon!r}")
     if horizon is None:
         if not isinstance(what, Robot):
             raise ArgumentError("a scene needs a horizon; without one, ask for its robot")
+        if state is not None or inputs:
+            raise ArgumentError("state and inputs are those of a trajectory, and without a horizon there is none")
+        _require_one(_falling(what, 1.0))
         return _for_accelerations(what, error)
     scene = _falling(what, horizon) if isinstance(what, Robot) else what
     if not isinstance(scene, Scene):
         raise ArgumentError(f"what must be a torchdq.Robot or a torchdq.envs.Scene, found {type(what).__name__}")
+    _require_one(scene)
     with torch.no_grad():
         return _for_trajectories(Trial.of(scene, horizon, state, inputs), error)
+
+
+def _require_one(scene: Scene) -> None:
+    for _, name, x, _, axes in scene._tensors():
+        if x.ndim > axes:
+            raise ArgumentError(
+                f"recommend tries one robot at a time, found batch axes {tuple(x.shape[: x.ndim - axes])} of {name}; "
+                f"give it the one that is hardest to simulate, with the lightest links or the stiffest joints"
+            )
 
 
 def _falling(robot: Robot, horizon: float) -> Scene:
@@ -187,11 +208,27 @@ class Trial:
     def of(cls, scene: Scene, horizon: float, state: State | None, inputs: dict[str, Tensor]) -> Trial:
         """The trial of a scene over a horizon, which is rounded to whole intervals."""
         intervals = max(1, round(horizon / scene.dt))
+        if intervals > MOST_STEPS:
+            raise ArgumentError(
+                f"the horizon holds {intervals} steps of the scene, and {MOST_STEPS} are the most; shorten it"
+            )
         noise = torch.full((scene.noises,), 0.5, dtype=torch.float64)
         if state is None:
-            q, qd = random_states(scene.robot)
+            limits = next((effect for effect in scene.effects if isinstance(effect, Limits)), None)
+            q, qd = random_states(scene.robot, limits=limits)
             state = scene.start(q, qd, noise=noise)
-        given = dict(inputs)
+        elif not (isinstance(state, State) and state.q.ndim == 2 and len(state.q)):
+            raise ArgumentError(
+                "state must be a torchdq.envs.State with q of the shape [samples, n]; `Scene.start` makes one"
+            )
+        given = {name: x for name, x in inputs.items() if x is not None}
+        for name, x in given.items():
+            if not (isinstance(x, Tensor) and bool(x.isfinite().all())):
+                raise ArgumentError(
+                    f"{name} must be a finite tensor, found {x if isinstance(x, Tensor) else type(x).__name__}"
+                )
+        if not bool(state.q.isfinite().all() and state.qd.isfinite().all()):
+            raise ArgumentError("state must be finite")
         if scene.controller is not None and "reference" not in given:
             given["reference"] = torch.cat([state.q, torch.zeros_like(state.q).repeat(1, 2)], -1)
         needed = [name for effect in scene.effects for name in effect.needs(scene.n)]
@@ -226,13 +263,17 @@ class Trial:
         return torch.stack(found)
 
 
-def random_states(robot: Robot, samples: int = SAMPLES) -> tuple[Tensor, Tensor]:
-    """Positions within the limits, or within half a turn or half a metre, and velocities up to 1."""
+def random_states(robot: Robot, samples: int = SAMPLES, limits: Limits | None = None) -> tuple[Tensor, Tensor]:
+    """Positions within the limits, or within half a turn or half a metre, and velocities up to 1.
+
+    The limits are those of the robot, or of the effect that simulates limits.
+    """
     generator = torch.Generator().manual_seed(0)
     unit = torch.rand(2, samples, robot.n, generator=generator, dtype=torch.float64)
     revolute = torch.tensor([kind != "prismatic" for kind in robot.kinds])
     reach = torch.where(revolute, math.pi / 2, 0.25).double()
-    lower, upper = (x.double() for x in (robot.limits.lower, robot.limits.upper))
+    of = robot.limits if limits is None else limits
+    lower, upper = (torch.as_tensor(x, dtype=torch.float64) for x in (of.lower, of.upper))
     bounded = lower.isfinite() & upper.isfinite()
     lower, upper = torch.where(bounded, lower, -reach), torch.where(bounded, upper, reach)
     # away from the limits, which a trajectory would leave at once
@@ -257,13 +298,23 @@ def _truth(trial: Trial, error: float) -> Tensor:
             # an error that is a series in the step, from the power of the order on, loses a term with every column
             for j, coarser in enumerate(before[:4]):
                 row.append(row[j] + (row[j] - coarser) / (2 ** (integrator.order + j) - 1))
-            change = _worst(row[-1], before[-1]) if before else math.inf
-            if change <= error / 50:
-                return row[-1]
+            if not before:
+                continue
+            # at kinks there is no such series, and the steps themselves have to get there
+            for found, last in ((row[-1], before[-1]), (row[0], before[0])):
+                change = _worst(found, last)
+                if change <= error / 50:
+                    return found
             stuck = stuck + 1 if change >= closest and closest < 1e-6 else 0
             closest = min(closest, change)
             if stuck > 2:
                 break
+    if not closest < 1e3:
+        raise ArgumentError(
+            f"trajectories of {trial.scene.robot.name!r} do not stay finite over "
+            f"{trial.intervals * trial.scene.dt:.3g} s, however short the steps; is the controller stable with dt = "
+            f"{trial.scene.dt:g} s?"
+        )
     raise ArgumentError(
         f"trajectories of {trial.scene.robot.name!r} over {trial.intervals * trial.scene.dt:.3g} s can be told to "
         f"{closest * 50 / SAFETY:.1e} at best, not to {error / SAFETY:.1e}; shorten the horizon, or ask for less"
@@ -304,6 +355,7 @@ def _candidates(trial: Trial, truth: Tensor, error: float) -> list[Stepping]:
     """Ways that meet the error, the cheapest first; of those that cost many times as much, none is tried to the end."""
     found: list[Stepping] = []
     dt = trial.scene.dt
+    lost = _lost(trial.scene.robot, trial.state.q)
     for integrator in _ways(trial.scene):
         per_step = trial.scene.replace(integrator=integrator, substeps=1).count().total
         most = MOST_STEPS / trial.intervals
@@ -316,7 +368,7 @@ def _candidates(trial: Trial, truth: Tensor, error: float) -> list[Stepping]:
         for arithmetic in ARITHMETICS:
             made = exact if arithmetic is ARITHMETICS[-1] else _worst(trial.path(integrator, times, arithmetic), truth)
             if made <= error:
-                operations = arithmetic.weight * per_step * times / dt
+                operations = arithmetic.cost(lost) * per_step * times / dt
                 found.append(Stepping(arithmetic, made, operations, integrator, dt / times, times))
         found.sort(key=lambda c: c.operations)
     return found
@@ -342,7 +394,7 @@ def _for_trajectories(trial: Trial, error: float) -> Recommendation:
         scene = trial.scene.replace(integrator=Repeated(best.integrator, times), precision=precision, substeps=1)
     nanoseconds = _measured(_step(scene, best.arithmetic.dtype, trial)) / (times if trial.sampled else 1)
     return Recommendation(
-        **_common(best, scene.robot),
+        **_common(best, scene.robot, scene.backend),
         integrator=best.integrator,
         step=best.step,
         scene=scene,
@@ -375,7 +427,7 @@ def _for_accelerations(robot: Robot, error: float) -> Recommendation:
         x = [y.float().double() for y in (q, qd, inverse_dynamics(robot, q, qd, wanted))]
         truth = forward_dynamics(robot, x[0], x[1], x[2])
         rounding = TYPICAL * 2.0**-53 * float(error_growth(robot, q).max())
-        operations = _program(robot).count().total
+        operations, lost = _program(robot).count().total, _lost(robot, q)
         found = []
         for arithmetic in ARITHMETICS:
             made = rounding
@@ -383,7 +435,7 @@ def _for_accelerations(robot: Robot, error: float) -> Recommendation:
                 q, qd, tau = (y.float() for y in x)
                 y = forward_dynamics(robot, q, qd, tau, precision=arithmetic.precision).double()
                 made += float(((y - truth).abs().amax(-1) / truth.abs().amax(-1)).max())
-            found.append(Candidate(arithmetic, made, arithmetic.weight * operations))
+            found.append(Candidate(arithmetic, made, arithmetic.cost(lost) * operations))
         good = sorted((c for c in found if c.error <= SAFETY * error), key=lambda c: c.operations)
         if not good:
             raise ArgumentError(
@@ -394,7 +446,7 @@ def _for_accelerations(robot: Robot, error: float) -> Recommendation:
         q, qd, tau = (y.to(best.arithmetic.dtype).repeat(BATCH // STATES, 1) for y in x)
         nanoseconds = _measured(lambda: forward_dynamics(robot, q, qd, tau, precision=best.arithmetic.precision))
     return Recommendation(
-        **_common(best, robot),
+        **_common(best, robot, None),
         integrator=None,
         step=None,
         scene=None,
@@ -407,15 +459,20 @@ def _for_accelerations(robot: Robot, error: float) -> Recommendation:
 # --- both -------------------------------------------------------------------------------------------------------------
 
 
+def _lost(robot: Robot, q: Tensor) -> float:
+    """Part of the positions in which float32 loses half of its digits."""
+    return float((error_growth(robot, q) > LARGEST_GROWTH.single).double().mean())
+
+
 def _program(robot: Robot) -> Program:
     return compile(robot, "forward_dynamics").program
 
 
-def _common(best: Candidate, robot: Robot) -> dict[str, Any]:
+def _common(best: Candidate, robot: Robot, backend: Backend | None) -> dict[str, Any]:
     return {
         "dtype": best.arithmetic.dtype,
         "precision": best.arithmetic.precision,
-        "backend": backends.choose(None, "cpu"),
+        "backend": backends.choose(backend, "cpu"),
         "method": "articulated bodies" if "articulated" in _program(robot).name else "mass matrix",
         "error": best.error / SAFETY,
     }

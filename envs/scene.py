@@ -137,6 +137,11 @@ class Scene:
         if not isinstance(self.substeps, int) or self.substeps < 1:
             raise ArgumentError(f"substeps must be a whole number from 1, found {self.substeps!r}")
         check_precision(self.precision)
+        if self.substeps > 1 and isinstance(self.integrator, Unrecorded):
+            raise ArgumentError(
+                f"substeps are those of a recorded integrator, found {self.substeps} with {self.integrator!r}; "
+                f"give them to Repeated, DormandPrince chooses its own"
+            )
         if sum(isinstance(effect, Elastic) for effect in self.effects) > 1:
             raise ArgumentError("effects must not hold Elastic twice: a joint has one spring to its rotor")
         for effect in self.effects:
@@ -245,7 +250,16 @@ class Scene:
         """State after `dt`, and rows that a task computes from it in the same program."""
         present = {name: x for name, x in inputs.items() if x is not None}
         if isinstance(self.integrator, Unrecorded):
-            return self._unrecorded(self.integrator, state, present, noise, task)
+            narrow = state.q.dtype
+            if self.precision != "double" or narrow != torch.float32:
+                return self._unrecorded(self.integrator, state, present, noise, task)
+            # its own arithmetic is double as well
+            wide = State._make(None if x is None else x.double() for x in state)
+            given = {name: x.double() for name, x in present.items()}
+            noise = None if noise is None else noise.double()
+            state, rows = self._unrecorded(self.integrator, wide, given, noise, task)
+            rounded = State._make(None if x is None else x.to(narrow) for x in state)
+            return rounded, {name: x.to(narrow) for name, x in rows.items()}
         rows = self._call("step", self._given(state, present, noise), task)
         return State(rows.pop("q"), rows.pop("qd"), rows.pop("memory", None), rows.pop("reading", None)), rows
 
@@ -465,6 +479,7 @@ class Scene:
         """Rows of a stage's program, with the batch axes of everything that goes in."""
         like = given["x"] if stage in MOTION else given["q"]
         if self.precision == "double" and like.dtype == torch.float32:
+            self._check(stage, given, like, task)
             wide = {name: x.double() if x.dtype == torch.float32 else x for name, x in given.items()}
             return {name: y.to(like.dtype) for name, y in self._call(stage, wide, task).items()}
         tensors = self._tensors()

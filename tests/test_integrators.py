@@ -170,6 +170,28 @@ def test_repeated_steps_are_the_recorded_ones(integrator):
 
 
 @pytest.mark.case("T5", "T6")
+def test_repeated_steps_in_double_precision_round_once():
+    q, qd = (x.float() for x in random(2, 4, 2, seed=2))
+    scene = Scene(ARM, (effects.Gravity(),), integrator=RungeKutta4(), dt=0.1, substeps=4, precision="double")
+    called = scene.replace(integrator=Repeated(RungeKutta4(), 4), substeps=1)
+    for a, b in zip(scene.step(State(q, qd))[:2], called.step(State(q, qd))[:2], strict=True):
+        torch.testing.assert_close(a, b, rtol=2 * 2.0**-24, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Repeated(RungeKutta4(), 2.5), "times of Repeated must be a whole number"),
+        (lambda: Repeated(RungeKutta4, 3), "integrator of Repeated must be one that can be recorded"),
+        (lambda: Repeated(DormandPrince(), 3), "integrator of Repeated must be one that can be recorded"),
+        (lambda: Scene(ARM, integrator=DormandPrince(), substeps=2), "substeps are those of a recorded integrator"),
+    ],
+)
+def test_what_cannot_be_repeated_is_named(make, message):
+    with pytest.raises(torchdq.ArgumentError, match=message):
+        make()
+
+
 def test_a_sample_does_not_depend_on_those_beside_it():
     """Neither on a stiff one, which takes many more steps, nor on one that is lost."""
     q, qd = random(2, 5, 2, seed=1)

@@ -150,6 +150,27 @@ def test_long_chains_are_recommended_articulated_bodies():
     assert recommend(chain, 1e-2, None).method == "articulated bodies"
 
 
+def test_starts_are_within_the_limits_that_are_simulated():
+    scene = Scene(ROBOTS["two_link"], (effects.Gravity(), effects.Viscous(0.5), effects.Limits(-1.0, 1.0)), dt=0.05)
+    assert Trial.of(scene, 0.1, None, {}).state.q.abs().max() <= 1
+    found = recommend(scene, 1e-3, 0.2)
+    fine = scene.replace(integrator=integrators.Repeated(integrators.RungeKutta4(), 512))
+    q, qd = (x[-5:] for x in random_states(scene.robot, SAMPLES + 5, scene.effects[2]))
+    ends = [end(s, State(q, qd), 0.2, d) for s, d in ((found.scene, found.dtype), (fine, F64))]
+    assert (ends[0] - ends[1]).abs().max() <= 1e-3
+
+
+def test_a_chain_that_float32_cannot_bear_is_recommended_double_precision_at_once():
+    n = 60
+    screws = [[0, 1, 0, 0, 0, float(i)] for i in range(n)]
+    poses = [[1, 0, 0, 0, 0, i / 2, 0, 0] for i in range(n)]
+    chain = torchdq.Robot.from_screws(
+        screws, [1.0] * n, [[0.5, 0, 0]] * n, [np.eye(3) / 12] * n, link_poses=np.array(poses, dtype=float)
+    )
+    found = recommend(chain, 1e-3, None)
+    assert (found.dtype, found.precision) in ((torch.float64, "auto"), (torch.float32, "double"))
+
+
 def test_it_says_what_it_recommends():
     text = str(recommend(ROBOTS["two_link"], 1e-3, HORIZON))
     for word in ("float32", "RungeKutta4", "steps of", "backend", "error", "ns per robot", "beside it"):
@@ -163,6 +184,14 @@ def test_it_says_what_it_recommends():
         (lambda robot: recommend(robot, 1e-3, -1.0), "horizon must be"),
         (lambda robot: recommend(Scene(robot), 1e-3, None), "a scene needs a horizon"),
         (lambda robot: recommend("panda"), "torchdq.Robot"),
+        (lambda robot: recommend(robot, True), "error must be a positive number"),
+        (lambda robot: recommend(robot.replace(mass=torch.ones(3, 2).double())), "found batch axes .3,. of mass"),
+        (lambda robot: recommend(robot.replace(mass=torch.ones(3, 2).double()), 1e-2, None), "batch axes .3,. of mass"),
+        (lambda robot: recommend(robot, 1e-3, 0.1, torch.zeros(3, 2)), "state must be a torchdq.envs.State"),
+        (lambda robot: recommend(robot, 1e-3, 0.1, torque=[1.0, 2.0]), "torque must be a finite tensor, found list"),
+        (lambda robot: recommend(robot, 1e-3, 0.1, torque=torch.tensor([1.0, math.nan])), "torque must be a finite"),
+        (lambda robot: recommend(robot, 1e-3, None, torque=torch.zeros(2)), "without a horizon there is none"),
+        (lambda robot: recommend(Scene(robot, dt=1e-6), 1e-3, 0.1), "the horizon holds 100000 steps"),
         (lambda robot: recommend(robot, 1e-17, 0.2), "at best"),
         (lambda robot: recommend(robot, 1e-18, None), "at best"),
         (lambda robot: recommend(Scene(robot, (effects.Servo(10.0, 1.0),)), 1e-3, 0.1), "must be given"),

@@ -44,7 +44,8 @@ class Entry(NamedTuple):
             return self.remark or "not in the paper"
         what = zip(("multiplications", "additions", "storage"), self.printed, self.counted, strict=True)
         wrong = [name for name, theirs, ours in what if theirs != ours]
-        found = f"{' and '.join(wrong)} differ" if wrong else "as printed"
+        verb = "differs" if wrong == ["storage"] else "differ"
+        found = f"{' and '.join(wrong)} {verb}" if wrong else "as printed"
         return f"{found}: {self.remark}" if self.remark else found
 
 
@@ -370,7 +371,8 @@ class Line(NamedTuple):
         """The cost as multiples of n, exact from two joints on."""
         a, b = self.at(6), self.at(7)
         slopes = [y - x for x, y in zip(a, b, strict=True)]
-        text = [f"{k}n{x - 6 * k:+d}" for k, x in zip(slopes, a, strict=True)]
+        rest = [x - 6 * k for k, x in zip(slopes, a, strict=True)]
+        text = [f"{k}n{r:+d}" if r else f"{k}n" for k, r in zip(slopes, rest, strict=True)]
         return f"{text[0]}, {text[1]}"
 
 

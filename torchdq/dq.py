@@ -216,7 +216,7 @@ def _moderate(x: Tensor) -> tuple[Tensor, Tensor]:
     """A power of two [...], and x divided by it, so that the squares of its primary part can be written."""
     _split("x", x, 4, 8)
     _, exponent = torch.frexp(x[..., :4].detach().abs().amax(-1))
-    size = torch.ldexp(torch.ones_like(x[..., 0]), exponent)
+    size = torch.ldexp(torch.ones_like(x[..., 0]), exponent - 1)
     return size, x / size.unsqueeze(-1)
 
 

@@ -322,6 +322,7 @@ def forward_dynamics(
     """
     arguments = (q, qd, tau, f_tip, f_ext)
     if check_precision(precision) == "double":
+        _check("forward_dynamics", robot, arguments)
         wide = tuple([x.double() if isinstance(x, Tensor) and x.dtype == torch.float32 else x for x in arguments])
         return _evaluate("forward_dynamics", robot, wide, backend)[0].to(tau.dtype)
     return _evaluate("forward_dynamics", robot, arguments, backend)[0]
@@ -331,8 +332,8 @@ def error_growth(robot: Robot, q: Tensor, backend: Backend | None = None) -> Ten
     """Factor [...] by which `forward_dynamics` magnifies rounding errors, from 1: the largest M_ii / D_i.
 
     D_i is what joint i feels of the inertia M_ii when the joints beyond it are free, a pivot of M. The relative error
-    of accelerations is about 100 eps times this factor. Above 2^10, float32 inputs are computed in float64; above 2^46,
-    and where a pivot is not positive, accelerations are NaN.
+    of accelerations is typically 10 eps, seldom more than 200 eps, times this factor. Above 2^10, float32 inputs are
+    computed in float64; above 2^46, accelerations are NaN. Where a pivot is not positive it is huge, 1e30 or more.
 
     Args:
         robot: the robot.

@@ -35,9 +35,9 @@ def readme(results: Results) -> str:
     rows = []
     arm = scenes.get("arm7")
     for need, error in NEEDS:
-        rows.append(_trajectory(f"{need} ({error:.0e})", arm, error, results))
+        rows.append(_trajectory(f"{need}: seven-joint arm to {error:.0e}", arm, error, results))
     rows.append(_energy(results))
-    rows.append(_trajectory(f"stiff servos ({STIFF:.0e})", scenes.get("servo"), STIFF, results))
+    rows.append(_trajectory(f"stiff servos: the same arm to {STIFF:.0e}", scenes.get("servo"), STIFF, results))
     rows.append(_forward(results))
     lines = [
         "| I need | use | error reached | time per robot step | gradient error |",
@@ -83,7 +83,7 @@ def _trajectory(need: str, scene: dict[str, Any] | None, error: float, results: 
 
 
 def _energy(results: Results) -> tuple[str, ...]:
-    need, found = "energy over hours", results.get("energy")
+    need, found = "energy over long times: double pendulum", results.get("energy")
     rows = [r for r in found["rows"] if r["drift"] is not None and r["precision"] == "float64"] if found else []
     # a drift grows with time, so the one that keeps a band is worth more than a smaller error that grows; a band's own
     # width must not be mistaken for a drift, which is why the drift is compared with it
@@ -101,7 +101,7 @@ def _energy(results: Results) -> tuple[str, ...]:
 
 
 def _forward(results: Results) -> tuple[str, ...]:
-    need, points = "forward dynamics of more than 40 joints", results.get("forward_dynamics", {}).get("points", ())
+    need, points = "accelerations of more than 40 joints: chains", results.get("forward_dynamics", {}).get("points", ())
     # float32 in and out: how it is computed inside is the choice
     tried = [p for p in points if p["method"] in ("mixed", "float32, auto") and p["n"] == 42 and p.get("nanoseconds")]
     if not tried:
