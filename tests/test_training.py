@@ -284,7 +284,7 @@ def undisturbed() -> tuple[torch.Tensor, training.History]:
 
 
 def test_a_killed_run_loses_nothing(tmp_path, undisturbed):
-    """Twenty trials, each killed once or twice at random moments, from before the first step to after the last."""
+    """Thirty trials, each killed once or twice at random moments, from before the first step to after the last."""
     fork = multiprocessing.get_context("fork")
     rng, reached = random.Random(0), []
     start = time.monotonic()  # moments are parts of what a whole run takes on this machine
@@ -292,7 +292,7 @@ def test_a_killed_run_loses_nothing(tmp_path, undisturbed):
     child.start()
     child.join()
     whole = time.monotonic() - start
-    for trial in range(20):
+    for trial in range(30):
         path = tmp_path / f"run{trial}.pt"
         for _ in range(1 + trial % 2):
             child = fork.Process(target=run, args=(path,))

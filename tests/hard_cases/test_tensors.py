@@ -512,8 +512,10 @@ def test_flushing_subnormal_numbers_changes_nothing_that_counts(key, dtype, back
         finally:
             torch.set_flush_denormal(False)
     assert all(v.isfinite().all() for v in kept)
-    # 4 eps would do; what is flushed is as small as it was, but for friction, which is steep at rest
-    margin(distance(flushed, kept), (1e6 if key == "step" else 100) * tiny, f"{key}, {dtype}")
+    # What is flushed is as small as it was, but for friction, which is steep at rest. A sum may still round to its
+    # other neighbour, as sums of poses do.
+    allowed = {"step": 1e6 * tiny, "forward_kinematics": 4 * EPS[dtype]}
+    margin(distance(flushed, kept), allowed.get(key, 100 * tiny), f"{key}, {dtype}")
 
 
 # --- P11: at home ----------------------------------------------------------------------------------------------------

@@ -78,7 +78,7 @@ class Inputs(NamedTuple):
         """Raise `SingularInertiaError` if a joint of a constant robot moves nothing in any position but rounding."""
         if any(name in self.given for name in (*INERTIAL, *GEOMETRY, "armature")):
             return
-        found = physical.inert_joints(self.robot.joint_names, self.robot.mechanism())
+        found = physical.inert_joints(self.robot.joint_names, general(self.robot, {}))
         if found:
             raise SingularInertiaError(f"robot {self.robot.name!r} cannot be accelerated: {'; '.join(found)}")
 
