@@ -31,9 +31,18 @@ def goals_table(title: str, goals: Sequence[Goal]) -> str:
 
 
 def into_json(path: Path | None, **everything: Any) -> None:
-    """Write everything to a path, if there is one."""
+    """Write everything to a path, if there is one, to four digits."""
     if path:
-        path.write_text(json.dumps(everything, indent=1))
+        path.write_text(json.dumps(_short(everything), separators=(",", ":")) + "\n")
+
+
+def _short(x: Any) -> Any:
+    """The same with shorter numbers."""
+    if isinstance(x, dict):
+        return {key: _short(value) for key, value in x.items()}
+    if isinstance(x, list | tuple):
+        return [_short(value) for value in x]
+    return float(f"{x:.4g}") if isinstance(x, float) else x
 
 
 def into_readme(text: str, begin: str, end: str) -> None:

@@ -108,7 +108,12 @@ class RungeKutta4(Integrator):
     order = 4
 
     def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
-        """The weighted mean of four rates."""
+        """State plus increments."""
+        dx, dv = self.increments(system, x, v, h)
+        return _plus(x, 1.0, dx), _plus(v, 1.0, dv)
+
+    def increments(self, system: System, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
+        """What is added to a state: the step times the weighted mean of four rates."""
         a = system.accelerations
         a1 = a(x, v)
         v2 = _plus(v, 0.5 * h, a1)
@@ -119,9 +124,9 @@ class RungeKutta4(Integrator):
         a4 = a(_plus(x, h, v3), v4)
 
         def mean(k1: Row, k2: Row, k3: Row, k4: Row) -> list[Number]:
-            return [p + 2.0 * (q + r) + s for p, q, r, s in zip(k1, k2, k3, k4, strict=True)]
+            return [h / 6.0 * (p + 2.0 * (q + r) + s) for p, q, r, s in zip(k1, k2, k3, k4, strict=True)]
 
-        return _plus(x, h / 6.0, mean(v, v2, v3, v4)), _plus(v, h / 6.0, mean(a1, a2, a3, a4))
+        return mean(v, v2, v3, v4), mean(a1, a2, a3, a4)
 
 
 @dataclass(frozen=True)

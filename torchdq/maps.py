@@ -18,7 +18,7 @@ from torch import Tensor
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Pure
-from torchdq.numbers.functions import absolute, arctangent, at_least, below, maximum, minimum, pick, sqrt
+from torchdq.numbers.functions import absolute, arctangent, at_least, below, maximum, minimum, pick, polynomial, sqrt
 from torchdq.program import backends, run
 from torchdq.program.program import Argument, Program, record
 
@@ -29,14 +29,6 @@ _SINC = [(-1) ** k / math.factorial(2 * k + 1) for k in range(_TERMS)]
 _K = [(-1) ** (k + 1) * (2 * k + 2) / math.factorial(2 * k + 3) for k in range(_TERMS)]
 _ATAN = [(-1) ** k / (2 * k + 1) for k in range(_TERMS + 2)]
 _ATAN_K = [(-1) ** (k + 1) * (2 * k + 2) / (2 * k + 3) for k in range(_TERMS + 2)]
-
-
-def series(coefficients: Sequence[float], x: Value) -> Value:
-    """Sum of the powers of x with these coefficients."""
-    total: Value = coefficients[-1]
-    for c in reversed(coefficients[:-1]):
-        total = total * x + c
-    return total
 
 
 def length_defect(a: Pure, h: Value, split: float) -> Value:
@@ -74,9 +66,9 @@ def entire(a: Pure, split: float) -> tuple[Value, Value, Value]:
     sin, cos = h.sin(), h.cos()
     c, s = cos - defect * sin, (sin + defect * (cos - sin / h)) / h
     return (
-        pick(near, series(_COS, x_near), c),
-        pick(near, series(_SINC, x_near), s),
-        pick(near, series(_K, x_near), (c - s) / x_far),
+        pick(near, polynomial(_COS, x_near), c),
+        pick(near, polynomial(_SINC, x_near), s),
+        pick(near, polynomial(_K, x_near), (c - s) / x_far),
     )
 
 
@@ -89,8 +81,8 @@ def angle(w: Value, n2: Value, single: bool) -> tuple[Value, Value]:
     n = sqrt(n2_far)
     f = arctangent(n, w, single) / n
     return (
-        pick(near, series(_ATAN, y) / w_near, f),
-        pick(near, series(_ATAN_K, y) / (w_near * w_near * w_near), (w / (w * w + n2_far) - f) / n2_far),
+        pick(near, polynomial(_ATAN, y) / w_near, f),
+        pick(near, polynomial(_ATAN_K, y) / (w_near * w_near * w_near), (w / (w * w + n2_far) - f) / n2_far),
     )
 
 

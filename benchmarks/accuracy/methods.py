@@ -48,23 +48,7 @@ class Increments(integrators.RungeKutta4):
 
     def step(self, system: System, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
         """Changes over a step h."""
-        a = system.accelerations
-
-        def plus(a: Row, h: Number, b: Row) -> list[Number]:
-            return [p + h * r for p, r in zip(a, b, strict=True)]
-
-        a1 = a(x, v)
-        v2 = plus(v, 0.5 * h, a1)
-        a2 = a(plus(x, 0.5 * h, v), v2)
-        v3 = plus(v, 0.5 * h, a2)
-        a3 = a(plus(x, 0.5 * h, v2), v3)
-        v4 = plus(v, h, a3)
-        a4 = a(plus(x, h, v3), v4)
-
-        def mean(*k: Row) -> list[Number]:
-            return [h / 6.0 * (p + 2.0 * (q + r) + s) for p, q, r, s in zip(*k, strict=True)]
-
-        return mean(v, v2, v3, v4), mean(a1, a2, a3, a4)
+        return self.increments(system, x, v, h)
 
 
 # --- programs --------------------------------------------------------------------------------------------------------

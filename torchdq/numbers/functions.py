@@ -4,7 +4,7 @@ Floats give what programs give, infinities and NaN included, where Python's own 
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 Value = Any  # a number of any kind
@@ -67,6 +67,14 @@ def pick(mask: Value, a: Value, b: Value) -> Value:
     return mask * a + (1.0 - mask) * b
 
 
+def polynomial(coefficients: Sequence[float], x: Value) -> Value:
+    """Sum of the powers of x with these coefficients, the constant first."""
+    total: Value = coefficients[-1]
+    for c in reversed(coefficients[:-1]):
+        total = total * x + c
+    return total
+
+
 # fdlibm's polynomial of the arc tangent on [0, 7/16] (Sun Microsystems 1993)
 _ARCTANGENT = (
     3.33333333333329318027e-01,
@@ -95,11 +103,8 @@ def arctangent(y: Value, x: Value, single: bool) -> Value:
     steep = at_least(t, _EIGHTH)
     u = pick(steep, (t - 1.0) / (t + 1.0), t)
     z = u * u
-    total: Value = _ARCTANGENT[-1]
-    for c in reversed(_ARCTANGENT[:-1]):
-        total = total * z + c
     high, low = _pi_in_two(single)
-    r = 0.25 * high * steep + ((u - u * (z * total)) + 0.25 * low * steep)
+    r = 0.25 * high * steep + ((u - u * (z * polynomial(_ARCTANGENT, z))) + 0.25 * low * steep)
     r = pick(below(size, y), 0.5 * high - (r - 0.5 * low), r)
     return pick(below(x, 0.0), high - (r - low), r)
 

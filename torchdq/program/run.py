@@ -355,7 +355,7 @@ def found(name: str) -> Program:
     return _known[name]
 
 
-@torch.library.custom_op("torchdq::run", mutates_args=())
+@torch.library.custom_op("torchdq::evaluate", mutates_args=())
 def operator(program: str, inputs: Sequence[Tensor]) -> list[Tensor]:
     """Results of a program by its compiled kernel, for graphs that are traced: the program goes by its name."""
     return _execute(found(program), inputs)
