@@ -8,9 +8,9 @@ it, the one with the fewest operations per simulated second is recommended, an o
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
@@ -20,6 +20,7 @@ from torchdq.compiling import compile
 from torchdq.effects import Gravity, Limits, RotorInertia
 from torchdq.envs.integrators import Integrator, LinearlyImplicit, Repeated, RungeKutta4, SemiImplicitEuler
 from torchdq.envs.scene import Scene, State
+from torchdq.envs.timing import medians
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, error_growth, forward_dynamics, inverse_dynamics
 from torchdq.program import backends
@@ -37,6 +38,7 @@ CLOSE = 1.3  # between a number of steps that is enough and one that is not
 MANY = 8.0  # times the cost of the best, from which nothing is of interest
 MOST_SUBSTEPS = 16  # in one program
 BATCH = 4096  # at which times are measured
+SECONDS = 0.05  # of measuring
 
 
 class Arithmetic(NamedTuple):
@@ -178,10 +180,10 @@ def recommend(
 
 
 def _require_one(scene: Scene) -> None:
-    for _, name, x, _, axes in scene._tensors():
-        if x.ndim > axes:
+    for name, batch in scene.batches.items():
+        if batch:
             raise ArgumentError(
-                f"recommend tries one robot at a time, found batch axes {tuple(x.shape[: x.ndim - axes])} of {name}; "
+                f"recommend tries one robot at a time, found batch axes {batch} of {name}; "
                 f"give it the one that is hardest to simulate, with the lightest links or the stiffest joints"
             )
 
@@ -392,14 +394,14 @@ def _for_trajectories(trial: Trial, error: float) -> Recommendation:
     else:
         # more than a program should hold
         scene = trial.scene.replace(integrator=Repeated(best.integrator, times), precision=precision, substeps=1)
-    nanoseconds = _measured(_step(scene, best.arithmetic.dtype, trial)) / (times if trial.sampled else 1)
+    (nanoseconds,) = medians([_step(scene, best.arithmetic.dtype, trial)], BATCH, SECONDS)
     return Recommendation(
         **_common(best, scene.robot, scene.backend),
         integrator=best.integrator,
         step=best.step,
         scene=scene,
         repeats=1 if trial.sampled else times,
-        nanoseconds=nanoseconds,
+        nanoseconds=nanoseconds / times if trial.sampled else nanoseconds,
         others=tuple(found),
     )
 
@@ -444,7 +446,8 @@ def _for_accelerations(robot: Robot, error: float) -> Recommendation:
             )
         best = good[0]
         q, qd, tau = (y.to(best.arithmetic.dtype).repeat(BATCH // STATES, 1) for y in x)
-        nanoseconds = _measured(lambda: forward_dynamics(robot, q, qd, tau, precision=best.arithmetic.precision))
+        call = partial(forward_dynamics, robot, q, qd, tau, precision=best.arithmetic.precision)
+        (nanoseconds,) = medians([call], BATCH, SECONDS)
     return Recommendation(
         **_common(best, robot, None),
         integrator=None,
@@ -476,14 +479,3 @@ def _common(best: Candidate, robot: Robot, backend: Backend | None) -> dict[str,
         "method": "articulated bodies" if "articulated" in _program(robot).name else "mass matrix",
         "error": best.error / SAFETY,
     }
-
-
-def _measured(call: Callable[[], object]) -> float:
-    """Median time per robot of a few calls [ns]."""
-    call()
-    times = []
-    for _ in range(7):
-        start = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - start)
-    return sorted(times)[3] / BATCH * 1e9

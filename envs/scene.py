@@ -7,10 +7,8 @@ slot, and costs what it adds to the one program that a step is recorded into.
 from __future__ import annotations
 
 import math
-import statistics
-import time
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -25,6 +23,7 @@ from torchdq.envs.controllers import Controller
 from torchdq.envs.integrators import Integrator, Row, SemiImplicitEuler, Unrecorded
 from torchdq.envs.leftout import left_out
 from torchdq.envs.plan import CONTROLLER, MOTION, ROBOT, Blueprint, Signature, Task
+from torchdq.envs.timing import medians
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.functional import Precision, check_precision
 from torchdq.program import backends, run
@@ -194,6 +193,11 @@ class Scene:
         return found
 
     @property
+    def batches(self) -> dict[str, tuple[int, ...]]:
+        """Batch axes of the tensors of robot, controller and effects by their names; () where samples share one."""
+        return {name: tuple(x.shape[: x.ndim - axes]) for _, name, x, _, axes in self._tensors()}
+
+    @property
     def noises(self) -> int:
         """How many random numbers a step consumes."""
         return sum(effect.noises(self.n) for effect in self.effects)
@@ -350,7 +354,7 @@ class Scene:
             dtype: of those samples.
             seconds: of measuring per effect.
         """
-        batches = [x.shape[: x.ndim - axes] for _, _, x, _, axes in self._tensors()]
+        batches = self.batches.values()
         batch = math.prod(torch.broadcast_shapes(*batches)) if any(batches) else batch
         bare = self.replace(effects=(), controller=None)
         scenes = [bare]
@@ -361,7 +365,7 @@ class Scene:
         if self.controller is not None:
             scenes.append(self)
             labels.append((type(self.controller).__name__, "controller"))
-        times = _times([scene._trial(batch, dtype) for scene in scenes], batch, seconds)
+        times = medians([scene._trial(batch, dtype) for scene in scenes], batch, seconds)
         counts = [scene.count().total for scene in scenes]
         costs = [
             Cost(*label, count - before, t - t_before)
@@ -479,7 +483,8 @@ class Scene:
         """Rows of a stage's program, with the batch axes of everything that goes in."""
         like = given["x"] if stage in MOTION else given["q"]
         if self.precision == "double" and like.dtype == torch.float32:
-            self._check(stage, given, like, task)
+            if any(getattr(x, "dtype", None) != like.dtype for x in given.values()):
+                self._check(stage, given, like, task)  # what is wide already would no longer be noticed
             wide = {name: x.double() if x.dtype == torch.float32 else x for name, x in given.items()}
             return {name: y.to(like.dtype) for name, y in self._call(stage, wide, task).items()}
         tensors = self._tensors()
@@ -664,22 +669,3 @@ def _constant_program(plan: Blueprint, signature: tuple) -> tuple[str, tuple[str
     """Name of a program, and those of its results; a tracer hands over plain tuples, not named ones."""
     program = plans.program(plan, Signature(*signature))
     return run.key(program), tuple(result.name for result in program.results)
-
-
-def _times(calls: Sequence[Callable[[], object]], batch: int, seconds: float) -> list[float]:
-    """Median time of every call per sample [ns]; they take turns, so that a noisy machine is noisy to all."""
-    inner = []
-    for call in calls:
-        call()
-        start = time.perf_counter()
-        call()
-        inner.append(max(1, int(0.01 / max(time.perf_counter() - start, 1e-7))))
-    found: list[list[float]] = [[] for _ in calls]
-    end = time.perf_counter() + seconds * len(calls)
-    while time.perf_counter() < end or len(found[0]) < 5:
-        for times, call, number in zip(found, calls, inner, strict=True):
-            start = time.perf_counter()
-            for _ in range(number):
-                call()
-            times.append((time.perf_counter() - start) / number / batch * 1e9)
-    return [statistics.median(times) for times in found]

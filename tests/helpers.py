@@ -1,9 +1,16 @@
-"""What several test files build with: tensors, the integrators of fixed steps, and a single thread."""
+"""What several test files build with: tensors, the integrators of fixed steps, chains of rods, and threads."""
 
+from functools import cache
+
+import numpy as np
 import pytest
 import torch
 
+import torchdq
 from torchdq.envs.integrators import ExplicitEuler, LinearlyImplicit, RungeKutta4, SemiImplicitEuler, StoermerVerlet
+from torchdq.program import run
+
+DOWN = (0.0, -9.81, 0.0)  # gravity in the plane in which rods with axes along z move
 
 FIXED = (ExplicitEuler(), SemiImplicitEuler(), LinearlyImplicit(), RungeKutta4(), StoermerVerlet())
 
@@ -30,3 +37,37 @@ def one_thread():
     torch.set_num_threads(1)
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture
+def threads(monkeypatch):
+    """Sets the number of threads, which even small batches are worth meanwhile; it is put back."""
+    before = torch.get_num_threads()
+    monkeypatch.setattr(run, "PER_THREAD", 1e4)
+    run.kernel.cache_clear()
+    yield torch.set_num_threads
+    run.kernel.cache_clear()
+    torch.set_num_threads(before)
+
+
+def rod_axes(n, planar=False):
+    """Axes of the joints of `rods`: all along z, or anywhere."""
+    if planar:
+        return np.tile([0.0, 0.0, 1.0], (n, 1))
+    axes = np.random.default_rng(n).normal(size=(n, 3))
+    return axes / np.linalg.norm(axes, axis=1, keepdims=True)
+
+
+@cache
+def rods(n, planar=False, tip=1.0):
+    """Robot of n thin rods of a metre and a kilogram in a row, the last one of another mass."""
+    points = np.stack([np.arange(n), np.zeros(n), np.zeros(n)], 1)
+    axes, mass = rod_axes(n, planar), np.array([1.0] * (n - 1) + [tip])
+    return torchdq.Robot.from_screws(
+        np.concatenate([axes, np.cross(points, axes)], 1),
+        mass,
+        np.tile([0.5, 0, 0], (n, 1)),
+        np.outer(mass / 12, [0, 0, 1, 0, 0, 1]),
+        link_poses=[[1.0, 0, 0, 0, 0, x / 2, 0, 0] for x in range(n)],
+        gravity=DOWN,
+    )

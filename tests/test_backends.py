@@ -8,6 +8,7 @@ import ctypes
 import platform
 import warnings
 
+import helpers
 import mpmath
 import numpy as np
 import pytest
@@ -264,15 +265,7 @@ def test_a_program_longer_than_a_function_may_be_is_right():
 # --- threads ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def threads(monkeypatch):
-    """Sets the number of threads, which even small batches are worth meanwhile; it is put back."""
-    before = torch.get_num_threads()
-    monkeypatch.setattr(run, "PER_THREAD", 1e4)
-    run.kernel.cache_clear()
-    yield torch.set_num_threads
-    run.kernel.cache_clear()
-    torch.set_num_threads(before)
+threads = helpers.threads
 
 
 @pytest.mark.case("P13")

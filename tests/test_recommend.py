@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
+from helpers import rods
 from oracles import pinocchio_model, random_tree
 from scipy.integrate import solve_ivp
 
@@ -141,13 +142,7 @@ def test_accelerations_keep_the_error_on_other_states(name, error):
 def test_long_chains_are_recommended_articulated_bodies():
     robot = random_tree(3, seed=1).robot
     assert recommend(robot, 1e-2, None).method == "mass matrix"
-    n = 30
-    screws = [[0, 1, 0, 0, 0, float(i)] for i in range(n)]
-    poses = [[1, 0, 0, 0, 0, i / 2, 0, 0] for i in range(n)]
-    chain = torchdq.Robot.from_screws(
-        screws, [1.0] * n, [[0.5, 0, 0]] * n, [np.eye(3) / 12] * n, link_poses=np.array(poses, dtype=float)
-    )
-    assert recommend(chain, 1e-2, None).method == "articulated bodies"
+    assert recommend(rods(30, planar=True), 1e-2, None).method == "articulated bodies"
 
 
 def test_starts_are_within_the_limits_that_are_simulated():
@@ -161,13 +156,7 @@ def test_starts_are_within_the_limits_that_are_simulated():
 
 
 def test_a_chain_that_float32_cannot_bear_is_recommended_double_precision_at_once():
-    n = 60
-    screws = [[0, 1, 0, 0, 0, float(i)] for i in range(n)]
-    poses = [[1, 0, 0, 0, 0, i / 2, 0, 0] for i in range(n)]
-    chain = torchdq.Robot.from_screws(
-        screws, [1.0] * n, [[0.5, 0, 0]] * n, [np.eye(3) / 12] * n, link_poses=np.array(poses, dtype=float)
-    )
-    found = recommend(chain, 1e-3, None)
+    found = recommend(rods(60, planar=True), 1e-3, None)
     assert (found.dtype, found.precision) in ((torch.float64, "auto"), (torch.float32, "double"))
 
 

@@ -322,7 +322,8 @@ def forward_dynamics(
     """
     arguments = (q, qd, tau, f_tip, f_ext)
     if check_precision(precision) == "double":
-        _check("forward_dynamics", robot, arguments)
+        if len({getattr(x, "dtype", None) for x in arguments if x is not None}) > 1:
+            _check("forward_dynamics", robot, arguments)  # what is wide already would no longer be noticed
         wide = tuple([x.double() if isinstance(x, Tensor) and x.dtype == torch.float32 else x for x in arguments])
         return _evaluate("forward_dynamics", robot, wide, backend)[0].to(tau.dtype)
     return _evaluate("forward_dynamics", robot, arguments, backend)[0]

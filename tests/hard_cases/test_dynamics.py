@@ -13,7 +13,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
-from helpers import double, random
+from helpers import DOWN, double, random, rod_axes, rods
 from oracles import EPS, Case, over, random_tree, shipped, size_of_torques, states
 from torch.func import grad, hessian, jacfwd, jacrev, jvp, vmap
 
@@ -29,7 +29,6 @@ C = pytest.param("c", marks=compiler)
 every_backend = pytest.mark.parametrize("backend", ["eager", C])
 every_dtype = pytest.mark.parametrize("dtype", [F32, F64], ids=str)
 
-GRAVITY = (0.0, -9.81, 0.0)
 HEAVY = 1e8
 
 
@@ -49,39 +48,17 @@ def relative(found, expected):
 # --- chains ----------------------------------------------------------------------------------------------------------
 
 
-def axes_of(n, planar):
-    if planar:
-        return np.tile([0.0, 0.0, 1.0], (n, 1))
-    axes = np.random.default_rng(n).normal(size=(n, 3))
-    return axes / np.linalg.norm(axes, axis=1, keepdims=True)
-
-
-@cache
-def chain(n, planar=False, tip=1.0):
-    """Robot of n rods, the last one of another mass."""
-    points = np.stack([np.arange(n), np.zeros(n), np.zeros(n)], 1)
-    axes, mass = axes_of(n, planar), np.array([1.0] * (n - 1) + [tip])
-    return torchdq.Robot.from_screws(
-        np.concatenate([axes, np.cross(points, axes)], 1),
-        mass,
-        np.tile([0.5, 0, 0], (n, 1)),
-        np.outer(mass / 12, [0, 0, 1, 0, 0, 1]),
-        link_poses=[[1.0, 0, 0, 0, 0, x / 2, 0, 0] for x in range(n)],
-        gravity=GRAVITY,
-    )
-
-
 @cache
 def chain_case(n, planar=False):
     """The chain with a model for pinocchio made from the same numbers."""
     model = pin.Model()
-    model.gravity.linear = np.array(GRAVITY)
+    model.gravity.linear = np.array(DOWN)
     rod, joint = pin.Inertia(1.0, np.array([0.5, 0, 0]), np.diag([0.0, 1 / 12, 1 / 12])), 0
-    for i, axis in enumerate(axes_of(n, planar)):
+    for i, axis in enumerate(rod_axes(n, planar)):
         placement = pin.SE3(np.eye(3), np.array([float(i > 0), 0, 0]))
         joint = model.addJoint(joint, pin.JointModelRevoluteUnaligned(axis), placement, f"joint{i + 1}")
         model.appendBodyToJoint(joint, rod, pin.SE3.Identity())
-    return Case(chain(n, planar), model)
+    return Case(rods(n, planar), model)
 
 
 @cache
@@ -98,9 +75,9 @@ def exact_torques(n, planar):
     rows = []
     with mp.workdps(40):
         for q, qd, qdd in zip(*(exact(x[: rows_of(n)].numpy()) for x in motion(n, 2)), strict=True):
-            R, w, wd, a = exact(np.eye(3)), exact(np.zeros(3)), exact(np.zeros(3)), -exact(GRAVITY)
+            R, w, wd, a = exact(np.eye(3)), exact(np.zeros(3)), exact(np.zeros(3)), -exact(DOWN)
             links = []
-            for axis, q_i, qd_i, qdd_i in zip(exact(axes_of(n, planar)), q, qd, qdd, strict=True):
+            for axis, q_i, qd_i, qdd_i in zip(exact(rod_axes(n, planar)), q, qd, qdd, strict=True):
                 x, y, z = axis
                 K = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]])
                 turning = R @ axis
@@ -138,7 +115,7 @@ every_chain = pytest.mark.parametrize(("n", "planar"), [*itertools.product(LENGT
 @pytest.mark.case("D1")
 @every_chain
 def test_torques_of_a_chain_of_any_length_are_exact_to_rounding(n, planar, margin):
-    robot, expected = chain(n, planar), exact_torques(n, planar)
+    robot, expected = rods(n, planar), exact_torques(n, planar)
     for dtype, allowed in ((F64, 4 * n * EPS[F64]), (F32, 5e-6)):
         tau = torchdq.inverse_dynamics(robot, *(x[: rows_of(n)] for x in motion(n, 2, dtype)))
         margin(relative(tau, expected), allowed, f"{dtype}")
@@ -155,7 +132,7 @@ def test_torques_of_a_chain_of_any_length_are_exact_to_rounding(n, planar, margi
 @pytest.mark.parametrize(("n", "planar"), [(1, False), (7, False), (42, True)])
 def test_compiled_torques_of_a_chain_are_exact_to_rounding(n, planar, margin):
     for dtype, allowed in ((F64, 4 * n * EPS[F64]), (F32, 5e-6)):
-        tau = torchdq.inverse_dynamics(chain(n, planar), *motion(n, 2, dtype), backend="c")
+        tau = torchdq.inverse_dynamics(rods(n, planar), *motion(n, 2, dtype), backend="c")
         margin(relative(tau, exact_torques(n, planar)), allowed, f"{dtype}")
 
 
@@ -163,7 +140,7 @@ def test_compiled_torques_of_a_chain_are_exact_to_rounding(n, planar, margin):
 @pytest.mark.parametrize(("n", "planar"), [*itertools.product(LENGTHS[:-1], (False, True)), (1000, False)])
 def test_torques_of_the_accelerations_of_a_chain_are_the_torques_given(n, planar, margin):
     """The residual is small whatever the condition; the error of the accelerations themselves is within it."""
-    robot = chain(n, planar)
+    robot = rods(n, planar)
     q, qd, _ = single = tuple(x[: rows_of(n)] for x in motion(n, 2, F32))
     wide = tuple(x.double() for x in single)
     tau = torchdq.inverse_dynamics(robot, *wide).float()  # a number of either precision
@@ -225,7 +202,7 @@ STRETCHABLE = torchdq.Robot.from_screws(
     com=[[0, 0, 0], [1.0, 0, 0]],
     inertia=np.zeros((2, 6)),
     link_poses=[[1.0, 0, 0, 0, 0, x, 0, 0] for x in (0, 0.5)],
-    gravity=GRAVITY,
+    gravity=DOWN,
 )
 
 
@@ -406,7 +383,7 @@ def test_speeds_whose_squares_overflow_are_seen_in_their_own_row(backend):
 @pytest.mark.parametrize("tip", [1.0, HEAVY], ids=["uniform", "heavy tip"])
 def test_the_mass_matrix_of_a_chain_is_symmetric_and_definite_to_rounding(tip, dtype, backend, margin):
     n = 7
-    robot = chain(n, tip=tip)
+    robot = rods(n, tip=tip)
     q, qd, _ = motion(n, 8, dtype)
     with torchdq.backend(backend):
         M = torchdq.mass_matrix(robot, q)
@@ -430,7 +407,7 @@ def test_the_mass_matrix_of_a_chain_is_symmetric_and_definite_to_rounding(tip, d
 )
 def test_the_closed_form_of_a_long_chain_is_its_recursion(n, planar, backend, margin):
     """Its operations grow with the cube of the length, which is why the chain is no longer."""
-    robot, f_tip = chain(n, planar), random(2, 6, seed=2, dtype=F32)
+    robot, f_tip = rods(n, planar), random(2, 6, seed=2, dtype=F32)
     expected = torchdq.inverse_dynamics(robot, *motion(n, 2), f_tip.double())
     composite = torchdq.mass_matrix(robot, motion(n, 2)[0])
     for dtype in (F64, F32):

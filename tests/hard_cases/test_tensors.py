@@ -8,6 +8,7 @@ double precision because single would lose them.
 import copy
 import pickle
 
+import helpers
 import numpy as np
 import pytest
 import torch
@@ -19,7 +20,7 @@ import torchdq
 from torchdq.envs import Scene, State, effects
 from torchdq.envs.integrators import LinearlyImplicit
 from torchdq.errors import ArgumentError, DtypeError
-from torchdq.program import build, run
+from torchdq.program import build
 
 F32, F64 = torch.float32, torch.float64
 C = pytest.param("c", marks=pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler"))
@@ -598,15 +599,7 @@ def test_a_state_dict_carries_everything_that_is_learned(module, dtype, backend)
 # --- P13: threads ----------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def threads(monkeypatch):
-    """Sets the number of threads, which even small batches are worth meanwhile; it is put back."""
-    before = torch.get_num_threads()
-    monkeypatch.setattr(run, "PER_THREAD", 1e4)
-    run.kernel.cache_clear()
-    yield torch.set_num_threads
-    run.kernel.cache_clear()
-    torch.set_num_threads(before)
+threads = helpers.threads
 
 
 def with_threads(threads, function):
