@@ -25,16 +25,15 @@ from timing import measure
 from torch import Tensor
 
 import torchdq
-from torchdq import cost
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number
-from torchdq.baselines import homogeneous, printed
-from torchdq.dynamics import kinematics, rnea
-from torchdq.dynamics.mechanism import Coordinate, Mechanism
+from torchdq.backends import run
+from torchdq.dynamics.paper import kinematics, rnea
+from torchdq.dynamics.tree import Coordinate, Mechanism
 from torchdq.numbers.count import Cost
-from torchdq.program import run
+from torchdq.paper import cost, homogeneous, printed
 from torchdq.program.program import Argument, Program, record
 
 N, BATCH = 7, 4096

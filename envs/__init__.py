@@ -4,17 +4,17 @@ from gymnasium import register
 
 from torchdq import effects
 from torchdq.envs import controllers, integrators
-from torchdq.envs.arm import ArmVectorEnv
+from torchdq.envs.env import ArmEnv
 from torchdq.envs.scene import Scene, State
-from torchdq.envs.single import ArmEnv
+from torchdq.envs.vector_env import ArmVectorEnv
 
 __all__ = ["ArmEnv", "ArmVectorEnv", "Scene", "State", "controllers", "effects", "integrators"]
 
 for _task in ("Reach", "Track"):
     register(
         f"torchdq/{_task}-v0",
-        entry_point="torchdq.envs.single:ArmEnv",
-        vector_entry_point="torchdq.envs.arm:ArmVectorEnv",
+        entry_point="torchdq.envs.env:ArmEnv",
+        vector_entry_point="torchdq.envs.vector_env:ArmVectorEnv",
         max_episode_steps=250,
         kwargs={"task": _task.lower()},
     )

@@ -9,8 +9,8 @@ from typing import ClassVar, Self
 from torchdq.algebra.quaternion import Number
 from torchdq.effects.effect import Parameter, Parametric, Shapes
 from torchdq.errors import ArgumentError
-from torchdq.program.model import Given, model
 from torchdq.robot import Robot
+from torchdq.robot.posed import Given, model
 from torchdq.robot.robot import SHAPES
 
 Row = Sequence[Number]

@@ -16,15 +16,15 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.compiling import compile
+from torchdq.backends import choice as backends
+from torchdq.backends.choice import Backend
 from torchdq.effects import Gravity, Limits, RotorInertia
 from torchdq.envs.integrators import Integrator, LinearlyImplicit, Repeated, RungeKutta4, SemiImplicitEuler
 from torchdq.envs.scene import Scene, State
 from torchdq.envs.timing import medians
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, error_growth, forward_dynamics, inverse_dynamics
-from torchdq.program import backends
-from torchdq.program.backends import Backend
+from torchdq.functions.compile import compile
 from torchdq.program.program import LARGEST_GROWTH, Program
 from torchdq.robot import Robot
 

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchdq.dq import rotate, rotation, translation
-from torchdq.dynamics.mechanism import BASE
+from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, MissingLibraryError
 from torchdq.functional import forward_kinematics
 from torchdq.robot import Robot

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode
 
-from torchdq.envs.arm import ArmVectorEnv
+from torchdq.envs.vector_env import ArmVectorEnv
 from torchdq.errors import ArgumentError
 
 try:

@@ -16,18 +16,19 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint as checkpointed
 
+from torchdq.backends import choice as backends
+from torchdq.backends import run
+from torchdq.backends.choice import Backend
 from torchdq.effects import Effect, Gravity, RotorInertia
 from torchdq.effects.joint import Elastic
-from torchdq.envs import plan as plans
+from torchdq.envs import recording as plans
 from torchdq.envs.controllers import Controller
 from torchdq.envs.integrators import Integrator, Row, SemiImplicitEuler, Unrecorded
 from torchdq.envs.leftout import left_out
-from torchdq.envs.plan import CONTROLLER, MOTION, ROBOT, Blueprint, Signature, Task
+from torchdq.envs.recording import CONTROLLER, MOTION, ROBOT, Blueprint, Signature, Task
 from torchdq.envs.timing import medians
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.functional import Precision, check_precision
-from torchdq.program import backends, run
-from torchdq.program.backends import Backend
 from torchdq.program.program import Count, Program
 from torchdq.robot import Robot
 from torchdq.robot.robot import DTYPES, SHAPES

@@ -15,7 +15,7 @@ from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.effects.body import Bodies
-from torchdq.envs.plan import Rows, View
+from torchdq.envs.recording import Rows, View
 from torchdq.numbers.functions import at_least, clip, minimum, sqrt
 from torchdq.robot import Robot
 

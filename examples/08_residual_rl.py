@@ -46,8 +46,8 @@ from torch import Tensor, nn
 import torchdq
 from torchdq.envs import ArmVectorEnv, Scene, effects
 from torchdq.envs.controllers import ComputedTorque
+from torchdq.envs.randomization import nominal, usual
 from torchdq.envs.sb3 import StableBaselinesVecEnv
-from torchdq.envs.variation import nominal, usual
 
 ROBOT = torchdq.robots.load("panda")
 N = ROBOT.n

@@ -22,11 +22,10 @@ from matplotlib import pyplot as plt
 from torch import Tensor
 
 import torchdq
-from torchdq import cost
 from torchdq.algebra import screw
-from torchdq.baselines import homogeneous, printed
-from torchdq.dynamics.mechanism import Mechanism
-from torchdq.program import recipes
+from torchdq.dynamics.tree import Mechanism
+from torchdq.functions import catalogue as recipes
+from torchdq.paper import cost, homogeneous, printed
 
 double = partial(torch.tensor, dtype=torch.float64)
 BLUE, RED, BLACK, GREY = "#0072B2", "#D0312D", "#111111", "#8A8A8A"  # matrices, dual quaternions, this package

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 import torchdq
+from torchdq.backends import run
 from torchdq.envs.integrators import ExplicitEuler, LinearlyImplicit, RungeKutta4, SemiImplicitEuler, StoermerVerlet
-from torchdq.program import run
 
 DOWN = (0.0, -9.81, 0.0)  # gravity in the plane in which rods with axes along z move
 

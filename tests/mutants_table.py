@@ -216,7 +216,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/dq.py",
+        "torchdq/dq/tensors.py",
         ("22: h+ with vec is H+", "return hamilton_left(x).mT", "return hamilton_left(x)", ours("22")),
         (
             "matrices multiplied the other way round",
@@ -262,7 +262,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/maps.py",
+        "torchdq/dq/explog.py",
         (
             "one coefficient of a series",
             "_SINC = [(-1) ** k / math.factorial(2 * k + 1)",
@@ -294,7 +294,7 @@ MUTANTS = (
     ),
     # --- dynamics -----------------------------------------------------------------------------------------------------
     *within(
-        "torchdq/dynamics/kinematics.py",
+        "torchdq/dynamics/paper/kinematics.py",
         (
             "25 in (38): the printed exponential of a joint",
             "screw.exp_revolute(link.screw, q.cos, q.sin)",
@@ -340,7 +340,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/dynamics/rnea.py",
+        "torchdq/dynamics/paper/rnea.py",
         (
             "40: twists carried towards the base",
             "carried = ad_inverse(Ad_PB, V_P)",
@@ -392,7 +392,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/dynamics/closed_form.py",
+        "torchdq/dynamics/paper/closed_form.py",
         (
             "57: the first row of A_S with the second screw",
             "A_S = [screw.swap(link.screw) for link in links]",
@@ -437,7 +437,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/dynamics/newton_euler.py",
+        "torchdq/dynamics/aligned/rnea.py",
         (
             "46 sign: wrenches of the children taken off",
             "*passed_on[i]], _add)",
@@ -459,7 +459,7 @@ MUTANTS = (
         ("the lever arm with the other sign", "quat.cross(step.p, f)", "quat.cross(f, step.p)", ALIGNED_TORQUES),
     ),
     *within(
-        "torchdq/dynamics/aligned.py",
+        "torchdq/dynamics/aligned/tree.py",
         (
             "a turn about x the other way",
             "c * y - s * z, s * y + c * z",
@@ -485,7 +485,7 @@ MUTANTS = (
         ("30: zz is yz, in the aligned frames", "(_, _, zz) = inertia", "(_, zz, _) = inertia", ALIGNED_TORQUES),
     ),
     *within(
-        "torchdq/dynamics/composite.py",
+        "torchdq/dynamics/aligned/crba.py",
         ("products of inertia with the other sign", "(-xz, -yz, xx + yy)", "(xz, yz, xx + yy)", ALIGNED_MASSES),
         ("a sliding body's angular momentum with the other sign", "(hy, -hx, 0.0)", "(-hy, hx, 0.0)", ALIGNED_MASSES),
         (
@@ -496,7 +496,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/dynamics/crba.py",
+        "torchdq/dynamics/paper/crba.py",
         (
             "the child's position in its own axes",
             "dq.translation(X_PB[i])",
@@ -512,7 +512,7 @@ MUTANTS = (
         ("a composite without the parent's first moment", "else quat.add(h, first)", "else first", ALIGNED_MASSES),
     ),
     *within(
-        "torchdq/dynamics/articulated.py",
+        "torchdq/dynamics/aligned/aba.py",
         (
             "a product of inertia with the other sign, articulated",
             "(yy + zz, -xy, xx + zz",
@@ -530,7 +530,7 @@ MUTANTS = (
         ("a link that does not turn with its parent", "quat.add(d_P, quat.cross(wd_P, step.p))", "d_P", ARTICULATED),
     ),
     *within(
-        "torchdq/dynamics/forward.py",
+        "torchdq/dynamics/ltdl.py",
         ("an elimination that adds", "H[i, j] - ratio * H[k, j]", "H[i, j] + ratio * H[k, j]", ARTICULATED),
         (
             "a substitution that adds",
@@ -540,7 +540,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/dynamics/pivots.py",
+        "torchdq/dynamics/conditioning.py",
         (
             "a pivot that may be negative",
             "-HUGE * reduce",
@@ -555,7 +555,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/program/run.py",
+        "torchdq/backends/run.py",
         (
             "lost samples put back in the wrong places",
             "y.index_copy_(0, at, w)",
@@ -576,7 +576,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/dynamics/energy.py",
+        "torchdq/dynamics/paper/energy.py",
         (
             "rotors at rest",
             "twice + link.armature * (qd_i * qd_i)",
@@ -597,7 +597,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/dynamics/regressor.py",
+        "torchdq/dynamics/paper/regressor.py",
         (
             "the moment of the frame's acceleration, per first moment",
             "quat.cross(d, s_w)",
@@ -618,7 +618,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/dynamics/mechanism.py",
+        "torchdq/dynamics/tree.py",
         (
             "xz and yz exchanged",
             "((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))",
@@ -699,7 +699,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/program/derive.py",
+        "torchdq/program/autodiff.py",
         (
             "reverse mode, a difference",
             'adjoint[op.b] + g if op.code == "add" else adjoint[op.b] - g',
@@ -768,7 +768,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/program/c.py",
+        "torchdq/backends/c.py",
         (
             "in C, the smaller for the larger",
             "choose((a>=b)|(a!=a),a,b)",
@@ -853,7 +853,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/program/model.py",
+        "torchdq/robot/posed.py",
         (
             "home added",
             "x - h for x, h",
@@ -886,7 +886,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/program/recipes.py",
+        "torchdq/functions/catalogue.py",
         (
             "a bias that helps",
             "t if b is None else t - b",
@@ -902,7 +902,7 @@ MUTANTS = (
     ),
     # --- robots -------------------------------------------------------------------------------------------------------
     *within(
-        "torchdq/robot/screws.py",
+        "torchdq/robot/from_screws.py",
         (
             "screws left in the base frame",
             "dq.ad(dq.conj(X_WB), s)",
@@ -968,7 +968,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/robot/dh.py",
+        "torchdq/robot/from_dh.py",
         (
             "a shift of the other sign",
             "-0.5 * shift * s",
@@ -989,7 +989,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/robot/frames.py",
+        "torchdq/robot/mdh.py",
         (
             "one sign of an Euler angle",
             "gamma - math.copysign(math.pi, gamma), -alpha",
@@ -1010,7 +1010,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/robot/physical.py",
+        "torchdq/robot/consistency.py",
         (
             "no triangle inequality",
             "moments[2] > moments[0] + moments[1] + slack",
@@ -1048,7 +1048,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/parameters.py",
+        "torchdq/parametrizations.py",
         (
             "a free product of inertia with the other sign",
             "(0, 0, 0, 0, 0, 0, -1, 0, 0, 0)",
@@ -1210,7 +1210,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "envs/plan.py",
+        "envs/recording.py",
         (
             "stiffness that is not implicit",
             "h * (impedance.damping + h * impedance.stiffness)",

@@ -1,7 +1,7 @@
 """The paper, equation by equation: what each says, where it is computed and which test holds it.
 
 The tables below hold what nothing else knows. Errata come from `errata_table`, verdicts on the paper's costs from
-`torchdq.cost`, and `PAPER.md` is written from all three:
+`torchdq.paper.cost`, and `PAPER.md` is written from all three:
 
     python tests/paper_index.py [--write]
 """
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from errata_table import COMPONENT, ERRATA, IDS, Erratum
 
-from torchdq import cost
+from torchdq.paper import cost
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "PAPER.md"
@@ -60,19 +60,21 @@ SECTION_2_3 = (
         f"{ALGEBRA}_the_units_multiply_as_hamilton_said",
     ),
     Row("2", "pure quaternions, without real part: vectors", "algebra.quaternion:pure", PURE),
-    Row("3", "inner product a . b = -(ab + ba)/2", "algebra.quaternion:dot dq:dot", PURE),
-    Row("4", "cross product a x b = (ab - ba)/2", "algebra.quaternion:cross dq:cross baselines.printed:cross", PURE),
+    Row("3", "inner product a . b = -(ab + ba)/2", "algebra.quaternion:dot dq.tensors:dot", PURE),
+    Row(
+        "4", "cross product a x b = (ab - ba)/2", "algebra.quaternion:cross dq.tensors:cross paper.printed:cross", PURE
+    ),
     Row(
         "5",
         "dual quaternions P + eps D, eps^2 = 0",
         "algebra.dual_quaternion:primary algebra.dual_quaternion:dual",
         f"{ALGEBRA}_the_dual_unit_squares_to_zero",
     ),
-    Row("6", "cross product of screws, (ab - ba)/2", "algebra.screw:cross dq:cross", SCREWS),
+    Row("6", "cross product of screws, (ab - ba)/2", "algebra.screw:cross dq.tensors:cross", SCREWS),
     Row(
         "7",
         "double geodesic product a (.) b = P(a).P(b) + D(a).D(b); it depends on the frame",
-        "algebra.screw:double_geodesic dq:double_geodesic",
+        "algebra.screw:double_geodesic dq.tensors:double_geodesic",
         f"{ALGEBRA}_the_double_geodesic_product_depends_on_the_frame",
     ),
     Row("8", "columns of n dual quaternions", "algebra.matrix:Rows", PRODUCTS, "definition"),
@@ -83,12 +85,12 @@ SECTION_2_3 = (
         TRANSPOSED,
     ),
     Row("10", "sum of columns", "algebra.matrix:add", PRODUCTS),
-    Row("11", "row times column, q_1 q'_1 + .. + q_n q'_n", "algebra.matrix:matmul dq:matmul", PRODUCTS),
-    Row("12", "n x m matrices, which add and multiply alike", "algebra.matrix:matmul dq:matmul", PRODUCTS),
+    Row("11", "row times column, q_1 q'_1 + .. + q_n q'_n", "algebra.matrix:matmul dq.tensors:matmul", PRODUCTS),
+    Row("12", "n x m matrices, which add and multiply alike", "algebra.matrix:matmul dq.tensors:matmul", PRODUCTS),
     Row(
         "13",
         "transpose and conjugate of a matrix; the conjugate is not transposed",
-        "algebra.matrix:transpose algebra.matrix:conj dq:transpose",
+        "algebra.matrix:transpose algebra.matrix:conj dq.tensors:transpose",
         TRANSPOSED,
     ),
     Row("14", "columns and matrices of screws", "algebra.screw:Screw", ELEMENTWISE, "definition"),
@@ -96,19 +98,19 @@ SECTION_2_3 = (
     Row(
         "16",
         "entry-wise inner product, of dual numbers; the paper makes no use of it",
-        "algebra.matrix:elementwise algebra.screw:inner dq:inner",
+        "algebra.matrix:elementwise algebra.screw:inner dq.tensors:inner",
         ELEMENTWISE,
     ),
     Row(
         "17",
         "entry-wise double geodesic product (*), of numbers",
-        "algebra.matrix:elementwise dynamics.closed_form:closed_form",
+        "algebra.matrix:elementwise dynamics.paper.closed_form:closed_form",
         ELEMENTWISE,
     ),
     Row(
         "18",
         "ab = H+(a) b = H-(b) a on components",
-        "dq:hamilton_left dq:hamilton_right",
+        "dq.tensors:hamilton_left dq.tensors:hamilton_right",
         HAMILTON,
         "by (19)",
     ),
@@ -116,33 +118,33 @@ SECTION_2_3 = (
         "19",
         "the 4 x 4 matrices H+ and H-",
         "algebra.quaternion:hamilton_left_matrix algebra.quaternion:hamilton_right_matrix "
-        "dq:hamilton_left dq:hamilton_right",
+        "dq.tensors:hamilton_left dq.tensors:hamilton_right",
         HAMILTON,
     ),
     Row(
         "20",
         "T4: four quaternions combined by the components of a fifth",
-        "algebra.quaternion:t4 dq:t4",
+        "algebra.quaternion:t4 dq.tensors:t4",
         f"{ALGEBRA}_t4_and_t8_combine_the_columns_of_a_matrix",
     ),
     Row(
         "21",
         "T8: the same with eight dual quaternions",
-        "algebra.dual_quaternion:t8 dq:t8",
+        "algebra.dual_quaternion:t8 dq.tensors:t8",
         f"{ALGEBRA}_t4_and_t8_combine_the_columns_of_a_matrix",
     ),
     Row(
         "22",
         "h+(x), h-(x): the products of x with the four units",
-        "algebra.quaternion:hamilton_left algebra.quaternion:hamilton_right dq:h_left dq:h_right",
+        "algebra.quaternion:hamilton_left algebra.quaternion:hamilton_right dq.tensors:h_left dq.tensors:h_right",
         f"{ALGEBRA}_hamilton_vectors_hold_the_products_with_the_units",
     ),
-    Row("23", "ab = h+(a) b = h-(b) a by T4, without leaving the algebra", "baselines.printed:hamilton", HAMILTON),
+    Row("23", "ab = h+(a) b = h-(b) a by T4, without leaving the algebra", "paper.printed:hamilton", HAMILTON),
     Row(
         "24",
         "the same for dual quaternions",
         "algebra.dual_quaternion:hamilton_left algebra.dual_quaternion:hamilton_right algebra.dual_quaternion:apply "
-        "dq:h_left dq:h_right baselines.printed:hamilton",
+        "dq.tensors:h_left dq.tensors:h_right paper.printed:hamilton",
         f"{ALGEBRA}_dual_hamilton_operators_multiply_from_the_left_and_from_the_right",
     ),
 )
@@ -151,76 +153,77 @@ SECTION_4 = (
     Row(
         "25",
         "exponential of a pure dual quaternion, a pose",
-        "algebra.screw:exp dq:exp",
+        "algebra.screw:exp dq.tensors:exp",
         "test_exp_log.py::test_exp_is_within_4_ulp",
     ),
     Row(
         "26",
         "its primary part, cos and sin of the length; 1 for a translation",
-        "algebra.screw:exp dq:exp",
+        "algebra.screw:exp dq.tensors:exp",
         "test_exp_log.py::test_pure_translations_are_exact",
     ),
     Row(
         "27",
         "motion by the dual angle t^ about a unit line s: cos(t^/2) + s sin(t^/2)",
         "algebra.screw:exp_revolute algebra.screw:exp_prismatic algebra.screw:exp_helical "
-        "dynamics.kinematics:joint_motion dq:exp",
+        "dynamics.paper.kinematics:joint_motion dq.tensors:exp",
         f"{ALGEBRA}_joint_exponentials_are_power_series_to_40_digits",
     ),
     Row(
         "28",
         "pose r + (eps/2) r p^b, which is r + (eps/2) p r",
-        "algebra.dual_quaternion:from_pose algebra.dual_quaternion:translation_body dq:from_pose dq:translation_body",
+        "algebra.dual_quaternion:from_pose algebra.dual_quaternion:translation_body "
+        "dq.tensors:from_pose dq.tensors:translation_body",
         f"{ALGEBRA}_a_pose_holds_rotation_and_position_in_both_frames",
     ),
     Row(
         "29",
         "rate of a pose, x' = 1/2 x w with the body's twist w",
-        "dq:exp",
+        "dq.tensors:exp",
         "test_exp_log.py::test_sclerp_moves_with_a_constant_twist_also_outside_the_ends",
         "by (25), x exp(w dt/2)",
     ),
     Row(
         "30",
         "dual quaternion inertia G: twist to momentum, m v + eps I w",
-        "algebra.screw:inertia_transform dynamics.absent:momentum dq:inertia_transform",
+        "algebra.screw:inertia_transform dynamics.absent:momentum dq.tensors:inertia_transform",
         f"{ALGEBRA}_the_inertia_transform_is_mass_times_velocity_and_tensor_times_rate",
     ),
     Row(
         "31",
         "motion of a free body, G(wd) + w x G(w) = f",
-        "dynamics.rnea:inward",
+        "dynamics.paper.rnea:inward",
         f"{GOLDEN}_two_link_wrenches",
         "as (45), link by link",
     ),
     Row(
         "32",
         "G of a column entry by entry, and of a matrix with the body of the row; G is linear",
-        "dynamics.closed_form:closed_form",
+        "dynamics.paper.closed_form:closed_form",
         f"{OURS}[T1.4]",
     ),
     Row(
         "33",
         "change of frame of a screw, Ad(x) m = x m x*",
-        "dq:ad baselines.printed:ad",
+        "dq.tensors:ad paper.printed:ad",
         f"{ALGEBRA}_the_adjoint_is_the_conjugation",
     ),
     Row(
         "34",
         "A_P, whose columns are x_P e x_P* for e = i, j, k: the rotation matrix",
-        "algebra.screw:columns dq:columns dynamics.kinematics:adjoints baselines.printed:columns",
+        "algebra.screw:columns dq.tensors:columns dynamics.paper.kinematics:adjoints paper.printed:columns",
         f"{ALGEBRA}_the_columns_are_products_with_the_units",
     ),
     Row(
         "35",
         "A_D, whose columns are 2 Im(x_P e x_D*), computed as p x A_P e",
-        "algebra.screw:columns dq:columns dynamics.kinematics:adjoints baselines.printed:columns",
+        "algebra.screw:columns dq.tensors:columns dynamics.paper.kinematics:adjoints paper.printed:columns",
         f"{ALGEBRA}_the_columns_are_products_with_the_units",
     ),
     Row(
         "36",
         "Ad(x) m = A_P P(m) + eps (A_P D(m) + A_D P(m))",
-        "algebra.screw:ad dq:ad",
+        "algebra.screw:ad dq.tensors:ad",
         f"{ALGEBRA}_adjoint_and_composition_are_those_of_pinocchio",
     ),
 )
@@ -229,66 +232,73 @@ SECTION_5_1_2 = (
     Row(
         "37",
         "end effector at home: the product of the home poses delta",
-        "robot.screws:read",
+        "robot.from_screws:read",
         "test_robots.py::test_home_is_where_the_poses_hold",
         "(39) at home",
     ),
     Row(
         "38",
         "pose of a link in the one before, delta_i^{i-1} exp(a_i dq_i/2)",
-        "dynamics.kinematics:joint_poses baselines.printed:rnea",
+        "dynamics.paper.kinematics:joint_poses paper.printed:rnea",
         f"{OURS}[38]",
     ),
     Row(
         "39",
         "end effector: the product of those poses",
-        "dynamics.kinematics:link_poses functional:forward_kinematics cost:udq_screw_kinematics",
+        "dynamics.paper.kinematics:link_poses functional:forward_kinematics paper.cost:udq_screw_kinematics",
         "test_robots.py::test_puma_has_the_toolbox_kinematics",
     ),
     Row(
         "40",
         "twist w_i = a_i qd_i + Ad(x_{i-1}^i) w_{i-1}",
-        "dynamics.rnea:outward baselines.printed:rnea",
+        "dynamics.paper.rnea:outward paper.printed:rnea",
         f"{GOLDEN}_two_link_twists",
     ),
-    Row("41", "its rate, by the product rule", "dynamics.rnea:outward", f"{OURS}[40]", "a step to (44)", repeats=(40,)),
+    Row(
+        "41",
+        "its rate, by the product rule",
+        "dynamics.paper.rnea:outward",
+        f"{OURS}[40]",
+        "a step to (44)",
+        repeats=(40,),
+    ),
     Row(
         "42",
         "rate of (38), 1/2 x_i^{i-1} a_i qd_i",
-        "dynamics.kinematics:joint_poses",
+        "dynamics.paper.kinematics:joint_poses",
         f"{OURS}[42]",
         "left to autograd",
     ),
-    Row("43", "(42) put into (41)", "dynamics.rnea:outward", f"{OURS}[40]", "a step to (44)", repeats=(40, 42)),
+    Row("43", "(42) put into (41)", "dynamics.paper.rnea:outward", f"{OURS}[40]", "a step to (44)", repeats=(40, 42)),
     Row(
         "44",
         "acceleration wd_i = a_i qdd_i + Ad(x_{i-1}^i) wd_{i-1} + (w_i x a_i) qd_i",
-        "dynamics.rnea:outward baselines.printed:rnea cost:accelerated",
+        "dynamics.paper.rnea:outward paper.printed:rnea paper.cost:accelerated",
         f"{GOLDEN}_two_link_accelerations",
     ),
     Row(
         "45",
         "net wrench of a link, w_i x G_i(w_i) + G_i(wd_i)",
-        "dynamics.rnea:inward baselines.printed:rnea cost:net_wrench",
+        "dynamics.paper.rnea:inward paper.printed:rnea paper.cost:net_wrench",
         f"{GOLDEN}_two_link_wrenches",
     ),
     Row(
         "46",
         "it is the wrench on the link less the one it passes on",
-        "dynamics.rnea:inward",
+        "dynamics.paper.rnea:inward",
         f"{OURS}[46]",
         "solved for f_i, (47)",
     ),
     Row(
         "47",
         "wrench on a link, f_i = f_R,i + Ad(x_{i+1}^i) f_{i+1}",
-        "dynamics.rnea:inward baselines.printed:rnea",
+        "dynamics.paper.rnea:inward paper.printed:rnea",
         f"{OURS}[47]",
     ),
     Row(
         "48",
         "torque tau_i = f_i (.) (D(a_i) + eps P(a_i)), the power on the joint's screw",
-        "algebra.screw:power dq:power dynamics.rnea:rnea baselines.printed:rnea",
+        "algebra.screw:power dq.tensors:power dynamics.paper.rnea:rnea paper.printed:rnea",
         f"{ALGEBRA}_power_is_the_dual_part_of_the_inner_product {OURS}[A1]",
     ),
 )
@@ -297,61 +307,73 @@ ALGORITHM_1 = (
     Row(
         "start 1",
         "frames: F_0 base, F_1 .. F_n at the centres of mass, F_{n+1} tip; here anywhere on the links",
-        "robot.screws:read",
+        "robot.from_screws:read",
         f"{IDENTITIES}_frames_on_the_joints_give_the_torques_of_frames_at_the_centres_of_mass",
     ),
     Row(
         "start 2",
         "constants: home poses delta_i^{i-1}, where the print sets their inverses, and screws a_i in F_i",
-        "robot.screws:read dynamics.mechanism:Link",
+        "robot.from_screws:read dynamics.tree:Link",
         f"{GOLDEN}_two_link_constants",
     ),
-    Row("start 3", "the base does not move, w_0 = 0", "dynamics.rnea:base_at_rest", f"{GOLDEN}_two_link_twists"),
+    Row("start 3", "the base does not move, w_0 = 0", "dynamics.paper.rnea:base_at_rest", f"{GOLDEN}_two_link_twists"),
     Row(
         "start 4",
         "gravity is an acceleration of the base, wd_0 = -eps g",
-        "dynamics.rnea:base_at_rest",
+        "dynamics.paper.rnea:base_at_rest",
         f"{GOLDEN}_two_link_accelerations",
     ),
     Row(
         "start 5",
         "wrench f_EF of the end effector, on the environment",
-        "dynamics.rnea:exerted_wrenches",
+        "dynamics.paper.rnea:exerted_wrenches",
         f"{IDENTITIES}_what_the_tip_exerts_is_the_negative_of_what_its_link_feels",
     ),
-    Row("forward 1", "pose of the link, (38)", "dynamics.kinematics:joint_poses", f"{OURS}[38]", repeats=(38,)),
+    Row("forward 1", "pose of the link, (38)", "dynamics.paper.kinematics:joint_poses", f"{OURS}[38]", repeats=(38,)),
     Row(
         "forward 2",
         "A_P and A_D of it, (34), (35); once for both directions",
-        "dynamics.kinematics:adjoints",
+        "dynamics.paper.kinematics:adjoints",
         f"{OURS}[34]",
         repeats=(34, 35),
     ),
-    Row("forward 3", "twist, (40)", "dynamics.rnea:outward", f"{OURS}[40]", repeats=(40,)),
-    Row("forward 4", "acceleration, (44)", "dynamics.rnea:outward", f"{OURS}[40]", repeats=(44,)),
-    Row("backward 1", "net wrench, (45)", "dynamics.rnea:inward", f"{OURS}[46]", repeats=(45,)),
-    Row("backward 2", "wrench, (47)", "dynamics.rnea:inward", f"{OURS}[47]", repeats=(47,)),
-    Row("backward 3", "torque, (48)", "dynamics.rnea:rnea", f"{OURS}[A1]", repeats=(48,)),
+    Row("forward 3", "twist, (40)", "dynamics.paper.rnea:outward", f"{OURS}[40]", repeats=(40,)),
+    Row("forward 4", "acceleration, (44)", "dynamics.paper.rnea:outward", f"{OURS}[40]", repeats=(44,)),
+    Row("backward 1", "net wrench, (45)", "dynamics.paper.rnea:inward", f"{OURS}[46]", repeats=(45,)),
+    Row("backward 2", "wrench, (47)", "dynamics.paper.rnea:inward", f"{OURS}[47]", repeats=(47,)),
+    Row("backward 3", "torque, (48)", "dynamics.paper.rnea:rnea", f"{OURS}[A1]", repeats=(48,)),
 )
 
 SECTION_5_3 = (
     Row("49", "column of the positions q", "functional:inverse_dynamics", TORQUES, "definition, a tensor [..., n]"),
     Row("50", "column of the torques tau", "functional:inverse_dynamics", TORQUES, "definition, a tensor [..., n]"),
-    Row("51", "column F_R of the net wrenches", "dynamics.rnea:inward", f"{OURS}[46]", "definition, one after another"),
-    Row("52", "column F of the wrenches", "dynamics.rnea:inward", f"{OURS}[47]", "definition, a list"),
-    Row("53", "column W of the twists", "dynamics.rnea:outward", f"{OURS}[40]", "definition, a list"),
+    Row(
+        "51",
+        "column F_R of the net wrenches",
+        "dynamics.paper.rnea:inward",
+        f"{OURS}[46]",
+        "definition, one after another",
+    ),
+    Row("52", "column F of the wrenches", "dynamics.paper.rnea:inward", f"{OURS}[47]", "definition, a list"),
+    Row("53", "column W of the twists", "dynamics.paper.rnea:outward", f"{OURS}[40]", "definition, a list"),
     Row("54", "column of the velocities qd", "functional:inverse_dynamics", TORQUES, "definition, a tensor [..., n]"),
     Row(
         "55", "column of the accelerations qdd", "functional:inverse_dynamics", TORQUES, "definition, a tensor [..., n]"
     ),
-    Row("56", "column Wd of the links' accelerations", "dynamics.rnea:outward", f"{OURS}[T1.2]", "definition, a list"),
+    Row(
+        "56",
+        "column Wd of the links' accelerations",
+        "dynamics.paper.rnea:outward",
+        f"{OURS}[T1.2]",
+        "definition, a list",
+    ),
     Row(
         "57",
         "A = diag(a_i), and A_S, the column of D(a_i) + eps P(a_i)",
-        "dynamics.closed_form:closed_form",
+        "dynamics.paper.closed_form:closed_form",
         f"{OURS}[57]",
     ),
-    Row("58", "C = diag(w_i x a_i)", "dynamics.closed_form:closed_form", f"{OURS}[70]"),
+    Row("58", "C = diag(w_i x a_i)", "dynamics.paper.closed_form:closed_form", f"{OURS}[70]"),
     Row("59", "the adjoint once more", "algebra.screw:ad", f"{OURS}[34]", "(33), as (36)"),
     Row(
         "60",
@@ -363,89 +385,89 @@ SECTION_5_3 = (
     Row(
         "61",
         "Q: A_H(x_{i-1}^i) below the diagonal",
-        "dynamics.closed_form:propagation",
+        "dynamics.paper.closed_form:propagation",
         f"{OURS}[61]",
         "never formed; its entries make L",
     ),
     Row(
         "62",
         "L = (I - Q)^-1: A_H(x_j^i) on and below the diagonal; on a tree, along the path to the base",
-        "dynamics.closed_form:propagation dynamics.closed_form:closed_form",
+        "dynamics.paper.closed_form:propagation dynamics.paper.closed_form:closed_form",
         f"{OURS}[61]",
     ),
     Row(
         "63",
         "tau = M qdd + c + g + J^T F_EF",
-        "dynamics.closed_form:closed_form functional:closed_form program.recipes:forward_dynamics",
+        "dynamics.paper.closed_form:closed_form functional:closed_form functions.catalogue:forward_dynamics",
         f"{IDENTITIES}_torques_are_the_sum_of_their_causes",
     ),
-    Row("64", "tau = A_S (*) F", "dynamics.closed_form:closed_form", f"{OURS}[57]"),
+    Row("64", "tau = A_S (*) F", "dynamics.paper.closed_form:closed_form", f"{OURS}[57]"),
     Row(
         "65",
         "torques of the links and of the tip apart",
-        "dynamics.closed_form:closed_form",
+        "dynamics.paper.closed_form:closed_form",
         f"{OURS}[T1.4]",
         "a step to (69)-(72)",
     ),
-    Row("66", "F_R written out", "dynamics.closed_form:closed_form", f"{OURS}[67]", "a step to (69)-(72)"),
-    Row("67", "W written out", "dynamics.closed_form:closed_form", f"{OURS}[67]", "a step to (69)-(72)"),
+    Row("66", "F_R written out", "dynamics.paper.closed_form:closed_form", f"{OURS}[67]", "a step to (69)-(72)"),
+    Row("67", "W written out", "dynamics.paper.closed_form:closed_form", f"{OURS}[67]", "a step to (69)-(72)"),
     Row(
         "68",
         "G taken apart by its linearity",
-        "dynamics.closed_form:closed_form",
+        "dynamics.paper.closed_form:closed_form",
         f"{OURS}[68]",
         "its terms are (69)-(72)",
     ),
     Row(
         "69",
         "mass matrix M = A_S (*) [L^H G(L A)]",
-        "dynamics.closed_form:closed_form functional:mass_matrix",
+        "dynamics.paper.closed_form:closed_form functional:mass_matrix",
         f"{IDENTITIES}_composite_bodies_give_the_mass_matrix_of_the_closed_form",
     ),
     Row(
         "70",
         "c = A_S (*) [L^H (W (x) (G(L A) qd + G(L W_BASE)))] + A_S (*) [L^H G(L C)] qd",
-        "dynamics.closed_form:closed_form",
+        "dynamics.paper.closed_form:closed_form",
         f"{IDENTITIES}_coriolis_torques_are_the_christoffel_symbols_of_the_mass_matrix",
     ),
     Row(
         "71",
         "g = A_S (*) [L^H G(L Wd_BASE)]",
-        "dynamics.closed_form:closed_form",
+        "dynamics.paper.closed_form:closed_form",
         f"{IDENTITIES}_gravity_torques_are_the_gradient_of_potential_energy",
     ),
     Row(
         "72",
         "J^T = A_S (*) L^H, on the wrench of the tip carried to link n",
-        "dynamics.closed_form:tip_jacobian_transpose",
+        "dynamics.paper.closed_form:tip_jacobian_transpose",
         f"{IDENTITIES}_the_transposed_jacobian_is_the_transpose_of_the_jacobian",
     ),
 )
 
 TABLE_1 = (
-    Row("1.1", "W = L (A qd + W_BASE)", "dynamics.closed_form:closed_form", f"{OURS}[68]"),
+    Row("1.1", "W = L (A qd + W_BASE)", "dynamics.paper.closed_form:closed_form", f"{OURS}[68]"),
     Row(
         "1.2",
         "Wd = L (A qdd + C qd + Wd_BASE)",
-        "dynamics.closed_form:closed_form",
+        "dynamics.paper.closed_form:closed_form",
         f"{OURS}[T1.2]",
         "its three terms are in (69)-(71)",
     ),
     Row(
         "1.3",
         "F_R = W (x) G(W) + G(Wd)",
-        "dynamics.closed_form:closed_form",
+        "dynamics.paper.closed_form:closed_form",
         f"{OURS}[46]",
         "its terms are in (69)-(71)",
     ),
     Row(
         "1.4",
         "F = L^H (F_R + F_EF)",
-        "algebra.matrix:hermitian dynamics.closed_form:closed_form",
+        "algebra.matrix:hermitian dynamics.paper.closed_form:closed_form",
         f"{OURS}[T1.4]",
         "L^H, applied term by term",
     ),
-    Row("1.5", "tau = F (*) A_S", "dynamics.closed_form:closed_form", f"{OURS}[57]", "(64)"),
+    Row("1.5", "tau = F (*) A_S", "dynamics.paper.closed_form:closed_form", f"{OURS}[57]", "(64)"),
 )
 
 SECTION_5_4 = (
@@ -651,9 +673,8 @@ closed form and the controller, down to the symbols. **Corrected** are {len(IDS)
 below the equations of its section each stands with the printed form, the correct one, and the error that the printed
 one makes. Without an erratum an equation is right, but for a dot, letter or number that the eye restores; some may be
 lost in a copy of the text only. **More** than in the paper are prismatic and helical joints, trees, frames anywhere on
-a link, and the forms of the algorithms that cost least ([newton_euler](torchdq/dynamics/newton_euler.py),
-[composite](torchdq/dynamics/composite.py), [articulated](torchdq/dynamics/articulated.py)), which agree with those here
-to rounding.
+a link, and the forms of the algorithms that cost least ([rnea](torchdq/dynamics/aligned/rnea.py),
+[crba](torchdq/dynamics/aligned/crba.py), [aba](torchdq/dynamics/aligned/aba.py)), which agree with these to rounding.
 
 * q, qd, qdd are the paper's theta and its derivatives; dq_i is q_i less its value at home.
 * **x_i^j and delta_i^j are the pose of F_i in F_j**, as section 5.1 has it, and Ad(x_i^j) takes screws from F_i to
@@ -673,9 +694,9 @@ before the code, it does not compute the equation: they say what does instead.
 """.strip()
 
 IN_USE = f"""
-Line by line it is [printed.rnea](torchdq/baselines/printed.py). The code below is its form on trees, in use where the
+Line by line it is [printed.rnea](torchdq/paper/printed.py). The code below is its form on trees, in use where the
 geometry of a robot is learned or differs from sample to sample; elsewhere it is
-[newton_euler](torchdq/dynamics/newton_euler.py), the same recursion in the frames that cost least
+[newton_euler](torchdq/dynamics/aligned/rnea.py), the same recursion in the frames that cost least
 ({link_to_test("test_programs.py::test_torques_in_aligned_frames_equal_the_papers_recursion")}).
 """.strip()
 
@@ -703,7 +724,7 @@ def page() -> str:
         *section("Control: section 5.4", SECTION_5_4),
         *section("Costs: section 6", SECTION_6),
         "`python -m torchdq cost` prints Tables 2, 3 and 4 row by row, with what is counted by running each formula, "
-        "and why it differs ([cost](torchdq/cost.py), held by [test_cost.py](tests/test_cost.py)):",
+        "and why it differs ([cost](torchdq/paper/cost.py), held by [test_cost.py](tests/test_cost.py)):",
         verdicts(),
         "Dual quaternions cost less than homogeneous matrices, as the paper finds, where every product is one of full "
         "matrices; where zeros and ones are known, the matrices cost less than the algorithm as printed.",

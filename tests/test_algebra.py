@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import matrix, screw
 from torchdq.algebra import quaternion as quat
-from torchdq.cost import (
+from torchdq.numbers.count import cost
+from torchdq.paper.cost import (
     accelerated,
     dual_quaternion,
     motion,
@@ -29,7 +30,6 @@ from torchdq.cost import (
     tensor,
     vector,
 )
-from torchdq.numbers.count import cost
 
 EPS = 2.0**-52
 DIGITS = 50

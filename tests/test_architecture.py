@@ -25,34 +25,38 @@ PACKAGE, ENVS = ROOT / "torchdq", ROOT / "envs"
 
 FLOORS = {
     "torchdq.errors": 0,
+    "torchdq.optional": 1,
     "torchdq.algebra": 0,
     "torchdq.numbers": 0,
     "torchdq.dynamics": 1,
-    # programs know nothing of robots; what is recorded of them, below, does
+    # programs and backends know nothing of robots
     "torchdq.program": 1,
-    "torchdq.maps": 2,
-    "torchdq.baselines": 2,
+    "torchdq.backends": 2,
     "torchdq.dq": 3,
     "torchdq.convert": 4,
     "torchdq.robot": 4,
-    "torchdq.program.model": 5,
-    "torchdq.program.recipes": 6,
-    "torchdq.cost": 5,
-    "torchdq.__main__": 6,
+    "torchdq.functions": 6,
     "torchdq.effects": 7,
     "torchdq.functional": 7,
-    "torchdq.compiling": 7,
     "torchdq.control": 8,
-    "torchdq.parameters": 8,
+    "torchdq.parametrizations": 8,
     "torchdq.nn": 9,
     "torchdq.residual": 10,
     "torchdq.learning": 11,
+    "torchdq.paper": 11,
+    "torchdq.__main__": 12,
     "torchdq.envs": 12,
     "torchdq": 13,
 }
 
 # storeys of the one package that has several: the sources of a description, the robot, the shipped robots
-STOREYS = {"torchdq.robot.robot": 1, "torchdq.robot.frames": 2, "torchdq.robot": 3, "torchdq.robot.shipped": 4}
+STOREYS = {
+    "torchdq.robot.robot": 1,
+    "torchdq.robot.mdh": 2,
+    "torchdq.robot.posed": 3,
+    "torchdq.robot": 4,
+    "torchdq.robot.shipped": 5,
+}
 
 NUMBER_GENERIC = ("torchdq.algebra", "torchdq.dynamics", "torchdq.numbers")
 NOT_AT_IMPORT = ("pinocchio", "pytorch_kinematics", "mujoco", "matplotlib", "scipy", "gymnasium")
@@ -132,8 +136,8 @@ def test_a_module_imports_from_lower_floors_or_its_own_package(module):
     "module, other",
     [
         ("torchdq.algebra.screw", "torchdq.dq"),
-        ("torchdq.dynamics.rnea", "torchdq.robot.robot"),
-        ("torchdq.dynamics.rnea", "torchdq.dq"),
+        ("torchdq.dynamics.paper.rnea", "torchdq.robot.robot"),
+        ("torchdq.dynamics.paper.rnea", "torchdq.dq"),
         ("torchdq.dq", "torchdq.convert"),
         ("torchdq.robot.robot", "torchdq.convert"),
         ("torchdq.robot.robot", "torchdq.functional"),

@@ -17,8 +17,9 @@ from oracles import EPS, random_tree, states
 from torch.autograd import forward_ad, gradcheck, gradgradcheck
 
 import torchdq
+from torchdq.backends import cache as build
+from torchdq.backends import run
 from torchdq.errors import ArgumentError
-from torchdq.program import build, run
 from torchdq.program.program import Argument, record
 
 F32, F64 = torch.float32, torch.float64

@@ -17,8 +17,8 @@ import pytest
 import torch
 
 import torchdq
-from torchdq.program import build
-from torchdq.program.c import source
+from torchdq.backends import cache as build
+from torchdq.backends.c import source
 from torchdq.program.program import Argument, record
 
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")

@@ -7,9 +7,9 @@ import sys
 import pytest
 
 import torchdq
-from torchdq import cost
 from torchdq.numbers.count import Cost, Counted, dense, executed
 from torchdq.numbers.count import cost as needed
+from torchdq.paper import cost
 
 # multiplications and additions as counted on record; storage is the numbers that are read
 TABLE_2 = [(0, 4), (4, 0), (16, 12), (6, 3), (22, 14), (3, 2), (16, 12), (16, 12), (28, 20), (15, 15)]

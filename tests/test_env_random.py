@@ -5,7 +5,7 @@ from itertools import pairwise
 import pytest
 import torch
 
-from torchdq.envs.random import SEEDS, Streams, seeded
+from torchdq.envs.rng import SEEDS, Streams, seeded
 from torchdq.errors import ArgumentError
 
 DTYPES = pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -73,7 +73,7 @@ def test_differences_are_as_random_as_the_numbers(dtype):
 @pytest.mark.parametrize("word", [0, -1, 2**63 - 1, -(2**63)])
 @DTYPES
 def test_neither_end_is_ever_drawn(dtype, word, monkeypatch):
-    monkeypatch.setattr("torchdq.envs.random._mixed", lambda z: torch.full_like(z, word))
+    monkeypatch.setattr("torchdq.envs.rng._mixed", lambda z: torch.full_like(z, word))
     u, _ = seeded_without_mixing().uniform(4, dtype)
     assert bool(((u > 0) & (u < 1)).all())
 

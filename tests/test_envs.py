@@ -15,11 +15,11 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 import torchdq
+from torchdq.backends import cache as build
 from torchdq.envs import ArmEnv, ArmVectorEnv, controllers, effects
+from torchdq.envs.randomization import nominal, usual
 from torchdq.envs.tasks import Reach, Track
-from torchdq.envs.variation import nominal, usual
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.program import build
 
 BACKEND = "auto"
 ROBOT = torchdq.robots.load("two_link")

@@ -8,10 +8,10 @@ import torch
 from helpers import rods
 
 import torchdq
+from torchdq.backends import cache as build
 from torchdq.envs import Scene, effects, integrators
-from torchdq.program import build
-from torchdq.program.model import model
 from torchdq.program.program import LARGEST_GROWTH
+from torchdq.robot.posed import model
 
 EPS = {torch.float32: 2.0**-24, torch.float64: 2.0**-53}
 every_backend = pytest.mark.parametrize(

@@ -18,7 +18,7 @@ import torch
 import torchdq
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.learning.identify import identify
-from torchdq.robot import physical
+from torchdq.robot import consistency as physical
 
 WIDTH = 1e-2
 module = importlib.import_module("torchdq.learning.identify")  # the package offers the function by that name

@@ -16,6 +16,7 @@ from oracles import random_tree, shipped
 from scipy.integrate import solve_ivp
 
 import torchdq
+from torchdq.backends import cache as build
 from torchdq.envs import Scene, State, effects
 from torchdq.envs.integrators import (
     DormandPrince,
@@ -26,7 +27,6 @@ from torchdq.envs.integrators import (
     SemiImplicitEuler,
     StoermerVerlet,
 )
-from torchdq.program import build
 
 ARM = shipped("two_link").robot
 TREE = random_tree(3, seed=6, armature=True).robot

@@ -12,8 +12,9 @@ import pytest
 import torch
 
 import torchdq
+from torchdq.backends import c, run
+from torchdq.backends import cache as build
 from torchdq.envs import Scene, effects
-from torchdq.program import build, c, run
 
 CROSS, EMULATOR = shutil.which("aarch64-linux-gnu-gcc"), shutil.which("qemu-aarch64")
 pytestmark = pytest.mark.skipif(

@@ -15,8 +15,10 @@ from hypothesis import strategies as st
 from oracles import EPS
 from torch.autograd import gradcheck, gradgradcheck
 
+from torchdq.backends import c, run
+from torchdq.backends import cache as build
 from torchdq.numbers.functions import absolute, at_least, clip, exp, floor, log, maximum, minimum, sqrt
-from torchdq.program import build, c, derive, run
+from torchdq.program import autodiff as derive
 from torchdq.program.program import Argument, Program, record, replay, results
 
 F32, F64 = torch.float32, torch.float64

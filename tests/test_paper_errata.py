@@ -20,8 +20,8 @@ from errata_table import ERRATA, IDS
 
 import torchdq
 from torchdq import dq
-from torchdq.dynamics import closed_form, kinematics, rnea
-from torchdq.dynamics.mechanism import Coordinate
+from torchdq.dynamics.paper import closed_form, kinematics, rnea
+from torchdq.dynamics.tree import Coordinate
 
 COUNT, JOINTS = 20, 6
 FACTOR = 2.0  # between an error measured here and the one on record, which is the median of another twenty draws

@@ -16,13 +16,12 @@ import torch
 from helpers import double, random
 
 import torchdq
-from torchdq import cost
 from torchdq.algebra import dual_quaternion, screw
-from torchdq.baselines import homogeneous, printed
-from torchdq.dynamics import kinematics
-from torchdq.dynamics.closed_form import closed_form
-from torchdq.dynamics.mechanism import Coordinate
-from torchdq.program import run
+from torchdq.backends import run
+from torchdq.dynamics.paper import kinematics
+from torchdq.dynamics.paper.closed_form import closed_form
+from torchdq.dynamics.tree import Coordinate
+from torchdq.paper import cost, homogeneous, printed
 
 for needed in ("matplotlib", "tyro"):
     pytest.importorskip(needed, reason="the examples need the extra 'examples'")

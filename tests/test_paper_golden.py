@@ -11,9 +11,9 @@ import pytest
 import torch
 
 import torchdq
-from torchdq.dynamics import rnea
-from torchdq.dynamics.kinematics import adjoints, joint_poses
-from torchdq.dynamics.mechanism import Coordinate
+from torchdq.dynamics.paper import rnea
+from torchdq.dynamics.paper.kinematics import adjoints, joint_poses
+from torchdq.dynamics.tree import Coordinate
 
 BACKEND = "auto"
 

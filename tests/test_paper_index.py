@@ -26,7 +26,7 @@ from paper_index import (
     plain,
 )
 
-from torchdq import cost
+from torchdq.paper import cost
 
 REMEDY = "write it again with `python tests/paper_index.py --write`"
 

@@ -15,12 +15,15 @@ from oracles import EPS, Case, dual_quaternion, pin, pinocchio_model, random_ine
 from oracles import random_tree as random_case
 
 import torchdq
-from torchdq.dynamics import articulated, crba, forward, kinematics, rnea
-from torchdq.dynamics.mechanism import BASE, Coordinate
-from torchdq.program import derive, run
-from torchdq.program.model import AlignedModel
+from torchdq.backends import run
+from torchdq.dynamics import ltdl as forward
+from torchdq.dynamics.aligned import aba as articulated
+from torchdq.dynamics.paper import crba, kinematics, rnea
+from torchdq.dynamics.tree import BASE, Coordinate
+from torchdq.program import autodiff as derive
 from torchdq.program.program import Argument, Count, Program, record, replay, results
-from torchdq.robot import frames
+from torchdq.robot import mdh as frames
+from torchdq.robot.posed import AlignedModel
 
 F64 = torch.float64
 EPS64 = EPS[F64]

@@ -11,9 +11,9 @@ from oracles import pinocchio_model, random_tree
 from scipy.integrate import solve_ivp
 
 import torchdq
+from torchdq.backends import cache as build
 from torchdq.envs import Scene, State, controllers, effects, integrators
 from torchdq.envs.recommend import ARITHMETICS, SAFETY, SAMPLES, Trial, random_states, recommend
-from torchdq.program import build
 
 BACKEND = "auto"
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")

@@ -14,8 +14,9 @@ from helpers import FIXED, called, double, random
 from oracles import random_tree, shipped, states
 
 import torchdq
+from torchdq.backends import cache as build
 from torchdq.envs import Scene, State, effects
-from torchdq.envs import plan as plans
+from torchdq.envs import recording as plans
 from torchdq.envs.controllers import PD, ComputedTorque
 from torchdq.envs.integrators import (
     DormandPrince,
@@ -26,7 +27,6 @@ from torchdq.envs.integrators import (
     StoermerVerlet,
 )
 from torchdq.errors import ArgumentError, DtypeError
-from torchdq.program import build
 
 EPS = 2.0**-52
 ARM = shipped("two_link").robot

@@ -13,9 +13,9 @@ import pytest
 import torch
 
 import torchdq
+from torchdq.backends import cache as build
 from torchdq.envs import Scene, State, effects
 from torchdq.envs.integrators import DormandPrince, LinearlyImplicit, RungeKutta4, SemiImplicitEuler
-from torchdq.program import build
 
 ROBOTS = ("ur5_robot", "panda")  # of 6 joints, and of 7 and two fingers that slide
 DT, STEPS = 1e-3, 1000

@@ -15,7 +15,7 @@ Conventions, everywhere:
 from typing import TYPE_CHECKING
 
 from torchdq import convert, dq
-from torchdq.compiling import compile
+from torchdq.backends.choice import backend
 from torchdq.control import computed_torque
 from torchdq.errors import (
     ArgumentError,
@@ -42,8 +42,8 @@ from torchdq.functional import (
     regressor,
     require_finite,
 )
+from torchdq.functions.compile import compile
 from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics
-from torchdq.program.backends import backend
 from torchdq.residual import ResidualDynamics
 from torchdq.robot import Robot
 from torchdq.robot import shipped as robots

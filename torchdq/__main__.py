@@ -3,7 +3,7 @@
 import argparse
 import sys
 
-from torchdq import cost
+from torchdq.paper import cost
 
 
 def main() -> None:

@@ -2,9 +2,9 @@
 
 from torch import Tensor
 
+from torchdq.backends.choice import Backend
 from torchdq.errors import ArgumentError
 from torchdq.functional import check, inverse_dynamics
-from torchdq.program.backends import Backend
 from torchdq.robot import Robot
 
 

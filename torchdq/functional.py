@@ -16,11 +16,12 @@ from typing import Literal, NamedTuple, get_args
 import torch
 from torch import Tensor
 
+from torchdq.backends import choice as backends
+from torchdq.backends import run
+from torchdq.backends.choice import Backend
 from torchdq.errors import ArgumentError, DtypeError
-from torchdq.program import backends, run
-from torchdq.program.backends import Backend
+from torchdq.functions.catalogue import RECIPES, Signature, program
 from torchdq.program.program import Program
-from torchdq.program.recipes import RECIPES, Signature, program
 from torchdq.robot import Robot
 from torchdq.robot.robot import DTYPES, SHAPES
 

@@ -10,12 +10,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
+from torchdq.backends.choice import Backend
 from torchdq.control import computed_torque
 from torchdq.effects import Coulomb, Viscous
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, check, check_precision, forward_dynamics, inverse_dynamics
-from torchdq.parameters import PhysicalInertia, Positive
-from torchdq.program.backends import Backend
+from torchdq.parametrizations import PhysicalInertia, Positive
 from torchdq.robot import Robot
 from torchdq.robot.robot import SHAPES
 
@@ -37,7 +37,7 @@ class RobotModule(nn.Module):
 
     What is learned stays physical, whatever an optimiser does: masses, rotor inertias and friction stay positive, and
     inertias are those of bodies that can exist. `module.mass` and so on are the present quantities, and assigning to
-    them sets them; the parameters are the free numbers behind them (`torchdq.parameters`, by
+    them sets them; the parameters are the free numbers behind them (`torchdq.parametrizations`, by
     `torch.nn.utils.parametrize`), `module.parametrizations.mass.original`. Weight decay would pull those towards
     1 kg; `prior` pulls towards the description. What is not learned is a constant of the compiled programs, and not
     part of the state dict.
@@ -119,7 +119,7 @@ class RobotModule(nn.Module):
         The sum of the mean squares, over links or joints and over robots, of the logarithms of what masses, rotor
         inertias and frictions were multiplied by; of the distances that centres of mass moved, as parts of the size of
         the body, the root of its second moments over its mass, at least 1 cm; and of the changes of the six free
-        numbers of `torchdq.parameters.PhysicalInertia`. Gravity, geometry, home and offset are not part of it.
+        numbers of `torchdq.parametrizations.PhysicalInertia`. Gravity, geometry, home and offset are not part of it.
 
         >>> import torchdq
         >>> layer = DQRNEA(torchdq.robots.load("panda"), learn=("mass", "com", "inertia"))

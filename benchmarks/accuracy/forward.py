@@ -20,10 +20,11 @@ from accuracy.clock import clock
 from accuracy.rows import LONG, exact, joined, split
 from accuracy.scenes import chain, single
 from accuracy.textbook import Textbook, solved
+from torchdq.backends import run
 from torchdq.errors import SingularInertiaError
-from torchdq.program import recipes, run
+from torchdq.functions import catalogue as recipes
+from torchdq.functions.catalogue import Inputs, Signature
 from torchdq.program.program import Argument, Program, record
-from torchdq.program.recipes import Inputs, Signature
 
 Array = np.ndarray
 SAMPLES = 4

@@ -16,11 +16,12 @@ from torch import Tensor
 
 from accuracy.scenes import PERIODS, Case
 from torchdq.algebra.quaternion import Number
-from torchdq.envs import integrators, plan
+from torchdq.backends import run
+from torchdq.envs import integrators
+from torchdq.envs import recording as plan
 from torchdq.envs.integrators import Integrator, Row, System
-from torchdq.program import run
+from torchdq.functions.catalogue import ways
 from torchdq.program.program import Argument, Program, record
-from torchdq.program.recipes import ways
 
 Runner = Callable[[Program, Sequence[Tensor]], Sequence[Tensor]]
 

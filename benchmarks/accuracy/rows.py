@@ -9,9 +9,9 @@ import numpy as np
 
 import torchdq
 from accuracy.scenes import Case
-from torchdq.envs import plan
-from torchdq.program.model import INERTIAL
+from torchdq.envs import recording as plan
 from torchdq.program.program import Argument, record, replay, results
+from torchdq.robot.posed import INERTIAL
 
 LONG = np.longdouble  # 64 bits of mantissa on x86, 53 on machines that have no more: agreements tell
 

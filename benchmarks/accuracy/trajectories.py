@@ -22,7 +22,7 @@ from accuracy.methods import (
 )
 from accuracy.rows import LONG
 from accuracy.scenes import PERIODS, Case
-from torchdq.program import run
+from torchdq.backends import run
 
 BATCH = 4096
 TOLERANCES = [10.0**-k for k in range(2, 14)]

@@ -13,8 +13,8 @@ from oracles import EPS, pinocchio_model, random_tree, states
 
 import torchdq
 from torchdq import dq
+from torchdq.backends import cache as build
 from torchdq.errors import SingularInertiaError, UnphysicalError
-from torchdq.program import build
 
 F32, F64 = torch.float32, torch.float64
 

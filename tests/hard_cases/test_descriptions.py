@@ -22,8 +22,8 @@ from oracles import EPS, Case, over, size_of_torques, states, worst
 
 import torchdq
 from torchdq import DescriptionError, Robot, SingularInertiaError, TorchdqError, UnphysicalError, dq
+from torchdq.backends import cache as build
 from torchdq.envs import Scene, effects
-from torchdq.program import build
 
 F32, F64 = torch.float32, torch.float64
 C = pytest.param("c", marks=pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler"))

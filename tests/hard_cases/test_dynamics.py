@@ -18,9 +18,9 @@ from oracles import EPS, Case, over, random_tree, shipped, size_of_torques, stat
 from torch.func import grad, hessian, jacfwd, jacrev, jvp, vmap
 
 import torchdq
+from torchdq.backends import cache as build
 from torchdq.errors import ArgumentError
 from torchdq.functional import require_finite
-from torchdq.program import build
 
 F32, F64 = torch.float32, torch.float64
 

@@ -19,8 +19,9 @@ from torch.autograd.functional import hessian, jacobian
 import torchdq
 from torchdq import dq
 from torchdq.algebra import dual_quaternion
+from torchdq.backends import cache as build
+from torchdq.backends import run
 from torchdq.errors import DescriptionError
-from torchdq.program import build, run
 from torchdq.program.program import Argument, record
 
 F32, F64 = torch.float32, torch.float64

@@ -17,10 +17,10 @@ from oracles import EPS, random_tree
 from torch.func import hessian, jacfwd, jacrev, vmap
 
 import torchdq
+from torchdq.backends import cache as build
 from torchdq.envs import Scene, State, effects
 from torchdq.envs.integrators import LinearlyImplicit
 from torchdq.errors import ArgumentError, DtypeError
-from torchdq.program import build
 
 F32, F64 = torch.float32, torch.float64
 C = pytest.param("c", marks=pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler"))

@@ -21,6 +21,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 import torchdq
 from torchdq import dq
+from torchdq.backends import cache as build
 from torchdq.envs import Scene, State, effects
 from torchdq.envs.integrators import (
     DormandPrince,
@@ -30,7 +31,6 @@ from torchdq.envs.integrators import (
     SemiImplicitEuler,
     StoermerVerlet,
 )
-from torchdq.program import build
 
 F32, F64 = torch.float32, torch.float64
 C = pytest.param("c", marks=pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler"))

@@ -6,7 +6,7 @@ from functools import wraps
 from torchdq.algebra import screw
 from torchdq.algebra.matrix import total as _total
 from torchdq.algebra.screw import Adjoint, Screw
-from torchdq.dynamics.mechanism import Link
+from torchdq.dynamics.tree import Link
 
 
 def _lift(f: Callable) -> Callable:

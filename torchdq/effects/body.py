@@ -12,13 +12,13 @@ from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics.mechanism import BASE
+from torchdq.dynamics.tree import BASE
 from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link
 from torchdq.effects.joint import Inputs
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import maximum, sqrt
-from torchdq.program.model import Given, PaperModel, constant_pose, field
 from torchdq.robot import Robot
+from torchdq.robot.posed import Given, PaperModel, constant_pose, field
 
 
 class Bodies:

@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
-from torchdq.dynamics.mechanism import BASE
+from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 

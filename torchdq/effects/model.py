@@ -10,8 +10,8 @@ from torchdq.algebra import dual_quaternion, screw
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
 from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link
-from torchdq.program.model import Given, constant_pose, field
 from torchdq.robot import Robot
+from torchdq.robot.posed import Given, constant_pose, field
 from torchdq.robot.robot import GRAVITY
 
 

@@ -33,8 +33,8 @@ import numpy as np
 import torch
 
 from torchdq.errors import ArgumentError, TorchdqError, UnknownNameError
-from torchdq.learning.optional import imported
 from torchdq.learning.training import Samples
+from torchdq.optional import imported
 
 GAP = 0.1  # [s] longest time between two rows; beyond it, the motion in between is anyone's guess
 ENDS = 0.5  # [s] least time left out at either end, where a filter of a few Hz has neighbours on one side only

@@ -19,8 +19,8 @@ from torch import Tensor, nn
 
 from torchdq.errors import ArgumentError, TorchdqError
 from torchdq.learning import checkpoint as checkpoints
-from torchdq.learning.parallel import Team, team
-from torchdq.learning.report import Report
+from torchdq.learning.distributed import Team, team
+from torchdq.learning.progress import Report
 
 EVALUATED = 4096  # rows of the validation data computed at a time
 PROBED = 64  # rows of the training data whose torques tell one model from another

@@ -13,9 +13,12 @@ from uuid import uuid4
 import torch
 from torch import Tensor
 
-from torchdq.dynamics.mechanism import BASE, Mechanism, mechanism
+from torchdq.dynamics.tree import BASE, Mechanism, mechanism
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
-from torchdq.robot import dh, physical, screws, urdf
+from torchdq.robot import consistency as physical
+from torchdq.robot import from_dh as dh
+from torchdq.robot import from_screws as screws
+from torchdq.robot import urdf
 from torchdq.robot.report import Report
 
 DTYPES = (torch.float32, torch.float64)  # of parameters and of the dynamics

@@ -20,9 +20,9 @@ import torch
 from torch import Tensor
 
 from torchdq import dq
-from torchdq.dynamics.mechanism import BASE
+from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, DescriptionError, MissingFileError, UnknownNameError
-from torchdq.robot import physical
+from torchdq.robot import consistency as physical
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 MOST_BYTES = 10_000_000

@@ -1,0 +1,70 @@
+"""One arm as a gymnasium environment: a view, in numpy, of a vector environment of one."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.vector import AutoresetMode
+
+from torchdq.envs.vector_env import ArmVectorEnv
+from torchdq.errors import ArgumentError
+
+_METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 50}
+
+
+class ArmEnv(gymnasium.Env):
+    """One environment, bit for bit the row of an `ArmVectorEnv` with the same seed.
+
+    Args:
+        max_episode_steps: after which an episode is truncated; None: never, since `gymnasium.make` sees to it.
+        render_mode: as in `ArmVectorEnv`; `render` returns one frame.
+        arguments: those of `ArmVectorEnv`, but for `num_envs`, `autoreset_mode` and `output`.
+    """
+
+    metadata = _METADATA
+
+    def __init__(self, max_episode_steps: int | None = None, render_mode: str | None = None, **arguments: Any) -> None:
+        for name in ("num_envs", "autoreset_mode", "output"):
+            if name in arguments:
+                raise ArgumentError(f"{name} is no argument of a single environment; use ArmVectorEnv")
+        self.envs = ArmVectorEnv(
+            num_envs=1,
+            max_episode_steps=max_episode_steps,
+            render_mode=render_mode,  # type: ignore[arg-type]
+            autoreset_mode=AutoresetMode.DISABLED,
+            output="numpy",
+            **arguments,
+        )
+        self.observation_space = self.envs.single_observation_space
+        self.action_space = self.envs.single_action_space
+        self.render_mode = render_mode
+        self.metadata = {**_METADATA, "render_fps": self.envs.metadata["render_fps"]}
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Observation at the beginning of a new episode, and an empty `info`."""
+        super().reset(seed=seed)
+        observations, _ = self.envs.reset(seed=seed)
+        return observations[0], {}
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Observation, reward, whether it terminated, whether it was truncated, and `info`, after `dt`.
+
+        Args:
+            action: [n] in [-1, 1].
+        """
+        observations, rewards, terminated, truncated, info = self.envs.step(np.asarray(action)[None])
+        one = {name: x[0].item() for name, x in info.items()}
+        return observations[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), one
+
+    def render(self) -> np.ndarray | None:
+        """Frame [H, W, 3] uint8, or None in the mode "human"."""
+        frames = self.envs.render()
+        return None if frames is None else frames[0]
+
+    def close(self) -> None:
+        """Close the environment."""
+        self.envs.close()

@@ -1,0 +1,237 @@
+"""Forward kinematics and inverse dynamics by homogeneous matrices, as textbooks write them.
+
+Kinematics by Denavit-Hartenberg parameters and by products of exponentials; the recursive Newton-Euler algorithm of
+K. M. Lynch and F. C. Park, Modern Robotics, 2017, chapter 8.3, with 6x6 adjoints. Twists and wrenches have their order:
+(angular, linear) and (moment, force). Zeros and ones are arguments, because to count every product of full matrices in
+full is to give it numbers that do not look like zeros and ones.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from torchdq.algebra import dual_quaternion as dq
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.quaternion import Number, Pure
+from torchdq.algebra.screw import Screw
+from torchdq.dynamics.tree import Mechanism
+
+Row = Sequence[Number]
+Matrix = Sequence[Row]
+
+
+class Units(NamedTuple):
+    """The numbers that zeros and ones are written with."""
+
+    zero: Number = 0.0
+    one: Number = 1.0
+
+
+KNOWN = Units()
+
+
+class Turn(NamedTuple):
+    """A joint's displacement, with what its exponential takes of it: sine, 1 - cosine and angle less sine."""
+
+    value: Number
+    sin: Number
+    versine: Number
+    rest: Number
+
+
+# --- matrices --------------------------------------------------------------------------------------------------------
+
+
+def dot(a: Row, b: Row) -> Number:
+    """Sum of products."""
+    total = a[0] * b[0]
+    for x, y in zip(a[1:], b[1:], strict=True):
+        total = total + x * y
+    return total
+
+
+def times(m: Matrix, x: Row) -> list[Number]:
+    """Matrix times vector."""
+    return [dot(row, x) for row in m]
+
+
+def transpose(m: Matrix) -> list[list[Number]]:
+    """Rows for columns."""
+    return [list(column) for column in zip(*m, strict=True)]
+
+
+def product(a: Matrix, b: Matrix) -> list[list[Number]]:
+    """Matrix times matrix."""
+    columns = transpose(b)
+    return [[dot(row, column) for column in columns] for row in a]
+
+
+def _plus(a: Row, b: Row) -> list[Number]:
+    return [x + y for x, y in zip(a, b, strict=True)]
+
+
+def _minus(a: Row, b: Row) -> list[Number]:
+    return [x - y for x, y in zip(a, b, strict=True)]
+
+
+def _scaled(s: Number, a: Row) -> list[Number]:
+    return [s * x for x in a]
+
+
+def bracket(x: Row, u: Units = KNOWN) -> list[list[Number]]:
+    """Matrix [x] of the cross product."""
+    return [[u.zero, -x[2], x[1]], [x[2], u.zero, -x[0]], [-x[1], x[0], u.zero]]
+
+
+# --- poses -----------------------------------------------------------------------------------------------------------
+
+
+def matrix(x: DualQuaternion, u: Units = KNOWN) -> list[list[Number]]:
+    """Homogeneous matrix of a pose."""
+    columns, p = quat.rotation_columns(x[0]), dq.translation(x)
+    return [[*(c[i] for c in columns), p[i]] for i in range(3)] + [[u.zero, u.zero, u.zero, u.one]]
+
+
+class Generator(NamedTuple):
+    """A joint's constant screw, with what its exponential takes of it."""
+
+    revolute: bool  # or helical: whether it turns
+    screw: Row  # (w, v)
+    W: Matrix  # [w]
+    W2: Matrix  # [w]^2
+    Wv: Row
+    W2v: Row
+
+
+def generator(axis: Screw) -> Generator:
+    """Constants of a unit screw, or of a unit translation."""
+    w, v = axis
+    W = bracket(w)
+    W2 = product(W, W)
+    return Generator(any(x != 0 for x in w), (*w, *v), W, W2, times(W, v), times(W2, v))
+
+
+def exponential(s: Generator, q: Turn, u: Units = KNOWN) -> list[list[Number]]:
+    """exp([S] q), Rodrigues' formula (Modern Robotics 3.51, 3.88)."""
+    v = s.screw[3:]
+    eye = [[u.one if i == j else u.zero for j in range(3)] for i in range(3)]
+    if s.revolute:
+        R = [[eye[i][j] + q.sin * s.W[i][j] + q.versine * s.W2[i][j] for j in range(3)] for i in range(3)]
+        p = [q.value * a + q.versine * b + q.rest * c for a, b, c in zip(v, s.Wv, s.W2v, strict=True)]
+    else:
+        R, p = eye, _scaled(q.value, v)
+    return [[*row, p_i] for row, p_i in zip(R, p, strict=True)] + [[u.zero, u.zero, u.zero, u.one]]
+
+
+def denavit_hartenberg(
+    cos: Number, sin: Number, alpha: tuple[Number, Number], a: Number, d: Number, u: Units = KNOWN
+) -> list[list[Number]]:
+    """Standard transform of a joint, Rot_z(theta) Trans_z(d) Trans_x(a) Rot_x(alpha), alpha as cosine and sine."""
+    ca, sa = alpha
+    return [
+        [cos, -(sin * ca), sin * sa, a * cos],
+        [sin, cos * ca, -(cos * sa), a * sin],
+        [u.zero, sa, ca, d],
+        [u.zero, u.zero, u.zero, u.one],
+    ]
+
+
+def denavit_hartenberg_by_products(
+    cos: Number, sin: Number, alpha: tuple[Number, Number], a: Number, d: Number, u: Units = KNOWN
+) -> list[list[Number]]:
+    """The same as products of its elementary transforms, Rot_z(theta) Trans_z(d) . Trans_x(a) . Rot_x(alpha)."""
+    z, one = u
+    ca, sa = alpha
+    about_z = [[cos, -sin, z, z], [sin, cos, z, z], [z, z, one, d], [z, z, z, one]]
+    along_x = [[one, z, z, a], [z, one, z, z], [z, z, one, z], [z, z, z, one]]
+    about_x = [[one, z, z, z], [z, ca, -sa, z], [z, sa, ca, z], [z, z, z, one]]
+    return product(product(about_z, along_x), about_x)
+
+
+def chained(steps: Sequence[Matrix]) -> list[Matrix]:
+    """Poses of all links in the base frame, from those in their parents, on a chain."""
+    found: list[Matrix] = [steps[0]]
+    for step in steps[1:]:
+        found.append(product(found[-1], step))
+    return found
+
+
+# --- dynamics --------------------------------------------------------------------------------------------------------
+
+
+def adjoint(T: Matrix, u: Units = KNOWN) -> list[list[Number]]:
+    """6x6 adjoint of a pose: [R 0; [p] R  R]."""
+    R, p = [row[:3] for row in T[:3]], [row[3] for row in T[:3]]
+    zero = [u.zero] * 3
+    pR = product(bracket(p, u), R)
+    return [[*R[i], *zero] for i in range(3)] + [[*pR[i], *R[i]] for i in range(3)]
+
+
+def bracket6(V: Row, u: Units = KNOWN) -> list[list[Number]]:
+    """6x6 matrix [ad_V] = [[w] 0; [v] [w]]."""
+    w, v = bracket(V[:3], u), bracket(V[3:], u)
+    return [[*w[i], *[u.zero] * 3] for i in range(3)] + [[*v[i], *w[i]] for i in range(3)]
+
+
+def inertia(mass: Number, first: Pure | None, second: Matrix) -> list[list[Number]]:
+    """6x6 inertia [I  [h]; -[h]  m 1]; h = 0 about the centre of mass."""
+    h = bracket(first or (0.0,) * 3)
+    eye = [[mass if i == j else 0.0 for j in range(3)] for i in range(3)]
+    return [[*second[i], *h[i]] for i in range(3)] + [[*(-x for x in h[i]), *eye[i]] for i in range(3)]
+
+
+class Body(NamedTuple):
+    """Constants of a link and its joint."""
+
+    home: Matrix  # M_{i,i-1}
+    joint: Generator
+    G: Matrix  # 6x6 inertia
+
+
+def bodies(mechanism: Mechanism) -> tuple[Body, ...]:
+    """Constants of a chain."""
+    return tuple(
+        Body(matrix(dq.conj(link.X_PB_home)), generator(link.screw), inertia(link.mass, link.first, link.second))
+        for link in mechanism.links
+    )
+
+
+def rnea(
+    chain: Sequence[Body],
+    gravity: Row,
+    q: Sequence[Turn],
+    qd: Row,
+    qdd: Row,
+    tip: Matrix | None = None,
+    f_tip: Row | None = None,
+    u: Units = KNOWN,
+) -> list[Number]:
+    """Joint torques of a chain.
+
+    Args:
+        gravity: acceleration in the base frame.
+        q: what the exponential takes of minus the displacements: the inverse poses are what is used.
+        tip: pose of the last link in the end effector's frame.
+        f_tip: wrench (moment, force) the end effector exerts on the environment.
+    """
+    z = u.zero
+    V: Row = [z] * 6
+    Vd: Row = [z, z, z, *(-g for g in gravity)]
+    kept = []
+    for body, q_i, qd_i, qdd_i in zip(chain, q, qd, qdd, strict=True):
+        A = body.joint.screw
+        Ad = adjoint(product(exponential(body.joint, q_i, u), body.home), u)  # of T_{i,i-1} = exp(-[A] q) M_{i,i-1}
+        V = _plus(times(Ad, V), _scaled(qd_i, A))  # (8.50)
+        ad = bracket6(V, u)
+        Vd = _plus(_plus(times(Ad, Vd), _scaled(qd_i, times(ad, A))), _scaled(qdd_i, A))  # (8.51)
+        kept.append((Ad, ad, V, Vd))
+    F = None if f_tip is None or tip is None else times(transpose(adjoint(tip, u)), f_tip)
+    tau: list[Number] = [z] * len(kept)
+    for i in reversed(range(len(kept))):
+        Ad, ad, V, Vd = kept[i]
+        G = chain[i].G
+        net = times(G, Vd) if F is None else _plus(F, times(G, Vd))
+        F = _minus(net, times(transpose(ad), times(G, V)))  # (8.52)
+        tau[i] = dot(F, chain[i].joint.screw)  # (8.53)
+        F = times(transpose(Ad), F) if i else F
+    return tau

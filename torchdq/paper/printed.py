@@ -1,0 +1,115 @@
+"""The paper's operators as they are printed, where this package computes the same with fewer operations."""
+
+from collections.abc import Sequence
+
+from torchdq.algebra import dual_quaternion as dq
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra import screw
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.quaternion import Number, Pure, Quaternion
+from torchdq.algebra.screw import Adjoint, Screw
+from torchdq.dynamics.paper import kinematics
+from torchdq.dynamics.tree import Coordinate, Mechanism
+
+Row = Sequence[Number]
+Columns = list[Quaternion]
+UNITS = ((0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+
+def columns(x: DualQuaternion) -> tuple[Columns, Columns]:
+    """A_P, A_D of a pose by two quaternion products a column, and a doubling: whole quaternions, as they are stored."""
+    xp, xd = x
+    turned = [quat.mul(xp, e) for e in UNITS]
+    a_p = [quat.mul(t, quat.conj(xp)) for t in turned]  # (34), erratum 34
+    a_d = [quat.scale(2.0, quat.mul(t, quat.conj(xd))) for t in turned]  # (35), erratum 35
+    return a_p, a_d
+
+
+def vectors(a: tuple[Columns, Columns]) -> Adjoint:
+    """The same columns without their real parts."""
+    a_p, a_d = (tuple(quat.im(e) for e in part) for part in a)
+    return a_p, a_d
+
+
+def ad(x: DualQuaternion, m: Screw) -> Screw:
+    """x m x* by two dual quaternion products (33)."""
+    pure: DualQuaternion = ((0.0, *m[0]), (0.0, *m[1]))
+    p, d = dq.mul(dq.mul(x, pure), dq.conj(x))
+    return quat.im(p), quat.im(d)
+
+
+def cross(a: Pure, b: Pure) -> Pure:
+    """(ab - ba)/2 (4)."""
+    x, y = (0.0, *a), (0.0, *b)
+    return quat.im(quat.scale(0.5, quat.sub(quat.mul(x, y), quat.mul(y, x))))
+
+
+def hamilton(x: DualQuaternion, y: DualQuaternion) -> DualQuaternion:
+    """h+(x) y with the columns x i, x j, x k formed first (23), (24)."""
+
+    def applied(a: Quaternion, b: Quaternion) -> Quaternion:
+        return quat.t4((a, *(quat.mul(a, e) for e in UNITS)), b)
+
+    (xp, xd), (yp, yd) = x, y
+    return applied(xp, yp), quat.add(applied(xp, yd), applied(xd, yp))
+
+
+def denavit_hartenberg(
+    half: tuple[Number, Number],
+    alpha: tuple[Number, Number],
+    a: Number,
+    d: Number,
+    zero: Number = 0.0,
+    one: Number = 1.0,
+) -> DualQuaternion:
+    """Standard transform of a joint by three products, Rot_z(theta) . Trans_z(d) Trans_x(a) . Rot_x(alpha).
+
+    Args:
+        half, alpha: cosine and sine of half the joint's angle and of half the twist.
+        a, d: half the length and half the offset.
+        zero, one: the numbers that zeros and ones are written with.
+    """
+    nothing = (zero,) * 4
+    about_z = ((half[0], zero, zero, half[1]), nothing)
+    along_z = ((one, zero, zero, zero), (zero, zero, zero, d))
+    along_x = ((one, zero, zero, zero), (zero, a, zero, zero))
+    about_x = ((alpha[0], alpha[1], zero, zero), nothing)
+    return dq.mul(dq.mul(dq.mul(about_z, along_z), along_x), about_x)
+
+
+def rnea(
+    mechanism: Mechanism,
+    q: Sequence[Coordinate],
+    qd: Row,
+    qdd: Row,
+    tip: Adjoint | None = None,
+    f_tip: Screw | None = None,
+    still: Screw = ((0.0,) * 3, (0.0,) * 3),
+) -> list[Number]:
+    """Algorithm 1 line by line, corrected, on a chain with frames at the centres of mass; no line is shortened.
+
+    Args:
+        tip: columns of the end effector's pose on the last link.
+        f_tip: wrench the end effector exerts on the environment.
+        still: the twist of the base, zero.
+    """
+    w: Screw = still
+    wd: Screw = (still[0], quat.neg(mechanism.gravity or still[1]))
+    kept = []
+    for link, q_i, qd_i, qdd_i in zip(mechanism.links, q, qd, qdd, strict=True):
+        x = dq.mul(link.X_PB_home, kinematics.joint_motion(link, q_i))  # (38), erratum 38
+        back = screw.inverse(vectors(columns(x)))
+        w = screw.add(screw.scale(qd_i, link.screw), screw.ad(back, w))  # (40), erratum 40
+        change = screw.scale(qd_i, screw.cross(w, link.screw))
+        wd = screw.add(screw.add(screw.scale(qdd_i, link.screw), screw.ad(back, wd)), change)  # (44), erratum 40
+        G_w = screw.inertia_transform(link.mass, None, link.second, w)
+        G_wd = screw.inertia_transform(link.mass, None, link.second, wd)
+        kept.append((screw.inverse(back), screw.add(screw.cross(w, G_w), G_wd)))  # (45)
+    f = None if f_tip is None or tip is None else screw.ad(tip, f_tip)
+    tau: list[Number] = [0.0] * len(kept)
+    for i in reversed(range(len(kept))):
+        Ad, f_R = kept[i]
+        f = f_R if f is None else screw.add(f_R, f)  # (47), errata 46 and 47
+        tau[i] = screw.power(f, mechanism.links[i].screw)  # (48), erratum A1
+        f = screw.ad(Ad, f) if i else f
+    return tau

@@ -1,0 +1,92 @@
+"""Whether a body can exist: finite numbers, mass that is not negative, and an inertia that some mass could have."""
+
+import math
+import warnings
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from torchdq.algebra import dual_quaternion, screw
+from torchdq.algebra import quaternion as quat
+from torchdq.dynamics.paper import crba, kinematics
+from torchdq.dynamics.tree import BASE, Coordinate, Link, Mechanism
+from torchdq.errors import UnphysicalError
+
+TOLERANCE = 1e-6  # of the trace: descriptions are printed with about six digits
+
+
+def body(link: str, mass: float, inertia: Tensor) -> list[str]:
+    """What is unphysical about a link of that mass [kg] and inertia about its centre of mass [kg m^2], [3, 3].
+
+    Principal moments must not be negative, and none may exceed the sum of the other two. Equality is possible (a
+    point, a rod, a plate) and is accepted.
+    """
+    if not (math.isfinite(mass) and bool(inertia.isfinite().all())):
+        return [f"link {link!r}: mass and inertia must be finite, found mass {mass} and inertia {inertia.tolist()}"]
+    if mass < 0:
+        return [f"link {link!r}: mass must not be negative, found {mass:g} kg"]
+    moments = [float(x) for x in torch.linalg.eigvalsh(inertia)]
+    shown = ", ".join(f"{x:.6g}" for x in moments)
+    slack = TOLERANCE * sum(map(abs, moments))
+    if mass == 0 and slack > 0:
+        return [f"link {link!r}: it has no mass, so its inertia must be zero, found principal moments {shown} kg m^2"]
+    if moments[0] < -slack:
+        return [f"link {link!r}: inertia must be positive definite, found principal moments {shown} kg m^2"]
+    if moments[2] > moments[0] + moments[1] + slack:
+        return [
+            f"link {link!r}: the largest principal moment must not exceed the sum of the others "
+            f"(triangle inequality), found {shown} kg m^2"
+        ]
+    return []
+
+
+def inert_joints(names: Sequence[str], mechanism: Mechanism) -> list[str]:
+    """Joints that move no inertia in any position: the mass matrix is singular there whatever the robot does."""
+    if not mechanism.links:
+        return []
+    # tensors of one number each would take a thousand times as long
+    links = tuple(Link(*_numbers(link)) for link in mechanism.links)
+    mechanism = Mechanism(links, None)
+    n = len(names)
+    inertias, sizes = [0.0] * n, [0.0] * n
+    # an inertia that vanishes in one position need not in another, so look at a few that have nothing special
+    for seed in range(3):
+        angles = [math.sin(1.0 + 12.9898 * i + 78.233 * seed) for i in range(n)]
+        coordinates = [Coordinate(x, math.cos(0.5 * x), math.sin(0.5 * x)) for x in angles]
+        X_PB = kinematics.joint_poses(mechanism, coordinates)
+        carried = crba.composites(mechanism, X_PB, kinematics.adjoints(X_PB))
+        spread = [sum(abs(link.second[k][k]) for k in range(3)) for link in links]  # the same sums without signs
+        for i in reversed(range(n)):
+            link, mass, (w, v) = links[i], carried[i][0], links[i].screw
+            inertia = screw.power(screw.inertia_transform(*carried[i], link.screw), link.screw) + (link.armature or 0.0)
+            inertias[i] = max(inertias[i], inertia)
+            sizes[i] = max(sizes[i], quat.norm2(w) * spread[i] + quat.norm2(v) * abs(mass))
+            if link.parent != BASE:
+                spread[link.parent] += spread[i] + abs(mass) * quat.norm2(dual_quaternion.translation(X_PB[i]))
+    # Below this part of its terms an inertia is rounding, and below that part of the robot's it is the square of the
+    # rounding of a distance. An absolute bound would reject a microrobot, or its hand on a crane.
+    square = 1e-28 * max(sizes)
+    return [
+        f"joint {name!r}: it moves no inertia, so its acceleration is undefined; give the links beyond it mass"
+        for name, inertia, size in zip(names, inertias, sizes, strict=True)
+        if not inertia > max(1e-14 * size, square)
+    ]
+
+
+def _numbers(x: Any) -> Any:
+    """Nested tuples with floats in the place of tensors."""
+    if isinstance(x, tuple):
+        return tuple(map(_numbers, x))
+    return float(x) if isinstance(x, Tensor) else x
+
+
+def object_to(robot: str, findings: Sequence[str], on_unphysical: Literal["error", "warn", "ignore"]) -> None:
+    """Raise, warn or do nothing about everything that was found."""
+    if not findings or on_unphysical == "ignore":
+        return
+    message = f"robot {robot!r} is unphysical:\n  " + "\n  ".join(findings)
+    if on_unphysical == "error":
+        raise UnphysicalError(f"{message}\nCorrect the description, or load it with on_unphysical='warn'.")
+    warnings.warn(message, stacklevel=4)

@@ -1,0 +1,83 @@
+"""Robots of Denavit-Hartenberg parameters, standard (Denavit and Hartenberg 1955) or modified (Craig 1986)."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import torch
+from torch import Tensor
+
+from torchdq import dq
+from torchdq.dynamics.tree import BASE
+from torchdq.errors import DescriptionError
+from torchdq.robot.from_screws import assemble, named, numbers, poses, table
+
+
+def _about(axis: int, angle: float, shift: float) -> Tensor:
+    """Pose of a rotation about, and a translation along, one axis of a frame."""
+    c, s = exact(math.cos(0.5 * angle), math.sin(0.5 * angle), angle)
+    x = torch.zeros(8, dtype=torch.float64)
+    x[0], x[1 + axis] = c, s
+    # (eps/2) p r with p along the axis of r
+    x[4], x[5 + axis] = -0.5 * shift * s, 0.5 * shift * c
+    return x
+
+
+def exact(cos: float, sin: float, angle: float) -> tuple[float, float]:
+    """Half-angle cosine and sine with the rounding of a half turn or a full turn removed."""
+    turns = angle / math.pi
+    if turns == round(turns):
+        return float(round(cos)), float(round(sin))
+    return cos, sin
+
+
+def read(
+    a: Sequence[float],
+    alpha: Sequence[float],
+    d: Sequence[float],
+    theta: Sequence[float],
+    mass: Any,
+    com: Any,
+    inertia: Any,
+    convention: Literal["standard", "modified"],
+    kinds: Sequence[str] | None,
+    tip_pose: Any,
+    joint_names: Sequence[str] | None,
+    link_names: Sequence[str] | None,
+    name: str,
+) -> tuple[dict[str, Any], list[str]]:
+    """Arguments of a `Robot`, and what is unphysical about it; `Robot.from_dh` says what is expected."""
+    n = numbers("a", a).numel()
+    if n == 0:
+        raise DescriptionError("a must hold a number for each of at least one joint")
+    rows = [table(what, x, n).tolist() for what, x in (("a", a), ("alpha", alpha), ("d", d), ("theta", theta))]
+    types = ("revolute",) * n if kinds is None else tuple(kinds)
+    if len(types) != n or not set(types) <= {"revolute", "prismatic"}:
+        raise DescriptionError(f"kinds must be {n} times 'revolute' or 'prismatic', found {types}")
+    if convention not in ("standard", "modified"):
+        raise DescriptionError(f"convention must be 'standard' or 'modified', found {convention!r}")
+    placements, screws = [], []
+    for kind, a_i, alpha_i, d_i, theta_i in zip(types, *rows, strict=True):
+        z = torch.tensor([0.0, 0, 1, 0, 0, 0] if kind == "revolute" else [0.0, 0, 0, 0, 0, 1], dtype=torch.float64)
+        joint, link = _about(2, theta_i, d_i), _about(0, alpha_i, a_i)
+        if convention == "standard":
+            placements.append(dq.mul(joint, link))
+            screws.append(dq.ad(dq.conj(link), z))  # the joint turns about the z axis of the frame before
+        else:
+            placements.append(dq.mul(link, joint))
+            screws.append(z)
+    identity = torch.tensor([1.0, 0, 0, 0, 0, 0, 0, 0], dtype=torch.float64)
+    return assemble(
+        name,
+        named("joint_names", joint_names, "joint", n),
+        link_names,
+        tuple(range(BASE, n - 1)),
+        torch.stack(placements),
+        torch.stack(screws),
+        types,
+        mass,
+        com,
+        inertia,
+        None,
+        identity if tip_pose is None else poses("tip_pose", tip_pose, 8),
+    )
