@@ -31,7 +31,8 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number
 from torchdq.backends import run
 from torchdq.dynamics.paper import kinematics, rnea
-from torchdq.dynamics.tree import Coordinate, Mechanism
+from torchdq.dynamics.joints import Coordinate
+from torchdq.dynamics.tree import Tree
 from torchdq.numbers.count import Cost
 from torchdq.paper import cost, homogeneous, printed
 from torchdq.program.program import Argument, Program, record
@@ -163,7 +164,7 @@ def counted(name: str, *tables: Sequence[cost.Line]) -> list[Cost | None]:
 # --- torques ---------------------------------------------------------------------------------------------------------
 
 
-def torques(chain: Mechanism, tip: DualQuaternion) -> list[Formulation]:
+def torques(chain: Tree, tip: DualQuaternion) -> list[Formulation]:
     """Formulations of the torques of a chain whose tip exerts a wrench."""
 
     def htm(q: Row, qd: Row, qdd: Row, f: Row) -> Sequence[Number]:
@@ -173,12 +174,11 @@ def torques(chain: Mechanism, tip: DualQuaternion) -> list[Formulation]:
         return homogeneous.rnea(homogeneous.bodies(chain), chain.gravity or (), back, qd, qdd, outer, f_tip)
 
     def as_printed(q: Row, qd: Row, qdd: Row, f: Row) -> Sequence[Number]:
-        x = [displacement(x) for x in q]
-        return printed.rnea(chain, x, qd, qdd, screw.columns(tip), (f[:3], f[3:]))
+        return printed.rnea(chain, [None, *map(displacement, q)], qd, qdd, screw.columns(tip), (f[:3], f[3:]))
 
     def paper_frames(q: Row, qd: Row, qdd: Row, f: Row) -> Sequence[Number]:
-        Ad = kinematics.adjoints(kinematics.joint_poses(chain, [displacement(x) for x in q]))
-        exerted = rnea.exerted_wrenches(N, None, (N - 1, screw.columns(tip)), (f[:3], f[3:]))
+        Ad = kinematics.adjoints(kinematics.joint_poses(chain, [None, *map(displacement, q)]))
+        exerted = rnea.exerted_wrenches(N + 1, None, (N, screw.columns(tip)), (f[:3], f[3:]))
         return rnea.rnea(chain, Ad, qd, qdd, exerted)
 
     arguments = [Argument("q", N), Argument("qd", N), Argument("qdd", N), Argument("f_tip", 6)]

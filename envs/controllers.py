@@ -7,10 +7,11 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from torchdq.algebra.quaternion import Number
+from torchdq.dynamics.posed import Posed
 from torchdq.effects.effect import Parameter, Parametric, Shapes
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
-from torchdq.robot.posed import Given, model
+from torchdq.robot.posed import posed
 from torchdq.robot.robot import SHAPES
 
 Row = Sequence[Number]
@@ -20,10 +21,8 @@ Row = Sequence[Number]
 class Controller(Parametric):
     """Torques from the input `reference` [..., 3 n]: wanted positions, velocities and accelerations."""
 
-    def torques(
-        self, robot: Robot, fields: Given, varied: Sequence[str], reference: Row, q: Row, qd: Row
-    ) -> Sequence[Number]:
-        """Torques at the measured positions and velocities; `fields` are the scene's changes of the robot."""
+    def torques(self, at: Posed, reference: Row, q: Row, qd: Row) -> Sequence[Number]:
+        """Torques at the measured positions and velocities; `at` is the scene's robot at these positions."""
         raise NotImplementedError
 
 
@@ -78,12 +77,10 @@ class ComputedTorque(Feedback):
             constants. None: as it is in the scene, payload and gravity included.
     """
 
-    def torques(
-        self, robot: Robot, fields: Given, varied: Sequence[str], reference: Row, q: Row, qd: Row
-    ) -> Sequence[Number]:
+    def torques(self, at: Posed, reference: Row, q: Row, qd: Row) -> Sequence[Number]:
         """Torques of the corrected acceleration."""
         a = self.corrected(reference, q, qd)
-        believed = model(robot, q, fields, varied) if self.model is None else model(self.model, q, {}, ())
+        believed = at if self.model is None else posed(self.model, q, {}, ())
         return believed.torques(qd, a, None)  # (73), (74)
 
 
@@ -97,13 +94,11 @@ class PD(Feedback):
         model: the robot whose gravity torques are added; None: none are.
     """
 
-    def torques(
-        self, robot: Robot, fields: Given, varied: Sequence[str], reference: Row, q: Row, qd: Row
-    ) -> Sequence[Number]:
+    def torques(self, at: Posed, reference: Row, q: Row, qd: Row) -> Sequence[Number]:
         """Torques of the errors, and the model's weight."""
         n = len(q)
         tau = self.corrected((*reference[: 2 * n], *[0.0] * n), q, qd)
         if self.model is None:
             return tau
-        weight = model(self.model, q, {}, ()).torques(None, None, None)
+        weight = posed(self.model, q, {}, ()).torques(None, None, None)
         return [t if w is None else t + w for t, w in zip(tau, weight, strict=True)]

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple, Protocol
 
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics.absent import neg, total
+from torchdq.algebra.structural import add, difference, neg
+from torchdq.dynamics.posed import Posed
 from torchdq.effects.body import Bodies
 from torchdq.effects.effect import Effect
 from torchdq.effects.joint import Elastic, Impedance
@@ -25,7 +26,7 @@ from torchdq.numbers.record import Number as Recorded
 from torchdq.program import autodiff as derive
 from torchdq.program.program import Argument, Program, record, replay
 from torchdq.robot import Robot
-from torchdq.robot.posed import INERTIAL, AlignedModel, Given, PaperModel, model, solve
+from torchdq.robot.posed import INERTIAL, Overrides, posed, solve
 
 Row = Sequence[Number]
 Rows = dict[str, Row]
@@ -85,8 +86,8 @@ class View(NamedTuple):
     inputs: Mapping[str, Row]
 
     def bodies(self) -> Bodies:
-        """Poses and twists of the links."""
-        return Bodies(self.scene.plan.robot, self.q, self.qd, self.scene.fields)
+        """Links in motion."""
+        return Bodies.moving(self.scene.plan.robot, self.scene.posed(self.q), self.qd)
 
 
 @dataclass(frozen=True)
@@ -94,10 +95,14 @@ class Recording:
     """A scene while it is recorded: its tensors and inputs are rows of numbers."""
 
     plan: Blueprint  # with numbers in the place of its tensors
-    fields: Given  # the robot's tensors that are not its own constants
+    fields: Overrides  # the robot's tensors that are not its own constants
     varied: tuple[str, ...]  # those that differ from sample to sample
     linear: bool  # whether accelerations come from articulated bodies
     inputs: Mapping[str, Row] = field(default_factory=dict)
+
+    def posed(self, q: Row) -> Posed:
+        """Robot at q, with the scene's changes."""
+        return posed(self.plan.robot, q, self.fields, self.varied)
 
     # --- stages ---
 
@@ -107,7 +112,7 @@ class Recording:
         u: Row = self.inputs.get("torque") or [0.0] * n
         if self.plan.controller is not None:
             control = self.plan.controller.torques(
-                self.plan.robot, self.fields, self.varied, self.inputs["reference"], reading[:n], reading[n:]
+                self.posed(reading[:n]), self.inputs["reference"], reading[:n], reading[n:]
             )
             u = [a + b for a, b in zip(u, control, strict=True)]
         slices, remembered = self.plan.memory(), {}
@@ -156,20 +161,23 @@ class Motion(System):
     scene: Recording
     u: Row
 
-    def _model(self, q: Row) -> AlignedModel | PaperModel:
-        return model(self.scene.plan.robot, q, self.scene.fields, self.scene.varied)
+    def _posed(self, q: Row) -> Posed:
+        return self.scene.posed(q)
 
-    def _exerted(self, q: Row, qd: Row) -> list[Screw | None] | None:
-        """Wrenches of the links on the environment, in link frames."""
+    def _solve(self, at: Posed, b: Row) -> Row:
+        return solve(self.scene.plan.robot, at, b, self.scene.linear)
+
+    def _exerted(self, at: Posed, qd: Row) -> list[Screw | None] | None:
+        """Wrenches of the links on the environment."""
         effects = self.scene.plan.of_slot("body")
         if not effects:
             return None
-        bodies = Bodies(self.scene.plan.robot, q, qd, self.scene.fields)
-        felt: list[Screw | None] = [None] * len(q)
+        bodies = Bodies.moving(self.scene.plan.robot, at, qd)
+        received: list[Screw | None] = [None] * (len(qd) + 1)
         for _, effect in effects:
             for i, wrench in effect.wrenches(bodies, self.scene.inputs).items():
-                felt[i] = total(felt[i], wrench)
-        return [neg(f) for f in felt]
+                received[i] = add(received[i], wrench)
+        return [neg(F) for F in received]
 
     def _impedances(self, q: Row, qd: Row) -> list[list[Impedance]]:
         """Impedances of every joint."""
@@ -205,23 +213,23 @@ class Motion(System):
             return []
         return [(u - t) / J for u, t, J in zip(self.u, springs, elastic.inertia, strict=True)]
 
-    def _net(self, x: Row, v: Row) -> tuple[AlignedModel | PaperModel, list[Number]]:
+    def _net(self, x: Row, v: Row) -> tuple[Posed, list[Number]]:
         """The bodies in their positions, and the torques that are left to accelerate them."""
         n = self.scene.plan.robot.n
         q, qd = x[:n], v[:n]
-        m = self._model(q)
-        return m, _less(self._joint_torques(x, v), m.torques(qd, None, self._exerted(q, qd)))
+        at = self._posed(q)
+        return at, difference(self._joint_torques(x, v), at.torques(qd, None, self._exerted(at, qd)))
 
     def accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations in a state."""
-        m, net = self._net(x, v)
-        return [*solve(m, net, self.scene.linear), *self._rotors(self._springs(x, v))]
+        at, net = self._net(x, v)
+        return [*self._solve(at, net), *self._rotors(self._springs(x, v))]
 
     def implicit_accelerations(self, x: Row, v: Row, h: Number) -> list[Number]:
         """Mean accelerations over a step whose impedances and springs act on the state at its end."""
         n = self.scene.plan.robot.n
         q, qd = x[:n], v[:n]
-        m, net = self._net(x, v)
+        at, net = self._net(x, v)
         diagonal: list[Number] = [0.0] * n
         for i, impedances in enumerate(self._impedances(q, qd)):
             for impedance in impedances:
@@ -229,7 +237,7 @@ class Motion(System):
                 net[i] = net[i] - h * impedance.stiffness * qd[i]
         elastic = self._elastic()
         if elastic is None:
-            return list(solve(m.with_rotors(diagonal), net, self.scene.linear))
+            return list(self._solve(at.with_armature(diagonal), net))
         # the rotor's velocity at the end of the step, thd' = (b + s qd')/a, is eliminated from the joint's equation
         coupled = []
         for i, (k, d, J) in enumerate(zip(elastic.stiffness, elastic.damping, elastic.inertia, strict=True)):
@@ -240,7 +248,7 @@ class Motion(System):
             diagonal[i] = diagonal[i] + s * J / a
             # the spring acts with the state at the end of the step instead of the one at its beginning
             net[i] = net[i] - d * (v[n + i] - v[i]) + (s * b / a - s * J / a * v[i]) / h
-        qdd = solve(m.with_rotors(diagonal), net, self.scene.linear)
+        qdd = self._solve(at.with_armature(diagonal), net)
         ends = [v_i + h * a_i for v_i, a_i in zip(qd, qdd, strict=True)]
         rotors = [((b + s * end) / a - before) / h for (s, a, b), end, before in zip(coupled, ends, v[n:], strict=True)]
         return [*qdd, *rotors]
@@ -250,33 +258,23 @@ class Motion(System):
         n = self.scene.plan.robot.n
         q, qd = x[:n], v[:n]
         forces = self._joint_torques(x, v)
-        exerted = self._exerted(q, qd)
+        at = self._posed(q)
+        exerted = self._exerted(at, qd)
         if exerted is not None:
-            m = self._model(q)
-            # the wrenches' share of the inverse dynamics, which is linear in them
-            forces = _less(forces, _less(m.torques(None, None, exerted), m.torques(None, None, None)))
+            # inverse dynamics at rest without gravity: the wrenches alone
+            forces = difference(forces, at.without_gravity().torques(None, None, exerted))
         rate = [f + g for f, g in zip(forces, lagrangian_gradient(self.scene, q, qd), strict=True)]
-        return [*solve(self._model(q), rate, self.scene.linear), *self._rotors(self._springs(x, v))]
+        return [*self._solve(at, rate), *self._rotors(self._springs(x, v))]
 
     def carried(self, x: Row, v: Row, to: Row) -> list[Number]:
         """Velocities at other positions that have the same momentum."""
         n = self.scene.plan.robot.n
-        M = self._model(x[:n]).mass_matrix()
-        momentum = [sum((M[i][j] * v[j] for j in range(n)), 0.0) for i in range(n)]
-        return [*solve(self._model(to[:n]), momentum, self.scene.linear), *v[n:]]
-
-
-def _less(a: Sequence[Number], b: Sequence[Number | None]) -> list[Number]:
-    return [x if y is None else x - y for x, y in zip(a, b, strict=True)]
+        # inverse dynamics with the velocities for accelerations, at rest without gravity, is M v
+        momentum = self._posed(x[:n]).without_gravity().torques(None, v[:n], None)
+        return [*self._solve(self._posed(to[:n]), momentum), *v[n:]]
 
 
 # --- energies --------------------------------------------------------------------------------------------------------
-
-
-def energies(robot: Robot, fields: Given, q: Row, qd: Row) -> tuple[Number, Number]:
-    """Kinetic and potential energy of the rigid bodies."""
-    m = PaperModel.of(robot, q, fields)
-    return m.kinetic_energy(qd), m.potential_energy()
 
 
 def lagrangian_gradient(scene: Recording, q: Row, qd: Row) -> list[Number]:
@@ -290,8 +288,8 @@ def lagrangian_gradient(scene: Recording, q: Row, qd: Row) -> list[Number]:
         fields: dict[str, Any] = {name: None if row is None else list(row) for name, row in scene.fields.items()}
         for (name, k), x in zip(known, numbers, strict=True):
             fields[name][k] = x
-        T, U = energies(robot, fields, q, qd)
-        return {"L": [T - U]}
+        at = posed(robot, q, fields, scene.varied)
+        return {"L": [at.kinetic_energy(qd) - at.potential_energy()]}
 
     program = record("lagrangian", arguments, lagrangian)
     (value,) = program.results[0].values
@@ -456,7 +454,8 @@ def sense(scene: Recording, task: Task | None, beginning: bool = False) -> Rows:
 
 def energy_rows(scene: Recording, task: Task | None) -> Rows:
     """Kinetic and potential energy."""
-    return {"E": energies(scene.plan.robot, scene.fields, scene.inputs["q"], scene.inputs["qd"])}
+    at = scene.posed(scene.inputs["q"])
+    return {"E": [at.kinetic_energy(scene.inputs["qd"]), at.potential_energy()]}
 
 
 # what an integrator asks of the moving bodies, where it is not recorded with them

@@ -14,10 +14,11 @@ from typing import NamedTuple, Protocol
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
-from torchdq.effects.body import Bodies
+from torchdq.dynamics.posed import Posed
 from torchdq.envs.recording import Rows, View
 from torchdq.numbers.functions import at_least, clip, minimum, sqrt
 from torchdq.robot import Robot
+from torchdq.robot.posed import frame, posed
 
 Row = Sequence[Number]
 
@@ -83,7 +84,7 @@ class Reach:
         """At rest in the middle half of the joints' ranges."""
         at = [r.lower + r.span * (0.25 + 0.5 * x) for r, x in zip(ranges(robot), u[: robot.n], strict=True)]
         there = [r.lower + r.span * x for r, x in zip(ranges(robot), u[robot.n :], strict=True)]
-        return {"q": at, "qd": [0.0] * robot.n, "goal": tip(Bodies(robot, there, [0.0] * robot.n, {}))}
+        return {"q": at, "qd": [0.0] * robot.n, "goal": tip(robot, posed(robot, there, {}, ()))}
 
     def bounds(self, robot: Robot) -> list[tuple[float, float]]:
         """Of sines and cosines, positions, velocities, way and end effector."""
@@ -97,10 +98,10 @@ class Reach:
         """See the class."""
         robot, n, goal = view.scene.plan.robot, len(view.q), view.inputs["goal"]
         q, qd = view.reading[:n], view.reading[n:]
-        p = tip(Bodies(robot, q, qd, view.scene.fields))
+        p = tip(robot, view.scene.posed(q))
         seen = [y for kind, x in zip(robot.kinds, q, strict=True) for y in (turned(x) if kind == "revolute" else (x,))]
         seen += [*speeds(robot, qd), *quat.sub(goal, p), *p]
-        way = quat.sub(goal, tip(view.bodies()))
+        way = quat.sub(goal, tip(robot, view.scene.posed(view.q)))
         squared = quat.dot(way, way)
         distance = sqrt(squared + 1e-12)
         bonus = 1.0 / (1.0 + squared * (1.0 / CLOSE**2))
@@ -242,9 +243,10 @@ def speeds(robot: Robot, qd: Row) -> list[Number]:
     return [v * (1.0 / limit) for v, limit in zip(qd, velocities(robot), strict=True)]
 
 
-def tip(bodies: Bodies) -> Pure:
+def tip(robot: Robot, at: Posed) -> Pure:
     """Position of the end effector in the base frame [m]."""
-    return dq.translation(bodies.at(bodies.robot.end_effector().name)[2])
+    link, X_BF = frame(robot, robot.end_effector().name)
+    return at.position(link, at.point(link, X_BF).position)
 
 
 def reach(robot: Robot) -> float:
@@ -266,9 +268,8 @@ def _length(X: Sequence[float]) -> float:
 
 
 def turned(x: Number) -> tuple[Number, Number]:
-    """Sine and cosine of an angle, from those of its half, which kinematics computes anyway."""
-    s, c = (0.5 * x).sin(), (0.5 * x).cos()
-    return 2.0 * (s * c), 1.0 - 2.0 * (s * s)
+    """Sine and cosine of an angle."""
+    return x.sin(), x.cos()
 
 
 def within(row: Row, bounds: Sequence[tuple[float, float]]) -> list[Number]:

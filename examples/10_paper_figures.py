@@ -23,7 +23,9 @@ from torch import Tensor
 
 import torchdq
 from torchdq.algebra import screw
-from torchdq.dynamics.tree import Mechanism
+from torchdq.dynamics.joints import Coordinate
+from torchdq.dynamics.paper.posed import Paper
+from torchdq.dynamics.tree import Tree
 from torchdq.functions import catalogue as recipes
 from torchdq.paper import cost, homogeneous, printed
 
@@ -73,8 +75,13 @@ def reference(t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 def closed_form(arm: torchdq.Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
     """M qdd + c + g by matrices of dual quaternions."""
-    M, c, g, _ = torchdq.closed_form(arm, q, qd)
-    return (M @ qdd[..., None])[..., 0] + c + g  # (63)
+    halves = [None, *(Coordinate(x, (0.5 * x).cos(), (0.5 * x).sin()) for x in q.unbind(-1))]
+    terms = Paper.at(arm.tree(), (), halves).closed_form(qd.unbind(-1))
+    tau = []
+    for row, *bias in zip(terms.M, terms.c, terms.g, strict=True):
+        present = [m * a for m, a in zip(row, qdd.unbind(-1), strict=True) if m is not None]
+        tau.append(sum((*present, *(b for b in bias if b is not None)), torch.zeros(())))  # (63)
+    return torch.stack(torch.broadcast_tensors(*tau), -1)
 
 
 def closed_equations(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
@@ -89,7 +96,7 @@ def closed_equations(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
     return torch.stack([M11 * a1 + M12 * a2 + c1 + g1, M12 * a1 + M22 * a2 + c2 + g2], -1)  # and f_EF = 0 in (72)
 
 
-def homogeneous_rnea(chain: Mechanism, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
+def homogeneous_rnea(chain: Tree, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
     """Torques of a chain by homogeneous matrices, Lynch and Park's algorithm, which shares nothing with the others."""
     back = [homogeneous.Turn(-x, -x.sin(), 1 - x.cos(), x.sin() - x) for x in q.unbind(-1)]
     bodies = homogeneous.bodies(chain)
@@ -101,7 +108,7 @@ def torques(arm: torchdq.Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> dict[str,
     return {
         "closed form, DQ matrices": closed_form(arm, q, qd, qdd),
         "closed equations": closed_equations(q, qd, qdd),
-        "HTM recursion": homogeneous_rnea(arm.mechanism(), q, qd, qdd),
+        "HTM recursion": homogeneous_rnea(arm.tree(), q, qd, qdd),
         "DQ recursion": torchdq.inverse_dynamics(arm, q, qd, qdd),
     }
 

@@ -19,6 +19,8 @@ import pinocchio as pin
 import torch
 
 import torchdq
+from torchdq.dynamics.joints import Coordinate
+from torchdq.dynamics.paper.posed import Paper
 
 EPS = {torch.float64: 2.0**-52, torch.float32: 2.0**-23}
 
@@ -495,3 +497,20 @@ def worst(found, reference, size) -> float:
     difference, size = np.broadcast_arrays(difference, np.asarray(size, dtype=float))
     ratio = np.divide(difference, size, out=np.where(difference == 0, 0.0, np.inf), where=size != 0)
     return float("nan") if np.isnan(difference).any() else float(ratio.max(initial=0.0))
+
+
+# --- the paper's form on tensors -------------------------------------------------------------------------------------
+
+
+def as_printed(robot: torchdq.Robot, q: torch.Tensor) -> Paper:
+    """The robot at positions [..., n] in the paper's form, its numbers tensors [...]."""
+    x = q if robot.home is None else q - robot.home
+    coordinates = [None, *(Coordinate(v, (0.5 * v).cos(), (0.5 * v).sin()) for v in x.unbind(-1))]
+    return Paper.at(robot.tree(), robot.com.unbind(-2), coordinates)
+
+
+def stack(rows, batch: tuple[int, ...]) -> torch.Tensor:
+    """Tensor [*batch, ...] of nested numbers, None being zero."""
+    if isinstance(rows, list | tuple):
+        return torch.stack([stack(row, batch) for row in rows], len(batch))
+    return torch.as_tensor(0.0 if rows is None else rows, dtype=torch.float64).expand(batch)

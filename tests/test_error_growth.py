@@ -11,7 +11,7 @@ import torchdq
 from torchdq.backends import cache as build
 from torchdq.envs import Scene, effects, integrators
 from torchdq.program.program import LARGEST_GROWTH
-from torchdq.robot.posed import model
+from torchdq.robot.posed import posed
 
 EPS = {torch.float32: 2.0**-24, torch.float64: 2.0**-53}
 every_backend = pytest.mark.parametrize(
@@ -54,8 +54,8 @@ def test_growth_is_the_diagonal_over_the_pivots_of_the_mass_matrix(robot):
 def test_articulated_bodies_and_the_mass_matrix_have_the_same_pivots():
     robot = rods(10)
     q = inputs(robot, 1, torch.float64)[0][0]
-    m = model(robot, q.unbind(-1), {}, ())
-    entries, bodies = (torch.tensor([float(r) for r in m.factorised(linear).inverses]) for linear in (False, True))
+    m = posed(robot, q.unbind(-1), {}, ())
+    entries, bodies = (torch.tensor([float(r) for r in m.factors(linear).inverses]) for linear in (False, True))
     assert ((entries - bodies).abs() / entries).max() <= 1e3 * EPS[torch.float64] * torchdq.error_growth(robot, q)
 
 

@@ -17,11 +17,14 @@ import pinocchio as pin
 import pytest
 import torch
 from errata_table import ERRATA, IDS
+from oracles import as_printed, stack
 
 import torchdq
 from torchdq import dq
+from torchdq.algebra import screw
+from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.paper import closed_form, kinematics, rnea
-from torchdq.dynamics.tree import Coordinate
+from torchdq.robot.posed import constant_pose
 
 COUNT, JOINTS = 20, 6
 FACTOR = 2.0  # between an error measured here and the one on record, which is the median of another twenty draws
@@ -639,33 +642,38 @@ def ours_per_link():
     """L, V, A and F of the package, and d/dt of its joint poses as 4x4 matrices."""
     c = chains()
     q, qd, qdd, f_tip = tensors(c)
-    mechanism = c.robot.mechanism()
+    tree = c.robot.tree()
 
     def joint_poses(q):
         half = 0.5 * (q - c.robot.home)
-        return kinematics.joint_poses(mechanism, [Coordinate(2.0 * h, h.cos(), h.sin()) for h in half.unbind(-1)])
+        return kinematics.joint_poses(tree, [None, *(Coordinate(2.0 * h, h.cos(), h.sin()) for h in half.unbind(-1))])
 
     def joint_matrices(q):
-        return torch.stack([dq.to_matrix(dq.stack(x)) for x in joint_poses(q)], 1)
+        return torch.stack([dq.to_matrix(dq.stack(x)) for x in joint_poses(q)[1:]], 1)
 
     Ad = kinematics.adjoints(joint_poses(q))
-    V, A = rnea.outward(mechanism, Ad, qd.unbind(-1), qdd.unbind(-1), rnea.base_at_rest(mechanism))
+    V, A = rnea.outward(tree, Ad, qd.unbind(-1), qdd.unbind(-1))
     tip = c.robot.frame("tip").X_BF
     F_tip = dq.ad(tip, f_tip).unbind(-1)
-    F = rnea.inward(mechanism, Ad, V, A, [None] * (JOINTS - 1) + [(F_tip[:3], F_tip[3:])])
+    F = rnea.inward(tree, Ad, V, A, [None] * JOINTS + [(F_tip[:3], F_tip[3:])])
+    V, A, F, poses = V[1:], A[1:], F[1:], joint_poses(q)[1:]  # of the moving links
     net = [F[-1], *(F[i] for i in reversed(range(JOINTS - 1)))]
     V, A, F = (torch.stack([dq.stack(s) for s in screws], 1) for screws in (V, A, F))
-    beyond = [dq.ad(dq.stack(joint_poses(q)[i + 1]), F[:, i + 1]) for i in range(JOINTS - 1)]
+    beyond = [dq.ad(dq.stack(poses[i + 1]), F[:, i + 1]) for i in range(JOINTS - 1)]
     net = F - torch.stack([*beyond, torch.stack(F_tip, -1)], 1)  # (46)
     rate = torch.func.jvp(joint_matrices, (q,), (qd,))[1]
-    return {"V": V, "A": A, "F": F, "net": net, "step rate": rate, "L": closed_form.propagation(mechanism, Ad)}
+    L = [row[1:] for row in closed_form.propagation(tree, Ad)[1:]]
+    return {"V": V, "A": A, "F": F, "net": net, "step rate": rate, "L": L}
 
 
 @cache
 def ours_in_closed_form():
     c = chains()
     q, qd, qdd, f_tip = tensors(c)
-    M, g_c, g, Jt = torchdq.closed_form(c.robot, q, qd)
+    tip = (JOINTS, screw.columns(constant_pose(c.robot.frame("tip").X_BF)))
+    terms = as_printed(c.robot, q).closed_form(qd.unbind(-1), tip)
+    M, g_c, g = (stack(x, q.shape[:1]) for x in terms[:3])
+    Jt = stack([(*f, *m) for f, m in terms.Jt], q.shape[:1])
     tau = (M @ qdd[..., None] + Jt @ f_tip[..., None])[..., 0] + g_c + g
     return {"M": M, "c": g_c, "g": g, "Jt": Jt, "bias": g_c + g, "tau": tau}
 

@@ -18,9 +18,9 @@ from helpers import double, random
 import torchdq
 from torchdq.algebra import dual_quaternion, screw
 from torchdq.backends import run
+from torchdq.dynamics.joints import KINDS, Coordinate
 from torchdq.dynamics.paper import kinematics
 from torchdq.dynamics.paper.closed_form import closed_form
-from torchdq.dynamics.tree import Coordinate
 from torchdq.paper import cost, homogeneous, printed
 
 for needed in ("matplotlib", "tyro"):
@@ -93,7 +93,7 @@ def test_formulations_of_the_torques_agree_on_chains(n, kinds):
         assert relative(figures.closed_form(robot, q, qd, qdd), recursion) < 1e-12
     # on floats, because to record so many operators takes long
     (floats,), (rates,) = q.tolist(), qd.tolist()
-    Ad = kinematics.adjoints(kinematics.joint_poses(chain, [half(x) for x in floats]))
+    Ad = kinematics.adjoints(kinematics.joint_poses(chain, [None, *map(half, floats)]))
     M, c, g, _ = closed_form(chain, Ad, rates)
     *M, c, g = (double(*(x or 0.0 for x in row)) for row in (*M, c, g))  # None: zero by structure
     assert relative(torch.stack(M) @ qdd[0] + c + g, recursion[0]) < 1e-12
@@ -125,7 +125,7 @@ def test_baselines_agree_with_this_package_and_with_pinocchio_with_a_wrench_at_t
     )
     assert relative(by_matrices, expected) < 1e-12
 
-    Ad_tip, halves = printed.vectors(printed.columns(tip)), [half(x) for x in floats]
+    Ad_tip, halves = printed.vectors(printed.columns(tip)), [None, *map(half, floats)]
     as_printed = printed.rnea(chain, halves, rates, accelerations, Ad_tip, (wrench[:3], wrench[3:]))
     assert relative(as_printed, expected) < 1e-12
 
@@ -143,11 +143,7 @@ def by_exponentials(screws, home, kinds, q):
     turns = [homogeneous.Turn(x, math.sin(x), 1 - math.cos(x), x - math.sin(x)) for x in q]
     steps = [homogeneous.exponential(homogeneous.generator(s), turn) for s, turn in zip(screws, turns, strict=True)]
     by_matrices = homogeneous.chained([*steps, homogeneous.matrix(home)])[-1]
-    link = cost.chain(1)[0].links[0]
-    motions = [
-        kinematics.joint_motion(link._replace(screw=s, kind=kind), half(x))
-        for s, kind, x in zip(screws, kinds, q, strict=True)
-    ]
+    motions = [KINDS[kind](s).motion(half(x)) for s, kind, x in zip(screws, kinds, q, strict=True)]
     return by_matrices, homogeneous.matrix(reduce(dual_quaternion.mul, [*motions, home]))
 
 
@@ -186,10 +182,10 @@ def test_four_formulations_of_the_pose_agree_on_a_denavit_hartenberg_arm(n):
 def test_exponentials_agree_with_this_package_on_all_kinds_of_joints(n, kinds):
     chain, tip = cost.chain(n, kinds)
     q = random(n, seed=n)
-    home = kinematics.link_poses(chain, [link.X_PB_home for link in chain.links])
-    screws = [screw.ad(screw.columns(x), link.screw) for x, link in zip(home, chain.links, strict=True)]
-    expected = tip_matrix(cost.robot(chain, tip), q)
-    names = [link.kind for link in chain.links]
+    home, joints = kinematics.link_poses(chain, [link.placement for link in chain.links])[1:], chain.links[1:]
+    screws = [screw.ad(screw.columns(x), link.joint.screw) for x, link in zip(home, joints, strict=True)]
+    robot = cost.robot(chain, tip)
+    expected, names = tip_matrix(robot, q), robot.kinds
     for found in by_exponentials(screws, dual_quaternion.mul(home[-1], tip), names, q.tolist()):
         assert relative(found, expected) < 1e-13
 

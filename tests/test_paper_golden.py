@@ -11,9 +11,9 @@ import pytest
 import torch
 
 import torchdq
+from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.paper import rnea
 from torchdq.dynamics.paper.kinematics import adjoints, joint_poses
-from torchdq.dynamics.tree import Coordinate
 
 BACKEND = "auto"
 
@@ -173,13 +173,13 @@ def test_two_link_constants():
 def links():
     """Twist V, acceleration A and wrench F of each link in the state of row 4, as tensors [2, 6]."""
     q, qd, qdd, *_ = (x[3] for x in states())
-    mechanism = two_link(ROD).mechanism()
+    tree = two_link(ROD).tree()
     half = 0.5 * q
-    coordinates = [Coordinate(q[i], half[i].cos(), half[i].sin()) for i in range(2)]
-    Ad = adjoints(joint_poses(mechanism, coordinates))
-    V, A = rnea.outward(mechanism, Ad, qd.unbind(), qdd.unbind(), rnea.base_at_rest(mechanism))
-    F = rnea.inward(mechanism, Ad, V, A, [None, None])
-    return [torch.stack([torch.stack([*s[0], *s[1]]) for s in screws]) for screws in (V, A, F)]
+    coordinates = [None, *(Coordinate(q[i], half[i].cos(), half[i].sin()) for i in range(2))]
+    Ad = adjoints(joint_poses(tree, coordinates))
+    V, A = rnea.outward(tree, Ad, qd.unbind(), qdd.unbind())
+    F = rnea.inward(tree, Ad, V, A, [None] * 3)
+    return [torch.stack([torch.stack([*s[0], *s[1]]) for s in screws[1:]]) for screws in (V, A, F)]
 
 
 def test_two_link_twists(links):

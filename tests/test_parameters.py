@@ -202,7 +202,7 @@ def test_a_robot_stays_physical_at_every_step(name, kind, gradients):
         assert objections(robot.mass, robot.inertia) == []
         for positive in (robot.armature, module.viscous, module.coulomb):
             assert bool((positive > 0).all()) and bool(positive.isfinite().all())
-        assert torchdq.robot.consistency.inert_joints(robot.joint_names, robot.bake().mechanism()) == []
+        assert torchdq.robot.consistency.inert_joints(robot.joint_names, robot.bake().tree()) == []
 
 
 # --- where learning starts -------------------------------------------------------------------------------------------

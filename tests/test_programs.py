@@ -3,7 +3,6 @@
 The references are mpmath, torch's own autograd, numpy's solver, and the paper's recursion in the robot's own frames.
 """
 
-import math
 import operator
 from unittest.mock import patch
 
@@ -11,19 +10,29 @@ import mpmath
 import numpy as np
 import pytest
 import torch
-from oracles import EPS, Case, dual_quaternion, pin, pinocchio_model, random_inertia, shipped, size_of_torques, states
+from oracles import (
+    EPS,
+    Case,
+    as_printed,
+    dual_quaternion,
+    pin,
+    pinocchio_model,
+    random_inertia,
+    se3,
+    shipped,
+    size_of_torques,
+    stack,
+    states,
+)
 from oracles import random_tree as random_case
 
 import torchdq
 from torchdq.backends import run
-from torchdq.dynamics import ltdl as forward
-from torchdq.dynamics.aligned import aba as articulated
-from torchdq.dynamics.paper import crba, kinematics, rnea
-from torchdq.dynamics.tree import BASE, Coordinate
+from torchdq.dynamics.aligned.posed import Aligned
+from torchdq.dynamics.tree import BASE
 from torchdq.program import autodiff as derive
 from torchdq.program.program import Argument, Count, Program, record, replay, results
-from torchdq.robot import mdh as frames
-from torchdq.robot.posed import AlignedModel
+from torchdq.robot import mdh, posed
 
 F64 = torch.float64
 EPS64 = EPS[F64]
@@ -340,29 +349,13 @@ def test_a_constant_result_has_no_tangent_and_no_gradient():
 # --- aligned frames --------------------------------------------------------------------------------------------------
 
 
-def aligned(robot: torchdq.Robot, q: torch.Tensor, group: bool) -> AlignedModel:
+def aligned(robot: torchdq.Robot, q: torch.Tensor, group: bool) -> Aligned:
     """The robot in its aligned frames, its numbers batches of positions."""
-    return AlignedModel.of(robot, q.unbind(-1), {}, group)
-
-
-def stack(rows, batch: int) -> torch.Tensor:
-    """Tensor [batch, ...] of nested numbers, None being zero."""
-    if isinstance(rows, list | tuple):
-        return torch.stack([stack(row, batch) for row in rows], 1)
-    return torch.as_tensor(0.0 if rows is None else rows, dtype=F64).expand(batch)
-
-
-def paper(robot: torchdq.Robot, q: torch.Tensor):
-    """Mechanism, poses and adjoints for the paper's recursion."""
-    m = robot.mechanism()
-    x = q if robot.home is None else q - robot.home
-    X_PB = kinematics.joint_poses(m, [Coordinate(v, (v / 2).cos(), (v / 2).sin()) for v in x.unbind(-1)])
-    return m, X_PB, kinematics.adjoints(X_PB)
+    return posed.aligned(robot, q.unbind(-1), {}, group)
 
 
 def torques(robot: torchdq.Robot, s) -> torch.Tensor:
-    m, _, Ad = paper(robot, s.q)
-    return stack(rnea.rnea(m, Ad, s.qd.unbind(-1), s.qdd.unbind(-1)), len(s.q))
+    return stack(as_printed(robot, s.q).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None), (len(s.q),))
 
 
 TREES = [random_case(n, seed, armature=bool(seed % 2)) for n, seed in ((5, 0), (8, 1), (12, 2), (12, 3))]
@@ -385,10 +378,12 @@ def test_aligned_frames_put_the_links_where_they_are_and_the_axes_along_z(robot)
     """Turning the aligned frames by R_z(gamma) R_x(alpha) R_z(theta) leads to the same link poses at home."""
     assert {"revolute", "prismatic", "helical"} == EVERY_KIND
     links, own = [], []
-    for i, (parent, at) in enumerate(zip(robot.parents, frames.align(robot), strict=True)):
+    for i, (parent, at) in enumerate(zip(robot.parents, mdh.align(posed.tree(robot, {})), strict=True)):
         X = pin.SE3(np.eye(3), np.zeros(3)) if parent == BASE else own[parent]
-        R = rotation_z(*at.gamma) @ rotation_x(*at.alpha) @ rotation_z(math.cos(at.offset), math.sin(at.offset))
-        own.append(X * pin.SE3(R, np.array(at.p)))
+        constants = at.placement
+        R = rotation_z(*constants.gamma) @ rotation_x(*constants.alpha)
+        step = pin.SE3(R, np.array(constants.p)) * pin.SE3(rotation_z(*at.turn), np.array([0, 0, constants.shift]))
+        own.append(X * step)
         R_BL, p_BL = np.array(at.R_BL), np.array(at.p_BL)
         links.append(own[i] * pin.SE3(R_BL, p_BL).inverse())
         x = robot.X_PB_home[i].numpy()
@@ -396,20 +391,23 @@ def test_aligned_frames_put_the_links_where_they_are_and_the_axes_along_z(robot)
         home = pin.SE3(r.matrix(), 2 * (d * r.conjugate()).coeffs()[:3])
         expected = home if parent == BASE else links[parent] * home
         assert abs(links[i].homogeneous - expected.homogeneous).max() <= 64 * EPS64 * 8
+        assert (
+            abs(se3(np.array([*at.X_WB_home[0], *at.X_WB_home[1]])).homogeneous - links[i].homogeneous).max() <= 1e-13
+        )
         # the joint's screw in the aligned frame: its axis is z, and the origin is on it
         s = robot.screw[i].numpy()
         direction = s[3:] if robot.kinds[i] == "prismatic" else s[:3]
         assert abs(R_BL.T @ direction - [0, 0, 1]).max() <= 32 * EPS64
         if robot.kinds[i] != "prismatic":
             moment = s[3:] - np.cross(p_BL, direction)
-            assert abs(moment - at.pitch * direction).max() <= 64 * EPS64 * 4
+            assert abs(moment - s[:3] @ s[3:] * direction).max() <= 64 * EPS64 * 4
 
 
 @pytest.mark.parametrize("group", [False, True])
 @pytest.mark.parametrize("case", TREES, ids=lambda case: case.robot.name)
 def test_torques_in_aligned_frames_equal_the_papers_recursion(case, group):
     s = states(case.robot, 5)
-    found = stack(aligned(case.robot, s.q, group).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None), 5)
+    found = stack(aligned(case.robot, s.q, group).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None), (5,))
     error = (found - torques(case.robot, s)).abs() / torch.from_numpy(size_of_torques(case, s))
     assert error.max() <= 256 * EPS64
 
@@ -418,9 +416,8 @@ def test_torques_in_aligned_frames_equal_the_papers_recursion(case, group):
 @pytest.mark.parametrize("case", [*TREES, shipped("panda")], ids=lambda case: case.robot.name)
 def test_the_mass_matrix_by_composite_bodies_equals_the_papers(case, group):
     s = states(case.robot, 5)
-    m, X_PB, Ad = paper(case.robot, s.q)
-    expected = stack(crba.mass_matrix(m, X_PB, Ad), 5)
-    found = stack(aligned(case.robot, s.q, group).mass_matrix(), 5)
+    expected = stack(as_printed(case.robot, s.q).mass_matrix(), (5,))
+    found = stack(aligned(case.robot, s.q, group).mass_matrix(), (5,))
     size = expected.diagonal(dim1=-2, dim2=-1).sqrt()
     assert ((found - expected).abs() / (size[:, :, None] * size[:, None, :])).max() <= 256 * EPS64
 
@@ -429,7 +426,7 @@ def test_the_mass_matrix_by_composite_bodies_equals_the_papers(case, group):
 def test_axes_that_are_nearly_parallel_lose_no_accuracy(tilt):
     robot = chain(6, tilt=tilt)
     s = states(robot, 5)
-    found = stack(aligned(robot, s.q, True).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None), 5)
+    found = stack(aligned(robot, s.q, True).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None), (5,))
     size = torch.from_numpy(size_of_torques(Case(robot, pinocchio_model(robot)), s))
     assert ((found - torques(robot, s)).abs() / size).max() <= 1e-12
 
@@ -437,15 +434,15 @@ def test_axes_that_are_nearly_parallel_lose_no_accuracy(tilt):
 def test_axes_that_meet_lose_no_accuracy():
     robot = chain(8, meeting=True)
     s = states(robot, 5)
-    found = stack(aligned(robot, s.q, True).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None), 5)
+    found = stack(aligned(robot, s.q, True).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None), (5,))
     size = torch.from_numpy(size_of_torques(Case(robot, pinocchio_model(robot)), s))
     assert ((found - torques(robot, s)).abs() / size).max() <= 1e-12
 
 
 def test_grouping_leaves_a_revolute_link_without_mass_on_its_axis():
     robot = chain(5)
-    for link in aligned(robot, states(robot).q, True).links:
-        mass, (_, _, hz), (*_, zz) = link.body
+    for link in aligned(robot, states(robot).q, True).tree.links[1:]:
+        mass, (_, _, hz), (*_, zz) = link.inertia
         assert (mass, hz, zz) == (0.0, 0.0, 0.0)
 
 
@@ -458,10 +455,8 @@ def test_grouping_leaves_a_revolute_link_without_mass_on_its_axis():
 def test_articulated_bodies_solve_the_mass_matrix(robot):
     s = states(robot, 4)
     m = aligned(robot, s.q, True)
-    M = m.mass_matrix()
-    factored = stack(forward.solve(m.links, forward.factorise(m.links, M), s.qdd.unbind(-1)), 4)
-    found = stack(articulated.solve(m.aligned, m.steps, articulated.factorise(m.aligned, m.steps), s.qdd.unbind(-1)), 4)
-    M = stack(M, 4).numpy()
+    factored, found = (stack(m.factors(linear).solve(s.qdd.unbind(-1)), (4,)) for linear in (False, True))
+    M = stack(m.mass_matrix(), (4,)).numpy()
     expected = torch.from_numpy(np.linalg.solve(M, s.qdd.numpy()[..., None])[..., 0])
     bound = torch.from_numpy(32 * EPS64 * np.linalg.cond(M)) * expected.norm(dim=-1)
     assert ((found - expected).norm(dim=-1) <= bound).all()

@@ -9,6 +9,7 @@ from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
+from torchdq.algebra.structural import total
 
 Rows = tuple[tuple, ...]  # (8), (12)
 
@@ -29,17 +30,6 @@ def transpose(q: Rows) -> Rows:
 def conj(q: Rows) -> Rows:
     """Entry-wise conjugate of a matrix of dual quaternions, without transposing."""
     return tuple(tuple(None if x is None else dq.conj(x) for x in row) for row in q)  # (9), (13)
-
-
-def total(terms: Sequence, add: Callable):
-    """Sum of the terms that are not None, or None."""
-    present = [term for term in terms if term is not None]
-    if not present:
-        return None
-    result = present[0]
-    for term in present[1:]:
-        result = add(result, term)
-    return result
 
 
 def add(a: Rows, b: Rows, plus: Callable = dq.add) -> Rows:

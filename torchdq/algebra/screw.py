@@ -13,7 +13,6 @@ from torchdq.algebra.quaternion import Number, Pure
 Screw = tuple[Pure, Pure]  # (14)
 Columns = tuple[Pure, ...]  # three, of a 3x3 matrix
 Adjoint = tuple[Columns, Columns]  # (A_P, A_D), for A_H of (60)
-Symmetric = tuple[Pure, ...]  # three rows, equally columns, of a symmetric 3x3 matrix
 
 
 def add(a: Screw, b: Screw) -> Screw:
@@ -114,58 +113,6 @@ def compose(a: Adjoint, b: Adjoint) -> Adjoint:
     p = _three([columns_times(a[0], e) for e in b[0]])
     d = _three([quat.add(columns_times(a[0], f), columns_times(a[1], e)) for e, f in zip(b[0], b[1], strict=True)])
     return (p, d)
-
-
-# --- inertia ---------------------------------------------------------------------------------------------------------
-
-
-def inertia_transform(mass: Number, first: Pure | None, second: Symmetric, a: Screw) -> Screw:
-    """Dual quaternion inertia transformation G(a): the momentum of a body that moves with the twist a.
-
-        G(w + eps v) = (m v - h x w) + eps (I_x w_x + I_y w_y + I_z w_z + h x v)
-
-    Args:
-        mass: m [kg].
-        first: first moment h = m c of the centre of mass c about the frame's origin [kg m]; None: the origin is there.
-        second: rotational inertia about the frame's origin [kg m^2], rows I_x, I_y, I_z.
-        a: twist, or spatial acceleration, in the frame.
-    """
-    w, v = a
-    i_x, i_y, i_z = second
-    force = quat.scale(mass, v)
-    moment = quat.add(quat.add(quat.scale(w[0], i_x), quat.scale(w[1], i_y)), quat.scale(w[2], i_z))  # (30), erratum 30
-    if first is None:
-        return (force, moment)
-    return (quat.sub(force, quat.cross(first, w)), quat.add(moment, quat.cross(first, v)))
-
-
-def inertia_about_origin(mass: Number, com: Pure, inertia: Symmetric) -> Symmetric:
-    """Rotational inertia about the frame's origin, from the one about the centre of mass, by parallel axes."""
-    x, y, z = com
-    xx, yy, zz = mass * (x * x), mass * (y * y), mass * (z * z)
-    xy, xz, yz = mass * (x * y), mass * (x * z), mass * (y * z)
-    shift = ((yy + zz, -xy, -xz), (-xy, xx + zz, -yz), (-xz, -yz, xx + yy))
-    a, b, c = (quat.add(i, d) for i, d in zip(inertia, shift, strict=True))
-    return (a, b, c)
-
-
-def carry_inertia(
-    a: Adjoint, p: Pure, mass: Number, first: Pure | None, second: Symmetric
-) -> tuple[Number, Pure, Symmetric]:
-    """Inertia (m, h, I) of a body, given in B, in the frame A whose pose of B has the columns `a` and position `p`."""
-    rotation = a[0]
-    turned = _three([columns_times(rotation, row) for row in second])  # rows of (R I)^T
-    rotated = _three([columns_times(rotation, column) for column in _transpose(turned)])  # R I R^T
-    c = (0.0, 0.0, 0.0) if first is None else columns_times(rotation, first)
-    h = quat.add(c, quat.scale(mass, p))
-    # parallel axes: I - ([p][h] + [c][p]), written out so that the result is symmetric to the last bit
-    trace = quat.dot(p, quat.add(c, h))
-    rows = [list(row) for row in rotated]
-    for i in range(3):
-        for j in range(i, 3):
-            shift = -(p[i] * h[j] + c[i] * p[j])
-            rows[i][j] = rows[j][i] = rotated[i][j] + (shift + trace if i == j else shift)
-    return (mass, h, _three([_three(row) for row in rows]))
 
 
 # --- exponential and logarithm ---------------------------------------------------------------------------------------

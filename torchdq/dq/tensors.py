@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from torchdq.algebra import dual_quaternion, quaternion, screw
+from torchdq.algebra.inertia import Inertia, six
 from torchdq.dq import explog
 from torchdq.errors import ArgumentError, DtypeError
 
@@ -295,11 +296,8 @@ def inertia_transform(mass: Tensor, inertia: Tensor, a: Tensor, com: Tensor | No
     i_x, i_y, i_z = (_split("inertia", row, 3) for row in inertia.unbind(-2))
     rows = (i_x, i_y, i_z)
     if com is None:
-        return stack(screw.inertia_transform(mass, None, rows, parts))
-    c = _split("com", com, 3)
-    return stack(
-        screw.inertia_transform(mass, quaternion.scale(mass, c), screw.inertia_about_origin(mass, c, rows), parts)
-    )
+        return stack(Inertia(mass, None, rows).momentum(parts))
+    return stack(Inertia.from_com(mass, _split("com", com, 3), six(rows)).momentum(parts))
 
 
 # --- exponential and logarithm ---------------------------------------------------------------------------------------

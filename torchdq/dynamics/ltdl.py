@@ -1,18 +1,15 @@
-"""Forward dynamics: joint accelerations from torques, by the mass matrix and its tree-sparse factors.
+"""Sparse factors of a mass matrix, and the solution of M x = b by them.
 
 M = L^T D L, eliminated from the leaves to the base, so that an entry that is zero because two joints lie on different
 branches stays absent in the factors (Featherstone, Rigid Body Dynamics Algorithms, 2008, section 6.5).
 """
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 from torchdq.algebra.matrix import Rows
 from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.conditioning import inverse
-from torchdq.dynamics.tree import BASE, path
-
-Links = Sequence[Any]  # of a mechanism or an aligned one; only their parents are read
 
 
 class Factors(NamedTuple):
@@ -22,30 +19,42 @@ class Factors(NamedTuple):
     lower: dict[tuple[int, int], Number]
 
 
-def factorise(links: Links, M: Rows) -> Factors:
-    """Factors of a mass matrix; a D that is not positive means a position without inertia."""
-    H = {(i, j): M[i][j] for i in range(len(links)) for j in path(links, i)}
+def _path(before: Sequence[int], i: int) -> Iterator[int]:
+    """Degrees of freedom from i down to the base, i first."""
+    while i >= 0:
+        yield i
+        i = before[i]
+
+
+def factorise(before: Sequence[int], M: Rows) -> Factors:
+    """Factors of a mass matrix.
+
+    Args:
+        before: for every degree of freedom, the one before it on the path from the base, or -1.
+        M: entries of degrees of freedom on no common path are not read.
+    """
+    n = len(before)
+    H = {(i, j): M[i][j] for i in range(n) for j in _path(before, i)}
     lower = {}
-    inverses: list[Number] = [0.0] * len(links)
-    for k in reversed(range(len(links))):
+    inverses: list[Number] = [0.0] * n
+    for k in reversed(range(n)):
         inverses[k] = inverse(k, H[k, k])
-        for i in path(links, links[k].parent):
+        for i in _path(before, before[k]):
             ratio = H[k, i] * inverses[k]
-            for j in path(links, i):
+            for j in _path(before, i):
                 H[i, j] = H[i, j] - ratio * H[k, j]
             lower[k, i] = ratio
     return Factors(tuple(inverses), lower)
 
 
-def solve(links: Links, factors: Factors, b: Sequence[Number]) -> tuple[Number, ...]:
+def solve(before: Sequence[int], factors: Factors, b: Sequence[Number]) -> tuple[Number, ...]:
     """Solution x of M x = b."""
     x = list(b)
-    for i in reversed(range(len(links))):
-        for j in path(links, links[i].parent):
+    for i in reversed(range(len(x))):
+        for j in _path(before, before[i]):
             x[j] = x[j] - factors.lower[i, j] * x[i]
     x = [x_i * d for x_i, d in zip(x, factors.inverses, strict=True)]
-    for i, link in enumerate(links):
-        if link.parent != BASE:
-            for j in path(links, link.parent):
-                x[i] = x[i] - factors.lower[i, j] * x[j]
+    for i in range(len(x)):
+        for j in _path(before, before[i]):
+            x[i] = x[i] - factors.lower[i, j] * x[j]
     return tuple(x)

@@ -1,77 +1,114 @@
-"""The robot as the algorithms see it: a tree of links whose every constant is a number."""
+"""Trees of links. Links, joints and coordinates are three different things.
+
+Link 0 is the base: its parent is the world, and its joint is fixed or free. Every other link hangs on one that comes
+before it. The velocities of all joints stand in one row; a link knows its joint's part of it, which may be empty.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from torchdq.algebra import quaternion
-from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.inertia import Inertia, Moments
 from torchdq.algebra.quaternion import Number, Pure
-from torchdq.algebra.screw import Screw, Symmetric, inertia_about_origin
+from torchdq.algebra.screw import Screw
+from torchdq.dynamics.joints import Exponential, Fixed, Joint
 
-BASE = -1  # parent index of a link that hangs on the base
+WORLD = -1  # parent of the base
+BASE = -1  # number of the base in descriptions, which number moving links from 0
 
 
 class Link(NamedTuple):
-    """A moving link B and the joint that carries it on its parent P."""
+    """A link and the joint that carries it on its parent."""
 
     parent: int
-    kind: str  # "revolute", "prismatic" or "helical"
-    X_PB_home: DualQuaternion  # delta_i^{i-1}
-    screw: Screw  # a_i, in B
-    mass: Number  # [kg]
-    first: Pure | None  # m c about B's origin [kg m]; None: B's origin is the centre of mass
-    second: Symmetric  # about B's origin [kg m^2]
+    joint: Joint
+    placement: Any  # home pose in the parent, in the form that the algorithms at hand use; None: the frames coincide
+    inertia: Inertia | Moments | None  # about the link frame's origin; None: no body
     armature: Number | None  # rotor inertia seen at the joint [kg m^2 or kg]
+    v: slice  # the joint's part of the row of velocities
 
 
-class Mechanism(NamedTuple):
-    """A tree of links; every parent comes before its children."""
+class Tree(NamedTuple):
+    """Links, every parent before its children, and the gravity that acts on them."""
 
     links: tuple[Link, ...]
-    gravity: Pure | None  # acceleration, in the base frame [m/s^2]
+    gravity: Pure | None  # acceleration in the world frame [m/s^2]
+
+    @property
+    def nv(self) -> int:
+        """Degrees of freedom of all joints together."""
+        return self.links[-1].v.stop
+
+    def rates(self, v: Sequence[Number] | None) -> list[Screw | None]:
+        """Twist of every link relative to its parent, or the same of accelerations; None: there is none."""
+        return [link.joint.rate(None if v is None else v[link.v]) for link in self.links]
+
+    def columns(self) -> list[tuple[int, Screw]]:
+        """Link and screw of every degree of freedom."""
+        return [(i, a) for i, link in enumerate(self.links) for a in link.joint.columns]
+
+    def predecessors(self) -> tuple[int, ...]:
+        """For every degree of freedom, the one before it on the path from the base; -1: there is none."""
+        found: list[int] = []
+        for link in self.links:
+            before = -1
+            for i in path(self.links, link.parent):
+                if self.links[i].joint.nv:
+                    before = self.links[i].v.stop - 1
+                    break
+            for _ in range(link.joint.nv):
+                found.append(before)
+                before = len(found) - 1
+        return tuple(found)
+
+    def with_armature(self, more: Sequence[Number]) -> Tree:
+        """Tree with more rotor inertia at its joints of one degree of freedom."""
+        return self._replace(
+            links=tuple(
+                link if link.joint.nv != 1 else link._replace(armature=_plus(link.armature, more[link.v.start]))
+                for link in self.links
+            )
+        )
+
+    def moved(self, q: Sequence[Sequence[Number]], v: Sequence[Number], h: Number, exp: Exponential) -> list[tuple]:
+        """Coordinates of every joint after a time h at the velocities v."""
+        return [link.joint.moved(x, v[link.v], h, exp) for link, x in zip(self.links, q, strict=True)]
 
 
-class Coordinate(NamedTuple):
-    """A joint's displacement from home, with the cosine and sine of half of it."""
-
-    value: Number
-    cos: Number
-    sin: Number
+def _plus(a: Number | None, b: Number) -> Number:
+    return b if a is None else a + b
 
 
-def path(links: Sequence, i: int) -> Iterator[int]:
-    """Indices from link i down to the link on the base, i first."""
-    while i != BASE:
+def path(links: Sequence[Link], i: int) -> Iterator[int]:
+    """Indices from link i down to the base, i first."""
+    while i != WORLD:
         yield i
         i = links[i].parent
 
 
-def mechanism(
+def plant(
     parents: Sequence[int],
-    kinds: Sequence[str],
-    X_PB_home: Sequence[Sequence[Number]],
-    screw: Sequence[Sequence[Number]],
-    mass: Sequence[Number],
-    com: Sequence[Pure],
-    inertia: Sequence[Sequence[Number]],
-    gravity: Pure | None,
+    joints: Sequence[Joint],
+    placements: Sequence[Any],
+    inertias: Sequence[Inertia | Moments | None],
     armature: Sequence[Number] | None,
-) -> Mechanism:
-    """Mechanism of a robot's numbers, whose inertias are about the centres of mass: xx xy yy xz yz zz."""
-    links = []
-    for i, (parent, kind) in enumerate(zip(parents, kinds, strict=True)):
-        x, s, m, c = X_PB_home[i], screw[i], mass[i], com[i]
-        xx, xy, yy, xz, yz, zz = inertia[i]
-        links.append(
-            Link(
-                parent=parent,
-                kind=kind,
-                X_PB_home=(tuple(x[:4]), tuple(x[4:])),
-                screw=(tuple(s[:3]), tuple(s[3:])),
-                mass=m,
-                first=quaternion.scale(m, c),
-                second=inertia_about_origin(m, c, ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))),
-                armature=None if armature is None else armature[i],
-            )
-        )
-    return Mechanism(tuple(links), gravity)
+    gravity: Pure | None,
+    base: Joint | None = None,
+    base_inertia: Inertia | Moments | None = None,
+) -> Tree:
+    """Tree of moving links on a base, the velocities in the order of the links.
+
+    Args:
+        parents: of the moving links, numbered from 0; -1: the base.
+        joints, placements, inertias, armature: of the moving links.
+        base: joint of the base; None: fixed.
+        base_inertia: of the base, in its frame; None: no body.
+    """
+    base = Fixed() if base is None else base
+    links = [Link(WORLD, base, None, base_inertia, None, slice(0, base.nv))]
+    rotors = armature or [None] * len(joints)
+    for parent, joint, placement, inertia, rotor in zip(parents, joints, placements, inertias, rotors, strict=True):
+        at = links[-1].v.stop
+        links.append(Link(parent + 1, joint, placement, inertia, rotor, slice(at, at + joint.nv)))
+    return Tree(tuple(links), gravity)

@@ -4,46 +4,42 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Literal, NamedTuple, Self
 
-from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
-from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics.tree import BASE
+from torchdq.dynamics.posed import Point, Posed
 from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link
 from torchdq.effects.joint import Inputs
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import maximum, sqrt
 from torchdq.robot import Robot
-from torchdq.robot.posed import Given, PaperModel, constant_pose, field
+from torchdq.robot.posed import frame
 
 
-class Bodies:
-    """Poses and twists of a robot's links in a state; what nothing asks for is not part of the program."""
+class Bodies(NamedTuple):
+    """Links of a posed robot in motion; points, twists and wrenches are in the frames in which it keeps them."""
 
-    def __init__(self, robot: Robot, q: Sequence[Number], qd: Sequence[Number], fields: Given):
-        self.robot = robot
-        self.fields = fields
-        model = PaperModel.of(robot, q, fields)
-        self.X_WB, self.V_WB_B = model.poses(), model.twists(qd)
+    robot: Robot
+    posed: Posed
+    V: Sequence[Screw]  # twists of the links
 
-    def com(self, i: int) -> Pure:
-        """Centre of mass of a link, in the link frame."""
-        return field(self.robot, "com", self.fields)[i]
+    @classmethod
+    def moving(cls, robot: Robot, posed: Posed, qd: Sequence[Number]) -> Bodies:
+        """Links at the velocities qd of the joints."""
+        return cls(robot, posed, posed.twists(qd))
 
-    def at(self, name: str) -> tuple[int, DualQuaternion, DualQuaternion]:
-        """Link B of a frame F, and the poses X_BF and X_WF."""
-        frame = self.robot.frame(name)
-        X_BF = constant_pose(frame.X_BF)
-        return frame.link, X_BF, X_BF if frame.link == BASE else dq.mul(self.X_WB[frame.link], X_BF)
+    def frame(self, name: str) -> tuple[int, Point]:
+        """Link that a frame is fixed to, and the frame's origin and axes on it."""
+        link, X_BF = frame(self.robot, name)
+        return link, self.posed.point(link, X_BF)
 
-    def velocity(self, i: int, p_B: Pure) -> Pure:
-        """Velocity, in the link frame, of a point p_B of a link."""
-        w, v = self.V_WB_B[i]
-        return quat.add(v, quat.cross(w, p_B))
+    def velocity(self, i: int, r: Pure) -> Pure:
+        """Velocity of a point of a link, in the link's axes."""
+        w, v = self.V[i]
+        return quat.add(v, quat.cross(w, r))
 
 
 @dataclass(frozen=True)
@@ -53,7 +49,7 @@ class BodyEffect(Effect):
     SLOT: ClassVar[str] = "body"
 
     def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
-        """Wrench (force, moment) on links, in and about their frames."""
+        """Wrench (force, moment) on links, by their numbers, in and about the frames in which they are kept."""
         raise NotImplementedError
 
 
@@ -90,13 +86,13 @@ class Push(BodyEffect):
         """The wrench on the link, if it is given."""
         if self.name not in inputs:
             return {}
-        link, X_BF, X_WF = bodies.at(str(self.frame))
+        link, point = bodies.frame(str(self.frame))
         row = tuple(inputs[self.name])
-        wrench: Screw = (row[:3], row[3:])
         if self.axes == "world":
-            back = quat.conj(X_WF[0])
-            wrench = (quat.rotate(back, wrench[0]), quat.rotate(back, wrench[1]))
-        return {link: screw.ad(screw.columns(X_BF), wrench)}
+            force, moment = (bodies.posed.to_link(link, v) for v in (row[:3], row[3:]))
+        else:
+            force, moment = (screw.columns_times(point.axes, v) for v in (row[:3], row[3:]))
+        return {link: (force, quat.add(moment, quat.cross(point.position, force)))}
 
 
 @dataclass(frozen=True)
@@ -120,12 +116,12 @@ class Drag(BodyEffect):
     def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
         """The resistance to every link."""
         result = {}
-        for i in range(bodies.robot.n):
-            c = bodies.com(i)
+        for i, (a, b, angular) in enumerate(zip(self.linear, self.quadratic, self.angular, strict=True), 1):
+            c = bodies.posed.com(i)
             v = bodies.velocity(i, c)
             speed = sqrt(quat.dot(v, v) + self.width * self.width)
-            force = quat.scale(-(self.linear[i] + self.quadratic[i] * speed), v)
-            moment = quat.scale(-self.angular[i], bodies.V_WB_B[i][0])
+            force = quat.scale(-(a + b * speed), v)
+            moment = quat.scale(-angular, bodies.V[i][0])
             result[i] = (force, quat.add(moment, quat.cross(c, force)))
         return result
 
@@ -174,17 +170,15 @@ class Contact(BodyEffect):
 
     def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
         """The force on the link that touches."""
-        link, X_BF, X_WF = bodies.at(str(self.frame))
-        p_B = dq.translation(X_BF)
-        r_WB = bodies.X_WB[link][0]
-        v = quat.rotate(r_WB, bodies.velocity(link, p_B))
-        n = self.normal
+        link, point = bodies.frame(str(self.frame))
+        p = point.position
+        v = bodies.velocity(link, p)
+        n = bodies.posed.to_link(link, self.normal)
         approach = quat.dot(n, v)
-        depth = maximum(self.height - quat.dot(n, dq.translation(X_WF)), 0.0)
+        depth = maximum(self.height - quat.dot(self.normal, bodies.posed.position(link, p)), 0.0)
         f_n = maximum(self.stiffness * depth * (1.0 - self.dissipation * approach), 0.0)
         force = quat.scale(f_n, n)
         sliding = quat.sub(v, quat.scale(approach, n))
         speed = sqrt(quat.dot(sliding, sliding) + self.width * self.width)
         force = quat.sub(force, quat.scale(self.friction * f_n / speed, sliding))
-        f_B = quat.rotate(quat.conj(r_WB), force)
-        return {link: (f_B, quat.cross(p_B, f_B))}
+        return {link: (force, quat.cross(p, force))}

@@ -8,10 +8,11 @@ from typing import ClassVar, Self
 
 from torchdq.algebra import dual_quaternion, screw
 from torchdq.algebra import quaternion as quat
+from torchdq.algebra.inertia import merged, rotated, six, square
 from torchdq.algebra.quaternion import Number
 from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link
 from torchdq.robot import Robot
-from torchdq.robot.posed import Given, constant_pose, field
+from torchdq.robot.posed import Overrides, constant_pose, field
 from torchdq.robot.robot import GRAVITY
 
 
@@ -21,7 +22,7 @@ class ModelEffect(Effect):
 
     SLOT: ClassVar[str] = "model"
 
-    def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
+    def changed(self, robot: Robot, fields: Overrides) -> dict[str, Sequence[Number]]:
         """Rows of the robot's tensors that it changes; `fields` are those that earlier effects changed."""
         raise NotImplementedError
 
@@ -45,7 +46,7 @@ class Gravity(ModelEffect):
         found = super().described(robot)
         return replace(found, acceleration=GRAVITY) if found.acceleration is None else found
 
-    def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
+    def changed(self, robot: Robot, fields: Overrides) -> dict[str, Sequence[Number]]:
         """Its acceleration."""
         return {"gravity": self.acceleration}
 
@@ -62,7 +63,7 @@ class RotorInertia(ModelEffect):
     DESCRIBED: ClassVar[Mapping[str, str]] = {"inertia": "armature"}
     inertia: Parameter = None
 
-    def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
+    def changed(self, robot: Robot, fields: Overrides) -> dict[str, Sequence[Number]]:
         """The rotor inertia, and what other effects have put there."""
         before = fields.get("armature")
         return {"armature": self.inertia if before is None else tuple(_sums(before, self.inertia))}
@@ -90,28 +91,15 @@ class Payload(ModelEffect):
         """With the frame named."""
         return on_a_link(self, robot)
 
-    def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
+    def changed(self, robot: Robot, fields: Overrides) -> dict[str, Sequence[Number]]:
         """The bodies, one of them merged with what it carries."""
         frame = robot.frame(str(self.frame))
         X_BF = constant_pose(frame.X_BF)
-        turn = quat.rotation_columns(X_BF[0])
-        i = frame.link
+        R_BF, i = quat.rotation_columns(X_BF[0]), frame.link
         masses, coms, inertias = (list(field(robot, name, fields)) for name in ("mass", "com", "inertia"))
-        m, c = masses[i], coms[i]
-        held = quat.add(dual_quaternion.translation(X_BF), screw.columns_times(turn, self.com))
-        xx, xy, yy, xz, yz, zz = self.inertia
-        rows = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
-        half = [screw.columns_times(turn, row) for row in rows]  # rows of I R^T
-        turned = [screw.columns_times(turn, column) for column in zip(*half, strict=True)]  # columns of R I R^T
-        total = m + self.mass
-        apart = quat.sub(held, c)
-        reduced = m * self.mass / total  # of two bodies about their common centre of mass
-        x, y, z = apart
-        shift = (y * y + z * z, -(x * y), x * x + z * z, -(x * z), -(y * z), x * x + y * y)
-        own = (turned[0][0], turned[0][1], turned[1][1], turned[0][2], turned[1][2], turned[2][2])
-        masses[i] = total
-        coms[i] = quat.add(c, quat.scale(self.mass / total, apart))
-        inertias[i] = tuple(a + b + reduced * s for a, b, s in zip(inertias[i], own, shift, strict=True))
+        com = quat.add(dual_quaternion.translation(X_BF), screw.columns_times(R_BF, self.com))
+        held = (self.mass, com, six(rotated(R_BF, square(self.inertia))))
+        masses[i], coms[i], inertias[i] = merged((masses[i], coms[i], inertias[i]), held)
         return {"mass": masses, "com": flat(coms), "inertia": flat(inertias)}
 
 
@@ -128,7 +116,7 @@ class MassScale(ModelEffect):
     SHAPES: ClassVar[Shapes] = {"factor": ("n",)}
     factor: Parameter
 
-    def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
+    def changed(self, robot: Robot, fields: Overrides) -> dict[str, Sequence[Number]]:
         """Masses and inertias, scaled."""
         mass, inertia = field(robot, "mass", fields), field(robot, "inertia", fields)
         return {

@@ -11,30 +11,18 @@ from functools import lru_cache
 from threading import RLock
 from typing import NamedTuple, TypeVar
 
-from torchdq.algebra import dual_quaternion, quaternion, screw
+from torchdq.algebra import dual_quaternion, screw
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics.paper import closed_form as closed
-from torchdq.dynamics.paper import kinematics, rnea
-from torchdq.dynamics.paper import regressor as regression
-from torchdq.dynamics.tree import BASE
+from torchdq.dynamics import posed as mechanics
+from torchdq.dynamics.aligned.posed import Aligned
+from torchdq.dynamics.paper.rnea import exerted_wrenches
+from torchdq.dynamics.posed import Posed
 from torchdq.errors import SingularInertiaError
 from torchdq.program import autodiff as derive
 from torchdq.program.program import Argument, Program, Value, record
-from torchdq.robot import consistency as physical
-from torchdq.robot.posed import (
-    GEOMETRY,
-    INERTIAL,
-    Given,
-    PaperModel,
-    as_screw,
-    constant_pose,
-    coordinates,
-    factorised,
-    general,
-    model,
-    solve,
-)
+from torchdq.robot import consistency
+from torchdq.robot.posed import GEOMETRY, INERTIAL, Overrides, as_screw, factors, frame, paper, posed, solve, tree
 from torchdq.robot.robot import Robot
 
 LONG = 9  # joints from which an alternative that is linear in their number is worth recording
@@ -46,68 +34,57 @@ Way = TypeVar("Way")
 
 
 class Inputs(NamedTuple):
-    """What a recipe is given."""
+    """Arguments of a recipe."""
 
     robot: Robot
     arguments: Mapping[str, Sequence[Number]]  # those that are present
-    given: Given  # tensors of the robot that are arguments
+    given: Overrides  # tensors of the robot that are arguments
     varied: tuple[str, ...]  # and those among them that differ from sample to sample
-
-    @property
-    def q(self) -> Sequence[Number]:
-        """Joint positions."""
-        return self.arguments["q"]
-
-    def exerted(self) -> list[Screw | None] | None:
-        """Wrench each link exerts on the environment, in link frames; None if there is none."""
-        f_tip, f_ext = self.arguments.get("f_tip"), self.arguments.get("f_ext")
-        if f_tip is None and f_ext is None:
-            return None
-        tip = None
-        if f_tip is not None:
-            frame = self.robot.end_effector()
-            tip = (frame.link, screw.columns(constant_pose(frame.X_BF)))
-        return rnea.exerted_wrenches(
-            self.robot.n,
-            None if f_ext is None else [as_screw(f_ext[6 * i : 6 * i + 6]) for i in range(self.robot.n)],
-            tip,
-            None if f_tip is None else as_screw(f_tip),
-        )
 
     def require_inertia(self) -> None:
         """Raise `SingularInertiaError` if a joint of a constant robot moves nothing in any position but rounding."""
         if any(name in self.given for name in (*INERTIAL, *GEOMETRY, "armature")):
             return
-        found = physical.inert_joints(self.robot.joint_names, general(self.robot, {}))
+        found = consistency.inert_joints(self.robot.joint_names, tree(self.robot, {}))
         if found:
             raise SingularInertiaError(f"robot {self.robot.name!r} cannot be accelerated: {'; '.join(found)}")
 
-    def model(self):
-        """The robot in its position, in the cheapest frames."""
-        return model(self.robot, self.q, self.given, self.varied)
+    def posed(self) -> Posed:
+        """Robot at q."""
+        return posed(self.robot, self.arguments["q"], self.given, self.varied)
 
-    def paper(self) -> PaperModel:
-        """The robot in its position, in its own link frames."""
-        return PaperModel.of(self.robot, self.q, self.given)
+    def exerted(self, at: Posed) -> list[Screw | None] | None:
+        """Wrench each link exerts on the environment; None: there is none."""
+        f_tip, f_ext = self.arguments.get("f_tip"), self.arguments.get("f_ext")
+        if f_tip is None and f_ext is None:
+            return None
+        n, tip = self.robot.n, None
+        if f_tip is not None:
+            link, X_BF = frame(self.robot, self.robot.end_effector().name)
+            tip = (link, screw.columns(X_BF))
+        ext = None if f_ext is None else [None, *(as_screw(f_ext[6 * i : 6 * i + 6]) for i in range(n))]
+        exerted = exerted_wrenches(n + 1, ext, tip, None if f_tip is None else as_screw(f_tip))
+        return [None if F is None else at.wrench(i, F) for i, F in enumerate(exerted)]
 
 
 def inverse_dynamics(x: Inputs) -> Rows:
     """tau."""
-    return {"tau": x.model().torques(x.arguments.get("qd"), x.arguments.get("qdd"), x.exerted())}
+    at = x.posed()
+    return {"tau": at.torques(x.arguments.get("qd"), x.arguments.get("qdd"), x.exerted(at))}
 
 
 def mass_matrix(x: Inputs) -> Rows:
     """M, row-major."""
-    return {"M": [entry for row in x.model().mass_matrix() for entry in row]}
+    return {"M": [entry for row in x.posed().mass_matrix() for entry in row]}
 
 
 def forward_dynamics(x: Inputs, linear: bool = False) -> Rows:
     """qdd, by the mass matrix and its factors, or by articulated bodies."""
     x.require_inertia()
-    m = x.model()
-    bias = m.torques(x.arguments.get("qd"), None, x.exerted())
+    at = x.posed()
+    bias = at.torques(x.arguments.get("qd"), None, x.exerted(at))
     net = [t if b is None else t - b for t, b in zip(x.arguments["tau"], bias, strict=True)]
-    return {"qdd": solve(m, net, linear)}  # (63) solved for qdd
+    return {"qdd": solve(x.robot, at, net, linear)}  # (63) solved for qdd
 
 
 def forward_dynamics_articulated(x: Inputs) -> Rows:
@@ -118,85 +95,77 @@ def forward_dynamics_articulated(x: Inputs) -> Rows:
 def error_growth(x: Inputs, linear: bool = False) -> Rows:
     """Largest M_ii over pivot."""
     x.require_inertia()
-    return {"growth": [factorised(x.model(), linear).growth]}
+    return {"growth": [factors(x.robot, x.posed(), linear).growth]}
 
 
 def error_growth_articulated(x: Inputs) -> Rows:
-    """The same by articulated bodies."""
+    """Largest M_ii over pivot, by articulated bodies."""
     return error_growth(x, linear=True)
 
 
 def closed_form(x: Inputs, tip_name: str) -> Rows:
     """M, c, g, and Jt if there is a tip."""
-    m = x.paper()
-    tip = None
-    if tip_name:
-        frame = x.robot.frame(tip_name)
-        tip = (frame.link, screw.columns(constant_pose(frame.X_BF)))
-    terms = closed.closed_form(m.mechanism, m.Ad, x.arguments["qd"], tip)
+    at = x.posed()
+    terms = mechanics.closed_form(at, x.arguments["qd"])
     rows: Rows = {"M": [entry for row in terms.M for entry in row], "c": terms.c, "g": terms.g}
-    if terms.Jt is not None:
-        rows["Jt"] = [entry for row in terms.Jt for entry in _six(row)]
+    if tip_name:
+        columns = at.jacobian(*frame(x.robot, tip_name), world=False)
+        # a wrench is (force, moment) and a twist (angular, linear)
+        rows["Jt"] = [entry for c in columns for entry in _six(None if c is None else screw.swap(c))]  # (72)
     return rows
 
 
 def regressor(x: Inputs) -> Rows:
     """Y, row-major."""
-    m = x.paper()
-    base = rnea.base_at_rest(m.mechanism)
-    V, A = rnea.outward(m.mechanism, m.Ad, x.arguments["qd"], x.arguments["qdd"], base)
-    blocks = regression.regressor(m.mechanism, m.Ad, V, A)
+    blocks = x.posed().regressor(x.arguments["qd"], x.arguments["qdd"])
     return {"Y": [entry for row in blocks for block in row for entry in (block or (None,) * 10)]}
 
 
 def kinetic_energy(x: Inputs) -> Rows:
     """T."""
-    return {"T": [x.paper().kinetic_energy(x.arguments["qd"])]}
+    return {"T": [x.posed().kinetic_energy(x.arguments["qd"])]}
 
 
 def potential_energy(x: Inputs) -> Rows:
     """U."""
-    return {"U": [x.paper().potential_energy()]}
+    return {"U": [x.posed().potential_energy()]}
 
 
 def forward_kinematics(x: Inputs, *names: str) -> Rows:
-    """Poses of the frames, one after the other."""
-    X_WB = x.paper().poses()
+    """Poses of the frames, one joint after the other by elementary screws."""
+    return _poses(x, x.posed(), names)
+
+
+def forward_kinematics_in_link_frames(x: Inputs, *names: str) -> Rows:
+    """Poses of the frames, one joint after the other in the link frames of the description."""
+    return _poses(x, paper(x.robot, x.arguments["q"], x.given), names)
+
+
+def _poses(x: Inputs, at: Posed, names: Sequence[str]) -> Rows:
+    X_WB = at.poses()
     rows: list[Value | None] = []
-    for name in names:
-        frame = x.robot.frame(name)
-        pose = constant_pose(frame.X_BF)
-        pose = pose if frame.link == BASE else dual_quaternion.mul(X_WB[frame.link], pose)
-        rows += [*pose[0], *pose[1]]
+    for link, X_BF in (frame(x.robot, name) for name in names):
+        p, d = dual_quaternion.mul(X_WB[link], X_BF)
+        rows += [*p, *d]
     return {"X": rows}
 
 
 def forward_kinematics_from_base(x: Inputs, *names: str) -> Rows:
-    """The same by screws in the base frame."""
-    mechanism = general(x.robot, x.given)
-    links = kinematics.link_poses_from_base(mechanism, coordinates(x.robot, x.q, x.given))
+    """Poses of the frames, by screws in the base frame."""
+    at = x.posed()
+    if not isinstance(at, Aligned):
+        return forward_kinematics(x, *names)
+    links = at.poses_from_base()
     rows: list[Value | None] = []
-    for name in names:
-        frame = x.robot.frame(name)
-        pose = constant_pose(frame.X_BF)
-        if frame.link != BASE:
-            at = links[frame.link]
-            pose = dual_quaternion.mul(at.motion, dual_quaternion.mul(at.home, pose))
-        rows += [*pose[0], *pose[1]]
+    for link, X_BF in (frame(x.robot, name) for name in names):
+        p, d = dual_quaternion.mul(links[link].motion, dual_quaternion.mul(links[link].home, X_BF))
+        rows += [*p, *d]
     return {"X": rows}
 
 
 def jacobian(x: Inputs, name: str, expressed: str) -> Rows:
     """J, row-major, twist components by joints."""
-    m = x.paper()
-    frame = x.robot.frame(name)
-    columns: Sequence[Screw | None] = (None,) * x.robot.n
-    if frame.link != BASE:
-        X_BF = constant_pose(frame.X_BF)
-        columns = kinematics.jacobian(m.mechanism, m.Ad, frame.link, X_BF)
-        if expressed == "world":
-            r_WF = quaternion.mul(m.poses()[frame.link][0], X_BF[0])
-            columns = [c and (quaternion.rotate(r_WF, c[0]), quaternion.rotate(r_WF, c[1])) for c in columns]
+    columns = x.posed().jacobian(*frame(x.robot, name), world=expressed == "world")
     return {"J": [_six(c)[i] for i in range(6) for c in columns]}
 
 
@@ -247,7 +216,7 @@ RECIPES: dict[str, Recipe] = {
     "potential_energy": Recipe(_joints("q"), (potential_energy,), lambda n: ((),)),
     "forward_kinematics": Recipe(
         _joints("q"),
-        (forward_kinematics, forward_kinematics_from_base),
+        (forward_kinematics, forward_kinematics_in_link_frames, forward_kinematics_from_base),
         lambda n, *frames: ((len(frames), 8),),
         each=True,
     ),

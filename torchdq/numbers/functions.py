@@ -15,6 +15,16 @@ def sqrt(x: Value) -> Value:
     return _of_one("sqrt", lambda v: math.sqrt(v) if v >= 0 else math.nan, x)
 
 
+def sin(x: Value) -> Value:
+    """Sine."""
+    return _of_one("sin", math.sin, x)
+
+
+def cos(x: Value) -> Value:
+    """Cosine."""
+    return _of_one("cos", math.cos, x)
+
+
 def exp(x: Value) -> Value:
     """Exponential."""
     return _of_one("exp", _exp, x)

@@ -16,8 +16,10 @@ from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.inertia import Inertia
 from torchdq.dynamics.paper import kinematics, rnea
-from torchdq.dynamics.tree import BASE, Coordinate, Link, Mechanism
+from torchdq.dynamics.joints import KINDS, Coordinate
+from torchdq.dynamics.tree import Tree, plant
 from torchdq.numbers.count import Cost, Counted, cost, dense, executed
 from torchdq.paper import homogeneous, printed
 from torchdq.robot import Robot
@@ -94,7 +96,7 @@ def accelerated(a: Any, qd: Any, qdd: Any, x: Any, twist: Any, acceleration: Any
 
 def net_wrench(mass: Any, inertia: Any, twist: Any, acceleration: Any) -> Any:
     """w x G(w) + G(wd) (45)."""
-    g = partial(screw.inertia_transform, mass, None, inertia)
+    g = Inertia(mass, None, inertia).momentum
     return screw.add(screw.cross(twist, g(twist)), g(acceleration))
 
 
@@ -249,7 +251,7 @@ TABLES = {
 # --- algorithms ------------------------------------------------------------------------------------------------------
 
 
-def chain(n: int, kinds: str = "R") -> tuple[Mechanism, DualQuaternion]:
+def chain(n: int, kinds: str = "R") -> tuple[Tree, DualQuaternion]:
     """A chain with frames at the centres of mass, and its tip's pose; no constant but two of gravity's is zero or one.
 
     Args:
@@ -267,7 +269,7 @@ def chain(n: int, kinds: str = "R") -> tuple[Mechanism, DualQuaternion]:
         r, p = unit(4), (0.0, *(rng.uniform(0.1, 0.5) for _ in range(3)))
         return r, quat.scale(0.5, quat.mul(p, r))
 
-    links = []
+    joints, poses, inertias = [], [], []
     for i in range(n):
         axis, point = unit(3), tuple(rng.uniform(0.1, 0.5) for _ in range(3))
         kind = {"R": "revolute", "P": "prismatic", "H": "helical"}[kinds[i % len(kinds)]]
@@ -280,29 +282,32 @@ def chain(n: int, kinds: str = "R") -> tuple[Mechanism, DualQuaternion]:
         a, b, c = (rng.uniform(0.1, 0.2) for _ in range(3))
         off = [rng.uniform(0.005, 0.01) for _ in range(3)]
         inertia = ((a, off[0], off[1]), (off[0], b, off[2]), (off[1], off[2], c))
-        links.append(Link(i - 1 if i else BASE, kind, pose(), line[kind], rng.uniform(1.0, 2.0), None, inertia, None))
-    return Mechanism(tuple(links), (0.0, 0.0, -9.81)), pose()
+        joints.append(KINDS[kind](line[kind]))
+        poses.append(pose())
+        inertias.append(Inertia(rng.uniform(1.0, 2.0), None, inertia))
+    return plant(range(-1, n - 1), joints, poses, inertias, None, (0.0, 0.0, -9.81)), pose()
 
 
-def robot(mechanism: Mechanism, tip: DualQuaternion) -> Robot:
+def robot(tree: Tree, tip: DualQuaternion) -> Robot:
     """The robot of such a chain, whose tip has that pose in the last link."""
-    poses = kinematics.link_poses(mechanism, [link.X_PB_home for link in mechanism.links])
-    axes = [screw.ad(screw.columns(X), link.screw) for X, link in zip(poses, mechanism.links, strict=True)]
+    links = tree.links[1:]
+    poses = kinematics.link_poses(tree, [link.placement for link in tree.links])[1:]
+    axes = [screw.ad(screw.columns(X), link.joint.screw) for X, link in zip(poses, links, strict=True)]
     end = dq.mul(poses[-1], tip)
     return Robot.from_screws(
         [[*a[0], *a[1]] for a in axes],
-        [link.mass for link in mechanism.links],
+        [link.inertia.mass for link in links],
         [[0.0] * 3] * len(poses),
-        [link.second for link in mechanism.links],
+        [link.inertia.rotational for link in links],
         link_poses=[[*X[0], *X[1]] for X in poses],
         tip_pose=[*end[0], *end[1]],
-        gravity=mechanism.gravity,
+        gravity=tree.gravity,
     )
 
 
-def coordinates(n: int) -> list[Coordinate]:
-    """Joint displacements as inputs."""
-    return [Coordinate(*vector(3)) for _ in range(n)]
+def coordinates(n: int) -> list[Coordinate | None]:
+    """Joint displacements as inputs, behind the base, which has none."""
+    return [None, *(Coordinate(*vector(3)) for _ in range(n))]
 
 
 def turns(n: int) -> list[homogeneous.Turn]:
@@ -323,7 +328,7 @@ def dqrnea_as_printed(n: int, full: bool = False) -> Cost:
 def dqrnea(n: int) -> Cost:
     """Algorithm 1 as this package has it in the paper's frames."""
     robot, tip = chain(n)
-    exerted = rnea.exerted_wrenches(n, None, (n - 1, screw.columns(tip)), motion())
+    exerted = rnea.exerted_wrenches(n + 1, None, (n, screw.columns(tip)), motion())
     Ad = kinematics.adjoints(kinematics.joint_poses(robot, coordinates(n)))
     return cost(rnea.rnea(robot, Ad, vector(n), vector(n), exerted))
 
@@ -344,15 +349,17 @@ def htm_rnea(n: int, full: bool = False) -> Cost:
     )
 
 
-def _hidden(robot: Mechanism) -> Mechanism:
-    """The mechanism with counted numbers for all its constants."""
+def _hidden(tree: Tree) -> Tree:
+    """The tree with counted numbers for all its constants."""
     links = tuple(
         link._replace(
-            X_PB_home=dense(link.X_PB_home), screw=dense(link.screw), mass=number(), second=dense(link.second)
+            placement=dense(link.placement),
+            joint=type(link.joint)(dense(link.joint.screw)),
+            inertia=Inertia(number(), None, dense(link.inertia.rotational)),
         )
-        for link in robot.links
+        for link in tree.links[1:]
     )
-    return Mechanism(links, dense(robot.gravity))
+    return Tree((tree.links[0], *links), dense(tree.gravity))
 
 
 def _running(formula: Callable[[], Any], n: int) -> Cost:
@@ -401,8 +408,8 @@ def htm_screw_kinematics(n: int) -> Cost:
     """Pose of a chain's tip by exponentials of screws in the base frame, zeros and ones known."""
     robot, tip = chain(n)
     steps = [
-        homogeneous.exponential(homogeneous.generator(link.screw), turn)
-        for link, turn in zip(robot.links, turns(n), strict=True)
+        homogeneous.exponential(homogeneous.generator(link.joint.screw), turn)
+        for link, turn in zip(robot.links[1:], turns(n), strict=True)
     ]
     return cost(homogeneous.chained([*steps, homogeneous.matrix(tip)])[-1])
 
@@ -419,7 +426,7 @@ def udq_dh_kinematics(n: int) -> Cost:
 def udq_screw_kinematics(n: int) -> Cost:
     """Pose of a chain's tip by dual quaternion exponentials of screws in the base frame, zeros and ones known."""
     robot, tip = chain(n)
-    steps = [kinematics.joint_motion(link, q) for link, q in zip(robot.links, coordinates(n), strict=True)]
+    steps = [link.joint.motion(q) for link, q in zip(robot.links[1:], coordinates(n)[1:], strict=True)]
     return cost(reduce(dq.mul, [*steps, tip]))  # (39) with x = exp(s_1) ... exp(s_n) delta
 
 

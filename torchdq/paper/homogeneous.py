@@ -14,7 +14,7 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics.tree import Mechanism
+from torchdq.dynamics.tree import Tree
 
 Row = Sequence[Number]
 Matrix = Sequence[Row]
@@ -188,11 +188,11 @@ class Body(NamedTuple):
     G: Matrix  # 6x6 inertia
 
 
-def bodies(mechanism: Mechanism) -> tuple[Body, ...]:
+def bodies(tree: Tree) -> tuple[Body, ...]:
     """Constants of a chain."""
     return tuple(
-        Body(matrix(dq.conj(link.X_PB_home)), generator(link.screw), inertia(link.mass, link.first, link.second))
-        for link in mechanism.links
+        Body(matrix(dq.conj(link.placement)), generator(link.joint.screw), inertia(*link.inertia))
+        for link in tree.links[1:]
     )
 
 

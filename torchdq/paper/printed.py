@@ -8,8 +8,8 @@ from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure, Quaternion
 from torchdq.algebra.screw import Adjoint, Screw
-from torchdq.dynamics.paper import kinematics
-from torchdq.dynamics.tree import Coordinate, Mechanism
+from torchdq.dynamics.joints import Coordinate
+from torchdq.dynamics.tree import Tree
 
 Row = Sequence[Number]
 Columns = list[Quaternion]
@@ -78,8 +78,8 @@ def denavit_hartenberg(
 
 
 def rnea(
-    mechanism: Mechanism,
-    q: Sequence[Coordinate],
+    tree: Tree,
+    q: Sequence[Coordinate | None],
     qd: Row,
     qdd: Row,
     tip: Adjoint | None = None,
@@ -94,22 +94,22 @@ def rnea(
         still: the twist of the base, zero.
     """
     w: Screw = still
-    wd: Screw = (still[0], quat.neg(mechanism.gravity or still[1]))
+    wd: Screw = (still[0], quat.neg(tree.gravity or still[1]))
     kept = []
-    for link, q_i, qd_i, qdd_i in zip(mechanism.links, q, qd, qdd, strict=True):
-        x = dq.mul(link.X_PB_home, kinematics.joint_motion(link, q_i))  # (38), erratum 38
+    for link, q_i, qd_i, qdd_i in zip(tree.links[1:], q[1:], qd, qdd, strict=True):
+        a = link.joint.screw
+        x = dq.mul(link.placement, link.joint.motion(q_i))  # (38), erratum 38
         back = screw.inverse(vectors(columns(x)))
-        w = screw.add(screw.scale(qd_i, link.screw), screw.ad(back, w))  # (40), erratum 40
-        change = screw.scale(qd_i, screw.cross(w, link.screw))
-        wd = screw.add(screw.add(screw.scale(qdd_i, link.screw), screw.ad(back, wd)), change)  # (44), erratum 40
-        G_w = screw.inertia_transform(link.mass, None, link.second, w)
-        G_wd = screw.inertia_transform(link.mass, None, link.second, wd)
+        w = screw.add(screw.scale(qd_i, a), screw.ad(back, w))  # (40), erratum 40
+        change = screw.scale(qd_i, screw.cross(w, a))
+        wd = screw.add(screw.add(screw.scale(qdd_i, a), screw.ad(back, wd)), change)  # (44), erratum 40
+        G_w, G_wd = link.inertia.momentum(w), link.inertia.momentum(wd)
         kept.append((screw.inverse(back), screw.add(screw.cross(w, G_w), G_wd)))  # (45)
     f = None if f_tip is None or tip is None else screw.ad(tip, f_tip)
     tau: list[Number] = [0.0] * len(kept)
     for i in reversed(range(len(kept))):
         Ad, f_R = kept[i]
         f = f_R if f is None else screw.add(f_R, f)  # (47), errata 46 and 47
-        tau[i] = screw.power(f, mechanism.links[i].screw)  # (48), erratum A1
+        tau[i] = screw.power(f, tree.links[i + 1].joint.screw)  # (48), erratum A1
         f = screw.ad(Ad, f) if i else f
     return tau

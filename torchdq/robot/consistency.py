@@ -3,15 +3,18 @@
 import math
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Literal
 
 import torch
 from torch import Tensor
 
-from torchdq.algebra import dual_quaternion, screw
+from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
-from torchdq.dynamics.paper import crba, kinematics
-from torchdq.dynamics.tree import BASE, Coordinate, Link, Mechanism
+from torchdq.dynamics import crba
+from torchdq.dynamics.joints import Coordinate
+from torchdq.dynamics.paper.posed import Paper
+from torchdq.dynamics.tree import Link, Tree
 from torchdq.errors import UnphysicalError
 
 TOLERANCE = 1e-6  # of the trace: descriptions are printed with about six digits
@@ -42,44 +45,46 @@ def body(link: str, mass: float, inertia: Tensor) -> list[str]:
     return []
 
 
-def inert_joints(names: Sequence[str], mechanism: Mechanism) -> list[str]:
+def inert_joints(names: Sequence[str], tree: Tree) -> list[str]:
     """Joints that move no inertia in any position: the mass matrix is singular there whatever the robot does."""
-    if not mechanism.links:
-        return []
     # tensors of one number each would take a thousand times as long
-    links = tuple(Link(*_numbers(link)) for link in mechanism.links)
-    mechanism = Mechanism(links, None)
-    n = len(names)
+    tree = Tree(tuple(link._replace(**_floats(link)) for link in tree.links), None)
+    links, n = tree.links, len(tree.links)
     inertias, sizes = [0.0] * n, [0.0] * n
     # an inertia that vanishes in one position need not in another, so look at a few that have nothing special
     for seed in range(3):
-        angles = [math.sin(1.0 + 12.9898 * i + 78.233 * seed) for i in range(n)]
-        coordinates = [Coordinate(x, math.cos(0.5 * x), math.sin(0.5 * x)) for x in angles]
-        X_PB = kinematics.joint_poses(mechanism, coordinates)
-        carried = crba.composites(mechanism, X_PB, kinematics.adjoints(X_PB))
-        spread = [sum(abs(link.second[k][k]) for k in range(3)) for link in links]  # the same sums without signs
-        for i in reversed(range(n)):
-            link, mass, (w, v) = links[i], carried[i][0], links[i].screw
-            inertia = screw.power(screw.inertia_transform(*carried[i], link.screw), link.screw) + (link.armature or 0.0)
-            inertias[i] = max(inertias[i], inertia)
-            sizes[i] = max(sizes[i], quat.norm2(w) * spread[i] + quat.norm2(v) * abs(mass))
-            if link.parent != BASE:
-                spread[link.parent] += spread[i] + abs(mass) * quat.norm2(dual_quaternion.translation(X_PB[i]))
+        angles = [math.sin(1.0 + 12.9898 * i + 78.233 * seed) for i in range(n - 1)]
+        at = Paper.at(tree, (), [None, *(Coordinate(x, math.cos(0.5 * x), math.sin(0.5 * x)) for x in angles)])
+        composites = at.composites()
+        # the same sums without signs
+        spread = [0.0 if x.inertia is None else sum(abs(x.inertia.rotational[k][k]) for k in range(3)) for x in links]
+        diagonal = crba.diagonal(tree, composites)
+        for i in reversed(range(1, n)):
+            (a,), mass, k = links[i].joint.columns, composites[i].mass, links[i].v.start
+            inertias[i] = max(inertias[i], diagonal[k])
+            sizes[i] = max(sizes[i], quat.norm2(a[0]) * spread[i] + quat.norm2(a[1]) * abs(mass))
+            spread[links[i].parent] += spread[i] + abs(mass) * quat.norm2(dual_quaternion.translation(at.X_PB[i]))
     # Below this part of its terms an inertia is rounding, and below that part of the robot's it is the square of the
     # rounding of a distance. An absolute bound would reject a microrobot, or its hand on a crane.
     square = 1e-28 * max(sizes)
     return [
         f"joint {name!r}: it moves no inertia, so its acceleration is undefined; give the links beyond it mass"
-        for name, inertia, size in zip(names, inertias, sizes, strict=True)
+        for name, inertia, size in zip(names, inertias[1:], sizes[1:], strict=True)
         if not inertia > max(1e-14 * size, square)
     ]
 
 
-def _numbers(x: Any) -> Any:
-    """Nested tuples with floats in the place of tensors."""
-    if isinstance(x, tuple):
-        return tuple(map(_numbers, x))
-    return float(x) if isinstance(x, Tensor) else x
+def _floats(link: Link) -> dict[str, Any]:
+    """Parts of a link with floats in the place of tensors."""
+
+    def numbers(x: Any) -> Any:
+        if isinstance(x, tuple):
+            return type(x)(*map(numbers, x)) if hasattr(x, "_fields") else tuple(map(numbers, x))
+        return float(x) if isinstance(x, Tensor) else x
+
+    joint = replace(link.joint, screw=numbers(link.joint.screw)) if link.joint.nv else link.joint
+    parts = {name: numbers(getattr(link, name)) for name in ("placement", "inertia", "armature")}
+    return {"joint": joint, **parts}
 
 
 def object_to(robot: str, findings: Sequence[str], on_unphysical: Literal["error", "warn", "ignore"]) -> None:

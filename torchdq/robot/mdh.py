@@ -12,26 +12,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from torchdq.algebra import dual_quaternion, screw
-from torchdq.dynamics.aligned.tree import Turn
-from torchdq.dynamics.tree import BASE
-from torchdq.robot.robot import Robot
+from torchdq.algebra import dual_quaternion as dq
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra import screw
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.elementary import Angle
+from torchdq.dynamics.aligned.placement import Alignment, Placement
+from torchdq.dynamics.joints import Along
+from torchdq.dynamics.paper import kinematics
+from torchdq.dynamics.tree import Tree
 
 NEAR = 16 * np.finfo(float).eps  # a direction cosine this close to 0 or 1 is meant to be that
 PARALLEL = 1e-6  # axes closer to parallel than this have no common normal worth using
 FAR = 10.0  # nor one that lies this many times the robot's size away
-
-
-class Placement(NamedTuple):
-    """Where an aligned frame L lies: on its parent's aligned frame, and in the link's own frame B."""
-
-    gamma: Turn
-    alpha: Turn
-    offset: float  # added to the joint angle [rad]
-    p: tuple[float, ...]  # of L in the parent's aligned frame at home [m]
-    pitch: float  # [m/rad]
-    R_BL: tuple[tuple[float, ...], ...]  # rows
-    p_BL: tuple[float, ...]  # [m]
 
 
 class Line(NamedTuple):
@@ -47,84 +40,110 @@ def clean(x: np.ndarray | float, scale: float = 1.0):
     return np.where(np.abs(np.abs(y) - scale) < NEAR * scale, np.sign(y) * scale, y)
 
 
-def turn(angle: float) -> Turn:
+def cos_sin(angle: float) -> Angle:
     """Cosine and sine of an angle, exact where they are meant to be 0 or 1."""
     c, s = clean(np.array([math.cos(angle), math.sin(angle)]))
     return float(c), float(s)
 
 
-def align(robot: Robot) -> tuple[Placement, ...]:
-    """Placement of an aligned frame on every link of a robot without batch axes on its geometry."""
-    R_WB, p_WB = _home_poses(robot)
-    lines = [_axis(robot, i, R_WB[i], p_WB[i]) for i in range(robot.n)]
+def align(tree: Tree) -> tuple[Alignment, ...]:
+    """Constants of the moving links of a constant tree in aligned frames.
+
+    Args:
+        tree: in the link frames of the description, its poses and screws floats.
+    """
+    X_WB = [dq.ONE if x is None else x for x in kinematics.link_poses(tree, [link.placement for link in tree.links])]
+    R_WB, p_WB = zip(*map(_rotation_and_position, X_WB), strict=True)
+    lines = [Line(np.zeros(3), np.array([0.0, 0.0, 1.0]))]  # of the base, whose frame stays
+    for link, R, p in zip(tree.links[1:], R_WB[1:], p_WB[1:], strict=True):
+        lines.append(Line(p + R @ np.array(link.joint.point), _unit(R @ np.array(link.joint.direction))))
     size = max([float(np.linalg.norm(p)) for p in p_WB] + [1e-3])
-    main = _main_children(robot)
-    R_WL: list[np.ndarray] = []
-    p_WL: list[np.ndarray] = []
-    result = []
-    for i, parent in enumerate(robot.parents):
-        R_P, p_P = (np.eye(3), np.zeros(3)) if parent == BASE else (R_WL[parent], p_WL[parent])
+    main = _main_children(tree)
+    R_WL, p_WL, result = [np.eye(3)], [np.zeros(3)], []
+    for i, link in enumerate(tree.links[1:], 1):
+        R_P, p_P = R_WL[link.parent], p_WL[link.parent]
         x, origin = _frame(lines, i, main.get(i), R_P[:, 0], p_P, R_WB[i], p_WB[i], size)
         z = lines[i].direction
         R = np.stack([x, np.cross(z, x), z], axis=1)
         R_WL.append(R)
         p_WL.append(origin)
         gamma, alpha, theta = _euler(R_P.T @ R)
-        p = clean(R_P.T @ (origin - p_P), size)
+        p, shift = _along_axes(clean(R_P.T @ (origin - p_P), size), gamma, alpha, size)
         R_BL = clean(R_WB[i].T @ R)
         p_BL = clean(R_WB[i].T @ (origin - p_WB[i]), size)
-        s = robot.screw.tolist()[i]
-        pitch = sum(a * b for a, b in zip(s[:3], s[3:], strict=True)) if robot.kinds[i] == "helical" else 0.0
         result.append(
-            Placement(
-                turn(gamma),
-                turn(alpha),
+            Alignment(
+                Placement(p, cos_sin(gamma), cos_sin(alpha), shift),
+                Placement(p, cos_sin(gamma / 2), cos_sin(alpha / 2), shift),
                 theta,
-                tuple(map(float, p)),
-                pitch,
+                cos_sin(theta),
                 tuple(tuple(map(float, row)) for row in R_BL),
                 tuple(map(float, p_BL)),
+                _in_base(link.joint, X_WB[i]),
+                _pose(R_BL.T, -R_BL.T @ p_BL),
+                X_WB[i],
             )
         )
     return tuple(result)
 
 
-def _home_poses(robot: Robot) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Rotations and positions of the link frames in the base frame, at home."""
-    rotations: list[np.ndarray] = []
-    positions: list[np.ndarray] = []
-    for parent, x in zip(robot.parents, robot.X_PB_home.tolist(), strict=True):
-        a_p, _ = screw.columns((tuple(x[:4]), tuple(x[4:])))
-        R: np.ndarray = np.array(a_p).T
-        p: np.ndarray = np.array(dual_quaternion.translation((tuple(x[:4]), tuple(x[4:]))))
-        if parent != BASE:
-            R, p = rotations[parent] @ R, positions[parent] + rotations[parent] @ p
-        rotations.append(R)
-        positions.append(p)
-    return rotations, positions
+def _rotation_and_position(x: DualQuaternion) -> tuple[np.ndarray, np.ndarray]:
+    return np.array(quat.rotation_columns(x[0])).T, np.array(dq.translation(x))
 
 
-def _axis(robot: Robot, i: int, R: np.ndarray, p: np.ndarray) -> Line:
-    """Axis of joint i in the base frame; a prismatic joint's is laid through its link's origin."""
-    s = np.array(robot.screw.tolist()[i])
-    if robot.kinds[i] == "prismatic":
-        return Line(p, _unit(R @ s[3:]))
-    return Line(p + R @ np.cross(s[:3], s[3:]), _unit(R @ s[:3]))
+def _in_base(joint: Along, X_WB: DualQuaternion) -> Along:
+    """Joint of the same type whose screw is given in the base frame."""
+    return type(joint)(screw.ad(screw.columns(X_WB), joint.screw))
+
+
+def _pose(R: np.ndarray, p: np.ndarray) -> DualQuaternion:
+    """Pose of a rotation matrix and a position, exact where the rotation is by quarter turns."""
+    # the largest component is found first, and the others from it
+    w = 0.5 * math.sqrt(max(0.0, 1.0 + float(np.trace(R))))
+    v = [0.5 * math.sqrt(max(0.0, 1.0 + 2.0 * float(R[k, k]) - float(np.trace(R)))) for k in range(3)]
+    r = np.array([w, *v])
+    k = int(np.argmax(r))
+    skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    if k == 0:
+        r[1:] = skew / (4.0 * r[0])
+    else:
+        i = k - 1
+        r[0] = skew[i] / (4.0 * r[k])
+        for j in range(3):
+            if j != i:
+                r[j + 1] = (R[i, j] + R[j, i]) / (4.0 * r[k])
+    return dq.from_pose(tuple(map(float, clean(r / np.linalg.norm(r)))), tuple(map(float, p)))
+
+
+def _along_axes(p: np.ndarray, gamma: float, alpha: float, size: float) -> tuple[tuple[float, ...], float]:
+    """Shift in the parent's axes, and along the joint's axis, that together are p.
+
+    The latter saves operations unless the axes are parallel or perpendicular.
+    """
+    s, c = math.sin(alpha), math.cos(alpha)
+    (cg, sg), whole = cos_sin(gamma), tuple(map(float, p))
+    across = cg * p[1] - sg * p[0]
+    if abs(s) < NEAR or abs(c) < NEAR or abs(across) > FAR * size * abs(s) or across == 0:
+        return whole, 0.0
+    shift = -across / s
+    rest = p - shift * np.array([sg * s, -cg * s, c])
+    return tuple(map(float, clean(np.where(np.abs(rest) < 4 * NEAR * size, 0.0, rest), size))), shift
 
 
 def _unit(v: np.ndarray) -> np.ndarray:
     return v / np.linalg.norm(v)
 
 
-def _main_children(robot: Robot) -> dict[int, int]:
-    """For every link that has children, the one with the most links beyond it."""
-    beyond = [1] * robot.n
-    for i in reversed(range(robot.n)):
-        if robot.parents[i] != BASE:
-            beyond[robot.parents[i]] += beyond[i]
+def _main_children(tree: Tree) -> dict[int, int]:
+    """For every moving link that has children, the one with the most links beyond it."""
+    links = tree.links
+    beyond = [1] * len(links)
+    for i in reversed(range(1, len(links))):
+        beyond[links[i].parent] += beyond[i]
     main: dict[int, int] = {}
-    for i, parent in enumerate(robot.parents):
-        if parent != BASE and (parent not in main or beyond[i] > beyond[main[parent]]):
+    for i, link in enumerate(links):
+        parent = link.parent
+        if parent > 0 and (parent not in main or beyond[i] > beyond[main[parent]]):
             main[parent] = i
     return main
 
@@ -184,6 +203,6 @@ def _euler(M: np.ndarray) -> tuple[float, float, float]:
     if abs(gamma) > math.pi / 2:
         gamma, alpha = gamma - math.copysign(math.pi, gamma), -alpha
     # theta is what the other two leave of M, so that it makes up for a gamma that a small alpha leaves ill-defined
-    (c, s), (ca, sa) = turn(gamma), turn(alpha)
+    (c, s), (ca, sa) = cos_sin(gamma), cos_sin(alpha)
     theta = math.atan2(ca * (c * M[1, 0] - s * M[0, 0]) + sa * M[2, 0], c * M[0, 0] + s * M[1, 0])
     return gamma, alpha, theta

@@ -13,7 +13,10 @@ from uuid import uuid4
 import torch
 from torch import Tensor
 
-from torchdq.dynamics.tree import BASE, Mechanism, mechanism
+from torchdq.algebra.inertia import Inertia, six
+from torchdq.algebra.quaternion import Number, Pure
+from torchdq.dynamics.joints import KINDS
+from torchdq.dynamics.tree import BASE, Tree, plant
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 from torchdq.robot import consistency as physical
 from torchdq.robot import from_dh as dh
@@ -251,7 +254,7 @@ class Robot:
         robot = cls(**description, limits=limits, frames=frames, gravity=g)
         if tip is not None:
             robot = robot.with_tip(tip)
-        findings = findings + physical.inert_joints(robot.joint_names, robot.mechanism())
+        findings = findings + physical.inert_joints(robot.joint_names, robot.tree())
         physical.object_to(robot.name, findings, on_unphysical)
         return dataclasses.replace(robot, notes=(*findings, *robot.notes))
 
@@ -337,13 +340,13 @@ class Robot:
 
     # --- what the algorithms see ---
 
-    def mechanism(self) -> Mechanism:
-        """The robot as numbers: every tensor taken apart along its last axes, batch axes staying in the numbers."""
+    def tree(self) -> Tree:
+        """Robot as numbers: every tensor taken apart along its last axes, batch axes staying in the numbers."""
 
         def rows(x: Tensor) -> list[tuple[Tensor, ...]]:
             return [row.unbind(-1) for row in x.unbind(-2)]
 
-        return mechanism(
+        return general_tree(
             self.parents,
             self.kinds,
             rows(self.X_PB_home),
@@ -358,12 +361,8 @@ class Robot:
     @property
     def inertial_parameters(self) -> Tensor:
         """Parameters pi [..., 10 n] of the links about their frames, in the order of the regressor's columns."""
-        numbers = [
-            x
-            for link in self.mechanism().links
-            for i in [link.second]
-            for x in (link.mass, *(link.first or ()), i[0][0], i[0][1], i[1][1], i[0][2], i[1][2], i[2][2])
-        ]
+        bodies = [link.inertia for link in self.tree().links[1:]]
+        numbers = [x for body in bodies for x in (body.mass, *body.first, *six(body.rotational))]
         return torch.stack(torch.broadcast_tensors(*numbers), -1) if numbers else self.mass
 
     def report(self) -> Report:
@@ -374,3 +373,25 @@ class Robot:
         hangs = "chain" if self.parents == tuple(range(BASE, self.n - 1)) else "tree"
         mass = float(self.mass.sum(-1).mean()) if self.n else math.nan
         return f"Robot({self.name!r}, {self.n} joints, {hangs}, {mass:.4g} kg, tip={self.tip!r})"
+
+
+def general_tree(
+    parents: Sequence[int],
+    kinds: Sequence[str],
+    X_PB_home: Sequence[Sequence[Number]],
+    screw: Sequence[Sequence[Number]],
+    mass: Sequence[Number],
+    com: Sequence[Pure],
+    inertia: Sequence[Sequence[Number]],
+    gravity: Pure | None,
+    armature: Sequence[Number] | None,
+) -> Tree:
+    """Tree of a robot's numbers in its own link frames, on a fixed base."""
+    return plant(
+        parents,
+        [KINDS[kind]((tuple(s[:3]), tuple(s[3:]))) for kind, s in zip(kinds, screw, strict=True)],
+        [(tuple(x[:4]), tuple(x[4:])) for x in X_PB_home],
+        [Inertia.from_com(m, c, tuple(i)) for m, c, i in zip(mass, com, inertia, strict=True)],
+        armature,
+        gravity,
+    )

@@ -1,35 +1,30 @@
-"""Solving M x = b in time linear in the number of joints, by articulated bodies.
+"""Solution of M x = b in time linear in the number of joints, by articulated bodies.
 
 The mass matrix is never formed. Each link, with everything beyond it free to move under its own inertia, answers an
 acceleration (wd, d) of its frame by the wrench
 
     n = A wd + B d,   f = B^T wd + C d
 
-whose blocks are carried from the leaves to the base (Featherstone 1983). With b the torques less the inverse dynamics
-at qdd = 0, x are the joint accelerations.
+whose blocks are carried from the leaves to the base (Featherstone 1983). A joint with several degrees of freedom is
+eliminated one at a time. With b the torques less the inverse dynamics at qdd = 0, x are the joint accelerations.
 """
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from torchdq.algebra import quaternion as quat
+from torchdq.algebra import screw
+from torchdq.algebra.elementary import Angle, X, Z, turn, unit
+from torchdq.algebra.inertia import Moments, Six, square, turn_symmetric
 from torchdq.algebra.quaternion import Number, Pure
-from torchdq.dynamics.aligned.tree import (
-    Aligned,
-    AlignedLink,
-    Body,
-    Second,
-    Step,
-    Turn,
-    to_link,
-    to_parent,
-    turn_second_x,
-    turn_second_z,
-    turn_x,
-    turn_z,
-)
+from torchdq.algebra.screw import Screw
+from torchdq.algebra.structural import add
+from torchdq.dynamics.aligned.placement import Step, Steps
 from torchdq.dynamics.conditioning import inverse
-from torchdq.dynamics.tree import BASE
+from torchdq.dynamics.crba import freedoms
+from torchdq.dynamics.tree import WORLD, Tree
 
 Matrix = tuple[Pure, ...]  # three rows
 
@@ -37,150 +32,144 @@ Matrix = tuple[Pure, ...]  # three rows
 class Articulated(NamedTuple):
     """Blocks of an articulated body's inertia: A and C symmetric (xx xy yy xz yz zz), B by rows."""
 
-    A: Second
+    A: Six
     B: Matrix
-    C: Second
+    C: Six
 
-
-def rigid(body: Body) -> Articulated:
-    """Inertia of a single body."""
-    m, (x, y, z), (xx, xy, yy, xz, yz, zz) = body
-    return Articulated(
-        (yy + zz, -xy, xx + zz, -xz, -yz, xx + yy),
-        ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)),
-        (m, 0.0, m, 0.0, 0.0, m),
-    )
-
-
-def joined(a: Articulated, b: Articulated) -> Articulated:
-    """Two inertias of one frame as one."""
-    B = tuple(quat.add(x, y) for x, y in zip(a.B, b.B, strict=True))
-    return Articulated(quat.add(a.A, b.A), B, quat.add(a.C, b.C))
-
-
-def response(link: AlignedLink, inertia: Articulated) -> tuple[Pure, Pure]:
-    """Wrench (n, f) that answers a unit acceleration of the link's joint."""
-    A, B, C = inertia
-    spin: tuple[Pure, Pure] = ((A[3], A[4], A[5]), B[2])
-    slide: tuple[Pure, Pure] = ((B[0][2], B[1][2], B[2][2]), (C[3], C[4], C[5]))
-    if link.kind == "revolute":
-        return spin
-    if link.kind == "prismatic":
-        return slide
-    return tuple(quat.add(a, quat.scale(link.pitch, b)) for a, b in zip(spin, slide, strict=True))
-
-
-def felt(link: AlignedLink, n: Pure, f: Pure) -> Number:
-    """Part of a wrench that the link's joint feels."""
-    if link.kind == "revolute":
-        return n[2]
-    return f[2] if link.kind == "prismatic" else n[2] + link.pitch * f[2]
-
-
-def freed(link: AlignedLink, inertia: Articulated, n: Pure, f: Pure, r: Number) -> Articulated:
-    """Inertia behind a joint that is free to move: less the response squared over its own part, r being its inverse."""
-    A, B, C = inertia
-    rn, rf = quat.scale(r, n), quat.scale(r, f)
-
-    def less(s: Second, v: Pure, rv: Pure) -> Second:
-        xx, xy, yy, xz, yz, zz = s
-        return (
-            xx - rv[0] * v[0],
-            xy - rv[0] * v[1],
-            yy - rv[1] * v[1],
-            xz - rv[0] * v[2],
-            yz - rv[1] * v[2],
-            zz - rv[2] * v[2],
+    @classmethod
+    def rigid(cls, body: Moments) -> Articulated:
+        """Inertia of a single body."""
+        m, (x, y, z), (xx, xy, yy, xz, yz, zz) = body
+        return cls(
+            (yy + zz, -xy, xx + zz, -xz, -yz, xx + yy),
+            ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0)),
+            (m, 0.0, m, 0.0, 0.0, m),
         )
 
-    A, C = less(A, n, rn), less(C, f, rf)
-    B = tuple(quat.sub(row, quat.scale(rn_i, f)) for row, rn_i in zip(B, rn, strict=True))
-    if link.armature is None and link.kind == "revolute":
-        # a free joint transmits nothing along itself: what rounding left there is zero
-        return Articulated((A[0], A[1], A[2], 0.0, 0.0, 0.0), (B[0], B[1], (0.0, 0.0, 0.0)), C)
-    if link.armature is None and link.kind == "prismatic":
-        return Articulated(A, tuple((x, y, 0.0) for x, y, _ in B), (C[0], C[1], C[2], 0.0, 0.0, 0.0))
-    return Articulated(A, B, C)
+    def plus(self, other: Articulated) -> Articulated:
+        """Two inertias of one frame together."""
+        B = tuple(quat.add(x, y) for x, y in zip(self.B, other.B, strict=True))
+        return Articulated(quat.add(self.A, other.A), B, quat.add(self.C, other.C))
+
+    def response(self, a: Screw) -> Screw:
+        """Wrench (f, n) that answers the acceleration a."""
+        wd, d = a
+        n = tuple(quat.dot(r, wd) + quat.dot(b, d) for r, b in zip(square(self.A), self.B, strict=True))
+        columns = zip(*self.B, strict=True)
+        f = tuple(quat.dot(b, wd) + quat.dot(r, d) for r, b in zip(square(self.C), columns, strict=True))
+        return f, n
+
+    def freed(self, a: Screw, wrench: Screw, r: Number, rotor: bool) -> Articulated:
+        """Inertia behind a degree of freedom that is free to move.
+
+        The response squared over its own part is taken off.
+
+        Args:
+            a: screw of the degree of freedom.
+            wrench: response to it.
+            r: inverse of the response's own part, rotor included.
+            rotor: whether there is a rotor; without one, nothing is transmitted along a.
+        """
+        f, n = wrench
+        rn, rf = quat.scale(r, n), quat.scale(r, f)
+
+        def less(s: Six, v: Pure, rv: Pure) -> Six:
+            entries = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+            return tuple(e - rv[i] * v[j] for e, (i, j) in zip(s, entries, strict=True))
+
+        B = [list(quat.sub(row, quat.scale(rn_i, f))) for row, rn_i in zip(self.B, rn, strict=True)]
+        A, C = list(less(self.A, n, rn)), list(less(self.C, f, rf))
+        k = None if rotor else _axis(a)
+        if k is not None:
+            # what rounding left there is zero
+            for j in _ROWS[k % 3]:
+                (A if k < 3 else C)[j] = 0.0
+            for j in range(3):
+                row, column = (k, j) if k < 3 else (j, k - 3)
+                B[row][column] = 0.0
+        return Articulated(tuple(A), tuple(map(tuple, B)), tuple(C))
+
+    def turned(self, axis: int, angle: Angle) -> Articulated:
+        """Inertia in a frame in which the present one is turned about an axis."""
+        half = tuple(turn(axis, angle, row) for row in self.B)  # B R^T
+        columns = (turn(axis, angle, column) for column in zip(*half, strict=True))
+        B = tuple(zip(*columns, strict=True))  # R B R^T
+        return Articulated(turn_symmetric(axis, angle, self.A), B, turn_symmetric(axis, angle, self.C))
+
+    def shifted(self, p: Pure) -> Articulated:
+        """Inertia about the origin of a frame in whose axes the present origin is at p."""
+        # B' = B + [p] C, A' = A - B [p] + [p] B'^T
+        pC = zip(*(quat.cross(p, c) for c in square(self.C)), strict=True)
+        B = tuple(quat.add(b, c) for b, c in zip(self.B, pC, strict=True))
+        Bp = tuple(quat.cross(row, p) for row in self.B)  # rows of B [p]
+        pB = zip(*(quat.cross(p, row) for row in B), strict=True)  # rows of [p] B'^T
+        d = tuple(quat.sub(b, a) for a, b in zip(Bp, pB, strict=True))
+        return Articulated(quat.add(self.A, (d[0][0], d[0][1], d[1][1], d[0][2], d[1][2], d[2][2])), B, self.C)
+
+    def to_parent(self, step: Step) -> Articulated:
+        """Inertia in the parent's frame of a body of the link."""
+        at = step.placement
+        body = self.turned(Z, step.theta.turn).shifted(unit(Z, step.theta.shift))
+        return body.turned(X, at.alpha).turned(Z, at.gamma).shifted(at.p)
 
 
-def carried(link: AlignedLink, step: Step, inertia: Articulated) -> Articulated:
-    """A link's inertia in its parent's frame."""
-    A, B, C = inertia
-    turns: tuple[tuple[Turn, bool], ...] = ((step.theta, True), (link.alpha, False), (link.gamma, True))
-    for turn, about_z in turns:
-        symmetric, vector = (turn_second_z, turn_z) if about_z else (turn_second_x, turn_x)
-        A, C = symmetric(turn, A), symmetric(turn, C)
-        half = tuple(vector(turn, row) for row in B)  # B R^T
-        B = tuple(zip(*(vector(turn, column) for column in zip(*half, strict=True)), strict=True))  # R B R^T
-    p = step.p
-    xx, xy, yy, xz, yz, zz = C
-    # B' = B + [p] C, A' = A - B [p] + [p] B'^T
-    pC = tuple(zip(*(quat.cross(p, c) for c in ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))), strict=True))
-    shifted = tuple(quat.add(b, c) for b, c in zip(B, pC, strict=True))
-    Bp = tuple(quat.cross(row, p) for row in B)  # rows of B [p]
-    pB = tuple(zip(*(quat.cross(p, row) for row in shifted), strict=True))  # rows of [p] B'^T
-    d = tuple(quat.sub(b, a) for a, b in zip(Bp, pB, strict=True))
-    A = quat.add(A, (d[0][0], d[0][1], d[1][1], d[0][2], d[1][2], d[2][2]))
-    return Articulated(A, shifted, C)
+_ROWS = ((0, 1, 3), (1, 2, 4), (3, 4, 5))  # positions of a row's entries among the six numbers
+
+
+def _axis(a: Screw) -> int | None:
+    """Position of the only component of a unit screw; None if it has several."""
+    present = [(k, x) for k, x in enumerate((*a[0], *a[1])) if not (isinstance(x, float) and x == 0)]
+    return present[0][0] if len(present) == 1 and present[0][1] == 1 else None
 
 
 class Factors(NamedTuple):
-    """What a solution takes of the robot's position: each joint's response, and the inverse of its own part of it."""
+    """Parts of a solution that depend on the position: the responses of the joints, and the inverses of their own."""
 
-    responses: tuple[tuple[Pure, Pure], ...]
+    responses: tuple[Screw, ...]
     inverses: tuple[Number, ...]
 
 
-def factorise(aligned: Aligned, steps: Sequence[Step]) -> Factors:
+def factorise(tree: Tree, steps: Steps) -> Factors:
     """Articulated bodies, from the leaves to the base."""
-    links = aligned.links
-    inertia = [rigid(link.body) for link in links]
-    responses: list[tuple[Pure, Pure]] = [((), ())] * len(links)
-    inverses: list[Number] = [0.0] * len(links)
-    for i in reversed(range(len(links))):
-        link = links[i]
-        n, f = response(link, inertia[i])
-        own = felt(link, n, f)
-        responses[i] = (n, f)
-        inverses[i] = inverse(i, own if link.armature is None else own + link.armature)
-        if link.parent != BASE:
-            behind = carried(link, steps[i], freed(link, inertia[i], n, f, inverses[i]))
-            inertia[link.parent] = joined(inertia[link.parent], behind)
+    inertia = [None if link.inertia is None else Articulated.rigid(link.inertia) for link in tree.links]
+    responses: list[Screw] = [((), ())] * tree.nv
+    inverses: list[Number] = [0.0] * tree.nv
+    for i in reversed(range(len(tree.links))):
+        link, step, body = tree.links[i], steps[i], inertia[i]
+        if body is None:
+            continue
+        for k, a in reversed(freedoms(link)):
+            responses[k] = body.response(a)
+            own = screw.power(responses[k], a)
+            inverses[k] = inverse(k, own if link.armature is None else own + link.armature)
+            body = body.freed(a, responses[k], inverses[k], link.armature is not None)
+        # a base that cannot move carries nothing
+        if step is not None and (link.parent or tree.links[0].joint.nv):
+            behind, below = body.to_parent(step), inertia[link.parent]
+            inertia[link.parent] = behind if below is None else below.plus(behind)
     return Factors(tuple(responses), tuple(inverses))
 
 
-def solve(aligned: Aligned, steps: Sequence[Step], factors: Factors, b: Sequence[Number]) -> tuple[Number, ...]:
+def solve(tree: Tree, steps: Steps, factors: Factors, b: Sequence[Number]) -> tuple[Number, ...]:
     """Solution x of M(q) x = b."""
-    links = aligned.links
-    bias: list = [None] * len(links)  # wrench (n, f) that b drives against a still parent
+    bias: list[Screw | None] = [None] * len(tree.links)  # wrench that b drives against a still parent
     net = list(b)
-    for i in reversed(range(len(links))):
-        link, step, (n, f), r = links[i], steps[i], factors.responses[i], factors.inverses[i]
-        if bias[i] is not None:
-            net[i] = net[i] - felt(link, *bias[i])
-        if link.parent == BASE:
-            continue
-        driven = (quat.scale(r * net[i], n), quat.scale(r * net[i], f))
-        if bias[i] is not None:
-            driven = (quat.add(bias[i][0], driven[0]), quat.add(bias[i][1], driven[1]))
-        force = to_parent(link, step, driven[1])
-        moment = quat.add(to_parent(link, step, driven[0]), quat.cross(step.p, force))
-        before = bias[link.parent]
-        bias[link.parent] = (
-            (moment, force) if before is None else (quat.add(before[0], moment), quat.add(before[1], force))
-        )
-    x: list[Number] = [0.0] * len(links)
-    motion: list[tuple[Pure, Pure]] = []
-    zero: Pure = (0.0, 0.0, 0.0)
-    for i, (link, step) in enumerate(zip(links, steps, strict=True)):
-        wd_P, d_P = (zero, zero) if link.parent == BASE else motion[link.parent]
-        wd = to_link(link, step, wd_P)
-        d = to_link(link, step, quat.add(d_P, quat.cross(wd_P, step.p)))
-        n, f = factors.responses[i]
-        x[i] = (net[i] - (quat.dot(n, wd) + quat.dot(f, d))) * factors.inverses[i]
-        if link.kind != "prismatic":
-            wd = (wd[0], wd[1], wd[2] + x[i])
-        if link.kind != "revolute":
-            d = (d[0], d[1], d[2] + (x[i] if link.kind == "prismatic" else link.pitch * x[i]))
-        motion.append((wd, d))
+    for i in reversed(range(len(tree.links))):
+        link, step, F = tree.links[i], steps[i], bias[i]
+        for k, a in reversed(freedoms(link)):
+            if F is not None:
+                net[k] = net[k] - screw.power(F, a)
+            F = add(F, screw.scale(factors.inverses[k] * net[k], factors.responses[k]))
+        if step is not None and F is not None and (link.parent or tree.links[0].joint.nv):
+            bias[link.parent] = add(bias[link.parent], step.to_parent(F))
+    x: list[Number] = [0.0] * tree.nv
+    motion: list[Screw | None] = [None] * len(tree.links)  # acceleration (wd, d)
+    for i, (link, step) in enumerate(zip(tree.links, steps, strict=True)):
+        below = None if link.parent == WORLD else motion[link.parent]
+        A = None if below is None or step is None else step.to_link(below)
+        for k, a in freedoms(link):
+            r = factors.inverses[k]
+            x[k] = r * net[k] if A is None else r * (net[k] - screw.power(factors.responses[k], A))
+            A = add(A, screw.scale(x[k], a))
+        motion[i] = A
     return tuple(x)

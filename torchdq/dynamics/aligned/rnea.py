@@ -1,97 +1,113 @@
-"""Inverse dynamics of an aligned mechanism: the recursion of Algorithm 1 in the frames and numbers that cost least.
+"""The recursion of Algorithm 1 in aligned frames.
 
-It is `rnea` with the linear part of the twist left out (only the classical acceleration d = vd + w x v of each frame's
-origin is needed) and every change of axes made by planar turns. The paper's recursion stays the reference; the two
-agree to rounding.
+It departs from `paper.rnea` in what it leaves out, not in what it says:
+
+* Ad of a joint's pose is a product of elementary screws, planar turns of both parts, instead of 3x3 matrices.
+* The dual part of the twists is absent: V = (w, None). The wrenches do not depend on it, and the dual part of A becomes
+  the acceleration d of the frame's origin.
+* A step along the way and the net wrench share U = [wd] + [w]^2 (`dynamics.acceleration`).
+
+`torchdq.paper.ladder` goes there from the printed algorithm, one step at a time.
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from torchdq.algebra import quaternion as quat
-from torchdq.algebra.matrix import total
+from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
-from torchdq.dynamics.aligned.tree import Aligned, AlignedLink, Body, Step, to_link, to_parent
-from torchdq.dynamics.tree import BASE
+from torchdq.algebra.screw import Screw
+from torchdq.algebra.structural import add
+from torchdq.dynamics.acceleration import Matrix, apply, net_wrench, tensor
+from torchdq.dynamics.aligned.placement import Step, Steps
+from torchdq.dynamics.tree import Tree
 
-Matrix = tuple[Pure, ...]  # three rows
 ZERO: Pure = (0.0, 0.0, 0.0)
+STILL: Screw = (ZERO, ZERO)
 
 
-def tensor(w: Pure, wd: Pure) -> Matrix:
-    """U = [wd] + [w]^2: the acceleration of a particle r of the body, relative to the origin, is U r."""
-    x, y, z = w
-    dx, dy, dz = wd
-    xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
-    return ((-(yy + zz), xy - dz, xz + dy), (xy + dz, -(xx + zz), yz - dx), (xz - dy, yz + dx, -(xx + yy)))
+class Motion(NamedTuple):
+    """Motion of a link's frame."""
+
+    w: Pure  # primary part of the twist V
+    A: Screw  # (wd, d), gravity taken off d
+    u: Matrix
 
 
-def apply(u: Matrix, r: Pure) -> Pure:
-    """U r."""
-    x, y, z = (row[0] * r[0] + row[1] * r[1] + row[2] * r[2] for row in u)
-    return (x, y, z)
+def base_motion(X_WB: DualQuaternion | None, gravity: Pure | None, V: Screw | None, A: Screw | None) -> Motion:
+    """Motion of the base from its pose, its twist and the rate of that, in its frame; None: at rest."""
+    g = ZERO if gravity is None else gravity if X_WB is None else quat.rotate(quat.conj(X_WB[0]), gravity)
+    (w, v), (wd, vd) = V or STILL, A or STILL
+    d = quat.sub(quat.add(vd, quat.cross(w, v)), g)
+    return Motion(w, (wd, d), tensor(w, wd))
 
 
-def net_wrench(body: Body, u: Matrix, d: Pure) -> tuple[Pure, Pure]:
-    """Force and moment that accelerate a body: f = m d + U h, n = h x d + vect(U E)."""
-    m, h, (xx, xy, yy, xz, yz, zz) = body
-    e = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+def carried(step: Step, parent: Motion, rate: Screw | None, change: Screw | None) -> Motion:
+    """Motion of a link from its parent's, its joint's rate and the change of that."""
+    w, (wd, d), u = parent
+    w, wd = step.vector_to_link(w), step.vector_to_link(wd)
+    d = step.vector_to_link(quat.add(d, apply(u, step.placement.p)))
+    if rate is not None:
+        across = quat.cross(w, rate[1])
+        wd, d = quat.add(wd, quat.cross(w, rate[0])), quat.add(d, quat.add(across, across))
+        w = quat.add(w, rate[0])  # (40)
+    if change is not None:
+        wd, d = quat.add(wd, change[0]), quat.add(d, change[1])  # (44)
+    u = tensor(w, wd)
+    # points on the axis move with either link, so that the shift along it may be taken with the link's own U
+    return Motion(w, (wd, quat.add(d, apply(u, (0.0, 0.0, step.theta.shift)))), u)
 
-    def ue(i: int, j: int) -> Number:
-        return u[i][0] * e[0][j] + u[i][1] * e[1][j] + u[i][2] * e[2][j]
 
-    vect = (ue(2, 1) - ue(1, 2), ue(0, 2) - ue(2, 0), ue(1, 0) - ue(0, 1))
-    return quat.add(quat.scale(m, d), apply(u, h)), quat.add(quat.cross(h, d), vect)
-
-
-def outward_link(
-    link: AlignedLink, step: Step, parent: tuple[Pure, Pure, Pure, Matrix], qd: Number, qdd: Number
-) -> tuple[Pure, Pure, Pure, Matrix]:
-    """Angular velocity, angular acceleration, acceleration of the origin, and U, of a link from its parent's."""
-    w_P, wd_P, d_P, u_P = parent
-    w, wd = to_link(link, step, w_P), to_link(link, step, wd_P)
-    d = to_link(link, step, quat.add(d_P, apply(u_P, step.p)))
-    if link.kind != "revolute":
-        rate, acceleration = (qd, qdd) if link.kind == "prismatic" else (link.pitch * qd, link.pitch * qdd)
-        d = quat.add(d, ((w[1] + w[1]) * rate, -((w[0] + w[0]) * rate), acceleration))
-    if link.kind != "prismatic":
-        wd = (wd[0] + w[1] * qd, wd[1] - w[0] * qd, wd[2] + qdd)
-        w = (w[0], w[1], w[2] + qd)
-    return w, wd, d, tensor(w, wd)
+def outward(
+    tree: Tree, steps: Steps, X_WB: DualQuaternion | None, qd: Sequence[Number] | None, qdd: Sequence[Number] | None
+) -> list[Motion]:
+    """Motion of every link."""
+    rates, changes = tree.rates(qd), tree.rates(qdd)
+    motion = [base_motion(X_WB, tree.gravity, rates[0], changes[0])]
+    for i, link in enumerate(tree.links[1:], 1):
+        motion.append(carried(steps[i], motion[link.parent], rates[i], changes[i]))
+    return motion
 
 
 def inverse_dynamics(
-    aligned: Aligned,
-    steps: Sequence[Step],
+    tree: Tree,
+    steps: Steps,
+    X_WB: DualQuaternion | None,
     qd: Sequence[Number] | None,
     qdd: Sequence[Number] | None,
-    exerted: Sequence[tuple[Pure, Pure] | None] | None = None,
+    exerted: Sequence[Screw | None] | None = None,
 ) -> list[Number]:
-    """Joint torques; `exerted` are the wrenches the links exert on the environment, in aligned link frames."""
-    links = aligned.links
-    rest = [0.0] * len(links)
-    qd, qdd = qd or rest, qdd or rest
-    g = ZERO if aligned.gravity is None else quat.neg(aligned.gravity)
-    base = (ZERO, ZERO, g, (ZERO, ZERO, ZERO))
-    motion: list[tuple[Pure, Pure, Pure, Matrix]] = []
-    net: list[tuple[Pure, Pure]] = []  # taken at once: six numbers to keep until the way back, instead of twelve
-    for link, step, qd_i, qdd_i in zip(links, steps, qd, qdd, strict=True):
-        parent = base if link.parent == BASE else motion[link.parent]
-        motion.append(outward_link(link, step, parent, qd_i, qdd_i))
-        net.append(net_wrench(link.body, motion[-1][3], motion[-1][2]))
-    tau: list[Number] = [0.0] * len(links)
-    passed_on: list[list[tuple[Pure, Pure]]] = [[] for _ in links]
-    for i in reversed(range(len(links))):
-        link, step = links[i], steps[i]
-        f, n = total([net[i], None if exerted is None else exerted[i], *passed_on[i]], _add)
-        force, moment = f[2], n[2]
-        along = force if link.kind == "prismatic" else moment
-        along = along + link.pitch * force if link.kind == "helical" else along
-        tau[i] = along if link.armature is None else along + link.armature * qdd[i]
-        if link.parent != BASE:
-            f = to_parent(link, step, f)
-            passed_on[link.parent].append((f, quat.add(to_parent(link, step, n), quat.cross(step.p, f))))
+    """Generalised forces.
+
+    Args:
+        steps: poses of the links on their parents.
+        X_WB: pose of a free base in the world; None: a fixed one.
+        qd, qdd: velocities and accelerations; None: zero.
+        exerted: wrenches that the links exert on the environment, in link frames; None: none.
+    """
+    motion = outward(tree, steps, X_WB, qd, qdd)
+    # taken at once: six numbers to keep until the way back, instead of twelve
+    net = [
+        None if link.inertia is None else net_wrench(link.inertia, m.u, m.A[1])
+        for link, m in zip(tree.links, motion, strict=True)
+    ]  # (45)
+    passed_on: list[list[Screw]] = [[] for _ in tree.links]
+    tau: list[Number] = [0.0] * tree.nv
+    for i in reversed(range(len(tree.links))):
+        link, step = tree.links[i], steps[i]
+        F = add(net[i], None if exerted is None else exerted[i], *passed_on[i])  # (46), (47)
+        if F is None:
+            continue
+        for k, force in zip(range(link.v.start, link.v.stop), link.joint.project(F), strict=True):
+            tau[k] = force if link.armature is None or qdd is None else force + link.armature * qdd[k]  # (48)
+        if step is not None:
+            passed_on[link.parent].append(step.to_parent(F))
     return tau
 
 
-def _add(a: tuple[Pure, Pure], b: tuple[Pure, Pure]) -> tuple[Pure, Pure]:
-    return quat.add(a[0], b[0]), quat.add(a[1], b[1])
+def twists(tree: Tree, steps: Steps, qd: Sequence[Number] | None) -> list[Screw]:
+    """Twist of every link in its frame, both parts."""
+    V: list[Screw] = []
+    for link, step, rate in zip(tree.links, steps, tree.rates(qd), strict=True):
+        V.append(add(STILL if step is None else step.to_link(V[link.parent]), rate) or STILL)  # (40)
+    return V

@@ -1,4 +1,4 @@
-"""The recursive dual-quaternion Newton-Euler algorithm: Algorithm 1, corrected, on trees.
+"""The recursive dual-quaternion Newton-Euler algorithm: Algorithm 1, corrected, on trees with a fixed or moving base.
 
 With joint screws a_i in link frames and x_i = X_PB the pose of link i in its parent:
 
@@ -12,71 +12,58 @@ frame's origin, in the link frame. Departs from the print where errata 38, 40, 4
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
+from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Adjoint, Screw
-from torchdq.dynamics.absent import ad, ad_inverse, cross, momentum, neg, power, scale, total
-from torchdq.dynamics.tree import BASE, Mechanism
+from torchdq.algebra.structural import add, cross, neg
+from torchdq.dynamics.paper.kinematics import momentum, to_link, to_parent
+from torchdq.dynamics.tree import WORLD, Tree
 
 
-class Base(NamedTuple):
-    """Motion of the base, in the base frame: twist, and spatial acceleration less gravity; None: none."""
-
-    V: Screw | None
-    A: Screw | None
-
-
-def base_at_rest(mechanism: Mechanism) -> Base:
-    """A base that stands still: only gravity is felt, as the acceleration -eps g."""
-    if mechanism.gravity is None:
-        return Base(None, None)
-    gx, gy, gz = mechanism.gravity
-    return Base(None, ((0.0, 0.0, 0.0), (-gx, -gy, -gz)))  # Algorithm 1, initialisation
+def world_acceleration(tree: Tree) -> Screw | None:
+    """Acceleration of the world: gravity is felt as the acceleration -eps g."""
+    return None if tree.gravity is None else ((0.0, 0.0, 0.0), quat.neg(tree.gravity))  # Algorithm 1, initialisation
 
 
 def outward(
-    mechanism: Mechanism,
-    Ad: Sequence[Adjoint],
-    qd: Sequence[Number | None],
-    qdd: Sequence[Number | None],
-    base: Base,
+    tree: Tree, Ad: Sequence[Adjoint | None], qd: Sequence[Number] | None, qdd: Sequence[Number] | None
 ) -> tuple[list, list]:
     """Twist V and acceleration A of every link, None where there is none (Algorithm 1, forward iteration)."""
     V: list[Screw | None] = []  # (53)
     A: list[Screw | None] = []  # (56)
-    for link, Ad_PB, qd_i, qdd_i in zip(mechanism.links, Ad, qd, qdd, strict=True):
-        V_P, A_P = base if link.parent == BASE else (V[link.parent], A[link.parent])
-        rate = scale(qd_i, link.screw)
-        carried = ad_inverse(Ad_PB, V_P)
-        V.append(total(rate, carried))  # (40), erratum 40
+    for link, Ad_PB, rate, change in zip(tree.links, Ad, tree.rates(qd), tree.rates(qdd), strict=True):
+        # the world does not move
+        V_P, A_P = (None, world_acceleration(tree)) if link.parent == WORLD else (V[link.parent], A[link.parent])
+        carried = to_link(Ad_PB, V_P)
+        V.append(add(rate, carried))  # (40), erratum 40
         # (44), derived in (41) and (43), has V_i x (a qd); V_i may lose its own a qd, since a x a = 0
-        A.append(total(scale(qdd_i, link.screw), ad_inverse(Ad_PB, A_P), cross(carried, rate)))  # (44), erratum 40
+        A.append(add(change, to_link(Ad_PB, A_P), cross(carried, rate)))  # (44), erratum 40
     return V, A
 
 
 def inward(
-    mechanism: Mechanism,
-    Ad: Sequence[Adjoint],
+    tree: Tree,
+    Ad: Sequence[Adjoint | None],
     V: Sequence[Screw | None],
     A: Sequence[Screw | None],
     f_link: Sequence[Screw | None],
 ) -> list[Screw | None]:
     """Wrench F on every link from its parent (Algorithm 1, backward iteration); `f_link` is exerted by the links."""
-    passed_on: list[list[Screw | None]] = [[] for _ in mechanism.links]
-    F: list[Screw | None] = [None] * len(mechanism.links)  # (52)
-    for i in reversed(range(len(mechanism.links))):
-        link = mechanism.links[i]
-        net = total(momentum(link, A[i]), cross(V[i], momentum(link, V[i])))  # (31), (45)
-        F[i] = total(net, f_link[i], *passed_on[i])  # (46), (47), errata 46 and 47
-        if link.parent != BASE:
-            passed_on[link.parent].append(ad(Ad[i], F[i]))
+    passed_on: list[list[Screw | None]] = [[] for _ in tree.links]
+    F: list[Screw | None] = [None] * len(tree.links)  # (52)
+    for i in reversed(range(len(tree.links))):
+        link = tree.links[i]
+        net = add(momentum(link, A[i]), cross(V[i], momentum(link, V[i])))  # (31), (45)
+        F[i] = add(net, f_link[i], *passed_on[i])  # (46), (47), errata 46 and 47
+        if link.parent != WORLD:
+            passed_on[link.parent].append(to_parent(Ad[i], F[i]))
     return F
 
 
 def exerted_wrenches(
     n: int,
-    f_ext: Sequence[Screw] | None,
+    f_ext: Sequence[Screw | None] | None,
     tip: tuple[int, Adjoint] | None,
     f_tip: Screw | None,
 ) -> list[Screw | None]:
@@ -84,26 +71,31 @@ def exerted_wrenches(
     exerted = [None if f_ext is None else neg(f_ext[i]) for i in range(n)]
     if tip is not None and f_tip is not None:
         i, Ad_BE = tip
-        exerted[i] = total(exerted[i], ad(Ad_BE, f_tip))
+        exerted[i] = add(exerted[i], to_parent(Ad_BE, f_tip))
     return exerted
 
 
 def rnea(
-    mechanism: Mechanism,
-    Ad: Sequence[Adjoint],
+    tree: Tree,
+    Ad: Sequence[Adjoint | None],
     qd: Sequence[Number] | None,
     qdd: Sequence[Number] | None,
     f_link: Sequence[Screw | None] | None = None,
-    base: Base | None = None,
 ) -> list[Number | None]:
-    """Joint torques tau_i = F_i (.) swap(a_i) + armature_i qdd_i; None where nothing acts on a joint."""
-    n = len(mechanism.links)
-    absent: list[None] = [None] * n
-    qd, qdd, f_link = qd or absent, qdd or absent, f_link or absent
-    V, A = outward(mechanism, Ad, qd, qdd, base or base_at_rest(mechanism))
-    F = inward(mechanism, Ad, V, A, f_link)
-    tau = [power(F_i, link.screw) for F_i, link in zip(F, mechanism.links, strict=True)]  # (48), erratum A1
-    return [
-        t if link.armature is None or a is None else (0.0 if t is None else t) + link.armature * a
-        for t, a, link in zip(tau, qdd, mechanism.links, strict=True)
-    ]
+    """Generalised forces tau_i = F_i (.) swap(a_i) + armature_i qdd_i; None where nothing acts on a joint."""
+    V, A = outward(tree, Ad, qd, qdd)
+    F = inward(tree, Ad, V, A, f_link or [None] * len(tree.links))
+    tau: list[Number | None] = []
+    for F_i, link in zip(F, tree.links, strict=True):
+        tau += [None] * link.joint.nv if F_i is None else link.joint.project(F_i)  # (48), erratum A1
+    return with_rotors(tree, tau, qdd)
+
+
+def with_rotors(tree: Tree, tau: Sequence[Number | None], qdd: Sequence[Number] | None) -> list[Number | None]:
+    """Generalised forces with those that accelerate the rotors."""
+    result = list(tau)
+    for link in tree.links:
+        if link.armature is not None and qdd is not None:
+            k = link.v.start
+            result[k] = (0.0 if result[k] is None else result[k]) + link.armature * qdd[k]
+    return result

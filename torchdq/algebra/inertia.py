@@ -1,0 +1,183 @@
+"""Inertia of rigid bodies, in two forms with the same content.
+
+    Inertia   mass, first moments, rotational inertia I = sum of dm (r.r 1 - r r^T)   the paper's (30)
+    Moments   mass, first moments, second moments E = sum of dm r r^T                 cheaper to turn and to shift
+
+All are about the origin of the frame that they are given in, and I = tr(E) 1 - E.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra import screw
+from torchdq.algebra.elementary import Angle, turn
+from torchdq.algebra.quaternion import Number, Pure
+from torchdq.algebra.screw import Adjoint, Columns, Screw
+
+Symmetric = tuple[Pure, ...]  # three rows, equally columns, of a symmetric 3x3 matrix
+Six = tuple[Number, ...]  # xx xy yy xz yz zz of a symmetric 3x3 matrix
+
+
+def square(six: Six) -> Symmetric:
+    """Rows of a symmetric matrix."""
+    xx, xy, yy, xz, yz, zz = six
+    return ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+
+
+def six(rows: Symmetric) -> Six:
+    """Six numbers of a symmetric matrix."""
+    return (rows[0][0], rows[0][1], rows[1][1], rows[0][2], rows[1][2], rows[2][2])
+
+
+def rotated(R: Columns, m: Symmetric) -> Symmetric:
+    """R M R^T of a symmetric matrix."""
+    half = tuple(screw.columns_times(R, row) for row in m)  # rows of M R^T
+    a, b, c = (screw.columns_times(R, column) for column in zip(*half, strict=True))
+    return (a, b, c)
+
+
+class Inertia(NamedTuple):
+    """Inertia of a body about the frame's origin."""
+
+    mass: Number  # [kg]
+    first: Pure | None  # m c [kg m]; None: the origin is the centre of mass
+    rotational: Symmetric  # [kg m^2]
+
+    @classmethod
+    def from_com(cls, mass: Number, com: Pure, about_com: Six) -> Inertia:
+        """Inertia from the centre of mass [m] and the rotational inertia about it, by parallel axes."""
+        x, y, z = com
+        xx, yy, zz = mass * (x * x), mass * (y * y), mass * (z * z)
+        xy, xz, yz = mass * (x * y), mass * (x * z), mass * (y * z)
+        shift = ((yy + zz, -xy, -xz), (-xy, xx + zz, -yz), (-xz, -yz, xx + yy))
+        a, b, c = (quat.add(i, d) for i, d in zip(square(about_com), shift, strict=True))
+        return cls(mass, quat.scale(mass, com), (a, b, c))
+
+    def momentum(self, V: Screw) -> Screw:
+        """Momentum G(V) of the body under a twist V, or G(A) under a spatial acceleration A.
+
+        G(w + eps v) = (m v - h x w) + eps (I_x w_x + I_y w_y + I_z w_z + h x v)
+        """
+        w, v = V
+        i_x, i_y, i_z = self.rotational
+        force = quat.scale(self.mass, v)
+        moment = quat.add(quat.add(quat.scale(w[0], i_x), quat.scale(w[1], i_y)), quat.scale(w[2], i_z))
+        if self.first is None:
+            return (force, moment)  # (30), erratum 30
+        return (quat.sub(force, quat.cross(self.first, w)), quat.add(moment, quat.cross(self.first, v)))
+
+    def carried(self, a: Adjoint, p: Pure) -> Inertia:
+        """Inertia in the frame A of a body given in B, where the pose of B in A has the columns a and position p."""
+        rotation = rotated(a[0], self.rotational)
+        c = (0.0, 0.0, 0.0) if self.first is None else screw.columns_times(a[0], self.first)
+        h = quat.add(c, quat.scale(self.mass, p))
+        # parallel axes: I - ([p][h] + [c][p]), written out so that the result is symmetric to the last bit
+        trace = quat.dot(p, quat.add(c, h))
+        rows = [list(row) for row in rotation]
+        for i in range(3):
+            for j in range(i, 3):
+                shift = -(p[i] * h[j] + c[i] * p[j])
+                rows[i][j] = rows[j][i] = rotation[i][j] + (shift + trace if i == j else shift)
+        x, y, z = map(tuple, rows)
+        return Inertia(self.mass, h, (x, y, z))
+
+    def plus(self, other: Inertia) -> Inertia:
+        """Inertia of two bodies of one frame together."""
+        first = other.first if self.first is None else self.first
+        if self.first is not None and other.first is not None:
+            first = quat.add(self.first, other.first)
+        a, b, c = (quat.add(x, y) for x, y in zip(self.rotational, other.rotational, strict=True))
+        return Inertia(self.mass + other.mass, first, (a, b, c))
+
+
+class Moments(NamedTuple):
+    """Mass moments of a body about the frame's origin: of order zero, one and two."""
+
+    mass: Number  # [kg]
+    first: Pure  # m c [kg m]
+    second: Six  # E [kg m^2]
+
+    @classmethod
+    def from_com(cls, mass: Number, com: Pure, about_com: Six) -> Moments:
+        """Moments from the centre of mass [m] and the rotational inertia about it."""
+        xx, xy, yy, xz, yz, zz = about_com
+        half = 0.5 * (xx + yy + zz)
+        x, y, z = com
+        second = (
+            (half - xx) + mass * (x * x),
+            mass * (x * y) - xy,
+            (half - yy) + mass * (y * y),
+            mass * (x * z) - xz,
+            mass * (y * z) - yz,
+            (half - zz) + mass * (z * z),
+        )
+        return cls(mass, quat.scale(mass, com), second)
+
+    @property
+    def rotational(self) -> Symmetric:
+        """Rotational inertia I = tr(E) 1 - E about the origin [kg m^2]."""
+        xx, xy, yy, xz, yz, zz = self.second
+        return ((yy + zz, -xy, -xz), (-xy, xx + zz, -yz), (-xz, -yz, xx + yy))
+
+    def momentum(self, V: Screw) -> Screw:
+        """Momentum G(V) of the body under a twist."""
+        return Inertia(self.mass, self.first, self.rotational).momentum(V)  # (30)
+
+    def plus(self, other: Moments) -> Moments:
+        """Moments of two bodies of one frame together."""
+        return Moments(self.mass + other.mass, quat.add(self.first, other.first), quat.add(self.second, other.second))
+
+    def turned(self, axis: int, angle: Angle) -> Moments:
+        """Moments of a body given in B in a frame A, in which B is turned by an angle about an axis of both."""
+        return Moments(self.mass, turn(axis, angle, self.first), turn_symmetric(axis, angle, self.second))
+
+    def shifted(self, p: Pure) -> Moments:
+        """Moments about the origin of a frame in whose axes the present origin is at p."""
+        m, h = self.mass, self.first
+        f = quat.add(h, quat.scale(m, p))
+        # E + h p^T + p h^T + m p p^T = E + f p^T + p h^T; where m is zero, both products are one operation
+        pairs = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
+        return Moments(
+            m, f, tuple(e + (f[i] * p[j] + p[i] * h[j]) for e, (i, j) in zip(self.second, pairs, strict=True))
+        )
+
+    def split(self, axis: int) -> tuple[Moments, Moments]:
+        """Moments that a turn about an axis changes, and those on the axis, which it does not."""
+        first, second = [0.0] * 3, [0.0] * 6
+        first[axis], second[DIAGONAL[axis]] = self.first[axis], self.second[DIAGONAL[axis]]
+        off_first, off_second = list(self.first), list(self.second)
+        off_first[axis] = off_second[DIAGONAL[axis]] = 0.0
+        return Moments(0.0, tuple(off_first), tuple(off_second)), Moments(self.mass, tuple(first), tuple(second))
+
+
+DIAGONAL = (0, 2, 5)  # positions of xx, yy, zz
+# positions of the six numbers after the axes were exchanged in cyclic order, so that an axis becomes the third
+_CYCLES = ((2, 4, 5, 1, 3, 0), (5, 3, 0, 4, 1, 2), (0, 1, 2, 3, 4, 5))
+
+
+def turn_symmetric(axis: int, angle: Angle, m: Six) -> Six:
+    """R M R^T of a symmetric matrix for a turn about an axis."""
+    c, s = angle
+    order = _CYCLES[axis]
+    xx, xy, yy, xz, yz, zz = (m[k] for k in order)
+    a, b = c * xx - s * xy, c * xy - s * yy
+    top = c * a - s * b
+    turned = (top, s * a + c * b, (xx + yy) - top, c * xz - s * yz, s * xz + c * yz, zz)
+    result: list[Number] = [0.0] * 6
+    for k, x in zip(order, turned, strict=True):
+        result[k] = x
+    return tuple(result)
+
+
+def merged(a: tuple[Number, Pure, Six], b: tuple[Number, Pure, Six]) -> tuple[Number, Pure, Six]:
+    """Two bodies of one frame as one, each as mass, centre of mass, and rotational inertia about that."""
+    (m, c, inertia), (mass, com, other) = a, b
+    both = m + mass
+    apart = quat.sub(com, c)
+    x, y, z = apart
+    reduced = m * mass / both  # reduced mass of two bodies about their common centre
+    parallel = (y * y + z * z, -(x * y), x * x + z * z, -(x * z), -(y * z), x * x + y * y)
+    about_com = tuple(i + o + reduced * s for i, o, s in zip(inertia, other, parallel, strict=True))
+    return both, quat.add(c, quat.scale(mass / both, apart)), about_com

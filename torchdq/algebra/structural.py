@@ -1,0 +1,51 @@
+"""Structural zeros: an absent term (None) stays absent, so that it is never multiplied, added or recorded."""
+
+from collections.abc import Callable, Sequence
+from functools import wraps
+
+from torchdq.algebra import screw
+from torchdq.algebra.screw import Adjoint, Screw
+
+
+def lift(f: Callable) -> Callable:
+    """Function that returns None as soon as one of its arguments is None."""
+
+    @wraps(f)
+    def lifted(*args):
+        return None if any(a is None for a in args) else f(*args)
+
+    return lifted
+
+
+def total(terms: Sequence, plus: Callable):
+    """Sum of the terms that are present, or None."""
+    present = [term for term in terms if term is not None]
+    if not present:
+        return None
+    result = present[0]
+    for term in present[1:]:
+        result = plus(result, term)
+    return result
+
+
+def add(*terms: Screw | None) -> Screw | None:
+    """Sum of the screws that are present, or None."""
+    return total(terms, screw.add)
+
+
+def difference(a: Sequence, b: Sequence) -> list:
+    """a - b, entry by entry; an absent b leaves a as it is."""
+    return [x if y is None else x - y for x, y in zip(a, b, strict=True)]
+
+
+@lift
+def ad_inverse(a: Adjoint, m: Screw) -> Screw:
+    """Ad(x*) m from the columns of x."""
+    return screw.ad(screw.inverse(a), m)
+
+
+ad = lift(screw.ad)
+cross = lift(screw.cross)
+neg = lift(screw.neg)
+power = lift(screw.power)
+scale = lift(screw.scale)

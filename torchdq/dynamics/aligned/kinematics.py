@@ -1,0 +1,123 @@
+"""Positions, directions, poses and Jacobians in aligned frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from torchdq.algebra import dual_quaternion as dq
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.elementary import Angle
+from torchdq.algebra.quaternion import Pure
+from torchdq.algebra.screw import Screw
+from torchdq.dynamics.aligned.placement import Alignment, Steps
+from torchdq.dynamics.crba import freedoms
+from torchdq.dynamics.joints import Coordinate
+from torchdq.dynamics.posed import Point
+from torchdq.dynamics.tree import Tree, path
+
+UNITS: tuple[Pure, Pure, Pure] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+def position(tree: Tree, steps: Steps, i: int, r: Pure) -> Pure:
+    """Position in the base frame of a point r of link i."""
+    for j in path(tree.links, i):
+        step = steps[j]
+        r = r if step is None else step.point_to_parent(r)
+    return r
+
+
+def to_base(tree: Tree, steps: Steps, i: int, v: Pure) -> Pure:
+    """Components in the base frame of a vector of link i."""
+    for j in path(tree.links, i):
+        step = steps[j]
+        v = v if step is None else step.vector_to_parent(v)
+    return v
+
+
+def to_link(tree: Tree, steps: Steps, i: int, v: Pure) -> Pure:
+    """Components in link i's frame of a vector of the base."""
+    for j in reversed(list(path(tree.links, i))):
+        step = steps[j]
+        v = v if step is None else step.vector_to_link(v)
+    return v
+
+
+def joint_screws(tree: Tree, steps: Steps, i: int, frame: Point) -> dict[int, Screw]:
+    """Screw, about and in the axes of a frame on link i, of every degree of freedom between it and the base."""
+    found: dict[int, Screw] = {}
+    for j in path(tree.links, i):
+        for k, (w, v) in freedoms(tree.links[j]):
+            moved = quat.add(v, quat.cross(w, frame.position))
+            found[k] = (tuple(quat.dot(e, w) for e in frame.axes), tuple(quat.dot(e, moved) for e in frame.axes))
+        step = steps[j]
+        if step is not None:
+            axes = tuple(step.vector_to_parent(e) for e in frame.axes)
+            frame = Point(step.point_to_parent(frame.position), axes)
+    return found
+
+
+def joint_screws_in_base(tree: Tree, steps: Steps, i: int, r: Pure) -> dict[int, Screw]:
+    """Screw, about a point r of link i and in the axes of the base, of every degree of freedom that moves it."""
+    origins: dict[int, Pure] = {}
+    axes: dict[int, Sequence[Pure]] = {}  # of the base, in the link's frame
+    for j in reversed(list(path(tree.links, i))):
+        step, parent = steps[j], tree.links[j].parent
+        if step is None:
+            origins[j], axes[j] = (0.0, 0.0, 0.0), UNITS
+            continue
+        axes[j] = tuple(step.vector_to_link(e) for e in axes[parent])
+        at = tuple(quat.dot(e, step.placement.p) for e in axes[parent])
+        along = tuple(e[2] * step.theta.shift for e in axes[j])
+        origins[j] = quat.add(quat.add(origins[parent], at), along)
+    point = quat.add(origins[i], tuple(quat.dot(e, r) for e in axes[i]))
+    found: dict[int, Screw] = {}
+    for j in path(tree.links, i):
+        arm = quat.sub(point, origins[j])
+        for k, (w, v) in freedoms(tree.links[j]):
+            w_W, v_W = (tuple(quat.dot(e, x) for e in axes[j]) for x in (w, v))
+            found[k] = (w_W, quat.add(v_W, quat.cross(w_W, arm)))
+    return found
+
+
+def poses(
+    tree: Tree, steps: Steps, alignments: Sequence[Alignment], turns: Sequence[Angle], X_WB: DualQuaternion
+) -> list[DualQuaternion]:
+    """Pose of the link frames of the description, by elementary screws one after the other (39).
+
+    Args:
+        alignments: constants of the moving links.
+        turns: cosines and sines of half of their joints' angles, offsets included.
+        X_WB: pose of the base.
+    """
+    X = [X_WB]  # of the aligned frames
+    found = [X_WB]
+    for link, step, at, half_turn in zip(tree.links[1:], steps[1:], alignments, turns, strict=True):
+        X.append(step.pose_in(X[link.parent], at.half, half_turn))
+        found.append(dq.mul(X[-1], at.X_LB))
+    return found
+
+
+class FromBase(NamedTuple):
+    """Pose of a link as the motion of its joints from the home pose: X_WB = motion home."""
+
+    motion: DualQuaternion
+    home: DualQuaternion
+
+
+def poses_from_base(
+    tree: Tree, alignments: Sequence[Alignment], q: Sequence[Coordinate], X_WB: DualQuaternion
+) -> list[FromBase]:
+    """Pose of every link, by the joints' screws in the base frame.
+
+    One product less per joint than `poses` where few poses are wanted.
+
+    Args:
+        alignments, q: constants and displacements of the moving links and their joints.
+        X_WB: pose of the base.
+    """
+    found = [FromBase(X_WB, dq.ONE)]
+    for link, at, q_i in zip(tree.links[1:], alignments, q, strict=True):
+        found.append(FromBase(dq.mul(found[link.parent].motion, at.joint_W.motion(q_i)), at.X_WB_home))  # (39)
+    return found

@@ -1,0 +1,27 @@
+"""Base parameters: inertial parameters grouped so that fewer are left.
+
+What lies on the axis of a revolute joint moves with the parent as well as with the link. Mass, first and second moment
+along the axis are those of particles on it: they are taken from the link and given to its parent, and no torque or
+acceleration changes. Source: M. Gautier, W. Khalil, "Direct calculation of minimum set of inertial parameters of serial
+robots", IEEE Transactions on Robotics and Automation 6 (1990).
+"""
+
+from torchdq.algebra.elementary import UNTURNED, DualAngle, Z
+from torchdq.algebra.inertia import Moments
+from torchdq.dynamics.aligned.placement import Step
+from torchdq.dynamics.tree import Tree
+
+
+def regrouped(tree: Tree) -> Tree:
+    """Tree in aligned frames with its inertias moved towards the base."""
+    bodies: list[Moments] = [link.inertia for link in tree.links]
+    for i in reversed(range(1, len(bodies))):
+        link = tree.links[i]
+        if not link.joint.keeps_axis:
+            continue
+        bodies[i], on_axis = bodies[i].split(Z)
+        moved = Step(link.placement, DualAngle(UNTURNED, link.placement.shift)).inertia_to_parent(on_axis)
+        below = bodies[link.parent]
+        bodies[link.parent] = moved if below is None else below.plus(moved)
+    links = tuple(link._replace(inertia=body) for link, body in zip(tree.links, bodies, strict=True))
+    return tree._replace(links=links)

@@ -1,0 +1,146 @@
+"""Linear maps from coordinates to joints: mimic joints, motor-coupled wrists, differentials.
+
+    q = S z + s0,   qd = S zd,   qdd = S zdd
+
+z are the coordinates of the user and q those of the joints. Generalised forces follow by S^T, the mass matrix is
+S^T M S. It stands around a posed robot, so that no algorithm knows of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from operator import add, mul
+from typing import NamedTuple
+
+from torchdq.algebra import matrix, screw
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.matrix import Rows
+from torchdq.algebra.quaternion import Number, Pure
+from torchdq.algebra.screw import Screw
+from torchdq.algebra.structural import lift, total
+from torchdq.dynamics.posed import Exerted, Factors, Point, Posed, Row, factors_by_entries
+
+
+class Coupling(NamedTuple):
+    """Map q = S z + s0."""
+
+    S: Rows  # joints by coordinates; None: a joint does not depend on a coordinate
+    offset: Row  # s0, of the joints
+
+    def positions(self, z: Row) -> list[Number]:
+        """q of z."""
+        return [x + s for x, s in zip(self.rates(z), self.offset, strict=True)]
+
+    def rates(self, zd: Row) -> list[Number]:
+        """qd of zd, or qdd of zdd."""
+        return [present(x) for x in matrix.matvec(self.S, zd, mul, add)]
+
+    def forces(self, tau: Sequence[Number | None]) -> list[Number]:
+        """Generalised forces on the coordinates from those on the joints."""
+        return [present(x) for x in matrix.matvec(matrix.transpose(self.S), tau, mul, add)]
+
+
+class Coupled(NamedTuple):
+    """Posed robot in the coordinates of a map; implements `dynamics.posed.Posed`."""
+
+    robot: Posed
+    coupling: Coupling
+    armature: Row | None = None  # further inertia at the coordinates
+
+    # --- what the map does not change ---
+
+    def com(self, i: int) -> Pure:
+        """Centre of mass of a link."""
+        return self.robot.com(i)
+
+    def point(self, i: int, X_BF: DualQuaternion) -> Point:
+        """Frame on a link."""
+        return self.robot.point(i, X_BF)
+
+    def wrench(self, i: int, F_B: Screw) -> Screw:
+        """Wrench on a link."""
+        return self.robot.wrench(i, F_B)
+
+    def position(self, i: int, r: Pure) -> Pure:
+        """Position in the world of a point of a link."""
+        return self.robot.position(i, r)
+
+    def to_world(self, i: int, v: Pure) -> Pure:
+        """Components in the world's axes of a vector of a link."""
+        return self.robot.to_world(i, v)
+
+    def to_link(self, i: int, v: Pure) -> Pure:
+        """Components in a link's axes of a vector of the world."""
+        return self.robot.to_link(i, v)
+
+    def poses(self) -> Sequence[DualQuaternion]:
+        """Pose of every link in the world."""
+        return self.robot.poses()
+
+    def potential_energy(self) -> Number:
+        """Potential energy of gravity."""
+        return self.robot.potential_energy()
+
+    def without_gravity(self) -> Coupled:
+        """Posed robot that is not pulled by gravity."""
+        return self._replace(robot=self.robot.without_gravity())
+
+    # --- what it maps ---
+
+    def twists(self, qd: Row) -> Sequence[Screw]:
+        """Twist of every link."""
+        return self.robot.twists(self.coupling.rates(qd))
+
+    def kinetic_energy(self, qd: Row) -> Number:
+        """Kinetic energy."""
+        energy = self.robot.kinetic_energy(self.coupling.rates(qd))
+        for J, v in zip(self.armature or (), qd, strict=False):
+            energy = energy + 0.5 * J * (v * v)
+        return energy
+
+    def jacobian(self, i: int, X_BF: DualQuaternion, world: bool) -> list[Screw | None]:
+        """Twist of a frame per velocity of the coordinates."""
+        times, columns = lift(screw.scale), self.robot.jacobian(i, X_BF, world)
+        return [
+            total([times(s, c) for s, c in zip(row, columns, strict=True)], screw.add)
+            for row in matrix.transpose(self.coupling.S)
+        ]
+
+    def torques(self, qd: Row | None, qdd: Row | None, exerted: Exerted | None) -> list[Number]:
+        """Generalised forces S^T tau(S zd, S zdd)."""
+        rates = [None if x is None else self.coupling.rates(x) for x in (qd, qdd)]
+        tau = self.coupling.forces(self.robot.torques(*rates, exerted))
+        if self.armature is None or qdd is None:
+            return tau
+        return [t + J * a for t, J, a in zip(tau, self.armature, qdd, strict=True)]
+
+    def mass_matrix(self) -> Rows:
+        """S^T M S."""
+        S = self.coupling.S
+        half = matrix.matmul(self.robot.mass_matrix(), S, mul, add)
+        M = [list(map(present, row)) for row in matrix.matmul(matrix.transpose(S), half, mul, add)]
+        for k, J in enumerate(self.armature or ()):
+            M[k][k] = M[k][k] + J
+        return tuple(map(tuple, M))
+
+    def factors(self, linear: bool) -> Factors:
+        """Factors of the mass matrix, which the map leaves full."""
+        M = self.mass_matrix()
+        return factors_by_entries(range(-1, len(M) - 1), M)
+
+    def with_armature(self, more: Row) -> Coupled:
+        """Posed robot with more inertia at its coordinates."""
+        before = self.armature or [0.0] * len(more)
+        return self._replace(armature=[a + b for a, b in zip(before, more, strict=True)])
+
+    def regressor(self, qd: Row, qdd: Row) -> list[list[Row | None]]:
+        """Factors of the inertial parameters, [coordinate][link]."""
+        Y = tuple(map(tuple, self.robot.regressor(self.coupling.rates(qd), self.coupling.rates(qdd))))
+        found = matrix.matmul(matrix.transpose(self.coupling.S), Y, quat.scale, quat.add)
+        return [list(row) for row in found]
+
+
+def present(x: Number | None) -> Number:
+    """The number, or zero if it is absent."""
+    return 0.0 if x is None else x

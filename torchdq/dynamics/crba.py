@@ -1,0 +1,72 @@
+"""The mass matrix by composite rigid bodies.
+
+The inertia of everything that a joint carries is summed into one composite body. The momentum of that body under a unit
+rate of the joint, carried down the path to another joint, gives their entry of the mass matrix.
+
+Either form of a robot says how an inertia and a wrench are carried from link i to its parent.
+"""
+
+from collections.abc import Callable, Sequence
+
+from torchdq.algebra import screw
+from torchdq.algebra.matrix import Rows
+from torchdq.algebra.quaternion import Number
+from torchdq.algebra.screw import Screw
+from torchdq.dynamics.tree import Link, Tree, path
+
+
+def composites(tree: Tree, carried: Callable) -> list:
+    """Inertia, in link i's frame, of everything that joint i carries; None: no body.
+
+    Args:
+        carried: takes the index of a link and an inertia in its frame, returns that inertia in the parent's frame.
+    """
+    found: list = [link.inertia for link in tree.links]
+    for i in reversed(range(1, len(found))):
+        if found[i] is not None:
+            parent, inertia = tree.links[i].parent, carried(i, found[i])
+            found[parent] = inertia if found[parent] is None else found[parent].plus(inertia)
+    return found
+
+
+def freedoms(link: Link) -> list[tuple[int, Screw]]:
+    """Position in the row of velocities, and screw, of every degree of freedom of a joint."""
+    return list(zip(range(link.v.start, link.v.stop), link.joint.columns, strict=True))
+
+
+def diagonal(tree: Tree, composite: Sequence) -> list[Number]:
+    """Diagonal of the mass matrix, rotors included."""
+    entries: list[Number] = []
+    for link, inertia in zip(tree.links, composite, strict=True):
+        for _, a in freedoms(link):
+            entry = 0.0 if inertia is None else screw.power(inertia.momentum(a), a)
+            entries.append(entry if link.armature is None else entry + link.armature)
+    return entries
+
+
+def mass_matrix(tree: Tree, composite: Sequence, to_parent: Callable[[int, Screw], Screw]) -> Rows:
+    """Mass matrix M(q); entries of degrees of freedom that are on no common path are None.
+
+    Both triangles hold the same numbers.
+
+    Args:
+        composite: from `composites`.
+        to_parent: takes the index of a link and a wrench in its frame, returns that wrench in the parent's frame.
+    """
+    M: list[list[Number | None]] = [[None] * tree.nv for _ in range(tree.nv)]
+    for k, entry in enumerate(diagonal(tree, composite)):
+        M[k][k] = entry
+    for i, inertia in enumerate(composite):
+        for k, a in freedoms(tree.links[i]):
+            momentum = None if inertia is None else inertia.momentum(a)
+            below = i
+            for j in path(tree.links, i):
+                if momentum is None:
+                    break
+                if j != i:
+                    momentum = to_parent(below, momentum)
+                below = j
+                for l, b in freedoms(tree.links[j]):
+                    if l < k:
+                        M[k][l] = M[l][k] = screw.power(momentum, b)
+    return tuple(map(tuple, M))

@@ -1,0 +1,223 @@
+"""Joints: what an algorithm asks of a joint type, one class for each.
+
+A joint carries a link B on its parent P. Its screws `columns` span the twists that it allows, V = sum of columns v_k,
+and are constant in B. A coordinate of a joint with one degree of freedom is an angle [rad] or a length [m]; those of a
+free joint are the pose of B in P. A fixed joint has neither coordinates nor screws, and nothing of it is recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple, Protocol
+
+from torchdq.algebra import dual_quaternion as dq
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra import screw
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.quaternion import Number, Pure
+from torchdq.algebra.screw import Screw
+
+Exponential = Callable[[Screw], DualQuaternion]  # of a pure dual quaternion
+
+
+class Coordinate(NamedTuple):
+    """Displacement of a joint from home [rad or m], with the cosine and sine of half of it."""
+
+    value: Number
+    cos: Number
+    sin: Number
+
+
+class Joint(Protocol):
+    """Interface of a joint type."""
+
+    nq: ClassVar[int]  # numbers of its coordinates
+    nv: ClassVar[int]  # degrees of freedom
+    keeps_axis: ClassVar[bool]  # whether points on its axis move with the parent as well as with the link
+
+    @property
+    def columns(self) -> tuple[Screw, ...]:
+        """Screws of the joint in the link frame, one for each degree of freedom."""
+
+    def motion(self, q: Any) -> DualQuaternion | None:
+        """Pose of the link relative to its home pose; None: it does not move."""
+
+    def rate(self, v: Sequence[Number] | None) -> Screw | None:
+        """Twist of the link relative to its parent; None: at rest."""
+
+    def project(self, F: Screw) -> tuple[Number, ...]:
+        """Generalised force of a wrench on the link: its power on each of the columns (48)."""
+
+    def moved(self, q: Sequence[Number], v: Sequence[Number], h: Number, exp: Exponential) -> tuple[Number, ...]:
+        """Coordinates after a time h at the velocities v."""
+
+
+@dataclass(frozen=True)
+class Along:
+    """Common part of joints with one degree of freedom: motion along a constant screw."""
+
+    nq: ClassVar[int] = 1
+    nv: ClassVar[int] = 1
+    keeps_axis: ClassVar[bool] = False
+    screw: Screw  # in the link frame
+
+    @property
+    def columns(self) -> tuple[Screw, ...]:
+        """The joint's screw."""
+        return (self.screw,)
+
+    def rate(self, v: Sequence[Number] | None) -> Screw | None:
+        """Screw times rate."""
+        return None if v is None or v[0] is None else screw.scale(v[0], self.screw)
+
+    def project(self, F: Screw) -> tuple[Number, ...]:
+        """Power of the wrench on the screw."""
+        return (screw.power(F, self.screw),)  # (48), erratum A1
+
+    def moved(self, q: Sequence[Number], v: Sequence[Number], h: Number, exp: Exponential) -> tuple[Number, ...]:
+        """q + h v."""
+        return (q[0] + h * v[0],)
+
+    @property
+    def direction(self) -> Pure:
+        """Direction of the axis, of unit length up to rounding."""
+        w, v = self.screw
+        return w if self.angle(1.0) else v
+
+    @property
+    def point(self) -> Pure:
+        """Point of the axis that is closest to the frame's origin."""
+        return quat.cross(*self.screw)
+
+    def angle(self, x: Number) -> Number:
+        """Angle about the axis at a displacement [rad]."""
+        raise NotImplementedError
+
+    def slide(self, x: Number) -> Number:
+        """Length along the axis at a displacement [m]."""
+        raise NotImplementedError
+
+
+class Revolute(Along):
+    """Turn about a line."""
+
+    keeps_axis: ClassVar[bool] = True
+
+    def motion(self, q: Coordinate) -> DualQuaternion:
+        """exp(a q/2) of a unit line a."""
+        return screw.exp_revolute(self.screw, q.cos, q.sin)  # (27), erratum 25
+
+    def angle(self, x: Number) -> Number:
+        """Angle about the axis [rad]."""
+        return x
+
+    def slide(self, x: Number) -> Number:
+        """Length along the axis [m]."""
+        return 0.0
+
+
+class Prismatic(Along):
+    """Shift along a direction."""
+
+    def motion(self, q: Coordinate) -> DualQuaternion:
+        """exp(a q/2) of a = eps l."""
+        return screw.exp_prismatic(self.screw[1], q.value)  # (27)
+
+    def angle(self, x: Number) -> Number:
+        """Angle about the axis [rad]."""
+        return 0.0
+
+    def slide(self, x: Number) -> Number:
+        """Length along the axis [m]."""
+        return x
+
+
+class Helical(Along):
+    """Turn about a line with a shift along it in proportion."""
+
+    def motion(self, q: Coordinate) -> DualQuaternion:
+        """exp(a q/2) of a line with pitch."""
+        return screw.exp_helical(self.screw, q.value, q.cos, q.sin)  # (27)
+
+    @property
+    def pitch(self) -> Number:
+        """Length per angle [m/rad]."""
+        return quat.dot(*self.screw)
+
+    def angle(self, x: Number) -> Number:
+        """Angle about the axis [rad]."""
+        return x
+
+    def slide(self, x: Number) -> Number:
+        """Length along the axis [m]."""
+        return self.pitch * x
+
+
+@dataclass(frozen=True)
+class Fixed:
+    """No motion."""
+
+    nq: ClassVar[int] = 0
+    nv: ClassVar[int] = 0
+    keeps_axis: ClassVar[bool] = False
+    columns: ClassVar[tuple[Screw, ...]] = ()
+
+    def motion(self, q: Any) -> None:
+        """None: the link stays at its home pose."""
+
+    def rate(self, v: Sequence[Number] | None) -> None:
+        """None: the link does not move relative to its parent."""
+
+    def project(self, F: Screw) -> tuple[Number, ...]:
+        """No generalised force."""
+        return ()
+
+    def moved(self, q: Sequence[Number], v: Sequence[Number], h: Number, exp: Exponential) -> tuple[Number, ...]:
+        """No coordinates."""
+        return ()
+
+
+def _unit_screw(k: int) -> Screw:
+    x = [1.0 if i == k else 0.0 for i in range(6)]
+    return (tuple(x[:3]), tuple(x[3:]))
+
+
+@dataclass(frozen=True)
+class Free:
+    """Any motion: the coordinates are a pose, the velocities a twist (angular, linear) in the link frame."""
+
+    nq: ClassVar[int] = 8
+    nv: ClassVar[int] = 6
+    keeps_axis: ClassVar[bool] = False
+    columns: ClassVar[tuple[Screw, ...]] = tuple(_unit_screw(k) for k in range(6))
+
+    def motion(self, q: DualQuaternion) -> DualQuaternion:
+        """The coordinates themselves."""
+        return q
+
+    def rate(self, v: Sequence[Number] | None) -> Screw | None:
+        """The velocities as a screw."""
+        return None if v is None else (tuple(v[:3]), tuple(v[3:]))
+
+    def project(self, F: Screw) -> tuple[Number, ...]:
+        """Moment and force."""
+        return (*F[1], *F[0])
+
+    def moved(self, q: Sequence[Number], v: Sequence[Number], h: Number, exp: Exponential) -> tuple[Number, ...]:
+        """X exp(h V/2)."""
+        half = screw.scale(0.5 * h, (tuple(v[:3]), tuple(v[3:])))
+        p, d = dq.mul((tuple(q[:4]), tuple(q[4:])), exp(half))
+        return (*p, *d)
+
+
+REVOLUTE, PRISMATIC, HELICAL = "revolute", "prismatic", "helical"  # kinds of joints in descriptions
+KINDS: dict[str, type[Revolute | Prismatic | Helical]] = {REVOLUTE: Revolute, PRISMATIC: Prismatic, HELICAL: Helical}
+
+Z_AXIS: Pure = (0.0, 0.0, 1.0)
+
+
+def along_z(joint: Along) -> Along:
+    """Joint of the same type whose axis is the z axis of its frame."""
+    axis: Screw = (quat.scale(joint.angle(1.0), Z_AXIS), quat.scale(joint.slide(1.0), Z_AXIS))
+    return type(joint)(axis)

@@ -1,0 +1,138 @@
+"""A robot at one configuration as the paper has it: any link frames, dual-quaternion poses, adjoint columns.
+
+It is the reference of the form that runs, and the form for robots whose geometry is an argument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from torchdq.algebra import dual_quaternion as dq
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.inertia import Inertia
+from torchdq.algebra.matrix import Rows
+from torchdq.algebra.quaternion import Number, Pure
+from torchdq.algebra.screw import Adjoint, Screw
+from torchdq.dynamics import crba, energy, regressor
+from torchdq.dynamics.acceleration import tensor
+from torchdq.dynamics.paper import closed_form, kinematics, rnea
+from torchdq.dynamics.posed import Exerted, Factors, Point, Row, factors_by_entries
+from torchdq.dynamics.tree import Tree
+
+STILL: Screw = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+class Paper(NamedTuple):
+    """Robot at one configuration; implements `dynamics.posed.Posed`."""
+
+    tree: Tree
+    X_PB: tuple[DualQuaternion | None, ...]
+    Ad: tuple[Adjoint | None, ...]
+    coms: tuple[Pure, ...]  # of the moving links
+
+    @classmethod
+    def at(cls, tree: Tree, coms: Sequence[Pure], q: Sequence[Any]) -> Paper:
+        """Robot at coordinates of all joints, the base's first."""
+        X_PB = kinematics.joint_poses(tree, q)
+        return cls(tree, X_PB, kinematics.adjoints(X_PB), tuple(coms))
+
+    # --- kinematics ---
+
+    def com(self, i: int) -> Pure:
+        """Centre of mass of a link."""
+        return self.coms[i - 1]
+
+    def point(self, i: int, X_BF: DualQuaternion) -> Point:
+        """Frame on a link."""
+        return Point(dq.translation(X_BF), quat.rotation_columns(X_BF[0]))
+
+    def wrench(self, i: int, F_B: Screw) -> Screw:
+        """Wrench on a link, as it is."""
+        return F_B
+
+    def position(self, i: int, r: Pure) -> Pure:
+        """Position in the world of a point of a link."""
+        X = self.poses()[i]
+        return quat.add(dq.translation(X), quat.rotate(X[0], r))
+
+    def to_world(self, i: int, v: Pure) -> Pure:
+        """Components in the world's axes of a vector of a link."""
+        return quat.rotate(self.poses()[i][0], v)
+
+    def to_link(self, i: int, v: Pure) -> Pure:
+        """Components in a link's axes of a vector of the world."""
+        return quat.rotate(quat.conj(self.poses()[i][0]), v)
+
+    def poses(self) -> list[DualQuaternion]:
+        """Pose in the world of every link (39)."""
+        return [dq.ONE if x is None else x for x in kinematics.link_poses(self.tree, self.X_PB)]
+
+    def twists(self, qd: Row) -> list[Screw]:
+        """Twist of every link in its frame (40)."""
+        V, _ = rnea.outward(self.tree, self.Ad, qd, None)
+        return [v or STILL for v in V]
+
+    def jacobian(self, i: int, X_BF: DualQuaternion, world: bool) -> list[Screw | None]:
+        """Twist of a frame per velocity, in its axes or in the world's."""
+        columns = kinematics.jacobian(self.tree, self.Ad, i, X_BF)
+        if not world:
+            return list(columns)
+        r = quat.mul(self.poses()[i][0], X_BF[0])
+        return [None if c is None else (quat.rotate(r, c[0]), quat.rotate(r, c[1])) for c in columns]
+
+    # --- dynamics ---
+
+    def torques(self, qd: Row | None, qdd: Row | None, exerted: Exerted | None) -> list[Number | None]:
+        """Generalised forces of a motion, by Algorithm 1."""
+        return rnea.rnea(self.tree, self.Ad, qd, qdd, exerted)
+
+    def _carried(self, i: int, body: Inertia) -> Inertia:
+        x, columns = self.X_PB[i], self.Ad[i]
+        return body if x is None or columns is None else body.carried(columns, dq.translation(x))
+
+    def composites(self) -> list:
+        """Inertia of everything that each joint carries."""
+        return crba.composites(self.tree, self._carried)
+
+    def mass_matrix(self) -> Rows:
+        """Mass matrix."""
+        return crba.mass_matrix(self.tree, self.composites(), lambda i, F: kinematics.to_parent(self.Ad[i], F))
+
+    def factors(self, linear: bool) -> Factors:
+        """Factors of the mass matrix, always entry by entry."""
+        return factors_by_entries(self.tree.predecessors(), self.mass_matrix())
+
+    def with_armature(self, more: Row) -> Paper:
+        """Posed robot with more rotor inertia."""
+        return self._replace(tree=self.tree.with_armature(more))
+
+    def without_gravity(self) -> Paper:
+        """Posed robot that is not pulled by gravity."""
+        return self._replace(tree=self.tree._replace(gravity=None))
+
+    def kinetic_energy(self, qd: Row) -> Number:
+        """Kinetic energy."""
+        return energy.kinetic_energy(self.tree, self.twists(qd), qd)
+
+    def potential_energy(self) -> Number:
+        """Potential energy of gravity."""
+        whole = self.composites()[0]
+        first = None if whole is None else self._carried(0, whole).first
+        return energy.potential_energy(self.tree.gravity, first)
+
+    def closed_form(self, qd: Row, tip: tuple[int, Adjoint] | None = None) -> closed_form.ClosedForm:
+        """Terms of (63) from dual-quaternion matrices; `tip` is the end effector's link and pose in it."""
+        return closed_form.closed_form(self.tree, self.Ad, qd, tip)
+
+    def regressor(self, qd: Row, qdd: Row) -> list:
+        """Factors of the inertial parameters about the link frames."""
+        V, A = rnea.outward(self.tree, self.Ad, qd, qdd)
+        screws, u, d = [], [], []
+        for i in range(1, len(self.tree.links)):
+            (w, v), (wd, vd) = V[i] or STILL, A[i] or STILL
+            screws.append(kinematics.joint_screws(self.tree, self.Ad, i))
+            u.append(tensor(w, wd))
+            d.append(quat.add(vd, quat.cross(w, v)))
+        return regressor.regressor(screws, u, d, self.tree.nv)

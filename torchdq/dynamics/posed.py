@@ -1,0 +1,122 @@
+"""A robot at one configuration: the one interface through which everything about its bodies is asked.
+
+It is implemented by `aligned.posed`, the form that runs, and by `paper.posed`, the reference and the form for robots
+whose geometry is an argument. Each keeps every link in a frame of its own choice, fixed to the link. Points, twists and
+wrenches of links are in those frames; frames of the robot's description are handed over as poses in link frames.
+
+Links are those of a `Tree`: link 0 is the base.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple, Protocol
+
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.matrix import Rows
+from torchdq.algebra.quaternion import Number, Pure
+from torchdq.algebra.screw import Screw
+from torchdq.dynamics import conditioning, ltdl
+
+Row = Sequence[Number]
+Exerted = Sequence[Screw | None]  # wrench (force, moment) that each link exerts on the environment; None: none
+
+
+class Factors(NamedTuple):
+    """Factors of a mass matrix."""
+
+    diagonal: Row
+    inverses: Row  # of the pivots
+    solve: Callable[[Row], Row]  # x of M x = b
+
+    @property
+    def growth(self) -> Number:
+        """Factor by which a solution magnifies rounding errors."""
+        return conditioning.growth(self.diagonal, self.inverses)
+
+
+def factors_by_entries(before: Sequence[int], M: Rows) -> Factors:
+    """Factors L^T D L of a mass matrix; `before` is that of `ltdl.factorise`."""
+    found = ltdl.factorise(before, M)
+    return Factors([M[i][i] for i in range(len(M))], found.inverses, partial(ltdl.solve, before, found))
+
+
+class Point(NamedTuple):
+    """Origin and axes of a frame that is fixed to a link, in the frame in which the posed robot keeps the link."""
+
+    position: Pure
+    axes: tuple[Pure, ...]
+
+
+class Posed(Protocol):
+    """Interface of a robot at one configuration."""
+
+    # --- kinematics ---
+
+    def com(self, i: int) -> Pure:
+        """Centre of mass of a link [m]."""
+
+    def point(self, i: int, X_BF: DualQuaternion) -> Point:
+        """Frame F on a link, from its pose in the link frame of the description."""
+
+    def wrench(self, i: int, F_B: Screw) -> Screw:
+        """Wrench on a link, from that in the link frame of the description."""
+
+    def position(self, i: int, r: Pure) -> Pure:
+        """Position in the world of a point of a link [m]."""
+
+    def to_world(self, i: int, v: Pure) -> Pure:
+        """Components in the world's axes of a vector of a link."""
+
+    def to_link(self, i: int, v: Pure) -> Pure:
+        """Components in a link's axes of a vector of the world."""
+
+    def poses(self) -> Sequence[DualQuaternion]:
+        """Pose in the world of the link frames of the description (39)."""
+
+    def twists(self, qd: Row) -> Sequence[Screw]:
+        """Twist of every link relative to the world (40)."""
+
+    def jacobian(self, i: int, X_BF: DualQuaternion, world: bool) -> Sequence[Screw | None]:
+        """Twist of a frame per velocity, in its axes or in the world's; None: a velocity does not move it."""
+
+    # --- dynamics ---
+
+    def torques(self, qd: Row | None, qdd: Row | None, exerted: Exerted | None) -> Row:
+        """Generalised forces of a motion; None: zero."""
+
+    def mass_matrix(self) -> Rows:
+        """Mass matrix; None: zero by structure."""
+
+    def factors(self, linear: bool) -> Factors:
+        """Factors of the mass matrix, entry by entry, or in time linear in the number of joints."""
+
+    def with_armature(self, more: Row) -> Posed:
+        """Posed robot with more rotor inertia, on the diagonal of the mass matrix."""
+
+    def without_gravity(self) -> Posed:
+        """Posed robot that is not pulled by gravity."""
+
+    def kinetic_energy(self, qd: Row) -> Number:
+        """Kinetic energy, rotors included [J]."""
+
+    def potential_energy(self) -> Number:
+        """Potential energy of gravity [J]."""
+
+    def regressor(self, qd: Row, qdd: Row) -> Sequence[Sequence[Row | None]]:
+        """Factors of the inertial parameters about the link frames of the description, [degree of freedom][link]."""
+
+
+class ClosedForm(NamedTuple):
+    """Terms of tau = M qdd + c + g."""
+
+    M: Rows
+    c: Row
+    g: Row
+
+
+def closed_form(posed: Posed, qd: Row) -> ClosedForm:
+    """Mass matrix, Coriolis and gravity terms of (63), each computed by itself and none by a difference."""
+    c = posed.without_gravity().torques(qd, None, None)
+    return ClosedForm(posed.mass_matrix(), c, posed.torques(None, None, None))
