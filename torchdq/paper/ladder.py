@@ -1,0 +1,149 @@
+"""From the printed Algorithm 1 to the program that runs, one step at a time.
+
+Every step computes the same torques of the same robot. What changes from one to the next is named, counted on the
+recorded program, and derived in docs/from-algorithm-1.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra import screw
+from torchdq.algebra.inertia import Inertia
+from torchdq.algebra.quaternion import Number, Pure
+from torchdq.algebra.screw import Screw
+from torchdq.algebra.structural import add
+from torchdq.dynamics.aligned import rnea
+from torchdq.dynamics.aligned.placement import Steps
+from torchdq.dynamics.joints import Coordinate
+from torchdq.dynamics.tree import Tree
+from torchdq.numbers.functions import cos, sin
+from torchdq.paper import cost, printed
+from torchdq.program.program import Argument, Program, record
+from torchdq.robot import posed
+from torchdq.robot.robot import Robot
+
+Row = Sequence[Number]
+STILL: Screw = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+class Rung(NamedTuple):
+    """A step: what changes in it, and the torques after it."""
+
+    name: str
+    torques: Callable[[Robot, Row, Row, Row], Sequence[Number]]
+
+    def program(self, robot: Robot) -> Program:
+        """Program of the torques of a robot."""
+        arguments = [Argument(name, robot.n) for name in ("q", "qd", "qdd")]
+        return record("torques", arguments, lambda *x: {"tau": self.torques(robot, *x)})
+
+
+def as_printed(robot: Robot, q: Row, qd: Row, qdd: Row) -> Sequence[Number]:
+    """Algorithm 1 line by line: (34)-(36), (38), (40), (44)-(48), corrected; frames at the centres of mass."""
+    return printed.rnea(posed.tree(robot, {}), coordinates(robot, q), qd, qdd)
+
+
+def zeros_known(robot: Robot, q: Row, qd: Row, qdd: Row) -> Sequence[Number]:
+    """The columns A_D as p x A_P, the base at rest, and each operator built once for both directions."""
+    return posed.paper(robot, q, {}).torques(qd, qdd, None)
+
+
+def aligned_frames(robot: Robot, q: Row, qd: Row, qdd: Row) -> list[Number]:
+    """The same recursion in frames whose z axes are the joint axes: Ad by elementary screws."""
+    at = posed.aligned(robot, q, {}, group=False)
+    tree, steps = at.tree, at.steps
+    V, A = [STILL], [rnea.base_motion(None, tree.gravity, None, None).A]
+    for i, (rate, change) in enumerate(zip(tree.rates(qd)[1:], tree.rates(qdd)[1:], strict=True), 1):
+        step, parent = steps[i], tree.links[i].parent
+        V.append(add(rate, step.to_link(V[parent])))  # (40)
+        A.append(add(change, step.to_link(A[parent]), screw.cross(V[i], rate)))  # (44)
+    bodies = [link.inertia and Inertia(*link.inertia[:2], link.inertia.rotational) for link in tree.links]
+    net = [b and screw.add(b.momentum(a), screw.cross(v, b.momentum(v))) for b, v, a in zip(bodies, V, A, strict=True)]
+    return inward(tree, steps, net)  # (45)
+
+
+def without_dual_part(robot: Robot, q: Row, qd: Row, qdd: Row, group: bool = False) -> list[Number]:
+    """The dual part of the twists absent; that of the accelerations becomes the acceleration d of the origin."""
+    at = posed.aligned(robot, q, {}, group)
+    tree, steps = at.tree, at.steps
+    still = rnea.base_motion(None, tree.gravity, None, None)
+    motion: list[tuple[Pure, Pure, Pure]] = [(still.w, *still.A)]
+    net: list[Screw | None] = [None]
+    for i, (rate, change) in enumerate(zip(tree.rates(qd)[1:], tree.rates(qdd)[1:], strict=True), 1):
+        step, link = steps[i], tree.links[i]
+        w, wd, d = motion[link.parent]
+        d = quat.add(d, accelerated(w, wd, step.placement.p))
+        w, wd, d = (step.vector_to_link(x) for x in (w, wd, d))
+        twice = quat.cross(quat.add(w, w), rate[1])
+        wd, d = quat.add(quat.add(wd, quat.cross(w, rate[0])), change[0]), quat.add(quat.add(d, twice), change[1])
+        w = quat.add(w, rate[0])
+        d = quat.add(d, accelerated(w, wd, (0.0, 0.0, step.theta.shift)))
+        motion.append((w, wd, d))
+        mass, h, _ = link.inertia
+        about = Inertia(mass, None, link.inertia.rotational)
+        (force, turning), (_, gyroscopic) = about.momentum((wd, d)), about.momentum((w, d))
+        force = quat.add(force, accelerated(w, wd, h))
+        net.append((force, quat.add(quat.add(turning, quat.cross(w, gyroscopic)), quat.cross(h, d))))
+    return inward(tree, steps, net)
+
+
+def accelerated(w: Pure, wd: Pure, r: Pure) -> Pure:
+    """Acceleration wd x r + w x (w x r) of a point r relative to the origin."""
+    return quat.add(quat.cross(wd, r), quat.cross(w, quat.cross(w, r)))
+
+
+def base_parameters(robot: Robot, q: Row, qd: Row, qdd: Row) -> list[Number]:
+    """Inertial parameters on the axes of revolute joints given to the parents."""
+    return without_dual_part(robot, q, qd, qdd, group=True)
+
+
+def shared_terms(robot: Robot, q: Row, qd: Row, qdd: Row) -> Sequence[Number]:
+    """U = [wd] + [w]^2 formed once a link, for its own wrench and for the origins beyond it."""
+    return posed.aligned(robot, q, {}, group=True).torques(qd, qdd, None)
+
+
+def inward(tree: Tree, steps: Steps, net: Sequence[Screw | None]) -> list[Number]:
+    """Torques from the net wrenches: (46)-(48)."""
+    F = list(net)
+    tau: list[Number] = [0.0] * tree.nv
+    for i in reversed(range(1, len(F))):
+        link = tree.links[i]
+        (tau[link.v.start],) = link.joint.project(F[i])
+        F[link.parent] = add(F[link.parent], steps[i].to_parent(F[i]))
+    return tau
+
+
+def coordinates(robot: Robot, q: Row) -> list[Coordinate | None]:
+    """Displacements of the joints, behind the base, which has none."""
+    halves = [(x, 0.5 * x) for x in posed.displacements(robot, q, {})]
+    return [None, *(Coordinate(x, cos(half), sin(half)) for x, half in halves)]
+
+
+RUNGS = (
+    Rung("operators as printed", as_printed),
+    Rung("zeros known, operators shared", zeros_known),
+    Rung("aligned frames: elementary screws", aligned_frames),
+    Rung("dual part of the twists absent", without_dual_part),
+    Rung("base parameters", base_parameters),
+    Rung("shared terms: the program that runs", shared_terms),
+)
+
+
+def example(n: int) -> Robot:
+    """A general chain of n revolute joints whose frames lie at the centres of mass, as the print wants them."""
+    return cost.robot(*cost.chain(n))
+
+
+def table(n: int = 7) -> str:
+    """Operations of every step for a general chain, in Markdown; sines and cosines are the same for all."""
+    robot = example(n)
+    whole = cost.dqrnea_as_printed(n, full=True)
+    lines = [f"| step, {n} general revolute joints | multiplications | additions |", "|---|---|---|"]
+    lines.append(f"| nothing known, every product of the print | {whole.multiplications} | {whole.additions} |")
+    for rung in RUNGS:
+        count = rung.program(robot).count()
+        lines.append(f"| {rung.name} | {count.multiplications} | {count.additions} |")
+    return "\n".join(lines)
