@@ -30,8 +30,8 @@ from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number
 from torchdq.backends import run
-from torchdq.dynamics.paper import kinematics, rnea
 from torchdq.dynamics.joints import Coordinate
+from torchdq.dynamics.paper import kinematics, rnea
 from torchdq.dynamics.tree import Tree
 from torchdq.numbers.count import Cost
 from torchdq.paper import cost, homogeneous, printed

@@ -121,9 +121,14 @@ class Moments(NamedTuple):
         xx, xy, yy, xz, yz, zz = self.second
         return ((yy + zz, -xy, -xz), (-xy, xx + zz, -yz), (-xz, -yz, xx + yy))
 
+    @property
+    def inertia(self) -> Inertia:
+        """The body in the other form."""
+        return Inertia(self.mass, self.first, self.rotational)
+
     def momentum(self, V: Screw) -> Screw:
         """Momentum G(V) of the body under a twist."""
-        return Inertia(self.mass, self.first, self.rotational).momentum(V)  # (30)
+        return self.inertia.momentum(V)  # (30)
 
     def plus(self, other: Moments) -> Moments:
         """Moments of two bodies of one frame together."""

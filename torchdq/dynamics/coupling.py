@@ -109,8 +109,8 @@ class Coupled(NamedTuple):
 
     def torques(self, qd: Row | None, qdd: Row | None, exerted: Exerted | None) -> list[Number]:
         """Generalised forces S^T tau(S zd, S zdd)."""
-        rates = [None if x is None else self.coupling.rates(x) for x in (qd, qdd)]
-        tau = self.coupling.forces(self.robot.torques(*rates, exerted))
+        v, a = (None if x is None else self.coupling.rates(x) for x in (qd, qdd))
+        tau = self.coupling.forces(self.robot.torques(v, a, exerted))
         if self.armature is None or qdd is None:
             return tau
         return [t + J * a for t, J, a in zip(tau, self.armature, qdd, strict=True)]

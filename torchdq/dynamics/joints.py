@@ -34,7 +34,8 @@ class Joint(Protocol):
 
     nq: ClassVar[int]  # numbers of its coordinates
     nv: ClassVar[int]  # degrees of freedom
-    keeps_axis: ClassVar[bool]  # whether points on its axis move with the parent as well as with the link
+    turns: ClassVar[bool]  # whether its coordinate is an angle
+    slides: ClassVar[bool]  # whether its coordinate moves the link along the axis
 
     @property
     def columns(self) -> tuple[Screw, ...]:
@@ -59,7 +60,8 @@ class Along:
 
     nq: ClassVar[int] = 1
     nv: ClassVar[int] = 1
-    keeps_axis: ClassVar[bool] = False
+    turns: ClassVar[bool]
+    slides: ClassVar[bool]
     screw: Screw  # in the link frame
 
     @property
@@ -82,8 +84,7 @@ class Along:
     @property
     def direction(self) -> Pure:
         """Direction of the axis, of unit length up to rounding."""
-        w, v = self.screw
-        return w if self.angle(1.0) else v
+        return self.screw[0] if self.turns else self.screw[1]
 
     @property
     def point(self) -> Pure:
@@ -92,49 +93,37 @@ class Along:
 
     def angle(self, x: Number) -> Number:
         """Angle about the axis at a displacement [rad]."""
-        raise NotImplementedError
+        return x if self.turns else 0.0
 
     def slide(self, x: Number) -> Number:
         """Length along the axis at a displacement [m]."""
-        raise NotImplementedError
+        return x if self.slides else 0.0
 
 
 class Revolute(Along):
     """Turn about a line."""
 
-    keeps_axis: ClassVar[bool] = True
+    turns, slides = True, False
 
     def motion(self, q: Coordinate) -> DualQuaternion:
         """exp(a q/2) of a unit line a."""
         return screw.exp_revolute(self.screw, q.cos, q.sin)  # (27), erratum 25
 
-    def angle(self, x: Number) -> Number:
-        """Angle about the axis [rad]."""
-        return x
-
-    def slide(self, x: Number) -> Number:
-        """Length along the axis [m]."""
-        return 0.0
-
 
 class Prismatic(Along):
     """Shift along a direction."""
+
+    turns, slides = False, True
 
     def motion(self, q: Coordinate) -> DualQuaternion:
         """exp(a q/2) of a = eps l."""
         return screw.exp_prismatic(self.screw[1], q.value)  # (27)
 
-    def angle(self, x: Number) -> Number:
-        """Angle about the axis [rad]."""
-        return 0.0
-
-    def slide(self, x: Number) -> Number:
-        """Length along the axis [m]."""
-        return x
-
 
 class Helical(Along):
     """Turn about a line with a shift along it in proportion."""
+
+    turns, slides = True, True
 
     def motion(self, q: Coordinate) -> DualQuaternion:
         """exp(a q/2) of a line with pitch."""
@@ -144,10 +133,6 @@ class Helical(Along):
     def pitch(self) -> Number:
         """Length per angle [m/rad]."""
         return quat.dot(*self.screw)
-
-    def angle(self, x: Number) -> Number:
-        """Angle about the axis [rad]."""
-        return x
 
     def slide(self, x: Number) -> Number:
         """Length along the axis [m]."""
@@ -160,7 +145,8 @@ class Fixed:
 
     nq: ClassVar[int] = 0
     nv: ClassVar[int] = 0
-    keeps_axis: ClassVar[bool] = False
+    turns: ClassVar[bool] = False
+    slides: ClassVar[bool] = False
     columns: ClassVar[tuple[Screw, ...]] = ()
 
     def motion(self, q: Any) -> None:
@@ -189,7 +175,8 @@ class Free:
 
     nq: ClassVar[int] = 8
     nv: ClassVar[int] = 6
-    keeps_axis: ClassVar[bool] = False
+    turns: ClassVar[bool] = False
+    slides: ClassVar[bool] = False
     columns: ClassVar[tuple[Screw, ...]] = tuple(_unit_screw(k) for k in range(6))
 
     def motion(self, q: DualQuaternion) -> DualQuaternion:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
-from torchdq.algebra.inertia import Inertia, Moments
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics.joints import Exponential, Fixed, Joint
@@ -22,9 +21,9 @@ class Link(NamedTuple):
     """A link and the joint that carries it on its parent."""
 
     parent: int
-    joint: Joint
+    joint: Any  # a `Joint`
     placement: Any  # home pose in the parent, in the form that the algorithms at hand use; None: the frames coincide
-    inertia: Inertia | Moments | None  # about the link frame's origin; None: no body
+    inertia: Any  # `Inertia` or `Moments` about the link frame's origin, in that form; None: no body
     armature: Number | None  # rotor inertia seen at the joint [kg m^2 or kg]
     v: slice  # the joint's part of the row of velocities
 
@@ -40,7 +39,7 @@ class Tree(NamedTuple):
         """Degrees of freedom of all joints together."""
         return self.links[-1].v.stop
 
-    def rates(self, v: Sequence[Number] | None) -> list[Screw | None]:
+    def rates(self, v: Sequence[Number] | None) -> list[Any]:
         """Twist of every link relative to its parent, or the same of accelerations; None: there is none."""
         return [link.joint.rate(None if v is None else v[link.v]) for link in self.links]
 
@@ -89,13 +88,13 @@ def path(links: Sequence[Link], i: int) -> Iterator[int]:
 
 def plant(
     parents: Sequence[int],
-    joints: Sequence[Joint],
+    joints: Sequence[Any],
     placements: Sequence[Any],
-    inertias: Sequence[Inertia | Moments | None],
+    inertias: Sequence[Any],
     armature: Sequence[Number] | None,
     gravity: Pure | None,
     base: Joint | None = None,
-    base_inertia: Inertia | Moments | None = None,
+    base_inertia: Any = None,
 ) -> Tree:
     """Tree of moving links on a base, the velocities in the order of the links.
 

@@ -7,7 +7,7 @@ recorded program, and derived in docs/from-algorithm-1.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
@@ -55,12 +55,13 @@ def aligned_frames(robot: Robot, q: Row, qd: Row, qdd: Row) -> list[Number]:
     """The same recursion in frames whose z axes are the joint axes: Ad by elementary screws."""
     at = posed.aligned(robot, q, {}, group=False)
     tree, steps = at.tree, at.steps
-    V, A = [STILL], [rnea.base_motion(None, tree.gravity, None, None).A]
+    V: list[Any] = [STILL]
+    A: list[Any] = [rnea.base_motion(None, tree.gravity, None, None).A]
     for i, (rate, change) in enumerate(zip(tree.rates(qd)[1:], tree.rates(qdd)[1:], strict=True), 1):
         step, parent = steps[i], tree.links[i].parent
         V.append(add(rate, step.to_link(V[parent])))  # (40)
         A.append(add(change, step.to_link(A[parent]), screw.cross(V[i], rate)))  # (44)
-    bodies = [link.inertia and Inertia(*link.inertia[:2], link.inertia.rotational) for link in tree.links]
+    bodies = [link.inertia and link.inertia.inertia for link in tree.links]
     net = [b and screw.add(b.momentum(a), screw.cross(v, b.momentum(v))) for b, v, a in zip(bodies, V, A, strict=True)]
     return inward(tree, steps, net)  # (45)
 

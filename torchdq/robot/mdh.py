@@ -52,7 +52,7 @@ def align(tree: Tree) -> tuple[Alignment, ...]:
     Args:
         tree: in the link frames of the description, its poses and screws floats.
     """
-    X_WB = [dq.ONE if x is None else x for x in kinematics.link_poses(tree, [link.placement for link in tree.links])]
+    X_WB = kinematics.link_poses(tree, [link.placement for link in tree.links])
     R_WB, p_WB = zip(*map(_rotation_and_position, X_WB), strict=True)
     lines = [Line(np.zeros(3), np.array([0.0, 0.0, 1.0]))]  # of the base, whose frame stays
     for link, R, p in zip(tree.links[1:], R_WB[1:], p_WB[1:], strict=True):

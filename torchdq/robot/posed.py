@@ -62,19 +62,17 @@ def aligned(robot: Robot, q: Sequence[Number], overrides: Overrides, group: bool
     Args:
         group: whether inertia is moved towards the base, which pays unless it differs from sample to sample.
     """
-    alignments = mdh.align(tree(robot, {"gravity": None, "armature": None}))
-    coms = field(robot, "com", overrides)
-    bodies = []
-    for at, m, com, inertia in zip(
-        alignments, field(robot, "mass", overrides), coms, field(robot, "inertia", overrides), strict=True
-    ):
-        bodies.append(Moments.from_com(m, at.point_from_own(com), at.inertia_from_own(inertia)))
-    joints = [along_z(link.joint) for link in tree(robot, {"gravity": None, "armature": None}).links[1:]]
+    described = tree(robot, {"gravity": None, "armature": None})
+    alignments, coms = mdh.align(described), field(robot, "com", overrides)
+    masses, inertias = field(robot, "mass", overrides), field(robot, "inertia", overrides)
     found = plant(
         robot.parents,
-        joints,
+        [along_z(link.joint) for link in described.links[1:]],
         [at.placement for at in alignments],
-        bodies,
+        [
+            Moments.from_com(m, at.point_from_own(com), at.inertia_from_own(inertia))
+            for at, m, com, inertia in zip(alignments, masses, coms, inertias, strict=True)
+        ],
         field(robot, "armature", overrides),
         field(robot, "gravity", overrides),
     )

@@ -12,7 +12,7 @@ has been built.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import elementary
@@ -22,7 +22,6 @@ from torchdq.algebra.elementary import Angle, DualAngle, X, Z, back, turn
 from torchdq.algebra.inertia import Moments, Six, six, square
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics.joints import Joint
 
 
 class Placement(NamedTuple):
@@ -43,7 +42,7 @@ class Alignment(NamedTuple):
     turn: Angle  # cosine and sine of the offset
     R_BL: tuple[Pure, ...]  # rows
     p_BL: Pure  # [m]
-    joint_W: Joint  # the joint, its screw in the base frame at home
+    joint_W: Any  # the joint, its screw in the base frame at home
     X_LB: DualQuaternion  # pose of the link frame in the aligned frame
     X_WB_home: DualQuaternion  # and in the base frame at home
 
@@ -118,4 +117,4 @@ class Step(NamedTuple):
         return elementary.times(x, Z, half_turn, self.theta.shift)
 
 
-Steps = Sequence[Step | None]  # of the links; None: the base
+Steps = Sequence[Any]  # a `Step` for every link; None: the base

@@ -15,7 +15,7 @@ from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics import crba, energy, regressor
 from torchdq.dynamics.aligned import aba, kinematics, rnea
-from torchdq.dynamics.aligned.placement import Alignment, Step
+from torchdq.dynamics.aligned.placement import Alignment, Step, Steps
 from torchdq.dynamics.joints import Along, Coordinate
 from torchdq.dynamics.posed import Exerted, Factors, Point, Row, factors_by_entries
 from torchdq.dynamics.tree import Tree
@@ -26,7 +26,7 @@ class Aligned(NamedTuple):
     """Robot at one configuration; implements `dynamics.posed.Posed`."""
 
     tree: Tree
-    steps: tuple[Step | None, ...]
+    steps: Steps
     X_WB: DualQuaternion | None  # pose of a free base; None: a fixed one
     alignments: tuple[Alignment, ...]  # of the moving links
     coms: tuple[Pure, ...]  # of the moving links, in their aligned frames

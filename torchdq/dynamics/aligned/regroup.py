@@ -17,7 +17,7 @@ def regrouped(tree: Tree) -> Tree:
     bodies: list[Moments] = [link.inertia for link in tree.links]
     for i in reversed(range(1, len(bodies))):
         link = tree.links[i]
-        if not link.joint.keeps_axis:
+        if link.joint.slides or not link.joint.turns:
             continue
         bodies[i], on_axis = bodies[i].split(Z)
         moved = Step(link.placement, DualAngle(UNTURNED, link.placement.shift)).inertia_to_parent(on_axis)

@@ -32,12 +32,12 @@ def adjoints(X_PB: Sequence[DualQuaternion | None]) -> tuple[Adjoint | None, ...
     return tuple(None if x is None else screw.columns(x) for x in X_PB)  # (34), (35)
 
 
-def to_link(Ad_PB: Adjoint | None, m: Screw | None) -> Screw | None:
+def to_link(Ad_PB: Adjoint | None, m: Screw | None) -> Any:
     """Screw of the parent's frame in the link's frame; without columns, the frames coincide."""
     return m if Ad_PB is None else ad_inverse(Ad_PB, m)
 
 
-def to_parent(Ad_PB: Adjoint | None, m: Screw | None) -> Screw | None:
+def to_parent(Ad_PB: Adjoint | None, m: Screw | None) -> Any:
     """Screw of the link's frame in the parent's frame."""
     return m if Ad_PB is None or m is None else screw.ad(Ad_PB, m)
 
@@ -47,12 +47,12 @@ def momentum(link: Link, V: Screw | None) -> Screw | None:
     return None if link.inertia is None or V is None else link.inertia.momentum(V)  # (32)
 
 
-def link_poses(tree: Tree, X_PB: Sequence[DualQuaternion | None]) -> tuple[DualQuaternion | None, ...]:
-    """Pose X_WB of every link in the world: the product of the joint poses on its path; None: the world's frame."""
+def link_poses(tree: Tree, X_PB: Sequence[DualQuaternion | None]) -> tuple[DualQuaternion, ...]:
+    """Pose X_WB of every link in the world: the product of the joint poses on its path."""
     X_WB: list[DualQuaternion | None] = []
     for link, x in zip(tree.links, X_PB, strict=True):
         X_WB.append(x if link.parent == WORLD else compose(X_WB[link.parent], x))  # (39)
-    return tuple(X_WB)
+    return tuple(dq.ONE if x is None else x for x in X_WB)
 
 
 def joint_screws(tree: Tree, Ad: Sequence[Adjoint | None], i: int) -> dict[int, Screw]:

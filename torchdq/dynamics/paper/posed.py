@@ -28,7 +28,7 @@ class Paper(NamedTuple):
     """Robot at one configuration; implements `dynamics.posed.Posed`."""
 
     tree: Tree
-    X_PB: tuple[DualQuaternion | None, ...]
+    X_PB: tuple[Any, ...]  # poses of the links on their parents; None: the frames coincide
     Ad: tuple[Adjoint | None, ...]
     coms: tuple[Pure, ...]  # of the moving links
 
@@ -67,7 +67,7 @@ class Paper(NamedTuple):
 
     def poses(self) -> list[DualQuaternion]:
         """Pose in the world of every link (39)."""
-        return [dq.ONE if x is None else x for x in kinematics.link_poses(self.tree, self.X_PB)]
+        return list(kinematics.link_poses(self.tree, self.X_PB))
 
     def twists(self, qd: Row) -> list[Screw]:
         """Twist of every link in its frame (40)."""
