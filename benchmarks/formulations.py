@@ -21,7 +21,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import report
 import torch
-from timing import measure
 from torch import Tensor
 
 import torchdq
@@ -35,6 +34,7 @@ from torchdq.dynamics.tree import Coordinate, Mechanism
 from torchdq.numbers.count import Cost
 from torchdq.paper import cost, homogeneous, printed
 from torchdq.program.program import Argument, Program, record
+from torchdq.timing import measure
 
 N, BATCH = 7, 4096
 BEGIN, END = "<!-- benchmarks/formulations.py begins -->", "<!-- benchmarks/formulations.py ends -->"

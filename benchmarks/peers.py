@@ -27,9 +27,9 @@ import numpy as np
 import pinocchio as pin
 import report
 import torch
-from timing import measure
 
 import torchdq
+from torchdq.timing import measure
 
 SECONDS = 1.0  # of measuring per contender
 BEGIN, END = "<!-- benchmarks/peers.py begins -->", "<!-- benchmarks/peers.py ends -->"
