@@ -1,4 +1,4 @@
-"""Whether a body can exist: finite numbers, mass that is not negative, and an inertia that some mass could have."""
+"""Physical consistency of a robot: finite numbers, masses that are not negative, inertias that a body can have."""
 
 import math
 import warnings
@@ -14,11 +14,11 @@ from torchdq.dynamics.paper import crba, kinematics
 from torchdq.dynamics.tree import BASE, Coordinate, Link, Mechanism
 from torchdq.errors import UnphysicalError
 
-TOLERANCE = 1e-6  # of the trace: descriptions are printed with about six digits
+TOLERANCE = 1e-6  # relative to the trace: descriptions are printed with about six digits
 
 
 def body(link: str, mass: float, inertia: Tensor) -> list[str]:
-    """What is unphysical about a link of that mass [kg] and inertia about its centre of mass [kg m^2], [3, 3].
+    """Faults of a link of that mass [kg] and inertia about its centre of mass [kg m^2], [3, 3].
 
     Principal moments must not be negative, and none may exceed the sum of the other two. Equality is possible (a
     point, a rod, a plate) and is accepted.
@@ -43,7 +43,7 @@ def body(link: str, mass: float, inertia: Tensor) -> list[str]:
 
 
 def inert_joints(names: Sequence[str], mechanism: Mechanism) -> list[str]:
-    """Joints that move no inertia in any position: the mass matrix is singular there whatever the robot does."""
+    """Faults of joints that move no inertia in any position, so that the mass matrix is always singular."""
     if not mechanism.links:
         return []
     # tensors of one number each would take a thousand times as long
@@ -51,16 +51,18 @@ def inert_joints(names: Sequence[str], mechanism: Mechanism) -> list[str]:
     mechanism = Mechanism(links, None)
     n = len(names)
     inertias, sizes = [0.0] * n, [0.0] * n
-    # an inertia that vanishes in one position need not in another, so look at a few that have nothing special
+    # an inertia may vanish in one position only, so a few positions with nothing special are tried
     for seed in range(3):
         angles = [math.sin(1.0 + 12.9898 * i + 78.233 * seed) for i in range(n)]
         coordinates = [Coordinate(x, math.cos(0.5 * x), math.sin(0.5 * x)) for x in angles]
         X_PB = kinematics.joint_poses(mechanism, coordinates)
-        carried = crba.composites(mechanism, X_PB, kinematics.adjoints(X_PB))
+        composites = crba.composites(mechanism, X_PB, kinematics.adjoints(X_PB))
         spread = [sum(abs(link.second[k][k]) for k in range(3)) for link in links]  # the same sums without signs
         for i in reversed(range(n)):
-            link, mass, (w, v) = links[i], carried[i][0], links[i].screw
-            inertia = screw.power(screw.inertia_transform(*carried[i], link.screw), link.screw) + (link.armature or 0.0)
+            link, mass, (w, v) = links[i], composites[i][0], links[i].screw
+            inertia = screw.power(screw.inertia_transform(*composites[i], link.screw), link.screw) + (
+                link.armature or 0.0
+            )
             inertias[i] = max(inertias[i], inertia)
             sizes[i] = max(sizes[i], quat.norm2(w) * spread[i] + quat.norm2(v) * abs(mass))
             if link.parent != BASE:
@@ -76,17 +78,17 @@ def inert_joints(names: Sequence[str], mechanism: Mechanism) -> list[str]:
 
 
 def _numbers(x: Any) -> Any:
-    """Nested tuples with floats in the place of tensors."""
+    """Nested tuples with floats for tensors."""
     if isinstance(x, tuple):
         return tuple(map(_numbers, x))
     return float(x) if isinstance(x, Tensor) else x
 
 
-def object_to(robot: str, findings: Sequence[str], on_unphysical: Literal["error", "warn", "ignore"]) -> None:
-    """Raise, warn or do nothing about everything that was found."""
-    if not findings or on_unphysical == "ignore":
+def complain(robot: str, faults: Sequence[str], on_unphysical: Literal["error", "warn", "ignore"]) -> None:
+    """Raise, warn or do nothing about faults."""
+    if not faults or on_unphysical == "ignore":
         return
-    message = f"robot {robot!r} is unphysical:\n  " + "\n  ".join(findings)
+    message = f"robot {robot!r} is unphysical:\n  " + "\n  ".join(faults)
     if on_unphysical == "error":
         raise UnphysicalError(f"{message}\nCorrect the description, or load it with on_unphysical='warn'.")
     warnings.warn(message, stacklevel=4)
