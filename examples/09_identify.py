@@ -25,7 +25,7 @@ from torch import Tensor
 
 import torchdq
 from torchdq.envs import Scene, effects, integrators
-from torchdq.learning.identify import Identified, identify
+from torchdq.learning import Identified, identify
 
 
 @dataclass
