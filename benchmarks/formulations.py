@@ -69,9 +69,9 @@ def displacement(x: Number) -> Coordinate:
     return Coordinate(x, half.cos(), half.sin())
 
 
-def turn(x: Number) -> homogeneous.Turn:
+def turn(x: Number) -> homogeneous.Displacement:
     """What Rodrigues' formula takes of it."""
-    return homogeneous.Turn(x, x.sin(), 1.0 - x.cos(), x - x.sin())
+    return homogeneous.Displacement(x, x.sin(), 1.0 - x.cos(), x - x.sin())
 
 
 # --- pose of the tip -------------------------------------------------------------------------------------------------

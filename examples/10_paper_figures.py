@@ -25,7 +25,7 @@ import torchdq
 from torchdq.algebra import screw
 from torchdq.dynamics.tree import Mechanism
 from torchdq.functions import catalogue as recipes
-from torchdq.paper import cost, homogeneous, printed
+from torchdq.paper import cost, homogeneous, printed, tables
 
 double = partial(torch.tensor, dtype=torch.float64)
 BLUE, RED, BLACK, GREY = "#0072B2", "#D0312D", "#111111", "#8A8A8A"  # matrices, dual quaternions, this package
@@ -91,7 +91,7 @@ def closed_equations(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
 
 def homogeneous_rnea(chain: Mechanism, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
     """Torques of a chain by homogeneous matrices, Lynch and Park's algorithm, which shares nothing with the others."""
-    back = [homogeneous.Turn(-x, -x.sin(), 1 - x.cos(), x.sin() - x) for x in q.unbind(-1)]
+    back = [homogeneous.Displacement(-x, -x.sin(), 1 - x.cos(), x.sin() - x) for x in q.unbind(-1)]
     bodies = homogeneous.bodies(chain)
     return torch.stack(homogeneous.rnea(bodies, chain.gravity, back, qd.unbind(-1), qdd.unbind(-1)), -1)
 
@@ -185,15 +185,15 @@ def compiled(joints: int, function: str, arguments: Sequence[str], options: tupl
 
 def numbers_read() -> dict[str, int]:
     """Numbers that the transform of a joint is made of by each formulation, zeros and ones left out."""
-    v, w, Wv, W2v, (xx, yy, zz), (xy, xz, yz) = (cost.vector() for _ in range(6))
+    v, w, Wv, W2v, (xx, yy, zz), (xy, xz, yz) = (tables.vector() for _ in range(6))
     W2 = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
     generator = homogeneous.Generator(True, (*w, *v), homogeneous.bracket(w), W2, Wv, W2v)
-    angle, twist, length, offset = cost.vector(2), cost.vector(2), cost.number(), cost.number()
+    angle, twist, length, offset = tables.several(2), tables.several(2), tables.number(), tables.number()
     transforms = {
         "HTM, D-H": homogeneous.denavit_hartenberg(*angle, twist, length, offset),
-        "HTM, screws": homogeneous.exponential(generator, homogeneous.Turn(*cost.vector(4))),
+        "HTM, screws": homogeneous.exponential(generator, homogeneous.Displacement(*tables.several(4))),
         "UDQ, D-H": printed.denavit_hartenberg(angle, twist, length, offset),
-        "UDQ, screws": screw.exp_revolute(cost.motion(), *angle),
+        "UDQ, screws": screw.exp_revolute(tables.motion(), *angle),
     }
     return {name: cost.cost(transform).storage for name, transform in transforms.items()}
 

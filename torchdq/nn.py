@@ -58,11 +58,7 @@ class RobotModule(nn.Module):
     """
 
     def __init__(
-        self,
-        robot: Robot,
-        learn: Sequence[str] = (),
-        backend: Backend | None = None,
-        friction_width: float = 1e-2,
+        self, robot: Robot, learn: Sequence[str] = (), backend: Backend | None = None, friction_width: float = 1e-2
     ):
         super().__init__()
         if not (math.isfinite(friction_width) and friction_width > 0):
@@ -249,12 +245,7 @@ class ForwardDynamics(RobotModule):
         self.precision = check_precision(precision)
 
     def forward(
-        self,
-        q: Tensor,
-        qd: Tensor | None,
-        tau: Tensor,
-        f_tip: Tensor | None = None,
-        f_ext: Tensor | None = None,
+        self, q: Tensor, qd: Tensor | None, tau: Tensor, f_tip: Tensor | None = None, f_ext: Tensor | None = None
     ) -> Tensor:
         """Joint accelerations [..., n]; see `torchdq.forward_dynamics`."""
         robot = self.robot
@@ -305,13 +296,7 @@ class ComputedTorque(RobotModule):
                 self.register_buffer(name, value.clone())
 
     def forward(
-        self,
-        q: Tensor,
-        qd: Tensor,
-        q_des: Tensor,
-        qd_des: Tensor,
-        qdd_des: Tensor,
-        f_tip: Tensor | None = None,
+        self, q: Tensor, qd: Tensor, q_des: Tensor, qd_des: Tensor, qdd_des: Tensor, f_tip: Tensor | None = None
     ) -> Tensor:
         """Joint torques [..., n]; see `torchdq.computed_torque`."""
         kp, kd = (gain.to(dtype=q.dtype, device=q.device) for gain in (self.kp, self.kd))
