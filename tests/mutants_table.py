@@ -1056,7 +1056,7 @@ MUTANTS = (
     *within(
         "torchdq/parametrizations.py",
         (
-            "a free product of inertia with the other sign",
+            "a product of inertia with the other sign",
             "(0, 0, 0, 0, 0, 0, -1, 0, 0, 0)",
             "(0, 0, 0, 0, 0, 0, 1, 0, 0, 0)",
             f"{PARAMETERS}::test_any_free_numbers_are_a_body_that_exists",
@@ -1068,7 +1068,7 @@ MUTANTS = (
             f"{PARAMETERS}::test_free_numbers_come_back",
         ),
         (
-            "free numbers with a unit",
+            "unconstrained numbers with a unit",
             "self.diagonal, pivots, x * size",
             "self.diagonal, pivots, x",
             f"{PARAMETERS}::test_free_numbers_come_back",

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchdq.functional import regressor
+from torchdq.nn import smooth_sign
 from torchdq.robot import Robot
 
 COARSE = 1e-2  # least noise relative to the joint's torques, where there are too few samples to estimate it
@@ -28,9 +29,7 @@ def chunks(samples: int, numbers: int) -> list[slice]:
 
 def unit_torque(name: str, qd: Tensor, qdd: Tensor, width: float) -> Tensor:
     """Torque [samples, n] per unit of a coefficient of the joints: rotor, viscous, coulomb or offset."""
-    if name == "coulomb":
-        return qd / (qd * qd + width * width).sqrt()
-    return {"rotor": qdd, "viscous": qd, "offset": torch.ones_like(qd)}[name]
+    return {"rotor": qdd, "viscous": qd, "coulomb": smooth_sign(qd, width), "offset": torch.ones_like(qd)}[name]
 
 
 def columns(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, coefficients: Sequence[str], width: float) -> Tensor:
