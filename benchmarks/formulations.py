@@ -1,4 +1,4 @@
-"""What formulations cost in time: matrices and dual quaternions, D-H and screws, by one emitter, on one thread.
+"""Formulations by their time: matrices and dual quaternions, D-H and screws, by one emitter, on one thread.
 
     python benchmarks/formulations.py [--quick] [--json FILE] [--readme]
 
@@ -64,13 +64,13 @@ class Formulation:
 
 
 def displacement(x: Number) -> Coordinate:
-    """What the exponential of a dual quaternion takes of a joint's displacement."""
+    """Terms of a joint's displacement in the exponential of a dual quaternion."""
     half = 0.5 * x
     return Coordinate(x, half.cos(), half.sin())
 
 
 def turn(x: Number) -> homogeneous.Displacement:
-    """What Rodrigues' formula takes of it."""
+    """Terms of a joint's displacement in Rodrigues' formula."""
     return homogeneous.Displacement(x, x.sin(), 1.0 - x.cos(), x - x.sin())
 
 
@@ -156,7 +156,7 @@ def poses(arm: Arm) -> list[Formulation]:
 
 
 def counted(name: str, *tables: Sequence[cost.Line]) -> list[Cost | None]:
-    """What tables of costs say of a formulation."""
+    """Cost of a formulation in the tables."""
     return [next((line.at(N) for line in lines if line.name == name), None) for lines in tables]
 
 
@@ -260,7 +260,7 @@ def table(formulations: Sequence[Formulation]) -> str:
 
 
 def verdict(formulations: Sequence[Formulation]) -> str:
-    """Whether dual quaternions cost less than matrices, counted and timed."""
+    """Verdict on whether dual quaternions cost less than matrices, counted and timed."""
     by_name = {f.name: f for f in formulations}
     pairs = {
         "the pose by D-H": ("pose, UDQ by D-H", "pose, HTM by D-H"),

@@ -1,4 +1,4 @@
-"""How much of a real arm's torque does each model explain? The same rows on any log, trained and tested by trajectory.
+"""Share of a real arm's torque that each model explains, on any log, trained and tested by trajectory.
 
     python examples/07_real_arm.py --format ur10e --robot ur10e.urdf --train A.csv B.csv --test C.csv --json out.json
     python examples/07_real_arm.py --format panda --robot panda.urdf --train LOG.csv --split 0.6
@@ -82,7 +82,7 @@ class BlackBox(nn.Module):
 
     @staticmethod
     def features(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        """What it sees: angles by sine and cosine, rates, and the sign of motion, softly."""
+        """Inputs of the network: angles by sine and cosine, rates, and the sign of motion, softly."""
         return torch.cat([q.sin(), q.cos(), qd, qdd, torch.tanh(qd / 0.05)], -1)
 
     def forward(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:

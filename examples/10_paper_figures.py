@@ -169,7 +169,7 @@ def curve(
 
 
 def executed(function: str, arguments: Sequence[str], options: tuple[str, ...], n: int) -> cost.Cost:
-    """What this package's program of a function does for a general chain, and the numbers it reads."""
+    """Operations of this package's program of a function for a general chain, and the numbers it reads."""
     robot = cost.robot(*cost.chain(n))
     widths = tuple((name, 6 if name == "f_tip" else n) for name in arguments)
     program = recipes.program(robot, recipes.Signature(robot.identity, function, widths, (), options))

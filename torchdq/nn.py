@@ -61,6 +61,10 @@ class RobotModule(nn.Module):
         ArgumentError: `learn` names something else, or a quantity that the robot does not have.
     """
 
+    viscous: Tensor  # [n], if friction is learned
+    coulomb: Tensor  # [n], if friction is learned
+    offset: Tensor  # [n], if it is learned
+
     def __init__(
         self, robot: Robot, learn: Sequence[str] = (), backend: Backend | None = None, friction_width: float = 1e-2
     ):

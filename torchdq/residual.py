@@ -149,7 +149,7 @@ class ResidualDynamics(nn.Module):
 
     @torch.no_grad()
     def standardise(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> None:
-        """Scale the network: features of mean zero and spread one over these motions, torques in their units.
+        """Scale the network to these motions: features of mean zero and spread one, outputs in units of torque spread.
 
         Call it once, before training: afterwards it changes what the network computes.
 

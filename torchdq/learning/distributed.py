@@ -54,7 +54,7 @@ def team(device: torch.device) -> Iterator[Team]:
         yield Team(dist.get_rank(), dist.get_world_size())
     elif int(os.environ.get("WORLD_SIZE", "1")) > 1:
         if device.type == "cuda":
-            torch.cuda.set_device(device)  # what is sent goes by the current device
+            torch.cuda.set_device(device)  # nccl sends from the current device
         dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
         try:
             yield Team(dist.get_rank(), dist.get_world_size())

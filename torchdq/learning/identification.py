@@ -57,7 +57,7 @@ class Identified(NamedTuple):
     viscous: Tensor | None  # [n] [N m s/rad or N s/m]
     coulomb: Tensor | None  # [n] [N m or N]
     offset: Tensor | None  # [n] [N m or N]
-    names: tuple[str, ...]  # of the k parameters
+    names: tuple[str, ...]  # [k] names of the parameters
     parameters: Tensor  # [k]
     spread: Tensor  # [k, t] F, the covariance being F F^T: exact where huge errors cancel in a combination
     base: Tensor  # [rank, k]: each row one parameter and those that the samples cannot separate from it
@@ -82,7 +82,7 @@ class Identified(NamedTuple):
 
     @property
     def base_names(self) -> tuple[str, ...]:
-        """The base parameters as sums, `link2 Izz + 0.0825 link3 mx`, of at most three terms."""
+        """Base parameters as sums, `link2 Izz + 0.0825 link3 mx`, of at most three terms."""
         names = []
         for row in self.base:
             lead = int((row == 1).nonzero()[0]) if bool((row == 1).any()) else int(row.abs().argmax())
@@ -186,13 +186,13 @@ def identify(
         sums = gram(robot, rows, near.described, coefficients, width)
         squares, floor = rows[3].square().mean(0).cpu(), torch.zeros(n, dtype=torch.float64)
         for _ in range(ROUNDS):
-            told = information(sums, near.S, squares, floor, samples)
-            y, settled = _minimum(near, told, prior)
+            facts = information(sums, near.S, squares, floor, samples)
+            y, settled = _minimum(near, facts, prior)
             change = near.S @ y
             error = torch.cat([-change, change.new_ones(1)])
             rms = ((sums @ error) @ error / samples).clamp_min(0).sqrt()
             # least squares may explain a joint by a robot that cannot exist; what a physical one cannot do is noise
-            worse = rms > 2 * told.noise
+            worse = rms > 2 * facts.noise
             floor = torch.where(worse, rms, floor)
             if settled and not bool(worse.any()):
                 break
@@ -208,9 +208,9 @@ def identify(
             offset=found.get("offset"),
             names=(*names, *(f"{joint} {name}" for name in coefficients for joint in robot.joint_names)),
             parameters=phi,
-            spread=near.S @ told.V * (told.e + prior).rsqrt(),
-            base=base_parameters(told.V[:, told.e > 0].T @ near.inverse, near.S.norm(dim=1)),
-            noise=told.noise,
+            spread=near.S @ facts.V * (facts.e + prior).rsqrt(),
+            base=base_parameters(facts.V[:, facts.e > 0].T @ near.inverse, near.S.norm(dim=1)),
+            noise=facts.noise,
             rms=rms,
             width=width,
         )
@@ -224,12 +224,12 @@ def _replaced(robot: Robot, mass: Tensor, com: Tensor, inertia: Tensor, found: d
     return robot.replace(**{name: x.to(robot.mass) for name, x in changes.items()}).bake()
 
 
-def _minimum(near: Neighbourhood, told: Information, prior: float) -> tuple[Tensor, bool]:
+def _minimum(near: Neighbourhood, facts: Information, prior: float) -> tuple[Tensor, bool]:
     """Minimum y [t] of the sum of e (w - w_0)^2 and prior * distance, with y = V w, and whether it was reached.
 
     Newton's method from the description, the weight of the distance falling tenfold at a time.
     """
-    e, V, w_0 = told.e, told.V, told.w
+    e, V, w_0 = facts.e, facts.V, facts.w
     w, weight = torch.zeros_like(w_0), max(prior, float(e.amax()))
 
     def cost(w: Tensor) -> float:

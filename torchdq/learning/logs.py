@@ -34,22 +34,15 @@ class LogError(TorchdqError, ValueError):
 class Layout:
     """Columns and units of a log, and the filters its signals need."""
 
-    joints: int = 0
-    """Number of joints; 0: as many as the header names."""
+    joints: int = 0  # number of joints; 0: as many as the header names
+    # names of the columns but for the number of the joint; the first three hold q, qd and the effort, and are read
     blocks: tuple[str, ...] = ("q", "qd", "tau")
-    """Names of the columns but for the number of the joint; the first three hold q, qd and the effort, and are read."""
-    header: bool = True
-    """Whether the first line holds the names of the columns; else they are the time and `blocks`, in order."""
-    gain: tuple[float, ...] = ()
-    """Torque per unit of effort [N m], per joint; empty: the effort is the torque."""
-    cutoff_qd: float = 8.0
-    """Low-pass frequency of the velocities [Hz]."""
-    cutoff_tau: float = 8.0
-    """Low-pass frequency of the torques [Hz]."""
-    farthest: float = 8 * math.pi
-    """Position beyond which numbers are taken for degrees [rad]."""
-    fastest: float = 50.0
-    """Speed beyond which numbers are taken for degrees [rad/s]."""
+    header: bool = True  # whether the first line holds the names; else the columns are time and `blocks`, in order
+    gain: tuple[float, ...] = ()  # torque per unit of effort [N m], per joint; empty: the effort is the torque
+    cutoff_qd: float = 8.0  # low-pass frequency of the velocities [Hz]
+    cutoff_tau: float = 8.0  # low-pass frequency of the torques [Hz]
+    farthest: float = 8 * math.pi  # position beyond which numbers are taken for degrees [rad]
+    fastest: float = 50.0  # speed beyond which numbers are taken for degrees [rad/s]
 
     @property
     def columns(self) -> list[str]:

@@ -22,7 +22,7 @@ AT_REST = 0.02  # [rad/s] speed of every joint below which a row is left out: st
 
 
 class Motion(NamedTuple):
-    """A motion in even steps, `[rows, n]` each, as float64."""
+    """Motion in even steps, `[rows, n]` each, as float64."""
 
     time: np.ndarray  # [rows] [s]
     q: np.ndarray  # [rad]

@@ -7,7 +7,7 @@ come out the same to the last bit. Started by `torchrun`, the same call shares e
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -34,16 +34,12 @@ class TrainingError(TorchdqError, ArithmeticError):
 class History:
     """Course of a run, with an entry for every evaluation on the validation data."""
 
-    step: list[int] = field(default_factory=list)
-    """Steps done."""
+    step: list[int] = field(default_factory=list)  # steps done
+    # error on the batches since the last evaluation: mean over joints of squared error / variance of the torque
     train: list[float] = field(default_factory=list)
-    """Error on the batches since the last evaluation: mean over joints of squared error / variance of the torque."""
-    valid: list[float] = field(default_factory=list)
-    """Error on the validation data, likewise; empty without such data."""
-    best_step: int = 0
-    """Step whose weights the model was given in the end: of the least `valid`, or the last one."""
-    stopped_early: bool = False
-    """Whether patience ended the run."""
+    valid: list[float] = field(default_factory=list)  # error on the validation data; empty without such data
+    best_step: int = 0  # step of the weights that the model has in the end: of the least `valid`, or the last one
+    stopped_early: bool = False  # whether patience ended the run
 
 
 def fit(
@@ -225,12 +221,14 @@ class _Run:
             self._shuffle()
         rows = self.order[at * self.batch : (at + 1) * self.batch]
         error = loss = self._error(self.train, rows)
-        if self.prior and hasattr(self.model, "prior"):
-            loss = loss + self.prior / self.team.size * self.model.prior()
+        prior: Callable[[], Tensor] | None = getattr(self.model, "prior", None)
+        if self.prior and prior is not None:
+            loss = loss + self.prior / self.team.size * prior()
+        learned = tuple(self.parameters.values())
         if loss.requires_grad:
-            found = torch.autograd.grad(loss, self.parameters.values(), allow_unused=True, materialize_grads=True)
+            found = torch.autograd.grad(loss, learned, allow_unused=True, materialize_grads=True)
         else:  # this process has no share of a small batch
-            found = tuple(map(torch.zeros_like, self.parameters.values()))
+            found = tuple(map(torch.zeros_like, learned))
         error, *gradients = self.team.summed([error.detach(), *found])
         self._require_finite(rows, error, gradients)
         self.update(gradients, rate)

@@ -143,7 +143,7 @@ class Line(NamedTuple):
     stated: str = ""  # "multiplications, additions" as the literature or the paper states them
 
     def law(self) -> str:
-        """The cost as multiples of n, exact from two joints on."""
+        """Cost as multiples of n, exact from two joints on."""
         a, b = self.at(6), self.at(7)
         slopes = [y - x for x, y in zip(a, b, strict=True)]
         rest = [x - 6 * k for k, x in zip(slopes, a, strict=True)]

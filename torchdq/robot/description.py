@@ -23,7 +23,7 @@ class Limits(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """A named frame F fixed to a link B."""
+    """Named frame F fixed to a link B."""
 
     name: str
     link: int  # index of the link, -1: the base

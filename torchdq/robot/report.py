@@ -40,5 +40,5 @@ class Report(NamedTuple):
         table = "\n".join(
             "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows
         )
-        notes = "\n".join(f"- {note}" for note in self.notes) or "- nothing else was asked for"
+        notes = "\n".join(f"- {note}" for note in self.notes) or "- nothing else in the description"
         return f"{self.summary}\n\n{table}\n\nnotes:\n{notes}"

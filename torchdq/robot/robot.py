@@ -1,4 +1,4 @@
-"""The frozen description of a robot: a tree of links, each carried by one joint, as float64 tensors."""
+"""Frozen description of a robot: a tree of links, each carried by one joint, as float64 tensors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from torchdq.robot import consistency, from_dh, from_screws, urdf
 from torchdq.robot.description import Description, Frame, Limits
 from torchdq.robot.report import Report
 
-DTYPES = (torch.float32, torch.float64)  # of parameters and of the dynamics
+DTYPES = (torch.float32, torch.float64)  # dtypes of parameters and of the dynamics
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], in the base frame
 OnUnphysical = Literal["error", "warn", "ignore"]
 
@@ -39,7 +39,7 @@ SHAPES: dict[str, tuple] = {
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A robot with n one-degree-of-freedom joints, each carrying one link.
+    """Robot with n one-degree-of-freedom joints, each carrying one link.
 
     Link i's frame B_i is the frame of its joint (of its URDF link, of its DH frame), not its centre of mass. Every
     parent comes before its children. Physical tensors may carry leading batch axes, which broadcast against the
@@ -314,7 +314,7 @@ class Robot:
     # --- numbers for the algorithms ---
 
     def mechanism(self) -> Mechanism:
-        """The robot as numbers: every tensor taken apart along its last axes, batch axes staying in the numbers."""
+        """Robot as numbers: every tensor taken apart along its last axes, batch axes staying in the numbers."""
 
         def rows(x: Tensor) -> list[tuple[Tensor, ...]]:
             return [row.unbind(-1) for row in x.unbind(-2)]

@@ -229,7 +229,7 @@ def _tree_faults(document: Document) -> list[str]:
     if len(roots) != 1:
         faults.append(f"exactly one link must be the base, carried by no joint; found {len(roots)}: {roots}")
     children = children_of(document)
-    # what hangs on a link that is missing is not in a loop
+    # links that hang on a missing link are in no loop
     frontier = [*roots, *(parent for parent in children if parent not in document.links)]
     reached = set(frontier)
     while frontier:
