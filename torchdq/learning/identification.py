@@ -106,18 +106,17 @@ class Identified(NamedTuple):
             q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2],
                 shape [..., n].
         """
-        batch = check(self.robot, q=(q, ("n",), False), qd=(qd, ("n",), False), qdd=(qdd, ("n",), False))
+        batch, (q, qd, qdd) = _rows(self.robot, q=q, qd=qd, qdd=qdd)
         n = self.robot.n
-        rows = [x.detach().to(torch.float64).expand(*batch, n).reshape(-1, n) for x in (q, qd, qdd)]
         coefficients = [name.split()[-1] for name in self.names[10 * n :: n]]
-        tau, error = torch.empty_like(rows[0]), torch.empty_like(rows[0])
+        tau, error = torch.empty_like(q), torch.empty_like(q)
         with torch.no_grad():
             for part in chunks(len(tau), n * len(self.names)):
-                Z = columns(self.robot, rows[0][part], rows[1][part], rows[2][part], coefficients, self.width)
+                Z = columns(self.robot, q[part], qd[part], qdd[part], coefficients, self.width)
                 error[part] = (Z @ self.spread).norm(dim=-1)
                 tau[part] = Z @ self.parameters
                 if self.robot.armature is not None and "rotor" not in coefficients:
-                    tau[part] += self.robot.armature.to(torch.float64) * rows[2][part]
+                    tau[part] += self.robot.armature.to(torch.float64) * qdd[part]
         return Prediction(tau.reshape(*batch, n), error.reshape(*batch, n))
 
 
@@ -164,7 +163,7 @@ def identify(
     >>> torch.allclose(found.predict(q, qd, qdd).tau, torchdq.inverse_dynamics(real, q, qd, qdd), atol=1e-6)
     True
     """
-    batch = check(robot, **{name: (x, ("n",), False) for name, x in dict(q=q, qd=qd, qdd=qdd, tau=tau).items()})
+    batch, rows = _rows(robot, q=q, qd=qd, qdd=qdd, tau=tau)
     n, samples = robot.n, math.prod(batch)
     for name in SHAPES:
         x = getattr(robot, name)
@@ -181,7 +180,6 @@ def identify(
 
     coefficients = ["rotor"] * armature + ["viscous", "coulomb"] * friction + ["offset"] * offset
     with torch.no_grad():
-        rows = [x.detach().to(torch.float64).expand(*batch, n).reshape(-1, n) for x in (q, qd, qdd, tau)]
         near = Neighbourhood(robot, coefficients, rows, width)
         sums = gram(robot, rows, near.described, coefficients, width)
         squares, floor = rows[3].square().mean(0).cpu(), torch.zeros(n, dtype=torch.float64)
@@ -214,6 +212,13 @@ def identify(
             rms=rms,
             width=width,
         )
+
+
+def _rows(robot: Robot, **signals: Tensor) -> tuple[tuple[int, ...], list[Tensor]]:
+    """Batch axes of signals [..., n], and the signals as float64 rows [samples, n]."""
+    batch = check(robot, **{name: (x, ("n",), False) for name, x in signals.items()})
+    rows = (x.detach().to(torch.float64).expand(*batch, robot.n) for x in signals.values())
+    return batch, [x.reshape(math.prod(batch), robot.n) for x in rows]
 
 
 def _replaced(robot: Robot, mass: Tensor, com: Tensor, inertia: Tensor, found: dict[str, Tensor]) -> Robot:
