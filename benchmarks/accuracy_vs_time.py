@@ -1,4 +1,4 @@
-"""What accuracy costs in time: errors against verified references, beside the time they take, on one thread.
+"""Accuracy against time: errors against verified references, beside the time they take, on one thread.
 
     python benchmarks/accuracy_vs_time.py [--quick] [--full] [--scene NAME ...] [--json FILE] [--readme]
 

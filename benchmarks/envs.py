@@ -22,10 +22,10 @@ import report
 import torch
 from mujoco import rollout
 from peers import urdf
-from timing import measure
 
 import torchdq
 from torchdq.envs import ArmVectorEnv, Scene, effects, integrators
+from torchdq.timing import measure
 
 BATCH, DT, STEPS = 4096, 2e-3, 5
 SHORT = 1e-5  # for an explicit integrator: damping over inertia of the arm's light links is 1e5 per second

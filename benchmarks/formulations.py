@@ -1,4 +1,4 @@
-"""What formulations cost in time: matrices and dual quaternions, D-H and screws, by one emitter, on one thread.
+"""Formulations by their time: matrices and dual quaternions, D-H and screws, by one emitter, on one thread.
 
     python benchmarks/formulations.py [--quick] [--json FILE] [--readme]
 
@@ -21,7 +21,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import report
 import torch
-from timing import measure
 from torch import Tensor
 
 import torchdq
@@ -36,6 +35,7 @@ from torchdq.dynamics.tree import Tree
 from torchdq.numbers.count import Cost
 from torchdq.paper import cost, homogeneous, printed
 from torchdq.program.program import Argument, Program, record
+from torchdq.timing import measure
 
 N, BATCH = 7, 4096
 BEGIN, END = "<!-- benchmarks/formulations.py begins -->", "<!-- benchmarks/formulations.py ends -->"
@@ -65,14 +65,14 @@ class Formulation:
 
 
 def displacement(x: Number) -> Coordinate:
-    """What the exponential of a dual quaternion takes of a joint's displacement."""
+    """Terms of a joint's displacement in the exponential of a dual quaternion."""
     half = 0.5 * x
     return Coordinate(x, half.cos(), half.sin())
 
 
-def turn(x: Number) -> homogeneous.Turn:
-    """What Rodrigues' formula takes of it."""
-    return homogeneous.Turn(x, x.sin(), 1.0 - x.cos(), x - x.sin())
+def turn(x: Number) -> homogeneous.Displacement:
+    """Terms of a joint's displacement in Rodrigues' formula."""
+    return homogeneous.Displacement(x, x.sin(), 1.0 - x.cos(), x - x.sin())
 
 
 # --- pose of the tip -------------------------------------------------------------------------------------------------
@@ -157,7 +157,7 @@ def poses(arm: Arm) -> list[Formulation]:
 
 
 def counted(name: str, *tables: Sequence[cost.Line]) -> list[Cost | None]:
-    """What tables of costs say of a formulation."""
+    """Cost of a formulation in the tables."""
     return [next((line.at(N) for line in lines if line.name == name), None) for lines in tables]
 
 
@@ -260,7 +260,7 @@ def table(formulations: Sequence[Formulation]) -> str:
 
 
 def verdict(formulations: Sequence[Formulation]) -> str:
-    """Whether dual quaternions cost less than matrices, counted and timed."""
+    """Verdict on whether dual quaternions cost less than matrices, counted and timed."""
     by_name = {f.name: f for f in formulations}
     pairs = {
         "the pose by D-H": ("pose, UDQ by D-H", "pose, HTM by D-H"),

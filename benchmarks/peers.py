@@ -27,11 +27,11 @@ import numpy as np
 import pinocchio as pin
 import report
 import torch
-from timing import measure
 
 import torchdq
+from torchdq.timing import measure
 
-SECONDS = 1.0  # of measuring per contender
+SECONDS = 1.0  # time of measuring per contender
 BEGIN, END = "<!-- benchmarks/peers.py begins -->", "<!-- benchmarks/peers.py ends -->"
 
 
@@ -73,7 +73,7 @@ class Task:
         self.pool = pin.ModelPool(self.model, threads)
 
     def same_coordinates(self) -> bool:
-        """Whether Pinocchio takes the same vectors; it does not with continuous joints."""
+        """True if Pinocchio takes the same vectors; it does not with continuous joints."""
         return self.model.nq == self.model.nv == self.robot.n
 
     def pinocchio(self, task: str) -> dict[str, Callable]:
@@ -274,7 +274,7 @@ def chain(n, seed=0):
 
 
 def fresh(setup: str, work: str, cache: str) -> float:
-    """What the last line of a process of its own prints: by default the seconds of the work, after its set-up."""
+    """Number that a process of its own prints last: by default the seconds of the work, after its set-up."""
     code = FRESH.format(setup=setup, work=work)
     environment = {**os.environ, "TORCHDQ_CACHE": cache}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)

@@ -1,4 +1,4 @@
-"""What all benchmarks are asked and report: options, goals and measurements, the machine; the README and JSON files."""
+"""Options and reports of all benchmarks: options, goals and measurements, the machine; the README and JSON files."""
 
 import argparse
 import importlib.metadata
@@ -53,7 +53,7 @@ def into_readme(text: str, begin: str, end: str) -> None:
 
 
 def machine(*packages: str) -> dict[str, str]:
-    """What was measured on: names and versions, also of further packages."""
+    """Machine of the measurement: names and versions, also of further packages."""
     model = next(
         (
             line.split(":", 1)[1].strip()

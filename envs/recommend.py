@@ -21,12 +21,12 @@ from torchdq.backends.choice import Backend
 from torchdq.effects import Gravity, Limits, RotorInertia
 from torchdq.envs.integrators import Integrator, LinearlyImplicit, Repeated, RungeKutta4, SemiImplicitEuler
 from torchdq.envs.scene import Scene, State
-from torchdq.envs.timing import medians
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, error_growth, forward_dynamics, inverse_dynamics
 from torchdq.functions.compile import compile
 from torchdq.program.program import LARGEST_GROWTH, Program
 from torchdq.robot import Robot
+from torchdq.timing import medians
 
 SAMPLES = 64  # trajectories
 STATES = 256  # of which accelerations are found

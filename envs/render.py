@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,8 +18,9 @@ from torch import Tensor
 
 from torchdq.dq import rotate, rotation, translation
 from torchdq.dynamics.tree import BASE
-from torchdq.errors import ArgumentError, MissingLibraryError
+from torchdq.errors import ArgumentError
 from torchdq.functional import forward_kinematics
+from torchdq.optional import imported
 from torchdq.robot import Robot
 from torchdq.robot.robot import SHAPES
 
@@ -37,11 +37,8 @@ PIECES = 6  # that a line is cut into, so that what is nearer covers what is far
 
 def _library(module: str) -> Any:
     """Module of a library that only drawing needs."""
-    try:
-        return import_module(module)
-    except ImportError as error:
-        name = module.partition(".")[0].replace("PIL", "Pillow")
-        raise MissingLibraryError(f"{name}, which draws, is not installed; pip install 'torchdq[viz]'") from error
+    package = module.partition(".")[0].replace("PIL", "Pillow")
+    return imported(module, package, "drawing", "'torchdq[viz]'")
 
 
 def _rows(name: str, x: Any, size: int, most: int | None = None) -> Tensor:

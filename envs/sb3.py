@@ -1,9 +1,8 @@
-"""The environments as Stable-Baselines3 wants them; importing this module is what needs that library."""
+"""Vector environments of Stable-Baselines3; importing this module needs that library."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -12,11 +11,11 @@ from gymnasium.vector import AutoresetMode
 
 from torchdq.envs.vector_env import ArmVectorEnv
 from torchdq.errors import ArgumentError
+from torchdq.optional import imported
 
-try:
-    VecEnv: Any = import_module("stable_baselines3.common.vec_env").VecEnv
-except ImportError:
-    VecEnv = object
+VecEnv: Any = imported(
+    "stable_baselines3.common.vec_env", "stable-baselines3", "StableBaselinesVecEnv", "'torchdq[rl]'"
+).VecEnv
 
 
 class StableBaselinesVecEnv(VecEnv):
@@ -29,8 +28,6 @@ class StableBaselinesVecEnv(VecEnv):
     """
 
     def __init__(self, envs: ArmVectorEnv) -> None:
-        if VecEnv is object:
-            raise ImportError("StableBaselinesVecEnv needs stable-baselines3; install it with pip")
         if envs.autoreset_mode != AutoresetMode.SAME_STEP:
             raise ArgumentError(f"envs must have the autoreset_mode SAME_STEP, found {envs.autoreset_mode}")
         self.envs = envs

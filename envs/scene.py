@@ -26,12 +26,12 @@ from torchdq.envs.controllers import Controller
 from torchdq.envs.integrators import Integrator, Row, SemiImplicitEuler, Unrecorded
 from torchdq.envs.leftout import left_out
 from torchdq.envs.recording import CONTROLLER, MOTION, ROBOT, Blueprint, Signature, Task
-from torchdq.envs.timing import medians
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.functional import Precision, check_precision
 from torchdq.program.program import Count, Program
 from torchdq.robot import Robot
 from torchdq.robot.robot import DTYPES, SHAPES
+from torchdq.timing import medians
 
 
 class State(NamedTuple):

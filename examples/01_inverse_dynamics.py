@@ -24,6 +24,7 @@ import pytorch_kinematics
 import torch
 import tyro
 from matplotlib import pyplot as plt
+from recordings import LAYOUTS, layout_of
 from rich.console import Console
 from rich.progress import track
 from rich.table import Table
@@ -31,7 +32,8 @@ from torch import Tensor
 from torch.utils.benchmark import Timer
 
 import torchdq
-from torchdq.learning import logs
+from torchdq.learning import Log, LogError, Motion, read, smooth
+from torchdq.learning.logs import GAP
 
 EPS = {torch.float64: 2.0**-52, torch.float32: 2.0**-23}
 NAME = {torch.float64: "float64", torch.float32: "float32"}
@@ -76,7 +78,7 @@ class Args:
     test_log: str | None = None
     """Recording to test the friction on; none: it is fitted on the first 60 % of each log, tested on the rest."""
     format: Literal["auto", "panda", "ur10e", "double_pendulum", "csv"] = "auto"
-    """Layout of the recordings; see `torchdq.learning.logs`."""
+    """Layout of the recordings, see `recordings.LAYOUTS`; auto: told by the first line."""
     step: float = 1e-3
     """Step of the simulated two-link arm [s]."""
     timing: float = 0.2
@@ -442,33 +444,33 @@ def plot_torques(robot: torchdq.Robot, model: pin.Model, picture: Path) -> None:
 class Recording(NamedTuple):
     """A recorded motion, what the model makes of it, and the rows that friction is fitted on."""
 
-    motion: logs.Motion
+    motion: Motion
     model: np.ndarray  # torques of the rigid body [rows, n]
     friction: np.ndarray  # terms of the friction [rows, terms, n]
     fitted: np.ndarray  # [rows], bool
 
 
 def explain_logs(
-    console: Console, read: Sequence[logs.Log], test_last: bool, robot: torchdq.Robot | None, picture: Path
+    console: Console, recorded: Sequence[Log], test_last: bool, robot: torchdq.Robot | None, picture: Path
 ) -> tuple[np.ndarray, np.ndarray, dict[str, Check]]:
     """R2 of the measured torques on the test rows, per joint: of the model alone, and with fitted friction.
 
     The test rows are the last log, or the last 40 % of each. The robot is the log's own if none is given.
     """
-    kind = read[0].layout
+    kind = recorded[0].layout
     if robot is None and kind.robot is None:
-        raise logs.LogError(f"{read[0].path} does not say which robot it is of; name its URDF by --robot")
+        raise LogError(f"{recorded[0].path} does not say which robot it is of; name its URDF by --robot")
     robot = robot or torchdq.robots.load(kind.robot)
-    if any(log.layout != kind for log in read) or robot.n != kind.joints:
-        raise logs.LogError(f"the recordings must be of one robot, with the {robot.n} joints of {robot.name}")
+    if any(log.layout != kind for log in recorded) or robot.n != kind.joints:
+        raise LogError(f"the recordings must be of one robot, with the {robot.n} joints of {robot.name}")
     recordings = []
     console.print()
-    for log in read:
-        motion = logs.smooth(log)
+    for log in recorded:
+        motion = smooth(log)
         rigid = torchdq.inverse_dynamics(robot, *(torch.as_tensor(x) for x in (motion.q, motion.qd, motion.qdd)))
         terms = [motion.qd, np.tanh(motion.qd / kind.slow), np.ones_like(motion.qd)]  # viscous, Coulomb, offset
         terms += [motion.qdd] if kind.rotors else []
-        share = float(log is not read[-1]) if test_last else 0.6
+        share = float(log is not recorded[-1]) if test_last else 0.6
         fitted = np.arange(len(motion.time)) < share * len(motion.time)
         recordings.append(Recording(motion, rigid.numpy(), np.stack(terms, axis=1), fitted))
         steps = 1e3 * np.diff(log.time)
@@ -487,7 +489,7 @@ def explain_logs(
     mse = [((measured - x) ** 2).mean(0) for x in predictions]
     r2 = [1 - x / measured.var(0) for x in mse]
 
-    stated = STATED.get(tuple(log.path.name for log in read))
+    stated = STATED.get(tuple(log.path.name for log in recorded))
     lines = []
     for j, name in enumerate(robot.joint_names):
         cells = [f"{x:.3f}" for k in (0, 1) for x in (r2[k][j], np.sqrt(mse[k][j]))]
@@ -501,13 +503,14 @@ def explain_logs(
     if stated is None:
         return *r2, {}
     worst = float(np.abs(r2[1] - stated[1]).max())
-    return *r2, {f"R2 with friction of {read[-1].path.name}, distance from the stated one": Check(worst, 0.01)}
+    return *r2, {f"R2 with friction of {recorded[-1].path.name}, distance from the stated one": Check(worst, 0.01)}
 
 
-def read_log(source: str, layout: str) -> logs.Log:
+def read_log(source: str, layout: str) -> Log:
     """Log of PATH or PATH:FIRST:LAST."""
     path, *rows = source.rsplit(":", 2) if source.count(":") >= 2 else (source,)
-    return logs.read(path, layout, tuple(map(int, rows)) if rows else None)
+    kind = layout_of(Path(path)) if layout == "auto" else LAYOUTS[layout]
+    return read(path, kind, tuple(map(int, rows)) if rows else None)
 
 
 def plot_recording(
@@ -516,7 +519,7 @@ def plot_recording(
     """Measured and predicted torques, a panel per joint; the rows that friction was fitted on are shaded."""
     time = recording.motion.time - recording.motion.time[0]
     end_of_fit = time[recording.fitted].max(initial=0.0)
-    time = np.where(np.diff(time, prepend=0.0) > logs.GAP, np.nan, time)  # no line across rows at rest
+    time = np.where(np.diff(time, prepend=0.0) > GAP, np.nan, time)  # no line across rows at rest
     full = recording.model + (recording.friction * coefficients).sum(1)
     columns = 2
     rows = -(-robot.n // columns)
@@ -542,6 +545,6 @@ def plot_recording(
 if __name__ == "__main__":
     try:
         results = main(tyro.cli(Args))
-    except (logs.LogError, torchdq.TorchdqError, OSError) as fault:
+    except (LogError, torchdq.TorchdqError, OSError) as fault:
         sys.exit(f"{type(fault).__name__}: {fault}")
     sys.exit(0 if all(check.passed for check in results.values()) else 1)

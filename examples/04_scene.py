@@ -102,7 +102,7 @@ def main(args: Args) -> tuple[dict[str, float], float]:
     plant = Scene(robot, (effects.Gravity(), effects.Viscous(true)), dt=5e-3)
     with torch.no_grad():
         seen = plant.rollout(plant.start(falls, speeds), steps=40).q
-    logarithm = torch.zeros(7, dtype=torch.float64, requires_grad=True)  # of the coefficient, which stays positive
+    logarithm = torch.zeros(7, dtype=torch.float64, requires_grad=True)  # so that the coefficient stays positive
     optimiser = torch.optim.Adam([logarithm], lr=0.1)
     for _ in range(args.iterations):
         scene = plant.replace(effects=(effects.Gravity(), effects.Viscous(logarithm.exp())))

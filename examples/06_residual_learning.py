@@ -123,12 +123,12 @@ class Reference(NamedTuple):
 
 
 class Readings(NamedTuple):
-    """What was measured on the way, [time, motions, n] each."""
+    """Measurements along the way, [time, motions, n] each."""
 
     q: np.ndarray
     qd: np.ndarray
     tau: np.ndarray
-    error: np.ndarray  # of tracking, not a reading: the true position counts
+    error: np.ndarray  # error of tracking, not a reading: the true position counts
 
 
 Controller = Callable[[np.ndarray, np.ndarray, Reference], np.ndarray]
@@ -211,8 +211,8 @@ class Data(NamedTuple):
 
     train: Samples
     valid: Samples
-    near: Samples  # to test on, motions like those in `train`
-    far: Samples  # to test on, faster and elsewhere
+    near: Samples  # test set of motions like those in `train`
+    far: Samples  # test set, faster and elsewhere
 
 
 def recorded(plant: Plant, nominal: torchdq.Robot, args: Args, rng: np.random.Generator) -> Data:
@@ -340,7 +340,7 @@ def learned(choices: Sequence[Candidate], train: Samples, valid: Samples, steps:
 
 
 class Result(NamedTuple):
-    """How one model did on one arm; None where it makes no torques to compare or was not tried."""
+    """Result of one model on one arm; None where it makes no torques to compare or was not tried."""
 
     near: list[float] | None  # squared torque error over variance, per joint
     far: list[float] | None

@@ -1,4 +1,4 @@
-"""How much of a real arm's torque does each model explain? The same rows on any log, trained and tested by trajectory.
+"""Share of a real arm's torque that each model explains, on any log, trained and tested by trajectory.
 
     python examples/07_real_arm.py --format ur10e --robot ur10e.urdf --train A.csv B.csv --test C.csv --json out.json
     python examples/07_real_arm.py --format panda --robot panda.urdf --train LOG.csv --split 0.6
@@ -22,12 +22,14 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import matplotlib
 import numpy as np
 import torch
 import tyro
 from matplotlib import pyplot as plt
+from recordings import LAYOUTS
 from rich.console import Console
 from rich.table import Table
 from torch import Tensor, nn
@@ -43,8 +45,8 @@ WIDTH = 0.02  # speed over which Coulomb friction changes sign [rad/s]: about th
 
 @dataclass
 class Args:
-    format: str
-    """Layout of the logs: ur10e, panda, double_pendulum or csv."""
+    format: Literal["panda", "ur10e", "double_pendulum", "csv"]
+    """Layout of the logs; see `recordings.LAYOUTS`."""
     robot: Path
     """URDF of the robot."""
     train: list[Path]
@@ -80,7 +82,7 @@ class BlackBox(nn.Module):
 
     @staticmethod
     def features(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        """What it sees: angles by sine and cosine, rates, and the sign of motion, softly."""
+        """Inputs of the network: angles by sine and cosine, rates, and the sign of motion, softly."""
         return torch.cat([q.sin(), q.cos(), qd, qdd, torch.tanh(qd / 0.05)], -1)
 
     def forward(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
@@ -142,9 +144,10 @@ def seconds_per_step(model: nn.Module, data: Samples) -> float:
 
 def parts_of(args: Args) -> tuple[list[Samples], dict[str, Samples]]:
     """Motions to learn from, and those to test on by name."""
-    motions = [smooth(read(path, args.format)) for path in args.train]
+    layout = LAYOUTS[args.format]
+    motions = [smooth(read(path, layout)) for path in args.train]
     if args.test:
-        return [samples(m) for m in motions], {p.name: samples(smooth(read(p, args.format))) for p in args.test}
+        return [samples(m) for m in motions], {p.name: samples(smooth(read(p, layout))) for p in args.test}
     halves = [cut(motion, args.split) for motion in motions]
     tests = {
         f"{path.name}, last {1 - args.split:.0%}": samples(b) for path, (_, b) in zip(args.train, halves, strict=True)

@@ -88,7 +88,7 @@ class Args:
 
 
 class Result(NamedTuple):
-    """What a policy does on a number of episodes."""
+    """Result of a policy on a number of episodes."""
 
     returns: Tensor  # [episodes]
     errors: Tensor  # [episodes] root mean square over time and joints [mrad]
@@ -165,7 +165,7 @@ class Watch(BaseCallback):
 
 
 def evaluate(base: Base, policy: Policy, episodes: int = TESTED, seed: int = TEST) -> Result:
-    """What a policy does on top of a controller, by default on the episodes that are kept for it."""
+    """Result of a policy on top of a controller, by default on the episodes that are kept for it."""
     envs = base.environments(episodes, AutoresetMode.DISABLED)  # the last observation is that of the last step
     observation, _ = envs.reset(seed=seed)
     returns, squared, trace = torch.zeros(episodes), torch.zeros(episodes), []
@@ -227,7 +227,7 @@ def learner(base: Base, seed: int) -> PPO:
 
 
 def train(base: Base, seed: int, steps: int) -> tuple[Result, list[tuple[int, float, float]]]:
-    """What the policy does after training, and steps, return and error [mrad] on the way there."""
+    """Result of the policy after training, and steps, return and error [mrad] on the way there."""
     model, watch = learner(base, seed), Watch(base, steps)
     model.learn(steps, callback=watch)
     return watch.note(), watch.curve
@@ -343,13 +343,13 @@ def main(args: Args) -> dict[str, list[Result]]:
 
 
 def gain(results: list[Result], alone: Result) -> tuple[float, float, float]:
-    """What policies add to the return of the same episodes, with an interval as in `summary`."""
+    """Gain of policies in the return of the same episodes, with an interval as in `summary`."""
     differences = [result._replace(returns=result.returns - alone.returns) for result in results]
     return summary(differences)[0]
 
 
 def better(results: dict[str, list[Result]]) -> bool:
-    """Whether PPO helps the first controller, on which it was trained: the interval of what it adds is above zero."""
+    """Verdict on whether PPO helps the controller it was trained on: the interval of its gain is above zero."""
     learned = next(found for name, found in results.items() if "PPO" in name)
     return gain(learned, next(iter(results.values()))[0])[1] > 0
 

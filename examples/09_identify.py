@@ -1,4 +1,4 @@
-"""What an arm weighs and how it rubs, from a recorded motion: the Panda's parameters, found again from noisy logs.
+"""Masses, inertias and friction of an arm from a recorded motion: the Panda's parameters, found again from noisy logs.
 
     python examples/09_identify.py
 
@@ -25,7 +25,7 @@ from torch import Tensor
 
 import torchdq
 from torchdq.envs import Scene, effects, integrators
-from torchdq.learning.identify import Identified, identify
+from torchdq.learning import Identified, identify
 
 
 @dataclass
@@ -48,7 +48,7 @@ class Args:
 
 
 class Result(NamedTuple):
-    """What the test of this example looks at."""
+    """Results that the test of this example looks at."""
 
     chi_square: float  # mean square of the base parameters' deviations over their errors
     before: Tensor  # [n] root mean square of the torque error in the test motion, as described [N m]
@@ -107,7 +107,7 @@ def recorded(scene: Scene, believed: torchdq.Robot, args: Args, motions: int) ->
 
 
 def main(args: Args) -> Result:
-    """How well the parameters and the torques are found."""
+    """Accuracy with which the parameters and the torques are found."""
     torch.set_num_threads(1)
     torch.manual_seed(args.seed)
     described = torchdq.robots.load("panda")

@@ -27,7 +27,7 @@ from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.paper.posed import Paper
 from torchdq.dynamics.tree import Tree
 from torchdq.functions import catalogue as recipes
-from torchdq.paper import cost, homogeneous, printed
+from torchdq.paper import cost, homogeneous, printed, tables
 
 double = partial(torch.tensor, dtype=torch.float64)
 BLUE, RED, BLACK, GREY = "#0072B2", "#D0312D", "#111111", "#8A8A8A"  # matrices, dual quaternions, this package
@@ -98,7 +98,7 @@ def closed_equations(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
 
 def homogeneous_rnea(chain: Tree, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
     """Torques of a chain by homogeneous matrices, Lynch and Park's algorithm, which shares nothing with the others."""
-    back = [homogeneous.Turn(-x, -x.sin(), 1 - x.cos(), x.sin() - x) for x in q.unbind(-1)]
+    back = [homogeneous.Displacement(-x, -x.sin(), 1 - x.cos(), x.sin() - x) for x in q.unbind(-1)]
     bodies = homogeneous.bodies(chain)
     return torch.stack(homogeneous.rnea(bodies, chain.gravity, back, qd.unbind(-1), qdd.unbind(-1)), -1)
 
@@ -176,7 +176,7 @@ def curve(
 
 
 def executed(function: str, arguments: Sequence[str], options: tuple[str, ...], n: int) -> cost.Cost:
-    """What this package's program of a function does for a general chain, and the numbers it reads."""
+    """Operations of this package's program of a function for a general chain, and the numbers it reads."""
     robot = cost.robot(*cost.chain(n))
     widths = tuple((name, 6 if name == "f_tip" else n) for name in arguments)
     program = recipes.program(robot, recipes.Signature(robot.identity, function, widths, (), options))
@@ -192,15 +192,15 @@ def compiled(joints: int, function: str, arguments: Sequence[str], options: tupl
 
 def numbers_read() -> dict[str, int]:
     """Numbers that the transform of a joint is made of by each formulation, zeros and ones left out."""
-    v, w, Wv, W2v, (xx, yy, zz), (xy, xz, yz) = (cost.vector() for _ in range(6))
+    v, w, Wv, W2v, (xx, yy, zz), (xy, xz, yz) = (tables.vector() for _ in range(6))
     W2 = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
     generator = homogeneous.Generator(True, (*w, *v), homogeneous.bracket(w), W2, Wv, W2v)
-    angle, twist, length, offset = cost.vector(2), cost.vector(2), cost.number(), cost.number()
+    angle, twist, length, offset = tables.several(2), tables.several(2), tables.number(), tables.number()
     transforms = {
         "HTM, D-H": homogeneous.denavit_hartenberg(*angle, twist, length, offset),
-        "HTM, screws": homogeneous.exponential(generator, homogeneous.Turn(*cost.vector(4))),
+        "HTM, screws": homogeneous.exponential(generator, homogeneous.Displacement(*tables.several(4))),
         "UDQ, D-H": printed.denavit_hartenberg(angle, twist, length, offset),
-        "UDQ, screws": screw.exp_revolute(cost.motion(), *angle),
+        "UDQ, screws": screw.exp_revolute(tables.motion(), *angle),
     }
     return {name: cost.cost(transform).storage for name, transform in transforms.items()}
 

@@ -1,7 +1,7 @@
 """The paper, equation by equation: what each says, where it is computed and which test holds it.
 
 The tables below hold what nothing else knows. Errata come from `errata_table`, verdicts on the paper's costs from
-`torchdq.paper.cost`, and `PAPER.md` is written from all three:
+`torchdq.paper.tables`, and `PAPER.md` is written from all three:
 
     python tests/paper_index.py [--write]
 """
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from errata_table import COMPONENT, ERRATA, IDS, Erratum
 
-from torchdq.paper import cost
+from torchdq.paper import cost, tables
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = ROOT / "PAPER.md"
@@ -273,13 +273,13 @@ SECTION_5_1_2 = (
     Row(
         "44",
         "acceleration wd_i = a_i qdd_i + Ad(x_{i-1}^i) wd_{i-1} + (w_i x a_i) qd_i",
-        "dynamics.paper.rnea:outward paper.printed:rnea paper.cost:accelerated",
+        "dynamics.paper.rnea:outward paper.printed:rnea paper.tables:accelerated",
         f"{GOLDEN}_two_link_accelerations",
     ),
     Row(
         "45",
         "net wrench of a link, w_i x G_i(w_i) + G_i(wd_i)",
-        "dynamics.paper.rnea:inward paper.printed:rnea paper.cost:net_wrench",
+        "dynamics.paper.rnea:inward paper.printed:rnea paper.tables:net_wrench",
         f"{GOLDEN}_two_link_wrenches",
     ),
     Row(
@@ -647,7 +647,7 @@ def verdicts() -> str:
     """Tables 2 to 4: how many of the printed costs are those that are counted."""
     lines = ["| | printed rows | as counted | operations differ | only storage differs | whose operations differ |"]
     lines.append("|---|---|---|---|---|---|")
-    for title, entries in cost.TABLES.items():
+    for title, entries in tables.TABLES.items():
         printed = [entry for entry in entries if entry.printed is not None]
         wrong = [entry for entry in printed if entry.printed[:2] != entry.counted[:2]]
         stored = [entry for entry in printed if entry not in wrong and entry.printed != entry.counted]
@@ -724,7 +724,7 @@ def page() -> str:
         *section("Control: section 5.4", SECTION_5_4),
         *section("Costs: section 6", SECTION_6),
         "`python -m torchdq cost` prints Tables 2, 3 and 4 row by row, with what is counted by running each formula, "
-        "and why it differs ([cost](torchdq/paper/cost.py), held by [test_cost.py](tests/test_cost.py)):",
+        "and why it differs ([tables](torchdq/paper/tables.py), held by [test_cost.py](tests/test_cost.py)):",
         verdicts(),
         "Dual quaternions cost less than homogeneous matrices, as the paper finds, where every product is one of full "
         "matrices; where zeros and ones are known, the matrices cost less than the algorithm as printed.",

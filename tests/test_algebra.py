@@ -19,7 +19,7 @@ from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import matrix, screw
 from torchdq.algebra import quaternion as quat
 from torchdq.numbers.count import cost
-from torchdq.paper.cost import (
+from torchdq.paper.tables import (
     accelerated,
     dual_quaternion,
     motion,

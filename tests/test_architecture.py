@@ -26,6 +26,7 @@ PACKAGE, ENVS = ROOT / "torchdq", ROOT / "envs"
 FLOORS = {
     "torchdq.errors": 0,
     "torchdq.optional": 1,
+    "torchdq.timing": 0,
     "torchdq.algebra": 0,
     "torchdq.numbers": 0,
     "torchdq.dynamics": 1,

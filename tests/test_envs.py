@@ -1,8 +1,10 @@
 """The environments: gymnasium's contract, rows that do not know of each other, and what is asked of the robot."""
 
 import copy
+import importlib
 import math
 import pickle
+import sys
 import warnings
 from dataclasses import dataclass
 
@@ -699,6 +701,13 @@ def test_wrong_arguments_are_refused(arguments, message):
 
 
 # --- other libraries -------------------------------------------------------------------------------------------------
+
+
+def test_stable_baselines_that_is_missing_is_named(monkeypatch):
+    monkeypatch.delitem(sys.modules, "torchdq.envs.sb3", raising=False)
+    monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
+    with pytest.raises(torchdq.MissingLibraryError, match=r"needs stable-baselines3, .*; pip install 'torchdq\[rl\]'"):
+        importlib.import_module("torchdq.envs.sb3")
 
 
 def test_stable_baselines_trains():

@@ -4,7 +4,6 @@ The references are numpy's least squares on pinocchio's regressor, the robots th
 definition of a body that can exist.
 """
 
-import importlib
 import importlib.util
 import sys
 from pathlib import Path
@@ -17,11 +16,10 @@ import torch
 
 import torchdq
 from torchdq.errors import ArgumentError, DtypeError
-from torchdq.learning.identify import identify
+from torchdq.learning import identify, regression
 from torchdq.robot import consistency as physical
 
 WIDTH = 1e-2
-module = importlib.import_module("torchdq.learning.identify")  # the package offers the function by that name
 
 
 def double(x):
@@ -156,14 +154,14 @@ def test_without_a_prior_it_is_numpys_least_squares_on_pinocchios_regressor():
     assert oracles.worst(found.predict(t.q, t.qd, t.qdd).error, error, error) < 1e-4
 
 
-@pytest.mark.parametrize("rows", [1, 3, 12, 40])
-def test_what_is_found_can_exist_where_least_squares_cannot(rows):
+@pytest.mark.parametrize(("rows", "seed"), [(1, 4), (3, 3), (12, 3), (40, 3)])
+def test_what_is_found_can_exist_where_least_squares_cannot(rows, seed):
     robot = torchdq.robots.load("panda")
     q, qd, qdd = moving(7, rows)
-    tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 5 * moving(7, rows, seed=2)[0]
+    tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 50 * moving(7, rows, seed=seed)[0]
     Z = torchdq.regressor(robot, q, qd, qdd).reshape(-1, 70).numpy()
     pi = np.linalg.lstsq(Z, tau.flatten().numpy(), rcond=None)[0].reshape(7, 10)
-    assert (pi[:, 0] < 0).any()  # plain least squares finds a negative mass
+    assert (pi[:, 0] < -0.01).any()  # [kg] plain least squares finds a negative mass
     found = identify(robot, q, qd, qdd, tau)
     assert_can_exist(found)
     assert bool((found.robot.mass > 0).all()) and bool(found.covariance.isfinite().all())
@@ -241,7 +239,7 @@ def test_rows_may_come_in_any_shape_order_and_in_pieces(monkeypatch):
     whole = identify(robot, *states, tau).parameters
     shaped = identify(robot, *(x.reshape(3, 40, 6) for x in (*states, tau))).parameters
     turned = identify(robot, *(x.flip(0) for x in (*states, tau))).parameters
-    monkeypatch.setattr(module, "CHUNK", 7 * 6 * 72)
+    monkeypatch.setattr(regression, "CHUNK", 7 * 6 * 72)
     pieces = identify(robot, *states, tau).parameters
     single = identify(robot, *(x.float() for x in (*states, tau))).parameters
     for other, tolerance in ((shaped, 1e-9), (turned, 1e-5), (pieces, 1e-5), (single, 1e-2)):

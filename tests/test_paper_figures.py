@@ -118,7 +118,7 @@ def test_baselines_agree_with_this_package_and_with_pinocchio_with_a_wrench_at_t
     assert relative(ours, expected) < 1e-12
 
     floats, rates, accelerations, wrench = (x.tolist() for x in (q, qd, qdd, f))
-    back = [homogeneous.Turn(-x, -math.sin(x), 1 - math.cos(x), math.sin(x) - x) for x in floats]
+    back = [homogeneous.Displacement(-x, -math.sin(x), 1 - math.cos(x), math.sin(x) - x) for x in floats]
     outer = homogeneous.matrix(dual_quaternion.conj(tip))
     by_matrices = homogeneous.rnea(
         homogeneous.bodies(chain), chain.gravity, back, rates, accelerations, outer, wrench[3:] + wrench[:3]
@@ -140,7 +140,7 @@ def tip_matrix(robot, q):
 
 def by_exponentials(screws, home, kinds, q):
     """Matrices of the tip from screws in the base frame: Rodrigues' formula, and dual quaternions."""
-    turns = [homogeneous.Turn(x, math.sin(x), 1 - math.cos(x), x - math.sin(x)) for x in q]
+    turns = [homogeneous.Displacement(x, math.sin(x), 1 - math.cos(x), x - math.sin(x)) for x in q]
     steps = [homogeneous.exponential(homogeneous.generator(s), turn) for s, turn in zip(screws, turns, strict=True)]
     by_matrices = homogeneous.chained([*steps, homogeneous.matrix(home)])[-1]
     motions = [KINDS[kind](s).motion(half(x)) for s, kind, x in zip(screws, kinds, q, strict=True)]

@@ -26,7 +26,7 @@ from paper_index import (
     plain,
 )
 
-from torchdq.paper import cost
+from torchdq.paper import tables
 
 REMEDY = "write it again with `python tests/paper_index.py --write`"
 
@@ -94,7 +94,7 @@ def test_every_equation_table_row_line_and_figure_is_there_once():
     assert [row.id for row in ALGORITHM_1] == [f"{part} {i + 1}" for part, k in parts.items() for i in range(k)]
     assert [row.id for row in FIGURES] == ["1", "2", "3", "4", "5"]
     text = page()
-    for first in [f"| ({i}) |" for i in range(1, 80)] + [f"| {title} |" for title in cost.TABLES]:
+    for first in [f"| ({i}) |" for i in range(1, 80)] + [f"| {title} |" for title in tables.TABLES]:
         assert text.count(f"\n{first}") == 1, first
 
 

@@ -201,7 +201,9 @@ def test_what_is_no_robot_is_refused():
 )
 def test_a_library_that_is_missing_is_named(panda, monkeypatch, module, name, draw):
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(MissingLibraryError, match=rf"^{name}, .*; pip install 'torchdq\[viz\]'$") as raised:
+    with pytest.raises(
+        MissingLibraryError, match=rf"^drawing needs {name}, .*; pip install 'torchdq\[viz\]'$"
+    ) as raised:
         draw(panda)
     assert isinstance(raised.value, torchdq.TorchdqError)
 

@@ -55,7 +55,7 @@ __version__ = "0.1.0"
 
 
 def __getattr__(name: str) -> object:
-    # it tries scenes, and scenes need gymnasium, which most programs have no use for
+    """Attribute `recommend`, imported on first use: it tries scenes, which need gymnasium."""
     if name == "recommend":
         from torchdq.envs.recommend import recommend
 

@@ -1,4 +1,4 @@
-"""python -m torchdq cost: the paper's cost tables, counted."""
+"""Command line: `python -m torchdq cost` prints the paper's cost tables, counted."""
 
 import argparse
 import sys
@@ -7,11 +7,10 @@ from torchdq.paper import cost
 
 
 def main() -> None:
-    """What the arguments ask for."""
+    """Print the report that the arguments name."""
     parser = argparse.ArgumentParser(prog="python -m torchdq")
-    parser.add_argument(
-        "what", choices=["cost"], help="cost: the paper's Tables 2, 3 and 4, counted by running its formulas"
-    )
+    explanation = "cost: the paper's Tables 2, 3 and 4, counted by running its formulas"
+    parser.add_argument("report", choices=["cost"], help=explanation)
     parser.parse_args()
     sys.stdout.write(cost.report() + "\n")
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def _components(name: str, x: Tensor, size: int) -> Tensor:
-    """x, after checking that it is a floating tensor [..., size]."""
+    """Floating tensor x [..., size], checked."""
     if not isinstance(x, Tensor):
         raise ArgumentError(f"{name} must be a tensor, found {type(x).__name__}")
     if not x.dtype.is_floating_point:
@@ -93,7 +93,7 @@ def from_mujoco(position: Tensor, rotation: Tensor) -> Tensor:
 
 
 def to_scipy(x: Tensor) -> RigidTransform:
-    """scipy's RigidTransform, with the leading axes of x, of the poses x = X_AB [..., 8].
+    """RigidTransform of scipy, with the leading axes of x, for the poses x = X_AB [..., 8].
 
     `to_scipy(x).apply(p)` takes points from B to A, and products compose as `dq.mul` does. Needs scipy >= 1.16, and
     >= 1.17 for more than one leading axis.
@@ -114,7 +114,7 @@ def from_scipy(
 
 
 def to_pinocchio(x: Tensor) -> pinocchio.SE3:
-    """Pinocchio's placement aMb of one pose x = X_AB [8]."""
+    """Placement aMb of Pinocchio for one pose x = X_AB [8]."""
     import pinocchio
 
     if _components("x", x, 8).ndim != 1:

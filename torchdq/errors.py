@@ -1,43 +1,43 @@
-"""The errors this package raises, each also an instance of the built-in error a caller would expect."""
+"""Errors of this package, each also an instance of the built-in error a caller would expect."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
 
 
 class TorchdqError(Exception):
-    """Anything this package objects to."""
+    """Base class of all torchdq errors."""
 
 
 class ArgumentError(TorchdqError, ValueError):
-    """An argument has the wrong shape, device or value."""
+    """Argument of the wrong shape, device or value."""
 
 
 class DtypeError(TorchdqError, TypeError):
-    """An argument has a dtype the dynamics are not computed in."""
+    """Argument of a dtype that the dynamics are not computed in."""
 
 
 class DescriptionError(TorchdqError, ValueError):
-    """A robot description cannot be used as it is written."""
+    """Robot description that cannot be used as it is written."""
 
 
 class MissingFileError(DescriptionError, FileNotFoundError):
-    """A robot description is to be read from a file that does not exist."""
+    """Robot description in a file that does not exist."""
 
 
 class UnphysicalError(DescriptionError):
-    """A robot description holds a body that cannot exist."""
+    """Robot description with a body that cannot exist."""
 
 
 class SingularInertiaError(UnphysicalError):
-    """Accelerations are asked of a robot with a joint that moves no inertia in any position."""
+    """Accelerations of a robot with a joint that moves no inertia in any position."""
 
 
 class MissingLibraryError(TorchdqError, ImportError):
-    """A package that only some functions need is not installed."""
+    """Optional package that is not installed."""
 
 
 class UnknownNameError(TorchdqError, KeyError):
-    """A joint, link, frame or robot of that name does not exist."""
+    """Name of no joint, link, frame or robot."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str]):
         known = list(known)

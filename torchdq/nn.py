@@ -1,4 +1,4 @@
-"""The dynamics as torch modules; the algorithms are `torchdq.functional` and `torchdq.control`."""
+"""Dynamics as torch modules; the algorithms are `torchdq.functional` and `torchdq.control`."""
 
 from __future__ import annotations
 
@@ -12,57 +12,61 @@ from torch.nn.utils import parametrize
 
 from torchdq.backends.choice import Backend
 from torchdq.control import computed_torque
-from torchdq.effects import Coulomb, Viscous
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, check, check_precision, forward_dynamics, inverse_dynamics
 from torchdq.parametrizations import PhysicalInertia, Positive
 from torchdq.robot import Robot
 from torchdq.robot.robot import SHAPES
 
-# the form of what must not be every real number
-FORMS: dict[str, type[nn.Module]] = {
-    "mass": Positive,
+# parametrisation of each constrained quantity
+CONSTRAINED: dict[str, type[nn.Module]] = {
+    **dict.fromkeys(("mass", "armature", "viscous", "coulomb"), Positive),
     "inertia": PhysicalInertia,
-    "armature": Positive,
-    "viscous": Positive,
-    "coulomb": Positive,
 }
-# where something starts that the description has none of [SI units]
-STARTS = {"armature": 1e-3, "viscous": 1e-2, "coulomb": 1e-2}
-SMALLEST_SIZE = 1e-2  # of a body, against which `prior` measures how far its centre of mass moved [m]
+INITIAL = {
+    "armature": 1e-3,
+    "viscous": 1e-2,
+    "coulomb": 1e-2,
+}  # initial value of what the description does not give [SI]
+SMALLEST_SIZE = 1e-2  # least size of a body, against which `prior` measures the shift of its centre of mass [m]
+
+
+def smooth_sign(qd: Tensor, width: float) -> Tensor:
+    """Smooth sign qd / sqrt(qd^2 + width^2) of velocities, the direction of Coulomb friction."""
+    return qd / (qd * qd + width * width).sqrt()
 
 
 class RobotModule(nn.Module):
-    """A module that holds a robot, and learns what `learn` names of it.
+    """Module that holds a robot and learns the quantities that `learn` names.
 
-    What is learned stays physical, whatever an optimiser does: masses, rotor inertias and friction stay positive, and
+    Learned quantities stay physical, whatever an optimiser does: masses, rotor inertias and friction stay positive, and
     inertias are those of bodies that can exist. `module.mass` and so on are the present quantities, and assigning to
-    them sets them; the parameters are the free numbers behind them (`torchdq.parametrizations`, by
+    them sets them; the parameters are the unconstrained numbers behind them (`torchdq.parametrizations`, by
     `torch.nn.utils.parametrize`), `module.parametrizations.mass.original`. Weight decay would pull those towards
-    1 kg; `prior` pulls towards the description. What is not learned is a constant of the compiled programs, and not
-    part of the state dict.
+    1 kg; `prior` pulls towards the description. Other quantities are constants of the compiled programs, and not part
+    of the state dict.
 
     Args:
         robot: the robot.
-        learn: names of what to learn. Tensors of the robot: "mass", "com", "inertia", "gravity", "armature", "home",
-            "X_PB_home", "screw" (the last three and gravity are free numbers); "armature" starts at 1e-3 kg m^2 (or kg)
-            if the robot has none. "friction": the friction torque viscous qd + coulomb qd / sqrt(qd^2 + width^2) of
+        learn: names of quantities. Tensors of the robot: "mass", "com", "inertia", "gravity", "armature", "home",
+            "X_PB_home", "screw" (the last three and gravity are unconstrained); "armature" starts at 1e-3 kg m^2 (or
+            kg) if the robot has none. "friction": the friction torque viscous qd + coulomb qd / sqrt(qd^2 + width^2) of
             every joint, as `torchdq.effects.Viscous` and `Coulomb` have it, from the damping and the friction of the
             robot's description, or 1e-2 (in SI units) where it has none. "offset": a constant torque of every joint,
             from zero.
-        backend: as in `torchdq.functional`; None: what `torchdq.backend` says at the time of the call.
-        friction_width: the width of the friction, below which it is viscous [rad/s or m/s].
+        backend: as in `torchdq.functional`; None: as `torchdq.backend` says at the time of the call.
+        friction_width: velocity below which friction is viscous [rad/s or m/s].
 
     Raises:
-        ArgumentError: `learn` names something else, or what the robot does not have.
+        ArgumentError: `learn` names something else, or a quantity that the robot does not have.
     """
 
+    viscous: Tensor  # [n], if friction is learned
+    coulomb: Tensor  # [n], if friction is learned
+    offset: Tensor  # [n], if it is learned
+
     def __init__(
-        self,
-        robot: Robot,
-        learn: Sequence[str] = (),
-        backend: Backend | None = None,
-        friction_width: float = 1e-2,
+        self, robot: Robot, learn: Sequence[str] = (), backend: Backend | None = None, friction_width: float = 1e-2
     ):
         super().__init__()
         if not (math.isfinite(friction_width) and friction_width > 0):
@@ -71,18 +75,18 @@ class RobotModule(nn.Module):
         self._robot = robot
         self.backend = backend
         self.friction_width = float(friction_width)
+        self._initial: dict[str, Tensor] = {}  # unconstrained numbers by quantity, from which `prior` measures
         for name in self.learn:
-            for quantity, value in _starting(robot, name).items():
+            for quantity, value in _initial_values(robot, name).items():
                 self.register_parameter(quantity, nn.Parameter(value))
-                if quantity in FORMS:
-                    parametrize.register_parametrization(self, quantity, FORMS[quantity]())
-                if quantity in FORMS or quantity == "com":
-                    start = self._free(quantity).detach().clone()
-                    self.register_buffer(f"_start_of_{quantity}", start, persistent=False)
+                if quantity in CONSTRAINED:
+                    parametrize.register_parametrization(self, quantity, CONSTRAINED[quantity]())
+                if quantity in CONSTRAINED or quantity == "com":
+                    self._initial[quantity] = self._unconstrained(quantity).detach().clone()
 
     @property
     def robot(self) -> Robot:
-        """The robot with the module's present parameters."""
+        """Robot with the module's present parameters."""
         changes = {name: getattr(self, name) for name in self.learn if name in SHAPES}
         return self._robot.replace(**changes) if changes else self._robot
 
@@ -94,32 +98,29 @@ class RobotModule(nn.Module):
         >>> import torchdq
         >>> layer = DQRNEA(torchdq.robots.load("two_link"), learn="friction")
         >>> layer.viscous = torch.tensor([2.0, 3.0], dtype=torch.float64)
-        >>> layer.friction_torque(torch.tensor([10.0, -10.0]))
-        tensor([ 20.0100, -30.0100], grad_fn=<MulBackward0>)
+        >>> layer.friction_torque(torch.tensor([10.0, -10.0])).detach()
+        tensor([ 20.0100, -30.0100])
         """
         if "friction" not in self.learn:
             return torch.zeros_like(qd)
         viscous, coulomb = (x.to(dtype=qd.dtype, device=qd.device) for x in (self.viscous, self.coulomb))
-        # all joints are one number to the effects, a tensor; friction is a damping and nothing else
-        effects = Viscous((viscous,)), Coulomb((coulomb,), self.friction_width)
-        first, second = (effect.impedances((qd,), (qd,), {})[0].damping for effect in effects)
-        return (first + second) * qd
+        return viscous * qd + coulomb * smooth_sign(qd, self.friction_width)
 
-    def _beside(self, q: Tensor, qd: Tensor | None) -> Tensor | None:
-        """Torque that the motors give beside moving the bodies: friction and offset, or None."""
+    def _learned_torque(self, q: Tensor, qd: Tensor | None) -> Tensor | None:
+        """Learned friction and offset, the torque of the motors beyond that of the rigid bodies; None: neither."""
         friction = None if qd is None or "friction" not in self.learn else self.friction_torque(qd)
         if "offset" not in self.learn:
             return friction
-        offset = self._free("offset").to(dtype=q.dtype, device=q.device)
+        offset = self.offset.to(dtype=q.dtype, device=q.device)
         return offset if friction is None else friction + offset
 
     def prior(self) -> Tensor:
-        """How far what is learned is from where it started: a number >= 0 without units, zero at the start.
+        """Distance of the learned quantities from their initial values: a number >= 0 without units.
 
-        The sum of the mean squares, over links or joints and over robots, of the logarithms of what masses, rotor
-        inertias and frictions were multiplied by; of the distances that centres of mass moved, as parts of the size of
-        the body, the root of its second moments over its mass, at least 1 cm; and of the changes of the six free
-        numbers of `torchdq.parametrizations.PhysicalInertia`. Gravity, geometry, home and offset are not part of it.
+        The sum of the mean squares, over links or joints and over robots, of the logarithms of the factors of masses,
+        rotor inertias and frictions; of the shifts of centres of mass, relative to the size of the body, the root of
+        its second moments over its mass, at least 1 cm; and of the changes of the six unconstrained numbers of
+        `torchdq.parametrizations.PhysicalInertia`. Gravity, geometry, home and offset are not part of it.
 
         >>> import torchdq
         >>> layer = DQRNEA(torchdq.robots.load("panda"), learn=("mass", "com", "inertia"))
@@ -128,18 +129,16 @@ class RobotModule(nn.Module):
         ('0.009084', '0.009084')
         """
         terms = []
-        for name, start in self.named_buffers(recurse=False):
-            quantity = name.removeprefix("_start_of_")
-            if quantity == name:
-                continue
-            square = (self._free(quantity) - start).square()
+        for quantity, initial in self._initial.items():
+            present = self._unconstrained(quantity)
+            square = (present - initial.to(present)).square()
             if quantity == "com":
                 square = square / self._sizes_squared(square).unsqueeze(-1)
             terms.append(square.sum(-1).mean() if quantity in ("com", "inertia") else square.mean())
         return torch.stack(terms).sum() if terms else torch.zeros((), dtype=torch.float64)
 
-    def _free(self, quantity: str) -> Tensor:
-        """The free numbers behind a quantity."""
+    def _unconstrained(self, quantity: str) -> Tensor:
+        """Unconstrained numbers behind a quantity."""
         if parametrize.is_parametrized(self, quantity):
             return self.parametrizations[quantity].original  # type: ignore[union-attr,index]
         return getattr(self, quantity)
@@ -152,29 +151,29 @@ class RobotModule(nn.Module):
         return (spread / mass.where(mass > 0, torch.inf)).clamp(min=SMALLEST_SIZE**2)
 
     def extra_repr(self) -> str:
-        """The robot, for `print(module)`."""
+        """Robot, for `print(module)`."""
         return repr(self._robot)
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        """For pickle: torch has no way of its own to pickle a module whose class it made for its parametrizations."""
+        """Parts for pickle, since torch cannot pickle a module whose class it made for its parametrizations."""
         if not parametrize.is_parametrized(self):
             return super().__reduce_ex__(protocol)
         modules = dict(self._modules)
-        forms = dict(modules.pop("parametrizations").items())  # type: ignore[union-attr,operator]
+        lists = dict(modules.pop("parametrizations").items())  # type: ignore[union-attr,operator]
         state = {**self.__dict__, "_modules": modules}
-        return _restored, (parametrize.type_before_parametrizations(self), state, forms)
+        return _restored, (parametrize.type_before_parametrizations(self), state, lists)
 
 
-def _starting(robot: Robot, name: str) -> dict[str, Tensor]:
-    """Quantities that a name in `learn` stands for, and where they start."""
+def _initial_values(robot: Robot, name: str) -> dict[str, Tensor]:
+    """Quantities that a name in `learn` stands for, with their initial values."""
     zeros = torch.zeros_like(robot.damping)
     if name == "friction":
         described = {"viscous": robot.damping, "coulomb": robot.friction}
-        return {quantity: x.detach().where(x > 0, STARTS[quantity]) for quantity, x in described.items()}
+        return {quantity: x.detach().where(x > 0, INITIAL[quantity]) for quantity, x in described.items()}
     if name == "offset":
         return {name: zeros}
     if name == "armature" and robot.armature is None:
-        return {name: zeros + STARTS[name]}
+        return {name: zeros + INITIAL[name]}
     present = [field for field in SHAPES if getattr(robot, field) is not None or field == "armature"]
     if name not in present:
         known = [*present, "friction", "offset"]
@@ -185,7 +184,7 @@ def _starting(robot: Robot, name: str) -> dict[str, Tensor]:
 def _restored(
     kind: type[nn.Module], state: dict[str, Any], lists: dict[str, parametrize.ParametrizationList]
 ) -> nn.Module:
-    """A module of that kind with its parametrizations, to the last bit."""
+    """Module of that kind with its parametrizations, to the last bit."""
     module = kind.__new__(kind)
     module.__setstate__(state)
     for name, forms in lists.items():
@@ -199,8 +198,8 @@ def _restored(
 class DQRNEA(RobotModule):
     """Inverse dynamics as a differentiable layer: `forward(q, qd, qdd, f_tip, f_ext)` returns tau [..., n].
 
-    See `torchdq.inverse_dynamics` for the arguments. dtype and device follow the inputs. What is learned of friction
-    and offset is added: the torques are those of the motors.
+    See `torchdq.inverse_dynamics` for the arguments. dtype and device follow the inputs. Learned friction and offset
+    are added: the torques are those of the motors.
 
     >>> import torchdq
     >>> layer = DQRNEA(torchdq.robots.load("two_link"), learn=("mass",))
@@ -218,14 +217,14 @@ class DQRNEA(RobotModule):
     ) -> Tensor:
         """Joint torques [..., n]; see `torchdq.inverse_dynamics`."""
         tau = inverse_dynamics(self.robot, q, qd, qdd, f_tip, f_ext, self.backend)
-        beside = self._beside(q, qd)
-        return tau if beside is None else tau + beside
+        learned = self._learned_torque(q, qd)
+        return tau if learned is None else tau + learned
 
 
 class ForwardDynamics(RobotModule):
     """Forward dynamics as a differentiable layer: `forward(q, qd, tau, f_tip, f_ext)` returns qdd [..., n].
 
-    What is learned of friction and offset is taken from the torques, which are those of the motors.
+    Learned friction and offset are subtracted from the torques, which are those of the motors.
 
     Args:
         precision: as in `torchdq.forward_dynamics`.
@@ -249,30 +248,25 @@ class ForwardDynamics(RobotModule):
         self.precision = check_precision(precision)
 
     def forward(
-        self,
-        q: Tensor,
-        qd: Tensor | None,
-        tau: Tensor,
-        f_tip: Tensor | None = None,
-        f_ext: Tensor | None = None,
+        self, q: Tensor, qd: Tensor | None, tau: Tensor, f_tip: Tensor | None = None, f_ext: Tensor | None = None
     ) -> Tensor:
         """Joint accelerations [..., n]; see `torchdq.forward_dynamics`."""
         robot = self.robot
         check(robot, q=(q, ("n",), False), qd=(qd, ("n",), True), tau=(tau, ("n",), False))
-        beside = self._beside(q, qd)
-        tau = tau if beside is None else tau - beside
+        learned = self._learned_torque(q, qd)
+        tau = tau if learned is None else tau - learned
         return forward_dynamics(robot, q, qd, tau, f_tip, f_ext, self.backend, self.precision)
 
 
 class ComputedTorque(RobotModule):
     """Computed torque controller: `forward(q, qd, q_des, qd_des, qdd_des, f_tip)` returns tau [..., n].
 
-    What is learned of friction and offset is added, at the measured velocity.
+    Learned friction and offset are added, at the measured velocity.
 
     Args:
         robot: the model of the robot that is controlled.
         kp, kd: position gain [1/s^2] and velocity gain [1/s], numbers or shape [n].
-        learn: as in `RobotModule`, and "kp", "kd", which are free numbers.
+        learn: as in `RobotModule`, and "kp", "kd", which are unconstrained.
         backend, friction_width: as in `RobotModule`.
 
     >>> import torchdq
@@ -305,16 +299,10 @@ class ComputedTorque(RobotModule):
                 self.register_buffer(name, value.clone())
 
     def forward(
-        self,
-        q: Tensor,
-        qd: Tensor,
-        q_des: Tensor,
-        qd_des: Tensor,
-        qdd_des: Tensor,
-        f_tip: Tensor | None = None,
+        self, q: Tensor, qd: Tensor, q_des: Tensor, qd_des: Tensor, qdd_des: Tensor, f_tip: Tensor | None = None
     ) -> Tensor:
         """Joint torques [..., n]; see `torchdq.computed_torque`."""
         kp, kd = (gain.to(dtype=q.dtype, device=q.device) for gain in (self.kp, self.kd))
         tau = computed_torque(self.robot, q, qd, q_des, qd_des, qdd_des, kp, kd, f_tip, self.backend)
-        beside = self._beside(q, qd)
-        return tau if beside is None else tau + beside
+        learned = self._learned_torque(q, qd)
+        return tau if learned is None else tau + learned

@@ -1,8 +1,8 @@
-"""Free real numbers behind quantities that must not be everything: positive numbers, inertias of bodies that exist.
+"""Parametrisations for learning: positive scalars and physically consistent inertias, from unconstrained numbers.
 
-Each is a module for `torch.nn.utils.parametrize`: `forward` makes physical quantities of any real numbers, whatever an
-optimiser did to them, and `right_inverse` finds the real numbers of given quantities. All of them are without units, so
-that one step width suits a crane and a finger: a change by 0.01 is one percent of a mass or of a body's size.
+Each is a module for `torch.nn.utils.parametrize`: `forward` maps any real numbers to physical quantities, whatever an
+optimiser did to them, and `right_inverse` finds the numbers of given quantities. The numbers are without units, so that
+one step width suits a crane and a finger: a change by 0.01 is one percent of a mass or of a body's size.
 """
 
 import torch
@@ -10,12 +10,12 @@ from torch import Tensor, nn
 
 from torchdq.errors import ArgumentError
 
-SMALLEST = 1e-6  # what a quantity that must be positive becomes if it is not, in SI units
-FLAT = 1e-6  # smallest second moment of a body, as a part of their sum; a rod or a plate has it in its flat directions
-POINT = 1e-8  # second moments of a body that has none [kg m^2]
+SMALLEST = 1e-6  # positive quantity that replaces one that is not positive [SI units]
+FLAT = 1e-6  # smallest second moment of a body relative to their sum; a rod or a plate gets it in its flat directions
+POINT = 1e-8  # second moments of a body without extent [kg m^2]
 LARGEST_LOGARITHM = 30.0  # keeps squares of exponentials, and a good deal more, within the range of float32
 
-# The inertia of L = [a 0 0; b c 0; d e f] is made of the ten products that L L^T is made of: xx xy yy xz yz zz are rows
+# Inertia of L = [a 0 0; b c 0; d e f], from the ten products in L L^T: a row each for xx xy yy xz yz zz
 PRODUCTS = ("aa", "bb", "cc", "dd", "ee", "ff", "ab", "ad", "bd", "ce")
 SUMS = (
     (0, 1, 1, 1, 1, 1, 0, 0, 0, 0),
@@ -28,9 +28,9 @@ SUMS = (
 
 
 class Positive(nn.Module):
-    """Positive numbers as the exponentials of free ones, between exp(-30) and exp(30).
+    """Positive numbers as exponentials of unconstrained ones, between exp(-30) and exp(30).
 
-    What is zero or negative cannot be the exponential of anything, and becomes 1e-6 (in SI units).
+    Zero and negative numbers are no exponentials, and become 1e-6 (in SI units).
 
     >>> form = Positive()
     >>> form(torch.tensor([-1e9, 0.0])), form(form.right_inverse(torch.tensor([0.0, 2.5])))
@@ -42,21 +42,21 @@ class Positive(nn.Module):
         return _exponential(x)
 
     def right_inverse(self, value: Tensor) -> Tensor:
-        """Free numbers that `forward` makes the values of; raises `ArgumentError` unless they are finite."""
+        """Unconstrained numbers of given values; raises `ArgumentError` unless they are finite."""
         _finite(value)
         return value.where(value > 0, SMALLEST).log()
 
 
 class PhysicalInertia(nn.Module):
-    """Inertias [..., 6] about the centre of mass (xx xy yy xz yz zz) of bodies that can exist, by free numbers.
+    """Inertias [..., 6] about the centre of mass (xx xy yy xz yz zz) of bodies that can exist.
 
     A positive mass distribution is one whose second moments Sigma = tr(I)/2 1 - I are positive definite, which is that
     I is, and that no principal moment exceeds the sum of the others (P. M. Wensing, S. Kim, J.-J. E. Slotine, "Linear
     matrix inequalities for physically-consistent inertial parameter identification", IEEE Robotics and Automation
-    Letters 3 (2018)). Every such Sigma has one Cholesky factor L, Sigma = L L^T, with a positive diagonal. The free
-    numbers [..., 6] are its lower triangle row by row: the logarithms of the diagonal, and the others in units of
-    the norm of the diagonal. With any positive mass and any centre of mass this covers the bodies that can exist;
-    points, rods and plates are its limits.
+    Letters 3 (2018)). Every such Sigma has one Cholesky factor L, Sigma = L L^T, with a positive diagonal. The
+    unconstrained numbers [..., 6] are its lower triangle row by row: the logarithms of the diagonal, and the others in
+    units of the norm of the diagonal. With any positive mass and any centre of mass this covers the bodies that can
+    exist; points, rods and plates are its limits.
 
     >>> form = PhysicalInertia()
     >>> rod = torch.tensor([0.0, 0.0, 1.0, 0.0, 0.0, 1.0])
@@ -86,7 +86,7 @@ class PhysicalInertia(nn.Module):
         return (products.unsqueeze(-2) * self.sums).sum(-1)
 
     def right_inverse(self, value: Tensor) -> Tensor:
-        """Free numbers that `forward` makes the inertias [..., 6] of.
+        """Unconstrained numbers [..., 6] of given inertias [..., 6].
 
         Principal second moments below 1e-6 of their sum are lifted to that: a thin rod or plate gets a thickness, and
         an inertia that no body has becomes the one of a body near by. With no inertia at all they become 1e-8 kg m^2.

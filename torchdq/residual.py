@@ -1,4 +1,4 @@
-"""Rigid-body dynamics with a network that learns what they leave unexplained."""
+"""Rigid-body dynamics with a network that learns the residual torques."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ import torch
 from torch import Tensor, nn
 
 from torchdq.errors import ArgumentError
-from torchdq.nn import DQRNEA
+from torchdq.nn import DQRNEA, smooth_sign
 from torchdq.robot import Robot
 
-Inputs = Literal["joint", "all"]
-FEATURES = 6  # per joint: sin q, cos q, qd, qdd, a smooth sign of qd, the model's torque
+Grouping = Literal["joint", "all"]
+FEATURES = 6  # features per joint: sin q, cos q, qd, qdd, a smooth sign of qd, the model's torque
 
 
 class Perceptrons(nn.Module):
-    """Several perceptrons of one shape side by side: [..., groups, inputs] to [..., groups, outputs], in one go.
+    """Several perceptrons of one shape side by side: [..., groups, inputs] to [..., groups, outputs], in one product.
 
-    Hidden layers are hyperbolic tangents. The last layer is zero, and so is what comes out, until it is trained.
+    Hidden layers are hyperbolic tangents. The last layer is zero, and so are the outputs, until it is trained.
 
     Args:
-        groups: how many there are; each has its own weights and sees its own inputs only.
-        inputs, outputs: numbers that go in and come out of each.
+        groups: number of perceptrons; each has its own weights and sees its own inputs only.
+        inputs, outputs: numbers of inputs and outputs of each.
         hidden: widths of the hidden layers.
 
     >>> Perceptrons(7, 6, 1)(torch.ones(100, 7, 6)).shape
@@ -37,13 +37,13 @@ class Perceptrons(nn.Module):
         widths = [inputs, *hidden, outputs]
         self.weights, self.biases = nn.ParameterList(), nn.ParameterList()
         for k, (width, following) in enumerate(pairwise(widths)):
-            # the spread of torch's own linear layers; what is last starts at zero
+            # the spread of torch's own linear layers; the last layer starts at zero
             bound = 0.0 if k == len(hidden) else 1.0 / math.sqrt(width)
             self.weights.append(nn.Parameter(torch.empty(groups, following, width).uniform_(-bound, bound)))
             self.biases.append(nn.Parameter(torch.empty(groups, following, 1).uniform_(-bound, bound)))
 
     def forward(self, x: Tensor) -> Tensor:
-        """What comes out [..., groups, outputs] of x [..., groups, inputs]."""
+        """Outputs [..., groups, outputs] for inputs x [..., groups, inputs]."""
         y = x.reshape(-1, *x.shape[-2:]).permute(1, 2, 0)  # samples last: rows are long
         for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             y = torch.baddbmm(bias, weight, torch.tanh(y) if k else y)
@@ -51,7 +51,7 @@ class Perceptrons(nn.Module):
 
 
 class ResidualDynamics(nn.Module):
-    """Inverse dynamics and a network that learns the rest: `forward(q, qd, qdd, f_tip, f_ext)` returns tau [..., n].
+    """Inverse dynamics and a network for the residual: `forward(q, qd, qdd, f_tip, f_ext)` returns tau [..., n].
 
     The sum of the model's torques and the network's. The network starts at zero, so that before training the torques
     are the model's to the last bit. It sees, of every joint, sin q, cos q, qd, qdd, qd / sqrt(qd^2 + width^2) with the
@@ -84,14 +84,14 @@ class ResidualDynamics(nn.Module):
         self,
         model: DQRNEA,
         network: nn.Module | None = None,
-        inputs: Inputs = "joint",
+        inputs: Grouping = "joint",
         hidden: Sequence[int] = (32, 32),
     ):
         super().__init__()
         if not isinstance(model, DQRNEA):
             raise ArgumentError(f"model must be a torchdq.DQRNEA, found {type(model).__name__}; make one of the robot")
-        if inputs not in get_args(Inputs):
-            raise ArgumentError(f"inputs must be one of {get_args(Inputs)}, found {inputs!r}")
+        if inputs not in get_args(Grouping):
+            raise ArgumentError(f"inputs must be one of {get_args(Grouping)}, found {inputs!r}")
         if any(not isinstance(width, int) or width < 1 for width in hidden):
             raise ArgumentError(f"hidden must be positive whole numbers, one per layer, found {hidden}")
         n = model.robot.n
@@ -108,11 +108,11 @@ class ResidualDynamics(nn.Module):
 
     @property
     def robot(self) -> Robot:
-        """The robot with the model's present parameters."""
+        """Robot with the model's present parameters."""
         return self.model.robot
 
     def prior(self) -> Tensor:
-        """The prior of the model, which is about its physical parameters; see `torchdq.nn.RobotModule.prior`."""
+        """Prior of the model, which concerns its physical parameters; see `torchdq.nn.RobotModule.prior`."""
         return self.model.prior()
 
     def forward(
@@ -125,32 +125,31 @@ class ResidualDynamics(nn.Module):
     def residual(
         self, q: Tensor, qd: Tensor, qdd: Tensor | None = None, f_tip: Tensor | None = None, f_ext: Tensor | None = None
     ) -> Tensor:
-        """What the network adds to the torques of the model [..., n]."""
+        """Torques [..., n] that the network adds to those of the model."""
         return self._parts(q, qd, qdd, f_tip, f_ext)[1]
 
     def _parts(self, q: Tensor, qd: Tensor, qdd: Tensor | None, *wrenches: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Torques of the model, and what the network adds to them."""
+        """Torques of the model, and those of the network."""
         tau = self.model(q, qd, qdd, *wrenches)
         return tau, self.correction(self.features(q, qd, qdd, tau))
 
     def features(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> Tensor:
-        """What the network sees of every joint [..., n, 6], as it is; tau [..., n] are the torques of the model."""
-        direction = qd * (qd * qd + self.model.friction_width**2).rsqrt()
+        """Features of every joint [..., n, 6], before scaling; tau [..., n] are the torques of the model."""
+        direction = smooth_sign(qd, self.model.friction_width)
         columns = (q.sin(), q.cos(), qd, torch.zeros_like(qd) if qdd is None else qdd, direction, tau.detach())
         return torch.stack(torch.broadcast_tensors(*columns), -1)
 
     def correction(self, features: Tensor) -> Tensor:
-        """Torques [..., n] that the network makes of features [..., n, 6]."""
+        """Torques [..., n] of the network for features [..., n, 6]."""
         mean, spread, scale = (x.to(features) for x in (self.feature_mean, self.feature_spread, self.torque_scale))
-        seen = (features - mean) / spread
-        like = next(self.network.parameters(), seen)
-        seen = seen.to(like.dtype)
-        found = self.network(seen).squeeze(-1) if self.inputs == "joint" else self.network(seen.flatten(-2))
+        x = (features - mean) / spread
+        x = x.to(next(self.network.parameters(), x).dtype)
+        found = self.network(x).squeeze(-1) if self.inputs == "joint" else self.network(x.flatten(-2))
         return found.to(features.dtype) * scale
 
     @torch.no_grad()
     def standardise(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> None:
-        """Have the network see features of mean zero and spread one over these motions, and answer in their torques.
+        """Scale the network to these motions: features of mean zero and spread one, outputs in units of torque spread.
 
         Call it once, before training: afterwards it changes what the network computes.
 

@@ -8,12 +8,13 @@ Nothing here is imported by `import torchdq`; scipy, rich and tensorboard are im
 """
 
 from torchdq.learning.checkpoint import CheckpointError
-from torchdq.learning.identify import Identified, identify
-from torchdq.learning.logs import LAYOUTS, Layout, Log, LogError, Motion, cut, hold_out, read, samples, smooth
-from torchdq.learning.training import History, Samples, TrainingError, fit
+from torchdq.learning.data import Samples
+from torchdq.learning.identification import Identified, identify
+from torchdq.learning.logs import Layout, Log, LogError, read
+from torchdq.learning.motions import Motion, cut, hold_out, samples, smooth
+from torchdq.learning.training import History, TrainingError, fit
 
 __all__ = [
-    "LAYOUTS",
     "CheckpointError",
     "History",
     "Identified",

@@ -1,6 +1,6 @@
 """Checkpoints that are whole or not there, whenever the writing process is killed.
 
-A file is what `torch.save` writes, and a hash of it: what was cut short or changed since is not used.
+A file holds the output of `torch.save` and a hash of it: a file that was cut short or changed since is not used.
 """
 
 import hashlib
@@ -17,17 +17,17 @@ from torch import Tensor, nn
 from torchdq.errors import TorchdqError
 
 KIND, VERSION = b"checkpoint of torchdq.learning.fit", 1
-HASH = 32  # bytes of SHA-256
+HASH = 32  # length of SHA-256 [bytes]
 
 
 class CheckpointError(TorchdqError, RuntimeError):
-    """A checkpoint is damaged, or was written for another model, other data or other settings."""
+    """Checkpoint that is damaged, or of another model, other data or other settings."""
 
 
 def write(path: Path, state: dict[str, Any]) -> None:
-    """Put a state into a file: afterwards it holds the old state or the new one, never a part.
+    """Write a state to a file, which holds the old state or the new one at any moment, never a part.
 
-    The state goes to a file beside it, reaches the disk, and takes the name in one step. What killed writes left is
+    The state goes to a file beside it, reaches the disk, and takes the name in one step. Leftovers of killed writes are
     removed. When writing fails, say on a full disk, the old checkpoint stays.
 
     Args:
@@ -57,7 +57,7 @@ def write(path: Path, state: dict[str, Any]) -> None:
 
 
 def read(path: Path) -> dict[str, Any]:
-    """The state in a checkpoint, its tensors on the CPU.
+    """State in a checkpoint, its tensors on the CPU.
 
     Only tensors and plain values are unpickled, so that a file from elsewhere cannot run anything.
 
@@ -92,7 +92,7 @@ def require_same_run(path: Path, found: dict[str, Any], expected: dict[str, Any]
 
     Args:
         path: the checkpoint, for the message.
-        found, expected: what identifies a run, in the checkpoint and of this call: names and plain values.
+        found, expected: identity of the run in the checkpoint and of this call: names and plain values.
     Raises:
         CheckpointError: they differ.
     """
@@ -106,13 +106,11 @@ def require_same_run(path: Path, found: dict[str, Any], expected: dict[str, Any]
 
 
 def described(model: nn.Module) -> dict[str, Any]:
-    """What identifies a model but for its weights: how it prints, names and shapes of its tensors, as plain values."""
+    """Identity of a model but for its weights: its repr, names and shapes of its tensors, as plain values."""
     text = re.sub(r"0x[0-9a-fA-F]+", "0x", " ".join(repr(model).split()))  # addresses differ between processes
-    tensors = {f"tensor {name!r} of the model": _tensor(value) for name, value in model.state_dict().items()}
-    return {**tensors, "the model": text}
-
-
-def _tensor(value: Any) -> str:
-    return (
-        f"{str(value.dtype).removeprefix('torch.')} {list(value.shape)}" if isinstance(value, Tensor) else repr(value)
-    )
+    identity = {}
+    for name, value in model.state_dict().items():
+        shaped = isinstance(value, Tensor)
+        found = f"{str(value.dtype).removeprefix('torch.')} {list(value.shape)}" if shaped else repr(value)
+        identity[f"tensor {name!r} of the model"] = found
+    return {**identity, "the model": text}

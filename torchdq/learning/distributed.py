@@ -1,4 +1,4 @@
-"""One training run on several processes, as `torchrun` starts them."""
+"""Several processes that share one training run, as `torchrun` starts them."""
 
 import os
 from collections.abc import Iterator
@@ -11,7 +11,7 @@ from torch import Tensor
 
 
 class Team(NamedTuple):
-    """The processes of a run and this one's place among them; a process alone is a team of one."""
+    """Processes of a run and this one's rank among them; a process alone is a team of one."""
 
     rank: int = 0
     size: int = 1
@@ -22,7 +22,7 @@ class Team(NamedTuple):
         return self.rank == 0
 
     def share(self, rows: Tensor) -> Tensor:
-        """This process' rows among all rows of a batch."""
+        """Rows of a batch that this process computes."""
         return rows[self.rank :: self.size]
 
     def summed(self, tensors: list[Tensor]) -> list[Tensor]:
@@ -34,8 +34,8 @@ class Team(NamedTuple):
         parts = flat.split([x.numel() for x in tensors])
         return [part.view_as(x).to(x.dtype) for part, x in zip(parts, tensors, strict=True)]
 
-    def leaders(self, value: Any) -> Any:
-        """The leader's value, in every process; tensors in it lie on the CPU."""
+    def broadcast(self, value: Any) -> Any:
+        """Value of the leading process, in every process; tensors in it lie on the CPU."""
         if self.size == 1:
             return value
         values = [value]
@@ -45,16 +45,16 @@ class Team(NamedTuple):
 
 @contextmanager
 def team(device: torch.device) -> Iterator[Team]:
-    """The team this process belongs to: joined here if `torchrun` started it, unless the caller has joined already.
+    """Team of this process: joined here if `torchrun` started it, unless the caller has joined already.
 
     Args:
-        device: where the model lies; it decides between nccl and gloo.
+        device: device of the model; it decides between nccl and gloo.
     """
     if dist.is_available() and dist.is_initialized():
         yield Team(dist.get_rank(), dist.get_world_size())
     elif int(os.environ.get("WORLD_SIZE", "1")) > 1:
         if device.type == "cuda":
-            torch.cuda.set_device(device)  # what is sent goes by the current device
+            torch.cuda.set_device(device)  # nccl sends from the current device
         dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
         try:
             yield Team(dist.get_rank(), dist.get_world_size())

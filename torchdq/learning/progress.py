@@ -1,7 +1,7 @@
-"""What a training run shows while it goes on, if it is asked to: a bar on the terminal, curves in TensorBoard."""
+"""Progress of a training run: a bar on the terminal, curves in TensorBoard."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from torchdq.optional import imported
 
@@ -9,37 +9,47 @@ if TYPE_CHECKING:
     from torchdq.learning.training import History
 
 
-class Report:
-    """Shows a run; with neither a bar nor a folder it does nothing.
+class Progress:
+    """Display of a run while its `with` block lasts; with neither a bar nor a folder it does nothing.
 
     Args:
         last: steps of the whole run.
         step: steps done before, by a run that this one resumes.
         tensorboard: folder of the curves.
-        progress: whether to show the bar.
+        bar: whether to show the bar.
     Raises:
         MissingLibraryError: rich or tensorboard is asked for and not installed.
     """
 
-    def __init__(self, last: int, step: int, tensorboard: str | Path | None, progress: bool):
-        self._bar = self._task = self._writer = None
+    def __init__(self, last: int, step: int, tensorboard: str | Path | None, bar: bool):
+        self._bar: Any = None
+        self._writer: Any = None
         if tensorboard is not None:
             module = imported("torch.utils.tensorboard", "tensorboard", "fit(tensorboard=...)")
-            self._writer = module.SummaryWriter(str(tensorboard), purge_step=step + 1)  # steps of a killed run go
-        if progress:
+            self._writer = module.SummaryWriter(str(tensorboard), purge_step=step + 1)  # drops a killed run's steps
+        if bar:
             rich = imported("rich.progress", "rich", "fit(progress=True)")
             columns = (*rich.Progress.get_default_columns(), rich.TextColumn("{task.fields[errors]}"))
             self._bar = rich.Progress(*columns)
             self._task = self._bar.add_task("fit", total=last, completed=step, errors="")
             self._bar.start()
 
+    def __enter__(self) -> "Progress":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+        if self._writer is not None:
+            self._writer.close()
+
     def step(self, step: int) -> None:
         """Show that a step is done."""
         if self._bar is not None:
             self._bar.update(self._task, completed=step)
 
-    def look(self, history: "History", rate: float) -> None:
-        """Show the errors at the last look, and the learning rate."""
+    def evaluation(self, history: "History", rate: float) -> None:
+        """Show the errors of the last evaluation, and the learning rate."""
         errors = {"train": history.train[-1], **({"valid": history.valid[-1]} if history.valid else {})}
         if self._bar is not None:
             self._bar.update(self._task, errors="  ".join(f"{name} {error:.3g}" for name, error in errors.items()))
@@ -47,10 +57,3 @@ class Report:
             for name, value in ({f"error/{k}": v for k, v in errors.items()} | {"rate": rate}).items():
                 self._writer.add_scalar(name, value, history.step[-1])
             self._writer.flush()
-
-    def close(self) -> None:
-        """Leave the terminal and the files in order."""
-        if self._bar is not None:
-            self._bar.stop()
-        if self._writer is not None:
-            self._writer.close()

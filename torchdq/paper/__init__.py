@@ -1,3 +1,4 @@
-"""Other formulations of the same kinematics and dynamics, to be compared with: homogeneous matrices, D-H parameters,
-and the paper's operators as they are printed. Not part of the public face; written for any kind of number.
+"""The paper's accounts: its operators as printed, their counted costs, and textbook formulations to compare with.
+
+Not part of the public interface; written for any kind of number.
 """

@@ -1,7 +1,6 @@
-"""What the paper's operations and algorithms cost, counted by running them, beside what it prints: Tables 2, 3 and 4.
+"""Costs of the paper's algorithms, counted by running them on chains of joints, and the report beside the printed ones.
 
-`python -m torchdq cost` prints the tables. A count is multiplications, additions, and the numbers an operation reads
-(storage); the rules are those of `torchdq.numbers.count`.
+`python -m torchdq cost` prints it.
 """
 
 from __future__ import annotations
@@ -20,239 +19,14 @@ from torchdq.algebra.inertia import Inertia
 from torchdq.dynamics.joints import KINDS, Coordinate
 from torchdq.dynamics.paper import kinematics, rnea
 from torchdq.dynamics.tree import Tree, plant
-from torchdq.numbers.count import Cost, Counted, cost, dense, executed
+from torchdq.numbers.count import Cost, cost, dense, executed
 from torchdq.paper import homogeneous, printed
+from torchdq.paper.tables import PER_JOINT, TABLE_4, TABLES, Entry, motion, number, several
 from torchdq.robot import Robot
 
 
-class Entry(NamedTuple):
-    """A row of a table."""
-
-    operation: str
-    printed: Cost | None  # None: the row is not in the paper
-    formula: Callable[[], Any]
-    remark: str = ""  # why it differs
-    whole: bool = False  # what is computed and not used counts as well
-
-    @property
-    def counted(self) -> Cost:
-        """What the formula costs."""
-        return executed(self.formula) if self.whole else cost(self.formula())
-
-    @property
-    def verdict(self) -> str:
-        """What to think of the printed entry."""
-        if self.printed is None:
-            return self.remark or "not in the paper"
-        what = zip(("multiplications", "additions", "storage"), self.printed, self.counted, strict=True)
-        wrong = [name for name, theirs, ours in what if theirs != ours]
-        verb = "differs" if wrong == ["storage"] else "differ"
-        found = f"{' and '.join(wrong)} {verb}" if wrong else "as printed"
-        return f"{found}: {self.remark}" if self.remark else found
-
-
-# --- operands --------------------------------------------------------------------------------------------------------
-
-
-def number() -> Counted:
-    """A number."""
-    return Counted()
-
-
-def vector(size: int = 3) -> Any:
-    """A vector."""
-    return tuple(Counted() for _ in range(size))
-
-
-def quaternion() -> tuple[Counted, ...]:
-    """A quaternion."""
-    return vector(4)
-
-
-def dual_quaternion() -> Any:
-    """A dual quaternion."""
-    return quaternion(), quaternion()
-
-
-def motion() -> Any:
-    """A screw."""
-    return vector(), vector()
-
-
-def operator() -> Any:
-    """Columns A_P and A_D."""
-    return tuple(tuple(vector() for _ in range(3)) for _ in range(2))
-
-
-def tensor() -> Any:
-    """A rotational inertia by its rows."""
-    return tuple(vector() for _ in range(3))
-
-
-def accelerated(a: Any, qd: Any, qdd: Any, x: Any, twist: Any, acceleration: Any) -> Any:
-    """a qdd + Ad(x) wd + (w x a) qd (44)."""
-    return screw.add(screw.add(screw.scale(qdd, a), screw.ad(x, acceleration)), screw.scale(qd, screw.cross(twist, a)))
-
-
-def net_wrench(mass: Any, inertia: Any, twist: Any, acceleration: Any) -> Any:
-    """w x G(w) + G(wd) (45)."""
-    g = Inertia(mass, None, inertia).momentum
-    return screw.add(screw.cross(twist, g(twist)), g(acceleration))
-
-
-# --- tables ----------------------------------------------------------------------------------------------------------
-
-TABLE_2 = (
-    Entry("addition", Cost(0, 4, 8), lambda: quat.add(quaternion(), quaternion())),
-    Entry("multiplication by scalar", Cost(4, 0, 5), lambda: quat.scale(number(), quaternion())),
-    Entry("quaternion multiplication (1)", Cost(16, 12, 8), lambda: quat.mul(quaternion(), quaternion())),
-    Entry(
-        "quaternion cross product (4)",
-        Cost(9, 5, 6),
-        lambda: quat.cross(vector(), vector()),
-        "6 and 3 by components; (ab - ba)/2 to the letter is the next row",
-    ),
-    Entry(
-        "(ab - ba)/2 by two products",
-        None,
-        lambda: printed.cross(vector(), vector()),
-        "neither form gives the printed 9 and 5",
-        whole=True,
-    ),
-    Entry("quaternion inner product (3)", Cost(3, 2, 6), lambda: quat.dot(vector(), vector())),
-    Entry(
-        "matrix linear transformation T4 (20)",
-        Cost(16, 12, 20),
-        lambda: quat.t4(tuple(quaternion() for _ in range(4)), quaternion()),
-    ),
-    Entry(
-        "Hamilton operator applied (23)",
-        Cost(16, 12, 8),
-        lambda: quat.t4(quat.hamilton_left(quaternion()), quaternion()),
-    ),
-    Entry(
-        "quaternion adjoint transformation",
-        Cost(20, 28, 7),
-        lambda: quat.im(quat.mul(quat.mul(x := quaternion(), (0.0, *vector())), quat.conj(x))),
-        "the printed columns are exchanged",
-        whole=True,
-    ),
-    Entry(
-        "the same by two cross products", None, lambda: quat.rotate(quaternion(), vector()), "what this package does"
-    ),
-)
-
-TABLE_3 = (
-    Entry("addition", Cost(0, 8, 16), lambda: dq.add(dual_quaternion(), dual_quaternion())),
-    Entry("multiplication by scalar", Cost(8, 0, 9), lambda: dq.scale(number(), dual_quaternion())),
-    Entry("dual quaternion multiplication", Cost(48, 40, 16), lambda: dq.mul(dual_quaternion(), dual_quaternion())),
-    Entry("cross product (6)", Cost(18, 12, 12), lambda: screw.cross(motion(), motion())),
-    Entry(
-        "inner product (16)",
-        Cost(6, 5, 12),
-        lambda: screw.inner(motion(), motion()),
-        "the printed numbers are those of the next row; (16) is a dual number",
-    ),
-    Entry("double geodesic product (7)", Cost(6, 5, 12), lambda: screw.double_geodesic(motion(), motion())),
-    Entry(
-        "linear transformation T8 (21)",
-        Cost(64, 56, 72),
-        lambda: dq.t8(tuple(dual_quaternion() for _ in range(8)), dual_quaternion()),
-    ),
-    Entry(
-        "Hamilton operator applied (24)",
-        Cost(48, 48, 28),
-        lambda: printed.hamilton(dual_quaternion(), dual_quaternion()),
-        "three T4 are 48 and 36, and joining them 4; it reads two dual quaternions",
-    ),
-    Entry(
-        "construction of A_P and A_D (34), (35)",
-        Cost(108, 72, 12),
-        lambda: printed.columns(dual_quaternion()),
-        "it reads one dual quaternion; what it makes is 24 numbers, of which 6 are never used",
-        whole=True,
-    ),
-    Entry(
-        "the same by p x A_P",
-        None,
-        lambda: screw.columns(dual_quaternion()),
-        "what this package does: the rotation matrix, the position, and three cross products",
-    ),
-    Entry(
-        "adjoint from them (36)",
-        Cost(27, 30, 30),
-        lambda: screw.ad(operator(), motion()),
-        "three products of 3x3 matrices and vectors and one sum; 24 numbers if the columns are vectors",
-    ),
-    Entry("the same by x m x* (33)", None, lambda: printed.ad(dual_quaternion(), motion()), "two products"),
-)
-
-TABLE_4 = (
-    Entry(
-        "(39), D-H",
-        Cost(144, 120, 24),
-        lambda: printed.denavit_hartenberg(vector(2), vector(2), number(), number(), number(), number()),
-        "three dense products make the local transform only; chaining it is a fourth",
-        whole=True,
-    ),
-    Entry(
-        "(39), D-H, zeros known",
-        None,
-        lambda: printed.denavit_hartenberg(vector(2), vector(2), number(), number()),
-        "the local transform, without its chaining product",
-    ),
-    Entry(
-        "(39), screws",
-        Cost(48, 40, 8),
-        lambda: dq.mul(dual_quaternion(), dual_quaternion()),
-        "one product of two dual quaternions, which are 16 numbers",
-    ),
-    Entry(
-        "(38), revolute",
-        None,
-        lambda: dq.mul(dual_quaternion(), screw.exp_revolute(motion(), number(), number())),
-        "left out in the paper: the recursion needs (38), and (39) only for the pose of the end effector",
-    ),
-    Entry(
-        "(34), (35)",
-        Cost(108, 72, 12),
-        lambda: printed.columns(dual_quaternion()),
-        "as in Table 3",
-        whole=True,
-    ),
-    Entry(
-        "(40)",
-        Cost(33, 36, 37),
-        lambda: screw.add(screw.scale(number(), motion()), screw.ad(operator(), motion())),
-        "inherits the additions of (36)",
-    ),
-    Entry(
-        "(44)",
-        Cost(57, 54, 44),
-        lambda: accelerated(motion(), number(), number(), operator(), motion(), motion()),
-        "inherits the additions of (36)",
-    ),
-    Entry("(45)", Cost(42, 30, 22), lambda: net_wrench(number(), tensor(), motion(), motion())),
-    Entry(
-        "(46)",
-        Cost(27, 36, 36),
-        lambda: screw.add(motion(), screw.ad(operator(), motion())),
-        "inherits the additions of (36)",
-    ),
-    Entry("(48)", Cost(6, 5, 12), lambda: screw.power(motion(), motion())),
-)
-TABLES = {
-    "Table 2, quaternions": TABLE_2,
-    "Table 3, dual quaternions": TABLE_3,
-    "Table 4, the algorithm per joint": TABLE_4,
-}
-
-
-# --- algorithms ------------------------------------------------------------------------------------------------------
-
-
 def chain(n: int, kinds: str = "R") -> tuple[Tree, DualQuaternion]:
-    """A chain with frames at the centres of mass, and its tip's pose; no constant but two of gravity's is zero or one.
+    """Chain with frames at the centres of mass, and its tip's pose; no constant but two of gravity's is zero or one.
 
     Args:
         n: number of joints.
@@ -307,34 +81,34 @@ def robot(tree: Tree, tip: DualQuaternion) -> Robot:
 
 def coordinates(n: int) -> list[Coordinate | None]:
     """Joint displacements as inputs, behind the base, which has none."""
-    return [None, *(Coordinate(*vector(3)) for _ in range(n))]
+    return [None, *(Coordinate(*several(3)) for _ in range(n))]
 
 
-def turns(n: int) -> list[homogeneous.Turn]:
-    """The same for Rodrigues' formula."""
-    return [homogeneous.Turn(*vector(4)) for _ in range(n)]
+def displacements(n: int) -> list[homogeneous.Displacement]:
+    """Joint displacements as inputs of Rodrigues' formula."""
+    return [homogeneous.Displacement(*several(4)) for _ in range(n)]
 
 
 def dqrnea_as_printed(n: int, full: bool = False) -> Cost:
-    """Algorithm 1 with the operators (34) to (36) as printed; `full`: no zero is known as one."""
+    """Cost of Algorithm 1 with the operators (34) to (36) as printed; `full`: no zero is known as one."""
     robot, tip = chain(n)
     Ad_tip = screw.columns(tip)
     still: Any = ((0.0,) * 3, (0.0,) * 3)
     if full:
-        robot, Ad_tip, still = _hidden(robot), dense(Ad_tip), dense(still)
-    return _running(lambda: printed.rnea(robot, coordinates(n), vector(n), vector(n), Ad_tip, motion(), still), n)
+        robot, Ad_tip, still = _all_counted(robot), dense(Ad_tip), dense(still)
+    return _running(lambda: printed.rnea(robot, coordinates(n), several(n), several(n), Ad_tip, motion(), still), n)
 
 
 def dqrnea(n: int) -> Cost:
-    """Algorithm 1 as this package has it in the paper's frames."""
+    """Cost of Algorithm 1 as this package has it in the paper's frames."""
     robot, tip = chain(n)
     exerted = rnea.exerted_wrenches(n + 1, None, (n, screw.columns(tip)), motion())
     Ad = kinematics.adjoints(kinematics.joint_poses(robot, coordinates(n)))
-    return cost(rnea.rnea(robot, Ad, vector(n), vector(n), exerted))
+    return cost(rnea.rnea(robot, Ad, several(n), several(n), exerted))
 
 
 def htm_rnea(n: int, full: bool = False) -> Cost:
-    """The algorithm of Lynch and Park by 4x4 and 6x6 matrices; `full`: no zero or one is known as such."""
+    """Cost of the algorithm of Lynch and Park by 4x4 and 6x6 matrices; `full`: no zero or one is known as such."""
     robot, tip = chain(n)
     bodies, T, gravity = homogeneous.bodies(robot), homogeneous.matrix(dq.conj(tip)), robot.gravity
     units = homogeneous.KNOWN
@@ -345,11 +119,12 @@ def htm_rnea(n: int, full: bool = False) -> Cost:
         )
         T, gravity, units = dense(T), dense(gravity), homogeneous.Units(number(), number())
     return _running(
-        lambda: homogeneous.rnea(bodies, gravity or (), turns(n), vector(n), vector(n), T, vector(6), units), n
+        lambda: homogeneous.rnea(bodies, gravity or (), displacements(n), several(n), several(n), T, several(6), units),
+        n,
     )
 
 
-def _hidden(tree: Tree) -> Tree:
+def _all_counted(tree: Tree) -> Tree:
     """The tree with counted numbers for all its constants."""
     links = tuple(
         link._replace(
@@ -363,19 +138,19 @@ def _hidden(tree: Tree) -> Tree:
 
 
 def _running(formula: Callable[[], Any], n: int) -> Cost:
-    """What a formula executes; its storage is not that of a running machine, so it is left out."""
+    """Cost of executing a formula; its storage is not that of a running machine, so it is left out."""
     return executed(formula)._replace(storage=0)
 
 
 class Line(NamedTuple):
-    """How the cost of an algorithm grows with the number of joints."""
+    """Growth of an algorithm's cost with the number of joints."""
 
     name: str
     at: Callable[[int], Cost]
-    stated: str = ""  # in `multiplications, additions`, where the literature or the paper says
+    stated: str = ""  # "multiplications, additions" as the literature or the paper states them
 
     def law(self) -> str:
-        """The cost as multiples of n, exact from two joints on."""
+        """Cost as multiples of n, exact from two joints on."""
         a, b = self.at(6), self.at(7)
         slopes = [y - x for x, y in zip(a, b, strict=True)]
         rest = [x - 6 * k for k, x in zip(slopes, a, strict=True)]
@@ -396,7 +171,7 @@ def _dense_products(n: int, products: int, multiplications: int, additions: int)
 
 
 def htm_dh_kinematics(n: int) -> Cost:
-    """Pose of a chain's tip by D-H matrices, zeros and ones known."""
+    """Cost of the pose of a chain's tip by D-H matrices, zeros and ones known."""
     return cost(
         homogeneous.chained(
             [homogeneous.denavit_hartenberg(number(), number(), (0.6, 0.8), 0.3, 0.4) for _ in range(n)]
@@ -405,26 +180,26 @@ def htm_dh_kinematics(n: int) -> Cost:
 
 
 def htm_screw_kinematics(n: int) -> Cost:
-    """Pose of a chain's tip by exponentials of screws in the base frame, zeros and ones known."""
+    """Cost of the pose of a chain's tip by exponentials of screws in the base frame, zeros and ones known."""
     robot, tip = chain(n)
     steps = [
-        homogeneous.exponential(homogeneous.generator(link.joint.screw), turn)
-        for link, turn in zip(robot.links[1:], turns(n), strict=True)
+        homogeneous.exponential(homogeneous.generator(link.joint.screw), displacement)
+        for link, displacement in zip(robot.links[1:], displacements(n), strict=True)
     ]
     return cost(homogeneous.chained([*steps, homogeneous.matrix(tip)])[-1])
 
 
 def udq_dh_kinematics(n: int) -> Cost:
-    """Pose of a chain's tip by D-H dual quaternions, zeros and ones known."""
+    """Cost of the pose of a chain's tip by D-H dual quaternions, zeros and ones known."""
     pose: DualQuaternion | None = None
     for _ in range(n):
-        step = printed.denavit_hartenberg(vector(2), (0.6, 0.8), 0.3, 0.4)
+        step = printed.denavit_hartenberg(several(2), (0.6, 0.8), 0.3, 0.4)
         pose = step if pose is None else dq.mul(pose, step)
     return cost(pose)
 
 
 def udq_screw_kinematics(n: int) -> Cost:
-    """Pose of a chain's tip by dual quaternion exponentials of screws in the base frame, zeros and ones known."""
+    """Cost of the pose of a chain's tip by exponentials as dual quaternions, screws in the base frame, zeros known."""
     robot, tip = chain(n)
     steps = [link.joint.motion(q) for link, q in zip(robot.links[1:], coordinates(n)[1:], strict=True)]
     return cost(reduce(dq.mul, [*steps, tip]))  # (39) with x = exp(s_1) ... exp(s_n) delta
@@ -450,7 +225,7 @@ RNEA = (
 
 
 def table(entries: Sequence[Entry]) -> str:
-    """A table of printed and counted costs, with verdicts, in Markdown."""
+    """Table of printed and counted costs, with verdicts, in Markdown."""
 
     def shown(c: Cost | None) -> str:
         return "" if c is None else f"{c.storage}f {c.multiplications}x {c.additions}+"
@@ -460,7 +235,7 @@ def table(entries: Sequence[Entry]) -> str:
 
 
 def report() -> str:
-    """All tables, and the laws of the algorithms."""
+    """Report of all tables and the laws of the algorithms."""
     parts = [f"## {title}\n\n{table(entries)}" for title, entries in TABLES.items()]
     total = [sum(values) for values in zip(*(e.counted for e in TABLE_4 if e.operation in PER_JOINT), strict=True)]
     parts.append(
@@ -471,6 +246,3 @@ def report() -> str:
         rows = "\n".join(f"| {line.name} | {line.law()} |" for line in lines)
         parts.append(f"## {title}\n\n| algorithm | multiplications, additions |\n|---|---|\n{rows}")
     return "\n\n".join(parts)
-
-
-PER_JOINT = ("(39), screws", "(34), (35)", "(40)", "(44)", "(45)", "(46)", "(48)")

@@ -21,7 +21,7 @@ Matrix = Sequence[Row]
 
 
 class Units(NamedTuple):
-    """The numbers that zeros and ones are written with."""
+    """Numbers for zeros and ones."""
 
     zero: Number = 0.0
     one: Number = 1.0
@@ -30,8 +30,8 @@ class Units(NamedTuple):
 KNOWN = Units()
 
 
-class Turn(NamedTuple):
-    """A joint's displacement, with what its exponential takes of it: sine, 1 - cosine and angle less sine."""
+class Displacement(NamedTuple):
+    """Displacement of a joint, with the terms of its exponential: sine, 1 - cosine and angle less sine."""
 
     value: Number
     sin: Number
@@ -93,7 +93,7 @@ def matrix(x: DualQuaternion, u: Units = KNOWN) -> list[list[Number]]:
 
 
 class Generator(NamedTuple):
-    """A joint's constant screw, with what its exponential takes of it."""
+    """Constant screw of a joint, with the terms of its exponential."""
 
     revolute: bool  # or helical: whether it turns
     screw: Row  # (w, v)
@@ -111,7 +111,7 @@ def generator(axis: Screw) -> Generator:
     return Generator(any(x != 0 for x in w), (*w, *v), W, W2, times(W, v), times(W2, v))
 
 
-def exponential(s: Generator, q: Turn, u: Units = KNOWN) -> list[list[Number]]:
+def exponential(s: Generator, q: Displacement, u: Units = KNOWN) -> list[list[Number]]:
     """exp([S] q), Rodrigues' formula (Modern Robotics 3.51, 3.88)."""
     v = s.screw[3:]
     eye = [[u.one if i == j else u.zero for j in range(3)] for i in range(3)]
@@ -139,7 +139,7 @@ def denavit_hartenberg(
 def denavit_hartenberg_by_products(
     cos: Number, sin: Number, alpha: tuple[Number, Number], a: Number, d: Number, u: Units = KNOWN
 ) -> list[list[Number]]:
-    """The same as products of its elementary transforms, Rot_z(theta) Trans_z(d) . Trans_x(a) . Rot_x(alpha)."""
+    """Standard transform of a joint as a product, Rot_z(theta) Trans_z(d) . Trans_x(a) . Rot_x(alpha)."""
     z, one = u
     ca, sa = alpha
     about_z = [[cos, -sin, z, z], [sin, cos, z, z], [z, z, one, d], [z, z, z, one]]
@@ -199,7 +199,7 @@ def bodies(tree: Tree) -> tuple[Body, ...]:
 def rnea(
     chain: Sequence[Body],
     gravity: Row,
-    q: Sequence[Turn],
+    q: Sequence[Displacement],
     qd: Row,
     qdd: Row,
     tip: Matrix | None = None,
@@ -210,7 +210,7 @@ def rnea(
 
     Args:
         gravity: acceleration in the base frame.
-        q: what the exponential takes of minus the displacements: the inverse poses are what is used.
+        q: terms of the exponentials of minus the displacements, which make the inverse poses.
         tip: pose of the last link in the end effector's frame.
         f_tip: wrench (moment, force) the end effector exerts on the environment.
     """

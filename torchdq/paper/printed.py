@@ -1,4 +1,4 @@
-"""The paper's operators as they are printed, where this package computes the same with fewer operations."""
+"""Operators of the paper as they are printed, where this package needs fewer operations for the same result."""
 
 from collections.abc import Sequence
 
@@ -17,35 +17,35 @@ UNITS = ((0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
 def columns(x: DualQuaternion) -> tuple[Columns, Columns]:
-    """A_P, A_D of a pose by two quaternion products a column, and a doubling: whole quaternions, as they are stored."""
+    """Columns A_P, A_D of a pose as whole quaternions, by two quaternion products a column, and a doubling."""
     xp, xd = x
-    turned = [quat.mul(xp, e) for e in UNITS]
-    a_p = [quat.mul(t, quat.conj(xp)) for t in turned]  # (34), erratum 34
-    a_d = [quat.scale(2.0, quat.mul(t, quat.conj(xd))) for t in turned]  # (35), erratum 35
+    rotated = [quat.mul(xp, e) for e in UNITS]
+    a_p = [quat.mul(t, quat.conj(xp)) for t in rotated]  # (34), erratum 34
+    a_d = [quat.scale(2.0, quat.mul(t, quat.conj(xd))) for t in rotated]  # (35), erratum 35
     return a_p, a_d
 
 
 def vectors(a: tuple[Columns, Columns]) -> Adjoint:
-    """The same columns without their real parts."""
+    """Columns A_P, A_D without their real parts."""
     a_p, a_d = (tuple(quat.im(e) for e in part) for part in a)
     return a_p, a_d
 
 
 def ad(x: DualQuaternion, m: Screw) -> Screw:
-    """x m x* by two dual quaternion products (33)."""
+    """Adjoint x m x* by two dual quaternion products (33)."""
     pure: DualQuaternion = ((0.0, *m[0]), (0.0, *m[1]))
     p, d = dq.mul(dq.mul(x, pure), dq.conj(x))
     return quat.im(p), quat.im(d)
 
 
 def cross(a: Pure, b: Pure) -> Pure:
-    """(ab - ba)/2 (4)."""
+    """Cross product (ab - ba)/2 (4)."""
     x, y = (0.0, *a), (0.0, *b)
     return quat.im(quat.scale(0.5, quat.sub(quat.mul(x, y), quat.mul(y, x))))
 
 
 def hamilton(x: DualQuaternion, y: DualQuaternion) -> DualQuaternion:
-    """h+(x) y with the columns x i, x j, x k formed first (23), (24)."""
+    """Product h+(x) y with the columns x i, x j, x k formed first (23), (24)."""
 
     def applied(a: Quaternion, b: Quaternion) -> Quaternion:
         return quat.t4((a, *(quat.mul(a, e) for e in UNITS)), b)
@@ -67,7 +67,7 @@ def denavit_hartenberg(
     Args:
         half, alpha: cosine and sine of half the joint's angle and of half the twist.
         a, d: half the length and half the offset.
-        zero, one: the numbers that zeros and ones are written with.
+        zero, one: numbers for zeros and ones.
     """
     nothing = (zero,) * 4
     about_z = ((half[0], zero, zero, half[1]), nothing)
@@ -91,7 +91,7 @@ def rnea(
     Args:
         tip: columns of the end effector's pose on the last link.
         f_tip: wrench the end effector exerts on the environment.
-        still: the twist of the base, zero.
+        still: twist of the base, zero.
     """
     w: Screw = still
     wd: Screw = (still[0], quat.neg(tree.gravity or still[1]))

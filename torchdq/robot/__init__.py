@@ -1,4 +1,4 @@
-"""Robot descriptions: what a robot is made of, where the numbers come from, and whether they can be true."""
+"""Robots: their frozen description, its sources (URDF, screws, Denavit-Hartenberg), and its physical consistency."""
 
 from torchdq.robot.robot import Frame, Limits, Robot
 

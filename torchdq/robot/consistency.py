@@ -1,4 +1,4 @@
-"""Whether a body can exist: finite numbers, mass that is not negative, and an inertia that some mass could have."""
+"""Physical consistency of a robot: finite numbers, masses that are not negative, inertias that a body can have."""
 
 import math
 import warnings
@@ -17,11 +17,11 @@ from torchdq.dynamics.paper.posed import Paper
 from torchdq.dynamics.tree import Link, Tree
 from torchdq.errors import UnphysicalError
 
-TOLERANCE = 1e-6  # of the trace: descriptions are printed with about six digits
+TOLERANCE = 1e-6  # relative to the trace: descriptions are printed with about six digits
 
 
 def body(link: str, mass: float, inertia: Tensor) -> list[str]:
-    """What is unphysical about a link of that mass [kg] and inertia about its centre of mass [kg m^2], [3, 3].
+    """Faults of a link of that mass [kg] and inertia about its centre of mass [kg m^2], [3, 3].
 
     Principal moments must not be negative, and none may exceed the sum of the other two. Equality is possible (a
     point, a rod, a plate) and is accepted.
@@ -51,7 +51,7 @@ def inert_joints(names: Sequence[str], tree: Tree) -> list[str]:
     tree = Tree(tuple(link._replace(**_floats(link)) for link in tree.links), None)
     links, n = tree.links, len(tree.links)
     inertias, sizes = [0.0] * n, [0.0] * n
-    # an inertia that vanishes in one position need not in another, so look at a few that have nothing special
+    # an inertia may vanish in one position only, so a few positions with nothing special are tried
     for seed in range(3):
         angles = [math.sin(1.0 + 12.9898 * i + 78.233 * seed) for i in range(n - 1)]
         at = Paper.at(tree, (), [None, *(Coordinate(x, math.cos(0.5 * x), math.sin(0.5 * x)) for x in angles)])
@@ -87,11 +87,11 @@ def _floats(link: Link) -> dict[str, Any]:
     return {"joint": joint, **parts}
 
 
-def object_to(robot: str, findings: Sequence[str], on_unphysical: Literal["error", "warn", "ignore"]) -> None:
-    """Raise, warn or do nothing about everything that was found."""
-    if not findings or on_unphysical == "ignore":
+def complain(robot: str, faults: Sequence[str], on_unphysical: Literal["error", "warn", "ignore"]) -> None:
+    """Raise, warn or do nothing about faults."""
+    if not faults or on_unphysical == "ignore":
         return
-    message = f"robot {robot!r} is unphysical:\n  " + "\n  ".join(findings)
+    message = f"robot {robot!r} is unphysical:\n  " + "\n  ".join(faults)
     if on_unphysical == "error":
         raise UnphysicalError(f"{message}\nCorrect the description, or load it with on_unphysical='warn'.")
     warnings.warn(message, stacklevel=4)

@@ -1,8 +1,8 @@
-"""Robots of Denavit-Hartenberg parameters, standard (Denavit and Hartenberg 1955) or modified (Craig 1986)."""
+"""Robots from Denavit-Hartenberg parameters, standard (Denavit and Hartenberg 1955) or modified (Craig 1986)."""
 
 import math
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -10,7 +10,8 @@ from torch import Tensor
 from torchdq import dq
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
-from torchdq.robot.from_screws import assemble, named, numbers, poses, table
+from torchdq.robot.arrays import IDENTITY, distinct, numbers, poses, table
+from torchdq.robot.description import Description, assemble
 
 
 def _about(axis: int, angle: float, shift: float) -> Tensor:
@@ -36,17 +37,13 @@ def read(
     alpha: Sequence[float],
     d: Sequence[float],
     theta: Sequence[float],
-    mass: Any,
-    com: Any,
-    inertia: Any,
-    convention: Literal["standard", "modified"],
+    convention: str,
     kinds: Sequence[str] | None,
     tip_pose: Any,
     joint_names: Sequence[str] | None,
-    link_names: Sequence[str] | None,
-    name: str,
-) -> tuple[dict[str, Any], list[str]]:
-    """Arguments of a `Robot`, and what is unphysical about it; `Robot.from_dh` says what is expected."""
+    **bodies: Any,
+) -> tuple[Description, list[str]]:
+    """Description and its faults; `Robot.from_dh` says what is expected."""
     n = numbers("a", a).numel()
     if n == 0:
         raise DescriptionError("a must hold a number for each of at least one joint")
@@ -66,18 +63,6 @@ def read(
         else:
             placements.append(dq.mul(link, joint))
             screws.append(z)
-    identity = torch.tensor([1.0, 0, 0, 0, 0, 0, 0, 0], dtype=torch.float64)
-    return assemble(
-        name,
-        named("joint_names", joint_names, "joint", n),
-        link_names,
-        tuple(range(BASE, n - 1)),
-        torch.stack(placements),
-        torch.stack(screws),
-        types,
-        mass,
-        com,
-        inertia,
-        None,
-        identity if tip_pose is None else poses("tip_pose", tip_pose, 8),
-    )
+    names, chain = distinct("joint_names", joint_names, "joint", n), tuple(range(BASE, n - 1))
+    X_BE = IDENTITY if tip_pose is None else poses("tip_pose", tip_pose, 8)
+    return assemble(names, chain, types, torch.stack(placements), torch.stack(screws), X_BE, **bodies)

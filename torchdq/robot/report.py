@@ -1,4 +1,4 @@
-"""What a description asked for and what became of it."""
+"""Report of a robot: what its description asked for, and what became of it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 class Report(NamedTuple):
-    """A robot's report; `str` lays it out as a table."""
+    """Report of a robot; `str` lays it out as a table."""
 
     summary: str
     joints: tuple[tuple[str, ...], ...]
@@ -40,5 +40,5 @@ class Report(NamedTuple):
         table = "\n".join(
             "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows
         )
-        notes = "\n".join(f"- {note}" for note in self.notes) or "- nothing else was asked for"
+        notes = "\n".join(f"- {note}" for note in self.notes) or "- nothing else in the description"
         return f"{self.summary}\n\n{table}\n\nnotes:\n{notes}"

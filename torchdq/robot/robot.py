@@ -1,4 +1,4 @@
-"""The frozen description of a robot: a tree of links, each carried by one joint, as float64 tensors."""
+"""Frozen description of a robot: a tree of links, each carried by one joint, as float64 tensors."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, Literal, get_args
 from uuid import uuid4
 
 import torch
@@ -18,32 +18,13 @@ from torchdq.algebra.quaternion import Number, Pure
 from torchdq.dynamics.joints import KINDS
 from torchdq.dynamics.tree import BASE, Tree, plant
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
-from torchdq.robot import consistency as physical
-from torchdq.robot import from_dh as dh
-from torchdq.robot import from_screws as screws
-from torchdq.robot import urdf
+from torchdq.robot import consistency, from_dh, from_screws, urdf
+from torchdq.robot.description import Description, Frame, Limits
 from torchdq.robot.report import Report
 
-DTYPES = (torch.float32, torch.float64)  # of parameters and of the dynamics
+DTYPES = (torch.float32, torch.float64)  # dtypes of parameters and of the dynamics
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], in the base frame
 OnUnphysical = Literal["error", "warn", "ignore"]
-
-
-class Limits(NamedTuple):
-    """Limits of the joints as the description gives them, each [n]; infinite where it gives none."""
-
-    lower: Tensor  # [rad or m]
-    upper: Tensor  # [rad or m]
-    velocity: Tensor  # [rad/s or m/s]
-    effort: Tensor  # [N m or N]
-
-
-class Frame(NamedTuple):
-    """A named frame F fixed to a link B."""
-
-    name: str
-    link: int  # index of the link, -1: the base
-    X_BF: Tensor  # [8]
 
 
 # trailing shape of each tensor field; leading axes are batch axes, "n" is the number of joints
@@ -61,7 +42,7 @@ SHAPES: dict[str, tuple] = {
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A robot with n one-degree-of-freedom joints, each carrying one link.
+    """Robot with n one-degree-of-freedom joints, each carrying one link.
 
     Link i's frame B_i is the frame of its joint (of its URDF link, of its DH frame), not its centre of mass. Every
     parent comes before its children. Physical tensors may carry leading batch axes, which broadcast against the
@@ -91,7 +72,7 @@ class Robot:
     tip: str | None = None  # the frame of the end effector, F_{n+1}; None: not decided
     home: Tensor | None = None  # [..., n] joint positions at home [rad or m]; None: zero
     armature: Tensor | None = None  # [..., n] rotor inertia seen at the joint [kg m^2 or kg]; None: none
-    notes: tuple[str, ...] = ()  # what the description asked for and what became of it
+    notes: tuple[str, ...] = ()  # faults, and requests of the description that are not used or used otherwise
     varying: tuple[str, ...] = ()  # tensors that programs take as arguments; the others are built into them
     origin: Robot | None = None  # the robot this is a variation of, and whose constants it has; None: itself
     identity: str = field(default_factory=lambda: uuid4().hex)  # of the constants: programs are kept by it
@@ -112,7 +93,7 @@ class Robot:
                 )
             if value.dtype not in DTYPES:
                 raise DtypeError(f"{name} of robot {self.name!r} must be float32 or float64, found {value.dtype}")
-        # what differs from sample to sample cannot be a constant
+        # a tensor that differs from sample to sample cannot be a constant
         present = [name for name in SHAPES if getattr(self, name) is not None]
         varying = tuple(name for name in present if name in self.varying or self._batch(name))
         object.__setattr__(self, "varying", varying)
@@ -122,7 +103,7 @@ class Robot:
         value = getattr(self, name)
         return tuple(value.shape[: value.ndim - len(SHAPES[name])])
 
-    # --- where robots come from ---
+    # --- sources ---
 
     @classmethod
     def from_urdf(
@@ -134,7 +115,7 @@ class Robot:
         gravity: Sequence[float] | None = GRAVITY,
         on_unphysical: OnUnphysical = "error",
     ) -> Robot:
-        """Robot of a URDF file.
+        """Robot from a URDF file.
 
         Fixed joints are lumped and their links stay as frames; continuous joints take the plain angle; mimic joints
         are independent joints. Meshes are never opened. Joint friction, damping and limits are read but are not part
@@ -156,8 +137,7 @@ class Robot:
         """
         if base != "fixed":
             raise ArgumentError(f"base must be 'fixed', found {base!r}")
-        description, findings = urdf.read(source, dict(lock or {}))
-        return cls._finish(description, findings, tip, gravity, on_unphysical)
+        return cls._finish(*urdf.read(source, dict(lock or {})), tip, gravity, on_unphysical)
 
     @classmethod
     def from_screws(
@@ -176,7 +156,7 @@ class Robot:
         name: str = "robot",
         on_unphysical: OnUnphysical = "error",
     ) -> Robot:
-        """Robot of joint screws given in the base frame at the home position, as in section 5.1 of the paper.
+        """Robot from joint screws given in the base frame at the home position, as in section 5.1 of the paper.
 
         Args:
             joint_screws: s_i, shape [n, 6]. A unit line (l | p x l) is a revolute joint, (0 | l) a prismatic one,
@@ -192,10 +172,9 @@ class Robot:
             joint_names, link_names, name: names; None: joint1, link1, ...
             gravity, on_unphysical: as in `from_urdf`.
         """
-        description, findings = screws.read(
-            joint_screws, mass, com, inertia, link_poses, tip_pose, parents, home, joint_names, link_names, name
-        )
-        return cls._finish(description, findings, None, gravity, on_unphysical)
+        bodies = dict(mass=mass, com=com, inertia=inertia, home=home, link_names=link_names, name=name)
+        found = from_screws.read(joint_screws, link_poses, tip_pose, parents, joint_names, **bodies)
+        return cls._finish(*found, None, gravity, on_unphysical)
 
     @classmethod
     def from_dh(
@@ -216,7 +195,7 @@ class Robot:
         name: str = "robot",
         on_unphysical: OnUnphysical = "error",
     ) -> Robot:
-        """Robot of Denavit-Hartenberg parameters; link frame i is DH frame i of the convention.
+        """Robot from Denavit-Hartenberg parameters; link frame i is DH frame i of the convention.
 
             standard   frame i in frame i-1: Rot_z(theta + q) Trans_z(d) Trans_x(a) Rot_x(alpha)
             modified   frame i in frame i-1: Rot_x(alpha) Trans_x(a) Rot_z(theta + q) Trans_z(d)
@@ -230,16 +209,15 @@ class Robot:
             tip_pose: pose of the end effector in the last DH frame, shape [8]; None: that frame.
             joint_names, link_names, name, gravity, on_unphysical: as in `from_screws`.
         """
-        description, findings = dh.read(
-            a, alpha, d, theta, mass, com, inertia, convention, kinds, tip_pose, joint_names, link_names, name
-        )
-        return cls._finish(description, findings, None, gravity, on_unphysical)
+        bodies = dict(mass=mass, com=com, inertia=inertia, link_names=link_names, name=name)
+        found = from_dh.read(a, alpha, d, theta, convention, kinds, tip_pose, joint_names, **bodies)
+        return cls._finish(*found, None, gravity, on_unphysical)
 
     @classmethod
     def _finish(
         cls,
-        description: dict[str, Any],
-        findings: list[str],
+        description: Description,
+        faults: list[str],
         tip: str | None,
         gravity: Sequence[float] | None,
         on_unphysical: OnUnphysical,
@@ -249,14 +227,12 @@ class Robot:
         g = None if gravity is None else torch.as_tensor(gravity, dtype=torch.float64)
         if g is not None and not bool(g.isfinite().all()):
             raise ArgumentError(f"gravity must be finite, found {g.tolist()}")
-        limits = Limits(**description.pop("limits"))
-        frames = tuple(Frame(*frame) for frame in description.pop("frames"))
-        robot = cls(**description, limits=limits, frames=frames, gravity=g)
+        robot = cls(**vars(description), gravity=g)
         if tip is not None:
             robot = robot.with_tip(tip)
-        findings = findings + physical.inert_joints(robot.joint_names, robot.tree())
-        physical.object_to(robot.name, findings, on_unphysical)
-        return dataclasses.replace(robot, notes=(*findings, *robot.notes))
+        faults = faults + consistency.inert_joints(robot.joint_names, robot.tree())
+        consistency.complain(robot.name, faults, on_unphysical)
+        return dataclasses.replace(robot, notes=(*faults, *robot.notes))
 
     # --- names ---
 
@@ -338,7 +314,7 @@ class Robot:
         changes["frames"] = tuple(frame._replace(X_BF=cast(frame.X_BF)) for frame in self.frames)
         return dataclasses.replace(self, **changes, origin=None, identity=uuid4().hex)
 
-    # --- what the algorithms see ---
+    # --- numbers for the algorithms ---
 
     def tree(self) -> Tree:
         """Robot as numbers: every tensor taken apart along its last axes, batch axes staying in the numbers."""
@@ -366,7 +342,7 @@ class Robot:
         return torch.stack(torch.broadcast_tensors(*numbers), -1) if numbers else self.mass
 
     def report(self) -> Report:
-        """What the description asked for, what is used, what is not, and what is unphysical; `print` it."""
+        """Report of what the description asked for, what is used, what is not, and what is unphysical; `print` it."""
         return Report.of(self)
 
     def __repr__(self) -> str:

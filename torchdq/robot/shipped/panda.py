@@ -26,7 +26,7 @@ LINKS = [
 
 
 def build() -> Robot:
-    """The Panda arm."""
+    """Panda arm."""
     mass, com, inertia = zip(*LINKS, strict=True)
     robot = Robot.from_dh(
         name="panda",

@@ -36,7 +36,7 @@ def _double(x) -> torch.Tensor:
 
 
 def build() -> Robot:
-    """The Puma 560 arm, rotor inertia included."""
+    """Puma 560 arm, rotor inertia included."""
     mass, com, moments = zip(*LINKS, strict=True)
     robot = Robot.from_dh(
         name="puma560",

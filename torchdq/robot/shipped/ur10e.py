@@ -38,7 +38,7 @@ def _double(x) -> torch.Tensor:
 
 
 def build() -> Robot:
-    """The UR10e arm; its tip is the controller's tool frame."""
+    """UR10e arm; its tip is the controller's tool frame."""
     joints, axes, links, positions, orientations = zip(*CHAIN, strict=True)
     mass, com, inertia = zip(*BODIES, strict=True)
     l, p = _double(axes), _double(positions)

@@ -1,0 +1,58 @@
+"""Training data: joint positions, velocities, accelerations and torques, validated."""
+
+import hashlib
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.errors import ArgumentError
+
+
+class Samples(NamedTuple):
+    """States of an arm and the torques that go with them, `[N, n]` each; the order of the rows means nothing."""
+
+    q: Tensor  # [rad]
+    qd: Tensor  # [rad/s]
+    qdd: Tensor  # [rad/s^2]
+    tau: Tensor  # [N m]
+
+    def to(self, device: torch.device) -> "Samples":
+        """Samples on a device."""
+        return Samples(*(x.to(device) for x in self))
+
+    def fingerprint(self) -> str:
+        """Shape, dtype and hash of the samples."""
+        digest = hashlib.sha256()
+        for x in self:
+            digest.update(x.cpu().contiguous().view(torch.uint8).numpy().tobytes())
+        return f"{list(self.q.shape)} {self.q.dtype} samples with SHA-256 {digest.hexdigest()}"
+
+
+def validated(name: str, samples: Samples) -> Samples:
+    """Samples, detached, after checking that they are finite real numbers of one shape and dtype."""
+    if len(samples) != len(Samples._fields):
+        raise ArgumentError(f"{name} must be Samples(q, qd, qdd, tau), found {len(samples)} entries")
+    samples = Samples(*samples)
+    shape, dtype = samples.q.shape, samples.q.dtype
+    if len(shape) != 2 or not shape[0] or not dtype.is_floating_point:
+        raise ArgumentError(f"{name}.q must be real numbers [N, n] with N > 0, found {dtype} {list(shape)}")
+    for field, x in samples._asdict().items():
+        if x.shape != shape or x.dtype != dtype:
+            expected = f"{dtype} {list(shape)} as {name}.q"
+            raise ArgumentError(f"{name}.{field} must be {expected}, found {x.dtype} {list(x.shape)}")
+        if not bool(x.isfinite().all()):
+            row, joint = (~x.isfinite()).nonzero()[0].tolist()
+            found = f"{float(x[row, joint])} in row {row}, joint {joint + 1}"
+            raise ArgumentError(f"{name}.{field} must be finite, found {found}; leave the row out")
+    return Samples(*(x.detach() for x in samples))
+
+
+def torque_variance(tau: Tensor) -> Tensor:
+    """Variance of each joint's torque, [n]; a joint whose torque never changes gets the mean of the others."""
+    variance = tau.var(dim=0, correction=0)
+    changes = variance > 1e-12 * variance.max()
+    if not bool(changes.any()):
+        found = "the same torques in all; nothing can be fitted"
+        raise ArgumentError(f"train.tau must change from row to row, found {found}")
+    return torch.where(changes, variance, variance[changes].mean())

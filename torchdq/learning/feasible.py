@@ -1,0 +1,157 @@
+"""Physically consistent robots around a described one: their parameters, and their distance to the description.
+
+A link exists if its pseudo-inertia J = integral of (1, p) (1, p)^T dm is positive definite, which says that the mass is
+positive and the inertia obeys the triangle inequality. The distance of a link is
+
+    2 (tr B - log det B - 4),   B = J described by J_0 = C C^T:  B = C^-1 J C^-T,
+
+about |B - 1|^2 for small changes, the same in all axes and units, and infinite where a body stops to exist (T. Lee, P.
+Wensing, F. C. Park, "Geometric robot dynamic identification: a convex programming approach", T-RO 36 (2020)). The
+distance of a coefficient of friction is 2 (x - log x - 1), x being its ratio to the described one.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torchdq.errors import ArgumentError
+from torchdq.learning.regression import unit_torque
+from torchdq.robot import Robot
+
+THIN = 1e-2  # least extent of a body relative to its size: coordinates of points, rods and plates would be infinite
+SMALL = 0.1  # prior scale of an undescribed effect, relative to the joint's RMS torque
+
+
+class Neighbourhood:
+    """Parameters phi = phi_0 + S y around those of a described robot, and the distance of y [t] from it.
+
+    Ten numbers of y are the entries of B - 1 of a link with mass, one the change of a coefficient over its size.
+    """
+
+    def __init__(self, robot: Robot, coefficients: Sequence[str], rows: Sequence[Tensor], width: float):
+        mass, com, inertia = (getattr(robot, name).detach().double().cpu() for name in ("mass", "com", "inertia"))
+        if not bool((mass >= 0).all()):
+            raise ArgumentError(f"mass of robot {robot.name!r} must not be negative, found {mass.tolist()}")
+        self.com, self.links = com, mass.nonzero()[:, 0]
+        self.factor = _factor(mass[self.links], com[self.links], inertia[self.links])
+        self.start, signed = _scales(robot, coefficients, rows, width)
+        self.effects = self.start.nonzero()[:, 0]
+        self.signed = signed[self.effects]
+        if not len(self.links) + len(self.effects):
+            raise ArgumentError(f"robot {robot.name!r} has no mass, and there is nothing else to identify")
+
+        C, k = self.factor[:, None], 10 * len(mass) + len(self.start)
+        blocks = _parameters(C @ ENTRIES @ C.mT).mT  # [links, 10 parameters, 10 entries]
+        self.described = torch.zeros(k, dtype=torch.float64)
+        pi = self.described[: 10 * len(mass)].reshape(-1, 10)
+        pi[self.links] = _parameters(self.factor @ self.factor.mT)
+        self.described[10 * len(mass) :] = torch.where(signed, 0.0, self.start)
+        self.S = torch.zeros(k, 10 * len(self.links) + len(self.effects), dtype=torch.float64)
+        self.inverse = torch.zeros_like(self.S).T  # y of a change of phi
+        for i, link in enumerate(self.links.tolist()):
+            own, columns = slice(10 * i, 10 * i + 10), slice(10 * link, 10 * link + 10)
+            self.S[columns, own], self.inverse[own, columns] = blocks[i], torch.linalg.inv(blocks[i])
+        at, to = 10 * len(self.links) + torch.arange(len(self.effects)), 10 * len(mass) + self.effects
+        self.S[to, at], self.inverse[at, to] = self.start[self.effects], 1 / self.start[self.effects]
+
+    def _split(self, y: Tensor) -> tuple[Tensor, Tensor]:
+        """B [links, 4, 4] and the ratio of every coefficient to its size."""
+        bodies = 10 * len(self.links)
+        B = torch.eye(4, dtype=y.dtype) + torch.einsum("li,ijk->ljk", y[:bodies].reshape(-1, 10), ENTRIES)
+        return B, 1 + y[bodies:]
+
+    def distance(self, y: Tensor) -> float:
+        """Distance to the description; infinite where no robot can exist."""
+        B, x = self._split(y)
+        L, info = torch.linalg.cholesky_ex(B)
+        if bool((info != 0).any()) or not bool((self.signed | (x > 0)).all()):
+            return math.inf
+        diagonal = L.diagonal(dim1=1, dim2=2)
+        bodies = (B.diagonal(dim1=1, dim2=2) - 1 - 2 * diagonal.log()).sum()
+        return float(2 * bodies + torch.where(self.signed, (x - 1).square(), 2 * (x - 1 - x.abs().log())).sum())
+
+    def slopes(self, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Gradient [t] and Hessian [t, t] of the distance."""
+        B, x = self._split(y)
+        inverse = torch.cholesky_inverse(torch.linalg.cholesky(B))
+        products = inverse[:, None] @ ENTRIES
+        gradient = 2 * torch.einsum("ljk,ijk->li", torch.eye(4, dtype=y.dtype) - inverse, ENTRIES).flatten()
+        H = 2 * torch.einsum("lijk,lmkj->lim", products, products)
+        x = torch.where(self.signed, 1.0, x)
+        rest = torch.where(self.signed, 2 * y[len(gradient) :], 2 - 2 / x)
+        return torch.cat([gradient, rest]), torch.block_diag(*H, torch.diag(2 / x**2))
+
+    def bodies(self, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Mass [n], centre of mass [n, 3] and inertia about it [n, 6] of the links."""
+        L = self.factor @ torch.linalg.cholesky(self._split(y)[0])
+        mass, com, inertia = self.com.new_zeros(len(self.com)), self.com.clone(), self.com.new_zeros(len(self.com), 6)
+        mass[self.links] = L[:, 0, 0] ** 2
+        com[self.links] = L[:, 1:, 0] / L[:, :1, 0]
+        inertia[self.links] = _inertia(L[:, 1:, 1:] @ L[:, 1:, 1:].mT)  # a square, so it can exist, rounded or not
+        return mass, com, inertia
+
+
+def _entries() -> Tensor:
+    """Orthonormal basis [10, 4, 4] of the symmetric matrices."""
+    basis = torch.zeros(10, 4, 4, dtype=torch.float64)
+    for k, (i, j) in enumerate(itertools.combinations_with_replacement(range(4), 2)):
+        basis[k, i, j] = basis[k, j, i] = 1.0 if i == j else math.sqrt(0.5)
+    return basis
+
+
+ENTRIES = _entries()
+
+
+def _factor(mass: Tensor, com: Tensor, inertia: Tensor) -> Tensor:
+    """Cholesky factors C [links, 4, 4] of the pseudo-inertias C C^T, of bodies made thick enough to have one."""
+    second = _second(inertia)  # about the centre of mass
+    trace = second.diagonal(dim1=1, dim2=2).sum(-1).clamp_min(0)
+    whole = float(((trace + mass * com.square().sum(-1)).sum() / mass.sum()).sqrt()) if len(mass) else 0.0
+    size = (trace / mass).sqrt().clamp_min(0.1 * (whole or 1.0))  # [m]
+    moments, axes = torch.linalg.eigh(second)
+    thick = moments.maximum((mass * (THIN * size) ** 2)[:, None])
+    changed = (thick != moments).any(-1)
+    second = torch.where(changed[:, None, None], (axes * thick[:, None]) @ axes.mT, second)
+    C = torch.zeros(len(mass), 4, 4, dtype=torch.float64)
+    C[:, 0, 0] = mass.sqrt()
+    C[:, 1:, 0] = mass.sqrt()[:, None] * com
+    C[:, 1:, 1:] = torch.linalg.cholesky(second)
+    return C
+
+
+def _scales(robot: Robot, coefficients: Sequence[str], rows: Sequence[Tensor], width: float) -> tuple[Tensor, Tensor]:
+    """Scale of every coefficient, zero where the samples do not move it, and whether it may have either sign."""
+    _, qd, qdd, tau = rows
+    described = {"rotor": robot.armature, "viscous": robot.damping, "coulomb": robot.friction}
+    scales = [torch.zeros(0, dtype=torch.float64)]
+    for name in coefficients:
+        torque, unit = (x.square().mean(0).sqrt().cpu() for x in (tau, unit_torque(name, qd, qdd, width)))
+        large = torch.where(unit > 0, torque / torch.where(unit > 0, unit, 1.0), 0.0)  # as large as the torques
+        x = described.get(name)
+        known = torch.zeros_like(large) if x is None else x.detach().double().cpu()
+        scales.append(large if name == "offset" else torch.where(known > 0, known, SMALL * large))
+    signed = torch.tensor([name == "offset" for name in coefficients for _ in range(robot.n)], dtype=torch.bool)
+    return torch.cat(scales), signed
+
+
+def _parameters(J: Tensor) -> Tensor:
+    """Inertial parameters [..., 10] of pseudo-inertias [..., 4, 4], the mass in their first entry."""
+    return torch.cat([J[..., 0], _inertia(J[..., 1:, 1:])], -1)
+
+
+def _inertia(second: Tensor) -> Tensor:
+    """Inertia [..., 6] (xx xy yy xz yz zz) of second moments [..., 3, 3]."""
+    x, y, z = second.diagonal(dim1=-2, dim2=-1).unbind(-1)
+    xy, xz, yz = second[..., 0, 1], second[..., 0, 2], second[..., 1, 2]
+    return torch.stack([y + z, -xy, x + z, -xz, -yz, x + y], -1)
+
+
+def _second(inertia: Tensor) -> Tensor:
+    """Second moments [..., 3, 3] of an inertia [..., 6]."""
+    xx, xy, yy, xz, yz, zz = inertia.unbind(-1)
+    half = (xx + yy + zz) / 2
+    numbers = [half - xx, -xy, -xz, -xy, half - yy, -yz, -xz, -yz, half - zz]
+    return torch.stack(numbers, -1).reshape(*inertia.shape[:-1], 3, 3)

@@ -1,0 +1,134 @@
+"""Motions of robot arms from their logs: on an even time base, filtered, differentiated, split into training and test.
+
+log = read("arm.csv")             # `torchdq.learning.logs`: checked, torques in N m, on its own uneven time stamps
+motion = smooth(log)              # even steps, filtered without delay, with accelerations
+before, after = cut(motion, 0.6)  # to fit and to test; with several motions: hold_out
+train = samples(before)           # tensors, for `torchdq.learning.fit`
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from torchdq.errors import ArgumentError
+from torchdq.learning.data import Samples
+from torchdq.learning.logs import Log, LogError
+from torchdq.optional import imported
+
+ENDS = 0.5  # [s] least time left out at either end, where a filter of a few Hz has neighbours on one side only
+AT_REST = 0.02  # [rad/s] speed of every joint below which a row is left out: static friction may be anything there
+
+
+class Motion(NamedTuple):
+    """Motion in even steps, `[rows, n]` each, as float64."""
+
+    time: np.ndarray  # [rows] [s]
+    q: np.ndarray  # [rad]
+    qd: np.ndarray  # [rad/s]
+    qdd: np.ndarray  # [rad/s^2]
+    tau: np.ndarray  # [N m]
+
+
+def smooth(log: Log, cutoff_qd: float | None = None, cutoff_tau: float | None = None) -> Motion:
+    """Motion of a log in even steps of its median step, without its ends and the rows at rest.
+
+    Velocities and torques pass a Butterworth filter of fourth order forwards and backwards, so that neither lags behind
+    the other; accelerations are central differences of the filtered velocities, or those of the log, filtered alike.
+
+    Args:
+        log: from `read`.
+        cutoff_qd: low-pass frequency of velocities and accelerations [Hz]; None: the layout's.
+        cutoff_tau: low-pass frequency of torques [Hz]; None: the layout's.
+    Raises:
+        LogError: the log is too short, or nothing moves in it.
+        ArgumentError: a frequency is not between zero and half the rate of the rows.
+        MissingLibraryError: scipy is not installed.
+    """
+    signal = imported("scipy.signal", "scipy", "smooth")
+    cutoff_qd = log.layout.cutoff_qd if cutoff_qd is None else cutoff_qd
+    cutoff_tau = log.layout.cutoff_tau if cutoff_tau is None else cutoff_tau
+    step = float(np.median(np.diff(log.time)))
+    for name, cutoff in (("cutoff_qd", cutoff_qd), ("cutoff_tau", cutoff_tau)):
+        if not 0 < cutoff < 0.5 / step:
+            raise ArgumentError(f"{name} must be between 0 and {0.5 / step:.4g} Hz, half the rate, found {cutoff}")
+    time = np.arange(log.time[0], log.time[-1], step)
+    ends = max(ENDS, 3 / min(cutoff_qd, cutoff_tau))
+    if time[-1] - time[0] <= 3 * ends:
+        raise LogError(
+            f"{log.path}: {log.time[-1] - log.time[0]:.3g} s of motion, more than {3 * ends:.3g} s are needed"
+        )
+
+    def even(x: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(time, log.time, column) for column in x.T], axis=-1)
+
+    def low_pass(x: np.ndarray, cutoff: float) -> np.ndarray:
+        return signal.sosfiltfilt(signal.butter(4, cutoff, fs=1 / step, output="sos"), x, axis=0)
+
+    qd = low_pass(even(log.qd), cutoff_qd)
+    qdd = np.gradient(qd, step, axis=0) if log.qdd is None else low_pass(even(log.qdd), cutoff_qd)
+    tau = low_pass(even(log.tau), cutoff_tau)
+    used = (abs(qd) > AT_REST).any(axis=-1) & (time - time[0] >= ends) & (time[-1] - time >= ends)
+    if not used.any():
+        raise LogError(f"{log.path}: no joint ever moves faster than {AT_REST} rad/s")
+    return Motion(*(x[used] for x in (time, even(log.q), qd, qdd, tau)))
+
+
+def cut(motion: Motion, share: float) -> tuple[Motion, Motion]:
+    """First part of a motion, with a share of the rows, and the rest.
+
+    The `ENDS` seconds after the first part belong to neither: the filter has mixed them with it.
+
+    Args:
+        motion: from `smooth`.
+        share: of the rows, between 0 and 1.
+    Raises:
+        ArgumentError: a part would be empty.
+    """
+    rows = len(motion.time)
+    first = np.arange(rows) < share * rows
+    second = motion.time > (motion.time[first].max(initial=-np.inf) + ENDS)
+    if not (0 < share < 1 and first.any() and second.any()):
+        raise ArgumentError(f"share must leave rows on both sides of the cut of {rows} rows, found {share}")
+    return Motion(*(x[first] for x in motion)), Motion(*(x[second] for x in motion))
+
+
+def hold_out(motions: Sequence[Motion], share: float, seed: int = 0) -> tuple[list[Motion], list[Motion]]:
+    """Motions to fit and motions to test, chosen at random: whole ones, because rows of one motion resemble each other.
+
+    Args:
+        motions: at least two.
+        share: of the motions that are held out for the test, rounded; at least one is, and not all.
+        seed: of the choice.
+    Raises:
+        ArgumentError: there are fewer than two motions, or the share is not between 0 and 1.
+    """
+    if len(motions) < 2:
+        raise ArgumentError(f"motions must be at least two to hold one out, found {len(motions)}; cut a single one")
+    if not 0 < share < 1:
+        raise ArgumentError(f"share must be between 0 and 1, found {share}")
+    count = min(max(round(share * len(motions)), 1), len(motions) - 1)
+    held = set(np.random.default_rng(seed).permutation(len(motions))[:count].tolist())
+    parts: tuple[list[Motion], list[Motion]] = ([], [])
+    for i, motion in enumerate(motions):
+        parts[i in held].append(motion)
+    return parts
+
+
+def samples(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.float64) -> Samples:
+    """Rows of one or several motions as tensors `[N, n]`, in their order.
+
+    Args:
+        motions: of one arm.
+        dtype: of the tensors.
+    Raises:
+        ArgumentError: there is no motion, or they have different numbers of joints.
+    """
+    several = [motions] if isinstance(motions, Motion) else list(motions)
+    joints = sorted({motion.q.shape[1] for motion in several})
+    if len(joints) != 1:
+        raise ArgumentError(f"motions must be of one arm, found motions of {joints or 'no'} joints")
+    return Samples(
+        *(torch.as_tensor(np.concatenate(parts), dtype=dtype) for parts in list(zip(*several, strict=True))[1:])
+    )

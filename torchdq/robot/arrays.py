@@ -1,0 +1,64 @@
+"""Arrays and names of a robot description, checked."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchdq import dq
+from torchdq.errors import DescriptionError
+
+UNIT = 1e-9  # largest distance of a number from 0 or 1 at which it counts as that; exact input is meant
+IDENTITY = torch.tensor([1.0, 0, 0, 0, 0, 0, 0, 0], dtype=torch.float64)  # pose
+
+
+def numbers(name: str, value: Any) -> Tensor:
+    """Value as a float64 tensor."""
+    try:
+        return torch.as_tensor(value if isinstance(value, Tensor) else np.array(value), dtype=torch.float64)
+    except (TypeError, ValueError, RuntimeError) as error:  # words, or rows of different lengths
+        raise DescriptionError(f"{name} must be an array of numbers: {error}") from error
+
+
+def table(name: str, value: Any, *shape: int) -> Tensor:
+    """Value as a finite float64 tensor of that shape."""
+    x = numbers(name, value)
+    if tuple(x.shape) != shape:
+        raise DescriptionError(f"{name} must have the shape {shape}, found {tuple(x.shape)}")
+    if not bool(x.isfinite().all()):
+        raise DescriptionError(f"{name} must be finite, found {x.tolist()}")
+    return x
+
+
+def poses(name: str, value: Any, *shape: int) -> Tensor:
+    """Value as unit dual quaternions of that shape."""
+    x = dq.normalize(table(name, value, *shape))
+    if not bool(x.isfinite().all()):
+        raise DescriptionError(f"{name} must be dual quaternions with a rotation, found {value}")
+    return x
+
+
+def inertias(value: Any, n: int) -> Tensor:
+    """Inertias [n, 6] in the order xx xy yy xz yz zz, from those or from matrices [n, 3, 3]."""
+    x = numbers("inertia", value)
+    if tuple(x.shape) == (n, 3, 3):
+        # R I R^T is symmetric up to rounding only
+        if bool(((x - x.mT).abs() > UNIT * x.abs().amax()).any()):
+            raise DescriptionError(f"inertia matrices must be symmetric, found {x.tolist()}")
+        x = torch.stack([x[:, 0, 0], x[:, 0, 1], x[:, 1, 1], x[:, 0, 2], x[:, 1, 2], x[:, 2, 2]], -1)
+    return table("inertia", x, n, 6)
+
+
+def matrices(inertia: Tensor) -> Tensor:
+    """Matrices [..., 3, 3] of inertias [..., 6] in the order xx xy yy xz yz zz."""
+    return inertia[..., [[0, 1, 3], [1, 2, 4], [3, 4, 5]]]
+
+
+def distinct(what: str, names: Sequence[str] | None, kind: str, n: int) -> tuple[str, ...]:
+    """Names, n different ones; without any, joint1, joint2, ... for the kind "joint"."""
+    chosen = tuple(f"{kind}{i + 1}" for i in range(n)) if names is None else tuple(names)
+    if len(chosen) != n or len(set(chosen)) != n:
+        raise DescriptionError(f"{what} must be {n} different names, found {chosen}")
+    return chosen

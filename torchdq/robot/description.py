@@ -1,0 +1,97 @@
+"""Description of a robot, as its sources (`urdf`, `from_screws`, `from_dh`) return it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.dynamics.tree import BASE
+from torchdq.errors import DescriptionError
+from torchdq.robot import consistency
+from torchdq.robot.arrays import IDENTITY, distinct, inertias, matrices, table
+
+
+class Limits(NamedTuple):
+    """Limits of the joints as the description gives them, each [n]; infinite where it gives none."""
+
+    lower: Tensor  # [rad or m]
+    upper: Tensor  # [rad or m]
+    velocity: Tensor  # [rad/s or m/s]
+    effort: Tensor  # [N m or N]
+
+
+class Frame(NamedTuple):
+    """Named frame F fixed to a link B."""
+
+    name: str
+    link: int  # index of the link, -1: the base
+    X_BF: Tensor  # [8]
+
+
+@dataclass(frozen=True)
+class Description:
+    """Fields of a `Robot` that its source gives; see there for shapes and units."""
+
+    name: str
+    joint_names: tuple[str, ...]
+    link_names: tuple[str, ...]
+    parents: tuple[int, ...]
+    kinds: tuple[str, ...]
+    X_PB_home: Tensor
+    screw: Tensor
+    mass: Tensor
+    com: Tensor
+    inertia: Tensor
+    limits: Limits
+    damping: Tensor
+    friction: Tensor
+    frames: tuple[Frame, ...]
+    tip: str | None
+    home: Tensor | None = None
+    notes: tuple[str, ...] = ()
+
+
+def assemble(
+    joint_names: tuple[str, ...],
+    parents: tuple[int, ...],
+    kinds: tuple[str, ...],
+    X_PB_home: Tensor,
+    screw: Tensor,
+    X_BE: Tensor,
+    *,
+    name: str,
+    link_names: Sequence[str] | None,
+    mass: Any,
+    com: Any,
+    inertia: Any,
+    home: Any = None,
+) -> tuple[Description, list[str]]:
+    """Description without limits or friction, with a frame per link, one at the tip and one at the base; its faults."""
+    n = len(parents)
+    links = distinct("link_names", link_names, "link", n)
+    if {"base", "tip"} & set(links):
+        raise DescriptionError(f"link_names must not be 'base' or 'tip', which are frames already, found {links}")
+    mass, com, inertia = table("mass", mass, n), table("com", com, n, 3), inertias(inertia, n)
+    faults = [f for i in range(n) for f in consistency.body(links[i], float(mass[i]), matrices(inertia[i]))]
+    infinite, zero = torch.full((n,), torch.inf, dtype=torch.float64), torch.zeros(n, dtype=torch.float64)
+    at_links = (Frame(link, i, IDENTITY) for i, link in enumerate(links))
+    return Description(
+        name=name,
+        joint_names=joint_names,
+        link_names=links,
+        parents=parents,
+        kinds=kinds,
+        X_PB_home=X_PB_home,
+        screw=screw,
+        mass=mass,
+        com=com,
+        inertia=inertia,
+        limits=Limits(-infinite, infinite, infinite, infinite),
+        damping=zero,
+        friction=zero,
+        frames=(Frame("base", BASE, IDENTITY), *at_links, Frame("tip", n - 1, X_BE)),
+        tip="tip",
+        home=None if home is None else table("home", home, n),
+    ), faults

@@ -1,0 +1,249 @@
+"""Text of a URDF file, parsed and checked; every fault is named at once.
+
+Only the elements that dynamics need are read: meshes are never opened, and entities are refused before parsing.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import reprlib
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.errors import DescriptionError, MissingFileError
+
+MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
+MOST_BYTES = 10_000_000
+MOST_TAGS = 200_000
+MOST_LINKS = 2_000  # pinocchio recurses over the tree and takes the process with it somewhere beyond 3000
+MOST = 1e50  # largest number: the products of three that dynamics form still do not overflow
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
+class Inertial(NamedTuple):
+    """Inertial element of a link."""
+
+    mass: float
+    inertia: Tensor  # [3, 3] about the centre of mass
+    origin: dict[str, tuple[float, ...]]
+
+
+class Joint(NamedTuple):
+    """Joint element."""
+
+    kind: str
+    parent: str
+    child: str
+    origin: dict[str, tuple[float, ...]]
+    axis: tuple[float, ...]  # unit vector
+    scaled: bool  # whether the file's axis had another length
+    limits: dict[str, float]
+    damping: float
+    friction: float
+    mimics: str | None
+
+
+class Document(NamedTuple):
+    """Links and joints of a file by name, in its order."""
+
+    name: str
+    links: dict[str, Inertial | None]
+    joints: dict[str, Joint]
+
+
+def text_of(source: str | Path) -> str:
+    """XML text of a path, or the text itself."""
+    if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
+        if len(source) > MOST_BYTES:
+            raise DescriptionError(f"the text has {len(source)} characters; a robot has at most {MOST_BYTES}")
+        return source
+    try:
+        with Path(source).open("rb") as file:
+            data = file.read(MOST_BYTES + 1)
+    except FileNotFoundError as error:
+        raise MissingFileError(f"there is no file {str(source)!r}; XML text would begin with '<'") from error
+    except (OSError, ValueError) as error:  # a folder, no permission, a name no file can have
+        raise DescriptionError(f"the robot description cannot be read: {error}") from error
+    if len(data) > MOST_BYTES:
+        raise DescriptionError(f"{source} holds more than {MOST_BYTES} bytes, the most a robot description may have")
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise DescriptionError(f"{source} is not UTF-8 text: {error}") from error
+
+
+def parse(text: str) -> Document:
+    """Document of a URDF text; raises `DescriptionError` with every fault found."""
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise DescriptionError("the file declares a document type or entities, which a robot description never needs")
+    if text.count("<") > MOST_TAGS:
+        raise DescriptionError(f"the file has {text.count('<')} tags; a robot description has at most {MOST_TAGS}")
+    try:
+        root = ET.fromstring(text)
+    except (ET.ParseError, UnicodeError) as error:
+        raise DescriptionError(f"the file is not well-formed XML: {error}") from error
+    if root.tag != "robot":
+        raise DescriptionError(
+            f"the file's root element must be <robot>, found <{reprlib.repr(root.tag)[1:-1]}>; expand xacro files first"
+        )
+    faults: list[str] = []
+    links = _by_name(root, "link", faults)
+    joints = _by_name(root, "joint", faults)
+    if max(len(links), len(joints)) > MOST_LINKS:
+        raise DescriptionError(
+            f"the file has {len(links)} links and {len(joints)} joints; at most {MOST_LINKS} are read"
+        )
+    document = Document(
+        root.get("name", "robot"),
+        {name: _inertial(name, element, faults) for name, element in links.items()},
+        {name: _joint(name, element, faults) for name, element in joints.items()},
+    )
+    faults += _tree_faults(document)
+    if faults:
+        raise DescriptionError("the robot description cannot be used:\n  " + "\n  ".join(faults))
+    return document
+
+
+def _by_name(root: ET.Element, tag: str, faults: list[str]) -> dict[str, ET.Element]:
+    found: dict[str, ET.Element] = {}
+    for element in root.findall(tag):
+        name = element.get("name", "")
+        if not name:
+            faults.append(f"a <{tag}> has no name")
+        elif name in found:
+            faults.append(f"{tag} {name!r} is described twice")
+        found[name] = element
+    return found
+
+
+def _numbers(
+    what: str,
+    element: ET.Element | None,
+    attribute: str,
+    default: str,
+    count: int,
+    faults: list[str],
+    most: float = MOST,
+) -> tuple[float, ...]:
+    """Numbers of an attribute, `count` finite ones; a plain float() would let 'nan', '1_0' and other digits through."""
+    text = default if element is None else element.get(attribute, default)
+    words = text.split()
+    values = tuple(float(word) for word in words if _NUMBER.fullmatch(word))
+    expected = "a finite number" if count == 1 else f"{count} finite numbers"
+    if len(words) != count or len(values) != count or not all(map(math.isfinite, values)):
+        faults.append(f"{what} {attribute} must be {expected}, found {reprlib.repr(text)}")
+    elif any(abs(value) > most for value in values):
+        faults.append(f"{what} {attribute} must not exceed {most:g} in size, found {reprlib.repr(text)}")
+    else:
+        return values
+    return (0.0,) * count
+
+
+def _origin(what: str, element: ET.Element, faults: list[str]) -> dict[str, tuple[float, ...]]:
+    origin = element.find("origin")
+    if origin is not None and "quat_xyzw" in origin.attrib:
+        faults.append(f"{what} origin must be given as xyz and rpy, found quat_xyzw")
+    return {key: _numbers(f"{what} origin", origin, key, "0 0 0", 3, faults) for key in ("xyz", "rpy")}
+
+
+def _inertial(name: str, link: ET.Element, faults: list[str]) -> Inertial | None:
+    element = link.find("inertial")
+    if element is None:
+        return None
+    what = f"link {name!r}:"
+    origin = _origin(f"{what} inertial", element, faults)
+    mass, inertia = element.find("mass"), element.find("inertia")
+    if mass is None or inertia is None:
+        faults.append(f"{what} <inertial> must hold <mass> and <inertia>")
+        return None
+    xx, xy, xz, yy, yz, zz = (
+        _numbers(f"{what} inertia", inertia, key, "", 1, faults)[0]
+        for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    )
+    matrix = torch.tensor([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=torch.float64)
+    return Inertial(_numbers(f"{what} mass", mass, "value", "", 1, faults)[0], matrix, origin)
+
+
+def _joint(name: str, joint: ET.Element, faults: list[str]) -> Joint:
+    what, kind = f"joint {name!r}:", joint.get("type", "")
+    if kind not in MOVING and kind != "fixed":
+        faults.append(f"{what} type must be revolute, continuous, prismatic or fixed, found {kind!r}")
+    ends = {}
+    for end in ("parent", "child"):
+        element = joint.find(end)
+        ends[end] = "" if element is None else element.get("link", "")
+        if not ends[end]:
+            faults.append(f"{what} it names no {end} link")
+    origin = _origin(what, joint, faults)
+    before = len(faults)
+    x, y, z = _numbers(f"{what} axis", joint.find("axis"), "xyz", "1 0 0", 3, faults)
+    length = math.hypot(x, y, z)
+    if kind in MOVING and length < 1e-9 and len(faults) == before:
+        faults.append(f"{what} axis must have a direction, found {(x, y, z)}")
+    limit, dynamics, mimic = joint.find("limit"), joint.find("dynamics"), joint.find("mimic")
+    limits = {"lower": -math.inf, "upper": math.inf, "velocity": math.inf, "effort": math.inf}
+    if limit is not None:
+        for key in ("velocity", "effort") if kind == "continuous" else tuple(limits):
+            # the format's own default for a limit that is not stated is 0 for the positions
+            default = "0" if key in ("lower", "upper") else None
+            if default is not None or limit.get(key) is not None:
+                limits[key] = _numbers(f"{what} limit", limit, key, default or "", 1, faults, most=math.inf)[0]
+        if limits["lower"] > limits["upper"]:
+            faults.append(f"{what} lower limit {limits['lower']:g} is above upper limit {limits['upper']:g}")
+    elif kind in ("revolute", "prismatic"):
+        faults.append(f"{what} a {kind} joint must have <limit>; a revolute joint without limits is 'continuous'")
+    return Joint(
+        kind,
+        ends["parent"],
+        ends["child"],
+        origin,
+        (x / length, y / length, z / length) if length >= 1e-9 else (1.0, 0.0, 0.0),
+        abs(length - 1.0) > 1e-6,
+        limits,
+        _numbers(f"{what} dynamics", dynamics, "damping", "0", 1, faults)[0],
+        _numbers(f"{what} dynamics", dynamics, "friction", "0", 1, faults)[0],
+        None if mimic is None else mimic.get("joint", ""),
+    )
+
+
+def _tree_faults(document: Document) -> list[str]:
+    """Faults that keep the links and joints from being one tree."""
+    if not document.links:
+        return ["the robot has no links; exactly one link must be the base, carried by no joint; found 0"]
+    faults = []
+    carried: dict[str, str] = {}  # link -> joint that carries it
+    for name, joint in document.joints.items():
+        for end in (joint.parent, joint.child):
+            if end and end not in document.links:
+                faults.append(f"joint {name!r}: there is no link {end!r}")
+        if joint.child in carried:
+            faults.append(f"link {joint.child!r} is carried by two joints, {carried[joint.child]!r} and {name!r}")
+        if joint.child:
+            carried[joint.child] = name
+    roots = [link for link in document.links if link not in carried]
+    if len(roots) != 1:
+        faults.append(f"exactly one link must be the base, carried by no joint; found {len(roots)}: {roots}")
+    children = children_of(document)
+    # links that hang on a missing link are in no loop
+    frontier = [*roots, *(parent for parent in children if parent not in document.links)]
+    reached = set(frontier)
+    while frontier:
+        for child in children.get(frontier.pop(), ()):
+            if child not in reached:
+                reached.add(child)
+                frontier.append(child)
+    loose = [link for link in document.links if link not in reached]
+    return [*faults, f"links {loose} hang in a loop"] if loose else faults
+
+
+def children_of(document: Document) -> dict[str, list[str]]:
+    """Names of the links that hang on each link by a joint."""
+    children: dict[str, list[str]] = {}
+    for joint in document.joints.values():
+        children.setdefault(joint.parent, []).append(joint.child)
+    return children
