@@ -1,5 +1,6 @@
 # make demo     the main job on a real robot; plots go to out/
-# make test     the whole suite, in parallel
+# make test     every claim, in parallel, where it is the same for many robots on representatives of them; the slowest last
+# make test-all the same on all of them: every robot, every random tree
 # make mutants  plants faults in a copy of the sources, one at a time; the suite must notice each
 # make clean    removes the virtual environment and everything that was built
 #
@@ -16,14 +17,19 @@ VENV := .venv
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
 
-.PHONY: demo test mutants clean
+PYTEST := OMP_NUM_THREADS=1 $(RUN) -m pytest -n $(JOBS) --dist worksteal --durations=20
+
+.PHONY: demo test test-all mutants clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/examples.installed
 	$(RUN) examples/01_inverse_dynamics.py $(ARGS)
 
 test: $(VENV)/test.installed
-	OMP_NUM_THREADS=1 $(RUN) -m pytest -n $(JOBS) $(ARGS)
+	$(PYTEST) $(ARGS)
+
+test-all: $(VENV)/test.installed
+	$(PYTEST) -m '' $(ARGS)
 
 mutants: $(VENV)/test.installed
 	$(RUN) tests/mutants.py $(ARGS)

@@ -20,6 +20,11 @@ def called(integrator):
     return type(integrator).__name__
 
 
+def thinned(values, kept):
+    """Parameters of a test; those that are not kept are left to `make test-all`."""
+    return [value if value in kept else pytest.param(value, marks=pytest.mark.exhaustive) for value in values]
+
+
 def double(*x):
     """Vector of numbers, in double precision."""
     return torch.tensor(x, dtype=torch.float64)
