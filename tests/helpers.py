@@ -21,8 +21,12 @@ def called(integrator):
 
 
 def thinned(values, kept):
-    """Parameters of a test; those that are not kept are left to `make test-all`."""
-    return [value if value in kept else pytest.param(value, marks=pytest.mark.exhaustive) for value in values]
+    """Parameters of a test, several in a tuple; those that are not kept are left to `make test-all`."""
+
+    def exhaustive(value):
+        return pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=pytest.mark.exhaustive)
+
+    return [value if value in kept else exhaustive(value) for value in values]
 
 
 def double(*x):
