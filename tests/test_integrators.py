@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
-from helpers import FIXED, called, double, random
+from helpers import FIXED, called, double, random, thinned
 from oracles import random_tree, shipped
 from scipy.integrate import solve_ivp
 
@@ -96,7 +96,7 @@ SCENES = {
 
 
 @pytest.mark.case("T1")
-@pytest.mark.parametrize("which", SCENES)
+@pytest.mark.parametrize("which", thinned(SCENES, ["everything"]))  # hard_cases/test_time.py has the arm alone
 @pytest.mark.parametrize("integrator", FIXED, ids=called)
 def test_the_error_falls_with_the_stated_order(integrator, which, compiled, margin):
     robot, parts, inputs = SCENES[which]

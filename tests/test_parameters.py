@@ -11,7 +11,7 @@ import helpers
 import numpy as np
 import pytest
 import torch
-from helpers import double, random
+from helpers import double, random, thinned
 from oracles import random_tree, shipped, states
 from torch.func import functional_call, grad
 from torch.nn.utils import parametrize
@@ -187,7 +187,7 @@ def wanting_the_impossible(module, k):
 @pytest.mark.case("I4")
 @pytest.mark.parametrize("gradients", [adversarial, wanting_the_impossible], ids=lambda f: f.__name__)
 @pytest.mark.parametrize("kind", ["adam", "sgd"])
-@every_robot
+@pytest.mark.parametrize("name", thinned(ROBOTS, ["puma560", "tree"]))
 def test_a_robot_stays_physical_at_every_step(name, kind, gradients):
     module = torchdq.DQRNEA(ROBOTS[name], learn=EVERYTHING)
     if kind == "adam":
