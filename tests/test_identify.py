@@ -157,7 +157,7 @@ def test_without_a_prior_it_is_numpys_least_squares_on_pinocchios_regressor():
 
 
 def pseudo_inertias(parameters):
-    """Integrals of (p, 1) (p, 1)^T dm [links, 4, 4] of inertial parameters [links, 10]: those of bodies are not negative."""
+    """Integrals of (p, 1) (p, 1)^T dm [links, 4, 4] of inertial parameters [links, 10]."""
     m, first, (xx, xy, yy, xz, yz, zz) = parameters[:, :1], parameters[:, 1:4], parameters[:, 4:].T
     inertia = np.moveaxis(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), -1, 0)
     second = np.trace(inertia, axis1=1, axis2=2)[:, None, None] / 2 * np.eye(3) - inertia
