@@ -1,5 +1,6 @@
 # make demo     the main job on a real robot; plots go to out/
-# make test     the whole suite, in parallel
+# make test     all claims, in parallel, on representative robots where a claim is about many; prints the slowest twenty
+# make test-all all claims on all robots and random trees, chains of any length and whole examples
 # make mutants  plants faults in a copy of the sources, one at a time; the suite must notice each
 # make clean    removes the virtual environment and everything that was built
 #
@@ -15,15 +16,20 @@ ARGS ?=
 VENV := .venv
 RUN := $(VENV)/bin/python
 PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
+# a process takes neighbouring tests, which share robots, programs and fixtures
+PYTEST := OMP_NUM_THREADS=1 $(RUN) -m pytest -n $(JOBS) --dist worksteal --durations=20
 
-.PHONY: demo test mutants clean
+.PHONY: demo test test-all mutants clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/examples.installed
 	$(RUN) examples/01_inverse_dynamics.py $(ARGS)
 
 test: $(VENV)/test.installed
-	OMP_NUM_THREADS=1 $(RUN) -m pytest -n $(JOBS) $(ARGS)
+	$(PYTEST) $(ARGS)
+
+test-all: $(VENV)/test.installed
+	$(PYTEST) -m '' $(ARGS)
 
 mutants: $(VENV)/test.installed
 	$(RUN) tests/mutants.py $(ARGS)

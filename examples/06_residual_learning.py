@@ -411,7 +411,7 @@ Study = dict[int, Arms]  # by number of samples
 def main(args: Args) -> Study:
     """Results of every model, by number of samples and by seed."""
     if args.quick:
-        args = replace(args, seeds=1, samples=(300, 2000), seconds=6.0, steps=300, jobs=1)
+        args = replace(args, seeds=1, samples=(300, 2000), seconds=4.0, steps=200, jobs=1)
     threads, start = torch.get_num_threads(), time.perf_counter()
     torch.set_num_threads(1)
     console = Console(width=130)

@@ -20,6 +20,15 @@ def called(integrator):
     return type(integrator).__name__
 
 
+def thinned(values, kept):
+    """Parameters of a test, several in a tuple; those that are not kept are left to `make test-all`."""
+
+    def exhaustive(value):
+        return pytest.param(*(value if isinstance(value, tuple) else (value,)), marks=pytest.mark.exhaustive)
+
+    return [value if value in kept else exhaustive(value) for value in values]
+
+
 def double(*x):
     """Vector of numbers, in double precision."""
     return torch.tensor(x, dtype=torch.float64)

@@ -396,6 +396,19 @@ def tree(seed: int) -> Case:
 TREE_NAMES = tuple(f"tree{seed}" for seed in range(TREES))
 SHIPPED_NAMES = tuple(f"shipped-{name}" for name in torchdq.robots.names())
 
+# a robot of every folder: chains and trees, hinges, slides and unbounded joints, with and without mass, few joints and
+# many; and random trees of every size, with and without rotors, one of them large
+REPRESENTATIVE_ROBOTS = (
+    *("a1", "alex_nub_hands", "alexander_v1.lowerBodyOnly", "allegro_right_hand", "anymal-kinova", "TwoDofs", "b1-z1"),
+    *("anymal_b_simple-anymal", "anymal_c_simple-anymal", "baxter", "bolt", "borinot_flying_arm_2", "centauro"),
+    *("double_pendulum_continuous", "finger_edu", "g1_29dof_rev_1_0", "go1", "go2", "hextilt_flying_arm_5", "human"),
+    *("hyq_no_sensors", "icub_reduced", "iris", "kinova", "laikago", "panda", "pr2", "quadruped", "romeo_small"),
+    *("simple_humanoid_classical", "so101", "solo12", "talos_left_arm", "tiago_no_hand", "tiago_pro", "ur10_robot"),
+    *("xarm7", "z1"),
+)
+REPRESENTATIVE_TREES = (*TREE_NAMES[::5], "tree124")
+REPRESENTATIVES = (*REPRESENTATIVE_ROBOTS, *SHIPPED_NAMES, *REPRESENTATIVE_TREES)
+
 
 @cache
 def case(name: str) -> Case:

@@ -177,7 +177,6 @@ def test_sixteen_processes_that_start_on_an_empty_cache_all_succeed(tmp_path):
     code = """
 import os, sys
 import torch, torchdq
-from torchdq.program import build
 robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
 expected = torchdq.inverse_dynamics(robot, q, backend="eager")
 children = []
@@ -285,7 +284,7 @@ def test_a_child_forked_after_use_computes_in_threads_of_its_own(tmp_path):
     code = """
 import os
 import numpy, torch, torchdq
-from torchdq.program import run
+from torchdq.backends import run
 torch.set_num_threads(2)
 robot = torchdq.robots.load("two_link")
 run.PER_THREAD = 1e4

@@ -5,6 +5,8 @@ helical joints with nothing aligned, one of them with rotors. Differences are me
 term that enters, since that is what cancels.
 """
 
+from functools import cache
+
 import numpy as np
 import pytest
 import torch
@@ -31,9 +33,15 @@ def inner(a, b):
     return (a * b).sum(-1)
 
 
+@cache
+def closed_form(robot, q, qd):
+    """Terms of (63), which most tests of a robot look at: operation by operation they take long."""
+    return torchdq.closed_form(robot, q, qd)
+
+
 def size_of_torques(robot, s):
     """Largest torque [batch] that any one cause asks of any one joint."""
-    M, c, g, Jt = torchdq.closed_form(robot, s.q, s.qd)
+    M, c, g, Jt = closed_form(robot, s.q, s.qd)
     terms = [times(M.abs(), s.qdd.abs()), c.abs(), g.abs(), times(Jt.abs(), s.f_tip.abs())]
     # links throw each other about: a joint passes on the wrench of everything beyond it
     return torch.stack(terms).amax((0, -1))
@@ -56,7 +64,7 @@ def agree(found, expected, size, roundings=20):
 def test_torques_are_the_sum_of_their_causes(robot):
     """tau = M qdd + c + g + J^T f_tip."""
     s = states(robot)
-    M, c, g, Jt = torchdq.closed_form(robot, s.q, s.qd)
+    M, c, g, Jt = closed_form(robot, s.q, s.qd)
     found = torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd, s.f_tip)
     agree(found, times(M, s.qdd) + c + g + times(Jt, s.f_tip), size_of_torques(robot, s))
 
@@ -65,7 +73,7 @@ def test_torques_are_the_sum_of_their_causes(robot):
 def test_composite_bodies_give_the_mass_matrix_of_the_closed_form(robot):
     s = states(robot)
     composite = torchdq.mass_matrix(robot, s.q)
-    agree(composite, torchdq.closed_form(robot, s.q, s.qd).M, composite.abs().amax((-2, -1))[:, None])
+    agree(composite, closed_form(robot, s.q, s.qd).M, composite.abs().amax((-2, -1))[:, None])
 
 
 @every_robot
@@ -94,7 +102,7 @@ def test_the_mass_matrix_is_positive_definite(robot):
 @every_robot
 def test_nothing_but_positions_leaves_the_gravity_torques(robot):
     s = states(robot)
-    g = torchdq.closed_form(robot, s.q, s.qd).g
+    g = closed_form(robot, s.q, s.qd).g
     agree(torchdq.inverse_dynamics(robot, s.q), g, g.abs().amax(-1))
 
 
@@ -117,7 +125,7 @@ def test_the_transposed_jacobian_is_the_transpose_of_the_jacobian(robot):
     """Up to the order of the six: twists are (angular, linear), wrenches (force, moment)."""
     s = states(robot)
     J = torchdq.jacobian(robot, s.q, robot.tip)
-    Jt = torchdq.closed_form(robot, s.q, s.qd).Jt
+    Jt = closed_form(robot, s.q, s.qd).Jt
     agree(Jt, torch.cat([J[:, 3:], J[:, :3]], 1).mT, J.abs().amax((-2, -1))[:, None])
 
 
@@ -135,7 +143,7 @@ def test_torques_are_affine_in_the_accelerations(robot):
 @every_robot
 def test_coriolis_torques_are_quadratic_in_the_velocities(robot):
     s = states(robot)
-    c = torchdq.closed_form(robot, s.q, s.qd).c
+    c = closed_form(robot, s.q, s.qd).c
     agree(torchdq.closed_form(robot, s.q, -3.0 * s.qd).c, 9.0 * c, 9.0 * size_of_torques(robot, s))
 
 
@@ -211,7 +219,7 @@ def test_kinetic_energy_is_half_the_mass_matrix_between_velocities(robot):
 def test_gravity_torques_are_the_gradient_of_potential_energy(robot):
     s = states(robot)
     gradient = torch.func.grad(lambda q: torchdq.potential_energy(robot, q).sum())(s.q)
-    g = torchdq.closed_form(robot, s.q, s.qd).g
+    g = closed_form(robot, s.q, s.qd).g
     agree(gradient, g, g.abs().amax(-1))
 
 
@@ -246,7 +254,7 @@ def test_coriolis_torques_take_half_of_what_the_changing_mass_matrix_takes(robot
     """qd^T (Mdot - 2 C) qd = 0 with C qd = c: they move energy about and make none."""
     s = states(robot)
     M_rate = torch.func.jvp(lambda q: torchdq.mass_matrix(robot, q), (s.q,), (s.qd,))[1]
-    c = torchdq.closed_form(robot, s.q, s.qd).c
+    c = closed_form(robot, s.q, s.qd).c
     size = size_of_rates(robot, s) * s.qd.abs().amax(-1)
     found = inner(s.qd, times(M_rate, s.qd))
     agree(found[:, None], 2.0 * inner(s.qd, c)[:, None], size, roundings=20 * robot.n)
@@ -259,7 +267,7 @@ def test_coriolis_torques_are_the_christoffel_symbols_of_the_mass_matrix(robot):
     s = states(robot)
     momentum_rate = torch.func.jvp(lambda q: times(torchdq.mass_matrix(robot, q), s.qd), (s.q,), (s.qd,))[1]
     gradient = torch.func.grad(lambda q: torchdq.kinetic_energy(robot, q, s.qd).sum())(s.q)
-    c = torchdq.closed_form(robot, s.q, s.qd).c
+    c = closed_form(robot, s.q, s.qd).c
     agree(momentum_rate - gradient, c, size_of_rates(robot, s))
 
 
@@ -357,8 +365,8 @@ def quantities(robot, s):
     """Everything that does not depend on link frames or on the base frame."""
     return (
         torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd, s.f_tip),
-        torchdq.closed_form(robot, s.q, s.qd).c,
-        torchdq.closed_form(robot, s.q, s.qd).g,
+        closed_form(robot, s.q, s.qd).c,
+        closed_form(robot, s.q, s.qd).g,
         torchdq.mass_matrix(robot, s.q).flatten(-2),
         torchdq.kinetic_energy(robot, s.q, s.qd)[:, None],
         torchdq.jacobian(robot, s.q, robot.tip).flatten(-2),

@@ -11,7 +11,7 @@ import helpers
 import numpy as np
 import pytest
 import torch
-from helpers import double, random
+from helpers import double, random, thinned
 from oracles import random_tree, shipped, states
 from torch.func import functional_call, grad
 from torch.nn.utils import parametrize
@@ -187,7 +187,7 @@ def wanting_the_impossible(module, k):
 @pytest.mark.case("I4")
 @pytest.mark.parametrize("gradients", [adversarial, wanting_the_impossible], ids=lambda f: f.__name__)
 @pytest.mark.parametrize("kind", ["adam", "sgd"])
-@every_robot
+@pytest.mark.parametrize("name", thinned(ROBOTS, ["puma560", "tree"]))
 def test_a_robot_stays_physical_at_every_step(name, kind, gradients):
     module = torchdq.DQRNEA(ROBOTS[name], learn=EVERYTHING)
     if kind == "adam":
@@ -407,13 +407,13 @@ def test_a_prior_of_nothing_is_zero():
 # --- as torch modules ------------------------------------------------------------------------------------------------
 
 
-def moved():
+def moved(robot=ROBOTS["ur10e"]):
     """A module that is away from its start, and inputs for it."""
-    module = torchdq.DQRNEA(ROBOTS["ur10e"], learn=EVERYTHING)
+    module = torchdq.DQRNEA(robot, learn=EVERYTHING)
     with torch.no_grad():
         for i, p in enumerate(module.parameters()):
             p += 0.1 * random(*p.shape, seed=i)
-    return module, random(3, 5, 6, seed=22)
+    return module, random(3, 5, robot.n, seed=22)
 
 
 def loaded(module):
@@ -478,7 +478,7 @@ def test_compiled_programs_take_what_is_learned_as_arguments():
 
 
 def test_a_traced_graph_equals_the_module():
-    module, x = moved()
+    module, x = moved(random_tree(2, seed=3).robot)
     torch._dynamo.reset()
     traced = torch.compile(module, backend="aot_eager", fullgraph=True)
     found, expected = (torch.autograd.grad(f(*x).square().sum(), module.parameters()) for f in (traced, module))

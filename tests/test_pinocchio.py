@@ -1,5 +1,7 @@
 """Dynamics and kinematics agree with pinocchio, on every robot of example-robot-data, the shipped ones and 200 trees.
 
+A robot of every folder and every fifth tree are in the default run; `make test-all` takes all.
+
 Joint order, joint frames and unbounded joints differ between the two, so everything is mapped by name. The trees have
 skew axes, prismatic and helical joints, full inertia tensors, random homes, random gravity and, every second one,
 rotors; their pinocchio model is built from the same random numbers, not from the robot.
@@ -18,6 +20,7 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
+from helpers import thinned
 from oracles import Case, States, over, size_of_torques, worst
 
 import torchdq
@@ -318,28 +321,33 @@ def acceleration_error(case: Case, s: States) -> float:
 
 # the name comes last and so changes last: what was loaded or computed for a robot serves all of its tests
 @pytest.mark.parametrize("quantity", QUANTITIES, ids=lambda quantity: quantity.__name__)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", thinned(NAMES, oracles.REPRESENTATIVES))
 def test_agrees_with_pinocchio(quantity, name):
     case = oracles.case(name)
     assert quantity(case, oracles.states(case.robot)) <= TOLERANCE[torch.float64]
 
 
 @pytest.mark.parametrize("quantity", IN_SINGLE, ids=lambda quantity: quantity.__name__)
-@pytest.mark.parametrize("name", [*oracles.example_robots(), *oracles.SHIPPED_NAMES, *oracles.TREE_NAMES[::4]])
+@pytest.mark.parametrize(
+    "name",
+    thinned([*oracles.example_robots(), *oracles.SHIPPED_NAMES, *oracles.TREE_NAMES[::4]], oracles.REPRESENTATIVES),
+)
 def test_agrees_in_single_precision(quantity, name):
     case = oracles.case(name)
     assert quantity(case, oracles.states(case.robot, dtype=torch.float32)) <= TOLERANCE[torch.float32]
 
 
 @pytest.mark.case("D11")
-@pytest.mark.parametrize("name", DIFFERENTIATED)
+@pytest.mark.parametrize("name", thinned(DIFFERENTIATED, oracles.REPRESENTATIVES))
 def test_derivatives_agree_with_pinocchio(name, margin):
     case = oracles.case(name)
     margin(derivatives(case, oracles.states(case.robot)), TOLERANCE[torch.float64])
 
 
 @pytest.mark.case("D2")
-@pytest.mark.parametrize("name", [name for name in NAMES if name not in oracles.SINGULAR])
+@pytest.mark.parametrize(
+    "name", thinned([name for name in NAMES if name not in oracles.SINGULAR], oracles.REPRESENTATIVES)
+)
 def test_accelerations_agree_with_pinocchio(name, margin):
     case = oracles.case(name)
     margin(acceleration_error(case, oracles.states(case.robot)), 32)
@@ -383,7 +391,13 @@ def test_a_robot_left_out_of_the_accelerations_has_a_singular_mass_matrix(name):
     assert np.linalg.svd(mass_matrices(case, oracles.states(case.robot)), compute_uv=False)[:, -1].max() < 1e-15
 
 
+@pytest.mark.parametrize("trees, number", [(oracles.TREE_NAMES, 100), (oracles.REPRESENTATIVE_TREES, 40)])
 @pytest.mark.parametrize("kind", ["revolute", "prismatic", "helical"])
-def test_the_trees_hold_every_kind_of_joint_many_times(kind):
-    kinds = [found for name in oracles.TREE_NAMES for found in oracles.case(name).robot.kinds]
-    assert kinds.count(kind) >= 100
+def test_the_trees_hold_every_kind_of_joint_many_times(kind, trees, number):
+    kinds = [found for name in trees for found in oracles.case(name).robot.kinds]
+    assert kinds.count(kind) >= number
+
+
+def test_a_robot_of_every_folder_is_among_the_representatives():
+    folders = {name: path.parts[path.parts.index("robots") + 1] for name, path in oracles.example_robots().items()}
+    assert {folders[name] for name in oracles.REPRESENTATIVE_ROBOTS} == set(folders.values())

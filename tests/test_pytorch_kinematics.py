@@ -43,6 +43,7 @@ def chain_of(name: str) -> pk.Chain:
     return pk.build_chain_from_urdf(oracles.urdf_paths()[name].read_bytes()).to(dtype=torch.float64)
 
 
+@cache
 def poses(name: str) -> tuple[np.ndarray, np.ndarray]:
     """Homogeneous matrices [states, frames, 4, 4] of all frames: torchdq's and pytorch_kinematics'."""
     robot, chain = oracles.example_case(name).robot, chain_of(name)

@@ -27,8 +27,16 @@ def example(name):
     return module
 
 
-def test_a_scene_is_built_effect_by_effect(tmp_path, capsys):
+SOME = ("Gravity", "Viscous", "Coulomb", "Contact", "Noise")
+ALL = (*SOME, "RotorInertia", "Payload", "Limits", "Drag", "Saturation", "Lag")
+
+
+@pytest.mark.parametrize("kept", [SOME, pytest.param(ALL, marks=pytest.mark.exhaustive)], ids=len)
+def test_a_scene_is_built_effect_by_effect(kept, tmp_path, capsys, monkeypatch):
+    """Every scene on the way is a program of its own, which takes seconds to compile."""
     main = example("04_scene")
+    monkeypatch.setattr(main, "PARTS", tuple(part for part in main.PARTS if type(part).__name__ in kept))
+    assert len(main.PARTS) == len(kept)
     moved, off = main.main(main.Args(duration=0.3, seconds=0.01, out=tmp_path))
     assert list(moved)[1:] == [type(effect).__name__ for effect in main.PARTS]
     assert moved["Gravity"] > 0.1 and moved["Viscous"] > 1e-3

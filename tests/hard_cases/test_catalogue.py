@@ -1,6 +1,7 @@
 """Every hard case of the catalogue is held by a test."""
 
 import ast
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,7 @@ from hard_cases.catalogue import CASES, WITHOUT_COUNTERPART
 TESTS = Path(__file__).parent.parent
 
 
+@cache
 def marked() -> set[str]:
     """Ids of all cases that tests are marked with."""
     return {
