@@ -21,9 +21,9 @@ class Controller(Parametric):
     """Torques from the input `reference` [..., 3 n]: wanted positions, velocities and accelerations."""
 
     def torques(
-        self, robot: Robot, fields: Given, varied: Sequence[str], reference: Row, q: Row, qd: Row
+        self, robot: Robot, overrides: Given, per_sample: Sequence[str], reference: Row, q: Row, qd: Row
     ) -> Sequence[Number]:
-        """Torques at the measured positions and velocities; `fields` are the scene's changes of the robot."""
+        """Torques at the measured positions and velocities; `overrides` are the scene's changes of the robot."""
         raise NotImplementedError
 
 
@@ -79,11 +79,11 @@ class ComputedTorque(Feedback):
     """
 
     def torques(
-        self, robot: Robot, fields: Given, varied: Sequence[str], reference: Row, q: Row, qd: Row
+        self, robot: Robot, overrides: Given, per_sample: Sequence[str], reference: Row, q: Row, qd: Row
     ) -> Sequence[Number]:
         """Torques of the corrected acceleration."""
         a = self.corrected(reference, q, qd)
-        believed = model(robot, q, fields, varied) if self.model is None else model(self.model, q, {}, ())
+        believed = model(robot, q, overrides, per_sample) if self.model is None else model(self.model, q, {}, ())
         return believed.torques(qd, a, None)  # (73), (74)
 
 
@@ -98,7 +98,7 @@ class PD(Feedback):
     """
 
     def torques(
-        self, robot: Robot, fields: Given, varied: Sequence[str], reference: Row, q: Row, qd: Row
+        self, robot: Robot, overrides: Given, per_sample: Sequence[str], reference: Row, q: Row, qd: Row
     ) -> Sequence[Number]:
         """Torques of the errors, and the model's weight."""
         n = len(q)

@@ -42,7 +42,7 @@ class System(Protocol):
     def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
         """M(x)^-1 (dL/dx + forces): the rate of the momentum at (x, v), as an acceleration."""
 
-    def carried(self, x: Row, v: Row, to: Row) -> list[Number]:
+    def velocities_at(self, x: Row, v: Row, to: Row) -> list[Number]:
         """Velocities at the positions `to` that have the momentum of (x, v)."""
 
 
@@ -156,7 +156,7 @@ class StoermerVerlet(Integrator):
         v2, to = v1, x
         for _ in range(self.iterations):
             to = _plus(_plus(x, 0.5 * h, v1), 0.5 * h, v2)
-            v2 = system.carried(x, v1, to)
+            v2 = system.velocities_at(x, v1, to)
         return to, _plus(v2, 0.5 * h, system.momentum_accelerations(to, v2))
 
 

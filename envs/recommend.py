@@ -20,7 +20,8 @@ from torchdq.backends import choice as backends
 from torchdq.backends.choice import Backend
 from torchdq.effects import Gravity, Limits, RotorInertia
 from torchdq.envs.integrators import Integrator, LinearlyImplicit, Repeated, RungeKutta4, SemiImplicitEuler
-from torchdq.envs.scene import Scene, State
+from torchdq.envs.scene import Scene
+from torchdq.envs.state import State
 from torchdq.envs.timing import medians
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, error_growth, forward_dynamics, inverse_dynamics

@@ -15,7 +15,7 @@ from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.effects.body import Bodies
-from torchdq.envs.recording import Rows, View
+from torchdq.envs.spec import Rows, View
 from torchdq.numbers.functions import at_least, clip, minimum, sqrt
 from torchdq.robot import Robot
 
@@ -95,9 +95,9 @@ class Reach:
 
     def rows(self, view: View) -> Rows:
         """See the class."""
-        robot, n, goal = view.scene.plan.robot, len(view.q), view.inputs["goal"]
+        robot, n, goal = view.scene.spec.robot, len(view.q), view.inputs["goal"]
         q, qd = view.reading[:n], view.reading[n:]
-        p = tip(Bodies(robot, q, qd, view.scene.fields))
+        p = tip(Bodies(robot, q, qd, view.scene.overrides))
         seen = [y for kind, x in zip(robot.kinds, q, strict=True) for y in (turned(x) if kind == "revolute" else (x,))]
         seen += [*speeds(robot, qd), *quat.sub(goal, p), *p]
         way = quat.sub(goal, tip(view.bodies()))
@@ -170,7 +170,7 @@ class Track:
 
     def rows(self, view: View) -> Rows:
         """See the class."""
-        robot, n = view.scene.plan.robot, len(view.q)
+        robot, n = view.scene.spec.robot, len(view.q)
         q, qd = view.reading[:n], view.reading[n:]
         reference = self.reference(view.inputs["goal"], view.inputs["time"][0])
         wanted, moving = reference[:n], reference[n:]

@@ -30,11 +30,13 @@ from torchdq.backends.choice import Backend
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, full
 from torchdq.envs.controllers import ComputedTorque, Controller
+from torchdq.envs.defaults import nominal, usual
 from torchdq.envs.integrators import Integrator, LinearlyImplicit
-from torchdq.envs.randomization import nominal, usual, varied
-from torchdq.envs.reset import Beginning, asked
+from torchdq.envs.randomization import randomised
+from torchdq.envs.reset import Reset, task_inputs
 from torchdq.envs.rng import Streams, seeded
-from torchdq.envs.scene import Scene, State
+from torchdq.envs.scene import Scene
+from torchdq.envs.state import State
 from torchdq.envs.tasks import EpisodeTask, Reach, Track, Watched
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 from torchdq.robot import Robot
@@ -62,7 +64,7 @@ class ArmVectorEnv(VectorEnv):
         num_envs: number of environments.
         task: "reach", "track", or an object like those of `torchdq.envs.tasks`.
         robot: name of a shipped robot, path of a URDF file, or a robot; it needs an end effector to reach.
-        effects: what is simulated; None: `torchdq.envs.randomization.usual(robot)`.
+        effects: what is simulated; None: `torchdq.envs.defaults.usual(robot)`.
         action: what actions are. "torque": fractions of the torque limits. "residual": fractions of a fifth of them, on
             top of a controller that follows the task's reference. "reference": offsets of the position that the
             controller is to follow, full ones as far as the joint gets in 0.2 s. The reference of "reach" is to stand
@@ -76,7 +78,7 @@ class ArmVectorEnv(VectorEnv):
         substeps: of the integrator within it.
         max_episode_steps: after which an episode is truncated; None: never.
         randomise: what differs between episodes, such as {"mass": 0.1, "friction": 0.2, "payload": 2.0}; see
-            `torchdq.envs.randomization.varied`.
+            `torchdq.envs.randomization.randomised`.
         autoreset_mode: when finished rows begin anew, as gymnasium defines it. SAME_STEP: at once, and
             `info["final_obs"]` [N, ...] and `info["final_info"]` hold what came before in the rows of the masks
             `info["_final_obs"]` and `info["_final_info"]`. NEXT_STEP: at the next step, which ignores their action.
@@ -159,11 +161,11 @@ class ArmVectorEnv(VectorEnv):
             scene = scene.replace(controller=controller or ComputedTorque(KP, KD, nominal(scene)))
         elif controller is not None:
             raise ArgumentError("controller must be None for torque actions; did you mean action='residual'?")
-        self.scene, self._varied = varied(scene, randomise or {}, num_envs, like)
+        self.scene, self._randomised = randomised(scene, randomise or {}, num_envs, like)
         _fits(self.scene, num_envs)
         self._actions = Actions(action, self.robot, torch.as_tensor(full(self.robot, action, scale)).to(like))
         self._watched = Watched(self.task)
-        self._beginning = Beginning(self.scene, self.task, self._watched, self._varied)
+        self._reset = Reset(self.scene, self.task, self._watched, self._randomised)
         low, high = np.array(self.task.bounds(self.robot), dtype=np.dtype(str(dtype).removeprefix("torch."))).T
         self.single_observation_space = Box(low, high, dtype=low.dtype.type)
         self.single_action_space = Box(-1.0, 1.0, (self.robot.n,), np.float32)
@@ -330,7 +332,7 @@ class ArmVectorEnv(VectorEnv):
 
     def _parameters(self) -> dict[str, Tensor]:
         """The scene's own tensors that are drawn anew for every episode."""
-        return {f"{v.effect}.{name}": x for v in self._varied for name, x in v.tensors(self.scene).items()}
+        return {f"{v.effect}.{name}": x for v in self._randomised for name, x in v.tensors(self.scene).items()}
 
     # --- how ---
 
@@ -360,7 +362,7 @@ class ArmVectorEnv(VectorEnv):
         """What the task says of a step, and what is then."""
         now = dict(self._now)
         now["steps"] = now["steps"] + 1
-        given = asked(self.task, now, self.scene, actions) | self._actions.inputs(actions, now["reference"])
+        given = task_inputs(self.task, now, self.scene, actions) | self._actions.inputs(actions, now["reference"])
         noise = None
         if self.scene.noises:
             noise, (now["key"], now["counter"]) = self._streams(now).uniform(self.scene.noises, self.dtype)
@@ -370,7 +372,7 @@ class ArmVectorEnv(VectorEnv):
     def _begin(self, rows: Tensor) -> None:
         """Begin new episodes in some rows, which are given by their numbers [k]."""
         now = dict(self._now)
-        fresh = self._beginning(rows, self._streams(now).rows(rows), self.dtype)
+        fresh = self._reset(rows, self._streams(now).rows(rows), self.dtype)
         for name, x in fresh.items():
             if name in _GIVEN_AWAY:
                 now[name] = now[name].index_copy(0, rows, x)
@@ -385,7 +387,7 @@ class ArmVectorEnv(VectorEnv):
         widths["observation"] = self.single_observation_space.shape[0]  # type: ignore[index]
         memory = sum(effect.memory(n) for effect in self.scene.effects)
         widths.update({"memory": memory} if memory else {})
-        widths.update({"reading": 2 * n} if self.scene.blueprint.of_slot("sensor") else {})
+        widths.update({"reading": 2 * n} if self.scene.spec.senses else {})
         now = {name: torch.zeros(N, width, dtype=self.dtype, device=self.device) for name, width in widths.items()}
         now["steps"] = torch.zeros(N, dtype=torch.int32, device=self.device)
         now["finished"] = torch.zeros(N, dtype=torch.bool, device=self.device)

@@ -17,7 +17,7 @@ from gymnasium.vector import AutoresetMode
 import torchdq
 from torchdq.backends import cache as build
 from torchdq.envs import ArmEnv, ArmVectorEnv, controllers, effects
-from torchdq.envs.randomization import nominal, usual
+from torchdq.envs.defaults import nominal, usual
 from torchdq.envs.tasks import Reach, Track
 from torchdq.errors import ArgumentError, UnknownNameError
 

@@ -3,9 +3,10 @@
 from torchdq.effects.actuator import DeadBand, Delay, Lag, QuantisedCommand, Saturation, TorqueSpeed
 from torchdq.effects.body import Contact, Drag, Push
 from torchdq.effects.effect import Effect
-from torchdq.effects.joint import Coulomb, Elastic, Limits, Servo, Spring, Stribeck, Viscous
+from torchdq.effects.joint import Coulomb, Limits, Servo, Spring, Stribeck, Viscous
 from torchdq.effects.model import Gravity, MassScale, Payload, RotorInertia
 from torchdq.effects.sensor import Bias, Noise, QuantisedReading, ReadingDelay
+from torchdq.effects.transmission import Elastic
 
 __all__ = [
     "Bias",

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 from torchdq.algebra.quaternion import Number
-from torchdq.effects.effect import Effect, Late, Parameter, Shapes, unbounded
-from torchdq.numbers.functions import clip, exp, floor
-
-Row = Sequence[Number]
+from torchdq.effects.effect import Effect, Late, Parameter, Row, Shapes, unbounded
+from torchdq.numbers.functions import clip, exp, floor, maximum, minimum
 
 
 @dataclass(frozen=True)
@@ -62,16 +60,14 @@ class TorqueSpeed(Actuator):
     speed: Parameter = None
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
-        """The torques that the motors have at their speeds."""
+        """Torques clipped to what the motors have at their speeds."""
         result = []
         for x, v, stall, speed in zip(u, qd, self.stall, self.speed, strict=True):
             if unbounded(stall):
                 result.append(x)
                 continue
-            ratio = v / speed
-            upper = stall * clip(1.0 - ratio, 0.0, 1.0)
-            lower = -(stall * clip(1.0 + ratio, 0.0, 1.0))
-            result.append(clip(x, lower, upper))
+            lost = clip(stall / speed * v, -stall, stall)
+            result.append(clip(x, -stall - minimum(lost, 0.0), stall - maximum(lost, 0.0)))
         return result, ()
 
 

@@ -13,8 +13,7 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics.tree import BASE
-from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link
-from torchdq.effects.joint import Inputs
+from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, on_a_link
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import maximum, sqrt
 from torchdq.robot import Robot

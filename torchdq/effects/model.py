@@ -21,8 +21,8 @@ class ModelEffect(Effect):
 
     SLOT: ClassVar[str] = "model"
 
-    def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
-        """Rows of the robot's tensors that it changes; `fields` are those that earlier effects changed."""
+    def changed(self, robot: Robot, overrides: Given) -> dict[str, Sequence[Number]]:
+        """Rows of the robot's tensors that it changes; `overrides` are those of earlier effects."""
         raise NotImplementedError
 
 
@@ -38,6 +38,7 @@ class Gravity(ModelEffect):
     SHAPES: ClassVar[Shapes] = {"acceleration": (3,)}
     SIGNED = frozenset({"acceleration"})
     DESCRIBED: ClassVar[Mapping[str, str]] = {"acceleration": "gravity"}
+    ONCE = "there is one acceleration"
     acceleration: Parameter = None
 
     def described(self, robot: Robot) -> Self:
@@ -45,7 +46,7 @@ class Gravity(ModelEffect):
         found = super().described(robot)
         return replace(found, acceleration=GRAVITY) if found.acceleration is None else found
 
-    def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
+    def changed(self, robot: Robot, overrides: Given) -> dict[str, Sequence[Number]]:
         """Its acceleration."""
         return {"gravity": self.acceleration}
 
@@ -62,9 +63,9 @@ class RotorInertia(ModelEffect):
     DESCRIBED: ClassVar[Mapping[str, str]] = {"inertia": "armature"}
     inertia: Parameter = None
 
-    def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
+    def changed(self, robot: Robot, overrides: Given) -> dict[str, Sequence[Number]]:
         """The rotor inertia, and what other effects have put there."""
-        before = fields.get("armature")
+        before = overrides.get("armature")
         return {"armature": self.inertia if before is None else tuple(_sums(before, self.inertia))}
 
 
@@ -90,13 +91,13 @@ class Payload(ModelEffect):
         """With the frame named."""
         return on_a_link(self, robot)
 
-    def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
+    def changed(self, robot: Robot, overrides: Given) -> dict[str, Sequence[Number]]:
         """The bodies, one of them merged with what it carries."""
         frame = robot.frame(str(self.frame))
         X_BF = constant_pose(frame.X_BF)
         turn = quat.rotation_columns(X_BF[0])
         i = frame.link
-        masses, coms, inertias = (list(field(robot, name, fields)) for name in ("mass", "com", "inertia"))
+        masses, coms, inertias = (list(field(robot, name, overrides)) for name in ("mass", "com", "inertia"))
         m, c = masses[i], coms[i]
         held = quat.add(dual_quaternion.translation(X_BF), screw.columns_times(turn, self.com))
         xx, xy, yy, xz, yz, zz = self.inertia
@@ -128,9 +129,9 @@ class MassScale(ModelEffect):
     SHAPES: ClassVar[Shapes] = {"factor": ("n",)}
     factor: Parameter
 
-    def changed(self, robot: Robot, fields: Given) -> dict[str, Sequence[Number]]:
+    def changed(self, robot: Robot, overrides: Given) -> dict[str, Sequence[Number]]:
         """Masses and inertias, scaled."""
-        mass, inertia = field(robot, "mass", fields), field(robot, "inertia", fields)
+        mass, inertia = field(robot, "mass", overrides), field(robot, "inertia", overrides)
         return {
             "mass": [k * m for k, m in zip(self.factor, mass, strict=True)],
             "inertia": [k * x for k, row in zip(self.factor, inertia, strict=True) for x in row],

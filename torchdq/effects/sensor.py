@@ -6,16 +6,12 @@ With a sensor in the scene, its controller acts on the readings, and so should w
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from torchdq.algebra.quaternion import Number
 from torchdq.effects.actuator import rounded
-from torchdq.effects.effect import Effect, Late, Parameter, Shapes
+from torchdq.effects.effect import Effect, Late, Parameter, Row, Shapes
 from torchdq.numbers.functions import log, sqrt
-
-Row = Sequence[Number]
 
 
 @dataclass(frozen=True)

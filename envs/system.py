@@ -1,0 +1,147 @@
+"""Equations of motion of a scene: the moving bodies and rotors that integrators integrate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from torchdq.algebra.quaternion import Number
+from torchdq.algebra.screw import Screw
+from torchdq.dynamics.absent import neg, total
+from torchdq.effects.body import Bodies, BodyEffect
+from torchdq.effects.joint import Impedance, JointEffect, parallel
+from torchdq.effects.transmission import Transmission
+from torchdq.envs.integrators import System
+from torchdq.envs.spec import RecordedScene, Row, Rows
+from torchdq.numbers.record import Number as Recorded
+from torchdq.program import autodiff as derive
+from torchdq.program.program import Argument, record, replay
+from torchdq.robot import Robot
+from torchdq.robot.posed import AlignedModel, Given, PaperModel, model, solve
+
+
+@dataclass(frozen=True)
+class SceneSystem(System):
+    """Joints, and rotors behind them, under actuator torques u that are constant over a step."""
+
+    scene: RecordedScene
+    u: Row
+
+    # --- mechanics ---
+
+    def _posed(self, q: Row) -> AlignedModel | PaperModel:
+        """Robot at joint positions."""
+        return model(self.scene.spec.robot, q, self.scene.overrides, self.scene.per_sample)
+
+    def _exerted(self, q: Row, qd: Row) -> list[Screw | None] | None:
+        """Wrenches of the links on the environment, in link frames; None: there are no body effects."""
+        effects = self.scene.spec.of(BodyEffect)
+        if not effects:
+            return None
+        bodies = Bodies(self.scene.spec.robot, q, qd, self.scene.overrides)
+        wrenches: list[Screw | None] = [None] * len(q)
+        for _, effect in effects:
+            for i, wrench in effect.wrenches(bodies, self.scene.inputs).items():
+                wrenches[i] = total(wrenches[i], wrench)
+        return [neg(f) for f in wrenches]
+
+    def _solved(self, m: AlignedModel | PaperModel, b: Row) -> Sequence[Number]:
+        """Solution of M x = b."""
+        return solve(m, b, self.scene.linear)
+
+    # --- forces at the joints ---
+
+    @property
+    def _n(self) -> int:
+        return self.scene.spec.robot.n
+
+    @property
+    def _transmission(self) -> Transmission:
+        return self.scene.spec.transmission[1]
+
+    def _impedances(self, q: Row, qd: Row) -> list[Impedance]:
+        """Impedance of every joint, all joint effects together."""
+        found = [effect.impedances(q, qd, self.scene.inputs) for _, effect in self.scene.spec.of(JointEffect)]
+        return [parallel(joint) for joint in zip(*found, strict=True)] if found else [Impedance()] * len(q)
+
+    # --- what integrators ask for ---
+
+    def accelerations(self, x: Row, v: Row) -> list[Number]:
+        """Accelerations in a state."""
+        q, qd = x[: self._n], v[: self._n]
+        m = self._posed(q)
+        passed = self._transmission.torques(self.u, x, v)
+        forces = [t + z.torque(rate) for t, z, rate in zip(passed, self._impedances(q, qd), qd, strict=True)]
+        net = _less(forces, m.torques(qd, None, self._exerted(q, qd)))
+        return [*self._solved(m, net), *self._transmission.accelerations(self.u, passed)]
+
+    def implicit_accelerations(self, x: Row, v: Row, h: Number) -> list[Number]:
+        """Mean accelerations over a step whose impedances and transmission act on the state at its end."""
+        q, qd = x[: self._n], v[: self._n]
+        m = self._posed(q)
+        joints = self._transmission.eliminated(self.u, x, v, h)
+        impedances = self._impedances(q, qd)
+        damping = [z.damping + h * z.stiffness for z in impedances]  # at the end f = f(q) + h K qd'
+        forces = [t - (d * r + z.force) for t, d, r, z in zip(joints.torques, damping, qd, impedances, strict=True)]
+        net = _less(forces, m.torques(qd, None, self._exerted(q, qd)))
+        inertia = [a + h * d for a, d in zip(joints.inertia, damping, strict=True)]
+        qdd = self._solved(m.with_rotors(inertia), net)
+        return [*qdd, *joints.rotors(qdd)]
+
+    def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
+        """M(q)^-1 (dL/dq + forces), and the accelerations of the rotors."""
+        q, qd = x[: self._n], v[: self._n]
+        passed = self._transmission.torques(self.u, x, v)
+        forces = [t + z.torque(rate) for t, z, rate in zip(passed, self._impedances(q, qd), qd, strict=True)]
+        m, exerted = self._posed(q), self._exerted(q, qd)
+        if exerted is not None:
+            # the wrenches' share of the inverse dynamics, which is linear in them
+            forces = _less(forces, _less(m.torques(None, None, exerted), m.torques(None, None, None)))
+        rate = [f + g for f, g in zip(forces, lagrangian_gradient(self.scene, q, qd), strict=True)]
+        return [*self._solved(m, rate), *self._transmission.accelerations(self.u, passed)]
+
+    def velocities_at(self, x: Row, v: Row, to: Row) -> list[Number]:
+        """Velocities at the positions `to` that have the momentum of (x, v); rotors keep theirs."""
+        n = self._n
+        M = self._posed(x[:n]).mass_matrix()
+        momentum = [sum((M[i][j] * v[j] for j in range(n)), 0.0) for i in range(n)]
+        return [*self._solved(self._posed(to[:n]), momentum), *v[n:]]
+
+
+def _less(a: Row, b: Sequence[Number | None]) -> list[Number]:
+    """Differences a - b, None being zero."""
+    return [x if y is None else x - y for x, y in zip(a, b, strict=True)]
+
+
+# --- energies --------------------------------------------------------------------------------------------------------
+
+
+def energies(robot: Robot, overrides: Given, q: Row, qd: Row) -> tuple[Number, Number]:
+    """Kinetic and potential energy of the rigid bodies."""
+    m = PaperModel.of(robot, q, overrides)
+    return m.kinetic_energy(qd), m.potential_energy()
+
+
+def lagrangian_gradient(scene: RecordedScene, q: Row, qd: Row) -> list[Number]:
+    """dL/dq of L = T - U, by reverse mode on the recorded energies."""
+    robot = scene.spec.robot
+    given = {name: row for name, row in scene.overrides.items() if row is not None}
+    known = [(name, k) for name, row in given.items() for k, x in enumerate(row) if isinstance(x, Recorded)]
+    arguments = [Argument("q", robot.n), Argument("qd", robot.n), Argument("overrides", len(known))]
+
+    def lagrangian(q: Row, qd: Row, numbers: Row) -> Rows:
+        overrides: dict[str, Any] = {name: None if row is None else list(row) for name, row in scene.overrides.items()}
+        for (name, k), x in zip(known, numbers, strict=True):
+            overrides[name][k] = x
+        T, U = energies(robot, overrides, q, qd)
+        return {"L": [T - U]}
+
+    program = record("lagrangian", arguments, lagrangian)
+    (value,) = program.results[0].values
+    if isinstance(value, float):
+        return [0.0] * robot.n
+    rows = [q, qd, [given[name][k] for name, k in known]]
+    values = replay(program, next(x for x in (*q, *qd) if isinstance(x, Recorded)).tape, rows)
+    found = derive.cotangents(program, values, {value[0]: -1.0 if value[1] else 1.0})
+    return [found.get((0, i), 0.0) for i in range(robot.n)]
