@@ -62,7 +62,8 @@ def flow(scene: RecordedScene, u: Row, x: Row, v: Row) -> tuple[Row, Row]:
 def sense(scene: RecordedScene, task: Task | None, u: Row, x: Row, v: Row, memory: Memory) -> Rows:
     """State at the end of a step, and the task's rows; sensors without a memory start with what they sense."""
     q, qd, memory = scene.unpacked(x, v, memory)
-    n, used, reading = len(q), 0, (*q, *qd)
+    n, used = len(q), 0
+    reading: Row = (*q, *qd)
     noise = scene.inputs.get("noise", ())
     for i, sensor in scene.spec.of(Sensor):
         before = memory[i] if i in memory else sensor.start(reading[:n], reading[n:])

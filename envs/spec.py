@@ -11,7 +11,7 @@ from torchdq.effects.body import Bodies
 from torchdq.effects.effect import Effect
 from torchdq.effects.model import ModelEffect
 from torchdq.effects.sensor import Sensor
-from torchdq.effects.transmission import Rigid, Transmission
+from torchdq.effects.transmission import Transmission
 from torchdq.envs.controllers import Controller
 from torchdq.envs.integrators import Integrator
 from torchdq.robot import Robot
@@ -59,7 +59,7 @@ class SceneSpec:
     @property
     def transmission(self) -> tuple[int | None, Transmission]:
         """Transmission between actuators and joints, and its position among the effects."""
-        return next(iter(self.of(Transmission)), (None, Rigid()))
+        return next(iter(self.of(Transmission)), (None, Transmission()))
 
     def split(self, memory: Row) -> Memory:
         """Memory of each effect."""

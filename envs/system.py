@@ -10,7 +10,7 @@ from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics.absent import neg, total
 from torchdq.effects.body import Bodies, BodyEffect
-from torchdq.effects.joint import Impedance, JointEffect, parallel
+from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.effects.transmission import Transmission
 from torchdq.envs.integrators import System
 from torchdq.envs.spec import RecordedScene, Row, Rows
@@ -60,10 +60,22 @@ class SceneSystem(System):
     def _transmission(self) -> Transmission:
         return self.scene.spec.transmission[1]
 
-    def _impedances(self, q: Row, qd: Row) -> list[Impedance]:
-        """Impedance of every joint, all joint effects together."""
+    def _impedances(self, q: Row, qd: Row) -> list[list[Impedance]]:
+        """Impedances of every joint."""
         found = [effect.impedances(q, qd, self.scene.inputs) for _, effect in self.scene.spec.of(JointEffect)]
-        return [parallel(joint) for joint in zip(*found, strict=True)] if found else [Impedance()] * len(q)
+        return [list(joint) for joint in zip(*found, strict=True)] if found else [[] for _ in q]
+
+    def _forces(self, passed: Row, impedances: Sequence[Sequence[Impedance]], damping: Row, qd: Row) -> list[Number]:
+        """Torques on the joints: those that the transmission passes on, less those of the impedances."""
+        forces = [sum((z.force for z in joint), 0.0) for joint in impedances]
+        return [t - (d * v + f) for t, d, v, f in zip(passed, damping, qd, forces, strict=True)]
+
+    def _explicit(self, x: Row, v: Row) -> tuple[Row, list[Number]]:
+        """Torques passed on by the transmission, and all torques on the joints, in a state."""
+        q, qd = x[: self._n], v[: self._n]
+        passed, impedances = self._transmission.torques(self.u, x, v), self._impedances(q, qd)
+        damping = [sum((z.damping for z in joint), 0.0) for joint in impedances]
+        return passed, self._forces(passed, impedances, damping, qd)
 
     # --- what integrators ask for ---
 
@@ -71,8 +83,7 @@ class SceneSystem(System):
         """Accelerations in a state."""
         q, qd = x[: self._n], v[: self._n]
         m = self._posed(q)
-        passed = self._transmission.torques(self.u, x, v)
-        forces = [t + z.torque(rate) for t, z, rate in zip(passed, self._impedances(q, qd), qd, strict=True)]
+        passed, forces = self._explicit(x, v)
         net = _less(forces, m.torques(qd, None, self._exerted(q, qd)))
         return [*self._solved(m, net), *self._transmission.accelerations(self.u, passed)]
 
@@ -82,8 +93,8 @@ class SceneSystem(System):
         m = self._posed(q)
         joints = self._transmission.eliminated(self.u, x, v, h)
         impedances = self._impedances(q, qd)
-        damping = [z.damping + h * z.stiffness for z in impedances]  # at the end f = f(q) + h K qd'
-        forces = [t - (d * r + z.force) for t, d, r, z in zip(joints.torques, damping, qd, impedances, strict=True)]
+        damping = [sum((z.damping_at_end(h) for z in joint), 0.0) for joint in impedances]
+        forces = self._forces(joints.torques, impedances, damping, qd)
         net = _less(forces, m.torques(qd, None, self._exerted(q, qd)))
         inertia = [a + h * d for a, d in zip(joints.inertia, damping, strict=True)]
         qdd = self._solved(m.with_rotors(inertia), net)
@@ -92,8 +103,7 @@ class SceneSystem(System):
     def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
         """M(q)^-1 (dL/dq + forces), and the accelerations of the rotors."""
         q, qd = x[: self._n], v[: self._n]
-        passed = self._transmission.torques(self.u, x, v)
-        forces = [t + z.torque(rate) for t, z, rate in zip(passed, self._impedances(q, qd), qd, strict=True)]
+        passed, forces = self._explicit(x, v)
         m, exerted = self._posed(q), self._exerted(q, qd)
         if exerted is not None:
             # the wrenches' share of the inverse dynamics, which is linear in them

@@ -27,7 +27,7 @@ EFFORT = 0.01  # what full actions of all joints cost per step
 CLOSE = 0.05  # distance at which half of the bonus is earned [m]
 TIGHT = 0.1  # root mean square error at which half of the reward is earned [rad or m]
 HIGHEST = 2.0  # rate of the sinusoids of a reference [rad/s]
-SENSIBLE = 1e6  # positions, velocities and rewards beyond it are those of a simulation that has failed
+SENSIBLE = 1e6  # velocities and rewards beyond it are those of a simulation that has failed
 
 
 class EpisodeTask(Protocol):
@@ -176,10 +176,10 @@ class Track:
         wanted, moving = reference[:n], reference[n:]
         errors = [r - x for r, x in zip(wanted, q, strict=True)]
         rates = [*speeds(robot, moving[:n]), *speeds(robot, moving[n:])]
-        seen = [*errors, *speeds(robot, qd), *wanted, *rates]
+        measured, following = [*errors, *speeds(robot, qd)], [*wanted, *rates]  # the latter is within bounds anyway
         squared = sum(((r - x) * (r - x) for r, x in zip(wanted, view.q, strict=True)), 0.0) * (1.0 / n)
         return {
-            "observation": within(seen, self.bounds(robot)),
+            "observation": [*within(measured, self.bounds(robot)[: 2 * n]), *following],
             "reward": [1.0 / (1.0 + squared * (1.0 / TIGHT**2)) - cost(view)],
             "reference": reference,
             "error": [sqrt(squared + 1e-12)],
@@ -187,20 +187,21 @@ class Track:
 
 
 @dataclass(frozen=True)
-class Watched:
-    """A task that says as well whether all its numbers make sense: "sound" [1] is 1 where they do, or else 0."""
+class Checked:
+    """A task with a check of its numbers: "valid" [1] is 1, or 0 where the simulation has failed."""
 
     task: EpisodeTask
 
     def inputs(self, n: int) -> dict[str, int]:
-        """Those of the task."""
+        """Inputs of the task."""
         return self.task.inputs(n)
 
     def rows(self, view: View) -> Rows:
-        """Those of the task, and "sound"; what is not a number is not below a bound either."""
+        """Rows of the task, and "valid"."""
         rows = self.task.rows(view)
-        judged = (*view.q, *view.qd, *rows["observation"], *rows["reward"])
-        return {**rows, "sound": [at_least(SENSIBLE**2, sum((x * x for x in judged), 0.0))]}
+        # NaN and infinity survive sums; positions follow the velocities
+        squares = [x * x for x in (*view.qd, *rows["reward"], sum(rows["observation"], 0.0))]
+        return {**rows, "valid": [at_least(SENSIBLE**2, sum(squares, 0.0))]}
 
 
 # --- what tasks have in common ---------------------------------------------------------------------------------------

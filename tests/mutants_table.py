@@ -1079,8 +1079,8 @@ MUTANTS = (
         "torchdq/effects/joint.py",
         (
             "friction that pushes",
-            "return -(self.damping * qd)",
-            "return self.damping * qd",
+            "return [Impedance(d) for d in self.coefficient]",
+            "return [Impedance(-d) for d in self.coefficient]",
             f"{EFFECTS}::test_an_effect_at_the_joints_adds_the_torques_of_its_formula",
         ),
         (
@@ -1228,14 +1228,14 @@ MUTANTS = (
         "envs/system.py",
         (
             "stiffness that is not implicit",
-            "z.damping + h * z.stiffness for z",
+            "z.damping_at_end(h) for z",
             "z.damping for z",
             f"{INTEGRATORS}::test_a_bounce_off_stiff_limits_gains_no_energy",
         ),
         (
             "a spring that sees the state at its beginning",
-            "t - (d * r + z.force)",
-            "t - (z.damping * r + z.force)",
+            "self._forces(joints.torques, impedances, damping, qd)",
+            "self._explicit(x, v)[1]",
             f"{EFFECTS}::test_the_implicit_integrator_takes_the_state_at_the_end_of_the_step",
         ),
         (

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 from torchdq.algebra.quaternion import Number
 from torchdq.effects.effect import Effect, Late, Parameter, Row, Shapes, unbounded
-from torchdq.numbers.functions import clip, exp, floor, maximum, minimum
+from torchdq.numbers.functions import clip, exp, floor, maximum
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,8 @@ class TorqueSpeed(Actuator):
                 result.append(x)
                 continue
             lost = clip(stall / speed * v, -stall, stall)
-            result.append(clip(x, -stall - minimum(lost, 0.0), stall - maximum(lost, 0.0)))
+            upper = stall - maximum(lost, 0.0)
+            result.append(clip(x, -(upper + lost), upper))
         return result, ()
 
 

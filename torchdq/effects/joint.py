@@ -20,25 +20,21 @@ TOUCHING = 2.0**-126  # smallest normal number of float32: a limit acts from thi
 
 
 class Impedance(NamedTuple):
-    """Torque -damping qd - force of one joint, and the stiffness of that force."""
+    """Torque -D qd - f of one joint, whose force f has the stiffness K = df/dq."""
 
     damping: Number = 0.0  # D >= 0 [N m s/rad or N s/m]
-    stiffness: Number = 0.0  # K = df/dq >= 0 [N m/rad or N/m]
     force: Number = 0.0  # f [N m or N]
+    stiffness: Number = 0.0  # K >= 0 where active [N m/rad or N/m]
+    active: Number = 1.0  # 1, or 0 where there is no stiffness
 
-    def torque(self, qd: Number) -> Number:
-        """Torque [N m or N] at a velocity."""
-        return -(self.damping * qd) - self.force
+    def damping_at_end(self, h: Number) -> Number:
+        """D + h K: damping of an implicit step h, at whose end the force is f + h K qd."""
+        return self.damping + (h * self.stiffness) * self.active
 
 
 def spring(k: Number, stretch: Number, damping: Number = 0.0) -> Impedance:
     """Impedance of a linear spring k with a stretch, and a damper beside it."""
-    return Impedance(damping, k, k * stretch)
-
-
-def parallel(impedances: Sequence[Impedance]) -> Impedance:
-    """Impedance of several at one joint: their sum."""
-    return Impedance(*(sum(terms, 0.0) for terms in zip(Impedance(), *impedances, strict=True)))
+    return Impedance(damping, k * stretch, k)
 
 
 @dataclass(frozen=True)
@@ -207,7 +203,8 @@ class Limits(JointEffect):
                 result.append(Impedance())
                 continue
             size = absolute(force)
-            result.append(Impedance(c * (size * at_least(force * v, 0.0)), k * at_least(size, TOUCHING), force))
+            growing = at_least(force * v, 0.0)
+            result.append(Impedance(c * (size * growing), force, k, at_least(size, TOUCHING)))
         return result
 
 

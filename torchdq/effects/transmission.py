@@ -1,6 +1,7 @@
-"""Transmissions between the actuators and the joints: rigid ones, and elastic ones with rotors of their own.
+"""Transmissions between the actuators and the joints: rigid, or elastic with rotors of their own.
 
-The integrated state is x = (q, rotor positions), v = (qd, rotor velocities); a rigid transmission has no rotors.
+The integrated state is x = (q, rotor positions), v = (qd, rotor velocities); a rigid transmission has no rotors, and
+records nothing.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
+from torchdq.algebra.quaternion import Number
 from torchdq.effects.effect import Effect, Parameter, Row, Shapes
 
 
@@ -22,46 +24,25 @@ class Eliminated(NamedTuple):
 
 @dataclass(frozen=True)
 class Transmission(Effect):
-    """Connection of the actuators to the joints; its rotors, if any, keep their momentum apart from the bodies."""
+    """Connection of the actuators to the joints: rigid, as it is in a scene that names no other."""
 
     SLOT: ClassVar[str] = "joint"
     ONCE: ClassVar[str] = "a joint has one spring to its rotor"
 
     def extended(self, q: Row, qd: Row, memory: Row) -> tuple[Row, Row]:
         """Positions and velocities of the joints and then of the rotors."""
-        raise NotImplementedError
-
-    def torques(self, u: Row, x: Row, v: Row) -> Row:
-        """Torques on the joints, of the actuators' torques u."""
-        raise NotImplementedError
-
-    def accelerations(self, u: Row, passed: Row) -> Row:
-        """Accelerations of the rotors that pass on some torques."""
-        raise NotImplementedError
-
-    def eliminated(self, u: Row, x: Row, v: Row, h: float) -> Eliminated:
-        """Equations of the joints for a step h at whose end the transmission is taken."""
-        raise NotImplementedError
-
-
-@dataclass(frozen=True)
-class Rigid(Transmission):
-    """Transmission that passes every torque on as it is."""
-
-    def extended(self, q: Row, qd: Row, memory: Row) -> tuple[Row, Row]:
-        """The joints alone."""
         return q, qd
 
     def torques(self, u: Row, x: Row, v: Row) -> Row:
-        """The actuators' torques."""
+        """Torques on the joints, of the actuators' torques u."""
         return u
 
     def accelerations(self, u: Row, passed: Row) -> Row:
-        """None."""
+        """Accelerations of rotors that pass on some torques."""
         return ()
 
-    def eliminated(self, u: Row, x: Row, v: Row, h: float) -> Eliminated:
-        """The actuators' torques, without inertia."""
+    def eliminated(self, u: Row, x: Row, v: Row, h: Number) -> Eliminated:
+        """Equations of the joints for a step h at whose end the transmission acts."""
         return Eliminated((0.0,) * len(u), u, lambda qdd: ())
 
 
@@ -115,7 +96,7 @@ class Elastic(Transmission):
         """thd' = (u - t) / J."""
         return [(u_i - t) / J for u_i, t, J in zip(u, passed, self.inertia, strict=True)]
 
-    def eliminated(self, u: Row, x: Row, v: Row, h: float) -> Eliminated:
+    def eliminated(self, u: Row, x: Row, v: Row, h: Number) -> Eliminated:
         """Spring and damper act on the end of the step, where a rotor turns at w' = (b + s qd') / a.
 
         s = h (d + h k),   a = J + s,   b = J w + h (u - k (th - q));   t = k (th - q) + (s/h) (w' - qd')
