@@ -44,7 +44,7 @@ class _Plan(NamedTuple):
 
     program: Program
     batch: tuple[int, ...]
-    rows: tuple[Shapes, ...]  # that each argument is expanded to, and then reshaped to
+    rows: tuple[Shapes, ...]  # shapes that each argument is expanded to, and then reshaped to
     eager: bool
 
 

@@ -135,7 +135,7 @@ STAGES = {"step": _step, "drive": _drive, "sense": _sense, "begin": _begin, "ene
 
 
 class Signature(NamedTuple):
-    """Everything that the program of a stage depends on beside the specification."""
+    """Signature of a stage's program, which depends on it and on the specification."""
 
     stage: str  # one of STAGES
     inputs: tuple[tuple[str, int], ...]  # name, width

@@ -37,7 +37,7 @@ class Task(Protocol):
 
 @dataclass(frozen=True)
 class SceneSpec:
-    """Everything about a scene that its programs depend on: the scene without its tensors."""
+    """Specification of a scene, on which its programs depend: the scene without its tensors."""
 
     robot: Robot  # whose constants are the programs'
     varying: tuple[str, ...]  # tensors of the robot that are arguments
@@ -78,7 +78,7 @@ class RecordedScene:
     spec: SceneSpec  # with numbers in the place of its tensors
     overrides: Given  # the robot's tensors that are not its own constants
     per_sample: tuple[str, ...]  # names of those that differ from sample to sample
-    linear: bool  # whether accelerations come from articulated bodies
+    linear: bool  # True: accelerations by articulated bodies, in O(n)
     inputs: Mapping[str, Row] = field(default_factory=dict)
 
     def packed(self, q: Row, qd: Row, memory: Memory) -> tuple[Row, Row]:

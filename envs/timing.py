@@ -1,4 +1,4 @@
-"""How long calls take beside each other."""
+"""Times of calls that are compared."""
 
 import statistics
 import time
@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 
 def medians(calls: Sequence[Callable[[], object]], batch: int, seconds: float) -> list[float]:
-    """Median time of every call per sample [ns]; they take turns, so that a noisy machine is noisy to all."""
+    """Median time of every call per sample [ns]; calls alternate, so that noise of the machine affects all alike."""
     inner = []
     for call in calls:
         call()

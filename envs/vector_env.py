@@ -280,14 +280,14 @@ class ArmVectorEnv(VectorEnv):
     # --- saving ---
 
     def get_state(self) -> dict[str, Tensor]:
-        """Everything that steps change: states, goals, random numbers, parameters. `set_state` goes on from there."""
+        """Copy of all that steps change: states, goals, random numbers, parameters; for `set_state`."""
         self._open()
         if not self._buffers:
             raise ResetNeeded("call reset() before get_state()")
         return {name: x.clone() for name, x in (*self._buffers.items(), *self._parameters().items())}
 
     def set_state(self, state: Mapping[str, Tensor]) -> None:
-        """Go on from a state of an environment that was constructed alike.
+        """Continue from a state of an environment that was constructed alike.
 
         Args:
             state: from `get_state`, or from `torch.load` of such.

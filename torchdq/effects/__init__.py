@@ -1,4 +1,4 @@
-"""The effects a scene may be asked to simulate, each an object that belongs to one slot."""
+"""Effects that a scene can simulate, each an object that belongs to one slot."""
 
 from torchdq.effects.actuator import DeadBand, Delay, Lag, QuantisedCommand, Saturation, TorqueSpeed
 from torchdq.effects.body import Contact, Drag, Push

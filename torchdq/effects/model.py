@@ -1,4 +1,4 @@
-"""Effects on the model: what the rigid bodies are and what pulls at them."""
+"""Effects on the model: rigid bodies, rotors and gravity."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Gravity(ModelEffect):
     acceleration: Parameter = None
 
     def described(self, robot: Robot) -> Self:
-        """With the robot's gravity, or 9.81 downwards if it has none."""
+        """Copy with the robot's gravity, or 9.81 downwards if it has none."""
         found = super().described(robot)
         return replace(found, acceleration=GRAVITY) if found.acceleration is None else found
 
@@ -64,7 +64,7 @@ class RotorInertia(ModelEffect):
     inertia: Parameter = None
 
     def changed(self, robot: Robot, overrides: Given) -> dict[str, Sequence[Number]]:
-        """The rotor inertia, and what other effects have put there."""
+        """Rotor inertia, added to that of earlier effects."""
         before = overrides.get("armature")
         return {"armature": self.inertia if before is None else tuple(_sums(before, self.inertia))}
 
@@ -88,11 +88,11 @@ class Payload(ModelEffect):
     frame: str | None = None
 
     def described(self, robot: Robot) -> Self:
-        """With the frame named."""
+        """Copy with the frame named."""
         return on_a_link(self, robot)
 
     def changed(self, robot: Robot, overrides: Given) -> dict[str, Sequence[Number]]:
-        """The bodies, one of them merged with what it carries."""
+        """Inertial parameters, those of one link merged with the payload."""
         frame = robot.frame(str(self.frame))
         X_BF = constant_pose(frame.X_BF)
         turn = quat.rotation_columns(X_BF[0])
@@ -106,7 +106,7 @@ class Payload(ModelEffect):
         turned = [screw.columns_times(turn, column) for column in zip(*half, strict=True)]  # columns of R I R^T
         total = m + self.mass
         apart = quat.sub(held, c)
-        reduced = m * self.mass / total  # of two bodies about their common centre of mass
+        reduced = m * self.mass / total  # reduced mass of two bodies about their common centre of mass
         x, y, z = apart
         shift = (y * y + z * z, -(x * y), x * x + z * z, -(x * z), -(y * z), x * x + y * y)
         own = (turned[0][0], turned[0][1], turned[1][1], turned[0][2], turned[1][2], turned[2][2])
