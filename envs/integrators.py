@@ -234,9 +234,9 @@ class DormandPrince(Unrecorded):
 
         t = y.new_zeros(y.shape[:-1])
         h = torch.full_like(t, T / 16)
-        lost = torch.zeros_like(t, dtype=torch.bool)
+        failed = torch.zeros_like(t, dtype=torch.bool)
         for _ in range(self.most):
-            going = ~lost & (t < T * (1 - floor))
+            going = ~failed & (t < T * (1 - floor))
             if not bool(going.any()):
                 break
             step = torch.where(going, torch.minimum(h, T - t), 0.0)
@@ -249,13 +249,13 @@ class DormandPrince(Unrecorded):
                 error = (step[..., None] * _combined(_ERROR, k) / size).square().mean(-1).sqrt()
                 good = going & (error <= 1)
                 factor = (0.9 * error.clamp(min=1e-10) ** -0.2).clamp(0.2, 5.0)
-                lost = lost | going & ~good & (step <= floor * T)
+                failed = failed | going & ~good & (step <= floor * T)
                 # the last step was cut to end on time, and does not suggest the size of the next
                 kept = good & (step < h)
                 h = torch.where(kept | ~going, h, step * torch.where(error.isfinite(), factor, 0.2))
                 t = torch.where(good, t + step, t)
             y = torch.where(good[..., None], end, y)
-        y = torch.where((lost | (t < T * (1 - floor)))[..., None], torch.nan, y)
+        y = torch.where((failed | (t < T * (1 - floor)))[..., None], torch.nan, y)
         return y[..., :n], y[..., n:]
 
 

@@ -1,4 +1,4 @@
-"""Domain randomisation: parameters of a scene that are drawn anew for every episode."""
+"""Domain randomisation: parameters of a scene that are drawn for every episode."""
 
 from __future__ import annotations
 

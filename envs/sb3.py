@@ -11,7 +11,7 @@ import torch
 from gymnasium.vector import AutoresetMode
 
 from torchdq.envs.vector_env import ArmVectorEnv
-from torchdq.errors import ArgumentError
+from torchdq.errors import ArgumentError, MissingLibraryError
 
 try:
     VecEnv: Any = import_module("stable_baselines3.common.vec_env").VecEnv
@@ -30,7 +30,7 @@ class StableBaselinesVecEnv(VecEnv):
 
     def __init__(self, envs: ArmVectorEnv) -> None:
         if VecEnv is object:
-            raise ImportError("StableBaselinesVecEnv needs stable-baselines3; install it with pip")
+            raise MissingLibraryError("StableBaselinesVecEnv needs stable-baselines3; install it with pip")
         if envs.autoreset_mode != AutoresetMode.SAME_STEP:
             raise ArgumentError(f"envs must have the autoreset_mode SAME_STEP, found {envs.autoreset_mode}")
         self.envs = envs

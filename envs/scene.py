@@ -52,11 +52,11 @@ class Scene:
 
     Args:
         robot: its gravity and rotor inertia only act if `effects.Gravity()` and `effects.RotorInertia()` are there.
-        effects: what is simulated; see `torchdq.effects`. Actuators and sensors act in their order.
-        controller: turns the input `reference` into torques; None: there are only the torques that are given.
+        effects: simulated effects; see `torchdq.effects`. Actuators and sensors act in their order.
+        controller: turns the input `reference` into torques; None: the given torques act alone.
         integrator: see `torchdq.envs.integrators`.
         dt: duration of a step [s]; torques are constant over it.
-        substeps: of the integrator within a step.
+        substeps: steps of the integrator within a step.
         backend: as in `torchdq.functional`.
         precision: "auto": in the dtype of the state; a sample whose mass matrix would cost float32 half of its digits
             takes that step in float64, one whose mass matrix is singular becomes NaN. "double": a float32 state, and
