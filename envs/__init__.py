@@ -5,7 +5,8 @@ from gymnasium import register
 from torchdq import effects
 from torchdq.envs import controllers, integrators
 from torchdq.envs.env import ArmEnv
-from torchdq.envs.scene import Scene, State
+from torchdq.envs.scene import Scene
+from torchdq.envs.state import State
 from torchdq.envs.vector_env import ArmVectorEnv
 
 __all__ = ["ArmEnv", "ArmVectorEnv", "Scene", "State", "controllers", "effects", "integrators"]

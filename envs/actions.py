@@ -1,4 +1,4 @@
-"""What the actions of an environment are: torques, torques on top of a controller, or offsets of what it follows."""
+"""Actions of an environment: torques, torques on top of a controller, or offsets of the reference that it follows."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 
 Kind = Literal["torque", "residual", "reference"]
-SHARE = {"torque": 1.0, "residual": 0.2}  # of the torque limits that a full action is
-HORIZON = 0.2  # a full reference action is as far away as a joint gets in this time at its limit of velocity [s]
+SHARE = {"torque": 1.0, "residual": 0.2}  # full action as a share of the torque limits
+HORIZON = 0.2  # time in which a joint at its velocity limit moves by a full reference action [s]
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,10 +25,10 @@ class Actions:
 
     kind: Kind
     robot: Robot
-    scale: Tensor  # [n] what a full action is [N m or N; rad or m of a reference]
+    scale: Tensor  # [n] size of a full action [N m or N; rad or m of a reference]
 
     def clipped(self, actions: Any, num_envs: int) -> tuple[Tensor, Tensor]:
-        """Actions [N, n] within their bounds, and how many of every row [N] were not; raises if one is not finite."""
+        """Actions [N, n] within their bounds, and the number clipped in each row [N]; raises if one is not finite."""
         found = torch.as_tensor(actions, device=self.scale.device).detach().to(self.scale.dtype)
         shape = (num_envs, self.robot.n)
         if found.shape != shape:
@@ -37,7 +37,7 @@ class Actions:
                 f"robot {self.robot.name!r}, found {tuple(found.shape)}"
             )
         inside = found.clamp(-1.0, 1.0)
-        if torch.equal(inside, found):  # not so if one is not a number
+        if torch.equal(inside, found):  # false if one is NaN
             return inside, torch.zeros(num_envs, dtype=torch.int64, device=found.device)
         if not math.isfinite(found.sum().item()) and len(bad := (~found.isfinite()).nonzero()):
             row, joint = bad[0].tolist()
@@ -48,7 +48,7 @@ class Actions:
         return inside, (inside != found).sum(1)
 
     def inputs(self, actions: Tensor, reference: Tensor) -> dict[str, Tensor]:
-        """What they are for a scene, at a reference [N, 3 n] that is the task's."""
+        """Inputs of a scene for actions, at the task's reference [N, 3 n]."""
         scaled = actions * self.scale
         if self.kind == "torque":
             return {"torque": scaled}
@@ -59,7 +59,7 @@ class Actions:
 
 
 def full(robot: Robot, kind: Kind, scale: float | Sequence[float] | None) -> list[float]:
-    """What a full action of every joint is; None: what follows from the robot's limits."""
+    """Size of a full action of every joint; None: derived from the robot's limits."""
     if scale is not None:
         numbers = [float(x) for x in scale] if isinstance(scale, Sequence) else [float(scale)] * robot.n
         if len(numbers) != robot.n or not all(0 < x < math.inf for x in numbers):

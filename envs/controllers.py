@@ -1,4 +1,4 @@
-"""Controllers: what turns a reference into torques. They see the readings once per step and hold the torque over it."""
+"""Controllers: torques from a reference. They see the readings once per step and hold the torque over it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Row = Sequence[Number]
 
 @dataclass(frozen=True)
 class Controller(Parametric):
-    """Torques from the input `reference` [..., 3 n]: wanted positions, velocities and accelerations."""
+    """Torques from the input `reference` [..., 3 n]: desired positions, velocities and accelerations."""
 
     def torques(self, at: Posed, reference: Row, q: Row, qd: Row) -> Sequence[Number]:
         """Torques at the measured positions and velocities; `at` is the scene's robot at these positions."""
@@ -28,11 +28,11 @@ class Controller(Parametric):
 
 @dataclass(frozen=True)
 class Feedback(Controller):
-    """What feeds the errors of positions and velocities back, and may know a model of the robot.
+    """Feedback of the errors of positions and velocities, with or without a model of the robot.
 
     Args:
         kp, kd: gains of the errors of positions and velocities, shape [..., n].
-        model: one robot, whose tensors are constants.
+        model: one robot, whose tensors are constants; None: no model.
     """
 
     SHAPES: ClassVar[Shapes] = {"kp": ("n",), "kd": ("n",)}
@@ -41,7 +41,7 @@ class Feedback(Controller):
     model: Robot | None = None
 
     def described(self, robot: Robot) -> Self:
-        """The same, once its model is known to have the robot's joints and one number for each of its own."""
+        """Itself; raises if its model does not have the robot's joints, or has batch axes."""
         believed, what = self.model, f"model of {type(self).__name__}"
         if believed is None:
             return self
@@ -55,7 +55,7 @@ class Feedback(Controller):
         return self
 
     def corrected(self, reference: Row, q: Row, qd: Row) -> list[Number]:
-        """Wanted acceleration, or feed-forward, with the errors fed back."""
+        """Desired acceleration, or feed-forward, with the errors fed back."""
         n = len(q)
         return [
             reference[2 * n + i] + self.kd[i] * (reference[n + i] - qd[i]) + self.kp[i] * (reference[i] - q[i])
@@ -68,7 +68,7 @@ class ComputedTorque(Feedback):
     """Feedback linearisation: tau = M a + c + g, a = qdd_des + kd (qd_des - qd) + kp (q_des - q), equations (73)-(78).
 
     With the scene's own model and small steps the error obeys e'' + kd e' + kp e = 0; friction, and everything else
-    that is not in the model, disturbs it.
+    that is not in the model, are disturbances.
 
     Args:
         kp: position gain [1/s^2], shape [..., n].

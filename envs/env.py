@@ -18,9 +18,9 @@ class ArmEnv(gymnasium.Env):
     """One environment, bit for bit the row of an `ArmVectorEnv` with the same seed.
 
     Args:
-        max_episode_steps: after which an episode is truncated; None: never, since `gymnasium.make` sees to it.
+        max_episode_steps: steps after which an episode is truncated; None: never, since `gymnasium.make` does it.
         render_mode: as in `ArmVectorEnv`; `render` returns one frame.
-        arguments: those of `ArmVectorEnv`, but for `num_envs`, `autoreset_mode` and `output`.
+        arguments: arguments of `ArmVectorEnv`, except `num_envs`, `autoreset_mode` and `output`.
     """
 
     metadata = _METADATA
@@ -51,7 +51,7 @@ class ArmEnv(gymnasium.Env):
         return observations[0], {}
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Observation, reward, whether it terminated, whether it was truncated, and `info`, after `dt`.
+        """Observation, reward, termination, truncation and `info`, after `dt`.
 
         Args:
             action: [n] in [-1, 1].

@@ -1,7 +1,7 @@
-"""Integrators: how a state is carried over a step.
+"""Integrators: a state from the beginning of a step to its end.
 
 All but the last two are recorded into the scene's program, so their formulas are written for any kind of number. A
-system has positions x and velocities v (the joints', and the rotors' behind elastic ones) and knows its accelerations.
+system has positions x and velocities v (of the joints, and of the rotors behind elastic ones) and accelerations.
 
 | integrator | order | evaluations | energy of a conservative arm |
 |---|---|---|---|
@@ -10,7 +10,7 @@ system has positions x and velocities v (the joints', and the rotors' behind ela
 | LinearlyImplicit | 1 | 1 | drifts; the damping, stiffness and friction of joints cannot make it unstable |
 | RungeKutta4 | 4 | 4 | falls slowly |
 | StoermerVerlet | 2 | about 2 + 2 iterations | stays within a band of width dt^2: symplectic in (q, p) |
-| Repeated | as another | as another | as another |
+| Repeated | that of another | its times a number | that of another |
 | DormandPrince | 5 | adaptive | to tolerance |
 """
 
@@ -31,7 +31,7 @@ Row = Sequence[Number]
 
 
 class System(Protocol):
-    """What an integrator needs to know."""
+    """Equations of motion, as integrators evaluate them."""
 
     def accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations in a state."""
@@ -42,13 +42,13 @@ class System(Protocol):
     def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
         """M(x)^-1 (dL/dx + forces): the rate of the momentum at (x, v), as an acceleration."""
 
-    def carried(self, x: Row, v: Row, to: Row) -> list[Number]:
+    def velocities_at(self, x: Row, v: Row, to: Row) -> list[Number]:
         """Velocities at the positions `to` that have the momentum of (x, v)."""
 
 
 @dataclass(frozen=True)
 class Integrator:
-    """One way to carry a state over a step."""
+    """Base of the integrators."""
 
     order: ClassVar[int]
 
@@ -64,18 +64,18 @@ def _plus(a: Row, h: Number, b: Row) -> list[Number]:
 
 @dataclass(frozen=True)
 class ExplicitEuler(Integrator):
-    """x + h v, v + h a. Here to be compared with."""
+    """x + h v, v + h a. For comparison only."""
 
     order = 1
 
     def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
-        """Both at the rates of the beginning."""
+        """Both with the rates at the beginning."""
         return _plus(x, h, v), _plus(v, h, system.accelerations(x, v))
 
 
 @dataclass(frozen=True)
 class SemiImplicitEuler(Integrator):
-    """v' = v + h a(x, v), x' = x + h v'. The cheapest; what most simulators call Euler."""
+    """v' = v + h a(x, v), x' = x + h v'. The cheapest; most simulators call it Euler."""
 
     order = 1
 
@@ -90,7 +90,7 @@ class LinearlyImplicit(Integrator):
     """(M + h D + h^2 K)(v' - v) = h (forces(x, v) - h K v), x' = x + h v'.
 
     D and K are the damping and stiffness of the joint effects, on the diagonal, where they cost an addition each. For
-    stiff friction, servos and limits; what acts on bodies and actuators stays explicit.
+    stiff friction, servos and limits; wrenches on bodies and actuators stay explicit.
     """
 
     order = 1
@@ -113,7 +113,7 @@ class RungeKutta4(Integrator):
         return _plus(x, 1.0, dx), _plus(v, 1.0, dv)
 
     def increments(self, system: System, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
-        """What is added to a state: the step times the weighted mean of four rates."""
+        """Increments of a state: the step times the weighted mean of four rates."""
         a = system.accelerations
         a1 = a(x, v)
         v2 = _plus(v, 0.5 * h, a1)
@@ -142,21 +142,21 @@ class StoermerVerlet(Integrator):
     Source: E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, section VI.3.
 
     Args:
-        iterations: of the implicit lines.
+        iterations: number of iterations of the implicit lines.
     """
 
     order = 2
     iterations: int = 3
 
     def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
-        """Half a kick, a drift that both ends agree on, half a kick."""
+        """Half a kick, a drift with the velocities of both ends, half a kick."""
         v1: Row = v
         for _ in range(self.iterations):
             v1 = _plus(v, 0.5 * h, system.momentum_accelerations(x, v1))
         v2, to = v1, x
         for _ in range(self.iterations):
             to = _plus(_plus(x, 0.5 * h, v1), 0.5 * h, v2)
-            v2 = system.carried(x, v1, to)
+            v2 = system.velocities_at(x, v1, to)
         return to, _plus(v2, 0.5 * h, system.momentum_accelerations(to, v2))
 
 
@@ -170,9 +170,9 @@ class Unrecorded(Integrator):
 
 @dataclass(frozen=True)
 class Repeated(Unrecorded):
-    """Another integrator in so many equal steps, called one by one: slower, but their number makes no new program.
+    """A recorded integrator in a number of equal steps, called one by one: slower, but any number needs no new program.
 
-    For more steps than a program can hold, and for finding out how many are needed (`recommend`).
+    For more steps than a program can hold, and to find the number that is needed (`recommend`).
     """
 
     integrator: Integrator
@@ -186,11 +186,11 @@ class Repeated(Unrecorded):
 
     @property
     def order(self) -> int:  # type: ignore[override]
-        """That of the other integrator."""
+        """Order of the repeated integrator."""
         return self.integrator.order
 
     def flow(self, system: System, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
-        """State after that many steps."""
+        """State after all steps."""
         rows: tuple[Row, Row] = [x], [v]
         for _ in range(self.times):
             rows = self.integrator.step(system, *rows, T / self.times)
@@ -207,8 +207,9 @@ class DormandPrince(Unrecorded):
 
     Args:
         rtol, atol: tolerated error of a step, relative to the state and absolute; an rtol below 100 roundings cannot be
-            met, is taken for that, and a warning says so.
-        most: steps after which a sample that has not arrived becomes NaN, as does one that no step size helps.
+            met: it is raised to that, with a warning.
+        most: number of steps after which a sample that has not reached the end becomes NaN, as does one that fails
+            at any step size.
     """
 
     order = 5
@@ -221,7 +222,7 @@ class DormandPrince(Unrecorded):
             raise ArgumentError(f"rtol and atol must be positive, found {self.rtol} and {self.atol}")
 
     def flow(self, system: System, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
-        """State after the time T, of rows [..., n]; rows that have arrived stand still while others go on."""
+        """State after the time T, of rows [..., n]; rows that have arrived wait for the others."""
         n, floor = x.shape[-1], 100 * torch.finfo(x.dtype).eps
         rtol = max(self.rtol, floor)
         if rtol > self.rtol:
@@ -233,9 +234,9 @@ class DormandPrince(Unrecorded):
 
         t = y.new_zeros(y.shape[:-1])
         h = torch.full_like(t, T / 16)
-        lost = torch.zeros_like(t, dtype=torch.bool)
+        failed = torch.zeros_like(t, dtype=torch.bool)
         for _ in range(self.most):
-            going = ~lost & (t < T * (1 - floor))
+            going = ~failed & (t < T * (1 - floor))
             if not bool(going.any()):
                 break
             step = torch.where(going, torch.minimum(h, T - t), 0.0)
@@ -248,13 +249,13 @@ class DormandPrince(Unrecorded):
                 error = (step[..., None] * _combined(_ERROR, k) / size).square().mean(-1).sqrt()
                 good = going & (error <= 1)
                 factor = (0.9 * error.clamp(min=1e-10) ** -0.2).clamp(0.2, 5.0)
-                lost = lost | going & ~good & (step <= floor * T)
-                # the last step was cut to end on time, and says nothing about the next
+                failed = failed | going & ~good & (step <= floor * T)
+                # the last step was cut to end on time, and does not suggest the size of the next
                 kept = good & (step < h)
                 h = torch.where(kept | ~going, h, step * torch.where(error.isfinite(), factor, 0.2))
                 t = torch.where(good, t + step, t)
             y = torch.where(good[..., None], end, y)
-        y = torch.where((lost | (t < T * (1 - floor)))[..., None], torch.nan, y)
+        y = torch.where((failed | (t < T * (1 - floor)))[..., None], torch.nan, y)
         return y[..., :n], y[..., n:]
 
 

@@ -1,8 +1,7 @@
 """Pictures of a robot: images by matplotlib, a live view in the browser by viser, films by Pillow.
 
-What is drawn is the skeleton: of every link a thick line from the frame of its parent, by way of its joint's axis, to
-its own frame. That is a picture of the robot if link frames are where the links are, as those of URDF and of DH
-parameters are.
+The skeleton is drawn: for every link a thick line from the frame of its parent, through its joint's axis, to its own
+frame. This looks like the robot if link frames lie on the links, as those of URDF and of DH parameters do.
 """
 
 from __future__ import annotations
@@ -24,15 +23,15 @@ from torchdq.optional import imported
 from torchdq.robot import Robot
 from torchdq.robot.robot import SHAPES
 
-MOST_ARMS = 16  # in one image
+MOST_ARMS = 16  # arms in one image
 
 PAPER, GROUND, GRID, SHADOW, INK = "#f7f8fa", "#eef1f4", "#d9dfe6", "#cfd6de", "#2f4156"
 LINK, JOINT, TIP, TARGET = "#7d9fc0", "#f7f8fa", "#f2a541", "#d1344b"
 
-AZIMUTH, ELEVATION = math.radians(-55.0), math.radians(25.0)  # of the camera
-DISTANCE = 5.0  # of the camera, in radii of the view
-MARGIN = 1.04  # of the view around the ball that the robot stays in
-PIECES = 6  # that a line is cut into, so that what is nearer covers what is farther
+AZIMUTH, ELEVATION = math.radians(-55.0), math.radians(25.0)  # direction of the camera [rad]
+DISTANCE = 5.0  # distance of the camera [radii of the view]
+MARGIN = 1.04  # radius of the image [radii of the view]
+PIECES = 6  # pieces of a line, each drawn at its own depth
 
 
 def _library(module: str) -> Any:
@@ -53,7 +52,7 @@ def _rows(name: str, x: Any, size: int, most: int | None = None) -> Tensor:
 
 
 class Skeleton:
-    """The points of a robot that are drawn and the lines between them.
+    """Points of a robot and the lines between them.
 
     The points are the base, every link's origin, the points on joint axes that are nearest to the origins, and ends: a
     link that carries no other ends at the end effector or, where that is at its origin, at its centre of mass. Of a
@@ -71,12 +70,12 @@ class Skeleton:
         batched = {name: getattr(robot, name).detach() for name in robot.varying}
         first = {name: x.reshape(-1, *x.shape[x.ndim - len(SHAPES[name]) :])[0] for name, x in batched.items()}
         self.robot = robot.replace(**first).to(torch.float64, "cpu")
-        self.joints: list[int] = []  # of every joint, the point on its axis
-        self.tip: int | None = None  # the point that is the end effector
+        self.joints: list[int] = []  # point on the axis of each joint
+        self.tip: int | None = None  # point of the end effector
         self.lines: list[tuple[int, int]] = []
-        self.links: list[int] = []  # that the lines belong to
-        self._frames: list[int] = []  # of every point but the base, the frame it is fixed to
-        self._offsets: list[Tensor] = []  # and where in it
+        self.links: list[int] = []  # link of each line
+        self._frames: list[int] = []  # frame that each point but the base is fixed to
+        self._offsets: list[Tensor] = []  # position of the point in that frame [m]
 
         axes = torch.linalg.cross(*self.robot.screw.split(3, -1))  # nearest to the origin; zero of a prismatic joint
         tip = None if robot.tip is None else self.robot.frame(robot.tip)
@@ -113,7 +112,7 @@ class Skeleton:
         return np.pad(moving.numpy(), ((0, 0), (1, 0), (0, 0)))
 
     def view(self) -> tuple[np.ndarray, float]:
-        """Middle [3] and radius [m] of a ball that the robot stays in, found at 512 positions within its limits."""
+        """Centre [3] and radius [m] of a ball around the robot, from 512 positions within its limits."""
         free = torch.tensor([1.0 if kind == "prismatic" else math.pi for kind in self.robot.kinds], dtype=torch.float64)
         limits = self.robot.limits
         lower = torch.where(limits.lower.isfinite(), limits.lower, -free)
@@ -125,7 +124,7 @@ class Skeleton:
 
 
 class _Strokes(NamedTuple):
-    """What is drawn with round ends, and how."""
+    """Lines with round ends, with their widths and colours."""
 
     artist: Any
     widths: np.ndarray  # [strokes], radii of the view
@@ -204,8 +203,8 @@ class Painter:
     def project(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pixels [k, ..., 2] from the lower left corner, and nearness [k, ...], of positions [k, ..., 3] of k arms.
 
-        Nearness is toward the camera from the middle of the view, in its radii. What is at the camera or behind it is
-        nowhere: not a number.
+        Nearness is measured toward the camera from the middle of the view, in its radii. Points at the camera or behind
+        it are NaN.
         """
         seen = (x - self.middle) @ self._camera / self.radius
         nearness = np.where(seen[..., 2] < DISTANCE - 1, seen[..., 2], np.nan)
@@ -214,7 +213,7 @@ class Painter:
         return centres + seen[..., :2] * scale[..., None], nearness
 
     def _arrange(self, arms: int) -> None:
-        """Make place for so many arms, and draw the ground that they stand on."""
+        """Place a number of arms, and draw the ground that they stand on."""
         (width, height), counts = self.size, range(1, arms + 1)
         columns = max(counts, key=lambda c: min(width / c, height / math.ceil(arms / c)))
         rows = math.ceil(arms / columns)
@@ -225,7 +224,7 @@ class Painter:
 
         for artist in self._ground:
             artist.remove()
-        reach = math.sqrt(max(self.radius**2 - self.middle[2] ** 2, 0.3 * self.radius**2))  # where the ball cuts it
+        reach = math.sqrt(max(self.radius**2 - self.middle[2] ** 2, 0.3 * self.radius**2))  # of the ground
         turn = np.linspace(0.0, 2 * np.pi, 97)
         disc = reach * np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
         offset = np.linspace(-1.0, 1.0, 9)[1:-1] * reach
@@ -247,8 +246,8 @@ class Painter:
 
         Args:
             q: joint positions [rad or m], shape [n] or [k, n]. A robot whose position is not finite is left out.
-            target: positions in the base frame to be marked [m], shape [3] or [k, 3]; None: none.
-            text: to be written in the upper left corner.
+            target: marked positions in the base frame [m], shape [3] or [k, 3]; None: none.
+            text: text in the upper left corner.
         """
         points = self.skeleton.points(q, MOST_ARMS)
         arms = len(points)
@@ -278,7 +277,7 @@ class Viewer:
 
     Args:
         robot: the robot.
-        port: of the address; the next free one is taken.
+        port: port of the address; the next free one is taken.
 
     Raises:
         MissingLibraryError: viser is not installed.
@@ -330,12 +329,11 @@ def _rgb(colour: str) -> tuple[int, ...]:
 def save_gif(frames: Iterable[np.ndarray], path: str | Path, fps: float = 25.0) -> None:
     """Write images as a film that repeats itself.
 
-    A GIF counts in hundredths of a second, and images that do not differ from the one before only make that last
-    longer.
+    Times of a GIF are hundredths of a second; an image equal to the one before lengthens that one.
 
     Args:
         frames: images [height, width, 3], uint8, of one size.
-        path: of the file.
+        path: path of the file.
         fps: images per second, up to 50.
 
     Raises:

@@ -1,7 +1,4 @@
-"""How episodes begin: start, goal, parameters and first observation, drawn from the environments' own random numbers.
-
-At the beginning of an episode only sensors act, so that what it takes does not depend on what else is simulated.
-"""
+"""Reset: start, goal, parameters and first observation of episodes, drawn from the environments' own random numbers."""
 
 from __future__ import annotations
 
@@ -14,10 +11,10 @@ from torch import Tensor
 
 from torchdq.backends import choice as backends
 from torchdq.backends import run
-from torchdq.envs.randomization import Varied
-from torchdq.envs.recording import Task
+from torchdq.envs.randomization import Randomised
 from torchdq.envs.rng import Streams
 from torchdq.envs.scene import Scene
+from torchdq.envs.spec import Task
 from torchdq.envs.tasks import EpisodeTask
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
@@ -25,93 +22,78 @@ from torchdq.robot.robot import SHAPES
 
 
 @dataclass(frozen=True, eq=False)
-class Beginning:
-    """How the episodes of a scene and a task begin.
+class Reset:
+    """Random start of the episodes of a scene and a task.
 
     Args:
-        scene: its sensors are the last of its effects.
-        task: of the episodes.
-        watched: what is observed of it.
-        varied: parameters of the scene that are drawn as well.
+        scene: the scene of the episodes.
+        task: the task of the episodes.
+        checked: the task with the check of its numbers.
+        randomised: parameters of the scene that are drawn as well.
     """
 
     scene: Scene
     task: EpisodeTask
-    watched: Task
-    varied: tuple[Varied, ...]
-    others: Scene = field(init=False, repr=False)  # the scene without sensors
-    senses: Scene = field(init=False, repr=False)  # the scene with nothing else
+    checked: Task
+    randomised: tuple[Randomised, ...]
+    opening: Scene = field(init=False, repr=False)  # the scene with the effects that act at a start
 
     def __post_init__(self) -> None:
-        bare = self.scene.replace(controller=None)
-        others = [effect for effect in bare.effects if effect.SLOT != "sensor"]
-        object.__setattr__(self, "others", bare.replace(effects=others))
-        object.__setattr__(self, "senses", bare.replace(effects=bare.effects[len(others) :]))
+        acting = [e for e in self.scene.effects if e.SLOT == "sensor" or e.memory(self.scene.n)]
+        object.__setattr__(self, "opening", self.scene.replace(effects=acting, controller=None))
 
     def __call__(self, rows: Tensor, streams: Streams, dtype: torch.dtype) -> dict[str, Tensor]:
-        """Everything of a new episode in some rows, by name, shape [k, ...]; parameters are written into the scene.
+        """Buffers of new episodes, by name, shape [k, ...]; drawn parameters are written into the scene.
 
         Args:
-            rows: numbers of the rows [k].
-            streams: of those rows.
-            dtype: of the numbers.
+            rows: indices of the environments [k].
+            streams: random numbers of those environments.
+            dtype: dtype of the buffers.
         """
-        widths = [self.task.draws(self.scene.robot), *[v.width for v in self.varied], self.scene.noises]
+        widths = [self.task.draws(self.scene.robot), *[r.width for r in self.randomised], self.scene.noises]
         u, streams = streams.uniform(sum(widths), dtype)
         u, *drawn, noise = u.split(widths, 1)
-        for v, x in zip(self.varied, drawn, strict=True):
-            v.draw(self.scene, rows, x)
+        for parameters, x in zip(self.randomised, drawn, strict=True):
+            parameters.draw(self.scene, rows, x)
         program = _program(self.task, self.scene.robot)
         eager = backends.choose(self.scene.backend, u.device.type) == "eager"
         outputs = run.eager(program, [u]) if eager else run.compiled(program, [u])
         fresh = {result.name: x for result, x in zip(program.results, outputs, strict=True)}
         steps = rows.new_zeros(len(rows), dtype=torch.int32)
         fresh.update(streams._asdict(), steps=steps, finished=steps.to(torch.bool))
-        return fresh | self._sensed(rows, fresh, noise)
-
-    def _sensed(self, rows: Tensor, fresh: dict[str, Tensor], noise: Tensor) -> dict[str, Tensor]:
-        """What is remembered, read and observed at the start."""
-        senses = _of_rows(self.senses, rows)
-        state, seen = senses.begin(fresh["q"], fresh["qd"], asked(self.task, fresh, senses), noise, self.watched)
-        found = {"observation": seen["observation"], "reference": seen["reference"]}
-        if state.reading is not None:
-            found["reading"] = state.reading
-        # what sensors remember stands behind what the others do
-        memories = [x for x in (self._remembered(*state[:2]), state.memory) if x is not None]
-        return found | ({"memory": torch.cat(memories, 1)} if memories else {})
-
-    def _remembered(self, q: Tensor, qd: Tensor) -> Tensor | None:
-        """What the effects other than sensors remember."""
-        if any(effect.memory(self.scene.n) for effect in self.others.effects):
-            return self.others.start(q, qd).memory
-        return None
+        opening = _of_rows(self.opening, rows)
+        given = task_inputs(self.task, fresh, opening)
+        state, seen = opening.begin(fresh["q"], fresh["qd"], given, noise, self.checked)
+        return fresh | state.rows() | {"observation": seen["observation"], "reference": seen["reference"]}
 
 
-def asked(task: Task, now: Mapping[str, Tensor], scene: Scene, action: Tensor | None = None) -> dict[str, Tensor]:
-    """What a task asks for beside the state: goal [N, ...], time [N, 1] and action [N, n]; no action: none yet."""
+def task_inputs(
+    task: Task, buffers: Mapping[str, Tensor], scene: Scene, action: Tensor | None = None
+) -> dict[str, Tensor]:
+    """Inputs of a task beside the state: goal [N, ...], time [N, 1] and action [N, n]; at a start, without action."""
     wanted = task.inputs(scene.n)
-    given = {"goal": now["goal"]}
+    given = {"goal": buffers["goal"]}
     if "time" in wanted:
-        given["time"] = (now["steps"].to(now["goal"].dtype) * scene.dt)[:, None]
+        given["time"] = (buffers["steps"].to(buffers["goal"].dtype) * scene.dt)[:, None]
     if "action" in wanted and action is not None:
         given["action"] = action
     return given
 
 
 def _of_rows(scene: Scene, rows: Tensor) -> Scene:
-    """A scene with some rows of whatever differs from row to row."""
-    changed = {}
-    for name in scene.robot.varying:
-        x = getattr(scene.robot, name)
-        if x.ndim > len(SHAPES[name]):
-            changed[name] = x[rows]
-    effects = []
-    for effect in scene.effects:
-        batched = {name: x[rows] for name, x in effect.tensors().items() if x.ndim > len(effect.SHAPES[name])}
-        effects.append(replace(effect, **batched) if batched else effect)
-    if not changed and all(a is b for a, b in zip(effects, scene.effects, strict=True)):
+    """Scene of some environments: their rows of every tensor that has one row per environment."""
+
+    def chosen(x: Tensor, axes: int) -> Tensor:
+        return x[rows] if x.ndim > axes and len(x) > 1 else x
+
+    tensors = {name: chosen(getattr(scene.robot, name), len(SHAPES[name])) for name in scene.robot.varying}
+    effects = [
+        replace(effect, **{name: chosen(x, len(effect.SHAPES[name])) for name, x in effect.tensors().items()})
+        for effect in scene.effects
+    ]
+    if not tensors and not any(effect.tensors() for effect in effects):
         return scene
-    return scene.replace(robot=scene.robot.replace(**changed) if changed else scene.robot, effects=effects)
+    return scene.replace(robot=scene.robot.replace(**tensors) if tensors else scene.robot, effects=effects)
 
 
 @lru_cache(256)

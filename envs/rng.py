@@ -1,8 +1,8 @@
-"""Random numbers that belong to one environment each, so that a row does not depend on how many rows there are.
+"""Random numbers, one stream for each environment, so that a row does not depend on the number of rows.
 
 A stream is a key and a counter; word k of it is a hash of the key and k (the finaliser of SplitMix64: G. L. Steele,
-D. Lea, C. H. Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014). Nothing is kept between draws but
-the counter, so streams are saved, restored and drawn from in any subset of rows.
+D. Lea, C. H. Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014). Only the counter changes
+between draws, so streams are saved, restored and drawn from in any subset of rows.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ class Streams(NamedTuple):
     counter: Tensor  # [N] int64
 
     def uniform(self, width: int, dtype: torch.dtype = torch.float32) -> tuple[Tensor, Streams]:
-        """Numbers in (0, 1), ends excluded, shape [N, width], and the streams that go on behind them."""
+        """Numbers in (0, 1), ends excluded, shape [N, width], and the streams after them."""
         double = dtype == torch.float64
-        words = width if double else (width + 1) // 2  # one makes a double or two floats
+        words = width if double else (width + 1) // 2  # a word makes a double or two floats
         steps = torch.arange(words, device=self.key.device).mul_(_signed(_STEP))
         bits = _mixed((self.counter * _signed(_STEP) + self.key)[:, None] + steps)
         if not double:
@@ -52,14 +52,14 @@ class Streams(NamedTuple):
 
 
 def seeded(seed: int | Sequence[int], size: int, device: torch.device | str = "cpu") -> Streams:
-    """Streams at their beginning.
+    """New streams.
 
     Row i of those seeded with a number s is the first row of those seeded with s + i.
 
     Args:
         seed: from 0, or one for every row.
         size: number of rows.
-        device: of the streams.
+        device: device of the streams.
     """
     if isinstance(seed, str) or not isinstance(seed, Integral | Sequence):
         raise ArgumentError(f"seed must be a whole number or a sequence of them, found {seed!r}")
@@ -79,7 +79,7 @@ def _mixed(z: Tensor) -> Tensor:
     """The hash of 64-bit words, computed in their place."""
     shifted = torch.empty_like(z)
     for by, factor in ((30, _FIRST), (27, _SECOND), (31, 1)):
-        # the mask takes away the copies of the sign that come in from the left
+        # the mask removes the copies of the sign that are shifted in from the left
         torch.bitwise_right_shift(z, by, out=shifted).bitwise_and_((1 << (64 - by)) - 1)
         z.bitwise_xor_(shifted)
         if factor != 1:
@@ -88,5 +88,5 @@ def _mixed(z: Tensor) -> Tensor:
 
 
 def _signed(word: int) -> int:
-    """A 64-bit word as torch's signed integers write it."""
+    """A 64-bit word as a signed integer of torch."""
     return word - (1 << 64) if word >= 1 << 63 else word

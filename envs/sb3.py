@@ -1,4 +1,4 @@
-"""Vector environments of Stable-Baselines3; importing this module needs that library."""
+"""Vector environment of Stable-Baselines3; only this module needs that library."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class StableBaselinesVecEnv(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self) -> np.ndarray:
-        """Observations [N, ...] at the beginning of new episodes, seeded as `seed` was told."""
+        """Observations [N, ...] at the beginning of new episodes, with the seed that was given to `seed`."""
         seed = self._seeds[0]  # row i has seed + i, as theirs have
         observations, _ = self.envs.reset(seed=seed)
         self._reset_seeds()
@@ -70,15 +70,15 @@ class StableBaselinesVecEnv(VecEnv):
         return [getattr(self.envs, attr_name) for _ in self._get_indices(indices)]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Nothing: environments that share everything cannot be changed one by one."""
+        """Not supported: environments of a batch share their attributes."""
         raise NotImplementedError("environments of a batch share their attributes; change them in `envs`")
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        """Nothing: there are no single environments to call."""
+        """Not supported: environments of a batch have no methods of their own."""
         raise NotImplementedError("environments of a batch have no methods of their own; call those of `envs`")
 
     def env_is_wrapped(self, wrapper_class: type, indices: Any = None) -> list[bool]:
-        """False for each: what they return is not wrapped."""
+        """False for each environment."""
         return [False for _ in self._get_indices(indices)]
 
 

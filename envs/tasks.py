@@ -1,7 +1,7 @@
-"""Tasks: what an environment asks of a robot, written for any kind of number and recorded into the step's own program.
+"""Tasks of environments, written for any kind of number and recorded into the step's own program.
 
-A task says where an episode starts and what its goal is, from random numbers; and, from the state at the end of a step,
-what the policy sees, what it is rewarded with, and what the robot would do without it: the reference.
+A task computes start and goal of an episode from random numbers; and, from the state at the end of a step, observation,
+reward, and the reference that the robot follows without the policy.
 """
 
 from __future__ import annotations
@@ -15,39 +15,39 @@ from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.dynamics.posed import Posed
-from torchdq.envs.recording import Rows, View
+from torchdq.envs.spec import Rows, View
 from torchdq.numbers.functions import at_least, clip, minimum, sqrt
 from torchdq.robot import Robot
 from torchdq.robot.posed import frame, posed
 
 Row = Sequence[Number]
 
-SPEED = 2.0  # of a joint whose description names no limit [rad/s or m/s]
-FASTEST = 10.0  # velocity that is still told from faster ones, in multiples of the limit
-EFFORT = 0.01  # what full actions of all joints cost per step
+SPEED = 2.0  # velocity limit of a joint whose description has none [rad/s or m/s]
+FASTEST = 10.0  # bound of observed velocities, in multiples of the limit
+EFFORT = 0.01  # cost per step of full actions of all joints
 CLOSE = 0.05  # distance at which half of the bonus is earned [m]
 TIGHT = 0.1  # root mean square error at which half of the reward is earned [rad or m]
-HIGHEST = 2.0  # rate of the sinusoids of a reference [rad/s]
-SENSIBLE = 1e6  # positions, velocities and rewards beyond it are those of a simulation that has failed
+HIGHEST = 2.0  # largest rate of the sinusoids of a reference [rad/s]
+SENSIBLE = 1e6  # bound of velocities and rewards; beyond it the simulation has failed
 
 
 class EpisodeTask(Protocol):
-    """A task of an environment; frozen and hashable, since programs are kept by it.
+    """A task of an environment; frozen and hashable, since it is part of the key of its programs.
 
     Its rows are "observation", "reward" [1] and "reference" [3 n], the positions, velocities and accelerations that a
-    controller is to follow over the next step; "terminated" [1], not zero where the episode has come to its end, may
-    be among them. Others go to the environment's `info`. Beside its "goal" it may ask for the "action" [n] in [-1, 1]
-    and for the "time" [1] since the episode began [s]; at the beginning of an episode there is no action. A goal of
+    controller is to follow over the next step; "terminated" [1], not zero where the episode ends, may be among them.
+    Others go to the environment's `info`. Beside its "goal" it may take the "action" [n] in [-1, 1] and the "time" [1]
+    since the episode began [s]; at the beginning of an episode there is no action. A goal of
     three numbers is drawn as a point.
     """
 
     def __hash__(self) -> int: ...
 
     def inputs(self, n: int) -> dict[str, int]:
-        """Names and widths of what it needs beside the state."""
+        """Names and widths of its inputs beside the state."""
 
     def draws(self, robot: Robot) -> int:
-        """How many random numbers an episode begins with."""
+        """Number of random numbers that an episode starts from."""
 
     def start(self, robot: Robot, u: Row) -> Rows:
         """Rows "q", "qd" and "goal" of random numbers in (0, 1)."""
@@ -56,7 +56,7 @@ class EpisodeTask(Protocol):
         """Lower and upper bound of every number of an observation."""
 
     def rows(self, view: View) -> Rows:
-        """Observation, reward, reference and whatever else."""
+        """Observation, reward, reference and any further rows."""
 
 
 @dataclass(frozen=True)
@@ -64,12 +64,12 @@ class Reach:
     """Bring the end effector to a point that it can reach, from standstill.
 
     Goal: the point in the base frame [m], that of random joint positions within their limits. Observation: sine and
-    cosine of revolute joints or the position of prismatic ones, velocities as fractions of their limits, the way from
-    the end effector to the goal, and the end effector, as measured. Reward, of the true state:
+    cosine of revolute joints or the position of prismatic ones, velocities as fractions of their limits, the vector
+    from the end effector to the goal, and the position of the end effector, as measured. Reward, of the true state:
 
         1 / (1 + (d / 0.05)^2) - d - 0.01 mean(action^2),   d the distance [m]
 
-    Reference: to stand still where the robot is.
+    Reference: to stand still at the present position.
     """
 
     def inputs(self, n: int) -> dict[str, int]:
@@ -87,7 +87,7 @@ class Reach:
         return {"q": at, "qd": [0.0] * robot.n, "goal": tip(robot, posed(robot, there, {}, ()))}
 
     def bounds(self, robot: Robot) -> list[tuple[float, float]]:
-        """Of sines and cosines, positions, velocities, way and end effector."""
+        """Bounds of sines and cosines, positions, velocities, vector to the goal, and end effector."""
         seen = []
         for kind, r in zip(robot.kinds, ranges(robot), strict=True):
             seen += [(-1.0, 1.0)] * 2 if kind == "revolute" else [r.beyond]
@@ -95,8 +95,8 @@ class Reach:
         return [*seen, *[(-FASTEST, FASTEST)] * robot.n, *[(-2 * length, 2 * length)] * 3, *[(-length, length)] * 3]
 
     def rows(self, view: View) -> Rows:
-        """See the class."""
-        robot, n, goal = view.scene.plan.robot, len(view.q), view.inputs["goal"]
+        """Rows as the class states them."""
+        robot, n, goal = view.scene.spec.robot, len(view.q), view.inputs["goal"]
         q, qd = view.reading[:n], view.reading[n:]
         p = tip(robot, view.scene.posed(q))
         seen = [y for kind, x in zip(robot.kinds, q, strict=True) for y in (turned(x) if kind == "revolute" else (x,))]
@@ -164,23 +164,23 @@ class Track:
         return [*q, *qd, *qdd]
 
     def bounds(self, robot: Robot) -> list[tuple[float, float]]:
-        """Of errors, velocities and reference."""
+        """Bounds of errors, velocities and reference."""
         n = robot.n
         wide = [(-2.0 * r.span, 2.0 * r.span) for r in ranges(robot)]
         return [*wide, *[(-FASTEST, FASTEST)] * n, *[r.beyond for r in ranges(robot)], *[(-HIGHEST, HIGHEST)] * (2 * n)]
 
     def rows(self, view: View) -> Rows:
-        """See the class."""
-        robot, n = view.scene.plan.robot, len(view.q)
+        """Rows as the class states them."""
+        robot, n = view.scene.spec.robot, len(view.q)
         q, qd = view.reading[:n], view.reading[n:]
         reference = self.reference(view.inputs["goal"], view.inputs["time"][0])
         wanted, moving = reference[:n], reference[n:]
         errors = [r - x for r, x in zip(wanted, q, strict=True)]
         rates = [*speeds(robot, moving[:n]), *speeds(robot, moving[n:])]
-        seen = [*errors, *speeds(robot, qd), *wanted, *rates]
+        measured = within([*errors, *speeds(robot, qd)], self.bounds(robot)[: 2 * n])
         squared = sum(((r - x) * (r - x) for r, x in zip(wanted, view.q, strict=True)), 0.0) * (1.0 / n)
         return {
-            "observation": within(seen, self.bounds(robot)),
+            "observation": [*measured, *wanted, *rates],  # the reference is within its bounds
             "reward": [1.0 / (1.0 + squared * (1.0 / TIGHT**2)) - cost(view)],
             "reference": reference,
             "error": [sqrt(squared + 1e-12)],
@@ -188,27 +188,28 @@ class Track:
 
 
 @dataclass(frozen=True)
-class Watched:
-    """A task that says as well whether all its numbers make sense: "sound" [1] is 1 where they do, or else 0."""
+class Checked:
+    """A task with a check of its numbers: "valid" [1] is 1, or 0 where the simulation has failed."""
 
     task: EpisodeTask
 
     def inputs(self, n: int) -> dict[str, int]:
-        """Those of the task."""
+        """Inputs of the task."""
         return self.task.inputs(n)
 
     def rows(self, view: View) -> Rows:
-        """Those of the task, and "sound"; what is not a number is not below a bound either."""
+        """Rows of the task, and "valid"."""
         rows = self.task.rows(view)
-        judged = (*view.q, *view.qd, *rows["observation"], *rows["reward"])
-        return {**rows, "sound": [at_least(SENSIBLE**2, sum((x * x for x in judged), 0.0))]}
+        # NaN and infinity survive sums; positions follow the velocities
+        squares = [x * x for x in (*view.qd, *rows["reward"], sum(rows["observation"], 0.0))]
+        return {**rows, "valid": [at_least(SENSIBLE**2, sum(squares, 0.0))]}
 
 
-# --- what tasks have in common ---------------------------------------------------------------------------------------
+# --- terms of tasks ---------------------------------------------------------------------------------------
 
 
 class Range(NamedTuple):
-    """Where a joint may be, and how fast."""
+    """Range of a joint's position, and its velocity limit."""
 
     lower: float  # [rad or m]
     span: float  # from there to the upper limit [rad or m]
@@ -221,7 +222,7 @@ class Range(NamedTuple):
 
 
 def ranges(robot: Robot) -> list[Range]:
-    """Range of every joint; a whole turn, or a metre, where the description names none."""
+    """Range of every joint; a whole turn, or a metre, where the description has none."""
     found = []
     for kind, lower, upper, speed in zip(
         robot.kinds, robot.limits.lower.tolist(), robot.limits.upper.tolist(), velocities(robot), strict=True
@@ -234,7 +235,7 @@ def ranges(robot: Robot) -> list[Range]:
 
 
 def velocities(robot: Robot) -> list[float]:
-    """Limits of the velocities [rad/s or m/s], `SPEED` where the description names none."""
+    """Limits of the velocities [rad/s or m/s], `SPEED` where the description has none."""
     return [v if math.isfinite(v) and v > 0 else SPEED for v in robot.limits.velocity.tolist()]
 
 
@@ -250,7 +251,7 @@ def tip(robot: Robot, at: Posed) -> Pure:
 
 
 def reach(robot: Robot) -> float:
-    """A distance from the base's origin that no end effector exceeds [m]: all lengths on the way in one line."""
+    """Bound of the end effector's distance from the base's origin [m]: the sum of all lengths between them."""
     frame = robot.end_effector()
     length, i = _length(frame.X_BF.tolist()), frame.link
     while i >= 0:
@@ -278,6 +279,6 @@ def within(row: Row, bounds: Sequence[tuple[float, float]]) -> list[Number]:
 
 
 def cost(view: View) -> Number:
-    """What the action costs; nothing if there was none."""
+    """Cost of the action; zero if there was none."""
     action = view.inputs.get("action", ())
     return (EFFORT / len(view.q)) * sum((a * a for a in action), 0.0) if action else 0.0

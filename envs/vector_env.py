@@ -29,61 +29,62 @@ from torch import Tensor
 from torchdq.backends.choice import Backend
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, full
+from torchdq.envs.arguments import autoreset_of, check_choice, check_number, check_scene, robot_of, task_of
 from torchdq.envs.controllers import ComputedTorque, Controller
+from torchdq.envs.defaults import nominal, usual
 from torchdq.envs.integrators import Integrator, LinearlyImplicit
-from torchdq.envs.randomization import nominal, usual, varied
-from torchdq.envs.reset import Beginning, asked
+from torchdq.envs.randomization import randomised
+from torchdq.envs.reset import Reset, task_inputs
 from torchdq.envs.rng import Streams, seeded
-from torchdq.envs.scene import Scene, State
-from torchdq.envs.tasks import EpisodeTask, Reach, Track, Watched
+from torchdq.envs.scene import Scene
+from torchdq.envs.state import State
+from torchdq.envs.tasks import Checked, EpisodeTask
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 from torchdq.robot import Robot
-from torchdq.robot.posed import GEOMETRY
-from torchdq.robot.robot import DTYPES, SHAPES
-from torchdq.robot.shipped import ROBOTS, load
+from torchdq.robot.robot import DTYPES
 
-TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track()}
-KP, KD = 100.0, 20.0  # of the controller that is there unless told [1/s^2, 1/s]
-SHOWN = 4  # environments that are rendered
-_GIVEN_AWAY = ("observation", "finished")  # tensors that callers may hold, and that are never written into
+KP, KD = 100.0, 20.0  # gains of the default controller [1/s^2, 1/s]
+SHOWN = 4  # rendered environments
 WORST = -1000.0  # reward of a step that failed, worse than any episode
+_HANDED_OUT = ("observation", "finished")  # buffers that callers may hold, and that are never written into
+_RESTORED = ("q", "qd", "memory", "reading", "observation", "reference")  # buffers set back after a failed step
 
 
 class ArmVectorEnv(VectorEnv):
     """Environments of one robot and one task, stepped by one program.
 
-    Actions are in [-1, 1]^n. What is outside is clipped, and `info["clipped"]` counts it per row. Rows do not know of
-    each other: row i of a batch that was seeded with s is, bit for bit, the single environment seeded with s + i.
+    Actions are in [-1, 1]^n. Others are clipped, and `info["clipped"]` counts them per row. Rows are independent: row i
+    of a batch that was seeded with s is, bit for bit, the single environment seeded with s + i.
 
     A row whose numbers have left the finite range terminates alone: its observation is the last finite one, its reward
-    -1000, worse than any episode, and `info["nonfinite"]` says so; what else is in `info` is not a number then.
+    -1000, worse than any episode, and `info["nonfinite"]` is true; the other entries of `info` are NaN then.
 
     Args:
         num_envs: number of environments.
         task: "reach", "track", or an object like those of `torchdq.envs.tasks`.
         robot: name of a shipped robot, path of a URDF file, or a robot; it needs an end effector to reach.
-        effects: what is simulated; None: `torchdq.envs.randomization.usual(robot)`.
-        action: what actions are. "torque": fractions of the torque limits. "residual": fractions of a fifth of them, on
-            top of a controller that follows the task's reference. "reference": offsets of the position that the
-            controller is to follow, full ones as far as the joint gets in 0.2 s. The reference of "reach" is to stand
+        effects: effects of the scene; None: `torchdq.envs.defaults.usual(robot)`.
+        action: meaning of the actions. "torque": fractions of the torque limits. "residual": fractions of a fifth of
+            them, on top of a controller that follows the task's reference. "reference": offsets of the position that
+            the controller follows, full ones as far as the joint gets in 0.2 s. The reference of "reach" is to stand
             still wherever the robot is: a residual pushes an arm that has no weight and comes to rest by itself, and
             an offset moves it on.
-        controller: of residual and reference actions; None: computed torque of the rigid bodies as described, which
-            knows nothing of friction or of what is randomised.
-        scale: what a full action is [N m or N; rad or m for "reference"], one number or n; None: as above.
+        controller: controller of residual and reference actions; None: computed torque of the rigid bodies as
+            described, which knows nothing of friction or of what is randomised.
+        scale: size of a full action [N m or N; rad or m for "reference"], one number or n; None: as above.
         integrator: None: `LinearlyImplicit()`, which friction and limits cannot make unstable.
         dt: duration of a step [s].
-        substeps: of the integrator within it.
-        max_episode_steps: after which an episode is truncated; None: never.
-        randomise: what differs between episodes, such as {"mass": 0.1, "friction": 0.2, "payload": 2.0}; see
-            `torchdq.envs.randomization.varied`.
-        autoreset_mode: when finished rows begin anew, as gymnasium defines it. SAME_STEP: at once, and
+        substeps: steps of the integrator within it.
+        max_episode_steps: steps after which an episode is truncated; None: never.
+        randomise: half widths of the parameters drawn for every episode, such as {"mass": 0.1, "friction": 0.2,
+            "payload": 2.0}; see `torchdq.envs.randomization.randomised`.
+        autoreset_mode: time at which finished rows are reset, as gymnasium defines it. SAME_STEP: at once, and
             `info["final_obs"]` [N, ...] and `info["final_info"]` hold what came before in the rows of the masks
             `info["_final_obs"]` and `info["_final_info"]`. NEXT_STEP: at the next step, which ignores their action.
             DISABLED: when `reset(options={"reset_mask": mask})` is called; stepping a finished row is an error.
-        dtype: float32 or float64, of everything.
-        device: where the environments are.
-        output: "torch" or "numpy", of everything that `reset` and `step` return.
+        dtype: float32 or float64.
+        device: device of the environments.
+        output: "torch" or "numpy": type of everything that `reset` and `step` return.
         render_mode: "rgb_array": `render` returns frames of the first four environments; "human": every
             step shows the first one in a browser.
         backend: as in `torchdq.functional`.
@@ -119,28 +120,18 @@ class ArmVectorEnv(VectorEnv):
         render_mode: Literal["rgb_array", "human"] | None = None,
         backend: Backend | None = None,
     ) -> None:
-        if not isinstance(num_envs, int) or num_envs < 1:
-            raise ArgumentError(f"num_envs must be a whole number from 1, found {num_envs!r}")
-        if max_episode_steps is not None and (not isinstance(max_episode_steps, int) or max_episode_steps < 1):
-            raise ArgumentError(f"max_episode_steps must be a whole number from 1 or None, found {max_episode_steps!r}")
+        check_number("num_envs", num_envs)
+        if max_episode_steps is not None:
+            check_number("max_episode_steps", max_episode_steps)
         if dtype not in DTYPES:
             raise DtypeError(f"dtype must be torch.float32 or torch.float64, found {dtype}")
-        _one_of("action", action, get_args(Kind))
-        _one_of("output", output, ("torch", "numpy"))
-        _one_of("render_mode", render_mode, (None, "rgb_array", "human"))
-        if isinstance(task, str) and task not in TASKS:
-            raise UnknownNameError("task", task, TASKS)
-        if not isinstance(task, str) and not callable(getattr(task, "start", None)):
-            raise ArgumentError(f"task must be the name of one or like those of torchdq.envs.tasks, found {task!r}")
-        modes = {mode for member in AutoresetMode for mode in (member, member.value)}
-        if autoreset_mode not in modes:
-            raise ArgumentError(f"autoreset_mode must be one of {[*AutoresetMode]}, found {autoreset_mode!r}")
+        check_choice("action", action, get_args(Kind))
+        check_choice("output", output, ("torch", "numpy"))
+        check_choice("render_mode", render_mode, (None, "rgb_array", "human"))
         self.num_envs, self.max_episode_steps, self.output = num_envs, max_episode_steps, output
-        self.task = TASKS[task] if isinstance(task, str) else task
-        self.robot = _robot(robot)
+        self.task, self.robot = task_of(task), robot_of(robot)
         self.dtype, self.device = dtype, torch.device(device)
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.render_mode = render_mode
+        self.autoreset_mode, self.render_mode = autoreset_of(autoreset_mode), render_mode
         like = torch.empty(0, dtype=dtype, device=self.device)
         scene = Scene(
             self.robot,
@@ -159,18 +150,18 @@ class ArmVectorEnv(VectorEnv):
             scene = scene.replace(controller=controller or ComputedTorque(KP, KD, nominal(scene)))
         elif controller is not None:
             raise ArgumentError("controller must be None for torque actions; did you mean action='residual'?")
-        self.scene, self._varied = varied(scene, randomise or {}, num_envs, like)
-        _fits(self.scene, num_envs)
+        self.scene, self._randomised = randomised(scene, randomise or {}, num_envs, like)
+        check_scene(self.scene, num_envs)
         self._actions = Actions(action, self.robot, torch.as_tensor(full(self.robot, action, scale)).to(like))
-        self._watched = Watched(self.task)
-        self._beginning = Beginning(self.scene, self.task, self._watched, self._varied)
+        self._checked = Checked(self.task)
+        self._reset = Reset(self.scene, self.task, self._checked, self._randomised)
         low, high = np.array(self.task.bounds(self.robot), dtype=np.dtype(str(dtype).removeprefix("torch."))).T
         self.single_observation_space = Box(low, high, dtype=low.dtype.type)
         self.single_action_space = Box(-1.0, 1.0, (self.robot.n,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._now: dict[str, Tensor] = {}  # everything that changes, a row per environment; empty before a reset
-        self._pending = False  # whether a row has finished and was not begun anew
+        self._buffers: dict[str, Tensor] = {}  # all that steps change, a row per environment; empty before a reset
+        self._unreset = False  # True if a row has finished and was not reset
         self._painter: Any = None
 
     # --- gymnasium ---
@@ -182,38 +173,25 @@ class ArmVectorEnv(VectorEnv):
         """Observations [N, ...] at the beginning of new episodes, and an empty `info`.
 
         Args:
-            seed: of the random numbers; row i has those of seed + i. A sequence has one for every row. None: they go
-                on, and if there are none yet, the seed is a surprise.
-            options: {"reset_mask": mask}: a bool [N], numpy or torch; only those rows begin anew.
+            seed: seed of the random numbers; row i has the seed seed + i. A sequence has one for every row. None: the
+                streams continue; before the first reset they are seeded at random.
+            options: {"reset_mask": mask}: a bool [N], numpy or torch; only those rows are reset.
         """
         self._open()
         for name in options or {}:
             if name != "reset_mask":
                 raise UnknownNameError("option of reset", name, ("reset_mask",))
         mask = self._mask((options or {}).get("reset_mask"))
-        if mask is not None and not self._now:
+        if mask is not None and not self._buffers:
             raise ResetNeeded("a first reset must be of all environments; call reset() without a reset_mask")
         rows = torch.arange(self.num_envs, device=self.device) if mask is None else mask.nonzero().squeeze(1)
-        now = self._now or self._blank()
-        streams = self._streams(now)
+        buffers = self._buffers or self._blank()
         if seed is not None:
-            if isinstance(seed, Tensor | np.ndarray):
-                seed = seed.tolist()
-            if isinstance(seed, Sequence):
-                seeds = list(seed)
-            else:
-                super().reset(seed=int(seed))
-                seeds = [int(seed) + i for i in range(self.num_envs)]
-            if len(seeds) != self.num_envs:
-                raise ArgumentError(f"seed must be one number or {self.num_envs}, found {len(seeds)}")
-            chosen = {i: s for i in rows.tolist() if (s := seeds[i]) is not None}
-            fresh = seeded(list(chosen.values()), len(chosen), self.device)
-            streams = streams.with_rows(torch.tensor(list(chosen), dtype=torch.int64, device=self.device), fresh)
-        self._now = {**now, **streams._asdict()}
-        self._begin(rows)
-        self._pending = bool(self._now["finished"].any())
+            buffers.update(self._seeded(buffers, seed, rows)._asdict())
+        self._begin(buffers, rows)
+        self._unreset = bool(self._buffers["finished"].any())
         self._show()
-        return self._out(self._now["observation"]), {}
+        return self._out(self._buffers["observation"]), {}
 
     @torch.no_grad()
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -223,56 +201,57 @@ class ArmVectorEnv(VectorEnv):
             actions: [N, n] in [-1, 1], numpy or torch.
         """
         self._open()
-        if not self._now:
+        if not self._buffers:
             raise ResetNeeded("call reset() before step()")
-        finished, counter = self._now["finished"], self._now["counter"]
-        if self._pending and self.autoreset_mode == AutoresetMode.DISABLED:
+        finished, counter = self._buffers["finished"], self._buffers["counter"]
+        if self._unreset and self.autoreset_mode == AutoresetMode.DISABLED:
             raise ResetNeeded(
                 f"environments {finished.nonzero().squeeze(1).tolist()[:8]} have finished; reset them with "
                 f"options={{'reset_mask': terminated | truncated}}, or choose another autoreset_mode"
             )
         actions, clipped = self._actions.clipped(actions, self.num_envs)
-        rows, now = self._advanced(actions)
-        reward, lost = rows.pop("reward").squeeze(1), rows.pop("sound").squeeze(1) != 1
-        terminated = lost
+        rows, buffers = self._advanced(actions)
+        reward, failed = rows.pop("reward").squeeze(1), rows.pop("valid").squeeze(1) != 1
+        terminated = failed
         if "terminated" in rows:
-            terminated = lost | (rows.pop("terminated").squeeze(1) != 0)
-        steps = now["steps"]
+            terminated = failed | (rows.pop("terminated").squeeze(1) != 0)
         limit = self.max_episode_steps
-        truncated = torch.zeros_like(lost) if limit is None else steps >= limit
-        now["finished"] = done = terminated | truncated
-        info: dict[str, Any] = {"clipped": clipped, "nonfinite": lost, **{k: x.squeeze(1) for k, x in rows.items()}}
+        truncated = torch.zeros_like(failed) if limit is None else buffers["steps"] >= limit
+        buffers["finished"] = done = terminated | truncated
+        info: dict[str, Any] = {"clipped": clipped, "nonfinite": failed, **{k: x.squeeze(1) for k, x in rows.items()}}
         any_done = bool(done.any())
-        if any_done and bool(lost.any()):
-            now = self._without(lost, now)
-            reward = reward.masked_fill(lost, WORST)
+        if any_done and bool(failed.any()):
+            for name in _RESTORED:
+                if name in buffers:
+                    buffers[name] = torch.where(failed[:, None], self._buffers[name], buffers[name])
+            reward = reward.masked_fill(failed, WORST)
             for name in rows:
-                info[name][lost] = torch.nan
-        self._now = now
-        if self._pending:  # in the mode NEXT_STEP, this step was the reset of what had finished
-            now["counter"] = torch.where(finished, counter, now["counter"])
-            self._begin(finished.nonzero().squeeze(1))
+                info[name][failed] = torch.nan
+        last = buffers["observation"]
+        if self._unreset:  # in the mode NEXT_STEP, this step is the reset of the rows that had finished
+            buffers["counter"] = torch.where(finished, counter, buffers["counter"])
+            self._begin(buffers, finished.nonzero().squeeze(1))
             going = ~finished
             reward, terminated, truncated = reward.masked_fill(finished, 0.0), terminated & going, truncated & going
-            info["nonfinite"] = lost & going
-            any_done = bool(self._now["finished"].any())
-        if any_done and self.autoreset_mode == AutoresetMode.SAME_STEP:
-            info.update(final_obs=now["observation"], _final_obs=done, final_info=dict(info), _final_info=done)
-            self._begin(done.nonzero().squeeze(1))
+            info["nonfinite"] = failed & going
+            any_done = bool(self._buffers["finished"].any())
+        elif any_done and self.autoreset_mode == AutoresetMode.SAME_STEP:
+            info.update(final_obs=last, _final_obs=done, final_info=dict(info), _final_info=done)
+            self._begin(buffers, done.nonzero().squeeze(1))
             any_done = False
-        self._pending = any_done
+        else:
+            self._buffers = buffers
+        self._unreset = any_done
         self._show()
-        observation = self._now["observation"]
-        if self.output == "torch":
-            return observation, reward, terminated, truncated, info
-        return tuple(self._out(x) for x in (observation, reward, terminated, truncated, info))
+        found = (self._buffers["observation"], reward, terminated, truncated, info)
+        return found if self.output == "torch" else tuple(self._out(x) for x in found)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """Frames [H, W, 3] uint8 of the first four environments, or None in the mode "human"."""
         self._open()
         if self.render_mode is None:
             raise ArgumentError("render_mode must be 'rgb_array' or 'human' to render; it is chosen at construction")
-        if not self._now:
+        if not self._buffers:
             raise ResetNeeded("call reset() before render()")
         return self._shown()
 
@@ -291,7 +270,7 @@ class ArmVectorEnv(VectorEnv):
 
         if self._painter is None:
             self._painter = Painter(self.robot) if self.render_mode == "rgb_array" else Viewer(self.robot)
-        q, goal = self._now["q"].cpu(), self._now["goal"].cpu()
+        q, goal = self._buffers["q"].cpu(), self._buffers["goal"].cpu()
         target = goal if goal.shape[1] == 3 else [None] * len(q)  # three numbers are a point
         if self.render_mode == "human":
             self._painter.show(q[0], target[0])
@@ -301,14 +280,14 @@ class ArmVectorEnv(VectorEnv):
     # --- saving ---
 
     def get_state(self) -> dict[str, Tensor]:
-        """Everything that steps change: states, goals, random numbers, parameters. `set_state` goes on from there."""
+        """Copy of all that steps change: states, goals, random numbers, parameters; for `set_state`."""
         self._open()
-        if not self._now:
+        if not self._buffers:
             raise ResetNeeded("call reset() before get_state()")
-        return {name: x.clone() for name, x in (*self._now.items(), *self._parameters().items())}
+        return {name: x.clone() for name, x in (*self._buffers.items(), *self._parameters().items())}
 
     def set_state(self, state: Mapping[str, Tensor]) -> None:
-        """Go on from a state of an environment that was constructed alike.
+        """Continue from a state of an environment that was constructed alike.
 
         Args:
             state: from `get_state`, or from `torch.load` of such.
@@ -325,14 +304,14 @@ class ArmVectorEnv(VectorEnv):
                 )
         for name, x in self._parameters().items():
             x.copy_(state[name])
-        self._now = {name: x.to(self.device, copy=True) for name, x in state.items() if "." not in name}
-        self._pending = bool(self._now["finished"].any()) and self.autoreset_mode != AutoresetMode.SAME_STEP
+        self._buffers = {name: x.to(self.device, copy=True) for name, x in state.items() if "." not in name}
+        self._unreset = bool(self._buffers["finished"].any()) and self.autoreset_mode != AutoresetMode.SAME_STEP
 
     def _parameters(self) -> dict[str, Tensor]:
-        """The scene's own tensors that are drawn anew for every episode."""
-        return {f"{v.effect}.{name}": x for v in self._varied for name, x in v.tensors(self.scene).items()}
+        """The scene's own tensors that are drawn for every episode."""
+        return {f"{r.effect}.{name}": x for r in self._randomised for name, x in r.tensors(self.scene).items()}
 
-    # --- how ---
+    # --- internals ---
 
     def _open(self) -> None:
         if self.closed:
@@ -356,89 +335,58 @@ class ArmVectorEnv(VectorEnv):
             raise ArgumentError("reset_mask must be true in at least one row, found none; do not call reset then")
         return mask
 
+    def _seeded(self, buffers: Mapping[str, Tensor], seed: Any, rows: Tensor) -> Streams:
+        """Random numbers with some rows seeded."""
+        if isinstance(seed, Tensor | np.ndarray):
+            seed = seed.tolist()
+        if isinstance(seed, Sequence):
+            seeds = list(seed)
+        else:
+            super().reset(seed=int(seed))
+            seeds = [int(seed) + i for i in range(self.num_envs)]
+        if len(seeds) != self.num_envs:
+            raise ArgumentError(f"seed must be one number or {self.num_envs}, found {len(seeds)}")
+        chosen = {i: s for i in rows.tolist() if (s := seeds[i]) is not None}
+        fresh = seeded(list(chosen.values()), len(chosen), self.device)
+        chosen_rows = torch.tensor(list(chosen), dtype=torch.int64, device=self.device)
+        return self._streams(buffers).with_rows(chosen_rows, fresh)
+
     def _advanced(self, actions: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """What the task says of a step, and what is then."""
-        now = dict(self._now)
-        now["steps"] = now["steps"] + 1
-        given = asked(self.task, now, self.scene, actions) | self._actions.inputs(actions, now["reference"])
+        """The task's rows after a step, and the buffers."""
+        buffers = dict(self._buffers)
+        buffers["steps"] = buffers["steps"] + 1
+        given = task_inputs(self.task, buffers, self.scene, actions)
+        given |= self._actions.inputs(actions, buffers["reference"])
         noise = None
         if self.scene.noises:
-            noise, (now["key"], now["counter"]) = self._streams(now).uniform(self.scene.noises, self.dtype)
-        state, rows = self.scene.advance(self._state(now), given, noise, self._watched)
-        return rows, self._after(now, state, rows)
+            noise, (buffers["key"], buffers["counter"]) = self._streams(buffers).uniform(self.scene.noises, self.dtype)
+        state = State(buffers["q"], buffers["qd"], buffers.get("memory"), buffers.get("reading"))
+        state, rows = self.scene.advance(state, given, noise, self._checked)
+        buffers.update(state.rows(), observation=rows.pop("observation"), reference=rows.pop("reference"))
+        return rows, buffers
 
-    def _begin(self, rows: Tensor) -> None:
-        """Begin new episodes in some rows, which are given by their numbers [k]."""
-        now = dict(self._now)
-        fresh = self._beginning(rows, self._streams(now).rows(rows), self.dtype)
-        for name, x in fresh.items():
-            if name in _GIVEN_AWAY:
-                now[name] = now[name].index_copy(0, rows, x)
+    def _begin(self, buffers: Mapping[str, Tensor], rows: Tensor) -> None:
+        """Keep the buffers, with new episodes in the rows of some indices [k]."""
+        self._buffers = dict(buffers)
+        for name, x in self._reset(rows, self._streams(buffers).rows(rows), self.dtype).items():
+            if name in _HANDED_OUT:
+                self._buffers[name] = buffers[name].index_copy(0, rows, x)
             else:
-                now[name].index_copy_(0, rows, x)
-        self._now = now
+                buffers[name].index_copy_(0, rows, x)
 
     def _blank(self) -> dict[str, Tensor]:
-        """Everything that changes, before a first episode."""
+        """Buffers before a first episode."""
         N, n = self.num_envs, self.robot.n
         widths = {"q": n, "qd": n, "goal": self.task.inputs(n)["goal"], "reference": 3 * n}
         widths["observation"] = self.single_observation_space.shape[0]  # type: ignore[index]
         memory = sum(effect.memory(n) for effect in self.scene.effects)
         widths.update({"memory": memory} if memory else {})
-        widths.update({"reading": 2 * n} if self.scene.blueprint.of_slot("sensor") else {})
-        now = {name: torch.zeros(N, width, dtype=self.dtype, device=self.device) for name, width in widths.items()}
-        now["steps"] = torch.zeros(N, dtype=torch.int32, device=self.device)
-        now["finished"] = torch.zeros(N, dtype=torch.bool, device=self.device)
+        widths.update({"reading": 2 * n} if self.scene.spec.senses else {})
+        buffers = {name: torch.zeros(N, width, dtype=self.dtype, device=self.device) for name, width in widths.items()}
+        buffers["steps"] = torch.zeros(N, dtype=torch.int32, device=self.device)
+        buffers["finished"] = torch.zeros(N, dtype=torch.bool, device=self.device)
         seed = int(self.np_random.integers(2**62))
-        return {**now, **seeded(seed, N, self.device)._asdict()}
+        return {**buffers, **seeded(seed, N, self.device)._asdict()}
 
-    def _streams(self, now: Mapping[str, Tensor]) -> Streams:
-        return Streams(now["key"], now["counter"])
-
-    def _state(self, now: Mapping[str, Tensor]) -> State:
-        return State(now["q"], now["qd"], now.get("memory"), now.get("reading"))
-
-    def _after(self, now: dict[str, Tensor], state: State, rows: dict[str, Tensor]) -> dict[str, Tensor]:
-        """What is, with a new state and what the task says of it."""
-        now.update({name: x for name, x in state._asdict().items() if x is not None})
-        now.update(observation=rows.pop("observation"), reference=rows.pop("reference"))
-        return now
-
-    def _without(self, lost: Tensor, now: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """What is, but in the rows that were lost what was last."""
-        kept = ("q", "qd", "memory", "reading", "observation", "reference")
-        return {name: torch.where(lost[:, None], self._now[name], x) if name in kept else x for name, x in now.items()}
-
-
-def _robot(robot: str | Path | Robot) -> Robot:
-    if isinstance(robot, str) and robot in ROBOTS:
-        robot = load(robot)
-    elif isinstance(robot, str) and not robot.lstrip().startswith("<") and Path(robot).suffix == "":
-        raise UnknownNameError("shipped robot", robot, ROBOTS)
-    found = robot if isinstance(robot, Robot) else Robot.from_urdf(robot)
-    for name in (*GEOMETRY, "home"):
-        x = getattr(found, name)
-        if x is not None and x.ndim > len(SHAPES[name]):
-            raise ArgumentError(f"{name} of robot {found.name!r} has batch axes; environments need one geometry")
-    return found
-
-
-def _fits(scene: Scene, num_envs: int) -> None:
-    """Raise if an effect asks for what an environment does not give, or has rows of another number."""
-    for effect in scene.effects:
-        for name in effect.inputs(scene.n):
-            raise ArgumentError(
-                f"effects must not hold {type(effect).__name__}, whose input {name!r} an environment has nobody to give"
-            )
-        for name, x in effect.tensors().items():
-            batch = tuple(x.shape[: x.ndim - len(effect.SHAPES[name])])
-            if batch not in ((), (1,), (num_envs,)):
-                raise ArgumentError(
-                    f"{name} of {type(effect).__name__} must be one for all or have {num_envs} rows, found the batch "
-                    f"axes {batch}"
-                )
-
-
-def _one_of(name: str, value: Any, known: Sequence[Any]) -> None:
-    if value not in known:
-        raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}, found {value!r}")
+    def _streams(self, buffers: Mapping[str, Tensor]) -> Streams:
+        return Streams(buffers["key"], buffers["counter"])

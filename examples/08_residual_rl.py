@@ -46,7 +46,7 @@ from torch import Tensor, nn
 import torchdq
 from torchdq.envs import ArmVectorEnv, Scene, effects
 from torchdq.envs.controllers import ComputedTorque
-from torchdq.envs.randomization import nominal, usual
+from torchdq.envs.defaults import nominal, usual
 from torchdq.envs.sb3 import StableBaselinesVecEnv
 
 ROBOT = torchdq.robots.load("panda")

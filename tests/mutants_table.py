@@ -1085,14 +1085,14 @@ MUTANTS = (
         "torchdq/effects/joint.py",
         (
             "friction that pushes",
-            "return -(self.damping * qd)",
-            "return self.damping * qd",
+            "return [Impedance(d) for d in self.coefficient]",
+            "return [Impedance(-d) for d in self.coefficient]",
             f"{EFFECTS}::test_an_effect_at_the_joints_adds_the_torques_of_its_formula",
         ),
         (
             "springs about the other side",
-            "(q - self.rest)",
-            "(q + self.rest)",
+            "spring(k, x - r) for",
+            "spring(k, x + r) for",
             f"{EFFECTS}::test_an_effect_at_the_joints_adds_the_torques_of_its_formula",
         ),
         (
@@ -1103,9 +1103,24 @@ MUTANTS = (
         ),
         (
             "limits that dissipate on the way back",
-            "below * at_least(0.0, v) + above * at_least(v, 0.0)",
-            "below * at_least(v, 0.0) + above * at_least(0.0, v)",
+            "at_least(force * v, 0.0)",
+            "at_least(0.0, force * v)",
             f"{EFFECTS}::test_an_effect_at_the_joints_adds_the_torques_of_its_formula",
+        ),
+    ),
+    *within(
+        "torchdq/effects/transmission.py",
+        (
+            "rotors that their springs drive away",
+            "(u_i - t) / J",
+            "(u_i + t) / J",
+            f"{EFFECTS}::test_elastic_joints_are_two_masses_with_a_spring_between",
+        ),
+        (
+            "rotors left out of an implicit step",
+            "inertia.append(s * J / a)",
+            "inertia.append(0.0)",
+            f"{EFFECTS}::test_the_implicit_integrator_takes_elastic_springs_at_the_end_of_the_step",
         ),
     ),
     *within(
@@ -1118,8 +1133,8 @@ MUTANTS = (
         ),
         (
             "motors that gain torque with speed",
-            "clip(1.0 - ratio, 0.0, 1.0)",
-            "clip(1.0 + ratio, 0.0, 1.0)",
+            "stall - maximum(lost, 0.0)",
+            "stall + maximum(lost, 0.0)",
             f"{EFFECTS}::test_a_motor_loses_torque_with_speed",
         ),
         ("a lag of the inverse time", "dt / T", "T / dt", f"{EFFECTS}::test_a_lag_is_the_exponential_of_its_time"),
@@ -1216,24 +1231,18 @@ MUTANTS = (
         ),
     ),
     *within(
-        "envs/recording.py",
+        "envs/system.py",
         (
             "stiffness that is not implicit",
-            "h * (impedance.damping + h * impedance.stiffness)",
-            "h * impedance.damping",
+            "z.damping_at_end(h) for z",
+            "z.damping for z",
             f"{INTEGRATORS}::test_a_bounce_off_stiff_limits_gains_no_energy",
         ),
         (
             "a spring that sees the state at its beginning",
-            "net[i] - h * impedance.stiffness * qd[i]",
-            "net[i]",
+            "self._forces(joints.torques, impedances, damping, qd)",
+            "self._explicit(x, v)[1]",
             f"{EFFECTS}::test_the_implicit_integrator_takes_the_state_at_the_end_of_the_step",
-        ),
-        (
-            "rotors that their springs drive away",
-            "(u - t) / J",
-            "(u + t) / J",
-            f"{EFFECTS}::test_elastic_joints_are_two_masses_with_a_spring_between",
         ),
         (
             "the Hamiltonian's gradient",
@@ -1243,8 +1252,8 @@ MUTANTS = (
         ),
         (
             "wrenches on the environment",
-            "[neg(f) for f in felt]",
-            "felt",
+            "[neg(f) for f in wrenches]",
+            "wrenches",
             f"{EFFECTS}::test_a_push_is_the_torque_of_its_jacobian",
         ),
     ),

@@ -19,7 +19,7 @@ from gymnasium.vector import AutoresetMode
 import torchdq
 from torchdq.backends import cache as build
 from torchdq.envs import ArmEnv, ArmVectorEnv, controllers, effects
-from torchdq.envs.randomization import nominal, usual
+from torchdq.envs.defaults import nominal, usual
 from torchdq.envs.tasks import Reach, Track
 from torchdq.errors import ArgumentError, UnknownNameError
 
@@ -250,8 +250,10 @@ def test_a_row_whose_seed_is_none_goes_on():
 def test_effects_remember_at_the_beginning_what_they_do_in_a_scene():
     envs = make(effects=(effects.ReadingDelay(2), effects.Elastic(100.0, 1.0, 0.1), effects.Delay(1)))
     envs.reset(seed=0)
-    expected = envs.scene.start(envs._now["q"], envs._now["qd"])
-    assert torch.equal(envs._now["memory"], expected.memory) and torch.equal(envs._now["reading"], expected.reading)
+    expected = envs.scene.start(envs._buffers["q"], envs._buffers["qd"])
+    assert torch.equal(envs._buffers["memory"], expected.memory) and torch.equal(
+        envs._buffers["reading"], expected.reading
+    )
     assert expected.memory.shape == (5, 4 + 2 + 8)
 
 
@@ -262,7 +264,7 @@ def test_finished_rows_begin_anew_in_the_same_step():
     envs = make(max_episode_steps=4)
     envs.reset(seed=0)
     envs.reset(seed=50, options={"reset_mask": np.array([True, False, True, False, False])})
-    envs._now["steps"][1] = 2  # one row is ahead of the others
+    envs._buffers["steps"][1] = 2  # one row is ahead of the others
     quiet = copy.deepcopy(envs)
     quiet.max_episode_steps = None
     action = torch.full((5, 2), 0.4)
@@ -274,7 +276,7 @@ def test_finished_rows_begin_anew_in_the_same_step():
     assert torch.equal(info["final_obs"], before)  # the last of the old episode, and of the others
     assert not torch.equal(observations[1], before[1]) and torch.equal(observations[2:], before[2:])
     assert set(info["final_info"]) == {"clipped", "nonfinite", "distance"}
-    assert envs._now["steps"].tolist() == [2, 0, 2, 2, 2]
+    assert envs._buffers["steps"].tolist() == [2, 0, 2, 2, 2]
 
 
 def test_finished_rows_begin_anew_at_the_next_step():
@@ -312,7 +314,7 @@ def test_a_mask_resets_only_its_rows():
     envs = make()
     envs.reset(seed=0)
     steps(envs, 5)
-    before, options = envs._now["observation"].clone(), {"reset_mask": np.array([False, True, False, False, True])}
+    before, options = envs._buffers["observation"].clone(), {"reset_mask": np.array([False, True, False, False, True])}
     observations, _ = envs.reset(seed=70, options=options)
     assert torch.equal(observations[[0, 2, 3]], before[[0, 2, 3]])
     assert torch.equal(observations[[1, 4]], make().reset(seed=70)[0][[1, 4]])
@@ -407,7 +409,7 @@ def test_a_row_that_fails_terminates_alone(mode, bad):
     envs, healthy = (make(autoreset_mode=mode) for _ in range(2))
     before, _ = envs.reset(seed=0)
     healthy.reset(seed=0)
-    envs._now["qd"][2, 0] = bad
+    envs._buffers["qd"][2, 0] = bad
     action = next(actions_of(envs))
     observations, rewards, terminated, truncated, info = envs.step(action)
     others = [0, 1, 3, 4]
@@ -513,13 +515,13 @@ def test_wrong_variations_are_refused():
 def test_the_end_effector_is_observed_where_it_is_and_the_goal_is_within_reach():
     envs = ArmVectorEnv(200, robot="panda", dtype=torch.float64)
     observations, _ = envs.reset(seed=0)
-    q = envs._now["q"]
+    q = envs._buffers["q"]
     tip = torchdq.dq.translation(torchdq.forward_kinematics(envs.robot, q, "tip"))
     sines = torch.stack([q.sin(), q.cos()], -1).flatten(1)
     assert torch.allclose(observations[:, :14], sines, atol=1e-14)
     assert torch.allclose(observations[:, -3:], tip, atol=1e-12)
-    assert torch.allclose(observations[:, -6:-3], envs._now["goal"] - tip, atol=1e-12)
-    assert (envs._now["goal"] - torch.tensor([0, 0, 0.333])).norm(
+    assert torch.allclose(observations[:, -6:-3], envs._buffers["goal"] - tip, atol=1e-12)
+    assert (envs._buffers["goal"] - torch.tensor([0, 0, 0.333])).norm(
         dim=1
     ).max() < 1.2  # an arm's length from its shoulder
     lower, upper = envs.robot.limits[:2]
@@ -540,11 +542,11 @@ def test_reaching_is_rewarded_by_distance():
 def test_what_is_seen_is_measured_and_what_is_rewarded_is_true():
     envs = make(5, effects=(effects.Gravity(), effects.Bias(0.3, 0.1)), dtype=torch.float64)
     observations, _ = envs.reset(seed=0)
-    assert torch.allclose(observations[:, 0], (envs._now["q"][:, 0] + 0.3).sin(), atol=1e-12)
+    assert torch.allclose(observations[:, 0], (envs._buffers["q"][:, 0] + 0.3).sin(), atol=1e-12)
     observations, *_, info = envs.step(torch.zeros(5, 2))
-    assert torch.allclose(observations[:, 0], (envs._now["q"][:, 0] + 0.3).sin(), atol=1e-12)
-    tip = torchdq.dq.translation(torchdq.forward_kinematics(ROBOT, envs._now["q"], ROBOT.tip))
-    assert torch.allclose(info["distance"], (envs._now["goal"] - tip).norm(dim=1), atol=1e-6)
+    assert torch.allclose(observations[:, 0], (envs._buffers["q"][:, 0] + 0.3).sin(), atol=1e-12)
+    tip = torchdq.dq.translation(torchdq.forward_kinematics(ROBOT, envs._buffers["q"], ROBOT.tip))
+    assert torch.allclose(info["distance"], (envs._buffers["goal"] - tip).norm(dim=1), atol=1e-6)
 
 
 def test_a_goal_can_be_reached():
@@ -552,7 +554,7 @@ def test_a_goal_can_be_reached():
     envs = ArmVectorEnv(50, robot="panda", action="reference")
     observations, _ = envs.reset(seed=0)
     for _ in range(150):
-        way, q = observations[:, -6:-3, None], envs._now["q"]
+        way, q = observations[:, -6:-3, None], envs._buffers["q"]
         J = torchdq.jacobian(envs.robot, q, "tip", expressed="world")[:, 3:]
         offset = J.mT @ torch.linalg.solve(J @ J.mT + 0.01 * torch.eye(3), way)
         observations, rewards, _, _, info = envs.step((offset[..., 0] / envs._actions.scale).clamp(-1, 1))
@@ -566,7 +568,7 @@ def test_the_reference_is_smooth_and_within_limits():
     lower, upper, velocity, _ = robot.limits
     positions = []
     for _ in range(100):
-        q, qd, qdd = envs._now["reference"].split(7, 1)
+        q, qd, qdd = envs._buffers["reference"].split(7, 1)
         assert bool(((q > lower) & (q < upper)).all()) and bool((qd.abs() <= velocity / 2).all())
         assert bool((qdd.abs() <= velocity).all())
         positions.append((q, qd, qdd))
@@ -599,21 +601,21 @@ def test_a_controller_that_is_left_alone_tracks_with_the_true_model_and_not_with
 def test_a_residual_pushes_an_arm_that_stands_still_by_itself():
     envs = make(10, "reach", action="residual", effects=(effects.Gravity(),))
     envs.reset(seed=0)
-    start = envs._now["q"].clone()
+    start = envs._buffers["q"].clone()
     for _ in range(50):
         envs.step(torch.zeros(10, 2))
-    assert torch.allclose(envs._now["q"], start, atol=1e-3)
+    assert torch.allclose(envs._buffers["q"], start, atol=1e-3)
     envs.step(torch.ones(10, 2))
-    assert bool((envs._now["q"][:, 1] != start[:, 1]).all())
+    assert bool((envs._buffers["q"][:, 1] != start[:, 1]).all())
 
 
 def test_a_reference_action_moves_the_arm_on():
     envs = make(10, "reach", action="reference", effects=(effects.Gravity(),), scale=None)
     envs.reset(seed=0)
-    start = envs._now["q"].clone()
+    start = envs._buffers["q"].clone()
     for _ in range(50):
         envs.step(torch.tensor([1.0, -0.5]).expand(10, 2))
-    moved = envs._now["q"] - start  # in a second, at five times an offset of 0.4 and -0.2
+    moved = envs._buffers["q"] - start  # in a second, at five times an offset of 0.4 and -0.2
     assert torch.allclose(moved, torch.tensor([2.0, -1.0]), rtol=0.2)
 
 
@@ -672,9 +674,9 @@ def test_limits_hold_a_usual_arm():
     fastest = torch.zeros(7)
     for _ in range(100):
         *_, info = envs.step(torch.ones(32, 7))
-        fastest = torch.maximum(fastest, envs._now["qd"].abs().amax(0))
+        fastest = torch.maximum(fastest, envs._buffers["qd"].abs().amax(0))
     assert not bool(info["nonfinite"].any())
-    assert bool((envs._now["q"] > lower - 0.1).all()) and bool((envs._now["q"] < upper + 0.1).all())
+    assert bool((envs._buffers["q"] > lower - 0.1).all()) and bool((envs._buffers["q"] < upper + 0.1).all())
     assert bool((fastest < 6 * velocity).all())  # light joints are thrown about by heavy ones
 
 

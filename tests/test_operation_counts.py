@@ -17,7 +17,7 @@ import pytest
 
 import torchdq
 from torchdq.envs import ArmVectorEnv, Scene, effects, integrators
-from torchdq.envs.tasks import Watched
+from torchdq.envs.tasks import Checked
 from torchdq.functions.catalogue import RECIPES
 from torchdq.program.program import Program
 
@@ -117,7 +117,7 @@ def step(integrator: str, effect: str) -> Program:
 def environment(name: str, task: str) -> Program:
     """Program of a step of an environment, its rewards and observations included."""
     envs = ArmVectorEnv(2, task, name)
-    return envs.scene.program("torque", *envs.task.inputs(envs.scene.n), task=Watched(envs.task))
+    return envs.scene.program("torque", *envs.task.inputs(envs.scene.n), task=Checked(envs.task))
 
 
 # --- the study of accuracy -------------------------------------------------------------------------------------------

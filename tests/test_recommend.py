@@ -14,7 +14,8 @@ from scipy.integrate import solve_ivp
 import torchdq
 from torchdq.backends import cache as build
 from torchdq.envs import Scene, State, controllers, effects, integrators
-from torchdq.envs.recommend import ARITHMETICS, SAFETY, SAMPLES, Trial, random_states, recommend
+from torchdq.envs.recommend import recommend
+from torchdq.envs.trials import ARITHMETICS, SAFETY, SAMPLES, Trial, random_states
 
 BACKEND = "auto"
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")

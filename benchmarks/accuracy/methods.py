@@ -18,8 +18,9 @@ from accuracy.scenes import PERIODS, Case
 from torchdq.algebra.quaternion import Number
 from torchdq.backends import run
 from torchdq.envs import integrators
-from torchdq.envs import recording as plan
 from torchdq.envs.integrators import Integrator, Row, System
+from torchdq.envs.spec import recorded as recorded_scene
+from torchdq.envs.system import SceneSystem
 from torchdq.functions.catalogue import ways
 from torchdq.program.program import Argument, Program, record
 
@@ -70,14 +71,14 @@ def rates_program(case: Case) -> Program:
 
 
 def _recorded(case: Case, name: str, of: Callable[..., dict[str, Any]]) -> Program:
-    n, blueprint = case.robot.n, case.scene.blueprint
+    n, spec = case.robot.n, case.scene.spec
     arguments = [Argument(x, n) for x in ("q", "qd", "torque", *case.inputs)] + [Argument("dt", 1, uniform=True)]
 
     def recorded(linear: bool) -> Program:
         def algorithm(q: Row, qd: Row, torque: Row, *others: Row) -> dict[str, Any]:
             *rows, (h,) = others
-            scene = plan.recording(blueprint, linear, dict(zip(case.inputs, rows, strict=True)), {}, ())
-            return of(plan.Motion(scene, torque), q, qd, h)
+            scene = recorded_scene(spec, linear, dict(zip(case.inputs, rows, strict=True)), {}, ())
+            return of(SceneSystem(scene, torque), q, qd, h)
 
         return record(f"{name}_{case.name}", arguments, algorithm)
 

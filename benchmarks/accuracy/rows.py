@@ -9,7 +9,8 @@ import numpy as np
 
 import torchdq
 from accuracy.scenes import Case
-from torchdq.envs import recording as plan
+from torchdq.envs import spec
+from torchdq.envs.system import SceneSystem
 from torchdq.program.program import Argument, record, replay, results
 from torchdq.robot.posed import INERTIAL
 
@@ -77,7 +78,7 @@ class Formulas:
     """
 
     def __init__(self, case: Case):
-        known = {(plan.ROBOT, name): x.ravel() for name, x in exact(case.robot).items()}
+        known = {(spec.ROBOT, name): x.ravel() for name, x in exact(case.robot).items()}
         self.numbers = [x for row in known.values() for x in row if x not in (0, 1, -1)]
         inputs = {name: x.tolist() for name, x in case.inputs.items()}
         n = case.robot.n
@@ -87,8 +88,8 @@ class Formulas:
             tensors = {
                 key: tuple(float(x) if x in (0, 1, -1) else next(given) for x in row) for key, row in known.items()
             }
-            scene = plan.recording(case.scene.blueprint, False, inputs, tensors, ())
-            return {"a": plan.Motion(scene, u).accelerations(q, qd)}
+            scene = spec.recorded(case.scene.spec, False, inputs, tensors, ())
+            return {"a": SceneSystem(scene, u).accelerations(q, qd)}
 
         arguments = [Argument(name, n) for name in ("q", "qd", "u")] + [Argument("numbers", len(self.numbers))]
         self.program = record("accelerations", arguments, algorithm)

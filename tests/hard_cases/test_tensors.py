@@ -577,7 +577,7 @@ def test_copies_of_robots_modules_and_scenes_compute_the_same_bits(how, backend)
     assert same(*([m(*x)] for m in (module, module2)))
     assert same(*([m(*x, *x[1:])] for m in (control, control2)))
     assert same(*(s.step(State(*x[:2]), x[2])[:2] for s in (scene, scene2)))
-    assert scene2.blueprint.robot is not None and {p.dtype for p in module2.parameters()} == {F32}
+    assert scene2.spec.robot is not None and {p.dtype for p in module2.parameters()} == {F32}
 
 
 @pytest.mark.case("P12")

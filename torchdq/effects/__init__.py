@@ -1,11 +1,12 @@
-"""The effects a scene may be asked to simulate, each an object that belongs to one slot."""
+"""Effects that a scene can simulate, each an object that belongs to one slot."""
 
 from torchdq.effects.actuator import DeadBand, Delay, Lag, QuantisedCommand, Saturation, TorqueSpeed
 from torchdq.effects.body import Contact, Drag, Push
 from torchdq.effects.effect import Effect
-from torchdq.effects.joint import Coulomb, Elastic, Limits, Servo, Spring, Stribeck, Viscous
+from torchdq.effects.joint import Coulomb, Limits, Servo, Spring, Stribeck, Viscous
 from torchdq.effects.model import Gravity, MassScale, Payload, RotorInertia
 from torchdq.effects.sensor import Bias, Noise, QuantisedReading, ReadingDelay
+from torchdq.effects.transmission import Elastic
 
 __all__ = [
     "Bias",

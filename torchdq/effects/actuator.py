@@ -1,16 +1,14 @@
-"""Effects of the actuators: what becomes of a commanded torque. They act once per step, in the order they are given."""
+"""Effects of the actuators on commanded torques. They act once per step, in their order."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 from torchdq.algebra.quaternion import Number
-from torchdq.effects.effect import Effect, Late, Parameter, Shapes, unbounded
-from torchdq.numbers.functions import clip, exp, floor
-
-Row = Sequence[Number]
+from torchdq.effects.effect import Effect, Late, Parameter, Row, Shapes, unbounded
+from torchdq.numbers.functions import clip, exp, floor, maximum
 
 
 @dataclass(frozen=True)
@@ -20,7 +18,7 @@ class Actuator(Effect):
     SLOT: ClassVar[str] = "actuator"
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
-        """Torques that leave it, and what it remembers."""
+        """Torques behind it, and its memory."""
         raise NotImplementedError
 
 
@@ -62,16 +60,15 @@ class TorqueSpeed(Actuator):
     speed: Parameter = None
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
-        """The torques that the motors have at their speeds."""
+        """Torques clipped to what the motors have at their speeds."""
         result = []
         for x, v, stall, speed in zip(u, qd, self.stall, self.speed, strict=True):
             if unbounded(stall):
                 result.append(x)
                 continue
-            ratio = v / speed
-            upper = stall * clip(1.0 - ratio, 0.0, 1.0)
-            lower = -(stall * clip(1.0 + ratio, 0.0, 1.0))
-            result.append(clip(x, lower, upper))
+            lost = clip(stall / speed * v, -stall, stall)
+            upper = stall - maximum(lost, 0.0)
+            result.append(clip(x, -(upper + lost), upper))
         return result, ()
 
 
@@ -91,7 +88,7 @@ class Lag(Actuator):
         return n
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
-        """The torques at the end of the step, which it remembers."""
+        """Torques at the end of the step, which it remembers."""
         tau = []
         for x, before, T in zip(u, memory, self.time, strict=True):
             kept = 0.0 if isinstance(T, float) and T == 0 else exp(-(dt / T))
@@ -116,7 +113,7 @@ class Delay(Late, Actuator):
 
 @dataclass(frozen=True)
 class DeadBand(Actuator):
-    """Commands smaller than the width are lost, larger ones shrink by it: tau = u - min(max(u, -width), width).
+    """Dead band: commands lose up to a width, tau = u - min(max(u, -width), width).
 
     Args:
         width: [N m or N], shape [..., n].
@@ -126,13 +123,13 @@ class DeadBand(Actuator):
     width: Parameter
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
-        """What the commands exceed the width by."""
+        """Commands less the part within the width."""
         return [x - clip(x, -w, w) for x, w in zip(u, self.width, strict=True)], ()
 
 
 @dataclass(frozen=True)
 class QuantisedCommand(Actuator):
-    """Commands rounded to whole multiples of a step; its gradient is zero, as that of a staircase is.
+    """Commands rounded to whole multiples of a step; the gradient is zero, as of any staircase.
 
     Args:
         step: [N m or N], shape [..., n], positive.
@@ -148,5 +145,5 @@ class QuantisedCommand(Actuator):
 
 
 def rounded(x: Number, step: Number) -> Number:
-    """The multiple of a step that is nearest."""
+    """Nearest multiple of a step."""
     return step * floor(x / step + 0.5)

@@ -11,8 +11,7 @@ from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics.posed import Point, Posed
-from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link
-from torchdq.effects.joint import Inputs
+from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, on_a_link
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import maximum, sqrt
 from torchdq.robot import Robot
@@ -69,7 +68,7 @@ class Push(BodyEffect):
     name: str = "push"
 
     def described(self, robot: Robot) -> Self:
-        """With the frame named."""
+        """Copy with the frame named."""
         if self.axes not in ("world", "body"):
             raise ArgumentError(f"axes of Push must be 'world' or 'body', found {self.axes!r}")
         return on_a_link(self, robot)
@@ -79,7 +78,7 @@ class Push(BodyEffect):
         return {self.name: 6}
 
     def needs(self, n: int) -> tuple[str, ...]:
-        """Nothing: a step without a push has none."""
+        """No names: a step may be without a push."""
         return ()
 
     def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
@@ -163,7 +162,7 @@ class Contact(BodyEffect):
     width: Parameter = 1e-2
 
     def described(self, robot: Robot) -> Self:
-        """With the frame named."""
+        """Copy with the frame named."""
         if isinstance(self.normal, tuple) and abs(sum(x * x for x in self.normal) - 1) > 1e-6:
             raise ArgumentError(f"normal of Contact must be a unit vector, found {self.normal}")
         return on_a_link(self, robot)

@@ -1,11 +1,11 @@
-"""What an effect is: a small frozen object that belongs to one slot of a scene and says what it contributes.
+"""Base of all effects: a small frozen object that belongs to one slot of a scene and states its contribution.
 
-An effect's parameters are numbers or tensors. A number becomes a constant of the scene's program. A tensor becomes an
-argument of it, so that it may require gradients, change between steps, or differ from sample to sample (leading batch
-axes) without recording anything anew. A parameter that is None is the one of the robot's description.
+A parameter that is a number becomes a constant of the scene's program. A parameter that is a tensor becomes an argument
+of it: it may require gradients, change between steps, or differ from sample to sample (leading batch axes) without a
+new program. A parameter that is None is taken from the robot's description.
 
-The methods of an effect are written for any kind of number: while a scene is recorded, its tensors are rows of
-recorded numbers.
+The methods of an effect are written for any kind of number: while a scene is recorded, its tensors are rows of recorded
+numbers.
 """
 
 from __future__ import annotations
@@ -24,40 +24,46 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 
+Row = Sequence[Number]
+Inputs = Mapping[str, Row]  # by name, given at a step
 Parameter = Any  # a number, a sequence of numbers, a tensor, or None: as described; while recording: a row of numbers
 Shapes = Mapping[str, tuple[int | str, ...]]  # trailing axes by name, "n" being the number of joints
 
 
-class Varying:
-    """Stands in the blueprint of a scene for a tensor, which is an argument of its programs."""
+class _Placeholder:
+    """Placeholder of a tensor in the specification of a scene."""
 
     def __repr__(self) -> str:
-        return "varying"
+        return "tensor"
 
     def __reduce__(self) -> str:
-        return "VARYING"  # a copy is the same one, so that copies of scenes share their programs
+        return "TENSOR"  # a copy is the same object, so that copies of scenes share their programs
 
 
-VARYING = Varying()
+TENSOR = _Placeholder()
 
 
 @dataclass(frozen=True)
 class Parametric:
-    """Something with parameters that are constants or arguments of a scene's programs."""
+    """Base of everything whose parameters are constants or arguments of a scene's programs."""
 
     SHAPES: ClassVar[Shapes] = {}  # trailing axes of each parameter
-    SIGNED: ClassVar[frozenset[str]] = frozenset()  # those that may be negative
-    UNBOUNDED: ClassVar[frozenset[str]] = frozenset()  # those that may be infinite
-    DIVIDING: ClassVar[frozenset[str]] = frozenset()  # those that must not be zero
-    DESCRIBED: ClassVar[Mapping[str, str]] = {}  # what of a robot those are that are None
+    SIGNED: ClassVar[frozenset[str]] = frozenset()  # parameters that may be negative
+    UNBOUNDED: ClassVar[frozenset[str]] = frozenset()  # parameters that may be infinite
+    DIVIDING: ClassVar[frozenset[str]] = frozenset()  # parameters that must not be zero
+    DESCRIBED: ClassVar[Mapping[str, str]] = {}  # attribute of the robot that a parameter is if it is None
+
+    def missing(self) -> dict[str, str]:
+        """Parameters that are None, with the attributes of the robot that replace them."""
+        return {name: source for name, source in self.DESCRIBED.items() if getattr(self, name) is None}
 
     def described(self, robot: Robot) -> Self:
-        """The same with what is None taken from the robot's description."""
-        missing = [name for name in self.DESCRIBED if getattr(self, name) is None]
-        return replace(self, **{name: owned(robot, attrgetter(self.DESCRIBED[name])(robot)) for name in missing})
+        """Copy whose parameters that are None come from the robot's description."""
+        found = {name: owned(robot, attrgetter(source)(robot)) for name, source in self.missing().items()}
+        return replace(self, **found)
 
     def resolved(self, robot: Robot) -> Self:
-        """The same for a robot: described, checked, every parameter a tuple of floats, a float, or a tensor."""
+        """Copy for a robot: described and checked, every parameter a tuple of floats, a float, or a tensor."""
         whole = self.described(robot)
         return replace(whole, **{name: self._checked(name, getattr(whole, name), robot) for name in self.SHAPES})
 
@@ -94,45 +100,48 @@ class Parametric:
         """Parameters that are arguments of the programs."""
         return {name: getattr(self, name) for name in self.SHAPES if isinstance(getattr(self, name), Tensor)}
 
-    def blueprint(self) -> Self:
-        """The same without its tensors: what a program depends on."""
-        return replace(self, **dict.fromkeys(self.tensors(), VARYING))
+    def template(self) -> Self:
+        """Copy with `TENSOR` in the place of each tensor: everything that a program depends on."""
+        return replace(self, **dict.fromkeys(self.tensors(), TENSOR))
 
-    def bound(self, rows: Mapping[str, Sequence[Number]]) -> Self:
-        """The same with rows of recorded numbers in the place of its tensors."""
+    def bound(self, rows: Mapping[str, Row]) -> Self:
+        """Copy with rows of recorded numbers in the place of its tensors."""
         return replace(self, **{name: tuple(row) if self.SHAPES[name] else row[0] for name, row in rows.items()})
 
 
 @dataclass(frozen=True)
 class Effect(Parametric):
-    """One thing that a scene simulates."""
+    """One physical effect of a scene."""
 
     SLOT: ClassVar[str]  # "model", "joint", "body", "actuator" or "sensor"
+    ONCE: ClassVar[str] = ""  # reason why a scene holds it at most once; "": it may be repeated
+    SOLE: ClassVar[Mapping[str, str]] = {}  # described attributes that no other effect may take, and why
+    SCALES: ClassVar[tuple[str, ...]] = ()  # parameters that friction randomisation scales together
 
     def inputs(self, n: int) -> dict[str, int]:
-        """Names and widths of what is given to it at a step."""
+        """Names and widths of the inputs that it takes at a step."""
         return {}
 
     def needs(self, n: int) -> tuple[str, ...]:
-        """Names of those inputs that have to be given at every step."""
+        """Names of the inputs that must be given at every step."""
         return tuple(self.inputs(n))
 
     def noises(self, n: int) -> int:
-        """How many random numbers, uniform in (0, 1), it consumes at a step."""
+        """Number of random numbers, uniform in (0, 1), that it consumes at a step."""
         return 0
 
     def memory(self, n: int) -> int:
-        """How many numbers it remembers from step to step."""
+        """Number of values that it remembers from step to step."""
         return 0
 
-    def start(self, q: Sequence[Number], qd: Sequence[Number]) -> Sequence[Number]:
-        """What it remembers at the beginning."""
+    def start(self, q: Row, qd: Row) -> Row:
+        """Memory in the initial state."""
         return (0.0,) * self.memory(len(q))
 
 
 @dataclass(frozen=True)
 class Late(Effect):
-    """An effect that hands a row of numbers on a whole number of steps late.
+    """Delay of a row of numbers by a whole number of steps.
 
     Args:
         steps: at least 1.
@@ -142,22 +151,22 @@ class Late(Effect):
     steps: int
 
     def described(self, robot: Robot) -> Self:
-        """The same, once its number of steps is known to be a positive whole one."""
+        """Itself; raises if the number of steps is not a positive integer."""
         if not isinstance(self.steps, int) or self.steps < 1:
             raise ArgumentError(f"steps of {type(self).__name__} must be a whole number from 1, found {self.steps!r}")
         return self
 
     def memory(self, n: int) -> int:
-        """The rows that are on their way."""
+        """Length of the delayed rows."""
         return self.steps * self.PER_JOINT * n
 
-    def passed(self, row: Sequence[Number], memory: Sequence[Number]) -> tuple[Sequence[Number], Sequence[Number]]:
-        """The row that arrives, and what is on its way after it."""
+    def passed(self, row: Row, memory: Row) -> tuple[Row, Row]:
+        """Row that arrives, and the delayed rows after it."""
         return memory[: len(row)], (*memory[len(row) :], *row)
 
 
 def owned(robot: Robot, x: Tensor | None) -> Tensor | tuple[float, ...] | None:
-    """A tensor of a robot's description as a parameter: numbers if it is a constant, or else the tensor itself."""
+    """Attribute of a robot as a parameter: numbers if it is a constant, the tensor itself if it is an argument."""
     if x is None:
         return None
     replaced = any(x is getattr(robot, name) for name in robot.varying)
@@ -167,12 +176,12 @@ def owned(robot: Robot, x: Tensor | None) -> Tensor | tuple[float, ...] | None:
 
 
 def unbounded(x: Number) -> bool:
-    """Whether a parameter is an infinite constant: no limit, which costs nothing."""
+    """True for an infinite constant: a limit that is absent and costs nothing."""
     return isinstance(x, float) and math.isinf(x)
 
 
 def on_a_link(effect: Any, robot: Robot) -> Any:
-    """The effect with its frame named, None being the end effector; the frame must be on a moving link."""
+    """Effect with its frame named, None being the end effector; the frame must be on a moving link."""
     frame = robot.end_effector() if effect.frame is None else robot.frame(effect.frame)
     if frame.link == BASE:
         raise ArgumentError(f"frame of {type(effect).__name__} is {frame.name!r}, which is fixed to the base")

@@ -1,9 +1,9 @@
-"""Effects at the joints: friction, springs, servos, limits, elasticity.
+"""Effects at the joints: friction, springs, servos, limits.
 
-A joint effect is an impedance: the torque -D qd - K (q - rest) with a damping D >= 0 and a stiffness K >= 0 that may
-depend on the state. Written this way a linearly implicit integrator can take the velocity and the position at the end
-of the step, with D and K as they are at its beginning: however stiff, such a torque cannot overshoot, and friction
-cannot turn a motion round. Explicit integrators evaluate it as it stands.
+A joint effect is an impedance: the torque -D qd - f(q) with a damping D >= 0 that may depend on the state, and a force
+f of stiffness K = df/dq >= 0. Written this way a linearly implicit integrator can take the velocity and the position
+at the end of the step, with D and K as they are at its beginning: however stiff, such a torque cannot overshoot, and
+friction cannot reverse a motion. Explicit integrators evaluate it as it stands.
 """
 
 from __future__ import annotations
@@ -13,22 +13,28 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 from torchdq.algebra.quaternion import Number
-from torchdq.effects.effect import Effect, Parameter, Shapes, unbounded
-from torchdq.numbers.functions import at_least, clip, maximum, sqrt
+from torchdq.effects.effect import Effect, Inputs, Parameter, Row, Shapes, unbounded
+from torchdq.numbers.functions import absolute, at_least, maximum, minimum, sqrt
 
-Inputs = Mapping[str, Sequence[Number]]
+TOUCHING = 2.0**-126  # smallest normal number of float32: a limit acts from this force on [N m or N]
 
 
 class Impedance(NamedTuple):
-    """Torque -damping qd - stiffness (q - rest) of one joint."""
+    """Torque -D qd - f of one joint, whose force f has the stiffness K = df/dq."""
 
     damping: Number = 0.0  # D >= 0 [N m s/rad or N s/m]
-    stiffness: Number = 0.0  # K >= 0 [N m/rad or N/m]
-    rest: Number = 0.0  # [rad or m]
+    force: Number = 0.0  # f [N m or N]
+    stiffness: Number = 0.0  # K >= 0 where active [N m/rad or N/m]
+    active: Number = 1.0  # 1, or 0 where there is no stiffness
 
-    def torque(self, q: Number, qd: Number) -> Number:
-        """The torque [N m or N]."""
-        return -(self.damping * qd) - self.stiffness * (q - self.rest)
+    def damping_at_end(self, h: Number) -> Number:
+        """D + h K: damping of an implicit step h, at whose end the force is f + h K qd."""
+        return self.damping + (h * self.stiffness) * self.active
+
+
+def spring(k: Number, stretch: Number, damping: Number = 0.0) -> Impedance:
+    """Impedance of a linear spring k with a stretch, and a damper beside it."""
+    return Impedance(damping, k * stretch, k)
 
 
 @dataclass(frozen=True)
@@ -37,8 +43,8 @@ class JointEffect(Effect):
 
     SLOT: ClassVar[str] = "joint"
 
-    def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
-        """Impedance of every joint at a state."""
+    def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
+        """Impedance of every joint in a state."""
         raise NotImplementedError
 
 
@@ -51,10 +57,11 @@ class Viscous(JointEffect):
     """
 
     SHAPES: ClassVar[Shapes] = {"coefficient": ("n",)}
+    SCALES = ("coefficient",)
     DESCRIBED: ClassVar[Mapping[str, str]] = {"coefficient": "damping"}
     coefficient: Parameter = None
 
-    def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
+    def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
         """D = d."""
         return [Impedance(d) for d in self.coefficient]
 
@@ -74,12 +81,13 @@ class Coulomb(JointEffect):
     """
 
     SHAPES: ClassVar[Shapes] = {"level": ("n",), "width": ()}
+    SCALES = ("level",)
     DIVIDING = frozenset({"width"})
     DESCRIBED: ClassVar[Mapping[str, str]] = {"level": "friction"}
     level: Parameter = None
     width: Parameter = 1e-2
 
-    def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
+    def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
         """D = level / sqrt(qd^2 + width^2)."""
         return [Impedance(_over_speed(level, v, self.width)) for level, v in zip(self.level, qd, strict=True)]
 
@@ -99,6 +107,7 @@ class Stribeck(JointEffect):
     """
 
     SHAPES: ClassVar[Shapes] = {"coulomb": ("n",), "static": ("n",), "velocity": ("n",), "width": ()}
+    SCALES = ("coulomb", "static")
     DIVIDING = frozenset({"velocity", "width"})
     DESCRIBED: ClassVar[Mapping[str, str]] = {"coulomb": "friction"}
     coulomb: Parameter = None
@@ -106,7 +115,7 @@ class Stribeck(JointEffect):
     velocity: Parameter = 0.1
     width: Parameter = 1e-2
 
-    def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
+    def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
         """D = level(qd) / sqrt(qd^2 + width^2)."""
         result = []
         for c, s, v_s, v in zip(self.coulomb, self.static, self.velocity, qd, strict=True):
@@ -130,9 +139,9 @@ class Spring(JointEffect):
     stiffness: Parameter
     rest: Parameter = 0.0
 
-    def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
-        """K = k about the rest."""
-        return [Impedance(0.0, k, r) for k, r in zip(self.stiffness, self.rest, strict=True)]
+    def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
+        """f = k (q - rest)."""
+        return [spring(k, x - r) for k, r, x in zip(self.stiffness, self.rest, q, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -155,9 +164,9 @@ class Servo(JointEffect):
         """The target [n]."""
         return {"target": n}
 
-    def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
-        """D = kd, and K = kp about the target."""
-        return [Impedance(d, k, x) for k, d, x in zip(self.kp, self.kd, inputs["target"], strict=True)]
+    def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
+        """D = kd, f = kp (q - target)."""
+        return [spring(k, x - r, d) for k, d, r, x in zip(self.kp, self.kd, inputs["target"], q, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -183,56 +192,20 @@ class Limits(JointEffect):
     stiffness: Parameter = 1e4
     dissipation: Parameter = 1.0
 
-    def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
-        """Beyond a limit K = k about it, and D = k c p while p grows."""
+    def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
+        """f = k e with the signed distance e beyond a limit, K = k where e is not 0, D = c |f| where e grows."""
         result = []
         for x, v, low, high, k, c in zip(q, qd, self.lower, self.upper, self.stiffness, self.dissipation, strict=True):
-            has_low, has_high = not unbounded(low), not unbounded(high)
-            if not (has_low or has_high):
+            above_low = x if unbounded(low) else maximum(x, low)
+            nearest = above_low if unbounded(high) else minimum(above_low, high)
+            force = k * (x - nearest)
+            if force == 0.0 and isinstance(force, float):
                 result.append(Impedance())
                 continue
-            below = maximum(low - x, 0.0) if has_low else 0.0
-            above = maximum(x - high, 0.0) if has_high else 0.0
-            outside = (1.0 - at_least(x, low) if has_low else 0.0) + (1.0 - at_least(high, x) if has_high else 0.0)
-            deeper = below * at_least(0.0, v) + above * at_least(v, 0.0)
-            nearest = clip(x, low, high) if has_low and has_high else x + below - above
-            result.append(Impedance(k * c * deeper, k * outside, nearest))
+            size = absolute(force)
+            growing = at_least(force * v, 0.0)
+            result.append(Impedance(c * (size * growing), force, k, at_least(size, TOUCHING)))
         return result
-
-
-@dataclass(frozen=True)
-class Elastic(JointEffect):
-    """Elastic joints: the actuator turns a rotor, and a spring and damper turn the joint.
-
-        J thd' = u - t,   t = k (th - q) + d (thd - qd) acts on the joint
-
-    Source: M. W. Spong, "Modeling and control of elastic joint robots", Journal of Dynamic Systems, Measurement, and
-    Control 109 (1987), with the damper added. The state remembers the rotor's position and velocity [2 n].
-
-    Args:
-        stiffness: k [N m/rad or N/m], shape [..., n].
-        damping: d [N m s/rad or N s/m], shape [..., n].
-        inertia: J of the rotor, seen at the joint [kg m^2 or kg], shape [..., n]; None: the robot's rotor inertia.
-    """
-
-    SHAPES: ClassVar[Shapes] = {"stiffness": ("n",), "damping": ("n",), "inertia": ("n",)}
-    DIVIDING = frozenset({"inertia"})
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"inertia": "armature"}
-    stiffness: Parameter
-    damping: Parameter = 0.0
-    inertia: Parameter = None
-
-    def memory(self, n: int) -> int:
-        """Position and velocity of every rotor."""
-        return 2 * n
-
-    def start(self, q: Sequence[Number], qd: Sequence[Number]) -> Sequence[Number]:
-        """With the joints: the springs are relaxed."""
-        return (*q, *qd)
-
-    def impedances(self, q: Sequence[Number], qd: Sequence[Number], inputs: Inputs) -> Sequence[Impedance]:
-        """None: what it does depends on the rotors, and stands between the actuators and the joints."""
-        return [Impedance()] * len(q)
 
 
 def _over_speed(level: Number, v: Number, width: Number) -> Number:

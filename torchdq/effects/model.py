@@ -1,4 +1,4 @@
-"""Effects on the model: what the rigid bodies are and what pulls at them."""
+"""Effects on the model: rigid bodies, rotors and gravity."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class ModelEffect(Effect):
 
     SLOT: ClassVar[str] = "model"
 
-    def changed(self, robot: Robot, fields: Overrides) -> dict[str, Sequence[Number]]:
-        """Rows of the robot's tensors that it changes; `fields` are those that earlier effects changed."""
+    def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
+        """Rows of the robot's tensors that it changes; `overrides` are those of earlier effects."""
         raise NotImplementedError
 
 
@@ -39,14 +39,15 @@ class Gravity(ModelEffect):
     SHAPES: ClassVar[Shapes] = {"acceleration": (3,)}
     SIGNED = frozenset({"acceleration"})
     DESCRIBED: ClassVar[Mapping[str, str]] = {"acceleration": "gravity"}
+    ONCE = "there is one acceleration"
     acceleration: Parameter = None
 
     def described(self, robot: Robot) -> Self:
-        """With the robot's gravity, or 9.81 downwards if it has none."""
+        """Copy with the robot's gravity, or 9.81 downwards if it has none."""
         found = super().described(robot)
         return replace(found, acceleration=GRAVITY) if found.acceleration is None else found
 
-    def changed(self, robot: Robot, fields: Overrides) -> dict[str, Sequence[Number]]:
+    def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
         """Its acceleration."""
         return {"gravity": self.acceleration}
 
@@ -63,9 +64,9 @@ class RotorInertia(ModelEffect):
     DESCRIBED: ClassVar[Mapping[str, str]] = {"inertia": "armature"}
     inertia: Parameter = None
 
-    def changed(self, robot: Robot, fields: Overrides) -> dict[str, Sequence[Number]]:
-        """The rotor inertia, and what other effects have put there."""
-        before = fields.get("armature")
+    def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
+        """Rotor inertia, added to that of earlier effects."""
+        before = overrides.get("armature")
         return {"armature": self.inertia if before is None else tuple(_sums(before, self.inertia))}
 
 
@@ -88,15 +89,15 @@ class Payload(ModelEffect):
     frame: str | None = None
 
     def described(self, robot: Robot) -> Self:
-        """With the frame named."""
+        """Copy with the frame named."""
         return on_a_link(self, robot)
 
-    def changed(self, robot: Robot, fields: Overrides) -> dict[str, Sequence[Number]]:
-        """The bodies, one of them merged with what it carries."""
+    def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
+        """Inertial parameters, those of one link merged with the payload."""
         frame = robot.frame(str(self.frame))
         X_BF = constant_pose(frame.X_BF)
         R_BF, i = quat.rotation_columns(X_BF[0]), frame.link
-        masses, coms, inertias = (list(field(robot, name, fields)) for name in ("mass", "com", "inertia"))
+        masses, coms, inertias = (list(field(robot, name, overrides)) for name in ("mass", "com", "inertia"))
         com = quat.add(dual_quaternion.translation(X_BF), screw.columns_times(R_BF, self.com))
         held = (self.mass, com, six(rotated(R_BF, square(self.inertia))))
         masses[i], coms[i], inertias[i] = merged((masses[i], coms[i], inertias[i]), held)
@@ -116,9 +117,9 @@ class MassScale(ModelEffect):
     SHAPES: ClassVar[Shapes] = {"factor": ("n",)}
     factor: Parameter
 
-    def changed(self, robot: Robot, fields: Overrides) -> dict[str, Sequence[Number]]:
+    def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
         """Masses and inertias, scaled."""
-        mass, inertia = field(robot, "mass", fields), field(robot, "inertia", fields)
+        mass, inertia = field(robot, "mass", overrides), field(robot, "inertia", overrides)
         return {
             "mass": [k * m for k, m in zip(self.factor, mass, strict=True)],
             "inertia": [k * x for k, row in zip(self.factor, inertia, strict=True) for x in row],

@@ -1,21 +1,17 @@
-"""Effects of the sensors: what is read of positions and velocities. They act at the end of a step, in their order.
+"""Effects of the sensors on the readings of positions and velocities. They act at the end of a step, in their order.
 
-With a sensor in the scene, its controller acts on the readings, and so should whoever else decides about torques.
+With a sensor in the scene, its controller acts on the readings, and so should any other source of torques.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-from torchdq.algebra.quaternion import Number
 from torchdq.effects.actuator import rounded
-from torchdq.effects.effect import Effect, Late, Parameter, Shapes
+from torchdq.effects.effect import Effect, Late, Parameter, Row, Shapes
 from torchdq.numbers.functions import log, sqrt
-
-Row = Sequence[Number]
 
 
 @dataclass(frozen=True)
@@ -25,7 +21,7 @@ class Sensor(Effect):
     SLOT: ClassVar[str] = "sensor"
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
-        """Reading that leaves it, and what it remembers."""
+        """Readings behind it, and its memory."""
         raise NotImplementedError
 
 
@@ -110,7 +106,7 @@ class ReadingDelay(Late, Sensor):
     PER_JOINT = 2
 
     def start(self, q: Row, qd: Row) -> Row:
-        """The initial state, again and again."""
+        """Initial state, once for each step."""
         return (*q, *qd) * self.steps
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:

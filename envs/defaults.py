@@ -1,0 +1,60 @@
+"""Defaults of an environment: its effects, and the model that its controller knows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torchdq import effects as kinds
+from torchdq.effects import Effect
+from torchdq.effects.effect import owned
+from torchdq.envs.scene import Scene
+from torchdq.robot import Robot
+
+ROTOR = 0.1  # where a description has none; common for geared arms [kg m^2 or kg]
+DAMPING = 1.0  # likewise [N m s/rad or N s/m]
+
+
+def usual(robot: Robot) -> tuple[Effect, ...]:
+    """Effects of an ordinary arm: gravity, and joints with rotors, friction, limits and motors.
+
+    Numbers are those of the description. Where it has none, rotors and damping are `ROTOR` and `DAMPING`, since
+    without them small joints would turn faster than any motor does. Motors lose torque with speed if the limits of
+    torque and velocity of all joints are known; if not, torques are only limited.
+    """
+    limits, rotors = robot.limits, owned(robot, robot.armature)
+    found: list[Effect] = [
+        kinds.Gravity(),
+        kinds.RotorInertia((ROTOR,) * robot.n if rotors is None else rotors),
+        kinds.Viscous(tuple(d if d > 0 else DAMPING for d in robot.damping.tolist())),
+    ]
+    if bool((robot.friction > 0).any()):
+        found.append(kinds.Coulomb())
+    if bool((limits.lower.isfinite() | limits.upper.isfinite()).any()):
+        found.append(kinds.Limits())
+    both = torch.stack([limits.effort, limits.velocity])
+    if bool((both.isfinite() & (both > 0)).all()):
+        found.append(kinds.TorqueSpeed())
+    elif bool(limits.effort.isfinite().any()):
+        found.append(kinds.Saturation())
+    return tuple(found)
+
+
+def nominal(scene: Scene) -> Robot:
+    """Rigid bodies as a controller may know them: as described, with the scene's gravity and rotors.
+
+    It does not know friction, payloads, or what differs between episodes.
+    """
+    known: dict[str, Tensor | None] = {"gravity": None, "armature": None}
+    for effect in scene.effects:
+        if effect.SLOT == "model":
+            known.update({source: _mean(getattr(effect, name)) for name, source in effect.DESCRIBED.items()})
+    return scene.robot.replace(**known).bake()
+
+
+def _mean(x: Tensor | Sequence[float]) -> Tensor:
+    """One value of a parameter; the mean of those that differ from sample to sample."""
+    x = torch.as_tensor(x, dtype=torch.float64)
+    return x.reshape(-1, x.shape[-1]).mean(0)

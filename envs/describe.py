@@ -1,0 +1,105 @@
+"""Description of a scene: the cost of every effect, and what it leaves out of the robot's description."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.effects.effect import Effect
+from torchdq.envs.state import State
+from torchdq.robot import Robot
+from torchdq.timing import medians
+
+if TYPE_CHECKING:
+    from torchdq.envs.scene import Scene
+
+
+class Cost(NamedTuple):
+    """Cost that an effect adds to a step."""
+
+    effect: str
+    slot: str
+    operations: int
+    nanoseconds: float
+
+
+class Description(NamedTuple):
+    """Effects of a scene with their costs, and what it leaves out; `print` it."""
+
+    costs: tuple[Cost, ...]  # the bare step first, then every effect in its order
+    total: Cost
+    left_out: tuple[str, ...]
+    measured_on: str
+
+    def __str__(self) -> str:
+        rows = [("effect", "slot", "operations", "ns per step")]
+        rows += [(c.effect, c.slot, f"{c.operations}", f"{c.nanoseconds:.1f}") for c in (*self.costs, self.total)]
+        widths = [max(len(row[k]) for row in rows) for k in range(4)]
+        lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
+        asked = "\n".join(f"- {what}" for what in self.left_out) or "- nothing"
+        return "\n".join(lines) + f"\n({self.measured_on})\n\nasked for by the description, and left out:\n{asked}"
+
+
+def describe(scene: Scene, batch: int, dtype: torch.dtype, seconds: float) -> Description:
+    """Description of a scene; see `Scene.describe`."""
+    batches = scene.batches.values()
+    batch = math.prod(torch.broadcast_shapes(*batches)) if any(batches) else batch
+    bare = scene.replace(effects=(), controller=None)
+    scenes = [bare.replace(effects=scene.effects[:k]) for k in range(len(scene.effects) + 1)]
+    labels = [("bare step", "rigid bodies, integrator")]
+    labels += [(type(effect).__name__, effect.SLOT) for effect in scene.effects]
+    if scene.controller is not None:
+        scenes.append(scene)
+        labels.append((type(scene.controller).__name__, "controller"))
+    times = medians([_step(part, batch, dtype) for part in scenes], batch, seconds)
+    counts = [part.count().total for part in scenes]
+    costs = [
+        Cost(*label, count - before, t - t_before)
+        for label, count, before, t, t_before in zip(labels, counts, [0, *counts], times, [0.0, *times], strict=False)
+    ]
+    on = f"{batch} samples of {str(dtype).removeprefix('torch.')}, {torch.get_num_threads()} threads"
+    return Description(tuple(costs), Cost("all", "", counts[-1], times[-1]), left_out(scene.robot, scene.effects), on)
+
+
+def _step(scene: Scene, batch: int, dtype: torch.dtype) -> Callable[[], State]:
+    """Step of a batch of random states, to be timed."""
+    generator = torch.Generator().manual_seed(0)
+
+    def random(width: int) -> Tensor:
+        return torch.rand(batch, width, generator=generator, dtype=dtype)
+
+    state = scene.start(random(scene.n), random(scene.n), random(scene.noises))
+    inputs = {name: random(width) for name, width in scene.inputs.items()}
+    noise = random(scene.noises) if scene.noises else None
+    return lambda: scene.step(state, noise=noise, **inputs)
+
+
+def left_out(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
+    """Lines, one for each part of a robot's description that no effect simulates."""
+    limits, one = robot.limits, torch.ones(1, dtype=torch.bool)
+    # attribute of the description, joints that have it, words for it, and the effect that simulates it
+    parts = (
+        ("gravity", one & (robot.gravity is not None), "gravity", "Gravity()"),
+        ("armature", one & (robot.armature is not None), "rotor inertia", "RotorInertia()"),
+        ("damping", robot.damping > 0, "damping of {}", "Viscous()"),
+        ("friction", robot.friction > 0, "dry friction of {}", "Coulomb()"),
+        ("limits.lower", limits.lower.isfinite() | limits.upper.isfinite(), "position limits of {}", "Limits()"),
+        ("limits.effort", limits.effort.isfinite(), "torque limits of {}", "Saturation()"),
+        (
+            "limits.velocity",
+            limits.velocity.isfinite(),
+            "velocity limits of {}",
+            "TorqueSpeed(), which takes the torque away there",
+        ),
+    )
+    simulated = {source for effect in effects for source in effect.DESCRIBED.values()}
+    lines = []
+    for source, there, words, effect in parts:
+        if bool(there.any()) and source not in simulated:
+            joints = ", ".join(name for name, has in zip(robot.joint_names, there.tolist(), strict=False) if has)
+            lines.append(f"{words.format(joints)}: effects.{effect}")
+    return (*lines, *[f"mimic joints are independent: {note}" for note in robot.notes if "mimic" in note])

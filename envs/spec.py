@@ -1,0 +1,140 @@
+"""Specification of a scene, which its programs depend on, and the scene while it is recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, Protocol, TypeVar
+
+from torchdq.algebra.quaternion import Number
+from torchdq.dynamics.posed import Posed
+from torchdq.effects.body import Bodies
+from torchdq.effects.effect import Effect
+from torchdq.effects.model import ModelEffect
+from torchdq.effects.sensor import Sensor
+from torchdq.effects.transmission import Transmission
+from torchdq.envs.controllers import Controller
+from torchdq.envs.integrators import Integrator
+from torchdq.robot import Robot
+from torchdq.robot.posed import INERTIAL, Overrides, posed
+
+Row = Sequence[Number]
+Rows = dict[str, Row]
+Memory = dict[int, Row]  # remembered values of each effect, by its position
+E = TypeVar("E", bound=Effect)
+
+ROBOT, CONTROLLER = -2, -1  # owners of tensors; an effect owns its tensors by its position
+
+
+class Task(Protocol):
+    """Rows that an environment adds to a step, computed from the state at its end."""
+
+    def inputs(self, n: int) -> dict[str, int]:
+        """Names and widths of its inputs beside the state."""
+
+    def rows(self, view: View) -> Rows:
+        """Rows of numbers, by name."""
+
+
+@dataclass(frozen=True)
+class SceneSpec:
+    """Specification of a scene, on which its programs depend: the scene without its tensors."""
+
+    robot: Robot  # whose constants are the programs'
+    varying: tuple[str, ...]  # tensors of the robot that are arguments
+    effects: tuple[Effect, ...]
+    controller: Controller | None
+    integrator: Integrator
+    dt: float
+    substeps: int
+
+    def of(self, base: type[E]) -> list[tuple[int, E]]:
+        """Effects of a class, with their positions among all."""
+        return [(i, effect) for i, effect in enumerate(self.effects) if isinstance(effect, base)]
+
+    @property
+    def senses(self) -> bool:
+        """True if there are sensors."""
+        return bool(self.of(Sensor))
+
+    @property
+    def transmission(self) -> tuple[int | None, Transmission]:
+        """Transmission between actuators and joints, and its position among the effects."""
+        return next(iter(self.of(Transmission)), (None, Transmission()))
+
+    def split(self, memory: Row) -> Memory:
+        """Memory of each effect."""
+        found, at = {}, 0
+        for i, effect in enumerate(self.effects):
+            size = effect.memory(self.robot.n)
+            found[i] = memory[at : at + size]
+            at += size
+        return found
+
+
+@dataclass(frozen=True)
+class RecordedScene:
+    """A scene while it is recorded: its tensors and inputs are rows of numbers."""
+
+    spec: SceneSpec  # with numbers in the place of its tensors
+    overrides: Overrides  # the robot's tensors that are not its own constants
+    per_sample: tuple[str, ...]  # names of those that differ from sample to sample
+    linear: bool  # True: accelerations by articulated bodies, in O(n)
+    inputs: Mapping[str, Row] = field(default_factory=dict)
+
+    def posed(self, q: Row) -> Posed:
+        """Robot at joint positions, with the scene's changes."""
+        return posed(self.spec.robot, q, self.overrides, self.per_sample)
+
+    def packed(self, q: Row, qd: Row, memory: Memory) -> tuple[Row, Row]:
+        """Integrated positions x and velocities v of a state: joints, then rotors."""
+        at, transmission = self.spec.transmission
+        return transmission.extended(q, qd, () if at is None else memory[at])
+
+    def unpacked(self, x: Row, v: Row, memory: Memory) -> tuple[Row, Row, Memory]:
+        """State of integrated positions x and velocities v."""
+        (at, _), n = self.spec.transmission, self.spec.robot.n
+        return x[:n], v[:n], memory if at is None else {**memory, at: (*x[n:], *v[n:])}
+
+
+class View(NamedTuple):
+    """A state as a task sees it."""
+
+    scene: RecordedScene
+    q: Row
+    qd: Row
+    reading: Row  # 2 n
+    torque: Row  # behind the actuators, over the last step
+    inputs: Mapping[str, Row]
+
+    def bodies(self) -> Bodies:
+        """Links of the robot in motion."""
+        return Bodies.moving(self.scene.spec.robot, self.scene.posed(self.q), self.qd)
+
+
+def recorded(
+    spec: SceneSpec,
+    linear: bool,
+    inputs: Mapping[str, Row],
+    tensors: Mapping[tuple[int, str], Row],
+    per_sample: Sequence[tuple[int, str]],
+) -> RecordedScene:
+    """Scene with rows of numbers in the place of inputs and tensors, which are given by owner and name."""
+    own = {name: row for (owner, name), row in tensors.items() if owner == ROBOT}
+    overrides: dict[str, Any] = {"gravity": None, "armature": None, **own}
+    differing = {name for owner, name in per_sample if owner == ROBOT}
+
+    def bound(owner: int, part: Any) -> Any:
+        return part.bound({name: row for (of, name), row in tensors.items() if of == owner})
+
+    spec = replace(
+        spec,
+        effects=tuple(bound(i, effect) for i, effect in enumerate(spec.effects)),
+        controller=None if spec.controller is None else bound(CONTROLLER, spec.controller),
+    )
+    for i, effect in spec.of(ModelEffect):
+        changes = effect.changed(spec.robot, overrides)
+        overrides.update(changes)
+        if any(owner == i for owner, _ in per_sample):
+            differing.update(changes)
+    return RecordedScene(spec, overrides, tuple(name for name in INERTIAL if name in differing), linear, inputs)

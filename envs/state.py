@@ -1,0 +1,32 @@
+"""State of a scene."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from torch import Tensor, dtype
+
+
+class State(NamedTuple):
+    """State of a scene: everything that the next step depends on."""
+
+    q: Tensor  # [..., n] positions [rad or m]
+    qd: Tensor  # [..., n] velocities [rad/s or m/s]
+    memory: Tensor | None = None  # [..., m] what the effects remember; None: nothing
+    reading: Tensor | None = None  # [..., 2 n] measured positions and velocities; None: there are no sensors
+
+    @property
+    def measured(self) -> tuple[Tensor, Tensor]:
+        """Positions and velocities as the sensors read them."""
+        if self.reading is None:
+            return self.q, self.qd
+        n = self.q.shape[-1]
+        return self.reading[..., :n], self.reading[..., n:]
+
+    def rows(self) -> dict[str, Tensor]:
+        """Tensors of the state that are there, by name."""
+        return {name: x for name, x in self._asdict().items() if x is not None}
+
+    def to(self, dtype: dtype) -> State:
+        """State in another dtype."""
+        return State._make(None if x is None else x.to(dtype) for x in self)
