@@ -167,11 +167,14 @@ def turn_symmetric(axis: int, angle: Angle, m: Six) -> Six:
     c, s = angle
     order = _CYCLES[axis]
     xx, xy, yy, xz, yz, zz = (m[k] for k in order)
-    a, b = c * xx - s * xy, c * xy - s * yy
-    top = c * a - s * b
-    turned = (top, s * a + c * b, (xx + yy) - top, c * xz - s * yz, s * xz + c * yz, zz)
+    if isinstance(c, float) and c * s == 0.0:  # by quarter turns entries change places, exactly
+        a, b = c * xx - s * xy, c * xy - s * yy
+        turned = (c * a - s * b, s * a + c * b, s * s * xx + c * c * yy)
+    else:
+        w = s * (xx - yy) + c * (xy + xy)
+        turned = (xx - s * w, c * w - xy, yy + s * w)
     result: list[Number] = [0.0] * 6
-    for k, x in zip(order, turned, strict=True):
+    for k, x in zip(order, (*turned, c * xz - s * yz, s * xz + c * yz, zz), strict=True):
         result[k] = x
     return tuple(result)
 
