@@ -1,4 +1,4 @@
-"""Signs that a recorder works in, and rotations by many turns: faults in them once went unnoticed (mutants.py)."""
+"""Signs and turns: negation is recorded as plain arithmetic has it, and rotations by many turns keep their digits."""
 
 import mpmath
 import numpy as np
