@@ -8,10 +8,12 @@ import ast
 import importlib
 import importlib.resources
 import inspect
+import io
 import os
 import re
 import subprocess
 import sys
+import tokenize
 import tomllib
 from pathlib import Path
 
@@ -260,6 +262,176 @@ def test_nothing_is_named_after_what_it_is_not():
     names = [part for module in FILES for part in module.split(".")]
     names += [name for tree in TREES.values() for name, _ in public(tree)]
     assert [name for name in names if vague.search(name)] == []
+
+
+# --- rules of the house ----------------------------------------------------------------------------------------------
+
+LINES = 400  # of a file at most
+CORE = ("torchdq.numbers", "torchdq.program", "torchdq.backends")
+JOINT_KINDS = {"revolute", "prismatic", "helical", "fixed", "free"}
+DEFAULTS = ".defaults"  # modules of this name build the effects that there are by default
+TWO_MEANINGS = {"ComputedTorque"}  # a layer and a controller, both public
+DEPENDENCIES = {"torch", "numpy", "pinocchio", "gymnasium"}
+OPTIONAL = "torchdq.optional"
+NO_NOUN = ("What ", "The same", "Those ", "That of ", "Whether it ", "How it ")
+
+
+def at(module, node):
+    """Place of a node in the sources."""
+    return f"{FILES[module].relative_to(ROOT)}:{node.lineno}"
+
+
+def listed(found):
+    """A line for everything found, so that none is hidden in the message of a test."""
+    return "\n" + "\n".join(str(x) for x in found)
+
+
+def nodes_of(kind, modules=FILES):
+    """Nodes of a kind in modules, with the module."""
+    return [(module, node) for module in modules for node in ast.walk(TREES[module]) if isinstance(node, kind)]
+
+
+def test_no_file_is_long():
+    lengths = {module: len(path.read_text(encoding="utf-8").splitlines()) for module, path in FILES.items()}
+    found = [(module, length) for module, length in lengths.items() if length > LINES]
+    assert not found, listed(found)
+
+
+@pytest.mark.parametrize("module", [name for name in FILES if any(within(name, package) for package in CORE)])
+def test_programs_and_backends_know_no_robot(module):
+    inside = [other for other in imports_of(TREES[module]) if within(other, "torchdq")]
+    known = (*CORE, "torchdq.errors")
+    assert [other for other in inside if not any(within(other, package) for package in known)] == []
+
+
+def test_only_readers_of_descriptions_know_the_words_for_joints():
+    """What a joint does, its object says; nothing asks for its kind."""
+    modules = [module for module in FILES if not within(module, "torchdq.robot")]
+    asking = nodes_of((ast.Compare, ast.MatchValue), modules)
+    words = [
+        (module, node, {x.value for x in ast.walk(node) if isinstance(x, ast.Constant) and isinstance(x.value, str)})
+        for module, node in asking
+    ]
+    found = [(at(module, node), *sorted(said & JOINT_KINDS)) for module, node, said in words if said & JOINT_KINDS]
+    assert not found, listed(found)
+
+
+def bases(node):
+    """Names of what a class is made from."""
+    return {x.id if isinstance(x, ast.Name) else x.attr for x in node.bases if isinstance(x, ast.Name | ast.Attribute)}
+
+
+def subclasses(root):
+    """Names of the classes made from one, directly or not, with the module of each."""
+    found, before = {}, None
+    classes = nodes_of(ast.ClassDef)
+    while before != found:
+        before = dict(found)
+        found |= {node.name: module for module, node in classes if bases(node) & {root, *found}}
+    return found
+
+
+def types_asked(node):
+    """Names of the types that a call, a comparison or a pattern tells values apart by."""
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("isinstance", "issubclass"):
+        asked = node.args[1:]
+    elif isinstance(node, ast.Compare) and any(isinstance(op, ast.Is | ast.IsNot) for op in node.ops):
+        asked = [node.left, *node.comparators]
+    elif isinstance(node, ast.MatchClass):
+        asked = [node.cls]
+    else:
+        return set()
+    inner = [x for outer in asked for x in ast.walk(outer)]
+    return {x.id for x in inner if isinstance(x, ast.Name)} | {x.attr for x in inner if isinstance(x, ast.Attribute)}
+
+
+def test_no_effect_is_known_by_name_but_in_its_own_file():
+    effects = subclasses("Effect")
+    assert {"Gravity", "RotorInertia", "Viscous", "Elastic"} <= set(effects)
+    found = [
+        (at(module, node), name)
+        for module, node in nodes_of((ast.Call, ast.Compare, ast.MatchClass))
+        for name in sorted(types_asked(node) & set(effects))
+        if effects[name] != module and not module.endswith(DEFAULTS)
+    ]
+    assert not found, listed(found)
+
+
+def test_a_docstring_begins_with_a_noun():
+    """It stands alone in a hover text, without its file around it."""
+    found = [
+        (f"{FILES[module].relative_to(ROOT)}:{getattr(node, 'lineno', 1)}", document.split("\n")[0])
+        for module, node in nodes_of((ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef))
+        if (document := ast.get_docstring(node) or "").startswith(NO_NOUN)
+    ]
+    assert not found, listed(found)
+
+
+def comments_of(path):
+    """Line and text of every comment, one of several lines only once."""
+    last = 0
+    for token in tokenize.generate_tokens(io.StringIO(path.read_text(encoding="utf-8")).readline):
+        if token.type == tokenize.COMMENT:
+            alone = not token.line[: token.start[1]].strip()
+            if not (alone and last == token.start[0] - 1):
+                yield token.start[0], token.string.lstrip("# ")
+            last = token.start[0] if alone else last
+
+
+def test_a_comment_does_not_begin_with_of():
+    found = [
+        (f"{path.relative_to(ROOT)}:{line}", text)
+        for path in FILES.values()
+        for line, text in comments_of(path)
+        if text.startswith("of ")
+    ]
+    assert not found, listed(found)
+
+
+def types_of(module):
+    """Classes and named types of a module, each with what tells whether another is the same."""
+    for node in ast.walk(TREES[module]):
+        if isinstance(node, ast.ClassDef):
+            yield node.name, f"class of {module}"
+    for node in TREES[module].body:
+        target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
+        if isinstance(target, ast.Name) and re.fullmatch(r"[A-Z][A-Za-z]*[a-z][A-Za-z]*", target.id) and node.value:
+            yield target.id, ast.unparse(node.value)
+
+
+def test_a_name_of_a_type_has_one_meaning():
+    meanings = {}
+    for module in FILES:
+        for name, meaning in types_of(module):
+            meanings.setdefault(name, {}).setdefault(meaning, []).append(module)
+    found = [
+        (name, *places.items()) for name, places in meanings.items() if len(places) > 1 and name not in TWO_MEANINGS
+    ]
+    assert not found, listed(found)
+
+
+def test_what_may_not_be_installed_is_imported_in_one_place():
+    imports = [
+        (at(module, node), name)
+        for module in FILES
+        if module != OPTIONAL
+        for node in nodes_at_run_time(TREES[module])
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for name in imports_of(ast.Module([node], []))
+        if name.partition(".")[0] not in {*sys.stdlib_module_names, *DEPENDENCIES, "torchdq"}
+    ]
+    caught = [
+        at(module, node)
+        for module, node in nodes_of(ast.ExceptHandler)
+        if module != OPTIONAL and node.type and re.search("ImportError|ModuleNotFound", ast.unparse(node.type))
+    ]
+    named = [
+        at(module, node)
+        for module, node in nodes_of(ast.Call)
+        if module != OPTIONAL and ast.unparse(node.func).endswith("import_module")
+    ]
+    found = [*imports, *caught, *named]
+    assert not found, listed(found)
 
 
 # --- what is installed -----------------------------------------------------------------------------------------------

@@ -5,6 +5,8 @@ Pinocchio's analytic derivatives on robots of its own, and identities (d tau / d
 Finite differences compare a function with itself, so only Pinocchio and the identities would see a wrong formula.
 """
 
+from functools import cache
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -56,11 +58,13 @@ def robot_of(kinds, parents, seed, home=True, armature=True):
     return robot.replace(armature=rotors) if armature else robot
 
 
+@cache
 def tree():
     """Four joints of all kinds, a branch at the first link: entries of M and J are absent."""
     return robot_of(["revolute", "prismatic", "helical", "revolute"], [-1, 0, 0, 2], seed=3)
 
 
+@cache
 def chain():
     """Three joints, one of each kind, home at zero."""
     return robot_of(["revolute", "prismatic", "helical"], [-1, 0, 1], seed=4, home=False)

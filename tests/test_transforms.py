@@ -8,9 +8,11 @@ import copy
 import io
 import pickle
 import shutil
+from functools import cache
 
 import pytest
 import torch
+from helpers import thinned
 from torch._dynamo.testing import CompileCounterWithBackend
 from torch.func import functional_call, grad, hessian, jacrev, jvp, vmap
 from torch.nn.utils.parametrize import type_before_parametrizations
@@ -57,6 +59,7 @@ def random(seed):
     return lambda *shape, dtype=F64: torch.randn(shape, dtype=F64, generator=g).to(dtype)
 
 
+@cache
 def arm(name="two_link"):
     """A shipped robot with rotors and a home position, so that every optional tensor is there."""
     robot, draw = torchdq.robots.load(name), random(1)
@@ -466,9 +469,10 @@ def slopes(module, f, args):
 
 
 @pytest.mark.case("P4")
-def test_a_compiled_seven_joint_arm_has_the_same_values_and_gradients(fresh):
-    module = torchdq.DQRNEA(torchdq.robots.load("panda"), learn=("mass", "inertia"))
-    args = inputs("q qd qdd", 7, (4,))
+@pytest.mark.parametrize("name", thinned(["two_link", "panda"], ["two_link"]))
+def test_a_compiled_arm_has_the_same_values_and_gradients(name, fresh):
+    module = torchdq.DQRNEA(torchdq.robots.load(name), learn=("mass", "inertia"))
+    args = inputs("q qd qdd", module.robot.n, (4,))
     compiled = torch.compile(module, backend="aot_eager", fullgraph=True)
     assert relative(slopes(module, compiled, args), slopes(module, module, args)) < 1e-12
 
