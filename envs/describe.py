@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from torchdq.envs.scene import Scene
 
 
-class Cost(NamedTuple):
+class EffectCost(NamedTuple):
     """Cost that an effect adds to a step."""
 
     effect: str
@@ -30,8 +30,8 @@ class Cost(NamedTuple):
 class Description(NamedTuple):
     """Effects of a scene with their costs, and what it leaves out; `print` it."""
 
-    costs: tuple[Cost, ...]  # the bare step first, then every effect in its order
-    total: Cost
+    costs: tuple[EffectCost, ...]  # the bare step first, then every effect in its order
+    total: EffectCost
     left_out: tuple[str, ...]
     measured_on: str
 
@@ -58,11 +58,13 @@ def describe(scene: Scene, batch: int, dtype: torch.dtype, seconds: float) -> De
     times = medians([_step(part, batch, dtype) for part in scenes], batch, seconds)
     counts = [part.count().total for part in scenes]
     costs = [
-        Cost(*label, count - before, t - t_before)
+        EffectCost(*label, count - before, t - t_before)
         for label, count, before, t, t_before in zip(labels, counts, [0, *counts], times, [0.0, *times], strict=False)
     ]
     on = f"{batch} samples of {str(dtype).removeprefix('torch.')}, {torch.get_num_threads()} threads"
-    return Description(tuple(costs), Cost("all", "", counts[-1], times[-1]), left_out(scene.robot, scene.effects), on)
+    return Description(
+        tuple(costs), EffectCost("all", "", counts[-1], times[-1]), left_out(scene.robot, scene.effects), on
+    )
 
 
 def _step(scene: Scene, batch: int, dtype: torch.dtype) -> Callable[[], State]:

@@ -102,7 +102,8 @@ def _sense(scene: RecordedScene, task: Task | None) -> Rows:
 
 def _begin(scene: RecordedScene, task: Task | None) -> Rows:
     q, qd = scene.inputs["q"], scene.inputs["qd"]
-    memory = {i: e.start(q, qd) for i, e in enumerate(scene.spec.effects) if not isinstance(e, Sensor)}
+    sensors = {i for i, _ in scene.spec.of(Sensor)}
+    memory = {i: e.start(q, qd) for i, e in enumerate(scene.spec.effects) if i not in sensors}
     return sense(scene, task, [0.0] * len(q), *scene.packed(q, qd, memory), memory)
 
 

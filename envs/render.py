@@ -113,7 +113,7 @@ class Skeleton:
 
     def view(self) -> tuple[np.ndarray, float]:
         """Centre [3] and radius [m] of a ball around the robot, from 512 positions within its limits."""
-        free = torch.tensor([1.0 if kind == "prismatic" else math.pi for kind in self.robot.kinds], dtype=torch.float64)
+        free = torch.tensor([math.pi if joint.turns else 1.0 for joint in self.robot.joint_types], dtype=torch.float64)
         limits = self.robot.limits
         lower = torch.where(limits.lower.isfinite(), limits.lower, -free)
         upper = torch.where(limits.upper.isfinite(), limits.upper, free)
@@ -224,7 +224,7 @@ class Painter:
 
         for artist in self._ground:
             artist.remove()
-        reach = math.sqrt(max(self.radius**2 - self.middle[2] ** 2, 0.3 * self.radius**2))  # of the ground
+        reach = math.sqrt(max(self.radius**2 - self.middle[2] ** 2, 0.3 * self.radius**2))  # radius of the ground
         turn = np.linspace(0.0, 2 * np.pi, 97)
         disc = reach * np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
         offset = np.linspace(-1.0, 1.0, 9)[1:-1] * reach

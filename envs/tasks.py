@@ -89,8 +89,8 @@ class Reach:
     def bounds(self, robot: Robot) -> list[tuple[float, float]]:
         """Bounds of sines and cosines, positions, velocities, vector to the goal, and end effector."""
         seen = []
-        for kind, r in zip(robot.kinds, ranges(robot), strict=True):
-            seen += [(-1.0, 1.0)] * 2 if kind == "revolute" else [r.beyond]
+        for joint, r in zip(robot.joint_types, ranges(robot), strict=True):
+            seen += [r.beyond] if joint.slides else [(-1.0, 1.0)] * 2
         length = reach(robot)
         return [*seen, *[(-FASTEST, FASTEST)] * robot.n, *[(-2 * length, 2 * length)] * 3, *[(-length, length)] * 3]
 
@@ -99,7 +99,7 @@ class Reach:
         robot, n, goal = view.scene.spec.robot, len(view.q), view.inputs["goal"]
         q, qd = view.reading[:n], view.reading[n:]
         p = tip(robot, view.scene.posed(q))
-        seen = [y for kind, x in zip(robot.kinds, q, strict=True) for y in (turned(x) if kind == "revolute" else (x,))]
+        seen = [y for joint, x in zip(robot.joint_types, q, strict=True) for y in ((x,) if joint.slides else turned(x))]
         seen += [*speeds(robot, qd), *quat.sub(goal, p), *p]
         way = quat.sub(goal, tip(robot, view.scene.posed(view.q)))
         squared = quat.dot(way, way)
@@ -224,11 +224,11 @@ class Range(NamedTuple):
 def ranges(robot: Robot) -> list[Range]:
     """Range of every joint; a whole turn, or a metre, where the description has none."""
     found = []
-    for kind, lower, upper, speed in zip(
-        robot.kinds, robot.limits.lower.tolist(), robot.limits.upper.tolist(), velocities(robot), strict=True
+    for joint, lower, upper, speed in zip(
+        robot.joint_types, robot.limits.lower.tolist(), robot.limits.upper.tolist(), velocities(robot), strict=True
     ):
         if not math.isfinite(upper - lower) or upper <= lower:
-            half = 0.5 if kind == "prismatic" else math.pi
+            half = math.pi if joint.turns else 0.5
             lower, upper = -half, half
         found.append(Range(lower, upper - lower, speed))
     return found
@@ -256,9 +256,9 @@ def reach(robot: Robot) -> float:
     length, i = _length(frame.X_BF.tolist()), frame.link
     while i >= 0:
         length += _length(robot.X_PB_home[i].tolist())
-        if robot.kinds[i] != "prismatic":  # a turn about an axis that passes the frame's origin at a distance
+        if robot.joint_types[i].turns:  # a turn about an axis that passes the frame's origin at a distance
             length += 2 * math.hypot(*robot.screw[i, 3:].tolist())
-        if robot.kinds[i] != "revolute":
+        if robot.joint_types[i].slides:
             length += max(map(abs, ranges(robot)[i].beyond))
         i = robot.parents[i]
     return 1.01 * length

@@ -62,7 +62,8 @@ SECTION_2_3 = (
     Row("2", "pure quaternions, without real part: vectors", "algebra.quaternion:pure", PURE),
     Row("3", "inner product a . b = -(ab + ba)/2", "algebra.quaternion:dot dq.tensors:dot", PURE),
     Row(
-        "4", "cross product a x b = (ab - ba)/2", "algebra.quaternion:cross dq.tensors:cross paper.printed:cross", PURE
+        "4", "cross product a x b = (ab - ba)/2", "algebra.quaternion:cross dq.tensors:cross "
+        "paper.printed:cross", PUR "
     ),
     Row(
         "5",
@@ -77,7 +78,7 @@ SECTION_2_3 = (
         "algebra.screw:double_geodesic dq.tensors:double_geodesic",
         f"{ALGEBRA}_the_double_geodesic_product_depends_on_the_frame",
     ),
-    Row("8", "columns of n dual quaternions", "algebra.matrix:Rows", PRODUCTS, "definition"),
+    Row("8", "columns of n dual quaternions", "algebra.matrix:Matrix", PRODUCTS, "definition"),
     Row(
         "9",
         "transpose, and entry-wise conjugate, of a column",
@@ -165,14 +166,14 @@ SECTION_4 = (
     Row(
         "27",
         "motion by the dual angle t^ about a unit line s: cos(t^/2) + s sin(t^/2)",
-        "algebra.screw:exp_revolute algebra.screw:exp_prismatic algebra.screw:exp_helical "
-        "dynamics.paper.kinematics:joint_motion dq.tensors:exp",
+        "algebra.elementary:times algebra.screw:exp_revolute algebra.screw:exp_prismatic algebra.screw:exp_helical "
+        "dynamics.joints:Revolute.motion dq.tensors:exp",
         f"{ALGEBRA}_joint_exponentials_are_power_series_to_40_digits",
     ),
     Row(
         "28",
         "pose r + (eps/2) r p^b, which is r + (eps/2) p r",
-        "algebra.dual_quaternion:from_pose algebra.dual_quaternion:translation_body "
+        "algebra.elementary:times algebra.dual_quaternion:from_pose algebra.dual_quaternion:translation_body "
         "dq.tensors:from_pose dq.tensors:translation_body",
         f"{ALGEBRA}_a_pose_holds_rotation_and_position_in_both_frames",
     ),
@@ -186,7 +187,7 @@ SECTION_4 = (
     Row(
         "30",
         "dual quaternion inertia G: twist to momentum, m v + eps I w",
-        "algebra.screw:inertia_transform dynamics.absent:momentum dq.tensors:inertia_transform",
+        "algebra.inertia:Inertia.momentum dq.tensors:inertia_transform",
         f"{ALGEBRA}_the_inertia_transform_is_mass_times_velocity_and_tensor_times_rate",
     ),
     Row(
@@ -199,13 +200,13 @@ SECTION_4 = (
     Row(
         "32",
         "G of a column entry by entry, and of a matrix with the body of the row; G is linear",
-        "dynamics.paper.closed_form:closed_form",
+        "dynamics.paper.kinematics:momentum dynamics.paper.closed_form:closed_form",
         f"{OURS}[T1.4]",
     ),
     Row(
         "33",
         "change of frame of a screw, Ad(x) m = x m x*",
-        "dq.tensors:ad paper.printed:ad",
+        "algebra.elementary:ad dq.tensors:ad paper.printed:ad",
         f"{ALGEBRA}_the_adjoint_is_the_conjugation",
     ),
     Row(
@@ -245,13 +246,14 @@ SECTION_5_1_2 = (
     Row(
         "39",
         "end effector: the product of those poses",
-        "dynamics.paper.kinematics:link_poses functional:forward_kinematics paper.cost:udq_screw_kinematics",
+        "dynamics.aligned.kinematics:poses dynamics.paper.kinematics:link_poses functional:forward_kinematics "
+        "paper.cost:udq_screw_kinematics",
         "test_robots.py::test_puma_has_the_toolbox_kinematics",
     ),
     Row(
         "40",
         "twist w_i = a_i qd_i + Ad(x_{i-1}^i) w_{i-1}",
-        "dynamics.paper.rnea:outward paper.printed:rnea",
+        "paper.ladder:aligned_frames dynamics.aligned.rnea:carried dynamics.paper.rnea:outward paper.printed:rnea",
         f"{GOLDEN}_two_link_twists",
     ),
     Row(
@@ -273,32 +275,35 @@ SECTION_5_1_2 = (
     Row(
         "44",
         "acceleration wd_i = a_i qdd_i + Ad(x_{i-1}^i) wd_{i-1} + (w_i x a_i) qd_i",
-        "dynamics.paper.rnea:outward paper.printed:rnea paper.tables:accelerated",
+        "paper.ladder:aligned_frames dynamics.aligned.rnea:carried dynamics.paper.rnea:outward paper.printed:rnea "
+        "paper.tables:accelerated",
         f"{GOLDEN}_two_link_accelerations",
     ),
     Row(
         "45",
         "net wrench of a link, w_i x G_i(w_i) + G_i(wd_i)",
-        "dynamics.paper.rnea:inward paper.printed:rnea paper.tables:net_wrench",
+        "paper.ladder:aligned_frames dynamics.aligned.rnea:inverse_dynamics dynamics.paper.rnea:inward "
+        "paper.printed:rnea paper.tables:net_wrench",
         f"{GOLDEN}_two_link_wrenches",
     ),
     Row(
         "46",
         "it is the wrench on the link less the one it passes on",
-        "dynamics.paper.rnea:inward",
+        "dynamics.aligned.rnea:inverse_dynamics dynamics.paper.rnea:inward",
         f"{OURS}[46]",
         "solved for f_i, (47)",
     ),
     Row(
         "47",
         "wrench on a link, f_i = f_R,i + Ad(x_{i+1}^i) f_{i+1}",
-        "dynamics.paper.rnea:inward paper.printed:rnea",
+        "dynamics.aligned.rnea:inverse_dynamics dynamics.paper.rnea:inward paper.printed:rnea",
         f"{OURS}[47]",
     ),
     Row(
         "48",
         "torque tau_i = f_i (.) (D(a_i) + eps P(a_i)), the power on the joint's screw",
-        "algebra.screw:power dq.tensors:power dynamics.paper.rnea:rnea paper.printed:rnea",
+        "dynamics.joints:Along.project dynamics.aligned.rnea:inverse_dynamics algebra.screw:power "
+        "dq.tensors:power dynamics.paper.rnea:rnea paper.printed:rnea",
         f"{ALGEBRA}_power_is_the_dual_part_of_the_inner_product {OURS}[A1]",
     ),
 )
@@ -316,11 +321,16 @@ ALGORITHM_1 = (
         "robot.from_screws:read dynamics.tree:Link",
         f"{GOLDEN}_two_link_constants",
     ),
-    Row("start 3", "the base does not move, w_0 = 0", "dynamics.paper.rnea:base_at_rest", f"{GOLDEN}_two_link_twists"),
+    Row(
+        "start 3",
+        "the base does not move, w_0 = 0",
+        "dynamics.paper.rnea:world_acceleration",
+        f"{GOLDEN}_two_link_twists",
+    ),
     Row(
         "start 4",
         "gravity is an acceleration of the base, wd_0 = -eps g",
-        "dynamics.paper.rnea:base_at_rest",
+        "dynamics.paper.rnea:world_acceleration",
         f"{GOLDEN}_two_link_accelerations",
     ),
     Row(
@@ -358,7 +368,8 @@ SECTION_5_3 = (
     Row("53", "column W of the twists", "dynamics.paper.rnea:outward", f"{OURS}[40]", "definition, a list"),
     Row("54", "column of the velocities qd", "functional:inverse_dynamics", TORQUES, "definition, a tensor [..., n]"),
     Row(
-        "55", "column of the accelerations qdd", "functional:inverse_dynamics", TORQUES, "definition, a tensor [..., n]"
+        "55", "column of the accelerations qdd", "functional:inverse_dynamics", TORQUES, "definition, a tensor "
+        "[..., n] "
     ),
     Row(
         "56",
@@ -439,7 +450,7 @@ SECTION_5_3 = (
     Row(
         "72",
         "J^T = A_S (*) L^H, on the wrench of the tip carried to link n",
-        "dynamics.paper.closed_form:tip_jacobian_transpose",
+        "functions.catalogue:closed_form dynamics.paper.closed_form:tip_jacobian_transpose",
         f"{IDENTITIES}_the_transposed_jacobian_is_the_transpose_of_the_jacobian",
     ),
 )
@@ -674,7 +685,7 @@ below the equations of its section each stands with the printed form, the correc
 one makes. Without an erratum an equation is right, but for a dot, letter or number that the eye restores; some may be
 lost in a copy of the text only. **More** than in the paper are prismatic and helical joints, trees, frames anywhere on
 a link, and the forms of the algorithms that cost least ([rnea](torchdq/dynamics/aligned/rnea.py),
-[crba](torchdq/dynamics/aligned/crba.py), [aba](torchdq/dynamics/aligned/aba.py)), which agree with these to rounding.
+[crba](torchdq/dynamics/crba.py), [aba](torchdq/dynamics/aligned/aba.py)), which agree with these to rounding.
 
 * q, qd, qdd are the paper's theta and its derivatives; dq_i is q_i less its value at home.
 * **x_i^j and delta_i^j are the pose of F_i in F_j**, as section 5.1 has it, and Ad(x_i^j) takes screws from F_i to

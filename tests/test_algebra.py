@@ -16,8 +16,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from torchdq.algebra import dual_quaternion as dq
-from torchdq.algebra import matrix, screw
+from torchdq.algebra import elementary, matrix, screw
 from torchdq.algebra import quaternion as quat
+from torchdq.algebra.inertia import Inertia, Moments, merged, six
 from torchdq.numbers.count import cost
 from torchdq.paper.tables import (
     accelerated,
@@ -506,15 +507,15 @@ def test_the_inertia_transform_is_mass_times_velocity_and_tensor_times_rate(seed
     mass, com, inertia = random_body(rng)
     w, v = rng.standard_normal((2, 3))
     a, size = (tuple(w), tuple(v)), 32 * EPS * 20
-    centred = screw.inertia_transform(mass, None, rows(inertia), a)
+    centred = Inertia(mass, None, rows(inertia)).momentum(a)
     assert np.allclose(flat(centred), np.concatenate([mass * v, inertia @ w]), rtol=0, atol=size)
     second = about_origin(mass, com, inertia)
-    found = screw.inertia_transform(mass, tuple(mass * com), rows(second), a)
+    found = Inertia(mass, tuple(mass * com), rows(second)).momentum(a)
     expected = pin.Inertia(mass, com, inertia) * pin.Motion(v, w)
     assert np.allclose(flat(found), from_pin(expected), rtol=0, atol=size)
     printed = inertia.copy()
     printed[2, 2] = inertia[1, 2]  # I_z as printed in (30)
-    assert np.abs(np.array(screw.inertia_transform(mass, None, rows(printed.T), a)[1]) - inertia @ w).max() > 1e-3
+    assert np.abs(np.array(Inertia(mass, None, rows(printed.T)).momentum(a)[1]) - inertia @ w).max() > 1e-3
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -526,7 +527,9 @@ def test_carried_inertia_is_that_of_pinocchio_and_exactly_symmetric(seed, centre
     x = random_pose(rng)
     second = rows(about_origin(mass, com, inertia))
     first = None if centred else tuple(mass * com)
-    m, h, carried = screw.carry_inertia(screw.columns(x), dq.translation(x), mass, first, second)
+    own = Inertia(mass, first, second)
+    there = own.carried(screw.columns(x), dq.translation(x))
+    m, h, carried = there
     expected = to_se3(x).act(pin.Inertia(mass, com, inertia))
     assert m == mass
     assert np.allclose(h, mass * expected.lever, rtol=0, atol=32 * EPS * 10)
@@ -535,8 +538,8 @@ def test_carried_inertia_is_that_of_pinocchio_and_exactly_symmetric(seed, centre
     assert np.array_equal(carried, np.transpose(carried))
     # the momentum of the same motion, seen from the other frame
     twist = random_screw(rng)
-    momentum = ad(x, screw.inertia_transform(mass, first, second, twist))
-    assert np.allclose(flat(screw.inertia_transform(m, h, carried, ad(x, twist))), flat(momentum), rtol=0, atol=1e-11)
+    momentum = ad(x, own.momentum(twist))
+    assert np.allclose(flat(there.momentum(ad(x, twist))), flat(momentum), rtol=0, atol=1e-11)
 
 
 # --- one source, any number ------------------------------------------------------------------------------------------
@@ -553,15 +556,22 @@ def everything(r, p, v, w, mass, inertia):
     x = dq.from_pose(r, p)
     y = dq.mul(x, dq.conj(dq.add(x, dq.scale(mass, x))))
     columns = screw.columns(x)
-    body = (mass, p, inertia)
+    body = Inertia(mass, p, inertia)
+    about_com = six(inertia)
+    moments = Moments.from_com(mass, p, about_com)
+    angle = (mass, mass)
     operators = ((columns, None), (columns, screw.inverse(columns)))
     return [
         *(y, dq.norm2(y), dq.apply(dq.hamilton_left(y), x), dq.apply(dq.hamilton_right(y), x), dq.t8((y,) * 8, x)),
         *(dq.translation(x), dq.translation_body(x), quat.rotate(r, p), quat.hamilton_left_matrix(r)),
         *(quat.hamilton_right_matrix(r), quat.t4(quat.hamilton_left(r), r), quat.sub(r, quat.neg(r))),
         *(screw.cross(v, w), screw.inner(v, w), screw.double_geodesic(v, w), screw.power(v, w), screw.sub(v, w)),
-        *(screw.ad(columns, v), screw.compose(columns, columns), screw.inertia_transform(*body, v)),
-        *screw.carry_inertia(columns, p, *body),
+        *(screw.ad(columns, v), screw.compose(columns, columns), body.momentum(v), moments.momentum(v)),
+        *(body.carried(columns, p), body.plus(Inertia.from_com(mass, p, about_com)), moments.plus(moments)),
+        *(moments.shifted(p), *moments.split(2), *(moments.turned(k, angle) for k in range(3))),
+        merged((mass, p, about_com), (mass, r[1:], about_com)),
+        *(elementary.ad(k, elementary.DualAngle(angle, mass), v) for k in range(3)),
+        *(elementary.times(x, k, angle, mass) for k in range(3)),
         *(screw.exp_revolute(v, mass, mass), screw.exp_prismatic(p, mass), screw.exp_helical(v, mass, mass, mass)),
         *(screw.exp(v, lambda a: a), screw.log(y, lambda a, b: (a, b)), matrix.act(operators, (v, w))),
         *(matrix.combine(((v, w), (None, w)), (mass, mass)), matrix.act_on_matrix(operators, ((v,), (w,)))),
@@ -648,8 +658,8 @@ COUNTS = [
     ("adjoint from the columns (36)", lambda: screw.ad(operator(), motion()), 27, 21),
     ("inverse columns", lambda: screw.inverse(operator()), 0, 0),
     ("composed columns", lambda: screw.compose(operator(), operator()), 81, 63),
-    ("inertia transform, centred (30)", lambda: screw.inertia_transform(number(), None, tensor(), motion()), 12, 6),
-    ("inertia transform", lambda: screw.inertia_transform(number(), vector(), tensor(), motion()), 24, 18),
+    ("inertia transform, centred (30)", lambda: Inertia(number(), None, tensor()).momentum(motion()), 12, 6),
+    ("inertia transform", lambda: Inertia(number(), vector(), tensor()).momentum(motion()), 24, 18),
     ("acceleration (44)", lambda: accelerated(motion(), number(), number(), operator(), motion(), motion()), 57, 45),
     ("momentum rate (45)", lambda: net_wrench(number(), tensor(), motion(), motion()), 42, 30),
     ("revolute exponential (27)", lambda: screw.exp_revolute(motion(), number(), number()), 6, 0),

@@ -20,6 +20,7 @@ from torch import Tensor
 
 from torchdq import dq
 from torchdq.errors import ArgumentError, DtypeError
+from torchdq.optional import imported
 
 if TYPE_CHECKING:
     import pinocchio
@@ -98,9 +99,10 @@ def to_scipy(x: Tensor) -> RigidTransform:
     `to_scipy(x).apply(p)` takes points from B to A, and products compose as `dq.mul` does. Needs scipy >= 1.16, and
     >= 1.17 for more than one leading axis.
     """
-    from scipy.spatial.transform import RigidTransform
-
-    return RigidTransform.from_dual_quat(_components("x", x, 8).detach().cpu().double().numpy(), scalar_first=True)
+    transforms = imported("scipy.spatial.transform", "scipy", "to_scipy")
+    return transforms.RigidTransform.from_dual_quat(
+        _components("x", x, 8).detach().cpu().double().numpy(), scalar_first=True
+    )
 
 
 def from_scipy(

@@ -11,7 +11,7 @@ from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import total
 
-Rows = tuple[tuple, ...]  # (8), (12)
+Matrix = tuple[tuple, ...]  # (8), (12)
 
 
 def elementwise(f: Callable, *vectors: Sequence) -> tuple:
@@ -22,55 +22,55 @@ def elementwise(f: Callable, *vectors: Sequence) -> tuple:
     return tuple(None if any(e is None for e in entries) else f(*entries) for entries in zip(*vectors, strict=True))
 
 
-def transpose(q: Rows) -> Rows:
+def transpose(q: Matrix) -> Matrix:
     """Transpose of a matrix of anything."""
     return tuple(zip(*q, strict=True))  # (9), (13)
 
 
-def conj(q: Rows) -> Rows:
+def conj(q: Matrix) -> Matrix:
     """Entry-wise conjugate of a matrix of dual quaternions, without transposing."""
     return tuple(tuple(None if x is None else dq.conj(x) for x in row) for row in q)  # (9), (13)
 
 
-def add(a: Rows, b: Rows, plus: Callable = dq.add) -> Rows:
+def add(a: Matrix, b: Matrix, plus: Callable = dq.add) -> Matrix:
     """Sum of two matrices of the same shape, None counting as zero."""
     return tuple(tuple(total(pair, plus) for pair in zip(x, y, strict=True)) for x, y in zip(a, b, strict=True))  # (10)
 
 
-def matmul(a: Rows, b: Rows, times: Callable = dq.mul, plus: Callable = dq.add) -> Rows:
+def matmul(a: Matrix, b: Matrix, times: Callable = dq.mul, plus: Callable = dq.add) -> Matrix:
     """Matrix product, by default of dual quaternion matrices; None entries are skipped."""
     return tuple(
         tuple(total(elementwise(times, row, column), plus) for column in transpose(b)) for row in a
     )  # (11), (12)
 
 
-def matvec(a: Rows, v: Sequence, times: Callable, plus: Callable) -> tuple:
+def matvec(a: Matrix, v: Sequence, times: Callable, plus: Callable) -> tuple:
     """Matrix times vector; None entries are skipped."""
     return tuple(total(elementwise(times, row, v), plus) for row in a)
 
 
-def act(operators: Rows, v: Sequence[Screw | None]) -> tuple[Screw | None, ...]:
+def act(operators: Matrix, v: Sequence[Screw | None]) -> tuple[Screw | None, ...]:
     """Matrix of adjoint operators applied to a vector of screws."""
     return matvec(operators, v, screw.ad, screw.add)
 
 
-def act_on_matrix(operators: Rows, m: Rows) -> Rows:
+def act_on_matrix(operators: Matrix, m: Matrix) -> Matrix:
     """Matrix of adjoint operators times a matrix of screws."""
     return matmul(operators, m, screw.ad, screw.add)
 
 
-def combine(m: Rows, numbers: Sequence[Number]) -> tuple[Screw | None, ...]:
+def combine(m: Matrix, numbers: Sequence[Number]) -> tuple[Screw | None, ...]:
     """Matrix of screws times a vector of numbers."""
     return matvec(m, numbers, lambda s, x: screw.scale(x, s), screw.add)
 
 
-def diagonal(entries: Sequence) -> Rows:
+def diagonal(entries: Sequence) -> Matrix:
     """Diagonal matrix; everything else is None."""
     n = len(entries)
     return tuple(tuple(entries[i] if i == j else None for j in range(n)) for i in range(n))
 
 
-def hermitian(operators: Rows) -> Rows:
+def hermitian(operators: Matrix) -> Matrix:
     """Conjugate transpose L^H of a matrix of adjoint operators: transposed, and every operator inverted.
 
     The paper writes L*; by its own (13) that would leave out the transposition (erratum T1.4).

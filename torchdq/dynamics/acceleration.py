@@ -18,10 +18,10 @@ from torchdq.algebra.inertia import Moments, square
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 
-Matrix = tuple[Pure, ...]  # three rows
+Matrix3 = tuple[Pure, ...]  # three rows
 
 
-def tensor(w: Pure, wd: Pure) -> Matrix:
+def tensor(w: Pure, wd: Pure) -> Matrix3:
     """U = [wd] + [w]^2."""
     x, y, z = w
     dx, dy, dz = wd
@@ -29,13 +29,13 @@ def tensor(w: Pure, wd: Pure) -> Matrix:
     return ((-(yy + zz), xy - dz, xz + dy), (xy + dz, -(xx + zz), yz - dx), (xz - dy, yz + dx, -(xx + yy)))
 
 
-def apply(u: Matrix, r: Pure) -> Pure:
+def apply(u: Matrix3, r: Pure) -> Pure:
     """U r."""
     x, y, z = (row[0] * r[0] + row[1] * r[1] + row[2] * r[2] for row in u)
     return (x, y, z)
 
 
-def net_wrench(body: Moments, u: Matrix, d: Pure) -> Screw:
+def net_wrench(body: Moments, u: Matrix3, d: Pure) -> Screw:
     """Force and moment about the origin that accelerate a body."""
     e = square(body.second)
 

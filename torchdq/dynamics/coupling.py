@@ -15,7 +15,7 @@ from typing import NamedTuple
 from torchdq.algebra import matrix, screw
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
-from torchdq.algebra.matrix import Rows
+from torchdq.algebra.matrix import Matrix
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import lift, total
@@ -25,7 +25,7 @@ from torchdq.dynamics.posed import Exerted, Factors, Point, Posed, Row, factors_
 class Coupling(NamedTuple):
     """Map q = S z + s0."""
 
-    S: Rows  # joints by coordinates; None: a joint does not depend on a coordinate
+    S: Matrix  # joints by coordinates; None: a joint does not depend on a coordinate
     offset: Row  # s0, of the joints
 
     def positions(self, z: Row) -> list[Number]:
@@ -115,7 +115,7 @@ class Coupled(NamedTuple):
             return tau
         return [t + J * a for t, J, a in zip(tau, self.armature, qdd, strict=True)]
 
-    def mass_matrix(self) -> Rows:
+    def mass_matrix(self) -> Matrix:
         """S^T M S."""
         S = self.coupling.S
         half = matrix.matmul(self.robot.mass_matrix(), S, mul, add)

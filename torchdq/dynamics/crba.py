@@ -9,7 +9,7 @@ Either form of a robot says how an inertia and a wrench are carried from link i 
 from collections.abc import Callable, Sequence
 
 from torchdq.algebra import screw
-from torchdq.algebra.matrix import Rows
+from torchdq.algebra.matrix import Matrix
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics.tree import Link, Tree, path
@@ -44,7 +44,7 @@ def diagonal(tree: Tree, composite: Sequence) -> list[Number]:
     return entries
 
 
-def mass_matrix(tree: Tree, composite: Sequence, to_parent: Callable[[int, Screw], Screw]) -> Rows:
+def mass_matrix(tree: Tree, composite: Sequence, to_parent: Callable[[int, Screw], Screw]) -> Matrix:
     """Mass matrix M(q); entries of degrees of freedom that are on no common path are None.
 
     Both triangles hold the same numbers.

@@ -18,7 +18,7 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 
-Exponential = Callable[[Screw], DualQuaternion]  # of a pure dual quaternion
+Exponential = Callable[[Screw], DualQuaternion]  # the exponential of a pure dual quaternion
 
 
 class Coordinate(NamedTuple):

@@ -7,12 +7,12 @@ branches stays absent in the factors (Featherstone, Rigid Body Dynamics Algorith
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from torchdq.algebra.matrix import Rows
+from torchdq.algebra.matrix import Matrix
 from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.conditioning import inverse
 
 
-class Factors(NamedTuple):
+class TreeFactors(NamedTuple):
     """M = L^T D L: the inverses of D, and L's entries below its unit diagonal as (row, column) -> number."""
 
     inverses: tuple[Number, ...]
@@ -26,7 +26,7 @@ def _path(before: Sequence[int], i: int) -> Iterator[int]:
         i = before[i]
 
 
-def factorise(before: Sequence[int], M: Rows) -> Factors:
+def factorise(before: Sequence[int], M: Matrix) -> TreeFactors:
     """Factors of a mass matrix.
 
     Args:
@@ -44,10 +44,10 @@ def factorise(before: Sequence[int], M: Rows) -> Factors:
             for j in _path(before, i):
                 H[i, j] = H[i, j] - ratio * H[k, j]
             lower[k, i] = ratio
-    return Factors(tuple(inverses), lower)
+    return TreeFactors(tuple(inverses), lower)
 
 
-def solve(before: Sequence[int], factors: Factors, b: Sequence[Number]) -> tuple[Number, ...]:
+def solve(before: Sequence[int], factors: TreeFactors, b: Sequence[Number]) -> tuple[Number, ...]:
     """Solution x of M x = b."""
     x = list(b)
     for i in reversed(range(len(x))):

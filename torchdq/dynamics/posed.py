@@ -14,7 +14,7 @@ from functools import partial
 from typing import NamedTuple, Protocol
 
 from torchdq.algebra.dual_quaternion import DualQuaternion
-from torchdq.algebra.matrix import Rows
+from torchdq.algebra.matrix import Matrix
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics import conditioning, ltdl
@@ -27,7 +27,7 @@ class Factors(NamedTuple):
     """Factors of a mass matrix."""
 
     diagonal: Row
-    inverses: Row  # of the pivots
+    inverses: Row  # inverse pivots
     solve: Callable[[Row], Row]  # x of M x = b
 
     @property
@@ -36,7 +36,7 @@ class Factors(NamedTuple):
         return conditioning.growth(self.diagonal, self.inverses)
 
 
-def factors_by_entries(before: Sequence[int], M: Rows) -> Factors:
+def factors_by_entries(before: Sequence[int], M: Matrix) -> Factors:
     """Factors L^T D L of a mass matrix; `before` is that of `ltdl.factorise`."""
     found = ltdl.factorise(before, M)
     return Factors([M[i][i] for i in range(len(M))], found.inverses, partial(ltdl.solve, before, found))
@@ -86,7 +86,7 @@ class Posed(Protocol):
     def torques(self, qd: Row | None, qdd: Row | None, exerted: Exerted | None) -> Row:
         """Generalised forces of a motion; None: zero."""
 
-    def mass_matrix(self) -> Rows:
+    def mass_matrix(self) -> Matrix:
         """Mass matrix; None: zero by structure."""
 
     def factors(self, linear: bool) -> Factors:
@@ -108,15 +108,7 @@ class Posed(Protocol):
         """Factors of the inertial parameters about the link frames of the description, [degree of freedom][link]."""
 
 
-class ClosedForm(NamedTuple):
-    """Terms of tau = M qdd + c + g."""
-
-    M: Rows
-    c: Row
-    g: Row
-
-
-def closed_form(posed: Posed, qd: Row) -> ClosedForm:
-    """Mass matrix, Coriolis and gravity terms of (63), each computed by itself and none by a difference."""
+def closed_form(posed: Posed, qd: Row) -> tuple[Matrix, Row, Row]:
+    """Terms M, c, g of tau = M qdd + c + g (63), each computed by itself and none by a difference."""
     c = posed.without_gravity().torques(qd, None, None)
-    return ClosedForm(posed.mass_matrix(), c, posed.torques(None, None, None))
+    return posed.mass_matrix(), c, posed.torques(None, None, None)

@@ -13,10 +13,10 @@ from collections.abc import Mapping, Sequence
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics.acceleration import Matrix
+from torchdq.dynamics.acceleration import Matrix3
 
 
-def link_row(u: Matrix, d: Pure, s: Screw) -> tuple[Number, ...]:
+def link_row(u: Matrix3, d: Pure, s: Screw) -> tuple[Number, ...]:
     """Power on the screw s of a link's net wrench, per unit of each of its ten parameters."""
     s_w, s_v = s
     (x, y, z), ((u00, u01, u02), (u10, u11, u12), (u20, u21, u22)) = s_w, u
@@ -32,7 +32,7 @@ def link_row(u: Matrix, d: Pure, s: Screw) -> tuple[Number, ...]:
 
 
 def regressor(
-    screws: Sequence[Mapping[int, Screw]], u: Sequence[Matrix], d: Sequence[Pure], nv: int
+    screws: Sequence[Mapping[int, Screw]], u: Sequence[Matrix3], d: Sequence[Pure], nv: int
 ) -> list[list[tuple[Number, ...] | None]]:
     """Blocks [degree of freedom][link] of ten factors each; None where the link is not beyond the joint.
 

@@ -1,4 +1,4 @@
-"""What is recorded: each public function as a computation on numbers, and the programs it has become.
+"""The catalogue of public functions: each as a computation on numbers, and the programs it has become.
 
 A recipe takes the robot, its arguments as tuples of numbers, and those of the robot's own tensors that are arguments,
 and returns named rows of numbers. Its program depends on the robot's constants and on which arguments are present.
@@ -29,11 +29,11 @@ LONG = 9  # joints from which an alternative that is linear in their number is w
 VERY_LONG = 64  # joints from which nothing else is
 KEPT = 1024  # programs that a process remembers
 
-Rows = dict[str, Sequence[Value | None]]
+Results = dict[str, Sequence[Value | None]]
 Way = TypeVar("Way")
 
 
-class Inputs(NamedTuple):
+class RecipeInputs(NamedTuple):
     """Arguments of a recipe."""
 
     robot: Robot
@@ -67,18 +67,18 @@ class Inputs(NamedTuple):
         return [None if F is None else at.wrench(i, F) for i, F in enumerate(exerted)]
 
 
-def inverse_dynamics(x: Inputs) -> Rows:
+def inverse_dynamics(x: RecipeInputs) -> Results:
     """tau."""
     at = x.posed()
     return {"tau": at.torques(x.arguments.get("qd"), x.arguments.get("qdd"), x.exerted(at))}
 
 
-def mass_matrix(x: Inputs) -> Rows:
+def mass_matrix(x: RecipeInputs) -> Results:
     """M, row-major."""
     return {"M": [entry for row in x.posed().mass_matrix() for entry in row]}
 
 
-def forward_dynamics(x: Inputs, linear: bool = False) -> Rows:
+def forward_dynamics(x: RecipeInputs, linear: bool = False) -> Results:
     """qdd, by the mass matrix and its factors, or by articulated bodies."""
     x.require_inertia()
     at = x.posed()
@@ -87,27 +87,27 @@ def forward_dynamics(x: Inputs, linear: bool = False) -> Rows:
     return {"qdd": solve(x.robot, at, net, linear)}  # (63) solved for qdd
 
 
-def forward_dynamics_articulated(x: Inputs) -> Rows:
+def forward_dynamics_articulated(x: RecipeInputs) -> Results:
     """qdd, by articulated bodies."""
     return forward_dynamics(x, linear=True)
 
 
-def error_growth(x: Inputs, linear: bool = False) -> Rows:
+def error_growth(x: RecipeInputs, linear: bool = False) -> Results:
     """Largest M_ii over pivot."""
     x.require_inertia()
     return {"growth": [factors(x.robot, x.posed(), linear).growth]}
 
 
-def error_growth_articulated(x: Inputs) -> Rows:
+def error_growth_articulated(x: RecipeInputs) -> Results:
     """Largest M_ii over pivot, by articulated bodies."""
     return error_growth(x, linear=True)
 
 
-def closed_form(x: Inputs, tip_name: str) -> Rows:
+def closed_form(x: RecipeInputs, tip_name: str) -> Results:
     """M, c, g, and Jt if there is a tip."""
     at = x.posed()
-    terms = mechanics.closed_form(at, x.arguments["qd"])
-    rows: Rows = {"M": [entry for row in terms.M for entry in row], "c": terms.c, "g": terms.g}
+    M, c, g = mechanics.closed_form(at, x.arguments["qd"])
+    rows: Results = {"M": [entry for row in M for entry in row], "c": c, "g": g}
     if tip_name:
         columns = at.jacobian(*frame(x.robot, tip_name), world=False)
         # a wrench is (force, moment) and a twist (angular, linear)
@@ -115,33 +115,33 @@ def closed_form(x: Inputs, tip_name: str) -> Rows:
     return rows
 
 
-def regressor(x: Inputs) -> Rows:
+def regressor(x: RecipeInputs) -> Results:
     """Y, row-major."""
     blocks = x.posed().regressor(x.arguments["qd"], x.arguments["qdd"])
     return {"Y": [entry for row in blocks for block in row for entry in (block or (None,) * 10)]}
 
 
-def kinetic_energy(x: Inputs) -> Rows:
+def kinetic_energy(x: RecipeInputs) -> Results:
     """T."""
     return {"T": [x.posed().kinetic_energy(x.arguments["qd"])]}
 
 
-def potential_energy(x: Inputs) -> Rows:
+def potential_energy(x: RecipeInputs) -> Results:
     """U."""
     return {"U": [x.posed().potential_energy()]}
 
 
-def forward_kinematics(x: Inputs, *names: str) -> Rows:
+def forward_kinematics(x: RecipeInputs, *names: str) -> Results:
     """Poses of the frames, one joint after the other by elementary screws."""
     return _poses(x, x.posed(), names)
 
 
-def forward_kinematics_in_link_frames(x: Inputs, *names: str) -> Rows:
+def forward_kinematics_in_link_frames(x: RecipeInputs, *names: str) -> Results:
     """Poses of the frames, one joint after the other in the link frames of the description."""
     return _poses(x, paper(x.robot, x.arguments["q"], x.given), names)
 
 
-def _poses(x: Inputs, at: Posed, names: Sequence[str]) -> Rows:
+def _poses(x: RecipeInputs, at: Posed, names: Sequence[str]) -> Results:
     X_WB = at.poses()
     rows: list[Value | None] = []
     for link, X_BF in (frame(x.robot, name) for name in names):
@@ -150,7 +150,7 @@ def _poses(x: Inputs, at: Posed, names: Sequence[str]) -> Rows:
     return {"X": rows}
 
 
-def forward_kinematics_from_base(x: Inputs, *names: str) -> Rows:
+def forward_kinematics_from_base(x: RecipeInputs, *names: str) -> Results:
     """Poses of the frames, by screws in the base frame."""
     at = x.posed()
     if not isinstance(at, Aligned):
@@ -163,7 +163,7 @@ def forward_kinematics_from_base(x: Inputs, *names: str) -> Rows:
     return {"X": rows}
 
 
-def jacobian(x: Inputs, name: str, expressed: str) -> Rows:
+def jacobian(x: RecipeInputs, name: str, expressed: str) -> Results:
     """J, row-major, twist components by joints."""
     columns = x.posed().jacobian(*frame(x.robot, name), world=expressed == "world")
     return {"J": [_six(c)[i] for i in range(6) for c in columns]}
@@ -177,16 +177,16 @@ Axes = tuple[int | str, ...]  # trailing axes, "n" being the number of joints
 
 
 def ways(n: int, known: Sequence[Way]) -> Sequence[Way]:
-    """Those of two ways that are worth recording for a number of joints, if the second is linear in it."""
+    """Candidates to record: the dense one below 9 joints, both up to 64, then only the O(n) one."""
     return known[:1] if n < LONG else known if n < VERY_LONG else known[-1:]
 
 
 class Recipe(NamedTuple):
-    """A public function: what it takes, how it is computed, and what it returns."""
+    """A public function: its arguments, its computations, and the shapes of its results."""
 
     arguments: tuple[tuple[str, Axes, bool], ...]  # name, trailing axes, whether it may be absent
     # ways to compute it; the one with the fewest operations for the robot at hand becomes its program
-    ways: tuple[Callable[..., Rows], ...]
+    ways: tuple[Callable[..., Results], ...]
     results: Callable[..., tuple[tuple[int, ...], ...]]  # trailing axes of the results, from n and the options
     each: bool = False  # whether all ways are worth recording for every robot
 
@@ -258,11 +258,11 @@ def _program(signature: Signature) -> Program:
     present = [name for name, _ in signature.arguments]
     varied = tuple(name for name, _, uniform in signature.fields if not uniform)
 
-    def recorded(way: Callable[..., Rows]) -> Program:
-        def algorithm(*rows: Sequence[Number]) -> Rows:
+    def recorded(way: Callable[..., Results]) -> Program:
+        def algorithm(*rows: Sequence[Number]) -> Results:
             by_name = dict(zip(present, rows[: len(present)], strict=True))
             given = {name: row for (name, _, _), row in zip(signature.fields, rows[len(present) :], strict=True)}
-            return way(Inputs(robot, by_name, given, varied), *signature.options)
+            return way(RecipeInputs(robot, by_name, given, varied), *signature.options)
 
         return record(f"{way.__name__}_{robot.name}", arguments, algorithm)
 

@@ -17,7 +17,7 @@ from torchdq.algebra.screw import Screw
 from torchdq.dynamics.tree import Tree
 
 Row = Sequence[Number]
-Matrix = Sequence[Row]
+RowMatrix = Sequence[Row]
 
 
 class Units(NamedTuple):
@@ -50,17 +50,17 @@ def dot(a: Row, b: Row) -> Number:
     return total
 
 
-def times(m: Matrix, x: Row) -> list[Number]:
+def times(m: RowMatrix, x: Row) -> list[Number]:
     """Matrix times vector."""
     return [dot(row, x) for row in m]
 
 
-def transpose(m: Matrix) -> list[list[Number]]:
+def transpose(m: RowMatrix) -> list[list[Number]]:
     """Rows for columns."""
     return [list(column) for column in zip(*m, strict=True)]
 
 
-def product(a: Matrix, b: Matrix) -> list[list[Number]]:
+def product(a: RowMatrix, b: RowMatrix) -> list[list[Number]]:
     """Matrix times matrix."""
     columns = transpose(b)
     return [[dot(row, column) for column in columns] for row in a]
@@ -97,8 +97,8 @@ class Generator(NamedTuple):
 
     revolute: bool  # or helical: whether it turns
     screw: Row  # (w, v)
-    W: Matrix  # [w]
-    W2: Matrix  # [w]^2
+    W: RowMatrix  # [w]
+    W2: RowMatrix  # [w]^2
     Wv: Row
     W2v: Row
 
@@ -148,9 +148,9 @@ def denavit_hartenberg_by_products(
     return product(product(about_z, along_x), about_x)
 
 
-def chained(steps: Sequence[Matrix]) -> list[Matrix]:
+def chained(steps: Sequence[RowMatrix]) -> list[RowMatrix]:
     """Poses of all links in the base frame, from those in their parents, on a chain."""
-    found: list[Matrix] = [steps[0]]
+    found: list[RowMatrix] = [steps[0]]
     for step in steps[1:]:
         found.append(product(found[-1], step))
     return found
@@ -159,7 +159,7 @@ def chained(steps: Sequence[Matrix]) -> list[Matrix]:
 # --- dynamics --------------------------------------------------------------------------------------------------------
 
 
-def adjoint(T: Matrix, u: Units = KNOWN) -> list[list[Number]]:
+def adjoint(T: RowMatrix, u: Units = KNOWN) -> list[list[Number]]:
     """6x6 adjoint of a pose: [R 0; [p] R  R]."""
     R, p = [row[:3] for row in T[:3]], [row[3] for row in T[:3]]
     zero = [u.zero] * 3
@@ -173,7 +173,7 @@ def bracket6(V: Row, u: Units = KNOWN) -> list[list[Number]]:
     return [[*w[i], *[u.zero] * 3] for i in range(3)] + [[*v[i], *w[i]] for i in range(3)]
 
 
-def inertia(mass: Number, first: Pure | None, second: Matrix) -> list[list[Number]]:
+def inertia(mass: Number, first: Pure | None, second: RowMatrix) -> list[list[Number]]:
     """6x6 inertia [I  [h]; -[h]  m 1]; h = 0 about the centre of mass."""
     h = bracket(first or (0.0,) * 3)
     eye = [[mass if i == j else 0.0 for j in range(3)] for i in range(3)]
@@ -183,9 +183,9 @@ def inertia(mass: Number, first: Pure | None, second: Matrix) -> list[list[Numbe
 class Body(NamedTuple):
     """Constants of a link and its joint."""
 
-    home: Matrix  # M_{i,i-1}
+    home: RowMatrix  # M_{i,i-1}
     joint: Generator
-    G: Matrix  # 6x6 inertia
+    G: RowMatrix  # 6x6 inertia
 
 
 def bodies(tree: Tree) -> tuple[Body, ...]:
@@ -202,7 +202,7 @@ def rnea(
     q: Sequence[Displacement],
     qd: Row,
     qdd: Row,
-    tip: Matrix | None = None,
+    tip: RowMatrix | None = None,
     f_tip: Row | None = None,
     u: Units = KNOWN,
 ) -> list[Number]:
@@ -220,7 +220,7 @@ def rnea(
     kept = []
     for body, q_i, qd_i, qdd_i in zip(chain, q, qd, qdd, strict=True):
         A = body.joint.screw
-        Ad = adjoint(product(exponential(body.joint, q_i, u), body.home), u)  # of T_{i,i-1} = exp(-[A] q) M_{i,i-1}
+        Ad = adjoint(product(exponential(body.joint, q_i, u), body.home), u)  # T_{i,i-1} = exp(-[A] q) M_{i,i-1}
         V = _plus(times(Ad, V), _scaled(qd_i, A))  # (8.50)
         ad = bracket6(V, u)
         Vd = _plus(_plus(times(Ad, Vd), _scaled(qd_i, times(ad, A))), _scaled(qdd_i, A))  # (8.51)

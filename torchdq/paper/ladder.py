@@ -52,7 +52,7 @@ def zeros_known(robot: Robot, q: Row, qd: Row, qdd: Row) -> Sequence[Number]:
 
 
 def aligned_frames(robot: Robot, q: Row, qd: Row, qdd: Row) -> list[Number]:
-    """The same recursion in frames whose z axes are the joint axes: Ad by elementary screws."""
+    """Recursion of Algorithm 1 in frames whose z axes are the joint axes: Ad by elementary screws."""
     at = posed.aligned(robot, q, {}, group=False)
     tree, steps = at.tree, at.steps
     V: list[Any] = [STILL]

@@ -12,11 +12,11 @@ from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.tree import Tree
 
 Row = Sequence[Number]
-Columns = list[Quaternion]
+QuaternionColumns = list[Quaternion]
 UNITS = ((0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
-def columns(x: DualQuaternion) -> tuple[Columns, Columns]:
+def columns(x: DualQuaternion) -> tuple[QuaternionColumns, QuaternionColumns]:
     """Columns A_P, A_D of a pose as whole quaternions, by two quaternion products a column, and a doubling."""
     xp, xd = x
     rotated = [quat.mul(xp, e) for e in UNITS]
@@ -25,7 +25,7 @@ def columns(x: DualQuaternion) -> tuple[Columns, Columns]:
     return a_p, a_d
 
 
-def vectors(a: tuple[Columns, Columns]) -> Adjoint:
+def vectors(a: tuple[QuaternionColumns, QuaternionColumns]) -> Adjoint:
     """Columns A_P, A_D without their real parts."""
     a_p, a_d = (tuple(quat.im(e) for e in part) for part in a)
     return a_p, a_d

@@ -31,7 +31,7 @@ class Frame(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Description:
+class RobotDescription:
     """Fields of a `Robot` that its source gives; see there for shapes and units."""
 
     name: str
@@ -67,7 +67,7 @@ def assemble(
     com: Any,
     inertia: Any,
     home: Any = None,
-) -> tuple[Description, list[str]]:
+) -> tuple[RobotDescription, list[str]]:
     """Description without limits or friction, with a frame per link, one at the tip and one at the base; its faults."""
     n = len(parents)
     links = distinct("link_names", link_names, "link", n)
@@ -77,7 +77,7 @@ def assemble(
     faults = [f for i in range(n) for f in consistency.body(links[i], float(mass[i]), matrices(inertia[i]))]
     infinite, zero = torch.full((n,), torch.inf, dtype=torch.float64), torch.zeros(n, dtype=torch.float64)
     at_links = (Frame(link, i, IDENTITY) for i, link in enumerate(links))
-    return Description(
+    return RobotDescription(
         name=name,
         joint_names=joint_names,
         link_names=links,

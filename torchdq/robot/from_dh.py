@@ -11,7 +11,7 @@ from torchdq import dq
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, distinct, numbers, poses, table
-from torchdq.robot.description import Description, assemble
+from torchdq.robot.description import RobotDescription, assemble
 
 
 def _about(axis: int, angle: float, shift: float) -> Tensor:
@@ -42,7 +42,7 @@ def read(
     tip_pose: Any,
     joint_names: Sequence[str] | None,
     **bodies: Any,
-) -> tuple[Description, list[str]]:
+) -> tuple[RobotDescription, list[str]]:
     """Description and its faults; `Robot.from_dh` says what is expected."""
     n = numbers("a", a).numel()
     if n == 0:

@@ -10,7 +10,7 @@ from torchdq import dq
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, UNIT, distinct, numbers, poses, table
-from torchdq.robot.description import Description, assemble
+from torchdq.robot.description import RobotDescription, assemble
 
 
 def joint(name: str, screw: Tensor) -> tuple[str, Tensor]:
@@ -38,7 +38,7 @@ def read(
     parents: Sequence[int] | None,
     joint_names: Sequence[str] | None,
     **bodies: Any,
-) -> tuple[Description, list[str]]:
+) -> tuple[RobotDescription, list[str]]:
     """Description and its faults; `Robot.from_screws` says what is expected."""
     s = numbers("joint_screws", joint_screws)
     n = s.shape[0] if s.ndim else 0

@@ -27,7 +27,7 @@ PARALLEL = 1e-6  # axes closer to parallel than this have no common normal worth
 FAR = 10.0  # nor one that lies this many times the robot's size away
 
 
-class Line(NamedTuple):
+class Axis(NamedTuple):
     """A joint axis in the base frame, at home."""
 
     point: np.ndarray
@@ -54,9 +54,9 @@ def align(tree: Tree) -> tuple[Alignment, ...]:
     """
     X_WB = kinematics.link_poses(tree, [link.placement for link in tree.links])
     R_WB, p_WB = zip(*map(_rotation_and_position, X_WB), strict=True)
-    lines = [Line(np.zeros(3), np.array([0.0, 0.0, 1.0]))]  # of the base, whose frame stays
+    lines = [Axis(np.zeros(3), np.array([0.0, 0.0, 1.0]))]  # the base keeps its frame
     for link, R, p in zip(tree.links[1:], R_WB[1:], p_WB[1:], strict=True):
-        lines.append(Line(p + R @ np.array(link.joint.point), _unit(R @ np.array(link.joint.direction))))
+        lines.append(Axis(p + R @ np.array(link.joint.point), _unit(R @ np.array(link.joint.direction))))
     size = max([float(np.linalg.norm(p)) for p in p_WB] + [1e-3])
     main = _main_children(tree)
     R_WL, p_WL, result = [np.eye(3)], [np.zeros(3)], []
@@ -149,7 +149,7 @@ def _main_children(tree: Tree) -> dict[int, int]:
 
 
 def _frame(
-    lines: list[Line],
+    lines: list[Axis],
     i: int,
     child: int | None,
     x_P: np.ndarray,
@@ -164,7 +164,7 @@ def _frame(
     # unless the child's axis says otherwise: the parent's x axis if it is perpendicular, and no shift along z
     fallback = x_P if abs(x_P @ z) < NEAR else min(np.eye(3), key=lambda e: abs(float(e @ z)))
     x = _unit(fallback - (fallback @ z) * z)
-    origin = _foot(line, Line(p_P, x_P))
+    origin = _foot(line, Axis(p_P, x_P))
     if child is not None:
         other = lines[child]
         normal = np.cross(z, other.direction)
@@ -182,7 +182,7 @@ def _frame(
     return x, origin
 
 
-def _foot(line: Line, other: Line) -> np.ndarray | None:
+def _foot(line: Axis, other: Axis) -> np.ndarray | None:
     """Point of a line closest to another; None if they are parallel."""
     a, b = line.direction, other.direction
     cross = np.cross(a, b)

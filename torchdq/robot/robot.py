@@ -15,11 +15,11 @@ from torch import Tensor
 
 from torchdq.algebra.inertia import Inertia, six
 from torchdq.algebra.quaternion import Number, Pure
-from torchdq.dynamics.joints import KINDS
+from torchdq.dynamics.joints import KINDS, Helical, Prismatic, Revolute
 from torchdq.dynamics.tree import BASE, Tree, plant
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 from torchdq.robot import consistency, from_dh, from_screws, urdf
-from torchdq.robot.description import Description, Frame, Limits
+from torchdq.robot.description import Frame, Limits, RobotDescription
 from torchdq.robot.report import Report
 
 DTYPES = (torch.float32, torch.float64)  # dtypes of parameters and of the dynamics
@@ -216,7 +216,7 @@ class Robot:
     @classmethod
     def _finish(
         cls,
-        description: Description,
+        description: RobotDescription,
         faults: list[str],
         tip: str | None,
         gravity: Sequence[float] | None,
@@ -240,6 +240,11 @@ class Robot:
     def n(self) -> int:
         """Number of joints."""
         return len(self.joint_names)
+
+    @property
+    def joint_types(self) -> tuple[type[Revolute | Prismatic | Helical], ...]:
+        """Types of the joints, which say whether they turn and whether they slide."""
+        return tuple(KINDS[kind] for kind in self.kinds)
 
     @property
     def frame_names(self) -> tuple[str, ...]:

@@ -20,8 +20,8 @@ from torchdq import dq
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, DescriptionError, UnknownNameError
 from torchdq.robot import consistency
-from torchdq.robot.description import Description, Frame, Limits
-from torchdq.robot.urdf_document import MOST, MOVING, Document, Inertial, Joint, children_of, parse, text_of
+from torchdq.robot.description import Frame, Limits, RobotDescription
+from torchdq.robot.urdf_document import MOST, MOVING, Document, Inertial, UrdfJoint, children_of, parse, text_of
 
 
 def _codes(kind: str, names: Iterable[str]) -> dict[str, str]:
@@ -102,7 +102,7 @@ def _pose(placement) -> Tensor:
     return dq.from_matrix(torch.from_numpy(np.array(placement.homogeneous, dtype=np.float64)))
 
 
-def read(source: str | Path, lock: dict[str, float]) -> tuple[Description, list[str]]:
+def read(source: str | Path, lock: dict[str, float]) -> tuple[RobotDescription, list[str]]:
     """Description and its faults; `Robot.from_urdf` says what is expected."""
     import pinocchio as pin
 
@@ -127,7 +127,7 @@ def read(source: str | Path, lock: dict[str, float]) -> tuple[Description, list[
     faults = [f for name, body in moving.items() if body for f in consistency.body(name, body.mass, body.inertia)]
     children = children_of(document)
     leaves = [name for name in moving if name not in children]
-    description = Description(
+    description = RobotDescription(
         name=document.name,
         joint_names=names,
         link_names=tuple(joint.child for joint in joints),
@@ -161,7 +161,7 @@ def _notes(
 ) -> tuple[str, ...]:
     """Requests of the file that the dynamics do not use, or use otherwise."""
 
-    def listed(wanted: Callable[[Joint], object]) -> str:
+    def listed(wanted: Callable[[UrdfJoint], object]) -> str:
         return ", ".join(name for name in names if wanted(document.joints[name]))
 
     massless = ", ".join(name for name, inertial in moving.items() if inertial is None or inertial.mass == 0)

@@ -33,7 +33,7 @@ class Inertial(NamedTuple):
     origin: dict[str, tuple[float, ...]]
 
 
-class Joint(NamedTuple):
+class UrdfJoint(NamedTuple):
     """Joint element."""
 
     kind: str
@@ -53,7 +53,7 @@ class Document(NamedTuple):
 
     name: str
     links: dict[str, Inertial | None]
-    joints: dict[str, Joint]
+    joints: dict[str, UrdfJoint]
 
 
 def text_of(source: str | Path) -> str:
@@ -169,7 +169,7 @@ def _inertial(name: str, link: ET.Element, faults: list[str]) -> Inertial | None
     return Inertial(_numbers(f"{what} mass", mass, "value", "", 1, faults)[0], matrix, origin)
 
 
-def _joint(name: str, joint: ET.Element, faults: list[str]) -> Joint:
+def _joint(name: str, joint: ET.Element, faults: list[str]) -> UrdfJoint:
     what, kind = f"joint {name!r}:", joint.get("type", "")
     if kind not in MOVING and kind != "fixed":
         faults.append(f"{what} type must be revolute, continuous, prismatic or fixed, found {kind!r}")
@@ -197,7 +197,7 @@ def _joint(name: str, joint: ET.Element, faults: list[str]) -> Joint:
             faults.append(f"{what} lower limit {limits['lower']:g} is above upper limit {limits['upper']:g}")
     elif kind in ("revolute", "prismatic"):
         faults.append(f"{what} a {kind} joint must have <limit>; a revolute joint without limits is 'continuous'")
-    return Joint(
+    return UrdfJoint(
         kind,
         ends["parent"],
         ends["child"],

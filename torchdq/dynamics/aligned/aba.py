@@ -26,14 +26,14 @@ from torchdq.dynamics.conditioning import inverse
 from torchdq.dynamics.crba import freedoms
 from torchdq.dynamics.tree import WORLD, Tree
 
-Matrix = tuple[Pure, ...]  # three rows
+Matrix3 = tuple[Pure, ...]  # three rows
 
 
 class Articulated(NamedTuple):
     """Blocks of an articulated body's inertia: A and C symmetric (xx xy yy xz yz zz), B by rows."""
 
     A: Six
-    B: Matrix
+    B: Matrix3
     C: Six
 
     @classmethod
@@ -122,14 +122,14 @@ def _axis(a: Screw) -> int | None:
     return present[0][0] if len(present) == 1 and present[0][1] == 1 else None
 
 
-class Factors(NamedTuple):
+class BodyFactors(NamedTuple):
     """Parts of a solution that depend on the position: the responses of the joints, and the inverses of their own."""
 
     responses: tuple[Screw, ...]
     inverses: tuple[Number, ...]
 
 
-def factorise(tree: Tree, steps: Steps) -> Factors:
+def factorise(tree: Tree, steps: Steps) -> BodyFactors:
     """Articulated bodies, from the leaves to the base."""
     inertia = [None if link.inertia is None else Articulated.rigid(link.inertia) for link in tree.links]
     responses: list[Screw] = [((), ())] * tree.nv
@@ -147,10 +147,10 @@ def factorise(tree: Tree, steps: Steps) -> Factors:
         if step is not None and (link.parent or tree.links[0].joint.nv):
             behind, below = body.to_parent(step), inertia[link.parent]
             inertia[link.parent] = behind if below is None else below.plus(behind)
-    return Factors(tuple(responses), tuple(inverses))
+    return BodyFactors(tuple(responses), tuple(inverses))
 
 
-def solve(tree: Tree, steps: Steps, factors: Factors, b: Sequence[Number]) -> tuple[Number, ...]:
+def solve(tree: Tree, steps: Steps, factors: BodyFactors, b: Sequence[Number]) -> tuple[Number, ...]:
     """Solution x of M(q) x = b."""
     bias: list[Screw | None] = [None] * len(tree.links)  # wrench that b drives against a still parent
     net = list(b)

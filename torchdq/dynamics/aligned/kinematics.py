@@ -61,7 +61,7 @@ def joint_screws(tree: Tree, steps: Steps, i: int, frame: Point) -> dict[int, Sc
 def joint_screws_in_base(tree: Tree, steps: Steps, i: int, r: Pure) -> dict[int, Screw]:
     """Screw, about a point r of link i and in the axes of the base, of every degree of freedom that moves it."""
     origins: dict[int, Pure] = {}
-    axes: dict[int, Sequence[Pure]] = {}  # of the base, in the link's frame
+    axes: dict[int, Sequence[Pure]] = {}  # axes of the base, in the link's frame
     for j in reversed(list(path(tree.links, i))):
         step, parent = steps[j], tree.links[j].parent
         if step is None:
@@ -91,7 +91,7 @@ def poses(
         turns: cosines and sines of half of their joints' angles, offsets included.
         X_WB: pose of the base.
     """
-    X = [X_WB]  # of the aligned frames
+    X = [X_WB]  # poses of the aligned frames
     found = [X_WB]
     for link, step, at, half_turn in zip(tree.links[1:], steps[1:], alignments, turns, strict=True):
         X.append(step.pose_in(X[link.parent], at.half, half_turn))

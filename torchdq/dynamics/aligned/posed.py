@@ -10,7 +10,7 @@ from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.elementary import DualAngle, together
-from torchdq.algebra.matrix import Rows
+from torchdq.algebra.matrix import Matrix
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics import crba, energy, regressor
@@ -28,8 +28,8 @@ class Aligned(NamedTuple):
     tree: Tree
     steps: Steps
     X_WB: DualQuaternion | None  # pose of a free base; None: a fixed one
-    alignments: tuple[Alignment, ...]  # of the moving links
-    coms: tuple[Pure, ...]  # of the moving links, in their aligned frames
+    alignments: tuple[Alignment, ...]  # constants of the moving links
+    coms: tuple[Pure, ...]  # centres of mass of the moving links, in their aligned frames
     x: tuple[Number, ...]  # displacements of the joints from home
 
     @classmethod
@@ -127,7 +127,7 @@ class Aligned(NamedTuple):
         """Inertia of everything that each joint carries."""
         return crba.composites(self.tree, lambda i, body: self.steps[i].inertia_to_parent(body))
 
-    def mass_matrix(self) -> Rows:
+    def mass_matrix(self) -> Matrix:
         """Mass matrix."""
         return crba.mass_matrix(self.tree, self.composites(), lambda i, F: self.steps[i].to_parent(F))
 

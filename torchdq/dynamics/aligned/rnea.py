@@ -18,7 +18,7 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import add
-from torchdq.dynamics.acceleration import Matrix, apply, net_wrench, tensor
+from torchdq.dynamics.acceleration import Matrix3, apply, net_wrench, tensor
 from torchdq.dynamics.aligned.placement import Step, Steps
 from torchdq.dynamics.tree import Tree
 
@@ -26,23 +26,23 @@ ZERO: Pure = (0.0, 0.0, 0.0)
 STILL: Screw = (ZERO, ZERO)
 
 
-class Motion(NamedTuple):
+class FrameMotion(NamedTuple):
     """Motion of a link's frame."""
 
     w: Pure  # primary part of the twist V
     A: Screw  # (wd, d), gravity taken off d
-    u: Matrix
+    u: Matrix3
 
 
-def base_motion(X_WB: DualQuaternion | None, gravity: Pure | None, V: Screw | None, A: Screw | None) -> Motion:
+def base_motion(X_WB: DualQuaternion | None, gravity: Pure | None, V: Screw | None, A: Screw | None) -> FrameMotion:
     """Motion of the base from its pose, its twist and the rate of that, in its frame; None: at rest."""
     g = ZERO if gravity is None else gravity if X_WB is None else quat.rotate(quat.conj(X_WB[0]), gravity)
     (w, v), (wd, vd) = V or STILL, A or STILL
     d = quat.sub(quat.add(vd, quat.cross(w, v)), g)
-    return Motion(w, (wd, d), tensor(w, wd))
+    return FrameMotion(w, (wd, d), tensor(w, wd))
 
 
-def carried(step: Step, parent: Motion, rate: Screw | None, change: Screw | None) -> Motion:
+def carried(step: Step, parent: FrameMotion, rate: Screw | None, change: Screw | None) -> FrameMotion:
     """Motion of a link from its parent's, its joint's rate and the change of that."""
     w, (wd, d), u = parent
     w, wd = step.vector_to_link(w), step.vector_to_link(wd)
@@ -55,12 +55,12 @@ def carried(step: Step, parent: Motion, rate: Screw | None, change: Screw | None
         wd, d = quat.add(wd, change[0]), quat.add(d, change[1])  # (44)
     u = tensor(w, wd)
     # points on the axis move with either link, so that the shift along it may be taken with the link's own U
-    return Motion(w, (wd, quat.add(d, apply(u, (0.0, 0.0, step.theta.shift)))), u)
+    return FrameMotion(w, (wd, quat.add(d, apply(u, (0.0, 0.0, step.theta.shift)))), u)
 
 
 def outward(
     tree: Tree, steps: Steps, X_WB: DualQuaternion | None, qd: Sequence[Number] | None, qdd: Sequence[Number] | None
-) -> list[Motion]:
+) -> list[FrameMotion]:
     """Motion of every link."""
     rates, changes = tree.rates(qd), tree.rates(qdd)
     motion = [base_motion(X_WB, tree.gravity, rates[0], changes[0])]

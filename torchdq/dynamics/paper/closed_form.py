@@ -3,7 +3,7 @@
     tau = M qdd + c + g + J^T f_tip   (63)
 
 L holds the adjoint from link j to link i wherever j lies on the path from i to the base; on a chain it is the full
-lower triangle (62). Rows are links and columns degrees of freedom: a moving base is a link with six of them, so that
+lower triangle (62). Matrix are links and columns degrees of freedom: a moving base is a link with six of them, so that
 W_BASE is part of A qd, and Wd_BASE holds the gravity that the base feels. The mass matrix is assembled directly, never
 by subtracting a bias.
 """
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from torchdq.algebra import matrix, screw
-from torchdq.algebra.matrix import Rows
+from torchdq.algebra.matrix import Matrix
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Adjoint, Screw
 from torchdq.algebra.structural import add, cross
@@ -23,18 +23,18 @@ from torchdq.dynamics.paper.rnea import world_acceleration
 from torchdq.dynamics.tree import WORLD, Tree, path
 
 
-class ClosedForm(NamedTuple):
+class Terms(NamedTuple):
     """The terms of (63); an entry that is zero by structure is None."""
 
-    M: Rows
+    M: Matrix
     c: tuple[Number | None, ...]
     g: tuple[Number | None, ...]
     Jt: tuple[Screw | None, ...] | None
 
 
-def propagation(tree: Tree, Ad: Sequence[Adjoint | None]) -> Rows:
+def propagation(tree: Tree, Ad: Sequence[Adjoint | None]) -> Matrix:
     """Matrix L = (I - Q)^-1 of operators A_H(x_j^i), by the recursion of its rows rather than by an inverse."""
-    rows: list[list] = []  # of Adjoint, or None
+    rows: list[list] = []  # entries are `Adjoint` or None
     for i, link in enumerate(tree.links):
         row: list = [None] * len(tree.links)
         row[i] = screw.IDENTITY
@@ -53,7 +53,7 @@ def closed_form(
     Ad: Sequence[Adjoint | None],
     qd: Sequence[Number],
     tip: tuple[int, Adjoint] | None = None,
-) -> ClosedForm:
+) -> Terms:
     """The mass matrix, Coriolis, gravity and tip-wrench terms of (63)."""
     links, freedoms = tree.links, tree.columns()
     Wd_base: list[Screw | None] = [None] * len(links)
@@ -65,10 +65,10 @@ def closed_form(
     def inertia(v: Sequence[Screw | None]) -> tuple[Screw | None, ...]:
         return tuple(momentum(link, entry) for link, entry in zip(links, v, strict=True))  # (32)
 
-    def inertia_rows(m: Rows) -> Rows:
+    def inertia_rows(m: Matrix) -> Matrix:
         return tuple(tuple(momentum(link, entry) for entry in row) for link, row in zip(links, m, strict=True))
 
-    def of_links(entries: Sequence[Screw | None]) -> Rows:
+    def of_links(entries: Sequence[Screw | None]) -> Matrix:
         return tuple(
             tuple(s if i == j else None for (j, _), s in zip(freedoms, entries, strict=True)) for i in range(len(links))
         )
@@ -92,10 +92,10 @@ def closed_form(
     )  # (70), errata 68 and 70
     g = geodesic(matrix.act(L_H, inertia(matrix.act(L, Wd_base))))  # (71), erratum 71
     Jt = None if tip is None else tip_jacobian_transpose(tree, L_H, *tip)
-    return ClosedForm(with_rotors(tree, M), c, g, Jt)
+    return Terms(with_rotors(tree, M), c, g, Jt)
 
 
-def tip_jacobian_transpose(tree: Tree, L_H: Rows, i: int, Ad_BE: Adjoint) -> tuple[Screw | None, ...]:
+def tip_jacobian_transpose(tree: Tree, L_H: Matrix, i: int, Ad_BE: Adjoint) -> tuple[Screw | None, ...]:
     """Rows of J^T = A_S (*) L^H Ad(x_{n+1}^n), each the six factors of the components of f_tip."""
     rows: list[Screw | None] = []
     for j, a in tree.columns():
@@ -105,7 +105,7 @@ def tip_jacobian_transpose(tree: Tree, L_H: Rows, i: int, Ad_BE: Adjoint) -> tup
     return tuple(rows)  # (72)
 
 
-def with_rotors(tree: Tree, M: Rows) -> Rows:
+def with_rotors(tree: Tree, M: Matrix) -> Matrix:
     """Mass matrix with the rotors' inertia on its diagonal."""
     rotors = {link.v.start: link.armature for link in tree.links if link.armature is not None}
     return tuple(

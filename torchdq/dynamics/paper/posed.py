@@ -12,7 +12,7 @@ from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import Inertia
-from torchdq.algebra.matrix import Rows
+from torchdq.algebra.matrix import Matrix
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Adjoint, Screw
 from torchdq.dynamics import crba, energy, regressor
@@ -30,7 +30,7 @@ class Paper(NamedTuple):
     tree: Tree
     X_PB: tuple[Any, ...]  # poses of the links on their parents; None: the frames coincide
     Ad: tuple[Adjoint | None, ...]
-    coms: tuple[Pure, ...]  # of the moving links
+    coms: tuple[Pure, ...]  # centres of mass of the moving links
 
     @classmethod
     def at(cls, tree: Tree, coms: Sequence[Pure], q: Sequence[Any]) -> Paper:
@@ -96,7 +96,7 @@ class Paper(NamedTuple):
         """Inertia of everything that each joint carries."""
         return crba.composites(self.tree, self._carried)
 
-    def mass_matrix(self) -> Rows:
+    def mass_matrix(self) -> Matrix:
         """Mass matrix."""
         return crba.mass_matrix(self.tree, self.composites(), lambda i, F: kinematics.to_parent(self.Ad[i], F))
 
@@ -122,7 +122,7 @@ class Paper(NamedTuple):
         first = None if whole is None else self._carried(0, whole).first
         return energy.potential_energy(self.tree.gravity, first)
 
-    def closed_form(self, qd: Row, tip: tuple[int, Adjoint] | None = None) -> closed_form.ClosedForm:
+    def closed_form(self, qd: Row, tip: tuple[int, Adjoint] | None = None) -> closed_form.Terms:
         """Terms of (63) from dual-quaternion matrices; `tip` is the end effector's link and pose in it."""
         return closed_form.closed_form(self.tree, self.Ad, qd, tip)
 
