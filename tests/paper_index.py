@@ -62,8 +62,7 @@ SECTION_2_3 = (
     Row("2", "pure quaternions, without real part: vectors", "algebra.quaternion:pure", PURE),
     Row("3", "inner product a . b = -(ab + ba)/2", "algebra.quaternion:dot dq.tensors:dot", PURE),
     Row(
-        "4", "cross product a x b = (ab - ba)/2", "algebra.quaternion:cross dq.tensors:cross "
-        "paper.printed:cross", PUR "
+        "4", "cross product a x b = (ab - ba)/2", "algebra.quaternion:cross dq.tensors:cross paper.printed:cross", PURE
     ),
     Row(
         "5",
@@ -368,8 +367,7 @@ SECTION_5_3 = (
     Row("53", "column W of the twists", "dynamics.paper.rnea:outward", f"{OURS}[40]", "definition, a list"),
     Row("54", "column of the velocities qd", "functional:inverse_dynamics", TORQUES, "definition, a tensor [..., n]"),
     Row(
-        "55", "column of the accelerations qdd", "functional:inverse_dynamics", TORQUES, "definition, a tensor "
-        "[..., n] "
+        "55", "column of the accelerations qdd", "functional:inverse_dynamics", TORQUES, "definition, a tensor [..., n]"
     ),
     Row(
         "56",
