@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
 
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
+from torchdq.caches import PROGRAMS, remembered
 from torchdq.dynamics.absent import neg, total
 from torchdq.effects.body import Bodies
 from torchdq.effects.effect import Effect
@@ -29,7 +29,6 @@ from torchdq.robot.posed import INERTIAL, AlignedModel, Given, PaperModel, model
 
 Row = Sequence[Number]
 Rows = dict[str, Row]
-KEPT = 256  # programs that a process remembers
 
 
 class Task(Protocol):
@@ -298,7 +297,7 @@ def lagrangian_gradient(scene: Recording, q: Row, qd: Row) -> list[Number]:
     if isinstance(value, float):
         return [0.0] * robot.n
     rows = [q, qd, [given[name][k] for name, k in known]]
-    values = replay(program, next(x for x in (*q, *qd) if isinstance(x, Recorded)).tape, rows)
+    values = replay(program, rows)
     found = derive.cotangents(program, values, {value[0]: -1.0 if value[1] else 1.0})
     return [found.get((0, i), 0.0) for i in range(robot.n)]
 
@@ -356,7 +355,7 @@ def program(plan: Blueprint, signature: Signature) -> Program:
     return _program(plan, signature)
 
 
-@lru_cache(KEPT)
+@remembered(PROGRAMS)
 def _program(plan: Blueprint, signature: Signature) -> Program:
     arguments = [Argument(name, width) for name, width in signature.inputs]
     arguments += [Argument(f"{owner}.{name}", width, uniform) for owner, name, width, uniform in signature.tensors]

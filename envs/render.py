@@ -22,7 +22,7 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, MissingLibraryError
 from torchdq.functional import forward_kinematics
 from torchdq.robot import Robot
-from torchdq.robot.robot import SHAPES
+from torchdq.robot.robot import SHAPES, arguments
 
 MOST_ARMS = 16  # in one image
 
@@ -71,7 +71,7 @@ class Skeleton:
     def __init__(self, robot: Robot):
         if not isinstance(robot, Robot):
             raise ArgumentError(f"robot must be a torchdq.Robot, found {type(robot).__name__}")
-        batched = {name: getattr(robot, name).detach() for name in robot.varying}
+        batched = {name: getattr(robot, name).detach() for name in arguments(robot)}
         first = {name: x.reshape(-1, *x.shape[x.ndim - len(SHAPES[name]) :])[0] for name, x in batched.items()}
         self.robot = robot.replace(**first).to(torch.float64, "cpu")
         self.joints: list[int] = []  # of every joint, the point on its axis

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import torch
 from torch import Tensor
 
-from torchdq.backends import choice as backends
-from torchdq.backends import run
+from torchdq.backends.choice import choose
+from torchdq.backends.run import run
+from torchdq.caches import PROGRAMS, remembered
 from torchdq.envs.randomization import Varied
 from torchdq.envs.recording import Task
 from torchdq.envs.rng import Streams
@@ -21,7 +21,7 @@ from torchdq.envs.scene import Scene
 from torchdq.envs.tasks import EpisodeTask
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
-from torchdq.robot.robot import SHAPES
+from torchdq.robot.robot import SHAPES, arguments
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +62,7 @@ class Beginning:
         for v, x in zip(self.varied, drawn, strict=True):
             v.draw(self.scene, rows, x)
         program = _program(self.task, self.scene.robot)
-        eager = backends.choose(self.scene.backend, u.device.type) == "eager"
-        outputs = run.eager(program, [u]) if eager else run.compiled(program, [u])
+        outputs = run(program, [u], choose(self.scene.backend, u.device))
         fresh = {result.name: x for result, x in zip(program.results, outputs, strict=True)}
         steps = rows.new_zeros(len(rows), dtype=torch.int32)
         fresh.update(streams._asdict(), steps=steps, finished=steps.to(torch.bool))
@@ -101,7 +100,7 @@ def asked(task: Task, now: Mapping[str, Tensor], scene: Scene, action: Tensor | 
 def _of_rows(scene: Scene, rows: Tensor) -> Scene:
     """A scene with some rows of whatever differs from row to row."""
     changed = {}
-    for name in scene.robot.varying:
+    for name in arguments(scene.robot):
         x = getattr(scene.robot, name)
         if x.ndim > len(SHAPES[name]):
             changed[name] = x[rows]
@@ -114,7 +113,7 @@ def _of_rows(scene: Scene, rows: Tensor) -> Scene:
     return scene.replace(robot=scene.robot.replace(**changed) if changed else scene.robot, effects=effects)
 
 
-@lru_cache(256)
+@remembered(PROGRAMS)
 def _program(task: EpisodeTask, robot: Robot) -> Program:
     """Program of start and goal."""
     argument = Argument("u", task.draws(robot))

@@ -16,9 +16,12 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint as checkpointed
 
-from torchdq.backends import choice as backends
-from torchdq.backends import run
-from torchdq.backends.choice import Backend
+from torchdq.backends.backend import Backend
+from torchdq.backends.choice import BackendName, choose, present
+from torchdq.backends.precision import Guarded
+from torchdq.backends.run import run
+from torchdq.backends.torch import EAGER
+from torchdq.caches import Bounded
 from torchdq.effects import Effect, Gravity, RotorInertia
 from torchdq.effects.joint import Elastic
 from torchdq.envs import recording as plans
@@ -29,9 +32,10 @@ from torchdq.envs.recording import CONTROLLER, MOTION, ROBOT, Blueprint, Signatu
 from torchdq.envs.timing import medians
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.functional import Precision, check_precision
+from torchdq.program.autograd import named, operator
 from torchdq.program.program import Count, Program
 from torchdq.robot import Robot
-from torchdq.robot.robot import DTYPES, SHAPES
+from torchdq.robot.robot import DTYPES, SHAPES, arguments, constants, recorded
 
 
 class State(NamedTuple):
@@ -113,7 +117,7 @@ class Scene:
     integrator: Integrator = field(default_factory=SemiImplicitEuler)
     dt: float = 0.01
     substeps: int = 1
-    backend: Backend | None = None
+    backend: BackendName | None = None
     precision: Precision = "auto"
     blueprint: Blueprint = field(init=False, repr=False)
 
@@ -164,16 +168,14 @@ class Scene:
         object.__setattr__(self, "effects", resolved)
         object.__setattr__(self, "controller", controller)
         plan = Blueprint(
-            self.robot.origin or self.robot,
-            tuple(name for name in self.robot.varying if name not in ("gravity", "armature")),
+            recorded(constants(self.robot)),
+            tuple(name for name in arguments(self.robot) if name not in ("gravity", "armature")),
             tuple(effect.blueprint() for effect in resolved),
             None if controller is None else controller.blueprint(),
             self.integrator,
             float(self.dt),
             self.substeps,
         )
-        if len(_interned) >= _MOST_PLANS:
-            _interned.clear()
         object.__setattr__(self, "blueprint", _interned.setdefault(plan, plan))
 
     # --- what it is ---
@@ -492,7 +494,7 @@ class Scene:
         if torch.compiler.is_compiling():
             return self._traced(stage, given, tensors, like, task)
         look = (
-            self.blueprint, stage, task, self.backend, backends.present(), like.dtype, like.device,
+            self.blueprint, stage, task, self.backend, present(), like.dtype, like.device,
             *[(name, getattr(x, "shape", None), getattr(x, "dtype", None), type(x)) for name, x in given.items()],
             *[x.device for x in given.values() if isinstance(x, Tensor)],
             *[x.shape for _, _, x, _, _ in tensors],
@@ -500,14 +502,12 @@ class Scene:
         plan = _plans.get(look)
         if plan is None:
             plan = self._plan(stage, given, tensors, like, task)
-            if len(_plans) >= _MOST_PLANS:
-                _plans.clear()
             _plans[look] = plan
         rows = [
-            run.row(x, like, shapes)
+            _row(x, like, shapes)
             for x, shapes in zip([*given.values(), *[t[2] for t in tensors]], plan.rows, strict=True)
         ]
-        outputs = run.eager(plan.program, rows) if plan.eager else run.compiled(plan.program, rows)
+        outputs = run(plan.program, rows, plan.backend)
         return {
             result.name: y.reshape(*plan.batch, y.shape[-1])
             for y, result in zip(outputs, plan.program.results, strict=True)
@@ -527,14 +527,12 @@ class Scene:
         )
         shapes, inputs, arguments = _layout(given, tensors, batch, self._widths(task))
         rows = [
-            run.row(x, like, shape)
-            for x, shape in zip([*given.values(), *[t[2] for t in tensors]], shapes, strict=True)
+            _row(x, like, shape) for x, shape in zip([*given.values(), *[t[2] for t in tensors]], shapes, strict=True)
         ]
-        key, names = _constant_program(self.blueprint, (stage, inputs, arguments, task))
-        if backends.choose(self.backend, like.device.type) == "eager":
-            outputs = run.eager(run.found(key), rows)
-        else:
-            outputs = run.operator(key, rows)
+        key, program, names = _constant_program(
+            self.blueprint, (stage, inputs, arguments, task), self.backend, like.device
+        )
+        outputs = operator(key, rows) if key else run(program, rows, EAGER)
         return {name: y.reshape((*batch, y.shape[-1])) for name, y in zip(names, outputs, strict=True)}
 
     def _plan(
@@ -559,8 +557,7 @@ class Scene:
                 raise ArgumentError(f"{name} is one number for each sample: shape {tuple(own)}, found {tuple(shape)}")
         rows, inputs, arguments = _layout(given, tensors, batch, self._widths(task))
         program = plans.program(self.blueprint, Signature(stage, inputs, arguments, task))
-        eager = backends.choose(self.backend, like.device.type) == "eager"
-        return _Plan(program, tuple(batch), rows, eager)
+        return _Plan(program, tuple(batch), rows, choose(self.backend, like.device))
 
     def _widths(self, task: Task | None) -> dict[str, int]:
         """Width of everything that a program of the scene may be given."""
@@ -611,12 +608,18 @@ class _Plan(NamedTuple):
     program: Program
     batch: tuple[int, ...]
     rows: tuple[_Shapes, ...]  # of every argument: what it is expanded to, and then reshaped to
-    eager: bool
+    backend: Backend
 
 
-_interned: dict[Blueprint, Blueprint] = {}  # equal scenes share their programs
-_plans: dict[tuple, _Plan] = {}
-_MOST_PLANS = 1024
+_interned: Bounded[Blueprint, Blueprint] = Bounded(1024)  # equal scenes share their programs
+_plans: Bounded[tuple, _Plan] = Bounded(1024)
+
+
+def _row(x: Tensor, like: Tensor, shapes: _Shapes) -> Tensor:
+    """A tensor as rows of a program, in the dtype and on the device of another: expanded, and then reshaped."""
+    if x.dtype != like.dtype or x.device != like.device:
+        x = x.to(like)
+    return x if x.shape == shapes[1] else x.expand(shapes[0]).reshape(shapes[1])
 
 
 @dataclass(frozen=True)
@@ -666,7 +669,13 @@ def _layout(
 
 
 @torch.compiler.assume_constant_result
-def _constant_program(plan: Blueprint, signature: tuple) -> tuple[str, tuple[str, ...]]:
-    """Name of a program, and those of its results; a tracer hands over plain tuples, not named ones."""
-    program = plans.program(plan, Signature(*signature))
-    return run.key(program), tuple(result.name for result in program.results)
+def _constant_program(
+    plan: Blueprint, signature: tuple, name: BackendName | None, device: torch.device
+) -> tuple[str, Program, tuple[str, ...]]:
+    """A program, its name unless torch sees its operations, and those of its results.
+
+    A tracer hands over plain tuples, not named ones.
+    """
+    program, backend = plans.program(plan, Signature(*signature)), choose(name, device)
+    key = "" if backend.differentiable else named(Guarded(backend), program)
+    return key, program, tuple(result.name for result in program.results)

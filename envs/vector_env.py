@@ -26,7 +26,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
-from torchdq.backends.choice import Backend
+from torchdq.backends.choice import BackendName
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, full
 from torchdq.envs.controllers import ComputedTorque, Controller
@@ -117,7 +117,7 @@ class ArmVectorEnv(VectorEnv):
         device: torch.device | str = "cpu",
         output: Literal["torch", "numpy"] = "torch",
         render_mode: Literal["rgb_array", "human"] | None = None,
-        backend: Backend | None = None,
+        backend: BackendName | None = None,
     ) -> None:
         if not isinstance(num_envs, int) or num_envs < 1:
             raise ArgumentError(f"num_envs must be a whole number from 1, found {num_envs!r}")

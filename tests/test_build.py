@@ -18,7 +18,7 @@ import torch
 
 import torchdq
 from torchdq.backends import cache as build
-from torchdq.backends.c import source
+from torchdq.backends.c_source import source
 from torchdq.program.program import Argument, record
 
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
@@ -177,7 +177,6 @@ def test_sixteen_processes_that_start_on_an_empty_cache_all_succeed(tmp_path):
     code = """
 import os, sys
 import torch, torchdq
-from torchdq.program import build
 robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
 expected = torchdq.inverse_dynamics(robot, q, backend="eager")
 children = []
@@ -285,13 +284,13 @@ def test_a_child_forked_after_use_computes_in_threads_of_its_own(tmp_path):
     code = """
 import os
 import numpy, torch, torchdq
-from torchdq.program import run
+from torchdq.backends import threads
 torch.set_num_threads(2)
 robot = torchdq.robots.load("two_link")
-run.PER_THREAD = 1e4
+threads.PER_THREAD = 1e4
 q = torch.from_numpy(numpy.linspace(-3, 3, 400_000).reshape(-1, 2))
 before = torchdq.inverse_dynamics(robot, q, backend="c").numpy()
-assert run._pool.cache_info().currsize == 1, "the batch was to be large enough for threads"
+assert threads.running(), "the batch was to be large enough for threads"
 child = os.fork()
 if child == 0:
     os._exit(0 if (torchdq.inverse_dynamics(robot, q, backend="c").numpy() == before).all() else 1)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
-from torchdq.backends.choice import Backend
+from torchdq.backends.choice import BackendName
 from torchdq.control import computed_torque
 from torchdq.effects import Coulomb, Viscous
 from torchdq.errors import ArgumentError
@@ -61,7 +61,7 @@ class RobotModule(nn.Module):
         self,
         robot: Robot,
         learn: Sequence[str] = (),
-        backend: Backend | None = None,
+        backend: BackendName | None = None,
         friction_width: float = 1e-2,
     ):
         super().__init__()
@@ -241,7 +241,7 @@ class ForwardDynamics(RobotModule):
         self,
         robot: Robot,
         learn: Sequence[str] = (),
-        backend: Backend | None = None,
+        backend: BackendName | None = None,
         friction_width: float = 1e-2,
         precision: Precision = "auto",
     ):
@@ -258,7 +258,7 @@ class ForwardDynamics(RobotModule):
     ) -> Tensor:
         """Joint accelerations [..., n]; see `torchdq.forward_dynamics`."""
         robot = self.robot
-        check(robot, q=(q, ("n",), False), qd=(qd, ("n",), True), tau=(tau, ("n",), False))
+        check(robot, ("qd",), q=q, qd=qd, tau=tau)
         beside = self._beside(q, qd)
         tau = tau if beside is None else tau - beside
         return forward_dynamics(robot, q, qd, tau, f_tip, f_ext, self.backend, self.precision)
@@ -290,7 +290,7 @@ class ComputedTorque(RobotModule):
         kp: Tensor | float,
         kd: Tensor | float,
         learn: Sequence[str] = (),
-        backend: Backend | None = None,
+        backend: BackendName | None = None,
         friction_width: float = 1e-2,
     ):
         learn = (learn,) if isinstance(learn, str) else tuple(learn)

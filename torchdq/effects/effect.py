@@ -23,6 +23,7 @@ from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
+from torchdq.robot.robot import arguments
 
 Parameter = Any  # a number, a sequence of numbers, a tensor, or None: as described; while recording: a row of numbers
 Shapes = Mapping[str, tuple[int | str, ...]]  # trailing axes by name, "n" being the number of joints
@@ -160,7 +161,7 @@ def owned(robot: Robot, x: Tensor | None) -> Tensor | tuple[float, ...] | None:
     """A tensor of a robot's description as a parameter: numbers if it is a constant, or else the tensor itself."""
     if x is None:
         return None
-    replaced = any(x is getattr(robot, name) for name in robot.varying)
+    replaced = any(x is getattr(robot, name) for name in arguments(robot))
     if replaced or x.requires_grad or x.ndim > 1:
         return x
     return tuple(x.to(torch.float64).tolist())

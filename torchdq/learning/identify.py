@@ -121,7 +121,7 @@ class Identified(NamedTuple):
             q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2],
                 shape [..., n].
         """
-        batch = check(self.robot, q=(q, ("n",), False), qd=(qd, ("n",), False), qdd=(qdd, ("n",), False))
+        batch = check(self.robot, q=q, qd=qd, qdd=qdd)
         n = self.robot.n
         rows = [x.detach().to(torch.float64).expand(*batch, n).reshape(-1, n) for x in (q, qd, qdd)]
         asked = [name.split()[-1] for name in self.names[10 * n :: n]]
@@ -179,7 +179,7 @@ def identify(
     >>> torch.allclose(found.predict(q, qd, qdd).tau, torchdq.inverse_dynamics(real, q, qd, qdd), atol=1e-6)
     True
     """
-    batch = check(robot, **{name: (x, ("n",), False) for name, x in dict(q=q, qd=qd, qdd=qdd, tau=tau).items()})
+    batch = check(robot, q=q, qd=qd, qdd=qdd, tau=tau)
     n, samples = robot.n, math.prod(batch)
     for name in SHAPES:
         x = getattr(robot, name)

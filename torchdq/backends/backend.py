@@ -1,0 +1,42 @@
+"""What a backend is: an object that runs programs on the tensors of some devices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from torchdq.errors import TorchdqError
+from torchdq.program.program import Program
+
+Kernel = Callable[[Sequence[Tensor], int], list[Tensor]]
+"""Outputs of a program from its arguments, tensors [samples, width] or [width], and the number of samples."""
+
+
+class Backend:
+    """A way to run programs; backends of one class are equal."""
+
+    name: str  # as users say it
+    differentiable: bool  # whether torch sees its operations: then it traces, differentiates and transforms them itself
+
+    def refusal(self, device: torch.device) -> TorchdqError | None:
+        """Why it cannot run on a device, as the error to raise; None: it can."""
+        raise NotImplementedError
+
+    def available(self, device: torch.device) -> bool:
+        """Whether it can run on a device."""
+        return self.refusal(device) is None
+
+    def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> Kernel:
+        """What computes all outputs of a program in one precision."""
+        raise NotImplementedError
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other)
+
+    def __hash__(self) -> int:
+        return hash(type(self))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}()"
