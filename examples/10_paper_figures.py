@@ -24,8 +24,10 @@ from torch import Tensor
 import torchdq
 from torchdq.algebra import screw
 from torchdq.dynamics.tree import Mechanism
-from torchdq.functions import catalogue as recipes
+from torchdq.functions.catalogue import Function
 from torchdq.paper import cost, homogeneous, printed
+from torchdq.program.program import Argument
+from torchdq.robot.robot import constants
 
 double = partial(torch.tensor, dtype=torch.float64)
 BLUE, RED, BLACK, GREY = "#0072B2", "#D0312D", "#111111", "#8A8A8A"  # matrices, dual quaternions, this package
@@ -171,10 +173,10 @@ def curve(
 def executed(function: str, arguments: Sequence[str], options: tuple[str, ...], n: int) -> cost.Cost:
     """What this package's program of a function does for a general chain, and the numbers it reads."""
     robot = cost.robot(*cost.chain(n))
-    widths = tuple((name, 6 if name == "f_tip" else n) for name in arguments)
-    program = recipes.program(robot, recipes.Signature(robot.identity, function, widths, (), options))
-    count, constants = program.count(), sum(op.code == "const" for op in program.ops)
-    return cost.Cost(count.multiplications, count.additions, constants + count.sines)
+    taken = tuple(Argument(name, 6 if name == "f_tip" else n) for name in arguments)
+    program = Function(constants(robot), function, options).program(taken)
+    count, numbers = program.count(), sum(op.code == "const" for op in program.ops)
+    return cost.Cost(count.multiplications, count.additions, numbers + count.sines)
 
 
 def compiled(joints: int, function: str, arguments: Sequence[str], options: tuple[str, ...] = ()) -> Curve:

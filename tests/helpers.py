@@ -8,14 +8,14 @@ import torch
 
 import torchdq
 from torchdq.backends import threads as pool
-from torchdq.backends.c import C
+from torchdq.backends.c import COMPILED
 from torchdq.backends.run import run
 from torchdq.backends.torch import EAGER
 from torchdq.envs.integrators import ExplicitEuler, LinearlyImplicit, RungeKutta4, SemiImplicitEuler, StoermerVerlet
 
 DOWN = (0.0, -9.81, 0.0)  # gravity in the plane in which rods with axes along z move
 
-compiled, eager = partial(run, backend=C()), partial(run, backend=EAGER)  # results of a program
+compiled, eager = partial(run, backend=COMPILED), partial(run, backend=EAGER)  # results of a program
 
 FIXED = (ExplicitEuler(), SemiImplicitEuler(), LinearlyImplicit(), RungeKutta4(), StoermerVerlet())
 

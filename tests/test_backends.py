@@ -21,7 +21,7 @@ import torchdq
 from torchdq.backends import cache as build
 from torchdq.backends import precision
 from torchdq.backends import threads as pool
-from torchdq.backends.c import C, CompiledKernel
+from torchdq.backends.c import COMPILED, CompiledKernel
 from torchdq.errors import ArgumentError
 from torchdq.program import autograd
 from torchdq.program.program import Argument, record
@@ -163,7 +163,7 @@ def test_a_bad_row_leaves_every_other_bitwise_as_it_was(bad, dtype):
 
 def kernel(program, dtype=F64):
     """The compiled program."""
-    return C().kernel(program, dtype, torch.device("cpu"))
+    return COMPILED.kernel(program, dtype, torch.device("cpu"))
 
 
 TRIG = record("trig", [Argument("x", 1)], lambda x: {"y": [x[0].sin(), x[0].cos()]})

@@ -78,10 +78,10 @@ class Computation:
 
 
 class Row(NamedTuple):
-    """How a tensor becomes rows of a program: expanded, and then reshaped."""
+    """How a tensor becomes rows of a program: expanded, and then reshaped; None: it has that shape."""
 
-    expanded: Shape
-    flat: Shape
+    expanded: Shape | None
+    flat: Shape | None
 
 
 class Layout(NamedTuple):
@@ -210,14 +210,17 @@ def _arranged(what: Computation, tensors: Tensors) -> tuple[tuple[Argument, ...]
         axes = what.axes(name)
         width, uniform = math.prod(axes), what.shared(name) and x.ndim == len(axes)
         arguments.append(Argument(name, width, uniform))
-        rows.append(Row(axes, (width,)) if uniform else Row(batch + axes, (samples, width)))
+        expanded, flat = (axes, (width,)) if uniform else (batch + axes, (samples, width))
+        rows.append(Row(None if x.shape == expanded else expanded, None if expanded == flat else flat))
     return tuple(arguments), tuple(rows), batch
 
 
 def _row(x: Tensor, dtype: torch.dtype, device: torch.device, row: Row) -> Tensor:
     if x.dtype != dtype or x.device != device:
         x = x.to(dtype=dtype, device=device)
-    return x if x.shape == row.flat else x.expand(row.expanded).reshape(row.flat)
+    if row.expanded is not None:
+        x = x.expand(row.expanded)
+    return x if row.flat is None else x.reshape(row.flat)
 
 
 # --- traced graphs ---------------------------------------------------------------------------------------------------

@@ -31,6 +31,9 @@ class C(Backend):
         return CompiledKernel(program, dtype)
 
 
+COMPILED = C()
+
+
 class CompiledKernel:
     """A compiled program in one precision."""
 
@@ -49,8 +52,9 @@ class CompiledKernel:
     def __call__(self, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
         """Outputs of the program; arguments that are not contiguous are copied."""
         inputs = [x.contiguous() for x in inputs]
-        number, size = threads.shares(samples, self.operations, self.any_summed)
-        parts = max(-(-samples // size), 1)
+        few = samples <= threads.BLOCK
+        number, size = (1, samples) if few else threads.shares(samples, self.operations, self.any_summed)
+        parts = 1 if few else -(-samples // size)
         found = [
             torch.empty((parts if summed else samples, width), dtype=self.dtype, device="cpu")
             for width, summed in self.widths

@@ -222,6 +222,7 @@ static inline void put(S*at,T v,int half,int count,int whole){
 }
 #endif
 static inline void load(T*to,const S*from,int width){
+  if(width==1){to[0]=*(const U*)from;return;}
   for(int c=0;c<width;c+=TILE){
     const int at=width<TILE?0:(c>width-TILE?width-TILE:c);
     T r[TILE];
@@ -231,6 +232,7 @@ static inline void load(T*to,const S*from,int width){
   }
 }
 static inline void store(S*to,const T*from,int width){
+  if(width==1){*(U*)to=from[0];return;}
   for(int c=0;c<width;c+=TILE){
     const int at=width<TILE?0:(c>width-TILE?width-TILE:c),count=width<TILE?width:TILE;
     T r[TILE];

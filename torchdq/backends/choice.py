@@ -11,14 +11,14 @@ from typing import Literal, get_args
 import torch
 
 from torchdq.backends.backend import Backend
-from torchdq.backends.c import C
+from torchdq.backends.c import COMPILED
 from torchdq.backends.cache import BuildError
 from torchdq.backends.torch import EAGER
 from torchdq.caches import remembered
 from torchdq.errors import ArgumentError
 
 BackendName = Literal["auto", "eager", "c"]
-BACKENDS: tuple[Backend, ...] = (C(), EAGER)  # "auto" is the first that can run
+BACKENDS: tuple[Backend, ...] = (COMPILED, EAGER)  # "auto" is the first that can run
 
 _chosen: ContextVar[BackendName] = ContextVar("torchdq_backend", default="auto")
 

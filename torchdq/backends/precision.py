@@ -7,7 +7,6 @@ rounded; rows over the limit of float64 become NaN. No other row is touched.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -44,8 +43,10 @@ class Guarded(NamedTuple):
 def guarded(backend: Backend, program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
     """Results of a program, rows recomputed where they have to be."""
     samples = samples_of(program, inputs)
-    if program.growth is None or not samples:
-        return _outputs(backend, program, inputs, samples)[: len(program.results)]
+    if program.growth is None:
+        return _outputs(backend, program, inputs, samples)
+    if not samples:
+        return _outputs(backend, program, inputs, samples)[:-1]
     dtype = inputs[0].dtype
     asked = not (backend.differentiable and without_values(inputs))
     if not asked and dtype != torch.float64:
@@ -65,8 +66,9 @@ def guarded(backend: Backend, program: Program, inputs: Sequence[Tensor]) -> lis
 def _outputs(backend: Backend, program: Program, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
     like = inputs[0]
     # where torch sees the operations there is nothing to keep, and torch.compile looks into this
-    make = backend.kernel if backend.differentiable else partial(kernel, backend)
-    return make(program, like.dtype, like.device)(inputs, samples)
+    if backend.differentiable:
+        return backend.kernel(program, like.dtype, like.device)(inputs, samples)
+    return kernel(backend, program, like.dtype, like.device)(inputs, samples)
 
 
 def _or_nan(program: Program, results: Sequence[Tensor], over: Tensor) -> list[Tensor]:

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from torchdq.backends.backend import Backend
 from torchdq.backends.precision import Guarded, guarded
-from torchdq.program.autograd import differentiable
+from torchdq.program.autograd import differentiable, in_a_graph
 from torchdq.program.program import Program
 
 
@@ -18,6 +18,6 @@ def run(program: Program, inputs: Sequence[Tensor], backend: Backend) -> Sequenc
         inputs: its arguments, tensors [samples, width], or [width] where they are uniform; so are results.
         backend: what runs it.
     """
-    if backend.differentiable:
+    if backend.differentiable or not in_a_graph(inputs):
         return guarded(backend, program, inputs)
     return differentiable(Guarded(backend), program, inputs)

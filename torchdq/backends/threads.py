@@ -40,12 +40,12 @@ def shares(samples: int, operations: int, sums: bool) -> tuple[int, int]:
     """Number of threads that a batch is worth, and how many samples a part of it has.
 
     Args:
-        samples: in the batch.
+        samples: in the batch, at least one.
         operations: per sample.
         sums: whether results are summed: then a part is of one size, and the sum the same, whatever the threads.
     """
     threads = min(torch.get_num_threads(), samples // max(BLOCK, int(8 * PER_THREAD / max(1, operations))))
-    size = max(samples, 1)
+    size = samples
     if sums:
         size = PART
     elif threads > 1:

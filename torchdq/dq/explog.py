@@ -149,4 +149,4 @@ def mapped(formula: Callable[..., dict[str, Sequence[Value]]], x: Tensor) -> Ten
     # a graph that is traced fuses torch's operations by itself
     backend: BackendName | None = "eager" if torch.compiler.is_compiling() else None
     (found,) = evaluate(Map(formula, x.shape[-1], wide.dtype == torch.float32), {"x": wide}, backend).values()
-    return found.to(x.dtype)
+    return found if wide is x else found.to(x.dtype)

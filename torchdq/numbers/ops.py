@@ -46,14 +46,14 @@ class Operation(NamedTuple):
 
 
 def apply(code: str, *x: Value) -> Value:
-    """Value of an operation on numbers of any kind; those that record have a method for it."""
+    """Value of an operation on numbers of any kind; a kind that is not plain has a method `applied` for it."""
     row = OPS[code]
     if not row.infix:
         for number in x:
             # the kind is asked, not the number: mpmath's exp is an exponent, and torch.compile can trace nothing else
-            recorded = getattr(type(number), "applied", None)
-            if recorded is not None:
-                return recorded(code, x)
+            applied = getattr(type(number), "applied", None)
+            if applied is not None:
+                return applied(code, x)
     return row.value(*x)
 
 

@@ -35,13 +35,16 @@ class Execute(Protocol):
         """The one that runs them as torch's own operations, which all of its transforms know."""
 
 
+def in_a_graph(inputs: Sequence[Tensor]) -> bool:
+    """Whether torch has to know what is done to tensors."""
+    return transforming() or (torch.is_grad_enabled() and any([x.requires_grad for x in inputs]))
+
+
 def differentiable(execute: Execute, program: Program, inputs: Sequence[Tensor]) -> Sequence[Tensor]:
     """Results of a program with gradients, with no more bookkeeping than is asked for."""
     if transforming():
         return _Transformable.apply(execute, program, *inputs)
-    if torch.is_grad_enabled() and any([x.requires_grad for x in inputs]):
-        return _Differentiable.apply(execute, program, *inputs)
-    return execute(program, inputs)
+    return _Differentiable.apply(execute, program, *inputs) if in_a_graph(inputs) else execute(program, inputs)
 
 
 def _gradients(ctx, needed: Sequence[bool], cotangents: Sequence[Tensor]) -> list:

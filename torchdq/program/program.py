@@ -109,7 +109,10 @@ def outputs(program: Program) -> tuple[Result, ...]:
 
 def samples_of(program: Program, inputs: Sequence[Any]) -> int:
     """Number of samples of tensors that are a program's arguments."""
-    return next((x.shape[0] for x, a in zip(inputs, program.arguments, strict=True) if not a.uniform), 1)
+    for x, argument in zip(inputs, program.arguments, strict=True):
+        if not argument.uniform:
+            return x.shape[0]
+    return 1
 
 
 def record(
