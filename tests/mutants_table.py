@@ -236,6 +236,9 @@ MUTANTS = (
             "d",
             f"{EXP_LOG}::test_normalising_now_and_then_keeps_a_long_product_a_pose",
         ),
+    ),
+    *within(
+        "torchdq/dq/poses.py",
         (
             "the longer way",
             "return log(torch.where(x[..., :1] < 0, -x, x))",

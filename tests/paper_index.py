@@ -153,33 +153,33 @@ SECTION_4 = (
     Row(
         "25",
         "exponential of a pure dual quaternion, a pose",
-        "algebra.screw:exp dq.tensors:exp",
+        "algebra.screw:exp dq.poses:exp",
         "test_exp_log.py::test_exp_is_within_4_ulp",
     ),
     Row(
         "26",
         "its primary part, cos and sin of the length; 1 for a translation",
-        "algebra.screw:exp dq.tensors:exp",
+        "algebra.screw:exp dq.poses:exp",
         "test_exp_log.py::test_pure_translations_are_exact",
     ),
     Row(
         "27",
         "motion by the dual angle t^ about a unit line s: cos(t^/2) + s sin(t^/2)",
         "algebra.screw:exp_revolute algebra.screw:exp_prismatic algebra.screw:exp_helical "
-        "dynamics.paper.kinematics:joint_motion dq.tensors:exp",
+        "dynamics.paper.kinematics:joint_motion dq.poses:exp",
         f"{ALGEBRA}_joint_exponentials_are_power_series_to_40_digits",
     ),
     Row(
         "28",
         "pose r + (eps/2) r p^b, which is r + (eps/2) p r",
         "algebra.dual_quaternion:from_pose algebra.dual_quaternion:translation_body "
-        "dq.tensors:from_pose dq.tensors:translation_body",
+        "dq.poses:from_pose dq.poses:translation_body",
         f"{ALGEBRA}_a_pose_holds_rotation_and_position_in_both_frames",
     ),
     Row(
         "29",
         "rate of a pose, x' = 1/2 x w with the body's twist w",
-        "dq.tensors:exp",
+        "dq.poses:exp",
         "test_exp_log.py::test_sclerp_moves_with_a_constant_twist_also_outside_the_ends",
         "by (25), x exp(w dt/2)",
     ),
