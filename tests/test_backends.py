@@ -290,6 +290,8 @@ def test_the_number_of_threads_changes_no_bit_of_a_result(threads):
         results.append(torchdq.inverse_dynamics(TREE, *s, backend="c"))
     assert pool.running(), "the batch was to be large enough for threads"
     assert torch.equal(results[0], results[1]) and torch.equal(results[0], results[2])
+    torchdq.clear_caches()
+    assert not pool.running()
 
 
 @pytest.mark.case("P13")

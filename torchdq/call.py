@@ -40,7 +40,7 @@ from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program.autograd import named, operator
 from torchdq.program.program import Argument, Program
 
-DTYPES = (torch.float32, torch.float64)
+DTYPES = (torch.float32, torch.float64)  # of inputs, parameters and the dynamics
 
 Shape = tuple[int, ...]
 Tensors = Mapping[str, Tensor | None]  # by name; None: absent

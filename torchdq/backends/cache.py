@@ -151,7 +151,7 @@ def _sweep(base: Path) -> None:
 
 
 def _announce(name: str) -> None:
-    sys.stderr.write(f"torchdq: compiling {name}, once for this robot and machine ...\n")
+    sys.stderr.write(f"torchdq: compiling {name}, once for this machine ...\n")
 
 
 def entry_key(source: str) -> str:

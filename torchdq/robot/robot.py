@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from torchdq.caches import PROGRAMS, remembered
+from torchdq.call import DTYPES
 from torchdq.dynamics.tree import BASE, Mechanism, mechanism
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 from torchdq.robot import consistency as physical
@@ -22,7 +23,6 @@ from torchdq.robot import urdf
 from torchdq.robot.constants import Constants
 from torchdq.robot.report import Report
 
-DTYPES = (torch.float32, torch.float64)  # of parameters and of the dynamics
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], in the base frame
 OnUnphysical = Literal["error", "warn", "ignore"]
 
