@@ -40,14 +40,14 @@ from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program.autograd import named, operator
 from torchdq.program.program import Argument, Program
 
-DTYPES = (torch.float32, torch.float64)  # of inputs, parameters and the dynamics
+DTYPES = (torch.float32, torch.float64)  # inputs, parameters and programs may have
 
 Shape = tuple[int, ...]
 Tensors = Mapping[str, Tensor | None]  # by name; None: absent
 
 
 class Computation:
-    """What a call computes: a hashable value that holds everything but the tensors."""
+    """Hashable description of a call: everything that its program depends on but the tensors."""
 
     def axes(self, name: str) -> Shape:
         """Trailing axes of a tensor; raises `ArgumentError` if there is none of that name."""
@@ -73,22 +73,22 @@ class Computation:
         return name
 
     def subject(self) -> str:
-        """What shapes are for, in error messages."""
+        """Words after a shape in error messages, say " for the 7 joints of robot 'panda'"."""
         return ""
 
 
 class Row(NamedTuple):
-    """How a tensor becomes rows of a program: expanded, and then reshaped; None: it has that shape."""
+    """Steps from a tensor to rows of a program: expanded, then reshaped to these shapes; None: it has that shape."""
 
     expanded: Shape | None
     flat: Shape | None
 
 
 class Layout(NamedTuple):
-    """How tensors that look alike run."""
+    """Everything that is known of a call by the shapes, dtypes and devices of its tensors."""
 
     rows: tuple[Row, ...]
-    dtype: torch.dtype  # of the program
+    dtype: torch.dtype  # the program runs in
     device: torch.device
     program: Program
     backend: Backend

@@ -1,4 +1,4 @@
-"""What a backend is: an object that runs programs on the tensors of some devices."""
+"""Backends as objects: each runs programs on the tensors of some devices."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ class Backend:
     differentiable: bool  # whether torch sees its operations: then it traces, differentiates and transforms them itself
 
     def refusal(self, device: torch.device) -> TorchdqError | None:
-        """Why it cannot run on a device, as the error to raise; None: it can."""
+        """Error that says why it cannot run on a device; None: it can."""
         raise NotImplementedError
 
     def available(self, device: torch.device) -> bool:
-        """Whether it can run on a device."""
+        """Whether programs can run on a device."""
         return self.refusal(device) is None
 
     def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> Kernel:
-        """What computes all outputs of a program in one precision."""
+        """Function that computes all outputs of a program in one precision."""
         raise NotImplementedError
 
     def __repr__(self) -> str:

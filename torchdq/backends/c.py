@@ -21,7 +21,7 @@ class C(Backend):
     differentiable = False
 
     def refusal(self, device: torch.device) -> TorchdqError | None:
-        """Why it cannot run on a device, as the error to raise; None: it can."""
+        """Error that says why it cannot run on a device; None: it can."""
         if device.type != "cpu":
             return ArgumentError(f"backend 'c' runs on the CPU, and the arguments are on the device {device.type!r}")
         return None if cache.compiler() is not None else cache.no_compiler()

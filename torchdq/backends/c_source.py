@@ -1,9 +1,9 @@
 """A program in C: one sample per lane of the compiler's vector type, rows [batch, n] read and written directly."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from torchdq.backends import c_prelude
-from torchdq.numbers.ops import OPS
+from torchdq.numbers.ops import OPS, Operation
 from torchdq.program.program import Output, Program, outputs
 from torchdq.program.schedule import TOGETHER, Part, schedule
 
@@ -26,6 +26,11 @@ def _literal(x: float) -> str:
     if abs(x) == float("inf"):
         return "(S)__builtin_inf()" if x > 0 else "(S)-__builtin_inf()"
     return f"(S){float(x).hex()}"
+
+
+def _applied(row: Operation, function: str, operands: Iterable[str]) -> str:
+    """Expression for an operation."""
+    return row.infix.join(operands) if row.infix else function.format(*operands)
 
 
 class _Printer:
@@ -63,7 +68,7 @@ class _Printer:
             if op.code == "in":
                 right = "in{}[{}]".format(*op.payload)
             else:
-                right = OPS[op.code].c_single.format(*map(self.name, op.operands))
+                right = _applied(OPS[op.code], OPS[op.code].c_single, map(self.name, op.operands))
             lines.append(f"u[{i}]={right};")
         return [f"S u[{len(self.program.ops)}];", *lines] if lines else []
 
@@ -83,7 +88,7 @@ class _Printer:
             else:
                 row = OPS[op.code]
                 operands = map(self.name if row.infix else self.vector, op.operands)
-                lines.append(f"const T x{i}={row.c.format(*operands)};")
+                lines.append(f"const T x{i}={_applied(row, row.c, operands)};")
         return lines
 
     def results(self) -> list[str]:

@@ -66,7 +66,7 @@ def compiler() -> Compiler | None:
 
 @remembered(1)
 def _processor() -> str:
-    """What -march=native depends on."""
+    """Features of the processor that -march=native depends on."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         kinds = sorted({line for line in lines if line.startswith(("flags", "Features", "model name", "CPU part"))})

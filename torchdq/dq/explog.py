@@ -127,7 +127,7 @@ class _Formula(NamedTuple):
 
 
 class Map(_Formula, Computation):
-    """One of the two as a computation."""
+    """Exponential or logarithm as a computation of `torchdq.call`."""
 
     def axes(self, name: str) -> tuple[int, ...]:
         """Trailing axes of the argument."""

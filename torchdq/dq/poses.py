@@ -71,7 +71,7 @@ class ScrewParameters(NamedTuple):
     """A motion as a screw: turn by `angle` about a line while sliding by `slide` along it."""
 
     axis: Tensor  # unit direction of the line [1], [..., 3]; along the displacement if there is no rotation
-    moment: Tensor  # of the line about the origin [m], [..., 3]; zero if there is no rotation
+    moment: Tensor  # the line's, about the origin [m], [..., 3]; zero if there is no rotation
     angle: Tensor  # [rad], [...], in [0, pi]
     slide: Tensor  # [m], [...]; the pitch slide/angle is infinite for a pure translation
 

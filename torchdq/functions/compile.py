@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -42,14 +42,8 @@ class Recorded(_Fields, Computation):
         return (self._argument(name).width,)
 
     def shared(self, name: str) -> bool:
-        """Whether it is one row for all samples."""
+        """Whether an argument is one row for all samples."""
         return self._argument(name).uniform
-
-    def check(self, tensors: Mapping[str, Tensor]) -> None:
-        """Raise if what is one row for all samples has batch axes."""
-        for name, x in tensors.items():
-            if self.shared(name) and x.ndim > 1:
-                raise ArgumentError(f"{name} is one row for all samples, found shape {tuple(x.shape)}")
 
     def program(self, arguments: tuple[Argument, ...]) -> Program:
         """The program itself."""
@@ -100,10 +94,9 @@ class CompiledProgram:
         if len(inputs) != len(arguments):
             raise ArgumentError(f"{self.program.name} takes {[a.name for a in arguments]}, found {len(inputs)} tensors")
         for a, x in zip(arguments, inputs, strict=True):
-            if x.dtype != self.dtype or x.shape[-1:] != (a.width,):
-                raise ArgumentError(
-                    f"{a.name} must be a {self.dtype} tensor [..., {a.width}], found {x.dtype} {tuple(x.shape)}"
-                )
+            if x.dtype != self.dtype or x.shape[-1:] != (a.width,) or (a.uniform and x.ndim > 1):
+                expected = f"{self.dtype} tensor [{'' if a.uniform else '..., '}{a.width}]"
+                raise ArgumentError(f"{a.name} must be a {expected}, found {x.dtype} {tuple(x.shape)}")
         given = {a.name: x for a, x in zip(arguments, inputs, strict=True)}
         results = tuple(evaluate(Recorded(self.program), given).values())
         return results[0] if len(results) == 1 else results

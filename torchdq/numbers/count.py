@@ -91,7 +91,7 @@ def executed(formula: Callable[[], Any]) -> Cost:
 
 
 def dense(numbers: Any) -> Any:
-    """The same structure with a counted number in the place of every number, zeros and ones included."""
+    """Structure of numbers with a counted number in the place of every number, zeros and ones included."""
     if isinstance(numbers, list | tuple):
         return tuple(dense(x) for x in numbers)
     return numbers if isinstance(numbers, Counted) else Counted()

@@ -32,13 +32,13 @@ class Operation(NamedTuple):
     """
 
     cost: str  # what it counts as, a field of `program.Count`
-    value: Callable[..., Value]  # of plain numbers
+    value: Callable[..., Value]  # on plain numbers
     partials: tuple[Callable[..., Value] | None, ...]
-    c: str  # in C, of vectors; sine and cosine are printed in pairs
-    c_single: str  # in C, of single numbers
-    divisor: Callable[..., Value] | None = None  # of the partial derivatives, from the value and the operands
-    tensor: Callable[..., Any] | None = None  # of the module `torch` and tensors; None: as of plain numbers
-    infix: str = ""  # the sign between its operands
+    c: str = ""  # in C, of vectors; sine and cosine are printed in pairs
+    c_single: str = ""  # in C, of single numbers
+    divisor: Callable[..., Value] | None = None  # that the partial derivatives share, from the value and the operands
+    tensor: Callable[..., Any] | None = None  # from the module `torch` and tensors; None: `value`
+    infix: str = ""  # the sign between its operands, in C as elsewhere
     commutes: bool = False
     even: tuple[int, ...] = ()  # positions of operands whose sign does not matter
     mirror: Mirror | None = None  # None: signs of the other operands are worked in
@@ -103,8 +103,6 @@ OPS: Mapping[str, Operation] = {
         cost="additions",
         value=operator.add,
         partials=(lambda g, y, a, b: g, lambda g, y, a, b: g),
-        c="{0}+{1}",
-        c_single="{0}+{1}",
         infix="+",
         commutes=True,
     ),
@@ -112,16 +110,12 @@ OPS: Mapping[str, Operation] = {
         cost="additions",
         value=operator.sub,
         partials=(lambda g, y, a, b: g, lambda g, y, a, b: -g),
-        c="{0}-{1}",
-        c_single="{0}-{1}",
         infix="-",
     ),
     "mul": Operation(
         cost="multiplications",
         value=operator.mul,
         partials=(lambda g, y, a, b: g * b, lambda g, y, a, b: a * g),
-        c="{0}*{1}",
-        c_single="{0}*{1}",
         infix="*",
         commutes=True,
     ),
@@ -130,15 +124,12 @@ OPS: Mapping[str, Operation] = {
         value=operator.truediv,
         partials=(lambda g, y, a, b: g, lambda g, y, a, b: -(g * y)),
         divisor=lambda y, a, b: b,
-        c="{0}/{1}",
-        c_single="{0}/{1}",
         infix="/",
     ),
     "sin": Operation(
         cost="sines",
         value=_own("sin", _finite(math.sin)),
         partials=(lambda g, y, x: g * apply("cos", x),),
-        c="",
         c_single="LIBRARY_SIN({0})",
         mirror=Mirror("sin", negative=True),
     ),
@@ -146,7 +137,6 @@ OPS: Mapping[str, Operation] = {
         cost="sines",
         value=_own("cos", _finite(math.cos)),
         partials=(lambda g, y, x: -(g * apply("sin", x)),),
-        c="",
         c_single="LIBRARY_COS({0})",
         even=(0,),
     ),

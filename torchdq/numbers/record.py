@@ -19,7 +19,7 @@ class Op(NamedTuple):
 
     code: str  # "in", "const", or a row of `ops.OPS`
     operands: tuple[int, ...] = ()  # indices of earlier values
-    payload: Any = None  # of an input: the positions of the argument and of the component; of a constant: the number
+    payload: Any = None  # positions of an input's argument and component, or a constant's number
 
 
 class Tape:

@@ -25,14 +25,14 @@ jvp = remembered(PROGRAMS)(autodiff.jvp)
 
 
 class Execute(Protocol):
-    """What runs programs, without gradients."""
+    """Function that runs programs, without gradients."""
 
     def __call__(self, program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
         """Results of a program."""
 
     @property
     def by_torch(self) -> Execute:
-        """The one that runs them as torch's own operations, which all of its transforms know."""
+        """Function that runs them as torch's own operations, which all of its transforms know."""
 
 
 def in_a_graph(inputs: Sequence[Tensor]) -> bool:

@@ -16,7 +16,7 @@ Value = Any  # a recorded number, or one that is known
 
 
 class Largest(NamedTuple):
-    """What a program's growth of errors may be in single and in double precision."""
+    """Limits of a program's growth of errors in single and in double precision."""
 
     single: float
     double: float

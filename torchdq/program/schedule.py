@@ -27,9 +27,9 @@ class Part(NamedTuple):
 class Schedule(NamedTuple):
     """Where and when every value of a program is computed."""
 
-    uniform: tuple[bool, ...]  # of every value, whether it is the same for all samples
+    uniform: tuple[bool, ...]  # whether a value is the same for all samples
     prelude: tuple[int, ...]  # values computed once, constants left out
-    pairs: dict[int, tuple[int, ...]]  # of every sine or cosine, those of its angle that are wanted
+    pairs: dict[int, tuple[int, ...]]  # sine and cosine of one angle, as far as they are wanted, by either
     parts: tuple[Part, ...]  # computed per sample
     slots: int  # that parts pass values in
     results: tuple[tuple[int, int], ...]  # values that results read from slots
