@@ -28,7 +28,8 @@ from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number
-from torchdq.backends import run
+from torchdq.backends.c import COMPILED
+from torchdq.backends.precision import kernel
 from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.paper import kinematics, rnea
 from torchdq.dynamics.tree import Tree
@@ -212,7 +213,7 @@ Execute = Callable[[Program, Sequence[Tensor]], Sequence[Tensor]]
 
 def compiled(program: Program, x: Sequence[Tensor]) -> Sequence[Tensor]:
     """Results of a program by its kernel."""
-    return run.kernel(program, False)(x, BATCH)
+    return kernel(COMPILED, program, torch.float64, torch.device("cpu"))(x, BATCH)
 
 
 def results(formulation: Formulation, execute: Execute) -> Tensor:

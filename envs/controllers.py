@@ -12,7 +12,7 @@ from torchdq.effects.effect import Parameter, Parametric, Shapes
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 from torchdq.robot.posed import posed
-from torchdq.robot.robot import SHAPES
+from torchdq.robot.robot import SHAPES, arguments
 
 Row = Sequence[Number]
 
@@ -47,7 +47,7 @@ class Feedback(Controller):
             return self
         if believed.n != robot.n:
             raise ArgumentError(f"{what} must have the {robot.n} joints of robot {robot.name!r}, found {believed.n}")
-        for name in believed.varying:
+        for name in arguments(believed):
             if getattr(believed, name).ndim > len(SHAPES[name]):
                 raise ArgumentError(
                     f"{what} must be one robot, found batch axes of its {name}; its tensors are constants"

@@ -16,8 +16,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchdq.backends import choice as backends
-from torchdq.backends.choice import Backend
+from torchdq.backends.choice import BackendName, choose
 from torchdq.effects import Gravity, RotorInertia
 from torchdq.envs.integrators import Integrator, Repeated
 from torchdq.envs.scene import Scene
@@ -286,12 +285,12 @@ def _program(robot: Robot) -> Program:
     return compile(robot, "forward_dynamics").program
 
 
-def _common(best: Candidate, robot: Robot, backend: Backend | None) -> dict[str, Any]:
+def _common(best: Candidate, robot: Robot, backend: BackendName | None) -> dict[str, Any]:
     """Fields that both recommendations have."""
     return {
         "dtype": best.arithmetic.dtype,
         "precision": best.arithmetic.precision,
-        "backend": backends.choose(backend, "cpu"),
+        "backend": choose(backend, torch.device("cpu")).name,
         "method": "articulated bodies" if "articulated" in _program(robot).name else "mass matrix",
         "error": best.error / SAFETY,
     }

@@ -8,20 +8,20 @@ and so is each evaluation that the integrator asks for.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from torchdq.caches import PROGRAMS, remembered
+from torchdq.call import Computation
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.sensor import Sensor
 from torchdq.envs.integrators import Integrator
 from torchdq.envs.spec import Memory, RecordedScene, Row, Rows, SceneSpec, Task, View, recorded
 from torchdq.envs.system import SceneSystem
-from torchdq.functions.catalogue import ways
+from torchdq.errors import ArgumentError
+from torchdq.functions.catalogue import trailing, ways
 from torchdq.program.program import Argument, Program, record
-
-MOST_PROGRAMS = 256  # kept by a process
 
 
 class Driven(NamedTuple):
@@ -134,36 +134,101 @@ STAGES = {"step": _step, "drive": _drive, "sense": _sense, "begin": _begin, "ene
 # --- programs --------------------------------------------------------------------------------------------------------
 
 
-class Signature(NamedTuple):
-    """Signature of a stage's program, which depends on it and on the specification."""
+class _Fields(NamedTuple):
+    """Fields of `Stage`."""
 
+    spec: SceneSpec
     stage: str  # one of STAGES
-    inputs: tuple[tuple[str, int], ...]  # name, width
-    tensors: tuple[tuple[int, str, int, bool], ...]  # owner, name, width, uniform
-    task: Task | None
+    task: Task | None = None
 
 
-def program(spec: SceneSpec, signature: Signature) -> Program:
-    """Program of a stage, recorded once."""
-    if signature.stage in EVALUATIONS:  # independent of controller and time step
-        spec = replace(spec, integrator=Integrator(), dt=1.0, substeps=1, controller=None)
-    return _program(spec, signature)
+class Stage(_Fields, Computation):
+    """A stage of a scene's step, as a computation of `torchdq.call`; parameters are named "owner.name"."""
+
+    def axes(self, name: str) -> tuple[int, ...]:
+        """Trailing axes of an input or a parameter."""
+        n = self.spec.robot.n
+        owner, dot, parameter = name.partition(".")
+        if dot:
+            return trailing(self.spec.shapes(int(owner))[parameter], n)
+        known = self.widths()
+        if name not in known:
+            raise ArgumentError(f"{name} is no input of this scene; it has {', '.join(self.spec.inputs())}")
+        return (known[name],)
+
+    def widths(self) -> dict[str, int]:
+        """Width of every input that a program of the scene may have."""
+        spec, n = self.spec, self.spec.robot.n
+        moving = n + spec.transmission[1].memory(n) // 2
+        own = {"q": n, "qd": n, "memory": spec.remembers, "reading": 2 * n, "noise": spec.noises}
+        asked = {} if self.task is None else self.task.inputs(n)
+        return {**own, **spec.inputs(), **asked, "u": n, "x": moving, "v": moving, "to": moving, "h": 1}
+
+    def shared(self, name: str) -> bool:
+        """True for a parameter."""
+        return "." in name
+
+    def label(self, name: str) -> str:
+        """Name without its owner."""
+        return name.rpartition(".")[2]
+
+    def subject(self) -> str:
+        """Robot that shapes are for, in error messages."""
+        return f" for robot {self.spec.robot.name!r}"
+
+    def check(self, tensors: Mapping[str, Any]) -> None:
+        """Raise, naming the input that is missing, or the parameter that would broadcast against the batch."""
+        spec, known = self.spec, self.widths()
+        if self.stage in ("step", "drive"):
+            kept = {"memory": bool(known["memory"]), "reading": spec.senses}
+            for name, there in kept.items():
+                if there and name not in tensors:
+                    raise ArgumentError(f"{name} must be part of the state; `start` makes one that has it")
+        if self.stage in ("step", "drive", *EVALUATIONS):
+            needed = [name for effect in spec.effects for name in effect.needs(spec.robot.n)]
+            needed += ["reference"] if spec.controller is not None and self.stage not in EVALUATIONS else []
+            for name in needed:
+                if name not in tensors:
+                    raise ArgumentError(f"{name} must be given, shape [..., {known[name]}]; the scene asks for it")
+        batch: tuple[int, ...] = ()
+        for name, x in tensors.items():
+            if not self.shared(name) and x.ndim - 1 > len(batch):
+                batch = tuple(x.shape[:-1])
+        for name, x in tensors.items():
+            # a [batch, 1] parameter would broadcast against the batch axis to [batch, batch]
+            column = self.shared(name) and not self.axes(name) and tuple(x.shape) == (*batch, 1)
+            if column and batch and batch[-1] > 1:
+                raise ArgumentError(
+                    f"{self.label(name)} is one number for each sample: shape {batch}, found {tuple(x.shape)}"
+                )
+
+    def program(self, arguments: tuple[Argument, ...]) -> Program:
+        """Program of the stage, recorded once."""
+        if self.stage not in EVALUATIONS:
+            return _program(self, arguments)
+        # independent of controller and time step
+        spec = replace(self.spec, integrator=Integrator(), dt=1.0, substeps=1, controller=None)
+        return _program(self._replace(spec=spec), arguments)
 
 
-@lru_cache(MOST_PROGRAMS)
-def _program(spec: SceneSpec, signature: Signature) -> Program:
-    arguments = [Argument(name, width) for name, width in signature.inputs]
-    arguments += [Argument(f"{owner}.{name}", width, uniform) for owner, name, width, uniform in signature.tensors]
-    names = [name for name, _ in signature.inputs]
-    owners = [(owner, name) for owner, name, _, _ in signature.tensors]
-    per_sample = [(owner, name) for owner, name, _, uniform in signature.tensors if not uniform]
+@remembered(PROGRAMS)
+def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
+    spec = what.spec
+    owners = [owned(a.name) for a in arguments]
+    per_sample = [owner for owner, a in zip(owners, arguments, strict=True) if owner and not a.uniform]
 
     def way(linear: bool) -> Program:
         def algorithm(*rows: Row) -> Rows:
-            inputs = dict(zip(names, rows[: len(names)], strict=True))
-            tensors = dict(zip(owners, rows[len(names) :], strict=True))
-            return STAGES[signature.stage](recorded(spec, linear, inputs, tensors, per_sample), signature.task)
+            inputs = {a.name: row for a, owner, row in zip(arguments, owners, rows, strict=True) if not owner}
+            tensors = {owner: row for owner, row in zip(owners, rows, strict=True) if owner}
+            return STAGES[what.stage](recorded(spec, linear, inputs, tensors, per_sample), what.task)
 
-        return record(f"{signature.stage}_{spec.robot.name}", arguments, algorithm)
+        return record(f"{what.stage}_{spec.robot.name}", arguments, algorithm)
 
     return min(map(way, ways(spec.robot.n, (False, True))), key=lambda p: p.count().total)
+
+
+def owned(name: str) -> tuple[int, str] | None:
+    """Owner and name of a parameter; None for an input."""
+    owner, dot, parameter = name.partition(".")
+    return (int(owner), parameter) if dot else None

@@ -21,7 +21,7 @@ from torchdq.errors import ArgumentError
 from torchdq.functional import forward_kinematics
 from torchdq.optional import imported
 from torchdq.robot import Robot
-from torchdq.robot.robot import SHAPES
+from torchdq.robot.robot import SHAPES, arguments
 
 MOST_ARMS = 16  # arms in one image
 
@@ -67,7 +67,7 @@ class Skeleton:
     def __init__(self, robot: Robot):
         if not isinstance(robot, Robot):
             raise ArgumentError(f"robot must be a torchdq.Robot, found {type(robot).__name__}")
-        batched = {name: getattr(robot, name).detach() for name in robot.varying}
+        batched = {name: getattr(robot, name).detach() for name in arguments(robot)}
         first = {name: x.reshape(-1, *x.shape[x.ndim - len(SHAPES[name]) :])[0] for name, x in batched.items()}
         self.robot = robot.replace(**first).to(torch.float64, "cpu")
         self.joints: list[int] = []  # point on the axis of each joint

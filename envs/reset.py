@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import torch
 from torch import Tensor
 
-from torchdq.backends import choice as backends
-from torchdq.backends import run
+from torchdq.backends.choice import choose
+from torchdq.backends.run import run
+from torchdq.caches import PROGRAMS, remembered
 from torchdq.envs.randomization import Randomised
 from torchdq.envs.rng import Streams
 from torchdq.envs.scene import Scene
@@ -18,7 +18,7 @@ from torchdq.envs.spec import Task
 from torchdq.envs.tasks import EpisodeTask
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
-from torchdq.robot.robot import SHAPES
+from torchdq.robot.robot import SHAPES, arguments
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +56,7 @@ class Reset:
         for parameters, x in zip(self.randomised, drawn, strict=True):
             parameters.draw(self.scene, rows, x)
         program = _program(self.task, self.scene.robot)
-        eager = backends.choose(self.scene.backend, u.device.type) == "eager"
-        outputs = run.eager(program, [u]) if eager else run.compiled(program, [u])
+        outputs = run(program, [u], choose(self.scene.backend, u.device))
         fresh = {result.name: x for result, x in zip(program.results, outputs, strict=True)}
         steps = rows.new_zeros(len(rows), dtype=torch.int32)
         fresh.update(streams._asdict(), steps=steps, finished=steps.to(torch.bool))
@@ -86,7 +85,7 @@ def _of_rows(scene: Scene, rows: Tensor) -> Scene:
     def chosen(x: Tensor, axes: int) -> Tensor:
         return x[rows] if x.ndim > axes and len(x) > 1 else x
 
-    tensors = {name: chosen(getattr(scene.robot, name), len(SHAPES[name])) for name in scene.robot.varying}
+    tensors = {name: chosen(getattr(scene.robot, name), len(SHAPES[name])) for name in arguments(scene.robot)}
     effects = [
         replace(effect, **{name: chosen(x, len(effect.SHAPES[name])) for name, x in effect.tensors().items()})
         for effect in scene.effects
@@ -96,7 +95,7 @@ def _of_rows(scene: Scene, rows: Tensor) -> Scene:
     return scene.replace(robot=scene.robot.replace(**tensors) if tensors else scene.robot, effects=effects)
 
 
-@lru_cache(256)
+@remembered(PROGRAMS)
 def _program(task: EpisodeTask, robot: Robot) -> Program:
     """Program of start and goal."""
     argument = Argument("u", task.draws(robot))

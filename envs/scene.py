@@ -16,7 +16,9 @@ import torch
 from torch import Tensor
 from torch.utils.checkpoint import checkpoint as checkpointed
 
-from torchdq.backends.choice import Backend
+from torchdq.backends.choice import BackendName
+from torchdq.caches import PROGRAMS, Bounded
+from torchdq.call import batch_of, evaluate
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.body import BodyEffect
 from torchdq.effects.effect import Effect
@@ -24,19 +26,19 @@ from torchdq.effects.joint import JointEffect
 from torchdq.effects.model import ModelEffect
 from torchdq.effects.sensor import Sensor
 from torchdq.effects.transmission import Transmission
-from torchdq.envs import recording
-from torchdq.envs.calling import arguments, call, check, interned, widths
 from torchdq.envs.controllers import Controller
 from torchdq.envs.describe import Description, describe
 from torchdq.envs.integrators import Integrator, Row, SemiImplicitEuler, Unrecorded
-from torchdq.envs.recording import Signature
-from torchdq.envs.spec import SceneSpec, Task
+from torchdq.envs.recording import Stage
+from torchdq.envs.spec import CONTROLLER, ROBOT, SceneSpec, Task
 from torchdq.envs.state import State
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, check_precision
-from torchdq.program.program import Count, Program
+from torchdq.program.program import Argument, Count, Program
 from torchdq.robot import Robot
+from torchdq.robot.robot import arguments, constants, recorded
 
+_interned: Bounded[SceneSpec, SceneSpec] = Bounded(PROGRAMS)  # equal scenes share their programs
 SLOTS = (ModelEffect, JointEffect, Transmission, BodyEffect, Actuator, Sensor)
 
 
@@ -76,7 +78,7 @@ class Scene:
     integrator: Integrator = field(default_factory=SemiImplicitEuler)
     dt: float = 0.01
     substeps: int = 1
-    backend: Backend | None = None
+    backend: BackendName | None = None
     precision: Precision = "auto"
     spec: SceneSpec = field(init=False, repr=False)
 
@@ -105,15 +107,19 @@ class Scene:
                 raise ArgumentError(f"the input {name!r} belongs to {number} effects; give them names of their own")
         controller = None if self.controller is None else self.controller.resolved(self.robot)
         spec = SceneSpec(
-            self.robot.origin or self.robot,
-            tuple(name for name in self.robot.varying if name not in ("gravity", "armature")),
+            recorded(constants(self.robot)),
+            tuple(name for name in arguments(self.robot) if name not in ("gravity", "armature")),
             tuple(effect.template() for effect in resolved),
             None if controller is None else controller.template(),
             self.integrator,
             float(self.dt),
             self.substeps,
         )
-        for name, value in (("effects", resolved), ("controller", controller), ("spec", interned(spec))):
+        for name, value in (
+            ("effects", resolved),
+            ("controller", controller),
+            ("spec", _interned.setdefault(spec, spec)),
+        ):
             object.__setattr__(self, name, value)
 
     # --- inputs and parameters ---
@@ -126,22 +132,20 @@ class Scene:
     @property
     def inputs(self) -> dict[str, int]:
         """Names and widths of everything that may be given at a step."""
-        found = {"torque": self.n}
-        if self.controller is not None:
-            found["reference"] = 3 * self.n
-        for effect in self.effects:
-            found.update(effect.inputs(self.n))
-        return found
+        return self.spec.inputs()
 
     @property
     def batches(self) -> dict[str, tuple[int, ...]]:
         """Batch axes of the tensors of robot, controller and effects by their names; () where samples share one."""
-        return {t.name: t.batch for t in arguments(self)}
+        return {
+            name.rpartition(".")[2]: tuple(x.shape[: x.ndim - len(Stage(self.spec, "step").axes(name))])
+            for name, x in self._parameters().items()
+        }
 
     @property
     def noises(self) -> int:
         """Number of random numbers that a step consumes."""
-        return sum(effect.noises(self.n) for effect in self.effects)
+        return self.spec.noises
 
     def replace(self, **changes: Any) -> Scene:
         """Scene with some fields replaced; tensors of equal shapes need no new program."""
@@ -158,21 +162,17 @@ class Scene:
             noise: random numbers for the sensors, as in `step`.
         """
         given = {"q": q} if qd is None else {"q": q, "qd": qd}
-        check(self, "start", given, q, None)
-        try:
-            q, qd = torch.broadcast_tensors(q, torch.zeros_like(q) if qd is None else qd)
-        except RuntimeError as error:
-            found = ", ".join(f"{name} {tuple(x.shape)}" for name, x in given.items())
-            raise ArgumentError(f"the batch axes of the state must broadcast, found {found}") from error
+        batch_of(Stage(self.spec, "start"), given)
+        q, qd = torch.broadcast_tensors(q, torch.zeros_like(q) if qd is None else qd)
         return self.begin(q, qd, {}, noise)[0]
 
     def begin(
         self, q: Tensor, qd: Tensor, inputs: Mapping[str, Tensor], noise: Tensor | None = None, task: Task | None = None
     ) -> tuple[State, dict[str, Tensor]]:
         """Initial state, and rows that a task computes from it."""
-        if task is None and not self.spec.senses and not any(effect.memory(self.n) for effect in self.effects):
+        if task is None and not self.spec.senses and not self.spec.remembers:
             return State(q, qd), {}
-        state, rows = _split(call(self, "begin", self._with_noise({"q": q, "qd": qd, **inputs}, noise), task))
+        state, rows = _split(self._call("begin", self._with_noise({"q": q, "qd": qd, **inputs}, noise), task))
         return state._replace(q=q, qd=qd), rows
 
     def step(self, state: State, torque: Tensor | None = None, noise: Tensor | None = None, **inputs: Tensor) -> State:
@@ -198,7 +198,7 @@ class Scene:
         """State after `dt`, and rows that a task computes from it in the same program."""
         present = {name: x for name, x in inputs.items() if x is not None}
         if not isinstance(self.integrator, Unrecorded):
-            return _split(call(self, "step", self._with_noise({**state.rows(), **present}, noise), task))
+            return _split(self._call("step", self._with_noise({**state.rows(), **present}, noise), task))
         dtype = state.q.dtype
         if self.precision != "double" or dtype != torch.float32:
             return self._unrecorded(self.integrator, state, present, noise, task)
@@ -257,7 +257,7 @@ class Scene:
 
     def energy(self, state: State) -> Tensor:
         """Kinetic and potential energy [J] of the rigid bodies, without springs and their rotors, shape [..., 2]."""
-        return call(self, "energy", {"q": state.q, "qd": state.qd})["E"]
+        return self._call("energy", {"q": state.q, "qd": state.qd})["E"]
 
     # --- cost ---
 
@@ -266,7 +266,8 @@ class Scene:
         if isinstance(self.integrator, Unrecorded):
             name = type(self.integrator).__name__
             raise ArgumentError(f"a step of {name} is no program of its own")
-        known = widths(self, task)
+        stage = Stage(self.spec, "step", task)
+        known = stage.widths()
         wanted = ["q", "qd", *(present or ("torque", *(name for name in self.inputs if name != "torque")))]
         wanted += ["memory"] if known["memory"] else []
         wanted += ["reading"] if self.spec.senses else []
@@ -276,9 +277,11 @@ class Scene:
                 raise ArgumentError(f"{name} is no input of this scene; it has {', '.join(self.inputs)}")
         if self.controller is not None and "reference" not in wanted:
             raise ArgumentError("reference must be among the inputs of a scene with a controller")
-        tensors = tuple((t.owner, t.name, t.width, not t.batch) for t in arguments(self))
-        inputs = tuple((name, known[name]) for name in wanted)
-        return recording.program(self.spec, Signature("step", inputs, tensors, task))
+        taken = [Argument(name, known[name]) for name in wanted]
+        for name, x in self._parameters().items():
+            axes = stage.axes(name)
+            taken.append(Argument(name, math.prod(axes), x.ndim == len(axes)))
+        return stage.program(tuple(taken))
 
     def count(self) -> Count:
         """Operations of a step."""
@@ -299,6 +302,19 @@ class Scene:
 
     # --- internals ---
 
+    def _call(self, stage: str, given: Mapping[str, Tensor], task: Task | None = None) -> dict[str, Tensor]:
+        """Rows of a stage's program, with the batch axes of everything that goes in; the state's inputs come first."""
+        tensors = {**given, **self._parameters()}
+        return evaluate(Stage(self.spec, stage, task), tensors, self.backend, self.precision == "double")
+
+    def _parameters(self) -> dict[str, Tensor]:
+        """Tensors of robot, controller and effects by "owner.name"."""
+        found = {f"{ROBOT}.{name}": getattr(self.robot, name) for name in self.spec.arguments}
+        parts = () if self.controller is None else ((CONTROLLER, self.controller),)
+        for owner, part in (*parts, *enumerate(self.effects)):
+            found.update({f"{owner}.{name}": x for name, x in part.tensors().items()})
+        return found
+
     def _with_noise(self, given: dict[str, Tensor], noise: Tensor | None) -> dict[str, Tensor]:
         """Inputs with the random numbers that the sensors need."""
         if not self.noises:
@@ -318,12 +334,12 @@ class Scene:
         task: Task | None,
     ) -> tuple[State, dict[str, Tensor]]:
         """Step of an integrator that is not recorded; its three stages are programs of their own."""
-        driven = call(self, "drive", {**state.rows(), **inputs}, task)
+        driven = self._call("drive", {**state.rows(), **inputs}, task)
         u, x, v = driven.pop("u"), driven.pop("x"), driven.pop("v")
         acting = {name: inputs[name] for effect in self.effects for name in effect.inputs(self.n) if name in inputs}
         x, v = integrator.flow(_System(self, {**acting, "u": u}), x, v, self.dt)
         given = self._with_noise({"x": x, "v": v, "u": u, **driven, **inputs}, noise)
-        return _split(call(self, "sense", given, task))
+        return _split(self._call("sense", given, task))
 
 
 def _check_effects(effects: Sequence[Effect]) -> None:
@@ -365,7 +381,7 @@ class _System:
     inputs: Mapping[str, Tensor]
 
     def _evaluated(self, stage: str, **given: Tensor) -> list[Tensor]:
-        return [call(self.scene, stage, {**given, **self.inputs})["a"]]
+        return [self.scene._call(stage, {**given, **self.inputs})["a"]]
 
     def accelerations(self, x: Row, v: Row) -> list[Tensor]:
         return self._evaluated("accelerations", x=x[0], v=v[0])

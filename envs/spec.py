@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.posed import Posed
 from torchdq.effects.body import Bodies
-from torchdq.effects.effect import Effect
+from torchdq.effects.effect import Effect, Shapes
 from torchdq.effects.model import ModelEffect
 from torchdq.effects.sensor import Sensor
 from torchdq.effects.transmission import Transmission
@@ -17,6 +17,7 @@ from torchdq.envs.controllers import Controller
 from torchdq.envs.integrators import Integrator
 from torchdq.robot import Robot
 from torchdq.robot.posed import INERTIAL, Overrides, posed
+from torchdq.robot.robot import SHAPES
 
 Row = Sequence[Number]
 Rows = dict[str, Row]
@@ -41,7 +42,7 @@ class SceneSpec:
     """Specification of a scene, on which its programs depend: the scene without its tensors."""
 
     robot: Robot  # whose constants are the programs'
-    varying: tuple[str, ...]  # tensors of the robot that are arguments
+    arguments: tuple[str, ...]  # tensors of the robot that are arguments
     effects: tuple[Effect, ...]
     controller: Controller | None
     integrator: Integrator
@@ -61,6 +62,31 @@ class SceneSpec:
     def transmission(self) -> tuple[int | None, Transmission]:
         """Transmission between actuators and joints, and its position among the effects."""
         return next(iter(self.of(Transmission)), (None, Transmission()))
+
+    def inputs(self) -> dict[str, int]:
+        """Names and widths of everything that may be given at a step."""
+        n = self.robot.n
+        found = {"torque": n} if self.controller is None else {"torque": n, "reference": 3 * n}
+        for effect in self.effects:
+            found.update(effect.inputs(n))
+        return found
+
+    @property
+    def noises(self) -> int:
+        """Number of random numbers that a step consumes."""
+        return sum(effect.noises(self.robot.n) for effect in self.effects)
+
+    @property
+    def remembers(self) -> int:
+        """Number of values that effects remember."""
+        return sum(effect.memory(self.robot.n) for effect in self.effects)
+
+    def shapes(self, owner: int) -> Shapes:
+        """Trailing axes of the parameters of the robot, the controller, or the effect at a position."""
+        if owner == ROBOT:
+            return SHAPES
+        part = self.controller if owner == CONTROLLER else self.effects[owner]
+        return {} if part is None else part.SHAPES
 
     def split(self, memory: Row) -> Memory:
         """Memory of each effect."""

@@ -135,6 +135,6 @@ def lagrangian_gradient(scene: RecordedScene, q: Row, qd: Row) -> list[Number]:
     if isinstance(value, float):
         return [0.0] * robot.n
     rows = [q, qd, [given[name][k] for name, k in known]]
-    values = replay(program, next(x for x in (*q, *qd) if isinstance(x, Recorded)).tape, rows)
+    values = replay(program, rows)
     found = derive.cotangents(program, values, {value[0]: -1.0 if value[1] else 1.0})
     return [found.get((0, i), 0.0) for i in range(robot.n)]

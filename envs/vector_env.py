@@ -26,7 +26,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
-from torchdq.backends.choice import Backend
+from torchdq.backends.choice import BackendName
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, full
 from torchdq.envs.arguments import autoreset_of, check_choice, check_number, check_scene, robot_of, task_of
@@ -118,7 +118,7 @@ class ArmVectorEnv(VectorEnv):
         device: torch.device | str = "cpu",
         output: Literal["torch", "numpy"] = "torch",
         render_mode: Literal["rgb_array", "human"] | None = None,
-        backend: Backend | None = None,
+        backend: BackendName | None = None,
     ) -> None:
         check_number("num_envs", num_envs)
         if max_episode_steps is not None:

@@ -26,8 +26,10 @@ from torchdq.algebra import screw
 from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.paper.posed import Paper
 from torchdq.dynamics.tree import Tree
-from torchdq.functions import catalogue as recipes
+from torchdq.functions.catalogue import Function
 from torchdq.paper import cost, homogeneous, printed, tables
+from torchdq.program.program import Argument
+from torchdq.robot.robot import constants
 
 double = partial(torch.tensor, dtype=torch.float64)
 BLUE, RED, BLACK, GREY = "#0072B2", "#D0312D", "#111111", "#8A8A8A"  # matrices, dual quaternions, this package
@@ -178,10 +180,10 @@ def curve(
 def executed(function: str, arguments: Sequence[str], options: tuple[str, ...], n: int) -> cost.Cost:
     """Operations of this package's program of a function for a general chain, and the numbers it reads."""
     robot = cost.robot(*cost.chain(n))
-    widths = tuple((name, 6 if name == "f_tip" else n) for name in arguments)
-    program = recipes.program(robot, recipes.Signature(robot.identity, function, widths, (), options))
-    count, constants = program.count(), sum(op.code == "const" for op in program.ops)
-    return cost.Cost(count.multiplications, count.additions, constants + count.sines)
+    taken = tuple(Argument(name, 6 if name == "f_tip" else n) for name in arguments)
+    program = Function(constants(robot), function, options).program(taken)
+    count, numbers = program.count(), sum(op.code == "const" for op in program.ops)
+    return cost.Cost(count.multiplications, count.additions, numbers + count.sines)
 
 
 def compiled(joints: int, function: str, arguments: Sequence[str], options: tuple[str, ...] = ()) -> Curve:

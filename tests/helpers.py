@@ -1,16 +1,21 @@
 """What several test files build with: tensors, the integrators of fixed steps, chains of rods, and threads."""
 
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
 import torch
 
 import torchdq
-from torchdq.backends import run
+from torchdq.backends import threads as pool
+from torchdq.backends.c import COMPILED
+from torchdq.backends.run import run
+from torchdq.backends.torch import EAGER
 from torchdq.envs.integrators import ExplicitEuler, LinearlyImplicit, RungeKutta4, SemiImplicitEuler, StoermerVerlet
 
 DOWN = (0.0, -9.81, 0.0)  # gravity in the plane in which rods with axes along z move
+
+compiled, eager = partial(run, backend=COMPILED), partial(run, backend=EAGER)  # results of a program
 
 FIXED = (ExplicitEuler(), SemiImplicitEuler(), LinearlyImplicit(), RungeKutta4(), StoermerVerlet())
 
@@ -52,10 +57,8 @@ def one_thread():
 def threads(monkeypatch):
     """Sets the number of threads, which even small batches are worth meanwhile; it is put back."""
     before = torch.get_num_threads()
-    monkeypatch.setattr(run, "PER_THREAD", 1e4)
-    run.kernel.cache_clear()
+    monkeypatch.setattr(pool, "PER_THREAD", 1e4)
     yield torch.set_num_threads
-    run.kernel.cache_clear()
     torch.set_num_threads(before)
 
 

@@ -153,13 +153,13 @@ SECTION_4 = (
     Row(
         "25",
         "exponential of a pure dual quaternion, a pose",
-        "algebra.screw:exp dq.tensors:exp",
+        "algebra.screw:exp dq.poses:exp",
         "test_exp_log.py::test_exp_is_within_4_ulp",
     ),
     Row(
         "26",
         "its primary part, cos and sin of the length; 1 for a translation",
-        "algebra.screw:exp dq.tensors:exp",
+        "algebra.screw:exp dq.poses:exp",
         "test_exp_log.py::test_pure_translations_are_exact",
     ),
     Row(
@@ -179,7 +179,7 @@ SECTION_4 = (
     Row(
         "29",
         "rate of a pose, x' = 1/2 x w with the body's twist w",
-        "dq.tensors:exp",
+        "dq.poses:exp",
         "test_exp_log.py::test_sclerp_moves_with_a_constant_twist_also_outside_the_ends",
         "by (25), x exp(w dt/2)",
     ),

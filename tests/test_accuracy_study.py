@@ -69,7 +69,7 @@ def test_a_step_is_that_of_the_scene(study, name, integrator):
     methods, case, h = study("methods"), study("scenes").CASES[name](), 2.0**-7
     state, torques, others = methods.beginning(case, "float64")
     program = methods.program_of(case, integrator, "float64")
-    found = methods.stepper(program, "float64", [*others, double(h).expand(1)], methods.run.eager)(state, torques[0])
+    found = methods.stepper(program, "float64", [*others, double(h).expand(1)], methods.eager)(state, torques[0])
     scene = case.scene.replace(integrator=getattr(integrators, integrator)(), dt=h, backend="eager")
     expected = scene.step(scene.start(*state), torques[0])
     for a, b in zip(found, expected[:2], strict=True):

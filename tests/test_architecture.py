@@ -32,12 +32,14 @@ FLOORS = {
     "torchdq.algebra": 0,
     "torchdq.numbers": 0,
     "torchdq.dynamics": 1,
-    # programs and backends know nothing of robots
+    "torchdq.caches": 0,
+    # programs, backends and calls know nothing of robots
     "torchdq.program": 1,
     "torchdq.backends": 2,
-    "torchdq.dq": 3,
-    "torchdq.convert": 4,
-    "torchdq.robot": 4,
+    "torchdq.call": 3,
+    "torchdq.dq": 4,
+    "torchdq.convert": 5,
+    "torchdq.robot": 5,
     "torchdq.functions": 6,
     "torchdq.effects": 7,
     "torchdq.functional": 7,

@@ -34,7 +34,7 @@ FUNCTIONS = {
     "potential_energy": ("q", "", {}),
     "computed_torque": ("q qd q_des qd_des qdd_des f_tip", "f_tip", {"kp": 9.0, "kd": 6.0}),
 }
-NOT_DYNAMICS = {"dq", "robots", "require_finite", "convert", "compile", "backend", "recommend"}
+NOT_DYNAMICS = {"dq", "robots", "require_finite", "convert", "compile", "backend", "clear_caches", "recommend"}
 CASES = [(key, name) for key, (names, _, _) in FUNCTIONS.items() for name in names.split()]
 # the first tensor decides the dtype, the device and the batch; the others must follow it
 FOLLOWERS = [(key, name) for key, name in CASES if name != "q"]

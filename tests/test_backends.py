@@ -13,14 +13,19 @@ import mpmath
 import numpy as np
 import pytest
 import torch
+from helpers import eager
 from oracles import EPS, random_tree, states
 from torch.autograd import forward_ad, gradcheck, gradgradcheck
 
 import torchdq
 from torchdq.backends import cache as build
-from torchdq.backends import run
+from torchdq.backends import precision
+from torchdq.backends import threads as pool
+from torchdq.backends.c import COMPILED, CompiledKernel
 from torchdq.errors import ArgumentError
+from torchdq.program import autograd
 from torchdq.program.program import Argument, record
+from torchdq.robot.robot import arguments
 
 F32, F64 = torch.float32, torch.float64
 BACKEND = "auto"  # see conftest.py
@@ -155,6 +160,12 @@ def test_a_bad_row_leaves_every_other_bitwise_as_it_was(bad, dtype):
 
 # --- sine and cosine -------------------------------------------------------------------------------------------------
 
+
+def kernel(program, dtype=F64):
+    """The compiled program."""
+    return COMPILED.kernel(program, dtype, torch.device("cpu"))
+
+
 TRIG = record("trig", [Argument("x", 1)], lambda x: {"y": [x[0].sin(), x[0].cos()]})
 
 
@@ -168,7 +179,7 @@ def angles(largest: float, dtype) -> torch.Tensor:
 
 def ulps(x: torch.Tensor, floor: float) -> float:
     """Largest error in units of the last place of the result, or of `floor` where that is larger."""
-    y = run.kernel(TRIG, x.dtype == F32)([x[:, None]], len(x))[0].numpy()
+    y = kernel(TRIG, x.dtype)([x[:, None]], len(x))[0].numpy()
     worst = 0.0
     with mpmath.workdps(60):
         for angle, row in zip(x.tolist(), y, strict=True):
@@ -192,7 +203,7 @@ def test_small_sines_and_cosines_keep_their_relative_accuracy_in_double_precisio
 
 def test_sine_and_cosine_of_what_is_no_angle_are_not_numbers():
     x = torch.tensor([[float("nan")], [float("inf")], [-float("inf")], [1.0]], dtype=F64)
-    y = run.kernel(TRIG, False)([x], 4)[0]
+    y = kernel(TRIG)([x], 4)[0]
     assert y[:3].isnan().all() and y[3].isfinite().all()
 
 
@@ -211,14 +222,14 @@ def test_rows_of_any_width_are_read_and_written_and_nothing_else(width, single):
         lambda x, c: {"y": [*reversed(x)], "z": [x[0] + c[0]], "w": [v * 2.0 for v in x]},
         summed=["w"],
     )
-    kernel = run.kernel(program, single)
     dtype = F32 if single else F64
+    run = kernel(program, dtype).function
     for samples in (0, 1, 2, 3, 5, 8, 9, 15, 16, 17, 23, 33, 40):
         x, c = random(samples, width, dtype=dtype), torch.tensor([3.0], dtype=dtype)
         out = [torch.full((64 + size + 64,), GUARD, dtype=dtype) for size in (samples * width, samples, width)]
         step = x.element_size()
         with Page(x) as page:
-            kernel.function(samples, page, c.data_ptr(), *(y.data_ptr() + 64 * step for y in out))
+            run(samples, page, c.data_ptr(), *(y.data_ptr() + 64 * step for y in out))
         y, z, w = (y[64:-64] for y in out)
         assert all((y[:64] == GUARD).all() and (y[-64:] == GUARD).all() for y in out)
         assert torch.equal(y.view(samples, width), x.flip(-1))
@@ -260,7 +271,7 @@ def test_a_program_longer_than_a_function_may_be_is_right():
 
     program = record("long", [Argument("x", 4)], algorithm)
     x = 0.1 * random(21, 4)
-    agree(run.kernel(program, False)([x], 21), run.eager(program, [x]), 1e4)
+    agree(kernel(program)([x], 21), eager(program, [x]), 1e4)
 
 
 # --- threads ---------------------------------------------------------------------------------------------------------
@@ -272,13 +283,15 @@ threads = helpers.threads
 @pytest.mark.case("P13")
 def test_the_number_of_threads_changes_no_bit_of_a_result(threads):
     s = states(TREE, 9001)
-    run._pool.cache_clear()
+    torchdq.clear_caches()
     results = []
     for number in (1, 2, 3):
         threads(number)
         results.append(torchdq.inverse_dynamics(TREE, *s, backend="c"))
-    assert run._pool.cache_info().currsize == 1, "the batch was to be large enough for threads"
+    assert pool.running(), "the batch was to be large enough for threads"
     assert torch.equal(results[0], results[1]) and torch.equal(results[0], results[2])
+    torchdq.clear_caches()
+    assert not pool.running()
 
 
 @pytest.mark.case("P13")
@@ -449,15 +462,15 @@ def test_a_graph_finds_a_derivative_that_this_process_has_not_recorded():
     f = traced(lambda q: torchdq.inverse_dynamics(RPH, q, backend="c"))
     q = random(9, 3).requires_grad_()
     (before,) = torch.autograd.grad(f(q).sum(), q)
-    derived = [name for name in run._known if ":" in name]
+    derived = [name for name in autograd._named if ":" in name]
     for name in derived:
-        del run._known[name]
+        del autograd._named[name]
     assert derived and torch.equal(torch.autograd.grad(f(q).sum(), q)[0], before)
 
 
 def test_a_graph_of_a_program_that_was_never_recorded_says_so():
     with pytest.raises(ArgumentError, match="recorded in another process"):
-        run.operator("0" * 64, [random(1, 1)])
+        autograd.operator("0" * 64, [random(1, 1)])
 
 
 @pytest.mark.case("P4")
@@ -487,9 +500,8 @@ def test_an_unknown_backend_is_named():
 def ran(monkeypatch):
     """Names of the backends that ran, in order."""
     log: list[str] = []
-    for name in ("eager", "compiled"):
-        original = getattr(run, name)
-        monkeypatch.setattr(run, name, lambda *a, f=original, name=name: log.append(name) or f(*a))
+    original = precision._outputs
+    monkeypatch.setattr(precision, "_outputs", lambda b, *a: log.append(b.name) or original(b, *a))
     return log
 
 
@@ -502,7 +514,7 @@ def test_a_block_chooses_the_backend_and_an_argument_overrides_it(ran):
             torchdq.inverse_dynamics(TWO, q)
         torchdq.inverse_dynamics(TWO, q)
     torchdq.inverse_dynamics(TWO, q)
-    assert ran == ["eager", "compiled", "compiled", "eager", "compiled"]
+    assert ran == ["eager", "c", "c", "eager", "c"]
 
 
 def test_a_module_keeps_its_backend(ran):
@@ -510,12 +522,13 @@ def test_a_module_keeps_its_backend(ran):
     torchdq.DQRNEA(TWO, backend="eager")(q)
     with torchdq.backend("eager"):
         torchdq.DQRNEA(TWO, backend="c")(q)
-    assert ran == ["eager", "compiled"]
+    assert ran == ["eager", "c"]
 
 
 @pytest.fixture
 def built(monkeypatch):
-    """Names of the programs that were recorded into kernels."""
+    """Names of the programs that were recorded into kernels, of a process that remembers none."""
+    torchdq.clear_caches()
     log: list[str] = []
     original = build.load
     monkeypatch.setattr(build, "load", lambda source, name, *a: log.append(name) or original(source, name, *a))
@@ -537,10 +550,38 @@ def test_new_batch_sizes_need_no_new_kernel(built):
     assert len(built) == 1
 
 
+def test_equal_robots_share_their_programs(built):
+    """Also one that was a variation of another before."""
+    q = random(5, 7)
+    for robot in (torchdq.robots.load("panda"), torchdq.robots.load("panda"), PANDA.replace(mass=PANDA.mass).bake()):
+        torchdq.inverse_dynamics(robot, q, backend="c")
+    assert built == ["inverse_dynamics_panda"]
+
+
+def test_a_robot_that_was_changed_in_place_spoils_no_other():
+    changed = TWO.replace(mass=TWO.mass.clone(), inertia=TWO.inertia.clone()).bake()
+    q = random(5, 2)
+    for x in (changed.mass, changed.inertia):
+        x.mul_(2)
+    before = torchdq.inverse_dynamics(TWO, q)
+    torchdq.clear_caches()
+    torchdq.inverse_dynamics(changed, q)
+    assert torch.equal(torchdq.inverse_dynamics(TWO, q), before)
+
+
+def test_what_is_forgotten_is_recorded_again(built):
+    q = random(5, 2)
+    before = torchdq.inverse_dynamics(TWO, q, backend="c")
+    torchdq.inverse_dynamics(TWO, q, backend="c")
+    torchdq.clear_caches()
+    assert torch.equal(torchdq.inverse_dynamics(TWO, q, backend="c"), before)
+    assert built == ["inverse_dynamics_two_link"] * 2
+
+
 def test_baking_makes_constants(built):
     heavy = TWO.replace(mass=2 * TWO.mass).bake()
     q = random(5, 2)
-    assert heavy.varying == ()
+    assert arguments(heavy) == ()
     agree([torchdq.inverse_dynamics(heavy, q, backend="c")], [2 * torchdq.inverse_dynamics(TWO, q, backend="c")])
     assert "inverse_dynamics_two_link" in built
 
@@ -562,7 +603,7 @@ def test_a_program_compiled_ahead_is_the_function():
     cotangent = torch.ones_like(q)
     expected = torch.autograd.grad(torchdq.inverse_dynamics(TWO, *x), x, cotangent)
     assert all(map(torch.equal, compiled.vjp()(q, qd, qdd, cotangent), expected))
-    assert "int run(long samples" in compiled.source("c")
+    assert "void run(long samples" in compiled.source("c")
 
 
 def test_compiling_ahead_names_what_it_does_not_know():
@@ -584,7 +625,7 @@ def test_narrower_vectors_compute_the_same(monkeypatch, flags, dtype):
     recorded = torchdq.compile(TWO, "forward_dynamics").program
     x = [random(37, TWO.n, seed=k, dtype=dtype) for k in range(3)]
     monkeypatch.setattr(build, "FLAGS", (*build.FLAGS, *flags))
-    (found,) = run.Kernel(recorded, dtype == F32)(x, 37)
-    (expected,) = run.eager(recorded, x)
+    found, _ = CompiledKernel(recorded, dtype)(x, 37)
+    (expected,) = eager(recorded, x)
     # without fused multiplication and addition some roundings differ
     assert (found - expected).abs().max() <= 256 * torch.finfo(dtype).eps * expected.abs().max()

@@ -18,7 +18,7 @@ import torch
 
 import torchdq
 from torchdq.backends import cache as build
-from torchdq.backends.c import source
+from torchdq.backends.c_source import source
 from torchdq.program.program import Argument, record
 
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
@@ -284,13 +284,13 @@ def test_a_child_forked_after_use_computes_in_threads_of_its_own(tmp_path):
     code = """
 import os
 import numpy, torch, torchdq
-from torchdq.backends import run
+from torchdq.backends import threads
 torch.set_num_threads(2)
 robot = torchdq.robots.load("two_link")
-run.PER_THREAD = 1e4
+threads.PER_THREAD = 1e4
 q = torch.from_numpy(numpy.linspace(-3, 3, 400_000).reshape(-1, 2))
 before = torchdq.inverse_dynamics(robot, q, backend="c").numpy()
-assert run._pool.cache_info().currsize == 1, "the batch was to be large enough for threads"
+assert threads.running(), "the batch was to be large enough for threads"
 child = os.fork()
 if child == 0:
     os._exit(0 if (torchdq.inverse_dynamics(robot, q, backend="c").numpy() == before).all() else 1)

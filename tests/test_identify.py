@@ -18,6 +18,7 @@ import torchdq
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.learning import identify, regression
 from torchdq.robot import consistency as physical
+from torchdq.robot.robot import arguments
 
 WIDTH = 1e-2
 
@@ -258,7 +259,7 @@ def test_the_robot_is_ready_for_scenes_and_layers():
     robot = torchdq.robots.load("two_link")
     q, qd, qdd = moving(2, 100)
     found = identify(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.5 * qd, armature=True)
-    assert found.robot.varying == ()
+    assert arguments(found.robot) == ()
     assert torch.equal(found.robot.damping, found.viscous) and torch.equal(found.robot.friction, found.coulomb)
     assert len(found.names) == len(found.parameters) == 26 and found.names[20] == "joint1 rotor"
     assert torch.allclose(found.robot.inertial_parameters, found.parameters[:20], atol=1e-12)

@@ -10,11 +10,13 @@ import subprocess
 import numpy as np
 import pytest
 import torch
+from helpers import compiled
 
 import torchdq
-from torchdq.backends import c, run
 from torchdq.backends import cache as build
+from torchdq.backends.c_source import source as source_of
 from torchdq.envs import Scene, effects
+from torchdq.program.program import outputs
 
 CROSS, EMULATOR = shutil.which("aarch64-linux-gnu-gcc"), shutil.which("qemu-aarch64")
 pytestmark = pytest.mark.skipif(
@@ -38,29 +40,27 @@ int main(int n,char**paths){{
 def on_arm(program, inputs, folder, single):
     """Results of a program on an emulated ARM processor."""
     samples = inputs[0].shape[0]
-    widths = [len(r.values) for r in program.results]
+    widths = [len(r.values) for r in outputs(program)]
     buffers = [
         f"S*a{k}=malloc(sizeof(S)*{x.numel()});if(fread(a{k},sizeof(S),{x.numel()},from)!={x.numel()})return 1;"
         for k, x in enumerate(inputs)
     ]
     buffers += [f"S*r{k}=malloc(sizeof(S)*{samples * w});" for k, w in enumerate(widths)]
     pointers = [f"a{k}" for k in range(len(inputs))] + [f"r{k}" for k in range(len(widths))]
-    if program.growth is not None:
-        buffers.append(f"unsigned char*lost=malloc({samples});")
-        pointers.append("lost")
     writing = [f"fwrite(r{k},sizeof(S),{samples * w},to);" for k, w in enumerate(widths)]
-    text = c.source(program, single) + MAIN.format(
+    text = source_of(program, single) + MAIN.format(
         buffers="".join(buffers), samples=samples, pointers=",".join(pointers), writing="".join(writing)
     )
-    source, binary, given, found = (folder / name for name in ("program.c", "program", "given", "found"))
+    source, binary, given, written = (folder / name for name in ("program.c", "program", "given", "found"))
     source.write_text(text)
     given.write_bytes(b"".join(x.numpy().tobytes() for x in inputs))
     flags = [flag for flag in build.FLAGS if flag not in ("-march=native", "-shared", "-fPIC")]
     subprocess.run([CROSS, *flags, "-static", "-o", binary, source, "-lm"], check=True)
-    subprocess.run([EMULATOR, binary, given, found], check=True)
-    flat = np.frombuffer(found.read_bytes(), np.float32 if single else np.float64)
+    subprocess.run([EMULATOR, binary, given, written], check=True)
+    flat = np.frombuffer(written.read_bytes(), np.float32 if single else np.float64)
     parts = np.split(flat, np.cumsum([samples * w for w in widths])[:-1])
-    return [torch.tensor(part.reshape(samples, w)) for part, w in zip(parts, widths, strict=True)]
+    found = [torch.tensor(part.reshape(samples, w)) for part, w in zip(parts, widths, strict=True)]
+    return found[: len(program.results)]
 
 
 @pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
@@ -72,7 +72,7 @@ def test_programs_give_the_same_numbers_on_arm(function, dtype, tmp_path):
     torch.manual_seed(0)
     inputs = [2 * torch.randn(37, a.width, dtype=dtype) for a in program.arguments]  # 37: whole vectors and a tail
     for found, here in zip(
-        on_arm(program, inputs, tmp_path, dtype == torch.float32), run.compiled(program, inputs), strict=True
+        on_arm(program, inputs, tmp_path, dtype == torch.float32), compiled(program, inputs), strict=True
     ):
         # the processors differ in nothing but the order in which fused operations round
         assert (found - here).abs().max() <= 2000 * torch.finfo(dtype).eps * here.abs().max()
@@ -84,7 +84,7 @@ def test_a_step_of_a_scene_gives_the_same_numbers_on_arm(tmp_path):
     program = Scene(torchdq.robots.load("panda"), parts).program()
     torch.manual_seed(0)
     inputs = [torch.rand(37, a.width, dtype=torch.float64) for a in program.arguments]
-    for found, here in zip(on_arm(program, inputs, tmp_path, False), run.compiled(program, inputs), strict=True):
+    for found, here in zip(on_arm(program, inputs, tmp_path, False), compiled(program, inputs), strict=True):
         assert (found - here).abs().max() <= 2000 * torch.finfo(torch.float64).eps * here.abs().max()
 
 
@@ -94,5 +94,5 @@ def test_wild_angles_fall_back_to_the_library_on_arm(tmp_path):
     q = torch.zeros(21, 2, dtype=torch.float64)
     q[3], q[7, 0], q[11, 1] = 1e6, float("inf"), float("nan")
     (found,) = on_arm(program, [q, 0 * q[:1].expand(21, 2).contiguous(), torch.ones_like(q)], tmp_path, False)
-    (here,) = run.compiled(program, [q, torch.zeros_like(q), torch.ones_like(q)])
+    (here,) = compiled(program, [q, torch.zeros_like(q), torch.ones_like(q)])
     torch.testing.assert_close(found, here, rtol=1e-12, atol=1e-12, equal_nan=True)

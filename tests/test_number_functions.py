@@ -10,14 +10,15 @@ import mpmath
 import numpy as np
 import pytest
 import torch
+from helpers import compiled, eager
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import EPS
 from torch.autograd import gradcheck, gradgradcheck
 
-from torchdq.backends import c, run
+from torchdq.backends import c_source
 from torchdq.backends import cache as build
-from torchdq.numbers.functions import absolute, at_least, clip, exp, floor, log, maximum, minimum, sqrt
+from torchdq.numbers.functions import absolute, at_least, clip, exp, floor, log, maximum, minimum, select, sqrt
 from torchdq.program import autodiff as derive
 from torchdq.program.program import Argument, Program, record, replay, results
 
@@ -25,7 +26,7 @@ F32, F64 = torch.float32, torch.float64
 INF, NAN = math.inf, math.nan
 DTYPES = pytest.mark.parametrize("dtype", [F64, F32], ids=str)
 compiles = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
-BACKENDS = pytest.mark.parametrize("backend", [pytest.param(run.compiled, marks=compiles), run.eager])
+BACKENDS = pytest.mark.parametrize("backend", [pytest.param(compiled, marks=compiles), eager])
 
 
 def program(function, width: int, uniform: bool = False) -> Program:
@@ -36,7 +37,7 @@ def program(function, width: int, uniform: bool = False) -> Program:
 ONE = {f.__name__: program(lambda x, f=f: [f(x)], 1) for f in (sqrt, exp, log, floor)}
 
 
-def column(p: Program, values, dtype=F64, backend=run.compiled) -> list[float]:
+def column(p: Program, values, dtype=F64, backend=compiled) -> list[float]:
     """Result of a program of one number and one result for many numbers."""
     return backend(p, [torch.tensor(values, dtype=dtype)[:, None]])[0][:, 0].tolist()
 
@@ -63,6 +64,10 @@ def same(found, expected) -> bool:
         (lambda x, y: [exp(-x), exp(-x), exp(x)], ["exp", "const", "sub", "exp"]),
         (lambda x, y: [log(x), sqrt(x), floor(x), log(x)], ["log", "sqrt", "floor"]),
         (lambda x, y: [clip(x, 1.0, 2.0)], ["const", "max", "const", "min"]),
+        (lambda x, y: [select(x, y, 1.0), select(-x, -y, -1.0)], ["const", "select"]),
+        (lambda x, y: [select(x, y, -1.0)], ["const", "select"]),
+        (lambda x, y: [select(x, x, -y)], ["const", "sub", "select"]),
+        (lambda x, y: [select(x, y, y), select(x, -y, -y), select(1.0, x, y), select(x, 0.5, 0.5)], ["const"]),
     ],
 )
 def test_equal_operations_are_recorded_once_and_signs_are_worked_in(function, codes):
@@ -125,6 +130,7 @@ BINARY = {
     "maximum": maximum,
     "minimum": minimum,
     "at_least": at_least,
+    "select": lambda a, b: select(a - b, a * b, b),
 }
 EXPRESSIONS = st.recursive(
     LEAVES,
@@ -151,9 +157,9 @@ def value(expression, x):
 def test_a_recorded_expression_is_the_expression_bitwise(expression, x):
     """Signs, value numbering and constants; quarters are equal often enough for ties."""
     p = program(lambda *numbers: [value(expression, numbers)], 3)
-    again = program(lambda *numbers: results(p, replay(p, None, [numbers]))["y"], 3)
+    again = program(lambda *numbers: results(p, replay(p, [numbers]))["y"], 3)
     for q in (p, again):
-        assert same(results(q, replay(q, None, [x]))["y"], [value(expression, x)])
+        assert same(results(q, replay(q, [x]))["y"], [value(expression, x)])
 
 
 # --- values of programs ----------------------------------------------------------------------------------------------
@@ -251,21 +257,41 @@ def test_clipped_numbers_are_the_bounds_exactly(dtype, backend):
         assert same(y.tolist(), expected.tolist())
 
 
+@BACKENDS
+@DTYPES
+def test_what_is_not_selected_touches_neither_value_nor_gradient(dtype, backend):
+    """A product with a mask would be NaN where the other is not finite; a mask that is NaN is not 0."""
+    p = program(lambda m, x, y: [select(m, x, 2.0 * y), select(m, 3.0, -y)], 3)
+    rows = [(1.0, 2.0, INF), (0.0, NAN, 4.0), (-2.0, INF, NAN), (NAN, 5.0, NAN), (-0.0, -INF, 0.5)]
+    x = torch.tensor(rows, dtype=dtype, requires_grad=True)
+    (found,) = backend(p, [x])
+    assert found.tolist() == [[2.0, 3.0], [8.0, -4.0], [INF, 3.0], [5.0, 3.0], [1.0, -0.5]]
+    (gradient,) = torch.autograd.grad(found.sum(), x)
+    taken, other = [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]
+    assert gradient.tolist() == [taken, other, taken, taken, other]
+
+
 def everything(x, y, z):
     """All functions, of positive numbers."""
     a = sqrt(x) + exp(-y) * log(z)
     b = maximum(a, y) - minimum(-z, a) * clip(x, 0.5, 1.5)
-    return [a, b, sqrt(absolute(b)), floor(3.0 * a) + at_least(x, y), exp(minimum(b, 0.25)) / log(1.0 + z)]
+    return [
+        a,
+        b,
+        sqrt(absolute(b)),
+        floor(3.0 * a) + at_least(x, y),
+        exp(minimum(b, 0.25)) / log(select(y, 1.0 + z, x)),
+    ]
 
 
 @compiles
 @DTYPES
 def test_compiled_functions_equal_torch_operations(dtype, monkeypatch):
     x = (0.1 + 3 * torch.rand(100, 3, dtype=F64, generator=torch.Generator().manual_seed(4))).to(dtype)
-    for chunk in (c.CHUNK, 4):  # in one function of C, and in many
-        monkeypatch.setattr(c, "CHUNK", chunk)
+    for longest in (c_source.LONGEST, 4):  # in one function of C, and in many
+        monkeypatch.setattr(c_source, "LONGEST", longest)
         p = program(everything, 3)
-        found, expected = run.compiled(p, [x])[0], run.eager(p, [x])[0]
+        found, expected = compiled(p, [x])[0], eager(p, [x])[0]
         assert (found - expected).abs().max() <= 64 * EPS[dtype] * expected.abs().max()
 
 
@@ -281,9 +307,9 @@ def test_a_row_is_bitwise_the_row_alone_whatever_the_others_hold(dtype):
     for k, v in bad.items():
         x[k] = v
     for q, inputs in ((p, [x]), (gradient, [x, seeds])):
-        together = run.compiled(q, inputs)[0]
+        together = compiled(q, inputs)[0]
         for k in set(range(rows)) - set(bad):
-            alone = run.compiled(q, [v[k : k + 1] for v in inputs])[0]
+            alone = compiled(q, [v[k : k + 1] for v in inputs])[0]
             assert alone.isfinite().all() and torch.equal(together[k], alone[0])
 
 
@@ -291,8 +317,8 @@ def test_a_row_is_bitwise_the_row_alone_whatever_the_others_hold(dtype):
 @DTYPES
 def test_numbers_that_all_samples_share_give_what_those_of_each_sample_give(dtype):
     x = torch.tensor([0.7, 1.9, 2.3], dtype=dtype)
-    shared = run.compiled(program(everything, 3, uniform=True), [x])[0]
-    own = run.compiled(program(everything, 3), [x[None]])[0]
+    shared = compiled(program(everything, 3, uniform=True), [x])[0]
+    own = compiled(program(everything, 3), [x[None]])[0]
     assert (shared - own).abs().max() <= 16 * EPS[dtype] * own.abs().max()
 
 
@@ -309,7 +335,7 @@ def test_numbers_of_a_sample_are_compared_with_those_that_all_share(dtype, backe
                 maximum(u[0], 1.0),
                 at_least(1.0, u[0]),
             ],
-            "z": [two.sqrt() * x[0], two.maximum(-two) * x[0], (-two).floor() * x[0]],
+            "z": [sqrt(two) * x[0], maximum(two, -two) * x[0], floor(-two) * x[0]],
         }
 
     p = record("f", [Argument("x", 1), Argument("u", 1, True)], algorithm)
@@ -346,11 +372,11 @@ def test_compiled_derivatives_equal_autograd(derivative):
     if derivative is derive.vjp:
         x.requires_grad_()
         seeds = torch.randn(19, 4, dtype=F64, generator=torch.Generator().manual_seed(8))
-        expected = torch.autograd.grad(run.eager(p, [x])[0], x, seeds)[0]
+        expected = torch.autograd.grad(eager(p, [x])[0], x, seeds)[0]
     else:
         seeds = torch.randn(19, 3, dtype=F64, generator=torch.Generator().manual_seed(8))
-        _, expected = torch.func.jvp(lambda v: run.eager(p, [v])[0], (x,), (seeds,))
-    found = run.compiled(derivative(p, (0,)), [x.detach(), seeds])[0]
+        _, expected = torch.func.jvp(lambda v: eager(p, [v])[0], (x,), (seeds,))
+    found = compiled(derivative(p, (0,)), [x.detach(), seeds])[0]
     assert (found - expected).abs().max() <= 64 * EPS[F64] * expected.abs().max()
 
 
@@ -376,11 +402,11 @@ TIES = torch.tensor([(a, b) for a in (-1.0, 0.0, 0.5, 1.0) for b in (-1.0, 0.0, 
 @compiles
 def test_derivatives_where_two_numbers_are_equal_are_those_of_the_first_and_of_torch():
     p = program(kinks, 2)
-    jacobian = run.compiled(derive.jacobian(p, (0,)), [TIES])[0].view(-1, 10, 2)
-    expected = torch.func.vmap(torch.func.jacrev(lambda v: run.eager(p, [v[None]])[0][0]))(TIES)
+    jacobian = compiled(derive.jacobian(p, (0,)), [TIES])[0].view(-1, 10, 2)
+    expected = torch.func.vmap(torch.func.jacrev(lambda v: eager(p, [v[None]])[0][0]))(TIES)
     assert torch.equal(jacobian, expected)
     x = TIES.clone().requires_grad_()
-    assert torch.equal(torch.autograd.grad(run.compiled(p, [x])[0].sum(), x)[0], expected.sum(1))
+    assert torch.equal(torch.autograd.grad(compiled(p, [x])[0].sum(), x)[0], expected.sum(1))
     at_one = jacobian[(TIES == 1.0).all(-1).nonzero().item()]
     assert at_one[:3].tolist() == [[1.0, 0.0], [1.0, 0.0], [-1.0, 0.0]]
     # at its bound a number still moves, and where it has no whole part of its own it moves alone
@@ -394,7 +420,7 @@ def test_gradients_may_be_batched():
     x = 0.5 + torch.rand(5, 3, dtype=F64, generator=torch.Generator().manual_seed(9))
     x.requires_grad_()
     seeds = torch.eye(4, dtype=F64)[:, None].expand(4, 5, 4)
-    y = run.compiled(p, [x])[0]
+    y = compiled(p, [x])[0]
     found = torch.autograd.grad(y, x, seeds, is_grads_batched=True, retain_graph=True)[0]
     for k in range(4):
         expected = torch.autograd.grad(y, x, seeds[k], retain_graph=True)[0]

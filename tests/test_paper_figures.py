@@ -13,11 +13,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
-from helpers import double, random
+from helpers import double, eager, random
 
 import torchdq
 from torchdq.algebra import dual_quaternion, screw
-from torchdq.backends import run
 from torchdq.dynamics.joints import KINDS, Coordinate
 from torchdq.dynamics.paper import kinematics
 from torchdq.dynamics.paper.closed_form import closed_form
@@ -262,11 +261,11 @@ def test_formulations_that_are_timed_compute_the_same(monkeypatch):
     poses, torques = timed.poses(arm), timed.torques(*cost.chain(timed.N))
     assert [len(poses), len(torques)] == [5, 4]
     for group in (poses, torques):
-        timed.require_agreement(group, run.eager)
+        timed.require_agreement(group, eager)
         assert all(f.program.count().sines == 2 * timed.N for f in group)
     arm.d[3] += 1e-9
     with pytest.raises(ArithmeticError, match="pose, UDQ by screws is off by"):
-        timed.require_agreement([poses[0], timed.poses(arm)[3]], run.eager)
+        timed.require_agreement([poses[0], timed.poses(arm)[3]], eager)
 
     for f, nanoseconds in zip((*poses, *torques), (4.0, 5.0, 4.0, 3.0, 2.0, 4.0, 4.0, 3.0, 1.0), strict=True):
         f.nanoseconds = nanoseconds

@@ -10,6 +10,7 @@ import mpmath
 import numpy as np
 import pytest
 import torch
+from helpers import eager
 from oracles import (
     EPS,
     Case,
@@ -27,7 +28,7 @@ from oracles import (
 from oracles import random_tree as random_case
 
 import torchdq
-from torchdq.backends import run
+from torchdq.backends import torch as torch_backend
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.tree import BASE
 from torchdq.program import autodiff as derive
@@ -122,7 +123,7 @@ def test_replay_in_exact_arithmetic_is_the_function_itself():
     program = scalar(tangle, 3)
     with mpmath.workdps(50):
         x = [Exact(v) for v in ("0.3", "-1.7", "2.9")]
-        found = results(program, replay(program, None, [x]))["y"][0].x
+        found = results(program, replay(program, [x]))["y"][0].x
         expected = tangle(*x).x
         # 1/3 and other folded constants are floats
         assert abs(found - expected) <= 4 * EPS64 * abs(expected)
@@ -131,7 +132,7 @@ def test_replay_in_exact_arithmetic_is_the_function_itself():
 def test_replay_on_tensors_is_the_function_itself():
     program, x = scalar(tangle, 3), torch.randn(3, 50, dtype=F64, generator=torch.Generator().manual_seed(1))
     expected = tangle(*x)
-    found = results(program, replay(program, None, [list(x)]))["y"][0]
+    found = results(program, replay(program, [list(x)]))["y"][0]
     assert (found - expected).abs().max() <= 64 * EPS64 * (1 + expected.abs().max())
 
 
@@ -175,7 +176,7 @@ def recorded(function, robot: torchdq.Robot, *names: str | None) -> Program:
     """Program that a public function runs when it is given the named arguments; None: the argument is left out."""
     s = states(robot, 1)
     given = [None if name is None else s.qdd if name == "tau" else getattr(s, name) for name in names]
-    with patch.object(run, "eager", wraps=run.eager) as spy:
+    with patch.object(torch_backend, "interpreted", wraps=torch_backend.interpreted) as spy:
         function(robot, *given, backend="eager")
     return spy.call_args.args[0]
 
@@ -270,10 +271,10 @@ def close(found, expected) -> bool:
 def test_reverse_mode_equals_autograd():
     program = mixed()
     x = inputs(program)
-    y = run.eager(program, x)
+    y = eager(program, x)
     seeds = [torch.randn_like(v) for v in y]
     expected = torch.autograd.grad(y, x, seeds)
-    assert close(run.eager(derive.vjp(program, (0, 1)), [*x, *seeds]), expected)
+    assert close(eager(derive.vjp(program, (0, 1)), [*x, *seeds]), expected)
 
 
 def test_the_gradient_of_a_uniform_argument_is_summed_and_the_others_are_not():
@@ -285,15 +286,15 @@ def test_forward_mode_equals_autograd():
     program = mixed()
     x = [v.detach() for v in inputs(program)]
     t = [torch.randn_like(v) for v in x]
-    _, expected = torch.func.jvp(lambda *x: tuple(run.eager(program, x)), tuple(x), tuple(t))
-    assert close(run.eager(derive.jvp(program, (0, 1)), [*x, *t]), expected)
+    _, expected = torch.func.jvp(lambda *x: tuple(eager(program, x)), tuple(x), tuple(t))
+    assert close(eager(derive.jvp(program, (0, 1)), [*x, *t]), expected)
 
 
 def test_jacobians_equal_autograd():
     program = record("f", [Argument("x", 3)], lambda x: {"y": [tangle(*x), x[0] * x[1], 1.0]})
     x = inputs(program, 1)[0].detach()
-    expected = torch.func.jacrev(lambda x: run.eager(program, [x])[0])(x).reshape(1, -1)
-    assert close(run.eager(derive.jacobian(program, (0,)), [x]), [expected])
+    expected = torch.func.jacrev(lambda x: eager(program, [x])[0])(x).reshape(1, -1)
+    assert close(eager(derive.jacobian(program, (0,)), [x]), [expected])
 
 
 def test_derivatives_equal_finite_differences_in_exact_arithmetic():
@@ -301,13 +302,13 @@ def test_derivatives_equal_finite_differences_in_exact_arithmetic():
     at, step = ("0.3", "-1.7", "2.9"), mpmath.mpf(10) ** -20
     gradient = derive.jacobian(program, (0,))
     with mpmath.workdps(60):
-        found = results(gradient, replay(gradient, None, [[Exact(v) for v in at]]))["dy/dx"]
+        found = results(gradient, replay(gradient, [[Exact(v) for v in at]]))["dy/dx"]
         for j, d in enumerate(found):
             ends = []
             for h in (step, -step):
                 x = [Exact(v) for v in at]
                 x[j] = x[j] + Exact(h)
-                ends.append(results(program, replay(program, None, [x]))["y"][0].x)
+                ends.append(results(program, replay(program, [x]))["y"][0].x)
             expected = (ends[0] - ends[1]) / (2 * step)
             assert abs(d.x - expected) <= 1e-30 * (1 + abs(expected))
 
@@ -321,13 +322,13 @@ def test_derivatives_of_derivatives_in_everything_equal_autograd(first, second):
     twice = second(once, everything)
     x = inputs(once)
     if second is derive.vjp:
-        y = run.eager(once, x)
+        y = eager(once, x)
         seeds = [torch.randn_like(v) for v in y]
         expected = torch.autograd.grad(y, x, seeds, materialize_grads=True)
     else:
         seeds = [torch.randn_like(v) for v in x]
-        _, expected = torch.func.jvp(lambda *x: tuple(run.eager(once, x)), tuple(x), tuple(seeds))
-    assert close(run.eager(twice, [*x, *seeds]), expected)
+        _, expected = torch.func.jvp(lambda *x: tuple(eager(once, x)), tuple(x), tuple(seeds))
+    assert close(eager(twice, [*x, *seeds]), expected)
 
 
 @pytest.mark.parametrize("derivative", [derive.vjp, derive.jvp])

@@ -415,7 +415,7 @@ ZERO = torch.zeros(2, dtype=torch.float64)
         ({"noise": ZERO}, r"noise must have the shape \[..., 4\]"),
         (
             {"torque": ZERO.float()},
-            "torque must be float32 or float64 like the state, torch.float64, found torch.float32",
+            "torque is torch.float32 but q is torch.float64",
         ),
         ({"torque": [0.0, 0.0]}, "torque must be a tensor, found list"),
         ({"torque": torch.zeros(7, 2, dtype=torch.float64)}, "batch axes .* must broadcast, found .*torque"),
@@ -443,8 +443,8 @@ def test_what_does_not_fit_at_a_step_is_refused_by_name(change, message, integra
         ([0.0, 0.0], None, "q must be a tensor, found list"),
         (torch.zeros(3), None, r"q must have the shape \[..., 2\]"),
         (torch.zeros(2, dtype=torch.int64), None, "q must be float32 or float64"),
-        (torch.zeros(2), torch.zeros(2, dtype=torch.float64), "qd must be float32 or float64 like the state"),
-        (torch.zeros(3, 2), torch.zeros(4, 2), "batch axes of the state must broadcast"),
+        (torch.zeros(2), torch.zeros(2, dtype=torch.float64), "qd is torch.float64 but q is torch.float32"),
+        (torch.zeros(3, 2), torch.zeros(4, 2), "batch axes of the arguments must broadcast"),
     ],
 )
 def test_a_start_that_does_not_fit_is_refused_by_name(q, qd, message):
@@ -817,7 +817,7 @@ def test_inputs_are_checked_at_every_step_not_only_at_the_first():
     scene = Scene(ARM)
     state = scene.start(random(3, 2))
     scene.step(state, random(3, 2))
-    with pytest.raises(DtypeError, match="torque must be float32 or float64 like the state"):
+    with pytest.raises(DtypeError, match="torque is torch.float32 but q is torch.float64"):
         scene.step(state, random(3, 2).float())
     with pytest.raises(ArgumentError, match="torque must be a tensor"):
         scene.step(state, random(3, 2).numpy())

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from torchdq import convert, dq
 from torchdq.backends.choice import backend
+from torchdq.caches import clear_caches
 from torchdq.control import computed_torque
 from torchdq.errors import (
     ArgumentError,
@@ -79,6 +80,7 @@ __all__ = [
     "UnknownNameError",
     "UnphysicalError",
     "backend",
+    "clear_caches",
     "closed_form",
     "compile",
     "computed_torque",

@@ -2,7 +2,7 @@
 
 from torch import Tensor
 
-from torchdq.backends.choice import Backend
+from torchdq.backends.choice import BackendName
 from torchdq.errors import ArgumentError
 from torchdq.functional import check, inverse_dynamics
 from torchdq.robot import Robot
@@ -18,7 +18,7 @@ def computed_torque(
     kp: Tensor | float,
     kd: Tensor | float,
     f_tip: Tensor | None = None,
-    backend: Backend | None = None,
+    backend: BackendName | None = None,
 ) -> Tensor:
     """Torques tau [..., n] under which the tracking error e = q_des - q obeys e'' + kd e' + kp e = 0.
 
@@ -40,8 +40,7 @@ def computed_torque(
     for name, gain in (("kp", kp), ("kd", kd)):
         if not isinstance(gain, Tensor | float | int):
             raise ArgumentError(f"{name} must be a number or a tensor, found {type(gain).__name__}")
-    of_joints = {"q": q, "qd": qd, "q_des": q_des, "qd_des": qd_des, "qdd_des": qdd_des}
-    of_joints |= {name: gain for name, gain in (("kp", kp), ("kd", kd)) if isinstance(gain, Tensor) and gain.ndim}
-    check(robot, **{name: (x, ("n",), False) for name, x in of_joints.items()}, f_tip=(f_tip, (6,), True))
+    gains = {name: gain for name, gain in (("kp", kp), ("kd", kd)) if isinstance(gain, Tensor) and gain.ndim}
+    check(robot, ("f_tip",), q=q, qd=qd, q_des=q_des, qd_des=qd_des, qdd_des=qdd_des, f_tip=f_tip, **gains)
     acceleration = qdd_des + kd * (qd_des - qd) + kp * (q_des - q)  # (75)-(78), erratum 75
     return inverse_dynamics(robot, q, qd, acceleration, f_tip=f_tip, backend=backend)  # (73), (74)

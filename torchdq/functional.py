@@ -9,90 +9,22 @@ is not finite and touches no other.
 operations, on any device; "auto", the first that can.
 """
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple, get_args
 
-import torch
 from torch import Tensor
 
-from torchdq.backends import choice as backends
-from torchdq.backends import run
-from torchdq.backends.choice import Backend
-from torchdq.errors import ArgumentError, DtypeError
-from torchdq.functions.catalogue import RECIPES, Signature, program
-from torchdq.program.program import Program
+from torchdq.backends.choice import BackendName
+from torchdq.call import batch_of, evaluate
+from torchdq.errors import ArgumentError
+from torchdq.functions.catalogue import Function, trailing
 from torchdq.robot import Robot
-from torchdq.robot.robot import DTYPES, SHAPES
+from torchdq.robot.robot import SHAPES, arguments, constants
 
 # --- arguments -------------------------------------------------------------------------------------------------------
 
 
-Shape = tuple[int, ...]
 Precision = Literal["auto", "double"]
-
-
-def check(robot: Robot, **arguments: tuple[Tensor | None, Sequence[int | str], bool]) -> Shape:
-    """Batch axes of the arguments and the robot together.
-
-    Raises, naming the argument, unless all tensors have their trailing axes, one dtype, one device, and batch axes that
-    broadcast with each other and with the robot's.
-
-    Args:
-        robot: the robot.
-        arguments: tensors with their trailing axes, "n" being the number of joints, and whether they may be None.
-    """
-    _robot(robot)
-    first: tuple[str, Tensor] | None = None
-    batches: dict[str, Sequence[int]] = {}
-    for name, (x, axes, optional) in arguments.items():
-        if x is None and optional:
-            continue
-        if not isinstance(x, Tensor):
-            raise ArgumentError(f"{name} must be a tensor, found {type(x).__name__}; use torch.as_tensor")
-        if x.dtype not in DTYPES:
-            raise DtypeError(
-                f"{name} must be float32 or float64, found {x.dtype}; integers would round angles and half precision "
-                f"loses centimetres over an arm, so convert it yourself"
-            )
-        trailing = _numbers(axes, robot.n)
-        if x.ndim < len(trailing) or tuple(x.shape[x.ndim - len(trailing) :]) != trailing:
-            raise ArgumentError(
-                f"{name} must have the shape [{', '.join(['...', *map(str, trailing)])}] for the {robot.n} joints of "
-                f"robot {robot.name!r}, found {tuple(x.shape)}"
-            )
-        batches[name] = x.shape[: x.ndim - len(trailing)]
-        first = first or (name, x)
-        if x.dtype != first[1].dtype:
-            raise DtypeError(f"{name} is {x.dtype} but {first[0]} is {first[1].dtype}; convert one of them")
-        if x.device != first[1].device:
-            raise ArgumentError(f"{name} is on {x.device} but {first[0]} is on {first[1].device}; move one of them")
-    for name in robot.varying:
-        x = getattr(robot, name)
-        if x.ndim > len(SHAPES[name]):
-            batches[f"robot.{name}"] = x.shape[: x.ndim - len(SHAPES[name])]
-    try:
-        return tuple(torch.broadcast_shapes(*batches.values()))
-    except RuntimeError as error:
-        found = ", ".join(f"{name} {tuple(batch)}" for name, batch in batches.items())
-        raise ArgumentError(f"the batch axes of the arguments must broadcast, found {found}") from error
-
-
-def _robot(robot: Robot) -> Robot:
-    if not isinstance(robot, Robot):
-        raise ArgumentError(f"robot must be a torchdq.Robot, found {type(robot).__name__}")
-    return robot
-
-
-def _numbers(axes: Sequence[int | str], n: int) -> Shape:
-    return tuple([n if axis == "n" else int(axis) for axis in axes])
-
-
-def check_precision(precision: Precision) -> Precision:
-    """The precision, if there is one of that name."""
-    if precision not in get_args(Precision):
-        raise ArgumentError(f"precision must be 'auto' or 'double', found {precision!r}")
-    return precision
 
 
 def require_finite(**arguments: Tensor | None) -> None:
@@ -115,125 +47,65 @@ def require_finite(**arguments: Tensor | None) -> None:
             raise ArgumentError(f"{name} must be finite, found {x[at].item()} at {at}, and {len(bad) - 1} more")
 
 
-# --- evaluation ------------------------------------------------------------------------------------------------------
+def check_precision(precision: Precision) -> Precision:
+    """The precision, if there is one of that name."""
+    if precision not in get_args(Precision):
+        raise ArgumentError(f"precision must be 'auto' or 'double', found {precision!r}")
+    return precision
 
 
-class _Layout(NamedTuple):
-    """How inputs of certain shapes become rows of a program, and its results tensors."""
+class _Quantities(Function):
+    """Quantities of a robot's joints, and the wrench at its tip, that are only checked."""
 
-    signature: tuple
-    rows: tuple[tuple[Shape, Shape], ...]  # of every input: what it is expanded to, and then reshaped to
-    results: tuple[Shape, ...]
+    def axes(self, name: str) -> tuple[int, ...]:
+        """Trailing axes of a quantity, or of a tensor of the robot."""
+        return trailing({"f_tip": (6,), **SHAPES}.get(name, ("n",)), self.n)
 
-
-class _Plan(NamedTuple):
-    """A layout with the program and the backend that run it."""
-
-    layout: _Layout
-    program: Program
-    eager: bool
+    def check(self, tensors: Mapping[str, Tensor]) -> None:
+        """Any of them may be left out."""
 
 
-_plans: dict[tuple, _Plan] = {}  # found once for all inputs that look the same
-_MOST_PLANS = 4096
+def check(robot: Robot, optional: Sequence[str] = (), **quantities: Tensor | None) -> tuple[int, ...]:
+    """Batch axes of quantities and the robot together.
+
+    Raises, naming the argument, unless all have their trailing axes, one dtype, one device, and batch axes that
+    broadcast with each other and with the robot's.
+
+    Args:
+        robot: the robot.
+        optional: names of the quantities that may be None.
+        quantities: [..., n] of the joints, and `f_tip` [..., 6].
+    """
+    for name, x in quantities.items():
+        if x is None and name not in optional:
+            raise ArgumentError(f"{name} must be a tensor, found NoneType; use torch.as_tensor")
+    return batch_of(_Quantities(constants(_robot(robot)), "check"), _with_tensors(robot, quantities))
+
+
+def _robot(robot: Robot) -> Robot:
+    if not isinstance(robot, Robot):
+        raise ArgumentError(f"robot must be a torchdq.Robot, found {type(robot).__name__}")
+    return robot
+
+
+def _with_tensors(robot: Robot, given: dict[str, Tensor | None]) -> dict[str, Tensor | None]:
+    """Arguments, and the robot's tensors that are arguments of its programs."""
+    for name in arguments(robot):
+        given[name] = getattr(robot, name)
+    return given
 
 
 def _evaluate(
     name: str,
     robot: Robot,
-    arguments: tuple[Tensor | None, ...],
-    backend: Backend | None,
+    given: dict[str, Tensor | None],
+    backend: BackendName | None,
     options: tuple[str, ...] = (),
+    double: bool = False,
 ) -> list[Tensor]:
-    """Results of a recipe, with the batch axes of everything that went in."""
-    if torch.compiler.is_compiling():
-        return _traced(name, robot, arguments, backend, options)
-    try:
-        inputs = [x for x in (*arguments, *[getattr(robot, field) for field in robot.varying]) if x is not None]
-        like = inputs[0]
-        look = [None if x is None else (x.shape, x.dtype, x.device) for x in arguments]
-        key = (name, robot.identity, robot.varying, options, backend, backends.present(), *look)
-        if robot.varying:
-            key += tuple([getattr(robot, field).shape for field in robot.varying])
-    except (AttributeError, IndexError):
-        _check(name, robot, arguments)  # something is no tensor, or no robot, and the check says what
-        raise
-    plan = _plans.get(key)
-    if plan is None:
-        layout = _layout(name, robot, arguments, options)
-        eager = backends.choose(backend, like.device.type) == "eager"
-        plan = _Plan(layout, program(robot.origin or robot, Signature(*layout.signature)), eager)
-        if len(_plans) >= _MOST_PLANS:
-            _plans.clear()
-        _plans[key] = plan
-    rows = [run.row(x, like, shapes) for x, shapes in zip(inputs, plan.layout.rows, strict=True)]
-    outputs = run.eager(plan.program, rows) if plan.eager else run.compiled(plan.program, rows)
-    return [y if y.shape == shape else y.view(shape) for y, shape in zip(outputs, plan.layout.results, strict=True)]
-
-
-def _check(name: str, robot: Robot, arguments: tuple[Tensor | None, ...]) -> Shape:
-    expected = RECIPES[name].arguments
-    return check(
-        robot,
-        **{argument: (x, axes, optional) for (argument, axes, optional), x in zip(expected, arguments, strict=True)},
-    )
-
-
-def _layout(name: str, robot: Robot, arguments: tuple[Tensor | None, ...], options: tuple[str, ...]) -> _Layout:
-    """Layout of checked inputs."""
-    batch = _check(name, robot, arguments)
-    samples, n, recipe = math.prod(batch), robot.n, RECIPES[name]
-    present = [
-        (argument, _numbers(axes, n))
-        for (argument, axes, _), x in zip(recipe.arguments, arguments, strict=True)
-        if x is not None
-    ]
-    rows: list[tuple[Shape, Shape]] = [(batch + axes, (samples, math.prod(axes))) for _, axes in present]
-    fields = []
-    for field in robot.varying:
-        x = getattr(robot, field)
-        axes = _numbers(SHAPES[field], n)
-        uniform = x.ndim == len(axes)
-        fields.append((field, math.prod(axes), uniform))
-        rows.append((axes, (math.prod(axes),)) if uniform else (batch + axes, (samples, math.prod(axes))))
-    signature = (
-        robot.identity,
-        name,
-        tuple([(argument, math.prod(axes)) for argument, axes in present]),
-        tuple(fields),
-        options,
-    )
-    return _Layout(signature, tuple(rows), tuple([batch + axes for axes in recipe.results(n, *options)]))
-
-
-def _traced(
-    name: str,
-    robot: Robot,
-    arguments: tuple[Tensor | None, ...],
-    backend: Backend | None,
-    options: tuple[str, ...],
-) -> list[Tensor]:
-    """The same in a graph that is being traced: sizes may be symbols, and the program goes by its name."""
-    layout = _layout(name, robot, arguments, options)
-    inputs = [x for x in (*arguments, *[getattr(robot, field) for field in robot.varying]) if x is not None]
-    rows = [run.row(x, inputs[0], shapes) for x, shapes in zip(inputs, layout.rows, strict=True)]
-    origin = robot.origin or robot
-    if backends.choose(backend, inputs[0].device.type) == "eager":
-        outputs = run.eager(_constant_program(origin, layout.signature), rows)
-    else:
-        outputs = run.operator(_constant_key(origin, layout.signature), rows)
-    return [y.reshape(shape) for y, shape in zip(outputs, layout.results, strict=True)]
-
-
-@torch.compiler.assume_constant_result
-def _constant_program(robot: Robot, signature: tuple) -> Program:
-    # a tracer hands over plain tuples, not named ones
-    return program(robot, Signature(*signature))
-
-
-@torch.compiler.assume_constant_result
-def _constant_key(robot: Robot, signature: tuple) -> str:
-    return run.key(program(robot, Signature(*signature)))
+    """Results of a function, with the batch axes of everything that went in."""
+    what = Function(constants(_robot(robot)), name, options)
+    return list(evaluate(what, _with_tensors(robot, given), backend, double).values())
 
 
 # --- dynamics --------------------------------------------------------------------------------------------------------
@@ -246,7 +118,7 @@ def inverse_dynamics(
     qdd: Tensor | None = None,
     f_tip: Tensor | None = None,
     f_ext: Tensor | None = None,
-    backend: Backend | None = None,
+    backend: BackendName | None = None,
 ) -> Tensor:
     """Joint torques tau [..., n] that produce a motion, by the recursive dual-quaternion Newton-Euler algorithm.
 
@@ -273,10 +145,12 @@ def inverse_dynamics(
     >>> inverse_dynamics(robot, torch.zeros(2, dtype=torch.float64))  # holding it out against gravity
     tensor([19.6200,  4.9050], dtype=torch.float64)
     """
-    return _evaluate("inverse_dynamics", robot, (q, qd, qdd, f_tip, f_ext), backend)[0]
+    return _evaluate(
+        "inverse_dynamics", robot, {"q": q, "qd": qd, "qdd": qdd, "f_tip": f_tip, "f_ext": f_ext}, backend
+    )[0]
 
 
-def mass_matrix(robot: Robot, q: Tensor, backend: Backend | None = None) -> Tensor:
+def mass_matrix(robot: Robot, q: Tensor, backend: BackendName | None = None) -> Tensor:
     """Mass matrix M(q) [..., n, n], symmetric to the last bit, rotor inertia on its diagonal (69).
 
     Args:
@@ -288,7 +162,7 @@ def mass_matrix(robot: Robot, q: Tensor, backend: Backend | None = None) -> Tens
     tensor([[32., 10.],
             [10.,  4.]])
     """
-    return _evaluate("mass_matrix", robot, (q,), backend)[0]
+    return _evaluate("mass_matrix", robot, {"q": q}, backend)[0]
 
 
 def forward_dynamics(
@@ -298,7 +172,7 @@ def forward_dynamics(
     tau: Tensor,
     f_tip: Tensor | None = None,
     f_ext: Tensor | None = None,
-    backend: Backend | None = None,
+    backend: BackendName | None = None,
     precision: Precision = "auto",
 ) -> Tensor:
     """Joint accelerations qdd [..., n] that torques produce: the inverse of `inverse_dynamics` in qdd.
@@ -321,16 +195,11 @@ def forward_dynamics(
     >>> forward_dynamics(robot, q, None, inverse_dynamics(robot, q)).abs().max() < 1e-13
     tensor(True)
     """
-    arguments = (q, qd, tau, f_tip, f_ext)
-    if check_precision(precision) == "double":
-        if len({getattr(x, "dtype", None) for x in arguments if x is not None}) > 1:
-            _check("forward_dynamics", robot, arguments)  # what is wide already would no longer be noticed
-        wide = tuple([x.double() if isinstance(x, Tensor) and x.dtype == torch.float32 else x for x in arguments])
-        return _evaluate("forward_dynamics", robot, wide, backend)[0].to(tau.dtype)
-    return _evaluate("forward_dynamics", robot, arguments, backend)[0]
+    given = {"q": q, "qd": qd, "tau": tau, "f_tip": f_tip, "f_ext": f_ext}
+    return _evaluate("forward_dynamics", robot, given, backend, double=check_precision(precision) == "double")[0]
 
 
-def error_growth(robot: Robot, q: Tensor, backend: Backend | None = None) -> Tensor:
+def error_growth(robot: Robot, q: Tensor, backend: BackendName | None = None) -> Tensor:
     """Factor [...] by which `forward_dynamics` magnifies rounding errors, from 1: the largest M_ii / D_i.
 
     D_i is what joint i feels of the inertia M_ii when the joints beyond it are free, a pivot of M. The relative error
@@ -345,7 +214,7 @@ def error_growth(robot: Robot, q: Tensor, backend: Backend | None = None) -> Ten
     >>> error_growth(torchdq.robots.load("two_link"), torch.zeros(2, dtype=torch.float64))
     tensor(4.5714, dtype=torch.float64)
     """
-    return _evaluate("error_growth", robot, (q,), backend)[0]
+    return _evaluate("error_growth", robot, {"q": q}, backend)[0]
 
 
 class ClosedForm(NamedTuple):
@@ -357,7 +226,7 @@ class ClosedForm(NamedTuple):
     Jt: Tensor | None  # [..., n, 6] on (force, moment) in the tip frame; None: the robot has no tip
 
 
-def closed_form(robot: Robot, q: Tensor, qd: Tensor, backend: Backend | None = None) -> ClosedForm:
+def closed_form(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None = None) -> ClosedForm:
     """Mass matrix M [..., n, n], Coriolis and gravity torques c, g [..., n] and Jacobian Jt [..., n, 6].
 
         tau = M qdd + c + g + Jt f_tip   (63)
@@ -373,11 +242,11 @@ def closed_form(robot: Robot, q: Tensor, qd: Tensor, backend: Backend | None = N
     >>> closed_form(robot, q, torch.zeros_like(q)).g
     tensor([18.5756,  4.5178], dtype=torch.float64)
     """
-    M, c, g, *Jt = _evaluate("closed_form", robot, (q, qd), backend, (_robot(robot).tip or "",))
+    M, c, g, *Jt = _evaluate("closed_form", robot, {"q": q, "qd": qd}, backend, (_robot(robot).tip or "",))
     return ClosedForm(M, c, g, Jt[0] if Jt else None)
 
 
-def regressor(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, backend: Backend | None = None) -> Tensor:
+def regressor(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, backend: BackendName | None = None) -> Tensor:
     """Regressor Y [..., n, 10 n]: tau = Y pi, with pi = `robot.inertial_parameters`, without rotor inertia.
 
     Ten columns per link: mass, first moments m c (x y z) and inertia about the link frame's origin
@@ -394,33 +263,33 @@ def regressor(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, backend: Backend
     >>> torch.allclose(tau, inverse_dynamics(robot, q, q), rtol=1e-12)
     True
     """
-    return _evaluate("regressor", robot, (q, qd, qdd), backend)[0]
+    return _evaluate("regressor", robot, {"q": q, "qd": qd, "qdd": qdd}, backend)[0]
 
 
-def kinetic_energy(robot: Robot, q: Tensor, qd: Tensor, backend: Backend | None = None) -> Tensor:
+def kinetic_energy(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None = None) -> Tensor:
     """Kinetic energy qd^T M qd / 2 [J], shape [...], rotors included.
 
     Args:
         robot: the robot.
         q, qd: joint positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
     """
-    return _evaluate("kinetic_energy", robot, (q, qd), backend)[0]
+    return _evaluate("kinetic_energy", robot, {"q": q, "qd": qd}, backend)[0]
 
 
-def potential_energy(robot: Robot, q: Tensor, backend: Backend | None = None) -> Tensor:
+def potential_energy(robot: Robot, q: Tensor, backend: BackendName | None = None) -> Tensor:
     """Potential energy -sum of m g . p_com [J], shape [...]; its gradient in q is the gravity torque.
 
     Args:
         robot: the robot.
         q: joint positions [rad or m], shape [..., n].
     """
-    return _evaluate("potential_energy", robot, (q,), backend)[0]
+    return _evaluate("potential_energy", robot, {"q": q}, backend)[0]
 
 
 # --- kinematics ------------------------------------------------------------------------------------------------------
 
 
-def forward_kinematics(robot: Robot, q: Tensor, frame: str | None = None, backend: Backend | None = None) -> Tensor:
+def forward_kinematics(robot: Robot, q: Tensor, frame: str | None = None, backend: BackendName | None = None) -> Tensor:
     """Pose X_WF [..., 8] of a frame in the base frame, or [..., frames, 8] of all frames in `robot.frame_names` (39).
 
     Args:
@@ -434,12 +303,16 @@ def forward_kinematics(robot: Robot, q: Tensor, frame: str | None = None, backen
     tensor([2., 0., 0.])
     """
     names = _robot(robot).frame_names if frame is None else (_robot(robot).frame(frame).name,)
-    X = _evaluate("forward_kinematics", robot, (q,), backend, names)[0]
+    X = _evaluate("forward_kinematics", robot, {"q": q}, backend, names)[0]
     return X if frame is None else X.squeeze(-2)
 
 
 def jacobian(
-    robot: Robot, q: Tensor, frame: str, expressed: Literal["body", "world"] = "body", backend: Backend | None = None
+    robot: Robot,
+    q: Tensor,
+    frame: str,
+    expressed: Literal["body", "world"] = "body",
+    backend: BackendName | None = None,
 ) -> Tensor:
     """Jacobian J [..., 6, n]: the twist (angular, linear) of a frame is J qd.
 
@@ -456,11 +329,11 @@ def jacobian(
     """
     if expressed not in ("body", "world"):
         raise ArgumentError(f"expressed must be 'body' or 'world', found {expressed!r}")
-    return _evaluate("jacobian", robot, (q,), backend, (_robot(robot).frame(frame).name, expressed))[0]
+    return _evaluate("jacobian", robot, {"q": q}, backend, (_robot(robot).frame(frame).name, expressed))[0]
 
 
 def dynamics_jacobian(
-    robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, backend: Backend | None = None
+    robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, backend: BackendName | None = None
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Derivatives (dtau/dq, dtau/dqd, M) of `inverse_dynamics`, each [..., n, n]; M is dtau/dqdd.
 
@@ -469,5 +342,5 @@ def dynamics_jacobian(
         q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2],
             shape [..., n].
     """
-    dtau_dq, dtau_dqd = _evaluate("inverse_dynamics_jacobian", robot, (q, qd, qdd), backend)
+    dtau_dq, dtau_dqd = _evaluate("inverse_dynamics_jacobian", robot, {"q": q, "qd": qd, "qdd": qdd}, backend)
     return dtau_dq, dtau_dqd, mass_matrix(robot, q, backend).expand_as(dtau_dq)

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
-from torchdq.backends.choice import Backend
+from torchdq.backends.choice import BackendName
 from torchdq.control import computed_torque
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, check, check_precision, forward_dynamics, inverse_dynamics
@@ -66,7 +66,7 @@ class RobotModule(nn.Module):
     offset: Tensor  # [n], if it is learned
 
     def __init__(
-        self, robot: Robot, learn: Sequence[str] = (), backend: Backend | None = None, friction_width: float = 1e-2
+        self, robot: Robot, learn: Sequence[str] = (), backend: BackendName | None = None, friction_width: float = 1e-2
     ):
         super().__init__()
         if not (math.isfinite(friction_width) and friction_width > 0):
@@ -240,7 +240,7 @@ class ForwardDynamics(RobotModule):
         self,
         robot: Robot,
         learn: Sequence[str] = (),
-        backend: Backend | None = None,
+        backend: BackendName | None = None,
         friction_width: float = 1e-2,
         precision: Precision = "auto",
     ):
@@ -252,7 +252,7 @@ class ForwardDynamics(RobotModule):
     ) -> Tensor:
         """Joint accelerations [..., n]; see `torchdq.forward_dynamics`."""
         robot = self.robot
-        check(robot, q=(q, ("n",), False), qd=(qd, ("n",), True), tau=(tau, ("n",), False))
+        check(robot, ("qd",), q=q, qd=qd, tau=tau)
         learned = self._learned_torque(q, qd)
         tau = tau if learned is None else tau - learned
         return forward_dynamics(robot, q, qd, tau, f_tip, f_ext, self.backend, self.precision)
@@ -284,7 +284,7 @@ class ComputedTorque(RobotModule):
         kp: Tensor | float,
         kd: Tensor | float,
         learn: Sequence[str] = (),
-        backend: Backend | None = None,
+        backend: BackendName | None = None,
         friction_width: float = 1e-2,
     ):
         learn = (learn,) if isinstance(learn, str) else tuple(learn)

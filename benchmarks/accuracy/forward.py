@@ -17,13 +17,13 @@ import torch
 
 import torchdq
 from accuracy.clock import clock
+from accuracy.methods import compiled
 from accuracy.rows import LONG, exact, joined, split
 from accuracy.scenes import chain, single
 from accuracy.textbook import Textbook, solved
-from torchdq.backends import run
 from torchdq.errors import SingularInertiaError
 from torchdq.functions import catalogue as recipes
-from torchdq.functions.catalogue import Inputs, Signature
+from torchdq.functions.catalogue import Inputs
 from torchdq.program.program import Argument, Program, record
 
 Array = np.ndarray
@@ -189,17 +189,17 @@ def _times(n: int) -> dict[str, Any]:
     factors = _unwatched(robot.replace(gravity=None), ("q", "tau"))
 
     def correct(times: int) -> torch.Tensor:
-        x = run.compiled(plain, narrow)[0].double()
+        x = compiled(plain, narrow)[0].double()
         for _ in range(times):
             residual = wide[2] - torchdq.inverse_dynamics(robot, wide[0], wide[1], x)
-            x = x + run.compiled(factors, [narrow[0], residual.float()])[0]
+            x = x + compiled(factors, [narrow[0], residual.float()])[0]
         return x
 
     # the public function has the one of the two algorithms that counts fewer operations
     name = "articulated bodies" if _linear_is_cheaper(robot) else "CRBA + LDL"
     return {
         f"{name}, float64": clock(lambda: torchdq.forward_dynamics(robot, *wide), batch),
-        f"{name}, float32": clock(lambda: run.compiled(plain, narrow), batch),
+        f"{name}, float32": clock(lambda: compiled(plain, narrow), batch),
         "float32, auto": clock(lambda: torchdq.forward_dynamics(robot, *narrow), batch),
         "mixed": clock(lambda: torchdq.forward_dynamics(robot, *narrow, precision="double"), batch),
         "float32 + 1 float64 residual": clock(lambda: correct(1), batch),
@@ -209,9 +209,7 @@ def _times(n: int) -> dict[str, Any]:
 
 def _unwatched(robot: torchdq.Robot, given: tuple[str, ...]) -> Program:
     """Program of forward dynamics that does not look at how far errors grow."""
-    arguments = tuple((name, robot.n) for name in given)
-    program = recipes.program(robot, Signature(robot.identity, "forward_dynamics", arguments, (), ()))
-    return replace(program, growth=None)
+    return replace(torchdq.compile(robot, "forward_dynamics", arguments=given).program, growth=None)
 
 
 def _linear_is_cheaper(robot: torchdq.Robot) -> bool:

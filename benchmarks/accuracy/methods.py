@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import torch
@@ -16,7 +16,9 @@ from torch import Tensor
 
 from accuracy.scenes import PERIODS, Case
 from torchdq.algebra.quaternion import Number
-from torchdq.backends import run
+from torchdq.backends.c import COMPILED
+from torchdq.backends.run import run
+from torchdq.backends.torch import EAGER
 from torchdq.envs import integrators
 from torchdq.envs.integrators import Integrator, Row, System
 from torchdq.envs.spec import recorded as recorded_scene
@@ -25,6 +27,7 @@ from torchdq.functions.catalogue import ways
 from torchdq.program.program import Argument, Program, record
 
 Runner = Callable[[Program, Sequence[Tensor]], Sequence[Tensor]]
+compiled, eager = partial(run, backend=COMPILED), partial(run, backend=EAGER)
 
 INTEGRATORS: dict[str, Integrator] = {
     "ExplicitEuler": integrators.ExplicitEuler(),
@@ -101,7 +104,7 @@ def program_of(case: Case, integrator: str, precision: str) -> Program:
 
 
 def stepper(
-    program: Program, precision: str, others: Sequence[Tensor], runner: Runner = run.compiled
+    program: Program, precision: str, others: Sequence[Tensor], runner: Runner = compiled
 ) -> Callable[[State, Tensor], State]:
     """Step of a state under a torque; `others` are the further inputs and the duration."""
     if precision == "mixed":
@@ -147,7 +150,7 @@ def beginning(case: Case, precision: str, batch: int | None = None) -> tuple[Sta
     return state, torques, [x.to(dtype).expand_as(q).contiguous() for x in case.inputs.values()]
 
 
-def flown(case: Case, integrator: str, precision: str, steps: int, runner: Runner = run.compiled) -> Tensor:
+def flown(case: Case, integrator: str, precision: str, steps: int, runner: Runner = compiled) -> Tensor:
     """State [batch, 2 n] at the horizon after so many steps, as float64."""
     state, torques, others = beginning(case, precision)
     h = torch.tensor([case.horizon / steps], dtype=dtype_of(precision))
@@ -176,7 +179,7 @@ class _Bodies(System):
 
 
 def adaptive(
-    case: Case, precision: str, rtol: float, batch: int | None = None, runner: Runner = run.compiled
+    case: Case, precision: str, rtol: float, batch: int | None = None, runner: Runner = compiled
 ) -> tuple[Callable[[], Tensor], list[int]]:
     """A call for the state at the horizon by DormandPrince, and a list that learns how often it asked for rates."""
     (q, qd), torques, others = beginning(case, precision, batch)

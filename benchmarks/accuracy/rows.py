@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ LONG = np.longdouble  # 64 bits of mantissa on x86, 53 on machines that have no 
 
 
 class Rows(np.ndarray):
-    """An array [batch...] that knows the functions which `torchdq.numbers.functions` asks of a number."""
+    """An array [batch...] that knows the operations of programs."""
 
     def sin(self) -> Rows:
         """Sine."""
@@ -28,21 +28,21 @@ class Rows(np.ndarray):
         """Cosine."""
         return np.cos(self)
 
-    def sqrt(self) -> Rows:
-        """Square root."""
-        return np.sqrt(self)
+    @staticmethod
+    def applied(code: str, x: Sequence[Any]) -> np.ndarray:
+        """Value of an operation that is not one of arithmetic."""
+        return FUNCTIONS[code](*x).view(Rows)
 
-    def maximum(self, other: Any) -> Rows:
-        """The larger of two numbers."""
-        return np.maximum(self, other)
 
-    def minimum(self, other: Any) -> Rows:
-        """The smaller of two numbers."""
-        return np.minimum(self, other)
-
-    def at_least(self, other: Any) -> Rows:
-        """1 where it is at least the other, or else 0."""
-        return np.greater_equal(self, other).astype(self.dtype).view(Rows)
+FUNCTIONS: dict[str, Callable[..., np.ndarray]] = {
+    "sin": np.sin,
+    "cos": np.cos,
+    "sqrt": np.sqrt,
+    "max": np.maximum,
+    "min": np.minimum,
+    "ge": lambda a, b: np.greater_equal(a, b).astype(np.result_type(a, b)),
+    "select": lambda mask, a, b: np.where(mask != 0, a, b),
+}
 
 
 def split(x: np.ndarray) -> list[Rows]:
@@ -97,5 +97,5 @@ class Formulas:
     def __call__(self, q: np.ndarray, qd: np.ndarray, torque: np.ndarray) -> np.ndarray:
         """Accelerations [..., n]."""
         u = np.broadcast_to(torque, q.shape)
-        values = replay(self.program, None, [split(q), split(qd), split(u), self.numbers])
+        values = replay(self.program, [split(q), split(qd), split(u), self.numbers])
         return joined(results(self.program, values)["a"])

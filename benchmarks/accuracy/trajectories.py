@@ -15,14 +15,15 @@ from accuracy.methods import (
     PRECISIONS,
     adaptive,
     beginning,
+    compiled,
     dtype_of,
+    eager,
     flown,
     program_of,
     stepper,
 )
 from accuracy.rows import LONG
 from accuracy.scenes import PERIODS, Case
-from torchdq.backends import run
 
 BATCH = 4096
 TOLERANCES = [10.0**-k for k in range(2, 14)]
@@ -90,7 +91,7 @@ def _ladder(
     halvings = range(1, deepest)
     curve = []
     for steps in (PERIODS * 2**k for k in halvings):
-        end = flown(case, integrator, precision, steps, run.compiled if timed else run.eager)
+        end = flown(case, integrator, precision, steps, compiled if timed else eager)
         whole = once and once.times(steps)
         curve.append(
             {

@@ -20,7 +20,7 @@ import torchdq
 from torchdq import dq
 from torchdq.algebra import dual_quaternion
 from torchdq.backends import cache as build
-from torchdq.backends import run
+from torchdq.backends.c import COMPILED
 from torchdq.errors import DescriptionError
 from torchdq.program.program import Argument, record
 
@@ -194,7 +194,8 @@ def multiplied(x, step):
 @every_dtype
 @pytest.mark.parametrize("normalised", [True, False], ids=["normalised", "left alone"])
 def test_a_million_products_stay_a_pose_if_normalised_now_and_then(dtype, normalised, margin):
-    kernel = run.kernel(record("million", [Argument("x", 8), Argument("step", 8, True)], multiplied), dtype == F32)
+    program = record("million", [Argument("x", 8), Argument("step", 8, True)], multiplied)
+    kernel = COMPILED.kernel(program, dtype, torch.device("cpu"))
     step = dq.exp(torch.tensor([0.1, -0.2, 0.15, 0.02, 0.01, -0.03], dtype=F64)).to(dtype)
     x = torch.tensor([IDENTITY], dtype=dtype)
     for _ in range(PRODUCTS // BETWEEN):

@@ -412,10 +412,10 @@ def test_a_scene_does_not_mix_dtypes_or_devices(backend):
     scene = Scene(ARM, (effects.Gravity(), effects.Servo(3.0)), backend=backend)
     q, qd, torque = states(2, 4)
     for change, error, message in (
-        ({"qd": qd.float()}, DtypeError, "qd must be float32 or float64 like the state"),
+        ({"qd": qd.float()}, DtypeError, "qd is torch.float32 but q is torch.float64"),
         ({"torque": torque.float()}, DtypeError, "torque must be .* torch.float64, found torch.float32"),
         ({"target": q.float()}, DtypeError, "target must be .* torch.float64, found torch.float32"),
-        ({"torque": torque.to("meta")}, ArgumentError, "torque is on meta but the state is on cpu"),
+        ({"torque": torque.to("meta")}, ArgumentError, "torque is on meta but q is on cpu"),
     ):
         given = {"q": q, "qd": qd, "torque": torque, "target": q} | change
         with pytest.raises(error, match=message):

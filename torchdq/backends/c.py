@@ -1,480 +1,77 @@
-"""A program in C: one sample per lane of the compiler's vector type, rows [batch, n] read and written directly.
+"""The backend of compiled programs on the processor."""
 
-The source does not depend on the processor: the lane count follows from what the compiler is told to build for. It
-needs nothing but the compiler; sine, cosine, exponential and logarithm are its own, so lanes never wait for a library
-call, and fall back to the C library only for lanes whose angle is huge or not finite.
-"""
+from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import pairwise
 
-from torchdq.program.program import LARGEST_GROWTH, Program, operands
+import torch
+from torch import Tensor
 
-CHUNK = 1500  # operations per C function; compile time grows faster than its length
-
-_SIGNS = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
-
-# fdlibm's minimax polynomials (Sun Microsystems 1993) of sine and cosine on [-pi/4, pi/4], with pi/2 in three parts; of
-# r (exp r + 1)/(exp r - 1) on [-ln2/2, ln2/2] and (log(1 + s) - log(1 - s))/s on [0, 0.1716], with ln2 in two parts
-_DOUBLE = """
-typedef double S;
-#define SIZE 8
-typedef long long N;
-#define HALF_PI_1 0x1.921fb54400000p+0
-#define HALF_PI_2 0x1.0b4611a600000p-34
-#define HALF_PI_3 0x1.3198a2e037073p-69
-#define TWO_OVER_PI 0x1.45f306dc9c883p-1
-#define ROUND 0x1.8p+52
-#define LARGEST 1e5
-#define SIN(z) (-0x1.5555555555549p-3+z*(0x1.111111110f8a6p-7+z*(-0x1.a01a019c161d5p-13+z*(0x1.71de357b1fe7dp-19 \\
-  +z*(-0x1.ae5e68a2b9cebp-26+z*0x1.5d93a5acfd57cp-33)))))
-#define COS(z) (0x1.555555555554cp-5+z*(-0x1.6c16c16c15177p-10+z*(0x1.a01a019cb1590p-16+z*(-0x1.27e4f809c52adp-22 \\
-  +z*(0x1.1ee9ebdb4b1c4p-29+z*-0x1.8fae9be8838d4p-37)))))
-#define MANTISSA 52
-#define BIAS 1023
-#define SMALLEST 0x1p-1022
-#define GREATEST 0x1.fffffffffffffp+1023
-#define LOWEST -746.0
-#define HIGHEST 710.0
-#define ROOT_HALF 0x3fe6a09e667f3bcdLL
-#define LN2_1 0x1.62e42feep-1
-#define LN2_2 0x1.a39ef35793c76p-33
-#define ONE_OVER_LN2 0x1.71547652b82fep+0
-#define EXP(z) (1.66666666666666019037e-01+z*(-2.77777777770155933842e-03+z*(6.61375632143793436117e-05 \\
-  +z*(-1.65339022054652515390e-06+z*4.13813679705723846039e-08))))
-#define LOG(z,w) (w*(3.999999999940941908e-01+w*(2.222219843214978396e-01+w*1.531383769920937332e-01)) \\
-  +z*(6.666666666666735130e-01+w*(2.857142874366239149e-01+w*(1.818357216161805012e-01+w*1.479819860511658591e-01))))
-#define LIBRARY_SIN __builtin_sin
-#define LIBRARY_COS __builtin_cos
-#define LIBRARY_SQRT __builtin_sqrt
-#define LIBRARY_EXP __builtin_exp
-#define LIBRARY_LOG __builtin_log
-#define LIBRARY_FLOOR __builtin_floor
-"""
-
-# the same in single precision (sine and cosine: Cephes, Moshier 1992; the others: FreeBSD's fdlibm)
-_FLOAT = """
-typedef float S;
-#define SIZE 4
-typedef int N;
-#define HALF_PI_1 0x1.92p+0f
-#define HALF_PI_2 0x1.fb4p-12f
-#define HALF_PI_3 0x1.4442d2p-24f
-#define TWO_OVER_PI 0x1.45f306p-1f
-#define ROUND 0x1.8p+23f
-#define LARGEST 4e3f
-#define SIN(z) (-1.6666654611e-1f+z*(8.3321608736e-3f+z*-1.9515295891e-4f))
-#define COS(z) (4.166664568298827e-2f+z*(-1.388731625493765e-3f+z*2.443315711809948e-5f))
-#define MANTISSA 23
-#define BIAS 127
-#define SMALLEST 0x1p-126f
-#define GREATEST 0x1.fffffep+127f
-#define LOWEST -104.0f
-#define HIGHEST 89.0f
-#define ROOT_HALF 0x3f3504f3
-#define LN2_1 0x1.62e4p-1f
-#define LN2_2 0x1.7f7d1cp-20f
-#define ONE_OVER_LN2 0x1.715476p+0f
-#define EXP(z) (1.6666625440e-1f+z*-2.7667332906e-3f)
-#define LOG(z,w) (w*(0.40000972152f+w*0.24279078841f)+z*(0.66666662693f+w*0.28498786688f))
-#define LIBRARY_SIN __builtin_sinf
-#define LIBRARY_COS __builtin_cosf
-#define LIBRARY_SQRT __builtin_sqrtf
-#define LIBRARY_EXP __builtin_expf
-#define LIBRARY_LOG __builtin_logf
-#define LIBRARY_FLOOR __builtin_floorf
-"""
-
-_PRELUDE = """
-#if defined(__AVX512F__)
-#define BYTES 64
-#elif defined(__AVX__)
-#define BYTES 32
-#else
-#define BYTES 16
-#endif
-#define LANES (BYTES/SIZE)
-#define TILE (LANES<8?LANES:8)
-typedef S T __attribute__((vector_size(BYTES)));
-typedef N M __attribute__((vector_size(BYTES)));
-typedef T U __attribute__((aligned(SIZE)));
-#ifdef __clang__
-#define MIX(a,b,...) __builtin_shufflevector(a,b,__VA_ARGS__)
-#else
-#define MIX(a,b,...) __builtin_shuffle(a,b,(M){__VA_ARGS__})
-#endif
-
-@TURNS@
-static inline T choose(M m,T a,T b){return (T)(((M)a&m)|((M)b&~m));}
-
-static __attribute__((noinline)) void rare(T x,T*s,T*c){
-  for(int l=0;l<LANES;l++)if(!(x[l]<=LARGEST&&x[l]>=-LARGEST)){(*s)[l]=LIBRARY_SIN(x[l]);(*c)[l]=LIBRARY_COS(x[l]);}
-}
-
-static inline void sincos_(T x,T*s,T*c){
-  T t=x*TWO_OVER_PI+ROUND,k=t-ROUND;
-  M q=(M)t;
-  T r=((x-k*HALF_PI_1)-k*HALF_PI_2)-k*HALF_PI_3,z=r*r;
-  T sr=r+r*z*SIN(z),h=z*(S)0.5,w=1-h,cr=w+(((1-w)-h)+z*z*COS(z));
-  M odd=-(q&1);
-  T a=choose(odd,cr,sr),b=choose(odd,sr,cr);
-  const int top=8*sizeof(S)-1;
-  *s=(T)((M)a^((q>>1&1)<<top));
-  *c=(T)((M)b^(((q+1)>>1&1)<<top));
-  M wild=~((x<=(T){}+LARGEST)&(x>=(T){}-LARGEST));
-  N any=0;for(int l=0;l<LANES;l++)any|=wild[l];
-  if(__builtin_expect(any!=0,0))rare(x,s,c);
-}
-
-static inline T max_(T a,T b){return choose((a>=b)|(a!=a),a,b);}
-static inline T min_(T a,T b){return choose((a<=b)|(a!=a),a,b);}
-static inline T ge_(T a,T b){return (T)((a>=b)&(M)((T){}+1));}
-static inline T sqrt_(T x){T y;for(int l=0;l<LANES;l++)y[l]=LIBRARY_SQRT(x[l]);return y;}
-
-/* rounded by adding what leaves no bits after the point; without it compilers take one lane at a time */
-static inline T floor_(T x){
-  const T whole=(T){}+(S)((N)1<<MANTISSA);
-  const M sign=(M)-(T){};
-  T size=(T)((M)x&~sign),y=(T)((M)((size+whole)-whole)|((M)x&sign));
-  return choose(size<whole,y-(T)((y>x)&(M)((T){}+1)),x);
-}
-
-/* scaled by a power of two in two steps, of which the second rounds to what is subnormal, zero or infinite */
-static inline T exp_(T x){
-  const T least=(T){}+LOWEST,most=(T){}+HIGHEST;
-  x=choose(x<least,least,choose(x>most,most,x));
-  T k=(x*ONE_OVER_LN2+ROUND)-ROUND,half=k*(S)0.5+ROUND,rest=(k-(half-ROUND))+ROUND;
-  T h=x-k*LN2_1,l=k*LN2_2,r=h-l,z=r*r,c=r-z*EXP(z);
-  T y=1-((l-(r*c)/(2-c))-h);
-  return y*(T)(((M)half+BIAS)<<MANTISSA)*(T)(((M)rest+BIAS)<<MANTISSA);
-}
-
-/* x = 2^k (1 + f), 1 + f between the roots of 1/2 and 2 */
-static inline T log_(T x){
-  const N up=(N)BIAS<<MANTISSA;
-  const S whole=(S)((N)1<<MANTISSA);
-  M tiny=x<(T){}+SMALLEST;
-  M i=(M)choose(tiny,x*(whole*4),x),e=((i-ROOT_HALF+up)>>MANTISSA)&(2*BIAS+1);
-  T k=(T)(e|(M)((T){}+whole))-(whole+BIAS)-choose(tiny,(T){}+(MANTISSA+2),(T){});
-  T f=(T)(i-((e-BIAS)<<MANTISSA))-1,s=f/(2+f),z=s*s,w=z*z,h=(S)0.5*f*f;
-  T y=k*LN2_1-((h-(s*(h+LOG(z,w))+k*LN2_2))-f);
-  T other=choose(x<(T){},(T){}+(S)__builtin_nan(""),choose(x==(T){},(T){}-(S)__builtin_inf(),x));
-  return choose((x>(T){})&(x<=(T){}+GREATEST),y,other);
-}
-"""
-
-# the same of single numbers; what is not here is in the C library
-_SINGLE = {
-    "max": "{0}>={1}||{0}!={0}?{0}:{1}",
-    "min": "{0}<={1}||{0}!={0}?{0}:{1}",
-    "ge": "(S)({0}>={1})",
-}
+from torchdq.backends import cache, threads
+from torchdq.backends.backend import Backend
+from torchdq.backends.c_source import source
+from torchdq.errors import ArgumentError, TorchdqError
+from torchdq.program.program import Program, outputs
 
 
-def _turns() -> str:
-    """C that exchanges rows and columns of a tile held in vectors: TILE columns of LANES samples, in halves if need be.
+class C(Backend):
+    """Programs compiled for the processor."""
 
-    Vector k holds row k in its first TILE lanes, row k + TILE in the next. Blocks of half the size are swapped across
-    the diagonal, then of a quarter, down to single entries.
-    """
-    text = []
-    for lanes in (2, 4, 8, 16):
-        tile = min(lanes, 8)
-        steps = []
-        size = tile // 2
-        while size:
-            for i in range(tile):
-                if not i & size:
-                    low = [k if not k & size else lanes + k - size for k in range(lanes)]
-                    high = [k + size if not k & size else lanes + k for k in range(lanes)]
-                    steps.append(
-                        f"t=MIX(r[{i}],r[{i + size}],{','.join(map(str, low))});"
-                        f"r[{i + size}]=MIX(r[{i}],r[{i + size}],{','.join(map(str, high))});r[{i}]=t;"
-                    )
-            size //= 2
-        text.append(f"#if LANES=={lanes}\nstatic inline void turn(T*r){{T t;{''.join(steps)}}}\n#endif")
-    return "\n".join(text) + _TILES
+    name = "c"
+    differentiable = False
+
+    def refusal(self, device: torch.device) -> TorchdqError | None:
+        """Error that says why it cannot run on a device; None: it can."""
+        if device.type != "cpu":
+            return ArgumentError(f"backend 'c' runs on the CPU, and the arguments are on the device {device.type!r}")
+        return None if cache.compiler() is not None else cache.no_compiler()
+
+    def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> CompiledKernel:
+        """Compiled program in one precision, built unless it lies in the cache on disk."""
+        return CompiledKernel(program, dtype)
 
 
-# rows narrower than a tile are read beyond their end, where there are more rows; and written in order, so that what
-# spills into the next row is overwritten by it, but never beyond the last
-_TILES = """
-#if LANES==16
-typedef S H __attribute__((vector_size(32)));
-typedef H V __attribute__((aligned(SIZE)));
-#if defined(__has_builtin)
-#if __has_builtin(__builtin_shufflevector)
-#define PAIR
-#endif
-#endif
-static inline T row(const S*at,long stride){
-#ifdef PAIR
-  return __builtin_shufflevector(*(const V*)at,*(const V*)(at+8*stride),0,1,2,3,4,5,6,7,8,9,10,11,12,13,14,15);
-#else
-  union{H h[2];T t;}u={{*(const V*)at,*(const V*)(at+8*stride)}};return u.t;
-#endif
-}
-static inline H part(T v,int half){
-#ifdef PAIR
-  return half?__builtin_shufflevector(v,v,8,9,10,11,12,13,14,15):__builtin_shufflevector(v,v,0,1,2,3,4,5,6,7);
-#else
-  union{T t;H h[2];}u={v};return u.h[half];
-#endif
-}
-static inline void put(S*at,T v,int half,int count,int whole){
-  H x=part(v,half);
-  if(whole)*(V*)at=x;else for(int j=0;j<count;j++)at[j]=x[j];
-}
-#else
-static inline T row(const S*at,long stride){return *(const U*)at;}
-static inline void put(S*at,T v,int half,int count,int whole){
-  if(whole)*(U*)at=v;else for(int j=0;j<count;j++)at[j]=v[j];
-}
-#endif
-static inline void load(T*to,const S*from,int width){
-  for(int c=0;c<width;c+=TILE){
-    const int at=width<TILE?0:(c>width-TILE?width-TILE:c);
-    T r[TILE];
-    for(int k=0;k<TILE;k++)r[k]=row(from+k*width+at,width);
-    turn(r);
-    for(int k=0;k<TILE&&k<width;k++)to[at+k]=r[k];
-  }
-}
-static inline void store(S*to,const T*from,int width){
-  for(int c=0;c<width;c+=TILE){
-    const int at=width<TILE?0:(c>width-TILE?width-TILE:c),count=width<TILE?width:TILE;
-    T r[TILE];
-    for(int k=0;k<TILE;k++)r[k]=from[at+(k<count?k:0)];
-    turn(r);
-    for(int l=0;l<LANES;l++)put(to+l*width+at,r[l%TILE],l/TILE,count,l*width+at+TILE<=LANES*width);
-  }
-}
-"""
+COMPILED = C()
 
 
-def source(program: Program, single: bool) -> str:
-    """C source of a program in double or single precision.
+class CompiledKernel:
+    """A compiled program in one precision."""
 
-    It defines `run`, which takes the number of samples and a pointer per argument and per result: dense arrays
-    [samples, width], or [width] where they are uniform or summed. If the program says how far it magnifies rounding
-    errors, one more pointer follows, to a byte per sample that becomes 1 where that is too far. It returns whether any
-    is.
-    """
-    return _Emitter(program, single).text()
+    def __init__(self, program: Program, dtype: torch.dtype):
+        self.program, self.dtype = program, dtype
+        results = outputs(program)
+        pointers = len(program.arguments) + len(results)
+        self.function = cache.load(source(program, dtype == torch.float32), program.name, pointers)
+        self.operations = program.count().total
+        self.widths = [(len(r.values), r.summed) for r in results]
+        self.any_summed = any(r.summed for r in results)
+        # bytes from one sample's row to the next, of arguments and outputs; a part has its own row of a sum
+        self.strides = [(0 if a.uniform else a.width * dtype.itemsize, False) for a in program.arguments]
+        self.strides += [(width * dtype.itemsize, summed) for width, summed in self.widths]
 
-
-class _Emitter:
-    def __init__(self, program: Program, single: bool):
-        self.program, self.single = program, single
-        self.partner = {(op.code, op.a): i for i, op in enumerate(program.ops) if op.code in ("sin", "cos")}
-        self.uniform = self._uniform()
-        self.body = self._order()
-
-    # --- values ---
-
-    def _uniform(self) -> list[bool]:
-        """Whether each value is the same for all samples; such values are computed once, before the loop."""
-        known: list[bool] = []
-        for op in self.program.ops:
-            if op.code == "in":
-                known.append(self.program.arguments[int(op.a)].uniform)
-            else:
-                known.append(all(known[k] for k in operands(op)))
-        return known
-
-    def _pair(self, i: int) -> list[int]:
-        """Sine and cosine of the angle that value i is the sine or cosine of, as far as they are wanted."""
-        angle = self.program.ops[i].a
-        return [self.partner[code, angle] for code in ("sin", "cos") if (code, angle) in self.partner]
-
-    def _order(self) -> list[int]:
-        """Values computed per sample, in order, the sine and cosine of one angle side by side."""
-        order, placed = [], set()
-        for i, op in enumerate(self.program.ops):
-            if self.uniform[i] or i in placed:
-                continue
-            together = self._pair(i) if op.code in ("sin", "cos") else [i]
-            order += together
-            placed.update(together)
-        return order
-
-    def literal(self, x: float) -> str:
-        """Constant in the program's precision, to the last bit."""
-        if x != x:
-            return '(S)__builtin_nan("")'
-        if abs(x) == float("inf"):
-            return "(S)__builtin_inf()" if x > 0 else "(S)-__builtin_inf()"
-        return f"(S){float(x).hex()}"
-
-    def name(self, i: int) -> str:
-        """Expression for a value that has been computed."""
-        op = self.program.ops[i]
-        if op.code == "const":
-            return f"({self.literal(op.a)})"
-        return f"u[{i}]" if self.uniform[i] else f"x{i}"
-
-    def vector(self, i: int) -> str:
-        """Expression for a value that has been computed, the same in all lanes if it is uniform."""
-        return f"(T){{}}+({self.name(i)})" if self.uniform[i] else self.name(i)
-
-    def value(self, v: tuple[int, bool] | float) -> str:
-        """Expression for a result."""
-        if isinstance(v, float):
-            return f"(T){{}}+{self.literal(v)}"
-        index, negative = v
-        return f"-({self.vector(index)})" if negative else self.vector(index)
-
-    def expression(self, i: int) -> str:
-        """Right-hand side of an operation that is no sine or cosine."""
-        op = self.program.ops[i]
-        if op.code in _SIGNS:
-            return f"{self.name(int(op.a))}{_SIGNS[op.code]}{self.name(op.b)}"
-        if not self.uniform[i]:
-            return f"{op.code}_({','.join(map(self.vector, operands(op)))})"
-        names = list(map(self.name, operands(op)))
-        return _SINGLE[op.code].format(*names) if op.code in _SINGLE else f"LIBRARY_{op.code.upper()}({names[0]})"
-
-    # --- statements ---
-
-    def uniform_lines(self) -> list[str]:
-        """Values that are the same for all samples."""
-        lines = []
-        for i, op in enumerate(self.program.ops):
-            if not self.uniform[i] or op.code == "const":
-                continue
-            if op.code == "in":
-                right = f"in{int(op.a)}[{op.b}]"
-            elif op.code in ("sin", "cos"):
-                right = f"LIBRARY_{op.code.upper()}({self.name(int(op.a))})"
-            else:
-                right = self.expression(i)
-            lines.append(f"u[{i}]={right};")
-        return [f"S u[{len(self.program.ops)}];", *lines] if lines else []
-
-    def statements(self, indices: Sequence[int]) -> list[str]:
-        """Operations on vectors; a sine and a cosine of one angle are computed by one call, at the first of them."""
-        lines = []
-        for i in indices:
-            op = self.program.ops[i]
-            if op.code == "in":
-                lines.append(f"const T x{i}=I{int(op.a)}[{op.b}];")
-            elif op.code in ("sin", "cos"):
-                pair = self._pair(i)
-                if i == pair[0]:
-                    names = {self.program.ops[k].code: f"x{k}" for k in pair}
-                    sine, cosine = names.get("sin", f"unused{i}"), names.get("cos", f"unused{i}")
-                    lines.append(f"T {sine},{cosine};sincos_({self.name(int(op.a))},&{sine},&{cosine});")
-            else:
-                lines.append(f"const T x{i}={self.expression(i)};")
-        return lines
-
-    def outputs(self) -> list[tuple[int, bool] | float]:
-        """What a sample is computed for."""
-        growth = self.program.growth
-        return [*(v for r in self.program.results for v in r.values), *([] if growth is None else [growth])]
-
-    def result_lines(self) -> list[str]:
-        lines = []
-        for k, result in enumerate(self.program.results):
-            lines += [f"O{k}[{j}]={self.value(v)};" for j, v in enumerate(result.values)]
-        return lines
-
-    # --- the whole ---
-
-    def text(self) -> str:
-        p = self.program
-        rows = [(k, a.width) for k, a in enumerate(p.arguments) if not a.uniform and a.width]
-        # a result without values still needs an array to name
-        widths = [max(len(r.values), 1) for r in p.results]
-        functions, body = self.loop_body(rows)
-        lines = [_FLOAT if self.single else _DOUBLE, _PRELUDE.replace("@TURNS@", _turns()), *functions]
-        pointers = [f"const S*in{k}" for k in range(len(p.arguments))] + [f"S*out{k}" for k in range(len(p.results))]
-        pointers += ["unsigned char*lost"] if p.growth is not None else []
-        lines += [f"int run(long samples,{','.join(pointers)}){{int any=0;", *self.uniform_lines()]
-        lines += [f"T A{k}[{w}];for(int j=0;j<{w};j++)A{k}[j]=(T){{}};" for k, w in self.summed(widths)]
-        lines += ["for(long b=0;b<samples;b+=LANES){", "const long here=samples-b<LANES?samples-b:LANES;"]
-        # a tail repeats its last sample in the idle lanes, so that every sample takes the same path
-        lines += [
-            f"T I{k}[{w}];if(samples-b>=LANES+(TILE+{w - 1})/{w})load(I{k},in{k}+b*{w},{w});else{{"
-            f"for(int l=0;l<LANES;l++)for(int j=0;j<{w};j++)I{k}[j][l]=in{k}[(b+(l<here?l:here-1))*{w}+j];}}"
-            for k, w in rows
+    def __call__(self, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
+        """Outputs of the program; arguments that are not contiguous are copied."""
+        inputs = [x.contiguous() for x in inputs]
+        few = samples <= threads.BLOCK
+        number, size = (1, samples) if few else threads.shares(samples, self.operations, self.any_summed)
+        parts = 1 if few else -(-samples // size)
+        found = [
+            torch.empty((parts if summed else samples, width), dtype=self.dtype, device="cpu")
+            for width, summed in self.widths
         ]
-        lines += [f"T O{k}[{w}];" for k, w in enumerate(widths)]
-        lines += body
-        for k, r in enumerate(p.results):
-            w = len(r.values)
-            if r.summed:
-                lines.append(
-                    f"if(here==LANES){{for(int j=0;j<{w};j++)A{k}[j]+=O{k}[j];}}"
-                    f"else{{for(int j=0;j<{w};j++)for(int l=0;l<here;l++)A{k}[j][l]+=O{k}[j][l];}}"
-                )
-            else:
-                lines.append(
-                    f"if(here==LANES)store(out{k}+b*{w},O{k},{w});"
-                    f"else{{for(int l=0;l<here;l++)for(int j=0;j<{w};j++)out{k}[(b+l)*{w}+j]=O{k}[j][l];}}"
-                )
-        if p.growth is not None:
-            largest = LARGEST_GROWTH.single if self.single else LARGEST_GROWTH.double
-            lines += [
-                f"const M bad=~(({self.value(p.growth)})<=(T){{}}+{self.literal(largest)});",
-                "N some=0;for(int l=0;l<LANES;l++)some|=bad[l];",
-                "for(int l=0;l<here;l++)lost[b+l]=0;",
-                "if(__builtin_expect(some!=0,0)){any=1;for(int l=0;l<here;l++)lost[b+l]=bad[l]!=0;}",
-            ]
-        lines.append("}")
-        lines += [
-            f"for(int j=0;j<{len(p.results[k].values)};j++){{S t=0;for(int l=0;l<LANES;l++)t+=A{k}[j][l];out{k}[j]=t;}}"
-            for k, _ in self.summed(widths)
-        ]
-        return "\n".join([*lines, "return any;}"]) + "\n"
+        pointers = [x.data_ptr() for x in (*inputs, *found)]
+        if parts == 1:
+            self.function(samples, *pointers)
+        else:
 
-    def summed(self, widths: Sequence[int]) -> list[tuple[int, int]]:
-        return [(k, widths[k]) for k, r in enumerate(self.program.results) if r.summed]
+            def part(k: int) -> None:
+                at = [
+                    p + (k if summed else k * size) * stride
+                    for p, (stride, summed) in zip(pointers, self.strides, strict=True)
+                ]
+                self.function(min(size, samples - k * size), *at)
 
-    def loop_body(self, rows: Sequence[tuple[int, int]]) -> tuple[list[str], list[str]]:
-        """Functions, and the statements of the loop over samples that compute the results."""
-        if len(self.body) <= CHUNK:
-            return [], [*self.statements(self.body), *self.result_lines()]
-        return self.in_parts(rows)
-
-    def in_parts(self, rows: Sequence[tuple[int, int]]) -> tuple[list[str], list[str]]:
-        """A long program as functions of bounded length that pass their values in an array."""
-        parts = [self.body[k : k + CHUNK] for k in range(0, len(self.body), CHUNK)]
-        for earlier, later in pairwise(parts):
-            # a sine and its cosine are computed together
-            if self.program.ops[later[0]].code in ("sin", "cos") and self._pair(later[0])[0] != later[0]:
-                earlier.append(later.pop(0))
-        home = {i: k for k, part in enumerate(parts) for i in part}
-        end = len(parts)
-        last = dict.fromkeys(self.body, -1)  # the last part that reads a value
-        for i in self.body:
-            for operand in operands(self.program.ops[i]):
-                if operand in home:
-                    last[operand] = max(last[operand], home[i])
-        wanted = {v[0] for v in self.outputs() if not isinstance(v, float) and v[0] in home}
-        last.update(dict.fromkeys(wanted, end))
-        slots: dict[int, int] = {}
-        free: list[int] = []
-        most = 0
-        expiring: dict[int, list[int]] = {}
-        for k, part in enumerate(parts):
-            free += expiring.pop(k, [])
-            for i in part:
-                if last[i] > k:
-                    slots[i] = free.pop() if free else most
-                    most = max(most, slots[i] + 1)
-                    # read for the last time in part `last`, before that part stores
-                    expiring.setdefault(last[i], []).append(slots[i])
-        parameters = ",".join(["T*v", "const S*u", *(f"const T*I{k}" for k, _ in rows)])
-        arguments = ",".join(["v", "u" if any(self.uniform_lines()) else "0", *(f"I{k}" for k, _ in rows)])
-        functions, calls = [], [f"T v[{max(most, 1)}];"]
-        for k, part in enumerate(parts):
-            read = {o for i in part for o in operands(self.program.ops[i]) if o in home and home[o] < k}
-            functions += [f"static __attribute__((noinline)) void part{k}({parameters}){{"]
-            functions += [f"const T x{i}=v[{slots[i]}];" for i in sorted(read)]
-            functions += self.statements(part)
-            functions += [f"v[{slots[i]}]=x{i};" for i in part if i in slots]
-            functions += ["}"]
-            calls.append(f"part{k}({arguments});")
-        calls += [f"const T x{i}=v[{slots[i]}];" for i in sorted(wanted)]
-        return functions, [*calls, *self.result_lines()]
+            threads.run(part, parts, number)
+        if self.any_summed:
+            return [y.sum(0) if summed else y for y, (_, summed) in zip(found, self.widths, strict=True)]
+        return found

@@ -23,6 +23,7 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+from torchdq.caches import remembered
 from torchdq.errors import TorchdqError
 
 FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-shared", "-fPIC", "-w")
@@ -34,6 +35,11 @@ class BuildError(TorchdqError, RuntimeError):
     """The compiler refused a program."""
 
 
+def no_compiler() -> BuildError:
+    """Error of a machine without a C compiler."""
+    return BuildError("there is no C compiler; install gcc or clang, or name one in $CC")
+
+
 class Compiler(NamedTuple):
     """A C compiler that answers."""
 
@@ -41,7 +47,7 @@ class Compiler(NamedTuple):
     version: str  # what it says of itself
 
 
-@cache
+@remembered(1)
 def compiler() -> Compiler | None:
     """The C compiler: `$CC`, which may have arguments, or cc, gcc or clang on the path; None: there is none."""
     for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
@@ -58,9 +64,9 @@ def compiler() -> Compiler | None:
     return None
 
 
-@cache
+@remembered(1)
 def _processor() -> str:
-    """What -march=native depends on."""
+    """Features of the processor that -march=native depends on."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         kinds = sorted({line for line in lines if line.startswith(("flags", "Features", "model name", "CPU part"))})
@@ -109,7 +115,7 @@ def _intact(path: Path, key: str) -> bool:
 def _compile(path: Path, key: str, source: str, name: str) -> None:
     found = compiler()
     if found is None:
-        raise BuildError("there is no C compiler; install gcc or clang, or name one in $CC")
+        raise no_compiler()
     _sweep(path.parent)
     with tempfile.TemporaryDirectory(prefix=".build-", dir=path.parent) as folder:
         text, library = Path(folder) / "program.c", Path(folder) / "program.so"
@@ -145,7 +151,7 @@ def _sweep(base: Path) -> None:
 
 
 def _announce(name: str) -> None:
-    sys.stderr.write(f"torchdq: compiling {name}, once for this robot and machine ...\n")
+    sys.stderr.write(f"torchdq: compiling {name}, once for this machine ...\n")
 
 
 def entry_key(source: str) -> str:
@@ -155,13 +161,13 @@ def entry_key(source: str) -> str:
     return hashlib.sha256("\0".join([source, version, *FLAGS, _processor()]).encode()).hexdigest()
 
 
-def load(source: str, name: str, pointers: int) -> Callable[..., int]:
+def load(source: str, name: str, pointers: int) -> Callable[..., None]:
     """The function `run` of a C source, compiled unless it was before; it takes a count and that many pointers."""
     key = entry_key(source)
     path = directory() / f"{key}.so"
     if not _intact(path, key):
         _compile(path, key, source, name)
     function = ctypes.CDLL(str(path)).run
-    function.restype = ctypes.c_int
+    function.restype = None
     function.argtypes = (ctypes.c_long, *(ctypes.c_void_p,) * pointers)
     return function

@@ -6,21 +6,25 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import cache
 from typing import Literal, get_args
 
 import torch
 
-from torchdq.backends import cache as build
+from torchdq.backends.backend import Backend
+from torchdq.backends.c import COMPILED
+from torchdq.backends.cache import BuildError
+from torchdq.backends.torch import EAGER
+from torchdq.caches import remembered
 from torchdq.errors import ArgumentError
 
-Backend = Literal["auto", "eager", "c"]
+BackendName = Literal["auto", "eager", "c"]
+BACKENDS: tuple[Backend, ...] = (COMPILED, EAGER)  # "auto" is the first that can run
 
-_chosen: ContextVar[Backend] = ContextVar("torchdq_backend", default="auto")
+_chosen: ContextVar[BackendName] = ContextVar("torchdq_backend", default="auto")
 
 
 @contextmanager
-def backend(name: Backend) -> Iterator[None]:
+def backend(name: BackendName) -> Iterator[None]:
     """Within the block, functions and modules that are not told otherwise use this backend.
 
     >>> import torchdq
@@ -34,14 +38,14 @@ def backend(name: Backend) -> Iterator[None]:
         _chosen.reset(token)
 
 
-def _valid(name: Backend) -> Backend:
-    if name not in get_args(Backend):
-        raise ArgumentError(f"backend must be one of {', '.join(map(repr, get_args(Backend)))}, found {name!r}")
+def _valid(name: BackendName) -> BackendName:
+    if name not in get_args(BackendName):
+        raise ArgumentError(f"backend must be one of {', '.join(map(repr, get_args(BackendName)))}, found {name!r}")
     return name
 
 
-@cache
-def _without_compiler() -> None:
+@remembered(1)
+def _warn_without_compiler() -> None:
     warnings.warn(
         "there is no C compiler on the path, so torchdq runs its programs as torch operations, which is slower; "
         "install gcc or clang, or name one in $CC",
@@ -49,22 +53,22 @@ def _without_compiler() -> None:
     )
 
 
-def present() -> Backend:
+def present() -> BackendName:
     """Backend of the innermost `backend` block, or "auto"."""
     return _chosen.get()
 
 
 @torch.compiler.assume_constant_result  # a traced graph keeps the backend it was traced with
-def choose(name: Backend | None, device: str) -> Literal["eager", "c"]:
-    """Backend that runs a program on a kind of device."""
-    name = _chosen.get() if name is None else _valid(name)
-    if name == "c" and device != "cpu":
-        raise ArgumentError(f"backend 'c' runs on the CPU, and the arguments are on the device {device!r}")
-    if name != "auto":
-        return name
-    if device != "cpu":
-        return "eager"
-    if build.compiler() is None:
-        _without_compiler()
-        return "eager"
-    return "c"
+def choose(name: BackendName | None, device: torch.device) -> Backend:
+    """Backend that runs programs on a device; the name None is that of the innermost `backend` block."""
+    name = present() if name is None else _valid(name)
+    for candidate in BACKENDS:
+        if name in ("auto", candidate.name):
+            refusal = candidate.refusal(device)
+            if refusal is None:
+                return candidate
+            if name != "auto":
+                raise refusal
+            if isinstance(refusal, BuildError):
+                _warn_without_compiler()
+    raise ArgumentError(f"no backend runs on the device {device.type!r}")

@@ -1,11 +1,30 @@
 """Quaternions, dual quaternions and screws on tensors.
 
-tensors  every operation of the algebra on tensors [..., 3], [..., 4], [..., 6] and [..., 8]
-explog   exponential and logarithm as programs, accurate to rounding at every angle
+tensors     the operations of the algebra on tensors [..., 3], [..., 4], [..., 6] and [..., 8]
+poses       exponential and logarithm, interpolation, poses and what they are made of
+explog      exponential and logarithm as programs, accurate to rounding at every angle
+components  tensors as components, and back
 """
 
-from torchdq.dq.tensors import (
+from torchdq.dq.components import stack
+from torchdq.dq.poses import (
     ScrewParameters,
+    exp,
+    from_matrix,
+    from_pose,
+    from_rotation_matrix,
+    log,
+    log_shortest,
+    rotate,
+    rotation,
+    sclerp,
+    screw_params,
+    to_matrix,
+    to_rotation_matrix,
+    translation,
+    translation_body,
+)
+from torchdq.dq.tensors import (
     ad,
     ad_matrix,
     columns,
@@ -13,35 +32,20 @@ from torchdq.dq.tensors import (
     cross,
     dot,
     double_geodesic,
-    exp,
-    from_matrix,
-    from_pose,
-    from_rotation_matrix,
     h_left,
     h_right,
     hamilton_left,
     hamilton_right,
     inertia_transform,
     inner,
-    log,
-    log_shortest,
     matmul,
     mul,
     norm,
     normalize,
     power,
-    rotate,
-    rotation,
-    sclerp,
-    screw_params,
-    stack,
     swap,
     t4,
     t8,
-    to_matrix,
-    to_rotation_matrix,
-    translation,
-    translation_body,
     transpose,
 )
 

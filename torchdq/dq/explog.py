@@ -2,15 +2,14 @@
 
 Their coefficients are entire functions of squares. Near the singular points they are summed as series, elsewhere they
 are closed formulas; the switch sits far from the singular point, where both sides are accurate. Both are computed, the
-one that is not taken from harmless arguments, and a mask of ones and zeros picks.
+one that is not taken from harmless arguments, and a mask selects.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,9 +17,10 @@ from torch import Tensor
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Pure
-from torchdq.backends import choice as backends
-from torchdq.backends import run
-from torchdq.numbers.functions import absolute, arctangent, at_least, below, maximum, minimum, pick, polynomial, sqrt
+from torchdq.backends.choice import BackendName
+from torchdq.caches import remembered
+from torchdq.call import DTYPES, Computation, evaluate
+from torchdq.numbers.functions import absolute, arctangent, at_least, below, maximum, minimum, polynomial, select, sqrt
 from torchdq.program.program import Argument, Program, record
 
 Value = Any
@@ -63,27 +63,27 @@ def entire(a: Pure, split: float) -> tuple[Value, Value, Value]:
     near = below(x, 1.0)
     x_near, x_far = minimum(x, 1.0), maximum(x, 1.0)
     h = sqrt(x_far)
-    defect = (1.0 - near) * length_defect(a, h, split)
+    defect = select(near, 0.0, length_defect(a, h, split))
     sin, cos = h.sin(), h.cos()
     c, s = cos - defect * sin, (sin + defect * (cos - sin / h)) / h
     return (
-        pick(near, polynomial(_COS, x_near), c),
-        pick(near, polynomial(_SINC, x_near), s),
-        pick(near, polynomial(_K, x_near), (c - s) / x_far),
+        select(near, polynomial(_COS, x_near), c),
+        select(near, polynomial(_SINC, x_near), s),
+        select(near, polynomial(_K, x_near), (c - s) / x_far),
     )
 
 
 def angle(w: Value, n2: Value, single: bool) -> tuple[Value, Value]:
     """f = atan2(n, w)/n and g = (w/(w^2 + n2) - f)/n2, n = sqrt n2, with every derivative finite at n = 0, w > 0."""
     near = below(0.0, w) * below(n2, 0.05 * (w * w))
-    w_near = pick(near, w, 1.0)
-    y = pick(near, n2, 0.0) / (w_near * w_near)
-    n2_far = pick(maximum(near, full_turn(w, n2)), 1.0, n2)
+    w_near = select(near, w, 1.0)
+    y = select(near, n2, 0.0) / (w_near * w_near)
+    n2_far = select(maximum(near, full_turn(w, n2)), 1.0, n2)
     n = sqrt(n2_far)
     f = arctangent(n, w, single) / n
     return (
-        pick(near, polynomial(_ATAN, y) / w_near, f),
-        pick(near, polynomial(_ATAN_K, y) / (w_near * w_near * w_near), (w / (w * w + n2_far) - f) / n2_far),
+        select(near, polynomial(_ATAN, y) / w_near, f),
+        select(near, polynomial(_ATAN_K, y) / (w_near * w_near * w_near), (w / (w * w + n2_far) - f) / n2_far),
     )
 
 
@@ -103,32 +103,50 @@ def log(x: Sequence[Value], single: bool) -> dict[str, Sequence[Value]]:
     """Pure dual quaternion of a unit one; at a full turn, about the line along the displacement, or along x."""
     (w, *v), b = x[:4], tuple(x[5:])
     p, d = screw.log((tuple(x[:4]), tuple(x[4:])), lambda w, n2: angle(w, n2, single))
-    turned = full_turn(w, quat.norm2(tuple(v)))
+    # a dual part that is not finite must not be left behind
+    turned = full_turn(w, quat.norm2(tuple(v))) * below(absolute(x[4]), math.inf)
     size = absolute(b[0]) + absolute(b[1]) + absolute(b[2])
     slides = turned * below(0.0, size)
-    line = [pick(slides, e, 1.0) / pick(slides, size, 1.0) for e in b]
+    line = [select(slides, e, 1.0) / select(slides, size, 1.0) for e in b]
     length = sqrt(quat.norm2(tuple(line)))
-    along = [pick(slides, e / length, at) for e, at in zip(line, (1.0, 0.0, 0.0), strict=True)]
+    along = [select(slides, e / length, at) for e, at in zip(line, (1.0, 0.0, 0.0), strict=True)]
     return {
         "a": [
-            *(pick(turned, math.pi * e, y) for e, y in zip(along, p, strict=True)),
-            *(pick(turned, -e, y) for e, y in zip(b, d, strict=True)),
+            *(select(turned, math.pi * e, y) for e, y in zip(along, p, strict=True)),
+            *(select(turned, -e, y) for e, y in zip(b, d, strict=True)),
         ]
     }
 
 
-@cache
-def program(formula: Callable[..., dict[str, Sequence[Value]]], width: int, single: bool) -> Program:
-    """Program of one of the two."""
-    return record(formula.__name__, [Argument("x", width)], lambda row: formula(row, single))
+class _Formula(NamedTuple):
+    """Fields of `Map`."""
+
+    formula: Callable[..., dict[str, Sequence[Value]]]
+    width: int
+    single: bool  # whether the program runs in single precision
+
+
+class Map(_Formula, Computation):
+    """Exponential or logarithm as a computation of `torchdq.call`."""
+
+    def axes(self, name: str) -> tuple[int, ...]:
+        """Trailing axes of the argument."""
+        return (self.width,)
+
+    def program(self, arguments: tuple[Argument, ...]) -> Program:
+        """Program of the formula."""
+        return _program(self, arguments)
+
+
+@remembered(4)
+def _program(what: Map, arguments: tuple[Argument, ...]) -> Program:
+    return record(what.formula.__name__, arguments, lambda row: what.formula(row, what.single))
 
 
 def mapped(formula: Callable[..., dict[str, Sequence[Value]]], x: Tensor) -> Tensor:
-    """Results [..., k] of one of the two for a tensor [..., width]."""
-    rows = x.reshape(-1, x.shape[-1]) if x.ndim != 2 else x
-    recorded = program(formula, x.shape[-1], x.dtype != torch.float64)
-    # only these two have kernels; a graph that is traced fuses torch's operations by itself
-    plain = x.dtype not in (torch.float32, torch.float64) or torch.compiler.is_compiling()
-    chosen = run.eager if plain or backends.choose(None, x.device.type) == "eager" else run.compiled
-    (found,) = chosen(recorded, [rows])
-    return found if x.ndim == 2 else found.reshape(*x.shape[:-1], found.shape[-1])
+    """Results [..., k] of one of the two for a tensor [..., width]; half precision is computed in single."""
+    wide = x if x.dtype in DTYPES else x.float()
+    # a graph that is traced fuses torch's operations by itself
+    backend: BackendName | None = "eager" if torch.compiler.is_compiling() else None
+    (found,) = evaluate(Map(formula, x.shape[-1], wide.dtype == torch.float32), {"x": wide}, backend).values()
+    return found if wide is x else found.to(x.dtype)

@@ -23,6 +23,7 @@ from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
+from torchdq.robot.robot import arguments
 
 Row = Sequence[Number]
 Inputs = Mapping[str, Row]  # by name, given at a step
@@ -169,7 +170,7 @@ def owned(robot: Robot, x: Tensor | None) -> Tensor | tuple[float, ...] | None:
     """Attribute of a robot as a parameter: numbers if it is a constant, the tensor itself if it is an argument."""
     if x is None:
         return None
-    replaced = any(x is getattr(robot, name) for name in robot.varying)
+    replaced = any(x is getattr(robot, name) for name in arguments(robot))
     if replaced or x.requires_grad or x.ndim > 1:
         return x
     return tuple(x.to(torch.float64).tolist())

@@ -7,27 +7,27 @@ and returns named rows of numbers. Its program depends on the robot's constants 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
-from threading import RLock
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from torchdq.algebra import dual_quaternion, screw
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
+from torchdq.caches import PROGRAMS, remembered
+from torchdq.call import Computation
 from torchdq.dynamics import posed as mechanics
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.paper.rnea import exerted_wrenches
 from torchdq.dynamics.posed import Posed
-from torchdq.errors import SingularInertiaError
+from torchdq.errors import ArgumentError, SingularInertiaError
 from torchdq.program import autodiff as derive
 from torchdq.program.program import Argument, Program, Value, record
 from torchdq.robot import consistency
+from torchdq.robot.constants import Constants
 from torchdq.robot.posed import GEOMETRY, INERTIAL, Overrides, as_screw, factors, frame, paper, posed, solve, tree
-from torchdq.robot.robot import Robot
+from torchdq.robot.robot import SHAPES, Robot, recorded
 
 LONG = 9  # joints from which an alternative that is linear in their number is worth recording
 VERY_LONG = 64  # joints from which nothing else is
-KEPT = 1024  # programs that a process remembers
 
 Results = dict[str, Sequence[Value | None]]
 Way = TypeVar("Way")
@@ -38,12 +38,12 @@ class RecipeInputs(NamedTuple):
 
     robot: Robot
     arguments: Mapping[str, Sequence[Number]]  # those that are present
-    given: Overrides  # tensors of the robot that are arguments
-    varied: tuple[str, ...]  # and those among them that differ from sample to sample
+    overrides: Overrides  # tensors of the robot that are arguments
+    per_sample: tuple[str, ...]  # and those among them that differ from sample to sample
 
     def require_inertia(self) -> None:
         """Raise `SingularInertiaError` if a joint of a constant robot moves nothing in any position but rounding."""
-        if any(name in self.given for name in (*INERTIAL, *GEOMETRY, "armature")):
+        if any(name in self.overrides for name in (*INERTIAL, *GEOMETRY, "armature")):
             return
         found = consistency.inert_joints(self.robot.joint_names, tree(self.robot, {}))
         if found:
@@ -51,7 +51,7 @@ class RecipeInputs(NamedTuple):
 
     def posed(self) -> Posed:
         """Robot at q."""
-        return posed(self.robot, self.arguments["q"], self.given, self.varied)
+        return posed(self.robot, self.arguments["q"], self.overrides, self.per_sample)
 
     def exerted(self, at: Posed) -> list[Screw | None] | None:
         """Wrench each link exerts on the environment; None: there is none."""
@@ -138,7 +138,7 @@ def forward_kinematics(x: RecipeInputs, *names: str) -> Results:
 
 def forward_kinematics_in_link_frames(x: RecipeInputs, *names: str) -> Results:
     """Poses of the frames, one joint after the other in the link frames of the description."""
-    return _poses(x, paper(x.robot, x.arguments["q"], x.given), names)
+    return _poses(x, paper(x.robot, x.arguments["q"], x.overrides), names)
 
 
 def _poses(x: RecipeInputs, at: Posed, names: Sequence[str]) -> Results:
@@ -225,48 +225,73 @@ RECIPES: dict[str, Recipe] = {
 DERIVATIVES = {"inverse_dynamics_jacobian": (0, 1)}  # positions of the arguments in which a recipe is differentiated
 
 
-class Signature(NamedTuple):
-    """Everything but the robot's constants that a program depends on."""
+class _Call(NamedTuple):
+    """Fields of `Function`."""
 
-    identity: str  # of the robot's constants
-    recipe: str
-    arguments: tuple[tuple[str, int], ...]  # present ones, with their widths
-    fields: tuple[tuple[str, int, bool], ...]  # tensors of the robot that are arguments: width, uniform
-    options: tuple[str, ...]
+    constants: Constants
+    name: str
+    options: tuple[str, ...] = ()
 
 
-_robots: dict[str, Robot] = {}
-_recording = RLock()
+class Function(_Call, Computation):
+    """A public function for robots with the same constants, as a computation of `torchdq.call`."""
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return len(self.constants.fields["joint_names"])
+
+    def axes(self, name: str) -> tuple[int, ...]:
+        """Trailing axes of an argument, or of a tensor of the robot."""
+        known = {argument: axes for argument, axes, _ in RECIPES[self.name].arguments}
+        return trailing({**known, **SHAPES}[name], self.n)
+
+    def shared(self, name: str) -> bool:
+        """Whether it is a tensor of the robot."""
+        return name in SHAPES
+
+    def label(self, name: str) -> str:
+        """Name in error messages."""
+        return f"robot.{name}" if name in SHAPES else name
+
+    def subject(self) -> str:
+        """What shapes are for, in error messages."""
+        return f" for the {self.n} joints of robot {self.constants.fields['name']!r}"
+
+    def check(self, tensors: Mapping[str, Any]) -> None:
+        """Raise unless all arguments are there that may not be absent."""
+        for name, _, optional in RECIPES[self.name].arguments:
+            if not optional and name not in tensors:
+                raise ArgumentError(f"{name} must be a tensor, found NoneType; use torch.as_tensor")
+
+    def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
+        """Trailing axes of the results."""
+        return RECIPES[self.name].results(self.n, *self.options)
+
+    def program(self, arguments: tuple[Argument, ...]) -> Program:
+        """Program of the function, recorded once."""
+        return _program(self, arguments)
 
 
-def program(robot: Robot, signature: Signature) -> Program:
-    """Program of a recipe for a robot, recorded once."""
-    # recordings are kept by the name of the robot's constants, so that no robot is kept alive by them
-    with _recording:
-        _robots[signature.identity] = robot
-        try:
-            return _program(signature)
-        finally:
-            del _robots[signature.identity]
+def trailing(axes: Axes, n: int) -> tuple[int, ...]:
+    """Trailing axes of a tensor of a robot with n joints."""
+    return tuple([n if axis == "n" else int(axis) for axis in axes])
 
 
-@lru_cache(KEPT)
-def _program(signature: Signature) -> Program:
-    robot, recipe = _robots[signature.identity], RECIPES[signature.recipe]
-    arguments = [Argument(name, width) for name, width in signature.arguments]
-    arguments += [Argument(name, width, uniform) for name, width, uniform in signature.fields]
-    present = [name for name, _ in signature.arguments]
-    varied = tuple(name for name, _, uniform in signature.fields if not uniform)
+@remembered(PROGRAMS)
+def _program(what: Function, arguments: tuple[Argument, ...]) -> Program:
+    robot, recipe = recorded(what.constants), RECIPES[what.name]
+    per_sample = tuple(a.name for a in arguments if a.name in SHAPES and not a.uniform)
 
-    def recorded(way: Callable[..., Results]) -> Program:
+    def by(way: Callable[..., Results]) -> Program:
         def algorithm(*rows: Sequence[Number]) -> Results:
-            by_name = dict(zip(present, rows[: len(present)], strict=True))
-            given = {name: row for (name, _, _), row in zip(signature.fields, rows[len(present) :], strict=True)}
-            return way(RecipeInputs(robot, by_name, given, varied), *signature.options)
+            named = {a.name: row for a, row in zip(arguments, rows, strict=True)}
+            overrides = {name: named.pop(name) for name in SHAPES if name in named}
+            return way(RecipeInputs(robot, named, overrides, per_sample), *what.options)
 
         return record(f"{way.__name__}_{robot.name}", arguments, algorithm)
 
     worth = recipe.ways if recipe.each else ways(robot.n, recipe.ways)
-    best = min(map(recorded, worth), key=lambda p: p.count().total)
-    wrt = DERIVATIVES.get(signature.recipe)
+    best = min(map(by, worth), key=lambda p: p.count().total)
+    wrt = DERIVATIVES.get(what.name)
     return best if wrt is None else derive.jacobian(best, wrt)

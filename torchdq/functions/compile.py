@@ -5,18 +5,49 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchdq.backends import c, run
-from torchdq.backends import choice as backends
+from torchdq.backends.c_source import source
+from torchdq.backends.choice import choose
+from torchdq.backends.precision import kernel
+from torchdq.call import DTYPES, Computation, evaluate
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
-from torchdq.functions.catalogue import RECIPES, Signature, program
-from torchdq.program.program import Count, Program
+from torchdq.functions.catalogue import RECIPES, Function
+from torchdq.program.autograd import vjp
+from torchdq.program.program import Argument, Count, Program
 from torchdq.robot import Robot
-from torchdq.robot.robot import DTYPES, SHAPES
+from torchdq.robot.robot import SHAPES, constants
+from torchdq.robot.robot import arguments as tensors_of
+
+CPU = torch.device("cpu")
+
+
+class _Fields(NamedTuple):
+    """Fields of `Recorded`."""
+
+    recorded: Program
+
+
+class Recorded(_Fields, Computation):
+    """A program that is known already, as a computation of `torchdq.call`."""
+
+    def _argument(self, name: str) -> Argument:
+        return next(a for a in self.recorded.arguments if a.name == name)
+
+    def axes(self, name: str) -> tuple[int, ...]:
+        """Trailing axes of an argument."""
+        return (self._argument(name).width,)
+
+    def shared(self, name: str) -> bool:
+        """Whether an argument is one row for all samples."""
+        return self._argument(name).uniform
+
+    def program(self, arguments: tuple[Argument, ...]) -> Program:
+        """The program itself."""
+        return self.recorded
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +73,7 @@ class CompiledProgram:
         """Source text in a language."""
         if language != "c":
             raise ArgumentError(f"language must be 'c', found {language!r}")
-        return c.source(self.program, self.dtype == torch.float32)
+        return source(self.program, self.dtype == torch.float32)
 
     def vjp(self, wrt: Sequence[str] | None = None) -> CompiledProgram:
         """Compiled vector-Jacobian product: takes the arguments and a cotangent per result, returns the gradients.
@@ -55,7 +86,7 @@ class CompiledProgram:
             if name not in names:
                 raise UnknownNameError(f"argument of {self.program.name}", name, names)
         positions = tuple(k for k, name in enumerate(names) if wrt is None or name in wrt)
-        return _ready(run.vjp(self.program, positions), self.dtype)
+        return _ready(vjp(self.program, positions), self.dtype)
 
     def __call__(self, *inputs: Tensor) -> Tensor | tuple[Tensor, ...]:
         """Results [..., width] of arguments [..., width]; those that are uniform are [width]."""
@@ -63,22 +94,11 @@ class CompiledProgram:
         if len(inputs) != len(arguments):
             raise ArgumentError(f"{self.program.name} takes {[a.name for a in arguments]}, found {len(inputs)} tensors")
         for a, x in zip(arguments, inputs, strict=True):
-            if x.dtype != self.dtype or x.shape[-1:] != (a.width,):
-                raise ArgumentError(
-                    f"{a.name} must be a {self.dtype} tensor [..., {a.width}], found {x.dtype} {tuple(x.shape)}"
-                )
-        batches = [x.shape[:-1] for a, x in zip(arguments, inputs, strict=True) if not a.uniform]
-        batch = torch.broadcast_shapes(*batches)
-        rows = [
-            x if a.uniform else x.expand(*batch, a.width).reshape(math.prod(batch), a.width)
-            for a, x in zip(arguments, inputs, strict=True)
-        ]
-        compiled = backends.choose(None, inputs[0].device.type) == "c"
-        outputs = (run.compiled if compiled else run.eager)(self.program, rows)
-        results = tuple(
-            y if r.summed else y.reshape(*batch, y.shape[-1])
-            for y, r in zip(outputs, self.program.results, strict=True)
-        )
+            if x.dtype != self.dtype or x.shape[-1:] != (a.width,) or (a.uniform and x.ndim > 1):
+                expected = f"{self.dtype} tensor [{'' if a.uniform else '..., '}{a.width}]"
+                raise ArgumentError(f"{a.name} must be a {expected}, found {x.dtype} {tuple(x.shape)}")
+        given = {a.name: x for a, x in zip(arguments, inputs, strict=True)}
+        results = tuple(evaluate(Recorded(self.program), given).values())
         return results[0] if len(results) == 1 else results
 
     def __str__(self) -> str:
@@ -86,8 +106,7 @@ class CompiledProgram:
 
 
 def _ready(recorded: Program, dtype: torch.dtype) -> CompiledProgram:
-    if backends.choose(None, "cpu") == "c":
-        run.kernel(recorded, dtype == torch.float32)
+    kernel(choose(None, CPU), recorded, dtype, CPU)
     return CompiledProgram(recorded, dtype)
 
 
@@ -116,21 +135,16 @@ def compile(
         raise UnknownNameError("function that is compiled", function, RECIPES)
     if dtype not in DTYPES:
         raise DtypeError(f"dtype must be float32 or float64, found {dtype}")
-    known = {name: axes for name, axes, _ in RECIPES[function].arguments}
+    known = [name for name, _, _ in RECIPES[function].arguments]
     present = [name for name in known if name not in ("f_tip", "f_ext")] if arguments is None else list(arguments)
     for name in present:
         if name not in known:
             raise UnknownNameError(f"argument of {function}", name, known)
 
-    def width(axes: Sequence[int | str]) -> int:
-        return math.prod(robot.n if axis == "n" else int(axis) for axis in axes)
-
-    fields = [(name, getattr(robot, name)) for name in robot.varying]
-    signature = Signature(
-        robot.identity,
-        function,
-        tuple((name, width(axes)) for name, axes in known.items() if name in present),
-        tuple((name, width(SHAPES[name]), x.ndim == len(SHAPES[name])) for name, x in fields),
-        tuple(options),
-    )
-    return _ready(program(robot.origin or robot, signature), dtype)
+    what = Function(constants(robot), function, tuple(options))
+    widths = {name: math.prod(what.axes(name)) for name in (*known, *tensors_of(robot))}
+    taken = [Argument(name, widths[name]) for name in known if name in present]
+    taken += [
+        Argument(name, widths[name], getattr(robot, name).ndim == len(SHAPES[name])) for name in tensors_of(robot)
+    ]
+    return _ready(what.program(tuple(taken)), dtype)

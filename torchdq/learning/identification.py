@@ -216,7 +216,7 @@ def identify(
 
 def _rows(robot: Robot, **signals: Tensor) -> tuple[tuple[int, ...], list[Tensor]]:
     """Batch axes of signals [..., n], and the signals as float64 rows [samples, n]."""
-    batch = check(robot, **{name: (x, ("n",), False) for name, x in signals.items()})
+    batch = check(robot, (), **signals)
     rows = (x.detach().to(torch.float64).expand(*batch, robot.n) for x in signals.values())
     return batch, [x.reshape(math.prod(batch), robot.n) for x in rows]
 

@@ -4,77 +4,66 @@ Floats give what programs give, infinities and NaN included, where Python's own 
 """
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
 
-Value = Any  # a number of any kind
+from torchdq.numbers.ops import Value, apply
 
 
 def sqrt(x: Value) -> Value:
     """Square root; NaN below zero."""
-    return _of_one("sqrt", lambda v: math.sqrt(v) if v >= 0 else math.nan, x)
+    return apply("sqrt", x)
 
 
 def sin(x: Value) -> Value:
     """Sine."""
-    return _of_one("sin", math.sin, x)
+    return apply("sin", x)
 
 
 def cos(x: Value) -> Value:
     """Cosine."""
-    return _of_one("cos", math.cos, x)
+    return apply("cos", x)
 
 
 def exp(x: Value) -> Value:
     """Exponential."""
-    return _of_one("exp", _exp, x)
+    return apply("exp", x)
 
 
 def log(x: Value) -> Value:
     """Natural logarithm; NaN below zero."""
-    return _of_one("log", lambda v: math.log(v) if v > 0 else -math.inf if v == 0 else math.nan, x)
+    return apply("log", x)
 
 
 def floor(x: Value) -> Value:
     """Largest whole number that is not above."""
-    return _of_one("floor", lambda v: float(math.floor(v)) if math.isfinite(v) else v, x)
+    return apply("floor", x)
 
 
 def maximum(a: Value, b: Value) -> Value:
     """The larger of two numbers, the first if they are equal; NaN if one of them is."""
-    if hasattr(a, "maximum"):
-        return a.maximum(b)
-    if hasattr(b, "maximum"):
-        return b.maximum(a)
-    return a if a >= b or a != a else b
+    return apply("max", a, b)
 
 
 def minimum(a: Value, b: Value) -> Value:
     """The smaller of two numbers, the first if they are equal; NaN if one of them is."""
-    if hasattr(a, "minimum"):
-        return a.minimum(b)
-    if hasattr(b, "minimum"):
-        return b.minimum(a)
-    return a if a <= b or a != a else b
+    return apply("min", a, b)
 
 
 def at_least(a: Value, b: Value) -> Value:
     """1 if a is at least b, or else 0, also if one of them is NaN."""
-    if hasattr(a, "at_least"):
-        return a.at_least(b)
-    if hasattr(b, "at_least"):
-        return (-b).at_least(-a)
-    return 1.0 if a >= b else 0.0
+    return apply("ge", a, b)
 
 
 def below(a: Value, b: Value) -> Value:
     """1 if a is less than b, or else 0, also if one of them is NaN."""
-    return at_least(b, a) * (1.0 - at_least(a, b))
+    return select(at_least(a, b), 0.0, at_least(b, a))
 
 
-def pick(mask: Value, a: Value, b: Value) -> Value:
-    """a where the mask is 1, b where it is 0; both must be finite."""
-    return mask * a + (1.0 - mask) * b
+def select(mask: Value, a: Value, b: Value) -> Value:
+    """a where the mask is not 0, b where it is; the other touches neither the value nor the gradient."""
+    if isinstance(mask, float | int):
+        return a if mask != 0 else b
+    return apply("select", mask, a, b)
 
 
 def polynomial(coefficients: Sequence[float], x: Value) -> Value:
@@ -111,12 +100,12 @@ def arctangent(y: Value, x: Value, single: bool) -> Value:
     size = absolute(x)
     t = minimum(y, size) / maximum(y, size)
     steep = at_least(t, _EIGHTH)
-    u = pick(steep, (t - 1.0) / (t + 1.0), t)
+    u = select(steep, (t - 1.0) / (t + 1.0), t)
     z = u * u
     high, low = _pi_in_two(single)
     r = 0.25 * high * steep + ((u - u * (z * polynomial(_ARCTANGENT, z))) + 0.25 * low * steep)
-    r = pick(below(size, y), 0.5 * high - (r - 0.5 * low), r)
-    return pick(below(x, 0.0), high - (r - low), r)
+    r = select(below(size, y), 0.5 * high - (r - 0.5 * low), r)
+    return select(below(x, 0.0), high - (r - low), r)
 
 
 def _pi_in_two(single: bool) -> tuple[float, float]:
@@ -143,20 +132,3 @@ def absolute(x: Value) -> Value:
 def clip(x: Value, lower: Value, upper: Value) -> Value:
     """The number where it is within two bounds, or else the bound it is beyond, exactly."""
     return minimum(maximum(x, lower), upper)
-
-
-def _exp(x: float) -> float:
-    try:
-        return math.exp(x)
-    except OverflowError:
-        return math.inf
-
-
-def _of_one(name: str, of_float: Callable[[float], float], x: Value) -> Value:
-    """Function of one number: its own method, or that of floats."""
-    # the kind is asked, not the number: mpmath's exp is an exponent, and torch.compile can trace no other question
-    if callable(getattr(type(x), name, None)):
-        return getattr(x, name)()
-    if isinstance(x, float | int):
-        return of_float(float(x))
-    raise TypeError(f"{name} is not known for numbers of kind {type(x).__name__}")

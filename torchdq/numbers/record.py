@@ -8,16 +8,18 @@ done in Python's floats and never reaches the tape.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from torchdq.numbers.ops import OPS
 
 
 class Op(NamedTuple):
-    """One operation; `a` and `b` are indices of earlier values, or an input's position, or `a` a constant."""
+    """One operation on earlier values, or a leaf: an input or a constant."""
 
-    # "in", "const", "add", "sub", "mul", "div", "sin", "cos", "sqrt", "exp", "log", "floor", "max", "min", "ge"
-    code: str
-    a: float = -1
-    b: int = -1
+    code: str  # "in", "const", or a row of `ops.OPS`
+    operands: tuple[int, ...] = ()  # indices of earlier values
+    payload: Any = None  # positions of an input's argument and component, or a constant's number
 
 
 class Tape:
@@ -28,9 +30,11 @@ class Tape:
         self.growths: list[Number | float] = []  # factors by which rounding errors are magnified
         self._index: dict[Op, int] = {}
 
-    def value(self, code: str, a: float = -1, b: int = -1) -> int:
+    def value(self, code: str, operands: tuple[int, ...] = (), payload: Any = None) -> int:
         """Index of the value of an operation, recorded once."""
-        op = Op(code, a, b)
+        if len(operands) > 1 and OPS[code].commutes:
+            operands = tuple(sorted(operands))
+        op = Op(code, operands, payload)
         index = self._index.get(op)
         if index is None:
             index = self._index[op] = len(self.ops)
@@ -39,11 +43,11 @@ class Tape:
 
     def input(self, argument: int, component: int) -> Number:
         """Number that stands for a component of an argument."""
-        return Number(self, self.value("in", argument, component), False)
+        return Number(self, self.value("in", payload=(argument, component)), False)
 
     def constant(self, x: float) -> Number:
         """Number that stands for a constant; its sign is kept apart, so that x and -x are one value."""
-        return Number(self, self.value("const", abs(x)), math.copysign(1.0, x) < 0)
+        return Number(self, self.value("const", payload=abs(x)), math.copysign(1.0, x) < 0)
 
 
 class Number:
@@ -79,89 +83,71 @@ class Number:
             if other in (1, -1):
                 return self if other > 0 else -self
             other = self.tape.constant(other)
-        a, b = sorted((self.index, other.index))
-        return Number(self.tape, self.tape.value("mul", a, b), self.negative != other.negative)
+        product = self.tape.value("mul", (self.index, other.index))
+        return Number(self.tape, product, self.negative != other.negative)
 
     __rmul__ = __mul__
 
     def __truediv__(self, other: Number | float) -> Number | float:
         if not isinstance(other, Number):
             return self * (1.0 / other)
-        return Number(self.tape, self.tape.value("div", self.index, other.index), self.negative != other.negative)
+        quotient = self.tape.value("div", (self.index, other.index))
+        return Number(self.tape, quotient, self.negative != other.negative)
 
     def __rtruediv__(self, other: float) -> Number | float:
         return 0.0 if other == 0 else self.tape.constant(other) / self
 
     def sin(self) -> Number:
         """Sine."""
-        return Number(self.tape, self.tape.value("sin", self.index), self.negative)
+        return self.applied("sin", (self,))
 
     def cos(self) -> Number:
         """Cosine."""
-        return Number(self.tape, self.tape.value("cos", self.index), False)
-
-    def sqrt(self) -> Number:
-        """Square root."""
-        return Number(self.tape, self.tape.value("sqrt", self._signed()), False)
-
-    def exp(self) -> Number:
-        """Exponential."""
-        return Number(self.tape, self.tape.value("exp", self._signed()), False)
-
-    def log(self) -> Number:
-        """Natural logarithm."""
-        return Number(self.tape, self.tape.value("log", self._signed()), False)
-
-    def floor(self) -> Number:
-        """Largest whole number that is not above."""
-        return Number(self.tape, self.tape.value("floor", self._signed()), False)
-
-    def maximum(self, other: Number | float) -> Number:
-        """The larger of two numbers; this one if they are equal."""
-        a, b, negative = self._alike(other)
-        index = a if a == b else self.tape.value("min" if negative else "max", a, b)
-        return Number(self.tape, index, negative)
-
-    def minimum(self, other: Number | float) -> Number:
-        """The smaller of two numbers; this one if they are equal."""
-        a, b, negative = self._alike(other)
-        index = a if a == b else self.tape.value("max" if negative else "min", a, b)
-        return Number(self.tape, index, negative)
+        return self.applied("cos", (self,))
 
     def note_growth(self, growth: Number | float) -> None:
         """Have the tape remember that rounding errors on the way to this number are magnified."""
         self.tape.growths.append(growth)
 
-    def at_least(self, other: Number | float) -> Number:
-        """1 if this number is at least the other, or else 0."""
-        a, b, negative = self._alike(other)
-        return Number(self.tape, self.tape.value("ge", *((b, a) if negative else (a, b))), False)
+    @staticmethod
+    def applied(code: str, x: Sequence[Number | float]) -> Number:
+        """Value of an operation that is not one of arithmetic; at least one of its operands is recorded."""
+        row = OPS[code]
+        tape = next(v.tape for v in x if isinstance(v, Number))
+        signed = [v for k, v in enumerate(x) if k not in row.even]
+        signs = {v.negative for v in signed if isinstance(v, Number)}
+        negative = row.mirror is not None and signs == {True}
+        operands = [
+            v.index if k in row.even and isinstance(v, Number) else _with_sign(tape, v, negative)
+            for k, v in enumerate(x)
+        ]
+        own = {i for k, i in enumerate(operands) if k not in row.even}
+        if row.idempotent and len(own) == 1:
+            return Number(tape, own.pop(), negative)
+        if row.mirror is None or not negative:
+            return Number(tape, tape.value(code, tuple(operands)), False)
+        operands = operands[::-1] if row.mirror.reverse else operands
+        return Number(tape, tape.value(row.mirror.code, tuple(operands)), row.mirror.negative)
 
-    def _signed(self) -> int:
-        """Index of the value that the number is, its sign worked in."""
-        if not self.negative:
-            return self.index
-        op = self.tape.ops[self.index]
-        if op.code == "const":
-            return self.tape.value("const", 0.0 - op.a)
-        return self.tape.value("sub", self.tape.constant(0.0).index, self.index)
 
-    def _alike(self, other: Number | float) -> tuple[int, int, bool]:
-        """Indices of the values of two numbers, and the sign that both have."""
-        if not isinstance(other, Number):
-            # a constant can be had with either sign; a sum with 0.0 is a float and never -0.0
-            return self.index, self.tape.value("const", 0.0 + (-other if self.negative else other)), self.negative
-        if self.negative == other.negative:
-            return self.index, other.index, self.negative
-        return self._signed(), other._signed(), False
+def _with_sign(tape: Tape, x: Number | float, negative: bool) -> int:
+    """Index of the value that a number is, or that its negative is."""
+    if not isinstance(x, Number):
+        # a constant can be had with either sign; a sum with 0.0 is a float and never -0.0
+        return tape.value("const", payload=0.0 + (-x if negative else x))
+    if x.negative == negative:
+        return x.index
+    op = tape.ops[x.index]
+    if op.code == "const":
+        return tape.value("const", payload=0.0 - op.payload)
+    return tape.value("sub", (tape.constant(0.0).index, x.index))
 
 
 def _sum(x: Number, y: Number) -> Number | float:
     """x + y with the signs worked in: an addition if they agree, a subtraction if they do not."""
     tape = x.tape
     if x.negative == y.negative:
-        a, b = sorted((x.index, y.index))
-        return Number(tape, tape.value("add", a, b), x.negative)
+        return Number(tape, tape.value("add", (x.index, y.index)), x.negative)
     if x.index == y.index:
         return 0.0
     # one order of every difference, so that a - b and b - a are one value
@@ -169,4 +155,4 @@ def _sum(x: Number, y: Number) -> Number | float:
     a, b = x.index, y.index
     if a > b:
         a, b, negative = b, a, not negative
-    return Number(tape, tape.value("sub", a, b), negative)
+    return Number(tape, tape.value("sub", (a, b)), negative)

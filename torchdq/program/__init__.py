@@ -1,11 +1,8 @@
-"""Programs: the straight-line arithmetic that is left of an algorithm for one robot.
+"""Programs: the straight-line arithmetic that is left of an algorithm. Nothing here knows what a robot is.
 
-program   what a program is: counted, printed, its dead code removed
-derive    its derivatives, which are programs again
-c         its source in C, one sample per vector lane
-build     the compiled source, kept in a private cache
-run       running it on tensors, compiled or operation by operation, with gradients and transforms
-backends  which of the two
-model     a robot as numbers to record
-recipes   the public functions as computations on numbers
+program     what a program is: recorded, counted, printed, replayed, its dead code removed
+autodiff    its derivatives, which are programs again
+schedule    the order in which it is computed, whatever language it is printed in
+autograd    programs in torch's graphs: gradients, transforms, traced graphs
+transforms  questions about torch's transforms, by its private symbols
 """

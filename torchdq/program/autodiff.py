@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Sequence
 
-from torchdq.numbers.functions import at_least
-from torchdq.numbers.record import Number, Op, Tape
-from torchdq.program.program import Argument, Program, Value, finish, replay, results
+from torchdq.numbers.ops import OPS
+from torchdq.numbers.record import Number, Tape
+from torchdq.program.program import Argument, Program, Value, finish, growths, replay, results
 
 
 def cotangents(program: Program, values: Sequence[Value], seeds: dict[int, Value]) -> dict[tuple[int, int], Value]:
@@ -18,45 +18,15 @@ def cotangents(program: Program, values: Sequence[Value], seeds: dict[int, Value
         if not isinstance(g, Number) and g == 0:
             continue
         if op.code == "in":
-            found[int(op.a), op.b] = g
-            continue
-        if op.code == "const":
-            continue
-        a = int(op.a)
-        if op.code == "add" or op.code == "sub":
-            adjoint[a] = adjoint[a] + g
-            adjoint[op.b] = adjoint[op.b] + g if op.code == "add" else adjoint[op.b] - g
-        elif op.code == "mul":
-            x, y = values[a], values[op.b]
-            adjoint[a] = adjoint[a] + g * y
-            adjoint[op.b] = adjoint[op.b] + g * x
-        elif op.code == "div":
-            r = g / values[op.b]
-            adjoint[a] = adjoint[a] + r
-            adjoint[op.b] = adjoint[op.b] - r * values[i]
-        elif op.code == "sin":
-            adjoint[a] = adjoint[a] + g * values[a].cos()
-        elif op.code == "cos":
-            adjoint[a] = adjoint[a] - g * values[a].sin()
-        elif op.code == "sqrt":
-            adjoint[a] = adjoint[a] + g / (2.0 * values[i])
-        elif op.code == "exp":
-            adjoint[a] = adjoint[a] + g * values[i]
-        elif op.code == "log":
-            adjoint[a] = adjoint[a] + g / values[a]
-        elif op.code == "max" or op.code == "min":
-            first = _first(op, values)
-            adjoint[a] = adjoint[a] + g * first
-            adjoint[op.b] = adjoint[op.b] + g * (1.0 - first)
-        elif op.code != "floor" and op.code != "ge":  # which are constant wherever they have a derivative
-            raise ValueError(f"no derivative is known of {op.code!r}")
+            found[op.payload] = g
+        elif op.code in OPS:
+            row, x = OPS[op.code], [values[k] for k in op.operands]
+            if row.divisor is not None:
+                g = g / row.divisor(values[i], *x)
+            for k, partial in zip(op.operands, row.partials, strict=True):
+                if partial is not None:
+                    adjoint[k] = adjoint[k] + partial(g, values[i], *x)
     return found
-
-
-def _first(op: Op, values: Sequence[Value]) -> Value:
-    """1 where the larger or smaller of two values is the first of them, 0 where it is the second."""
-    x, y = values[int(op.a)], values[op.b]
-    return at_least(x, y) if op.code == "max" else at_least(y, x)
 
 
 def vjp(program: Program, wrt: Sequence[int]) -> Program:
@@ -70,7 +40,7 @@ def vjp(program: Program, wrt: Sequence[int]) -> Program:
     for r in program.results:
         arguments.append(Argument(_unused(f"{r.name}'", arguments), len(r.values), r.summed))
     inputs = [[tape.input(k, j) for j in range(a.width)] for k, a in enumerate(arguments)]
-    values = replay(program, tape, inputs)
+    values = replay(program, inputs)
     seeds: dict[int, Value] = {}
     for result, row in zip(program.results, inputs[len(program.arguments) :], strict=True):
         for v, seed in zip(result.values, row, strict=True):
@@ -82,7 +52,7 @@ def vjp(program: Program, wrt: Sequence[int]) -> Program:
         for k in wrt
     }
     summed = [f"{program.arguments[k].name}'" for k in wrt if program.arguments[k].uniform]
-    return finish(f"{program.name}_vjp", arguments, tape, outputs, summed)
+    return finish(f"{program.name}_vjp", arguments, tape, outputs, summed, growths(program, values))
 
 
 def _unused(name: str, arguments: Sequence[Argument]) -> str:
@@ -92,41 +62,18 @@ def _unused(name: str, arguments: Sequence[Argument]) -> str:
     return name
 
 
-def tangents(program: Program, tape: Tape, values: Sequence[Value], seeds: dict[tuple[int, int], Value]) -> list[Value]:
+def tangents(program: Program, values: Sequence[Value], seeds: dict[tuple[int, int], Value]) -> list[Value]:
     """Tangent of every value, forward mode, from the tangents of some argument components; the others are zero."""
     t: list[Value] = []
     for i, op in enumerate(program.ops):
-        if op.code == "in":
-            t.append(seeds.get((int(op.a), op.b), 0.0))
-        elif op.code == "const":
-            t.append(0.0)
-        else:
-            a = int(op.a)
-            if op.code == "add":
-                t.append(t[a] + t[op.b])
-            elif op.code == "sub":
-                t.append(t[a] - t[op.b])
-            elif op.code == "mul":
-                t.append(t[a] * values[op.b] + values[a] * t[op.b])
-            elif op.code == "div":
-                t.append((t[a] - values[i] * t[op.b]) / values[op.b])
-            elif op.code == "sin":
-                t.append(t[a] * values[a].cos())
-            elif op.code == "cos":
-                t.append(-(t[a] * values[a].sin()))
-            elif op.code == "sqrt":
-                t.append(t[a] / (2.0 * values[i]))
-            elif op.code == "exp":
-                t.append(t[a] * values[i])
-            elif op.code == "log":
-                t.append(t[a] / values[a])
-            elif op.code == "max" or op.code == "min":
-                first = _first(op, values)
-                t.append(first * t[a] + (1.0 - first) * t[op.b])
-            elif op.code == "floor" or op.code == "ge":
-                t.append(0.0)
-            else:
-                raise ValueError(f"no derivative is known of {op.code!r}")
+        if op.code not in OPS:
+            t.append(seeds.get(op.payload, 0.0) if op.code == "in" else 0.0)
+            continue
+        row, x, total = OPS[op.code], [values[k] for k in op.operands], 0.0
+        for k, partial in zip(op.operands, row.partials, strict=True):
+            if partial is not None and (isinstance(t[k], Number) or t[k] != 0):
+                total = total + partial(t[k], values[i], *x)
+        t.append(total if row.divisor is None else total / row.divisor(values[i], *x))
     return t
 
 
@@ -146,11 +93,12 @@ def jvp(program: Program, wrt: Sequence[int]) -> Program:
     for k in wrt:
         arguments.append(program.arguments[k]._replace(name=_unused(f"d{program.arguments[k].name}", arguments)))
     inputs = [[tape.input(k, j) for j in range(a.width)] for k, a in enumerate(arguments)]
-    values = replay(program, tape, inputs)
+    values = replay(program, inputs)
     rows = zip(wrt, inputs[len(program.arguments) :], strict=True)
-    t = tangents(program, tape, values, {(k, j): x for k, row in rows for j, x in enumerate(row)})
+    t = tangents(program, values, {(k, j): x for k, row in rows for j, x in enumerate(row)})
     summed = [r.name for r in program.results if r.summed]
-    return finish(f"{program.name}_jvp", arguments, tape, _tangent_results(program, t), summed)
+    outputs = _tangent_results(program, t)
+    return finish(f"{program.name}_jvp", arguments, tape, outputs, summed, growths(program, values))
 
 
 def jacobian(program: Program, wrt: Sequence[int]) -> Program:
@@ -167,27 +115,26 @@ def jacobian(program: Program, wrt: Sequence[int]) -> Program:
 def _jacobian(program: Program, wrt: Sequence[int], by: Callable[..., dict[str, list[Value]]]) -> Program:
     tape = Tape()
     inputs = [[tape.input(k, j) for j in range(a.width)] for k, a in enumerate(program.arguments)]
-    outputs = by(program, tape, replay(program, tape, inputs), wrt)
-    return finish(f"{program.name}_jacobian", program.arguments, tape, outputs)
+    values = replay(program, inputs)
+    outputs = by(program, values, wrt)
+    return finish(f"{program.name}_jacobian", program.arguments, tape, outputs, growths=growths(program, values))
 
 
 def _name(result: str, argument: Argument) -> str:
     return f"d{result}/d{argument.name}"
 
 
-def _by_columns(program: Program, tape: Tape, values: Sequence[Value], wrt: Sequence[int]) -> dict[str, list[Value]]:
+def _by_columns(program: Program, values: Sequence[Value], wrt: Sequence[int]) -> dict[str, list[Value]]:
     outputs: dict[str, list[Value]] = {}
     for k in wrt:
         argument = program.arguments[k]
-        columns = [
-            _tangent_results(program, tangents(program, tape, values, {(k, j): 1.0})) for j in range(argument.width)
-        ]
+        columns = [_tangent_results(program, tangents(program, values, {(k, j): 1.0})) for j in range(argument.width)]
         for r in program.results:
             outputs[_name(r.name, argument)] = [c[r.name][i] for i in range(len(r.values)) for c in columns]
     return outputs
 
 
-def _by_rows(program: Program, tape: Tape, values: Sequence[Value], wrt: Sequence[int]) -> dict[str, list[Value]]:
+def _by_rows(program: Program, values: Sequence[Value], wrt: Sequence[int]) -> dict[str, list[Value]]:
     outputs: dict[str, list[Value]] = {_name(r.name, program.arguments[k]): [] for k in wrt for r in program.results}
     for r in program.results:
         for v in r.values:

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import Any, NamedTuple
 
-from torchdq.numbers import functions
 from torchdq.numbers.functions import maximum
+from torchdq.numbers.ops import OPS, apply
 from torchdq.numbers.record import Number, Op, Tape
 
 Value = Any  # a recorded number, or one that is known
 
 
 class Largest(NamedTuple):
-    """What a program's growth of errors may be in single and in double precision."""
+    """Limits of a program's growth of errors in single and in double precision."""
 
     single: float
     double: float
@@ -24,17 +24,6 @@ class Largest(NamedTuple):
 
 # half of the digits in single precision; all but six bits in double
 LARGEST_GROWTH = Largest(2.0**10, 2.0**46)
-
-# operations that are neither arithmetic nor a sine or cosine
-FUNCTIONS: Mapping[str, Callable[..., Value]] = {
-    "sqrt": functions.sqrt,
-    "exp": functions.exp,
-    "log": functions.log,
-    "floor": functions.floor,
-    "max": functions.maximum,
-    "min": functions.minimum,
-    "ge": functions.at_least,
-}
 
 
 class Argument(NamedTuple):
@@ -45,21 +34,24 @@ class Argument(NamedTuple):
     uniform: bool = False
 
 
+Output = tuple[int, bool] | float  # a value's index and whether it is negated; or a constant
+
+
 class Result(NamedTuple):
     """An output of a program: a row of numbers per sample, or the sum of the rows over all samples."""
 
     name: str
-    values: tuple[tuple[int, bool] | float, ...]  # (index, negative), or a constant
+    values: tuple[Output, ...]
     summed: bool = False
 
 
 class Count(NamedTuple):
     """Operations of a program."""
 
-    multiplications: int
-    additions: int
-    divisions: int
-    sines: int
+    multiplications: int = 0
+    additions: int = 0
+    divisions: int = 0
+    sines: int = 0
     roots: int = 0
     exponentials: int = 0
     comparisons: int = 0
@@ -78,45 +70,49 @@ class Program:
     arguments: tuple[Argument, ...]
     ops: tuple[Op, ...]
     results: tuple[Result, ...]
-    growth: tuple[int, bool] | float | None = None  # factor by which it magnifies rounding errors, where it says so
+    growth: Result | None = None  # factor by which rounding errors are magnified; None: never too far
 
     def count(self) -> Count:
         """Operations per sample; negations are free.
 
-        Subtractions count as additions, cosines as sines, logarithms as exponentials, and the larger or smaller of two
-        numbers and the whole part of one as comparisons.
+        Subtractions count as additions, cosines as sines, logarithms as exponentials; the larger or smaller of two
+        numbers, a selection and a whole part as comparisons.
         """
-        codes = Counter(op.code for op in self.ops)
-        return Count(
-            multiplications=codes["mul"],
-            additions=codes["add"] + codes["sub"],
-            divisions=codes["div"],
-            sines=codes["sin"] + codes["cos"],
-            roots=codes["sqrt"],
-            exponentials=codes["exp"] + codes["log"],
-            comparisons=codes["max"] + codes["min"] + codes["ge"] + codes["floor"],
-        )
+        return Count(**Counter(OPS[op.code].cost for op in self.ops if op.code in OPS))
 
     def __str__(self) -> str:
-        sign = {"add": "+", "sub": "-", "mul": "*", "div": "/"}
         shown = [f"{a.name}[{a.width}]{' uniform' if a.uniform else ''}" for a in self.arguments]
         lines = [f"{self.name}({', '.join(shown)})"]
         for i, op in enumerate(self.ops):
             if op.code == "in":
-                text = f"{self.arguments[int(op.a)].name}[{op.b}]"
+                argument, component = op.payload
+                text = f"{self.arguments[argument].name}[{component}]"
             elif op.code == "const":
-                text = repr(op.a)
-            elif op.code in sign:
-                text = f"x{op.a} {sign[op.code]} x{op.b}"
+                text = repr(op.payload)
             else:
-                text = " ".join([op.code, *(f"x{k}" for k in operands(op))])
+                sign, names = OPS[op.code].infix, [f"x{k}" for k in op.operands]
+                text = f" {sign} ".join(names) if sign else " ".join([op.code, *names])
             lines.append(f"  x{i} = {text}")
-        for result in self.results:
+        for result in outputs(self):
             row = ", ".join(map(_shown, result.values))
             lines.append(f"  {result.name} = [{row}]{' summed over samples' if result.summed else ''}")
-        if self.growth is not None:
-            lines.append(f"  growth of errors = {_shown(self.growth)}")
         return "\n".join(lines)
+
+
+# functions, since torch.compile can look into a program that it takes for a constant, but not into its methods
+
+
+def outputs(program: Program) -> tuple[Result, ...]:
+    """Everything that a program computes: the results, and how far errors grow."""
+    return program.results if program.growth is None else (*program.results, program.growth)
+
+
+def samples_of(program: Program, inputs: Sequence[Any]) -> int:
+    """Number of samples of tensors that are a program's arguments."""
+    for x, argument in zip(inputs, program.arguments, strict=True):
+        if not argument.uniform:
+            return x.shape[0]
+    return 1
 
 
 def record(
@@ -137,76 +133,65 @@ def finish(
     tape: Tape,
     results: Mapping[str, Sequence[Value]],
     summed: Sequence[str] = (),
+    growths: Sequence[Value] = (),
 ) -> Program:
-    """Program of what a tape holds, without the operations that no result needs."""
-    growth = reduce(maximum, tape.growths) if tape.growths else 1.0
+    """Program of what a tape holds, without the operations that no result needs.
+
+    `growths` are factors by which rounding errors are magnified on the way to the results.
+    """
+    growth = reduce(maximum, [*tape.growths, *growths] or [1.0])
     wanted = [v.index for values in (*results.values(), [growth]) for v in values if isinstance(v, Number)]
     live, stack = set(wanted), list(wanted)
     while stack:
-        for operand in operands(tape.ops[stack.pop()]):
+        for operand in tape.ops[stack.pop()].operands:
             if operand not in live:
                 live.add(operand)
                 stack.append(operand)
     renumbered = {old: new for new, old in enumerate(sorted(live))}
-    ops = tuple(_renumber(tape.ops[old], renumbered) for old in sorted(live))
 
-    def value(v: Value | None) -> tuple[int, bool] | float:
+    def moved(op: Op) -> Op:
+        return op._replace(operands=tuple([renumbered[k] for k in op.operands]))
+
+    def value(v: Value | None) -> Output:
         return (renumbered[v.index], v.negative) if isinstance(v, Number) else float(v or 0.0)
 
     return Program(
         name,
         tuple(arguments),
-        ops,
+        tuple(moved(tape.ops[old]) for old in sorted(live)),
         tuple(Result(key, tuple(map(value, values)), key in summed) for key, values in results.items()),
-        None if isinstance(growth, float) and growth <= LARGEST_GROWTH.single else value(growth),
+        None if isinstance(growth, float) and growth <= LARGEST_GROWTH.single else Result("growth", (value(growth),)),
     )
 
 
-def _shown(v: tuple[int, bool] | float) -> str:
+def _shown(v: Output) -> str:
     return repr(v) if isinstance(v, float) else f"{'-' if v[1] else ''}x{v[0]}"
 
 
-def operands(op: Op) -> tuple[int, ...]:
-    """Indices of the values an operation reads."""
-    if op.code in ("in", "const"):
-        return ()
-    return (int(op.a),) if op.b < 0 else (int(op.a), op.b)
-
-
-def _renumber(op: Op, renumbered: dict[int, int]) -> Op:
-    if op.code in ("in", "const"):
-        return op
-    return Op(op.code, renumbered[int(op.a)], renumbered[op.b] if op.b >= 0 else -1)
-
-
-def replay(program: Program, tape: Tape | None, inputs: Sequence[Sequence[Value]]) -> list[Value]:
-    """Every value of a program, run on other numbers; the tape, if there is one, learns how far errors grow."""
+def replay(program: Program, inputs: Sequence[Sequence[Value]]) -> list[Value]:
+    """Every value of a program, run on other numbers."""
     values: list[Value] = []
     for op in program.ops:
         if op.code == "in":
-            values.append(inputs[int(op.a)][op.b])
+            argument, component = op.payload
+            values.append(inputs[argument][component])
         elif op.code == "const":
-            values.append(op.a)
-        elif op.code == "sin" or op.code == "cos":
-            values.append(getattr(values[int(op.a)], op.code)())
-        elif op.code in FUNCTIONS:
-            values.append(FUNCTIONS[op.code](*(values[k] for k in operands(op))))
+            values.append(op.payload)
         else:
-            a, b = values[int(op.a)], values[op.b]
-            values.append(
-                a + b if op.code == "add" else a - b if op.code == "sub" else a * b if op.code == "mul" else a / b
-            )
-    if tape is not None and program.growth is not None:
-        tape.growths.append(_picked(program.growth, values))
+            values.append(apply(op.code, *[values[k] for k in op.operands]))
     return values
 
 
 def results(program: Program, values: Sequence[Value]) -> dict[str, list[Value]]:
     """Named results of a program from its values."""
-    return {result.name: [_picked(v, values) for v in result.values] for result in program.results}
+    return {result.name: picked(result, values) for result in program.results}
 
 
-def _picked(v: tuple[int, bool] | float, values: Sequence[Value]) -> Value:
-    if isinstance(v, float):
-        return v
-    return -values[v[0]] if v[1] else values[v[0]]
+def picked(result: Result, values: Sequence[Value]) -> list[Value]:
+    """Numbers of a result from the values of its program."""
+    return [v if isinstance(v, float) else -values[v[0]] if v[1] else values[v[0]] for v in result.values]
+
+
+def growths(program: Program, values: Sequence[Value]) -> list[Value]:
+    """Factors by which a program magnifies rounding errors, from its values; none where it says nothing."""
+    return [] if program.growth is None else picked(program.growth, values)

@@ -8,21 +8,22 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, get_args
-from uuid import uuid4
 
 import torch
 from torch import Tensor
 
 from torchdq.algebra.inertia import Inertia, six
 from torchdq.algebra.quaternion import Number, Pure
+from torchdq.caches import PROGRAMS, remembered
+from torchdq.call import DTYPES
 from torchdq.dynamics.joints import KINDS, Helical, Prismatic, Revolute
 from torchdq.dynamics.tree import BASE, Tree, plant
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 from torchdq.robot import consistency, from_dh, from_screws, urdf
+from torchdq.robot.constants import Constants
 from torchdq.robot.description import Frame, Limits, RobotDescription
 from torchdq.robot.report import Report
 
-DTYPES = (torch.float32, torch.float64)  # dtypes of parameters and of the dynamics
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], in the base frame
 OnUnphysical = Literal["error", "warn", "ignore"]
 
@@ -73,9 +74,8 @@ class Robot:
     home: Tensor | None = None  # [..., n] joint positions at home [rad or m]; None: zero
     armature: Tensor | None = None  # [..., n] rotor inertia seen at the joint [kg m^2 or kg]; None: none
     notes: tuple[str, ...] = ()  # faults, and requests of the description that are not used or used otherwise
-    varying: tuple[str, ...] = ()  # tensors that programs take as arguments; the others are built into them
-    origin: Robot | None = None  # the robot this is a variation of, and whose constants it has; None: itself
-    identity: str = field(default_factory=lambda: uuid4().hex)  # of the constants: programs are kept by it
+    _arguments: tuple[str, ...] = field(default=(), repr=False)  # see `arguments`
+    _constants: Constants | None = field(default=None, repr=False)  # see `constants`; None: those of the fields
 
     def __post_init__(self) -> None:
         n = len(self.joint_names)
@@ -95,8 +95,12 @@ class Robot:
                 raise DtypeError(f"{name} of robot {self.name!r} must be float32 or float64, found {value.dtype}")
         # a tensor that differs from sample to sample cannot be a constant
         present = [name for name in SHAPES if getattr(self, name) is not None]
-        varying = tuple(name for name in present if name in self.varying or self._batch(name))
-        object.__setattr__(self, "varying", varying)
+        names = tuple(name for name in present if name in self._arguments or self._batch(name))
+        object.__setattr__(self, "_arguments", names)
+        if self._constants is None:
+            fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+            own = {name: x for name, x in fields.items() if name not in ("notes", "_arguments", "_constants")}
+            object.__setattr__(self, "_constants", Constants.of(own, {name: len(SHAPES[name]) for name in names}))
 
     def _batch(self, name: str) -> tuple[int, ...]:
         """Batch axes of a tensor."""
@@ -278,18 +282,17 @@ class Robot:
         >>> heavier.mass.shape  # three robots
         torch.Size([3, 2])
         """
-        varying = tuple(name for name in SHAPES if name in self.varying or changes.get(name) is not None)
-        if all(name in SHAPES and value is not None for name, value in changes.items()):
-            return dataclasses.replace(self, **changes, varying=varying, origin=self.origin or self)
-        return dataclasses.replace(self, **changes, varying=varying, origin=None, identity=uuid4().hex)
+        names = tuple(name for name in SHAPES if name in self._arguments or changes.get(name) is not None)
+        same = all(name in SHAPES and value is not None for name, value in changes.items())
+        return dataclasses.replace(self, **changes, _arguments=names, _constants=self._constants if same else None)
 
     def bake(self) -> Robot:
         """Robot whose tensors, all without batch axes, are constants of its programs: the fastest for a known robot."""
-        for name in self.varying:
+        for name in self._arguments:
             if self._batch(name):
                 raise ArgumentError(f"{name} of robot {self.name!r} has batch axes and cannot be a constant")
-        detached = {name: getattr(self, name).detach() for name in self.varying}
-        return dataclasses.replace(self, **detached, varying=(), origin=None, identity=uuid4().hex)
+        detached = {name: getattr(self, name).detach() for name in self._arguments}
+        return dataclasses.replace(self, **detached, _arguments=(), _constants=None)
 
     def with_tip(self, name: str | None) -> Robot:
         """Robot whose end effector is the frame of that name."""
@@ -317,7 +320,7 @@ class Robot:
         changes: dict[str, Any] = {name: None if x is None else cast(x) for name, x in fields.items()}
         changes["limits"] = Limits(*map(cast, self.limits))
         changes["frames"] = tuple(frame._replace(X_BF=cast(frame.X_BF)) for frame in self.frames)
-        return dataclasses.replace(self, **changes, origin=None, identity=uuid4().hex)
+        return dataclasses.replace(self, **changes, _constants=None)
 
     # --- numbers for the algorithms ---
 
@@ -376,3 +379,22 @@ def general_tree(
         armature,
         gravity,
     )
+
+
+# --- what programs see -----------------------------------------------------------------------------------------------
+
+
+def arguments(robot: Robot) -> tuple[str, ...]:
+    """Names of the tensors that programs take as arguments; the others are built into them."""
+    return robot._arguments
+
+
+def constants(robot: Robot) -> Constants:
+    """The numbers that programs have built in, shared by all that was made of a robot by replacing its tensors."""
+    return robot._constants  # type: ignore[return-value]
+
+
+@remembered(PROGRAMS)
+def recorded(constants: Constants) -> Robot:
+    """The robot that programs are recorded from."""
+    return Robot(**constants.tensors(), _constants=constants)

@@ -1,0 +1,244 @@
+"""C text that every program begins with: vectors, their functions, and rows read into them.
+
+It does not depend on the processor: the lane count follows from what the compiler is told to build for. It needs
+nothing but the compiler; sine, cosine, exponential and logarithm are its own, so lanes never wait for a library call,
+and fall back to the C library only for lanes whose angle is huge or not finite.
+"""
+
+# fdlibm's minimax polynomials (Sun Microsystems 1993) of sine and cosine on [-pi/4, pi/4], with pi/2 in three parts; of
+# r (exp r + 1)/(exp r - 1) on [-ln2/2, ln2/2] and (log(1 + s) - log(1 - s))/s on [0, 0.1716], with ln2 in two parts
+_DOUBLE = """
+typedef double S;
+#define SIZE 8
+typedef long long N;
+#define HALF_PI_1 0x1.921fb54400000p+0
+#define HALF_PI_2 0x1.0b4611a600000p-34
+#define HALF_PI_3 0x1.3198a2e037073p-69
+#define TWO_OVER_PI 0x1.45f306dc9c883p-1
+#define ROUND 0x1.8p+52
+#define LARGEST 1e5
+#define SIN(z) (-0x1.5555555555549p-3+z*(0x1.111111110f8a6p-7+z*(-0x1.a01a019c161d5p-13+z*(0x1.71de357b1fe7dp-19 \\
+  +z*(-0x1.ae5e68a2b9cebp-26+z*0x1.5d93a5acfd57cp-33)))))
+#define COS(z) (0x1.555555555554cp-5+z*(-0x1.6c16c16c15177p-10+z*(0x1.a01a019cb1590p-16+z*(-0x1.27e4f809c52adp-22 \\
+  +z*(0x1.1ee9ebdb4b1c4p-29+z*-0x1.8fae9be8838d4p-37)))))
+#define MANTISSA 52
+#define BIAS 1023
+#define SMALLEST 0x1p-1022
+#define GREATEST 0x1.fffffffffffffp+1023
+#define LOWEST -746.0
+#define HIGHEST 710.0
+#define ROOT_HALF 0x3fe6a09e667f3bcdLL
+#define LN2_1 0x1.62e42feep-1
+#define LN2_2 0x1.a39ef35793c76p-33
+#define ONE_OVER_LN2 0x1.71547652b82fep+0
+#define EXP(z) (1.66666666666666019037e-01+z*(-2.77777777770155933842e-03+z*(6.61375632143793436117e-05 \\
+  +z*(-1.65339022054652515390e-06+z*4.13813679705723846039e-08))))
+#define LOG(z,w) (w*(3.999999999940941908e-01+w*(2.222219843214978396e-01+w*1.531383769920937332e-01)) \\
+  +z*(6.666666666666735130e-01+w*(2.857142874366239149e-01+w*(1.818357216161805012e-01+w*1.479819860511658591e-01))))
+#define LIBRARY_SIN __builtin_sin
+#define LIBRARY_COS __builtin_cos
+#define LIBRARY_SQRT __builtin_sqrt
+#define LIBRARY_EXP __builtin_exp
+#define LIBRARY_LOG __builtin_log
+#define LIBRARY_FLOOR __builtin_floor
+"""
+
+# the same in single precision (sine and cosine: Cephes, Moshier 1992; the others: FreeBSD's fdlibm)
+_FLOAT = """
+typedef float S;
+#define SIZE 4
+typedef int N;
+#define HALF_PI_1 0x1.92p+0f
+#define HALF_PI_2 0x1.fb4p-12f
+#define HALF_PI_3 0x1.4442d2p-24f
+#define TWO_OVER_PI 0x1.45f306p-1f
+#define ROUND 0x1.8p+23f
+#define LARGEST 4e3f
+#define SIN(z) (-1.6666654611e-1f+z*(8.3321608736e-3f+z*-1.9515295891e-4f))
+#define COS(z) (4.166664568298827e-2f+z*(-1.388731625493765e-3f+z*2.443315711809948e-5f))
+#define MANTISSA 23
+#define BIAS 127
+#define SMALLEST 0x1p-126f
+#define GREATEST 0x1.fffffep+127f
+#define LOWEST -104.0f
+#define HIGHEST 89.0f
+#define ROOT_HALF 0x3f3504f3
+#define LN2_1 0x1.62e4p-1f
+#define LN2_2 0x1.7f7d1cp-20f
+#define ONE_OVER_LN2 0x1.715476p+0f
+#define EXP(z) (1.6666625440e-1f+z*-2.7667332906e-3f)
+#define LOG(z,w) (w*(0.40000972152f+w*0.24279078841f)+z*(0.66666662693f+w*0.28498786688f))
+#define LIBRARY_SIN __builtin_sinf
+#define LIBRARY_COS __builtin_cosf
+#define LIBRARY_SQRT __builtin_sqrtf
+#define LIBRARY_EXP __builtin_expf
+#define LIBRARY_LOG __builtin_logf
+#define LIBRARY_FLOOR __builtin_floorf
+"""
+
+_PRELUDE = """
+#if defined(__AVX512F__)
+#define BYTES 64
+#elif defined(__AVX__)
+#define BYTES 32
+#else
+#define BYTES 16
+#endif
+#define LANES (BYTES/SIZE)
+#define TILE (LANES<8?LANES:8)
+typedef S T __attribute__((vector_size(BYTES)));
+typedef N M __attribute__((vector_size(BYTES)));
+typedef T U __attribute__((aligned(SIZE)));
+#ifdef __clang__
+#define MIX(a,b,...) __builtin_shufflevector(a,b,__VA_ARGS__)
+#else
+#define MIX(a,b,...) __builtin_shuffle(a,b,(M){__VA_ARGS__})
+#endif
+
+@TURNS@
+static inline T choose(M m,T a,T b){return (T)(((M)a&m)|((M)b&~m));}
+
+static __attribute__((noinline)) void rare(T x,T*s,T*c){
+  for(int l=0;l<LANES;l++)if(!(x[l]<=LARGEST&&x[l]>=-LARGEST)){(*s)[l]=LIBRARY_SIN(x[l]);(*c)[l]=LIBRARY_COS(x[l]);}
+}
+
+static inline void sincos_(T x,T*s,T*c){
+  T t=x*TWO_OVER_PI+ROUND,k=t-ROUND;
+  M q=(M)t;
+  T r=((x-k*HALF_PI_1)-k*HALF_PI_2)-k*HALF_PI_3,z=r*r;
+  T sr=r+r*z*SIN(z),h=z*(S)0.5,w=1-h,cr=w+(((1-w)-h)+z*z*COS(z));
+  M odd=-(q&1);
+  T a=choose(odd,cr,sr),b=choose(odd,sr,cr);
+  const int top=8*sizeof(S)-1;
+  *s=(T)((M)a^((q>>1&1)<<top));
+  *c=(T)((M)b^(((q+1)>>1&1)<<top));
+  M wild=~((x<=(T){}+LARGEST)&(x>=(T){}-LARGEST));
+  N any=0;for(int l=0;l<LANES;l++)any|=wild[l];
+  if(__builtin_expect(any!=0,0))rare(x,s,c);
+}
+
+static inline T max_(T a,T b){return choose((a>=b)|(a!=a),a,b);}
+static inline T min_(T a,T b){return choose((a<=b)|(a!=a),a,b);}
+static inline T select_(T m,T a,T b){return choose(m!=(T){},a,b);}
+static inline T ge_(T a,T b){return (T)((a>=b)&(M)((T){}+1));}
+static inline T sqrt_(T x){T y;for(int l=0;l<LANES;l++)y[l]=LIBRARY_SQRT(x[l]);return y;}
+
+/* rounded by adding what leaves no bits after the point; without it compilers take one lane at a time */
+static inline T floor_(T x){
+  const T whole=(T){}+(S)((N)1<<MANTISSA);
+  const M sign=(M)-(T){};
+  T size=(T)((M)x&~sign),y=(T)((M)((size+whole)-whole)|((M)x&sign));
+  return choose(size<whole,y-(T)((y>x)&(M)((T){}+1)),x);
+}
+
+/* scaled by a power of two in two steps, of which the second rounds to what is subnormal, zero or infinite */
+static inline T exp_(T x){
+  const T least=(T){}+LOWEST,most=(T){}+HIGHEST;
+  x=choose(x<least,least,choose(x>most,most,x));
+  T k=(x*ONE_OVER_LN2+ROUND)-ROUND,half=k*(S)0.5+ROUND,rest=(k-(half-ROUND))+ROUND;
+  T h=x-k*LN2_1,l=k*LN2_2,r=h-l,z=r*r,c=r-z*EXP(z);
+  T y=1-((l-(r*c)/(2-c))-h);
+  return y*(T)(((M)half+BIAS)<<MANTISSA)*(T)(((M)rest+BIAS)<<MANTISSA);
+}
+
+/* x = 2^k (1 + f), 1 + f between the roots of 1/2 and 2 */
+static inline T log_(T x){
+  const N up=(N)BIAS<<MANTISSA;
+  const S whole=(S)((N)1<<MANTISSA);
+  M tiny=x<(T){}+SMALLEST;
+  M i=(M)choose(tiny,x*(whole*4),x),e=((i-ROOT_HALF+up)>>MANTISSA)&(2*BIAS+1);
+  T k=(T)(e|(M)((T){}+whole))-(whole+BIAS)-choose(tiny,(T){}+(MANTISSA+2),(T){});
+  T f=(T)(i-((e-BIAS)<<MANTISSA))-1,s=f/(2+f),z=s*s,w=z*z,h=(S)0.5*f*f;
+  T y=k*LN2_1-((h-(s*(h+LOG(z,w))+k*LN2_2))-f);
+  T other=choose(x<(T){},(T){}+(S)__builtin_nan(""),choose(x==(T){},(T){}-(S)__builtin_inf(),x));
+  return choose((x>(T){})&(x<=(T){}+GREATEST),y,other);
+}
+"""
+
+
+def text(single: bool) -> str:
+    """C text of vectors in single or double precision."""
+    return f"{_FLOAT if single else _DOUBLE}\n{_PRELUDE.replace('@TURNS@', _turns())}"
+
+
+def _turns() -> str:
+    """C that exchanges rows and columns of a tile held in vectors: TILE columns of LANES samples, in halves if need be.
+
+    Vector k holds row k in its first TILE lanes, row k + TILE in the next. Blocks of half the size are swapped across
+    the diagonal, then of a quarter, down to single entries.
+    """
+    text = []
+    for lanes in (2, 4, 8, 16):
+        tile = min(lanes, 8)
+        steps = []
+        size = tile // 2
+        while size:
+            for i in range(tile):
+                if not i & size:
+                    low = [k if not k & size else lanes + k - size for k in range(lanes)]
+                    high = [k + size if not k & size else lanes + k for k in range(lanes)]
+                    steps.append(
+                        f"t=MIX(r[{i}],r[{i + size}],{','.join(map(str, low))});"
+                        f"r[{i + size}]=MIX(r[{i}],r[{i + size}],{','.join(map(str, high))});r[{i}]=t;"
+                    )
+            size //= 2
+        text.append(f"#if LANES=={lanes}\nstatic inline void turn(T*r){{T t;{''.join(steps)}}}\n#endif")
+    return "\n".join(text) + _TILES
+
+
+# rows narrower than a tile are read beyond their end, where there are more rows; and written in order, so that what
+# spills into the next row is overwritten by it, but never beyond the last
+_TILES = """
+#if LANES==16
+typedef S H __attribute__((vector_size(32)));
+typedef H V __attribute__((aligned(SIZE)));
+#if defined(__has_builtin)
+#if __has_builtin(__builtin_shufflevector)
+#define PAIR
+#endif
+#endif
+static inline T row(const S*at,long stride){
+#ifdef PAIR
+  return __builtin_shufflevector(*(const V*)at,*(const V*)(at+8*stride),0,1,2,3,4,5,6,7,8,9,10,11,12,13,14,15);
+#else
+  union{H h[2];T t;}u={{*(const V*)at,*(const V*)(at+8*stride)}};return u.t;
+#endif
+}
+static inline H part(T v,int half){
+#ifdef PAIR
+  return half?__builtin_shufflevector(v,v,8,9,10,11,12,13,14,15):__builtin_shufflevector(v,v,0,1,2,3,4,5,6,7);
+#else
+  union{T t;H h[2];}u={v};return u.h[half];
+#endif
+}
+static inline void put(S*at,T v,int half,int count,int whole){
+  H x=part(v,half);
+  if(whole)*(V*)at=x;else for(int j=0;j<count;j++)at[j]=x[j];
+}
+#else
+static inline T row(const S*at,long stride){return *(const U*)at;}
+static inline void put(S*at,T v,int half,int count,int whole){
+  if(whole)*(U*)at=v;else for(int j=0;j<count;j++)at[j]=v[j];
+}
+#endif
+static inline void load(T*to,const S*from,int width){
+  if(width==1){to[0]=*(const U*)from;return;}
+  for(int c=0;c<width;c+=TILE){
+    const int at=width<TILE?0:(c>width-TILE?width-TILE:c);
+    T r[TILE];
+    for(int k=0;k<TILE;k++)r[k]=row(from+k*width+at,width);
+    turn(r);
+    for(int k=0;k<TILE&&k<width;k++)to[at+k]=r[k];
+  }
+}
+static inline void store(S*to,const T*from,int width){
+  if(width==1){*(U*)to=from[0];return;}
+  for(int c=0;c<width;c+=TILE){
+    const int at=width<TILE?0:(c>width-TILE?width-TILE:c),count=width<TILE?width:TILE;
+    T r[TILE];
+    for(int k=0;k<TILE;k++)r[k]=from[at+(k<count?k:0)];
+    turn(r);
+    for(int l=0;l<LANES;l++)put(to+l*width+at,r[l%TILE],l/TILE,count,l*width+at+TILE<=LANES*width);
+  }
+}
+"""

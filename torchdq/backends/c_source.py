@@ -1,0 +1,159 @@
+"""A program in C: one sample per lane of the compiler's vector type, rows [batch, n] read and written directly."""
+
+from collections.abc import Iterable, Sequence
+
+from torchdq.backends import c_prelude
+from torchdq.numbers.ops import OPS, Operation
+from torchdq.program.program import Output, Program, outputs
+from torchdq.program.schedule import TOGETHER, Part, schedule
+
+LONGEST = 1500  # operations of a C function; compile time grows faster than its length
+
+
+def source(program: Program, single: bool) -> str:
+    """C source of a program in double or single precision.
+
+    It defines `run`, which takes the number of samples and a pointer per argument and per output: dense arrays
+    [samples, width], or [width] where they are uniform or summed.
+    """
+    return _Printer(program, single).text()
+
+
+def _literal(x: float) -> str:
+    """Constant in the program's precision, to the last bit."""
+    if x != x:
+        return '(S)__builtin_nan("")'
+    if abs(x) == float("inf"):
+        return "(S)__builtin_inf()" if x > 0 else "(S)-__builtin_inf()"
+    return f"(S){float(x).hex()}"
+
+
+def _applied(row: Operation, function: str, operands: Iterable[str]) -> str:
+    """Expression for an operation."""
+    return row.infix.join(operands) if row.infix else function.format(*operands)
+
+
+class _Printer:
+    def __init__(self, program: Program, single: bool):
+        self.program, self.single = program, single
+        self.schedule = schedule(program, LONGEST)
+
+    # --- values ---
+
+    def name(self, i: int) -> str:
+        """Expression for a value that has been computed."""
+        op = self.program.ops[i]
+        if op.code == "const":
+            return f"({_literal(op.payload)})"
+        return f"u[{i}]" if self.schedule.uniform[i] else f"x{i}"
+
+    def vector(self, i: int) -> str:
+        """Expression for a value that has been computed, the same in all lanes if it is uniform."""
+        return f"(T){{}}+({self.name(i)})" if self.schedule.uniform[i] else self.name(i)
+
+    def output(self, v: Output) -> str:
+        """Expression for a number of a result."""
+        if isinstance(v, float):
+            return f"(T){{}}+{_literal(v)}"
+        index, negative = v
+        return f"-({self.vector(index)})" if negative else self.vector(index)
+
+    # --- statements ---
+
+    def prelude(self) -> list[str]:
+        """Values that are the same for all samples."""
+        lines = []
+        for i in self.schedule.prelude:
+            op = self.program.ops[i]
+            if op.code == "in":
+                right = "in{}[{}]".format(*op.payload)
+            else:
+                right = _applied(OPS[op.code], OPS[op.code].c_single, map(self.name, op.operands))
+            lines.append(f"u[{i}]={right};")
+        return [f"S u[{len(self.program.ops)}];", *lines] if lines else []
+
+    def statements(self, part: Part) -> list[str]:
+        """Operations on vectors; a sine and a cosine of one angle are computed by one call, at the first of them."""
+        lines = []
+        for i in part.values:
+            op = self.program.ops[i]
+            if op.code == "in":
+                lines.append("const T x{}=I{}[{}];".format(i, *op.payload))
+            elif op.code in TOGETHER:
+                pair = self.schedule.pairs[i]
+                if i == pair[0]:
+                    names = {self.program.ops[k].code: f"x{k}" for k in pair}
+                    sine, cosine = names.get("sin", f"unused{i}"), names.get("cos", f"unused{i}")
+                    lines.append(f"T {sine},{cosine};sincos_({self.name(op.operands[0])},&{sine},&{cosine});")
+            else:
+                row = OPS[op.code]
+                operands = map(self.name if row.infix else self.vector, op.operands)
+                lines.append(f"const T x{i}={_applied(row, row.c, operands)};")
+        return lines
+
+    def results(self) -> list[str]:
+        lines = [f"const T x{i}=v[{slot}];" for i, slot in self.schedule.results]
+        for k, result in enumerate(outputs(self.program)):
+            lines += [f"O{k}[{j}]={self.output(v)};" for j, v in enumerate(result.values)]
+        return lines
+
+    # --- the whole ---
+
+    def text(self) -> str:
+        p, results = self.program, outputs(self.program)
+        rows = [(k, a.width) for k, a in enumerate(p.arguments) if not a.uniform and a.width]
+        # a result without values still needs an array to name
+        widths = [max(len(r.values), 1) for r in results]
+        summed = [(k, widths[k]) for k, r in enumerate(results) if r.summed]
+        functions, body = self.body(rows)
+        lines = [c_prelude.text(self.single), *functions]
+        pointers = [f"const S*in{k}" for k in range(len(p.arguments))] + [f"S*out{k}" for k in range(len(results))]
+        lines += [f"void run(long samples,{','.join(pointers)}){{", *self.prelude()]
+        lines += [f"T A{k}[{w}];for(int j=0;j<{w};j++)A{k}[j]=(T){{}};" for k, w in summed]
+        lines += ["for(long b=0;b<samples;b+=LANES){", "const long here=samples-b<LANES?samples-b:LANES;"]
+        # a tail repeats its last sample in the idle lanes, so that every sample takes the same path
+        lines += [
+            f"T I{k}[{w}];if(samples-b>=LANES+(TILE+{w - 1})/{w})load(I{k},in{k}+b*{w},{w});else{{"
+            f"for(int l=0;l<LANES;l++)for(int j=0;j<{w};j++)I{k}[j][l]=in{k}[(b+(l<here?l:here-1))*{w}+j];}}"
+            for k, w in rows
+        ]
+        lines += [f"T O{k}[{w}];" for k, w in enumerate(widths)]
+        lines += body
+        for k, r in enumerate(results):
+            w = len(r.values)
+            if r.summed:
+                lines.append(
+                    f"if(here==LANES){{for(int j=0;j<{w};j++)A{k}[j]+=O{k}[j];}}"
+                    f"else{{for(int j=0;j<{w};j++)for(int l=0;l<here;l++)A{k}[j][l]+=O{k}[j][l];}}"
+                )
+            else:
+                lines.append(
+                    f"if(here==LANES)store(out{k}+b*{w},O{k},{w});"
+                    f"else{{for(int l=0;l<here;l++)for(int j=0;j<{w};j++)out{k}[(b+l)*{w}+j]=O{k}[j][l];}}"
+                )
+        lines.append("}")
+        lines += [
+            f"for(int j=0;j<{len(results[k].values)};j++){{S t=0;for(int l=0;l<LANES;l++)t+=A{k}[j][l];out{k}[j]=t;}}"
+            for k, _ in summed
+        ]
+        return "\n".join([*lines, "}"]) + "\n"
+
+    def body(self, rows: Sequence[tuple[int, int]]) -> tuple[list[str], list[str]]:
+        """Functions, and the statements of the loop over samples that compute the results.
+
+        A long program is functions of bounded length that pass their values in an array.
+        """
+        parts = self.schedule.parts
+        if len(parts) == 1:
+            return [], [*self.statements(parts[0]), *self.results()]
+        parameters = ",".join(["T*v", "const S*u", *(f"const T*I{k}" for k, _ in rows)])
+        arguments = ",".join(["v", "u" if self.schedule.prelude else "0", *(f"I{k}" for k, _ in rows)])
+        functions, calls = [], [f"T v[{max(self.schedule.slots, 1)}];"]
+        for k, part in enumerate(parts):
+            functions += [f"static __attribute__((noinline)) void part{k}({parameters}){{"]
+            functions += [f"const T x{i}=v[{slot}];" for i, slot in part.loaded]
+            functions += self.statements(part)
+            functions += [f"v[{slot}]=x{i};" for i, slot in part.stored]
+            functions += ["}"]
+            calls.append(f"part{k}({arguments});")
+        return functions, [*calls, *self.results()]

@@ -1,0 +1,100 @@
+"""The fallback to float64: rows of which a program says that rounding errors grow too far are computed again.
+
+How far they grow is one more output of a program. Rows over the limit of float32 are recomputed in float64 and
+rounded; rows over the limit of float64 become NaN. No other row is touched.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.backends.backend import Backend, Kernel
+from torchdq.backends.torch import EAGER
+from torchdq.caches import PROGRAMS, remembered
+from torchdq.program.program import LARGEST_GROWTH, Program, samples_of
+from torchdq.program.transforms import without_values
+
+
+@remembered(PROGRAMS)
+def kernel(backend: Backend, program: Program, dtype: torch.dtype, device: torch.device) -> Kernel:
+    """Kernel of a program, made once per process."""
+    return backend.kernel(program, dtype, device)
+
+
+class Guarded(NamedTuple):
+    """A backend whose rows are watched, to be handed on as one that runs programs."""
+
+    backend: Backend
+
+    def __call__(self, program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
+        """Results of a program."""
+        return guarded(self.backend, program, inputs)
+
+    @property
+    def by_torch(self) -> Guarded:
+        """The one that runs programs as torch's own operations."""
+        return Guarded(EAGER)
+
+
+def guarded(backend: Backend, program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
+    """Results of a program, rows recomputed where they have to be."""
+    samples = samples_of(program, inputs)
+    if program.growth is None:
+        return _outputs(backend, program, inputs, samples)
+    if not samples:
+        return _outputs(backend, program, inputs, samples)[:-1]
+    dtype = inputs[0].dtype
+    asked = not (backend.differentiable and without_values(inputs))
+    if not asked and dtype != torch.float64:
+        # which rows are over the limit cannot be asked
+        return [y.to(dtype) for y in guarded(backend, program, [x.double() for x in inputs])]
+    *results, growth = _outputs(backend, program, inputs, samples)
+    limit = LARGEST_GROWTH.double if dtype == torch.float64 else LARGEST_GROWTH.single
+    # the largest is NaN if one of them is
+    if asked and (growth if samples == 1 else growth.amax()).item() <= limit:
+        return results
+    over = ~(growth[:, 0].detach() <= limit)
+    if dtype == torch.float64:
+        return _or_nan(program, results, over)
+    return _recomputed(backend, program, inputs, results, over)
+
+
+def _outputs(backend: Backend, program: Program, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
+    like = inputs[0]
+    # where torch sees the operations there is nothing to keep, and torch.compile looks into this
+    if backend.differentiable:
+        return backend.kernel(program, like.dtype, like.device)(inputs, samples)
+    return kernel(backend, program, like.dtype, like.device)(inputs, samples)
+
+
+def _or_nan(program: Program, results: Sequence[Tensor], over: Tensor) -> list[Tensor]:
+    """Results with NaN in some rows, and in their gradients."""
+    kept = torch.where(over, torch.nan, 1.0).to(results[0].dtype)
+    return [y * kept.mean() if r.summed else kept[:, None] * y for y, r in zip(results, program.results, strict=True)]
+
+
+def _recomputed(
+    backend: Backend, program: Program, inputs: Sequence[Tensor], results: Sequence[Tensor], over: Tensor
+) -> list[Tensor]:
+    """Results whose rows over the limit are those of float64."""
+    dtype = inputs[0].dtype
+    at, others = over.nonzero()[:, 0], (~over).nonzero()[:, 0]
+    wide = [y.to(dtype) for y in guarded(backend, program, _among(program, inputs, at, torch.float64))]
+    if any(r.summed for r in program.results) or any(y.requires_grad for y in results):
+        # a sum holds the rows over the limit, and their gradients may be 0 * inf
+        results = guarded(backend, program, _among(program, inputs, others, dtype))
+    else:
+        results = [y[others] for y in results]
+    return [
+        k + w if r.summed else w.new_empty(len(over), w.shape[1]).index_copy(0, at, w).index_copy(0, others, k)
+        for k, w, r in zip(results, wide, program.results, strict=True)
+    ]
+
+
+def _among(program: Program, inputs: Sequence[Tensor], rows: Tensor, dtype: torch.dtype) -> list[Tensor]:
+    """Arguments of some samples, in a dtype."""
+    return [(x if a.uniform else x[rows]).to(dtype) for x, a in zip(inputs, program.arguments, strict=True)]

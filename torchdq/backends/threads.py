@@ -1,0 +1,67 @@
+"""Threads that share the samples of a batch."""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import torch
+
+from torchdq.caches import emptied_by
+
+PER_THREAD = 1e6  # operations on vectors that are worth a thread: waking one takes as long as tens of thousands
+BLOCK = 64  # samples; threads get whole blocks, so that no vector is shared
+PART = 64 * BLOCK  # samples whose sum is formed at once
+
+_pools: list[ThreadPoolExecutor] = []  # one, or none yet
+
+
+def _pool() -> ThreadPoolExecutor:
+    if not _pools:
+        _pools.append(ThreadPoolExecutor(max(2, os.cpu_count() or 2), thread_name_prefix="torchdq"))
+    return _pools[0]
+
+
+def running() -> bool:
+    """Whether there are threads."""
+    return bool(_pools)
+
+
+def stop() -> None:
+    """End the threads; the next large batch starts new ones."""
+    while _pools:
+        _pools.pop().shutdown()
+
+
+emptied_by(stop)
+os.register_at_fork(after_in_child=_pools.clear)  # threads do not survive a fork
+
+
+def shares(samples: int, operations: int, sums: bool) -> tuple[int, int]:
+    """Number of threads that a batch is worth, and how many samples a part of it has.
+
+    Args:
+        samples: in the batch, at least one.
+        operations: per sample.
+        sums: whether results are summed: then a part is of one size, and the sum the same, whatever the threads.
+    """
+    threads = min(torch.get_num_threads(), samples // max(BLOCK, int(8 * PER_THREAD / max(1, operations))))
+    size = samples
+    if sums:
+        size = PART
+    elif threads > 1:
+        size = -(-samples // (threads * BLOCK)) * BLOCK
+    return threads, size
+
+
+def run(job: Callable[[int], None], parts: int, threads: int) -> None:
+    """Do a job for every part, the parts shared among threads of which the caller is one."""
+    threads = max(threads, 1)
+
+    def some(first: int) -> None:
+        for k in range(first, parts, threads):
+            job(k)
+
+    waiting = [_pool().submit(some, k) for k in range(1, threads)]
+    some(0)
+    for done in waiting:
+        done.result()

@@ -1,0 +1,70 @@
+"""The backend of torch operations: on any device, and seen by all that torch does with operations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import torch
+from torch import Tensor
+
+from torchdq.backends.backend import Backend, Kernel
+from torchdq.errors import TorchdqError
+from torchdq.numbers.ops import OPS
+from torchdq.program.program import Output, Program, outputs
+
+
+class Torch(Backend):
+    """Programs operation by operation in torch."""
+
+    name = "eager"
+    differentiable = True
+
+    def refusal(self, device: torch.device) -> TorchdqError | None:
+        """None: it runs wherever torch does."""
+        return None
+
+    def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> Kernel:
+        """The program, interpreted."""
+        return partial(interpreted, program)
+
+
+EAGER = Torch()
+
+
+def interpreted(program: Program, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
+    """Outputs of a program, operation by operation; differentiable by torch itself."""
+    rows = [x.unbind(-1) for x in inputs]
+    values: list = []  # tensors, or Python numbers
+
+    def tensor(k: int) -> Tensor:
+        x = values[k]
+        return x if isinstance(x, Tensor) else inputs[0].new_full((), x)
+
+    for code, operands, payload in program.ops:
+        if code == "in":
+            argument, component = payload
+            values.append(rows[argument][component])
+        elif code == "const":
+            values.append(payload)
+        else:
+            row = OPS[code]
+            if row.infix:
+                values.append(row.value(*[values[k] for k in operands]))
+            elif row.tensor is None:
+                values.append(row.value(*[tensor(k) for k in operands]))
+            else:
+                values.append(row.tensor(torch, *[tensor(k) for k in operands]))
+
+    nothing = inputs[0][..., :0]  # a constant has gradients too, and they are zero
+
+    def column(v: Output) -> Tensor:
+        x = v if isinstance(v, float) else -values[v[0]] if v[1] else values[v[0]]
+        x = nothing.sum(-1) + x if isinstance(x, float) else x
+        return x.expand(samples)
+
+    found = [
+        torch.stack([column(v) for v in r.values], -1) if r.values else nothing.expand(samples, 0)
+        for r in outputs(program)
+    ]
+    return [y.sum(0) if r.summed else y for y, r in zip(found, outputs(program), strict=True)]

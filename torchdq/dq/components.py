@@ -1,0 +1,52 @@
+"""Tensors as the components that the algebra computes with, and back; and what they must look like."""
+
+import torch
+from torch import Tensor
+
+from torchdq.errors import ArgumentError, DtypeError
+
+
+def require_floating(name: str, x: Tensor) -> None:
+    """Raise unless x is a tensor of floating-point numbers."""
+    if not isinstance(x, Tensor):
+        raise ArgumentError(f"{name} must be a tensor, found {type(x).__name__}")
+    if not x.dtype.is_floating_point:
+        raise DtypeError(f"{name} must be a floating tensor, found {x.dtype}; convert it, e.g. {name}.double()")
+
+
+def require_square(name: str, x: Tensor, size: int) -> None:
+    """Raise unless x is a matrix [..., size, size]."""
+    require_floating(name, x)
+    if x.shape[-2:] != (size, size):
+        raise ArgumentError(f"{name} must have the shape [..., {size}, {size}], found {tuple(x.shape)}")
+
+
+def require_matrix(name: str, x: Tensor) -> None:
+    """Raise unless x is a matrix of dual quaternions [..., rows, columns, 8]."""
+    split(name, x, 8)
+    if x.ndim < 3:
+        raise ArgumentError(f"{name} must be a matrix [..., rows, columns, 8], found shape {tuple(x.shape)}")
+
+
+def split(name: str, x: Tensor, *sizes: int) -> tuple:
+    """Components of x as the algebra wants them, after checking the last axis."""
+    require_floating(name, x)
+    if x.ndim == 0 or x.shape[-1] not in sizes:
+        expected = " or ".join(str(s) for s in sizes)
+        raise ArgumentError(f"{name} must end with an axis of {expected} components, found shape {tuple(x.shape)}")
+    parts = x.unbind(-1)
+    half = {6: 3, 8: 4}.get(len(parts))
+    return parts if half is None else (parts[:half], parts[half:])
+
+
+def stack(components) -> Tensor:
+    """Tensor [..., k] of k components, or [..., 2 k] of a pair; Python numbers become constants."""
+    flat = [*components[0], *components[1]] if isinstance(components[0], tuple) else list(components)
+    like = next(c for c in flat if isinstance(c, Tensor))
+    flat = [c if isinstance(c, Tensor) else torch.full_like(like, c) for c in flat]
+    return torch.stack(torch.broadcast_tensors(*flat), -1)
+
+
+def stack_rows(rows) -> Tensor:
+    """Tensor [..., rows, k] of equally long rows of components."""
+    return torch.stack(torch.broadcast_tensors(*[stack(row) for row in rows]), -2)

@@ -1,0 +1,177 @@
+"""Poses and motions as unit dual quaternions: exponential and logarithm, interpolation, conversions.
+
+Rows never mix: a row that is not finite, or that has no direction to normalise, is NaN in its own row only.
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.algebra import dual_quaternion, quaternion
+from torchdq.dq import explog
+from torchdq.dq.components import require_square, split, stack, stack_rows
+from torchdq.dq.tensors import conj, mul
+
+# --- exponential and logarithm ---------------------------------------------------------------------------------------
+
+
+def exp(a: Tensor) -> Tensor:
+    """Unit dual quaternion exp(a) [..., 8] of any pure dual quaternion a [..., 6] (25)-(27).
+
+    `exp(line * angle / 2)` is the rotation by `angle` [rad] about a unit line, and `exp(twist * dt / 2)` the motion
+    with a constant body twist during dt. Accurate to rounding, with first and second derivatives, at every angle.
+    The printed (25) is not the exponential unless the line meets the origin (erratum 25).
+
+    >>> translation(exp(torch.tensor([0.0, 0, 0, 0, 0, 1])))  # half a translation by 2 m
+    tensor([0., 0., 2.])
+    """
+    split("a", a, 6)
+    return explog.mapped(explog.exp, a)
+
+
+def log(x: Tensor) -> Tensor:
+    """Logarithm a [..., 6] of a unit dual quaternion x [..., 8], exp(a) = x, smooth up to a full turn.
+
+    2 |P(a)| is the angle in [0, 2 pi] of the motion x describes with its own sign; x and -x are the same pose but
+    different motions. `log_shortest` takes the shorter one. At P(x) = -1, a full turn, where every line through the
+    displacement would do, the line along the displacement is taken (along x if there is none).
+
+    >>> log(exp(torch.tensor([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))).mul(10).round().int().tolist()
+    [1, 2, 3, 10, 20, 30]
+    """
+    split("x", x, 8)
+    return explog.mapped(explog.log, x)
+
+
+def log_shortest(x: Tensor) -> Tensor:
+    """Logarithm of x or -x [..., 6], whichever is the motion of less than half a turn.
+
+    Both signs of a pose give the same result, except at exactly half a turn (w = 0): there both ways are equally
+    long and x itself is taken, so that -x gives the opposite turn. The gradient jumps where the angle is pi.
+    """
+    split("x", x, 8)
+    return log(torch.where(x[..., :1] < 0, -x, x))
+
+
+def sclerp(x: Tensor, y: Tensor, t: Tensor | float) -> Tensor:
+    """Pose x exp(t log(x* y)) [..., 8]: the screw motion from x (t = 0) to y (t = 1) by the shorter way.
+
+    Args:
+        x, y: poses, shape [..., 8].
+        t: fraction [1], shape [...] or a number; outside [0, 1] it extrapolates.
+    """
+    split("x", x, 8)
+    split("y", y, 8)
+    t = torch.as_tensor(t, dtype=x.dtype, device=x.device)
+    return mul(x, exp(t.unsqueeze(-1) * log_shortest(mul(conj(x), y))))
+
+
+class ScrewParameters(NamedTuple):
+    """A motion as a screw: turn by `angle` about a line while sliding by `slide` along it."""
+
+    axis: Tensor  # unit direction of the line [1], [..., 3]; along the displacement if there is no rotation
+    moment: Tensor  # the line's, about the origin [m], [..., 3]; zero if there is no rotation
+    angle: Tensor  # [rad], [...], in [0, pi]
+    slide: Tensor  # [m], [...]; the pitch slide/angle is infinite for a pure translation
+
+
+def screw_params(x: Tensor) -> ScrewParameters:
+    """Screw axis, moment, angle and slide of the pose x [..., 8], by the shorter way.
+
+    >>> screw_params(exp_line := exp(torch.tensor([0.0, 0, 0.5, 0, 0, 1]))).slide
+    tensor(2.)
+    """
+    p, d = log_shortest(x).split(3, -1)
+    half = torch.linalg.vector_norm(p, dim=-1, keepdim=True)
+    turns = half != 0  # also where it is NaN, which is then passed on
+    length = torch.linalg.vector_norm(d, dim=-1, keepdim=True)
+    moves = length != 0
+    still = torch.eye(3, dtype=x.dtype, device=x.device)[0]
+    axis = torch.where(
+        turns, p / torch.where(turns, half, 1.0), torch.where(moves, d / torch.where(moves, length, 1.0), still)
+    )
+    slide = (axis * d).sum(-1, keepdim=True)
+    moment = torch.where(turns, (d - slide * axis) / torch.where(turns, half, 1.0), 0.0)
+    return ScrewParameters(axis, moment, 2.0 * half.squeeze(-1), 2.0 * slide.squeeze(-1))
+
+
+# --- poses -----------------------------------------------------------------------------------------------------------
+
+
+def from_pose(rotation: Tensor, position: Tensor) -> Tensor:
+    """Pose X_AB = r + (eps/2) p r [..., 8] (28).
+
+    Args:
+        rotation: unit quaternion (w, x, y, z) that turns B components into A components, shape [..., 4].
+        position: of B's origin in A [m], shape [..., 3].
+    """
+    return stack(dual_quaternion.from_pose(split("rotation", rotation, 4), split("position", position, 3)))
+
+
+def rotation(x: Tensor) -> Tensor:
+    """Unit quaternion r [..., 4] of the pose x [..., 8], the primary part."""
+    split("x", x, 8)
+    return x[..., :4]
+
+
+def translation(x: Tensor) -> Tensor:
+    """Position p = 2 D P* [..., 3] of B's origin in A [m], of the pose x = X_AB [..., 8]."""
+    return stack(dual_quaternion.translation(split("x", x, 8)))
+
+
+def translation_body(x: Tensor) -> Tensor:
+    """Position p^b = 2 P* D [..., 3] of B's origin in B's own axes [m], of the pose x = X_AB [..., 8] (28)."""
+    return stack(dual_quaternion.translation_body(split("x", x, 8)))
+
+
+def rotate(r: Tensor, v: Tensor) -> Tensor:
+    """Vector r v r* [..., 3], v turned by the unit quaternion r [..., 4]."""
+    return stack(quaternion.rotate(split("r", r, 4), split("v", v, 3)))
+
+
+def to_rotation_matrix(r: Tensor) -> Tensor:
+    """Rotation matrix [..., 3, 3] of a unit quaternion [..., 4]."""
+    return stack_rows(quaternion.rotation_columns(split("r", r, 4))).mT
+
+
+def from_rotation_matrix(matrix: Tensor) -> Tensor:
+    """Unit quaternion [..., 4] with w >= 0 of a rotation matrix [..., 3, 3].
+
+    The largest of the four components is taken from the diagonal and the others are divided by it, so that no
+    rotation is close to a singular case.
+    """
+    require_square("matrix", matrix, 3)
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (row.unbind(-1) for row in matrix.unbind(-2))
+    squares = torch.stack([1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz], -1)
+    sw, sx, sy, sz = squares.unbind(-1)
+    candidates = torch.stack(
+        [
+            torch.stack([sw, zy - yz, xz - zx, yx - xy], -1),
+            torch.stack([zy - yz, sx, yx + xy, xz + zx], -1),
+            torch.stack([xz - zx, yx + xy, sy, zy + yz], -1),
+            torch.stack([yx - xy, xz + zx, zy + yz, sz], -1),
+        ],
+        -2,
+    )
+    largest = squares.argmax(-1, keepdim=True)
+    q = candidates.gather(-2, largest.unsqueeze(-1).expand(*largest.shape, 4)).squeeze(-2)
+    q = q / (2.0 * squares.gather(-1, largest).sqrt())
+    return torch.where(q[..., :1] < 0, -q, q)
+
+
+def to_matrix(x: Tensor) -> Tensor:
+    """Homogeneous matrix [..., 4, 4] of the pose x [..., 8].
+
+    >>> to_matrix(from_pose(torch.tensor([1.0, 0, 0, 0]), torch.tensor([1.0, 2, 3])))[:3, 3]
+    tensor([1., 2., 3.])
+    """
+    top = torch.cat([to_rotation_matrix(rotation(x)), translation(x).unsqueeze(-1)], -1)
+    bottom = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=x.dtype, device=x.device)
+    return torch.cat([top, bottom.expand(*top.shape[:-2], 1, 4)], -2)
+
+
+def from_matrix(matrix: Tensor) -> Tensor:
+    """Pose [..., 8] of a homogeneous matrix [..., 4, 4], with w >= 0."""
+    require_square("matrix", matrix, 4)
+    return from_pose(from_rotation_matrix(matrix[..., :3, :3]), matrix[..., :3, 3])

@@ -1,0 +1,217 @@
+"""The operations of programs, one row each: all that is known about an operation stands here and is read from here.
+
+The recorder, derivatives, torch and the printers of source text know no operation by name but the four of arithmetic,
+whose signs the recorder works into one another. A new operation is a new row, and a function of its name for those
+who write formulas.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+Value = Any  # a number of any kind
+
+
+class Mirror(NamedTuple):
+    """An operation on the negatives of its operands, by an operation on the operands themselves."""
+
+    code: str
+    negative: bool = False  # whether it is the negative of that operation
+    reverse: bool = False  # whether the operands change places
+
+
+class Operation(NamedTuple):
+    """An operation.
+
+    The partial derivatives are formulas for numbers of any kind. Each takes a factor, the value of the operation and
+    its operands, and returns the factor times the derivative by one operand; None: the derivative is zero. A divisor
+    that all of them share stands apart, so that it divides only once.
+    """
+
+    cost: str  # what it counts as, a field of `program.Count`
+    value: Callable[..., Value]  # on plain numbers
+    partials: tuple[Callable[..., Value] | None, ...]
+    c: str = ""  # in C, of vectors; sine and cosine are printed in pairs
+    c_single: str = ""  # in C, of single numbers
+    divisor: Callable[..., Value] | None = None  # that the partial derivatives share, from the value and the operands
+    tensor: Callable[..., Any] | None = None  # from the module `torch` and tensors; None: `value`
+    infix: str = ""  # the sign between its operands, in C as elsewhere
+    commutes: bool = False
+    even: tuple[int, ...] = ()  # positions of operands whose sign does not matter
+    mirror: Mirror | None = None  # None: signs of the other operands are worked in
+    idempotent: bool = False  # whether it is the operand where those whose sign matters are one
+
+
+def apply(code: str, *x: Value) -> Value:
+    """Value of an operation on numbers of any kind; a kind that is not plain has a method `applied` for it."""
+    row = OPS[code]
+    if not row.infix:
+        for number in x:
+            # the kind is asked, not the number: mpmath's exp is an exponent, and torch.compile can trace nothing else
+            applied = getattr(type(number), "applied", None)
+            if applied is not None:
+                return applied(code, x)
+    return row.value(*x)
+
+
+def _own(name: str, of_float: Callable[[float], float]) -> Callable[[Value], Value]:
+    """Function of one number: the number's own method, or that of floats."""
+
+    def value(x: Value) -> Value:
+        if callable(getattr(type(x), name, None)):
+            return getattr(x, name)()
+        if isinstance(x, float | int):
+            return of_float(float(x))
+        raise TypeError(f"{name} is not known for numbers of kind {type(x).__name__}")
+
+    return value
+
+
+# floats give what programs give, infinities and NaN included, where Python's own functions would raise an error
+
+
+def _exp(x: float) -> float:
+    try:
+        return math.exp(x)
+    except OverflowError:
+        return math.inf
+
+
+def _finite(function: Callable[[float], float]) -> Callable[[float], float]:
+    """Function that is NaN where there is no finite argument."""
+    return lambda x: function(x) if math.isfinite(x) else math.nan
+
+
+def _select(mask: Value, a: Value, b: Value) -> Value:
+    return apply("select", mask, a, b)
+
+
+def _gate(larger: bool) -> tuple[Callable[..., Value], ...]:
+    """Partial derivatives of the larger or the smaller of two numbers: the one that is taken has all of it."""
+
+    def first(x: Value, z: Value) -> Value:
+        return apply("ge", x, z) if larger else apply("ge", z, x)
+
+    return lambda g, y, a, b: _select(first(a, b), g, 0.0), lambda g, y, a, b: _select(first(a, b), 0.0, g)
+
+
+OPS: Mapping[str, Operation] = {
+    "add": Operation(
+        cost="additions",
+        value=operator.add,
+        partials=(lambda g, y, a, b: g, lambda g, y, a, b: g),
+        infix="+",
+        commutes=True,
+    ),
+    "sub": Operation(
+        cost="additions",
+        value=operator.sub,
+        partials=(lambda g, y, a, b: g, lambda g, y, a, b: -g),
+        infix="-",
+    ),
+    "mul": Operation(
+        cost="multiplications",
+        value=operator.mul,
+        partials=(lambda g, y, a, b: g * b, lambda g, y, a, b: a * g),
+        infix="*",
+        commutes=True,
+    ),
+    "div": Operation(
+        cost="divisions",
+        value=operator.truediv,
+        partials=(lambda g, y, a, b: g, lambda g, y, a, b: -(g * y)),
+        divisor=lambda y, a, b: b,
+        infix="/",
+    ),
+    "sin": Operation(
+        cost="sines",
+        value=_own("sin", _finite(math.sin)),
+        partials=(lambda g, y, x: g * apply("cos", x),),
+        c_single="LIBRARY_SIN({0})",
+        mirror=Mirror("sin", negative=True),
+    ),
+    "cos": Operation(
+        cost="sines",
+        value=_own("cos", _finite(math.cos)),
+        partials=(lambda g, y, x: -(g * apply("sin", x)),),
+        c_single="LIBRARY_COS({0})",
+        even=(0,),
+    ),
+    "sqrt": Operation(
+        cost="roots",
+        value=_own("sqrt", lambda x: math.sqrt(x) if x >= 0 else math.nan),
+        partials=(lambda g, y, x: g,),
+        divisor=lambda y, x: 2.0 * y,
+        c="sqrt_({0})",
+        c_single="LIBRARY_SQRT({0})",
+    ),
+    "exp": Operation(
+        cost="exponentials",
+        value=_own("exp", _exp),
+        partials=(lambda g, y, x: g * y,),
+        c="exp_({0})",
+        c_single="LIBRARY_EXP({0})",
+    ),
+    "log": Operation(
+        cost="exponentials",
+        value=_own("log", lambda x: math.log(x) if x > 0 else -math.inf if x == 0 else math.nan),
+        partials=(lambda g, y, x: g,),
+        divisor=lambda y, x: x,
+        c="log_({0})",
+        c_single="LIBRARY_LOG({0})",
+    ),
+    "floor": Operation(
+        cost="comparisons",
+        value=_own("floor", lambda x: float(math.floor(x)) if math.isfinite(x) else x),
+        partials=(None,),  # constant wherever it has a derivative
+        c="floor_({0})",
+        c_single="LIBRARY_FLOOR({0})",
+    ),
+    # the larger and the smaller of two numbers: the first if they are equal, NaN if one of them is; torch's own would
+    # share the gradient where both are equal
+    "max": Operation(
+        cost="comparisons",
+        value=lambda a, b: a if a >= b or a != a else b,
+        partials=_gate(larger=True),
+        tensor=lambda torch, a, b: torch.where((a >= b) | (a != a), a, b),
+        c="max_({0},{1})",
+        c_single="{0}>={1}||{0}!={0}?{0}:{1}",
+        mirror=Mirror("min", negative=True),
+        idempotent=True,
+    ),
+    "min": Operation(
+        cost="comparisons",
+        value=lambda a, b: a if a <= b or a != a else b,
+        partials=_gate(larger=False),
+        tensor=lambda torch, a, b: torch.where((a <= b) | (a != a), a, b),
+        c="min_({0},{1})",
+        c_single="{0}<={1}||{0}!={0}?{0}:{1}",
+        mirror=Mirror("max", negative=True),
+        idempotent=True,
+    ),
+    # 1 if the first is at least the second, or else 0, also if one of them is NaN
+    "ge": Operation(
+        cost="comparisons",
+        value=lambda a, b: 1.0 if a >= b else 0.0,
+        partials=(None, None),
+        tensor=lambda torch, a, b: (a >= b).to(a.dtype),
+        c="ge_({0},{1})",
+        c_single="(S)({0}>={1})",
+        mirror=Mirror("ge", reverse=True),
+    ),
+    # the second where the first is not 0, or else the third; what is not taken touches neither value nor gradient
+    "select": Operation(
+        cost="comparisons",
+        value=lambda mask, a, b: a if mask != 0 else b,
+        partials=(None, lambda g, y, mask, a, b: _select(mask, g, 0.0), lambda g, y, mask, a, b: _select(mask, 0.0, g)),
+        tensor=lambda torch, mask, a, b: torch.where(mask != 0, a, b),
+        c="select_({0},{1},{2})",
+        c_single="{0}!=0?{1}:{2}",
+        even=(0,),
+        mirror=Mirror("select", negative=True),
+        idempotent=True,
+    ),
+}

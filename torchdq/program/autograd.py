@@ -1,0 +1,177 @@
+"""Programs that torch cannot look into, in its graphs: gradients, forward mode, `vmap` and traced graphs.
+
+Derivatives of a program are programs, run in the same way, so nothing but the arguments is kept between forward and
+backward. What runs a program is handed over; nothing here knows what that is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from hashlib import sha256
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from torchdq.caches import LAYOUTS, PROGRAMS, Bounded, remembered
+from torchdq.errors import ArgumentError
+from torchdq.program import autodiff
+from torchdq.program.program import Argument, Program, samples_of
+from torchdq.program.transforms import in_a_batch_of_gradients, transforming
+
+vjp = remembered(PROGRAMS)(autodiff.vjp)
+jvp = remembered(PROGRAMS)(autodiff.jvp)
+
+
+class Execute(Protocol):
+    """Function that runs programs, without gradients."""
+
+    def __call__(self, program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
+        """Results of a program."""
+
+    @property
+    def by_torch(self) -> Execute:
+        """Function that runs them as torch's own operations, which all of its transforms know."""
+
+
+def in_a_graph(inputs: Sequence[Tensor]) -> bool:
+    """Whether torch has to know what is done to tensors."""
+    return transforming() or (torch.is_grad_enabled() and any([x.requires_grad for x in inputs]))
+
+
+def differentiable(execute: Execute, program: Program, inputs: Sequence[Tensor]) -> Sequence[Tensor]:
+    """Results of a program with gradients, with no more bookkeeping than is asked for."""
+    if transforming():
+        return _Transformable.apply(execute, program, *inputs)
+    return _Differentiable.apply(execute, program, *inputs) if in_a_graph(inputs) else execute(program, inputs)
+
+
+def _gradients(ctx, needed: Sequence[bool], cotangents: Sequence[Tensor]) -> list:
+    """Gradients of the inputs that need one, by the program's vector-Jacobian product."""
+    derivative, rows = vjp(ctx.program, tuple([k for k, wanted in enumerate(needed) if wanted])), ctx.saved_tensors
+    if in_a_batch_of_gradients(cotangents):
+        found = ctx.execute.by_torch(derivative, [*rows, *cotangents])
+    else:
+        found = differentiable(ctx.execute, derivative, [*rows, *cotangents])
+    gradients = iter(found)
+    return [next(gradients) if wanted else None for wanted in needed]
+
+
+class _Differentiable(torch.autograd.Function):
+    """A program with its gradients."""
+
+    @staticmethod
+    def forward(ctx, execute: Execute, program: Program, *inputs: Tensor) -> tuple[Tensor, ...]:
+        ctx.execute, ctx.program = execute, program
+        ctx.save_for_backward(*inputs)
+        return tuple(execute(program, inputs))
+
+    @staticmethod
+    def backward(ctx, *cotangents: Tensor):
+        return None, None, *_gradients(ctx, ctx.needs_input_grad[2:], cotangents)
+
+
+class _Transformable(torch.autograd.Function):
+    """A program for `torch.func` and forward-mode differentiation, whose bookkeeping costs more."""
+
+    @staticmethod
+    def forward(execute: Execute, program: Program, *inputs: Tensor) -> tuple[Tensor, ...]:
+        return tuple(execute(program, inputs))
+
+    @staticmethod
+    def setup_context(ctx, inputs, output) -> None:
+        ctx.execute, ctx.program, *rows = inputs
+        ctx.save_for_backward(*rows)
+        ctx.save_for_forward(*rows)
+
+    @staticmethod
+    def backward(ctx, *cotangents: Tensor):
+        return None, None, *_gradients(ctx, ctx.needs_input_grad[2:], cotangents)
+
+    @staticmethod
+    def jvp(ctx, _execute, _program, *tangents: Tensor | None) -> tuple[Tensor, ...]:
+        wrt = tuple(k for k, t in enumerate(tangents) if t is not None)
+        present = [t for t in tangents if t is not None]
+        return tuple(differentiable(ctx.execute, jvp(ctx.program, wrt), [*ctx.saved_tensors, *present]))
+
+    @staticmethod
+    def vmap(info, in_dims, execute: Execute, program: Program, *inputs: Tensor):
+        size, arguments = info.batch_size, program.arguments
+        dims = in_dims[2:]
+        samples = next(
+            (x.shape[int(d == 0)] for x, d, a in zip(inputs, dims, arguments, strict=True) if not a.uniform), 1
+        )
+        rows = []
+        for x, d, a in zip(inputs, dims, arguments, strict=True):
+            x = x.unsqueeze(0) if d is None else x.movedim(d, 0)
+            x = x.unsqueeze(1) if a.uniform else x
+            rows.append(x.expand(size, samples, a.width).reshape(size * samples, a.width))
+        results = [y.reshape(size, samples, y.shape[-1]) for y in differentiable(execute, per_sample(program), rows)]
+        results = [y.sum(1) if r.summed else y for y, r in zip(results, program.results, strict=True)]
+        return tuple(results), (0,) * len(results)
+
+
+@remembered(PROGRAMS)
+def per_sample(program: Program) -> Program:
+    """The program with nothing shared between samples: no uniform argument, no sum."""
+    return replace(
+        program,
+        arguments=tuple(Argument(a.name, a.width) for a in program.arguments),
+        results=tuple(r._replace(summed=False) for r in program.results),
+    )
+
+
+# --- traced graphs ---------------------------------------------------------------------------------------------------
+
+_named: Bounded[str, tuple[Execute, Program]] = Bounded(LAYOUTS)
+
+
+def named(execute: Execute, program: Program) -> str:
+    """Name under which a traced graph finds a program again."""
+    name = sha256(f"{execute}\n{program}".encode()).hexdigest()
+    _named[name] = execute, program
+    return name
+
+
+def _found(name: str) -> tuple[Execute, Program]:
+    """Program of a name; a graph that torch kept from an earlier process may name derivatives not yet recorded here."""
+    if name not in _named:
+        primal, derived, wrt = name.rpartition(":")
+        if not derived:
+            raise ArgumentError(
+                "a graph calls a program that was recorded in another process, or forgotten since; trace or export it "
+                "again in this one"
+            )
+        execute, program = _found(primal)
+        _named[name] = execute, vjp(program, tuple(map(int, wrt.split(","))))
+    return _named[name]
+
+
+@torch.library.custom_op("torchdq::evaluate", mutates_args=())
+def operator(program: str, inputs: Sequence[Tensor]) -> list[Tensor]:
+    """Results of a program for graphs that are traced: the program goes by its name."""
+    execute, found = _found(program)
+    return execute(found, inputs)
+
+
+@operator.register_fake
+def _(program: str, inputs: Sequence[Tensor]) -> list[Tensor]:
+    _, found = _found(program)
+    samples = samples_of(found, inputs)
+    return [inputs[0].new_empty((len(r.values),) if r.summed else (samples, len(r.values))) for r in found.results]
+
+
+def _setup(ctx, inputs, output) -> None:
+    ctx.program = inputs[0]
+    ctx.save_for_backward(*inputs[1])
+
+
+def _backward(ctx, cotangents: Sequence[Tensor]):
+    saved = ctx.saved_tensors
+    wrt = tuple(k for k, needed in enumerate(ctx.needs_input_grad[1]) if needed)
+    gradients = iter(operator(f"{ctx.program}:{','.join(map(str, wrt))}", [*saved, *cotangents]))
+    return None, [next(gradients) if k in wrt else None for k in range(len(saved))]
+
+
+operator.register_autograd(_backward, setup_context=_setup)
