@@ -134,7 +134,7 @@ STAGES = {"step": _step, "drive": _drive, "sense": _sense, "begin": _begin, "ene
 # --- programs --------------------------------------------------------------------------------------------------------
 
 
-class _Fields(NamedTuple):
+class _StageFields(NamedTuple):
     """Fields of `Stage`."""
 
     spec: SceneSpec
@@ -142,7 +142,7 @@ class _Fields(NamedTuple):
     task: Task | None = None
 
 
-class Stage(_Fields, Computation):
+class Stage(_StageFields, Computation):
     """A stage of a scene's step, as a computation of `torchdq.call`; parameters are named "owner.name"."""
 
     def axes(self, name: str) -> tuple[int, ...]:

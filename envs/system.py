@@ -15,7 +15,7 @@ from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.effects.transmission import Transmission
 from torchdq.envs.integrators import System
 from torchdq.envs.spec import RecordedScene, Row, Rows
-from torchdq.numbers.record import Number as Recorded
+from torchdq.numbers.record import Recorded
 from torchdq.program import autodiff as derive
 from torchdq.program.program import Argument, record, replay
 from torchdq.robot.posed import posed, solve

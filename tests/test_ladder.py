@@ -22,7 +22,7 @@ TREE = random_tree(8, 5).robot.bake()  # its frames lie beside the centres of ma
 def torques(rung: ladder.Rung, robot: torchdq.Robot, s) -> torch.Tensor:
     rows = [x.unbind(-1) for x in (s.q, s.qd, s.qdd)]
     program = rung.program(robot)
-    return torch.stack(results(program, replay(program, None, rows))["tau"], -1)
+    return torch.stack(results(program, replay(program, rows))["tau"], -1)
 
 
 @pytest.mark.parametrize(

@@ -817,7 +817,7 @@ def test_inputs_are_checked_at_every_step_not_only_at_the_first():
     scene = Scene(ARM)
     state = scene.start(random(3, 2))
     scene.step(state, random(3, 2))
-    with pytest.raises(DtypeError, match="torque is torch.float32 but q is torch.float64"):
+    with pytest.raises(DtypeError, match=r"torque is torch\.float32 but q is torch\.float64"):
         scene.step(state, random(3, 2).float())
     with pytest.raises(ArgumentError, match="torque must be a tensor"):
         scene.step(state, random(3, 2).numpy())

@@ -20,9 +20,9 @@ from typing import Any, TypeVar
 PROGRAMS = 1024  # programs, derivatives and kernels, each
 LAYOUTS = 4096  # layouts of calls, and names of programs in graphs
 
-Function = TypeVar("Function", bound=Callable[..., Any])
+Cached = TypeVar("Cached", bound=Callable[..., Any])
 Key = TypeVar("Key", bound=Hashable)
-Value = TypeVar("Value")
+Entry = TypeVar("Entry")
 
 _emptying: list[Callable[[], object]] = []
 
@@ -32,10 +32,10 @@ def emptied_by(empty: Callable[[], object]) -> None:
     _emptying.append(empty)
 
 
-def remembered(size: int) -> Callable[[Function], Function]:
+def remembered(size: int) -> Callable[[Cached], Cached]:
     """Decorator: a function that remembers its results for so many arguments."""
 
-    def decorate(function: Function) -> Function:
+    def decorate(function: Cached) -> Cached:
         cached = lru_cache(size)(function)
         emptied_by(cached.cache_clear)
         return wraps(function)(cached)  # type: ignore[return-value]
@@ -43,7 +43,7 @@ def remembered(size: int) -> Callable[[Function], Function]:
     return decorate
 
 
-class Bounded(dict[Key, Value]):
+class Bounded(dict[Key, Entry]):
     """A dictionary that loses its oldest entry when it is full."""
 
     def __init__(self, size: int):
@@ -51,7 +51,7 @@ class Bounded(dict[Key, Value]):
         self.size = size
         emptied_by(self.clear)
 
-    def __setitem__(self, key: Key, value: Value) -> None:
+    def __setitem__(self, key: Key, value: Entry) -> None:
         if len(self) >= self.size:
             self.pop(next(iter(self)), None)
         super().__setitem__(key, value)

@@ -77,17 +77,17 @@ class Computation:
         return ""
 
 
-class Row(NamedTuple):
+class Arrangement(NamedTuple):
     """Steps from a tensor to rows of a program: expanded, then reshaped to these shapes; None: it has that shape."""
 
     expanded: Shape | None
     flat: Shape | None
 
 
-class Layout(NamedTuple):
+class CallLayout(NamedTuple):
     """Everything that is known of a call by the shapes, dtypes and devices of its tensors."""
 
-    rows: tuple[Row, ...]
+    rows: tuple[Arrangement, ...]
     dtype: torch.dtype  # the program runs in
     device: torch.device
     program: Program
@@ -95,7 +95,7 @@ class Layout(NamedTuple):
     results: tuple[tuple[str, Shape], ...]
 
 
-_layouts: Bounded[tuple, Layout] = Bounded(LAYOUTS)
+_layouts: Bounded[tuple, CallLayout] = Bounded(LAYOUTS)
 
 
 def evaluate(
@@ -184,12 +184,12 @@ def _require_alike(name: str, x: Tensor, other: str, like: Tensor) -> None:
 # --- layout ----------------------------------------------------------------------------------------------------------
 
 
-def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, double: bool) -> Layout:
+def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, double: bool) -> CallLayout:
     arguments, rows, batch = _arranged(what, tensors)
     like = next(x for x in tensors.values() if x is not None)
     program = what.program(arguments)
     shapes = zip(program.results, what.results(program), strict=True)
-    return Layout(
+    return CallLayout(
         rows,
         torch.float64 if double else like.dtype,
         like.device,
@@ -199,7 +199,7 @@ def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, do
     )
 
 
-def _arranged(what: Computation, tensors: Tensors) -> tuple[tuple[Argument, ...], tuple[Row, ...], Shape]:
+def _arranged(what: Computation, tensors: Tensors) -> tuple[tuple[Argument, ...], tuple[Arrangement, ...], Shape]:
     """Arguments of the program, how tensors become rows of them, and the batch axes."""
     batch = batch_of(what, tensors)
     samples = math.prod(batch)
@@ -211,11 +211,11 @@ def _arranged(what: Computation, tensors: Tensors) -> tuple[tuple[Argument, ...]
         width, uniform = math.prod(axes), what.shared(name) and x.ndim == len(axes)
         arguments.append(Argument(name, width, uniform))
         expanded, flat = (axes, (width,)) if uniform else (batch + axes, (samples, width))
-        rows.append(Row(None if x.shape == expanded else expanded, None if expanded == flat else flat))
+        rows.append(Arrangement(None if x.shape == expanded else expanded, None if expanded == flat else flat))
     return tuple(arguments), tuple(rows), batch
 
 
-def _row(x: Tensor, dtype: torch.dtype, device: torch.device, row: Row) -> Tensor:
+def _row(x: Tensor, dtype: torch.dtype, device: torch.device, row: Arrangement) -> Tensor:
     if x.dtype != dtype or x.device != device:
         x = x.to(dtype=dtype, device=device)
     if row.expanded is not None:

@@ -247,7 +247,7 @@ class Function(_Call, Computation):
         return trailing({**known, **SHAPES}[name], self.n)
 
     def shared(self, name: str) -> bool:
-        """Whether it is a tensor of the robot."""
+        """True for a tensor of the robot."""
         return name in SHAPES
 
     def label(self, name: str) -> str:
@@ -255,7 +255,7 @@ class Function(_Call, Computation):
         return f"robot.{name}" if name in SHAPES else name
 
     def subject(self) -> str:
-        """What shapes are for, in error messages."""
+        """Robot that shapes are for, in error messages."""
         return f" for the {self.n} joints of robot {self.constants.fields['name']!r}"
 
     def check(self, tensors: Mapping[str, Any]) -> None:

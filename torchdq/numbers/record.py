@@ -27,7 +27,7 @@ class Tape:
 
     def __init__(self) -> None:
         self.ops: list[Op] = []
-        self.growths: list[Number | float] = []  # factors by which rounding errors are magnified
+        self.growths: list[Recorded | float] = []  # factors by which rounding errors are magnified
         self._index: dict[Op, int] = {}
 
     def value(self, code: str, operands: tuple[int, ...] = (), payload: Any = None) -> int:
@@ -41,16 +41,16 @@ class Tape:
             self.ops.append(op)
         return index
 
-    def input(self, argument: int, component: int) -> Number:
+    def input(self, argument: int, component: int) -> Recorded:
         """Number that stands for a component of an argument."""
-        return Number(self, self.value("in", payload=(argument, component)), False)
+        return Recorded(self, self.value("in", payload=(argument, component)), False)
 
-    def constant(self, x: float) -> Number:
+    def constant(self, x: float) -> Recorded:
         """Number that stands for a constant; its sign is kept apart, so that x and -x are one value."""
-        return Number(self, self.value("const", payload=abs(x)), math.copysign(1.0, x) < 0)
+        return Recorded(self, self.value("const", payload=abs(x)), math.copysign(1.0, x) < 0)
 
 
-class Number:
+class Recorded:
     """A recorded value, or its negative."""
 
     __slots__ = ("index", "negative", "tape")
@@ -58,11 +58,11 @@ class Number:
     def __init__(self, tape: Tape, index: int, negative: bool):
         self.tape, self.index, self.negative = tape, index, negative
 
-    def __neg__(self) -> Number:
-        return Number(self.tape, self.index, not self.negative)
+    def __neg__(self) -> Recorded:
+        return Recorded(self.tape, self.index, not self.negative)
 
-    def __add__(self, other: Number | float) -> Number | float:
-        if not isinstance(other, Number):
+    def __add__(self, other: Recorded | float) -> Recorded | float:
+        if not isinstance(other, Recorded):
             if other == 0:
                 return self
             other = self.tape.constant(other)
@@ -70,69 +70,69 @@ class Number:
 
     __radd__ = __add__
 
-    def __sub__(self, other: Number | float) -> Number | float:
+    def __sub__(self, other: Recorded | float) -> Recorded | float:
         return self + (-other)
 
-    def __rsub__(self, other: Number | float) -> Number | float:
+    def __rsub__(self, other: Recorded | float) -> Recorded | float:
         return (-self) + other
 
-    def __mul__(self, other: Number | float) -> Number | float:
-        if not isinstance(other, Number):
+    def __mul__(self, other: Recorded | float) -> Recorded | float:
+        if not isinstance(other, Recorded):
             if other == 0:
                 return 0.0
             if other in (1, -1):
                 return self if other > 0 else -self
             other = self.tape.constant(other)
         product = self.tape.value("mul", (self.index, other.index))
-        return Number(self.tape, product, self.negative != other.negative)
+        return Recorded(self.tape, product, self.negative != other.negative)
 
     __rmul__ = __mul__
 
-    def __truediv__(self, other: Number | float) -> Number | float:
-        if not isinstance(other, Number):
+    def __truediv__(self, other: Recorded | float) -> Recorded | float:
+        if not isinstance(other, Recorded):
             return self * (1.0 / other)
         quotient = self.tape.value("div", (self.index, other.index))
-        return Number(self.tape, quotient, self.negative != other.negative)
+        return Recorded(self.tape, quotient, self.negative != other.negative)
 
-    def __rtruediv__(self, other: float) -> Number | float:
+    def __rtruediv__(self, other: float) -> Recorded | float:
         return 0.0 if other == 0 else self.tape.constant(other) / self
 
-    def sin(self) -> Number:
+    def sin(self) -> Recorded:
         """Sine."""
         return self.applied("sin", (self,))
 
-    def cos(self) -> Number:
+    def cos(self) -> Recorded:
         """Cosine."""
         return self.applied("cos", (self,))
 
-    def note_growth(self, growth: Number | float) -> None:
+    def note_growth(self, growth: Recorded | float) -> None:
         """Have the tape remember that rounding errors on the way to this number are magnified."""
         self.tape.growths.append(growth)
 
     @staticmethod
-    def applied(code: str, x: Sequence[Number | float]) -> Number:
+    def applied(code: str, x: Sequence[Recorded | float]) -> Recorded:
         """Value of an operation that is not one of arithmetic; at least one of its operands is recorded."""
         row = OPS[code]
-        tape = next(v.tape for v in x if isinstance(v, Number))
+        tape = next(v.tape for v in x if isinstance(v, Recorded))
         signed = [v for k, v in enumerate(x) if k not in row.even]
-        signs = {v.negative for v in signed if isinstance(v, Number)}
+        signs = {v.negative for v in signed if isinstance(v, Recorded)}
         negative = row.mirror is not None and signs == {True}
         operands = [
-            v.index if k in row.even and isinstance(v, Number) else _with_sign(tape, v, negative)
+            v.index if k in row.even and isinstance(v, Recorded) else _with_sign(tape, v, negative)
             for k, v in enumerate(x)
         ]
         own = {i for k, i in enumerate(operands) if k not in row.even}
         if row.idempotent and len(own) == 1:
-            return Number(tape, own.pop(), negative)
+            return Recorded(tape, own.pop(), negative)
         if row.mirror is None or not negative:
-            return Number(tape, tape.value(code, tuple(operands)), False)
+            return Recorded(tape, tape.value(code, tuple(operands)), False)
         operands = operands[::-1] if row.mirror.reverse else operands
-        return Number(tape, tape.value(row.mirror.code, tuple(operands)), row.mirror.negative)
+        return Recorded(tape, tape.value(row.mirror.code, tuple(operands)), row.mirror.negative)
 
 
-def _with_sign(tape: Tape, x: Number | float, negative: bool) -> int:
+def _with_sign(tape: Tape, x: Recorded | float, negative: bool) -> int:
     """Index of the value that a number is, or that its negative is."""
-    if not isinstance(x, Number):
+    if not isinstance(x, Recorded):
         # a constant can be had with either sign; a sum with 0.0 is a float and never -0.0
         return tape.value("const", payload=0.0 + (-x if negative else x))
     if x.negative == negative:
@@ -143,11 +143,11 @@ def _with_sign(tape: Tape, x: Number | float, negative: bool) -> int:
     return tape.value("sub", (tape.constant(0.0).index, x.index))
 
 
-def _sum(x: Number, y: Number) -> Number | float:
+def _sum(x: Recorded, y: Recorded) -> Recorded | float:
     """x + y with the signs worked in: an addition if they agree, a subtraction if they do not."""
     tape = x.tape
     if x.negative == y.negative:
-        return Number(tape, tape.value("add", (x.index, y.index)), x.negative)
+        return Recorded(tape, tape.value("add", (x.index, y.index)), x.negative)
     if x.index == y.index:
         return 0.0
     # one order of every difference, so that a - b and b - a are one value
@@ -155,4 +155,4 @@ def _sum(x: Number, y: Number) -> Number | float:
     a, b = x.index, y.index
     if a > b:
         a, b, negative = b, a, not negative
-    return Number(tape, tape.value("sub", (a, b)), negative)
+    return Recorded(tape, tape.value("sub", (a, b)), negative)

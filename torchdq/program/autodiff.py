@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 
 from torchdq.numbers.ops import OPS
-from torchdq.numbers.record import Number, Tape
+from torchdq.numbers.record import Recorded, Tape
 from torchdq.program.program import Argument, Program, Value, finish, growths, replay, results
 
 
@@ -15,7 +15,7 @@ def cotangents(program: Program, values: Sequence[Value], seeds: dict[int, Value
     found: dict[tuple[int, int], Value] = {}
     for i in reversed(range(len(values))):
         op, g = program.ops[i], adjoint[i]
-        if not isinstance(g, Number) and g == 0:
+        if not isinstance(g, Recorded) and g == 0:
             continue
         if op.code == "in":
             found[op.payload] = g
@@ -71,7 +71,7 @@ def tangents(program: Program, values: Sequence[Value], seeds: dict[tuple[int, i
             continue
         row, x, total = OPS[op.code], [values[k] for k in op.operands], 0.0
         for k, partial in zip(op.operands, row.partials, strict=True):
-            if partial is not None and (isinstance(t[k], Number) or t[k] != 0):
+            if partial is not None and (isinstance(t[k], Recorded) or t[k] != 0):
                 total = total + partial(t[k], values[i], *x)
         t.append(total if row.divisor is None else total / row.divisor(values[i], *x))
     return t

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from torchdq.numbers.functions import maximum
 from torchdq.numbers.ops import OPS, apply
-from torchdq.numbers.record import Number, Op, Tape
+from torchdq.numbers.record import Op, Recorded, Tape
 
 Value = Any  # a recorded number, or one that is known
 
@@ -140,7 +140,7 @@ def finish(
     `growths` are factors by which rounding errors are magnified on the way to the results.
     """
     growth = reduce(maximum, [*tape.growths, *growths] or [1.0])
-    wanted = [v.index for values in (*results.values(), [growth]) for v in values if isinstance(v, Number)]
+    wanted = [v.index for values in (*results.values(), [growth]) for v in values if isinstance(v, Recorded)]
     live, stack = set(wanted), list(wanted)
     while stack:
         for operand in tape.ops[stack.pop()].operands:
@@ -153,7 +153,7 @@ def finish(
         return op._replace(operands=tuple([renumbered[k] for k in op.operands]))
 
     def value(v: Value | None) -> Output:
-        return (renumbered[v.index], v.negative) if isinstance(v, Number) else float(v or 0.0)
+        return (renumbered[v.index], v.negative) if isinstance(v, Recorded) else float(v or 0.0)
 
     return Program(
         name,
