@@ -22,7 +22,7 @@ LAYOUTS = 4096  # layouts of calls, and names of programs in graphs
 
 Cached = TypeVar("Cached", bound=Callable[..., Any])
 Key = TypeVar("Key", bound=Hashable)
-Entry = TypeVar("Entry")
+Kept = TypeVar("Kept")
 
 _emptying: list[Callable[[], object]] = []
 
@@ -43,7 +43,7 @@ def remembered(size: int) -> Callable[[Cached], Cached]:
     return decorate
 
 
-class Bounded(dict[Key, Entry]):
+class Bounded(dict[Key, Kept]):
     """A dictionary that loses its oldest entry when it is full."""
 
     def __init__(self, size: int):
@@ -51,7 +51,7 @@ class Bounded(dict[Key, Entry]):
         self.size = size
         emptied_by(self.clear)
 
-    def __setitem__(self, key: Key, value: Entry) -> None:
+    def __setitem__(self, key: Key, value: Kept) -> None:
         if len(self) >= self.size:
             self.pop(next(iter(self)), None)
         super().__setitem__(key, value)

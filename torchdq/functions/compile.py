@@ -26,12 +26,12 @@ CPU = torch.device("cpu")
 
 
 class _Fields(NamedTuple):
-    """Fields of `Recorded`."""
+    """Fields of `ProgramFields`."""
 
     recorded: Program
 
 
-class Recorded(_Fields, Computation):
+class ProgramFields(_Fields, Computation):
     """A program that is known already, as a computation of `torchdq.call`."""
 
     def _argument(self, name: str) -> Argument:
@@ -98,7 +98,7 @@ class CompiledProgram:
                 expected = f"{self.dtype} tensor [{'' if a.uniform else '..., '}{a.width}]"
                 raise ArgumentError(f"{a.name} must be a {expected}, found {x.dtype} {tuple(x.shape)}")
         given = {a.name: x for a, x in zip(arguments, inputs, strict=True)}
-        results = tuple(evaluate(Recorded(self.program), given).values())
+        results = tuple(evaluate(ProgramFields(self.program), given).values())
         return results[0] if len(results) == 1 else results
 
     def __str__(self) -> str:
