@@ -21,7 +21,7 @@ from torchdq.envs.spec import Memory, RecordedScene, Row, Rows, SceneSpec, Task,
 from torchdq.envs.system import SceneSystem
 from torchdq.errors import ArgumentError
 from torchdq.functions.catalogue import trailing, ways
-from torchdq.program.program import Argument, Program, record
+from torchdq.program.program import GROWTH, Argument, Program, record
 
 
 class Driven(NamedTuple):
@@ -49,12 +49,12 @@ def drive(scene: RecordedScene) -> Driven:
     return Driven(u, x, v, memory)
 
 
-def flow(scene: RecordedScene, u: Row, x: Row, v: Row) -> tuple[Row, Row]:
-    """Positions and velocities at the end of a step."""
+def flow(scene: RecordedScene, u: Row, x: Row, v: Row) -> tuple[Row, Row, Row]:
+    """Positions and velocities at the end of a step, and factors by which rounding errors are magnified on the way."""
     system, spec = SceneSystem(scene, u), scene.spec
     for _ in range(spec.substeps):
         x, v = spec.integrator.step(system, x, v, spec.dt / spec.substeps)
-    return x, v
+    return x, v, system.growths
 
 
 def sense(scene: RecordedScene, task: Task | None, u: Row, x: Row, v: Row, memory: Memory) -> Rows:
@@ -87,7 +87,8 @@ def _remembered(memory: Memory) -> Rows:
 
 def _step(scene: RecordedScene, task: Task | None) -> Rows:
     u, x, v, memory = drive(scene)
-    return sense(scene, task, u, *flow(scene, u, x, v), memory)
+    x, v, growths = flow(scene, u, x, v)
+    return {**sense(scene, task, u, x, v, memory), GROWTH: growths}
 
 
 def _drive(scene: RecordedScene, task: Task | None) -> Rows:
@@ -117,7 +118,7 @@ def _evaluation(method: Callable[..., Row], *names: str) -> Callable[[RecordedSc
 
     def stage(scene: RecordedScene, task: Task | None) -> Rows:
         system = SceneSystem(scene, scene.inputs["u"])
-        return {"a": method(system, *[scene.inputs[name] for name in names])}
+        return {"a": method(system, *[scene.inputs[name] for name in names]), GROWTH: system.growths}
 
     return stage
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from torchdq.algebra.quaternion import Number
@@ -27,6 +27,7 @@ class SceneSystem(System):
 
     scene: RecordedScene
     u: Row
+    growths: list[Number] = field(default_factory=list)  # factors by which its solutions magnify rounding errors
 
     # --- mechanics ---
 
@@ -44,7 +45,9 @@ class SceneSystem(System):
 
     def _solved(self, at: Posed, b: Row) -> Sequence[Number]:
         """Solution of M x = b."""
-        return solve(self.scene.spec.robot, at, b, self.scene.linear)
+        x, growth = solve(self.scene.spec.robot, at, b, self.scene.linear)
+        self.growths.append(growth)
+        return x
 
     # --- forces at the joints ---
 

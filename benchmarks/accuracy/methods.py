@@ -24,7 +24,7 @@ from torchdq.envs.integrators import Integrator, Row, System
 from torchdq.envs.spec import recorded as recorded_scene
 from torchdq.envs.system import SceneSystem
 from torchdq.functions.catalogue import ways
-from torchdq.program.program import Argument, Program, record
+from torchdq.program.program import GROWTH, Argument, Program, record
 
 Runner = Callable[[Program, Sequence[Tensor]], Sequence[Tensor]]
 compiled, eager = partial(run, backend=COMPILED), partial(run, backend=EAGER)
@@ -81,7 +81,8 @@ def _recorded(case: Case, name: str, of: Callable[..., dict[str, Any]]) -> Progr
         def algorithm(q: Row, qd: Row, torque: Row, *others: Row) -> dict[str, Any]:
             *rows, (h,) = others
             scene = recorded_scene(spec, linear, dict(zip(case.inputs, rows, strict=True)), {}, ())
-            return of(SceneSystem(scene, torque), q, qd, h)
+            system = SceneSystem(scene, torque)
+            return {**of(system, q, qd, h), GROWTH: system.growths}
 
         return record(f"{name}_{case.name}", arguments, algorithm)
 

@@ -20,7 +20,7 @@ from torchdq.dynamics.paper.rnea import exerted_wrenches
 from torchdq.dynamics.posed import Posed
 from torchdq.errors import ArgumentError, SingularInertiaError
 from torchdq.program import autodiff as derive
-from torchdq.program.program import Argument, Program, Value, record
+from torchdq.program.program import GROWTH, Argument, Program, Value, record
 from torchdq.robot import consistency
 from torchdq.robot.constants import Constants
 from torchdq.robot.posed import GEOMETRY, INERTIAL, Overrides, as_screw, factors, frame, paper, posed, solve, tree
@@ -84,7 +84,8 @@ def forward_dynamics(x: RecipeInputs, linear: bool = False) -> Results:
     at = x.posed()
     bias = at.torques(x.arguments.get("qd"), None, x.exerted(at))
     net = [t if b is None else t - b for t, b in zip(x.arguments["tau"], bias, strict=True)]
-    return {"qdd": solve(x.robot, at, net, linear)}  # (63) solved for qdd
+    qdd, growth = solve(x.robot, at, net, linear)  # (63) solved for qdd
+    return {"qdd": qdd, GROWTH: [growth]}
 
 
 def forward_dynamics_articulated(x: RecipeInputs) -> Results:

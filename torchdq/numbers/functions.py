@@ -4,7 +4,7 @@ Floats give what programs give, infinities and NaN included, where Python's own 
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from torchdq.numbers.ops import Value, apply
 
@@ -114,14 +114,6 @@ def _pi_in_two(single: bool) -> tuple[float, float]:
         return math.pi, 1.2246467991473532e-16
     high = float.fromhex("0x1.921fb6p+1")
     return high, math.pi - high
-
-
-def note_growth(results: Iterable[Value], growth: Value) -> None:
-    """Say by what factor the way to some results magnifies rounding errors, if they are of a kind that notes it."""
-    for x in results:
-        if hasattr(x, "note_growth"):
-            x.note_growth(growth)
-            return
 
 
 def absolute(x: Value) -> Value:

@@ -27,7 +27,6 @@ class Tape:
 
     def __init__(self) -> None:
         self.ops: list[Op] = []
-        self.growths: list[Recorded | float] = []  # factors by which rounding errors are magnified
         self._index: dict[Op, int] = {}
 
     def value(self, code: str, operands: tuple[int, ...] = (), payload: Any = None) -> int:
@@ -104,10 +103,6 @@ class Recorded:
     def cos(self) -> Recorded:
         """Cosine."""
         return self.applied("cos", (self,))
-
-    def note_growth(self, growth: Recorded | float) -> None:
-        """Have the tape remember that rounding errors on the way to this number are magnified."""
-        self.tape.growths.append(growth)
 
     @staticmethod
     def applied(code: str, x: Sequence[Recorded | float]) -> Recorded:

@@ -24,6 +24,7 @@ class Largest(NamedTuple):
 
 # half of the digits in single precision; all but six bits in double
 LARGEST_GROWTH = Largest(2.0**10, 2.0**46)
+GROWTH = "growth of errors"  # name of the growths among the rows of an algorithm
 
 
 class Argument(NamedTuple):
@@ -121,10 +122,15 @@ def record(
     algorithm: Callable[..., Mapping[str, Sequence[Value]]],
     summed: Sequence[str] = (),
 ) -> Program:
-    """Program of an algorithm that takes a tuple of numbers per argument and returns named tuples of numbers."""
+    """Program of an algorithm that takes a tuple of numbers per argument and returns named tuples of numbers.
+
+    Numbers named `GROWTH` are no result, but factors by which rounding errors are magnified on the way to the results.
+    """
     tape = Tape()
     inputs = [tuple(tape.input(k, j) for j in range(a.width)) for k, a in enumerate(arguments)]
-    return finish(name, arguments, tape, algorithm(*inputs), summed)
+    found = dict(algorithm(*inputs))
+    growths = found.pop(GROWTH, ())
+    return finish(name, arguments, tape, found, summed, growths)
 
 
 def finish(
@@ -139,7 +145,7 @@ def finish(
 
     `growths` are factors by which rounding errors are magnified on the way to the results.
     """
-    growth = reduce(maximum, [*tape.growths, *growths] or [1.0])
+    growth = reduce(maximum, growths or [1.0])
     wanted = [v.index for values in (*results.values(), [growth]) for v in values if isinstance(v, Recorded)]
     live, stack = set(wanted), list(wanted)
     while stack:

@@ -125,7 +125,7 @@ def _along_axes(p: np.ndarray, gamma: float, alpha: float, size: float) -> tuple
     across = cg * p[1] - sg * p[0]
     if abs(s) < NEAR or abs(c) < NEAR or abs(across) > FAR * size * abs(s) or across == 0:
         return whole, 0.0
-    shift = -across / s
+    shift = -float(across) / s
     rest = p - shift * np.array([sg * s, -cg * s, c])
     return tuple(map(float, clean(np.where(np.abs(rest) < 4 * NEAR * size, 0.0, rest), size))), shift
 

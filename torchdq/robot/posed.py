@@ -16,7 +16,7 @@ from torchdq.dynamics.paper.posed import Paper
 from torchdq.dynamics.posed import Factors, Posed
 from torchdq.dynamics.tree import Tree, plant
 from torchdq.errors import SingularInertiaError
-from torchdq.numbers.functions import cos, note_growth, sin
+from torchdq.numbers.functions import cos, sin
 from torchdq.robot import mdh
 from torchdq.robot.robot import SHAPES, Robot, general_tree
 
@@ -109,12 +109,10 @@ def factors(robot: Robot, at: Posed, linear: bool) -> Factors:
         ) from error
 
 
-def solve(robot: Robot, at: Posed, b: Sequence[Number], linear: bool) -> Sequence[Number]:
-    """Solution x of M x = b; a recorder is told how far it magnifies rounding errors."""
+def solve(robot: Robot, at: Posed, b: Sequence[Number], linear: bool) -> tuple[Sequence[Number], Number]:
+    """Solution x of M x = b, and the factor by which it magnifies rounding errors."""
     parts = factors(robot, at, linear)
-    x = parts.solve(b)
-    note_growth(x, parts.growth)
-    return x
+    return parts.solve(b), parts.growth
 
 
 def constant_pose(x) -> DualQuaternion:
