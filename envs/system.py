@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from operator import add as plus
+from operator import mul
 from typing import Any
 
+from torchdq.algebra import matrix
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import add, difference, neg
@@ -114,8 +117,8 @@ class SceneSystem(System):
     def velocities_at(self, x: Row, v: Row, to: Row) -> list[Number]:
         """Velocities at the positions `to` that have the momentum of (x, v); rotors keep theirs."""
         n = self._n
-        # inverse dynamics at rest without gravity, the velocities in the place of accelerations: M v
-        momentum = self.scene.posed(x[:n]).without_gravity().torques(None, v[:n], None)
+        # by the mass matrix, whose rounding is that of the solution, and not by the cheaper inverse dynamics
+        momentum = matrix.matvec(self.scene.posed(x[:n]).mass_matrix(), v[:n], mul, plus)
         return [*self._solved(self.scene.posed(to[:n]), momentum), *v[n:]]
 
 

@@ -719,7 +719,7 @@ def test_the_report_says_that_limits_are_not_enforced():
 
 
 def test_the_report_of_an_unremarkable_robot_says_so():
-    assert "nothing else was asked for" in str(panda().report())
+    assert "nothing else in the description" in str(panda().report())
 
 
 # --- batches of robots -----------------------------------------------------------------------------------------------

@@ -219,7 +219,8 @@ def ad(x: Tensor, m: Tensor) -> Tensor:
 
     The same for twists, accelerations, momenta and wrenches. `ad(conj(x), m)` goes from A to B.
 
-    >>> X_AB = from_pose(torch.tensor([1.0, 0, 0, 0]), torch.tensor([0.0, 0, 2]))
+    >>> from torchdq import dq
+    >>> X_AB = dq.from_pose(torch.tensor([1.0, 0, 0, 0]), torch.tensor([0.0, 0, 2]))
     >>> ad(X_AB, torch.tensor([1.0, 0, 0, 0, 0, 0]))
     tensor([1., 0., 0., 0., 2., 0.])
     """
