@@ -1,4 +1,4 @@
-"""Report of a robot: what its description asked for, and what became of it."""
+"""Report of a robot: the content of its description, and how each part is used."""
 
 from __future__ import annotations
 
