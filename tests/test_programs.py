@@ -28,9 +28,11 @@ from oracles import (
 from oracles import random_tree as random_case
 
 import torchdq
+import torchdq.envs
 from torchdq.backends import torch as torch_backend
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.tree import BASE
+from torchdq.effects import Contact, Drag, Push
 from torchdq.program import autodiff as derive
 from torchdq.program.program import Argument, Count, Program, record, replay, results
 from torchdq.robot import mdh, posed
@@ -462,3 +464,45 @@ def test_articulated_bodies_solve_the_mass_matrix(robot):
     bound = torch.from_numpy(32 * EPS64 * np.linalg.cond(M)) * expected.norm(dim=-1)
     assert ((found - expected).norm(dim=-1) <= bound).all()
     assert ((found - factored).norm(dim=-1) <= bound).all()
+
+
+# --- half angles -----------------------------------------------------------------------------------------------------
+
+
+def test_an_angle_and_its_half_have_one_sine_and_one_cosine():
+    program = record("f", [Argument("x", 1)], lambda x: {"y": [x[0].sin(), x[0].cos(), (0.5 * x[0]).sin(), x[0]]})
+    assert program.count().sines == 2
+    x = torch.linspace(-7.0, 7.0, 101, dtype=F64)
+    found = eager(program, [x[:, None]])[0]
+    expected = torch.stack([x.sin(), x.cos(), (0.5 * x).sin(), x], -1)
+    assert (found - expected).abs().max() <= 4 * EPS64
+
+
+def test_a_program_that_holds_poses_and_dynamics_takes_the_sines_of_a_position_once():
+    """Dual quaternions are made of half angles, dynamics of whole ones."""
+    robot = torchdq.robots.load("panda")
+
+    def both(q, qd, qdd):
+        at = posed.posed(robot, q, {}, ())
+        return {"tau": at.torques(qd, qdd, None), "X": [x for part in at.poses()[-1] for x in part]}
+
+    program = record("both", [Argument(name, 7) for name in ("q", "qd", "qdd")], both)
+    assert program.count().sines == 2 * robot.n
+    s = states(robot, 5)
+    tau, X = eager(program, [s.q, s.qd, s.qdd])
+    assert (tau - torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd)).abs().max() <= 1e-12 * tau.abs().max()
+    expected = torchdq.forward_kinematics(robot, s.q, robot.link_names[-1])
+    assert torch.minimum((X - expected).abs(), (X + expected).abs()).max() <= 1e-12
+
+
+def test_wrenches_on_the_links_take_no_sine_that_the_dynamics_have():
+    bare, *others = (
+        torchdq.envs.Scene(torchdq.robots.load("panda"), effects).program("torque", *inputs)
+        for effects, inputs in (
+            ((), ()),
+            ((Drag(0.1, 0.1, 0.1),), ()),
+            # the position of the tip in the world takes the first joint's angle as well
+            ((Drag(0.1, 0.1, 0.1), Contact(friction=0.5), Push()), ("push",)),
+        )
+    )
+    assert [p.count().sines - bare.count().sines for p in others] == [0, 2]

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 from torchdq.algebra import dual_quaternion, screw
+from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.caches import PROGRAMS, remembered
@@ -134,16 +135,16 @@ def potential_energy(x: RecipeInputs) -> Results:
 
 def forward_kinematics(x: RecipeInputs, *names: str) -> Results:
     """Poses of the frames, one joint after the other by elementary screws."""
-    return _poses(x, x.posed(), names)
+    at = x.posed()
+    return _poses(x, at.poses_in_chain() if isinstance(at, Aligned) else at.poses(), names)
 
 
 def forward_kinematics_in_link_frames(x: RecipeInputs, *names: str) -> Results:
     """Poses of the frames, one joint after the other in the link frames of the description."""
-    return _poses(x, paper(x.robot, x.arguments["q"], x.overrides), names)
+    return _poses(x, paper(x.robot, x.arguments["q"], x.overrides).poses(), names)
 
 
-def _poses(x: RecipeInputs, at: Posed, names: Sequence[str]) -> Results:
-    X_WB = at.poses()
+def _poses(x: RecipeInputs, X_WB: Sequence[DualQuaternion], names: Sequence[str]) -> Results:
     rows: list[Value | None] = []
     for link, X_BF in (frame(x.robot, name) for name in names):
         p, d = dual_quaternion.mul(X_WB[link], X_BF)

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from torchdq.numbers.functions import maximum
 from torchdq.numbers.ops import OPS, apply
 from torchdq.numbers.record import Op, Recorded, Tape
+from torchdq.program.half_angles import halves
 
 Value = Any  # a recorded number, or one that is known
 
@@ -129,8 +130,29 @@ def record(
     tape = Tape()
     inputs = [tuple(tape.input(k, j) for j in range(a.width)) for k, a in enumerate(arguments)]
     found = dict(algorithm(*inputs))
-    growths = found.pop(GROWTH, ())
-    return finish(name, arguments, tape, found, summed, growths)
+    factors = found.pop(GROWTH, ())
+    return with_half_angles(finish(name, arguments, tape, found, summed, factors))
+
+
+def with_half_angles(program: Program) -> Program:
+    """Program in which an angle and its half have one sine and one cosine; the program itself if none do."""
+    half_of = halves(program.ops)
+    if not half_of:
+        return program
+    tape, values = Tape(), []
+    for op in program.ops:
+        if op.code == "in":
+            values.append(tape.input(*op.payload))
+        elif op.code == "const":
+            values.append(op.payload)
+        elif op.code in ("sin", "cos") and op.operands[0] in half_of:
+            half = 0.5 * values[op.operands[0]]
+            s, c = apply("sin", half), apply("cos", half)
+            values.append((s + s) * c if op.code == "sin" else 1.0 - (s + s) * s)
+        else:
+            values.append(apply(op.code, *[values[k] for k in op.operands]))
+    summed = [r.name for r in program.results if r.summed]
+    return finish(program.name, program.arguments, tape, results(program, values), summed, growths(program, values))
 
 
 def finish(

@@ -89,7 +89,11 @@ class Aligned(NamedTuple):
         return kinematics.to_link(self.tree, self.steps, i, v)
 
     def poses(self) -> list[DualQuaternion]:
-        """Pose in the world of the link frames of the description, by elementary screws."""
+        """Pose in the world of the link frames of the description."""
+        return [dq.mul(motion, home) for motion, home in self.poses_from_base()]
+
+    def poses_in_chain(self) -> list[DualQuaternion]:
+        """Pose in the world of the link frames of the description, by elementary screws one after the other."""
         moving = zip(self.tree.links[1:], self.alignments, self.x, strict=True)
         halves = [0.5 * (link.joint.angle(x) + at.offset) for link, at, x in moving]
         turns = [(cos(half), sin(half)) for half in halves]
