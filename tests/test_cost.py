@@ -9,7 +9,7 @@ import pytest
 import torchdq
 from torchdq.numbers.count import Cost, Counted, dense, executed
 from torchdq.numbers.count import cost as needed
-from torchdq.paper import cost, tables
+from torchdq.paper import cost, ladder, tables
 
 # multiplications and additions as counted on record; storage is the numbers that are read
 TABLE_2 = [(0, 4), (4, 0), (16, 12), (6, 3), (22, 14), (3, 2), (16, 12), (16, 12), (28, 20), (15, 15)]
@@ -96,6 +96,7 @@ def test_the_command_prints_every_table():
     for title in tables.TABLES:
         assert title in done.stdout
     assert "323n-51, 242n-51" in done.stdout
+    assert all(f"| {rung.name} |" in done.stdout for rung in ladder.RUNGS) and " ns |" in done.stdout
 
 
 # --- the counting number ----------------------------------------------------------------------------------------------

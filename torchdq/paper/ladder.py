@@ -7,7 +7,10 @@ recorded program, and derived in docs/from-algorithm-1.md.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
+
+import torch
 
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
@@ -15,6 +18,8 @@ from torchdq.algebra.inertia import Inertia
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import add
+from torchdq.backends.choice import choose
+from torchdq.backends.run import run
 from torchdq.dynamics.aligned import rnea
 from torchdq.dynamics.aligned.placement import Steps
 from torchdq.dynamics.joints import Coordinate
@@ -24,6 +29,7 @@ from torchdq.paper import cost, printed
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import posed
 from torchdq.robot.robot import Robot
+from torchdq.timing import medians
 
 Row = Sequence[Number]
 STILL: Screw = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -138,13 +144,33 @@ def example(n: int) -> Robot:
     return cost.robot(*cost.chain(n))
 
 
-def table(n: int = 7) -> str:
-    """Operations of every step for a general chain, in Markdown; sines and cosines are the same for all."""
+def times(n: int, batch: int = 4096, seconds: float = 0.3) -> list[float]:
+    """Time of every step per sample [ns], in float64 on torch's threads, by the backend that runs programs here."""
+    robot, on = example(n), torch.device("cpu")
+    generator = torch.Generator().manual_seed(0)
+    rows = [2 * torch.rand(batch, n, generator=generator, dtype=torch.float64) - 1 for _ in range(3)]
+    calls = [partial(run, rung.program(robot), rows, choose(None, on)) for rung in RUNGS]
+    return medians(calls, batch, seconds)
+
+
+def table(n: int = 7, taken: Sequence[float] | None = None) -> str:
+    """Operations of every step for a general chain, in Markdown; sines and cosines are the same for all.
+
+    Args:
+        n: number of joints.
+        taken: times of the steps [ns], for one more column; None: without it.
+    """
     robot = example(n)
     whole = cost.dqrnea_as_printed(n, full=True)
-    lines = [f"| step, {n} general revolute joints | multiplications | additions |", "|---|---|---|"]
-    lines.append(f"| nothing known, every product of the print | {whole.multiplications} | {whole.additions} |")
+    rows = [
+        [f"step, {n} general revolute joints", "multiplications", "additions"],
+        ["---"] * 3,
+        ["nothing known, every product of the print", str(whole.multiplications), str(whole.additions)],
+    ]
     for rung in RUNGS:
         count = rung.program(robot).count()
-        lines.append(f"| {rung.name} | {count.multiplications} | {count.additions} |")
-    return "\n".join(lines)
+        rows.append([rung.name, str(count.multiplications), str(count.additions)])
+    if taken is not None:
+        column = ["time per sample", "---", "", *(f"{t:.1f} ns" for t in taken)]
+        rows = [[*row, cell] for row, cell in zip(rows, column, strict=True)]
+    return "\n".join(f"|{'|'.join(row)}|" if row[0] == "---" else f"| {' | '.join(row)} |" for row in rows)
