@@ -219,6 +219,7 @@ def ad(x: Tensor, m: Tensor) -> Tensor:
 
     It applies to twists, accelerations, momenta and wrenches alike. `ad(conj(x), m)` transforms from A to B.
 
+    >>> from torchdq.dq.poses import from_pose
     >>> X_AB = from_pose(torch.tensor([1.0, 0, 0, 0]), torch.tensor([0.0, 0, 2]))
     >>> ad(X_AB, torch.tensor([1.0, 0, 0, 0, 0, 0]))
     tensor([1., 0., 0., 0., 2., 0.])
