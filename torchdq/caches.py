@@ -1,23 +1,22 @@
-"""Process-wide caches: what a process remembers, how much of it, and the one call that forgets it.
+"""Process-wide caches: their sizes, and the function that empties all of them.
 
-constants of programs and calls
-    programs      of functions, scenes and resets, by their content: robot constants, options, widths of arguments
+    programs      of functions, scenes and resets, by robot constants, options and widths of arguments
     derivatives   of programs, by program and arguments
     kernels       of programs, by backend, precision and device
     layouts       of calls, by the shapes, dtypes and devices of their tensors
-    graphs        programs that traced graphs call by name; a graph whose program is forgotten must be traced again
-facts
-    compiler and processor of this machine
-and the threads that share a batch, which are stopped. The built libraries on disk stay; see `backends.cache`.
+    names         of programs in traced graphs; a graph whose program was removed must be traced again
+    machine       compiler and processor
 
-Every cache has a bound. Of programs, what was used least recently goes first; of layouts and names, the oldest.
+`clear_caches` empties them and stops the threads that share a batch. Compiled libraries on disk stay, see
+`backends.cache`. Every cache has a bound: programs, derivatives and kernels remove the entry that was used least
+recently, layouts and names the oldest one.
 """
 
 from collections.abc import Callable, Hashable
 from functools import lru_cache, wraps
 from typing import Any, TypeVar
 
-PROGRAMS = 1024  # programs, derivatives and kernels, each
+PROGRAMS = 1024  # programs; as many derivatives and kernels
 LAYOUTS = 4096  # layouts of calls, and names of programs in graphs
 
 Cached = TypeVar("Cached", bound=Callable[..., Any])
@@ -28,12 +27,12 @@ _emptying: list[Callable[[], object]] = []
 
 
 def emptied_by(empty: Callable[[], object]) -> None:
-    """Have `clear_caches` call a function as well."""
+    """Register a function that `clear_caches` calls."""
     _emptying.append(empty)
 
 
 def remembered(size: int) -> Callable[[Cached], Cached]:
-    """Decorator: a function that remembers its results for so many arguments."""
+    """Decorator that caches the results of a function for the last `size` arguments."""
 
     def decorate(function: Cached) -> Cached:
         cached = lru_cache(size)(function)
@@ -44,7 +43,7 @@ def remembered(size: int) -> Callable[[Cached], Cached]:
 
 
 class Bounded(dict[Key, Kept]):
-    """A dictionary that loses its oldest entry when it is full."""
+    """Dictionary of bounded size; a new entry removes the oldest one if it is full."""
 
     def __init__(self, size: int):
         super().__init__()
@@ -58,10 +57,10 @@ class Bounded(dict[Key, Kept]):
 
 
 def clear_caches() -> None:
-    """Forget every program, kernel and layout of this process, and stop its threads.
+    """Remove every program, kernel and layout of this process, and stop its threads.
 
-    What is called afterwards is recorded and opened again, which takes milliseconds to seconds; the libraries that
-    were compiled stay on disk. A graph that was traced before must be traced again.
+    Later calls record their programs again and load the libraries from disk, which takes milliseconds to seconds. A
+    graph that was traced before must be traced again.
 
     >>> import torchdq
     >>> torchdq.clear_caches()

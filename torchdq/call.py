@@ -1,24 +1,23 @@
-"""The one path from tensors to a program and back.
+"""Call path from tensors to a program and back, for functions, modules, scenes and resets alike.
 
-A caller describes what it computes by a `Computation`, a hashable value, and hands over named tensors:
+A caller describes what it computes by a `Computation`, a hashable value, and passes named tensors:
 
-    found = evaluate(what, {"q": q, "qd": None, "mass": mass}, backend="auto", double=False)
+    results = evaluate(computation, {"q": q, "qd": None, "mass": mass}, backend="auto", double=False)
 
-    checks     tensors of one dtype and one device, with their trailing axes; the error names the argument
-    layout     batch axes broadcast; a tensor that may be shared and has none is one row for all samples
-    program    `what.program`, recorded for those that are present, with their widths
-    backend    the one that was named, or else the first that can run on the device
-    results    tensors by name, with the batch axes of everything that went in
+    checks     inputs have one dtype, one device and their trailing axes; the error names the argument
+    layout     batch axes broadcast; a parameter without batch axes is one row for all samples
+    program    `computation.program`, recorded for the tensors that are present, with their widths
+    backend    the named one, or the first that can run on the device
+    results    tensors by name, with the broadcast batch axes
 
-The layout is remembered by what is computed and by the shapes, dtypes and devices of the tensors, so a call that looks
-like an earlier one goes from tensors to the program directly. All of it works under `torch.func` transforms and
-forward-mode differentiation; in a graph that is traced by torch.compile or torch.export, sizes may be symbols and the
-program goes by its name.
+The layout is cached by computation and by the shapes, dtypes and devices of the tensors, so a later call of the same
+form goes from tensors to the program directly. `torch.func` transforms and forward-mode differentiation work. In a
+graph traced by torch.compile or torch.export, sizes may be symbols, and the graph calls the program by its name.
 
-To add a computation, derive from `Computation` beside a NamedTuple of everything that the program depends on (for a
-scene: blueprint, stage and task), and say the trailing axes of every input by name. `shared` names parameters: they are
-converted to the dtype and the device of the inputs, and are one row for all samples unless they have batch axes.
-`check` raises what only this computation asks, say that an input is missing; it is called once for each layout.
+A new computation is a class that derives from `Computation` and from a NamedTuple of everything that its program
+depends on, for a scene its specification, stage and task. `axes` gives the trailing axes of every input. `shared` names
+parameters: they are converted to the dtype and the device of the inputs, and are one row for all samples unless they
+have batch axes. `check` raises errors of this computation, for example a missing input, once per layout.
 """
 
 from __future__ import annotations
@@ -40,14 +39,14 @@ from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program.autograd import named, operator
 from torchdq.program.program import Argument, Program
 
-DTYPES = (torch.float32, torch.float64)  # inputs, parameters and programs may have
+DTYPES = (torch.float32, torch.float64)  # of inputs, parameters and programs
 
 Shape = tuple[int, ...]
 Tensors = Mapping[str, Tensor | None]  # by name; None: absent
 
 
 class Computation:
-    """Hashable description of a call: everything that its program depends on but the tensors."""
+    """Interface of a computation: a hashable description of everything that its program depends on."""
 
     def axes(self, name: str) -> Shape:
         """Trailing axes of a tensor; raises `ArgumentError` if there is none of that name."""
@@ -66,29 +65,29 @@ class Computation:
         return tuple([(len(r.values),) for r in program.results])
 
     def check(self, tensors: Mapping[str, Tensor]) -> None:
-        """Raise if the tensors that are present, each of them right, are not what is asked together."""
+        """Raise unless the present tensors, each valid by itself, are valid together."""
 
     def label(self, name: str) -> str:
         """Name of a tensor in error messages."""
         return name
 
     def subject(self) -> str:
-        """Words after a shape in error messages, say " for the 7 joints of robot 'panda'"."""
+        """Words after a shape in error messages, such as " for the 7 joints of robot 'panda'"."""
         return ""
 
 
 class Arrangement(NamedTuple):
-    """Steps from a tensor to rows of a program: expanded, then reshaped to these shapes; None: it has that shape."""
+    """Shapes on the way from a tensor to rows of a program; None: the tensor has this shape already."""
 
-    expanded: Shape | None
-    flat: Shape | None
+    expanded: Shape | None  # with all batch axes
+    flat: Shape | None  # [samples, width], or [width] for a uniform argument
 
 
 class CallLayout(NamedTuple):
-    """Everything that is known of a call by the shapes, dtypes and devices of its tensors."""
+    """Everything about a call that follows from the shapes, dtypes and devices of its tensors."""
 
     rows: tuple[Arrangement, ...]
-    dtype: torch.dtype  # the program runs in
+    dtype: torch.dtype  # of the program
     device: torch.device
     program: Program
     backend: Backend
@@ -101,20 +100,20 @@ _layouts: Bounded[tuple, CallLayout] = Bounded(LAYOUTS)
 def evaluate(
     what: Computation, tensors: Tensors, backend: BackendName | None = None, double: bool = False
 ) -> dict[str, Tensor]:
-    """Results of a computation by name, with the batch axes of everything that went in.
+    """Results of a computation by name, with the broadcast batch axes of all tensors.
 
     Args:
         what: the computation.
         tensors: its arguments by name; None: absent. The first is an input.
         backend: as in `torchdq.functional`.
-        double: whether float32 is computed in float64, and rounded at the end.
+        double: whether float32 inputs are computed in float64, and the results rounded.
     """
     if torch.compiler.is_compiling():
         return _traced(what, tensors, backend, double)
     try:
         looks = [None if x is None else (x.shape, x.dtype, x.device) for x in tensors.values()]
     except AttributeError:
-        batch_of(what, tensors)  # something is no tensor, and the check says what
+        batch_of(what, tensors)  # raises, naming the argument that is not a tensor
         raise
     key = (what, backend, present(), double, *tensors, *looks)
     layout = _layouts.get(key)
@@ -135,7 +134,7 @@ def evaluate(
 
 
 def batch_of(what: Computation, tensors: Tensors) -> Shape:
-    """Batch axes of the arguments of a computation together.
+    """Broadcast batch axes of the arguments of a computation.
 
     Raises, naming the argument, unless the inputs have their trailing axes, one dtype and one device, and the batch
     axes of all tensors broadcast.
@@ -200,7 +199,7 @@ def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, do
 
 
 def _arranged(what: Computation, tensors: Tensors) -> tuple[tuple[Argument, ...], tuple[Arrangement, ...], Shape]:
-    """Arguments of the program, how tensors become rows of them, and the batch axes."""
+    """Arguments of the program, arrangement of the tensors in rows, and batch axes."""
     batch = batch_of(what, tensors)
     samples = math.prod(batch)
     arguments, rows = [], []
@@ -233,7 +232,7 @@ def _traced(what: Computation, tensors: Tensors, backend: BackendName | None, do
     like = given[0]
     dtype = torch.float64 if double else like.dtype
     inputs = [_row(x, dtype, like.device, row) for x, row in zip(given, rows, strict=True)]
-    # one by one, so that the graph is guarded by each
+    # the fields one by one, so that torch.compile guards the graph by each of them
     name, program, results = _known(type(what), arguments, backend, like.device, *what)  # type: ignore[misc]
     found = run(program, inputs, EAGER) if program is not None else operator(name, inputs)
     return {
@@ -246,9 +245,9 @@ def _traced(what: Computation, tensors: Tensors, backend: BackendName | None, do
 def _known(
     kind: type, arguments: Sequence[tuple], backend: BackendName | None, device: torch.device, *fields: Any
 ) -> tuple[str, Program | None, tuple[tuple[str, bool, Shape], ...]]:
-    """Name of the program in a graph, or the program if torch sees its operations, and its results.
+    """Name of the program in a graph, or the program itself if it runs as torch operations; and its results.
 
-    A tracer hands over plain tuples, not named ones.
+    `arguments` are plain tuples, since torch.compile does not keep named ones.
     """
     what = kind(*fields)
     program, chosen = what.program(tuple(Argument(*a) for a in arguments)), choose(backend, device)

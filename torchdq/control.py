@@ -24,13 +24,13 @@ def computed_torque(
 
         tau = M a + c + g + J^T f_tip,   a = qdd_des + kd (qd_des - qd) + kp (q_des - q)
 
-    which is one inverse dynamics with the acceleration a. Gravity is compensated, since the robot has it. With a wrong
-    model the error does not vanish but stays bounded by the mismatch over the gains.
+    that is inverse dynamics with the acceleration a, gravity of the robot included. If the model is wrong, the error
+    does not vanish, but is bounded by the model error divided by the gains.
 
     Args:
         robot: the model of the robot that is controlled.
         q, qd: measured positions [rad or m] and velocities, shape [..., n].
-        q_des, qd_des, qdd_des: wanted positions, velocities and accelerations, shape [..., n].
+        q_des, qd_des, qdd_des: desired positions, velocities and accelerations, shape [..., n].
         kp: position gain [1/s^2], a number or shape [..., n].
         kd: velocity gain [1/s], a number or shape [..., n]; 2 sqrt(kp) is critical damping.
         f_tip: wrench the end effector exerts on the environment [N, N m], shape [..., 6], in the tip frame.

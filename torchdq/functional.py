@@ -1,12 +1,13 @@
-"""Rigid-body dynamics of a robot: tensors in, tensors out.
+"""Rigid-body dynamics of a robot on tensors.
 
-Every function broadcasts the leading axes of its inputs against each other and against the robot's own batch axes,
-follows the dtype (float32 or float64) and the device of its inputs, and is differentiable to any order in all of
-them and in those of the robot's tensors that were replaced (`robot.replace`). A row that is not finite gives a row that
-is not finite and touches no other.
+Every function broadcasts the leading axes of its inputs with each other and with the batch axes of the robot. Results
+have the dtype (float32 or float64) and the device of the inputs, and are differentiable to any order in all inputs and
+in the tensors of the robot that were replaced (`robot.replace`). A row that is not finite gives a row that is not
+finite and does not change another.
 
-`backend` says what runs the program that is recorded for the robot: "c", compiled for the processor; "eager", torch
-operations, on any device; "auto", the first that can.
+`backend` names what runs the program that is recorded for the robot: "c", compiled for the CPU; "eager", torch
+operations, on any device; "auto", the first of these that can run on the device; None, that of the innermost
+`torchdq.backend` block, or "auto".
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,8 +31,8 @@ Precision = Literal["auto", "double"]
 def require_finite(**arguments: Tensor | None) -> None:
     """Raise `ArgumentError`, naming the argument and its first bad entry, unless all tensors are finite.
 
-    The dynamics functions do not look at values: not-a-number in, not-a-number out, in that row only. Call this where
-    a wrong row must stop the program instead.
+    The dynamics functions do not check values: a row with NaN gives a row with NaN. Call this function where such a row
+    must be an error.
 
     >>> import torch
     >>> require_finite(q=torch.zeros(3), qd=None)
@@ -48,25 +49,25 @@ def require_finite(**arguments: Tensor | None) -> None:
 
 
 def check_precision(precision: Precision) -> Precision:
-    """The precision, if there is one of that name."""
+    """Precision, after a check of its name."""
     if precision not in get_args(Precision):
         raise ArgumentError(f"precision must be 'auto' or 'double', found {precision!r}")
     return precision
 
 
 class _Quantities(Function):
-    """Quantities of a robot's joints, and the wrench at its tip, that are only checked."""
+    """Quantities of a robot's joints and the wrench at its tip, to be checked; it has no program."""
 
     def axes(self, name: str) -> tuple[int, ...]:
         """Trailing axes of a quantity, or of a tensor of the robot."""
         return trailing({"f_tip": (6,), **SHAPES}.get(name, ("n",)), self.n)
 
     def check(self, tensors: Mapping[str, Tensor]) -> None:
-        """Any of them may be left out."""
+        """Nothing to check: any of them may be absent."""
 
 
 def check(robot: Robot, optional: Sequence[str] = (), **quantities: Tensor | None) -> tuple[int, ...]:
-    """Batch axes of quantities and the robot together.
+    """Broadcast batch axes of quantities and a robot.
 
     Raises, naming the argument, unless all have their trailing axes, one dtype, one device, and batch axes that
     broadcast with each other and with the robot's.
@@ -89,7 +90,7 @@ def _robot(robot: Robot) -> Robot:
 
 
 def _with_tensors(robot: Robot, given: dict[str, Tensor | None]) -> dict[str, Tensor | None]:
-    """Arguments, and the robot's tensors that are arguments of its programs."""
+    """Arguments of a function, together with the tensors of the robot that are arguments of its programs."""
     for name in arguments(robot):
         given[name] = getattr(robot, name)
     return given
@@ -103,7 +104,7 @@ def _evaluate(
     options: tuple[str, ...] = (),
     double: bool = False,
 ) -> list[Tensor]:
-    """Results of a function, with the batch axes of everything that went in."""
+    """Results of a function, with the broadcast batch axes of all tensors."""
     what = Function(constants(_robot(robot)), name, options)
     return list(evaluate(what, _with_tensors(robot, given), backend, double).values())
 
@@ -124,11 +125,15 @@ def inverse_dynamics(
 
         tau = M(q) qdd + c(q, qd) + g(q) + J^T f_tip - sum of J_i^T f_ext_i
 
+    The recorded program is Algorithm 1 of the paper in aligned frames (`torchdq.dynamics.aligned.rnea`), which gives
+    the same torques with fewer operations; for a robot whose geometry was replaced, it is Algorithm 1 in the link
+    frames of the description.
+
     Args:
         robot: the robot; its batch axes broadcast with the others.
         q: joint positions [rad or m], shape [..., n].
-        qd: joint velocities [rad/s or m/s], shape [..., n]; None: at rest, and nothing of it is computed.
-        qdd: joint accelerations [rad/s^2 or m/s^2], shape [..., n]; None: none.
+        qd: joint velocities [rad/s or m/s], shape [..., n]; None: zero, and no operation is spent on them.
+        qdd: joint accelerations [rad/s^2 or m/s^2], shape [..., n]; None: zero, likewise.
         f_tip: wrench (force, moment) the end effector exerts on the environment [N, N m], shape [..., 6], in the tip
             frame, about its origin; None: none.
         f_ext: wrenches (force, moment) the environment exerts on the links [N, N m], shape [..., n, 6], each in its
@@ -142,7 +147,7 @@ def inverse_dynamics(
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link")
-    >>> inverse_dynamics(robot, torch.zeros(2, dtype=torch.float64))  # holding it out against gravity
+    >>> inverse_dynamics(robot, torch.zeros(2, dtype=torch.float64))  # holding the arm against gravity
     tensor([19.6200,  4.9050], dtype=torch.float64)
     """
     return _evaluate(
@@ -179,16 +184,16 @@ def forward_dynamics(
 
         qdd = M(q)^-1 (tau - c(q, qd) - g(q) - J^T f_tip + sum of J_i^T f_ext_i)
 
-    Rounding errors grow with the condition of M, whatever the method. Every row is watched (`error_growth`): one that
-    float32 would leave without half of its digits is computed in float64 and rounded, so are its derivatives; one whose
-    mass matrix is singular to float64, or not positive definite, is NaN. Neither touches another row.
+    Rounding errors grow with the condition number of M, whatever the method. Each row is checked (`error_growth`): a
+    row that would lose half of its digits in float32 is computed in float64 and rounded, and so are its derivatives; a
+    row whose mass matrix is singular in float64, or not positive definite, is NaN. Other rows do not change.
 
     Args:
         tau: joint torques [N m] or forces [N], shape [..., n].
         robot, q, qd, f_tip, f_ext: as in `inverse_dynamics`.
-        precision: "auto": as above; "double": all rows are computed in float64, float32 in and out.
+        precision: "auto": as above; "double": all rows are computed in float64, also those of float32 inputs.
     Raises:
-        SingularInertiaError: a joint moves nothing in any position.
+        SingularInertiaError: a joint moves no inertia in any position.
 
     >>> import torch, torchdq
     >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
@@ -200,11 +205,12 @@ def forward_dynamics(
 
 
 def error_growth(robot: Robot, q: Tensor, backend: BackendName | None = None) -> Tensor:
-    """Factor [...] by which `forward_dynamics` magnifies rounding errors, from 1: the largest M_ii / D_i.
+    """Factor [...], at least 1, by which `forward_dynamics` magnifies rounding errors: the largest M_ii / D_i.
 
-    D_i is what joint i feels of the inertia M_ii when the joints beyond it are free, a pivot of M. The relative error
-    of accelerations is typically 10 eps, seldom more than 200 eps, times this factor. Above 2^10, float32 inputs are
-    computed in float64; above 2^46, accelerations are NaN. Where a pivot is not positive it is huge, 1e30 or more.
+    M_ii is the inertia at joint i if the joints beyond it are locked, and D_i, a pivot of M, the inertia if they are
+    free. The relative error of accelerations is typically 10 eps, seldom more than 200 eps, times this factor. Above
+    2^10, float32 inputs are computed in float64; above 2^46, accelerations are NaN. If a pivot is not positive, the
+    factor is 1e30 or more.
 
     Args:
         robot: the robot.
@@ -253,7 +259,7 @@ def regressor(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, backend: Backend
     (xx xy yy xz yz zz), the order of Pinocchio.
 
     Args:
-        robot: the robot; its own mass, com and inertia do not enter.
+        robot: the robot; the regressor does not depend on its mass, com and inertia.
         q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2],
             shape [..., n].
 

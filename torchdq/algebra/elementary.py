@@ -1,8 +1,8 @@
-"""Elementary screws: motions about and along one axis of the frame, by a dual angle.
+"""Elementary screws: rotation about and translation along one axis of the frame, by a dual angle.
 
-    exp(k theta^/2),   theta^ = theta + eps d: a turn by theta about the axis k and a shift by d along it
+    exp(k theta^/2),   theta^ = theta + eps d: rotation by theta about the axis k, translation by d along it
 
-Their adjoint turns both parts of a screw in one plane, 4 multiplications each, and shifts the dual part:
+Their adjoint is a planar rotation of both parts of a screw, 4 multiplications each, and a shift of the dual part:
 
     Ad(m) = R P(m) + eps (R D(m) + d k x R P(m))
 """
@@ -21,7 +21,7 @@ UNTURNED: Angle = (1.0, 0.0)
 
 
 class DualAngle(NamedTuple):
-    """Dual angle of an elementary screw: cosine and sine of the angle, and the shift [m]."""
+    """Dual angle of an elementary screw: cosine and sine of the angle, and the translation [m]."""
 
     turn: Angle
     shift: Number
@@ -39,7 +39,7 @@ def together(a: Angle, b: Angle) -> Angle:
 
 
 def turn(axis: int, angle: Angle, v: Pure) -> Pure:
-    """R v for a turn about an axis."""
+    """Vector R v for the rotation R about an axis."""
     c, s = angle
     i, j = (axis + 1) % 3, (axis + 2) % 3
     result = list(v)
@@ -48,30 +48,30 @@ def turn(axis: int, angle: Angle, v: Pure) -> Pure:
 
 
 def unit(axis: int, length: Number = 1.0) -> Pure:
-    """Vector of a length along an axis."""
+    """Vector along an axis, of a given length."""
     x: list[Number] = [0.0] * 3
     x[axis] = length
     return tuple(x)
 
 
 def shift(p: Pure, m: Screw) -> Screw:
-    """Ad of a shift by p: the primary part, moved to another origin, is added to the dual part."""
+    """Adjoint of a translation by p: p x P(m) is added to the dual part."""
     return (m[0], quat.add(m[1], quat.cross(p, m[0])))
 
 
 def ad(axis: int, angle: DualAngle, m: Screw) -> Screw:
-    """Ad(exp(k theta^/2)) m."""
+    """Adjoint Ad(exp(k theta^/2)) m of an elementary screw."""
     turned = (turn(axis, angle.turn, m[0]), turn(axis, angle.turn, m[1]))
     return shift(unit(axis, angle.shift), turned)  # (33) with x of (27)
 
 
 def rotor(axis: int, half: Angle) -> Quaternion:
-    """Quaternion of a turn about an axis, from half the angle."""
+    """Unit quaternion of a rotation about an axis, from half of the angle."""
     return (half[0], *unit(axis, half[1]))
 
 
 def times(x: DualQuaternion, axis: int, half: Angle, d: Number) -> DualQuaternion:
-    """x exp(k theta^/2), from half the angle and the shift."""
+    """Product x exp(k theta^/2) of a pose and an elementary screw, from half of the angle and the translation d [m]."""
     p, e = x
     r = rotor(axis, half)
     moved = quat.add(e, quat.mul(p, (0.0, *unit(axis, 0.5 * d))))

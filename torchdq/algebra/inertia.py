@@ -1,9 +1,9 @@
-"""Inertia of rigid bodies, in two forms with the same content.
+"""Inertia of rigid bodies, in two equivalent forms.
 
-    Inertia   mass, first moments, rotational inertia I = sum of dm (r.r 1 - r r^T)   the paper's (30)
-    Moments   mass, first moments, second moments E = sum of dm r r^T                 cheaper to turn and to shift
+    Inertia   mass, first moments, rotational inertia I = sum of dm (r.r 1 - r r^T)   as in (30) of the paper
+    Moments   mass, first moments, second moments E = sum of dm r r^T                 cheaper to rotate and to shift
 
-All are about the origin of the frame that they are given in, and I = tr(E) 1 - E.
+Both are about the origin of the frame in which they are given, and I = tr(E) 1 - E.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from torchdq.algebra.elementary import Angle, turn
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Adjoint, Columns, Screw
 
-Symmetric = tuple[Pure, ...]  # three rows, equally columns, of a symmetric 3x3 matrix
+Symmetric = tuple[Pure, ...]  # three rows, which are also the columns, of a symmetric 3x3 matrix
 Six = tuple[Number, ...]  # xx xy yy xz yz zz of a symmetric 3x3 matrix
 
 
@@ -27,19 +27,19 @@ def square(six: Six) -> Symmetric:
 
 
 def six(rows: Symmetric) -> Six:
-    """Six numbers of a symmetric matrix."""
+    """Numbers xx xy yy xz yz zz of a symmetric matrix."""
     return (rows[0][0], rows[0][1], rows[1][1], rows[0][2], rows[1][2], rows[2][2])
 
 
 def rotated(R: Columns, m: Symmetric) -> Symmetric:
-    """R M R^T of a symmetric matrix."""
+    """Matrix R M R^T of a symmetric matrix M."""
     half = tuple(screw.columns_times(R, row) for row in m)  # rows of M R^T
     a, b, c = (screw.columns_times(R, column) for column in zip(*half, strict=True))
     return (a, b, c)
 
 
 class Inertia(NamedTuple):
-    """Inertia of a body about the frame's origin."""
+    """Inertia of a body about the origin of the frame."""
 
     mass: Number  # [kg]
     first: Pure | None  # m c [kg m]; None: the origin is the centre of mass
@@ -47,7 +47,7 @@ class Inertia(NamedTuple):
 
     @classmethod
     def from_com(cls, mass: Number, com: Pure, about_com: Six) -> Inertia:
-        """Inertia from the centre of mass [m] and the rotational inertia about it, by parallel axes."""
+        """Inertia from the centre of mass [m] and the rotational inertia about it, by the parallel axis theorem."""
         x, y, z = com
         xx, yy, zz = mass * (x * x), mass * (y * y), mass * (z * z)
         xy, xz, yz = mass * (x * y), mass * (x * z), mass * (y * z)
@@ -56,7 +56,7 @@ class Inertia(NamedTuple):
         return cls(mass, quat.scale(mass, com), (a, b, c))
 
     def momentum(self, V: Screw) -> Screw:
-        """Momentum G(V) of the body under a twist V, or G(A) under a spatial acceleration A.
+        """Momentum G(V) of the body with twist V, or G(A) for an acceleration A.
 
         G(w + eps v) = (m v - h x w) + eps (I_x w_x + I_y w_y + I_z w_z + h x v)
         """
@@ -69,11 +69,11 @@ class Inertia(NamedTuple):
         return (quat.sub(force, quat.cross(self.first, w)), quat.add(moment, quat.cross(self.first, v)))
 
     def carried(self, a: Adjoint, p: Pure) -> Inertia:
-        """Inertia in the frame A of a body given in B, where the pose of B in A has the columns a and position p."""
+        """Inertia in frame A of a body given in frame B, where the pose X_AB has the columns a and the position p."""
         rotation = rotated(a[0], self.rotational)
         c = (0.0, 0.0, 0.0) if self.first is None else screw.columns_times(a[0], self.first)
         h = quat.add(c, quat.scale(self.mass, p))
-        # parallel axes: I - ([p][h] + [c][p]), written out so that the result is symmetric to the last bit
+        # parallel axis theorem: I - ([p][h] + [c][p]), written so that the result is exactly symmetric
         trace = quat.dot(p, quat.add(c, h))
         rows = [list(row) for row in rotation]
         for i in range(3):
@@ -84,7 +84,7 @@ class Inertia(NamedTuple):
         return Inertia(self.mass, h, (x, y, z))
 
     def plus(self, other: Inertia) -> Inertia:
-        """Inertia of two bodies of one frame together."""
+        """Inertia of two bodies together, both given in the same frame."""
         first = other.first if self.first is None else self.first
         if self.first is not None and other.first is not None:
             first = quat.add(self.first, other.first)
@@ -93,7 +93,7 @@ class Inertia(NamedTuple):
 
 
 class Moments(NamedTuple):
-    """Mass moments of a body about the frame's origin: of order zero, one and two."""
+    """Mass moments of a body, of order zero, one and two, about the origin of the frame."""
 
     mass: Number  # [kg]
     first: Pure  # m c [kg m]
@@ -123,33 +123,33 @@ class Moments(NamedTuple):
 
     @property
     def inertia(self) -> Inertia:
-        """The body in the other form."""
+        """Conversion to the other form."""
         return Inertia(self.mass, self.first, self.rotational)
 
     def momentum(self, V: Screw) -> Screw:
-        """Momentum G(V) of the body under a twist."""
+        """Momentum G(V) of the body with twist V."""
         return self.inertia.momentum(V)  # (30)
 
     def plus(self, other: Moments) -> Moments:
-        """Moments of two bodies of one frame together."""
+        """Moments of two bodies together, both given in the same frame."""
         return Moments(self.mass + other.mass, quat.add(self.first, other.first), quat.add(self.second, other.second))
 
     def turned(self, axis: int, angle: Angle) -> Moments:
-        """Moments of a body given in B in a frame A, in which B is turned by an angle about an axis of both."""
+        """Moments in frame A of a body given in frame B, where B is rotated in A by an angle about a common axis."""
         return Moments(self.mass, turn(axis, angle, self.first), turn_symmetric(axis, angle, self.second))
 
     def shifted(self, p: Pure) -> Moments:
-        """Moments about the origin of a frame in whose axes the present origin is at p."""
+        """Moments about another origin, from which the present origin is at p, in the same axes."""
         m, h = self.mass, self.first
         f = quat.add(h, quat.scale(m, p))
-        # E + h p^T + p h^T + m p p^T = E + f p^T + p h^T; where m is zero, both products are one operation
+        # E + h p^T + p h^T + m p p^T = E + f p^T + p h^T; if m is zero, f is h and products are recorded once
         pairs = ((0, 0), (0, 1), (1, 1), (0, 2), (1, 2), (2, 2))
         return Moments(
             m, f, tuple(e + (f[i] * p[j] + p[i] * h[j]) for e, (i, j) in zip(self.second, pairs, strict=True))
         )
 
     def split(self, axis: int) -> tuple[Moments, Moments]:
-        """Moments that a turn about an axis changes, and those on the axis, which it does not."""
+        """Moments that a rotation about an axis changes, and those of particles on the axis, which it does not."""
         first, second = [0.0] * 3, [0.0] * 6
         first[axis], second[DIAGONAL[axis]] = self.first[axis], self.second[DIAGONAL[axis]]
         off_first, off_second = list(self.first), list(self.second)
@@ -158,16 +158,16 @@ class Moments(NamedTuple):
 
 
 DIAGONAL = (0, 2, 5)  # positions of xx, yy, zz
-# positions of the six numbers after the axes were exchanged in cyclic order, so that an axis becomes the third
+# positions of the six numbers after a cyclic exchange of axes that makes axis k the third
 _CYCLES = ((2, 4, 5, 1, 3, 0), (5, 3, 0, 4, 1, 2), (0, 1, 2, 3, 4, 5))
 
 
 def turn_symmetric(axis: int, angle: Angle, m: Six) -> Six:
-    """R M R^T of a symmetric matrix for a turn about an axis."""
+    """Matrix R M R^T of a symmetric matrix M, for the rotation R about an axis."""
     c, s = angle
     order = _CYCLES[axis]
     xx, xy, yy, xz, yz, zz = (m[k] for k in order)
-    if isinstance(c, float) and c * s == 0.0:  # by quarter turns entries change places, exactly
+    if isinstance(c, float) and c * s == 0.0:  # a multiple of a quarter turn exchanges entries, without rounding
         a, b = c * xx - s * xy, c * xy - s * yy
         turned = (c * a - s * b, s * a + c * b, s * s * xx + c * c * yy)
     else:
@@ -180,12 +180,12 @@ def turn_symmetric(axis: int, angle: Angle, m: Six) -> Six:
 
 
 def merged(a: tuple[Number, Pure, Six], b: tuple[Number, Pure, Six]) -> tuple[Number, Pure, Six]:
-    """Two bodies of one frame as one, each as mass, centre of mass, and rotational inertia about that."""
+    """Two bodies as one, each as mass, centre of mass, and rotational inertia about that, all in the same frame."""
     (m, c, inertia), (mass, com, other) = a, b
     both = m + mass
     apart = quat.sub(com, c)
     x, y, z = apart
-    reduced = m * mass / both  # reduced mass of two bodies about their common centre
+    reduced = m * mass / both  # reduced mass
     parallel = (y * y + z * z, -(x * y), x * x + z * z, -(x * z), -(y * z), x * x + y * y)
     about_com = tuple(i + o + reduced * s for i, o, s in zip(inertia, other, parallel, strict=True))
     return both, quat.add(c, quat.scale(mass / both, apart)), about_com

@@ -15,7 +15,7 @@ Matrix = tuple[tuple, ...]  # (8), (12)
 
 
 def elementwise(f: Callable, *vectors: Sequence) -> tuple:
-    """f of the entries of equally long vectors, entry by entry; None where an entry is None.
+    """Vector of f(entries) of vectors of equal length; None where an entry is None.
 
     With f = `screw.cross` it is the product (15), with `screw.inner` (16), with `screw.double_geodesic` (17).
     """
@@ -23,7 +23,7 @@ def elementwise(f: Callable, *vectors: Sequence) -> tuple:
 
 
 def transpose(q: Matrix) -> Matrix:
-    """Transpose of a matrix of anything."""
+    """Transpose of a matrix, whatever its entries are."""
     return tuple(zip(*q, strict=True))  # (9), (13)
 
 
@@ -65,13 +65,13 @@ def combine(m: Matrix, numbers: Sequence[Number]) -> tuple[Screw | None, ...]:
 
 
 def diagonal(entries: Sequence) -> Matrix:
-    """Diagonal matrix; everything else is None."""
+    """Diagonal matrix; the other entries are None."""
     n = len(entries)
     return tuple(tuple(entries[i] if i == j else None for j in range(n)) for i in range(n))
 
 
 def hermitian(operators: Matrix) -> Matrix:
-    """Conjugate transpose L^H of a matrix of adjoint operators: transposed, and every operator inverted.
+    """Conjugate transpose L^H of a matrix of adjoint operators: the transpose, with every operator inverted.
 
     The paper writes L*; by its own (13) that would leave out the transposition (erratum T1.4).
     """

@@ -3,7 +3,7 @@
 from typing import Any
 
 Number = Any  # whatever has + - * /
-# a type checker loses count of components that pass through zip or unbind, so it is not asked to
+# lengths are not in the types: a type checker cannot follow them through zip and unbind
 Pure = tuple[Number, ...]  # (x, y, z)
 Quaternion = tuple[Number, ...]  # (w, x, y, z)
 
@@ -85,7 +85,7 @@ def cross(a: Pure, b: Pure) -> Pure:
 
 
 def rotate(r: Quaternion, v: Pure) -> Pure:
-    """Adjoint r v r* of a pure quaternion by a unit quaternion, with the factor 2 taken out of the double cross."""
+    """Adjoint r v r* = v + w t + u x t, t = 2 u x v, of a pure quaternion v by a unit quaternion r = w + u."""
     w, u = r[0], r[1:]
     t = cross(u, v)
     t = add(t, t)

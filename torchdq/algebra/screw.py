@@ -58,7 +58,7 @@ def swap(a: Screw) -> Screw:
 
 
 def power(wrench: Screw, twist: Screw) -> Number:
-    """Power f.v + m.w of a wrench on a twist given in the same frame; the same number in every frame."""
+    """Power f.v + m.w of a wrench on a twist, both given in the same frame; it does not depend on the frame."""
     return double_geodesic(wrench, swap(twist))  # (48)
 
 
@@ -66,7 +66,7 @@ def power(wrench: Screw, twist: Screw) -> Number:
 
 
 def columns(x: DualQuaternion) -> Adjoint:
-    """Operators A_P, A_D of a pose as columns: A_P = [x_P e x_P*], A_D = [2 Im(x_P e x_D*)] = [p x A_P e]."""
+    """Columns of the operators A_P, A_D of a pose: A_P = [x_P e x_P*], A_D = [2 Im(x_P e x_D*)] = [p x A_P e]."""
     xp, xd = x
     half = quat.im(quat.mul(xd, quat.conj(xp)))
     p = quat.add(half, half)
@@ -98,13 +98,13 @@ def _transpose(m: Columns) -> Columns:
 
 
 def ad(a: Adjoint, m: Screw) -> Screw:
-    """Ad(x) m = x m x* from the columns of x = X_AB: takes screws from B to A."""
+    """Adjoint Ad(x) m = x m x* from the columns of x = X_AB; it transforms screws from B to A."""
     a_p, a_d = a
     return (columns_times(a_p, m[0]), quat.add(columns_times(a_p, m[1]), columns_times(a_d, m[0])))  # (36)
 
 
 def inverse(a: Adjoint) -> Adjoint:
-    """Columns of x* from those of x = X_AB, by transposing: they take screws from A to B."""
+    """Columns of x* from those of x = X_AB, by transposing; they transform screws from A to B."""
     return (_transpose(a[0]), _transpose(a[1]))
 
 
@@ -140,12 +140,12 @@ def exp_helical(screw: Screw, angle: Number, cos: Number, sin: Number) -> DualQu
 
 
 def exp(a: Screw, entire: Callable[[Pure], tuple[Number, Number, Number]]) -> DualQuaternion:
-    """Exponential of any pure dual quaternion a + eps b.
+    """Exponential of a pure dual quaternion a + eps b.
 
         exp = C + S a + eps (-S (a.b) + S b + K (a.b) a),   x = a.a
 
     `entire(a)` returns C = cos(sqrt x), S = sin(sqrt x)/sqrt x and K = (C - S)/x, all entire functions of x, so that
-    nothing is singular at the identity; it is given a, whose length is better known than that of the rounded x.
+    nothing is singular at the identity; its argument is a and not the rounded x, which has lost digits of |a|.
     Departs from (25), which is not the exponential (erratum 25).
     """
     p, d = a

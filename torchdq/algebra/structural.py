@@ -1,4 +1,4 @@
-"""Structural zeros: an absent term (None) stays absent, so that it is never multiplied, added or recorded."""
+"""Structural zeros: operations that skip absent terms (None), so that these are never multiplied, added or recorded."""
 
 from collections.abc import Callable, Sequence
 from functools import wraps
@@ -8,7 +8,7 @@ from torchdq.algebra.screw import Adjoint, Screw
 
 
 def lift(f: Callable) -> Callable:
-    """Function that returns None as soon as one of its arguments is None."""
+    """Function that returns None if one of its arguments is None."""
 
     @wraps(f)
     def lifted(*args):
@@ -34,18 +34,15 @@ def add(*terms: Screw | None) -> Screw | None:
 
 
 def difference(a: Sequence, b: Sequence) -> list:
-    """a - b, entry by entry; an absent b leaves a as it is."""
+    """Difference a - b, entry by entry; where b is None, it is a."""
     return [x if y is None else x - y for x, y in zip(a, b, strict=True)]
 
 
 @lift
 def ad_inverse(a: Adjoint, m: Screw) -> Screw:
-    """Ad(x*) m from the columns of x."""
+    """Adjoint Ad(x*) m from the columns of x."""
     return screw.ad(screw.inverse(a), m)
 
 
-ad = lift(screw.ad)
 cross = lift(screw.cross)
 neg = lift(screw.neg)
-power = lift(screw.power)
-scale = lift(screw.scale)

@@ -1,4 +1,4 @@
-"""Backends as objects: each runs programs on the tensors of some devices."""
+"""Interface of a backend, which runs programs on tensors of some devices."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ Kernel = Callable[[Sequence[Tensor], int], list[Tensor]]
 
 
 class Backend:
-    """A way to run programs."""
+    """Interface of a backend."""
 
-    name: str  # as users say it
-    differentiable: bool  # whether torch sees its operations: then it traces, differentiates and transforms them itself
+    name: str  # in `torchdq.backend(name)` and in arguments `backend`
+    differentiable: bool  # whether it runs torch operations, which torch itself traces, differentiates and transforms
 
     def refusal(self, device: torch.device) -> TorchdqError | None:
-        """Error that says why it cannot run on a device; None: it can."""
+        """Error that says why programs cannot run on a device; None: they can."""
         raise NotImplementedError
 
     def available(self, device: torch.device) -> bool:

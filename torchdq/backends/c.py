@@ -1,4 +1,4 @@
-"""The backend of compiled programs on the processor."""
+"""Backend "c": programs compiled from C for the CPU."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from torchdq.program.program import Program, outputs
 
 
 class C(Backend):
-    """Programs compiled for the processor."""
+    """Backend that compiles programs for the CPU."""
 
     name = "c"
     differentiable = False
 
     def refusal(self, device: torch.device) -> TorchdqError | None:
-        """Error that says why it cannot run on a device; None: it can."""
+        """Error that says why programs cannot run on a device; None: they can."""
         if device.type != "cpu":
             return ArgumentError(f"backend 'c' runs on the CPU, and the arguments are on the device {device.type!r}")
         return None if cache.compiler() is not None else cache.no_compiler()
 
     def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> CompiledKernel:
-        """Compiled program in one precision, built unless it lies in the cache on disk."""
+        """Compiled program in one precision, built unless the cache on disk has it."""
         return CompiledKernel(program, dtype)
 
 
@@ -35,7 +35,7 @@ COMPILED = C()
 
 
 class CompiledKernel:
-    """A compiled program in one precision."""
+    """Compiled program in one precision."""
 
     def __init__(self, program: Program, dtype: torch.dtype):
         self.program, self.dtype = program, dtype
@@ -45,7 +45,7 @@ class CompiledKernel:
         self.operations = program.count().total
         self.widths = [(len(r.values), r.summed) for r in results]
         self.any_summed = any(r.summed for r in results)
-        # bytes from one sample's row to the next, of arguments and outputs; a part has its own row of a sum
+        # bytes between the rows of two samples, for arguments and outputs; a summed output has one row per part
         self.strides = [(0 if a.uniform else a.width * dtype.itemsize, False) for a in program.arguments]
         self.strides += [(width * dtype.itemsize, summed) for width, summed in self.widths]
 

@@ -1,11 +1,11 @@
-"""C text that every program begins with: vectors, their functions, and rows read into them.
+"""C code at the top of every program: vector types, functions of vectors, loads and stores of rows.
 
-It does not depend on the processor: the lane count follows from what the compiler is told to build for. It needs
-nothing but the compiler; sine, cosine, exponential and logarithm are its own, so lanes never wait for a library call,
-and fall back to the C library only for lanes whose angle is huge or not finite.
+It is the same for every processor: the number of lanes follows from the compiler's target. It needs nothing but the
+compiler. Sine, cosine, exponential and logarithm are computed for all lanes at once; the C library is called only for
+lanes whose angle is very large or not finite.
 """
 
-# fdlibm's minimax polynomials (Sun Microsystems 1993) of sine and cosine on [-pi/4, pi/4], with pi/2 in three parts; of
+# fdlibm's minimax polynomials (Sun Microsystems 1993): sine and cosine on [-pi/4, pi/4], with pi/2 in three parts;
 # r (exp r + 1)/(exp r - 1) on [-ln2/2, ln2/2] and (log(1 + s) - log(1 - s))/s on [0, 0.1716], with ln2 in two parts
 _DOUBLE = """
 typedef double S;
@@ -157,15 +157,15 @@ static inline T log_(T x){
 
 
 def text(single: bool) -> str:
-    """C text of vectors in single or double precision."""
+    """C code at the top of a program in single or double precision."""
     return f"{_FLOAT if single else _DOUBLE}\n{_PRELUDE.replace('@TURNS@', _turns())}"
 
 
 def _turns() -> str:
-    """C that exchanges rows and columns of a tile held in vectors: TILE columns of LANES samples, in halves if need be.
+    """C functions that transpose a tile held in vectors: TILE columns of LANES samples.
 
-    Vector k holds row k in its first TILE lanes, row k + TILE in the next. Blocks of half the size are swapped across
-    the diagonal, then of a quarter, down to single entries.
+    Vector k holds row k in its first TILE lanes, and row k + TILE in the next, if there are more. Blocks of half the
+    size are swapped across the diagonal, then blocks of a quarter, down to single entries.
     """
     text = []
     for lanes in (2, 4, 8, 16):
@@ -186,8 +186,8 @@ def _turns() -> str:
     return "\n".join(text) + _TILES
 
 
-# rows narrower than a tile are read beyond their end, where there are more rows; and written in order, so that what
-# spills into the next row is overwritten by it, but never beyond the last
+# rows narrower than a tile are read beyond their end, into the next rows; they are written in order, so that the next
+# row overwrites what the last one wrote into it, and never beyond the end of the array
 _TILES = """
 #if LANES==16
 typedef S H __attribute__((vector_size(32)));

@@ -1,4 +1,4 @@
-"""A program in C: one sample per lane of the compiler's vector type, rows [batch, n] read and written directly."""
+"""C source of a program: one sample per lane of the compiler's vector type; rows [batch, n] are read and written."""
 
 from collections.abc import Iterable, Sequence
 
@@ -20,7 +20,7 @@ def source(program: Program, single: bool) -> str:
 
 
 def _literal(x: float) -> str:
-    """Constant in the program's precision, to the last bit."""
+    """Exact C literal of a constant."""
     if x != x:
         return '(S)__builtin_nan("")'
     if abs(x) == float("inf"):
@@ -48,7 +48,7 @@ class _Printer:
         return f"u[{i}]" if self.schedule.uniform[i] else f"x{i}"
 
     def vector(self, i: int) -> str:
-        """Expression for a value that has been computed, the same in all lanes if it is uniform."""
+        """Vector expression for a value that has been computed; a uniform value is the same in all lanes."""
         return f"(T){{}}+({self.name(i)})" if self.schedule.uniform[i] else self.name(i)
 
     def output(self, v: Output) -> str:
@@ -61,7 +61,7 @@ class _Printer:
     # --- statements ---
 
     def prelude(self) -> list[str]:
-        """Values that are the same for all samples."""
+        """Statements for the values that are the same for all samples."""
         lines = []
         for i in self.schedule.prelude:
             op = self.program.ops[i]
@@ -73,7 +73,7 @@ class _Printer:
         return [f"S u[{len(self.program.ops)}];", *lines] if lines else []
 
     def statements(self, part: Part) -> list[str]:
-        """Operations on vectors; a sine and a cosine of one angle are computed by one call, at the first of them."""
+        """Statements on vectors; one call, at the first of the two, computes sine and cosine of the same angle."""
         lines = []
         for i in part.values:
             op = self.program.ops[i]
@@ -111,7 +111,7 @@ class _Printer:
         lines += [f"void run(long samples,{','.join(pointers)}){{", *self.prelude()]
         lines += [f"T A{k}[{w}];for(int j=0;j<{w};j++)A{k}[j]=(T){{}};" for k, w in summed]
         lines += ["for(long b=0;b<samples;b+=LANES){", "const long here=samples-b<LANES?samples-b:LANES;"]
-        # a tail repeats its last sample in the idle lanes, so that every sample takes the same path
+        # idle lanes of the last vector repeat its last sample, so that every sample takes the same code
         lines += [
             f"T I{k}[{w}];if(samples-b>=LANES+(TILE+{w - 1})/{w})load(I{k},in{k}+b*{w},{w});else{{"
             f"for(int l=0;l<LANES;l++)for(int j=0;j<{w};j++)I{k}[j][l]=in{k}[(b+(l<here?l:here-1))*{w}+j];}}"

@@ -1,9 +1,9 @@
-"""Compiling C source into a function, and keeping what was compiled.
+"""Compilation of C source into a function, and the cache of compiled libraries on disk.
 
-Built libraries lie in a directory that only the user can write, under a name that is the hash of everything they
-depend on: source, compiler, flags and processor. The file ends with a hash of itself, so that one that was cut short,
-changed or put there by somebody else is rebuilt and never loaded. It appears under its name in one step, when it is
-complete, so any number of processes may build the same program at once.
+Libraries lie in a directory that only the user can write. The name of a file is the hash of everything it depends on:
+source, compiler, flags and processor. The file ends with a hash of its content: one that is incomplete, was changed or
+belongs to another user is rebuilt and never loaded. A complete file gets its name by one atomic rename, so any number
+of processes may build the same program at once.
 """
 
 import ctypes
@@ -27,29 +27,29 @@ from torchdq.caches import remembered
 from torchdq.errors import TorchdqError
 
 FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-shared", "-fPIC", "-w")
-SLOW = 1.0  # a build longer than this is announced [s]
-ABANDONED = 3600.0  # age from which a build's folder is what a killed process left behind [s]
+SLOW = 1.0  # duration of a build from which a message is written [s]
+ABANDONED = 3600.0  # age from which a build's folder is taken to be left by a killed process [s]
 
 
 class BuildError(TorchdqError, RuntimeError):
-    """The compiler refused a program."""
+    """Failure to find a C compiler, or to compile a program."""
 
 
 def no_compiler() -> BuildError:
-    """Error of a machine without a C compiler."""
+    """Error for a machine without a C compiler."""
     return BuildError("there is no C compiler; install gcc or clang, or name one in $CC")
 
 
 class Compiler(NamedTuple):
-    """A C compiler that answers."""
+    """C compiler of this machine."""
 
     command: tuple[str, ...]  # path and arguments
-    version: str  # what it says of itself
+    version: str  # output of --version
 
 
 @remembered(1)
 def compiler() -> Compiler | None:
-    """The C compiler: `$CC`, which may have arguments, or cc, gcc or clang on the path; None: there is none."""
+    """C compiler: `$CC`, which may have arguments, or cc, gcc or clang on the path; None: there is none."""
     for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
         program, *arguments = shlex.split(name) or [name]
         path = shutil.which(program)
@@ -92,7 +92,7 @@ def directory() -> Path:
 
 @cache
 def _temporary() -> Path:
-    """A directory for this process alone, when the cache cannot be used or is not the user's own."""
+    """Directory for this process alone, used when the cache directory cannot be written or is not private."""
     return Path(tempfile.mkdtemp(prefix="torchdq-"))
 
 
@@ -101,7 +101,7 @@ def _digest(key: str, body: bytes) -> bytes:
 
 
 def _intact(path: Path, key: str) -> bool:
-    """Whether a library is there, is the user's, and is what was built."""
+    """Whether a library exists, belongs to the user, and has the content that was built."""
     try:
         with path.open("rb") as file:
             if os.fstat(file.fileno()).st_uid != os.getuid():
@@ -140,12 +140,12 @@ def _compile(path: Path, key: str, source: str, name: str) -> None:
 
 
 def _sweep(base: Path) -> None:
-    """Remove what builds that were killed left behind."""
+    """Remove the folders of builds that were killed."""
     for folder in base.glob(".build-*"):
         try:
             abandoned = time.time() - folder.stat().st_mtime > ABANDONED
         except OSError:
-            continue  # another process was faster
+            continue  # another process removed it
         if abandoned:
             shutil.rmtree(folder, ignore_errors=True)
 
@@ -155,14 +155,18 @@ def _announce(name: str) -> None:
 
 
 def entry_key(source: str) -> str:
-    """Name of the library of a source: a hash of everything it depends on."""
+    """Name of the library of a source: hash of everything it depends on."""
     found = compiler()
     version = "" if found is None else "\n".join([*found.command, found.version])
     return hashlib.sha256("\0".join([source, version, *FLAGS, _processor()]).encode()).hexdigest()
 
 
 def load(source: str, name: str, pointers: int) -> Callable[..., None]:
-    """The function `run` of a C source, compiled unless it was before; it takes a count and that many pointers."""
+    """Function `run` of a C source, compiled unless the cache has it.
+
+    Args:
+        pointers: number of pointers that it takes after the number of samples.
+    """
     key = entry_key(source)
     path = directory() / f"{key}.so"
     if not _intact(path, key):

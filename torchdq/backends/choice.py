@@ -1,4 +1,4 @@
-"""Which backend runs a program."""
+"""Choice of the backend that runs a program."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _chosen: ContextVar[BackendName] = ContextVar("torchdq_backend", default="auto")
 
 @contextmanager
 def backend(name: BackendName) -> Iterator[None]:
-    """Within the block, functions and modules that are not told otherwise use this backend.
+    """Context in which functions and modules use this backend, unless their own argument `backend` names another.
 
     >>> import torchdq
     >>> with backend("eager"):

@@ -1,7 +1,7 @@
-"""The fallback to float64: rows of which a program says that rounding errors grow too far are computed again.
+"""Fallback to float64 for rows whose rounding errors are too large.
 
-How far they grow is one more output of a program. Rows over the limit of float32 are recomputed in float64 and
-rounded; rows over the limit of float64 become NaN. No other row is touched.
+The last output of a program is the factor by which it magnifies rounding errors. Rows over the float32 limit are
+recomputed in float64 and rounded; rows over the float64 limit become NaN. Other rows do not change.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def kernel(backend: Backend, program: Program, dtype: torch.dtype, device: torch
 
 
 class Guarded(NamedTuple):
-    """A backend whose rows are watched, to be handed on as one that runs programs."""
+    """Backend with the fallback to float64, as a function that runs programs."""
 
     backend: Backend
 
@@ -36,12 +36,12 @@ class Guarded(NamedTuple):
 
     @property
     def by_torch(self) -> Guarded:
-        """The one that runs programs as torch's own operations."""
+        """Function that runs programs as torch's own operations."""
         return Guarded(EAGER)
 
 
 def guarded(backend: Backend, program: Program, inputs: Sequence[Tensor]) -> list[Tensor]:
-    """Results of a program, rows recomputed where they have to be."""
+    """Results of a program; rows over the float32 limit are recomputed, rows over the float64 limit are NaN."""
     samples = samples_of(program, inputs)
     if program.growth is None:
         return _outputs(backend, program, inputs, samples)
@@ -50,11 +50,11 @@ def guarded(backend: Backend, program: Program, inputs: Sequence[Tensor]) -> lis
     dtype = inputs[0].dtype
     asked = not (backend.differentiable and without_values(inputs))
     if not asked and dtype != torch.float64:
-        # which rows are over the limit cannot be asked
+        # values cannot be read here, so all rows are computed in float64
         return [y.to(dtype) for y in guarded(backend, program, [x.double() for x in inputs])]
     *results, growth = _outputs(backend, program, inputs, samples)
     limit = LARGEST_GROWTH.double if dtype == torch.float64 else LARGEST_GROWTH.single
-    # the largest is NaN if one of them is
+    # amax is NaN if one of the rows is NaN
     if asked and (growth if samples == 1 else growth.amax()).item() <= limit:
         return results
     over = ~(growth[:, 0].detach() <= limit)
@@ -65,14 +65,14 @@ def guarded(backend: Backend, program: Program, inputs: Sequence[Tensor]) -> lis
 
 def _outputs(backend: Backend, program: Program, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
     like = inputs[0]
-    # where torch sees the operations there is nothing to keep, and torch.compile looks into this
+    # the torch backend has nothing to compile, and torch.compile must be able to trace this call
     if backend.differentiable:
         return backend.kernel(program, like.dtype, like.device)(inputs, samples)
     return kernel(backend, program, like.dtype, like.device)(inputs, samples)
 
 
 def _or_nan(program: Program, results: Sequence[Tensor], over: Tensor) -> list[Tensor]:
-    """Results with NaN in some rows, and in their gradients."""
+    """Results with NaN in the rows over the limit, and in their gradients."""
     kept = torch.where(over, torch.nan, 1.0).to(results[0].dtype)
     return [y * kept.mean() if r.summed else kept[:, None] * y for y, r in zip(results, program.results, strict=True)]
 
@@ -80,12 +80,12 @@ def _or_nan(program: Program, results: Sequence[Tensor], over: Tensor) -> list[T
 def _recomputed(
     backend: Backend, program: Program, inputs: Sequence[Tensor], results: Sequence[Tensor], over: Tensor
 ) -> list[Tensor]:
-    """Results whose rows over the limit are those of float64."""
+    """Results with the rows over the limit recomputed in float64."""
     dtype = inputs[0].dtype
     at, others = over.nonzero()[:, 0], (~over).nonzero()[:, 0]
     wide = [y.to(dtype) for y in guarded(backend, program, _among(program, inputs, at, torch.float64))]
     if any(r.summed for r in program.results) or any(y.requires_grad for y in results):
-        # a sum holds the rows over the limit, and their gradients may be 0 * inf
+        # a sum contains the rows over the limit, and gradients of these rows may be 0 * inf
         results = guarded(backend, program, _among(program, inputs, others, dtype))
     else:
         results = [y[others] for y in results]
@@ -96,5 +96,5 @@ def _recomputed(
 
 
 def _among(program: Program, inputs: Sequence[Tensor], rows: Tensor, dtype: torch.dtype) -> list[Tensor]:
-    """Arguments of some samples, in a dtype."""
+    """Arguments for some of the samples, in a dtype."""
     return [(x if a.uniform else x[rows]).to(dtype) for x, a in zip(inputs, program.arguments, strict=True)]

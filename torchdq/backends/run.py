@@ -1,4 +1,4 @@
-"""The one function by which every caller runs a program."""
+"""Execution of a program with a backend."""
 
 from collections.abc import Sequence
 
@@ -15,8 +15,8 @@ def run(program: Program, inputs: Sequence[Tensor], backend: Backend) -> Sequenc
 
     Args:
         program: the program.
-        inputs: its arguments, tensors [samples, width], or [width] where they are uniform; so are results.
-        backend: what runs it.
+        inputs: its arguments, tensors [samples, width], uniform ones [width]; results have the same layout.
+        backend: the backend that runs it.
     """
     if backend.differentiable or not in_a_graph(inputs):
         return guarded(backend, program, inputs)

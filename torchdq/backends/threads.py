@@ -8,11 +8,11 @@ import torch
 
 from torchdq.caches import emptied_by
 
-PER_THREAD = 1e6  # operations on vectors that are worth a thread: waking one takes as long as tens of thousands
+PER_THREAD = 1e6  # vector operations per thread: waking a thread takes as long as tens of thousands of them
 BLOCK = 64  # samples; threads get whole blocks, so that no vector is shared
-PART = 64 * BLOCK  # samples whose sum is formed at once
+PART = 64 * BLOCK  # samples per partial sum
 
-_pools: list[ThreadPoolExecutor] = []  # one, or none yet
+_pools: list[ThreadPoolExecutor] = []  # empty until the first large batch, then one pool
 
 
 def _pool() -> ThreadPoolExecutor:
@@ -37,12 +37,13 @@ os.register_at_fork(after_in_child=_pools.clear)  # threads do not survive a for
 
 
 def shares(samples: int, operations: int, sums: bool) -> tuple[int, int]:
-    """Number of threads that a batch is worth, and how many samples a part of it has.
+    """Number of threads for a batch, and number of samples in each of its parts.
 
     Args:
-        samples: in the batch, at least one.
-        operations: per sample.
-        sums: whether results are summed: then a part is of one size, and the sum the same, whatever the threads.
+        samples: number of samples in the batch, at least one.
+        operations: number of operations per sample.
+        sums: whether results are summed; then the size of a part is fixed, so that the sum does not depend on the
+            number of threads.
     """
     threads = min(torch.get_num_threads(), samples // max(BLOCK, int(8 * PER_THREAD / max(1, operations))))
     size = samples
@@ -54,7 +55,7 @@ def shares(samples: int, operations: int, sums: bool) -> tuple[int, int]:
 
 
 def run(job: Callable[[int], None], parts: int, threads: int) -> None:
-    """Do a job for every part, the parts shared among threads of which the caller is one."""
+    """Run a job for every part; the parts are shared among the threads, the calling one included."""
     threads = max(threads, 1)
 
     def some(first: int) -> None:

@@ -1,4 +1,4 @@
-"""The backend of torch operations: on any device, and seen by all that torch does with operations."""
+"""Backend "eager": torch operations, on any device; torch traces, differentiates and transforms them."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from torchdq.program.program import Output, Program, outputs
 
 
 class Torch(Backend):
-    """Programs operation by operation in torch."""
+    """Backend that runs programs operation by operation in torch."""
 
     name = "eager"
     differentiable = True
 
     def refusal(self, device: torch.device) -> TorchdqError | None:
-        """None: it runs wherever torch does."""
+        """None: torch runs on every device."""
         return None
 
     def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> Kernel:
-        """The program, interpreted."""
+        """Function that interprets the program."""
         return partial(interpreted, program)
 
 
@@ -56,7 +56,7 @@ def interpreted(program: Program, inputs: Sequence[Tensor], samples: int) -> lis
             else:
                 values.append(row.tensor(torch, *[tensor(k) for k in operands]))
 
-    nothing = inputs[0][..., :0]  # a constant has gradients too, and they are zero
+    nothing = inputs[0][..., :0]  # added to constants, so that they have gradients, which are zero
 
     def column(v: Output) -> Tensor:
         x = v if isinstance(v, float) else -values[v[0]] if v[1] else values[v[0]]

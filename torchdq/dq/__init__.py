@@ -1,9 +1,9 @@
 """Quaternions, dual quaternions and screws on tensors.
 
-tensors     the operations of the algebra on tensors [..., 3], [..., 4], [..., 6] and [..., 8]
-poses       exponential and logarithm, interpolation, poses and what they are made of
+tensors     operations of the algebra on tensors [..., 3], [..., 4], [..., 6] and [..., 8]
+poses       exponential, logarithm and interpolation of poses; conversion from and to rotations, positions and matrices
 explog      exponential and logarithm as programs, accurate to rounding at every angle
-components  tensors as components, and back
+components  conversion between tensors and tuples of components
 """
 
 from torchdq.dq.components import stack

@@ -1,4 +1,4 @@
-"""Tensors as the components that the algebra computes with, and back; and what they must look like."""
+"""Conversion between tensors and the tuples of components of the algebra, with checks of dtype and shape."""
 
 import torch
 from torch import Tensor
@@ -29,7 +29,7 @@ def require_matrix(name: str, x: Tensor) -> None:
 
 
 def split(name: str, x: Tensor, *sizes: int) -> tuple:
-    """Components of x as the algebra wants them, after checking the last axis."""
+    """Components of x in the form of the algebra: 3 or 4 numbers, or a pair of 3 or 4 for a last axis of 6 or 8."""
     require_floating(name, x)
     if x.ndim == 0 or x.shape[-1] not in sizes:
         expected = " or ".join(str(s) for s in sizes)

@@ -1,8 +1,8 @@
 """Exponential and logarithm of dual quaternions as programs: accurate to rounding at every angle, with derivatives.
 
-Their coefficients are entire functions of squares. Near the singular points they are summed as series, elsewhere they
-are closed formulas; the switch sits far from the singular point, where both sides are accurate. Both are computed, the
-one that is not taken from harmless arguments, and a mask selects.
+Their coefficients are entire functions of squares. Near the singular points they are power series, elsewhere closed
+formulas; the switch lies far from the singular point, where both are accurate. Both are computed and a mask selects;
+the one that is not selected is computed at an argument where it is finite.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ _ATAN_K = [(-1) ** (k + 1) * (2 * k + 2) / (2 * k + 3) for k in range(_TERMS + 2
 
 
 def length_defect(a: Pure, h: Value, split: float) -> Value:
-    """|a| - h for a rounded length h, to twice the working precision (Dekker 1971).
+    """Error |a| - h of a rounded length h, to twice the working precision (Dekker 1971).
 
-    Every number is the sum of two with half its digits, whose products are exact.
+    Every number is split into a sum of two numbers with half of its digits, whose products are exact.
     """
     squares, errors = [], []
     for x in (*a, h):
@@ -57,7 +57,7 @@ def length_defect(a: Pure, h: Value, split: float) -> Value:
 def entire(a: Pure, split: float) -> tuple[Value, Value, Value]:
     """C = cos |a|, S = sin |a|/|a|, K = (C - S)/|a|^2, with every derivative finite at a = 0.
 
-    Beyond the series, the rounding of |a| would cost an ulp per radian; it is measured and made good.
+    Outside the series, the rounding error of |a| would cost one ulp per radian; it is computed and corrected.
     """
     x = quat.norm2(a)
     near = below(x, 1.0)
@@ -88,22 +88,22 @@ def angle(w: Value, n2: Value, single: bool) -> tuple[Value, Value]:
 
 
 def full_turn(w: Value, n2: Value) -> Value:
-    """1 where no line is left to turn about, though the turn is not none."""
+    """1 at a full turn, w < 0 and n2 = 0, where the axis is undefined; otherwise 0."""
     return at_least(0.0, n2) * below(w, 0.0)
 
 
 def exp(a: Sequence[Value], single: bool) -> dict[str, Sequence[Value]]:
-    """Dual quaternion of a pure one."""
+    """Unit dual quaternion x = exp(a) of a pure one."""
     split = 2.0**12 + 1.0 if single else 2.0**27 + 1.0
     p, d = screw.exp((tuple(a[:3]), tuple(a[3:])), lambda v: entire(v, split))
     return {"x": [*p, *d]}
 
 
 def log(x: Sequence[Value], single: bool) -> dict[str, Sequence[Value]]:
-    """Pure dual quaternion of a unit one; at a full turn, about the line along the displacement, or along x."""
+    """Logarithm a of a unit dual quaternion x; the axis of a full turn is along the displacement, or along x."""
     (w, *v), b = x[:4], tuple(x[5:])
     p, d = screw.log((tuple(x[:4]), tuple(x[4:])), lambda w, n2: angle(w, n2, single))
-    # a dual part that is not finite must not be left behind
+    # a dual part that is not finite must not be replaced
     turned = full_turn(w, quat.norm2(tuple(v))) * below(absolute(x[4]), math.inf)
     size = absolute(b[0]) + absolute(b[1]) + absolute(b[2])
     slides = turned * below(0.0, size)
@@ -144,9 +144,9 @@ def _program(what: Map, arguments: tuple[Argument, ...]) -> Program:
 
 
 def mapped(formula: Callable[..., dict[str, Sequence[Value]]], x: Tensor) -> Tensor:
-    """Results [..., k] of one of the two for a tensor [..., width]; half precision is computed in single."""
+    """Result [..., k] of `exp` or `log` for a tensor [..., width]; half precision is computed in single precision."""
     wide = x if x.dtype in DTYPES else x.float()
-    # a graph that is traced fuses torch's operations by itself
+    # torch.compile fuses torch operations itself
     backend: BackendName | None = "eager" if torch.compiler.is_compiling() else None
     (found,) = evaluate(Map(formula, x.shape[-1], wide.dtype == torch.float32), {"x": wide}, backend).values()
     return found if wide is x else found.to(x.dtype)

@@ -1,6 +1,6 @@
 """Poses and motions as unit dual quaternions: exponential and logarithm, interpolation, conversions.
 
-Rows never mix: a row that is not finite, or that has no direction to normalise, is NaN in its own row only.
+Rows are independent: a row that is not finite gives NaN in its own row only.
 """
 
 from typing import NamedTuple
@@ -33,9 +33,9 @@ def exp(a: Tensor) -> Tensor:
 def log(x: Tensor) -> Tensor:
     """Logarithm a [..., 6] of a unit dual quaternion x [..., 8], exp(a) = x, smooth up to a full turn.
 
-    2 |P(a)| is the angle in [0, 2 pi] of the motion x describes with its own sign; x and -x are the same pose but
-    different motions. `log_shortest` takes the shorter one. At P(x) = -1, a full turn, where every line through the
-    displacement would do, the line along the displacement is taken (along x if there is none).
+    2 |P(a)| is the angle in [0, 2 pi] of the motion; x and -x are the same pose but different motions, of which
+    `log_shortest` takes the shorter one. At P(x) = -1, a full turn, the axis is not unique: it is the line along the
+    displacement, or along x if there is no displacement.
 
     >>> log(exp(torch.tensor([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))).mul(10).round().int().tolist()
     [1, 2, 3, 10, 20, 30]
@@ -45,17 +45,17 @@ def log(x: Tensor) -> Tensor:
 
 
 def log_shortest(x: Tensor) -> Tensor:
-    """Logarithm of x or -x [..., 6], whichever is the motion of less than half a turn.
+    """Logarithm [..., 6] of x or -x, the one that turns by at most pi.
 
-    Both signs of a pose give the same result, except at exactly half a turn (w = 0): there both ways are equally
-    long and x itself is taken, so that -x gives the opposite turn. The gradient jumps where the angle is pi.
+    Both signs of a pose give the same result, except where the angle is exactly pi (w = 0): there both turns are as
+    long, and that of x is taken, so that -x gives the opposite turn. The gradient is discontinuous there.
     """
     split("x", x, 8)
     return log(torch.where(x[..., :1] < 0, -x, x))
 
 
 def sclerp(x: Tensor, y: Tensor, t: Tensor | float) -> Tensor:
-    """Pose x exp(t log(x* y)) [..., 8]: the screw motion from x (t = 0) to y (t = 1) by the shorter way.
+    """Pose x exp(t log(x* y)) [..., 8] on the shorter screw motion from x (t = 0) to y (t = 1).
 
     Args:
         x, y: poses, shape [..., 8].
@@ -68,7 +68,7 @@ def sclerp(x: Tensor, y: Tensor, t: Tensor | float) -> Tensor:
 
 
 class ScrewParameters(NamedTuple):
-    """A motion as a screw: turn by `angle` about a line while sliding by `slide` along it."""
+    """Screw motion: a turn by `angle` about a line with a translation by `slide` along it."""
 
     axis: Tensor  # unit direction of the line [1], [..., 3]; along the displacement if there is no rotation
     moment: Tensor  # the line's, about the origin [m], [..., 3]; zero if there is no rotation
@@ -77,14 +77,14 @@ class ScrewParameters(NamedTuple):
 
 
 def screw_params(x: Tensor) -> ScrewParameters:
-    """Screw axis, moment, angle and slide of the pose x [..., 8], by the shorter way.
+    """Axis, moment, angle and slide of the shorter screw motion to the pose x [..., 8].
 
     >>> screw_params(exp_line := exp(torch.tensor([0.0, 0, 0.5, 0, 0, 1]))).slide
     tensor(2.)
     """
     p, d = log_shortest(x).split(3, -1)
     half = torch.linalg.vector_norm(p, dim=-1, keepdim=True)
-    turns = half != 0  # also where it is NaN, which is then passed on
+    turns = half != 0  # true for NaN, which then is the result
     length = torch.linalg.vector_norm(d, dim=-1, keepdim=True)
     moves = length != 0
     still = torch.eye(3, dtype=x.dtype, device=x.device)[0]
@@ -126,7 +126,7 @@ def translation_body(x: Tensor) -> Tensor:
 
 
 def rotate(r: Tensor, v: Tensor) -> Tensor:
-    """Vector r v r* [..., 3], v turned by the unit quaternion r [..., 4]."""
+    """Vector r v r* [..., 3]: v rotated by the unit quaternion r [..., 4]."""
     return stack(quaternion.rotate(split("r", r, 4), split("v", v, 3)))
 
 
@@ -138,8 +138,8 @@ def to_rotation_matrix(r: Tensor) -> Tensor:
 def from_rotation_matrix(matrix: Tensor) -> Tensor:
     """Unit quaternion [..., 4] with w >= 0 of a rotation matrix [..., 3, 3].
 
-    The largest of the four components is taken from the diagonal and the others are divided by it, so that no
-    rotation is close to a singular case.
+    The largest of the four components is computed from the diagonal, and the others by a division by it, so that no
+    rotation is close to a singularity.
     """
     require_square("matrix", matrix, 3)
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (row.unbind(-1) for row in matrix.unbind(-2))

@@ -1,4 +1,4 @@
-"""Quaternions, dual quaternions and screws as tensors: the public face of `torchdq.algebra`.
+"""Quaternions, dual quaternions and screws as tensors: the functions of `torchdq.algebra` with checked arguments.
 
     quaternion        [..., 4]   (w, x, y, z)
     dual quaternion   [..., 8]   primary (w, x, y, z) | dual (w, x, y, z)
@@ -10,7 +10,7 @@ Leading axes are batch axes and broadcast, so the paper's element-wise products 
 `cross`, `inner` and `double_geodesic` of tensors [..., n, 6]. A matrix of dual quaternions is [..., rows, columns, 8].
 The pose of B in A is X_AB = r + (eps/2) p r, and X_AC = mul(X_AB, X_BC). x and -x are the same pose.
 
-Rows never mix: a row that is not finite, or that has no direction to normalise, is NaN in its own row only.
+Rows are independent: a row that is not finite, or cannot be normalised, gives NaN in its own row only.
 """
 
 from collections.abc import Callable
@@ -42,7 +42,7 @@ def mul(x: Tensor, y: Tensor) -> Tensor:
 
 
 def conj(x: Tensor) -> Tensor:
-    """Conjugate of a quaternion [..., 4], or of both parts of a dual quaternion [..., 8]; the inverse of a unit one.
+    """Conjugate of a quaternion [..., 4], or of both parts of a dual quaternion [..., 8]; inverse if it is a unit one.
 
     >>> conj(torch.tensor([1.0, 2, 3, 4]))
     tensor([ 1., -2., -3., -4.])
@@ -166,7 +166,7 @@ def _hamilton(x: Tensor, matrix: Callable) -> Tensor:
 
 
 def _moderate(x: Tensor) -> tuple[Tensor, Tensor]:
-    """A power of two [...], and x divided by it, so that the squares of its primary part can be written."""
+    """Power of two [...], and x divided by it, so that squares of its primary part do not overflow or underflow."""
     split("x", x, 4, 8)
     _, exponent = torch.frexp(x[..., :4].detach().abs().amax(-1))
     size = torch.ldexp(torch.ones_like(x[..., 0]), exponent - 1)
@@ -191,7 +191,7 @@ def norm(x: Tensor) -> Tensor:
 def normalize(x: Tensor) -> Tensor:
     """Closest unit quaternion [..., 4] or unit dual quaternion [..., 8] (|P| = 1, P.D = 0).
 
-    A zero primary part has no direction: that row is NaN.
+    A row whose primary part is zero is NaN.
     """
     _, x = _moderate(x)
     parts = split("x", x, 4, 8)
@@ -206,7 +206,7 @@ def normalize(x: Tensor) -> Tensor:
 
 
 def columns(x: Tensor) -> tuple[Tensor, Tensor]:
-    """Matrices A_P and A_D [..., 3, 3] of a pose x = X_AB [..., 8] (34), (35).
+    """Matrices A_P and A_D [..., 3, 3] of the adjoint of a pose x = X_AB [..., 8] (34), (35).
 
     A_P is the rotation matrix R_AB, and A_D = [p] R_AB with p the position of B's origin in A.
     """
@@ -217,7 +217,7 @@ def columns(x: Tensor) -> tuple[Tensor, Tensor]:
 def ad(x: Tensor, m: Tensor) -> Tensor:
     """Adjoint Ad(x) m = x m x* [..., 6]: the screw m, given in B, expressed in A, for the pose x = X_AB (33), (36).
 
-    The same for twists, accelerations, momenta and wrenches. `ad(conj(x), m)` goes from A to B.
+    It applies to twists, accelerations, momenta and wrenches alike. `ad(conj(x), m)` transforms from A to B.
 
     >>> from torchdq import dq
     >>> X_AB = dq.from_pose(torch.tensor([1.0, 0, 0, 0]), torch.tensor([0.0, 0, 2]))
@@ -242,7 +242,7 @@ def inertia_transform(mass: Tensor, inertia: Tensor, a: Tensor, com: Tensor | No
         mass: [kg], shape [...].
         inertia: about the centre of mass [kg m^2], symmetric, shape [..., 3, 3].
         a: twist, or spatial acceleration, shape [..., 6], in the body frame.
-        com: centre of mass in the body frame [m], shape [..., 3]; None: it is the origin.
+        com: centre of mass in the body frame [m], shape [..., 3]; None: the origin.
     """
     parts = split("a", a, 6)
     require_square("inertia", inertia, 3)

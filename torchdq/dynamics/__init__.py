@@ -1,6 +1,11 @@
-"""Rigid-body algorithms on any kind of number, one per file; they import the algebra and nothing else.
+"""Rigid-body algorithms on numbers of any type, one per file; they import only `algebra` and `numbers`.
 
-An algorithm takes a `Mechanism` (numbers, not tensors), the adjoint columns of its joints, and component tuples.
-Whatever is absent (no gravity, no velocity, no external wrench) is `None`, which is decided here in Python and costs
-nothing.
+    joints, tree      joint types; links, joints and coordinates of a robot
+    posed             interface of a robot at one configuration
+    aligned           the form that runs: frames whose z axes are the joint axes
+    paper             the reference: the paper's algorithms, in any link frames
+    crba, ltdl        mass matrix by composite rigid bodies, and its sparse factors
+    energy, regressor, acceleration, conditioning, coupling    parts that both forms share
+
+Absent quantities (no gravity, no velocity, no external wrench) are `None`: Python decides, and nothing is recorded.
 """

@@ -1,16 +1,16 @@
 """Accelerations of the particles of a rigid body.
 
-A particle at r of a body accelerates by d + U r: d is the acceleration of the frame's origin, and
+The acceleration of a particle at r is d + U r, with the acceleration d of the frame's origin and
 
     U = [wd] + [w]^2
 
-of the angular velocity w and its rate. It carries the acceleration from one origin to another, and with the body's
-mass moments it gives the net wrench
+of the angular velocity w and its rate. U gives the acceleration of another origin, and with the mass moments of the
+body the net wrench
 
     f = m d + U h,   n = h x d + vect(U E)
 
-Neither contains the linear part v of the body's twist: seen from a frame that moves with the origin's velocity, the
-origin is at rest, and no force changes (Galilei). With it, G(A) + V x G(V) gives the same wrench.
+The linear part v of the body's twist does not occur: in a frame that moves with the velocity of the origin, the origin
+is at rest, and forces are the same (Galilean invariance). G(A) + V x G(V) is the same wrench, computed with v.
 """
 
 from torchdq.algebra import quaternion as quat
@@ -22,7 +22,7 @@ Matrix3 = tuple[Pure, ...]  # three rows
 
 
 def tensor(w: Pure, wd: Pure) -> Matrix3:
-    """U = [wd] + [w]^2."""
+    """Matrix U = [wd] + [w]^2."""
     x, y, z = w
     dx, dy, dz = wd
     xx, yy, zz, xy, xz, yz = x * x, y * y, z * z, x * y, x * z, y * z
@@ -30,13 +30,13 @@ def tensor(w: Pure, wd: Pure) -> Matrix3:
 
 
 def apply(u: Matrix3, r: Pure) -> Pure:
-    """U r."""
+    """Product U r."""
     x, y, z = (row[0] * r[0] + row[1] * r[1] + row[2] * r[2] for row in u)
     return (x, y, z)
 
 
 def net_wrench(body: Moments, u: Matrix3, d: Pure) -> Screw:
-    """Force and moment about the origin that accelerate a body."""
+    """Net wrench (force, moment) about the origin on an accelerated body."""
     e = square(body.second)
 
     def ue(i: int, j: int) -> Number:

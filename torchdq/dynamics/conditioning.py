@@ -1,8 +1,8 @@
-"""Pivots of an elimination: their inverses, and what they tell of the digits that were lost.
+"""Pivots of the elimination of a mass matrix: their inverses, and the growth of rounding errors.
 
-The pivot D_i of a joint is the inertia that it feels when the joints beyond it are free. It would feel M_ii if they
-were locked, and D_i is what subtractions leave of that. Where M_ii / D_i is large, digits were cancelled; where D_i is
-not positive, the mass matrix is singular to the precision at hand.
+The pivot D_i of a joint is the inertia at the joint if the joints beyond it are free; M_ii is the inertia if they are
+locked. D_i is computed from M_ii by subtractions: a large M_ii / D_i means cancellation of digits, and a D_i that is
+not positive means that the mass matrix is singular to working precision.
 """
 
 from collections.abc import Sequence
@@ -11,11 +11,11 @@ from functools import reduce
 from torchdq.algebra.quaternion import Number
 from torchdq.numbers.functions import maximum, minimum
 
-HUGE = 1e30  # beyond every limit, for a pivot that is not positive
+HUGE = 1e30  # factor for a pivot that is not positive, above every limit
 
 
 class NoInertiaError(ArithmeticError):
-    """The joint of this position moves nothing, whatever the robot's own position."""
+    """Error for a joint that moves no inertia in any position of the robot."""
 
     def __init__(self, joint: int):
         super().__init__(joint)
@@ -30,7 +30,7 @@ def inverse(joint: int, pivot: Number) -> Number:
 
 
 def growth(diagonal: Sequence[Number], inverses: Sequence[Number]) -> Number:
-    """Largest factor M_ii / D_i, or a huge one if a pivot is not positive; NaN if one is."""
+    """Largest factor M_ii / D_i; at least 1e30 if a pivot is not positive, NaN if one is NaN."""
     factors = [m * r for m, r in zip(diagonal, inverses, strict=True)]
     if not factors:
         return 1.0

@@ -2,8 +2,8 @@
 
     q = S z + s0,   qd = S zd,   qdd = S zdd
 
-z are the coordinates of the user and q those of the joints. Generalised forces follow by S^T, the mass matrix is
-S^T M S. It stands around a posed robot, so that no algorithm knows of it.
+z are the independent coordinates and q the joint coordinates. Generalised forces are mapped by S^T, the mass matrix is
+S^T M S. The map wraps a posed robot, so no algorithm depends on it.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from torchdq.dynamics.posed import Exerted, Factors, Point, Posed, Row, factors_
 
 
 class Coupling(NamedTuple):
-    """Map q = S z + s0."""
+    """Affine map q = S z + s0."""
 
     S: Matrix  # joints by coordinates; None: a joint does not depend on a coordinate
-    offset: Row  # s0, of the joints
+    offset: Row  # s0, one per joint
 
     def positions(self, z: Row) -> list[Number]:
-        """q of z."""
+        """Joint coordinates q of the coordinates z."""
         return [x + s for x, s in zip(self.rates(z), self.offset, strict=True)]
 
     def rates(self, zd: Row) -> list[Number]:
-        """qd of zd, or qdd of zdd."""
+        """Joint velocities qd of zd, or accelerations qdd of zdd."""
         return [present(x) for x in matrix.matvec(self.S, zd, mul, add)]
 
     def forces(self, tau: Sequence[Number | None]) -> list[Number]:
@@ -46,9 +46,9 @@ class Coupled(NamedTuple):
 
     robot: Posed
     coupling: Coupling
-    armature: Row | None = None  # further inertia at the coordinates
+    armature: Row | None = None  # additional inertia at the coordinates
 
-    # --- what the map does not change ---
+    # --- independent of the map ---
 
     def com(self, i: int) -> Pure:
         """Centre of mass of a link."""
@@ -67,11 +67,11 @@ class Coupled(NamedTuple):
         return self.robot.position(i, r)
 
     def to_world(self, i: int, v: Pure) -> Pure:
-        """Components in the world's axes of a vector of a link."""
+        """Components in world axes of a vector of a link."""
         return self.robot.to_world(i, v)
 
     def to_link(self, i: int, v: Pure) -> Pure:
-        """Components in a link's axes of a vector of the world."""
+        """Components in link axes of a vector of the world."""
         return self.robot.to_link(i, v)
 
     def poses(self) -> Sequence[DualQuaternion]:
@@ -83,10 +83,10 @@ class Coupled(NamedTuple):
         return self.robot.potential_energy()
 
     def without_gravity(self) -> Coupled:
-        """Posed robot that is not pulled by gravity."""
+        """Posed robot without gravity."""
         return self._replace(robot=self.robot.without_gravity())
 
-    # --- what it maps ---
+    # --- mapped ---
 
     def twists(self, qd: Row) -> Sequence[Screw]:
         """Twist of every link."""
@@ -116,7 +116,7 @@ class Coupled(NamedTuple):
         return [t + J * a for t, J, a in zip(tau, self.armature, qdd, strict=True)]
 
     def mass_matrix(self) -> Matrix:
-        """S^T M S."""
+        """Mass matrix S^T M S."""
         S = self.coupling.S
         half = matrix.matmul(self.robot.mass_matrix(), S, mul, add)
         M = [list(map(present, row)) for row in matrix.matmul(matrix.transpose(S), half, mul, add)]
@@ -125,12 +125,12 @@ class Coupled(NamedTuple):
         return tuple(map(tuple, M))
 
     def factors(self, linear: bool) -> Factors:
-        """Factors of the mass matrix, which the map leaves full."""
+        """Factors of the mass matrix, which in general has no zeros."""
         M = self.mass_matrix()
         return factors_by_entries(range(-1, len(M) - 1), M)
 
     def with_armature(self, more: Row) -> Coupled:
-        """Posed robot with more inertia at its coordinates."""
+        """Posed robot with additional inertia at its coordinates."""
         before = self.armature or [0.0] * len(more)
         return self._replace(armature=[a + b for a, b in zip(before, more, strict=True)])
 
@@ -142,5 +142,5 @@ class Coupled(NamedTuple):
 
 
 def present(x: Number | None) -> Number:
-    """The number, or zero if it is absent."""
+    """Number, or zero if it is absent."""
     return 0.0 if x is None else x

@@ -1,9 +1,10 @@
-"""The mass matrix by composite rigid bodies.
+"""Mass matrix by composite rigid bodies.
 
-The inertia of everything that a joint carries is summed into one composite body. The momentum of that body under a unit
-rate of the joint, carried down the path to another joint, gives their entry of the mass matrix.
+The inertias of all links that a joint moves are summed into one composite body. The momentum of this body for a unit
+rate of the joint, transformed along the path to another joint, gives their entry of the mass matrix.
 
-Either form of a robot says how an inertia and a wrench are carried from link i to its parent.
+The transformation of an inertia and of a wrench from link i to its parent is an argument, so the algorithm serves both
+forms of a robot.
 """
 
 from collections.abc import Callable, Sequence
@@ -16,10 +17,10 @@ from torchdq.dynamics.tree import Link, Tree, path
 
 
 def composites(tree: Tree, carried: Callable) -> list:
-    """Inertia, in link i's frame, of everything that joint i carries; None: no body.
+    """Composite inertias: in link i's frame, of all links that joint i moves; None: no body.
 
     Args:
-        carried: takes the index of a link and an inertia in its frame, returns that inertia in the parent's frame.
+        carried: takes the index of a link and an inertia in its frame, returns this inertia in the parent's frame.
     """
     found: list = [link.inertia for link in tree.links]
     for i in reversed(range(1, len(found))):
@@ -45,13 +46,11 @@ def diagonal(tree: Tree, composite: Sequence) -> list[Number]:
 
 
 def mass_matrix(tree: Tree, composite: Sequence, to_parent: Callable[[int, Screw], Screw]) -> Matrix:
-    """Mass matrix M(q); entries of degrees of freedom that are on no common path are None.
-
-    Both triangles hold the same numbers.
+    """Mass matrix M(q), exactly symmetric; None for degrees of freedom on different branches.
 
     Args:
         composite: from `composites`.
-        to_parent: takes the index of a link and a wrench in its frame, returns that wrench in the parent's frame.
+        to_parent: takes the index of a link and a wrench in its frame, returns this wrench in the parent's frame.
     """
     M: list[list[Number | None]] = [[None] * tree.nv for _ in range(tree.nv)]
     for k, entry in enumerate(diagonal(tree, composite)):

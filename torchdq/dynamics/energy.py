@@ -22,10 +22,10 @@ def kinetic_energy(tree: Tree, V: Sequence[Screw | None], qd: Sequence[Number]) 
 
 
 def potential_energy(gravity: Pure | None, first: Pure | None) -> Number:
-    """Potential energy -g . (sum of m p_com) [J]; zero with every centre of mass at the world's origin.
+    """Potential energy -g . (sum of m p_com) [J]; zero if the common centre of mass is at the world's origin.
 
     Args:
         gravity: acceleration in the world frame [m/s^2]; None: none.
-        first: first moments of everything that moves about the world's origin [kg m]; None: no body.
+        first: first moments of all moving bodies about the world's origin [kg m]; None: no body.
     """
     return 0.0 if gravity is None or first is None else -quat.dot(gravity, first)

@@ -1,8 +1,8 @@
-"""Joints: what an algorithm asks of a joint type, one class for each.
+"""Joint types: their interface for algorithms, and one class for each type.
 
-A joint carries a link B on its parent P. Its screws `columns` span the twists that it allows, V = sum of columns v_k,
-and are constant in B. A coordinate of a joint with one degree of freedom is an angle [rad] or a length [m]; those of a
-free joint are the pose of B in P. A fixed joint has neither coordinates nor screws, and nothing of it is recorded.
+A joint connects a link B to its parent P. Its screws `columns` span the twists that it allows, V = sum of columns v_k,
+and are constant in B. The coordinate of a joint with one degree of freedom is an angle [rad] or a length [m]; the
+coordinates of a free joint are the pose of B in P. A fixed joint has no coordinates and no screws; it costs nothing.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 
-Exponential = Callable[[Screw], DualQuaternion]  # the exponential of a pure dual quaternion
+Exponential = Callable[[Screw], DualQuaternion]  # exponential of a pure dual quaternion
 
 
 class Coordinate(NamedTuple):
@@ -32,8 +32,8 @@ class Coordinate(NamedTuple):
 class Joint(Protocol):
     """Interface of a joint type."""
 
-    nq: ClassVar[int]  # numbers of its coordinates
-    nv: ClassVar[int]  # degrees of freedom
+    nq: ClassVar[int]  # number of coordinates
+    nv: ClassVar[int]  # number of degrees of freedom
     turns: ClassVar[bool]  # whether its coordinate is an angle
     slides: ClassVar[bool]  # whether its coordinate moves the link along the axis
 
@@ -42,21 +42,21 @@ class Joint(Protocol):
         """Screws of the joint in the link frame, one for each degree of freedom."""
 
     def motion(self, q: Any) -> DualQuaternion | None:
-        """Pose of the link relative to its home pose; None: it does not move."""
+        """Pose of the link relative to its home pose; None: identity."""
 
     def rate(self, v: Sequence[Number] | None) -> Screw | None:
-        """Twist of the link relative to its parent; None: at rest."""
+        """Twist of the link relative to its parent; None: zero."""
 
     def project(self, F: Screw) -> tuple[Number, ...]:
-        """Generalised force of a wrench on the link: its power on each of the columns (48)."""
+        """Generalised forces of a wrench on the link: its power on each column (48)."""
 
     def moved(self, q: Sequence[Number], v: Sequence[Number], h: Number, exp: Exponential) -> tuple[Number, ...]:
-        """Coordinates after a time h at the velocities v."""
+        """Coordinates after a time h with constant velocities v."""
 
 
 @dataclass(frozen=True)
 class Along:
-    """Common part of joints with one degree of freedom: motion along a constant screw."""
+    """Base class of joints with one degree of freedom: motion along a constant screw."""
 
     nq: ClassVar[int] = 1
     nv: ClassVar[int] = 1
@@ -66,11 +66,11 @@ class Along:
 
     @property
     def columns(self) -> tuple[Screw, ...]:
-        """The joint's screw."""
+        """Screw of the joint."""
         return (self.screw,)
 
     def rate(self, v: Sequence[Number] | None) -> Screw | None:
-        """Screw times rate."""
+        """Screw times velocity."""
         return None if v is None or v[0] is None else screw.scale(v[0], self.screw)
 
     def project(self, F: Screw) -> tuple[Number, ...]:
@@ -78,7 +78,7 @@ class Along:
         return (screw.power(F, self.screw),)  # (48), erratum A1
 
     def moved(self, q: Sequence[Number], v: Sequence[Number], h: Number, exp: Exponential) -> tuple[Number, ...]:
-        """q + h v."""
+        """Coordinate q + h v."""
         return (q[0] + h * v[0],)
 
     @property
@@ -88,60 +88,60 @@ class Along:
 
     @property
     def point(self) -> Pure:
-        """Point of the axis that is closest to the frame's origin."""
+        """Point of the axis closest to the frame's origin."""
         return quat.cross(*self.screw)
 
     def angle(self, x: Number) -> Number:
-        """Angle about the axis at a displacement [rad]."""
+        """Rotation about the axis at a displacement [rad]."""
         return x if self.turns else 0.0
 
     def slide(self, x: Number) -> Number:
-        """Length along the axis at a displacement [m]."""
+        """Translation along the axis at a displacement [m]."""
         return x if self.slides else 0.0
 
 
 class Revolute(Along):
-    """Turn about a line."""
+    """Rotation about a line."""
 
     turns, slides = True, False
 
     def motion(self, q: Coordinate) -> DualQuaternion:
-        """exp(a q/2) of a unit line a."""
+        """Pose exp(a q/2) of a unit line a."""
         return screw.exp_revolute(self.screw, q.cos, q.sin)  # (27), erratum 25
 
 
 class Prismatic(Along):
-    """Shift along a direction."""
+    """Translation along a direction."""
 
     turns, slides = False, True
 
     def motion(self, q: Coordinate) -> DualQuaternion:
-        """exp(a q/2) of a = eps l."""
+        """Pose exp(a q/2) of a = eps l."""
         return screw.exp_prismatic(self.screw[1], q.value)  # (27)
 
 
 class Helical(Along):
-    """Turn about a line with a shift along it in proportion."""
+    """Rotation about a line with a proportional translation along it."""
 
     turns, slides = True, True
 
     def motion(self, q: Coordinate) -> DualQuaternion:
-        """exp(a q/2) of a line with pitch."""
+        """Pose exp(a q/2) of a line with pitch."""
         return screw.exp_helical(self.screw, q.value, q.cos, q.sin)  # (27)
 
     @property
     def pitch(self) -> Number:
-        """Length per angle [m/rad]."""
+        """Translation per angle [m/rad]."""
         return quat.dot(*self.screw)
 
     def slide(self, x: Number) -> Number:
-        """Length along the axis [m]."""
+        """Translation along the axis at an angle [m]."""
         return self.pitch * x
 
 
 @dataclass(frozen=True)
 class Fixed:
-    """No motion."""
+    """Rigid connection."""
 
     nq: ClassVar[int] = 0
     nv: ClassVar[int] = 0
@@ -150,10 +150,10 @@ class Fixed:
     columns: ClassVar[tuple[Screw, ...]] = ()
 
     def motion(self, q: Any) -> None:
-        """None: the link stays at its home pose."""
+        """None: the home pose."""
 
     def rate(self, v: Sequence[Number] | None) -> None:
-        """None: the link does not move relative to its parent."""
+        """None: no relative twist."""
 
     def project(self, F: Screw) -> tuple[Number, ...]:
         """No generalised force."""
@@ -171,7 +171,7 @@ def _unit_screw(k: int) -> Screw:
 
 @dataclass(frozen=True)
 class Free:
-    """Any motion: the coordinates are a pose, the velocities a twist (angular, linear) in the link frame."""
+    """Free motion: the coordinates are a pose, the velocities a twist (angular, linear) in the link frame."""
 
     nq: ClassVar[int] = 8
     nv: ClassVar[int] = 6
@@ -180,25 +180,25 @@ class Free:
     columns: ClassVar[tuple[Screw, ...]] = tuple(_unit_screw(k) for k in range(6))
 
     def motion(self, q: DualQuaternion) -> DualQuaternion:
-        """The coordinates themselves."""
+        """Pose given by the coordinates."""
         return q
 
     def rate(self, v: Sequence[Number] | None) -> Screw | None:
-        """The velocities as a screw."""
+        """Velocities as a screw."""
         return None if v is None else (tuple(v[:3]), tuple(v[3:]))
 
     def project(self, F: Screw) -> tuple[Number, ...]:
-        """Moment and force."""
+        """Moment and force, the order of the velocities."""
         return (*F[1], *F[0])
 
     def moved(self, q: Sequence[Number], v: Sequence[Number], h: Number, exp: Exponential) -> tuple[Number, ...]:
-        """X exp(h V/2)."""
+        """Pose X exp(h V/2)."""
         half = screw.scale(0.5 * h, (tuple(v[:3]), tuple(v[3:])))
         p, d = dq.mul((tuple(q[:4]), tuple(q[4:])), exp(half))
         return (*p, *d)
 
 
-REVOLUTE, PRISMATIC, HELICAL = "revolute", "prismatic", "helical"  # kinds of joints in descriptions
+REVOLUTE, PRISMATIC, HELICAL = "revolute", "prismatic", "helical"  # names of joint types in descriptions
 KINDS: dict[str, type[Revolute | Prismatic | Helical]] = {REVOLUTE: Revolute, PRISMATIC: Prismatic, HELICAL: Helical}
 
 Z_AXIS: Pure = (0.0, 0.0, 1.0)

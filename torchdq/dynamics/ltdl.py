@@ -1,7 +1,7 @@
-"""Sparse factors of a mass matrix, and the solution of M x = b by them.
+"""Sparse factors of a mass matrix, and the solution of M x = b with them.
 
-M = L^T D L, eliminated from the leaves to the base, so that an entry that is zero because two joints lie on different
-branches stays absent in the factors (Featherstone, Rigid Body Dynamics Algorithms, 2008, section 6.5).
+M = L^T D L, eliminated from the leaves to the base: entries that are zero because two joints lie on different branches
+are zero in the factors too (Featherstone, Rigid Body Dynamics Algorithms, 2008, section 6.5).
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,14 +13,14 @@ from torchdq.dynamics.conditioning import inverse
 
 
 class TreeFactors(NamedTuple):
-    """M = L^T D L: the inverses of D, and L's entries below its unit diagonal as (row, column) -> number."""
+    """Factors of M = L^T D L: the inverses of D, and the entries of L below its unit diagonal by (row, column)."""
 
     inverses: tuple[Number, ...]
     lower: dict[tuple[int, int], Number]
 
 
 def _path(before: Sequence[int], i: int) -> Iterator[int]:
-    """Degrees of freedom from i down to the base, i first."""
+    """Degrees of freedom on the path from i to the base, i first."""
     while i >= 0:
         yield i
         i = before[i]
@@ -30,8 +30,8 @@ def factorise(before: Sequence[int], M: Matrix) -> TreeFactors:
     """Factors of a mass matrix.
 
     Args:
-        before: for every degree of freedom, the one before it on the path from the base, or -1.
-        M: entries of degrees of freedom on no common path are not read.
+        before: for every degree of freedom, the one before it on the path from the base; -1: none.
+        M: mass matrix; entries of degrees of freedom on different branches are not read.
     """
     n = len(before)
     H = {(i, j): M[i][j] for i in range(n) for j in _path(before, i)}

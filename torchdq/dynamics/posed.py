@@ -1,8 +1,8 @@
-"""A robot at one configuration: the one interface through which everything about its bodies is asked.
+"""Interface of a robot at one configuration: kinematics and dynamics of its bodies.
 
 It is implemented by `aligned.posed`, the form that runs, and by `paper.posed`, the reference and the form for robots
-whose geometry is an argument. Each keeps every link in a frame of its own choice, fixed to the link. Points, twists and
-wrenches of links are in those frames; frames of the robot's description are handed over as poses in link frames.
+whose geometry is an argument. Each form chooses a frame for every link, fixed to the link. Points, twists and wrenches
+of links are in these frames; frames of the robot's description are arguments, as poses in its link frames.
 
 Links are those of a `Tree`: link 0 is the base.
 """
@@ -37,13 +37,13 @@ class Factors(NamedTuple):
 
 
 def factors_by_entries(before: Sequence[int], M: Matrix) -> Factors:
-    """Factors L^T D L of a mass matrix; `before` is that of `ltdl.factorise`."""
+    """Factors L^T D L of a mass matrix; `before` as in `ltdl.factorise`."""
     found = ltdl.factorise(before, M)
     return Factors([M[i][i] for i in range(len(M))], found.inverses, partial(ltdl.solve, before, found))
 
 
 class Point(NamedTuple):
-    """Origin and axes of a frame that is fixed to a link, in the frame in which the posed robot keeps the link."""
+    """Origin and axes of a frame fixed to a link, in the frame that the posed robot chose for the link."""
 
     position: Pure
     axes: tuple[Pure, ...]
@@ -58,19 +58,19 @@ class Posed(Protocol):
         """Centre of mass of a link [m]."""
 
     def point(self, i: int, X_BF: DualQuaternion) -> Point:
-        """Frame F on a link, from its pose in the link frame of the description."""
+        """Frame F on a link, given by its pose in the link frame of the description."""
 
     def wrench(self, i: int, F_B: Screw) -> Screw:
-        """Wrench on a link, from that in the link frame of the description."""
+        """Wrench on a link, given in the link frame of the description."""
 
     def position(self, i: int, r: Pure) -> Pure:
         """Position in the world of a point of a link [m]."""
 
     def to_world(self, i: int, v: Pure) -> Pure:
-        """Components in the world's axes of a vector of a link."""
+        """Components in world axes of a vector of a link."""
 
     def to_link(self, i: int, v: Pure) -> Pure:
-        """Components in a link's axes of a vector of the world."""
+        """Components in link axes of a vector of the world."""
 
     def poses(self) -> Sequence[DualQuaternion]:
         """Pose in the world of the link frames of the description (39)."""
@@ -79,24 +79,24 @@ class Posed(Protocol):
         """Twist of every link relative to the world (40)."""
 
     def jacobian(self, i: int, X_BF: DualQuaternion, world: bool) -> Sequence[Screw | None]:
-        """Twist of a frame per velocity, in its axes or in the world's; None: a velocity does not move it."""
+        """Columns of the Jacobian of a frame, in its own or in world axes; None: the velocity does not move it."""
 
     # --- dynamics ---
 
     def torques(self, qd: Row | None, qdd: Row | None, exerted: Exerted | None) -> Row:
-        """Generalised forces of a motion; None: zero."""
+        """Generalised forces of a motion; absent arguments are zero."""
 
     def mass_matrix(self) -> Matrix:
-        """Mass matrix; None: zero by structure."""
+        """Mass matrix; entries that are zero by structure are None."""
 
     def factors(self, linear: bool) -> Factors:
-        """Factors of the mass matrix, entry by entry, or in time linear in the number of joints."""
+        """Factors of the mass matrix, entry by entry or, if `linear`, by an O(n) algorithm."""
 
     def with_armature(self, more: Row) -> Posed:
-        """Posed robot with more rotor inertia, on the diagonal of the mass matrix."""
+        """Posed robot with additional rotor inertia, on the diagonal of the mass matrix."""
 
     def without_gravity(self) -> Posed:
-        """Posed robot that is not pulled by gravity."""
+        """Posed robot without gravity."""
 
     def kinetic_energy(self, qd: Row) -> Number:
         """Kinetic energy, rotors included [J]."""
@@ -109,6 +109,6 @@ class Posed(Protocol):
 
 
 def closed_form(posed: Posed, qd: Row) -> tuple[Matrix, Row, Row]:
-    """Terms M, c, g of tau = M qdd + c + g (63), each computed by itself and none by a difference."""
+    """Terms M, c, g of tau = M qdd + c + g (63), each computed directly and not as a difference."""
     c = posed.without_gravity().torques(qd, None, None)
     return posed.mass_matrix(), c, posed.torques(None, None, None)

@@ -1,7 +1,7 @@
-"""Trees of links. Links, joints and coordinates are three different things.
+"""Tree of links and joints.
 
-Link 0 is the base: its parent is the world, and its joint is fixed or free. Every other link hangs on one that comes
-before it. The velocities of all joints stand in one row; a link knows its joint's part of it, which may be empty.
+Link 0 is the base: its parent is the world, and its joint is fixed or free. The parent of every other link comes
+before it. The velocities of all joints form one row; a link has the slice of its joint, which may be empty.
 """
 
 from __future__ import annotations
@@ -18,29 +18,29 @@ BASE = -1  # number of the base in descriptions, which number moving links from 
 
 
 class Link(NamedTuple):
-    """A link and the joint that carries it on its parent."""
+    """Link, and the joint that connects it to its parent."""
 
     parent: int
     joint: Any  # a `Joint`
-    placement: Any  # home pose in the parent, in the form that the algorithms at hand use; None: the frames coincide
-    inertia: Any  # `Inertia` or `Moments` about the link frame's origin, in that form; None: no body
-    armature: Number | None  # rotor inertia seen at the joint [kg m^2 or kg]
-    v: slice  # the joint's part of the row of velocities
+    placement: Any  # home pose in the parent, a pose or `aligned.Placement`; None: the frames coincide
+    inertia: Any  # `Inertia` or `Moments` about the link frame's origin; None: no body
+    armature: Number | None  # rotor inertia at the joint [kg m^2 or kg]
+    v: slice  # velocities of the joint in the row of all velocities
 
 
 class Tree(NamedTuple):
-    """Links, every parent before its children, and the gravity that acts on them."""
+    """Links, every parent before its children, and gravity."""
 
     links: tuple[Link, ...]
     gravity: Pure | None  # acceleration in the world frame [m/s^2]
 
     @property
     def nv(self) -> int:
-        """Degrees of freedom of all joints together."""
+        """Number of degrees of freedom of all joints."""
         return self.links[-1].v.stop
 
     def rates(self, v: Sequence[Number] | None) -> list[Any]:
-        """Twist of every link relative to its parent, or the same of accelerations; None: there is none."""
+        """Twist of every link relative to its parent, or its rate if v are accelerations; None: zero."""
         return [link.joint.rate(None if v is None else v[link.v]) for link in self.links]
 
     def columns(self) -> list[tuple[int, Screw]]:
@@ -48,7 +48,7 @@ class Tree(NamedTuple):
         return [(i, a) for i, link in enumerate(self.links) for a in link.joint.columns]
 
     def predecessors(self) -> tuple[int, ...]:
-        """For every degree of freedom, the one before it on the path from the base; -1: there is none."""
+        """Predecessor of every degree of freedom on the path from the base; -1: none."""
         found: list[int] = []
         for link in self.links:
             before = -1
@@ -62,7 +62,7 @@ class Tree(NamedTuple):
         return tuple(found)
 
     def with_armature(self, more: Sequence[Number]) -> Tree:
-        """Tree with more rotor inertia at its joints of one degree of freedom."""
+        """Tree with additional rotor inertia at its joints of one degree of freedom."""
         return self._replace(
             links=tuple(
                 link if link.joint.nv != 1 else link._replace(armature=_plus(link.armature, more[link.v.start]))
@@ -71,7 +71,7 @@ class Tree(NamedTuple):
         )
 
     def moved(self, q: Sequence[Sequence[Number]], v: Sequence[Number], h: Number, exp: Exponential) -> list[tuple]:
-        """Coordinates of every joint after a time h at the velocities v."""
+        """Coordinates of every joint after a time h with constant velocities v."""
         return [link.joint.moved(x, v[link.v], h, exp) for link, x in zip(self.links, q, strict=True)]
 
 
@@ -80,7 +80,7 @@ def _plus(a: Number | None, b: Number) -> Number:
 
 
 def path(links: Sequence[Link], i: int) -> Iterator[int]:
-    """Indices from link i down to the base, i first."""
+    """Indices of the links on the path from link i to the base, i first."""
     while i != WORLD:
         yield i
         i = links[i].parent
@@ -96,13 +96,13 @@ def plant(
     base: Joint | None = None,
     base_inertia: Any = None,
 ) -> Tree:
-    """Tree of moving links on a base, the velocities in the order of the links.
+    """Tree of moving links on a base, with velocities in the order of the links.
 
     Args:
-        parents: of the moving links, numbered from 0; -1: the base.
-        joints, placements, inertias, armature: of the moving links.
+        parents: parents of the moving links, which are numbered from 0; -1: the base.
+        joints, placements, inertias, armature: those of the moving links.
         base: joint of the base; None: fixed.
-        base_inertia: of the base, in its frame; None: no body.
+        base_inertia: inertia of the base, in its frame; None: no body.
     """
     base = Fixed() if base is None else base
     links = [Link(WORLD, base, None, base_inertia, None, slice(0, base.nv))]

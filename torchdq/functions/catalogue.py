@@ -1,7 +1,8 @@
-"""The catalogue of public functions: each as a computation on numbers, and the programs it has become.
+"""Catalogue of public functions: what each computes, on numbers, and its program for a robot.
 
-A recipe takes the robot, its arguments as tuples of numbers, and those of the robot's own tensors that are arguments,
-and returns named rows of numbers. Its program depends on the robot's constants and on which arguments are present.
+A formula takes `RecipeInputs` and returns named rows of numbers; a `Recipe` holds the candidate formulas of a public
+function, its arguments and the shapes of its results. A program depends on the constants of the robot and on which
+arguments are present.
 """
 
 from __future__ import annotations
@@ -27,23 +28,23 @@ from torchdq.robot.constants import Constants
 from torchdq.robot.posed import GEOMETRY, INERTIAL, Overrides, as_screw, factors, frame, paper, posed, solve, tree
 from torchdq.robot.robot import SHAPES, Robot, recorded
 
-LONG = 9  # joints from which an alternative that is linear in their number is worth recording
-VERY_LONG = 64  # joints from which nothing else is
+LONG = 9  # number of joints from which an O(n) candidate is recorded
+VERY_LONG = 64  # number of joints from which only the O(n) candidate is recorded
 
 Results = dict[str, Sequence[Value | None]]
 Way = TypeVar("Way")
 
 
 class RecipeInputs(NamedTuple):
-    """Arguments of a recipe."""
+    """Inputs of a formula."""
 
     robot: Robot
     arguments: Mapping[str, Sequence[Number]]  # those that are present
     overrides: Overrides  # tensors of the robot that are arguments
-    per_sample: tuple[str, ...]  # and those among them that differ from sample to sample
+    per_sample: tuple[str, ...]  # names of those that have batch axes
 
     def require_inertia(self) -> None:
-        """Raise `SingularInertiaError` if a joint of a constant robot moves nothing in any position but rounding."""
+        """Raise `SingularInertiaError` if a joint of a constant robot moves no inertia, up to rounding."""
         if any(name in self.overrides for name in (*INERTIAL, *GEOMETRY, "armature")):
             return
         found = consistency.inert_joints(self.robot.joint_names, tree(self.robot, {}))
@@ -69,18 +70,18 @@ class RecipeInputs(NamedTuple):
 
 
 def inverse_dynamics(x: RecipeInputs) -> Results:
-    """tau."""
+    """Torques tau."""
     at = x.posed()
     return {"tau": at.torques(x.arguments.get("qd"), x.arguments.get("qdd"), x.exerted(at))}
 
 
 def mass_matrix(x: RecipeInputs) -> Results:
-    """M, row-major."""
+    """Mass matrix M, row-major."""
     return {"M": [entry for row in x.posed().mass_matrix() for entry in row]}
 
 
 def forward_dynamics(x: RecipeInputs, linear: bool = False) -> Results:
-    """qdd, by the mass matrix and its factors, or by articulated bodies."""
+    """Accelerations qdd, by the factors of the mass matrix or, if `linear`, by articulated bodies."""
     x.require_inertia()
     at = x.posed()
     bias = at.torques(x.arguments.get("qd"), None, x.exerted(at))
@@ -90,23 +91,23 @@ def forward_dynamics(x: RecipeInputs, linear: bool = False) -> Results:
 
 
 def forward_dynamics_articulated(x: RecipeInputs) -> Results:
-    """qdd, by articulated bodies."""
+    """Accelerations qdd, by articulated bodies."""
     return forward_dynamics(x, linear=True)
 
 
 def error_growth(x: RecipeInputs, linear: bool = False) -> Results:
-    """Largest M_ii over pivot."""
+    """Largest ratio of M_ii to its pivot."""
     x.require_inertia()
     return {"growth": [factors(x.robot, x.posed(), linear).growth]}
 
 
 def error_growth_articulated(x: RecipeInputs) -> Results:
-    """Largest M_ii over pivot, by articulated bodies."""
+    """Largest ratio of M_ii to its pivot, by articulated bodies."""
     return error_growth(x, linear=True)
 
 
 def closed_form(x: RecipeInputs, tip_name: str) -> Results:
-    """M, c, g, and Jt if there is a tip."""
+    """Mass matrix M, Coriolis torques c, gravity torques g, and the Jacobian Jt if there is a tip."""
     at = x.posed()
     M, c, g = mechanics.closed_form(at, x.arguments["qd"])
     rows: Results = {"M": [entry for row in M for entry in row], "c": c, "g": g}
@@ -118,29 +119,29 @@ def closed_form(x: RecipeInputs, tip_name: str) -> Results:
 
 
 def regressor(x: RecipeInputs) -> Results:
-    """Y, row-major."""
+    """Regressor Y, row-major."""
     blocks = x.posed().regressor(x.arguments["qd"], x.arguments["qdd"])
     return {"Y": [entry for row in blocks for block in row for entry in (block or (None,) * 10)]}
 
 
 def kinetic_energy(x: RecipeInputs) -> Results:
-    """T."""
+    """Kinetic energy T."""
     return {"T": [x.posed().kinetic_energy(x.arguments["qd"])]}
 
 
 def potential_energy(x: RecipeInputs) -> Results:
-    """U."""
+    """Potential energy U."""
     return {"U": [x.posed().potential_energy()]}
 
 
 def forward_kinematics(x: RecipeInputs, *names: str) -> Results:
-    """Poses of the frames, one joint after the other by elementary screws."""
+    """Poses of frames, joint by joint, by elementary screws."""
     at = x.posed()
     return _poses(x, at.poses_in_chain() if isinstance(at, Aligned) else at.poses(), names)
 
 
 def forward_kinematics_in_link_frames(x: RecipeInputs, *names: str) -> Results:
-    """Poses of the frames, one joint after the other in the link frames of the description."""
+    """Poses of frames, joint by joint, in the link frames of the description."""
     return _poses(x, paper(x.robot, x.arguments["q"], x.overrides).poses(), names)
 
 
@@ -153,7 +154,7 @@ def _poses(x: RecipeInputs, X_WB: Sequence[DualQuaternion], names: Sequence[str]
 
 
 def forward_kinematics_from_base(x: RecipeInputs, *names: str) -> Results:
-    """Poses of the frames, by screws in the base frame."""
+    """Poses of frames, by joint screws in the base frame."""
     at = x.posed()
     if not isinstance(at, Aligned):
         return forward_kinematics(x, *names)
@@ -166,7 +167,7 @@ def forward_kinematics_from_base(x: RecipeInputs, *names: str) -> Results:
 
 
 def jacobian(x: RecipeInputs, name: str, expressed: str) -> Results:
-    """J, row-major, twist components by joints."""
+    """Jacobian J, row-major, twist components by joints."""
     columns = x.posed().jacobian(*frame(x.robot, name), world=expressed == "world")
     return {"J": [_six(c)[i] for i in range(6) for c in columns]}
 
@@ -179,18 +180,18 @@ Axes = tuple[int | str, ...]  # trailing axes, "n" being the number of joints
 
 
 def ways(n: int, known: Sequence[Way]) -> Sequence[Way]:
-    """Candidates to record: the dense one below 9 joints, both up to 64, then only the O(n) one."""
+    """Candidates to record: the dense one below 9 joints, both below 64, then only the O(n) one."""
     return known[:1] if n < LONG else known if n < VERY_LONG else known[-1:]
 
 
 class Recipe(NamedTuple):
-    """A public function: its arguments, its computations, and the shapes of its results."""
+    """Public function: its arguments, its candidate formulas, and the shapes of its results."""
 
     arguments: tuple[tuple[str, Axes, bool], ...]  # name, trailing axes, whether it may be absent
-    # ways to compute it; the one with the fewest operations for the robot at hand becomes its program
+    # candidate formulas; the one with the fewest operations for the robot becomes the program
     ways: tuple[Callable[..., Results], ...]
     results: Callable[..., tuple[tuple[int, ...], ...]]  # trailing axes of the results, from n and the options
-    each: bool = False  # whether all ways are worth recording for every robot
+    each: bool = False  # whether all candidates are recorded, whatever the number of joints
 
 
 def _joints(*names: str) -> tuple[tuple[str, Axes, bool], ...]:
@@ -224,7 +225,7 @@ RECIPES: dict[str, Recipe] = {
     ),
     "jacobian": Recipe(_joints("q"), (jacobian,), lambda n, frame, expressed: ((6, n),)),
 }
-DERIVATIVES = {"inverse_dynamics_jacobian": (0, 1)}  # positions of the arguments in which a recipe is differentiated
+DERIVATIVES = {"inverse_dynamics_jacobian": (0, 1)}  # positions of the arguments that a result is differentiated by
 
 
 class _Call(NamedTuple):
@@ -236,7 +237,7 @@ class _Call(NamedTuple):
 
 
 class Function(_Call, Computation):
-    """A public function for robots with the same constants, as a computation of `torchdq.call`."""
+    """Public function for robots with the same constants, as a computation of `torchdq.call`."""
 
     @property
     def n(self) -> int:
@@ -253,15 +254,15 @@ class Function(_Call, Computation):
         return name in SHAPES
 
     def label(self, name: str) -> str:
-        """Name in error messages."""
+        """Name of a tensor in error messages."""
         return f"robot.{name}" if name in SHAPES else name
 
     def subject(self) -> str:
-        """Robot that shapes are for, in error messages."""
+        """Words about the robot after a shape in error messages."""
         return f" for the {self.n} joints of robot {self.constants.fields['name']!r}"
 
     def check(self, tensors: Mapping[str, Any]) -> None:
-        """Raise unless all arguments are there that may not be absent."""
+        """Raise unless all required arguments are present."""
         for name, _, optional in RECIPES[self.name].arguments:
             if not optional and name not in tensors:
                 raise ArgumentError(f"{name} must be a tensor, found NoneType; use torch.as_tensor")
@@ -271,7 +272,7 @@ class Function(_Call, Computation):
         return RECIPES[self.name].results(self.n, *self.options)
 
     def program(self, arguments: tuple[Argument, ...]) -> Program:
-        """Program of the function, recorded once."""
+        """Program of the function, cached."""
         return _program(self, arguments)
 
 

@@ -1,4 +1,4 @@
-"""Compiling ahead of time, and looking at what was compiled."""
+"""Compilation ahead of time, and inspection of the compiled program."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from torchdq.robot.robot import arguments as tensors_of
 CPU = torch.device("cpu")
 
 
-class _Fields(NamedTuple):
-    """Fields of `ProgramFields`."""
+class _RecordedFields(NamedTuple):
+    """Fields of `RecordedComputation`."""
 
     recorded: Program
 
 
-class ProgramFields(_Fields, Computation):
-    """A program that is known already, as a computation of `torchdq.call`."""
+class RecordedComputation(_RecordedFields, Computation):
+    """Program that is recorded already, as a computation of `torchdq.call`."""
 
     def _argument(self, name: str) -> Argument:
         return next(a for a in self.recorded.arguments if a.name == name)
@@ -46,13 +46,13 @@ class ProgramFields(_Fields, Computation):
         return self._argument(name).uniform
 
     def program(self, arguments: tuple[Argument, ...]) -> Program:
-        """The program itself."""
+        """Recorded program."""
         return self.recorded
 
 
 @dataclass(frozen=True, eq=False)
 class CompiledProgram:
-    """A program of a robot in one precision: counted, printed, differentiated and called.
+    """Program of a robot in one precision, which can be called, differentiated, counted and printed.
 
     >>> import torchdq
     >>> tau = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
@@ -70,7 +70,7 @@ class CompiledProgram:
         return self.program.count()
 
     def source(self, language: Literal["c"] = "c") -> str:
-        """Source text in a language."""
+        """Source code in a language."""
         if language != "c":
             raise ArgumentError(f"language must be 'c', found {language!r}")
         return source(self.program, self.dtype == torch.float32)
@@ -79,7 +79,7 @@ class CompiledProgram:
         """Compiled vector-Jacobian product: takes the arguments and a cotangent per result, returns the gradients.
 
         Args:
-            wrt: names of the arguments to differentiate in; None: all of them.
+            wrt: names of the arguments to differentiate with respect to; None: all of them.
         """
         names = [a.name for a in self.program.arguments]
         for name in wrt or ():
@@ -89,7 +89,7 @@ class CompiledProgram:
         return _ready(vjp(self.program, positions), self.dtype)
 
     def __call__(self, *inputs: Tensor) -> Tensor | tuple[Tensor, ...]:
-        """Results [..., width] of arguments [..., width]; those that are uniform are [width]."""
+        """Results [..., width] of arguments [..., width]; uniform arguments are [width]."""
         arguments = self.program.arguments
         if len(inputs) != len(arguments):
             raise ArgumentError(f"{self.program.name} takes {[a.name for a in arguments]}, found {len(inputs)} tensors")
@@ -98,7 +98,7 @@ class CompiledProgram:
                 expected = f"{self.dtype} tensor [{'' if a.uniform else '..., '}{a.width}]"
                 raise ArgumentError(f"{a.name} must be a {expected}, found {x.dtype} {tuple(x.shape)}")
         given = {a.name: x for a, x in zip(arguments, inputs, strict=True)}
-        results = tuple(evaluate(ProgramFields(self.program), given).values())
+        results = tuple(evaluate(RecordedComputation(self.program), given).values())
         return results[0] if len(results) == 1 else results
 
     def __str__(self) -> str:
@@ -117,14 +117,14 @@ def compile(
     arguments: Sequence[str] | None = None,
     options: Sequence[str] = (),
 ) -> CompiledProgram:
-    """Compiled program of a function for a robot, built and cached now rather than at the first call.
+    """Compiled program of a function for a robot, built and cached now instead of at the first call.
 
     Args:
-        robot: the robot; its tensors are constants of the program, those that were replaced are arguments.
+        robot: the robot; its tensors are constants of the program, replaced tensors are arguments.
         function: "inverse_dynamics", "forward_dynamics", "mass_matrix", "closed_form", "regressor", "jacobian",
             "forward_kinematics", "kinetic_energy", "potential_energy", "inverse_dynamics_jacobian".
         dtype: float32 or float64.
-        arguments: names of the arguments that will be present; None: all but the wrenches.
+        arguments: names of the arguments that calls will pass; None: all but the wrenches.
         options: names of the frames for "forward_kinematics", a frame and "body" or "world" for "jacobian", the tip or
             "" for "closed_form".
     Raises:

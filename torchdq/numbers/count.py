@@ -1,14 +1,14 @@
-"""A number that counts what is done to it: run a formula on it, and see what the formula costs as it is written.
+"""A number that counts the operations on it: running a formula on it gives the cost of the formula as written.
 
-The rules, stated once:
+Rules:
 
-* A multiplication or division is one, an addition or subtraction is one; a negation is free.
+* A multiplication or division counts one, an addition or subtraction counts one; a negation is free.
 * Multiplying by the constants 0, 1 and -1 and adding the constant 0 are free; every other constant is an operand.
-* Python's own numbers are constants: what is computed of them alone was computed beforehand. 2 a is written a + a.
-* Sines and cosines are inputs. What is computed twice is counted twice; in a recorded program, that is one operation.
-* `cost` counts what results need, `executed` all that a formula does, whether it is used or not.
+* Python's own numbers are constants: operations on constants alone are not counted. 2 a is written a + a.
+* Sines and cosines are inputs. An expression that is computed twice counts twice; a recorded program has it once.
+* `cost` counts the operations that results depend on, `executed` all operations of a formula.
 
-`dense` hides zeros and ones from the number, so that every product of full matrices is counted in full.
+`dense` replaces zeros and ones by counted numbers, so that every product of full matrices is counted in full.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 
 class Cost(NamedTuple):
-    """Operations of a formula, and the numbers that it reads (79)."""
+    """Operations of a formula, and the number of its inputs (79)."""
 
     multiplications: int
     additions: int
@@ -31,7 +31,7 @@ _ledger: ContextVar[Counter[str] | None] = ContextVar("ledger", default=None)
 
 
 class Counted:
-    """A number that is only the operations it was made by."""
+    """A number without a value, known only by the operations that produce it."""
 
     __slots__ = ("kind", "operands")
 
@@ -80,7 +80,7 @@ def cost(results: Any) -> Cost:
 
 
 def executed(formula: Callable[[], Any]) -> Cost:
-    """Cost of everything that a formula does, and the numbers that it makes to begin with."""
+    """Cost of all operations that a formula executes, and the number of inputs that it creates."""
     ledger: Counter[str] = Counter()
     token = _ledger.set(ledger)
     try:
@@ -91,7 +91,7 @@ def executed(formula: Callable[[], Any]) -> Cost:
 
 
 def dense(numbers: Any) -> Any:
-    """Structure with a counted number in the place of every number, zeros and ones included."""
+    """Nested tuples with every number, zeros and ones included, replaced by a counted number."""
     if isinstance(numbers, list | tuple):
         return tuple(dense(x) for x in numbers)
     return numbers if isinstance(numbers, Counted) else Counted()

@@ -1,6 +1,6 @@
-"""Functions of numbers of any kind: floats, recorded numbers, and others as far as they or Python offer it.
+"""Functions of numbers of any type: floats, recorded numbers, and other types that have these functions as methods.
 
-Floats give what programs give, infinities and NaN included, where Python's own functions would raise an error.
+For floats they agree with programs, infinities and NaN included, where functions of `math` raise an error.
 """
 
 import math
@@ -35,7 +35,7 @@ def log(x: Value) -> Value:
 
 
 def floor(x: Value) -> Value:
-    """Largest whole number that is not above."""
+    """Largest integer that is not greater."""
     return apply("floor", x)
 
 
@@ -50,24 +50,24 @@ def minimum(a: Value, b: Value) -> Value:
 
 
 def at_least(a: Value, b: Value) -> Value:
-    """1 if a is at least b, or else 0, also if one of them is NaN."""
+    """1 if a >= b, otherwise 0; 0 if one of them is NaN."""
     return apply("ge", a, b)
 
 
 def below(a: Value, b: Value) -> Value:
-    """1 if a is less than b, or else 0, also if one of them is NaN."""
+    """1 if a < b, otherwise 0; 0 if one of them is NaN."""
     return select(at_least(a, b), 0.0, at_least(b, a))
 
 
 def select(mask: Value, a: Value, b: Value) -> Value:
-    """a where the mask is not 0, b where it is; the other touches neither the value nor the gradient."""
+    """a where the mask is not 0, b where it is 0; the value and the gradient do not depend on the other."""
     if isinstance(mask, float | int):
         return a if mask != 0 else b
     return apply("select", mask, a, b)
 
 
 def polynomial(coefficients: Sequence[float], x: Value) -> Value:
-    """Sum of the powers of x with these coefficients, the constant first."""
+    """Polynomial in x with these coefficients, the constant first."""
     total: Value = coefficients[-1]
     for c in reversed(coefficients[:-1]):
         total = total * x + c
@@ -95,7 +95,7 @@ def arctangent(y: Value, x: Value, single: bool) -> Value:
     """Angle in [0, pi] of the point (x, y), y positive, within two units in the last place.
 
     Args:
-        single: whether constants are rounded to single precision later, and need another remainder.
+        single: whether the program runs in single precision, where pi has another rounding error.
     """
     size = absolute(x)
     t = minimum(y, size) / maximum(y, size)
@@ -109,7 +109,7 @@ def arctangent(y: Value, x: Value, single: bool) -> Value:
 
 
 def _pi_in_two(single: bool) -> tuple[float, float]:
-    """Pi as a number of the precision and what is left."""
+    """Pi rounded to the precision, and the rounding error."""
     if not single:
         return math.pi, 1.2246467991473532e-16
     high = float.fromhex("0x1.921fb6p+1")
@@ -117,10 +117,10 @@ def _pi_in_two(single: bool) -> tuple[float, float]:
 
 
 def absolute(x: Value) -> Value:
-    """Distance from zero."""
+    """Absolute value."""
     return maximum(x, -x)
 
 
 def clip(x: Value, lower: Value, upper: Value) -> Value:
-    """The number where it is within two bounds, or else the bound it is beyond, exactly."""
+    """Number limited to the interval between two bounds."""
     return minimum(maximum(x, lower), upper)

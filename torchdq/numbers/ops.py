@@ -1,8 +1,8 @@
-"""The operations of programs, one row each: all that is known about an operation stands here and is read from here.
+"""Table of the operations of programs: cost, value, derivatives, torch and C of each, in one row.
 
-The recorder, derivatives, torch and the printers of source text know no operation by name but the four of arithmetic,
-whose signs the recorder works into one another. A new operation is a new row, and a function of its name for those
-who write formulas.
+The recorder, the derivatives, the torch backend and the C printer read this table. By name they know only the four
+operations of arithmetic, whose signs the recorder simplifies. A new operation is a new row, and a function in
+`numbers.functions`.
 """
 
 from __future__ import annotations
@@ -12,45 +12,45 @@ import operator
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-Value = Any  # a number of any kind
+Value = Any  # a number of any type
 
 
 class Mirror(NamedTuple):
-    """An operation on the negatives of its operands, by an operation on the operands themselves."""
+    """Identity for negated operands: f(-a, -b) as an operation g on a and b."""
 
-    code: str
-    negative: bool = False  # whether it is the negative of that operation
-    reverse: bool = False  # whether the operands change places
+    code: str  # g
+    negative: bool = False  # whether f(-a, -b) = -g
+    reverse: bool = False  # whether g takes the operands in reverse order
 
 
 class Operation(NamedTuple):
-    """An operation.
+    """Row of the table.
 
-    The partial derivatives are formulas for numbers of any kind. Each takes a factor, the value of the operation and
-    its operands, and returns the factor times the derivative by one operand; None: the derivative is zero. A divisor
-    that all of them share stands apart, so that it divides only once.
+    The partial derivatives are formulas for numbers of any type. Each takes a factor, the value of the operation and
+    its operands, and returns the factor times the derivative by one operand; None: the derivative is zero. A common
+    divisor of all partial derivatives is kept apart, so that there is only one division.
     """
 
-    cost: str  # what it counts as, a field of `program.Count`
+    cost: str  # class of cost, a field of `program.Count`
     value: Callable[..., Value]  # on plain numbers
     partials: tuple[Callable[..., Value] | None, ...]
     c: str = ""  # in C, of vectors; sine and cosine are printed in pairs
     c_single: str = ""  # in C, of single numbers
-    divisor: Callable[..., Value] | None = None  # that the partial derivatives share, from the value and the operands
-    tensor: Callable[..., Any] | None = None  # from the module `torch` and tensors; None: `value`
-    infix: str = ""  # the sign between its operands, in C as elsewhere
+    divisor: Callable[..., Value] | None = None  # common divisor of the partial derivatives, from value and operands
+    tensor: Callable[..., Any] | None = None  # on tensors, the module `torch` is handed over first; None: `value`
+    infix: str = ""  # operator between the operands, in C and in printed programs
     commutes: bool = False
     even: tuple[int, ...] = ()  # positions of operands whose sign does not matter
-    mirror: Mirror | None = None  # None: signs of the other operands are worked in
-    idempotent: bool = False  # whether it is the operand where those whose sign matters are one
+    mirror: Mirror | None = None  # None: there is no identity for negated operands
+    idempotent: bool = False  # whether f(a, a) = a, operands of `even` left out
 
 
 def apply(code: str, *x: Value) -> Value:
-    """Value of an operation on numbers of any kind; a kind that is not plain has a method `applied` for it."""
+    """Value of an operation on numbers of any type; recorded and similar types have a method `applied`."""
     row = OPS[code]
     if not row.infix:
         for number in x:
-            # the kind is asked, not the number: mpmath's exp is an exponent, and torch.compile can trace nothing else
+            # looked up on the type, not on the number: torch.compile can trace only that
             applied = getattr(type(number), "applied", None)
             if applied is not None:
                 return applied(code, x)
@@ -65,12 +65,12 @@ def _own(name: str, of_float: Callable[[float], float]) -> Callable[[Value], Val
             return getattr(x, name)()
         if isinstance(x, float | int):
             return of_float(float(x))
-        raise TypeError(f"{name} is not known for numbers of kind {type(x).__name__}")
+        raise TypeError(f"{name} is not defined for numbers of type {type(x).__name__}; it needs a method {name}()")
 
     return value
 
 
-# floats give what programs give, infinities and NaN included, where Python's own functions would raise an error
+# infinity or NaN, as in programs, where functions of `math` raise an error
 
 
 def _exp(x: float) -> float:
@@ -81,7 +81,7 @@ def _exp(x: float) -> float:
 
 
 def _finite(function: Callable[[float], float]) -> Callable[[float], float]:
-    """Function that is NaN where there is no finite argument."""
+    """Function that is NaN for arguments that are not finite."""
     return lambda x: function(x) if math.isfinite(x) else math.nan
 
 
@@ -90,7 +90,7 @@ def _select(mask: Value, a: Value, b: Value) -> Value:
 
 
 def _gate(larger: bool) -> tuple[Callable[..., Value], ...]:
-    """Partial derivatives of the larger or the smaller of two numbers: the one that is taken has all of it."""
+    """Partial derivatives of the larger or the smaller of two numbers: 1 for the one that is taken, 0 for the other."""
 
     def first(x: Value, z: Value) -> Value:
         return apply("ge", x, z) if larger else apply("ge", z, x)
@@ -170,8 +170,8 @@ OPS: Mapping[str, Operation] = {
         c="floor_({0})",
         c_single="LIBRARY_FLOOR({0})",
     ),
-    # the larger and the smaller of two numbers: the first if they are equal, NaN if one of them is; torch's own would
-    # share the gradient where both are equal
+    # maximum and minimum: the first if both are equal, NaN if one is NaN; torch.maximum would share the gradient among
+    # equal numbers
     "max": Operation(
         cost="comparisons",
         value=lambda a, b: a if a >= b or a != a else b,
@@ -192,7 +192,7 @@ OPS: Mapping[str, Operation] = {
         mirror=Mirror("max", negative=True),
         idempotent=True,
     ),
-    # 1 if the first is at least the second, or else 0, also if one of them is NaN
+    # 1 if the first is at least the second, otherwise 0; 0 if one is NaN
     "ge": Operation(
         cost="comparisons",
         value=lambda a, b: 1.0 if a >= b else 0.0,
@@ -202,7 +202,7 @@ OPS: Mapping[str, Operation] = {
         c_single="(S)({0}>={1})",
         mirror=Mirror("ge", reverse=True),
     ),
-    # the second where the first is not 0, or else the third; what is not taken touches neither value nor gradient
+    # the second where the first is not 0, otherwise the third; value and gradient do not depend on the one not taken
     "select": Operation(
         cost="comparisons",
         value=lambda mask, a, b: a if mask != 0 else b,

@@ -1,8 +1,8 @@
-"""A number that records what is done to it: run an algorithm on it, and what is left is straight-line arithmetic.
+"""A number that records the operations on it: running an algorithm on it gives straight-line arithmetic.
 
-Equal operations get one value (value numbering), constants are folded, and a negation is never an operation: a number
-is a value and a sign, and the sign is worked into the additions around it. Arithmetic on what is known in advance is
-done in Python's floats and never reaches the tape.
+Equal operations get one value (value numbering), and a negation is never an operation: a number is a value and a sign,
+and the sign turns additions into subtractions. Arithmetic on constants alone is done in Python's floats and is not
+recorded.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from torchdq.numbers.ops import OPS
 
 
 class Op(NamedTuple):
-    """One operation on earlier values, or a leaf: an input or a constant."""
+    """Operation on earlier values, or a leaf: an input or a constant."""
 
     code: str  # "in", "const", or a row of `ops.OPS`
     operands: tuple[int, ...] = ()  # indices of earlier values
@@ -23,7 +23,7 @@ class Op(NamedTuple):
 
 
 class Tape:
-    """A growing list of operations, each the value of its index."""
+    """List of recorded operations; the index of an operation stands for its value."""
 
     def __init__(self) -> None:
         self.ops: list[Op] = []
@@ -41,11 +41,11 @@ class Tape:
         return index
 
     def input(self, argument: int, component: int) -> Recorded:
-        """Number that stands for a component of an argument."""
+        """Recorded number for a component of an argument."""
         return Recorded(self, self.value("in", payload=(argument, component)), False)
 
     def constant(self, x: float) -> Recorded:
-        """Number that stands for a constant; its sign is kept apart, so that x and -x are one value."""
+        """Recorded number for a constant; its sign is kept apart, so that x and -x are one value."""
         return Recorded(self, self.value("const", payload=abs(x)), math.copysign(1.0, x) < 0)
 
 
@@ -106,7 +106,7 @@ class Recorded:
 
     @staticmethod
     def applied(code: str, x: Sequence[Recorded | float]) -> Recorded:
-        """Value of an operation that is not one of arithmetic; at least one of its operands is recorded."""
+        """Value of an operation other than + - * /; at least one of its operands is recorded."""
         row = OPS[code]
         tape = next(v.tape for v in x if isinstance(v, Recorded))
         signed = [v for k, v in enumerate(x) if k not in row.even]
@@ -126,9 +126,9 @@ class Recorded:
 
 
 def _with_sign(tape: Tape, x: Recorded | float, negative: bool) -> int:
-    """Index of the value that a number is, or that its negative is."""
+    """Index of the value of x, or of -x if `negative`."""
     if not isinstance(x, Recorded):
-        # a constant can be had with either sign; a sum with 0.0 is a float and never -0.0
+        # recorded with its sign; adding 0.0 makes it a float and never -0.0
         return tape.value("const", payload=0.0 + (-x if negative else x))
     if x.negative == negative:
         return x.index
@@ -139,13 +139,13 @@ def _with_sign(tape: Tape, x: Recorded | float, negative: bool) -> int:
 
 
 def _sum(x: Recorded, y: Recorded) -> Recorded | float:
-    """x + y with the signs worked in: an addition if they agree, a subtraction if they do not."""
+    """x + y: recorded as an addition if the signs agree, otherwise as a subtraction."""
     tape = x.tape
     if x.negative == y.negative:
         return Recorded(tape, tape.value("add", (x.index, y.index)), x.negative)
     if x.index == y.index:
         return 0.0
-    # one order of every difference, so that a - b and b - a are one value
+    # operands in one order, so that a - b and b - a are one value
     negative = x.negative
     a, b = x.index, y.index
     if a > b:

@@ -1,8 +1,8 @@
-"""Programs: the straight-line arithmetic that is left of an algorithm. Nothing here knows what a robot is.
+"""Programs: straight-line arithmetic, recorded from an algorithm. Nothing here depends on robots.
 
-program     what a program is: recorded, counted, printed, replayed, its dead code removed
-autodiff    its derivatives, which are programs again
-schedule    the order in which it is computed, whatever language it is printed in
+program     a program: recording, dead code elimination, operation count, text, replay on other numbers
+autodiff    derivatives of programs, which are programs again
+schedule    order of evaluation, for code in any language
 autograd    programs in torch's graphs: gradients, transforms, traced graphs
-transforms  questions about torch's transforms, by its private symbols
+transforms  state of torch's transforms, read from its private symbols
 """

@@ -8,7 +8,7 @@ from torchdq.program.program import Argument, Program, Value, finish, growths, r
 
 
 def cotangents(program: Program, values: Sequence[Value], seeds: dict[int, Value]) -> dict[tuple[int, int], Value]:
-    """Cotangents of the argument components, reverse mode, from those of some values; what is left out is zero."""
+    """Cotangents of the argument components by reverse mode, from the cotangents of some values; others are zero."""
     adjoint: list[Value] = [0.0] * len(values)
     for i, seed in seeds.items():
         adjoint[i] = seed
@@ -56,14 +56,14 @@ def vjp(program: Program, wrt: Sequence[int]) -> Program:
 
 
 def _unused(name: str, arguments: Sequence[Argument]) -> str:
-    """The name, or one made from it that none of the arguments has: results of derivatives are told apart by it."""
+    """Name that no argument has yet, made from the given one by adding primes."""
     while any(a.name == name for a in arguments):
         name += "'"
     return name
 
 
 def tangents(program: Program, values: Sequence[Value], seeds: dict[tuple[int, int], Value]) -> list[Value]:
-    """Tangent of every value, forward mode, from the tangents of some argument components; the others are zero."""
+    """Tangents of all values by forward mode, from the tangents of some argument components; others are zero."""
     t: list[Value] = []
     for i, op in enumerate(program.ops):
         if op.code not in OPS:
@@ -78,7 +78,7 @@ def tangents(program: Program, values: Sequence[Value], seeds: dict[tuple[int, i
 
 
 def _tangent_results(program: Program, t: Sequence[Value]) -> dict[str, list[Value]]:
-    """Tangents of the results; that of a constant is zero."""
+    """Tangents of the results; zero for a constant result."""
     constant = {r.name: [isinstance(v, float) for v in r.values] for r in program.results}
     return {
         name: [0.0 if fixed else x for x, fixed in zip(row, constant[name], strict=True)]

@@ -1,7 +1,7 @@
-"""Programs that torch cannot look into, in its graphs: gradients, forward mode, `vmap` and traced graphs.
+"""Programs as operations of torch: gradients, forward mode, `vmap` and traced graphs.
 
-Derivatives of a program are programs, run in the same way, so nothing but the arguments is kept between forward and
-backward. What runs a program is handed over; nothing here knows what that is.
+Derivatives of a program are programs, run in the same way, so only the arguments are kept between forward and
+backward. The function that runs a program is an argument; this module does not depend on a backend.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ class Execute(Protocol):
 
     @property
     def by_torch(self) -> Execute:
-        """Function that runs them as torch's own operations, which all of its transforms know."""
+        """Function that runs them as torch's own operations, which all transforms of torch support."""
 
 
 def in_a_graph(inputs: Sequence[Tensor]) -> bool:
-    """Whether torch has to know what is done to tensors."""
+    """Whether torch must record operations on these tensors: for gradients, or in a transform."""
     return transforming() or (torch.is_grad_enabled() and any([x.requires_grad for x in inputs]))
 
 
 def differentiable(execute: Execute, program: Program, inputs: Sequence[Tensor]) -> Sequence[Tensor]:
-    """Results of a program with gradients, with no more bookkeeping than is asked for."""
+    """Results of a program, recorded for gradients and transforms only where torch needs it."""
     if transforming():
         return _Transformable.apply(execute, program, *inputs)
     return _Differentiable.apply(execute, program, *inputs) if in_a_graph(inputs) else execute(program, inputs)
 
 
 def _gradients(ctx, needed: Sequence[bool], cotangents: Sequence[Tensor]) -> list:
-    """Gradients of the inputs that need one, by the program's vector-Jacobian product."""
+    """Gradients of the inputs that need one, by the vector-Jacobian product of the program; None for the others."""
     derivative, rows = vjp(ctx.program, tuple([k for k, wanted in enumerate(needed) if wanted])), ctx.saved_tensors
     if in_a_batch_of_gradients(cotangents):
         found = ctx.execute.by_torch(derivative, [*rows, *cotangents])
@@ -59,7 +59,7 @@ def _gradients(ctx, needed: Sequence[bool], cotangents: Sequence[Tensor]) -> lis
 
 
 class _Differentiable(torch.autograd.Function):
-    """A program with its gradients."""
+    """Program with reverse-mode gradients."""
 
     @staticmethod
     def forward(ctx, execute: Execute, program: Program, *inputs: Tensor) -> tuple[Tensor, ...]:
@@ -73,7 +73,7 @@ class _Differentiable(torch.autograd.Function):
 
 
 class _Transformable(torch.autograd.Function):
-    """A program for `torch.func` and forward-mode differentiation, whose bookkeeping costs more."""
+    """Program for `torch.func` and forward-mode differentiation; slower per call than `_Differentiable`."""
 
     @staticmethod
     def forward(execute: Execute, program: Program, *inputs: Tensor) -> tuple[Tensor, ...]:
@@ -114,7 +114,7 @@ class _Transformable(torch.autograd.Function):
 
 @remembered(PROGRAMS)
 def per_sample(program: Program) -> Program:
-    """The program with nothing shared between samples: no uniform argument, no sum."""
+    """Program without uniform arguments and without sums over samples."""
     return replace(
         program,
         arguments=tuple(Argument(a.name, a.width) for a in program.arguments),
@@ -128,20 +128,23 @@ _named: Bounded[str, tuple[Execute, Program]] = Bounded(LAYOUTS)
 
 
 def named(execute: Execute, program: Program) -> str:
-    """Name under which a traced graph finds a program again."""
+    """Name by which a traced graph calls a program: a hash of its text."""
     name = sha256(f"{execute}\n{program}".encode()).hexdigest()
     _named[name] = execute, program
     return name
 
 
 def _found(name: str) -> tuple[Execute, Program]:
-    """Program of a name; a graph that torch kept from an earlier process may name derivatives not yet recorded here."""
+    """Program of a name.
+
+    A graph from torch's cache on disk may name derivatives that this process has not recorded yet; they are recorded.
+    """
     if name not in _named:
         primal, derived, wrt = name.rpartition(":")
         if not derived:
             raise ArgumentError(
-                "a graph calls a program that was recorded in another process, or forgotten since; trace or export it "
-                "again in this one"
+                "a traced graph calls a program that was recorded in another process or removed by clear_caches; trace "
+                "or export the graph again in this process"
             )
         execute, program = _found(primal)
         _named[name] = execute, vjp(program, tuple(map(int, wrt.split(","))))
@@ -150,7 +153,7 @@ def _found(name: str) -> tuple[Execute, Program]:
 
 @torch.library.custom_op("torchdq::evaluate", mutates_args=())
 def operator(program: str, inputs: Sequence[Tensor]) -> list[Tensor]:
-    """Results of a program for graphs that are traced: the program goes by its name."""
+    """Results of a program in a traced graph, which calls the program by its name."""
     execute, found = _found(program)
     return execute(found, inputs)
 

@@ -13,34 +13,34 @@ from torchdq.numbers.ops import OPS, apply
 from torchdq.numbers.record import Op, Recorded, Tape
 from torchdq.program.half_angles import halves
 
-Value = Any  # a recorded number, or one that is known
+Value = Any  # a recorded number or a constant
 
 
 class Largest(NamedTuple):
-    """Limits of a program's growth of errors in single and in double precision."""
+    """Largest accepted error growth in single and in double precision."""
 
     single: float
     double: float
 
 
-# half of the digits in single precision; all but six bits in double
+# half of the digits are left in single precision, six bits in double
 LARGEST_GROWTH = Largest(2.0**10, 2.0**46)
 GROWTH = "growth of errors"  # name of the growths among the rows of an algorithm
 
 
 class Argument(NamedTuple):
-    """An input of a program: a row of numbers per sample, or one row for all samples."""
+    """Input of a program: a row of numbers per sample, or one row for all samples."""
 
     name: str
     width: int
     uniform: bool = False
 
 
-Output = tuple[int, bool] | float  # a value's index and whether it is negated; or a constant
+Output = tuple[int, bool] | float  # index of a value and whether it is negated; or a constant
 
 
 class Result(NamedTuple):
-    """An output of a program: a row of numbers per sample, or the sum of the rows over all samples."""
+    """Output of a program: a row of numbers per sample, or the sum of the rows over all samples."""
 
     name: str
     values: tuple[Output, ...]
@@ -48,7 +48,7 @@ class Result(NamedTuple):
 
 
 class Count(NamedTuple):
-    """Operations of a program."""
+    """Operation counts of a program, by class of cost."""
 
     multiplications: int = 0
     additions: int = 0
@@ -60,25 +60,25 @@ class Count(NamedTuple):
 
     @property
     def total(self) -> int:
-        """All operations, a sine, a cosine or another function counting once."""
+        """Number of all operations; a sine or another function counts as one."""
         return sum(self)
 
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Straight-line arithmetic on rows of numbers, the same for every sample."""
+    """Straight-line arithmetic on rows of numbers, without branches: every sample takes the same operations."""
 
     name: str
     arguments: tuple[Argument, ...]
     ops: tuple[Op, ...]
     results: tuple[Result, ...]
-    growth: Result | None = None  # factor by which rounding errors are magnified; None: never too far
+    growth: Result | None = None  # factor by which rounding errors are magnified; None: always below the limits
 
     def count(self) -> Count:
         """Operations per sample; negations are free.
 
-        Subtractions count as additions, cosines as sines, logarithms as exponentials; the larger or smaller of two
-        numbers, a selection and a whole part as comparisons.
+        Subtractions count as additions, cosines as sines, logarithms as exponentials; maximum, minimum, selection and
+        floor count as comparisons.
         """
         return Count(**Counter(OPS[op.code].cost for op in self.ops if op.code in OPS))
 
@@ -101,16 +101,16 @@ class Program:
         return "\n".join(lines)
 
 
-# functions, since torch.compile can look into a program that it takes for a constant, but not into its methods
+# functions, not methods: torch.compile can read the fields of a constant program, but cannot call its methods
 
 
 def outputs(program: Program) -> tuple[Result, ...]:
-    """Everything that a program computes: the results, and how far errors grow."""
+    """All outputs of a program: the results, and the error growth if there is one."""
     return program.results if program.growth is None else (*program.results, program.growth)
 
 
 def samples_of(program: Program, inputs: Sequence[Any]) -> int:
-    """Number of samples of tensors that are a program's arguments."""
+    """Number of samples in the tensors for a program's arguments."""
     for x, argument in zip(inputs, program.arguments, strict=True):
         if not argument.uniform:
             return x.shape[0]
@@ -163,9 +163,9 @@ def finish(
     summed: Sequence[str] = (),
     growths: Sequence[Value] = (),
 ) -> Program:
-    """Program of what a tape holds, without the operations that no result needs.
+    """Program from the operations on a tape, without those that no result depends on.
 
-    `growths` are factors by which rounding errors are magnified on the way to the results.
+    `growths` are factors by which rounding errors in the results are magnified.
     """
     growth = reduce(maximum, growths or [1.0])
     wanted = [v.index for values in (*results.values(), [growth]) for v in values if isinstance(v, Recorded)]
@@ -197,7 +197,7 @@ def _shown(v: Output) -> str:
 
 
 def replay(program: Program, inputs: Sequence[Sequence[Value]]) -> list[Value]:
-    """Every value of a program, run on other numbers."""
+    """Values of all operations of a program, evaluated on other numbers."""
     values: list[Value] = []
     for op in program.ops:
         if op.code == "in":
@@ -221,5 +221,5 @@ def picked(result: Result, values: Sequence[Value]) -> list[Value]:
 
 
 def growths(program: Program, values: Sequence[Value]) -> list[Value]:
-    """Factors by which a program magnifies rounding errors, from its values; none where it says nothing."""
+    """Factors by which a program magnifies rounding errors, from its values; empty if it has no such output."""
     return [] if program.growth is None else picked(program.growth, values)

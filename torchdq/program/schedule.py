@@ -1,8 +1,8 @@
-"""The order in which a program is computed, whatever language it is printed in.
+"""Order of evaluation of a program, for code in any language.
 
-What is the same for all samples is computed once, before them: the prelude. The rest is computed per sample, the sine
-and cosine of one angle together. A long program is cut into parts of bounded length, which pass values on in slots; a
-slot is used again when its value has been read for the last time.
+Values that are the same for all samples are computed once, in a prelude. The others are computed per sample, sine and
+cosine of one angle together. A long program is cut into parts of bounded length, which pass values on in slots; a slot
+is used again after the last read of its value.
 """
 
 from __future__ import annotations
@@ -13,30 +13,30 @@ from typing import NamedTuple
 
 from torchdq.program.program import Program, outputs
 
-TOGETHER = ("sin", "cos")  # operations on one angle that are computed by one call
+TOGETHER = ("sin", "cos")  # operations on the same angle that one call computes
 
 
 class Part(NamedTuple):
-    """Values that are computed one after the other."""
+    """Section of a program, printed as one function."""
 
-    values: tuple[int, ...]
-    loaded: tuple[tuple[int, int], ...] = ()  # values of earlier parts that are read, with their slots
-    stored: tuple[tuple[int, int], ...] = ()  # values that later parts or results read, with their slots
+    values: tuple[int, ...]  # in order of evaluation
+    loaded: tuple[tuple[int, int], ...] = ()  # values read from earlier parts, with their slots
+    stored: tuple[tuple[int, int], ...] = ()  # values read by later parts or results, with their slots
 
 
 class Schedule(NamedTuple):
-    """Where and when every value of a program is computed."""
+    """Place and order of evaluation of every value of a program."""
 
     uniform: tuple[bool, ...]  # whether a value is the same for all samples
     prelude: tuple[int, ...]  # values computed once, constants left out
-    pairs: dict[int, tuple[int, ...]]  # sine and cosine of one angle, as far as they are wanted, by either
+    pairs: dict[int, tuple[int, ...]]  # by the index of a sine or cosine: those of the same angle
     parts: tuple[Part, ...]  # computed per sample
-    slots: int  # that parts pass values in
-    results: tuple[tuple[int, int], ...]  # values that results read from slots
+    slots: int  # number of slots that parts pass values in
+    results: tuple[tuple[int, int], ...]  # values that results read from slots, with their slots
 
 
 def schedule(program: Program, longest: int) -> Schedule:
-    """Schedule of a program whose parts are at most so long."""
+    """Schedule of a program, in parts of at most `longest` values."""
     uniform = _uniform(program)
     prelude = tuple(i for i, op in enumerate(program.ops) if uniform[i] and op.code != "const")
     pairs = _pairs(program)
@@ -46,7 +46,7 @@ def schedule(program: Program, longest: int) -> Schedule:
     cut = [body[k : k + longest] for k in range(0, len(body), longest)]
     for earlier, later in pairwise(cut):
         first = later[0]
-        if first in pairs and pairs[first][0] != first:  # the other of a pair, which is computed before
+        if first in pairs and pairs[first][0] != first:  # second of a pair; it stays in the part of the first
             earlier.append(later.pop(0))
     return Schedule(uniform, prelude, pairs, *_in_slots(program, cut))
 
@@ -69,7 +69,7 @@ def _pairs(program: Program) -> dict[int, tuple[int, ...]]:
 
 
 def _order(uniform: Sequence[bool], pairs: dict[int, tuple[int, ...]]) -> list[int]:
-    """Values computed per sample, in order, the sine and cosine of one angle side by side."""
+    """Values computed per sample, in order, sine and cosine of one angle next to each other."""
     order: dict[int, None] = {}
     for i, shared in enumerate(uniform):
         if not shared:
@@ -80,9 +80,9 @@ def _order(uniform: Sequence[bool], pairs: dict[int, tuple[int, ...]]) -> list[i
 def _in_slots(
     program: Program, cut: Sequence[Sequence[int]]
 ) -> tuple[tuple[Part, ...], int, tuple[tuple[int, int], ...]]:
-    """Parts with their loads and stores, the number of slots, and what results read from them."""
+    """Parts with their loads and stores, the number of slots, and the slots that results read."""
     home = {i: k for k, part in enumerate(cut) for i in part}
-    last = dict.fromkeys(home, -1)  # the last part that reads a value
+    last = dict.fromkeys(home, -1)  # last part that reads a value
     for i, k in home.items():
         for operand in program.ops[i].operands:
             if operand in home:
@@ -102,7 +102,7 @@ def _in_slots(
             if last[i] > k:
                 slots[i] = free.pop() if free else most
                 most = max(most, slots[i] + 1)
-                # read for the last time in part `last`, before that part stores
+                # free again in part `last`, which loads before it stores
                 expiring.setdefault(last[i], []).append(slots[i])
         parts.append(Part(tuple(part), loaded, tuple((i, slots[i]) for i in part if i in slots)))
     return tuple(parts), most, tuple((i, slots[i]) for i in sorted(results))

@@ -1,7 +1,7 @@
-"""Questions about torch's transforms that torch has no public answer to: its private symbols, all in one place.
+"""State of torch's transforms, which torch has no public functions for: all of its private symbols are used here.
 
-They are those of torch 2.6 to 2.13. Where one is missing, the answer is the careful one: that a transform is active,
-which costs time and changes no result.
+They exist in torch 2.6 to 2.13. Where one is missing, a transform is taken to be active, which costs time and changes
+no result.
 """
 
 from collections.abc import Sequence
@@ -30,12 +30,12 @@ def transforming() -> bool:
 
 
 def in_a_batch_of_gradients(inputs: Sequence[Tensor]) -> bool:
-    """Whether autograd maps over gradients (`is_grads_batched`), which knows torch's own operations only."""
+    """Whether autograd maps over gradients (`is_grads_batched`), which supports only torch's own operations."""
     return any(map(_batched_by_autograd, inputs))
 
 
 def without_values(inputs: Sequence[Tensor]) -> bool:
-    """Whether tensors are traced or transformed, or have no values, so that they cannot be asked for them."""
+    """Whether values of tensors cannot be read: they are traced, transformed, or on the device "meta"."""
     return (
         torch.compiler.is_compiling()
         or inputs[0].device.type == "meta"

@@ -1,4 +1,4 @@
-"""The numbers that programs of a robot have built in, as a value: equal robots have equal ones, and share programs."""
+"""Constants of a robot's programs, as a hashable value: robots with equal constants share programs."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from torch import Tensor
 
 
 class Numbers(NamedTuple):
-    """A tensor as plain numbers."""
+    """Tensor as plain numbers."""
 
     shape: tuple[int, ...]
     values: tuple[float, ...]
@@ -21,14 +21,20 @@ class Numbers(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Constants:
-    """The fields of a robot with plain numbers in the place of its tensors; equal if their digests are."""
+    """Fields of a robot with plain numbers in place of tensors; equal if the digests are equal."""
 
     digest: str
     fields: Mapping[str, Any]
 
     @classmethod
     def of(cls, fields: Mapping[str, Any], arguments: Mapping[str, int]) -> Constants:
-        """Constants of a robot's fields; of tensors that are arguments only so many trailing axes are known."""
+        """Constants of a robot.
+
+        Args:
+            fields: the fields of the robot, by name.
+            arguments: names of the tensors that are arguments of programs, with the number of their trailing axes; only
+                these axes enter the constants.
+        """
         plain = {
             name: _unknown(value, arguments[name]) if name in arguments else _mapped(_numbers, Tensor, value)
             for name, value in fields.items()
@@ -36,7 +42,7 @@ class Constants:
         return cls(sha256(repr(plain).encode()).hexdigest(), plain)
 
     def tensors(self) -> dict[str, Any]:
-        """The fields with tensors again, in float64; those that are arguments are NaN."""
+        """Fields with tensors again, in float64; tensors that are arguments are NaN."""
         return {name: _mapped(_tensor, Numbers, value) for name, value in self.fields.items()}
 
     def __eq__(self, other: object) -> bool:
@@ -47,7 +53,7 @@ class Constants:
 
 
 def _numbers(x: Tensor) -> Numbers:
-    # a robot on the device "meta" has no numbers
+    # a tensor on the device "meta" has no values
     return _unknown(x, x.ndim) if x.is_meta else Numbers(tuple(x.shape), tuple(x.detach().flatten().tolist()))
 
 
@@ -61,7 +67,7 @@ def _tensor(x: Numbers) -> Tensor:
 
 
 def _mapped(function: Callable[[Any], Any], kind: type, x: Any) -> Any:
-    """Nested tuples with a function applied to everything of a kind."""
+    """Nested tuples with a function applied to every object of a type."""
     if isinstance(x, kind):
         return function(x)
     if not isinstance(x, tuple):

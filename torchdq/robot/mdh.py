@@ -1,8 +1,8 @@
-"""Choosing link frames in which a program costs least: joint axes along z, and most other constants zero.
+"""Choice of aligned link frames for programs with few operations: joint axes along z, most other constants zero.
 
-The frame of a link lies on its joint's axis, its x axis along the common normal to the axis of its main child (the one
-with the most links beyond it), as in the modified Denavit-Hartenberg placement. Any frames give the same torques; what
-is chosen here only decides how many constants vanish.
+The origin of a link frame lies on the joint axis, and its x axis along the common normal to the joint axis of the main
+child (the child with the most links beyond it), as in the modified Denavit-Hartenberg convention. Torques do not depend
+on this choice; it only decides how many constants are zero.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from torchdq.dynamics.joints import Along
 from torchdq.dynamics.paper import kinematics
 from torchdq.dynamics.tree import Tree
 
-NEAR = 16 * np.finfo(float).eps  # a direction cosine this close to 0 or 1 is meant to be that
-PARALLEL = 1e-6  # axes closer to parallel than this have no common normal worth using
-FAR = 10.0  # nor one that lies this many times the robot's size away
+NEAR = 16 * np.finfo(float).eps  # direction cosines this close to 0 or 1 are set to 0 or 1
+PARALLEL = 1e-6  # sine of the angle between axes below which their common normal is not used
+FAR = 10.0  # distance of a common normal, in sizes of the robot, above which it is not used
 
 
 class Axis(NamedTuple):
-    """A joint axis in the base frame, at home."""
+    """Joint axis in the base frame, at home."""
 
     point: np.ndarray
     direction: np.ndarray
 
 
 def clean(x: np.ndarray | float, scale: float = 1.0):
-    """x with entries within rounding of 0 or of +-scale made exact."""
+    """Array x with entries set to 0 or to +-scale where they are within rounding of it."""
     y = np.where(np.abs(x) < NEAR * scale, 0.0, x)
     return np.where(np.abs(np.abs(y) - scale) < NEAR * scale, np.sign(y) * scale, y)
 
 
 def cos_sin(angle: float) -> Angle:
-    """Cosine and sine of an angle, exact where they are meant to be 0 or 1."""
+    """Cosine and sine of an angle, set to 0, 1 or -1 where they are within rounding of it."""
     c, s = clean(np.array([math.cos(angle), math.sin(angle)]))
     return float(c), float(s)
 
@@ -50,7 +50,7 @@ def align(tree: Tree) -> tuple[Alignment, ...]:
     """Constants of the moving links of a constant tree in aligned frames.
 
     Args:
-        tree: in the link frames of the description, its poses and screws floats.
+        tree: in the link frames of the description, with floats as numbers.
     """
     X_WB = kinematics.link_poses(tree, [link.placement for link in tree.links])
     R_WB, p_WB = zip(*map(_rotation_and_position, X_WB), strict=True)
@@ -97,8 +97,8 @@ def _in_base(joint: Along, X_WB: DualQuaternion) -> Along:
 
 
 def _pose(R: np.ndarray, p: np.ndarray) -> DualQuaternion:
-    """Pose of a rotation matrix and a position, exact where the rotation is by quarter turns."""
-    # the largest component is found first, and the others from it
+    """Pose of a rotation matrix and a position, exact for rotations by quarter turns."""
+    # the largest component first, since the others are divided by it
     w = 0.5 * math.sqrt(max(0.0, 1.0 + float(np.trace(R))))
     v = [0.5 * math.sqrt(max(0.0, 1.0 + 2.0 * float(R[k, k]) - float(np.trace(R)))) for k in range(3)]
     r = np.array([w, *v])
@@ -116,9 +116,9 @@ def _pose(R: np.ndarray, p: np.ndarray) -> DualQuaternion:
 
 
 def _along_axes(p: np.ndarray, gamma: float, alpha: float, size: float) -> tuple[tuple[float, ...], float]:
-    """Shift in the parent's axes, and along the joint's axis, that together are p.
+    """Translation in the parent's axes, and along the joint axis, that together are p.
 
-    The latter saves operations unless the axes are parallel or perpendicular.
+    The second one saves operations unless the axes are parallel or perpendicular.
     """
     s, c = math.sin(alpha), math.cos(alpha)
     (cg, sg), whole = cos_sin(gamma), tuple(map(float, p))
@@ -135,7 +135,7 @@ def _unit(v: np.ndarray) -> np.ndarray:
 
 
 def _main_children(tree: Tree) -> dict[int, int]:
-    """For every moving link that has children, the one with the most links beyond it."""
+    """Main child of every moving link that has children: the one with the most links beyond it."""
     links = tree.links
     beyond = [1] * len(links)
     for i in reversed(range(1, len(links))):
@@ -161,7 +161,7 @@ def _frame(
     """x axis and origin of link i's aligned frame, in the base frame."""
     line = lines[i]
     z = line.direction
-    # unless the child's axis says otherwise: the parent's x axis if it is perpendicular, and no shift along z
+    # without a common normal to the child's axis: the parent's x axis if it is perpendicular, and no shift along z
     fallback = x_P if abs(x_P @ z) < NEAR else min(np.eye(3), key=lambda e: abs(float(e @ z)))
     x = _unit(fallback - (fallback @ z) * z)
     origin = _foot(line, Axis(p_P, x_P))
@@ -183,7 +183,7 @@ def _frame(
 
 
 def _foot(line: Axis, other: Axis) -> np.ndarray | None:
-    """Point of a line closest to another; None if they are parallel."""
+    """Point of a line closest to another line; None if they are parallel."""
     a, b = line.direction, other.direction
     cross = np.cross(a, b)
     n2 = float(cross @ cross)
@@ -193,7 +193,7 @@ def _foot(line: Axis, other: Axis) -> np.ndarray | None:
 
 
 def _euler(M: np.ndarray) -> tuple[float, float, float]:
-    """Angles of M = R_z(gamma) R_x(alpha) R_z(theta), gamma zero wherever it can be."""
+    """Angles of M = R_z(gamma) R_x(alpha) R_z(theta), with gamma = 0 if possible."""
     M = clean(M)
     sine = math.hypot(M[0, 2], M[1, 2])
     if sine == 0.0:
@@ -202,7 +202,7 @@ def _euler(M: np.ndarray) -> tuple[float, float, float]:
     gamma, alpha = math.atan2(M[0, 2], -M[1, 2]), math.atan2(sine, M[2, 2])
     if abs(gamma) > math.pi / 2:
         gamma, alpha = gamma - math.copysign(math.pi, gamma), -alpha
-    # theta is what the other two leave of M, so that it makes up for a gamma that a small alpha leaves ill-defined
+    # theta from M and the other two, which corrects the error of gamma where a small alpha makes it ill-conditioned
     (c, s), (ca, sa) = cos_sin(gamma), cos_sin(alpha)
     theta = math.atan2(ca * (c * M[1, 0] - s * M[0, 0]) + sa * M[2, 0], c * M[0, 0] + s * M[1, 0])
     return gamma, alpha, theta

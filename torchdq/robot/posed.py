@@ -1,4 +1,4 @@
-"""A robot at one configuration as numbers to record: constants where its tensors are known, arguments elsewhere."""
+"""Robot at one configuration, in numbers to record: constants, and arguments for tensors that were replaced."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from torchdq.numbers.functions import cos, sin
 from torchdq.robot import mdh
 from torchdq.robot.robot import SHAPES, Robot, general_tree
 
-# flat components of the robot's tensors that are arguments, or otherwise not its own; None: there is none
+# flat components of tensors that replace those of the robot, by name; None: absent
 Overrides = Mapping[str, Sequence[Number] | None]
 
 GEOMETRY = ("X_PB_home", "screw")
@@ -28,7 +28,7 @@ INERTIAL = ("mass", "com", "inertia")
 
 
 def field(robot: Robot, name: str, overrides: Overrides):
-    """Tensor of the robot as nested tuples of numbers, or None if the robot has none."""
+    """Tensor of the robot as nested tuples of numbers; None: absent."""
     if name in overrides:
         row, shape = overrides[name], SHAPES[name]
         if row is None:
@@ -45,7 +45,7 @@ def field(robot: Robot, name: str, overrides: Overrides):
 
 
 def tree(robot: Robot, overrides: Overrides) -> Tree:
-    """Tree of the robot in its own link frames, as the paper has it."""
+    """Tree of the robot in the link frames of its description."""
     names = ("X_PB_home", "screw", "mass", "com", "inertia", "gravity", "armature")
     return general_tree(robot.parents, robot.kinds, **{name: field(robot, name, overrides) for name in names})
 
@@ -60,7 +60,7 @@ def aligned(robot: Robot, q: Sequence[Number], overrides: Overrides, group: bool
     """Robot at q in aligned frames; its geometry must be constant.
 
     Args:
-        group: whether inertia is moved towards the base, which pays unless it differs from sample to sample.
+        group: whether inertial parameters are regrouped; it saves operations if they do not depend on the sample.
     """
     described = tree(robot, {"gravity": None, "armature": None})
     alignments, coms = mdh.align(described), field(robot, "com", overrides)
@@ -81,17 +81,17 @@ def aligned(robot: Robot, q: Sequence[Number], overrides: Overrides, group: bool
 
 
 def paper(robot: Robot, q: Sequence[Number], overrides: Overrides) -> Paper:
-    """Robot at q in its own link frames, as the paper has it; anything about it may be an argument."""
+    """Robot at q in the paper's form, in the link frames of its description; every tensor may be an argument."""
     halves = [(x, 0.5 * x) for x in displacements(robot, q, overrides)]
     coordinates = [None, *(Coordinate(x, cos(half), sin(half)) for x, half in halves)]
     return Paper.at(tree(robot, overrides), field(robot, "com", overrides), coordinates)
 
 
 def posed(robot: Robot, q: Sequence[Number], overrides: Overrides, per_sample: Sequence[str]) -> Posed:
-    """Robot at q, in the frames that cost least for what is constant about it.
+    """Robot at q, in aligned frames if its geometry is constant, otherwise in the paper's form.
 
     Args:
-        per_sample: tensors of the robot that differ from sample to sample.
+        per_sample: names of the tensors of the robot that depend on the sample.
     """
     if any(name in overrides for name in GEOMETRY):
         return paper(robot, q, overrides)
@@ -99,7 +99,7 @@ def posed(robot: Robot, q: Sequence[Number], overrides: Overrides, per_sample: S
 
 
 def factors(robot: Robot, at: Posed, linear: bool) -> Factors:
-    """Factors of the mass matrix of a robot at a configuration."""
+    """Factors of the mass matrix; raises `SingularInertiaError` if a joint moves no inertia."""
     try:
         return at.factors(linear)
     except conditioning.NoInertiaError as error:
@@ -116,13 +116,13 @@ def solve(robot: Robot, at: Posed, b: Sequence[Number], linear: bool) -> tuple[S
 
 
 def constant_pose(x) -> DualQuaternion:
-    """Pose tensor as numbers."""
+    """Pose as numbers, from a tensor."""
     components = tuple(x.tolist())
     return components[:4], components[4:]
 
 
 def frame(robot: Robot, name: str) -> tuple[int, DualQuaternion]:
-    """Link of a tree that a frame of the robot is fixed to, and the frame's pose in it."""
+    """Index in the tree of the link that a frame of the robot is fixed to, and the pose of the frame in the link."""
     found = robot.frame(name)
     return found.link + 1, constant_pose(found.X_BF)
 

@@ -28,7 +28,7 @@ GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], in the base frame
 OnUnphysical = Literal["error", "warn", "ignore"]
 
 
-# trailing shape of each tensor field; leading axes are batch axes, "n" is the number of joints
+# trailing axes of each tensor field; leading axes are batch axes, "n" is the number of joints
 SHAPES: dict[str, tuple] = {
     "X_PB_home": ("n", 8),
     "screw": ("n", 6),
@@ -58,9 +58,9 @@ class Robot:
     name: str
     joint_names: tuple[str, ...]
     link_names: tuple[str, ...]
-    parents: tuple[int, ...]  # link that link i hangs on; -1: the base
+    parents: tuple[int, ...]  # parent of link i; -1: the base
     kinds: tuple[str, ...]  # "revolute", "prismatic", "helical"
-    X_PB_home: Tensor  # [..., n, 8] pose of each link frame in its parent's at home
+    X_PB_home: Tensor  # [..., n, 8] pose of each link frame in its parent's frame at home
     screw: Tensor  # [..., n, 6] joint screw in the link frame: line of a revolute joint, eps l of a prismatic one
     mass: Tensor  # [..., n] [kg]
     com: Tensor  # [..., n, 3] centre of mass in the link frame [m]
@@ -70,10 +70,10 @@ class Robot:
     damping: Tensor  # [n] viscous friction as described [N m s/rad or N s/m]; not part of the rigid-body dynamics
     friction: Tensor  # [n] Coulomb friction as described [N m or N]; not part of the rigid-body dynamics
     frames: tuple[Frame, ...]
-    tip: str | None = None  # the frame of the end effector, F_{n+1}; None: not decided
+    tip: str | None = None  # name of the frame of the end effector, F_{n+1}; None: not chosen
     home: Tensor | None = None  # [..., n] joint positions at home [rad or m]; None: zero
-    armature: Tensor | None = None  # [..., n] rotor inertia seen at the joint [kg m^2 or kg]; None: none
-    notes: tuple[str, ...] = ()  # faults, and requests of the description that are not used or used otherwise
+    armature: Tensor | None = None  # [..., n] rotor inertia at the joint [kg m^2 or kg]; None: none
+    notes: tuple[str, ...] = ()  # faults, and parts of the description that are not used or are used differently
     _arguments: tuple[str, ...] = field(default=(), repr=False)  # see `arguments`
     _constants: Constants | None = field(default=None, repr=False)  # see `constants`; None: those of the fields
 
@@ -93,7 +93,7 @@ class Robot:
                 )
             if value.dtype not in DTYPES:
                 raise DtypeError(f"{name} of robot {self.name!r} must be float32 or float64, found {value.dtype}")
-        # a tensor that differs from sample to sample cannot be a constant
+        # a tensor with batch axes depends on the sample and cannot be a constant
         present = [name for name in SHAPES if getattr(self, name) is not None]
         names = tuple(name for name in present if name in self._arguments or self._batch(name))
         object.__setattr__(self, "_arguments", names)
@@ -121,18 +121,18 @@ class Robot:
     ) -> Robot:
         """Robot from a URDF file.
 
-        Fixed joints are lumped and their links stay as frames; continuous joints take the plain angle; mimic joints
-        are independent joints. Meshes are never opened. Joint friction, damping and limits are read but are not part
-        of the rigid-body dynamics; `report()` says so for each.
+        Links on fixed joints are merged with their parents and stay as frames; the coordinate of a continuous joint is
+        its angle; mimic joints are independent joints. Meshes are never opened. Joint friction, damping and limits are
+        read but are not part of the rigid-body dynamics; `report()` lists them.
 
         Args:
             source: path of the file, or its XML text.
-            base: "fixed"; the only kind of base there is so far.
+            base: "fixed", the only kind of base so far.
             lock: positions [rad or m] of joints to freeze, by name; they become fixed joints.
-            tip: name of the frame that is the end effector; None: the only leaf of the tree, if there is only one.
+            tip: name of the frame of the end effector; None: the leaf of the tree, if there is only one.
             gravity: acceleration in the base frame [m/s^2]; None: none.
-            on_unphysical: what to do about a body that cannot exist: "error" raises, "warn" warns and goes on, "ignore"
-                only notes it in the report.
+            on_unphysical: treatment of a body that cannot exist: "error" raises, "warn" warns, "ignore" only notes it
+                in the report.
 
         Raises:
             DescriptionError: the text is not a usable URDF; every fault found is named.
@@ -171,7 +171,7 @@ class Robot:
             link_poses: delta_i^0, pose of each link frame in the base frame at home, shape [n, 8]; None: all link
                 frames coincide with the base frame at home.
             tip_pose: delta_{n+1}^0, pose of the end effector in the base frame at home, shape [8], on the last link.
-            parents: index of the link each link hangs on, -1 for the base, shape [n]; None: a serial chain.
+            parents: index of the parent of each link, -1 for the base, shape [n]; None: a serial chain.
             home: joint positions at home [rad or m], shape [n]; None: zero.
             joint_names, link_names, name: names; None: joint1, link1, ...
             gravity, on_unphysical: as in `from_urdf`.
@@ -247,23 +247,23 @@ class Robot:
 
     @property
     def joint_types(self) -> tuple[type[Revolute | Prismatic | Helical], ...]:
-        """Types of the joints, which say whether they turn and whether they slide."""
+        """Types of the joints, with class attributes `turns` and `slides`."""
         return tuple(KINDS[kind] for kind in self.kinds)
 
     @property
     def frame_names(self) -> tuple[str, ...]:
-        """Names of all frames: every link of the description, those on fixed joints included."""
+        """Names of all frames: all links of the description, those on fixed joints included."""
         return tuple(frame.name for frame in self.frames)
 
     def frame(self, name: str) -> Frame:
-        """Frame of that name; raises `UnknownNameError` with the closest names."""
+        """Frame with a name; raises `UnknownNameError` with the closest names."""
         for frame in self.frames:
             if frame.name == name:
                 return frame
         raise UnknownNameError(f"frame of robot {self.name!r}", name, self.frame_names)
 
     def joint_index(self, name: str) -> int:
-        """Position in `q` of the joint of that name; raises `UnknownNameError` with the closest names."""
+        """Position in `q` of the joint with a name; raises `UnknownNameError` with the closest names."""
         if name not in self.joint_names:
             raise UnknownNameError(f"joint of robot {self.name!r}", name, self.joint_names)
         return self.joint_names.index(name)
@@ -271,10 +271,10 @@ class Robot:
     # --- changed copies ---
 
     def replace(self, **changes: Any) -> Robot:
-        """Robot with some fields replaced; the rest is shared.
+        """Robot with some fields replaced; the other fields are shared.
 
-        A replaced physical tensor becomes an argument of the programs, so that new values, batches and gradients need
-        no new program; `bake` makes it a constant again.
+        A replaced physical tensor becomes an argument of the programs, so new values, batches and gradients need no new
+        program; `bake` makes it a constant again.
 
         >>> import torchdq
         >>> robot = torchdq.robots.load("two_link")
@@ -287,7 +287,7 @@ class Robot:
         return dataclasses.replace(self, **changes, _arguments=names, _constants=self._constants if same else None)
 
     def bake(self) -> Robot:
-        """Robot whose tensors, all without batch axes, are constants of its programs: the fastest for a known robot."""
+        """Robot whose tensors, all without batch axes, are constants of its programs, which is fastest."""
         for name in self._arguments:
             if self._batch(name):
                 raise ArgumentError(f"{name} of robot {self.name!r} has batch axes and cannot be a constant")
@@ -295,7 +295,7 @@ class Robot:
         return dataclasses.replace(self, **detached, _arguments=(), _constants=None)
 
     def with_tip(self, name: str | None) -> Robot:
-        """Robot whose end effector is the frame of that name."""
+        """Robot whose end effector is the frame with a name; None: no end effector."""
         return self.replace(tip=None if name is None else self.frame(name).name)
 
     def end_effector(self) -> Frame:
@@ -311,7 +311,7 @@ class Robot:
         return frame
 
     def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> Robot:
-        """Robot with every tensor cast to the dtype and moved to the device."""
+        """Robot with all tensors converted to a dtype and moved to a device."""
 
         def cast(x: Tensor) -> Tensor:
             return x.to(dtype=dtype, device=device)
@@ -325,7 +325,7 @@ class Robot:
     # --- numbers for the algorithms ---
 
     def tree(self) -> Tree:
-        """Robot as numbers: every tensor taken apart along its last axes, batch axes staying in the numbers."""
+        """Tree of the robot, with numbers that are tensors of the batch axes."""
 
         def rows(x: Tensor) -> list[tuple[Tensor, ...]]:
             return [row.unbind(-1) for row in x.unbind(-2)]
@@ -344,13 +344,13 @@ class Robot:
 
     @property
     def inertial_parameters(self) -> Tensor:
-        """Parameters pi [..., 10 n] of the links about their frames, in the order of the regressor's columns."""
+        """Inertial parameters pi [..., 10 n] of the links about their frames, in the order of the regressor."""
         bodies = [link.inertia for link in self.tree().links[1:]]
         numbers = [x for body in bodies for x in (body.mass, *body.first, *six(body.rotational))]
         return torch.stack(torch.broadcast_tensors(*numbers), -1) if numbers else self.mass
 
     def report(self) -> Report:
-        """Report of what the description asked for, what is used, what is not, and what is unphysical; `print` it."""
+        """Report of what is used and not used of the description, and of unphysical bodies; `print` it."""
         return Report.of(self)
 
     def __repr__(self) -> str:
@@ -370,7 +370,7 @@ def general_tree(
     gravity: Pure | None,
     armature: Sequence[Number] | None,
 ) -> Tree:
-    """Tree of a robot's numbers in its own link frames, on a fixed base."""
+    """Tree on a fixed base, in the link frames of the description, from the fields of a robot as numbers."""
     return plant(
         parents,
         [KINDS[kind]((tuple(s[:3]), tuple(s[3:]))) for kind, s in zip(kinds, screw, strict=True)],
@@ -381,20 +381,20 @@ def general_tree(
     )
 
 
-# --- what programs see -----------------------------------------------------------------------------------------------
+# --- constants and arguments of programs -----------------------------------------------------------------------------
 
 
 def arguments(robot: Robot) -> tuple[str, ...]:
-    """Names of the tensors that programs take as arguments; the others are built into them."""
+    """Names of the tensors that are arguments of programs; the others are constants."""
     return robot._arguments
 
 
 def constants(robot: Robot) -> Constants:
-    """The numbers that programs have built in, shared by all that was made of a robot by replacing its tensors."""
+    """Constants of the programs of a robot; replaced tensors are arguments and do not change them."""
     return robot._constants  # type: ignore[return-value]
 
 
 @remembered(PROGRAMS)
 def recorded(constants: Constants) -> Robot:
-    """The robot that programs are recorded from."""
+    """Robot from which programs with these constants are recorded."""
     return Robot(**constants.tensors(), _constants=constants)

@@ -1,1 +1,1 @@
-"""The form that runs: link frames with the joint axis along z, so that a change of frame is a few planar turns."""
+"""The form that runs: the z axis of a link frame is the joint axis, so a change of frame is a few planar rotations."""

@@ -1,12 +1,12 @@
 """Solution of M x = b in time linear in the number of joints, by articulated bodies.
 
-The mass matrix is never formed. Each link, with everything beyond it free to move under its own inertia, answers an
-acceleration (wd, d) of its frame by the wrench
+The mass matrix is not formed. The articulated-body inertia of a link, whose joints beyond it are free to move, gives
+the wrench of an acceleration (wd, d) of its frame,
 
     n = A wd + B d,   f = B^T wd + C d
 
-whose blocks are carried from the leaves to the base (Featherstone 1983). A joint with several degrees of freedom is
-eliminated one at a time. With b the torques less the inverse dynamics at qdd = 0, x are the joint accelerations.
+and is accumulated from the leaves to the base (Featherstone 1983). A joint with several degrees of freedom is
+eliminated one degree at a time. If b are the torques less the inverse dynamics at qdd = 0, x are the accelerations.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Matrix3 = tuple[Pure, ...]  # three rows
 
 
 class Articulated(NamedTuple):
-    """Blocks of an articulated body's inertia: A and C symmetric (xx xy yy xz yz zz), B by rows."""
+    """Blocks of an articulated-body inertia: A and C symmetric (xx xy yy xz yz zz), B by rows."""
 
     A: Six
     B: Matrix3
@@ -38,7 +38,7 @@ class Articulated(NamedTuple):
 
     @classmethod
     def rigid(cls, body: Moments) -> Articulated:
-        """Inertia of a single body."""
+        """Inertia of one rigid body."""
         m, (x, y, z), (xx, xy, yy, xz, yz, zz) = body
         return cls(
             (yy + zz, -xy, xx + zz, -xz, -yz, xx + yy),
@@ -47,12 +47,12 @@ class Articulated(NamedTuple):
         )
 
     def plus(self, other: Articulated) -> Articulated:
-        """Two inertias of one frame together."""
+        """Sum of two inertias in the same frame."""
         B = tuple(quat.add(x, y) for x, y in zip(self.B, other.B, strict=True))
         return Articulated(quat.add(self.A, other.A), B, quat.add(self.C, other.C))
 
     def response(self, a: Screw) -> Screw:
-        """Wrench (f, n) that answers the acceleration a."""
+        """Wrench (f, n) of the acceleration a."""
         wd, d = a
         n = tuple(quat.dot(r, wd) + quat.dot(b, d) for r, b in zip(square(self.A), self.B, strict=True))
         columns = zip(*self.B, strict=True)
@@ -60,15 +60,13 @@ class Articulated(NamedTuple):
         return f, n
 
     def freed(self, a: Screw, wrench: Screw, r: Number, rotor: bool) -> Articulated:
-        """Inertia behind a degree of freedom that is free to move.
-
-        The response squared over its own part is taken off.
+        """Inertia on the parent's side of a joint, after elimination of a degree of freedom: I - U U^T / D.
 
         Args:
             a: screw of the degree of freedom.
-            wrench: response to it.
-            r: inverse of the response's own part, rotor included.
-            rotor: whether there is a rotor; without one, nothing is transmitted along a.
+            wrench: U = I a, the response to it.
+            r: inverse of the pivot D = a . U, rotor included.
+            rotor: whether there is a rotor; without one, no force along a is transmitted.
         """
         f, n = wrench
         rn, rf = quat.scale(r, n), quat.scale(r, f)
@@ -81,7 +79,7 @@ class Articulated(NamedTuple):
         A, C = list(less(self.A, n, rn)), list(less(self.C, f, rf))
         k = None if rotor else _axis(a)
         if k is not None:
-            # what rounding left there is zero
+            # zero in exact arithmetic
             for j in _ROWS[k % 3]:
                 (A if k < 3 else C)[j] = 0.0
             for j in range(3):
@@ -90,14 +88,14 @@ class Articulated(NamedTuple):
         return Articulated(tuple(A), tuple(map(tuple, B)), tuple(C))
 
     def turned(self, axis: int, angle: Angle) -> Articulated:
-        """Inertia in a frame in which the present one is turned about an axis."""
+        """Inertia in a frame in which the present frame is rotated about an axis."""
         half = tuple(turn(axis, angle, row) for row in self.B)  # B R^T
         columns = (turn(axis, angle, column) for column in zip(*half, strict=True))
         B = tuple(zip(*columns, strict=True))  # R B R^T
         return Articulated(turn_symmetric(axis, angle, self.A), B, turn_symmetric(axis, angle, self.C))
 
     def shifted(self, p: Pure) -> Articulated:
-        """Inertia about the origin of a frame in whose axes the present origin is at p."""
+        """Inertia about another origin, from which the present origin is at p, in the same axes."""
         # B' = B + [p] C, A' = A - B [p] + [p] B'^T
         pC = zip(*(quat.cross(p, c) for c in square(self.C)), strict=True)
         B = tuple(quat.add(b, c) for b, c in zip(self.B, pC, strict=True))
@@ -113,24 +111,24 @@ class Articulated(NamedTuple):
         return body.turned(X, at.alpha).turned(Z, at.gamma).shifted(at.p)
 
 
-_ROWS = ((0, 1, 3), (1, 2, 4), (3, 4, 5))  # positions of a row's entries among the six numbers
+_ROWS = ((0, 1, 3), (1, 2, 4), (3, 4, 5))  # positions of the entries of each row among the six numbers
 
 
 def _axis(a: Screw) -> int | None:
-    """Position of the only component of a unit screw; None if it has several."""
+    """Position of the only component of a unit screw that is not zero; None if there are several."""
     present = [(k, x) for k, x in enumerate((*a[0], *a[1])) if not (isinstance(x, float) and x == 0)]
     return present[0][0] if len(present) == 1 and present[0][1] == 1 else None
 
 
 class BodyFactors(NamedTuple):
-    """Parts of a solution that depend on the position: the responses of the joints, and the inverses of their own."""
+    """Factors of the mass matrix by articulated bodies, for every degree of freedom."""
 
-    responses: tuple[Screw, ...]
-    inverses: tuple[Number, ...]
+    responses: tuple[Screw, ...]  # U = I a
+    inverses: tuple[Number, ...]  # inverse pivots
 
 
 def factorise(tree: Tree, steps: Steps) -> BodyFactors:
-    """Articulated bodies, from the leaves to the base."""
+    """Factors of the mass matrix, by articulated bodies from the leaves to the base."""
     inertia = [None if link.inertia is None else Articulated.rigid(link.inertia) for link in tree.links]
     responses: list[Screw] = [((), ())] * tree.nv
     inverses: list[Number] = [0.0] * tree.nv
@@ -143,7 +141,7 @@ def factorise(tree: Tree, steps: Steps) -> BodyFactors:
             own = screw.power(responses[k], a)
             inverses[k] = inverse(k, own if link.armature is None else own + link.armature)
             body = body.freed(a, responses[k], inverses[k], link.armature is not None)
-        # a base that cannot move carries nothing
+        # a fixed base needs no inertia
         if step is not None and (link.parent or tree.links[0].joint.nv):
             behind, below = body.to_parent(step), inertia[link.parent]
             inertia[link.parent] = behind if below is None else below.plus(behind)
@@ -152,7 +150,7 @@ def factorise(tree: Tree, steps: Steps) -> BodyFactors:
 
 def solve(tree: Tree, steps: Steps, factors: BodyFactors, b: Sequence[Number]) -> tuple[Number, ...]:
     """Solution x of M(q) x = b."""
-    bias: list[Screw | None] = [None] * len(tree.links)  # wrench that b drives against a still parent
+    bias: list[Screw | None] = [None] * len(tree.links)  # bias force of the articulated body: wrench at A = 0
     net = list(b)
     for i in reversed(range(len(tree.links))):
         link, step, F = tree.links[i], steps[i], bias[i]

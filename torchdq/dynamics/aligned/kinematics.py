@@ -37,7 +37,7 @@ def to_base(tree: Tree, steps: Steps, i: int, v: Pure) -> Pure:
 
 
 def to_link(tree: Tree, steps: Steps, i: int, v: Pure) -> Pure:
-    """Components in link i's frame of a vector of the base."""
+    """Components in link i's frame of a vector of the base frame."""
     for j in reversed(list(path(tree.links, i))):
         step = steps[j]
         v = v if step is None else step.vector_to_link(v)
@@ -45,7 +45,7 @@ def to_link(tree: Tree, steps: Steps, i: int, v: Pure) -> Pure:
 
 
 def joint_screws(tree: Tree, steps: Steps, i: int, frame: Point) -> dict[int, Screw]:
-    """Screw, about and in the axes of a frame on link i, of every degree of freedom between it and the base."""
+    """Screws of the degrees of freedom on the path from link i to the base, in a frame on link i."""
     found: dict[int, Screw] = {}
     for j in path(tree.links, i):
         for k, (w, v) in freedoms(tree.links[j]):
@@ -59,7 +59,7 @@ def joint_screws(tree: Tree, steps: Steps, i: int, frame: Point) -> dict[int, Sc
 
 
 def joint_screws_in_base(tree: Tree, steps: Steps, i: int, r: Pure) -> dict[int, Screw]:
-    """Screw, about a point r of link i and in the axes of the base, of every degree of freedom that moves it."""
+    """Screws of the degrees of freedom that move link i, about its point r and in the axes of the base."""
     origins: dict[int, Pure] = {}
     axes: dict[int, Sequence[Pure]] = {}  # axes of the base, in the link's frame
     for j in reversed(list(path(tree.links, i))):
@@ -84,11 +84,11 @@ def joint_screws_in_base(tree: Tree, steps: Steps, i: int, r: Pure) -> dict[int,
 def poses(
     tree: Tree, steps: Steps, alignments: Sequence[Alignment], turns: Sequence[Angle], X_WB: DualQuaternion
 ) -> list[DualQuaternion]:
-    """Pose of the link frames of the description, by elementary screws one after the other (39).
+    """Poses of the link frames of the description, as products of elementary screws (39).
 
     Args:
         alignments: constants of the moving links.
-        turns: cosines and sines of half of their joints' angles, offsets included.
+        turns: cosines and sines of half of the angles of their joints, offsets included.
         X_WB: pose of the base.
     """
     X = [X_WB]  # poses of the aligned frames
@@ -100,7 +100,7 @@ def poses(
 
 
 class FromBase(NamedTuple):
-    """Pose of a link as the motion of its joints from the home pose: X_WB = motion home."""
+    """Pose of a link as a product of exponentials and the home pose: X_WB = motion home."""
 
     motion: DualQuaternion
     home: DualQuaternion
@@ -109,12 +109,12 @@ class FromBase(NamedTuple):
 def poses_from_base(
     tree: Tree, alignments: Sequence[Alignment], q: Sequence[Coordinate], X_WB: DualQuaternion
 ) -> list[FromBase]:
-    """Pose of every link, by the joints' screws in the base frame.
+    """Pose of every link by the product of exponentials, with joint screws in the base frame.
 
-    One product less per joint than `poses` where few poses are wanted.
+    It has one product less per joint than `poses` if few poses are needed.
 
     Args:
-        alignments, q: constants and displacements of the moving links and their joints.
+        alignments, q: constants of the moving links, and coordinates of their joints.
         X_WB: pose of the base.
     """
     found = [FromBase(X_WB, dq.ONE)]

@@ -1,12 +1,12 @@
 """Aligned frames: the axis of every joint is the z axis of its link's frame.
 
-A link frame lies in its parent's by a shift and elementary screws,
+The pose of a link frame in its parent is a translation and elementary screws,
 
     X_PL = (1 + eps p/2) exp(z gamma/2) exp(x alpha/2) exp(z theta^/2),   theta^ = q + offset + eps (slide + shift)
 
-With gamma = 0 and p along x this is the modified Denavit-Hartenberg placement, by the dual angles alpha^ and theta^. A
-change of frame turns vectors in one plane at a time, 4 multiplications a turn, where a rotation matrix takes 9 after it
-has been built.
+With gamma = 0 and p along x this is the modified Denavit-Hartenberg convention, with dual angles alpha^ and theta^. A
+change of frame is a sequence of planar rotations with 4 multiplications each; a product with a rotation matrix has 9,
+besides those for the matrix.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from torchdq.algebra.screw import Screw
 
 
 class Placement(NamedTuple):
-    """Constants of an aligned frame on its parent's; the angles are cosines and sines."""
+    """Constant part of the pose of an aligned frame in its parent's; angles are cosines and sines."""
 
     p: Pure  # [m]
     gamma: Angle
@@ -34,17 +34,17 @@ class Placement(NamedTuple):
 
 
 class Alignment(NamedTuple):
-    """Constants of a link in aligned frames: how its frame L lies on the parent's, and in the link's own frame B."""
+    """Constants of a link in aligned frames: the pose of its frame L in the parent's, and in the link's own frame B."""
 
     placement: Placement
-    half: Placement  # with half of the angles
+    half: Placement  # `placement` with half of the angles
     offset: float  # added to the joint's angle [rad]
     turn: Angle  # cosine and sine of the offset
     R_BL: tuple[Pure, ...]  # rows
     p_BL: Pure  # [m]
-    joint_W: Any  # the joint, its screw in the base frame at home
+    joint_W: Any  # the joint, with its screw in the base frame at home
     X_LB: DualQuaternion  # pose of the link frame in the aligned frame
-    X_WB_home: DualQuaternion  # and in the base frame at home
+    X_WB_home: DualQuaternion  # pose of the link frame in the base frame at home
 
     def vector_from_own(self, v: Pure) -> Pure:
         """Components in L of a vector of B."""
@@ -55,12 +55,12 @@ class Alignment(NamedTuple):
         return tuple(quat.dot(row, v) for row in self.R_BL)
 
     def wrench_from_own(self, F: Screw) -> Screw:
-        """Wrench in and about L of a wrench of B."""
+        """Wrench in L of a wrench in B, each about the origin of its frame."""
         force, moment = F
         return self.vector_from_own(force), self.vector_from_own(quat.sub(moment, quat.cross(self.p_BL, force)))
 
     def inertia_from_own(self, about_com: Six) -> Six:
-        """Rotational inertia about the centre of mass, in the axes of L, of that in the axes of B."""
+        """Rotational inertia about the centre of mass in the axes of L, given in the axes of B."""
         columns, rows = tuple(zip(*self.R_BL, strict=True)), square(about_com)
         half = [tuple(quat.dot(row, e) for row in rows) for e in columns]  # I e
         return six(tuple(tuple(quat.dot(e, v) for v in half) for e in columns))
@@ -87,14 +87,14 @@ class Step(NamedTuple):
         return turn(Z, back(self.theta.turn), turn(X, back(at.alpha), turn(Z, back(at.gamma), v)))
 
     def to_parent(self, m: Screw) -> Screw:
-        """Ad(X_PL) m of a screw in the link's frame."""
+        """Adjoint Ad(X_PL) m of a screw in the link's frame."""
         at = self.placement
         m = elementary.ad(Z, self.theta, m)
         m = elementary.ad(Z, DualAngle(at.gamma, 0.0), elementary.ad(X, DualAngle(at.alpha, 0.0), m))
         return elementary.shift(at.p, m)
 
     def to_link(self, m: Screw) -> Screw:
-        """Ad(X_PL*) m of a screw in the parent's frame."""
+        """Adjoint Ad(X_PL*) m of a screw in the parent's frame."""
         w, v = elementary.shift(quat.neg(self.placement.p), m)
         turned = (self.vector_to_link(w), self.vector_to_link(v))
         return elementary.shift(elementary.unit(Z, -self.theta.shift), turned)
@@ -111,7 +111,7 @@ class Step(NamedTuple):
         return body.turned(X, at.alpha).turned(Z, at.gamma).shifted(at.p)
 
     def pose_in(self, x: DualQuaternion, half: Placement, half_turn: Angle) -> DualQuaternion:
-        """Pose x X_PL, from the cosines and sines of half of all angles."""
+        """Product x X_PL with a pose x, from the cosines and sines of half of all angles."""
         x = dq.mul(x, dq.from_pose(quat.ONE, self.placement.p))
         x = elementary.times(elementary.times(x, Z, half.gamma, 0.0), X, half.alpha, 0.0)
         return elementary.times(x, Z, half_turn, self.theta.shift)

@@ -1,4 +1,4 @@
-"""A robot at one configuration in aligned frames: the form that runs."""
+"""Robot at one configuration in aligned frames: the form that runs."""
 
 from __future__ import annotations
 
@@ -79,12 +79,12 @@ class Aligned(NamedTuple):
         return p if self.X_WB is None else quat.add(quat.rotate(self.X_WB[0], p), dq.translation(self.X_WB))
 
     def to_world(self, i: int, v: Pure) -> Pure:
-        """Components in the world's axes of a vector of a link."""
+        """Components in world axes of a vector of a link."""
         v = kinematics.to_base(self.tree, self.steps, i, v)
         return v if self.X_WB is None else quat.rotate(self.X_WB[0], v)
 
     def to_link(self, i: int, v: Pure) -> Pure:
-        """Components in a link's axes of a vector of the world."""
+        """Components in link axes of a vector of the world."""
         v = v if self.X_WB is None else quat.rotate(quat.conj(self.X_WB[0]), v)
         return kinematics.to_link(self.tree, self.steps, i, v)
 
@@ -100,7 +100,7 @@ class Aligned(NamedTuple):
         return kinematics.poses(self.tree, self.steps, self.alignments, turns, self.X_WB or dq.ONE)
 
     def poses_from_base(self) -> list[kinematics.FromBase]:
-        """The motion from home, and the home pose, of the link frames, by the joints' screws in the base frame."""
+        """Poses of the link frames as motions from their home poses, by joint screws in the base frame."""
         halves = [(x, 0.5 * x) for x in self.x]
         q = [Coordinate(x, cos(half), sin(half)) for x, half in halves]
         return kinematics.poses_from_base(self.tree, self.alignments, q, self.X_WB or dq.ONE)
@@ -110,7 +110,7 @@ class Aligned(NamedTuple):
         return rnea.twists(self.tree, self.steps, qd)
 
     def jacobian(self, i: int, X_BF: DualQuaternion, world: bool) -> list[Screw | None]:
-        """Twist of a frame per velocity, in its axes or in the world's."""
+        """Columns of the Jacobian of a frame, in its own or in world axes."""
         point = self.point(i, X_BF)
         if world:
             found = kinematics.joint_screws_in_base(self.tree, self.steps, i, point.position)
@@ -128,7 +128,7 @@ class Aligned(NamedTuple):
         return rnea.inverse_dynamics(self.tree, self.steps, self.X_WB, qd, qdd, exerted)
 
     def composites(self) -> list:
-        """Inertia of everything that each joint carries."""
+        """Composite inertias of all links that each joint moves."""
         return crba.composites(self.tree, lambda i, body: self.steps[i].inertia_to_parent(body))
 
     def mass_matrix(self) -> Matrix:
@@ -144,11 +144,11 @@ class Aligned(NamedTuple):
         return Factors(diagonal, found.inverses, partial(aba.solve, self.tree, self.steps, found))
 
     def with_armature(self, more: Row) -> Aligned:
-        """Posed robot with more rotor inertia."""
+        """Posed robot with additional rotor inertia."""
         return self._replace(tree=self.tree.with_armature(more))
 
     def without_gravity(self) -> Aligned:
-        """Posed robot that is not pulled by gravity."""
+        """Posed robot without gravity."""
         return self._replace(tree=self.tree._replace(gravity=None))
 
     def kinetic_energy(self, qd: Row) -> Number:
@@ -168,7 +168,7 @@ class Aligned(NamedTuple):
         motion = rnea.outward(self.tree, self.steps, self.X_WB, qd, qdd)
         screws, u, d = [], [], []
         for i, (at, m) in enumerate(zip(self.alignments, motion[1:], strict=True), 1):
-            # the origin and, by rows of R_BL, the axes of the link frame, seen from the aligned one
+            # origin of the link frame in the aligned frame; its axes there are the rows of R_BL
             origin = at.point_from_own((0.0, 0.0, 0.0))
             screws.append(kinematics.joint_screws(self.tree, self.steps, i, Point(origin, at.R_BL)))
             w, wd = at.vector_to_own(m.w), at.vector_to_own(m.A[0])

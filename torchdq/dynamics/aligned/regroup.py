@@ -1,7 +1,7 @@
-"""Base parameters: inertial parameters grouped so that fewer are left.
+"""Base parameters: inertial parameters regrouped so that fewer of them are not zero.
 
-What lies on the axis of a revolute joint moves with the parent as well as with the link. Mass, first and second moment
-along the axis are those of particles on it: they are taken from the link and given to its parent, and no torque or
+Particles on the axis of a revolute joint move with the parent as well as with the link. Mass, first and second moment
+along the axis are those of such particles: they are moved from the link to its parent, and no torque and no
 acceleration changes. Source: M. Gautier, W. Khalil, "Direct calculation of minimum set of inertial parameters of serial
 robots", IEEE Transactions on Robotics and Automation 6 (1990).
 """
@@ -13,7 +13,7 @@ from torchdq.dynamics.tree import Tree
 
 
 def regrouped(tree: Tree) -> Tree:
-    """Tree in aligned frames with its inertias moved towards the base."""
+    """Tree in aligned frames with base parameters, moved towards the base where possible."""
     bodies: list[Moments] = [link.inertia for link in tree.links]
     for i in reversed(range(1, len(bodies))):
         link = tree.links[i]

@@ -1,13 +1,13 @@
-"""The recursion of Algorithm 1 in aligned frames.
+"""Recursive Newton-Euler algorithm: Algorithm 1 of the paper in aligned frames.
 
-It departs from `paper.rnea` in what it leaves out, not in what it says:
+It computes the torques of `paper.rnea` with fewer operations:
 
-* Ad of a joint's pose is a product of elementary screws, planar turns of both parts, instead of 3x3 matrices.
-* The dual part of the twists is absent: V = (w, None). The wrenches do not depend on it, and the dual part of A becomes
-  the acceleration d of the frame's origin.
-* A step along the way and the net wrench share U = [wd] + [w]^2 (`dynamics.acceleration`).
+* Ad of a joint's pose is a product of elementary screws, planar rotations of both parts, instead of 3x3 matrices.
+* The dual part of the twists is not computed: V = (w, None). The wrenches do not depend on it, and the dual part of A
+  becomes the acceleration d of the frame's origin.
+* The acceleration of the next origin and the net wrench share U = [wd] + [w]^2 (`dynamics.acceleration`).
 
-`torchdq.paper.ladder` goes there from the printed algorithm, one step at a time.
+`torchdq.paper.ladder` derives it from the printed algorithm, one step at a time.
 """
 
 from collections.abc import Sequence
@@ -27,15 +27,15 @@ STILL: Screw = (ZERO, ZERO)
 
 
 class FrameMotion(NamedTuple):
-    """Motion of a link's frame."""
+    """Angular velocity and acceleration of a link's frame."""
 
     w: Pure  # primary part of the twist V
-    A: Screw  # (wd, d), gravity taken off d
+    A: Screw  # (wd, d), gravity subtracted from d
     u: Matrix3
 
 
 def base_motion(X_WB: DualQuaternion | None, gravity: Pure | None, V: Screw | None, A: Screw | None) -> FrameMotion:
-    """Motion of the base from its pose, its twist and the rate of that, in its frame; None: at rest."""
+    """Motion of the base from its pose X_WB, its twist V and the rate A of V, in its frame; None: zero."""
     g = ZERO if gravity is None else gravity if X_WB is None else quat.rotate(quat.conj(X_WB[0]), gravity)
     (w, v), (wd, vd) = V or STILL, A or STILL
     d = quat.sub(quat.add(vd, quat.cross(w, v)), g)
@@ -43,7 +43,7 @@ def base_motion(X_WB: DualQuaternion | None, gravity: Pure | None, V: Screw | No
 
 
 def carried(step: Step, parent: FrameMotion, rate: Screw | None, change: Screw | None) -> FrameMotion:
-    """Motion of a link from its parent's, its joint's rate and the change of that."""
+    """Motion of a link from that of its parent, and the velocity (`rate`) and acceleration (`change`) of its joint."""
     w, (wd, d), u = parent
     w, wd = step.vector_to_link(w), step.vector_to_link(wd)
     d = step.vector_to_link(quat.add(d, apply(u, step.placement.p)))
@@ -54,7 +54,7 @@ def carried(step: Step, parent: FrameMotion, rate: Screw | None, change: Screw |
     if change is not None:
         wd, d = quat.add(wd, change[0]), quat.add(d, change[1])  # (44)
     u = tensor(w, wd)
-    # points on the axis move with either link, so that the shift along it may be taken with the link's own U
+    # points on the axis move with both links, so the link's own U may be used for the shift along it
     return FrameMotion(w, (wd, quat.add(d, apply(u, (0.0, 0.0, step.theta.shift)))), u)
 
 
@@ -77,16 +77,16 @@ def inverse_dynamics(
     qdd: Sequence[Number] | None,
     exerted: Sequence[Screw | None] | None = None,
 ) -> list[Number]:
-    """Generalised forces.
+    """Generalised forces of a motion.
 
     Args:
-        steps: poses of the links on their parents.
+        steps: poses of the links in their parents.
         X_WB: pose of a free base in the world; None: a fixed one.
         qd, qdd: velocities and accelerations; None: zero.
         exerted: wrenches that the links exert on the environment, in link frames; None: none.
     """
     motion = outward(tree, steps, X_WB, qd, qdd)
-    # taken at once: six numbers to keep until the way back, instead of twelve
+    # computed before the inward recursion: six numbers per link are kept, instead of twelve
     net = [
         None if link.inertia is None else net_wrench(link.inertia, m.u, m.A[1])
         for link, m in zip(tree.links, motion, strict=True)

@@ -1,1 +1,1 @@
-"""The reference form: the algorithms as the paper has them, in dual quaternions and link frames of any choice."""
+"""The reference form: the algorithms of the paper, in dual quaternions and any link frames."""

@@ -1,11 +1,11 @@
-"""The closed form (57)-(72): M, c, g and J^T from dual-quaternion matrices.
+"""Closed form (57)-(72): M, c, g and J^T from dual-quaternion matrices.
 
     tau = M qdd + c + g + J^T f_tip   (63)
 
-L holds the adjoint from link j to link i wherever j lies on the path from i to the base; on a chain it is the full
-lower triangle (62). Matrix are links and columns degrees of freedom: a moving base is a link with six of them, so that
-W_BASE is part of A qd, and Wd_BASE holds the gravity that the base feels. The mass matrix is assembled directly, never
-by subtracting a bias.
+L contains the adjoint from link j to link i if j lies on the path from i to the base; on a chain it is the full lower
+triangle (62). Rows are links and columns degrees of freedom: a moving base is a link with six of them, so that W_BASE
+is part of A qd, and Wd_BASE is the acceleration that stands for gravity. The mass matrix is computed directly, not as a
+difference of torques.
 """
 
 from __future__ import annotations  # torch.compile cannot evaluate those of local functions
@@ -24,7 +24,7 @@ from torchdq.dynamics.tree import WORLD, Tree, path
 
 
 class Terms(NamedTuple):
-    """The terms of (63); an entry that is zero by structure is None."""
+    """Terms of (63); entries that are zero by structure are None."""
 
     M: Matrix
     c: tuple[Number | None, ...]
@@ -33,7 +33,7 @@ class Terms(NamedTuple):
 
 
 def propagation(tree: Tree, Ad: Sequence[Adjoint | None]) -> Matrix:
-    """Matrix L = (I - Q)^-1 of operators A_H(x_j^i), by the recursion of its rows rather than by an inverse."""
+    """Matrix L = (I - Q)^-1 of operators A_H(x_j^i), by a recursion over its rows instead of an inverse."""
     rows: list[list] = []  # entries are `Adjoint` or None
     for i, link in enumerate(tree.links):
         row: list = [None] * len(tree.links)
@@ -54,7 +54,7 @@ def closed_form(
     qd: Sequence[Number],
     tip: tuple[int, Adjoint] | None = None,
 ) -> Terms:
-    """The mass matrix, Coriolis, gravity and tip-wrench terms of (63)."""
+    """Mass matrix, Coriolis, gravity and tip-wrench terms of (63)."""
     links, freedoms = tree.links, tree.columns()
     Wd_base: list[Screw | None] = [None] * len(links)
     Wd_base[0] = to_link(Ad[0], world_acceleration(tree))
@@ -100,13 +100,13 @@ def tip_jacobian_transpose(tree: Tree, L_H: Matrix, i: int, Ad_BE: Adjoint) -> t
     rows: list[Screw | None] = []
     for j, a in tree.columns():
         to_link = L_H[j][i]
-        # f (.) swap(a) is the same in every frame, so the operator on f becomes its inverse on a
+        # f (.) swap(a) does not depend on the frame, so the operator on f becomes its inverse on a
         rows.append(None if to_link is None else screw.swap(screw.ad(screw.inverse(screw.compose(to_link, Ad_BE)), a)))
     return tuple(rows)  # (72)
 
 
 def with_rotors(tree: Tree, M: Matrix) -> Matrix:
-    """Mass matrix with the rotors' inertia on its diagonal."""
+    """Mass matrix with the inertia of the rotors on its diagonal."""
     rotors = {link.v.start: link.armature for link in tree.links if link.armature is not None}
     return tuple(
         tuple(m + rotors[i] if i == j and i in rotors else m for j, m in enumerate(row)) for i, row in enumerate(M)

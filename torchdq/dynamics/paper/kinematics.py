@@ -1,4 +1,4 @@
-"""Poses, adjoint columns and Jacobians: the forward kinematics of section 5.1."""
+"""Poses, adjoint columns and Jacobians: forward kinematics of section 5.1 of the paper."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -20,7 +20,7 @@ def joint_poses(tree: Tree, q: Sequence[Any]) -> tuple[DualQuaternion | None, ..
     """Pose X_PB of every link in its parent: delta_i^{i-1} exp(a_i dq_i/2); None: the frames coincide.
 
     Args:
-        q: coordinates of every joint, the base's first: a `Coordinate`, a pose, or None if it is fixed.
+        q: coordinates of every joint, beginning with the base: a `Coordinate`, a pose, or None if it is fixed.
     """
     return tuple(
         compose(link.placement, link.joint.motion(q_i)) for link, q_i in zip(tree.links, q, strict=True)
@@ -28,22 +28,22 @@ def joint_poses(tree: Tree, q: Sequence[Any]) -> tuple[DualQuaternion | None, ..
 
 
 def adjoints(X_PB: Sequence[DualQuaternion | None]) -> tuple[Adjoint | None, ...]:
-    """Columns A_P, A_D of every joint's pose, built once and used in both directions."""
+    """Columns A_P, A_D of the pose of every joint, for both directions."""
     return tuple(None if x is None else screw.columns(x) for x in X_PB)  # (34), (35)
 
 
 def to_link(Ad_PB: Adjoint | None, m: Screw | None) -> Any:
-    """Screw of the parent's frame in the link's frame; without columns, the frames coincide."""
+    """Screw in the link's frame, given in the parent's; `Ad_PB` is None if the frames coincide."""
     return m if Ad_PB is None else ad_inverse(Ad_PB, m)
 
 
 def to_parent(Ad_PB: Adjoint | None, m: Screw | None) -> Any:
-    """Screw of the link's frame in the parent's frame."""
+    """Screw in the parent's frame, given in the link's."""
     return m if Ad_PB is None or m is None else screw.ad(Ad_PB, m)
 
 
 def momentum(link: Link, V: Screw | None) -> Screw | None:
-    """G_i(V) of a link; None without a body or without motion."""
+    """Momentum G_i(V) of a link; None without a body or without motion."""
     return None if link.inertia is None or V is None else link.inertia.momentum(V)  # (32)
 
 
@@ -56,7 +56,7 @@ def link_poses(tree: Tree, X_PB: Sequence[DualQuaternion | None]) -> tuple[DualQ
 
 
 def joint_screws(tree: Tree, Ad: Sequence[Adjoint | None], i: int) -> dict[int, Screw]:
-    """Screw, in link i's frame, of every degree of freedom on the path from link i to the base."""
+    """Screws of the degrees of freedom on the path from link i to the base, in link i's frame."""
     screws = {}
     to_i: Adjoint | None = None  # Ad(x_j^i)
     for j in path(tree.links, i):
@@ -70,7 +70,7 @@ def joint_screws(tree: Tree, Ad: Sequence[Adjoint | None], i: int) -> dict[int, 
 
 
 def jacobian(tree: Tree, Ad: Sequence[Adjoint | None], i: int, X_BF: DualQuaternion | None) -> tuple[Screw | None, ...]:
-    """Columns of the Jacobian of a frame F fixed to link i: the twist of F in F per velocity; None off the path."""
+    """Columns of the Jacobian of a frame F fixed to link i, in F; None for velocities that do not move it."""
     screws = joint_screws(tree, Ad, i)
     if X_BF is not None:
         to_frame = screw.inverse(screw.columns(X_BF))

@@ -1,6 +1,6 @@
-"""A robot at one configuration as the paper has it: any link frames, dual-quaternion poses, adjoint columns.
+"""Robot at one configuration in the paper's form: any link frames, dual-quaternion poses, adjoint columns.
 
-It is the reference of the form that runs, and the form for robots whose geometry is an argument.
+It is the reference for the form that runs, and the form for robots whose geometry is an argument.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ class Paper(NamedTuple):
     """Robot at one configuration; implements `dynamics.posed.Posed`."""
 
     tree: Tree
-    X_PB: tuple[Any, ...]  # poses of the links on their parents; None: the frames coincide
+    X_PB: tuple[Any, ...]  # poses of the links in their parents; None: the frames coincide
     Ad: tuple[Adjoint | None, ...]
     coms: tuple[Pure, ...]  # centres of mass of the moving links
 
     @classmethod
     def at(cls, tree: Tree, coms: Sequence[Pure], q: Sequence[Any]) -> Paper:
-        """Robot at coordinates of all joints, the base's first."""
+        """Robot at coordinates of all joints, beginning with the base."""
         X_PB = kinematics.joint_poses(tree, q)
         return cls(tree, X_PB, kinematics.adjoints(X_PB), tuple(coms))
 
@@ -49,7 +49,7 @@ class Paper(NamedTuple):
         return Point(dq.translation(X_BF), quat.rotation_columns(X_BF[0]))
 
     def wrench(self, i: int, F_B: Screw) -> Screw:
-        """Wrench on a link, as it is."""
+        """Wrench on a link, unchanged."""
         return F_B
 
     def position(self, i: int, r: Pure) -> Pure:
@@ -58,11 +58,11 @@ class Paper(NamedTuple):
         return quat.add(dq.translation(X), quat.rotate(X[0], r))
 
     def to_world(self, i: int, v: Pure) -> Pure:
-        """Components in the world's axes of a vector of a link."""
+        """Components in world axes of a vector of a link."""
         return quat.rotate(self.poses()[i][0], v)
 
     def to_link(self, i: int, v: Pure) -> Pure:
-        """Components in a link's axes of a vector of the world."""
+        """Components in link axes of a vector of the world."""
         return quat.rotate(quat.conj(self.poses()[i][0]), v)
 
     def poses(self) -> list[DualQuaternion]:
@@ -75,7 +75,7 @@ class Paper(NamedTuple):
         return [v or STILL for v in V]
 
     def jacobian(self, i: int, X_BF: DualQuaternion, world: bool) -> list[Screw | None]:
-        """Twist of a frame per velocity, in its axes or in the world's."""
+        """Columns of the Jacobian of a frame, in its own or in world axes."""
         columns = kinematics.jacobian(self.tree, self.Ad, i, X_BF)
         if not world:
             return list(columns)
@@ -93,7 +93,7 @@ class Paper(NamedTuple):
         return body if x is None or columns is None else body.carried(columns, dq.translation(x))
 
     def composites(self) -> list:
-        """Inertia of everything that each joint carries."""
+        """Composite inertias of all links that each joint moves."""
         return crba.composites(self.tree, self._carried)
 
     def mass_matrix(self) -> Matrix:
@@ -105,11 +105,11 @@ class Paper(NamedTuple):
         return factors_by_entries(self.tree.predecessors(), self.mass_matrix())
 
     def with_armature(self, more: Row) -> Paper:
-        """Posed robot with more rotor inertia."""
+        """Posed robot with additional rotor inertia."""
         return self._replace(tree=self.tree.with_armature(more))
 
     def without_gravity(self) -> Paper:
-        """Posed robot that is not pulled by gravity."""
+        """Posed robot without gravity."""
         return self._replace(tree=self.tree._replace(gravity=None))
 
     def kinetic_energy(self, qd: Row) -> Number:

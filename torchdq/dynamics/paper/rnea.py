@@ -1,4 +1,4 @@
-"""The recursive dual-quaternion Newton-Euler algorithm: Algorithm 1, corrected, on trees with a fixed or moving base.
+"""Recursive dual-quaternion Newton-Euler algorithm: Algorithm 1, corrected, for trees with a fixed or moving base.
 
 With joint screws a_i in link frames and x_i = X_PB the pose of link i in its parent:
 
@@ -7,8 +7,8 @@ With joint screws a_i in link frames and x_i = X_PB the pose of link i in its pa
     inward   F_i = G_i(A_i) + V_i x G_i(V_i) - f_ext_i + sum over children c of Ad(x_c) F_c
              tau_i = F_i (.) swap(a_i)
 
-V is a twist, A its rate plus the pull of gravity, F the wrench the parent exerts on link i; all about the link
-frame's origin, in the link frame. Departs from the print where errata 38, 40, 42, 46, 47 and A1 say so.
+V is a twist, A its rate less the acceleration of gravity, F the wrench that the parent exerts on link i; all about the
+link frame's origin, in the link frame. Departures from the print: errata 38, 40, 42, 46, 47 and A1.
 """
 
 from collections.abc import Sequence
@@ -22,14 +22,14 @@ from torchdq.dynamics.tree import WORLD, Tree
 
 
 def world_acceleration(tree: Tree) -> Screw | None:
-    """Acceleration of the world: gravity is felt as the acceleration -eps g."""
+    """Acceleration -eps g of the world, which stands for gravity."""
     return None if tree.gravity is None else ((0.0, 0.0, 0.0), quat.neg(tree.gravity))  # Algorithm 1, initialisation
 
 
 def outward(
     tree: Tree, Ad: Sequence[Adjoint | None], qd: Sequence[Number] | None, qdd: Sequence[Number] | None
 ) -> tuple[list, list]:
-    """Twist V and acceleration A of every link, None where there is none (Algorithm 1, forward iteration)."""
+    """Twist V and acceleration A of every link; None: zero (Algorithm 1, forward iteration)."""
     V: list[Screw | None] = []  # (53)
     A: list[Screw | None] = []  # (56)
     for link, Ad_PB, rate, change in zip(tree.links, Ad, tree.rates(qd), tree.rates(qdd), strict=True):
@@ -67,7 +67,7 @@ def exerted_wrenches(
     tip: tuple[int, Adjoint] | None,
     f_tip: Screw | None,
 ) -> list[Screw | None]:
-    """Wrench each link exerts on the environment, in link frames: the tip's f_tip, less the f_ext it receives."""
+    """Wrench that each link exerts on the environment, in link frames: f_tip at the tip, less f_ext on the link."""
     exerted = [None if f_ext is None else neg(f_ext[i]) for i in range(n)]
     if tip is not None and f_tip is not None:
         i, Ad_BE = tip
@@ -82,7 +82,7 @@ def rnea(
     qdd: Sequence[Number] | None,
     f_link: Sequence[Screw | None] | None = None,
 ) -> list[Number | None]:
-    """Generalised forces tau_i = F_i (.) swap(a_i) + armature_i qdd_i; None where nothing acts on a joint."""
+    """Generalised forces tau_i = F_i (.) swap(a_i) + armature_i qdd_i; None: zero."""
     V, A = outward(tree, Ad, qd, qdd)
     F = inward(tree, Ad, V, A, f_link or [None] * len(tree.links))
     tau: list[Number | None] = []
@@ -92,7 +92,7 @@ def rnea(
 
 
 def with_rotors(tree: Tree, tau: Sequence[Number | None], qdd: Sequence[Number] | None) -> list[Number | None]:
-    """Generalised forces with those that accelerate the rotors."""
+    """Generalised forces including those that accelerate the rotors."""
     result = list(tau)
     for link in tree.links:
         if link.armature is not None and qdd is not None:
