@@ -110,6 +110,8 @@ def test_accelerations_undo_forces(form, linear):
     M = stack(at.mass_matrix(), (B,))
     forces = at.without_gravity().torques(None, zdd.unbind(-1), None)
     assert (stack(forces, (B,)) - (M @ zdd[..., None])[..., 0]).abs().max() <= 256 * EPS[F64] * M.abs().max() * 10
+    energy = stack(at.kinetic_energy(zdd.unbind(-1)), (B,))
+    assert (energy - 0.5 * (zdd[:, None] @ M @ zdd[..., None])[:, 0, 0]).abs().max() <= 256 * EPS[F64] * energy.max()
     found = stack(at.factors(linear).solve(forces), (B,))
     assert (found - zdd).abs().max() <= 64 * EPS[F64] * np.linalg.cond(M.numpy()).max() * zdd.abs().max()
 

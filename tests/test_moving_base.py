@@ -14,11 +14,13 @@ import torch
 from oracles import EPS, Case, random_inertia, random_tree, stack, states
 
 import torchdq
+from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
+from torchdq.algebra import screw
 from torchdq.algebra.inertia import Inertia, Moments
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.aligned.regroup import regrouped
-from torchdq.dynamics.joints import Coordinate, Fixed, Free, along_z
+from torchdq.dynamics.joints import KINDS, Coordinate, Fixed, Free, along_z
 from torchdq.dynamics.paper.posed import Paper
 from torchdq.dynamics.posed import Posed, closed_form
 from torchdq.dynamics.tree import Tree, plant
@@ -26,6 +28,7 @@ from torchdq.robot import mdh, posed
 
 B = 3  # samples
 F64 = torch.float64
+X_BT = dq.from_pose((0.5, 0.5, -0.5, 0.5), (0.3, -0.2, 0.4))  # a tool on the last link
 
 
 class Moving(NamedTuple):
@@ -51,6 +54,9 @@ def free(case: Case) -> pin.Model:
     for frame in case.model.frames:
         if frame.name in case.robot.link_names:
             model.addBodyFrame(frame.name, root + frame.parentJoint, frame.placement, 0)
+    last = model.frames[model.getFrameId(case.robot.link_names[-1])]
+    tool = pin.SE3(np.array(quat.rotation_columns(X_BT[0])).T, np.array(dq.translation(X_BT)))
+    model.addFrame(pin.Frame("tool", last.parentJoint, last.placement * tool, pin.FrameType.OP_FRAME))
     model.gravity = case.model.gravity
     model.armature = np.concatenate([np.zeros(6), case.model.armature])
     return model
@@ -210,11 +216,11 @@ def test_jacobians_and_poses_equal_pinocchios(robot, form, world):
     m = moving(*robot)
     at, data = posed_as(m, form), m.model.createData()
     i = m.robot.n  # the last link
-    J = at.jacobian(i, ((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)), world)
+    J = at.jacobian(i, X_BT, world)
     J = stack([[0.0] * 6 if c is None else [*c[0], *c[1]] for c in J], (B,)).numpy()
     reference = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED if world else pin.ReferenceFrame.LOCAL
-    frame = m.model.getFrameId(m.robot.link_names[i - 1])
-    X = at.poses()[i]
+    frame = m.model.getFrameId("tool")
+    X = dq.mul(at.poses()[i], X_BT)
     matrices = torchdq.dq.to_matrix(torch.stack(torch.broadcast_tensors(*X[0], *X[1]), -1)).numpy()
     for k in range(B):
         expected = pin.computeFrameJacobian(m.model, data, m.q[k], frame, reference)
@@ -222,6 +228,15 @@ def test_jacobians_and_poses_equal_pinocchios(robot, form, world):
         assert abs(to_pinocchio(m, J[k].T) - expected).max() <= 1e-12 * max(1.0, abs(expected).max())
         pin.framesForwardKinematics(m.model, data, m.q[k])
         assert abs(matrices[k] - data.oMf[frame].homogeneous).max() <= 1e-11
+
+
+@EVERY
+def test_poses_by_screws_in_the_base_frame_are_those_by_elementary_screws(robot):
+    at = moving(*robot).aligned
+    for found, expected in zip(at.poses_from_base(), at.poses(), strict=True):
+        pair = (dq.mul(found.motion, found.home), expected)  # which may differ in their sign
+        found, expected = (torchdq.dq.to_matrix(stack([*p, *d], (B,))) for p, d in pair)
+        assert (found - expected).abs().max() <= 1e-12
 
 
 @FORMS
@@ -261,6 +276,23 @@ def test_a_base_moves_on_the_group_or_not_at_all(joint):
         return
     M = pin.SE3(torchdq.dq.to_matrix(X).numpy()) * pin.exp6(pin.Motion(0.3 * v[3:].numpy(), 0.3 * v[:3].numpy()))
     assert abs(torchdq.dq.to_matrix(torch.stack(moved)).numpy() - M.homogeneous).max() <= 32 * EPS[F64]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_joint_moves_along_its_screw(kind):
+    """The motion over a time is the exponential of the rate, times half of that time."""
+    direction, point = (0.6, 0.0, 0.8), (0.2, -0.3, 0.5)
+    moment = quat.add(quat.cross(point, direction), quat.scale(0.25 * (kind == "helical"), direction))
+    joint = KINDS[kind](((0.0, 0.0, 0.0), direction) if kind == "prismatic" else (direction, moment))
+    q, v, h = (torch.tensor(x, dtype=F64) for x in (0.7, -1.1, 0.3))
+
+    def motion(q):
+        p, d = joint.motion(Coordinate(q, (0.5 * q).cos(), (0.5 * q).sin()))
+        return stack([*p, *d], ())
+
+    step = torchdq.dq.exp(stack([x for part in screw.scale(0.5 * h, joint.rate((v,))) for x in part], ()))
+    (moved,) = joint.moved((q,), (v,), h, None)
+    assert (torchdq.dq.mul(motion(q), step) - motion(moved)).abs().max() <= 16 * EPS[F64]
 
 
 def test_a_fixed_base_records_nothing():
