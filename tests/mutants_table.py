@@ -1561,8 +1561,8 @@ MUTANTS = (
         ),
         (
             "a shift along the axis the other way",
-            "shift = -across / s",
-            "shift = across / s",
+            "shift = -float(across) / s",
+            "shift = float(across) / s",
             f"{PROGRAMS}::test_aligned_frames_put_the_links_where_they_are_and_the_axes_along_z",
         ),
         (

@@ -39,7 +39,7 @@ from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program.autograd import named, operator
 from torchdq.program.program import Argument, Program
 
-DTYPES = (torch.float32, torch.float64)  # of inputs, parameters and programs
+DTYPES = (torch.float32, torch.float64)  # names and widths of inputs, parameters and programs
 
 Shape = tuple[int, ...]
 Tensors = Mapping[str, Tensor | None]  # by name; None: absent
@@ -87,7 +87,7 @@ class CallLayout(NamedTuple):
     """Everything about a call that follows from the shapes, dtypes and devices of its tensors."""
 
     rows: tuple[Arrangement, ...]
-    dtype: torch.dtype  # of the program
+    dtype: torch.dtype  # dtype of the program
     device: torch.device
     program: Program
     backend: Backend
