@@ -40,8 +40,8 @@ class Description(NamedTuple):
         rows += [(c.effect, c.slot, f"{c.operations}", f"{c.nanoseconds:.1f}") for c in (*self.costs, self.total)]
         widths = [max(len(row[k]) for row in rows) for k in range(4)]
         lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-        asked = "\n".join(f"- {what}" for what in self.left_out) or "- nothing"
-        return "\n".join(lines) + f"\n({self.measured_on})\n\nasked for by the description, and left out:\n{asked}"
+        left_out = "\n".join(f"- {what}" for what in self.left_out) or "- nothing"
+        return "\n".join(lines) + f"\n({self.measured_on})\n\ndescribed, and not simulated:\n{left_out}"
 
 
 def describe(scene: Scene, batch: int, dtype: torch.dtype, seconds: float) -> Description:

@@ -45,7 +45,7 @@ class ArmEnv(gymnasium.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Observation at the beginning of a new episode, and an empty `info`."""
+        """Observation at the start of a new episode, and an empty `info`."""
         super().reset(seed=seed)
         observations, _ = self.envs.reset(seed=seed)
         return observations[0], {}

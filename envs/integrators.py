@@ -1,7 +1,7 @@
-"""Integrators: a state from the beginning of a step to its end.
+"""Integrators: the state at the end of a step from the state at its start.
 
-All but the last two are recorded into the scene's program, so their formulas are written for any kind of number. A
-system has positions x and velocities v (of the joints, and of the rotors behind elastic ones) and accelerations.
+All but the last two are recorded into the program of a scene, so their formulas are written for numbers of any type. A
+system has positions x and velocities v (of the joints, and of the rotors of elastic joints) and accelerations.
 
 | integrator | order | evaluations | energy of a conservative arm |
 |---|---|---|---|
@@ -69,7 +69,7 @@ class ExplicitEuler(Integrator):
     order = 1
 
     def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
-        """Both with the rates at the beginning."""
+        """Positions and velocities, both with the rates at the start of the step."""
         return _plus(x, h, v), _plus(v, h, system.accelerations(x, v))
 
 

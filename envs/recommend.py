@@ -92,8 +92,8 @@ class Recommendation:
             f"error       {self.error:.1e} predicted",
             f"time        {self.nanoseconds:.0f} ns per robot and {unit}",
         ]
-        beside = [f"- {other}" for other in self.others[1:]]
-        return "\n".join([*lines, "beside it", *beside] if beside else lines)
+        others = [f"- {other}" for other in self.others[1:]]
+        return "\n".join([*lines, "alternatives", *others] if others else lines)
 
 
 @dataclass(frozen=True)
@@ -151,7 +151,7 @@ def recommend(
     if not (horizon is None or (isinstance(horizon, int | float) and 0 < horizon < math.inf)):
         raise ArgumentError(f"horizon must be a positive number of seconds or None, found {horizon!r}")
     if horizon is None and not isinstance(what, Robot):
-        raise ArgumentError("a scene needs a horizon; without one, ask for its robot")
+        raise ArgumentError("a scene needs a horizon; without a horizon, pass scene.robot")
     if horizon is None and (state is not None or inputs):
         raise ArgumentError("state and inputs are those of a trajectory, and without a horizon there is none")
     scene = _falling(what, horizon or 1.0) if isinstance(what, Robot) else what
@@ -179,11 +179,12 @@ def _falling(robot: Robot, horizon: float) -> Scene:
 
 
 def _for_trajectories(trial: Trial, error: float) -> SceneRecommendation:
-    asked = SAFETY * error
-    found = _candidates(trial, reference_of(trial, asked), asked)
+    accepted = SAFETY * error
+    found = _candidates(trial, reference_of(trial, accepted), accepted)
     if not found:
         raise ArgumentError(
-            f"nothing keeps {trial.name} within {error:.1e} in {MOST_STEPS} steps; shorten the horizon, or ask for less"
+            f"no candidate keeps {trial.name} within {error:.1e} in {MOST_STEPS} steps; shorten the horizon or raise the "
+            f"error"
         )
     best = found[0]
     times, precision = best.times, best.arithmetic.precision

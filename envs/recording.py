@@ -2,8 +2,8 @@
 
 A step has three stages. `drive` turns commands into torques at the transmission: controller, then actuators. `flow`
 carries positions x and velocities v over the step under those torques. `sense` makes a state of them and reads it. They
-are recorded as one program, unless the integrator is one that is not recorded: then `drive` and `sense` are programs,
-and so is each evaluation that the integrator asks for.
+are recorded as one program, unless the integrator is not recorded: then `drive` and `sense` are programs, and so is
+each evaluation of the integrator.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Driven(NamedTuple):
 
 
 def drive(scene: RecordedScene) -> Driven:
-    """Beginning of a step."""
+    """First stage of a step: controller and actuators."""
     inputs, spec = scene.inputs, scene.spec
     n, q, qd = spec.robot.n, inputs["q"], inputs["qd"]
     memory = spec.split(inputs.get("memory", ()))

@@ -69,7 +69,7 @@ class Reset:
 def task_inputs(
     task: Task, buffers: Mapping[str, Tensor], scene: Scene, action: Tensor | None = None
 ) -> dict[str, Tensor]:
-    """Inputs of a task beside the state: goal [N, ...], time [N, 1] and action [N, n]; at a start, without action."""
+    """Inputs of a task, without the state: goal [N, ...], time [N, 1] and action [N, n], absent at a start."""
     wanted = task.inputs(scene.n)
     given = {"goal": buffers["goal"]}
     if "time" in wanted:

@@ -35,7 +35,7 @@ class StableBaselinesVecEnv(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self) -> np.ndarray:
-        """Observations [N, ...] at the beginning of new episodes, with the seed that was given to `seed`."""
+        """Observations [N, ...] at the start of new episodes, with the seed passed to `seed`."""
         seed = self._seeds[0]  # row i has seed + i, as theirs have
         observations, _ = self.envs.reset(seed=seed)
         self._reset_seeds()

@@ -31,7 +31,7 @@ class Task(Protocol):
     """Rows that an environment adds to a step, computed from the state at its end."""
 
     def inputs(self, n: int) -> dict[str, int]:
-        """Names and widths of its inputs beside the state."""
+        """Names and widths of its inputs, without the state."""
 
     def rows(self, view: View) -> Rows:
         """Rows of numbers, by name."""

@@ -79,7 +79,7 @@ class SceneSystem(System):
         damping = [sum((z.damping for z in joint), 0.0) for joint in impedances]
         return passed, self._forces(passed, impedances, damping, qd)
 
-    # --- what integrators ask for ---
+    # --- evaluations of integrators ---
 
     def accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations in a state."""
@@ -103,7 +103,7 @@ class SceneSystem(System):
         return [*qdd, *joints.rotors(qdd)]
 
     def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
-        """M(q)^-1 (dL/dq + forces), and the accelerations of the rotors."""
+        """Accelerations M(q)^-1 (dL/dq + forces), and those of the rotors."""
         q, qd = x[: self._n], v[: self._n]
         passed, forces = self._explicit(x, v)
         at = self.scene.posed(q)
@@ -123,7 +123,7 @@ class SceneSystem(System):
 
 
 def lagrangian_gradient(scene: RecordedScene, q: Row, qd: Row) -> list[Number]:
-    """dL/dq of L = T - U, by reverse mode on the recorded energies."""
+    """Gradient dL/dq of L = T - U, by reverse mode on the recorded energies."""
     robot = scene.spec.robot
     given = {name: row for name, row in scene.overrides.items() if row is not None}
     known = [(name, k) for name, row in given.items() for k, x in enumerate(row) if isinstance(x, Recorded)]

@@ -36,15 +36,15 @@ class EpisodeTask(Protocol):
 
     Its rows are "observation", "reward" [1] and "reference" [3 n], the positions, velocities and accelerations that a
     controller is to follow over the next step; "terminated" [1], not zero where the episode ends, may be among them.
-    Others go to the environment's `info`. Beside its "goal" it may take the "action" [n] in [-1, 1] and the "time" [1]
-    since the episode began [s]; at the beginning of an episode there is no action. A goal of
-    three numbers is drawn as a point.
+    Others go to the environment's `info`. In addition to its "goal" it may take the "action" [n] in [-1, 1] and the
+    "time" [1] since the start of the episode [s]; at the start of an episode there is no action. A goal of three
+    numbers is drawn as a point.
     """
 
     def __hash__(self) -> int: ...
 
     def inputs(self, n: int) -> dict[str, int]:
-        """Names and widths of its inputs beside the state."""
+        """Names and widths of its inputs, without the state."""
 
     def draws(self, robot: Robot) -> int:
         """Number of random numbers that an episode starts from."""
@@ -101,8 +101,8 @@ class Reach:
         p = tip(robot, view.scene.posed(q))
         seen = [y for joint, x in zip(robot.joint_types, q, strict=True) for y in ((x,) if joint.slides else turned(x))]
         seen += [*speeds(robot, qd), *quat.sub(goal, p), *p]
-        way = quat.sub(goal, tip(robot, view.scene.posed(view.q)))
-        squared = quat.dot(way, way)
+        error = quat.sub(goal, tip(robot, view.scene.posed(view.q)))
+        squared = quat.dot(error, error)
         distance = sqrt(squared + 1e-12)
         bonus = 1.0 / (1.0 + squared * (1.0 / CLOSE**2))
         return {

@@ -185,7 +185,7 @@ def reference(trial: Trial, error: float) -> Tensor:
         )
     raise ArgumentError(
         f"{trial.name} can be computed to {closest * 50 / SAFETY:.1e} at best, not to {error / SAFETY:.1e}; shorten "
-        f"the horizon, or ask for less"
+        f"the horizon or raise the error"
     )
 
 

@@ -170,7 +170,7 @@ class ArmVectorEnv(VectorEnv):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Observations [N, ...] at the beginning of new episodes, and an empty `info`.
+        """Observations [N, ...] at the start of new episodes, and an empty `info`.
 
         Args:
             seed: seed of the random numbers; row i has the seed seed + i. A sequence has one for every row. None: the

@@ -39,7 +39,7 @@ from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program.autograd import named, operator
 from torchdq.program.program import Argument, Program
 
-DTYPES = (torch.float32, torch.float64)  # names and widths of inputs, parameters and programs
+DTYPES = (torch.float32, torch.float64)  # supported for inputs, parameters and programs
 
 Shape = tuple[int, ...]
 Tensors = Mapping[str, Tensor | None]  # by name; None: absent

@@ -13,7 +13,7 @@ from torchdq.numbers.functions import clip, exp, floor, maximum
 
 @dataclass(frozen=True)
 class Actuator(Effect):
-    """A change of the torques on their way to the joints."""
+    """Base class of actuators, which change commanded torques before they act on the joints."""
 
     SLOT: ClassVar[str] = "actuator"
 
@@ -44,7 +44,7 @@ class Saturation(Actuator):
 class TorqueSpeed(Actuator):
     """A motor whose torque falls with speed: tau <= stall (1 - qd/speed), tau >= -stall (1 + qd/speed), |tau| <= stall.
 
-    The torque-speed line of a direct-current motor at its highest voltage, either way; braking keeps the full torque.
+    Torque-speed line of a direct-current motor at maximum voltage, in both directions; braking has the full torque.
 
     Args:
         stall: torque at rest [N m or N], shape [..., n]; None: the effort limits of the description. Where it is an

@@ -1,9 +1,9 @@
 """Effects at the joints: friction, springs, servos, limits.
 
 A joint effect is an impedance: the torque -D qd - f(q) with a damping D >= 0 that may depend on the state, and a force
-f of stiffness K = df/dq >= 0. Written this way a linearly implicit integrator can take the velocity and the position
-at the end of the step, with D and K as they are at its beginning: however stiff, such a torque cannot overshoot, and
-friction cannot reverse a motion. Explicit integrators evaluate it as it stands.
+f of stiffness K = df/dq >= 0. In this form a linearly implicit integrator can use velocity and position at the end of
+the step, with D and K at its start: however large the stiffness, the torque cannot overshoot, and friction cannot
+reverse a motion. Explicit integrators evaluate the torque itself.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Impedance(NamedTuple):
 
 
 def spring(k: Number, stretch: Number, damping: Number = 0.0) -> Impedance:
-    """Impedance of a linear spring k with a stretch, and a damper beside it."""
+    """Impedance of a linear spring k with a stretch, and of a damper in parallel."""
     return Impedance(damping, k * stretch, k)
 
 

@@ -97,7 +97,7 @@ class QuantisedReading(Sensor):
 
 @dataclass(frozen=True)
 class ReadingDelay(Late, Sensor):
-    """Readings that arrive a whole number of steps late; at the beginning, those of the initial state.
+    """Readings that arrive an integer number of steps late; the first ones are those of the initial state.
 
     Args:
         steps: at least 1.

@@ -27,8 +27,8 @@ class CheckpointError(TorchdqError, RuntimeError):
 def write(path: Path, state: dict[str, Any]) -> None:
     """Write a state to a file, which holds the old state or the new one at any moment, never a part.
 
-    The state goes to a file beside it, reaches the disk, and takes the name in one step. Leftovers of killed writes are
-    removed. When writing fails, say on a full disk, the old checkpoint stays.
+    The state is written to a temporary file in the same folder, flushed to disk, and renamed in one step. Temporary
+    files of killed writes are removed. If writing fails, for example on a full disk, the old checkpoint stays.
 
     Args:
         path: the checkpoint.

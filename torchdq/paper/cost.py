@@ -1,4 +1,4 @@
-"""Costs of the paper's algorithms, counted by running them on chains of joints, and the report beside the printed ones.
+"""Costs of the paper's algorithms, counted by running them on chains of joints, compared with the printed costs.
 
 `python -m torchdq cost` prints it.
 """

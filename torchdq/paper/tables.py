@@ -1,4 +1,4 @@
-"""Tables 2, 3 and 4 of the paper: its operations as formulas on counted numbers, beside the costs it prints.
+"""Tables 2, 3 and 4 of the paper: its operations as formulas on counted numbers, with the costs it prints.
 
 A cost is multiplications, additions, and the numbers an operation reads (storage); the rules are those of
 `torchdq.numbers.count`.
