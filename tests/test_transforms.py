@@ -487,6 +487,14 @@ def test_compiled_to_machine_code_for_any_batch_size_it_has_the_same_values_and_
         assert relative(slopes(module, compiled, args), slopes(module, module, args)) < 1e-12
 
 
+def test_a_module_that_was_never_called_is_exported():
+    torchdq.clear_caches()
+    module = torchdq.DQRNEA(torchdq.robots.load("panda"))
+    q = torch.full((3, 7), 0.3, dtype=torch.float64)
+    exported = torch.export.export(module, (q, q, q))
+    assert same([exported.module()(q, q, q)], [module(q, q, q)])
+
+
 @pytest.mark.case("P4")
 @every_module
 def test_an_exported_module_takes_any_batch_size(key):

@@ -38,6 +38,7 @@ from torchdq.caches import LAYOUTS, Bounded
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program.autograd import named, operator
 from torchdq.program.program import Argument, Program
+from torchdq.program.transforms import with_values
 
 DTYPES = (torch.float32, torch.float64)  # supported for inputs, parameters and programs
 
@@ -186,7 +187,7 @@ def _require_alike(name: str, x: Tensor, other: str, like: Tensor) -> None:
 def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, double: bool) -> CallLayout:
     arguments, rows, batch = _arranged(what, tensors)
     like = next(x for x in tensors.values() if x is not None)
-    program = what.program(arguments)
+    program = _recorded(what, arguments)
     shapes = zip(program.results, what.results(program), strict=True)
     return CallLayout(
         rows,
@@ -196,6 +197,11 @@ def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, do
         choose(backend, like.device),
         tuple((r.name, axes if r.summed else batch + axes) for r, axes in shapes),
     )
+
+
+def _recorded(what: Computation, arguments: tuple[Argument, ...]) -> Program:
+    with with_values():
+        return what.program(arguments)
 
 
 def _arranged(what: Computation, tensors: Tensors) -> tuple[tuple[Argument, ...], tuple[Arrangement, ...], Shape]:
@@ -250,7 +256,7 @@ def _known(
     `arguments` are plain tuples, since torch.compile does not keep named ones.
     """
     what = kind(*fields)
-    program, chosen = what.program(tuple(Argument(*a) for a in arguments)), choose(backend, device)
+    program, chosen = _recorded(what, tuple(Argument(*a) for a in arguments)), choose(backend, device)
     shapes = zip(program.results, what.results(program), strict=True)
     results = tuple((r.name, r.summed, axes) for r, axes in shapes)
     if chosen.differentiable:

@@ -5,12 +5,14 @@ no result.
 """
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from operator import attrgetter
 from typing import Any
 
 import torch
 from torch import Tensor
 from torch.autograd import forward_ad
+from torch.utils import _python_dispatch
 
 
 def _private(name: str, missing: Any) -> Any:
@@ -22,6 +24,12 @@ def _private(name: str, missing: Any) -> Any:
 
 _functional = _private("_are_functorch_transforms_active", lambda: True)
 _batched_by_autograd = _private("_functorch.is_legacy_batchedtensor", lambda x: False)
+
+
+def with_values() -> AbstractContextManager[Any]:
+    """Context in which tensors are made with values, although torch.export traces with tensors that have none."""
+    modes = getattr(_python_dispatch, "_disable_current_modes", nullcontext)
+    return modes()
 
 
 def transforming() -> bool:
