@@ -1303,7 +1303,7 @@ MUTANTS = (
             "what is not selected",
             "lambda mask, a, b: a if mask != 0 else b",
             "lambda mask, a, b: a if mask == 0 else b",
-            f"{NUMBERS}::test_comparisons_of_awkward_numbers",
+            f"{NUMBERS}::test_a_recorded_expression_is_the_expression_bitwise",
         ),
         (
             "a selection of negatives without its sign",
@@ -1710,7 +1710,7 @@ MUTANTS = (
             "saturation on one side",
             "clip(x, -limit, limit)",
             "clip(x, -1e9 * limit, limit)",
-            f"{EFFECTS}::test_what_is_not_given_is_as_the_description_says",
+            f"{EFFECTS}::test_saturation_is_exactly_its_limit_beyond_it",
         ),
         (
             "motors that gain torque with speed",
@@ -1880,7 +1880,7 @@ MUTANTS = (
             "every sensor with the first one's noise",
             "used += width",
             "used = used",
-            f"{EFFECTS}::test_sensors_act_in_their_order",
+            f"{EFFECTS}::test_two_noises_of_a_reading_are_drawn_apart",
         ),
     ),
     *within(
