@@ -545,8 +545,8 @@ def test_new_values_of_a_replaced_tensor_need_no_new_kernel(built):
 
 def test_new_batch_sizes_need_no_new_kernel(built):
     robot = TWO.bake()
-    for batch in (1, 5, 70):
-        torchdq.inverse_dynamics(robot, random(batch, 2), backend="c")
+    for shape in ((2,), (1, 2), (5, 2), (70, 2)):
+        torchdq.inverse_dynamics(robot, random(*shape), backend="c")
     assert len(built) == 1
 
 

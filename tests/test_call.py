@@ -78,10 +78,12 @@ def test_a_parameter_follows_the_dtype_of_the_inputs(backend):
 
 @every_backend
 def test_double_precision_inside_is_float64_rounded(backend):
-    force, mass = random(4, 3, dtype=F32), torch.tensor(3.0, dtype=F32)
+    force, mass = random(64, 3, dtype=F32), torch.tensor(3.0, dtype=F32)
+    single = evaluate(Point(2.0), {"force": force, "mass": mass}, backend)
     narrow = evaluate(Point(2.0), {"force": force, "mass": mass}, backend, double=True)
     wide = evaluate(Point(2.0), {"force": force.double(), "mass": mass.double()}, backend)
     assert all(torch.equal(narrow[name], wide[name].float()) for name in wide)
+    assert not torch.equal(single["total"], narrow["total"])
 
 
 @every_backend

@@ -106,8 +106,11 @@ def test_power_is_that_of_the_joints_and_energy_that_of_the_mass_matrix(form, se
 def test_accelerations_undo_forces(form, linear):
     robot, coupling = random_tree(6, 11, armature=True).robot.bake(), gears(6)[0]
     z, _, zdd = coordinates(4)
-    at = coupled(robot, coupling, z, form).with_armature([0.1, 0.2, 0.3, 0.4]).with_armature([0.1] * 4)
+    bare = coupled(robot, coupling, z, form)
+    at = bare.with_armature([0.1, 0.2, 0.3, 0.4]).with_armature([0.1] * 4)
     M = stack(at.mass_matrix(), (B,))
+    rotors = torch.tensor([0.2, 0.3, 0.4, 0.5], dtype=F64).diag()
+    assert (M - stack(bare.mass_matrix(), (B,)) - rotors).abs().max() <= 4 * EPS[F64] * M.abs().max()
     forces = at.without_gravity().torques(None, zdd.unbind(-1), None)
     assert (stack(forces, (B,)) - (M @ zdd[..., None])[..., 0]).abs().max() <= 256 * EPS[F64] * M.abs().max() * 10
     energy = stack(at.kinetic_energy(zdd.unbind(-1)), (B,))

@@ -779,6 +779,13 @@ def test_the_gradient_of_a_standard_deviation_is_the_draw():
     assert torch.allclose(velocity.grad, radius * angle.sin(), rtol=1e-14, atol=1e-14)
 
 
+def test_two_noises_of_a_reading_are_drawn_apart():
+    rest, noise = torch.zeros(2, dtype=torch.float64), double([0.2, 0.7, 0.9, 0.4, 0.5, 0.1, 0.3, 0.8])
+    kinds = (effects.Noise(0.1, 0.2), effects.Noise(0.3, 0.5))
+    alone = [read(kind, rest, noise=part).reading for kind, part in zip(kinds, noise.split(4), strict=True)]
+    assert torch.allclose(read(kinds, rest, noise=noise).reading, sum(alone), rtol=1e-14, atol=0)
+
+
 def test_a_draw_of_one_is_no_noise():
     state = read(effects.Noise(0.1, 0.1), torch.zeros(2, dtype=torch.float64), noise=torch.ones(4, dtype=torch.float64))
     assert torch.equal(state.reading, torch.zeros(4, dtype=torch.float64))

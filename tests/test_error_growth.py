@@ -9,8 +9,11 @@ from helpers import rods
 
 import torchdq
 from torchdq.backends import cache as build
+from torchdq.backends.choice import choose
+from torchdq.backends.run import run
 from torchdq.envs import Scene, effects, integrators
-from torchdq.program.program import LARGEST_GROWTH
+from torchdq.numbers.functions import note_growth
+from torchdq.program.program import LARGEST_GROWTH, Argument, record
 from torchdq.robot.posed import posed
 
 EPS = {torch.float32: 2.0**-24, torch.float64: 2.0**-53}
@@ -74,6 +77,23 @@ def test_samples_that_float32_would_lose_are_those_of_float64_rounded(backend):
     wide = torchdq.forward_dynamics(MIXED, q.double(), qd.double(), tau.double(), backend=backend)
     assert torch.equal(found[lost], wide[lost].float())
     assert not torch.equal(found[~lost], wide[~lost].float())
+
+
+@every_backend
+def test_a_sample_whose_growth_is_no_number_is_recomputed_too(backend):
+    """Two pivots that float32 rounds to zero divide zero by zero."""
+
+    def algorithm(x):
+        rest = (1.0 + x[0]) - 1.0
+        y = x[0] / rest
+        note_growth([y], (rest + rest) / rest)
+        return {"y": [y]}
+
+    program = record("rest", [Argument("x", 1)], algorithm)
+    x = torch.tensor([[0.5], [1e-9], [0.25]])
+    (found,) = run(program, [x], choose(backend, x.device))
+    (wide,) = run(program, [x.double()], choose(backend, x.device))
+    assert torch.equal(found, wide.float()) and bool(found.isfinite().all())
 
 
 @every_backend

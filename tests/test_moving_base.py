@@ -248,6 +248,8 @@ def test_twists_and_points_are_those_of_the_world(robot, form):
     V = at.twists(m.v.unbind(-1))
     i, data = m.robot.n, m.model.createData()
     com = at.com(i)
+    there_and_back = at.to_link(i, at.to_world(i, com))
+    assert (stack(there_and_back, (B,)) - stack(com, (B,))).abs().max() <= 64 * EPS[F64]
     position = torch.stack(torch.broadcast_tensors(*at.position(i, com)), -1)
     w, v = V[i]
     velocity = torch.stack(torch.broadcast_tensors(*at.to_world(i, quat.add(v, quat.cross(w, com)))), -1)
