@@ -183,8 +183,8 @@ def _for_trajectories(trial: Trial, error: float) -> SceneRecommendation:
     found = _candidates(trial, reference_of(trial, accepted), accepted)
     if not found:
         raise ArgumentError(
-            f"no candidate keeps {trial.name} within {error:.1e} in {MOST_STEPS} steps; shorten the horizon or raise the "
-            f"error"
+            f"no candidate keeps {trial.name} within {error:.1e} in {MOST_STEPS} steps; shorten the horizon or raise "
+            f"the error"
         )
     best = found[0]
     times, precision = best.times, best.arithmetic.precision
