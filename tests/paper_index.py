@@ -166,14 +166,14 @@ SECTION_4 = (
         "27",
         "motion by the dual angle t^ about a unit line s: cos(t^/2) + s sin(t^/2)",
         "algebra.elementary:times algebra.screw:exp_revolute algebra.screw:exp_prismatic algebra.screw:exp_helical "
-        "dynamics.joints:Revolute.motion dq.tensors:exp",
+        "dynamics.joints:Revolute.motion dq.poses:exp",
         f"{ALGEBRA}_joint_exponentials_are_power_series_to_40_digits",
     ),
     Row(
         "28",
         "pose r + (eps/2) r p^b, which is r + (eps/2) p r",
         "algebra.elementary:times algebra.dual_quaternion:from_pose algebra.dual_quaternion:translation_body "
-        "dq.tensors:from_pose dq.tensors:translation_body",
+        "dq.poses:from_pose dq.poses:translation_body",
         f"{ALGEBRA}_a_pose_holds_rotation_and_position_in_both_frames",
     ),
     Row(
