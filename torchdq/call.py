@@ -87,7 +87,7 @@ class CallLayout(NamedTuple):
     """Everything about a call that follows from the shapes, dtypes and devices of its tensors."""
 
     rows: tuple[Arrangement, ...]
-    dtype: torch.dtype  # of the program
+    dtype: torch.dtype  # precision of the program
     device: torch.device
     program: Program
     backend: Backend
