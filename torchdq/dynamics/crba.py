@@ -13,7 +13,7 @@ from torchdq.algebra import screw
 from torchdq.algebra.matrix import Matrix
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics.tree import Link, Tree, path
+from torchdq.dynamics.tree import Tree, freedoms, path
 
 
 def composites(tree: Tree, carried: Callable) -> list:
@@ -28,11 +28,6 @@ def composites(tree: Tree, carried: Callable) -> list:
             parent, inertia = tree.links[i].parent, carried(i, found[i])
             found[parent] = inertia if found[parent] is None else found[parent].plus(inertia)
     return found
-
-
-def freedoms(link: Link) -> list[tuple[int, Screw]]:
-    """Position in the row of velocities, and screw, of every degree of freedom of a joint."""
-    return list(zip(range(link.v.start, link.v.stop), link.joint.columns, strict=True))
 
 
 def diagonal(tree: Tree, composite: Sequence) -> list[Number]:

@@ -86,6 +86,11 @@ def path(links: Sequence[Link], i: int) -> Iterator[int]:
         i = links[i].parent
 
 
+def freedoms(link: Link) -> list[tuple[int, Screw]]:
+    """Position in the row of velocities, and screw, of every degree of freedom of a joint."""
+    return list(zip(range(link.v.start, link.v.stop), link.joint.columns, strict=True))
+
+
 def plant(
     parents: Sequence[int],
     joints: Sequence[Any],

@@ -98,7 +98,8 @@ def _in_base(joint: Along, X_WB: DualQuaternion) -> Along:
 
 def _pose(R: np.ndarray, p: np.ndarray) -> DualQuaternion:
     """Pose of a rotation matrix and a position, exact for rotations by quarter turns."""
-    # the largest component first, since the others are divided by it
+    # the largest component first, since the others are divided by it; in numpy, since robots are also aligned within
+    # transforms of torch
     w = 0.5 * math.sqrt(max(0.0, 1.0 + float(np.trace(R))))
     v = [0.5 * math.sqrt(max(0.0, 1.0 + 2.0 * float(R[k, k]) - float(np.trace(R)))) for k in range(3)]
     r = np.array([w, *v])

@@ -23,8 +23,7 @@ from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import add
 from torchdq.dynamics.aligned.placement import Step, Steps
 from torchdq.dynamics.conditioning import inverse
-from torchdq.dynamics.crba import freedoms
-from torchdq.dynamics.tree import WORLD, Tree
+from torchdq.dynamics.tree import WORLD, Tree, freedoms
 
 Matrix3 = tuple[Pure, ...]  # three rows
 

@@ -12,10 +12,9 @@ from torchdq.algebra.elementary import Angle
 from torchdq.algebra.quaternion import Pure
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics.aligned.placement import Alignment, Steps
-from torchdq.dynamics.crba import freedoms
 from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.posed import Point
-from torchdq.dynamics.tree import Tree, path
+from torchdq.dynamics.tree import Tree, freedoms, path
 
 UNITS: tuple[Pure, Pure, Pure] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 

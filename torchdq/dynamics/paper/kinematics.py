@@ -8,7 +8,7 @@ from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.screw import Adjoint, Screw
 from torchdq.algebra.structural import ad_inverse
-from torchdq.dynamics.tree import WORLD, Link, Tree, path
+from torchdq.dynamics.tree import WORLD, Link, Tree, freedoms, path
 
 
 def compose(x: DualQuaternion | None, y: DualQuaternion | None) -> DualQuaternion | None:
@@ -60,8 +60,7 @@ def joint_screws(tree: Tree, Ad: Sequence[Adjoint | None], i: int) -> dict[int, 
     screws = {}
     to_i: Adjoint | None = None  # Ad(x_j^i)
     for j in path(tree.links, i):
-        link = tree.links[j]
-        for k, a in zip(range(link.v.start, link.v.stop), link.joint.columns, strict=True):
+        for k, a in freedoms(tree.links[j]):
             screws[k] = a if to_i is None else screw.ad(to_i, a)
         step = Ad[j]
         if step is not None:
