@@ -23,7 +23,7 @@ from torchdq.dynamics.aligned.regroup import regrouped
 from torchdq.dynamics.joints import KINDS, Coordinate, Fixed, Free, along_z
 from torchdq.dynamics.paper.posed import Paper
 from torchdq.dynamics.posed import Posed, closed_form
-from torchdq.dynamics.tree import Tree, plant
+from torchdq.dynamics.tree import Tree, on_base
 from torchdq.robot import mdh, posed
 
 B = 3  # samples
@@ -104,7 +104,7 @@ def with_base(tree: Tree, placements, inertias, base: Inertia | Moments) -> Tree
     joints = [along_z(link.joint) if isinstance(base, Moments) else link.joint for link in links]
     armature = None if links[0].armature is None else [link.armature for link in links]
     parents = [link.parent - 1 for link in links]
-    return plant(parents, joints, placements, inertias, armature, tree.gravity, Free(), base)
+    return on_base(parents, joints, placements, inertias, armature, tree.gravity, Free(), base)
 
 
 def to_pinocchio(m: Moving, x) -> np.ndarray:

@@ -91,7 +91,7 @@ def freedoms(link: Link) -> list[tuple[int, Screw]]:
     return list(zip(range(link.v.start, link.v.stop), link.joint.columns, strict=True))
 
 
-def plant(
+def on_base(
     parents: Sequence[int],
     joints: Sequence[Any],
     placements: Sequence[Any],

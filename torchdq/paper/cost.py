@@ -18,7 +18,7 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import Inertia
 from torchdq.dynamics.joints import KINDS, Coordinate
 from torchdq.dynamics.paper import kinematics, rnea
-from torchdq.dynamics.tree import Tree, plant
+from torchdq.dynamics.tree import Tree, on_base
 from torchdq.numbers.count import Cost, cost, dense, executed
 from torchdq.paper import homogeneous, printed
 from torchdq.paper.tables import PER_JOINT, TABLE_4, TABLES, Entry, motion, number, several
@@ -59,7 +59,7 @@ def chain(n: int, kinds: str = "R") -> tuple[Tree, DualQuaternion]:
         joints.append(KINDS[kind](line[kind]))
         poses.append(pose())
         inertias.append(Inertia(rng.uniform(1.0, 2.0), None, inertia))
-    return plant(range(-1, n - 1), joints, poses, inertias, None, (0.0, 0.0, -9.81)), pose()
+    return on_base(range(-1, n - 1), joints, poses, inertias, None, (0.0, 0.0, -9.81)), pose()
 
 
 def robot(tree: Tree, tip: DualQuaternion) -> Robot:

@@ -14,7 +14,7 @@ from torchdq.dynamics.aligned.regroup import regrouped
 from torchdq.dynamics.joints import Coordinate, along_z
 from torchdq.dynamics.paper.posed import Paper
 from torchdq.dynamics.posed import Factors, Posed
-from torchdq.dynamics.tree import Tree, plant
+from torchdq.dynamics.tree import Tree, on_base
 from torchdq.errors import SingularInertiaError
 from torchdq.numbers.functions import cos, sin
 from torchdq.robot import mdh
@@ -65,7 +65,7 @@ def aligned(robot: Robot, q: Sequence[Number], overrides: Overrides, group: bool
     described = tree(robot, {"gravity": None, "armature": None})
     alignments, coms = mdh.align(described), field(robot, "com", overrides)
     masses, inertias = field(robot, "mass", overrides), field(robot, "inertia", overrides)
-    found = plant(
+    found = on_base(
         robot.parents,
         [along_z(link.joint) for link in described.links[1:]],
         [at.placement for at in alignments],

@@ -17,7 +17,7 @@ from torchdq.algebra.quaternion import Number, Pure
 from torchdq.caches import PROGRAMS, remembered
 from torchdq.call import DTYPES
 from torchdq.dynamics.joints import KINDS, Helical, Prismatic, Revolute
-from torchdq.dynamics.tree import BASE, Tree, plant
+from torchdq.dynamics.tree import BASE, Tree, on_base
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 from torchdq.robot import consistency, from_dh, from_screws, urdf
 from torchdq.robot.constants import Constants
@@ -371,7 +371,7 @@ def general_tree(
     armature: Sequence[Number] | None,
 ) -> Tree:
     """Tree on a fixed base, in the link frames of the description, from the fields of a robot as numbers."""
-    return plant(
+    return on_base(
         parents,
         [KINDS[kind]((tuple(s[:3]), tuple(s[3:]))) for kind, s in zip(kinds, screw, strict=True)],
         [(tuple(x[:4]), tuple(x[4:])) for x in X_PB_home],
