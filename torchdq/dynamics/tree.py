@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
-from torchdq.dynamics.joints import Exponential, Fixed, Joint
+from torchdq.dynamics.joints import Fixed, Joint
 
 WORLD = -1  # parent of the base
 BASE = -1  # number of the base in descriptions, which number moving links from 0
@@ -69,10 +69,6 @@ class Tree(NamedTuple):
                 for link in self.links
             )
         )
-
-    def moved(self, q: Sequence[Sequence[Number]], v: Sequence[Number], h: Number, exp: Exponential) -> list[tuple]:
-        """Coordinates of every joint after a time h with constant velocities v."""
-        return [link.joint.moved(x, v[link.v], h, exp) for link, x in zip(self.links, q, strict=True)]
 
 
 def _plus(a: Number | None, b: Number) -> Number:
