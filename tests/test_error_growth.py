@@ -12,8 +12,7 @@ from torchdq.backends import cache as build
 from torchdq.backends.choice import choose
 from torchdq.backends.run import run
 from torchdq.envs import Scene, effects, integrators
-from torchdq.numbers.functions import note_growth
-from torchdq.program.program import LARGEST_GROWTH, Argument, record
+from torchdq.program.program import GROWTH, LARGEST_GROWTH, Argument, record
 from torchdq.robot.posed import posed
 
 EPS = {torch.float32: 2.0**-24, torch.float64: 2.0**-53}
@@ -85,9 +84,7 @@ def test_a_sample_whose_growth_is_no_number_is_recomputed_too(backend):
 
     def algorithm(x):
         rest = (1.0 + x[0]) - 1.0
-        y = x[0] / rest
-        note_growth([y], (rest + rest) / rest)
-        return {"y": [y]}
+        return {"y": [x[0] / rest], GROWTH: [(rest + rest) / rest]}
 
     program = record("rest", [Argument("x", 1)], algorithm)
     x = torch.tensor([[0.5], [1e-9], [0.25]])
