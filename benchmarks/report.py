@@ -54,14 +54,9 @@ def into_readme(text: str, begin: str, end: str) -> None:
 
 def machine(*packages: str) -> dict[str, str]:
     """Machine of the measurement: names and versions, also of further packages."""
-    model = next(
-        (
-            line.split(":", 1)[1].strip()
-            for line in Path("/proc/cpuinfo").read_text().splitlines()
-            if "model name" in line
-        ),
-        platform.processor(),
-    )
+    lines = [line.partition(":") for line in Path("/proc/cpuinfo").read_text().splitlines()]
+    facts = {key.strip(): value.strip() for key, _, value in lines}
+    widest = [name for name in ("avx512f", "avx2", "avx") if name in facts.get("flags", "").split()]
     compiler = shutil.which(os.environ.get("CC", "cc"))
     version = (
         subprocess.run([compiler, "--version"], capture_output=True, text=True).stdout.splitlines()[0]
@@ -69,7 +64,8 @@ def machine(*packages: str) -> dict[str, str]:
         else "none"
     )
     return {
-        "processor": model,
+        "processor": facts.get("model name") or platform.processor(),
+        "vector instructions": widest[0] if widest else "unknown",
         "cores": str(os.cpu_count()),
         "compiler": version,
         "python": platform.python_version(),
