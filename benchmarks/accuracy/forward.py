@@ -23,7 +23,7 @@ from accuracy.scenes import chain, single
 from accuracy.textbook import Textbook, solved
 from torchdq.errors import SingularInertiaError
 from torchdq.functions import catalogue as recipes
-from torchdq.functions.catalogue import Inputs
+from torchdq.functions.catalogue import RecipeInputs
 from torchdq.program.program import Argument, Program, record
 
 Array = np.ndarray
@@ -39,7 +39,7 @@ def evaluated(
     """Results of a recipe on rows of a precision; `given` are the robot's numbers, if not its own float64."""
     rows = {name: split(x.astype(dtype)) for name, x in arguments.items()}
     with np.errstate(all="ignore"):
-        found = recipe(Inputs(robot, rows, given or {}, ()), *options)
+        found = recipe(RecipeInputs(robot, rows, given or {}, ()), *options)
     return {name: joined([0.0 if y is None else y for y in row]) for name, row in found.items()}
 
 
@@ -221,7 +221,7 @@ def _linear_is_cheaper(robot: torchdq.Robot) -> bool:
     def count(linear: bool) -> int:
         def algorithm(*rows: Any) -> dict[str, Any]:
             given = dict(zip(("q", "qd", "tau"), rows, strict=True))
-            return recipes.forward_dynamics(Inputs(robot, given, {}, ()), linear)
+            return recipes.forward_dynamics(RecipeInputs(robot, given, {}, ()), linear)
 
         return record("count", arguments, algorithm).count().total
 
