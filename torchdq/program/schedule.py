@@ -40,7 +40,7 @@ def schedule(program: Program, longest: int) -> Schedule:
     uniform = _uniform(program)
     prelude = tuple(i for i, op in enumerate(program.ops) if uniform[i] and op.code != "const")
     pairs = _pairs(program)
-    body = _order(uniform, pairs)
+    body = _order(program, uniform, pairs)
     if len(body) <= longest:
         return Schedule(uniform, prelude, pairs, (Part(tuple(body)),), 0, ())
     cut = [body[k : k + longest] for k in range(0, len(body), longest)]
@@ -68,13 +68,18 @@ def _pairs(program: Program) -> dict[int, tuple[int, ...]]:
     }
 
 
-def _order(uniform: Sequence[bool], pairs: dict[int, tuple[int, ...]]) -> list[int]:
-    """Values computed per sample, in order, sine and cosine of one angle next to each other."""
+def _order(program: Program, uniform: Sequence[bool], pairs: dict[int, tuple[int, ...]]) -> list[int]:
+    """Values computed per sample, in order, sine and cosine of one angle next to each other.
+
+    Inputs come right before the first operation on them, so that they do not occupy registers before.
+    """
     order: dict[int, None] = {}
-    for i, shared in enumerate(uniform):
-        if not shared:
-            order.update(dict.fromkeys(pairs.get(i, (i,))))
-    return list(order)
+    for i, op in enumerate(program.ops):
+        if not uniform[i] and op.code != "in":
+            read = [k for k in op.operands if program.ops[k].code == "in" and not uniform[k]]
+            order.update(dict.fromkeys([*read, *pairs.get(i, (i,))]))
+    only_results = [i for i, shared in enumerate(uniform) if not shared and i not in order]
+    return [*order, *only_results]
 
 
 def _in_slots(

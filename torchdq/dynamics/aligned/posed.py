@@ -165,7 +165,7 @@ class Aligned(NamedTuple):
 
     def regressor(self, qd: Row, qdd: Row) -> list:
         """Factors of the inertial parameters about the link frames of the description."""
-        motion = rnea.outward(self.tree, self.steps, self.X_WB, qd, qdd)
+        motion = list(rnea.outward(self.tree, self.steps, self.X_WB, qd, qdd))
         screws, u, d = [], [], []
         for i, (at, m) in enumerate(zip(self.alignments, motion[1:], strict=True), 1):
             # origin of the link frame in the aligned frame; its axes there are the rows of R_BL

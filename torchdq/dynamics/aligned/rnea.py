@@ -10,7 +10,7 @@ It computes the torques of `paper.rnea` with fewer operations:
 `torchdq.paper.ladder` derives it from the printed algorithm, one step at a time.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from torchdq.algebra import quaternion as quat
@@ -60,13 +60,14 @@ def carried(step: Step, parent: FrameMotion, rate: Screw | None, change: Screw |
 
 def outward(
     tree: Tree, steps: Steps, X_WB: DualQuaternion | None, qd: Sequence[Number] | None, qdd: Sequence[Number] | None
-) -> list[FrameMotion]:
-    """Motion of every link."""
+) -> Iterator[FrameMotion]:
+    """Motion of every link, one after the other from the base outwards."""
     rates, changes = tree.rates(qd), tree.rates(qdd)
     motion = [base_motion(X_WB, tree.gravity, rates[0], changes[0])]
+    yield motion[0]
     for i, link in enumerate(tree.links[1:], 1):
         motion.append(carried(steps[i], motion[link.parent], rates[i], changes[i]))
-    return motion
+        yield motion[i]
 
 
 def inverse_dynamics(
@@ -85,11 +86,10 @@ def inverse_dynamics(
         qd, qdd: velocities and accelerations; None: zero.
         exerted: wrenches that the links exert on the environment, in link frames; None: none.
     """
-    motion = outward(tree, steps, X_WB, qd, qdd)
-    # computed before the inward recursion: six numbers per link are kept, instead of twelve
+    # right after the motion of the link, which is not read again: six numbers per link are kept, instead of twelve
     net = [
         None if link.inertia is None else net_wrench(link.inertia, m.u, m.A[1])
-        for link, m in zip(tree.links, motion, strict=True)
+        for link, m in zip(tree.links, outward(tree, steps, X_WB, qd, qdd), strict=True)
     ]  # (45)
     passed_on: list[list[Screw]] = [[] for _ in tree.links]
     tau: list[Number] = [0.0] * tree.nv
