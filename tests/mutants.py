@@ -32,7 +32,7 @@ from rich.progress import track
 from rich.table import Table
 
 ROOT = Path(__file__).resolve().parent.parent
-NEEDED = ("torchdq", "envs", "tests", "examples", "pyproject.toml")  # of the tree, by the tests that are named
+NEEDED = ("torchdq", "envs", "tests", "examples", "pyproject.toml")  # copied, so that the tests run on the copy
 # imported once, by the process that those of the tests are forked from
 HEAVY = ["torch", "pinocchio", "scipy.stats", "mujoco", "hypothesis", "mpmath", "gymnasium", "pytest"]
 FRESH = multiprocessing.get_context("forkserver")

@@ -612,7 +612,7 @@ MUTANTS = (
         (
             "70: positions in the place of velocities",
             "coriolis = matrix.combine(matrix.act_on_matrix(L_H, G_LC), qd)",
-            # of revolute joints, by the angle between a link and its home pose
+            # the position of a revolute joint is the angle between a link and its home pose
             "turned = lambda i: zip(screw.quat.rotation_columns(links[i].placement[0]), Ad[i][0])\n"
             "    q = [(0.5 * sum(screw.quat.dot(*e) for e in turned(i)) - 0.5).acos() for i, _ in freedoms]\n"
             "    coriolis = matrix.combine(matrix.act_on_matrix(L_H, G_LC), q)",
@@ -1140,8 +1140,8 @@ MUTANTS = (
         ),
         (
             "batch axes lost",
-            "axes if r.summed else batch + axes) for r, axes in shapes),",
-            "axes) for r, axes in shapes),",
+            "(name, axes if summed else batch + axes) for",
+            "(name, axes) for",
             CALL_BATCH,
         ),
         (

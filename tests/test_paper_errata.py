@@ -656,7 +656,7 @@ def ours_per_link():
     tip = c.robot.frame("tip").X_BF
     F_tip = dq.ad(tip, f_tip).unbind(-1)
     F = rnea.inward(tree, Ad, V, A, [None] * JOINTS + [(F_tip[:3], F_tip[3:])])
-    V, A, F, poses = V[1:], A[1:], F[1:], joint_poses(q)[1:]  # of the moving links
+    V, A, F, poses = V[1:], A[1:], F[1:], joint_poses(q)[1:]  # without the base
     net = [F[-1], *(F[i] for i in reversed(range(JOINTS - 1)))]
     V, A, F = (torch.stack([dq.stack(s) for s in screws], 1) for screws in (V, A, F))
     beyond = [dq.ad(dq.stack(poses[i + 1]), F[:, i + 1]) for i in range(JOINTS - 1)]

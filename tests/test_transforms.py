@@ -14,7 +14,7 @@ import pytest
 import torch
 from helpers import thinned
 from torch._dynamo.testing import CompileCounterWithBackend
-from torch.func import functional_call, grad, hessian, jacrev, jvp, vmap
+from torch.func import functional_call, grad, hessian, jacfwd, jacrev, jvp, vmap
 from torch.nn.utils.parametrize import type_before_parametrizations
 
 import torchdq
@@ -493,6 +493,18 @@ def test_a_module_that_was_never_called_is_exported():
     q = torch.full((3, 7), 0.3, dtype=torch.float64)
     exported = torch.export.export(module, (q, q, q))
     assert same([exported.module()(q, q, q)], [module(q, q, q)])
+
+
+def test_the_first_call_may_be_inside_a_transform():
+    """Programs are recorded from numbers of the robot, which are kept; none of them may end with the transform."""
+    robot = arm().replace(mass=torch.tensor([1.25, 0.75], dtype=F64))  # not the robot of another test
+    for key in FUNCTIONS:
+        q, *rest = of(key, 2)
+
+        def total(q, key=key, rest=rest):
+            return sum(y.square().sum() for y in call(key, robot, [q, *rest]))
+
+        assert bool(jacfwd(hessian(total))(q).isfinite().all())
 
 
 @pytest.mark.case("P4")

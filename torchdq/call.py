@@ -35,6 +35,7 @@ from torchdq.backends.precision import Guarded
 from torchdq.backends.run import run
 from torchdq.backends.torch import EAGER
 from torchdq.caches import LAYOUTS, Bounded
+from torchdq.checks import require_tensor
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program.autograd import named, operator
 from torchdq.program.program import Argument, Program
@@ -145,7 +146,7 @@ def batch_of(what: Computation, tensors: Tensors) -> Shape:
     first = ""
     for name, x in given.items():
         axes, label = what.axes(name), what.label(name)
-        _require_tensor(label, x)
+        require_tensor(label, x)
         if not what.shared(name):
             first = first or name
             _require_alike(label, x, first, given[first])
@@ -161,11 +162,6 @@ def batch_of(what: Computation, tensors: Tensors) -> Shape:
     except RuntimeError as error:
         found = ", ".join(f"{label} {batch}" for label, batch in batches.items() if batch)
         raise ArgumentError(f"the batch axes of the arguments must broadcast, found {found}") from error
-
-
-def _require_tensor(name: str, x: Any) -> None:
-    if not isinstance(x, Tensor):
-        raise ArgumentError(f"{name} must be a tensor, found {type(x).__name__}; use torch.as_tensor")
 
 
 def _require_alike(name: str, x: Tensor, other: str, like: Tensor) -> None:
@@ -188,20 +184,25 @@ def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, do
     arguments, rows, batch = _arranged(what, tensors)
     like = next(x for x in tensors.values() if x is not None)
     program = _recorded(what, arguments)
-    shapes = zip(program.results, what.results(program), strict=True)
     return CallLayout(
         rows,
         torch.float64 if double else like.dtype,
         like.device,
         program,
         choose(backend, like.device),
-        tuple((r.name, axes if r.summed else batch + axes) for r, axes in shapes),
+        tuple([(name, axes if summed else batch + axes) for name, summed, axes in _shapes(what, program)]),
     )
 
 
 def _recorded(what: Computation, arguments: tuple[Argument, ...]) -> Program:
     with with_values():
         return what.program(arguments)
+
+
+def _shapes(what: Computation, program: Program) -> tuple[tuple[str, bool, Shape], ...]:
+    """Name of every result, whether it is summed over the samples, and its trailing axes."""
+    axes = what.results(program)
+    return tuple([(r.name, r.summed, shape) for r, shape in zip(program.results, axes, strict=True)])
 
 
 def _arranged(what: Computation, tensors: Tensors) -> tuple[tuple[Argument, ...], tuple[Arrangement, ...], Shape]:
@@ -257,8 +258,7 @@ def _known(
     """
     what = kind(*fields)
     program, chosen = _recorded(what, tuple(Argument(*a) for a in arguments)), choose(backend, device)
-    shapes = zip(program.results, what.results(program), strict=True)
-    results = tuple((r.name, r.summed, axes) for r, axes in shapes)
+    results = _shapes(what, program)
     if chosen.differentiable:
         return "", program, results
     return named(Guarded(chosen), program), None, results

@@ -17,6 +17,7 @@ from torch import Tensor
 
 from torchdq.backends.choice import BackendName
 from torchdq.call import batch_of, evaluate
+from torchdq.checks import require_tensor
 from torchdq.errors import ArgumentError
 from torchdq.functions.catalogue import Function, trailing
 from torchdq.robot import Robot
@@ -40,8 +41,7 @@ def require_finite(**arguments: Tensor | None) -> None:
     for name, x in arguments.items():
         if x is None:
             continue
-        if not isinstance(x, Tensor):
-            raise ArgumentError(f"{name} must be a tensor, found {type(x).__name__}")
+        require_tensor(name, x)
         bad = (~x.isfinite()).nonzero()
         if len(bad):
             at = tuple(bad[0].tolist())
@@ -78,8 +78,8 @@ def check(robot: Robot, optional: Sequence[str] = (), **quantities: Tensor | Non
         quantities: [..., n] of the joints, and `f_tip` [..., 6].
     """
     for name, x in quantities.items():
-        if x is None and name not in optional:
-            raise ArgumentError(f"{name} must be a tensor, found NoneType; use torch.as_tensor")
+        if name not in optional:
+            require_tensor(name, x)
     return batch_of(_Quantities(constants(_robot(robot)), "check"), _with_tensors(robot, quantities))
 
 

@@ -71,7 +71,7 @@ class Inertia(NamedTuple):
     def carried(self, a: Adjoint, p: Pure) -> Inertia:
         """Inertia in frame A of a body given in frame B, where the pose X_AB has the columns a and the position p."""
         rotation = rotated(a[0], self.rotational)
-        c = (0.0, 0.0, 0.0) if self.first is None else screw.columns_times(a[0], self.first)
+        c = quat.ZERO if self.first is None else screw.columns_times(a[0], self.first)
         h = quat.add(c, quat.scale(self.mass, p))
         # parallel axis theorem: I - ([p][h] + [c][p]), written so that the result is exactly symmetric
         trace = quat.dot(p, quat.add(c, h))

@@ -11,6 +11,7 @@ ONE: Quaternion = (1.0, 0.0, 0.0, 0.0)
 I: Quaternion = (0.0, 1.0, 0.0, 0.0)
 J: Quaternion = (0.0, 0.0, 1.0, 0.0)
 K: Quaternion = (0.0, 0.0, 0.0, 1.0)
+ZERO: Pure = (0.0, 0.0, 0.0)
 
 
 def add(a, b):

@@ -14,6 +14,8 @@ Screw = tuple[Pure, Pure]  # (14)
 Columns = tuple[Pure, ...]  # three, of a 3x3 matrix
 Adjoint = tuple[Columns, Columns]  # (A_P, A_D), for A_H of (60)
 
+ZERO: Screw = (quat.ZERO, quat.ZERO)
+
 
 def add(a: Screw, b: Screw) -> Screw:
     """Sum of two screws."""
@@ -77,7 +79,7 @@ def columns(x: DualQuaternion) -> Adjoint:
 
 IDENTITY: Adjoint = (
     ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
-    ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    (quat.ZERO, quat.ZERO, quat.ZERO),
 )
 
 

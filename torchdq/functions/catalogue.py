@@ -16,11 +16,12 @@ from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.caches import PROGRAMS, remembered
 from torchdq.call import Computation
+from torchdq.checks import require_tensor
 from torchdq.dynamics import posed as mechanics
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.paper.rnea import exerted_wrenches
 from torchdq.dynamics.posed import Posed
-from torchdq.errors import ArgumentError, SingularInertiaError
+from torchdq.errors import SingularInertiaError
 from torchdq.program import autodiff as derive
 from torchdq.program.program import GROWTH, Argument, Program, Value, record
 from torchdq.robot import consistency
@@ -137,20 +138,14 @@ def potential_energy(x: RecipeInputs) -> Results:
 def forward_kinematics(x: RecipeInputs, *names: str) -> Results:
     """Poses of frames, joint by joint, by elementary screws."""
     at = x.posed()
-    return _poses(x, at.poses_in_chain() if isinstance(at, Aligned) else at.poses(), names)
+    X_WB = at.poses_in_chain() if isinstance(at, Aligned) else at.poses()
+    return _poses(x, names, lambda link, X_BF: dual_quaternion.mul(X_WB[link], X_BF))
 
 
 def forward_kinematics_in_link_frames(x: RecipeInputs, *names: str) -> Results:
     """Poses of frames, joint by joint, in the link frames of the description."""
-    return _poses(x, paper(x.robot, x.arguments["q"], x.overrides).poses(), names)
-
-
-def _poses(x: RecipeInputs, X_WB: Sequence[DualQuaternion], names: Sequence[str]) -> Results:
-    rows: list[Value | None] = []
-    for link, X_BF in (frame(x.robot, name) for name in names):
-        p, d = dual_quaternion.mul(X_WB[link], X_BF)
-        rows += [*p, *d]
-    return {"X": rows}
+    X_WB = paper(x.robot, x.arguments["q"], x.overrides).poses()
+    return _poses(x, names, lambda link, X_BF: dual_quaternion.mul(X_WB[link], X_BF))
 
 
 def forward_kinematics_from_base(x: RecipeInputs, *names: str) -> Results:
@@ -159,9 +154,14 @@ def forward_kinematics_from_base(x: RecipeInputs, *names: str) -> Results:
     if not isinstance(at, Aligned):
         return forward_kinematics(x, *names)
     links = at.poses_from_base()
-    rows: list[Value | None] = []
-    for link, X_BF in (frame(x.robot, name) for name in names):
-        p, d = dual_quaternion.mul(links[link].motion, dual_quaternion.mul(links[link].home, X_BF))
+    mul = dual_quaternion.mul
+    return _poses(x, names, lambda link, X_BF: mul(links[link].motion, mul(links[link].home, X_BF)))
+
+
+def _poses(x: RecipeInputs, names: Sequence[str], pose: Callable[[int, DualQuaternion], DualQuaternion]) -> Results:
+    """Poses of frames; `pose(link, X_BF)` is that of a frame on a link."""
+    rows: list[Value] = []
+    for p, d in (pose(*frame(x.robot, name)) for name in names):
         rows += [*p, *d]
     return {"X": rows}
 
@@ -264,8 +264,8 @@ class Function(_Call, Computation):
     def check(self, tensors: Mapping[str, Any]) -> None:
         """Raise unless all required arguments are present."""
         for name, _, optional in RECIPES[self.name].arguments:
-            if not optional and name not in tensors:
-                raise ArgumentError(f"{name} must be a tensor, found NoneType; use torch.as_tensor")
+            if not optional:
+                require_tensor(name, tensors.get(name))
 
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
         """Trailing axes of the results."""

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 from torchdq.numbers.ops import OPS
 from torchdq.numbers.record import Recorded, Tape
-from torchdq.program.program import Argument, Program, Value, finish, growths, replay, results
+from torchdq.program.program import Argument, Program, Value, finish, growths, inputs, replay, results
 
 
 def cotangents(program: Program, values: Sequence[Value], seeds: dict[int, Value]) -> dict[tuple[int, int], Value]:
@@ -39,10 +39,10 @@ def vjp(program: Program, wrt: Sequence[int]) -> Program:
     arguments = [*program.arguments]
     for r in program.results:
         arguments.append(Argument(_unused(f"{r.name}'", arguments), len(r.values), r.summed))
-    inputs = [[tape.input(k, j) for j in range(a.width)] for k, a in enumerate(arguments)]
-    values = replay(program, inputs)
+    rows = inputs(tape, arguments)
+    values = replay(program, rows)
     seeds: dict[int, Value] = {}
-    for result, row in zip(program.results, inputs[len(program.arguments) :], strict=True):
+    for result, row in zip(program.results, rows[len(program.arguments) :], strict=True):
         for v, seed in zip(result.values, row, strict=True):
             if not isinstance(v, float):
                 seeds[v[0]] = seeds.get(v[0], 0.0) + (-seed if v[1] else seed)
@@ -92,10 +92,10 @@ def jvp(program: Program, wrt: Sequence[int]) -> Program:
     arguments = [*program.arguments]
     for k in wrt:
         arguments.append(program.arguments[k]._replace(name=_unused(f"d{program.arguments[k].name}", arguments)))
-    inputs = [[tape.input(k, j) for j in range(a.width)] for k, a in enumerate(arguments)]
-    values = replay(program, inputs)
-    rows = zip(wrt, inputs[len(program.arguments) :], strict=True)
-    t = tangents(program, values, {(k, j): x for k, row in rows for j, x in enumerate(row)})
+    rows = inputs(tape, arguments)
+    values = replay(program, rows)
+    seeds = zip(wrt, rows[len(program.arguments) :], strict=True)
+    t = tangents(program, values, {(k, j): x for k, row in seeds for j, x in enumerate(row)})
     summed = [r.name for r in program.results if r.summed]
     outputs = _tangent_results(program, t)
     return finish(f"{program.name}_jvp", arguments, tape, outputs, summed, growths(program, values))
@@ -114,8 +114,7 @@ def jacobian(program: Program, wrt: Sequence[int]) -> Program:
 
 def _jacobian(program: Program, wrt: Sequence[int], by: Callable[..., dict[str, list[Value]]]) -> Program:
     tape = Tape()
-    inputs = [[tape.input(k, j) for j in range(a.width)] for k, a in enumerate(program.arguments)]
-    values = replay(program, inputs)
+    values = replay(program, inputs(tape, program.arguments))
     outputs = by(program, values, wrt)
     return finish(f"{program.name}_jacobian", program.arguments, tape, outputs, growths=growths(program, values))
 

@@ -12,7 +12,7 @@ from hashlib import sha256
 from typing import Protocol
 
 import torch
-from torch import Tensor
+from torch import Tensor, library
 
 from torchdq.caches import LAYOUTS, PROGRAMS, Bounded, remembered
 from torchdq.errors import ArgumentError
@@ -151,7 +151,7 @@ def _found(name: str) -> tuple[Execute, Program]:
     return _named[name]
 
 
-@torch.library.custom_op("torchdq::evaluate", mutates_args=())
+@library.custom_op("torchdq::evaluate", mutates_args=())
 def operator(program: str, inputs: Sequence[Tensor]) -> list[Tensor]:
     """Results of a program in a traced graph, which calls the program by its name."""
     execute, found = _found(program)

@@ -128,8 +128,7 @@ def record(
     Numbers named `GROWTH` are no result, but factors by which rounding errors are magnified on the way to the results.
     """
     tape = Tape()
-    inputs = [tuple(tape.input(k, j) for j in range(a.width)) for k, a in enumerate(arguments)]
-    found = dict(algorithm(*inputs))
+    found = dict(algorithm(*inputs(tape, arguments)))
     factors = found.pop(GROWTH, ())
     return with_half_angles(finish(name, arguments, tape, found, summed, factors))
 
@@ -139,18 +138,16 @@ def with_half_angles(program: Program) -> Program:
     half_of = halves(program.ops)
     if not half_of:
         return program
-    tape, values = Tape(), []
-    for op in program.ops:
-        if op.code == "in":
-            values.append(tape.input(*op.payload))
-        elif op.code == "const":
-            values.append(op.payload)
-        elif op.code in ("sin", "cos") and op.operands[0] in half_of:
-            half = 0.5 * values[op.operands[0]]
-            s, c = apply("sin", half), apply("cos", half)
-            values.append((s + s) * c if op.code == "sin" else 1.0 - (s + s) * s)
-        else:
-            values.append(apply(op.code, *[values[k] for k in op.operands]))
+
+    def from_half(op: Op, *x: Value) -> Value:
+        if op.code not in ("sin", "cos") or op.operands[0] not in half_of:
+            return apply(op.code, *x)
+        half = 0.5 * x[0]
+        s, c = apply("sin", half), apply("cos", half)
+        return (s + s) * c if op.code == "sin" else 1.0 - (s + s) * s
+
+    tape = Tape()
+    values = replay(program, inputs(tape, program.arguments), from_half)
     summed = [r.name for r in program.results if r.summed]
     return finish(program.name, program.arguments, tape, results(program, values), summed, growths(program, values))
 
@@ -196,17 +193,26 @@ def _shown(v: Output) -> str:
     return repr(v) if isinstance(v, float) else f"{'-' if v[1] else ''}x{v[0]}"
 
 
-def replay(program: Program, inputs: Sequence[Sequence[Value]]) -> list[Value]:
-    """Values of all operations of a program, evaluated on other numbers."""
+def inputs(tape: Tape, arguments: Sequence[Argument]) -> list[tuple[Recorded, ...]]:
+    """Row of recorded numbers for every argument."""
+    return [tuple(tape.input(k, j) for j in range(a.width)) for k, a in enumerate(arguments)]
+
+
+def replay(
+    program: Program,
+    rows: Sequence[Sequence[Value]],
+    operation: Callable[..., Value] = lambda op, *x: apply(op.code, *x),
+) -> list[Value]:
+    """Values of all operations of a program, evaluated on other numbers; `operation(op, *operands)` is one value."""
     values: list[Value] = []
     for op in program.ops:
         if op.code == "in":
             argument, component = op.payload
-            values.append(inputs[argument][component])
+            values.append(rows[argument][component])
         elif op.code == "const":
             values.append(op.payload)
         else:
-            values.append(apply(op.code, *[values[k] for k in op.operands]))
+            values.append(operation(op, *[values[k] for k in op.operands]))
     return values
 
 

@@ -4,13 +4,14 @@ They exist in torch 2.6 to 2.13. Where one is missing, a transform is taken to b
 no result.
 """
 
-from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from operator import attrgetter
 from typing import Any
 
 import torch
 from torch import Tensor
+from torch._functorch import pyfunctorch
 from torch.autograd import forward_ad
 from torch.utils import _python_dispatch
 
@@ -26,10 +27,16 @@ _functional = _private("_are_functorch_transforms_active", lambda: True)
 _batched_by_autograd = _private("_functorch.is_legacy_batchedtensor", lambda x: False)
 
 
-def with_values() -> AbstractContextManager[Any]:
-    """Context in which tensors are made with values, although torch.export traces with tensors that have none."""
-    modes = getattr(_python_dispatch, "_disable_current_modes", nullcontext)
-    return modes()
+@contextmanager
+def with_values() -> Iterator[None]:
+    """Context in which new tensors are plain ones, although torch.export or a transform of `torch.func` is active.
+
+    torch.export makes tensors without values, and a transform makes tensors that end with it.
+    """
+    no_export = getattr(_python_dispatch, "_disable_current_modes", nullcontext)
+    no_transform = getattr(pyfunctorch, "temporarily_clear_interpreter_stack", nullcontext)
+    with no_export(), no_transform():
+        yield
 
 
 def transforming() -> bool:

@@ -64,7 +64,7 @@ def joint_screws_in_base(tree: Tree, steps: Steps, i: int, r: Pure) -> dict[int,
     for j in reversed(list(path(tree.links, i))):
         step, parent = steps[j], tree.links[j].parent
         if step is None:
-            origins[j], axes[j] = (0.0, 0.0, 0.0), UNITS
+            origins[j], axes[j] = quat.ZERO, UNITS
             continue
         axes[j] = tuple(step.vector_to_link(e) for e in axes[parent])
         at = tuple(quat.dot(e, step.placement.p) for e in axes[parent])

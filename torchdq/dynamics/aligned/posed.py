@@ -169,7 +169,7 @@ class Aligned(NamedTuple):
         screws, u, d = [], [], []
         for i, (at, m) in enumerate(zip(self.alignments, motion[1:], strict=True), 1):
             # origin of the link frame in the aligned frame; its axes there are the rows of R_BL
-            origin = at.point_from_own((0.0, 0.0, 0.0))
+            origin = at.point_from_own(quat.ZERO)
             screws.append(kinematics.joint_screws(self.tree, self.steps, i, Point(origin, at.R_BL)))
             w, wd = at.vector_to_own(m.w), at.vector_to_own(m.A[0])
             u.append(rnea.tensor(w, wd))

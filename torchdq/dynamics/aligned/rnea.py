@@ -14,6 +14,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from torchdq.algebra import quaternion as quat
+from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
@@ -21,9 +22,6 @@ from torchdq.algebra.structural import add
 from torchdq.dynamics.acceleration import Matrix3, apply, net_wrench, tensor
 from torchdq.dynamics.aligned.placement import Step, Steps
 from torchdq.dynamics.tree import Tree
-
-ZERO: Pure = (0.0, 0.0, 0.0)
-STILL: Screw = (ZERO, ZERO)
 
 
 class FrameMotion(NamedTuple):
@@ -36,8 +34,8 @@ class FrameMotion(NamedTuple):
 
 def base_motion(X_WB: DualQuaternion | None, gravity: Pure | None, V: Screw | None, A: Screw | None) -> FrameMotion:
     """Motion of the base from its pose X_WB, its twist V and the rate A of V, in its frame; None: zero."""
-    g = ZERO if gravity is None else gravity if X_WB is None else quat.rotate(quat.conj(X_WB[0]), gravity)
-    (w, v), (wd, vd) = V or STILL, A or STILL
+    g = quat.ZERO if gravity is None else gravity if X_WB is None else quat.rotate(quat.conj(X_WB[0]), gravity)
+    (w, v), (wd, vd) = V or screw.ZERO, A or screw.ZERO
     d = quat.sub(quat.add(vd, quat.cross(w, v)), g)
     return FrameMotion(w, (wd, d), tensor(w, wd))
 
@@ -109,5 +107,5 @@ def twists(tree: Tree, steps: Steps, qd: Sequence[Number] | None) -> list[Screw]
     """Twist of every link in its frame, both parts."""
     V: list[Screw] = []
     for link, step, rate in zip(tree.links, steps, tree.rates(qd), strict=True):
-        V.append(add(STILL if step is None else step.to_link(V[link.parent]), rate) or STILL)  # (40)
+        V.append(add(screw.ZERO if step is None else step.to_link(V[link.parent]), rate) or screw.ZERO)  # (40)
     return V

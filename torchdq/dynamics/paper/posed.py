@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
+from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import Inertia
 from torchdq.algebra.matrix import Matrix
@@ -20,8 +21,6 @@ from torchdq.dynamics.acceleration import tensor
 from torchdq.dynamics.paper import closed_form, kinematics, rnea
 from torchdq.dynamics.posed import Exerted, Factors, Point, Row, factors_by_entries
 from torchdq.dynamics.tree import Tree
-
-STILL: Screw = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 class Paper(NamedTuple):
@@ -72,7 +71,7 @@ class Paper(NamedTuple):
     def twists(self, qd: Row) -> list[Screw]:
         """Twist of every link in its frame (40)."""
         V, _ = rnea.outward(self.tree, self.Ad, qd, None)
-        return [v or STILL for v in V]
+        return [v or screw.ZERO for v in V]
 
     def jacobian(self, i: int, X_BF: DualQuaternion, world: bool) -> list[Screw | None]:
         """Columns of the Jacobian of a frame, in its own or in world axes."""
@@ -131,7 +130,7 @@ class Paper(NamedTuple):
         V, A = rnea.outward(self.tree, self.Ad, qd, qdd)
         screws, u, d = [], [], []
         for i in range(1, len(self.tree.links)):
-            (w, v), (wd, vd) = V[i] or STILL, A[i] or STILL
+            (w, v), (wd, vd) = V[i] or screw.ZERO, A[i] or screw.ZERO
             screws.append(kinematics.joint_screws(self.tree, self.Ad, i))
             u.append(tensor(w, wd))
             d.append(quat.add(vd, quat.cross(w, v)))

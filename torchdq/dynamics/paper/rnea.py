@@ -23,7 +23,7 @@ from torchdq.dynamics.tree import WORLD, Tree
 
 def world_acceleration(tree: Tree) -> Screw | None:
     """Acceleration -eps g of the world, which stands for gravity."""
-    return None if tree.gravity is None else ((0.0, 0.0, 0.0), quat.neg(tree.gravity))  # Algorithm 1, initialisation
+    return None if tree.gravity is None else (quat.ZERO, quat.neg(tree.gravity))  # Algorithm 1, initialisation
 
 
 def outward(
