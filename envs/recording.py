@@ -20,7 +20,7 @@ from torchdq.envs.integrators import Integrator
 from torchdq.envs.spec import Memory, RecordedScene, Row, Rows, SceneSpec, Task, View, recorded
 from torchdq.envs.system import SceneSystem
 from torchdq.errors import ArgumentError
-from torchdq.functions.catalogue import trailing, ways
+from torchdq.functions.catalogue import trailing, worth_recording
 from torchdq.program.program import GROWTH, Argument, Program, record
 
 
@@ -218,7 +218,7 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
     owners = [owned(a.name) for a in arguments]
     per_sample = [owner for owner, a in zip(owners, arguments, strict=True) if owner and not a.uniform]
 
-    def way(linear: bool) -> Program:
+    def by(linear: bool) -> Program:
         def algorithm(*rows: Row) -> Rows:
             inputs = {a.name: row for a, owner, row in zip(arguments, owners, rows, strict=True) if not owner}
             tensors = {owner: row for owner, row in zip(owners, rows, strict=True) if owner}
@@ -226,7 +226,7 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
 
         return record(f"{what.stage}_{spec.robot.name}", arguments, algorithm)
 
-    return min(map(way, ways(spec.robot.n, (False, True))), key=lambda p: p.count().total)
+    return min(map(by, worth_recording(spec.robot.n, (False, True))), key=lambda p: p.count().total)
 
 
 def owned(name: str) -> tuple[int, str] | None:

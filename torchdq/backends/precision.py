@@ -48,14 +48,14 @@ def guarded(backend: Backend, program: Program, inputs: Sequence[Tensor]) -> lis
     if not samples:
         return _outputs(backend, program, inputs, samples)[:-1]
     dtype = inputs[0].dtype
-    asked = not (backend.differentiable and without_values(inputs))
-    if not asked and dtype != torch.float64:
+    readable = not (backend.differentiable and without_values(inputs))
+    if not readable and dtype != torch.float64:
         # values cannot be read here, so all rows are computed in float64
         return [y.to(dtype) for y in guarded(backend, program, [x.double() for x in inputs])]
     *results, growth = _outputs(backend, program, inputs, samples)
     limit = LARGEST_GROWTH.double if dtype == torch.float64 else LARGEST_GROWTH.single
     # amax is NaN if one of the rows is NaN
-    if asked and (growth if samples == 1 else growth.amax()).item() <= limit:
+    if readable and (growth if samples == 1 else growth.amax()).item() <= limit:
         return results
     over = ~(growth[:, 0].detach() <= limit)
     if dtype == torch.float64:

@@ -33,7 +33,7 @@ LONG = 9  # number of joints from which an O(n) candidate is recorded
 VERY_LONG = 64  # number of joints from which only the O(n) candidate is recorded
 
 Results = dict[str, Sequence[Value | None]]
-Way = TypeVar("Way")
+Candidate = TypeVar("Candidate")
 
 
 class RecipeInputs(NamedTuple):
@@ -179,7 +179,7 @@ def _six(s: Screw | None) -> tuple[Number | None, ...]:
 Axes = tuple[int | str, ...]  # trailing axes, "n" being the number of joints
 
 
-def ways(n: int, known: Sequence[Way]) -> Sequence[Way]:
+def worth_recording(n: int, known: Sequence[Candidate]) -> Sequence[Candidate]:
     """Candidates to record: the dense one below 9 joints, both below 64, then only the O(n) one."""
     return known[:1] if n < LONG else known if n < VERY_LONG else known[-1:]
 
@@ -189,7 +189,7 @@ class Recipe(NamedTuple):
 
     arguments: tuple[tuple[str, Axes, bool], ...]  # name, trailing axes, whether it may be absent
     # candidate formulas; the one with the fewest operations for the robot becomes the program
-    ways: tuple[Callable[..., Results], ...]
+    formulas: tuple[Callable[..., Results], ...]
     results: Callable[..., tuple[tuple[int, ...], ...]]  # trailing axes of the results, from n and the options
     each: bool = False  # whether all candidates are recorded, whatever the number of joints
 
@@ -286,15 +286,15 @@ def _program(what: Function, arguments: tuple[Argument, ...]) -> Program:
     robot, recipe = recorded(what.constants), RECIPES[what.name]
     per_sample = tuple(a.name for a in arguments if a.name in SHAPES and not a.uniform)
 
-    def by(way: Callable[..., Results]) -> Program:
+    def by(formula: Callable[..., Results]) -> Program:
         def algorithm(*rows: Sequence[Number]) -> Results:
             named = {a.name: row for a, row in zip(arguments, rows, strict=True)}
             overrides = {name: named.pop(name) for name in SHAPES if name in named}
-            return way(RecipeInputs(robot, named, overrides, per_sample), *what.options)
+            return formula(RecipeInputs(robot, named, overrides, per_sample), *what.options)
 
-        return record(f"{way.__name__}_{robot.name}", arguments, algorithm)
+        return record(f"{formula.__name__}_{robot.name}", arguments, algorithm)
 
-    worth = recipe.ways if recipe.each else ways(robot.n, recipe.ways)
-    best = min(map(by, worth), key=lambda p: p.count().total)
+    known = recipe.formulas if recipe.each else worth_recording(robot.n, recipe.formulas)
+    best = min(map(by, known), key=lambda p: p.count().total)
     wrt = DERIVATIVES.get(what.name)
     return best if wrt is None else derive.jacobian(best, wrt)
