@@ -1065,8 +1065,8 @@ MUTANTS = (
         ),
         (
             "errors that grow without a limit",
-            "if asked and (growth",
-            "if asked or (growth",
+            "if readable and (growth",
+            "if readable or (growth",
             f"{GROWTH}::test_samples_that_float32_would_lose_are_those_of_float64_rounded",
         ),
         (
@@ -1083,8 +1083,8 @@ MUTANTS = (
         ),
         (
             "samples that a transform hides asked all the same",
-            "asked = not (backend.differentiable and without_values(inputs))",
-            "asked = True",
+            "readable = not (backend.differentiable and without_values(inputs))",
+            "readable = True",
             f"{GROWTH}::test_transforms_mend_the_same_samples",
         ),
         (
