@@ -1065,8 +1065,8 @@ MUTANTS = (
         ),
         (
             "errors that grow without a limit",
-            "if readable and (growth",
-            "if readable or (growth",
+            "if readable and _within",
+            "if readable or _within",
             f"{GROWTH}::test_samples_that_float32_would_lose_are_those_of_float64_rounded",
         ),
         (
@@ -1089,8 +1089,8 @@ MUTANTS = (
         ),
         (
             "a growth that is NaN passed over",
-            "over = ~(growth[:, 0].detach() <= limit)",
-            "over = growth[:, 0].detach() > limit",
+            "over = ~(growth[:, 0].detach() <= _limit(dtype))",
+            "over = growth[:, 0].detach() > _limit(dtype)",
             f"{GROWTH}::test_a_sample_whose_growth_is_no_number_is_recomputed_too",
         ),
     ),
@@ -1601,18 +1601,18 @@ MUTANTS = (
     ),
     # --- control and learning -----------------------------------------------------------------------------------------
     *within(
-        "torchdq/control.py",
-        ("75: positions in the place of velocities", "kd * (qd_des - qd)", "kd * (qd_des - q)", ours("75")),
+        "torchdq/functions/catalogue.py",
+        ("75: positions in the place of velocities", "d * (qd_d - qd_i)", "d * (qd_d - q_i)", ours("75")),
         (
-            "73: the wrench fed forward with the other sign",
-            "acceleration, f_tip=f_tip",
-            "acceleration, f_tip=None if f_tip is None else -f_tip",
+            "73: the wrench left out of the feed-forward",
+            "at.torques(qd, a, x.exerted(at))",
+            "at.torques(qd, a, None)",
             ours("75"),
         ),
         (
             "the velocity gain on positions",
-            "+ kp * (q_des - q)",
-            "+ kd * (q_des - q)",
+            "+ p * (q_d - q_i) for",
+            "+ d * (q_d - q_i) for",
             f"{CONTROL}::test_the_robot_accelerates_as_commanded",
         ),
     ),

@@ -483,37 +483,37 @@ SECTION_5_4 = (
     Row(
         "73",
         "feedback linearisation, tau = M a_c + c + g + J^T F_EF: one recursion",
-        "control:computed_torque envs.controllers:ComputedTorque.torques",
+        "functions.catalogue:computed_torque envs.controllers:ComputedTorque.torques",
         f"{CONTROL}_it_is_the_closed_form_with_the_commanded_acceleration",
     ),
     Row(
         "74",
         "which leaves qdd = a_c",
-        "control:computed_torque envs.controllers:ComputedTorque.torques",
+        "functions.catalogue:computed_torque envs.controllers:ComputedTorque.torques",
         f"{CONTROL}_the_robot_accelerates_as_commanded",
     ),
     Row(
         "75",
         "a_c = -K_P q - K_D qd + r",
-        "control:computed_torque envs.controllers:Feedback.corrected",
+        "functions.catalogue:computed_torque envs.controllers:Feedback.corrected",
         f"{CONTROL}_without_its_dot_75_leaves_a_fifth_of_a_radian",
     ),
     Row(
         "76",
         "r = qdd_des + K_P q_des + K_D qd_des",
-        "control:computed_torque envs.controllers:Feedback.corrected",
+        "functions.catalogue:computed_torque envs.controllers:Feedback.corrected",
         f"{CONTROL}_a_robot_where_it_should_be_is_only_held",
     ),
     Row(
         "77",
         "a_c = K_P (q_des - q) + K_D (qd_des - qd) + qdd_des",
-        "control:computed_torque envs.controllers:Feedback.corrected",
+        "functions.catalogue:computed_torque envs.controllers:Feedback.corrected",
         f"{OURS}[75]",
     ),
     Row(
         "78",
         "the same with the errors named: e'' + K_D e' + K_P e = 0",
-        "control:computed_torque envs.controllers:Feedback.corrected",
+        "functions.catalogue:computed_torque envs.controllers:Feedback.corrected",
         f"{CONTROL}_the_error_dies_as_its_equation_says",
     ),
 )

@@ -63,6 +63,7 @@ def recipes(name: str) -> dict[str, Callable[[], Program]]:
         "forward_dynamics wrenches": {"present": ("q", "qd", "tau", *WRENCHES)},
         "forward_dynamics geometry arguments": {"fields": GEOMETRY},
         "forward_dynamics vjp": {"derivative": True},
+        "computed_torque": {},
         "mass_matrix": {},
         "error_growth": {},
         "closed_form": {"options": ("",)},

@@ -31,13 +31,13 @@ from torch import Tensor
 
 from torchdq.backends.backend import Backend
 from torchdq.backends.choice import BackendName, choose, present
-from torchdq.backends.precision import Guarded
+from torchdq.backends.precision import Guarded, unguarded
 from torchdq.backends.run import run
 from torchdq.backends.torch import EAGER
 from torchdq.caches import LAYOUTS, Bounded
 from torchdq.checks import require_tensor
 from torchdq.errors import ArgumentError, DtypeError
-from torchdq.program.autograd import named, operator
+from torchdq.program.autograd import in_a_graph, named, operator
 from torchdq.program.program import Argument, Program
 from torchdq.program.transforms import with_values
 
@@ -94,6 +94,8 @@ class CallLayout(NamedTuple):
     program: Program
     backend: Backend
     results: tuple[tuple[str, Shape], ...]
+    samples: int
+    direct: tuple[Shape, ...] | None  # shapes of all outputs if the tensors can be taken as they are; None: they cannot
 
 
 _layouts: Bounded[tuple, CallLayout] = Bounded(LAYOUTS)
@@ -122,6 +124,9 @@ def evaluate(
     if layout is None:
         layout = _layouts[key] = _layout(what, tensors, backend, double)
     given = [x for x in tensors.values() if x is not None]
+    found = _direct(layout, given)
+    if found is not None:
+        return {name: y for (name, _), y in zip(layout.results, found, strict=True)}
     rows = [_row(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]
     found = run(layout.program, rows, layout.backend)
     narrow = given[0].dtype
@@ -130,6 +135,17 @@ def evaluate(
     return {
         name: y if y.shape == shape else y.view(shape) for y, (name, shape) in zip(found, layout.results, strict=True)
     }
+
+
+def _direct(layout: CallLayout, given: Sequence[Tensor]) -> Sequence[Tensor] | None:
+    """Results of a call without views of its tensors; None: some are needed, or torch records its operations.
+
+    A view takes a microsecond, which counts where a call has one sample.
+    """
+    if layout.direct is None or in_a_graph(given):
+        return None
+    rows = [x.contiguous() for x in given]
+    return unguarded(layout.backend, layout.program, rows, layout.direct, layout.samples)
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------
@@ -183,14 +199,28 @@ def _require_alike(name: str, x: Tensor, other: str, like: Tensor) -> None:
 def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, double: bool) -> CallLayout:
     arguments, rows, batch = _arranged(what, tensors)
     like = next(x for x in tensors.values() if x is not None)
-    program = _recorded(what, arguments)
+    dtype, device = torch.float64 if double else like.dtype, like.device
+    program, chosen = _recorded(what, arguments), choose(backend, device)
+    shapes = _shapes(what, program)
+    alike = all(x is None or (x.dtype == dtype and x.device == device) for x in tensors.values())
+    direct = None
+    if alike and not (
+        chosen.differentiable
+        or 0 in batch
+        or any(row.expanded is not None for row in rows)
+        or any(summed for _, summed, _ in shapes)
+    ):
+        growth = () if program.growth is None else (batch,)
+        direct = (*(batch + axes for _, _, axes in shapes), *growth)
     return CallLayout(
         rows,
-        torch.float64 if double else like.dtype,
-        like.device,
+        dtype,
+        device,
         program,
-        choose(backend, like.device),
-        tuple([(name, axes if summed else batch + axes) for name, summed, axes in _shapes(what, program)]),
+        chosen,
+        tuple([(name, axes if summed else batch + axes) for name, summed, axes in shapes]),
+        math.prod(batch),
+        direct,
     )
 
 

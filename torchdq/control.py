@@ -1,10 +1,12 @@
 """Computed torque control: feedback linearisation by the inverse dynamics, equations (73)-(78)."""
 
+import torch
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
+from torchdq.checks import require_tensor
 from torchdq.errors import ArgumentError
-from torchdq.functional import check, inverse_dynamics
+from torchdq.functional import function_of
 from torchdq.robot import Robot
 
 
@@ -24,8 +26,8 @@ def computed_torque(
 
         tau = M a + c + g + J^T f_tip,   a = qdd_des + kd (qd_des - qd) + kp (q_des - q)
 
-    that is inverse dynamics with the acceleration a, gravity of the robot included. If the model is wrong, the error
-    does not vanish, but is bounded by the model error divided by the gains.
+    that is inverse dynamics with the acceleration a, gravity of the robot included, as one program. If the model is
+    wrong, the error does not vanish, but is bounded by the model error divided by the gains.
 
     Args:
         robot: the model of the robot that is controlled.
@@ -37,10 +39,17 @@ def computed_torque(
 
     Source: (73)-(78); departure: erratum 75.
     """
-    for name, gain in (("kp", kp), ("kd", kd)):
-        if not isinstance(gain, Tensor | float | int):
-            raise ArgumentError(f"{name} must be a number or a tensor, found {type(gain).__name__}")
-    gains = {name: gain for name, gain in (("kp", kp), ("kd", kd)) if isinstance(gain, Tensor) and gain.ndim}
-    check(robot, ("f_tip",), q=q, qd=qd, q_des=q_des, qd_des=qd_des, qdd_des=qdd_des, f_tip=f_tip, **gains)
-    acceleration = qdd_des + kd * (qd_des - qd) + kp * (q_des - q)  # (75)-(78), erratum 75
-    return inverse_dynamics(robot, q, qd, acceleration, f_tip=f_tip, backend=backend)  # (73), (74)
+    require_tensor("q", q)
+    given = {"q": q, "qd": qd, "q_des": q_des, "qd_des": qd_des, "qdd_des": qdd_des}
+    gains = {"kp": _gain("kp", kp, q), "kd": _gain("kd", kd, q)}
+    single = tuple([name for name, gain in gains.items() if not gain.ndim])
+    return function_of("computed_torque", robot, {**given, **gains, "f_tip": f_tip}, backend, single)[0]
+
+
+def _gain(name: str, gain: Tensor | float, q: Tensor) -> Tensor:
+    """Gain as a tensor, a single number in the dtype of q."""
+    if isinstance(gain, Tensor):
+        return gain if gain.ndim else gain.to(q)
+    if not isinstance(gain, float | int):
+        raise ArgumentError(f"{name} must be a number or a tensor, found {type(gain).__name__}")
+    return torch.tensor(gain, dtype=q.dtype, device=q.device)

@@ -96,7 +96,7 @@ def _with_tensors(robot: Robot, given: dict[str, Tensor | None]) -> dict[str, Te
     return given
 
 
-def _evaluate(
+def function_of(
     name: str,
     robot: Robot,
     given: dict[str, Tensor | None],
@@ -104,7 +104,7 @@ def _evaluate(
     options: tuple[str, ...] = (),
     double: bool = False,
 ) -> list[Tensor]:
-    """Results of a function, with the broadcast batch axes of all tensors."""
+    """Results of a function of the catalogue, with the broadcast batch axes of all tensors."""
     what = Function(constants(_robot(robot)), name, options)
     return list(evaluate(what, _with_tensors(robot, given), backend, double).values())
 
@@ -150,7 +150,7 @@ def inverse_dynamics(
     >>> inverse_dynamics(robot, torch.zeros(2, dtype=torch.float64))  # holding the arm against gravity
     tensor([19.6200,  4.9050], dtype=torch.float64)
     """
-    return _evaluate(
+    return function_of(
         "inverse_dynamics", robot, {"q": q, "qd": qd, "qdd": qdd, "f_tip": f_tip, "f_ext": f_ext}, backend
     )[0]
 
@@ -167,7 +167,7 @@ def mass_matrix(robot: Robot, q: Tensor, backend: BackendName | None = None) -> 
     tensor([[32., 10.],
             [10.,  4.]])
     """
-    return _evaluate("mass_matrix", robot, {"q": q}, backend)[0]
+    return function_of("mass_matrix", robot, {"q": q}, backend)[0]
 
 
 def forward_dynamics(
@@ -201,7 +201,7 @@ def forward_dynamics(
     tensor(True)
     """
     given = {"q": q, "qd": qd, "tau": tau, "f_tip": f_tip, "f_ext": f_ext}
-    return _evaluate("forward_dynamics", robot, given, backend, double=check_precision(precision) == "double")[0]
+    return function_of("forward_dynamics", robot, given, backend, double=check_precision(precision) == "double")[0]
 
 
 def error_growth(robot: Robot, q: Tensor, backend: BackendName | None = None) -> Tensor:
@@ -220,7 +220,7 @@ def error_growth(robot: Robot, q: Tensor, backend: BackendName | None = None) ->
     >>> error_growth(torchdq.robots.load("two_link"), torch.zeros(2, dtype=torch.float64))
     tensor(4.5714, dtype=torch.float64)
     """
-    return _evaluate("error_growth", robot, {"q": q}, backend)[0]
+    return function_of("error_growth", robot, {"q": q}, backend)[0]
 
 
 class ClosedForm(NamedTuple):
@@ -251,7 +251,7 @@ def closed_form(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None
     >>> closed_form(robot, q, torch.zeros_like(q)).g
     tensor([18.5756,  4.5178], dtype=torch.float64)
     """
-    M, c, g, *Jt = _evaluate("closed_form", robot, {"q": q, "qd": qd}, backend, (_robot(robot).tip or "",))
+    M, c, g, *Jt = function_of("closed_form", robot, {"q": q, "qd": qd}, backend, (_robot(robot).tip or "",))
     return ClosedForm(M, c, g, Jt[0] if Jt else None)
 
 
@@ -272,7 +272,7 @@ def regressor(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, backend: Backend
     >>> torch.allclose(tau, inverse_dynamics(robot, q, q), rtol=1e-12)
     True
     """
-    return _evaluate("regressor", robot, {"q": q, "qd": qd, "qdd": qdd}, backend)[0]
+    return function_of("regressor", robot, {"q": q, "qd": qd, "qdd": qdd}, backend)[0]
 
 
 def kinetic_energy(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None = None) -> Tensor:
@@ -282,7 +282,7 @@ def kinetic_energy(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | N
         robot: the robot.
         q, qd: joint positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
     """
-    return _evaluate("kinetic_energy", robot, {"q": q, "qd": qd}, backend)[0]
+    return function_of("kinetic_energy", robot, {"q": q, "qd": qd}, backend)[0]
 
 
 def potential_energy(robot: Robot, q: Tensor, backend: BackendName | None = None) -> Tensor:
@@ -292,7 +292,7 @@ def potential_energy(robot: Robot, q: Tensor, backend: BackendName | None = None
         robot: the robot.
         q: joint positions [rad or m], shape [..., n].
     """
-    return _evaluate("potential_energy", robot, {"q": q}, backend)[0]
+    return function_of("potential_energy", robot, {"q": q}, backend)[0]
 
 
 # --- kinematics ------------------------------------------------------------------------------------------------------
@@ -312,7 +312,7 @@ def forward_kinematics(robot: Robot, q: Tensor, frame: str | None = None, backen
     tensor([2., 0., 0.])
     """
     names = _robot(robot).frame_names if frame is None else (_robot(robot).frame(frame).name,)
-    X = _evaluate("forward_kinematics", robot, {"q": q}, backend, names)[0]
+    X = function_of("forward_kinematics", robot, {"q": q}, backend, names)[0]
     return X if frame is None else X.squeeze(-2)
 
 
@@ -338,7 +338,7 @@ def jacobian(
     """
     if expressed not in ("body", "world"):
         raise ArgumentError(f"expressed must be 'body' or 'world', found {expressed!r}")
-    return _evaluate("jacobian", robot, {"q": q}, backend, (_robot(robot).frame(frame).name, expressed))[0]
+    return function_of("jacobian", robot, {"q": q}, backend, (_robot(robot).frame(frame).name, expressed))[0]
 
 
 def dynamics_jacobian(
@@ -351,5 +351,5 @@ def dynamics_jacobian(
         q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2],
             shape [..., n].
     """
-    dtau_dq, dtau_dqd = _evaluate("inverse_dynamics_jacobian", robot, {"q": q, "qd": qd, "qdd": qdd}, backend)
+    dtau_dq, dtau_dqd = function_of("inverse_dynamics_jacobian", robot, {"q": q, "qd": qd, "qdd": qdd}, backend)
     return dtau_dq, dtau_dqd, mass_matrix(robot, q, backend).expand_as(dtau_dq)

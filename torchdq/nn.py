@@ -302,7 +302,7 @@ class ComputedTorque(RobotModule):
         self, q: Tensor, qd: Tensor, q_des: Tensor, qd_des: Tensor, qdd_des: Tensor, f_tip: Tensor | None = None
     ) -> Tensor:
         """Joint torques [..., n]; see `torchdq.computed_torque`."""
-        kp, kd = (gain.to(dtype=q.dtype, device=q.device) for gain in (self.kp, self.kd))
+        kp, kd = self.kp.to(q), self.kd.to(q)
         tau = computed_torque(self.robot, q, qd, q_des, qd_des, qdd_des, kp, kd, f_tip, self.backend)
         learned = self._learned_torque(q, qd)
         return tau if learned is None else tau + learned

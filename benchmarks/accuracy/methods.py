@@ -23,7 +23,7 @@ from torchdq.envs import integrators
 from torchdq.envs.integrators import Integrator, Row, System
 from torchdq.envs.spec import recorded as recorded_scene
 from torchdq.envs.system import SceneSystem
-from torchdq.functions.catalogue import ways
+from torchdq.functions.catalogue import worth_recording
 from torchdq.program.program import GROWTH, Argument, Program, record
 
 Runner = Callable[[Program, Sequence[Tensor]], Sequence[Tensor]]
@@ -86,7 +86,7 @@ def _recorded(case: Case, name: str, of: Callable[..., dict[str, Any]]) -> Progr
 
         return record(f"{name}_{case.name}", arguments, algorithm)
 
-    return min(map(recorded, ways(n, (False, True))), key=lambda p: p.count().total)
+    return min(map(recorded, worth_recording(n, (False, True))), key=lambda p: p.count().total)
 
 
 # --- steps -----------------------------------------------------------------------------------------------------------

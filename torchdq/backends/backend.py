@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -10,8 +11,22 @@ from torch import Tensor
 from torchdq.errors import TorchdqError
 from torchdq.program.program import Program
 
-Kernel = Callable[[Sequence[Tensor], int], list[Tensor]]
-"""Outputs of a program from its arguments, tensors [samples, width] or [width], and the number of samples."""
+
+class Kernel(Protocol):
+    """Function that computes all outputs of a program."""
+
+    def __call__(self, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
+        """Outputs [samples, width], summed ones [width], from arguments [samples, width], uniform ones [width]."""
+
+
+class DirectKernel(Kernel, Protocol):
+    """Kernel of a backend that is not differentiable: it also writes to tensors that exist."""
+
+    def into(self, inputs: Sequence[Tensor], results: Sequence[Tensor], samples: int) -> None:
+        """Compute the outputs, none of them summed, into given tensors.
+
+        All tensors are contiguous and of one dtype; only their number of elements matters.
+        """
 
 
 class Backend:

@@ -51,27 +51,36 @@ class CompiledKernel:
 
     def __call__(self, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
         """Outputs of the program; arguments that are not contiguous are copied."""
-        inputs = [x.contiguous() for x in inputs]
-        few = samples <= threads.BLOCK
-        number, size = (1, samples) if few else threads.shares(samples, self.operations, self.any_summed)
-        parts = 1 if few else -(-samples // size)
+        number, size = threads.shares(samples, self.operations, self.any_summed)
+        parts = max(1, -(-samples // size))
         found = [
             torch.empty((parts if summed else samples, width), dtype=self.dtype, device="cpu")
             for width, summed in self.widths
         ]
-        pointers = [x.data_ptr() for x in (*inputs, *found)]
-        if parts == 1:
-            self.function(samples, *pointers)
-        else:
-
-            def part(k: int) -> None:
-                at = [
-                    p + (k if summed else k * size) * stride
-                    for p, (stride, summed) in zip(pointers, self.strides, strict=True)
-                ]
-                self.function(min(size, samples - k * size), *at)
-
-            threads.run(part, parts, number)
+        self._run([*[x.contiguous() for x in inputs], *found], samples, number, size)
         if self.any_summed:
             return [y.sum(0) if summed else y for y, (_, summed) in zip(found, self.widths, strict=True)]
         return found
+
+    def into(self, inputs: Sequence[Tensor], results: Sequence[Tensor], samples: int) -> None:
+        """Compute the outputs, none of them summed, into given tensors.
+
+        All tensors are contiguous and have the dtype of the kernel; only their number of elements matters.
+        """
+        self._run([*inputs, *results], samples, *threads.shares(samples, self.operations, False))
+
+    def _run(self, tensors: Sequence[Tensor], samples: int, number: int, size: int) -> None:
+        """Run the program on all tensors, with a number of threads and a number of samples in each part."""
+        pointers = [x.data_ptr() for x in tensors]
+        if samples <= size:
+            self.function(samples, *pointers)
+            return
+
+        def part(k: int) -> None:
+            at = [
+                p + (k if summed else k * size) * stride
+                for p, (stride, summed) in zip(pointers, self.strides, strict=True)
+            ]
+            self.function(min(size, samples - k * size), *at)
+
+        threads.run(part, -(-samples // size), number)

@@ -7,12 +7,12 @@ recomputed in float64 and rounded; rows over the float64 limit become NaN. Other
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import torch
 from torch import Tensor
 
-from torchdq.backends.backend import Backend, Kernel
+from torchdq.backends.backend import Backend, DirectKernel, Kernel
 from torchdq.backends.torch import EAGER
 from torchdq.caches import PROGRAMS, remembered
 from torchdq.program.program import LARGEST_GROWTH, Program, samples_of
@@ -53,14 +53,42 @@ def guarded(backend: Backend, program: Program, inputs: Sequence[Tensor]) -> lis
         # values cannot be read here, so all rows are computed in float64
         return [y.to(dtype) for y in guarded(backend, program, [x.double() for x in inputs])]
     *results, growth = _outputs(backend, program, inputs, samples)
-    limit = LARGEST_GROWTH.double if dtype == torch.float64 else LARGEST_GROWTH.single
-    # amax is NaN if one of the rows is NaN
-    if readable and (growth if samples == 1 else growth.amax()).item() <= limit:
+    if readable and _within_limit(growth, samples):
         return results
-    over = ~(growth[:, 0].detach() <= limit)
+    over = ~(growth[:, 0].detach() <= _limit(dtype))
     if dtype == torch.float64:
         return _or_nan(program, results, over)
     return _recomputed(backend, program, inputs, results, over)
+
+
+def unguarded(
+    backend: Backend, program: Program, inputs: Sequence[Tensor], shapes: Sequence[Sequence[int]], samples: int
+) -> list[Tensor] | None:
+    """Results in final shapes, without views on the way; None: a row is over the limit, and `guarded` must be called.
+
+    Args:
+        backend: one that is not differentiable.
+        program: without sums over the samples.
+        inputs: contiguous tensors of one dtype, in any shapes with the elements of [samples, width].
+        shapes: of the outputs of the program.
+        samples: number of samples, at least one.
+    """
+    like = inputs[0]
+    found = [torch.empty(shape, dtype=like.dtype, device=like.device) for shape in shapes]
+    direct = cast(DirectKernel, kernel(backend, program, like.dtype, like.device))
+    direct.into(inputs, found, samples)
+    if program.growth is None:
+        return found
+    return found if _within_limit(found.pop(), samples) else None
+
+
+def _within_limit(growth: Tensor, samples: int) -> bool:
+    """Whether the errors of all rows grow less than the limit; False if one of them is NaN."""
+    return (growth if samples == 1 else growth.amax()).item() <= _limit(growth.dtype)
+
+
+def _limit(dtype: torch.dtype) -> float:
+    return LARGEST_GROWTH.double if dtype == torch.float64 else LARGEST_GROWTH.single
 
 
 def _outputs(backend: Backend, program: Program, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:

@@ -45,6 +45,8 @@ def shares(samples: int, operations: int, sums: bool) -> tuple[int, int]:
         sums: whether results are summed; then the size of a part is fixed, so that the sum does not depend on the
             number of threads.
     """
+    if samples <= BLOCK:
+        return 1, BLOCK
     threads = min(torch.get_num_threads(), samples // max(BLOCK, int(8 * PER_THREAD / max(1, operations))))
     size = samples
     if sums:

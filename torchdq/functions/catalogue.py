@@ -29,6 +29,7 @@ from torchdq.robot.constants import Constants
 from torchdq.robot.posed import GEOMETRY, INERTIAL, Overrides, as_screw, factors, frame, paper, posed, solve, tree
 from torchdq.robot.robot import SHAPES, Robot, recorded
 
+TRACKING = ("q", "qd", "q_des", "qd_des", "qdd_des", "kp", "kd")  # arguments of computed torque control
 LONG = 9  # number of joints from which an O(n) candidate is recorded
 VERY_LONG = 64  # number of joints from which only the O(n) candidate is recorded
 
@@ -74,6 +75,16 @@ def inverse_dynamics(x: RecipeInputs) -> Results:
     """Torques tau."""
     at = x.posed()
     return {"tau": at.torques(x.arguments.get("qd"), x.arguments.get("qdd"), x.exerted(at))}
+
+
+def computed_torque(x: RecipeInputs, *single: str) -> Results:
+    """Torques tau of the desired acceleration, errors fed back; gains in `single` are one number for all joints."""
+    given = {name: row * x.robot.n if name in single else row for name, row in x.arguments.items()}
+    q, qd, q_des, qd_des, qdd_des, kp, kd = (given[name] for name in TRACKING)
+    columns = zip(q, qd, q_des, qd_des, qdd_des, kp, kd, strict=True)
+    a = [qdd_d + d * (qd_d - qd_i) + p * (q_d - q_i) for q_i, qd_i, q_d, qd_d, qdd_d, p, d in columns]  # (75)-(78)
+    at = x.posed()
+    return {"tau": at.torques(qd, a, x.exerted(at))}  # (73), (74), erratum 75
 
 
 def mass_matrix(x: RecipeInputs) -> Results:
@@ -192,6 +203,7 @@ class Recipe(NamedTuple):
     formulas: tuple[Callable[..., Results], ...]
     results: Callable[..., tuple[tuple[int, ...], ...]]  # trailing axes of the results, from n and the options
     each: bool = False  # whether all candidates are recorded, whatever the number of joints
+    single: tuple[str, ...] = ()  # arguments that are one number for all joints if they are among the options
 
 
 def _joints(*names: str) -> tuple[tuple[str, Axes, bool], ...]:
@@ -204,6 +216,9 @@ _RATES: tuple[tuple[str, Axes, bool], ...] = (("qd", ("n",), True), ("qdd", ("n"
 RECIPES: dict[str, Recipe] = {
     "inverse_dynamics": Recipe((*_joints("q"), *_RATES, *_WRENCHES), (inverse_dynamics,), lambda n: ((n,),)),
     "inverse_dynamics_jacobian": Recipe(_joints("q", "qd", "qdd"), (inverse_dynamics,), lambda n: ((n, n), (n, n))),
+    "computed_torque": Recipe(
+        (*_joints(*TRACKING), _WRENCHES[0]), (computed_torque,), lambda n, *single: ((n,),), single=("kp", "kd")
+    ),
     "mass_matrix": Recipe(_joints("q"), (mass_matrix,), lambda n: ((n, n),)),
     "forward_dynamics": Recipe(
         (*_joints("q"), _RATES[0], *_joints("tau"), *_WRENCHES),
@@ -246,7 +261,10 @@ class Function(_Call, Computation):
 
     def axes(self, name: str) -> tuple[int, ...]:
         """Trailing axes of an argument, or of a tensor of the robot."""
-        known = {argument: axes for argument, axes, _ in RECIPES[self.name].arguments}
+        recipe = RECIPES[self.name]
+        if name in recipe.single and name in self.options:
+            return ()
+        known = {argument: axes for argument, axes, _ in recipe.arguments}
         return trailing({**known, **SHAPES}[name], self.n)
 
     def shared(self, name: str) -> bool:

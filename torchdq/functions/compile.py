@@ -122,7 +122,7 @@ def compile(
     Args:
         robot: the robot; its tensors are constants of the program, replaced tensors are arguments.
         function: "inverse_dynamics", "forward_dynamics", "mass_matrix", "closed_form", "regressor", "jacobian",
-            "forward_kinematics", "kinetic_energy", "potential_energy", "inverse_dynamics_jacobian".
+            "forward_kinematics", "kinetic_energy", "potential_energy", "inverse_dynamics_jacobian", "computed_torque".
         dtype: float32 or float64.
         arguments: names of the arguments that calls will pass; None: all but the wrenches.
         options: names of the frames for "forward_kinematics", a frame and "body" or "world" for "jacobian", the tip or
