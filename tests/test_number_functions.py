@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from oracles import EPS
 from torch.autograd import gradcheck, gradgradcheck
 
+import torchdq
 from torchdq.backends import c_source
 from torchdq.backends import cache as build
 from torchdq.numbers.functions import absolute, at_least, clip, exp, floor, log, maximum, minimum, select, sqrt
@@ -425,3 +426,58 @@ def test_gradients_may_be_batched():
     for k in range(4):
         expected = torch.autograd.grad(y, x, seeds[k], retain_graph=True)[0]
         assert (found[k] - expected).abs().max() <= 64 * EPS[F64] * (1 + expected.abs().max())
+
+
+# --- what a program cannot record ------------------------------------------------------------------------------------
+
+REFUSED = {
+    "if x": lambda x, y: 1.0 if x else 0.0,
+    "not x": lambda x, y: not x,
+    "x and y": lambda x, y: x and y,
+    "x == y": lambda x, y: x == y,
+    "x != 0": lambda x, y: x != 0,
+    "x < 0.1": lambda x, y: x < 0.1,
+    "0.1 >= x": lambda x, y: x <= 0.1,
+    "x in a tuple": lambda x, y: x in (y, 1.0),
+    "max": lambda x, y: max(x, y),
+    "sorted": lambda x, y: sorted((x, y)),
+    "abs": lambda x, y: abs(x),
+    "x ** 2": lambda x, y: x**2,
+    "2 ** x": lambda x, y: 2**x,
+    "x % 1": lambda x, y: x % 1.0,
+    "x // 1": lambda x, y: x // 1.0,
+    "1 // x": lambda x, y: 1.0 // x,
+    "divmod": lambda x, y: divmod(x, 2.0),
+    "an index": lambda x, y: [1, 2][x],
+    "a key": lambda x, y: {x: 1.0},
+    "float": lambda x, y: float(x),
+    "int": lambda x, y: int(x),
+    "round": lambda x, y: round(x),
+    "math.exp": lambda x, y: math.exp(x),
+    "math.floor": lambda x, y: math.floor(x),
+    "torch.exp": lambda x, y: torch.exp(x),
+    "torch.where": lambda x, y: torch.where(torch.ones(1) > 0, x, y),
+    "tensor times x": lambda x, y: torch.ones(2) * x,
+    "x plus tensor": lambda x, y: x + torch.ones(()),
+    "tensor minus x": lambda x, y: torch.ones(2, dtype=torch.float64) - x,
+    "x over tensor": lambda x, y: x / torch.ones(()),
+    "numpy.sin": lambda x, y: np.sin(x),
+    "numpy.where": lambda x, y: np.where(x, 1.0, 2.0),
+    "numpy.array": lambda x, y: np.array(x, dtype=float),
+    "array times x": lambda x, y: np.ones(2) * x,
+    "x times text": lambda x, y: x * "2",
+    "x minus None": lambda x, y: x - None,
+}
+
+
+@pytest.mark.parametrize("key", REFUSED)
+def test_what_a_program_cannot_record_is_refused_with_a_way_out(key):
+    """A comparison that gave an answer would make the value of no sample a constant of the program."""
+    with pytest.raises(torchdq.NumberError, match=r"recorded number") as raised:
+        program(lambda x, y: REFUSED[key](x, y), 2)
+    assert "torchdq.numbers.functions" in str(raised.value) or "arithmetic with numbers" in str(raised.value)
+
+
+def test_numbers_of_numpy_are_constants():
+    for three in (np.float64(3.0), np.float32(3.0), np.int64(3)):
+        assert program(lambda x, k=three: [k * x + (k - x) / k, k / x], 1).count().total == 5

@@ -16,6 +16,10 @@ class DtypeError(TorchdqError, TypeError):
     """Argument of a dtype that the dynamics are not computed in."""
 
 
+class NumberError(TorchdqError, TypeError):
+    """Operation that a program cannot record, on a number whose value differs from sample to sample."""
+
+
 class DescriptionError(TorchdqError, ValueError):
     """Robot description that cannot be used as it is written."""
 

@@ -199,7 +199,7 @@ class Limits(JointEffect):
             above_low = x if unbounded(low) else maximum(x, low)
             nearest = above_low if unbounded(high) else minimum(above_low, high)
             force = k * (x - nearest)
-            if force == 0.0 and isinstance(force, float):
+            if isinstance(force, float) and force == 0.0:
                 result.append(Impedance())
                 continue
             size = absolute(force)

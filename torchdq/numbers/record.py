@@ -3,14 +3,20 @@
 Equal operations get one value (value numbering), and a negation is never an operation: a number is a value and a sign,
 and the sign turns additions into subtractions. Arithmetic on constants alone is done in Python's floats and is not
 recorded.
+
+A program has no branches: every sample takes the same operations. A truth test, a comparison or a conversion of a
+recorded number would make one sample's value a constant of the program, so all of them raise `NumberError`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+import operator
+from collections.abc import Callable, Sequence
+from numbers import Real
+from typing import Any, NamedTuple, NoReturn
 
+from torchdq.errors import NumberError
 from torchdq.numbers.ops import OPS
 
 
@@ -62,6 +68,7 @@ class Recorded:
 
     def __add__(self, other: Recorded | float) -> Recorded | float:
         if not isinstance(other, Recorded):
+            other = _constant(other)
             if other == 0:
                 return self
             other = self.tape.constant(other)
@@ -70,13 +77,14 @@ class Recorded:
     __radd__ = __add__
 
     def __sub__(self, other: Recorded | float) -> Recorded | float:
-        return self + (-other)
+        return self + (-other if isinstance(other, Recorded) else -_constant(other))
 
     def __rsub__(self, other: Recorded | float) -> Recorded | float:
         return (-self) + other
 
     def __mul__(self, other: Recorded | float) -> Recorded | float:
         if not isinstance(other, Recorded):
+            other = _constant(other)
             if other == 0:
                 return 0.0
             if other in (1, -1):
@@ -89,12 +97,25 @@ class Recorded:
 
     def __truediv__(self, other: Recorded | float) -> Recorded | float:
         if not isinstance(other, Recorded):
-            return self * (1.0 / other)
+            return self * (1.0 / _constant(other))
         quotient = self.tape.value("div", (self.index, other.index))
         return Recorded(self.tape, quotient, self.negative != other.negative)
 
     def __rtruediv__(self, other: float) -> Recorded | float:
+        other = _constant(other)
         return 0.0 if other == 0 else self.tape.constant(other) / self
+
+    @classmethod
+    def __torch_function__(cls, function: Callable[..., Any], *_: Any) -> NoReturn:
+        name = getattr(function, "__name__", str(function))
+        raise NumberError(f"a recorded number is no tensor, found one in torch.{name}; {_FUNCTIONS}")
+
+    def __array_ufunc__(self, function: Any, method: str, *x: Any, **_: Any) -> Recorded | float:
+        arithmetic = _ARITHMETIC.get(function.__name__)
+        if arithmetic is None:
+            raise NumberError(f"a recorded number is no array, found one in numpy.{function.__name__}; {_FUNCTIONS}")
+        a, b = (v if isinstance(v, Recorded) else _constant(v) for v in x)
+        return arithmetic(a, b)  # a number of numpy on the left
 
     def sin(self) -> Recorded:
         """Sine."""
@@ -123,6 +144,57 @@ class Recorded:
             return Recorded(tape, tape.value(code, tuple(operands)), False)
         operands = operands[::-1] if row.mirror.reverse else operands
         return Recorded(tape, tape.value(row.mirror.code, tuple(operands)), row.mirror.negative)
+
+
+_ARITHMETIC: dict[str, Callable[[Any, Any], Any]] = {
+    "add": operator.add,
+    "subtract": operator.sub,
+    "multiply": operator.mul,
+    "divide": operator.truediv,
+}
+_FUNCTIONS = "use the functions of torchdq.numbers.functions: " + ", ".join(
+    ("sqrt", "sin", "cos", "exp", "log", "floor", "absolute", "maximum", "minimum", "clip")
+)
+_REFUSED = {
+    "be tested for truth": (
+        ("bool",),
+        "its value differs from sample to sample; use select(below(a, b), x, y) of torchdq.numbers.functions",
+    ),
+    "be compared": (
+        ("eq", "ne", "lt", "le", "gt", "ge"),
+        "use below(a, b) or at_least(a, b) of torchdq.numbers.functions, which give 1 or 0, and select(mask, x, y)",
+    ),
+    "be an index, a key, or a number of Python or numpy": (
+        ("index", "hash", "int", "float", "complex", "array", "round", "trunc", "floor", "ceil"),
+        _FUNCTIONS,
+    ),
+    "be taken to a power, divided with remainder, or made positive by abs": (
+        ("pow", "rpow", "mod", "rmod", "floordiv", "rfloordiv", "divmod", "rdivmod", "abs"),
+        "use x * x, floor(x / y) and absolute(x); " + _FUNCTIONS,
+    ),
+}
+
+
+def _refusal(what: str, remedy: str) -> Callable[..., NoReturn]:
+    def refuse(self: Recorded, *_: Any, **__: Any) -> NoReturn:
+        raise NumberError(f"a recorded number cannot {what}: {remedy}")
+
+    return refuse
+
+
+for _what, (_names, _remedy) in _REFUSED.items():
+    for _name in _names:
+        setattr(Recorded, f"__{_name}__", _refusal(_what, _remedy))
+
+
+def _constant(x: Any) -> float:
+    """Constant operand of a recorded number."""
+    if isinstance(x, float | int | Real):
+        return float(x)
+    raise NumberError(
+        f"a recorded number takes part in arithmetic with numbers, found {type(x).__name__}; tensors must be arguments "
+        f"or parameters of what is recorded"
+    )
 
 
 def _with_sign(tape: Tape, x: Recorded | float, negative: bool) -> int:
