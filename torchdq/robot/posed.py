@@ -56,6 +56,12 @@ def displacements(robot: Robot, q: Sequence[Number], overrides: Overrides) -> li
     return list(q) if home is None else [x - h for x, h in zip(q, home, strict=True)]
 
 
+def coordinates(robot: Robot, q: Sequence[Number], overrides: Overrides) -> list[Coordinate | None]:
+    """Coordinates of all joints, beginning with the base, which has none."""
+    halves = [(x, 0.5 * x) for x in displacements(robot, q, overrides)]
+    return [None, *(Coordinate(x, cos(half), sin(half)) for x, half in halves)]
+
+
 def aligned(robot: Robot, q: Sequence[Number], overrides: Overrides, group: bool) -> Aligned:
     """Robot at q in aligned frames; its geometry must be constant.
 
@@ -82,9 +88,7 @@ def aligned(robot: Robot, q: Sequence[Number], overrides: Overrides, group: bool
 
 def paper(robot: Robot, q: Sequence[Number], overrides: Overrides) -> Paper:
     """Robot at q in the paper's form, in the link frames of its description; every tensor may be an argument."""
-    halves = [(x, 0.5 * x) for x in displacements(robot, q, overrides)]
-    coordinates = [None, *(Coordinate(x, cos(half), sin(half)) for x, half in halves)]
-    return Paper.at(tree(robot, overrides), field(robot, "com", overrides), coordinates)
+    return Paper.at(tree(robot, overrides), field(robot, "com", overrides), coordinates(robot, q, overrides))
 
 
 def posed(robot: Robot, q: Sequence[Number], overrides: Overrides, per_sample: Sequence[str]) -> Posed:
