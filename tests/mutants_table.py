@@ -225,8 +225,8 @@ MUTANTS = (
         ),
         (
             "A_D beside A_P",
-            "torch.cat([a_d, a_p], -1)",
-            "torch.cat([a_p, a_d], -1)",
+            "torch.cat([below, diagonal], -1)",
+            "torch.cat([diagonal, below], -1)",
             f"{TENSORS}::test_adjoint_matrix_and_columns_are_those_of_the_adjoint",
         ),
         (

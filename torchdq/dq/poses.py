@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchdq.algebra import dual_quaternion, quaternion
 from torchdq.dq import explog
-from torchdq.dq.components import require_square, split, stack, stack_rows
+from torchdq.dq.components import checked, require_square, split, stack, stack_rows
 from torchdq.dq.tensors import conj, mul
 
 # --- exponential and logarithm ---------------------------------------------------------------------------------------
@@ -26,8 +26,7 @@ def exp(a: Tensor) -> Tensor:
     >>> translation(exp(torch.tensor([0.0, 0, 0, 0, 0, 1])))  # half a translation by 2 m
     tensor([0., 0., 2.])
     """
-    split("a", a, 6)
-    return explog.mapped(explog.exp, a)
+    return explog.mapped(explog.exp, checked("a", a, 6))
 
 
 def log(x: Tensor) -> Tensor:
@@ -40,8 +39,7 @@ def log(x: Tensor) -> Tensor:
     >>> log(exp(torch.tensor([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))).mul(10).round().int().tolist()
     [1, 2, 3, 10, 20, 30]
     """
-    split("x", x, 8)
-    return explog.mapped(explog.log, x)
+    return explog.mapped(explog.log, checked("x", x, 8))
 
 
 def log_shortest(x: Tensor) -> Tensor:
@@ -50,7 +48,7 @@ def log_shortest(x: Tensor) -> Tensor:
     Both signs of a pose give the same result, except where the angle is exactly pi (w = 0): there both turns are as
     long, and that of x is taken, so that -x gives the opposite turn. The gradient is discontinuous there.
     """
-    split("x", x, 8)
+    checked("x", x, 8)
     return log(torch.where(x[..., :1] < 0, -x, x))
 
 
@@ -61,8 +59,8 @@ def sclerp(x: Tensor, y: Tensor, t: Tensor | float) -> Tensor:
         x, y: poses, shape [..., 8].
         t: fraction [1], shape [...] or a number; outside [0, 1] it extrapolates.
     """
-    split("x", x, 8)
-    split("y", y, 8)
+    checked("x", x, 8)
+    checked("y", y, 8)
     t = torch.as_tensor(t, dtype=x.dtype, device=x.device)
     return mul(x, exp(t.unsqueeze(-1) * log_shortest(mul(conj(x), y))))
 
@@ -71,7 +69,7 @@ class ScrewParameters(NamedTuple):
     """Screw motion: a turn by `angle` about a line with a translation by `slide` along it."""
 
     axis: Tensor  # unit direction of the line [1], [..., 3]; along the displacement if there is no rotation
-    moment: Tensor  # the line's, about the origin [m], [..., 3]; zero if there is no rotation
+    moment: Tensor  # moment of the line about the origin [m], [..., 3]; zero if there is no rotation
     angle: Tensor  # [rad], [...], in [0, pi]
     slide: Tensor  # [m], [...]; the pitch slide/angle is infinite for a pure translation
 
@@ -104,15 +102,14 @@ def from_pose(rotation: Tensor, position: Tensor) -> Tensor:
 
     Args:
         rotation: unit quaternion (w, x, y, z) that turns B components into A components, shape [..., 4].
-        position: of B's origin in A [m], shape [..., 3].
+        position: position of B's origin in A [m], shape [..., 3].
     """
     return stack(dual_quaternion.from_pose(split("rotation", rotation, 4), split("position", position, 3)))
 
 
 def rotation(x: Tensor) -> Tensor:
     """Unit quaternion r [..., 4] of the pose x [..., 8], the primary part."""
-    split("x", x, 8)
-    return x[..., :4]
+    return checked("x", x, 8)[..., :4]
 
 
 def translation(x: Tensor) -> Tensor:

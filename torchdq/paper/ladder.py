@@ -22,6 +22,7 @@ from torchdq.backends.choice import choose
 from torchdq.backends.run import run
 from torchdq.dynamics.aligned import rnea
 from torchdq.dynamics.aligned.placement import Steps
+from torchdq.dynamics.paper.posed import STILL
 from torchdq.dynamics.tree import Tree
 from torchdq.paper import cost, printed
 from torchdq.program.program import Argument, Program, record
@@ -30,7 +31,6 @@ from torchdq.robot.robot import Robot
 from torchdq.timing import medians
 
 Row = Sequence[Number]
-STILL: Screw = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 class Rung(NamedTuple):

@@ -10,6 +10,7 @@ from torchdq.algebra.inertia import Inertia
 from torchdq.algebra.quaternion import Number, Pure, Quaternion
 from torchdq.algebra.screw import Adjoint, Screw
 from torchdq.dynamics.joints import Coordinate
+from torchdq.dynamics.paper.posed import STILL
 from torchdq.dynamics.tree import Tree
 
 Row = Sequence[Number]
@@ -94,7 +95,7 @@ def rnea(
     qdd: Row,
     tip: Adjoint | None = None,
     f_tip: Screw | None = None,
-    still: Screw = ((0.0,) * 3, (0.0,) * 3),
+    still: Screw = STILL,
 ) -> list[Number]:
     """Algorithm 1 line by line, corrected, on a chain with frames at the centres of mass; no line is shortened.
 
