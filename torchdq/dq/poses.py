@@ -139,18 +139,8 @@ def from_rotation_matrix(matrix: Tensor) -> Tensor:
     rotation is close to a singularity.
     """
     require_square("matrix", matrix, 3)
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (row.unbind(-1) for row in matrix.unbind(-2))
-    squares = torch.stack([1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz], -1)
-    sw, sx, sy, sz = squares.unbind(-1)
-    candidates = torch.stack(
-        [
-            torch.stack([sw, zy - yz, xz - zx, yx - xy], -1),
-            torch.stack([zy - yz, sx, yx + xy, xz + zx], -1),
-            torch.stack([xz - zx, yx + xy, sy, zy + yz], -1),
-            torch.stack([yx - xy, xz + zx, zy + yz, sz], -1),
-        ],
-        -2,
-    )
+    candidates = stack_rows(quaternion.from_rotation_rows(tuple(row.unbind(-1) for row in matrix.unbind(-2))))
+    squares = candidates.diagonal(dim1=-2, dim2=-1)
     largest = squares.argmax(-1, keepdim=True)
     q = candidates.gather(-2, largest.unsqueeze(-1).expand(*largest.shape, 4)).squeeze(-2)
     q = q / (2.0 * squares.gather(-1, largest).sqrt())

@@ -98,22 +98,10 @@ def _in_base(joint: Along, X_WB: DualQuaternion) -> Along:
 
 def _pose(R: np.ndarray, p: np.ndarray) -> DualQuaternion:
     """Pose of a rotation matrix and a position, exact for rotations by quarter turns."""
-    # the largest component first, since the others are divided by it; in numpy, since robots are also aligned within
-    # transforms of torch
-    w = 0.5 * math.sqrt(max(0.0, 1.0 + float(np.trace(R))))
-    v = [0.5 * math.sqrt(max(0.0, 1.0 + 2.0 * float(R[k, k]) - float(np.trace(R)))) for k in range(3)]
-    r = np.array([w, *v])
-    k = int(np.argmax(r))
-    skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    if k == 0:
-        r[1:] = skew / (4.0 * r[0])
-    else:
-        i = k - 1
-        r[0] = skew[i] / (4.0 * r[k])
-        for j in range(3):
-            if j != i:
-                r[j + 1] = (R[i, j] + R[j, i]) / (4.0 * r[k])
-    return dq.from_pose(tuple(map(float, clean(r / np.linalg.norm(r)))), tuple(map(float, p)))
+    # in numpy, since robots are also aligned within transforms of torch
+    candidates = np.array(quat.from_rotation_rows(R.tolist()))
+    r = _unit(candidates[candidates.diagonal().argmax()])
+    return dq.from_pose(tuple(map(float, clean(r))), tuple(map(float, p)))
 
 
 def _along_axes(p: np.ndarray, gamma: float, alpha: float, size: float) -> tuple[tuple[float, ...], float]:
