@@ -18,7 +18,7 @@ from torchdq.dynamics.tree import Tree, on_base
 from torchdq.errors import SingularInertiaError
 from torchdq.numbers.functions import cos, sin
 from torchdq.robot import mdh
-from torchdq.robot.robot import SHAPES, Robot, general_tree
+from torchdq.robot.robot import SHAPES, Robot, general_tree, plain
 
 # flat components of tensors that replace those of the robot, by name; None: absent
 Overrides = Mapping[str, Sequence[Number] | None]
@@ -37,17 +37,12 @@ def field(robot: Robot, name: str, overrides: Overrides):
         if len(shape) == 1:
             return flat
         return tuple(flat[k : k + shape[1]] for k in range(0, len(flat), shape[1]))
-    value = getattr(robot, name)
-    if value is None:
-        return None
-    rows = value.tolist()
-    return tuple(tuple(row) if isinstance(row, list) else row for row in rows)
+    return plain(robot, name)
 
 
 def tree(robot: Robot, overrides: Overrides) -> Tree:
     """Tree of the robot in the link frames of its description."""
-    names = ("X_PB_home", "screw", "mass", "com", "inertia", "gravity", "armature")
-    return general_tree(robot.parents, robot.kinds, **{name: field(robot, name, overrides) for name in names})
+    return general_tree(robot, lambda name: field(robot, name, overrides))
 
 
 def displacements(robot: Robot, q: Sequence[Number], overrides: Overrides) -> list[Number]:
