@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from torchdq.errors import ArgumentError
+from torchdq.robot.arrays import second_moments
 
 SMALLEST = 1e-6  # positive quantity that replaces one that is not positive [SI units]
 FLAT = 1e-6  # smallest second moment of a body relative to their sum; a rod or a plate gets it in its flat directions
@@ -95,10 +96,7 @@ class PhysicalInertia(nn.Module):
             ArgumentError: a value is not finite.
         """
         _finite(value)
-        xx, xy, yy, xz, yz, zz = value.to(torch.float64).unbind(-1)
-        half = (xx + yy + zz) / 2
-        rows = ((half - xx, -xy, -xz), (-xy, half - yy, -yz), (-xz, -yz, half - zz))
-        second = torch.stack([torch.stack(row, -1) for row in rows], -2)
+        second = second_moments(value.to(torch.float64))
         moments, axes = torch.linalg.eigh(second)
         floor = (FLAT * moments.clamp(min=0).sum(-1, keepdim=True)).where(moments[..., -1:] > 0, POINT)
         lifted = (axes * moments.maximum(floor).unsqueeze(-2)) @ axes.mT

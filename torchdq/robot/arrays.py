@@ -11,7 +11,15 @@ from torchdq import dq
 from torchdq.errors import DescriptionError
 
 UNIT = 1e-9  # largest distance of a number from 0 or 1 at which it counts as that; exact input is meant
-IDENTITY = torch.tensor([1.0, 0, 0, 0, 0, 0, 0, 0], dtype=torch.float64)  # pose
+SIX = [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]  # rows and columns of xx xy yy xz yz zz in a symmetric matrix
+
+
+def double(values: Any) -> Tensor:
+    """Float64 tensor of numbers."""
+    return torch.tensor(values, dtype=torch.float64)
+
+
+IDENTITY = double([1.0, 0, 0, 0, 0, 0, 0, 0])  # pose
 
 
 def numbers(name: str, value: Any) -> Tensor:
@@ -47,13 +55,20 @@ def inertias(value: Any, n: int) -> Tensor:
         # R I R^T is symmetric up to rounding only
         if bool(((x - x.mT).abs() > UNIT * x.abs().amax()).any()):
             raise DescriptionError(f"inertia matrices must be symmetric, found {x.tolist()}")
-        x = torch.stack([x[:, 0, 0], x[:, 0, 1], x[:, 1, 1], x[:, 0, 2], x[:, 1, 2], x[:, 2, 2]], -1)
+        x = x[:, *SIX]
     return table("inertia", x, n, 6)
 
 
 def matrices(inertia: Tensor) -> Tensor:
     """Matrices [..., 3, 3] of inertias [..., 6] in the order xx xy yy xz yz zz."""
     return inertia[..., [[0, 1, 3], [1, 2, 4], [3, 4, 5]]]
+
+
+def second_moments(inertia: Tensor) -> Tensor:
+    """Second moments tr(I)/2 1 - I, [..., 3, 3], of inertias I [..., 6] in the order xx xy yy xz yz zz."""
+    I = matrices(inertia)
+    half = I.diagonal(dim1=-2, dim2=-1).sum(-1) / 2
+    return torch.diag_embed(half.unsqueeze(-1).expand(*half.shape, 3)) - I
 
 
 def distinct(what: str, names: Sequence[str] | None, kind: str, n: int) -> tuple[str, ...]:

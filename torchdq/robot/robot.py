@@ -92,18 +92,14 @@ class Robot:
             if value.dtype not in DTYPES:
                 raise DtypeError(f"{name} of robot {self.name!r} must be float32 or float64, found {value.dtype}")
         # a tensor with batch axes depends on the sample and cannot be a constant
+        batched = batches(self)
         present = [name for name in SHAPES if getattr(self, name) is not None]
-        names = tuple(name for name in present if name in self._arguments or self._batch(name))
+        names = tuple(name for name in present if name in self._arguments or name in batched)
         object.__setattr__(self, "_arguments", names)
         if self._constants is None:
             fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
             own = {name: x for name, x in fields.items() if name not in ("notes", "_arguments", "_constants")}
             object.__setattr__(self, "_constants", Constants.of(own, {name: len(SHAPES[name]) for name in names}))
-
-    def _batch(self, name: str) -> tuple[int, ...]:
-        """Batch axes of a tensor."""
-        value = getattr(self, name)
-        return tuple(value.shape[: value.ndim - len(SHAPES[name])])
 
     # --- sources ---
 
@@ -286,9 +282,8 @@ class Robot:
 
     def bake(self) -> Robot:
         """Robot whose tensors, all without batch axes, are constants of its programs, which is fastest."""
-        for name in self._arguments:
-            if self._batch(name):
-                raise ArgumentError(f"{name} of robot {self.name!r} has batch axes and cannot be a constant")
+        for name in batches(self):
+            raise ArgumentError(f"{name} of robot {self.name!r} has batch axes and cannot be a constant")
         detached = {name: getattr(self, name).detach() for name in self._arguments}
         return dataclasses.replace(self, **detached, _arguments=(), _constants=None)
 
@@ -348,6 +343,13 @@ class Robot:
         hangs = "chain" if self.parents == tuple(range(BASE, self.n - 1)) else "tree"
         mass = float(self.mass.sum(-1).mean()) if self.n else math.nan
         return f"Robot({self.name!r}, {self.n} joints, {hangs}, {mass:.4g} kg, tip={self.tip!r})"
+
+
+def batches(robot: Robot) -> dict[str, tuple[int, ...]]:
+    """Batch axes, by name, of the tensors of a robot that have some."""
+    tensors = {name: getattr(robot, name) for name in SHAPES}
+    axes = {name: tuple(x.shape[: x.ndim - len(SHAPES[name])]) for name, x in tensors.items() if x is not None}
+    return {name: batch for name, batch in axes.items() if batch}
 
 
 def general_tree(robot: Robot, values: Callable[[str], Any]) -> Tree:
