@@ -82,16 +82,18 @@ def screw_params(x: Tensor) -> ScrewParameters:
     """
     p, d = log_shortest(x).split(3, -1)
     half = torch.linalg.vector_norm(p, dim=-1, keepdim=True)
-    turns = half != 0  # true for NaN, which then is the result
     length = torch.linalg.vector_norm(d, dim=-1, keepdim=True)
-    moves = length != 0
     still = torch.eye(3, dtype=x.dtype, device=x.device)[0]
-    axis = torch.where(
-        turns, p / torch.where(turns, half, 1.0), torch.where(moves, d / torch.where(moves, length, 1.0), still)
-    )
+    axis = _divided(p, half, _divided(d, length, still))
     slide = (axis * d).sum(-1, keepdim=True)
-    moment = torch.where(turns, (d - slide * axis) / torch.where(turns, half, 1.0), 0.0)
+    moment = _divided(d - slide * axis, half, 0.0)
     return ScrewParameters(axis, moment, 2.0 * half.squeeze(-1), 2.0 * slide.squeeze(-1))
+
+
+def _divided(x: Tensor, length: Tensor, otherwise: Tensor | float) -> Tensor:
+    """Quotient x / length; another value where the length is zero, and NaN where it is NaN."""
+    present = length != 0
+    return torch.where(present, x / torch.where(present, length, 1.0), otherwise)
 
 
 # --- poses -----------------------------------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ from torchdq.dynamics.paper.posed import STILL
 from torchdq.dynamics.tree import Tree, on_base
 from torchdq.numbers.count import Cost, cost, dense, executed
 from torchdq.paper import homogeneous, printed
-from torchdq.paper.tables import PER_JOINT, TABLE_4, TABLES, Entry, motion, number, several
+from torchdq.paper.tables import PER_JOINT, TABLE_4, TABLES, Entry, markdown, motion, number, several
 from torchdq.robot import Robot
 
 
@@ -222,8 +222,8 @@ def table(entries: Sequence[Entry]) -> str:
     def shown(c: Cost | None) -> str:
         return "" if c is None else f"{c.storage}f {c.multiplications}x {c.additions}+"
 
-    rows = [f"| {e.operation} | {shown(e.printed)} | {shown(e.counted)} | {e.verdict} |" for e in entries]
-    return "\n".join(["| operation | printed | counted | verdict |", "|---|---|---|---|", *rows])
+    rows = [(e.operation, shown(e.printed), shown(e.counted), e.verdict) for e in entries]
+    return markdown([("operation", "printed", "counted", "verdict"), *rows])
 
 
 def report() -> str:
@@ -235,6 +235,6 @@ def report() -> str:
         f"{total[1]}n."
     )
     for title, lines in (("Forward kinematics, zeros known", FKM_FOLDED), ("Inverse dynamics with f_EF", RNEA)):
-        rows = "\n".join(f"| {line.name} | {line.law()} |" for line in lines)
-        parts.append(f"## {title}\n\n| algorithm | multiplications, additions |\n|---|---|\n{rows}")
+        rows = [("algorithm", "multiplications, additions"), *((line.name, line.law()) for line in lines)]
+        parts.append(f"## {title}\n\n{markdown(rows)}")
     return "\n\n".join(parts)

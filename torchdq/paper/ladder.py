@@ -25,6 +25,7 @@ from torchdq.dynamics.aligned.placement import Steps
 from torchdq.dynamics.paper.posed import STILL
 from torchdq.dynamics.tree import Tree
 from torchdq.paper import cost, printed
+from torchdq.paper.tables import markdown
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import posed
 from torchdq.robot.robot import Robot
@@ -156,13 +157,12 @@ def table(n: int = 7, taken: Sequence[float] | None = None) -> str:
     whole = cost.dqrnea_as_printed(n, full=True)
     rows = [
         [f"step, {n} general revolute joints", "multiplications", "additions"],
-        ["---"] * 3,
         ["nothing known, every product of the print", str(whole.multiplications), str(whole.additions)],
     ]
     for rung in RUNGS:
         count = rung.program(robot).count()
         rows.append([rung.name, str(count.multiplications), str(count.additions)])
     if taken is not None:
-        column = ["time per sample", "---", "", *(f"{t:.1f} ns" for t in taken)]
+        column = ["time per sample", "", *(f"{t:.1f} ns" for t in taken)]
         rows = [[*row, cell] for row, cell in zip(rows, column, strict=True)]
-    return "\n".join(f"|{'|'.join(row)}|" if row[0] == "---" else f"| {' | '.join(row)} |" for row in rows)
+    return markdown(rows)

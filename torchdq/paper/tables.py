@@ -4,7 +4,7 @@ A cost is multiplications, additions, and the numbers an operation reads (storag
 `torchdq.numbers.count`.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -44,6 +44,12 @@ class Entry(NamedTuple):
         verb = "differs" if wrong == ["storage"] else "differ"
         found = f"{' and '.join(wrong)} {verb}" if wrong else "as printed"
         return f"{found}: {self.remark}" if self.remark else found
+
+
+def markdown(rows: Sequence[Sequence[str]]) -> str:
+    """Table in Markdown; the first row holds the headings."""
+    headings, *lines = (f"| {' | '.join(row)} |" for row in rows)
+    return "\n".join([headings, "|" + "---|" * len(rows[0]), *lines])
 
 
 # --- operands --------------------------------------------------------------------------------------------------------
