@@ -90,7 +90,7 @@ class PhysicalInertia(nn.Module):
         """Unconstrained numbers [..., 6] of given inertias [..., 6].
 
         Principal second moments below 1e-6 of their sum are lifted to that: a thin rod or plate gets a thickness, and
-        an inertia that no body has becomes the one of a body near by. With no inertia at all they become 1e-8 kg m^2.
+        an inertia that no body has becomes one that is close to it. With no inertia at all they become 1e-8 kg m^2.
 
         Raises:
             ArgumentError: a value is not finite.

@@ -150,7 +150,7 @@ TABLE_4 = (
     Entry("(48)", Cost(6, 5, 12), lambda: screw.power(motion(), motion())),
 )
 
-# why an entry differs from the print, or what a row adds to it
+# reasons for a difference from the printed cost, and notes on rows that the paper does not have
 REMARKS = {
     "quaternion cross product (4)": "6 and 3 by components; (ab - ba)/2 to the letter is the next row",
     "(ab - ba)/2 by two products": "neither form gives the printed 9 and 5",
