@@ -8,7 +8,7 @@ one step width suits a crane and a finger: a change by 0.01 is one percent of a 
 import torch
 from torch import Tensor, nn
 
-from torchdq.errors import ArgumentError
+from torchdq.functional import require_finite
 from torchdq.robot.arrays import second_moments
 
 SMALLEST = 1e-6  # positive quantity that replaces one that is not positive [SI units]
@@ -44,7 +44,7 @@ class Positive(nn.Module):
 
     def right_inverse(self, value: Tensor) -> Tensor:
         """Unconstrained numbers of given values; raises `ArgumentError` unless they are finite."""
-        _finite(value)
+        require_finite(value=value)
         return value.where(value > 0, SMALLEST).log()
 
 
@@ -95,7 +95,7 @@ class PhysicalInertia(nn.Module):
         Raises:
             ArgumentError: a value is not finite.
         """
-        _finite(value)
+        require_finite(value=value)
         second = second_moments(value.to(torch.float64))
         moments, axes = torch.linalg.eigh(second)
         floor = (FLAT * moments.clamp(min=0).sum(-1, keepdim=True)).where(moments[..., -1:] > 0, POINT)
@@ -110,8 +110,3 @@ class PhysicalInertia(nn.Module):
 
 def _exponential(x: Tensor) -> Tensor:
     return x.clamp(-LARGEST_LOGARITHM, LARGEST_LOGARITHM).exp()
-
-
-def _finite(value: Tensor) -> None:
-    if not bool(value.isfinite().all()):
-        raise ArgumentError(f"a physical quantity must be finite, found {value.tolist()}; correct it first")

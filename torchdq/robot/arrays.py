@@ -71,9 +71,9 @@ def second_moments(inertia: Tensor) -> Tensor:
     return torch.diag_embed(half.unsqueeze(-1).expand(*half.shape, 3)) - I
 
 
-def distinct(what: str, names: Sequence[str] | None, kind: str, n: int) -> tuple[str, ...]:
+def distinct(kind: str, names: Sequence[str] | None, n: int) -> tuple[str, ...]:
     """Names, n different ones; without any, joint1, joint2, ... for the kind "joint"."""
     chosen = tuple(f"{kind}{i + 1}" for i in range(n)) if names is None else tuple(names)
     if len(chosen) != n or len(set(chosen)) != n:
-        raise DescriptionError(f"{what} must be {n} different names, found {chosen}")
+        raise DescriptionError(f"{kind}_names must be {n} different names, found {chosen}")
     return chosen

@@ -63,6 +63,6 @@ def read(
         else:
             placements.append(dq.mul(link, joint))
             screws.append(z)
-    names, chain = distinct("joint_names", joint_names, "joint", n), tuple(range(BASE, n - 1))
+    names, chain = distinct("joint", joint_names, n), tuple(range(BASE, n - 1))
     X_BE = IDENTITY if tip_pose is None else poses("tip_pose", tip_pose, 8)
     return assemble(names, chain, types, torch.stack(placements), torch.stack(screws), X_BE, **bodies)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import Moments
-from torchdq.algebra.quaternion import Number, Pure
+from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics import conditioning
 from torchdq.dynamics.aligned.posed import Aligned
@@ -128,6 +128,4 @@ def frame(robot: Robot, name: str) -> tuple[int, DualQuaternion]:
 
 def as_screw(x: Sequence[Number]) -> Screw:
     """Six components as a screw."""
-    a: Pure = (x[0], x[1], x[2])
-    b: Pure = (x[3], x[4], x[5])
-    return a, b
+    return tuple(x[:3]), tuple(x[3:])
