@@ -99,7 +99,7 @@ def _in_base(joint: Along, X_WB: DualQuaternion) -> Along:
 def _pose(R: np.ndarray, p: np.ndarray) -> DualQuaternion:
     """Pose of a rotation matrix and a position, exact for rotations by quarter turns."""
     # in numpy, since robots are also aligned within transforms of torch
-    candidates = np.array(quat.from_rotation_rows(R.tolist()))
+    candidates: np.ndarray = np.array(quat.from_rotation_rows(R.tolist()))
     r = _unit(candidates[candidates.diagonal().argmax()])
     return dq.from_pose(tuple(map(float, clean(r))), tuple(map(float, p)))
 
