@@ -96,7 +96,7 @@ def dqrnea_as_printed(n: int, full: bool = False) -> Cost:
     still = STILL
     if full:
         robot, Ad_tip, still = _all_counted(robot), dense(Ad_tip), dense(still)
-    return _running(lambda: printed.rnea(robot, coordinates(n), several(n), several(n), Ad_tip, motion(), still), n)
+    return _running(lambda: printed.rnea(robot, coordinates(n), several(n), several(n), Ad_tip, motion(), still))
 
 
 def dqrnea(n: int) -> Cost:
@@ -119,8 +119,7 @@ def htm_rnea(n: int, full: bool = False) -> Cost:
         )
         T, gravity, units = dense(T), dense(gravity), homogeneous.Units(number(), number())
     return _running(
-        lambda: homogeneous.rnea(bodies, gravity or (), displacements(n), several(n), several(n), T, several(6), units),
-        n,
+        lambda: homogeneous.rnea(bodies, gravity or (), displacements(n), several(n), several(n), T, several(6), units)
     )
 
 
@@ -137,8 +136,8 @@ def _all_counted(tree: Tree) -> Tree:
     return Tree((tree.links[0], *links), dense(tree.gravity))
 
 
-def _running(formula: Callable[[], Any], n: int) -> Cost:
-    """Cost of executing a formula; its storage is not that of a running machine, so it is left out."""
+def _running(formula: Callable[[], Any]) -> Cost:
+    """Cost of executing a whole algorithm, without the storage, which is counted for single operations only."""
     return executed(formula)._replace(storage=0)
 
 
