@@ -32,25 +32,26 @@ _ATAN_K = [(-1) ** (k + 1) * (2 * k + 2) / (2 * k + 3) for k in range(_TERMS + 2
 
 
 def length_defect(a: Pure, h: Number, split: float) -> Number:
-    """Error |a| - h of a rounded length h, to twice the working precision (Dekker 1971).
-
-    Every number is split into a sum of two numbers with half of its digits, whose products are exact.
-    """
-    squares, errors = [], []
-    for x in (*a, h):
-        shifted = x * split
-        high = shifted - (shifted - x)
-        low, square = x - high, x * x
-        squares.append(square)
-        errors.append(((high * high - square) + 2.0 * high * low) + low * low)
-    (x2, y2, z2, h2), (ex, ey, ez, eh) = squares, errors
-    xy = x2 + y2
-    kept = xy - x2
-    e1 = (x2 - (xy - kept)) + (y2 - kept)
-    xyz = xy + z2
-    kept = xyz - xy
-    e2 = (xy - (xyz - kept)) + (z2 - kept)
+    """Error |a| - h of a rounded length h, to twice the working precision (Dekker 1971)."""
+    (x2, ex), (y2, ey), (z2, ez), (h2, eh) = (_square(x, split) for x in (*a, h))
+    xy, e1 = _sum(x2, y2)
+    xyz, e2 = _sum(xy, z2)
     return ((xyz - h2) + (((ex + ey) + (ez - eh)) + (e1 + e2))) / (2.0 * h)
+
+
+def _square(x: Number, split: float) -> tuple[Number, Number]:
+    """Rounded square and its error, from two parts of x with half of its digits, whose products are exact."""
+    shifted = x * split
+    high = shifted - (shifted - x)
+    low, square = x - high, x * x
+    return square, ((high * high - square) + 2.0 * high * low) + low * low
+
+
+def _sum(a: Number, b: Number) -> tuple[Number, Number]:
+    """Rounded sum and its error."""
+    total = a + b
+    kept = total - a
+    return total, (a - (total - kept)) + (b - kept)
 
 
 def entire(a: Pure, split: float) -> tuple[Number, Number, Number]:
