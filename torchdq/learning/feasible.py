@@ -1,11 +1,11 @@
 """Physically consistent robots around a described one: their parameters, and their distance to the description.
 
-A link exists if its pseudo-inertia J = integral of (1, p) (1, p)^T dm is positive definite, which says that the mass is
+A link can exist if its pseudo-inertia J = integral of (1, p) (1, p)^T dm is positive definite, which says that the mass is
 positive and the inertia obeys the triangle inequality. The distance of a link is
 
     2 (tr B - log det B - 4),   B = J described by J_0 = C C^T:  B = C^-1 J C^-T,
 
-about |B - 1|^2 for small changes, the same in all axes and units, and infinite where a body stops to exist (T. Lee, P.
+about |B - 1|^2 for small changes, the same in all axes and units, and infinite where a body cannot exist (T. Lee, P.
 Wensing, F. C. Park, "Geometric robot dynamic identification: a convex programming approach", T-RO 36 (2020)). The
 distance of a coefficient of friction is 2 (x - log x - 1), x being its ratio to the described one.
 """

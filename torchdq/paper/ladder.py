@@ -52,7 +52,7 @@ def as_printed(robot: Robot, q: Row, qd: Row, qdd: Row) -> Sequence[Number]:
 
 
 def zeros_known(robot: Robot, q: Row, qd: Row, qdd: Row) -> Sequence[Number]:
-    """The columns A_D as p x A_P, the base at rest, and each operator built once for both directions."""
+    """Columns A_D as p x A_P, the base at rest, and each operator built once for both directions."""
     return posed.paper(robot, q, {}).torques(qd, qdd, None)
 
 
@@ -72,7 +72,7 @@ def aligned_frames(robot: Robot, q: Row, qd: Row, qdd: Row) -> list[Number]:
 
 
 def without_dual_part(robot: Robot, q: Row, qd: Row, qdd: Row, group: bool = False) -> list[Number]:
-    """The dual part of the twists absent; that of the accelerations becomes the acceleration d of the origin."""
+    """Recursion without the dual part of the twists; that of the accelerations becomes the origin's acceleration d."""
     at = posed.aligned(robot, q, {}, group)
     tree, steps = at.tree, at.steps
     still = rnea.base_motion(None, tree.gravity, None, None)

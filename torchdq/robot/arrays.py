@@ -10,7 +10,7 @@ from torch import Tensor
 from torchdq import dq
 from torchdq.errors import DescriptionError
 
-UNIT = 1e-9  # largest distance of a number from 0 or 1 at which it counts as that; exact input is meant
+UNIT = 1e-9  # largest distance from 0 or 1 of a number that is taken as 0 or 1
 SIX = [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]  # rows and columns of xx xy yy xz yz zz in a symmetric matrix
 
 

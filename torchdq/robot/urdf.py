@@ -28,7 +28,7 @@ from torchdq.robot.urdf_document import MOST, MOVING, Document, Inertial, UrdfJo
 def _codes(kind: str, names: Iterable[str]) -> dict[str, str]:
     """Plain names in the alphabetic order of the names, by which pinocchio sorts the joints on a link.
 
-    Pinocchio confuses some names of files; a joint named 'universe' is the base to it.
+    Pinocchio has names of its own: it takes a joint of a file that is named 'universe' for the base.
     """
     return {name: f"{kind}{i:05d}" for i, name in enumerate(sorted(names))}
 

@@ -20,7 +20,7 @@ from torchdq.robot.arrays import double
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 MOST_BYTES = 10_000_000
 MOST_TAGS = 200_000
-MOST_LINKS = 2_000  # pinocchio recurses over the tree and takes the process with it somewhere beyond 3000
+MOST_LINKS = 2_000  # pinocchio recurses over the tree and crashes the process somewhere beyond 3000
 MOST = 1e50  # largest number: the products of three that dynamics form still do not overflow
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
