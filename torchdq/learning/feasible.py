@@ -1,7 +1,7 @@
 """Physically consistent robots around a described one: their parameters, and their distance to the description.
 
-A link can exist if its pseudo-inertia J = integral of (1, p) (1, p)^T dm is positive definite, which says that the mass is
-positive and the inertia obeys the triangle inequality. The distance of a link is
+A link can exist if its pseudo-inertia J = integral of (1, p) (1, p)^T dm is positive definite, which says that the mass
+is positive and the inertia obeys the triangle inequality. The distance of a link is
 
     2 (tr B - log det B - 4),   B = J described by J_0 = C C^T:  B = C^-1 J C^-T,
 
