@@ -42,6 +42,12 @@ def split(name: str, x: Tensor, *sizes: int) -> tuple:
     return parts if half is None else (parts[:half], parts[half:])
 
 
+def split_rows(name: str, x: Tensor, size: int) -> tuple[tuple, ...]:
+    """Rows of a matrix [..., size, size], each as its components in the form of the algebra."""
+    require_square(name, x, size)
+    return tuple(split(name, row, size) for row in x.unbind(-2))
+
+
 def stack(components) -> Tensor:
     """Tensor [..., k] of k components, or [..., 2 k] of a pair; Python numbers become constants."""
     flat = [*components[0], *components[1]] if isinstance(components[0], tuple) else list(components)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchdq.algebra import dual_quaternion, quaternion
 from torchdq.dq import explog
-from torchdq.dq.components import checked, require_square, split, stack, stack_rows
+from torchdq.dq.components import checked, require_square, split, split_rows, stack, stack_rows
 from torchdq.dq.tensors import conj, mul
 
 # --- exponential and logarithm ---------------------------------------------------------------------------------------
@@ -140,8 +140,7 @@ def from_rotation_matrix(matrix: Tensor) -> Tensor:
     The largest of the four components is computed from the diagonal, and the others by a division by it, so that no
     rotation is close to a singularity.
     """
-    require_square("matrix", matrix, 3)
-    candidates = stack_rows(quaternion.from_rotation_rows(tuple(row.unbind(-1) for row in matrix.unbind(-2))))
+    candidates = stack_rows(quaternion.from_rotation_rows(split_rows("matrix", matrix, 3)))
     squares = candidates.diagonal(dim1=-2, dim2=-1)
     largest = squares.argmax(-1, keepdim=True)
     q = candidates.gather(-2, largest.unsqueeze(-1).expand(*largest.shape, 4)).squeeze(-2)

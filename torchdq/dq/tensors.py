@@ -21,7 +21,7 @@ from torch import Tensor
 
 from torchdq.algebra import dual_quaternion, quaternion, screw
 from torchdq.algebra.inertia import Inertia, six
-from torchdq.dq.components import checked, require_matrix, require_square, split, stack, stack_rows
+from torchdq.dq.components import checked, require_matrix, split, split_rows, stack, stack_rows
 from torchdq.errors import ArgumentError
 
 
@@ -125,14 +125,12 @@ def power(wrench: Tensor, twist: Tensor) -> Tensor:
 
 def t4(m: Tensor, q: Tensor) -> Tensor:
     """Combination m1 q1 + m2 q2 + m3 q3 + m4 q4 of quaternions m [..., 4 quaternions, 4] by q [..., 4] (20)."""
-    require_square("m", m, 4)
-    return stack(quaternion.t4(tuple(split("m", row, 4) for row in m.unbind(-2)), split("q", q, 4)))
+    return stack(quaternion.t4(split_rows("m", m, 4), split("q", q, 4)))
 
 
 def t8(n: Tensor, q: Tensor) -> Tensor:
     """Combination of eight dual quaternions n [..., 8 dual quaternions, 8] by the components of q [..., 8] (21)."""
-    require_square("n", n, 8)
-    return stack(dual_quaternion.t8(tuple(split("n", row, 8) for row in n.unbind(-2)), split("q", q, 8)))
+    return stack(dual_quaternion.t8(split_rows("n", n, 8), split("q", q, 8)))
 
 
 def h_left(x: Tensor) -> Tensor:
@@ -249,8 +247,7 @@ def inertia_transform(mass: Tensor, inertia: Tensor, a: Tensor, com: Tensor | No
         com: centre of mass in the body frame [m], shape [..., 3]; None: the origin.
     """
     parts = split("a", a, 6)
-    require_square("inertia", inertia, 3)
-    rows = tuple(row.unbind(-1) for row in inertia.unbind(-2))
+    rows = split_rows("inertia", inertia, 3)
     if com is None:
         return stack(Inertia(mass, None, rows).momentum(parts))
     return stack(Inertia.from_com(mass, split("com", com, 3), six(rows)).momentum(parts))
