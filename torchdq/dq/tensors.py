@@ -197,11 +197,10 @@ def normalize(x: Tensor) -> Tensor:
     A row whose primary part is zero is NaN.
     """
     _, x = _moderate(x)
-    parts = split("x", x, 4, 8)
+    x = x / quaternion.norm2(x[..., :4].unbind(-1)).sqrt().unsqueeze(-1)
     if x.shape[-1] == 4:
-        return x / quaternion.norm2(parts).sqrt().unsqueeze(-1)
-    length = quaternion.norm2(parts[0]).sqrt().unsqueeze(-1)
-    p, d = x[..., :4] / length, x[..., 4:] / length
+        return x
+    p, d = x.split(4, -1)
     return torch.cat([p, d - (p * d).sum(-1, keepdim=True) * p], -1)
 
 
