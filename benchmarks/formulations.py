@@ -115,13 +115,13 @@ class Arm:
             homogeneous.denavit_hartenberg(x.cos(), x.sin(), (math.cos(alpha), math.sin(alpha)), a, d)
             for x, alpha, a, d in zip(q, self.alpha, self.a, self.d, strict=True)
         ]
-        return homogeneous.chained(steps)[-1]
+        return reduce(homogeneous.product, steps)
 
     def htm_screws(self, q: Row) -> list:
         """The same by exponentials."""
         axes, home = self.screws()
         steps = [homogeneous.exponential(homogeneous.generator(s), turn(x)) for s, x in zip(axes, q, strict=True)]
-        return homogeneous.chained([*steps, homogeneous.matrix(home)])[-1]
+        return reduce(homogeneous.product, [*steps, homogeneous.matrix(home)])
 
     def udq_dh(self, q: Row) -> DualQuaternion:
         """Dual quaternion of the tip's pose."""

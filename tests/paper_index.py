@@ -275,14 +275,14 @@ SECTION_5_1_2 = (
         "44",
         "acceleration wd_i = a_i qdd_i + Ad(x_{i-1}^i) wd_{i-1} + (w_i x a_i) qd_i",
         "paper.ladder:aligned_frames dynamics.aligned.rnea:carried dynamics.paper.rnea:outward paper.printed:rnea "
-        "paper.tables:accelerated",
+        "paper.printed:accelerated",
         f"{GOLDEN}_two_link_accelerations",
     ),
     Row(
         "45",
         "net wrench of a link, w_i x G_i(w_i) + G_i(wd_i)",
         "paper.ladder:aligned_frames dynamics.aligned.rnea:inverse_dynamics dynamics.paper.rnea:inward "
-        "paper.printed:rnea paper.tables:net_wrench",
+        "paper.printed:rnea paper.printed:net_wrench",
         f"{GOLDEN}_two_link_wrenches",
     ),
     Row(

@@ -141,9 +141,18 @@ def by_exponentials(screws, home, kinds, q):
     """Matrices of the tip from screws in the base frame: Rodrigues' formula, and dual quaternions."""
     turns = [homogeneous.Displacement(x, math.sin(x), 1 - math.cos(x), x - math.sin(x)) for x in q]
     steps = [homogeneous.exponential(homogeneous.generator(s), turn) for s, turn in zip(screws, turns, strict=True)]
-    by_matrices = homogeneous.chained([*steps, homogeneous.matrix(home)])[-1]
+    by_matrices = reduce(homogeneous.product, [*steps, homogeneous.matrix(home)])
     motions = [KINDS[kind](s).motion(half(x)) for s, kind, x in zip(screws, kinds, q, strict=True)]
     return by_matrices, homogeneous.matrix(reduce(dual_quaternion.mul, [*motions, home]))
+
+
+def denavit_hartenberg_by_products(cos, sin, alpha, a, d):
+    """Transform of a joint by the two dense products Rot_z(theta) Trans_z(d) . Trans_x(a) . Rot_x(alpha)."""
+    ca, sa = alpha
+    about_z = [[cos, -sin, 0, 0], [sin, cos, 0, 0], [0, 0, 1, d], [0, 0, 0, 1]]
+    along_x = [[1, 0, 0, a], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+    about_x = [[1, 0, 0, 0], [0, ca, -sa, 0], [0, sa, ca, 0], [0, 0, 0, 1]]
+    return reduce(homogeneous.product, [about_z, along_x, about_x])
 
 
 @pytest.mark.parametrize("n", [1, 2, 7, 42])
@@ -154,12 +163,12 @@ def test_four_formulations_of_the_pose_agree_on_a_denavit_hartenberg_arm(n):
     expected = tip_matrix(robot, q)
     rows = list(zip((q + theta).tolist(), alpha.tolist(), a.tolist(), d.tolist(), strict=True))
 
-    for form in (homogeneous.denavit_hartenberg, homogeneous.denavit_hartenberg_by_products):
+    for form in (homogeneous.denavit_hartenberg, denavit_hartenberg_by_products):
         steps = [
             form(math.cos(t), math.sin(t), (math.cos(twist), math.sin(twist)), length, offset)
             for t, twist, length, offset in rows
         ]
-        assert relative(homogeneous.chained(steps)[-1], expected) < 1e-13
+        assert relative(reduce(homogeneous.product, steps), expected) < 1e-13
 
     halved = [
         ((math.cos(t / 2), math.sin(t / 2)), (math.cos(w / 2), math.sin(w / 2)), x / 2, y / 2) for t, w, x, y in rows

@@ -22,6 +22,8 @@ from torchdq.envs import Scene
 from torchdq.envs.integrators import ExplicitEuler
 from torchdq.nn import RobotModule
 from torchdq.parametrizations import PhysicalInertia, Positive
+from torchdq.robot import posed
+from torchdq.robot.consistency import inert_joints
 
 F32, F64 = torch.float32, torch.float64
 EPS = {F32: 2.0**-23, F64: 2.0**-52}
@@ -202,7 +204,7 @@ def test_a_robot_stays_physical_at_every_step(name, kind, gradients):
         assert objections(robot.mass, robot.inertia) == []
         for positive in (robot.armature, module.viscous, module.coulomb):
             assert bool((positive > 0).all()) and bool(positive.isfinite().all())
-        assert torchdq.robot.consistency.inert_joints(robot.joint_names, robot.bake().tree()) == []
+        assert inert_joints(robot.joint_names, posed.tree(robot.bake(), {})) == []
 
 
 # --- where learning starts -------------------------------------------------------------------------------------------

@@ -19,23 +19,13 @@ import torch
 from torch import Tensor
 
 from torchdq import dq
-from torchdq.errors import ArgumentError, DtypeError
+from torchdq.dq.components import checked
+from torchdq.errors import ArgumentError
 from torchdq.optional import imported
 
 if TYPE_CHECKING:
     import pinocchio
     from scipy.spatial.transform import RigidTransform
-
-
-def _components(name: str, x: Tensor, size: int) -> Tensor:
-    """Floating tensor x [..., size], checked."""
-    if not isinstance(x, Tensor):
-        raise ArgumentError(f"{name} must be a tensor, found {type(x).__name__}")
-    if not x.dtype.is_floating_point:
-        raise DtypeError(f"{name} must be a floating tensor, found {x.dtype}; convert it, e.g. {name}.double()")
-    if x.ndim == 0 or x.shape[-1] != size:
-        raise ArgumentError(f"{name} must end with an axis of {size} components, found shape {tuple(x.shape)}")
-    return x
 
 
 # --- quaternion order ------------------------------------------------------------------------------------------------
@@ -47,7 +37,7 @@ def to_xyzw(r: Tensor) -> Tensor:
     >>> to_xyzw(torch.tensor([1.0, 2, 3, 4]))
     tensor([2., 3., 4., 1.])
     """
-    return _components("r", r, 4).roll(-1, -1)
+    return checked("r", r, 4).roll(-1, -1)
 
 
 def from_xyzw(r: Tensor) -> Tensor:
@@ -56,7 +46,7 @@ def from_xyzw(r: Tensor) -> Tensor:
     >>> from_xyzw(torch.tensor([2.0, 3, 4, 1]))
     tensor([1., 2., 3., 4.])
     """
-    return _components("r", r, 4).roll(1, -1)
+    return checked("r", r, 4).roll(1, -1)
 
 
 # --- MuJoCo ----------------------------------------------------------------------------------------------------------
@@ -71,7 +61,6 @@ def to_mujoco(x: Tensor) -> tuple[Tensor, Tensor]:
     >>> position, rotation
     (tensor([1., 2., 3.]), tensor([1., 0., 0., 0.]))
     """
-    _components("x", x, 8)
     return dq.translation(x), dq.rotation(x)
 
 
@@ -79,15 +68,15 @@ def from_mujoco(position: Tensor, rotation: Tensor) -> Tensor:
     """Pose X_AB [..., 8] from MuJoCo's position and quaternion, e.g. `data.xpos` and `data.xquat`, with A the world.
 
     Args:
-        position: of B's origin in A [m], shape [..., 3]; a numpy array will do.
-        rotation: unit quaternion (w, x, y, z), shape [..., 4]; a numpy array will do.
+        position: position of B's origin in A [m], shape [..., 3], also as a numpy array.
+        rotation: unit quaternion (w, x, y, z), shape [..., 4], also as a numpy array.
 
     >>> from_mujoco(torch.tensor([1.0, 2, 3]), torch.tensor([1.0, 0, 0, 0]))
     tensor([1.0000, 0.0000, 0.0000, 0.0000, 0.0000, 0.5000, 1.0000, 1.5000])
     """
     # MuJoCo's arrays are views into its state: a copy keeps the pose from changing with the next step
     position, rotation = (v if isinstance(v, Tensor) else torch.tensor(v) for v in (position, rotation))
-    return dq.from_pose(_components("rotation", rotation, 4), _components("position", position, 3))
+    return dq.from_pose(rotation, position)
 
 
 # --- scipy -----------------------------------------------------------------------------------------------------------
@@ -101,7 +90,7 @@ def to_scipy(x: Tensor) -> RigidTransform:
     """
     transforms = imported("scipy.spatial.transform", "scipy", "to_scipy")
     return transforms.RigidTransform.from_dual_quat(
-        _components("x", x, 8).detach().cpu().double().numpy(), scalar_first=True
+        checked("x", x, 8).detach().cpu().double().numpy(), scalar_first=True
     )
 
 
@@ -119,7 +108,7 @@ def to_pinocchio(x: Tensor) -> pinocchio.SE3:
     """Placement aMb of Pinocchio for one pose x = X_AB [8]."""
     import pinocchio
 
-    if _components("x", x, 8).ndim != 1:
+    if checked("x", x, 8).ndim != 1:
         raise ArgumentError(f"x must be one pose of shape (8,), found {tuple(x.shape)}; convert row by row")
     x = x.detach().cpu().double()
     return pinocchio.SE3(dq.to_rotation_matrix(dq.rotation(x)).numpy(), dq.translation(x).numpy())
@@ -141,7 +130,7 @@ def motion_to_pinocchio(twist: Tensor) -> Tensor:
     >>> motion_to_pinocchio(torch.tensor([1.0, 2, 3, 4, 5, 6]))
     tensor([4., 5., 6., 1., 2., 3.])
     """
-    return dq.swap(_components("twist", twist, 6))
+    return dq.swap(checked("twist", twist, 6))
 
 
 def motion_from_pinocchio(motion: Tensor) -> Tensor:
@@ -150,4 +139,4 @@ def motion_from_pinocchio(motion: Tensor) -> Tensor:
     >>> motion_from_pinocchio(torch.tensor([4.0, 5, 6, 1, 2, 3]))
     tensor([1., 2., 3., 4., 5., 6.])
     """
-    return dq.swap(_components("motion", motion, 6))
+    return dq.swap(checked("motion", motion, 6))

@@ -8,7 +8,8 @@ one step width suits a crane and a finger: a change by 0.01 is one percent of a 
 import torch
 from torch import Tensor, nn
 
-from torchdq.errors import ArgumentError
+from torchdq.functional import require_finite
+from torchdq.robot.arrays import second_moments
 
 SMALLEST = 1e-6  # positive quantity that replaces one that is not positive [SI units]
 FLAT = 1e-6  # smallest second moment of a body relative to their sum; a rod or a plate gets it in its flat directions
@@ -43,7 +44,7 @@ class Positive(nn.Module):
 
     def right_inverse(self, value: Tensor) -> Tensor:
         """Unconstrained numbers of given values; raises `ArgumentError` unless they are finite."""
-        _finite(value)
+        require_finite(value=value)
         return value.where(value > 0, SMALLEST).log()
 
 
@@ -89,16 +90,13 @@ class PhysicalInertia(nn.Module):
         """Unconstrained numbers [..., 6] of given inertias [..., 6].
 
         Principal second moments below 1e-6 of their sum are lifted to that: a thin rod or plate gets a thickness, and
-        an inertia that no body has becomes the one of a body near by. With no inertia at all they become 1e-8 kg m^2.
+        an inertia that no body has becomes one that is close to it. With no inertia at all they become 1e-8 kg m^2.
 
         Raises:
             ArgumentError: a value is not finite.
         """
-        _finite(value)
-        xx, xy, yy, xz, yz, zz = value.to(torch.float64).unbind(-1)
-        half = (xx + yy + zz) / 2
-        rows = ((half - xx, -xy, -xz), (-xy, half - yy, -yz), (-xz, -yz, half - zz))
-        second = torch.stack([torch.stack(row, -1) for row in rows], -2)
+        require_finite(value=value)
+        second = second_moments(value.to(torch.float64))
         moments, axes = torch.linalg.eigh(second)
         floor = (FLAT * moments.clamp(min=0).sum(-1, keepdim=True)).where(moments[..., -1:] > 0, POINT)
         lifted = (axes * moments.maximum(floor).unsqueeze(-2)) @ axes.mT
@@ -112,8 +110,3 @@ class PhysicalInertia(nn.Module):
 
 def _exponential(x: Tensor) -> Tensor:
     return x.clamp(-LARGEST_LOGARITHM, LARGEST_LOGARITHM).exp()
-
-
-def _finite(value: Tensor) -> None:
-    if not bool(value.isfinite().all()):
-        raise ArgumentError(f"a physical quantity must be finite, found {value.tolist()}; correct it first")

@@ -107,6 +107,20 @@ def rotation_columns(r: Quaternion) -> tuple[Pure, Pure, Pure]:
     )
 
 
+def from_rotation_rows(rows: tuple[Pure, ...]) -> tuple[Quaternion, ...]:
+    """Rows of 4 r r^T for the unit quaternions r and -r of a rotation matrix: each row is one of them, scaled.
+
+    The row with the largest diagonal entry is the one to normalise: no rotation is close to a singularity of it.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = rows
+    return (
+        (1.0 + xx + yy + zz, zy - yz, xz - zx, yx - xy),
+        (zy - yz, 1.0 + xx - yy - zz, yx + xy, xz + zx),
+        (xz - zx, yx + xy, 1.0 - xx + yy - zz, zy + yz),
+        (yx - xy, xz + zx, zy + yz, 1.0 - xx - yy + zz),
+    )
+
+
 def hamilton_left_matrix(x: Quaternion) -> tuple[Quaternion, ...]:
     """Rows of the Hamilton operator H+(x): vec(x y) = H+(x) vec(y)."""
     w, i, j, k = x

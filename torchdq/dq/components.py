@@ -6,37 +6,46 @@ from torch import Tensor
 from torchdq.errors import ArgumentError, DtypeError
 
 
-def require_floating(name: str, x: Tensor) -> None:
-    """Raise unless x is a tensor of floating-point numbers."""
+def floating(name: str, x: Tensor) -> Tensor:
+    """Tensor x; raises unless it is one of floating-point numbers."""
     if not isinstance(x, Tensor):
         raise ArgumentError(f"{name} must be a tensor, found {type(x).__name__}")
     if not x.dtype.is_floating_point:
         raise DtypeError(f"{name} must be a floating tensor, found {x.dtype}; convert it, e.g. {name}.double()")
+    return x
 
 
 def require_square(name: str, x: Tensor, size: int) -> None:
     """Raise unless x is a matrix [..., size, size]."""
-    require_floating(name, x)
-    if x.shape[-2:] != (size, size):
+    if floating(name, x).shape[-2:] != (size, size):
         raise ArgumentError(f"{name} must have the shape [..., {size}, {size}], found {tuple(x.shape)}")
 
 
 def require_matrix(name: str, x: Tensor) -> None:
     """Raise unless x is a matrix of dual quaternions [..., rows, columns, 8]."""
-    split(name, x, 8)
-    if x.ndim < 3:
+    if checked(name, x, 8).ndim < 3:
         raise ArgumentError(f"{name} must be a matrix [..., rows, columns, 8], found shape {tuple(x.shape)}")
+
+
+def checked(name: str, x: Tensor, *sizes: int) -> Tensor:
+    """Floating tensor x; raises unless its last axis has one of these sizes."""
+    if floating(name, x).ndim == 0 or x.shape[-1] not in sizes:
+        expected = " or ".join(str(s) for s in sizes)
+        raise ArgumentError(f"{name} must end with an axis of {expected} components, found shape {tuple(x.shape)}")
+    return x
 
 
 def split(name: str, x: Tensor, *sizes: int) -> tuple:
     """Components of x in the form of the algebra: 3 or 4 numbers, or a pair of 3 or 4 for a last axis of 6 or 8."""
-    require_floating(name, x)
-    if x.ndim == 0 or x.shape[-1] not in sizes:
-        expected = " or ".join(str(s) for s in sizes)
-        raise ArgumentError(f"{name} must end with an axis of {expected} components, found shape {tuple(x.shape)}")
-    parts = x.unbind(-1)
+    parts = checked(name, x, *sizes).unbind(-1)
     half = {6: 3, 8: 4}.get(len(parts))
     return parts if half is None else (parts[:half], parts[half:])
+
+
+def split_rows(name: str, x: Tensor, size: int) -> tuple[tuple, ...]:
+    """Rows of a matrix [..., size, size], each as its components in the form of the algebra."""
+    require_square(name, x, size)
+    return tuple(split(name, row, size) for row in x.unbind(-2))
 
 
 def stack(components) -> Tensor:

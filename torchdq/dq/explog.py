@@ -9,21 +9,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
-from torchdq.algebra.quaternion import Pure
+from torchdq.algebra.quaternion import Number, Pure
 from torchdq.backends.choice import BackendName
 from torchdq.caches import remembered
 from torchdq.call import DTYPES, Computation, evaluate
 from torchdq.numbers.functions import absolute, arctangent, at_least, below, maximum, minimum, polynomial, select, sqrt
 from torchdq.program.program import Argument, Program, record
 
-Value = Any
 _TERMS = 11
 _COS = [(-1) ** k / math.factorial(2 * k) for k in range(_TERMS)]
 _SINC = [(-1) ** k / math.factorial(2 * k + 1) for k in range(_TERMS)]
@@ -32,29 +31,30 @@ _ATAN = [(-1) ** k / (2 * k + 1) for k in range(_TERMS + 2)]
 _ATAN_K = [(-1) ** (k + 1) * (2 * k + 2) / (2 * k + 3) for k in range(_TERMS + 2)]
 
 
-def length_defect(a: Pure, h: Value, split: float) -> Value:
-    """Error |a| - h of a rounded length h, to twice the working precision (Dekker 1971).
-
-    Every number is split into a sum of two numbers with half of its digits, whose products are exact.
-    """
-    squares, errors = [], []
-    for x in (*a, h):
-        shifted = x * split
-        high = shifted - (shifted - x)
-        low, square = x - high, x * x
-        squares.append(square)
-        errors.append(((high * high - square) + 2.0 * high * low) + low * low)
-    (x2, y2, z2, h2), (ex, ey, ez, eh) = squares, errors
-    xy = x2 + y2
-    kept = xy - x2
-    e1 = (x2 - (xy - kept)) + (y2 - kept)
-    xyz = xy + z2
-    kept = xyz - xy
-    e2 = (xy - (xyz - kept)) + (z2 - kept)
+def length_defect(a: Pure, h: Number, split: float) -> Number:
+    """Error |a| - h of a rounded length h, to twice the working precision (Dekker 1971)."""
+    (x2, ex), (y2, ey), (z2, ez), (h2, eh) = (_square(x, split) for x in (*a, h))
+    xy, e1 = _sum(x2, y2)
+    xyz, e2 = _sum(xy, z2)
     return ((xyz - h2) + (((ex + ey) + (ez - eh)) + (e1 + e2))) / (2.0 * h)
 
 
-def entire(a: Pure, split: float) -> tuple[Value, Value, Value]:
+def _square(x: Number, split: float) -> tuple[Number, Number]:
+    """Rounded square and its error, from two parts of x with half of its digits, whose products are exact."""
+    shifted = x * split
+    high = shifted - (shifted - x)
+    low, square = x - high, x * x
+    return square, ((high * high - square) + 2.0 * high * low) + low * low
+
+
+def _sum(a: Number, b: Number) -> tuple[Number, Number]:
+    """Rounded sum and its error."""
+    total = a + b
+    kept = total - a
+    return total, (a - (total - kept)) + (b - kept)
+
+
+def entire(a: Pure, split: float) -> tuple[Number, Number, Number]:
     """C = cos |a|, S = sin |a|/|a|, K = (C - S)/|a|^2, with every derivative finite at a = 0.
 
     Outside the series, the rounding error of |a| would cost one ulp per radian; it is computed and corrected.
@@ -73,7 +73,7 @@ def entire(a: Pure, split: float) -> tuple[Value, Value, Value]:
     )
 
 
-def angle(w: Value, n2: Value, single: bool) -> tuple[Value, Value]:
+def angle(w: Number, n2: Number, single: bool) -> tuple[Number, Number]:
     """f = atan2(n, w)/n and g = (w/(w^2 + n2) - f)/n2, n = sqrt n2, with every derivative finite at n = 0, w > 0."""
     near = below(0.0, w) * below(n2, 0.05 * (w * w))
     w_near = select(near, w, 1.0)
@@ -87,19 +87,19 @@ def angle(w: Value, n2: Value, single: bool) -> tuple[Value, Value]:
     )
 
 
-def full_turn(w: Value, n2: Value) -> Value:
+def full_turn(w: Number, n2: Number) -> Number:
     """1 at a full turn, w < 0 and n2 = 0, where the axis is undefined; otherwise 0."""
     return at_least(0.0, n2) * below(w, 0.0)
 
 
-def exp(a: Sequence[Value], single: bool) -> dict[str, Sequence[Value]]:
+def exp(a: Sequence[Number], single: bool) -> dict[str, Sequence[Number]]:
     """Unit dual quaternion x = exp(a) of a pure one."""
     split = 2.0**12 + 1.0 if single else 2.0**27 + 1.0
     p, d = screw.exp((tuple(a[:3]), tuple(a[3:])), lambda v: entire(v, split))
     return {"x": [*p, *d]}
 
 
-def log(x: Sequence[Value], single: bool) -> dict[str, Sequence[Value]]:
+def log(x: Sequence[Number], single: bool) -> dict[str, Sequence[Number]]:
     """Logarithm a of a unit dual quaternion x; the axis of a full turn is along the displacement, or along x."""
     (w, *v), b = x[:4], tuple(x[5:])
     p, d = screw.log((tuple(x[:4]), tuple(x[4:])), lambda w, n2: angle(w, n2, single))
@@ -121,7 +121,7 @@ def log(x: Sequence[Value], single: bool) -> dict[str, Sequence[Value]]:
 class _Formula(NamedTuple):
     """Fields of `Map`."""
 
-    formula: Callable[..., dict[str, Sequence[Value]]]
+    formula: Callable[..., dict[str, Sequence[Number]]]
     width: int
     single: bool  # whether the program runs in single precision
 
@@ -133,17 +133,13 @@ class Map(_Formula, Computation):
         """Trailing axes of the argument."""
         return (self.width,)
 
+    @remembered(4)
     def program(self, arguments: tuple[Argument, ...]) -> Program:
         """Program of the formula."""
-        return _program(self, arguments)
+        return record(self.formula.__name__, arguments, lambda row: self.formula(row, self.single))
 
 
-@remembered(4)
-def _program(what: Map, arguments: tuple[Argument, ...]) -> Program:
-    return record(what.formula.__name__, arguments, lambda row: what.formula(row, what.single))
-
-
-def mapped(formula: Callable[..., dict[str, Sequence[Value]]], x: Tensor) -> Tensor:
+def mapped(formula: Callable[..., dict[str, Sequence[Number]]], x: Tensor) -> Tensor:
     """Result [..., k] of `exp` or `log` for a tensor [..., width]; half precision is computed in single precision."""
     wide = x if x.dtype in DTYPES else x.float()
     # torch.compile fuses torch operations itself

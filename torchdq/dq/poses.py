@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchdq.algebra import dual_quaternion, quaternion
 from torchdq.dq import explog
-from torchdq.dq.components import require_square, split, stack, stack_rows
+from torchdq.dq.components import checked, require_square, split, split_rows, stack, stack_rows
 from torchdq.dq.tensors import conj, mul
 
 # --- exponential and logarithm ---------------------------------------------------------------------------------------
@@ -26,8 +26,7 @@ def exp(a: Tensor) -> Tensor:
     >>> translation(exp(torch.tensor([0.0, 0, 0, 0, 0, 1])))  # half a translation by 2 m
     tensor([0., 0., 2.])
     """
-    split("a", a, 6)
-    return explog.mapped(explog.exp, a)
+    return explog.mapped(explog.exp, checked("a", a, 6))
 
 
 def log(x: Tensor) -> Tensor:
@@ -40,8 +39,7 @@ def log(x: Tensor) -> Tensor:
     >>> log(exp(torch.tensor([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))).mul(10).round().int().tolist()
     [1, 2, 3, 10, 20, 30]
     """
-    split("x", x, 8)
-    return explog.mapped(explog.log, x)
+    return explog.mapped(explog.log, checked("x", x, 8))
 
 
 def log_shortest(x: Tensor) -> Tensor:
@@ -50,7 +48,7 @@ def log_shortest(x: Tensor) -> Tensor:
     Both signs of a pose give the same result, except where the angle is exactly pi (w = 0): there both turns are as
     long, and that of x is taken, so that -x gives the opposite turn. The gradient is discontinuous there.
     """
-    split("x", x, 8)
+    checked("x", x, 8)
     return log(torch.where(x[..., :1] < 0, -x, x))
 
 
@@ -61,8 +59,8 @@ def sclerp(x: Tensor, y: Tensor, t: Tensor | float) -> Tensor:
         x, y: poses, shape [..., 8].
         t: fraction [1], shape [...] or a number; outside [0, 1] it extrapolates.
     """
-    split("x", x, 8)
-    split("y", y, 8)
+    checked("x", x, 8)
+    checked("y", y, 8)
     t = torch.as_tensor(t, dtype=x.dtype, device=x.device)
     return mul(x, exp(t.unsqueeze(-1) * log_shortest(mul(conj(x), y))))
 
@@ -71,7 +69,7 @@ class ScrewParameters(NamedTuple):
     """Screw motion: a turn by `angle` about a line with a translation by `slide` along it."""
 
     axis: Tensor  # unit direction of the line [1], [..., 3]; along the displacement if there is no rotation
-    moment: Tensor  # the line's, about the origin [m], [..., 3]; zero if there is no rotation
+    moment: Tensor  # moment of the line about the origin [m], [..., 3]; zero if there is no rotation
     angle: Tensor  # [rad], [...], in [0, pi]
     slide: Tensor  # [m], [...]; the pitch slide/angle is infinite for a pure translation
 
@@ -84,16 +82,18 @@ def screw_params(x: Tensor) -> ScrewParameters:
     """
     p, d = log_shortest(x).split(3, -1)
     half = torch.linalg.vector_norm(p, dim=-1, keepdim=True)
-    turns = half != 0  # true for NaN, which then is the result
     length = torch.linalg.vector_norm(d, dim=-1, keepdim=True)
-    moves = length != 0
     still = torch.eye(3, dtype=x.dtype, device=x.device)[0]
-    axis = torch.where(
-        turns, p / torch.where(turns, half, 1.0), torch.where(moves, d / torch.where(moves, length, 1.0), still)
-    )
+    axis = _divided(p, half, _divided(d, length, still))
     slide = (axis * d).sum(-1, keepdim=True)
-    moment = torch.where(turns, (d - slide * axis) / torch.where(turns, half, 1.0), 0.0)
+    moment = _divided(d - slide * axis, half, 0.0)
     return ScrewParameters(axis, moment, 2.0 * half.squeeze(-1), 2.0 * slide.squeeze(-1))
+
+
+def _divided(x: Tensor, length: Tensor, otherwise: Tensor | float) -> Tensor:
+    """Quotient x / length; another value where the length is zero, and NaN where it is NaN."""
+    present = length != 0
+    return torch.where(present, x / torch.where(present, length, 1.0), otherwise)
 
 
 # --- poses -----------------------------------------------------------------------------------------------------------
@@ -104,15 +104,14 @@ def from_pose(rotation: Tensor, position: Tensor) -> Tensor:
 
     Args:
         rotation: unit quaternion (w, x, y, z) that turns B components into A components, shape [..., 4].
-        position: of B's origin in A [m], shape [..., 3].
+        position: position of B's origin in A [m], shape [..., 3].
     """
     return stack(dual_quaternion.from_pose(split("rotation", rotation, 4), split("position", position, 3)))
 
 
 def rotation(x: Tensor) -> Tensor:
     """Unit quaternion r [..., 4] of the pose x [..., 8], the primary part."""
-    split("x", x, 8)
-    return x[..., :4]
+    return checked("x", x, 8)[..., :4]
 
 
 def translation(x: Tensor) -> Tensor:
@@ -141,19 +140,8 @@ def from_rotation_matrix(matrix: Tensor) -> Tensor:
     The largest of the four components is computed from the diagonal, and the others by a division by it, so that no
     rotation is close to a singularity.
     """
-    require_square("matrix", matrix, 3)
-    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (row.unbind(-1) for row in matrix.unbind(-2))
-    squares = torch.stack([1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz], -1)
-    sw, sx, sy, sz = squares.unbind(-1)
-    candidates = torch.stack(
-        [
-            torch.stack([sw, zy - yz, xz - zx, yx - xy], -1),
-            torch.stack([zy - yz, sx, yx + xy, xz + zx], -1),
-            torch.stack([xz - zx, yx + xy, sy, zy + yz], -1),
-            torch.stack([yx - xy, xz + zx, zy + yz, sz], -1),
-        ],
-        -2,
-    )
+    candidates = stack_rows(quaternion.from_rotation_rows(split_rows("matrix", matrix, 3)))
+    squares = candidates.diagonal(dim1=-2, dim2=-1)
     largest = squares.argmax(-1, keepdim=True)
     q = candidates.gather(-2, largest.unsqueeze(-1).expand(*largest.shape, 4)).squeeze(-2)
     q = q / (2.0 * squares.gather(-1, largest).sqrt())

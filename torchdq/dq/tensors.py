@@ -14,18 +14,25 @@ Rows are independent: a row that is not finite, or cannot be normalised, gives N
 """
 
 from collections.abc import Callable
+from types import ModuleType
 
 import torch
 from torch import Tensor
 
 from torchdq.algebra import dual_quaternion, quaternion, screw
 from torchdq.algebra.inertia import Inertia, six
-from torchdq.dq.components import require_matrix, require_square, split, stack, stack_rows
+from torchdq.dq.components import checked, require_matrix, split, split_rows, stack, stack_rows
 from torchdq.errors import ArgumentError
 
 
-def _by_size(x: Tensor, four: Callable, eight: Callable) -> Callable:
-    return eight if x.shape[-1] == 8 else four
+def _algebra(x: Tensor) -> ModuleType:
+    """Algebra of quaternions [..., 4] or of dual quaternions [..., 8]."""
+    return dual_quaternion if x.shape[-1] == 8 else quaternion
+
+
+def _lower(diagonal: Tensor, below: Tensor) -> Tensor:
+    """Block matrix [[diagonal, 0], [below, diagonal]]."""
+    return torch.cat([torch.cat([diagonal, torch.zeros_like(diagonal)], -1), torch.cat([below, diagonal], -1)], -2)
 
 
 # --- products --------------------------------------------------------------------------------------------------------
@@ -38,7 +45,7 @@ def mul(x: Tensor, y: Tensor) -> Tensor:
     tensor([0., 0., 0., 1.])
     """
     a, b = split("x", x, 4, 8), split("y", y, x.shape[-1])
-    return stack(_by_size(x, quaternion.mul, dual_quaternion.mul)(a, b))
+    return stack(_algebra(x).mul(a, b))
 
 
 def conj(x: Tensor) -> Tensor:
@@ -48,7 +55,7 @@ def conj(x: Tensor) -> Tensor:
     tensor([ 1., -2., -3., -4.])
     """
     parts = split("x", x, 4, 8)
-    return stack(_by_size(x, quaternion.conj, dual_quaternion.conj)(parts))
+    return stack(_algebra(x).conj(parts))
 
 
 def matmul(a: Tensor, b: Tensor) -> Tensor:
@@ -118,14 +125,12 @@ def power(wrench: Tensor, twist: Tensor) -> Tensor:
 
 def t4(m: Tensor, q: Tensor) -> Tensor:
     """Combination m1 q1 + m2 q2 + m3 q3 + m4 q4 of quaternions m [..., 4 quaternions, 4] by q [..., 4] (20)."""
-    require_square("m", m, 4)
-    return stack(quaternion.t4(tuple(split("m", row, 4) for row in m.unbind(-2)), split("q", q, 4)))
+    return stack(quaternion.t4(split_rows("m", m, 4), split("q", q, 4)))
 
 
 def t8(n: Tensor, q: Tensor) -> Tensor:
     """Combination of eight dual quaternions n [..., 8 dual quaternions, 8] by the components of q [..., 8] (21)."""
-    require_square("n", n, 8)
-    return stack(dual_quaternion.t8(tuple(split("n", row, 8) for row in n.unbind(-2)), split("q", q, 8)))
+    return stack(dual_quaternion.t8(split_rows("n", n, 8), split("q", q, 8)))
 
 
 def h_left(x: Tensor) -> Tensor:
@@ -158,8 +163,7 @@ def _hamilton(x: Tensor, matrix: Callable) -> Tensor:
     parts = split("x", x, 4, 8)
     if x.shape[-1] == 4:
         return stack_rows(matrix(parts))
-    p, d = (stack_rows(matrix(part)) for part in parts)
-    return torch.cat([torch.cat([p, torch.zeros_like(p)], -1), torch.cat([d, p], -1)], -2)
+    return _lower(*(stack_rows(matrix(part)) for part in parts))
 
 
 # --- norms -----------------------------------------------------------------------------------------------------------
@@ -167,8 +171,7 @@ def _hamilton(x: Tensor, matrix: Callable) -> Tensor:
 
 def _moderate(x: Tensor) -> tuple[Tensor, Tensor]:
     """Power of two [...], and x divided by it, so that squares of its primary part do not overflow or underflow."""
-    split("x", x, 4, 8)
-    _, exponent = torch.frexp(x[..., :4].detach().abs().amax(-1))
+    _, exponent = torch.frexp(checked("x", x, 4, 8)[..., :4].detach().abs().amax(-1))
     size = torch.ldexp(torch.ones_like(x[..., 0]), exponent - 1)
     return size, x / size.unsqueeze(-1)
 
@@ -194,11 +197,10 @@ def normalize(x: Tensor) -> Tensor:
     A row whose primary part is zero is NaN.
     """
     _, x = _moderate(x)
-    parts = split("x", x, 4, 8)
+    x = x / quaternion.norm2(x[..., :4].unbind(-1)).sqrt().unsqueeze(-1)
     if x.shape[-1] == 4:
-        return x / quaternion.norm2(parts).sqrt().unsqueeze(-1)
-    length = quaternion.norm2(parts[0]).sqrt().unsqueeze(-1)
-    p, d = x[..., :4] / length, x[..., 4:] / length
+        return x
+    p, d = x.split(4, -1)
     return torch.cat([p, d - (p * d).sum(-1, keepdim=True) * p], -1)
 
 
@@ -229,8 +231,7 @@ def ad(x: Tensor, m: Tensor) -> Tensor:
 
 def ad_matrix(x: Tensor) -> Tensor:
     """Matrix [..., 6, 6] of Ad(x) on screws, [[A_P, 0], [A_D, A_P]]."""
-    a_p, a_d = columns(x)
-    return torch.cat([torch.cat([a_p, torch.zeros_like(a_p)], -1), torch.cat([a_d, a_p], -1)], -2)
+    return _lower(*columns(x))
 
 
 def inertia_transform(mass: Tensor, inertia: Tensor, a: Tensor, com: Tensor | None = None) -> Tensor:
@@ -245,9 +246,7 @@ def inertia_transform(mass: Tensor, inertia: Tensor, a: Tensor, com: Tensor | No
         com: centre of mass in the body frame [m], shape [..., 3]; None: the origin.
     """
     parts = split("a", a, 6)
-    require_square("inertia", inertia, 3)
-    i_x, i_y, i_z = (split("inertia", row, 3) for row in inertia.unbind(-2))
-    rows = (i_x, i_y, i_z)
+    rows = split_rows("inertia", inertia, 3)
     if com is None:
         return stack(Inertia(mass, None, rows).momentum(parts))
     return stack(Inertia.from_com(mass, split("com", com, 3), six(rows)).momentum(parts))

@@ -1,11 +1,11 @@
 """Physically consistent robots around a described one: their parameters, and their distance to the description.
 
-A link exists if its pseudo-inertia J = integral of (1, p) (1, p)^T dm is positive definite, which says that the mass is
-positive and the inertia obeys the triangle inequality. The distance of a link is
+A link can exist if its pseudo-inertia J = integral of (1, p) (1, p)^T dm is positive definite, which says that the mass
+is positive and the inertia obeys the triangle inequality. The distance of a link is
 
     2 (tr B - log det B - 4),   B = J described by J_0 = C C^T:  B = C^-1 J C^-T,
 
-about |B - 1|^2 for small changes, the same in all axes and units, and infinite where a body stops to exist (T. Lee, P.
+about |B - 1|^2 for small changes, the same in all axes and units, and infinite where a body cannot exist (T. Lee, P.
 Wensing, F. C. Park, "Geometric robot dynamic identification: a convex programming approach", T-RO 36 (2020)). The
 distance of a coefficient of friction is 2 (x - log x - 1), x being its ratio to the described one.
 """
@@ -20,6 +20,7 @@ from torch import Tensor
 from torchdq.errors import ArgumentError
 from torchdq.learning.regression import unit_torque
 from torchdq.robot import Robot
+from torchdq.robot.arrays import second_moments
 
 THIN = 1e-2  # least extent of a body relative to its size: coordinates of points, rods and plates would be infinite
 SMALL = 0.1  # prior scale of an undescribed effect, relative to the joint's RMS torque
@@ -107,7 +108,7 @@ ENTRIES = _entries()
 
 def _factor(mass: Tensor, com: Tensor, inertia: Tensor) -> Tensor:
     """Cholesky factors C [links, 4, 4] of the pseudo-inertias C C^T, of bodies made thick enough to have one."""
-    second = _second(inertia)  # about the centre of mass
+    second = second_moments(inertia)  # about the centre of mass
     trace = second.diagonal(dim1=1, dim2=2).sum(-1).clamp_min(0)
     whole = float(((trace + mass * com.square().sum(-1)).sum() / mass.sum()).sqrt()) if len(mass) else 0.0
     size = (trace / mass).sqrt().clamp_min(0.1 * (whole or 1.0))  # [m]
@@ -147,11 +148,3 @@ def _inertia(second: Tensor) -> Tensor:
     x, y, z = second.diagonal(dim1=-2, dim2=-1).unbind(-1)
     xy, xz, yz = second[..., 0, 1], second[..., 0, 2], second[..., 1, 2]
     return torch.stack([y + z, -xy, x + z, -xz, -yz, x + y], -1)
-
-
-def _second(inertia: Tensor) -> Tensor:
-    """Second moments [..., 3, 3] of an inertia [..., 6]."""
-    xx, xy, yy, xz, yz, zz = inertia.unbind(-1)
-    half = (xx + yy + zz) / 2
-    numbers = [half - xx, -xy, -xz, -xy, half - yy, -yz, -xz, -yz, half - zz]
-    return torch.stack(numbers, -1).reshape(*inertia.shape[:-1], 3, 3)

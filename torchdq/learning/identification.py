@@ -24,7 +24,7 @@ from torchdq.functional import check, require_finite
 from torchdq.learning.feasible import Neighbourhood
 from torchdq.learning.regression import Information, base_parameters, chunks, columns, gram, information
 from torchdq.robot import Robot
-from torchdq.robot.robot import SHAPES
+from torchdq.robot.robot import batches
 
 INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # parameters of a link, about its frame
 ITERATIONS = 200  # most Newton steps of a minimum
@@ -165,12 +165,8 @@ def identify(
     """
     batch, rows = _rows(robot, q=q, qd=qd, qdd=qdd, tau=tau)
     n, samples = robot.n, math.prod(batch)
-    for name in SHAPES:
-        x = getattr(robot, name)
-        if x is not None and x.ndim > len(SHAPES[name]):
-            raise ArgumentError(
-                f"{name} of robot {robot.name!r} has batch axes {tuple(x.shape)}; identify one at a time"
-            )
+    for name, axes in batches(robot).items():
+        raise ArgumentError(f"{name} of robot {robot.name!r} has batch axes {axes}; identify one at a time")
     if not samples or not n:
         raise ArgumentError(f"at least one sample and one joint are needed, found {samples} samples of {n} joints")
     for name, value in (("prior", prior), ("width", width)):

@@ -82,7 +82,7 @@ def cut(motion: Motion, share: float) -> tuple[Motion, Motion]:
 
     Args:
         motion: from `smooth`.
-        share: of the rows, between 0 and 1.
+        share: fraction of the rows that the first part gets, between 0 and 1.
     Raises:
         ArgumentError: a part would be empty.
     """
@@ -99,8 +99,8 @@ def hold_out(motions: Sequence[Motion], share: float, seed: int = 0) -> tuple[li
 
     Args:
         motions: at least two.
-        share: of the motions that are held out for the test, rounded; at least one is, and not all.
-        seed: of the choice.
+        share: fraction of the motions that is held out for the test, rounded; at least one is, and not all.
+        seed: seed of the choice.
     Raises:
         ArgumentError: there are fewer than two motions, or the share is not between 0 and 1.
     """
@@ -120,8 +120,8 @@ def samples(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.float
     """Rows of one or several motions as tensors `[N, n]`, in their order.
 
     Args:
-        motions: of one arm.
-        dtype: of the tensors.
+        motions: one motion, or several of the same arm.
+        dtype: dtype of the tensors.
     Raises:
         ArgumentError: there is no motion, or they have different numbers of joints.
     """

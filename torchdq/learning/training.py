@@ -2,8 +2,9 @@
 
     history = fit(model, train, valid, epochs=200, patience=10, checkpoint="run.pt", progress=True)
 
-A run that is killed at any moment and called again with the same arguments goes on where it was; on a CPU the weights
-come out the same to the last bit. Started by `torchrun`, the same call shares every batch among the processes.
+A run that is killed at any moment and called again with the same arguments continues from its last checkpoint; on a CPU
+the weights come out the same to the last bit. Started by `torchrun`, the same call shares every batch among the
+processes.
 """
 
 import math

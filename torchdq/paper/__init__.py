@@ -1,4 +1,4 @@
-"""The paper's accounts: its operators as printed, their counted costs, and textbook formulations to compare with.
+"""Operators of the paper as printed, their counted costs, and textbook formulations to compare with.
 
 Not part of the public interface; written for any kind of number.
 """

@@ -18,10 +18,11 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import Inertia
 from torchdq.dynamics.joints import KINDS, Coordinate
 from torchdq.dynamics.paper import kinematics, rnea
+from torchdq.dynamics.paper.posed import STILL
 from torchdq.dynamics.tree import Tree, on_base
 from torchdq.numbers.count import Cost, cost, dense, executed
 from torchdq.paper import homogeneous, printed
-from torchdq.paper.tables import PER_JOINT, TABLE_4, TABLES, Entry, motion, number, several
+from torchdq.paper.tables import PER_JOINT, TABLE_4, TABLES, Entry, markdown, motion, number, several
 from torchdq.robot import Robot
 
 
@@ -39,9 +40,8 @@ def chain(n: int, kinds: str = "R") -> tuple[Tree, DualQuaternion]:
         length = math.sqrt(sum(v * v for v in x))
         return tuple(v / length for v in x)
 
-    def pose() -> Any:
-        r, p = unit(4), (0.0, *(rng.uniform(0.1, 0.5) for _ in range(3)))
-        return r, quat.scale(0.5, quat.mul(p, r))
+    def pose() -> DualQuaternion:
+        return dq.from_pose(unit(4), tuple(rng.uniform(0.1, 0.5) for _ in range(3)))
 
     joints, poses, inertias = [], [], []
     for i in range(n):
@@ -63,7 +63,7 @@ def chain(n: int, kinds: str = "R") -> tuple[Tree, DualQuaternion]:
 
 
 def robot(tree: Tree, tip: DualQuaternion) -> Robot:
-    """The robot of such a chain, whose tip has that pose in the last link."""
+    """Robot of a `chain` whose tip has that pose in the last link."""
     links = tree.links[1:]
     poses = kinematics.link_poses(tree, [link.placement for link in tree.links])[1:]
     axes = [screw.ad(screw.columns(X), link.joint.screw) for X, link in zip(poses, links, strict=True)]
@@ -93,10 +93,10 @@ def dqrnea_as_printed(n: int, full: bool = False) -> Cost:
     """Cost of Algorithm 1 with the operators (34) to (36) as printed; `full`: no zero is known as one."""
     robot, tip = chain(n)
     Ad_tip = screw.columns(tip)
-    still: Any = ((0.0,) * 3, (0.0,) * 3)
+    still = STILL
     if full:
         robot, Ad_tip, still = _all_counted(robot), dense(Ad_tip), dense(still)
-    return _running(lambda: printed.rnea(robot, coordinates(n), several(n), several(n), Ad_tip, motion(), still), n)
+    return _running(lambda: printed.rnea(robot, coordinates(n), several(n), several(n), Ad_tip, motion(), still))
 
 
 def dqrnea(n: int) -> Cost:
@@ -119,13 +119,12 @@ def htm_rnea(n: int, full: bool = False) -> Cost:
         )
         T, gravity, units = dense(T), dense(gravity), homogeneous.Units(number(), number())
     return _running(
-        lambda: homogeneous.rnea(bodies, gravity or (), displacements(n), several(n), several(n), T, several(6), units),
-        n,
+        lambda: homogeneous.rnea(bodies, gravity or (), displacements(n), several(n), several(n), T, several(6), units)
     )
 
 
 def _all_counted(tree: Tree) -> Tree:
-    """The tree with counted numbers for all its constants."""
+    """Tree with counted numbers for all its constants."""
     links = tuple(
         link._replace(
             placement=dense(link.placement),
@@ -137,8 +136,8 @@ def _all_counted(tree: Tree) -> Tree:
     return Tree((tree.links[0], *links), dense(tree.gravity))
 
 
-def _running(formula: Callable[[], Any], n: int) -> Cost:
-    """Cost of executing a formula; its storage is not that of a running machine, so it is left out."""
+def _running(formula: Callable[[], Any]) -> Cost:
+    """Cost of executing a whole algorithm, without the storage, which is counted for single operations only."""
     return executed(formula)._replace(storage=0)
 
 
@@ -147,7 +146,6 @@ class Line(NamedTuple):
 
     name: str
     at: Callable[[int], Cost]
-    stated: str = ""  # "multiplications, additions" as the literature or the paper states them
 
     def law(self) -> str:
         """Cost as multiples of n, exact from two joints on."""
@@ -172,11 +170,8 @@ def _dense_products(n: int, products: int, multiplications: int, additions: int)
 
 def htm_dh_kinematics(n: int) -> Cost:
     """Cost of the pose of a chain's tip by D-H matrices, zeros and ones known."""
-    return cost(
-        homogeneous.chained(
-            [homogeneous.denavit_hartenberg(number(), number(), (0.6, 0.8), 0.3, 0.4) for _ in range(n)]
-        )[-1]
-    )
+    steps = [homogeneous.denavit_hartenberg(number(), number(), (0.6, 0.8), 0.3, 0.4) for _ in range(n)]
+    return cost(reduce(homogeneous.product, steps))
 
 
 def htm_screw_kinematics(n: int) -> Cost:
@@ -186,16 +181,12 @@ def htm_screw_kinematics(n: int) -> Cost:
         homogeneous.exponential(homogeneous.generator(link.joint.screw), displacement)
         for link, displacement in zip(robot.links[1:], displacements(n), strict=True)
     ]
-    return cost(homogeneous.chained([*steps, homogeneous.matrix(tip)])[-1])
+    return cost(reduce(homogeneous.product, [*steps, homogeneous.matrix(tip)]))
 
 
 def udq_dh_kinematics(n: int) -> Cost:
     """Cost of the pose of a chain's tip by D-H dual quaternions, zeros and ones known."""
-    pose: DualQuaternion | None = None
-    for _ in range(n):
-        step = printed.denavit_hartenberg(several(2), (0.6, 0.8), 0.3, 0.4)
-        pose = step if pose is None else dq.mul(pose, step)
-    return cost(pose)
+    return cost(reduce(dq.mul, [printed.denavit_hartenberg(several(2), (0.6, 0.8), 0.3, 0.4) for _ in range(n)]))
 
 
 def udq_screw_kinematics(n: int) -> Cost:
@@ -212,7 +203,7 @@ FKM_FOLDED = (
     Line("UDQ, screws", udq_screw_kinematics),
 )
 RNEA = (
-    Line("dqRNEA as printed in Table 4", lambda n: Cost(321 * n, 273 * n, 0), "321n, 273n"),
+    Line("dqRNEA as printed in Table 4", lambda n: Cost(321 * n, 273 * n, 0)),
     Line("dqRNEA, operators as printed", dqrnea_as_printed),
     Line("dqRNEA, no zero known", partial(dqrnea_as_printed, full=True)),
     Line("dqRNEA, as this package has it", dqrnea),
@@ -230,8 +221,8 @@ def table(entries: Sequence[Entry]) -> str:
     def shown(c: Cost | None) -> str:
         return "" if c is None else f"{c.storage}f {c.multiplications}x {c.additions}+"
 
-    rows = [f"| {e.operation} | {shown(e.printed)} | {shown(e.counted)} | {e.verdict} |" for e in entries]
-    return "\n".join(["| operation | printed | counted | verdict |", "|---|---|---|---|", *rows])
+    rows = [(e.operation, shown(e.printed), shown(e.counted), e.verdict) for e in entries]
+    return markdown([("operation", "printed", "counted", "verdict"), *rows])
 
 
 def report() -> str:
@@ -243,6 +234,6 @@ def report() -> str:
         f"{total[1]}n."
     )
     for title, lines in (("Forward kinematics, zeros known", FKM_FOLDED), ("Inverse dynamics with f_EF", RNEA)):
-        rows = "\n".join(f"| {line.name} | {line.law()} |" for line in lines)
-        parts.append(f"## {title}\n\n| algorithm | multiplications, additions |\n|---|---|\n{rows}")
+        rows = [("algorithm", "multiplications, additions"), *((line.name, line.law()) for line in lines)]
+        parts.append(f"## {title}\n\n{markdown(rows)}")
     return "\n\n".join(parts)

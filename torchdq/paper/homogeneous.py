@@ -2,11 +2,13 @@
 
 Kinematics by Denavit-Hartenberg parameters and by products of exponentials; the recursive Newton-Euler algorithm of
 K. M. Lynch and F. C. Park, Modern Robotics, 2017, chapter 8.3, with 6x6 adjoints. Twists and wrenches have their order:
-(angular, linear) and (moment, force). Zeros and ones are arguments, because to count every product of full matrices in
-full is to give it numbers that do not look like zeros and ones.
+(angular, linear) and (moment, force). The zeros and ones of matrices are arguments: counted numbers in their place
+count every product of full matrices.
 """
 
+import operator
 from collections.abc import Sequence
+from functools import reduce
 from typing import NamedTuple
 
 from torchdq.algebra import dual_quaternion as dq
@@ -44,10 +46,7 @@ class Displacement(NamedTuple):
 
 def dot(a: Row, b: Row) -> Number:
     """Sum of products."""
-    total = a[0] * b[0]
-    for x, y in zip(a[1:], b[1:], strict=True):
-        total = total + x * y
-    return total
+    return reduce(operator.add, (x * y for x, y in zip(a, b, strict=True)))
 
 
 def times(m: RowMatrix, x: Row) -> list[Number]:
@@ -66,18 +65,6 @@ def product(a: RowMatrix, b: RowMatrix) -> list[list[Number]]:
     return [[dot(row, column) for column in columns] for row in a]
 
 
-def _plus(a: Row, b: Row) -> list[Number]:
-    return [x + y for x, y in zip(a, b, strict=True)]
-
-
-def _minus(a: Row, b: Row) -> list[Number]:
-    return [x - y for x, y in zip(a, b, strict=True)]
-
-
-def _scaled(s: Number, a: Row) -> list[Number]:
-    return [s * x for x in a]
-
-
 def bracket(x: Row, u: Units = KNOWN) -> list[list[Number]]:
     """Matrix [x] of the cross product."""
     return [[u.zero, -x[2], x[1]], [x[2], u.zero, -x[0]], [-x[1], x[0], u.zero]]
@@ -86,10 +73,9 @@ def bracket(x: Row, u: Units = KNOWN) -> list[list[Number]]:
 # --- poses -----------------------------------------------------------------------------------------------------------
 
 
-def matrix(x: DualQuaternion, u: Units = KNOWN) -> list[list[Number]]:
+def matrix(x: DualQuaternion) -> list[list[Number]]:
     """Homogeneous matrix of a pose."""
-    columns, p = quat.rotation_columns(x[0]), dq.translation(x)
-    return [[*(c[i] for c in columns), p[i]] for i in range(3)] + [[u.zero, u.zero, u.zero, u.one]]
+    return [*transpose([*quat.rotation_columns(x[0]), dq.translation(x)]), [0.0, 0.0, 0.0, 1.0]]
 
 
 class Generator(NamedTuple):
@@ -119,41 +105,21 @@ def exponential(s: Generator, q: Displacement, u: Units = KNOWN) -> list[list[Nu
         R = [[eye[i][j] + q.sin * s.W[i][j] + q.versine * s.W2[i][j] for j in range(3)] for i in range(3)]
         p = [q.value * a + q.versine * b + q.rest * c for a, b, c in zip(v, s.Wv, s.W2v, strict=True)]
     else:
-        R, p = eye, _scaled(q.value, v)
+        R, p = eye, quat.scale(q.value, v)
     return [[*row, p_i] for row, p_i in zip(R, p, strict=True)] + [[u.zero, u.zero, u.zero, u.one]]
 
 
 def denavit_hartenberg(
-    cos: Number, sin: Number, alpha: tuple[Number, Number], a: Number, d: Number, u: Units = KNOWN
+    cos: Number, sin: Number, alpha: tuple[Number, Number], a: Number, d: Number
 ) -> list[list[Number]]:
     """Standard transform of a joint, Rot_z(theta) Trans_z(d) Trans_x(a) Rot_x(alpha), alpha as cosine and sine."""
     ca, sa = alpha
     return [
         [cos, -(sin * ca), sin * sa, a * cos],
         [sin, cos * ca, -(cos * sa), a * sin],
-        [u.zero, sa, ca, d],
-        [u.zero, u.zero, u.zero, u.one],
+        [0.0, sa, ca, d],
+        [0.0, 0.0, 0.0, 1.0],
     ]
-
-
-def denavit_hartenberg_by_products(
-    cos: Number, sin: Number, alpha: tuple[Number, Number], a: Number, d: Number, u: Units = KNOWN
-) -> list[list[Number]]:
-    """Standard transform of a joint as a product, Rot_z(theta) Trans_z(d) . Trans_x(a) . Rot_x(alpha)."""
-    z, one = u
-    ca, sa = alpha
-    about_z = [[cos, -sin, z, z], [sin, cos, z, z], [z, z, one, d], [z, z, z, one]]
-    along_x = [[one, z, z, a], [z, one, z, z], [z, z, one, z], [z, z, z, one]]
-    about_x = [[one, z, z, z], [z, ca, -sa, z], [z, sa, ca, z], [z, z, z, one]]
-    return product(product(about_z, along_x), about_x)
-
-
-def chained(steps: Sequence[RowMatrix]) -> list[RowMatrix]:
-    """Poses of all links in the base frame, from those in their parents, on a chain."""
-    found: list[RowMatrix] = [steps[0]]
-    for step in steps[1:]:
-        found.append(product(found[-1], step))
-    return found
 
 
 # --- dynamics --------------------------------------------------------------------------------------------------------
@@ -221,17 +187,17 @@ def rnea(
     for body, q_i, qd_i, qdd_i in zip(chain, q, qd, qdd, strict=True):
         A = body.joint.screw
         Ad = adjoint(product(exponential(body.joint, q_i, u), body.home), u)  # T_{i,i-1} = exp(-[A] q) M_{i,i-1}
-        V = _plus(times(Ad, V), _scaled(qd_i, A))  # (8.50)
+        V = quat.add(times(Ad, V), quat.scale(qd_i, A))  # (8.50)
         ad = bracket6(V, u)
-        Vd = _plus(_plus(times(Ad, Vd), _scaled(qd_i, times(ad, A))), _scaled(qdd_i, A))  # (8.51)
+        Vd = quat.add(quat.add(times(Ad, Vd), quat.scale(qd_i, times(ad, A))), quat.scale(qdd_i, A))  # (8.51)
         kept.append((Ad, ad, V, Vd))
     F = None if f_tip is None or tip is None else times(transpose(adjoint(tip, u)), f_tip)
     tau: list[Number] = [z] * len(kept)
     for i in reversed(range(len(kept))):
         Ad, ad, V, Vd = kept[i]
         G = chain[i].G
-        net = times(G, Vd) if F is None else _plus(F, times(G, Vd))
-        F = _minus(net, times(transpose(ad), times(G, V)))  # (8.52)
+        net = times(G, Vd) if F is None else quat.add(F, times(G, Vd))
+        F = quat.sub(net, times(transpose(ad), times(G, V)))  # (8.52)
         tau[i] = dot(F, chain[i].joint.screw)  # (8.53)
         F = times(transpose(Ad), F) if i else F
     return tau

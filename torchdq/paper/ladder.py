@@ -22,21 +22,20 @@ from torchdq.backends.choice import choose
 from torchdq.backends.run import run
 from torchdq.dynamics.aligned import rnea
 from torchdq.dynamics.aligned.placement import Steps
-from torchdq.dynamics.joints import Coordinate
+from torchdq.dynamics.paper.posed import STILL
 from torchdq.dynamics.tree import Tree
-from torchdq.numbers.functions import cos, sin
 from torchdq.paper import cost, printed
+from torchdq.paper.tables import markdown
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import posed
 from torchdq.robot.robot import Robot
 from torchdq.timing import medians
 
 Row = Sequence[Number]
-STILL: Screw = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 class Rung(NamedTuple):
-    """A step: what changes in it, and the torques after it."""
+    """Step: its change, and the torques after it."""
 
     name: str
     torques: Callable[[Robot, Row, Row, Row], Sequence[Number]]
@@ -49,11 +48,11 @@ class Rung(NamedTuple):
 
 def as_printed(robot: Robot, q: Row, qd: Row, qdd: Row) -> Sequence[Number]:
     """Algorithm 1 line by line: (34)-(36), (38), (40), (44)-(48), corrected; frames at the centres of mass."""
-    return printed.rnea(posed.tree(robot, {}), coordinates(robot, q), qd, qdd)
+    return printed.rnea(posed.tree(robot, {}), posed.coordinates(robot, q, {}), qd, qdd)
 
 
 def zeros_known(robot: Robot, q: Row, qd: Row, qdd: Row) -> Sequence[Number]:
-    """The columns A_D as p x A_P, the base at rest, and each operator built once for both directions."""
+    """Columns A_D as p x A_P, the base at rest, and each operator built once for both directions."""
     return posed.paper(robot, q, {}).torques(qd, qdd, None)
 
 
@@ -68,12 +67,12 @@ def aligned_frames(robot: Robot, q: Row, qd: Row, qdd: Row) -> list[Number]:
         V.append(add(rate, step.to_link(V[parent])))  # (40)
         A.append(add(change, step.to_link(A[parent]), screw.cross(V[i], rate)))  # (44)
     bodies = [link.inertia and link.inertia.inertia for link in tree.links]
-    net = [b and screw.add(b.momentum(a), screw.cross(v, b.momentum(v))) for b, v, a in zip(bodies, V, A, strict=True)]
-    return inward(tree, steps, net)  # (45)
+    net = [b and printed.net_wrench(b, v, a) for b, v, a in zip(bodies, V, A, strict=True)]  # (45)
+    return inward(tree, steps, net)
 
 
 def without_dual_part(robot: Robot, q: Row, qd: Row, qdd: Row, group: bool = False) -> list[Number]:
-    """The dual part of the twists absent; that of the accelerations becomes the acceleration d of the origin."""
+    """Recursion without the dual part of the twists; that of the accelerations becomes the origin's acceleration d."""
     at = posed.aligned(robot, q, {}, group)
     tree, steps = at.tree, at.steps
     still = rnea.base_motion(None, tree.gravity, None, None)
@@ -123,12 +122,6 @@ def inward(tree: Tree, steps: Steps, net: Sequence[Screw | None]) -> list[Number
     return tau
 
 
-def coordinates(robot: Robot, q: Row) -> list[Coordinate | None]:
-    """Displacements of the joints, behind the base, which has none."""
-    halves = [(x, 0.5 * x) for x in posed.displacements(robot, q, {})]
-    return [None, *(Coordinate(x, cos(half), sin(half)) for x, half in halves)]
-
-
 RUNGS = (
     Rung("operators as printed", as_printed),
     Rung("zeros known, operators shared", zeros_known),
@@ -140,7 +133,7 @@ RUNGS = (
 
 
 def example(n: int) -> Robot:
-    """A general chain of n revolute joints whose frames lie at the centres of mass, as the print wants them."""
+    """General chain of n revolute joints with frames at the centres of mass, as printed Algorithm 1 requires."""
     return cost.robot(*cost.chain(n))
 
 
@@ -164,13 +157,12 @@ def table(n: int = 7, taken: Sequence[float] | None = None) -> str:
     whole = cost.dqrnea_as_printed(n, full=True)
     rows = [
         [f"step, {n} general revolute joints", "multiplications", "additions"],
-        ["---"] * 3,
         ["nothing known, every product of the print", str(whole.multiplications), str(whole.additions)],
     ]
     for rung in RUNGS:
         count = rung.program(robot).count()
         rows.append([rung.name, str(count.multiplications), str(count.additions)])
     if taken is not None:
-        column = ["time per sample", "---", "", *(f"{t:.1f} ns" for t in taken)]
+        column = ["time per sample", "", *(f"{t:.1f} ns" for t in taken)]
         rows = [[*row, cell] for row, cell in zip(rows, column, strict=True)]
-    return "\n".join(f"|{'|'.join(row)}|" if row[0] == "---" else f"| {' | '.join(row)} |" for row in rows)
+    return markdown(rows)

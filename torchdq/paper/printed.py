@@ -6,14 +6,16 @@ from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.inertia import Inertia
 from torchdq.algebra.quaternion import Number, Pure, Quaternion
 from torchdq.algebra.screw import Adjoint, Screw
 from torchdq.dynamics.joints import Coordinate
+from torchdq.dynamics.paper.posed import STILL
 from torchdq.dynamics.tree import Tree
 
 Row = Sequence[Number]
 QuaternionColumns = list[Quaternion]
-UNITS = ((0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+UNITS = (quat.I, quat.J, quat.K)
 
 
 def columns(x: DualQuaternion) -> tuple[QuaternionColumns, QuaternionColumns]:
@@ -33,14 +35,13 @@ def vectors(a: tuple[QuaternionColumns, QuaternionColumns]) -> Adjoint:
 
 def ad(x: DualQuaternion, m: Screw) -> Screw:
     """Adjoint x m x* by two dual quaternion products (33)."""
-    pure: DualQuaternion = ((0.0, *m[0]), (0.0, *m[1]))
-    p, d = dq.mul(dq.mul(x, pure), dq.conj(x))
+    p, d = dq.mul(dq.mul(x, (quat.pure(m[0]), quat.pure(m[1]))), dq.conj(x))
     return quat.im(p), quat.im(d)
 
 
 def cross(a: Pure, b: Pure) -> Pure:
     """Cross product (ab - ba)/2 (4)."""
-    x, y = (0.0, *a), (0.0, *b)
+    x, y = quat.pure(a), quat.pure(b)
     return quat.im(quat.scale(0.5, quat.sub(quat.mul(x, y), quat.mul(y, x))))
 
 
@@ -77,6 +78,16 @@ def denavit_hartenberg(
     return dq.mul(dq.mul(dq.mul(about_z, along_z), along_x), about_x)
 
 
+def accelerated(a: Screw, qd: Number, qdd: Number, x: Adjoint, twist: Screw, acceleration: Screw) -> Screw:
+    """Acceleration a qdd + Ad(x) wd + (w x a) qd of a link, from that of its parent (44)."""
+    return screw.add(screw.add(screw.scale(qdd, a), screw.ad(x, acceleration)), screw.scale(qd, screw.cross(twist, a)))
+
+
+def net_wrench(body: Inertia, twist: Screw, acceleration: Screw) -> Screw:
+    """Net wrench w x G(w) + G(wd) on a body (45)."""
+    return screw.add(screw.cross(twist, body.momentum(twist)), body.momentum(acceleration))
+
+
 def rnea(
     tree: Tree,
     q: Sequence[Coordinate | None],
@@ -84,7 +95,7 @@ def rnea(
     qdd: Row,
     tip: Adjoint | None = None,
     f_tip: Screw | None = None,
-    still: Screw = ((0.0,) * 3, (0.0,) * 3),
+    still: Screw = STILL,
 ) -> list[Number]:
     """Algorithm 1 line by line, corrected, on a chain with frames at the centres of mass; no line is shortened.
 
@@ -101,10 +112,8 @@ def rnea(
         x = dq.mul(link.placement, link.joint.motion(q_i))  # (38), erratum 38
         back = screw.inverse(vectors(columns(x)))
         w = screw.add(screw.scale(qd_i, a), screw.ad(back, w))  # (40), erratum 40
-        change = screw.scale(qd_i, screw.cross(w, a))
-        wd = screw.add(screw.add(screw.scale(qdd_i, a), screw.ad(back, wd)), change)  # (44), erratum 40
-        G_w, G_wd = link.inertia.momentum(w), link.inertia.momentum(wd)
-        kept.append((screw.inverse(back), screw.add(screw.cross(w, G_w), G_wd)))  # (45)
+        wd = accelerated(a, qd_i, qdd_i, back, w, wd)  # (44), erratum 40
+        kept.append((screw.inverse(back), net_wrench(link.inertia, w, wd)))  # (45)
     f = None if f_tip is None or tip is None else screw.ad(tip, f_tip)
     tau: list[Number] = [0.0] * len(kept)
     for i in reversed(range(len(kept))):

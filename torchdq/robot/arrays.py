@@ -10,8 +10,16 @@ from torch import Tensor
 from torchdq import dq
 from torchdq.errors import DescriptionError
 
-UNIT = 1e-9  # largest distance of a number from 0 or 1 at which it counts as that; exact input is meant
-IDENTITY = torch.tensor([1.0, 0, 0, 0, 0, 0, 0, 0], dtype=torch.float64)  # pose
+UNIT = 1e-9  # largest distance from 0 or 1 of a number that is taken as 0 or 1
+SIX = [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]  # rows and columns of xx xy yy xz yz zz in a symmetric matrix
+
+
+def double(values: Any) -> Tensor:
+    """Float64 tensor of numbers."""
+    return torch.tensor(values, dtype=torch.float64)
+
+
+IDENTITY = double([1.0, 0, 0, 0, 0, 0, 0, 0])  # pose
 
 
 def numbers(name: str, value: Any) -> Tensor:
@@ -47,7 +55,7 @@ def inertias(value: Any, n: int) -> Tensor:
         # R I R^T is symmetric up to rounding only
         if bool(((x - x.mT).abs() > UNIT * x.abs().amax()).any()):
             raise DescriptionError(f"inertia matrices must be symmetric, found {x.tolist()}")
-        x = torch.stack([x[:, 0, 0], x[:, 0, 1], x[:, 1, 1], x[:, 0, 2], x[:, 1, 2], x[:, 2, 2]], -1)
+        x = x[:, *SIX]
     return table("inertia", x, n, 6)
 
 
@@ -56,9 +64,16 @@ def matrices(inertia: Tensor) -> Tensor:
     return inertia[..., [[0, 1, 3], [1, 2, 4], [3, 4, 5]]]
 
 
-def distinct(what: str, names: Sequence[str] | None, kind: str, n: int) -> tuple[str, ...]:
+def second_moments(inertia: Tensor) -> Tensor:
+    """Second moments tr(I)/2 1 - I, [..., 3, 3], of inertias I [..., 6] in the order xx xy yy xz yz zz."""
+    I = matrices(inertia)
+    half = I.diagonal(dim1=-2, dim2=-1).sum(-1) / 2
+    return torch.diag_embed(half.unsqueeze(-1).expand(*half.shape, 3)) - I
+
+
+def distinct(kind: str, names: Sequence[str] | None, n: int) -> tuple[str, ...]:
     """Names, n different ones; without any, joint1, joint2, ... for the kind "joint"."""
     chosen = tuple(f"{kind}{i + 1}" for i in range(n)) if names is None else tuple(names)
     if len(chosen) != n or len(set(chosen)) != n:
-        raise DescriptionError(f"{what} must be {n} different names, found {chosen}")
+        raise DescriptionError(f"{kind}_names must be {n} different names, found {chosen}")
     return chosen

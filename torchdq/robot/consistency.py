@@ -3,8 +3,7 @@
 import math
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 from torch import Tensor
@@ -14,9 +13,10 @@ from torchdq.algebra import quaternion as quat
 from torchdq.dynamics import crba
 from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.paper.posed import Paper
-from torchdq.dynamics.tree import Link, Tree
+from torchdq.dynamics.tree import Tree
 from torchdq.errors import UnphysicalError
 
+OnUnphysical = Literal["error", "warn", "ignore"]
 TOLERANCE = 1e-6  # relative to the trace: descriptions are printed with about six digits
 
 
@@ -46,9 +46,12 @@ def body(link: str, mass: float, inertia: Tensor) -> list[str]:
 
 
 def inert_joints(names: Sequence[str], tree: Tree) -> list[str]:
-    """Joints that move no inertia in any position: the mass matrix is singular there whatever the robot does."""
-    # tensors of one number each would take a thousand times as long
-    tree = Tree(tuple(link._replace(**_floats(link)) for link in tree.links), None)
+    """Faults of joints that move no inertia in any position: the mass matrix is singular whatever the robot does.
+
+    Args:
+        names: names of the joints.
+        tree: with floats as numbers; tensors of one number each would take a thousand times as long.
+    """
     links, n = tree.links, len(tree.links)
     inertias, sizes = [0.0] * n, [0.0] * n
     # an inertia may vanish in one position only, so a few positions with nothing special are tried
@@ -74,20 +77,7 @@ def inert_joints(names: Sequence[str], tree: Tree) -> list[str]:
     ]
 
 
-def _floats(link: Link) -> dict[str, Any]:
-    """Parts of a link with floats in the place of tensors."""
-
-    def numbers(x: Any) -> Any:
-        if isinstance(x, tuple):
-            return type(x)(*map(numbers, x)) if hasattr(x, "_fields") else tuple(map(numbers, x))
-        return float(x) if isinstance(x, Tensor) else x
-
-    joint = replace(link.joint, screw=numbers(link.joint.screw)) if link.joint.nv else link.joint
-    parts = {name: numbers(getattr(link, name)) for name in ("placement", "inertia", "armature")}
-    return {"joint": joint, **parts}
-
-
-def complain(robot: str, faults: Sequence[str], on_unphysical: Literal["error", "warn", "ignore"]) -> None:
+def complain(robot: str, faults: Sequence[str], on_unphysical: OnUnphysical) -> None:
     """Raise, warn or do nothing about faults."""
     if not faults or on_unphysical == "ignore":
         return

@@ -70,7 +70,7 @@ def assemble(
 ) -> tuple[RobotDescription, list[str]]:
     """Description without limits or friction, with a frame per link, one at the tip and one at the base; its faults."""
     n = len(parents)
-    links = distinct("link_names", link_names, "link", n)
+    links = distinct("link", link_names, n)
     if {"base", "tip"} & set(links):
         raise DescriptionError(f"link_names must not be 'base' or 'tip', which are frames already, found {links}")
     mass, com, inertia = table("mass", mass, n), table("com", com, n, 3), inertias(inertia, n)

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchdq import dq
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
-from torchdq.robot.arrays import IDENTITY, distinct, numbers, poses, table
+from torchdq.robot.arrays import IDENTITY, distinct, double, numbers, poses, table
 from torchdq.robot.description import RobotDescription, assemble
 
 
@@ -55,7 +55,7 @@ def read(
         raise DescriptionError(f"convention must be 'standard' or 'modified', found {convention!r}")
     placements, screws = [], []
     for kind, a_i, alpha_i, d_i, theta_i in zip(types, *rows, strict=True):
-        z = torch.tensor([0.0, 0, 1, 0, 0, 0] if kind == "revolute" else [0.0, 0, 0, 0, 0, 1], dtype=torch.float64)
+        z = double([0, 0, 1, 0, 0, 0] if kind == "revolute" else [0, 0, 0, 0, 0, 1])
         joint, link = _about(2, theta_i, d_i), _about(0, alpha_i, a_i)
         if convention == "standard":
             placements.append(dq.mul(joint, link))
@@ -63,6 +63,6 @@ def read(
         else:
             placements.append(dq.mul(link, joint))
             screws.append(z)
-    names, chain = distinct("joint_names", joint_names, "joint", n), tuple(range(BASE, n - 1))
+    names, chain = distinct("joint", joint_names, n), tuple(range(BASE, n - 1))
     X_BE = IDENTITY if tip_pose is None else poses("tip_pose", tip_pose, 8)
     return assemble(names, chain, types, torch.stack(placements), torch.stack(screws), X_BE, **bodies)

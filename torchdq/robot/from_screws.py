@@ -50,7 +50,7 @@ def read(
         raise DescriptionError(f"parents must hold, for each of {n} links, an earlier link or -1, found {tree}")
     X_WB = IDENTITY.expand(n, 8) if link_poses is None else poses("link_poses", link_poses, n, 8)
     X_WE = X_WB[-1] if tip_pose is None else poses("tip_pose", tip_pose, 8)
-    names = distinct("joint_names", joint_names, "joint", n)
+    names = distinct("joint", joint_names, n)
     kinds, exact = zip(*map(joint, names, s), strict=True)
     s = torch.stack(exact)
     X_WP = torch.stack([IDENTITY if p == BASE else X_WB[p] for p in tree])

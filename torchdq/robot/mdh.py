@@ -62,7 +62,8 @@ def align(tree: Tree) -> tuple[Alignment, ...]:
     R_WL, p_WL, result = [np.eye(3)], [np.zeros(3)], []
     for i, link in enumerate(tree.links[1:], 1):
         R_P, p_P = R_WL[link.parent], p_WL[link.parent]
-        x, origin = _frame(lines, i, main.get(i), R_P[:, 0], p_P, R_WB[i], p_WB[i], size)
+        beyond = lines[main[i]] if i in main else None
+        x, origin = _frame(lines[i], beyond, Axis(p_P, R_P[:, 0]), p_WB[i], size)
         z = lines[i].direction
         R = np.stack([x, np.cross(z, x), z], axis=1)
         R_WL.append(R)
@@ -98,22 +99,10 @@ def _in_base(joint: Along, X_WB: DualQuaternion) -> Along:
 
 def _pose(R: np.ndarray, p: np.ndarray) -> DualQuaternion:
     """Pose of a rotation matrix and a position, exact for rotations by quarter turns."""
-    # the largest component first, since the others are divided by it; in numpy, since robots are also aligned within
-    # transforms of torch
-    w = 0.5 * math.sqrt(max(0.0, 1.0 + float(np.trace(R))))
-    v = [0.5 * math.sqrt(max(0.0, 1.0 + 2.0 * float(R[k, k]) - float(np.trace(R)))) for k in range(3)]
-    r = np.array([w, *v])
-    k = int(np.argmax(r))
-    skew = np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    if k == 0:
-        r[1:] = skew / (4.0 * r[0])
-    else:
-        i = k - 1
-        r[0] = skew[i] / (4.0 * r[k])
-        for j in range(3):
-            if j != i:
-                r[j + 1] = (R[i, j] + R[j, i]) / (4.0 * r[k])
-    return dq.from_pose(tuple(map(float, clean(r / np.linalg.norm(r)))), tuple(map(float, p)))
+    # in numpy, since robots are also aligned within transforms of torch
+    candidates: np.ndarray = np.array(quat.from_rotation_rows(R.tolist()))
+    r = _unit(candidates[candidates.diagonal().argmax()])
+    return dq.from_pose(tuple(map(float, clean(r))), tuple(map(float, p)))
 
 
 def _along_axes(p: np.ndarray, gamma: float, alpha: float, size: float) -> tuple[tuple[float, ...], float]:
@@ -150,31 +139,30 @@ def _main_children(tree: Tree) -> dict[int, int]:
 
 
 def _frame(
-    lines: list[Axis],
-    i: int,
-    child: int | None,
-    x_P: np.ndarray,
-    p_P: np.ndarray,
-    R_B: np.ndarray,
-    p_B: np.ndarray,
-    size: float,
+    line: Axis, beyond: Axis | None, x_axis: Axis, p_B: np.ndarray, size: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """x axis and origin of link i's aligned frame, in the base frame."""
-    line = lines[i]
-    z = line.direction
+    """Direction of the x axis and origin of a link's aligned frame, in the base frame.
+
+    Args:
+        line: axis of its joint.
+        beyond: axis of its main child's joint; None: it has no child.
+        x_axis: x axis of its parent's aligned frame.
+        p_B: origin of its frame in the description.
+        size: size of the robot.
+    """
+    z, x_P = line.direction, x_axis.direction
     # without a common normal to the child's axis: the parent's x axis if it is perpendicular, and no shift along z
     fallback = x_P if abs(x_P @ z) < NEAR else min(np.eye(3), key=lambda e: abs(float(e @ z)))
     x = _unit(fallback - (fallback @ z) * z)
-    origin = _foot(line, Axis(p_P, x_P))
-    if child is not None:
-        other = lines[child]
-        normal = np.cross(z, other.direction)
+    origin = _foot(line, x_axis)
+    if beyond is not None:
+        normal = np.cross(z, beyond.direction)
         if np.linalg.norm(normal) > PARALLEL:
-            foot = _foot(line, other)
+            foot = _foot(line, beyond)
             if foot is not None and np.linalg.norm(foot - p_B) < FAR * size:
                 return _unit(normal), foot
         else:
-            between = other.point - line.point
+            between = beyond.point - line.point
             between = between - (between @ z) * z
             if np.linalg.norm(between) > NEAR * size:
                 x = _unit(between)

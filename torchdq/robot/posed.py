@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import Moments
-from torchdq.algebra.quaternion import Number, Pure
+from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics import conditioning
 from torchdq.dynamics.aligned.posed import Aligned
@@ -18,7 +18,7 @@ from torchdq.dynamics.tree import Tree, on_base
 from torchdq.errors import SingularInertiaError
 from torchdq.numbers.functions import cos, sin
 from torchdq.robot import mdh
-from torchdq.robot.robot import SHAPES, Robot, general_tree
+from torchdq.robot.robot import SHAPES, Robot, general_tree, plain
 
 # flat components of tensors that replace those of the robot, by name; None: absent
 Overrides = Mapping[str, Sequence[Number] | None]
@@ -37,23 +37,24 @@ def field(robot: Robot, name: str, overrides: Overrides):
         if len(shape) == 1:
             return flat
         return tuple(flat[k : k + shape[1]] for k in range(0, len(flat), shape[1]))
-    value = getattr(robot, name)
-    if value is None:
-        return None
-    rows = value.tolist()
-    return tuple(tuple(row) if isinstance(row, list) else row for row in rows)
+    return plain(robot, name)
 
 
 def tree(robot: Robot, overrides: Overrides) -> Tree:
     """Tree of the robot in the link frames of its description."""
-    names = ("X_PB_home", "screw", "mass", "com", "inertia", "gravity", "armature")
-    return general_tree(robot.parents, robot.kinds, **{name: field(robot, name, overrides) for name in names})
+    return general_tree(robot, lambda name: field(robot, name, overrides))
 
 
 def displacements(robot: Robot, q: Sequence[Number], overrides: Overrides) -> list[Number]:
     """Joint positions relative to home."""
     home = field(robot, "home", overrides)
     return list(q) if home is None else [x - h for x, h in zip(q, home, strict=True)]
+
+
+def coordinates(robot: Robot, q: Sequence[Number], overrides: Overrides) -> list[Coordinate | None]:
+    """Coordinates of all joints, beginning with the base, which has none."""
+    halves = [(x, 0.5 * x) for x in displacements(robot, q, overrides)]
+    return [None, *(Coordinate(x, cos(half), sin(half)) for x, half in halves)]
 
 
 def aligned(robot: Robot, q: Sequence[Number], overrides: Overrides, group: bool) -> Aligned:
@@ -82,9 +83,7 @@ def aligned(robot: Robot, q: Sequence[Number], overrides: Overrides, group: bool
 
 def paper(robot: Robot, q: Sequence[Number], overrides: Overrides) -> Paper:
     """Robot at q in the paper's form, in the link frames of its description; every tensor may be an argument."""
-    halves = [(x, 0.5 * x) for x in displacements(robot, q, overrides)]
-    coordinates = [None, *(Coordinate(x, cos(half), sin(half)) for x, half in halves)]
-    return Paper.at(tree(robot, overrides), field(robot, "com", overrides), coordinates)
+    return Paper.at(tree(robot, overrides), field(robot, "com", overrides), coordinates(robot, q, overrides))
 
 
 def posed(robot: Robot, q: Sequence[Number], overrides: Overrides, per_sample: Sequence[str]) -> Posed:
@@ -129,6 +128,4 @@ def frame(robot: Robot, name: str) -> tuple[int, DualQuaternion]:
 
 def as_screw(x: Sequence[Number]) -> Screw:
     """Six components as a screw."""
-    a: Pure = (x[0], x[1], x[2])
-    b: Pure = (x[3], x[4], x[5])
-    return a, b
+    return tuple(x[:3]), tuple(x[3:])

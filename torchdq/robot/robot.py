@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -13,21 +14,18 @@ import torch
 from torch import Tensor
 
 from torchdq.algebra.inertia import Inertia, six
-from torchdq.algebra.quaternion import Number, Pure
 from torchdq.caches import PROGRAMS, remembered
 from torchdq.call import DTYPES
 from torchdq.dynamics.joints import KINDS, Helical, Prismatic, Revolute
 from torchdq.dynamics.tree import BASE, Tree, on_base
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 from torchdq.robot import consistency, from_dh, from_screws, urdf
+from torchdq.robot.consistency import OnUnphysical
 from torchdq.robot.constants import Constants
 from torchdq.robot.description import Frame, Limits, RobotDescription
 from torchdq.robot.report import Report
 
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], in the base frame
-OnUnphysical = Literal["error", "warn", "ignore"]
-
-
 # trailing axes of each tensor field; leading axes are batch axes, "n" is the number of joints
 SHAPES: dict[str, tuple] = {
     "X_PB_home": ("n", 8),
@@ -94,18 +92,14 @@ class Robot:
             if value.dtype not in DTYPES:
                 raise DtypeError(f"{name} of robot {self.name!r} must be float32 or float64, found {value.dtype}")
         # a tensor with batch axes depends on the sample and cannot be a constant
+        batched = batches(self)
         present = [name for name in SHAPES if getattr(self, name) is not None]
-        names = tuple(name for name in present if name in self._arguments or self._batch(name))
+        names = tuple(name for name in present if name in self._arguments or name in batched)
         object.__setattr__(self, "_arguments", names)
         if self._constants is None:
             fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
             own = {name: x for name, x in fields.items() if name not in ("notes", "_arguments", "_constants")}
             object.__setattr__(self, "_constants", Constants.of(own, {name: len(SHAPES[name]) for name in names}))
-
-    def _batch(self, name: str) -> tuple[int, ...]:
-        """Batch axes of a tensor."""
-        value = getattr(self, name)
-        return tuple(value.shape[: value.ndim - len(SHAPES[name])])
 
     # --- sources ---
 
@@ -234,7 +228,7 @@ class Robot:
         robot = cls(**vars(description), gravity=g)
         if tip is not None:
             robot = robot.with_tip(tip)
-        faults = faults + consistency.inert_joints(robot.joint_names, robot.tree())
+        faults = faults + consistency.inert_joints(robot.joint_names, general_tree(robot, partial(plain, robot)))
         consistency.complain(robot.name, faults, on_unphysical)
         return dataclasses.replace(robot, notes=(*faults, *robot.notes))
 
@@ -288,9 +282,8 @@ class Robot:
 
     def bake(self) -> Robot:
         """Robot whose tensors, all without batch axes, are constants of its programs, which is fastest."""
-        for name in self._arguments:
-            if self._batch(name):
-                raise ArgumentError(f"{name} of robot {self.name!r} has batch axes and cannot be a constant")
+        for name in batches(self):
+            raise ArgumentError(f"{name} of robot {self.name!r} has batch axes and cannot be a constant")
         detached = {name: getattr(self, name).detach() for name in self._arguments}
         return dataclasses.replace(self, **detached, _arguments=(), _constants=None)
 
@@ -327,20 +320,13 @@ class Robot:
     def tree(self) -> Tree:
         """Tree of the robot, with numbers that are tensors of the batch axes."""
 
-        def rows(x: Tensor) -> list[tuple[Tensor, ...]]:
-            return [row.unbind(-1) for row in x.unbind(-2)]
+        def values(name: str) -> Sequence[Any] | None:
+            x = getattr(self, name)
+            if x is None:
+                return None
+            return x.unbind(-1) if len(SHAPES[name]) == 1 else [row.unbind(-1) for row in x.unbind(-2)]
 
-        return general_tree(
-            self.parents,
-            self.kinds,
-            rows(self.X_PB_home),
-            rows(self.screw),
-            self.mass.unbind(-1),
-            rows(self.com),
-            rows(self.inertia),
-            None if self.gravity is None else self.gravity.unbind(-1),
-            None if self.armature is None else self.armature.unbind(-1),
-        )
+        return general_tree(self, values)
 
     @property
     def inertial_parameters(self) -> Tensor:
@@ -359,26 +345,37 @@ class Robot:
         return f"Robot({self.name!r}, {self.n} joints, {hangs}, {mass:.4g} kg, tip={self.tip!r})"
 
 
-def general_tree(
-    parents: Sequence[int],
-    kinds: Sequence[str],
-    X_PB_home: Sequence[Sequence[Number]],
-    screw: Sequence[Sequence[Number]],
-    mass: Sequence[Number],
-    com: Sequence[Pure],
-    inertia: Sequence[Sequence[Number]],
-    gravity: Pure | None,
-    armature: Sequence[Number] | None,
-) -> Tree:
-    """Tree on a fixed base, in the link frames of the description, from the fields of a robot as numbers."""
+def batches(robot: Robot) -> dict[str, tuple[int, ...]]:
+    """Batch axes, by name, of the tensors of a robot that have some."""
+    tensors = {name: getattr(robot, name) for name in SHAPES}
+    axes = {name: tuple(x.shape[: x.ndim - len(SHAPES[name])]) for name, x in tensors.items() if x is not None}
+    return {name: batch for name, batch in axes.items() if batch}
+
+
+def general_tree(robot: Robot, values: Callable[[str], Any]) -> Tree:
+    """Tree on a fixed base, in the link frames of the description.
+
+    Args:
+        robot: the robot.
+        values: numbers of the tensor with a name, in a row or one row per link; None: absent.
+    """
+    bodies = zip(*map(values, ("mass", "com", "inertia")), strict=True)
     return on_base(
-        parents,
-        [KINDS[kind]((tuple(s[:3]), tuple(s[3:]))) for kind, s in zip(kinds, screw, strict=True)],
-        [(tuple(x[:4]), tuple(x[4:])) for x in X_PB_home],
-        [Inertia.from_com(m, c, tuple(i)) for m, c, i in zip(mass, com, inertia, strict=True)],
-        armature,
-        gravity,
+        robot.parents,
+        [KINDS[kind]((s[:3], s[3:])) for kind, s in zip(robot.kinds, values("screw"), strict=True)],
+        [(x[:4], x[4:]) for x in values("X_PB_home")],
+        [Inertia.from_com(*body) for body in bodies],
+        values("armature"),
+        values("gravity"),
     )
+
+
+def plain(robot: Robot, name: str) -> tuple | None:
+    """Tensor of a robot without batch axes as nested tuples of numbers; None: absent."""
+    value = getattr(robot, name)
+    if value is None:
+        return None
+    return tuple(tuple(row) if isinstance(row, list) else row for row in value.tolist())
 
 
 # --- constants and arguments of programs -----------------------------------------------------------------------------

@@ -20,6 +20,7 @@ from torchdq import dq
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, DescriptionError, UnknownNameError
 from torchdq.robot import consistency
+from torchdq.robot.arrays import SIX, double
 from torchdq.robot.description import Frame, Limits, RobotDescription
 from torchdq.robot.urdf_document import MOST, MOVING, Document, Inertial, UrdfJoint, children_of, parse, text_of
 
@@ -27,7 +28,7 @@ from torchdq.robot.urdf_document import MOST, MOVING, Document, Inertial, UrdfJo
 def _codes(kind: str, names: Iterable[str]) -> dict[str, str]:
     """Plain names in the alphabetic order of the names, by which pinocchio sorts the joints on a link.
 
-    Pinocchio confuses some names of files; a joint named 'universe' is the base to it.
+    Pinocchio has names of its own: it takes a joint of a file that is named 'universe' for the base.
     """
     return {name: f"{kind}{i:05d}" for i, name in enumerate(sorted(names))}
 
@@ -94,8 +95,7 @@ def _lumped(document: Document, placed: dict[str, tuple[int, Any]], n: int) -> t
         com[i] += share * apart
         inertia[i] += rotated + mass[i] * share * (apart @ apart * np.eye(3) - np.outer(apart, apart))
         mass[i] = total
-    six = inertia[:, [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-    return torch.from_numpy(mass), torch.from_numpy(com), torch.from_numpy(six)
+    return torch.from_numpy(mass), torch.from_numpy(com), torch.from_numpy(inertia[:, *SIX])
 
 
 def _pose(placement) -> Tensor:
@@ -119,7 +119,7 @@ def read(source: str | Path, lock: dict[str, float]) -> tuple[RobotDescription, 
         for frame in model.frames
         if frame.type == pin.FrameType.BODY
     }
-    axes = torch.tensor([joint.axis for joint in joints], dtype=torch.float64).reshape(n, 3)
+    axes = double([joint.axis for joint in joints]).reshape(n, 3)
     turns = torch.tensor([MOVING[joint.kind] == "revolute" for joint in joints], dtype=torch.bool).reshape(n, 1)
     placements = [_pose(placement) for placement in list(model.jointPlacements)[1:]]
     mass, com, inertia = _lumped(document, placed, n)
@@ -138,18 +138,14 @@ def read(source: str | Path, lock: dict[str, float]) -> tuple[RobotDescription, 
         mass=mass,
         com=com,
         inertia=inertia,
-        limits=Limits(*(_double([joint.limits[key] for joint in joints]) for key in Limits._fields)),
-        damping=_double([joint.damping for joint in joints]),
-        friction=_double([joint.friction for joint in joints]),
+        limits=Limits(*(double([joint.limits[key] for joint in joints]) for key in Limits._fields)),
+        damping=double([joint.damping for joint in joints]),
+        friction=double([joint.friction for joint in joints]),
         frames=tuple(Frame(name, link, _pose(placement)) for name, (link, placement) in placed.items()),
         tip=leaves[0] if len(leaves) == 1 else None,
         notes=_notes(document, names, moving, leaves, lock),
     )
     return description, faults
-
-
-def _double(values: list[float]) -> Tensor:
-    return torch.tensor(values, dtype=torch.float64)
 
 
 def _notes(

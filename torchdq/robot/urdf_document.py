@@ -12,15 +12,15 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
 from torchdq.errors import DescriptionError, MissingFileError
+from torchdq.robot.arrays import double
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 MOST_BYTES = 10_000_000
 MOST_TAGS = 200_000
-MOST_LINKS = 2_000  # pinocchio recurses over the tree and takes the process with it somewhere beyond 3000
+MOST_LINKS = 2_000  # pinocchio recurses over the tree and crashes the process somewhere beyond 3000
 MOST = 1e50  # largest number: the products of three that dynamics form still do not overflow
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
@@ -165,7 +165,7 @@ def _inertial(name: str, link: ET.Element, faults: list[str]) -> Inertial | None
         _numbers(f"{what} inertia", inertia, key, "", 1, faults)[0]
         for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     )
-    matrix = torch.tensor([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=torch.float64)
+    matrix = double([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return Inertial(_numbers(f"{what} mass", mass, "value", "", 1, faults)[0], matrix, origin)
 
 

@@ -9,8 +9,7 @@ Limits: the manufacturer's data sheet.
 
 from math import pi
 
-import torch
-
+from torchdq.robot.arrays import double
 from torchdq.robot.robot import Limits, Robot
 
 # mass [kg] | centre of mass [m] | xx xy yy xz yz zz about it [kg m^2], in the DH frames
@@ -45,5 +44,4 @@ def build() -> Robot:
     lower = [-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973]
     upper = [2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973]
     velocity, effort = [2.175] * 4 + [2.61] * 3, [87.0] * 4 + [12.0] * 3
-    rows = (torch.tensor(row, dtype=torch.float64) for row in (lower, upper, velocity, effort))
-    return robot.replace(limits=Limits(*rows)).bake()
+    return robot.replace(limits=Limits(*map(double, (lower, upper, velocity, effort)))).bake()

@@ -10,10 +10,9 @@ The numbers are as published, and two links are not possible bodies: link 1 has 
 its others. Torques and accelerations do not suffer; `report()` lists both.
 """
 
-from math import pi, radians
+from math import inf, pi, radians
 
-import torch
-
+from torchdq.robot.arrays import double
 from torchdq.robot.robot import Limits, Robot
 
 # mass [kg] | centre of mass [m] | principal moments xx yy zz about it [kg m^2], in the DH frames
@@ -31,10 +30,6 @@ VISCOUS = [1.48e-3, 0.817e-3, 1.38e-3, 71.2e-6, 82.6e-6, 36.7e-6]  # at the moto
 LOWER, UPPER = [-160, -45, -225, -110, -100, -266], [160, 225, 45, 170, 100, 266]  # [deg]
 
 
-def _double(x) -> torch.Tensor:
-    return torch.tensor(x, dtype=torch.float64)
-
-
 def build() -> Robot:
     """Puma 560 arm, rotor inertia included."""
     mass, com, moments = zip(*LINKS, strict=True)
@@ -50,10 +45,10 @@ def build() -> Robot:
         inertia=[(xx, 0, yy, 0, 0, zz) for xx, yy, zz in moments],
         on_unphysical="ignore",
     )
-    ratio = _double(GEAR) ** 2
-    infinite = torch.full((6,), torch.inf, dtype=torch.float64)
+    ratio = double(GEAR) ** 2
+    infinite = double([inf] * 6)
     return robot.replace(
-        armature=_double(ROTOR) * ratio,
-        damping=_double(VISCOUS) * ratio,
-        limits=Limits(_double([radians(x) for x in LOWER]), _double([radians(x) for x in UPPER]), infinite, infinite),
+        armature=double(ROTOR) * ratio,
+        damping=double(VISCOUS) * ratio,
+        limits=Limits(double([radians(x) for x in LOWER]), double([radians(x) for x in UPPER]), infinite, infinite),
     ).bake()

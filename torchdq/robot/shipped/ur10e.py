@@ -9,6 +9,7 @@ from math import pi, sqrt
 import torch
 
 from torchdq import dq
+from torchdq.robot.arrays import double
 from torchdq.robot.robot import Limits, Robot
 
 # joint | axis in the base frame | link | position [m] and orientation in the base frame, all at home
@@ -33,34 +34,30 @@ BODIES = [
 ]
 
 
-def _double(x) -> torch.Tensor:
-    return torch.tensor(x, dtype=torch.float64)
-
-
 def build() -> Robot:
     """UR10e arm; its tip is the controller's tool frame."""
     joints, axes, links, positions, orientations = zip(*CHAIN, strict=True)
     mass, com, inertia = zip(*BODIES, strict=True)
-    l, p = _double(axes), _double(positions)
+    l, p = double(axes), double(positions)
     # the tool's z axis leaves the flange: a quarter turn back about x from the last link
-    tool = dq.mul(_double(HALF), _double((sqrt(0.5), -sqrt(0.5), 0.0, 0.0)))
+    tool = dq.mul(double(HALF), double((sqrt(0.5), -sqrt(0.5), 0.0, 0.0)))
     robot = Robot.from_screws(
         name="ur10e",
         joint_screws=torch.cat([l, dq.cross(p, l)], -1),
-        link_poses=dq.from_pose(_double(orientations), p),
-        tip_pose=dq.from_pose(tool, _double((1.184, 0.291, 0.061))),
+        link_poses=dq.from_pose(double(orientations), p),
+        tip_pose=dq.from_pose(tool, double((1.184, 0.291, 0.061))),
         mass=mass,
         com=com,
         inertia=inertia,
         joint_names=joints,
         link_names=links,
     )
-    reach = _double([2 * pi, 2 * pi, pi, 2 * pi, 2 * pi, 2 * pi])
+    reach = double([2 * pi, 2 * pi, pi, 2 * pi, 2 * pi, 2 * pi])
     return robot.replace(
         limits=Limits(
             -reach,
             reach,
-            velocity=_double([3.14, 3.14, 3.14, 6.28, 6.28, 6.28]),
-            effort=_double([330, 330, 150, 54, 54, 54]),
+            velocity=double([3.14, 3.14, 3.14, 6.28, 6.28, 6.28]),
+            effort=double([330, 330, 150, 54, 54, 54]),
         )
     ).bake()
