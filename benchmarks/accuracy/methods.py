@@ -22,9 +22,9 @@ from torchdq.backends.torch import EAGER
 from torchdq.envs import integrators
 from torchdq.envs.integrators import Integrator, Row, System
 from torchdq.envs.spec import recorded as recorded_scene
-from torchdq.envs.system import SceneSystem
+from torchdq.envs.system import with_growths
 from torchdq.functions.catalogue import ways
-from torchdq.program.program import GROWTH, Argument, Program, record
+from torchdq.program.program import Argument, Program, record
 
 Runner = Callable[[Program, Sequence[Tensor]], Sequence[Tensor]]
 compiled, eager = partial(run, backend=COMPILED), partial(run, backend=EAGER)
@@ -81,8 +81,7 @@ def _recorded(case: Case, name: str, of: Callable[..., dict[str, Any]]) -> Progr
         def algorithm(q: Row, qd: Row, torque: Row, *others: Row) -> dict[str, Any]:
             *rows, (h,) = others
             scene = recorded_scene(spec, linear, dict(zip(case.inputs, rows, strict=True)), {}, ())
-            system = SceneSystem(scene, torque)
-            return {**of(system, q, qd, h), GROWTH: system.growths}
+            return with_growths(scene, torque, lambda motion: of(motion, q, qd, h))
 
         return record(f"{name}_{case.name}", arguments, algorithm)
 

@@ -10,8 +10,8 @@ import numpy as np
 import torchdq
 from accuracy.scenes import Case
 from torchdq.envs import spec
-from torchdq.envs.system import SceneSystem
-from torchdq.program.program import GROWTH, Argument, record, replay, results
+from torchdq.envs.system import with_growths
+from torchdq.program.program import Argument, record, replay, results
 from torchdq.robot.posed import INERTIAL
 
 LONG = np.longdouble  # 64 bits of mantissa on x86, 53 on machines that have no more: agreements tell
@@ -89,8 +89,7 @@ class Formulas:
                 key: tuple(float(x) if x in (0, 1, -1) else next(given) for x in row) for key, row in known.items()
             }
             scene = spec.recorded(case.scene.spec, False, inputs, tensors, ())
-            system = SceneSystem(scene, u)
-            return {"a": system.accelerations(q, qd), GROWTH: system.growths}
+            return with_growths(scene, u, lambda system: {"a": system.accelerations(q, qd)})
 
         arguments = [Argument(name, n) for name in ("q", "qd", "u")] + [Argument("numbers", len(self.numbers))]
         self.program = record("accelerations", arguments, algorithm)
