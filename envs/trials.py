@@ -13,7 +13,7 @@ from torchdq.envs.integrators import Integrator, LinearlyImplicit, Repeated, Run
 from torchdq.envs.scene import Scene
 from torchdq.envs.state import State
 from torchdq.errors import ArgumentError
-from torchdq.functional import Precision
+from torchdq.functional import Precision, require_finite
 from torchdq.robot import Robot
 
 SAMPLES = 64  # trajectories
@@ -75,18 +75,9 @@ class Trial:
                 "state must be a torchdq.envs.State with q of the shape [samples, n]; `Scene.start` makes one"
             )
         given = {name: x for name, x in inputs.items() if x is not None}
-        for name, x in given.items():
-            if not (isinstance(x, Tensor) and bool(x.isfinite().all())):
-                raise ArgumentError(
-                    f"{name} must be a finite tensor, found {x if isinstance(x, Tensor) else type(x).__name__}"
-                )
-        if not bool(state.q.isfinite().all() and state.qd.isfinite().all()):
-            raise ArgumentError("state must be finite")
+        require_finite(**{"q": state.q, "qd": state.qd, **given})
         if scene.controller is not None and "reference" not in given:
             given["reference"] = torch.cat([state.q, torch.zeros_like(state.q).repeat(1, 2)], -1)
-        for name in [name for effect in scene.effects for name in effect.needs(scene.n)]:
-            if name not in given:
-                raise ArgumentError(f"{name} must be given, shape [samples, {scene.inputs[name]}]; the scene needs it")
         if scene.noises:
             given["noise"] = noise
         return cls(scene, state, given, intervals)
