@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -32,7 +33,6 @@ import torchdq
 from torchdq.timing import measure
 
 SECONDS = 1.0  # time of measuring per contender
-BEGIN, END = "<!-- benchmarks/peers.py begins -->", "<!-- benchmarks/peers.py ends -->"
 
 
 @dataclass
@@ -55,6 +55,15 @@ class Row:
 def urdf(package: str, name: str) -> Path:
     """Path of a URDF file in an installed package."""
     return next(Path(f.locate()) for f in importlib.metadata.files(package) if f.name == name)
+
+
+def bare(path: Path) -> ET.Element:
+    """URDF of a file without shapes, whose meshes MuJoCo would open."""
+    root = ET.fromstring(path.read_bytes())
+    for link in root.findall("link"):
+        for shape in (*link.findall("visual"), *link.findall("collision")):
+            link.remove(shape)
+    return root
 
 
 class Task:
@@ -167,16 +176,9 @@ class Task:
         """MuJoCo's C, one sample after another from Python."""
         if task != "inverse dynamics" or importlib.util.find_spec("mujoco") is None:
             return {}
-        import xml.etree.ElementTree as ET
-
         import mujoco
 
-        root = ET.fromstring(self.path.read_bytes())
-        for link in root.findall("link"):
-            for tag in ("visual", "collision"):
-                for element in link.findall(tag):
-                    link.remove(element)
-        model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
+        model = mujoco.MjModel.from_xml_string(ET.tostring(bare(self.path), encoding="unicode"))
         data = mujoco.MjData(model)
         q, qd, qdd, _ = self.arrays
 
@@ -213,23 +215,10 @@ class Task:
                     continue
                 contenders[name] = call
         rows = []
+        dtype = str(self.q.dtype).removeprefix("torch.")
         for name, times in measure(contenders, self.batch, seconds).items():
-            low, *_, high = statistics.quantiles(times, n=10)
-            rows.append(
-                Row(
-                    self.robot.name,
-                    self.robot.n,
-                    task,
-                    str(self.q.dtype).removeprefix("torch."),
-                    self.batch,
-                    self.threads,
-                    name,
-                    statistics.median(times),
-                    low,
-                    high,
-                    first.get(name),
-                )
-            )
+            case = (self.robot.name, self.robot.n, task, dtype, self.batch, self.threads)
+            rows.append(Row(*case, name, *report.spread(times), first.get(name)))
         return rows
 
 
@@ -411,8 +400,6 @@ def main() -> None:
     arm = urdf("example-robot-data", "xarm7.urdf")
     goals = requirements(arm, 0.5 if arguments.quick else SECONDS)
     summary = report.goals_table("seven-joint arm, one thread, batch 4096, float64 unless stated", goals)
-    machine = report.machine()
-    on = ", ".join(f"{k} {v}" for k, v in machine.items())
     print(summary)
     rows: list[Row] = []
     if not arguments.quick:
@@ -424,10 +411,7 @@ def main() -> None:
                     for task in TASKS:
                         rows += case.rows(task, 0.3, ("c", "eager") if batch <= 4096 else ("c",))
         print("\n" + table(rows))
-    print(f"\n{on}")
-    if arguments.readme:
-        report.into_readme(f"{summary}\n\nMeasured on: {on}.", BEGIN, END)
-    report.into_json(arguments.json, machine=machine, goals=goals, rows=[asdict(row) for row in rows])
+    report.finish(arguments, __file__, summary, report.machine(), goals=goals, rows=[asdict(row) for row in rows])
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What errors say: orders, plateaus, fronts."""
+"""Errors, and what they say: orders, plateaus, fronts."""
 
 from __future__ import annotations
 
@@ -8,6 +8,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 Point = dict[str, Any]  # with "error_max", "nanoseconds" and whatever else
+
+
+def relative(found: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Relative errors of rows [..., k]."""
+    return (np.sqrt(((found - truth) ** 2).sum(-1)) / np.sqrt((truth**2).sum(-1))).astype(float)
+
+
+def judged(errors: np.ndarray, floor: float) -> Point:
+    """Largest and median error; one below the floor of its reference is not a measurement."""
+    worst = float(errors.max())
+    return {"error_max": worst, "error_median": float(np.median(errors)), "floor": floor, "measured": worst > floor}
 
 
 def plateau(sizes: Sequence[float], errors: Sequence[float], order: float) -> float | None:

@@ -17,6 +17,7 @@ import torch
 
 import torchdq
 from accuracy.clock import clock
+from accuracy.fits import judged, relative
 from accuracy.methods import compiled
 from accuracy.rows import LONG, exact, joined, split
 from accuracy.scenes import chain, single
@@ -110,11 +111,6 @@ def too_much(method: str, n: int, cubic: int) -> str | None:
     return None
 
 
-def relative(found: Array, truth: Array) -> Array:
-    """Relative errors of rows."""
-    return (np.sqrt(((found - truth) ** 2).sum(-1)) / np.sqrt((truth**2).sum(-1))).astype(float)
-
-
 def measured(quick: bool, full: bool) -> dict[str, Any]:
     """Errors and residuals by method and number of joints, guide lines, times, and what was left out."""
     sizes = (2, 7, 14, 42, 100, 200) if quick and not full else (2, 4, 7, 14, 24, 42, 70, 100, 200, 1000)
@@ -163,11 +159,8 @@ def measured(quick: bool, full: bool) -> dict[str, Any]:
             point = {
                 "method": method,
                 "n": n,
-                "error_max": float(errors.max()),
-                "error_median": float(np.median(errors)),
+                **judged(errors, 10 * agreement),
                 "residual": float(relative(back, tau).max()),
-                "floor": 10 * agreement,
-                "measured": float(errors.max()) > 10 * agreement,
             }
             points.append(point)
     for n in [n for n in sizes if n <= COMPILED]:

@@ -70,14 +70,7 @@ def measured(case: Case, truth: references.Truth, quick: bool) -> dict[str, Any]
 
 
 def _errors(found: torch.Tensor, truth: references.Truth) -> dict[str, Any]:
-    errors = references.distance(found.numpy().astype(LONG), truth.state)
-    worst = float(errors.max())
-    return {
-        "error_max": worst,
-        "error_median": float(np.median(errors)),
-        "floor": truth.floor,
-        "measured": worst > truth.floor,
-    }
+    return fits.judged(fits.relative(found.numpy().astype(LONG), truth.state), truth.floor)
 
 
 def _ladder(
