@@ -49,7 +49,7 @@ PRECISIONS = {
 
 @dataclass(frozen=True)
 class Increments(integrators.RungeKutta4):
-    """What RungeKutta4 adds to a state, to be added with care."""
+    """Increments of RungeKutta4, for a state to which they are added without loss."""
 
     def step(self, system: System, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
         """Changes over a step h."""
@@ -94,7 +94,7 @@ State = tuple[Tensor, ...]  # q, qd, and what a compensated one carries beside
 
 
 def dtype_of(precision: str) -> torch.dtype:
-    """Of the state."""
+    """Dtype of the state."""
     return torch.float64 if precision == "float64" else torch.float32
 
 
@@ -180,20 +180,18 @@ class _Bodies(System):
 
 def adaptive(
     case: Case, precision: str, rtol: float, batch: int | None = None, runner: Runner = compiled
-) -> tuple[Callable[[], Tensor], list[int]]:
-    """A call for the state at the horizon by DormandPrince, and a list that learns how often it asked for rates."""
+) -> Callable[[], tuple[Tensor, int]]:
+    """Call for the state at the horizon by DormandPrince, and the number of evaluations that it takes."""
     (q, qd), torques, others = beginning(case, precision, batch)
     method = integrators.DormandPrince(rtol, 1e-3 * rtol)
     program, h = rates_program(case), q.new_ones(1)
-    evaluations: list[int] = []
 
-    def call() -> Tensor:
+    def call() -> tuple[Tensor, int]:
         x, v, asked = q, qd, 0
         for torque in torques:
             bodies = _Bodies(runner, program, [torque, *others, h])
             x, v = method.flow(bodies, x, v, case.horizon / PERIODS)
             asked += bodies.asked
-        evaluations.append(asked)
-        return torch.cat([x, v], -1).double()
+        return torch.cat([x, v], -1).double(), asked
 
-    return call, evaluations
+    return call
