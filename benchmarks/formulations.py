@@ -116,7 +116,7 @@ class Arm:
         return homogeneous.chained(steps)[-1]
 
     def htm_screws(self, q: Row) -> list:
-        """The same by exponentials."""
+        """Matrix of the tip's pose, by exponentials."""
         axes, home = self.screws()
         steps = [homogeneous.exponential(homogeneous.generator(s), turn(x)) for s, x in zip(axes, q, strict=True)]
         return homogeneous.chained([*steps, homogeneous.matrix(home)])[-1]
@@ -130,7 +130,7 @@ class Arm:
         return reduce(dq.mul, steps)
 
     def udq_screws(self, q: Row) -> DualQuaternion:
-        """The same by exponentials."""
+        """Dual quaternion of the tip's pose, by exponentials."""
         axes, home = self.screws()
         steps = [screw.exp_revolute(s, x.cos, x.sin) for s, x in zip(axes, map(displacement, q), strict=True)]
         return reduce(dq.mul, [*steps, home])

@@ -54,7 +54,7 @@ def into_json(path: Path | None, **everything: Any) -> None:
 
 
 def _short(x: Any) -> Any:
-    """The same with shorter numbers."""
+    """Values with shorter numbers."""
     if isinstance(x, dict):
         return {key: _short(value) for key, value in x.items()}
     if isinstance(x, list | tuple):

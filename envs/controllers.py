@@ -41,7 +41,7 @@ class Feedback(Controller):
     model: Robot | None = None
 
     def described(self, robot: Robot) -> Self:
-        """Itself; raises if its model does not have the robot's joints, or has batch axes."""
+        """Controller as it is; raises if its model does not have the robot's joints, or has batch axes."""
         believed, what = self.model, f"model of {type(self).__name__}"
         if believed is None:
             return self

@@ -81,7 +81,7 @@ class Reach:
         return 2 * robot.n
 
     def start(self, robot: Robot, u: Row) -> Rows:
-        """At rest in the middle half of the joints' ranges."""
+        """Start at rest in the middle half of the joints' ranges, and a goal."""
         at = [r.lower + r.span * (0.25 + 0.5 * x) for r, x in zip(ranges(robot), u[: robot.n], strict=True)]
         there = [r.lower + r.span * x for r, x in zip(ranges(robot), u[robot.n :], strict=True)]
         return {"q": at, "qd": [0.0] * robot.n, "goal": tip(robot, posed(robot, there, {}, ()))}
@@ -134,7 +134,7 @@ class Track:
         return 7 * robot.n
 
     def start(self, robot: Robot, u: Row) -> Rows:
-        """On the reference, moving with it."""
+        """Start on the reference, moving with it."""
         goal: list[Number] = []
         for i, r in enumerate(ranges(robot)):
             x = u[7 * i : 7 * i + 7]

@@ -31,7 +31,7 @@ class Args:
     seconds: float = 0.2
     """Time spent on measuring each effect [s]."""
     iterations: int = 100
-    """Of learning the friction."""
+    """Optimiser steps of learning the friction."""
     out: Path = Path("out")
     """Folder of the picture."""
 

@@ -54,8 +54,8 @@ N = ROBOT.n
 EPISODE, DT = 100, 0.02  # steps, and their duration [s]
 TRAINED, TESTED = 256, 512  # environments
 TEST, CHOICE = 1_000_000, 2_000_000  # seeds of episodes; those of training are below 1000 times the number of seeds
-SHARE = 0.2  # of the torque limits that a full action is
-KP, KD = 100.0, 20.0  # of the controller [1/s^2, 1/s]
+SHARE = 0.2  # full action as a share of the torque limits
+KP, KD = 100.0, 20.0  # gains of the controller [1/s^2, 1/s]
 GAINS = [(kp, 2 * d * math.sqrt(kp)) for kp in (100.0, 200.0, 300.0, 400.0, 500.0, 600.0) for d in (0.7, 1.0, 1.3)]
 FRICTION = (
     effects.Viscous([4.0] * 4 + [2.0] * 3),  # [N m s/rad]
@@ -69,7 +69,7 @@ PLANT = (
     effects.Lag(0.04),  # [s]
 )
 CHECKS = 10  # how often a policy is evaluated while it learns
-JOINT = 5  # of the picture, from 0
+JOINT = 5  # joint in the picture, from 0
 Policy = Callable[[Tensor], Tensor]
 
 
@@ -78,7 +78,7 @@ class Args:
     steps: int = 1_000_000
     """Environment steps of training."""
     seeds: int = 5
-    """How often each policy is trained."""
+    """Trainings of each policy."""
     quick: bool = False
     """One seed, at most 100 000 steps."""
     json: Path | None = None
@@ -106,7 +106,7 @@ class Base:
 
     kp: float = KP  # [1/s^2]
     kd: float = KD  # [1/s]
-    true: bool = False  # whether it knows payload and masses of every episode
+    true: bool = False  # True: it knows payload and masses of every episode
 
     def environments(self, number: int, mode: AutoresetMode = AutoresetMode.SAME_STEP) -> ArmVectorEnv:
         """Environments under it; gains are tensors, so that all of them share one program."""

@@ -33,13 +33,13 @@ class Args:
     motions: int = 8
     """Recorded motions; one more is kept for the test."""
     duration: float = 10.0
-    """Of a motion [s]."""
+    """Duration of a motion [s]."""
     torque_noise: float = 0.5
     """Standard deviation of a torque reading [N m]."""
     position_noise: float = 2e-5
     """Standard deviation of a position reading [rad]."""
     cutoff: float = 20.0
-    """Of the low-pass filter [Hz]."""
+    """Cutoff of the low-pass filter [Hz]."""
     seed: int = 0
     quick: bool = False
     """Two motions instead."""

@@ -87,7 +87,7 @@ def closed_form(arm: torchdq.Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> Tenso
 
 
 def closed_equations(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-    """The same written out for the arm, two uniform rods of mass m and length l, as textbooks have it."""
+    """Torques written out for the arm, two uniform rods of mass m and length l, as textbooks have it."""
     m, l, gravity = 1.0, 1.0, 9.81
     a, b = m * l**2 / 3, m * l**2 / 2  # a rod about its end; a rod's mass, on the lever of the other
     (q1, q2), (v1, v2), (a1, a2) = q.unbind(-1), qd.unbind(-1), qdd.unbind(-1)
@@ -252,7 +252,7 @@ def dynamics_costs(joints: int) -> tuple[list[Curve], list[Curve]]:
 
 
 def where(first: Curve, second: Curve, quantity: str) -> str:
-    """For how many joints the first costs less than the second."""
+    """Numbers of joints for which the first costs less than the second, in words."""
     holds = [a < b for a, b in zip(first.of(quantity), second.of(quantity), strict=True)]
     if all(holds) or not any(holds):
         return "for every n" if all(holds) else "for no n"

@@ -16,7 +16,7 @@ class Arm(Layout):
     slow: float = 0.02
     """Speed over which Coulomb friction changes sign [rad/s]: about the noise of the filtered velocity."""
     rotors: bool = False
-    """Whether torques are taken at the motors, before the rotors' inertia."""
+    """True: torques are taken at the motors, before the rotors' inertia."""
 
 
 LAYOUTS = {

@@ -103,7 +103,7 @@ METHODS: dict[str, Callable[..., Array]] = {
 
 
 def too_much(method: str, n: int, cubic: int) -> str | None:
-    """Why a method is not tried at a number of joints."""
+    """Reason why a method is not tried at a number of joints; None: it is."""
     if method.startswith("CRBA") and n > cubic:
         return f"its cost is cubic, and it is tried up to {cubic} joints"
     if method.startswith("closed") and n > CLOSED:
@@ -206,7 +206,7 @@ def _unwatched(robot: torchdq.Robot, given: tuple[str, ...]) -> Program:
 
 
 def _linear_is_cheaper(robot: torchdq.Robot) -> bool:
-    """Whether articulated bodies count fewer operations than the mass matrix, where both are considered."""
+    """True if articulated bodies count fewer operations than the mass matrix, where both are considered."""
     if robot.n < recipes.LONG:
         return False
     arguments = [Argument(name, robot.n) for name in ("q", "qd", "tau")]

@@ -1,6 +1,6 @@
 """Experiment 3: the gradient of a rollout, by several ways and in two precisions: error, time, bytes kept.
 
-The loss is the sum of squares of the positions after 50 steps of a seven-joint arm, its gradient that in the beginning
+The loss is the sum of squares of the positions after 50 steps of a seven-joint arm, its gradient that in the initial state
 and in one torque that is held. Truth is the complex step in extended precision on torchdq's own formulas; its check
 are extrapolated central differences on a textbook's.
 """
@@ -23,7 +23,7 @@ from accuracy.textbook import Textbook
 from torchdq.envs import Scene, integrators
 
 STEPS, DT, SEGMENT = 50, 1 / 256, 10
-BATCH = {"eager": 64, "compiled": 4096}  # of which times are taken
+BATCH = {"eager": 64, "compiled": 4096}  # samples of a timed call
 Array = np.ndarray
 
 
@@ -91,7 +91,7 @@ def kept(scene: Scene, x: Tensor, checkpoint: int = 0) -> float:
     with torch.autograd.graph.saved_tensors_hooks(pack, lambda y: y):
         loss(scene, x.detach().requires_grad_(), checkpoint)
     if checkpoint:
-        # a segment keeps the state at its beginning, which no hook sees
+        # a segment keeps the state at its start, which no hook sees
         n = scene.n
         storages[-1] = STEPS // checkpoint * 2 * n * x.element_size() * len(x)
     return sum(storages.values()) / len(x)

@@ -140,7 +140,7 @@ def two_sum(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     return s, (a - (s - t)) + (b - t)
 
 
-def beginning(case: Case, precision: str, batch: int | None = None) -> tuple[State, list[Tensor], list[Tensor]]:
+def initial(case: Case, precision: str, batch: int | None = None) -> tuple[State, list[Tensor], list[Tensor]]:
     """State, torques of the periods, and further inputs, of the samples of a case or as many as a batch has."""
     dtype = dtype_of(precision)
     samples = torch.arange(batch or len(case.q)) % len(case.q)
@@ -152,7 +152,7 @@ def beginning(case: Case, precision: str, batch: int | None = None) -> tuple[Sta
 
 def flown(case: Case, integrator: str, precision: str, steps: int, runner: Runner = compiled) -> Tensor:
     """State [batch, 2 n] at the horizon after so many steps, as float64."""
-    state, torques, others = beginning(case, precision)
+    state, torques, others = initial(case, precision)
     h = torch.tensor([case.horizon / steps], dtype=dtype_of(precision))
     step = stepper(program_of(case, integrator, precision), precision, [*others, h], runner)
     for torque in torques:
@@ -182,7 +182,7 @@ def adaptive(
     case: Case, precision: str, rtol: float, batch: int | None = None, runner: Runner = compiled
 ) -> Callable[[], tuple[Tensor, int]]:
     """Call for the state at the horizon by DormandPrince, and the number of evaluations that it takes."""
-    (q, qd), torques, others = beginning(case, precision, batch)
+    (q, qd), torques, others = initial(case, precision, batch)
     method = integrators.DormandPrince(rtol, 1e-3 * rtol)
     program, h = rates_program(case), q.new_ones(1)
 

@@ -1,4 +1,4 @@
-"""What the results advise, from the JSON alone: the table of the README, dominated settings, crossovers."""
+"""Advice from the results, from the JSON alone: the table of the README, dominated settings, crossovers."""
 
 from __future__ import annotations
 
@@ -135,14 +135,14 @@ def dominated(results: Results) -> list[str]:
 
 
 def crossovers(results: Results) -> list[str]:
-    """Where along the front of a scene one setting takes over from another, in words."""
+    """Errors on the front of a scene below which another setting takes over, in words."""
     found = []
     for scene in results.get("trajectories", ()):
         for before, after in pairwise(fits.thinned(front(scene))):
             a, b = _setting(before), _setting(after)
             if a == b:
                 continue
-            # whether the one before would get as far, if slower
+            # true if the one before would get as far, but slower
             reaches = any(_setting(p) == a and p["error_max"] <= after["error_max"] for p in usable(scene))
             why = f"is cheaper than {a}" if reaches else f"takes over from {a}, which does not get there"
             found.append(f"{scene['scene']}: below {before['error_max']:.0e}, {b} {why}")

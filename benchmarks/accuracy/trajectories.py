@@ -14,11 +14,11 @@ from accuracy.methods import (
     INTEGRATORS,
     PRECISIONS,
     adaptive,
-    beginning,
     compiled,
     dtype_of,
     eager,
     flown,
+    initial,
     program_of,
     stepper,
 )
@@ -107,7 +107,7 @@ def _ladder(
 
 def _step_time(case: Case, integrator: str, precision: str) -> Time:
     """Time of a step of one robot in a large batch; it does not depend on the step's size."""
-    state, torques, others = beginning(case, precision, BATCH)
+    state, torques, others = initial(case, precision, BATCH)
     h = torch.tensor([case.horizon / 1024], dtype=dtype_of(precision))
     step = stepper(program_of(case, integrator, precision), precision, [*others, h])
     return clock(lambda: step(state, torques[0]), BATCH)

@@ -152,7 +152,7 @@ class Late(Effect):
     steps: int
 
     def described(self, robot: Robot) -> Self:
-        """Itself; raises if the number of steps is not a positive integer."""
+        """Effect as it is; raises if the number of steps is not a positive integer."""
         if not isinstance(self.steps, int) or self.steps < 1:
             raise ArgumentError(f"steps of {type(self).__name__} must be a whole number from 1, found {self.steps!r}")
         return self
