@@ -1,8 +1,8 @@
 """Experiment 3: the gradient of a rollout, by several ways and in two precisions: error, time, bytes kept.
 
-The loss is the sum of squares of the positions after 50 steps of a seven-joint arm, its gradient that in the initial state
-and in one torque that is held. Truth is the complex step in extended precision on torchdq's own formulas; its check
-are extrapolated central differences on a textbook's.
+The loss is the sum of squares of the positions after 50 steps of a seven-joint arm, its gradient that in the initial
+state and in one torque that is held. Truth is the complex step in extended precision on torchdq's own formulas; its
+check are extrapolated central differences on a textbook's.
 """
 
 from __future__ import annotations
