@@ -36,6 +36,8 @@ import numpy as np
 import torch
 import tyro
 from gymnasium.vector import AutoresetMode
+from matplotlib import pyplot as plt
+from pictures import prepare, save
 from scipy.stats import bootstrap
 from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -254,11 +256,7 @@ def draw(path: Path, curves: dict[str, list], results: dict[str, list[Result]], 
 
     `lines` are methods for comparison and their styles, first the controllers alone in the order of the curves.
     """
-    import matplotlib
-
-    matplotlib.use("agg")
-    from matplotlib import pyplot as plt
-
+    prepare()
     figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4.6), layout="constrained")
     colours = dict(zip(curves, ("tab:blue", "tab:green"), strict=True))
     for name, seeds in curves.items():
@@ -279,9 +277,7 @@ def draw(path: Path, curves: dict[str, list], results: dict[str, list[Result]], 
     right.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
     right.set(xlabel="time [s]", ylabel=f"error of joint {JOINT + 1} [mrad], one unseen episode")
     right.legend(fontsize=8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
+    save(figure, path)
 
 
 def main(args: Args) -> dict[str, list[Result]]:
