@@ -115,12 +115,9 @@ class Scene:
             float(self.dt),
             self.substeps,
         )
-        for name, value in (
-            ("effects", resolved),
-            ("controller", controller),
-            ("spec", _interned.setdefault(spec, spec)),
-        ):
-            object.__setattr__(self, name, value)
+        object.__setattr__(self, "effects", resolved)
+        object.__setattr__(self, "controller", controller)
+        object.__setattr__(self, "spec", _interned.setdefault(spec, spec))
 
     # --- inputs and parameters ---
 
@@ -137,10 +134,8 @@ class Scene:
     @property
     def batches(self) -> dict[str, tuple[int, ...]]:
         """Batch axes of the tensors of robot, controller and effects by their names; () where samples share one."""
-        return {
-            name.rpartition(".")[2]: tuple(x.shape[: x.ndim - len(Stage(self.spec, "step").axes(name))])
-            for name, x in self._parameters().items()
-        }
+        stage, found = Stage(self.spec, "step"), self._parameters()
+        return {stage.label(name): tuple(x.shape[: x.ndim - len(stage.axes(name))]) for name, x in found.items()}
 
     @property
     def noises(self) -> int:

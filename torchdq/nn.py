@@ -224,16 +224,12 @@ class DQRNEA(RobotModule):
 class ForwardDynamics(RobotModule):
     """Forward dynamics as a differentiable layer: `forward(q, qd, tau, f_tip, f_ext)` returns qdd [..., n].
 
-    Learned friction and offset are subtracted from the torques, which are those of the motors.
+    Learned friction and offset are subtracted from the torques, which are those of the motors. Example: `DQRNEA`,
+    which is made and called alike.
 
     Args:
         precision: as in `torchdq.forward_dynamics`.
         robot, learn, backend, friction_width: as in `RobotModule`.
-
-    >>> import torchdq
-    >>> layer = ForwardDynamics(torchdq.robots.load("two_link"))
-    >>> layer(torch.zeros(5, 2), torch.zeros(5, 2), torch.zeros(5, 2)).shape
-    torch.Size([5, 2])
     """
 
     def __init__(
