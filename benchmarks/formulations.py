@@ -31,6 +31,7 @@ from torchdq.backends.c import COMPILED
 from torchdq.backends.precision import kernel
 from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.paper import kinematics, rnea
+from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import Tree
 from torchdq.numbers.count import Cost
 from torchdq.paper import cost, homogeneous, printed
@@ -40,7 +41,6 @@ from torchdq.timing import measure
 N, BATCH = 7, 4096
 ALIKE = 0.03  # times and counts that differ by less are the same
 
-Row = Sequence[Number]
 double = partial(torch.tensor, dtype=torch.float64)
 
 

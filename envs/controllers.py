@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from torchdq.algebra.quaternion import Number
-from torchdq.dynamics.posed import Posed
+from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.effect import Parameter, Parametric, Shapes
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 from torchdq.robot.posed import posed
 from torchdq.robot.robot import SHAPES, arguments
-
-Row = Sequence[Number]
 
 
 @dataclass(frozen=True)

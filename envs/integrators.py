@@ -25,9 +25,8 @@ import torch
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
+from torchdq.dynamics.posed import Row
 from torchdq.errors import ArgumentError
-
-Row = Sequence[Number]
 
 
 class System(Protocol):

@@ -14,10 +14,11 @@ from typing import Any, NamedTuple
 
 from torchdq.caches import PROGRAMS, remembered
 from torchdq.call import Computation
+from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.sensor import Sensor
 from torchdq.envs.integrators import Integrator
-from torchdq.envs.spec import Memory, RecordedScene, Row, Rows, SceneSpec, Task, View, recorded
+from torchdq.envs.spec import Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
 from torchdq.envs.system import SceneSystem, with_growths
 from torchdq.errors import ArgumentError
 from torchdq.functions.catalogue import trailing, ways

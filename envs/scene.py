@@ -19,6 +19,7 @@ from torch.utils.checkpoint import checkpoint as checkpointed
 from torchdq.backends.choice import BackendName
 from torchdq.caches import PROGRAMS, Bounded
 from torchdq.call import batch_of, evaluate
+from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.body import BodyEffect
 from torchdq.effects.effect import Effect
@@ -28,7 +29,7 @@ from torchdq.effects.sensor import Sensor
 from torchdq.effects.transmission import Transmission
 from torchdq.envs.controllers import Controller
 from torchdq.envs.describe import Description, describe
-from torchdq.envs.integrators import Integrator, Row, SemiImplicitEuler, Unrecorded
+from torchdq.envs.integrators import Integrator, SemiImplicitEuler, Unrecorded
 from torchdq.envs.recording import Stage
 from torchdq.envs.spec import CONTROLLER, ROBOT, SceneSpec, Task
 from torchdq.envs.state import State

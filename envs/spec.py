@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from torchdq.algebra.quaternion import Number
-from torchdq.dynamics.posed import Posed
+from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.body import Bodies
 from torchdq.effects.effect import Effect, Shapes
 from torchdq.effects.model import ModelEffect
@@ -19,7 +18,6 @@ from torchdq.robot import Robot
 from torchdq.robot.posed import INERTIAL, Overrides, posed
 from torchdq.robot.robot import SHAPES
 
-Row = Sequence[Number]
 Rows = dict[str, Row]
 Memory = dict[int, Row]  # remembered values of each effect, by its position
 E = TypeVar("E", bound=Effect)

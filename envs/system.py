@@ -12,12 +12,12 @@ from torchdq.algebra import matrix
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import add, difference, neg
-from torchdq.dynamics.posed import Posed
+from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.body import Bodies, BodyEffect
 from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.effects.transmission import Transmission
 from torchdq.envs.integrators import System
-from torchdq.envs.spec import RecordedScene, Row, Rows
+from torchdq.envs.spec import RecordedScene, Rows
 from torchdq.numbers.record import Recorded
 from torchdq.program import autodiff as derive
 from torchdq.program.program import GROWTH, Argument, record, replay

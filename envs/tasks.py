@@ -14,13 +14,11 @@ from typing import NamedTuple, Protocol
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
-from torchdq.dynamics.posed import Posed
+from torchdq.dynamics.posed import Posed, Row
 from torchdq.envs.spec import Rows, View
 from torchdq.numbers.functions import at_least, clip, minimum, sqrt
 from torchdq.robot import Robot
 from torchdq.robot.posed import frame, posed
-
-Row = Sequence[Number]
 
 SPEED = 2.0  # velocity limit of a joint whose description has none [rad/s or m/s]
 FASTEST = 10.0  # bound of observed velocities, in multiples of the limit

@@ -19,8 +19,9 @@ from torchdq.algebra.quaternion import Number
 from torchdq.backends.c import COMPILED
 from torchdq.backends.run import run
 from torchdq.backends.torch import EAGER
+from torchdq.dynamics.posed import Row
 from torchdq.envs import integrators
-from torchdq.envs.integrators import Integrator, Row, System
+from torchdq.envs.integrators import Integrator, System
 from torchdq.envs.spec import recorded as recorded_scene
 from torchdq.envs.system import with_growths
 from torchdq.functions.catalogue import ways

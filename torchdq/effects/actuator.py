@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from torchdq.algebra.quaternion import Number
-from torchdq.effects.effect import Effect, Late, Parameter, Row, Shapes, unbounded
+from torchdq.dynamics.posed import Row
+from torchdq.effects.effect import Effect, Late, Parameter, Shapes, unbounded
 from torchdq.numbers.functions import clip, exp, floor, maximum
 
 

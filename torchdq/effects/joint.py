@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 from torchdq.algebra.quaternion import Number
-from torchdq.effects.effect import Effect, Inputs, Parameter, Row, Shapes, unbounded
+from torchdq.dynamics.posed import Row
+from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, unbounded
 from torchdq.numbers.functions import absolute, at_least, maximum, minimum, sqrt
 
 TOUCHING = 2.0**-126  # smallest normal number of float32: a limit acts from this force on [N m or N]

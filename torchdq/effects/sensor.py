@@ -9,8 +9,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
+from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import rounded
-from torchdq.effects.effect import Effect, Late, Parameter, Row, Shapes
+from torchdq.effects.effect import Effect, Late, Parameter, Shapes
 from torchdq.numbers.functions import log, sqrt
 
 

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 from torchdq.algebra.quaternion import Number
-from torchdq.effects.effect import Effect, Parameter, Row, Shapes
+from torchdq.dynamics.posed import Row
+from torchdq.effects.effect import Effect, Parameter, Shapes
 
 
 class Eliminated(NamedTuple):
