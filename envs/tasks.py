@@ -15,7 +15,7 @@ from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.dynamics.posed import Posed, Row
-from torchdq.envs.spec import Rows, View
+from torchdq.envs.spec import Rows, Task, View
 from torchdq.numbers.functions import at_least, clip, minimum, sqrt
 from torchdq.robot import Robot
 from torchdq.robot.posed import frame, posed
@@ -29,7 +29,7 @@ HIGHEST = 2.0  # largest rate of the sinusoids of a reference [rad/s]
 SENSIBLE = 1e6  # bound of velocities and rewards; beyond it the simulation has failed
 
 
-class EpisodeTask(Protocol):
+class EpisodeTask(Task, Protocol):
     """A task of an environment; frozen and hashable, since it is part of the key of its programs.
 
     Its rows are "observation", "reward" [1] and "reference" [3 n], the positions, velocities and accelerations that a
@@ -41,9 +41,6 @@ class EpisodeTask(Protocol):
 
     def __hash__(self) -> int: ...
 
-    def inputs(self, n: int) -> dict[str, int]:
-        """Names and widths of its inputs, without the state."""
-
     def draws(self, robot: Robot) -> int:
         """Number of random numbers that an episode starts from."""
 
@@ -52,9 +49,6 @@ class EpisodeTask(Protocol):
 
     def bounds(self, robot: Robot) -> list[tuple[float, float]]:
         """Lower and upper bound of every number of an observation."""
-
-    def rows(self, view: View) -> Rows:
-        """Observation, reward, reference and any further rows."""
 
 
 @dataclass(frozen=True)

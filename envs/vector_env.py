@@ -154,7 +154,7 @@ class ArmVectorEnv(VectorEnv):
         check_scene(self.scene, num_envs)
         self._actions = Actions(action, self.robot, torch.as_tensor(full(self.robot, action, scale)).to(like))
         self._checked = Checked(self.task)
-        self._reset = Reset(self.scene, self.task, self._checked, self._randomised)
+        self._reset = Reset(self.scene, self._checked, self._randomised)
         low, high = np.array(self.task.bounds(self.robot), dtype=np.dtype(str(dtype).removeprefix("torch."))).T
         self.single_observation_space = Box(low, high, dtype=low.dtype.type)
         self.single_action_space = Box(-1.0, 1.0, (self.robot.n,), np.float32)
