@@ -200,9 +200,7 @@ class ArmVectorEnv(VectorEnv):
         Args:
             actions: [N, n] in [-1, 1], numpy or torch.
         """
-        self._open()
-        if not self._buffers:
-            raise ResetNeeded("call reset() before step()")
+        self._started("step")
         finished, counter = self._buffers["finished"], self._buffers["counter"]
         if self._unreset and self.autoreset_mode == AutoresetMode.DISABLED:
             raise ResetNeeded(
@@ -251,8 +249,7 @@ class ArmVectorEnv(VectorEnv):
         self._open()
         if self.render_mode is None:
             raise ArgumentError("render_mode must be 'rgb_array' or 'human' to render; it is chosen at construction")
-        if not self._buffers:
-            raise ResetNeeded("call reset() before render()")
+        self._started("render")
         return self._shown()
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -281,9 +278,7 @@ class ArmVectorEnv(VectorEnv):
 
     def get_state(self) -> dict[str, Tensor]:
         """Copy of all that steps change: states, goals, random numbers, parameters; for `set_state`."""
-        self._open()
-        if not self._buffers:
-            raise ResetNeeded("call reset() before get_state()")
+        self._started("get_state")
         return {name: x.clone() for name, x in (*self._buffers.items(), *self._parameters().items())}
 
     def set_state(self, state: Mapping[str, Tensor]) -> None:
@@ -316,6 +311,11 @@ class ArmVectorEnv(VectorEnv):
     def _open(self) -> None:
         if self.closed:
             raise ClosedEnvironmentError("the environment was closed; make another one")
+
+    def _started(self, method: str) -> None:
+        self._open()
+        if not self._buffers:
+            raise ResetNeeded(f"call reset() before {method}()")
 
     def _out(self, x: Any) -> Any:
         """Tensors as the caller wants them."""
