@@ -168,7 +168,6 @@ def flown(case: Case, integrator: str, precision: str, steps: int, runner: Runne
 class _Bodies(System):
     """Accelerations of rows of tensors, counted."""
 
-    runner: Runner
     program: Program
     others: Sequence[Tensor]
     asked: int = 0
@@ -176,12 +175,10 @@ class _Bodies(System):
     def accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations in a state."""
         self.asked += 1
-        return [self.runner(self.program, [*x, *v, *self.others])[0]]
+        return [compiled(self.program, [*x, *v, *self.others])[0]]
 
 
-def adaptive(
-    case: Case, precision: str, rtol: float, batch: int | None = None, runner: Runner = compiled
-) -> Callable[[], tuple[Tensor, int]]:
+def adaptive(case: Case, precision: str, rtol: float, batch: int | None = None) -> Callable[[], tuple[Tensor, int]]:
     """Call for the state at the horizon by DormandPrince, and the number of evaluations that it takes."""
     (q, qd), torques, others = initial(case, precision, batch)
     method = integrators.DormandPrince(rtol, 1e-3 * rtol)
@@ -190,7 +187,7 @@ def adaptive(
     def call() -> tuple[Tensor, int]:
         x, v, asked = q, qd, 0
         for torque in torques:
-            bodies = _Bodies(runner, program, [torque, *others, h])
+            bodies = _Bodies(program, [torque, *others, h])
             x, v = method.flow(bodies, x, v, case.horizon / PERIODS)
             asked += bodies.asked
         return torch.cat([x, v], -1).double(), asked

@@ -12,6 +12,7 @@ from accuracy import fits
 Results = dict[str, Any]
 NEEDS = (("rollouts for reinforcement learning", 1e-3), ("learning and MPC", 1e-6), ("verification", 1e-10))
 STIFF = 1e-2  # error asked of the scene with stiff servos
+UNTRIED = ("nothing that was tried", "", "", "")  # cells of a need that no setting meets
 
 
 def usable(scene: dict[str, Any]) -> list[fits.Point]:
@@ -72,7 +73,7 @@ def _gradient(results: Results, precision: str) -> str:
 def _trajectory(need: str, scene: dict[str, Any] | None, error: float, results: Results) -> tuple[str, ...]:
     best = cheapest(scene, error) if scene else None
     if scene is None or best is None:
-        return need, "nothing that was tried", "", "", ""
+        return need, *UNTRIED
     return (
         need,
         called(best, scene["horizon"]),
@@ -89,7 +90,7 @@ def _energy(results: Results) -> tuple[str, ...]:
     # width must not be mistaken for a drift, which is why the drift is compared with it
     banded = [r for r in rows if abs(r["drift"]) < 0.01 * r["largest"]]
     if not banded:
-        return need, "nothing that was tried", "", "", ""
+        return need, *UNTRIED
     best = min(banded, key=lambda r: r["largest"])
     return (
         need,
@@ -105,7 +106,7 @@ def _forward(results: Results) -> tuple[str, ...]:
     # float32 in and out: how it is computed inside is the choice
     tried = [p for p in points if p["method"] in ("mixed", "float32, auto") and p["n"] == 42 and p.get("nanoseconds")]
     if not tried:
-        return need, "nothing that was tried", "", "", ""
+        return need, *UNTRIED
     best = min(tried, key=lambda p: p["nanoseconds"])
     use = 'float32, `precision="double"`' if best["method"] == "mixed" else 'float32, `precision="auto"`'
     worst = max(p["error_max"] for p in points if p["method"] == best["method"])
