@@ -28,6 +28,7 @@ import numpy as np
 import pinocchio as pin
 import report
 import torch
+from accuracy.scenes import chain
 
 import torchdq
 from torchdq.timing import measure
@@ -246,19 +247,11 @@ before = resident("VmRSS")
 work({batch})
 print(resident("VmHWM") - before)
 """
-CHAIN = """
-def chain(n, seed=0):
-    g = torch.Generator().manual_seed(seed)
-    def random(*shape):
-        return torch.randn(*shape, dtype=torch.float64, generator=g)
-    l = torch.nn.functional.normalize(random(n, 3), dim=-1)
-    turn = torch.nn.functional.normalize(random(n, 4), dim=-1)
-    root = random(n, 3, 3)
-    second = 0.1 * root @ root.mT + 0.05 * torch.eye(3)
-    inertia = second.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None] * torch.eye(3) - second
-    return torchdq.Robot.from_screws(
-        torch.cat([l, torch.linalg.cross(0.5 * random(n, 3), l)], -1), torch.ones(n), 0.3 * random(n, 3),
-        0.5 * (inertia + inertia.mT), link_poses=torchdq.dq.from_pose(turn, random(n, 3)))
+CHAIN = f"""
+import sys
+sys.path.append({str(Path(__file__).parent)!r})
+from accuracy.scenes import chain
+robot = chain(36)
 """
 
 
@@ -320,11 +313,9 @@ def requirements(arm: Path, seconds: float) -> list[report.Goal]:
     ratio = statistics.median(times["one"]) / statistics.median(times["two"])
     lines.append(("inverse dynamics, two threads against one, batch 65536", "1.7 x", f"{ratio:.2f} x"))
 
-    namespace: dict = {"torch": torch, "torchdq": torchdq}
-    exec(CHAIN, namespace)
     per_joint = {}
     for n in (7, 14, 28, 42):
-        layer = torchdq.DQRNEA(namespace["chain"](n))
+        layer = torchdq.DQRNEA(chain(n))
         x = torch.randn(3, 4096, n, dtype=torch.float64)
         found = measure({"ours": lambda layer=layer, x=x: layer(*x)}, 4096, 0.5 * seconds)["ours"]
         per_joint[n] = statistics.median(found) / n
@@ -341,7 +332,7 @@ def requirements(arm: Path, seconds: float) -> list[report.Goal]:
     load = f"robot = torchdq.Robot.from_urdf({str(arm)!r}, on_unphysical='ignore')"
     plain, warm = first_calls(load, False)
     both, warm_both = first_calls(load, True)
-    long, _ = first_calls(CHAIN + "\nrobot = chain(36)", True, ("DQRNEA", "ForwardDynamics"))
+    long, _ = first_calls(CHAIN, True, ("DQRNEA", "ForwardDynamics"))
     lines.append(("first call, empty cache, inverse dynamics", "1 s", f"{plain:.2f} s"))
     lines.append(("first call, empty cache, inverse dynamics with gradient", "2 s", f"{both:.2f} s"))
     lines.append(("first call, empty cache, 36-joint chain, both dynamics with gradients", "30 s", f"{long:.1f} s"))
