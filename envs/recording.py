@@ -152,9 +152,9 @@ class Stage(_StageFields, Computation):
         """Width of every input that a program of the scene may have."""
         spec, n = self.spec, self.spec.robot.n
         moving = n + spec.transmission[1].memory(n) // 2
-        own = {"q": n, "qd": n, "memory": spec.remembers, "reading": 2 * n, "noise": spec.noises}
         asked = {} if self.task is None else self.task.inputs(n)
-        return {**own, **spec.inputs(), **asked, "u": n, "x": moving, "v": moving, "to": moving, "h": 1}
+        evaluated = {"u": n, "x": moving, "v": moving, "to": moving, "h": 1}
+        return {**spec.state, "noise": spec.noises, **spec.inputs(), **asked, **evaluated}
 
     def shared(self, name: str) -> bool:
         """True for a parameter."""
@@ -172,9 +172,8 @@ class Stage(_StageFields, Computation):
         """Raise, naming the input that is missing, or the parameter that would broadcast against the batch."""
         spec, known = self.spec, self.widths()
         if self.stage in ("step", "drive"):
-            kept = {"memory": bool(known["memory"]), "reading": spec.senses}
-            for name, there in kept.items():
-                if there and name not in tensors:
+            for name in spec.state:
+                if name not in tensors:
                     raise ArgumentError(f"{name} must be part of the state; `start` makes one that has it")
         if self.stage in ("step", "drive", *EVALUATIONS):
             needed = [name for effect in spec.effects for name in effect.needs(spec.robot.n)]

@@ -263,17 +263,10 @@ class Scene:
             name = type(self.integrator).__name__
             raise ArgumentError(f"a step of {name} is no program of its own")
         stage = Stage(self.spec, "step", task)
-        known = stage.widths()
-        wanted = ["q", "qd", *(present or ("torque", *(name for name in self.inputs if name != "torque")))]
-        wanted += ["memory"] if known["memory"] else []
-        wanted += ["reading"] if self.spec.senses else []
-        wanted += ["noise"] if self.noises else []
-        for name in wanted:
-            if name not in known:
-                raise ArgumentError(f"{name} is no input of this scene; it has {', '.join(self.inputs)}")
+        wanted = [*self.spec.state, *(present or self.inputs), *(["noise"] if self.noises else [])]
+        taken = [Argument(name, math.prod(stage.axes(name))) for name in wanted]
         if self.controller is not None and "reference" not in wanted:
             raise ArgumentError("reference must be among the inputs of a scene with a controller")
-        taken = [Argument(name, known[name]) for name in wanted]
         for name, x in self._parameters().items():
             axes = stage.axes(name)
             taken.append(Argument(name, math.prod(axes), x.ndim == len(axes)))

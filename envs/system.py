@@ -39,7 +39,7 @@ class SceneSystem(System):
         effects = self.scene.spec.of(BodyEffect)
         if not effects:
             return None
-        bodies = Bodies.moving(self.scene.spec.robot, at, qd)
+        bodies = Bodies(self.scene.spec.robot, at, at.twists(qd))
         wrenches: list[Screw | None] = [None] * (len(qd) + 1)  # the base's first
         for _, effect in effects:
             for i, wrench in effect.wrenches(bodies, self.scene.inputs).items():

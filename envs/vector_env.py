@@ -377,11 +377,8 @@ class ArmVectorEnv(VectorEnv):
     def _blank(self) -> dict[str, Tensor]:
         """Buffers before a first episode."""
         N, n = self.num_envs, self.robot.n
-        widths = {"q": n, "qd": n, "goal": self.task.inputs(n)["goal"], "reference": 3 * n}
+        widths = {**self.scene.spec.state, "goal": self.task.inputs(n)["goal"], "reference": 3 * n}
         widths["observation"] = self.single_observation_space.shape[0]  # type: ignore[index]
-        spec = self.scene.spec
-        widths |= {"memory": spec.remembers} if spec.remembers else {}
-        widths |= {"reading": 2 * n} if spec.senses else {}
         buffers = {name: torch.zeros(N, width, dtype=self.dtype, device=self.device) for name, width in widths.items()}
         buffers["steps"] = torch.zeros(N, dtype=torch.int32, device=self.device)
         buffers["finished"] = torch.zeros(N, dtype=torch.bool, device=self.device)
