@@ -91,7 +91,9 @@ class Reach:
         robot, n, goal = view.scene.spec.robot, len(view.q), view.inputs["goal"]
         q, qd = view.reading[:n], view.reading[n:]
         p = tip(robot, view.scene.posed(q))
-        seen = [y for joint, x in zip(robot.joint_types, q, strict=True) for y in ((x,) if joint.slides else turned(x))]
+        seen: list[Number] = []
+        for joint, x in zip(robot.joint_types, q, strict=True):
+            seen += [x] if joint.slides else [x.sin(), x.cos()]
         seen += [*speeds(robot, qd), *quat.sub(goal, p), *p]
         error = quat.sub(goal, tip(robot, view.scene.posed(view.q)))
         squared = quat.dot(error, error)
@@ -258,11 +260,6 @@ def reach(robot: Robot) -> float:
 
 def _length(X: Sequence[float]) -> float:
     return math.hypot(*dq.translation((tuple(X[:4]), tuple(X[4:]))))
-
-
-def turned(x: Number) -> tuple[Number, Number]:
-    """Sine and cosine of an angle."""
-    return x.sin(), x.cos()
 
 
 def within(row: Row, bounds: Sequence[tuple[float, float]]) -> list[Number]:

@@ -23,11 +23,8 @@ CONSTRAINED: dict[str, type[nn.Module]] = {
     **dict.fromkeys(("mass", "armature", "viscous", "coulomb"), Positive),
     "inertia": PhysicalInertia,
 }
-INITIAL = {
-    "armature": 1e-3,
-    "viscous": 1e-2,
-    "coulomb": 1e-2,
-}  # initial value of what the description does not give [SI]
+# initial value of what the description does not give [SI]
+INITIAL = {"armature": 1e-3, "viscous": 1e-2, "coulomb": 1e-2}
 SMALLEST_SIZE = 1e-2  # least size of a body, against which `prior` measures the shift of its centre of mass [m]
 
 
