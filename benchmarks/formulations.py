@@ -41,8 +41,6 @@ from torchdq.timing import measure
 N, BATCH = 7, 4096
 ALIKE = 0.03  # times and counts that differ by less are the same
 
-double = partial(torch.tensor, dtype=torch.float64)
-
 
 @dataclass
 class Formulation:

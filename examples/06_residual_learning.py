@@ -100,7 +100,7 @@ def description() -> ET.Element:
 
 
 def nominal_robot() -> torchdq.Robot:
-    """The arm as its URDF has it."""
+    """Robot as its URDF describes it."""
     return torchdq.Robot.from_urdf(ET.tostring(description(), encoding="unicode"), tip="link_eef")
 
 
@@ -279,7 +279,7 @@ def with_friction(nominal: torchdq.Robot, data: Samples) -> Model:
 
 
 def truth(plant: Plant) -> Model:
-    """The arm as it is; dry friction alone is smoothed."""
+    """Model with the true parameters of the arm; dry friction alone is smoothed."""
     robot = plant.robot.replace(armature=torch.tensor(plant.armature))
     damping, friction = (torch.tensor(x, dtype=torch.float32) for x in (plant.damping, plant.friction))
 
