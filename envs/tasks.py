@@ -65,11 +65,11 @@ class Reach:
     """
 
     def inputs(self, n: int) -> dict[str, int]:
-        """The goal [3] and the action."""
+        """Names and widths of the inputs: the goal [3] and the action."""
         return {"goal": 3, "action": n}
 
     def draws(self, robot: Robot) -> int:
-        """Two for every joint."""
+        """Number of random numbers that an episode starts from: two for every joint."""
         return 2 * robot.n
 
     def start(self, robot: Robot, u: Row) -> Rows:
@@ -120,11 +120,11 @@ class Track:
     """
 
     def inputs(self, n: int) -> dict[str, int]:
-        """The goal, the action and the time."""
+        """Names and widths of the inputs: the goal, the action and the time."""
         return {"goal": 7 * n, "action": n, "time": 1}
 
     def draws(self, robot: Robot) -> int:
-        """Seven for every joint."""
+        """Number of random numbers that an episode starts from: seven for every joint."""
         return 7 * robot.n
 
     def start(self, robot: Robot, u: Row) -> Rows:

@@ -22,7 +22,7 @@ class Arm(Layout):
 LAYOUTS = {
     # a header, time [s], q1 ... q7 [rad], qd1 ... [rad/s], tau1 ... measured at the joints [N m]
     "panda": Arm(robot="panda", joints=7, cutoff_qd=6.0, slow=0.05),
-    # no header; time [s], six each of q [rad], qd [rad/s], motor current [A], and twelve desired values of the controller
+    # no header; time [s], six each of q [rad], qd [rad/s], motor current [A], and twelve desired values
     "ur10e": Arm(
         robot="ur10e",
         joints=6,

@@ -19,7 +19,7 @@ class Actuator(Effect):
     SLOT: ClassVar[str] = "actuator"
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
-        """Torques behind it, and its memory."""
+        """Torques behind the actuator, and its memory after the step."""
         raise NotImplementedError
 
 

@@ -48,7 +48,7 @@ class Gravity(ModelEffect):
         return replace(found, acceleration=GRAVITY) if found.acceleration is None else found
 
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
-        """Its acceleration."""
+        """Gravity of the robot: this acceleration."""
         return {"gravity": self.acceleration}
 
 
@@ -120,7 +120,7 @@ class MassScale(ModelEffect):
     factor: Parameter
 
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
-        """Masses and inertias, scaled."""
+        """Masses and inertias of the links times their factors."""
         mass, inertia = field(robot, "mass", overrides), field(robot, "inertia", overrides)
         return {
             "mass": [k * m for k, m in zip(self.factor, mass, strict=True)],

@@ -22,7 +22,7 @@ class Sensor(Effect):
     SLOT: ClassVar[str] = "sensor"
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
-        """Readings behind it, and its memory."""
+        """Readings behind the sensor, and its memory after the step."""
         raise NotImplementedError
 
 
@@ -40,7 +40,7 @@ class Noise(Sensor):
     velocity: Parameter = 0.0
 
     def noises(self, n: int) -> int:
-        """Two for every joint, which make two independent normal ones."""
+        """Number of random numbers: two for every joint, which make two independent normal ones."""
         return 2 * n
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
