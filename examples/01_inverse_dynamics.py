@@ -24,7 +24,7 @@ import torch
 import tyro
 from closed_loop import simulated
 from matplotlib import pyplot as plt
-from pictures import BLUE, GREY, ORANGE, prepare, save
+from pictures import BLUE, GREY, ORANGE, label, panels, prepare, save
 from recordings import LAYOUTS, layout_of
 from rich.console import Console
 from rich.progress import track
@@ -391,21 +391,14 @@ def plot_torques(robot: torchdq.Robot, model: pin.Model, picture: Path) -> None:
     states = zip(configurations(model, q), qd.numpy(), qdd.numpy(), strict=True)
     theirs = np.array([pin.rnea(model, data, *x) for x in states])
 
-    columns = min(4, robot.n + 1)
-    rows = -(-(robot.n + 1) // columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(9, 2.1 * rows + 0.4), sharex=True, layout="constrained")
-    panels = axes.ravel()
-    for j, panel in enumerate(panels[: robot.n]):
+    figure, (*joints, last) = panels(robot.n + 1, min(4, robot.n + 1), 2.1)
+    for j, panel in enumerate(joints):
         panel.plot(t, tau[:, j], color=BLUE, label="torchdq")
         panel.plot(t[::20], theirs[::20, j], "o", color=ORANGE, markersize=4, label="Pinocchio")
         panel.set_title(robot.joint_names[j])
-    panels[robot.n].semilogy(t, np.abs(tau.numpy() - theirs) + 1e-18, ".", color=GREY, markersize=1.5)
-    panels[robot.n].set(title="difference, all joints", ylim=(1e-17, 1e-11))
-    for panel in panels[robot.n + 1 :]:
-        panel.set_axis_off()
-    figure.supylabel("torque [N m]", fontsize=11)
-    figure.supxlabel("time [s]", fontsize=11)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
+    last.semilogy(t, np.abs(tau.numpy() - theirs) + 1e-18, ".", color=GREY, markersize=1.5)
+    last.set(title="difference, all joints", ylim=(1e-17, 1e-11))
+    label(figure, joints[0], "time [s]")
     save(figure, picture)
 
 
@@ -492,23 +485,15 @@ def plot_recording(
     end_of_fit = time[recording.fitted].max(initial=0.0)
     time = np.where(np.diff(time, prepend=0.0) > GAP, np.nan, time)  # no line across rows at rest
     full = recording.model + (recording.friction * coefficients).sum(1)
-    columns = 2
-    rows = -(-robot.n // columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(9, 1.75 * rows + 0.6), sharex=True, layout="constrained")
-    panels = axes.ravel()
-    for j, panel in enumerate(panels[: robot.n]):
+    figure, joints = panels(robot.n, 2, 1.75)
+    for j, panel in enumerate(joints):
         panel.plot(time, recording.motion.tau[:, j], color="#B8B8B8", linewidth=3.5, label="measured")
         panel.plot(time, recording.model[:, j], color=ORANGE, linewidth=1.0, label="model")
         panel.plot(time, full[:, j], color=BLUE, linewidth=1.1, label="model + friction")
         panel.set_title(f"{robot.joint_names[j]}   R² {r2[0][j]:.3f}, with friction {r2[1][j]:.3f}", fontsize=10)
         if recording.fitted.any():
             panel.axvspan(0, end_of_fit, color="#F3F3F3", zorder=0, label="friction fitted here")
-    for panel in panels[robot.n :]:
-        panel.set_axis_off()
-        panels[robot.n - columns].tick_params(labelbottom=True)  # it has nothing below it
-    figure.supylabel("torque [N m]", fontsize=11)
-    figure.supxlabel("time [s]", fontsize=11)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
+    label(figure, joints[0], "time [s]")
     save(figure, picture)
 
 

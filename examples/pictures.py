@@ -5,6 +5,7 @@ from typing import Any
 
 import matplotlib
 from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
 
 BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "#8A8A8A"  # told apart by everyone
 STYLE = {
@@ -28,6 +29,26 @@ def prepare(changes: dict[str, Any] | None = None) -> None:
     """Draw into files from now on, in the common style with some changes."""
     matplotlib.use("Agg")
     plt.rcParams.update(STYLE | (changes or {}))
+
+
+def panels(count: int, columns: int, height: float) -> tuple[plt.Figure, list[Axes]]:
+    """Figure with a number of panels in columns, each of a height [inches], over one axis of time."""
+    rows = -(-count // columns)
+    size = (9, height * rows + 0.5)
+    figure, grid = plt.subplots(rows, columns, figsize=size, sharex=True, squeeze=False, layout="constrained")
+    found = list(grid.ravel())
+    for panel in found[count:]:
+        panel.set_axis_off()
+    for panel in found[:count][-columns:]:
+        panel.tick_params(labelbottom=True)  # it has no panel below it
+    return figure, found[:count]
+
+
+def label(figure: plt.Figure, panel: Axes, x: str) -> None:
+    """Name the axes of all panels, torques over x, and the lines of one panel, which are those of the others."""
+    figure.supylabel("torque [N m]", fontsize=11)
+    figure.supxlabel(x, fontsize=11)
+    figure.legend(*panel.get_legend_handles_labels(), loc="outside upper center", ncols=4)
 
 
 def save(figure: plt.Figure, path: Path) -> None:
