@@ -40,7 +40,6 @@ from accuracy import (
 from accuracy.scenes import CASES
 
 FOLDER = Path(__file__).parent / "results"
-BEGIN, END = "<!-- benchmarks/accuracy_vs_time.py begins -->", "<!-- benchmarks/accuracy_vs_time.py ends -->"
 SLOW = {"chain42": "the references of 42 joints take minutes (--quick; name it by --scene)"}
 
 
@@ -114,7 +113,6 @@ def main() -> None:
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     report.into_json(arguments.json, **results)
     files = plots.draw(results, arguments.plots)
-    on = ", ".join(f"{k} {v}" for k, v in results["machine"].items())
     omitted = results["omitted"] + [f"{s['scene']}: {why}" for s in results["trajectories"] for why in s["omitted"]]
     omitted += [f"forward dynamics: {why}" for why in results.get("forward_dynamics", {}).get("omitted", ())]
     print(found, table.slopes(results), sep="\n\n")
@@ -126,9 +124,9 @@ def main() -> None:
         ("plots", [str(file) for file in files]),
     ):
         print(f"\n{table.lines(title, items)}")
-    print(f"\n{on}, commit {results['commit']}, {results['seconds']:.0f} s")
+    print(f"\n{report.words(results['machine'])}, commit {results['commit']}, {results['seconds']:.0f} s")
     if arguments.readme:
-        report.into_readme(f"{found}\n\nMeasured on: {on}.", BEGIN, END)
+        report.into_readme(found, __file__, results["machine"])
 
 
 if __name__ == "__main__":

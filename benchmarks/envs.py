@@ -9,7 +9,6 @@ A seven-joint arm with gravity, damping and dry friction, the same URDF for both
 from __future__ import annotations
 
 import os
-import statistics
 import xml.etree.ElementTree as ET
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,7 +20,7 @@ import numpy as np
 import report
 import torch
 from mujoco import rollout
-from peers import urdf
+from peers import bare, urdf
 
 import torchdq
 from torchdq.envs import ArmVectorEnv, Scene, effects, integrators
@@ -29,7 +28,6 @@ from torchdq.timing import measure
 
 BATCH, DT, STEPS = 4096, 2e-3, 5
 SHORT = 1e-5  # for an explicit integrator: damping over inertia of the arm's light links is 1e5 per second
-BEGIN, END = "<!-- benchmarks/envs.py begins -->", "<!-- benchmarks/envs.py ends -->"
 
 
 @dataclass
@@ -46,11 +44,7 @@ class Row:
 
 def mujoco_model(path: Path, integrator: int, dt: float, friction: bool) -> mujoco.MjModel:
     """The arm in MuJoCo, without what it has to show, with or without its friction loss."""
-    root = ET.fromstring(path.read_bytes())
-    for link in root.findall("link"):
-        for tag in ("visual", "collision"):
-            for element in link.findall(tag):
-                link.remove(element)
+    root = bare(path)
     for joint in root.findall("joint"):
         limit = joint.find("limit")
         if limit is not None:  # neither side simulates limits here
@@ -108,11 +102,7 @@ def environment_steps(env: ArmVectorEnv):
 
 def rows(found: dict[str, list[float]], what: str, dtype: str, steps: int = 1) -> list[Row]:
     """Rows of what was measured."""
-    result = []
-    for system, times in found.items():
-        low, *_, high = statistics.quantiles(times, n=10)
-        result.append(Row(what, system, dtype, statistics.median(times) / steps, low / steps, high / steps))
-    return result
+    return [Row(what, system, dtype, *(x / steps for x in report.spread(times))) for system, times in found.items()]
 
 
 def main() -> None:
@@ -169,12 +159,10 @@ def main() -> None:
 
     table = report.goals_table(f"seven-joint arm, one thread, batch {BATCH}", goals)
     description = scene.describe(BATCH, torch.float32)
-    machine = report.machine("mujoco")
-    on = ", ".join(f"{k} {v}" for k, v in machine.items())
-    print(f"{table}\n\n{description}\n\n{on}")
-    if arguments.readme:
-        report.into_readme(f"{table}\n\nMeasured on: {on}.", BEGIN, END)
-    report.into_json(arguments.json, machine=machine, goals=goals, rows=[asdict(row) for row in found])
+    print(f"{table}\n\n{description}")
+    report.finish(
+        arguments, __file__, table, report.machine("mujoco"), goals=goals, rows=[asdict(row) for row in found]
+    )
 
 
 if __name__ == "__main__":

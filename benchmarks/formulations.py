@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 import os
 import random
-import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial, reduce
@@ -32,6 +31,7 @@ from torchdq.backends.c import COMPILED
 from torchdq.backends.precision import kernel
 from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.paper import kinematics, rnea
+from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import Tree
 from torchdq.numbers.count import Cost
 from torchdq.paper import cost, homogeneous, printed
@@ -39,11 +39,7 @@ from torchdq.program.program import Argument, Program, record
 from torchdq.timing import measure
 
 N, BATCH = 7, 4096
-BEGIN, END = "<!-- benchmarks/formulations.py begins -->", "<!-- benchmarks/formulations.py ends -->"
 ALIKE = 0.03  # times and counts that differ by less are the same
-
-Row = Sequence[Number]
-double = partial(torch.tensor, dtype=torch.float64)
 
 
 @dataclass
@@ -118,7 +114,7 @@ class Arm:
         return reduce(homogeneous.product, steps)
 
     def htm_screws(self, q: Row) -> list:
-        """The same by exponentials."""
+        """Matrix of the tip's pose, by exponentials."""
         axes, home = self.screws()
         steps = [homogeneous.exponential(homogeneous.generator(s), turn(x)) for s, x in zip(axes, q, strict=True)]
         return reduce(homogeneous.product, [*steps, homogeneous.matrix(home)])
@@ -132,7 +128,7 @@ class Arm:
         return reduce(dq.mul, steps)
 
     def udq_screws(self, q: Row) -> DualQuaternion:
-        """The same by exponentials."""
+        """Dual quaternion of the tip's pose, by exponentials."""
         axes, home = self.screws()
         steps = [screw.exp_revolute(s, x.cos, x.sin) for s, x in zip(axes, map(displacement, q), strict=True)]
         return reduce(dq.mul, [*steps, home])
@@ -238,8 +234,7 @@ def time_all(formulations: Sequence[Formulation], seconds: float) -> None:
     calls = {f.name: partial(compiled, f.program, inputs(f.program)) for f in formulations}
     times = measure(calls, BATCH, seconds)
     for f in formulations:
-        f.low, *_, f.high = statistics.quantiles(times[f.name], n=10)
-        f.nanoseconds = statistics.median(times[f.name])
+        f.nanoseconds, f.low, f.high = report.spread(times[f.name])
 
 
 # --- text ------------------------------------------------------------------------------------------------------------
@@ -293,14 +288,10 @@ def main() -> None:
         require_agreement(group)
         time_all(group, 0.3 if arguments.quick else 2.0)
     formulations = [f for group in groups for f in group]
-    machine = report.machine()
-    on = ", ".join(f"{k} {v}" for k, v in machine.items())
     text = f"{table(formulations)}\n\n{verdict(formulations)}"
-    print(f"{text}\n\n{on}")
-    if arguments.readme:
-        report.into_readme(f"{text}\n\nMeasured on: {on}.", BEGIN, END)
+    print(text)
     rows = [{**asdict(f), "program": f.program.count()._asdict()} for f in formulations]
-    report.into_json(arguments.json, machine=machine, rows=rows)
+    report.finish(arguments, __file__, text, report.machine(), rows=rows)
 
 
 if __name__ == "__main__":

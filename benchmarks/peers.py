@@ -17,6 +17,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -27,12 +28,12 @@ import numpy as np
 import pinocchio as pin
 import report
 import torch
+from accuracy.scenes import chain
 
 import torchdq
 from torchdq.timing import measure
 
 SECONDS = 1.0  # time of measuring per contender
-BEGIN, END = "<!-- benchmarks/peers.py begins -->", "<!-- benchmarks/peers.py ends -->"
 
 
 @dataclass
@@ -55,6 +56,15 @@ class Row:
 def urdf(package: str, name: str) -> Path:
     """Path of a URDF file in an installed package."""
     return next(Path(f.locate()) for f in importlib.metadata.files(package) if f.name == name)
+
+
+def bare(path: Path) -> ET.Element:
+    """URDF of a file without shapes, whose meshes MuJoCo would open."""
+    root = ET.fromstring(path.read_bytes())
+    for link in root.findall("link"):
+        for shape in (*link.findall("visual"), *link.findall("collision")):
+            link.remove(shape)
+    return root
 
 
 class Task:
@@ -167,16 +177,9 @@ class Task:
         """MuJoCo's C, one sample after another from Python."""
         if task != "inverse dynamics" or importlib.util.find_spec("mujoco") is None:
             return {}
-        import xml.etree.ElementTree as ET
-
         import mujoco
 
-        root = ET.fromstring(self.path.read_bytes())
-        for link in root.findall("link"):
-            for tag in ("visual", "collision"):
-                for element in link.findall(tag):
-                    link.remove(element)
-        model = mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
+        model = mujoco.MjModel.from_xml_string(ET.tostring(bare(self.path), encoding="unicode"))
         data = mujoco.MjData(model)
         q, qd, qdd, _ = self.arrays
 
@@ -213,23 +216,10 @@ class Task:
                     continue
                 contenders[name] = call
         rows = []
+        dtype = str(self.q.dtype).removeprefix("torch.")
         for name, times in measure(contenders, self.batch, seconds).items():
-            low, *_, high = statistics.quantiles(times, n=10)
-            rows.append(
-                Row(
-                    self.robot.name,
-                    self.robot.n,
-                    task,
-                    str(self.q.dtype).removeprefix("torch."),
-                    self.batch,
-                    self.threads,
-                    name,
-                    statistics.median(times),
-                    low,
-                    high,
-                    first.get(name),
-                )
-            )
+            case = (self.robot.name, self.robot.n, task, dtype, self.batch, self.threads)
+            rows.append(Row(*case, name, *report.spread(times), first.get(name)))
         return rows
 
 
@@ -257,19 +247,11 @@ before = resident("VmRSS")
 work({batch})
 print(resident("VmHWM") - before)
 """
-CHAIN = """
-def chain(n, seed=0):
-    g = torch.Generator().manual_seed(seed)
-    def random(*shape):
-        return torch.randn(*shape, dtype=torch.float64, generator=g)
-    l = torch.nn.functional.normalize(random(n, 3), dim=-1)
-    turn = torch.nn.functional.normalize(random(n, 4), dim=-1)
-    root = random(n, 3, 3)
-    second = 0.1 * root @ root.mT + 0.05 * torch.eye(3)
-    inertia = second.diagonal(dim1=-2, dim2=-1).sum(-1)[:, None, None] * torch.eye(3) - second
-    return torchdq.Robot.from_screws(
-        torch.cat([l, torch.linalg.cross(0.5 * random(n, 3), l)], -1), torch.ones(n), 0.3 * random(n, 3),
-        0.5 * (inertia + inertia.mT), link_poses=torchdq.dq.from_pose(turn, random(n, 3)))
+CHAIN = f"""
+import sys
+sys.path.append({str(Path(__file__).parent)!r})
+from accuracy.scenes import chain
+robot = chain(36)
 """
 
 
@@ -331,11 +313,9 @@ def requirements(arm: Path, seconds: float) -> list[report.Goal]:
     ratio = statistics.median(times["one"]) / statistics.median(times["two"])
     lines.append(("inverse dynamics, two threads against one, batch 65536", "1.7 x", f"{ratio:.2f} x"))
 
-    namespace: dict = {"torch": torch, "torchdq": torchdq}
-    exec(CHAIN, namespace)
     per_joint = {}
     for n in (7, 14, 28, 42):
-        layer = torchdq.DQRNEA(namespace["chain"](n))
+        layer = torchdq.DQRNEA(chain(n))
         x = torch.randn(3, 4096, n, dtype=torch.float64)
         found = measure({"ours": lambda layer=layer, x=x: layer(*x)}, 4096, 0.5 * seconds)["ours"]
         per_joint[n] = statistics.median(found) / n
@@ -352,7 +332,7 @@ def requirements(arm: Path, seconds: float) -> list[report.Goal]:
     load = f"robot = torchdq.Robot.from_urdf({str(arm)!r}, on_unphysical='ignore')"
     plain, warm = first_calls(load, False)
     both, warm_both = first_calls(load, True)
-    long, _ = first_calls(CHAIN + "\nrobot = chain(36)", True, ("DQRNEA", "ForwardDynamics"))
+    long, _ = first_calls(CHAIN, True, ("DQRNEA", "ForwardDynamics"))
     lines.append(("first call, empty cache, inverse dynamics", "1 s", f"{plain:.2f} s"))
     lines.append(("first call, empty cache, inverse dynamics with gradient", "2 s", f"{both:.2f} s"))
     lines.append(("first call, empty cache, 36-joint chain, both dynamics with gradients", "30 s", f"{long:.1f} s"))
@@ -411,8 +391,6 @@ def main() -> None:
     arm = urdf("example-robot-data", "xarm7.urdf")
     goals = requirements(arm, 0.5 if arguments.quick else SECONDS)
     summary = report.goals_table("seven-joint arm, one thread, batch 4096, float64 unless stated", goals)
-    machine = report.machine()
-    on = ", ".join(f"{k} {v}" for k, v in machine.items())
     print(summary)
     rows: list[Row] = []
     if not arguments.quick:
@@ -424,10 +402,7 @@ def main() -> None:
                     for task in TASKS:
                         rows += case.rows(task, 0.3, ("c", "eager") if batch <= 4096 else ("c",))
         print("\n" + table(rows))
-    print(f"\n{on}")
-    if arguments.readme:
-        report.into_readme(f"{summary}\n\nMeasured on: {on}.", BEGIN, END)
-    report.into_json(arguments.json, machine=machine, goals=goals, rows=[asdict(row) for row in rows])
+    report.finish(arguments, __file__, summary, report.machine(), goals=goals, rows=[asdict(row) for row in rows])
 
 
 if __name__ == "__main__":

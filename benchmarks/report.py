@@ -6,6 +6,7 @@ import json
 import os
 import platform
 import shutil
+import statistics
 import subprocess
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,6 +31,22 @@ def goals_table(title: str, goals: Sequence[Goal]) -> str:
     return f"| {title} | goal | measured |\n|---|---|---|\n{lines}"
 
 
+def spread(times: Sequence[float]) -> tuple[float, float, float]:
+    """Median of times, and 10 % and 90 % of them."""
+    low, *_, high = statistics.quantiles(times, n=10)
+    return statistics.median(times), low, high
+
+
+def finish(
+    arguments: argparse.Namespace, script: str, text: str, facts: dict[str, str], **everything: Sequence[Any]
+) -> None:
+    """Print the machine; write a text into the README and everything into a JSON file, where the options ask for it."""
+    print(f"\n{words(facts)}")
+    if arguments.readme:
+        into_readme(text, script, facts)
+    into_json(arguments.json, machine=facts, **everything)
+
+
 def into_json(path: Path | None, **everything: Any) -> None:
     """Write everything to a path, if there is one, to four digits."""
     if path:
@@ -37,7 +54,7 @@ def into_json(path: Path | None, **everything: Any) -> None:
 
 
 def _short(x: Any) -> Any:
-    """The same with shorter numbers."""
+    """Values with shorter numbers."""
     if isinstance(x, dict):
         return {key: _short(value) for key, value in x.items()}
     if isinstance(x, list | tuple):
@@ -45,11 +62,17 @@ def _short(x: Any) -> Any:
     return float(f"{x:.4g}") if isinstance(x, float) else x
 
 
-def into_readme(text: str, begin: str, end: str) -> None:
-    """Write a table between two marks of the README."""
+def into_readme(text: str, script: str, facts: dict[str, str]) -> None:
+    """Write a text and the machine between the two marks of a script in the README."""
     readme = Path(__file__).resolve().parents[1] / "README.md"
+    begin, end = (f"<!-- benchmarks/{Path(script).name} {word} -->" for word in ("begins", "ends"))
     before, rest = readme.read_text().split(begin)
-    readme.write_text(f"{before}{begin}\n{text}\n{end}{rest.split(end)[1]}")
+    readme.write_text(f"{before}{begin}\n{text}\n\nMeasured on: {words(facts)}.\n{end}{rest.split(end)[1]}")
+
+
+def words(facts: dict[str, str]) -> str:
+    """Facts of a machine in one line."""
+    return ", ".join(f"{name} {fact}" for name, fact in facts.items())
 
 
 def machine(*packages: str) -> dict[str, str]:

@@ -7,14 +7,12 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from torchdq.algebra.quaternion import Number
-from torchdq.dynamics.posed import Posed
+from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.effect import Parameter, Parametric, Shapes
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 from torchdq.robot.posed import posed
 from torchdq.robot.robot import SHAPES, arguments
-
-Row = Sequence[Number]
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,7 @@ class Feedback(Controller):
     model: Robot | None = None
 
     def described(self, robot: Robot) -> Self:
-        """Itself; raises if its model does not have the robot's joints, or has batch axes."""
+        """Controller as it is; raises if its model does not have the robot's joints, or has batch axes."""
         believed, what = self.model, f"model of {type(self).__name__}"
         if believed is None:
             return self

@@ -76,7 +76,7 @@ def _step(scene: Scene, batch: int, dtype: torch.dtype) -> Callable[[], State]:
 
     state = scene.start(random(scene.n), random(scene.n), random(scene.noises))
     inputs = {name: random(width) for name, width in scene.inputs.items()}
-    noise = random(scene.noises) if scene.noises else None
+    noise = random(scene.noises)
     return lambda: scene.step(state, noise=noise, **inputs)
 
 

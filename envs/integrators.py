@@ -25,9 +25,8 @@ import torch
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
+from torchdq.dynamics.posed import Row
 from torchdq.errors import ArgumentError
-
-Row = Sequence[Number]
 
 
 class System(Protocol):
@@ -58,13 +57,13 @@ class Integrator:
 
 
 def _plus(a: Row, h: Number, b: Row) -> list[Number]:
-    """a + h b."""
+    """Row a + h b."""
     return [x + h * y for x, y in zip(a, b, strict=True)]
 
 
 @dataclass(frozen=True)
 class ExplicitEuler(Integrator):
-    """x + h v, v + h a. For comparison only."""
+    """Explicit Euler method, x + h v, v + h a; for comparison only."""
 
     order = 1
 
@@ -75,7 +74,7 @@ class ExplicitEuler(Integrator):
 
 @dataclass(frozen=True)
 class SemiImplicitEuler(Integrator):
-    """v' = v + h a(x, v), x' = x + h v'. The cheapest; most simulators call it Euler."""
+    """Semi-implicit Euler method, v' = v + h a(x, v), x' = x + h v'. The cheapest; most simulators call it Euler."""
 
     order = 1
 
@@ -87,7 +86,7 @@ class SemiImplicitEuler(Integrator):
 
 @dataclass(frozen=True)
 class LinearlyImplicit(Integrator):
-    """(M + h D + h^2 K)(v' - v) = h (forces(x, v) - h K v), x' = x + h v'.
+    """Linearly implicit Euler method: (M + h D + h^2 K)(v' - v) = h (forces(x, v) - h K v), x' = x + h v'.
 
     D and K are the damping and stiffness of the joint effects, on the diagonal, where they cost an addition each. For
     stiff friction, servos and limits; wrenches on bodies and actuators stay explicit.
@@ -103,7 +102,7 @@ class LinearlyImplicit(Integrator):
 
 @dataclass(frozen=True)
 class RungeKutta4(Integrator):
-    """The classical method of order 4."""
+    """Classical Runge-Kutta method of order 4."""
 
     order = 4
 

@@ -21,8 +21,7 @@ from torchdq.effects import Gravity, RotorInertia
 from torchdq.envs.integrators import Integrator, Repeated
 from torchdq.envs.scene import Scene
 from torchdq.envs.state import State
-from torchdq.envs.trials import ARITHMETICS, EXACT, MOST_STEPS, SAFETY, Arithmetic, Trial, random_states, steps_needed
-from torchdq.envs.trials import reference as reference_of
+from torchdq.envs.trials import ARITHMETICS, EXACT, MOST_STEPS, SAFETY, Arithmetic, Trial, random_states
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, error_growth, forward_dynamics, inverse_dynamics
 from torchdq.functions.compile import compile
@@ -180,7 +179,7 @@ def _falling(robot: Robot, horizon: float) -> Scene:
 
 def _for_trajectories(trial: Trial, error: float) -> SceneRecommendation:
     accepted = SAFETY * error
-    found = _candidates(trial, reference_of(trial, accepted), accepted)
+    found = _candidates(trial, trial.exact_path(accepted), accepted)
     if not found:
         raise ArgumentError(
             f"no candidate keeps {trial.name} within {error:.1e} in {MOST_STEPS} steps; shorten the horizon or raise "
@@ -217,7 +216,7 @@ def _candidates(trial: Trial, reference: Tensor, error: float) -> list[Stepping]
         most = MOST_STEPS / trial.intervals
         if found:
             most = min(most, PRUNE * found[0].operations * dt / per_step)
-        needed = steps_needed(trial, integrator, reference, error, most)
+        needed = trial.steps_needed(integrator, reference, error, most)
         if needed is None:
             continue
         times, exact = needed

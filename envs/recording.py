@@ -14,27 +14,19 @@ from typing import Any, NamedTuple
 
 from torchdq.caches import PROGRAMS, remembered
 from torchdq.call import Computation
+from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.sensor import Sensor
 from torchdq.envs.integrators import Integrator
-from torchdq.envs.spec import Memory, RecordedScene, Row, Rows, SceneSpec, Task, View, recorded
-from torchdq.envs.system import SceneSystem
+from torchdq.envs.spec import Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
+from torchdq.envs.system import SceneSystem, with_growths
 from torchdq.errors import ArgumentError
 from torchdq.functions.catalogue import trailing, worth_recording
-from torchdq.program.program import GROWTH, Argument, Program, record
+from torchdq.program.program import Argument, Program, record
 
 
-class Driven(NamedTuple):
-    """Actuator torques u, positions x and velocities v to integrate, and the memory."""
-
-    u: Row
-    x: Row
-    v: Row
-    memory: Memory
-
-
-def drive(scene: RecordedScene) -> Driven:
-    """First stage of a step: controller and actuators."""
+def drive(scene: RecordedScene) -> tuple[Row, Row, Row, Memory]:
+    """Actuator torques u, positions x and velocities v to integrate, and the memory, by controller and actuators."""
     inputs, spec = scene.inputs, scene.spec
     n, q, qd = spec.robot.n, inputs["q"], inputs["qd"]
     memory = spec.split(inputs.get("memory", ()))
@@ -46,15 +38,15 @@ def drive(scene: RecordedScene) -> Driven:
     x, v = scene.packed(q, qd, memory)
     for i, actuator in spec.of(Actuator):
         u, memory[i] = actuator.driven(u, v[-n:], memory[i], spec.dt)  # motors turn with the rotors
-    return Driven(u, x, v, memory)
+    return u, x, v, memory
 
 
-def flow(scene: RecordedScene, u: Row, x: Row, v: Row) -> tuple[Row, Row, Row]:
-    """Positions and velocities at the end of a step, and factors by which rounding errors are magnified on the way."""
-    system, spec = SceneSystem(scene, u), scene.spec
+def flow(system: SceneSystem, x: Row, v: Row) -> tuple[Row, Row]:
+    """Positions and velocities at the end of a step."""
+    spec = system.scene.spec
     for _ in range(spec.substeps):
         x, v = spec.integrator.step(system, x, v, spec.dt / spec.substeps)
-    return x, v, system.growths
+    return x, v
 
 
 def sense(scene: RecordedScene, task: Task | None, u: Row, x: Row, v: Row, memory: Memory) -> Rows:
@@ -87,8 +79,7 @@ def _remembered(memory: Memory) -> Rows:
 
 def _step(scene: RecordedScene, task: Task | None) -> Rows:
     u, x, v, memory = drive(scene)
-    x, v, growths = flow(scene, u, x, v)
-    return {**sense(scene, task, u, x, v, memory), GROWTH: growths}
+    return with_growths(scene, u, lambda system: sense(scene, task, u, *flow(system, x, v), memory))
 
 
 def _drive(scene: RecordedScene, task: Task | None) -> Rows:
@@ -117,8 +108,8 @@ def _evaluation(method: Callable[..., Row], *names: str) -> Callable[[RecordedSc
     """Stage of an evaluation of the equations of motion, with the inputs of those names as its arguments."""
 
     def stage(scene: RecordedScene, task: Task | None) -> Rows:
-        system = SceneSystem(scene, scene.inputs["u"])
-        return {"a": method(system, *[scene.inputs[name] for name in names]), GROWTH: system.growths}
+        given = [scene.inputs[name] for name in names]
+        return with_growths(scene, scene.inputs["u"], lambda system: {"a": method(system, *given)})
 
     return stage
 
@@ -148,10 +139,10 @@ class Stage(_StageFields, Computation):
 
     def axes(self, name: str) -> tuple[int, ...]:
         """Trailing axes of an input or a parameter."""
-        n = self.spec.robot.n
-        owner, dot, parameter = name.partition(".")
-        if dot:
-            return trailing(self.spec.shapes(int(owner))[parameter], n)
+        owned = owner_of(name)
+        if owned is not None:
+            owner, parameter = owned
+            return trailing(self.spec.shapes(owner)[parameter], self.spec.robot.n)
         known = self.widths()
         if name not in known:
             raise ArgumentError(f"{name} is no input of this scene; it has {', '.join(self.spec.inputs())}")
@@ -161,9 +152,9 @@ class Stage(_StageFields, Computation):
         """Width of every input that a program of the scene may have."""
         spec, n = self.spec, self.spec.robot.n
         moving = n + spec.transmission[1].memory(n) // 2
-        own = {"q": n, "qd": n, "memory": spec.remembers, "reading": 2 * n, "noise": spec.noises}
         asked = {} if self.task is None else self.task.inputs(n)
-        return {**own, **spec.inputs(), **asked, "u": n, "x": moving, "v": moving, "to": moving, "h": 1}
+        evaluated = {"u": n, "x": moving, "v": moving, "to": moving, "h": 1}
+        return {**spec.state, "noise": spec.noises, **spec.inputs(), **asked, **evaluated}
 
     def shared(self, name: str) -> bool:
         """True for a parameter."""
@@ -181,9 +172,8 @@ class Stage(_StageFields, Computation):
         """Raise, naming the input that is missing, or the parameter that would broadcast against the batch."""
         spec, known = self.spec, self.widths()
         if self.stage in ("step", "drive"):
-            kept = {"memory": bool(known["memory"]), "reading": spec.senses}
-            for name, there in kept.items():
-                if there and name not in tensors:
+            for name in spec.state:
+                if name not in tensors:
                     raise ArgumentError(f"{name} must be part of the state; `start` makes one that has it")
         if self.stage in ("step", "drive", *EVALUATIONS):
             needed = [name for effect in spec.effects for name in effect.needs(spec.robot.n)]
@@ -215,7 +205,7 @@ class Stage(_StageFields, Computation):
 @remembered(PROGRAMS)
 def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
     spec = what.spec
-    owners = [owned(a.name) for a in arguments]
+    owners = [owner_of(a.name) for a in arguments]
     per_sample = [owner for owner, a in zip(owners, arguments, strict=True) if owner and not a.uniform]
 
     def by(linear: bool) -> Program:
@@ -229,7 +219,7 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
     return min(map(by, worth_recording(spec.robot.n, (False, True))), key=lambda p: p.count().total)
 
 
-def owned(name: str) -> tuple[int, str] | None:
+def owner_of(name: str) -> tuple[int, str] | None:
     """Owner and name of a parameter; None for an input."""
     owner, dot, parameter = name.partition(".")
     return (int(owner), parameter) if dot else None

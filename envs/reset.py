@@ -15,7 +15,7 @@ from torchdq.envs.randomization import Randomised
 from torchdq.envs.rng import Streams
 from torchdq.envs.scene import Scene
 from torchdq.envs.spec import Task
-from torchdq.envs.tasks import EpisodeTask
+from torchdq.envs.tasks import Checked, EpisodeTask
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
 from torchdq.robot.robot import SHAPES, arguments
@@ -27,14 +27,12 @@ class Reset:
 
     Args:
         scene: the scene of the episodes.
-        task: the task of the episodes.
-        checked: the task with the check of its numbers.
+        checked: the task of the episodes, with the check of its numbers.
         randomised: parameters of the scene that are drawn as well.
     """
 
     scene: Scene
-    task: EpisodeTask
-    checked: Task
+    checked: Checked
     randomised: tuple[Randomised, ...]
     opening: Scene = field(init=False, repr=False)  # the scene with the effects that act at a start
 
@@ -50,18 +48,19 @@ class Reset:
             streams: random numbers of those environments.
             dtype: dtype of the buffers.
         """
-        widths = [self.task.draws(self.scene.robot), *[r.width for r in self.randomised], self.scene.noises]
+        task = self.checked.task
+        widths = [task.draws(self.scene.robot), *[r.width for r in self.randomised], self.scene.noises]
         u, streams = streams.uniform(sum(widths), dtype)
         u, *drawn, noise = u.split(widths, 1)
         for parameters, x in zip(self.randomised, drawn, strict=True):
             parameters.draw(self.scene, rows, x)
-        program = _program(self.task, self.scene.robot)
+        program = _program(task, self.scene.robot)
         outputs = run(program, [u], choose(self.scene.backend, u.device))
         fresh = {result.name: x for result, x in zip(program.results, outputs, strict=True)}
         steps = rows.new_zeros(len(rows), dtype=torch.int32)
         fresh.update(streams._asdict(), steps=steps, finished=steps.to(torch.bool))
         opening = _of_rows(self.opening, rows)
-        given = task_inputs(self.task, fresh, opening)
+        given = task_inputs(task, fresh, opening)
         state, seen = opening.begin(fresh["q"], fresh["qd"], given, noise, self.checked)
         return fresh | state.rows() | {"observation": seen["observation"], "reference": seen["reference"]}
 

@@ -19,6 +19,7 @@ from torch.utils.checkpoint import checkpoint as checkpointed
 from torchdq.backends.choice import BackendName
 from torchdq.caches import PROGRAMS, Bounded
 from torchdq.call import batch_of, evaluate
+from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.body import BodyEffect
 from torchdq.effects.effect import Effect
@@ -28,7 +29,7 @@ from torchdq.effects.sensor import Sensor
 from torchdq.effects.transmission import Transmission
 from torchdq.envs.controllers import Controller
 from torchdq.envs.describe import Description, describe
-from torchdq.envs.integrators import Integrator, Row, SemiImplicitEuler, Unrecorded
+from torchdq.envs.integrators import Integrator, SemiImplicitEuler, Unrecorded
 from torchdq.envs.recording import Stage
 from torchdq.envs.spec import CONTROLLER, ROBOT, SceneSpec, Task
 from torchdq.envs.state import State
@@ -115,12 +116,9 @@ class Scene:
             float(self.dt),
             self.substeps,
         )
-        for name, value in (
-            ("effects", resolved),
-            ("controller", controller),
-            ("spec", _interned.setdefault(spec, spec)),
-        ):
-            object.__setattr__(self, name, value)
+        object.__setattr__(self, "effects", resolved)
+        object.__setattr__(self, "controller", controller)
+        object.__setattr__(self, "spec", _interned.setdefault(spec, spec))
 
     # --- inputs and parameters ---
 
@@ -137,10 +135,8 @@ class Scene:
     @property
     def batches(self) -> dict[str, tuple[int, ...]]:
         """Batch axes of the tensors of robot, controller and effects by their names; () where samples share one."""
-        return {
-            name.rpartition(".")[2]: tuple(x.shape[: x.ndim - len(Stage(self.spec, "step").axes(name))])
-            for name, x in self._parameters().items()
-        }
+        stage, found = Stage(self.spec, "step"), self._parameters()
+        return {stage.label(name): tuple(x.shape[: x.ndim - len(stage.axes(name))]) for name, x in found.items()}
 
     @property
     def noises(self) -> int:
@@ -267,17 +263,10 @@ class Scene:
             name = type(self.integrator).__name__
             raise ArgumentError(f"a step of {name} is no program of its own")
         stage = Stage(self.spec, "step", task)
-        known = stage.widths()
-        wanted = ["q", "qd", *(present or ("torque", *(name for name in self.inputs if name != "torque")))]
-        wanted += ["memory"] if known["memory"] else []
-        wanted += ["reading"] if self.spec.senses else []
-        wanted += ["noise"] if self.noises else []
-        for name in wanted:
-            if name not in known:
-                raise ArgumentError(f"{name} is no input of this scene; it has {', '.join(self.inputs)}")
+        wanted = [*self.spec.state, *(present or self.inputs), *(["noise"] if self.noises else [])]
+        taken = [Argument(name, math.prod(stage.axes(name))) for name in wanted]
         if self.controller is not None and "reference" not in wanted:
             raise ArgumentError("reference must be among the inputs of a scene with a controller")
-        taken = [Argument(name, known[name]) for name in wanted]
         for name, x in self._parameters().items():
             axes = stage.axes(name)
             taken.append(Argument(name, math.prod(axes), x.ndim == len(axes)))

@@ -6,9 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, Protocol, TypeVar
 
-from torchdq.algebra.quaternion import Number
-from torchdq.dynamics.posed import Posed
-from torchdq.effects.body import Bodies
+from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.effect import Effect, Shapes
 from torchdq.effects.model import ModelEffect
 from torchdq.effects.sensor import Sensor
@@ -19,7 +17,6 @@ from torchdq.robot import Robot
 from torchdq.robot.posed import INERTIAL, Overrides, posed
 from torchdq.robot.robot import SHAPES
 
-Row = Sequence[Number]
 Rows = dict[str, Row]
 Memory = dict[int, Row]  # remembered values of each effect, by its position
 E = TypeVar("E", bound=Effect)
@@ -52,6 +49,13 @@ class SceneSpec:
     def of(self, base: type[E]) -> list[tuple[int, E]]:
         """Effects of a class, with their positions among all."""
         return [(i, effect) for i, effect in enumerate(self.effects) if isinstance(effect, base)]
+
+    @property
+    def state(self) -> dict[str, int]:
+        """Names and widths of the rows of a state."""
+        n = self.robot.n
+        memory = {"memory": self.remembers} if self.remembers else {}
+        return {"q": n, "qd": n, **memory, **({"reading": 2 * n} if self.senses else {})}
 
     @property
     def senses(self) -> bool:
@@ -132,10 +136,6 @@ class View(NamedTuple):
     reading: Row  # 2 n
     torque: Row  # behind the actuators, over the last step
     inputs: Mapping[str, Row]
-
-    def bodies(self) -> Bodies:
-        """Links of the robot in motion."""
-        return Bodies.moving(self.scene.spec.robot, self.scene.posed(self.q), self.qd)
 
 
 def recorded(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from operator import add as plus
 from operator import mul
 from typing import Any
@@ -12,15 +12,15 @@ from torchdq.algebra import matrix
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import add, difference, neg
-from torchdq.dynamics.posed import Posed
+from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.body import Bodies, BodyEffect
 from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.effects.transmission import Transmission
 from torchdq.envs.integrators import System
-from torchdq.envs.spec import RecordedScene, Row, Rows
+from torchdq.envs.spec import RecordedScene, Rows
 from torchdq.numbers.record import Recorded
 from torchdq.program import autodiff as derive
-from torchdq.program.program import Argument, record, replay
+from torchdq.program.program import GROWTH, Argument, record, replay
 from torchdq.robot.posed import posed, solve
 
 
@@ -30,7 +30,7 @@ class SceneSystem(System):
 
     scene: RecordedScene
     u: Row
-    growths: list[Number] = field(default_factory=list)  # factors by which its solutions magnify rounding errors
+    watch: Callable[[Number], object]  # receives the factor by which a solution magnifies rounding errors
 
     # --- mechanics ---
 
@@ -39,7 +39,7 @@ class SceneSystem(System):
         effects = self.scene.spec.of(BodyEffect)
         if not effects:
             return None
-        bodies = Bodies.moving(self.scene.spec.robot, at, qd)
+        bodies = Bodies(self.scene.spec.robot, at, at.twists(qd))
         wrenches: list[Screw | None] = [None] * (len(qd) + 1)  # the base's first
         for _, effect in effects:
             for i, wrench in effect.wrenches(bodies, self.scene.inputs).items():
@@ -49,7 +49,7 @@ class SceneSystem(System):
     def _solved(self, at: Posed, b: Row) -> Sequence[Number]:
         """Solution of M x = b."""
         x, growth = solve(self.scene.spec.robot, at, b, self.scene.linear)
-        self.growths.append(growth)
+        self.watch(growth)
         return x
 
     # --- forces at the joints ---
@@ -120,6 +120,12 @@ class SceneSystem(System):
         # by the mass matrix, whose rounding is that of the solution, and not by the cheaper inverse dynamics
         momentum = matrix.matvec(self.scene.posed(x[:n]).mass_matrix(), v[:n], mul, plus)
         return [*self._solved(self.scene.posed(to[:n]), momentum), *v[n:]]
+
+
+def with_growths(scene: RecordedScene, u: Row, rows: Callable[[SceneSystem], Rows]) -> Rows:
+    """Rows computed from the equations of motion, with the factors by which their solutions magnify rounding errors."""
+    growths: list[Number] = []
+    return {**rows(SceneSystem(scene, u, growths.append)), GROWTH: growths}
 
 
 def lagrangian_gradient(scene: RecordedScene, q: Row, qd: Row) -> list[Number]:

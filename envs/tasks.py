@@ -14,13 +14,11 @@ from typing import NamedTuple, Protocol
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
-from torchdq.dynamics.posed import Posed
-from torchdq.envs.spec import Rows, View
+from torchdq.dynamics.posed import Posed, Row
+from torchdq.envs.spec import Rows, Task, View
 from torchdq.numbers.functions import at_least, clip, minimum, sqrt
 from torchdq.robot import Robot
 from torchdq.robot.posed import frame, posed
-
-Row = Sequence[Number]
 
 SPEED = 2.0  # velocity limit of a joint whose description has none [rad/s or m/s]
 FASTEST = 10.0  # bound of observed velocities, in multiples of the limit
@@ -31,7 +29,7 @@ HIGHEST = 2.0  # largest rate of the sinusoids of a reference [rad/s]
 SENSIBLE = 1e6  # bound of velocities and rewards; beyond it the simulation has failed
 
 
-class EpisodeTask(Protocol):
+class EpisodeTask(Task, Protocol):
     """A task of an environment; frozen and hashable, since it is part of the key of its programs.
 
     Its rows are "observation", "reward" [1] and "reference" [3 n], the positions, velocities and accelerations that a
@@ -43,9 +41,6 @@ class EpisodeTask(Protocol):
 
     def __hash__(self) -> int: ...
 
-    def inputs(self, n: int) -> dict[str, int]:
-        """Names and widths of its inputs, without the state."""
-
     def draws(self, robot: Robot) -> int:
         """Number of random numbers that an episode starts from."""
 
@@ -54,9 +49,6 @@ class EpisodeTask(Protocol):
 
     def bounds(self, robot: Robot) -> list[tuple[float, float]]:
         """Lower and upper bound of every number of an observation."""
-
-    def rows(self, view: View) -> Rows:
-        """Observation, reward, reference and any further rows."""
 
 
 @dataclass(frozen=True)
@@ -73,15 +65,15 @@ class Reach:
     """
 
     def inputs(self, n: int) -> dict[str, int]:
-        """The goal [3] and the action."""
+        """Names and widths of the inputs: the goal [3] and the action."""
         return {"goal": 3, "action": n}
 
     def draws(self, robot: Robot) -> int:
-        """Two for every joint."""
+        """Number of random numbers that an episode starts from: two for every joint."""
         return 2 * robot.n
 
     def start(self, robot: Robot, u: Row) -> Rows:
-        """At rest in the middle half of the joints' ranges."""
+        """Start at rest in the middle half of the joints' ranges, and a goal."""
         at = [r.lower + r.span * (0.25 + 0.5 * x) for r, x in zip(ranges(robot), u[: robot.n], strict=True)]
         there = [r.lower + r.span * x for r, x in zip(ranges(robot), u[robot.n :], strict=True)]
         return {"q": at, "qd": [0.0] * robot.n, "goal": tip(robot, posed(robot, there, {}, ()))}
@@ -99,7 +91,9 @@ class Reach:
         robot, n, goal = view.scene.spec.robot, len(view.q), view.inputs["goal"]
         q, qd = view.reading[:n], view.reading[n:]
         p = tip(robot, view.scene.posed(q))
-        seen = [y for joint, x in zip(robot.joint_types, q, strict=True) for y in ((x,) if joint.slides else turned(x))]
+        seen: list[Number] = []
+        for joint, x in zip(robot.joint_types, q, strict=True):
+            seen += [x] if joint.slides else [x.sin(), x.cos()]
         seen += [*speeds(robot, qd), *quat.sub(goal, p), *p]
         error = quat.sub(goal, tip(robot, view.scene.posed(view.q)))
         squared = quat.dot(error, error)
@@ -126,15 +120,15 @@ class Track:
     """
 
     def inputs(self, n: int) -> dict[str, int]:
-        """The goal, the action and the time."""
+        """Names and widths of the inputs: the goal, the action and the time."""
         return {"goal": 7 * n, "action": n, "time": 1}
 
     def draws(self, robot: Robot) -> int:
-        """Seven for every joint."""
+        """Number of random numbers that an episode starts from: seven for every joint."""
         return 7 * robot.n
 
     def start(self, robot: Robot, u: Row) -> Rows:
-        """On the reference, moving with it."""
+        """Start on the reference, moving with it."""
         goal: list[Number] = []
         for i, r in enumerate(ranges(robot)):
             x = u[7 * i : 7 * i + 7]
@@ -266,11 +260,6 @@ def reach(robot: Robot) -> float:
 
 def _length(X: Sequence[float]) -> float:
     return math.hypot(*dq.translation((tuple(X[:4]), tuple(X[4:]))))
-
-
-def turned(x: Number) -> tuple[Number, Number]:
-    """Sine and cosine of an angle."""
-    return x.sin(), x.cos()
 
 
 def within(row: Row, bounds: Sequence[tuple[float, float]]) -> list[Number]:

@@ -13,7 +13,7 @@ from torchdq.envs.integrators import Integrator, LinearlyImplicit, Repeated, Run
 from torchdq.envs.scene import Scene
 from torchdq.envs.state import State
 from torchdq.errors import ArgumentError
-from torchdq.functional import Precision
+from torchdq.functional import Precision, require_finite
 from torchdq.robot import Robot
 
 SAMPLES = 64  # trajectories
@@ -75,18 +75,9 @@ class Trial:
                 "state must be a torchdq.envs.State with q of the shape [samples, n]; `Scene.start` makes one"
             )
         given = {name: x for name, x in inputs.items() if x is not None}
-        for name, x in given.items():
-            if not (isinstance(x, Tensor) and bool(x.isfinite().all())):
-                raise ArgumentError(
-                    f"{name} must be a finite tensor, found {x if isinstance(x, Tensor) else type(x).__name__}"
-                )
-        if not bool(state.q.isfinite().all() and state.qd.isfinite().all()):
-            raise ArgumentError("state must be finite")
+        require_finite(**{"q": state.q, "qd": state.qd, **given})
         if scene.controller is not None and "reference" not in given:
             given["reference"] = torch.cat([state.q, torch.zeros_like(state.q).repeat(1, 2)], -1)
-        for name in [name for effect in scene.effects for name in effect.needs(scene.n)]:
-            if name not in given:
-                raise ArgumentError(f"{name} must be given, shape [samples, {scene.inputs[name]}]; the scene needs it")
         if scene.noises:
             given["noise"] = noise
         return cls(scene, state, given, intervals)
@@ -131,6 +122,61 @@ class Trial:
         """Largest error of the positions; infinite if one is not finite."""
         return distance(self.path(integrator, times, arithmetic), reference)
 
+    def exact_path(self, error: float) -> Tensor:
+        """Positions up to the horizon, exact to a fiftieth of the error; extrapolated from steps that are halved."""
+        closest = math.inf
+        for integrator in self.integrators[:2]:
+            row: list[Tensor] = []
+            stuck = 0
+            for k in range(int(math.log2(MOST_STEPS / self.intervals)) + 1):
+                before, row = row, [self.path(integrator, 2**k, EXACT)]
+                # an error that is a series in the step, from the power of the order on, loses a term with every column
+                for j, coarser in enumerate(before[:4]):
+                    row.append(row[j] + (row[j] - coarser) / (2 ** (integrator.order + j) - 1))
+                if not before:
+                    continue
+                # at kinks there is no such series, and the steps themselves have to converge
+                for found, last in ((row[-1], before[-1]), (row[0], before[0])):
+                    change = distance(found, last)
+                    if change <= error / 50:
+                        return found
+                stuck = stuck + 1 if change >= closest and closest < 1e-6 else 0
+                closest = min(closest, change)
+                if stuck > 2:
+                    break
+        if not closest < 1e3:
+            raise ArgumentError(
+                f"{self.name} do not stay finite, however short the steps; is the controller stable with dt = "
+                f"{self.scene.dt:g} s?"
+            )
+        raise ArgumentError(
+            f"{self.name} can be computed to {closest * 50 / SAFETY:.1e} at best, not to {error / SAFETY:.1e}; shorten "
+            f"the horizon or raise the error"
+        )
+
+    def steps_needed(
+        self, integrator: Integrator, reference: Tensor, error: float, most: float
+    ) -> tuple[int, float] | None:
+        """Steps per interval by which an integrator meets an error in float64, and the error it then makes."""
+        times, found = 1, self.error(integrator, 1, EXACT, reference)
+        too_few = 0
+        while found > error:
+            too_few = times
+            # as far as the order promises, but never trusting it beyond a factor of eight
+            factor = (found / error) ** (1 / integrator.order) if found < 0.1 else 8.0
+            if times * (factor if found < 0.01 else 1.0) > most:
+                return None
+            times = math.ceil(times * min(max(1.1 * factor, 1.25), 8.0))
+            found = self.error(integrator, times, EXACT, reference)
+        # the last jump may have been far
+        while too_few and times > CLOSE * too_few:
+            between = math.ceil(math.sqrt(times * too_few))
+            if between == times:
+                break
+            made = self.error(integrator, between, EXACT, reference)
+            times, too_few, found = (between, too_few, made) if made <= error else (times, between, found)
+        return times, found
+
 
 def random_states(robot: Robot, samples: int = SAMPLES, limits: object | None = None) -> tuple[Tensor, Tensor]:
     """Positions within the limits, or within half a turn or half a metre, and velocities up to 1.
@@ -154,60 +200,3 @@ def distance(x: Tensor, y: Tensor) -> float:
     """Largest difference; infinite if one is not finite."""
     difference = (x - y).abs()
     return float(difference.max()) if bool(difference.isfinite().all()) else math.inf
-
-
-def reference(trial: Trial, error: float) -> Tensor:
-    """Positions up to the horizon to a fiftieth of the error, extrapolated from steps that are halved until then."""
-    closest = math.inf
-    for integrator in trial.integrators[:2]:
-        row: list[Tensor] = []
-        stuck = 0
-        for k in range(int(math.log2(MOST_STEPS / trial.intervals)) + 1):
-            before, row = row, [trial.path(integrator, 2**k, EXACT)]
-            # an error that is a series in the step, from the power of the order on, loses a term with every column
-            for j, coarser in enumerate(before[:4]):
-                row.append(row[j] + (row[j] - coarser) / (2 ** (integrator.order + j) - 1))
-            if not before:
-                continue
-            # at kinks there is no such series, and the steps themselves have to converge
-            for found, last in ((row[-1], before[-1]), (row[0], before[0])):
-                change = distance(found, last)
-                if change <= error / 50:
-                    return found
-            stuck = stuck + 1 if change >= closest and closest < 1e-6 else 0
-            closest = min(closest, change)
-            if stuck > 2:
-                break
-    if not closest < 1e3:
-        raise ArgumentError(
-            f"{trial.name} do not stay finite, however short the steps; is the controller stable with dt = "
-            f"{trial.scene.dt:g} s?"
-        )
-    raise ArgumentError(
-        f"{trial.name} can be computed to {closest * 50 / SAFETY:.1e} at best, not to {error / SAFETY:.1e}; shorten "
-        f"the horizon or raise the error"
-    )
-
-
-def steps_needed(
-    trial: Trial, integrator: Integrator, reference: Tensor, error: float, most: float
-) -> tuple[int, float] | None:
-    """Steps per interval by which an integrator meets an error in float64, and the error it then makes."""
-    times, found = 1, trial.error(integrator, 1, EXACT, reference)
-    too_few = 0
-    while found > error:
-        too_few = times
-        # as far as the order promises, but never trusting it beyond a factor of eight
-        factor = (found / error) ** (1 / integrator.order) if found < 0.1 else 8.0
-        if times * (factor if found < 0.01 else 1.0) > most:
-            return None
-        times = math.ceil(times * min(max(1.1 * factor, 1.25), 8.0))
-        found = trial.error(integrator, times, EXACT, reference)
-    # the last jump may have been far
-    while too_few and times > CLOSE * too_few:
-        between = math.ceil(math.sqrt(times * too_few))
-        if between == times:
-            break
-        made = trial.error(integrator, between, EXACT, reference)
-        times, too_few, found = (between, too_few, made) if made <= error else (times, between, found)
-    return times, found

@@ -154,7 +154,7 @@ class ArmVectorEnv(VectorEnv):
         check_scene(self.scene, num_envs)
         self._actions = Actions(action, self.robot, torch.as_tensor(full(self.robot, action, scale)).to(like))
         self._checked = Checked(self.task)
-        self._reset = Reset(self.scene, self.task, self._checked, self._randomised)
+        self._reset = Reset(self.scene, self._checked, self._randomised)
         low, high = np.array(self.task.bounds(self.robot), dtype=np.dtype(str(dtype).removeprefix("torch."))).T
         self.single_observation_space = Box(low, high, dtype=low.dtype.type)
         self.single_action_space = Box(-1.0, 1.0, (self.robot.n,), np.float32)
@@ -200,9 +200,7 @@ class ArmVectorEnv(VectorEnv):
         Args:
             actions: [N, n] in [-1, 1], numpy or torch.
         """
-        self._open()
-        if not self._buffers:
-            raise ResetNeeded("call reset() before step()")
+        self._started("step")
         finished, counter = self._buffers["finished"], self._buffers["counter"]
         if self._unreset and self.autoreset_mode == AutoresetMode.DISABLED:
             raise ResetNeeded(
@@ -251,8 +249,7 @@ class ArmVectorEnv(VectorEnv):
         self._open()
         if self.render_mode is None:
             raise ArgumentError("render_mode must be 'rgb_array' or 'human' to render; it is chosen at construction")
-        if not self._buffers:
-            raise ResetNeeded("call reset() before render()")
+        self._started("render")
         return self._shown()
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -281,9 +278,7 @@ class ArmVectorEnv(VectorEnv):
 
     def get_state(self) -> dict[str, Tensor]:
         """Copy of all that steps change: states, goals, random numbers, parameters; for `set_state`."""
-        self._open()
-        if not self._buffers:
-            raise ResetNeeded("call reset() before get_state()")
+        self._started("get_state")
         return {name: x.clone() for name, x in (*self._buffers.items(), *self._parameters().items())}
 
     def set_state(self, state: Mapping[str, Tensor]) -> None:
@@ -316,6 +311,11 @@ class ArmVectorEnv(VectorEnv):
     def _open(self) -> None:
         if self.closed:
             raise ClosedEnvironmentError("the environment was closed; make another one")
+
+    def _started(self, method: str) -> None:
+        self._open()
+        if not self._buffers:
+            raise ResetNeeded(f"call reset() before {method}()")
 
     def _out(self, x: Any) -> Any:
         """Tensors as the caller wants them."""
@@ -377,11 +377,8 @@ class ArmVectorEnv(VectorEnv):
     def _blank(self) -> dict[str, Tensor]:
         """Buffers before a first episode."""
         N, n = self.num_envs, self.robot.n
-        widths = {"q": n, "qd": n, "goal": self.task.inputs(n)["goal"], "reference": 3 * n}
+        widths = {**self.scene.spec.state, "goal": self.task.inputs(n)["goal"], "reference": 3 * n}
         widths["observation"] = self.single_observation_space.shape[0]  # type: ignore[index]
-        memory = sum(effect.memory(n) for effect in self.scene.effects)
-        widths.update({"memory": memory} if memory else {})
-        widths.update({"reading": 2 * n} if self.scene.spec.senses else {})
         buffers = {name: torch.zeros(N, width, dtype=self.dtype, device=self.device) for name, width in widths.items()}
         buffers["steps"] = torch.zeros(N, dtype=torch.int32, device=self.device)
         buffers["finished"] = torch.zeros(N, dtype=torch.bool, device=self.device)

@@ -17,13 +17,14 @@ from importlib.metadata import files
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-import matplotlib
 import numpy as np
 import pinocchio as pin
 import pytorch_kinematics
 import torch
 import tyro
+from closed_loop import simulated
 from matplotlib import pyplot as plt
+from pictures import BLUE, GREY, ORANGE, label, panels, prepare, save
 from recordings import LAYOUTS, layout_of
 from rich.console import Console
 from rich.progress import track
@@ -37,22 +38,6 @@ from torchdq.learning.logs import GAP
 
 EPS = {torch.float64: 2.0**-52, torch.float32: 2.0**-23}
 NAME = {torch.float64: "float64", torch.float32: "float32"}
-BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "#8A8A8A"  # told apart by everyone
-STYLE = {
-    "font.size": 11,
-    "axes.titlesize": 11,
-    "axes.titlelocation": "left",
-    "axes.xmargin": 0.02,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#E4E4E4",
-    "grid.linewidth": 0.8,
-    "axes.axisbelow": True,
-    "legend.frameon": False,
-    "lines.linewidth": 1.6,
-    "savefig.dpi": 160,
-}
 # R2 that the descriptions of two public data sets state, by the names of their files: model alone, with friction.
 # The Panda's motion repeats itself after 13.3 s, so that most of its test rows are a motion that was fitted on.
 STATED = {
@@ -103,10 +88,8 @@ class Check(NamedTuple):
 def main(args: Args) -> dict[str, Check]:
     """Run everything; returns the checks by name."""
     console = Console(highlight=False, soft_wrap=True, width=None if sys.stdout.isatty() else 100)
-    matplotlib.use("Agg")
-    plt.rcParams.update(STYLE)
+    prepare()
     torch.manual_seed(args.seed)
-    args.out.mkdir(parents=True, exist_ok=True)
     checks: dict[str, Check] = {}
 
     # 0. a bad log ends the program here, before the work
@@ -362,21 +345,11 @@ def track_two_link(console: Console, step: float, picture: Path) -> dict[str, Ch
         qd_des = torch.stack([torch.cos(t), -torch.sin(2 * t)], -1)
         return q_des, qd_des, torch.stack([-torch.sin(t), -2 * torch.cos(2 * t)], -1)
 
-    def derivative(t: Tensor, state: Tensor) -> Tensor:
-        q, qd = state
-        tau = controller(q, qd, *reference(t))
-        return torch.stack([qd, torchdq.forward_dynamics(robot, q, qd, tau)])
-
-    states = [torch.tensor([[-torch.pi / 2, 0.0], [0.0, 0.0]], dtype=torch.float64)]
+    hanging = torch.tensor([[-torch.pi / 2, 0.0], [0.0, 0.0]], dtype=torch.float64)
+    times = track(time[:-1], "computed torque", console=console, transient=True, disable=not console.is_terminal)
     with torch.inference_mode():
-        for t in track(time[:-1], "computed torque", console=console, transient=True, disable=not console.is_terminal):
-            x = states[-1]
-            k1 = derivative(t, x)
-            k2 = derivative(t + step / 2, x + step / 2 * k1)
-            k3 = derivative(t + step / 2, x + step / 2 * k2)
-            k4 = derivative(t + step, x + step * k3)
-            states.append(x + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
-    q = torch.stack(states)[:, 0]
+        states = simulated(robot, lambda t, q, qd: controller(q, qd, *reference(t)), hanging, times, step)
+    q = states[:, 0]
     q_des, qd_des, _ = reference(time)
     e = q_des - q
     decay = torch.exp(-5.0 * time)[:, None] * (e[0] + (qd_des[0] + 5.0 * e[0]) * time[:, None])  # critically damped
@@ -398,8 +371,7 @@ def track_two_link(console: Console, step: float, picture: Path) -> dict[str, Ch
     for height, text in ((2e-4, "tracking error, analytic dotted"), (2e-9, "limit of the check"), (2e-15, "deviation")):
         right.text(0.05, height, text, color="#555555", fontsize=10)
     right.set(xlabel="time [s]", ylabel="[rad]", ylim=(1e-16, 10), title="Tracking error, and deviation from theory")
-    figure.savefig(picture)
-    plt.close(figure)
+    save(figure, picture)
     return checks
 
 
@@ -419,23 +391,15 @@ def plot_torques(robot: torchdq.Robot, model: pin.Model, picture: Path) -> None:
     states = zip(configurations(model, q), qd.numpy(), qdd.numpy(), strict=True)
     theirs = np.array([pin.rnea(model, data, *x) for x in states])
 
-    columns = min(4, robot.n + 1)
-    rows = -(-(robot.n + 1) // columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(9, 2.1 * rows + 0.4), sharex=True, layout="constrained")
-    panels = axes.ravel()
-    for j, panel in enumerate(panels[: robot.n]):
+    figure, (*joints, last) = panels(robot.n + 1, min(4, robot.n + 1), 2.1)
+    for j, panel in enumerate(joints):
         panel.plot(t, tau[:, j], color=BLUE, label="torchdq")
         panel.plot(t[::20], theirs[::20, j], "o", color=ORANGE, markersize=4, label="Pinocchio")
         panel.set_title(robot.joint_names[j])
-    panels[robot.n].semilogy(t, np.abs(tau.numpy() - theirs) + 1e-18, ".", color=GREY, markersize=1.5)
-    panels[robot.n].set(title="difference, all joints", ylim=(1e-17, 1e-11))
-    for panel in panels[robot.n + 1 :]:
-        panel.set_axis_off()
-    figure.supylabel("torque [N m]", fontsize=11)
-    figure.supxlabel("time [s]", fontsize=11)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=2)
-    figure.savefig(picture)
-    plt.close(figure)
+    last.semilogy(t, np.abs(tau.numpy() - theirs) + 1e-18, ".", color=GREY, markersize=1.5)
+    last.set(title="difference, all joints", ylim=(1e-17, 1e-11))
+    label(figure, joints[0], "time [s]")
+    save(figure, picture)
 
 
 # --- recordings ------------------------------------------------------------------------------------------------------
@@ -521,25 +485,16 @@ def plot_recording(
     end_of_fit = time[recording.fitted].max(initial=0.0)
     time = np.where(np.diff(time, prepend=0.0) > GAP, np.nan, time)  # no line across rows at rest
     full = recording.model + (recording.friction * coefficients).sum(1)
-    columns = 2
-    rows = -(-robot.n // columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(9, 1.75 * rows + 0.6), sharex=True, layout="constrained")
-    panels = axes.ravel()
-    for j, panel in enumerate(panels[: robot.n]):
+    figure, joints = panels(robot.n, 2, 1.75)
+    for j, panel in enumerate(joints):
         panel.plot(time, recording.motion.tau[:, j], color="#B8B8B8", linewidth=3.5, label="measured")
         panel.plot(time, recording.model[:, j], color=ORANGE, linewidth=1.0, label="model")
         panel.plot(time, full[:, j], color=BLUE, linewidth=1.1, label="model + friction")
         panel.set_title(f"{robot.joint_names[j]}   R² {r2[0][j]:.3f}, with friction {r2[1][j]:.3f}", fontsize=10)
         if recording.fitted.any():
             panel.axvspan(0, end_of_fit, color="#F3F3F3", zorder=0, label="friction fitted here")
-    for panel in panels[robot.n :]:
-        panel.set_axis_off()
-        panels[robot.n - columns].tick_params(labelbottom=True)  # it has nothing below it
-    figure.supylabel("torque [N m]", fontsize=11)
-    figure.supxlabel("time [s]", fontsize=11)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=4)
-    figure.savefig(picture)
-    plt.close(figure)
+    label(figure, joints[0], "time [s]")
+    save(figure, picture)
 
 
 if __name__ == "__main__":

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import matplotlib
 import torch
 import tyro
+from closed_loop import simulated
 from matplotlib import pyplot as plt
+from pictures import BLUE, ORANGE, prepare, save
 from torch import Tensor
 
 import torchdq
@@ -49,38 +50,23 @@ def main(args: Args) -> tuple[float, float]:
         s, c = torch.sin(rate * t), torch.cos(rate * t)
         return rest + swing * s, swing * rate * c, -swing * rate**2 * s
 
-    def derivative(t: Tensor, x: Tensor) -> Tensor:
-        q, qd = x
-        tau = controller(q, qd, *reference(t))
-        return torch.stack([qd, torchdq.forward_dynamics(robot, q, qd, tau)])
-
     time, h = double(range(round(args.duration / args.step) + 1)) * args.step, args.step
     q_des, qd_des, _ = reference(time[0])
     x = torch.stack([q_des - 0.1, qd_des])[:, None].expand(2, 2, 7)  # (q, qd), arm, joint; each joint 0.1 rad behind
-    errors = []
     with torch.inference_mode():
-        for t in time:
-            errors.append(reference(t)[0] - x[0])
-            k1 = derivative(t, x)
-            k2 = derivative(t + h / 2, x + h / 2 * k1)
-            k3 = derivative(t + h / 2, x + h / 2 * k2)
-            k4 = derivative(t + h, x + h * k3)
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
-    right, wrong = torch.stack(errors, 1).abs().amax(-1)  # the worst joint, [time]
+        states = simulated(robot, lambda t, q, qd: controller(q, qd, *reference(t)), x, time[:-1], h)
+    errors = reference(time[:, None, None])[0] - states[:, 0]  # [time, arm, joint]
+    right, wrong = errors.abs().amax(-1).T  # the worst joint
 
-    matplotlib.use("Agg")
-    plt.rcParams.update({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False, "savefig.dpi": 160})
+    prepare()
     figure, axes = plt.subplots(figsize=(7, 3.8), layout="constrained")
-    axes.semilogy(time, wrong, color="#D55E00", linewidth=2, label=f"masses times {args.wrong:g}")
-    axes.semilogy(time, right, color="#0072B2", linewidth=2, label="right masses")
+    axes.semilogy(time, wrong, color=ORANGE, linewidth=2, label=f"masses times {args.wrong:g}")
+    axes.semilogy(time, right, color=BLUE, linewidth=2, label="right masses")
     axes.semilogy(time, 0.1 * (1 + args.kp**0.5 * time) * torch.exp(-(args.kp**0.5) * time), "k:", label="analytic")
     axes.set(xlabel="time [s]", ylabel="error of the worst joint [rad]")
-    axes.set_title(f"Computed torque of the Panda, Runge-Kutta steps of {1e3 * h:g} ms", loc="left", fontsize=11)
-    axes.grid(color="#E4E4E4")
-    axes.legend(frameon=False)
-    args.out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.out / "computed_torque.png")
-    plt.close(figure)
+    axes.set_title(f"Computed torque of the Panda, Runge-Kutta steps of {1e3 * h:g} ms")
+    axes.legend()
+    save(figure, args.out / "computed_torque.png")
     print(f"error after {args.duration:g} s: right masses {right[-1]:.1e} rad, wrong {wrong[-1]:.1e} rad")
     return float(right[-1]), float(wrong[-1])
 

@@ -11,10 +11,10 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
 import torch
 import tyro
 from matplotlib import pyplot as plt
+from pictures import BLUE, ORANGE, prepare, save
 from rich.console import Console
 from rich.table import Table
 
@@ -31,7 +31,7 @@ class Args:
     seconds: float = 0.2
     """Time spent on measuring each effect [s]."""
     iterations: int = 100
-    """Of learning the friction."""
+    """Optimiser steps of learning the friction."""
     out: Path = Path("out")
     """Folder of the picture."""
 
@@ -82,19 +82,14 @@ def main(args: Args) -> tuple[dict[str, float], float]:
     for line in description.left_out:
         console.print(f"- {line}", highlight=False)
 
-    matplotlib.use("Agg")
-    plt.rcParams.update({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False, "savefig.dpi": 160})
+    prepare()
     figure, axes = plt.subplots(figsize=(7, 3.8), layout="constrained")
     time = torch.arange(1, steps + 1) * args.step
-    for name, color in (("Gravity", "#0072B2"), ("Viscous", "#009E73"), ("Coulomb", "#D55E00"), ("Contact", "#CC79A7")):
+    for name, color in (("Gravity", BLUE), ("Viscous", "#009E73"), ("Coulomb", ORANGE), ("Contact", "#CC79A7")):
         axes.plot(time, energies[name], color=color, linewidth=2, label=f"up to {name}")
-    axes.set(xlabel="time [s]", ylabel="energy of the arm [J]")
-    axes.set_title("A falling Panda under more and more effects", loc="left", fontsize=11)
-    axes.grid(color="#E4E4E4")
-    axes.legend(frameon=False)
-    args.out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.out / "scene.png")
-    plt.close(figure)
+    axes.set(xlabel="time [s]", ylabel="energy of the arm [J]", title="A falling Panda under more and more effects")
+    axes.legend()
+    save(figure, args.out / "scene.png")
 
     # --- learning through the steps: 64 short falls, and the friction that explains them ---
     true = torch.linspace(0.2, 0.8, 7, dtype=torch.float64)

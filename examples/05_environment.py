@@ -28,7 +28,7 @@ class Args:
     steps: int = 120
     """Steps of 20 ms."""
     damping: float = 0.05
-    """Of the inverse of the Jacobian [m]."""
+    """Damping of the inverse of the Jacobian [m]."""
     out: Path = Path("out")
     """Folder of the film."""
 

@@ -29,13 +29,13 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
-import matplotlib
 import mujoco
 import numpy as np
 import torch
 import tyro
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
+from pictures import BLUE, GREY, ORANGE, prepare, save
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
@@ -100,7 +100,7 @@ def description() -> ET.Element:
 
 
 def nominal_robot() -> torchdq.Robot:
-    """The arm as its URDF has it."""
+    """Robot as its URDF describes it."""
     return torchdq.Robot.from_urdf(ET.tostring(description(), encoding="unicode"), tip="link_eef")
 
 
@@ -279,7 +279,7 @@ def with_friction(nominal: torchdq.Robot, data: Samples) -> Model:
 
 
 def truth(plant: Plant) -> Model:
-    """The arm as it is; dry friction alone is smoothed."""
+    """Model with the true parameters of the arm; dry friction alone is smoothed."""
     robot = plant.robot.replace(armature=torch.tensor(plant.armature))
     damping, friction = (torch.tensor(x, dtype=torch.float32) for x in (plant.damping, plant.friction))
 
@@ -321,7 +321,7 @@ def candidates(nominal: torchdq.Robot, data: Samples, quick: bool) -> Iterator[t
 
 
 def residual(model: torchdq.DQRNEA, data: Samples, inputs: str) -> ResidualDynamics:
-    """A model and a network that begins at zero."""
+    """Model with a network that starts at zero."""
     layer = ResidualDynamics(model, inputs=inputs)
     layer.standardise(*data)
     return layer
@@ -432,7 +432,6 @@ def main(args: Args) -> Study:
     console.print(table(found[size], size))
     if args.per_joint:
         console.print(joints(found[size]))
-    args.out.mkdir(parents=True, exist_ok=True)
     draw(found, args.out / "residual_learning.png")
     if args.json:
         everything = {"settings": {name: str(x) for name, x in vars(args).items()}, "results": plain(found)}
@@ -493,37 +492,34 @@ def plain(found: Study) -> dict:
 
 def draw(found: Study, path: Path) -> None:
     """Torque errors by number of samples, near and far, and tracking errors."""
-    matplotlib.use("Agg")
-    plt.rcParams.update({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False, "savefig.dpi": 160})
+    prepare()
     figure, (near, far, bars) = plt.subplots(1, 3, figsize=(14, 4.8), layout="constrained")
     draw_curves(near, found, "near")
     draw_curves(far, found, "far")
     far.sharey(near)
-    near.set_title("motions like those learned from", loc="left", fontsize=11)
-    far.set_title("faster and elsewhere", loc="left", fontsize=11)
-    figure.legend(*near.get_legend_handles_labels(), loc="outside lower left", ncols=6, frameon=False, fontsize=10)
+    near.set_title("motions like those learned from")
+    far.set_title("faster and elsewhere")
+    figure.legend(*near.get_legend_handles_labels(), loc="outside lower left", ncols=6, fontsize=10)
     draw_tracking(bars, found[max(found)])
-    figure.savefig(path)
-    plt.close(figure)
+    save(figure, path)
 
 
 def draw_curves(axis: Axes, found: Study, field: str) -> None:
     """Torque errors by number of samples, with intervals; lines for those that hardly depend on it."""
-    for name, colour in ((BLACK, "#8A8A8A"), (RESIDUAL, "#E69F00"), (PHYSICS, "#0072B2"), (BOTH, "#D55E00")):
+    for name, colour in ((BLACK, GREY), (RESIDUAL, "#E69F00"), (PHYSICS, BLUE), (BOTH, ORANGE)):
         values = [numbers(arms, name, field) for arms in found.values()]
         axis.loglog(list(found), np.mean(values, -1), "o-", color=colour, linewidth=2, markersize=4, label=name)
         axis.fill_between(list(found), *np.transpose([interval(x) for x in values]), color=colour, alpha=0.15, lw=0)
     for name, line in ((FRICTION, "k:"), (TRUE, "k--")):
         axis.loglog(list(found), [np.mean(numbers(arms, name, field)) for arms in found.values()], line, label=name)
     axis.set(xlabel="samples", ylabel="torque error, MSE / variance")
-    axis.grid(color="#E4E4E4")
 
 
 def draw_tracking(axis: Axes, arms: Arms) -> None:
     """Tracking errors of all models, with intervals."""
     names = list(next(iter(arms.values())))
     for shift, field, colour, label in (
-        (-0.2, "track_near", "#0072B2", "like those learned from"),
+        (-0.2, "track_near", BLUE, "like those learned from"),
         (0.2, "track_far", "#56B4E9", "faster and elsewhere"),
     ):
         values = [numbers(arms, name, field) for name in names]
@@ -533,11 +529,9 @@ def draw_tracking(axis: Axes, arms: Arms) -> None:
         axis.barh(np.arange(len(names)) + shift, means, 0.38, xerr=spread, **style)
     axis.set_yticks(range(len(names)), names)
     axis.invert_yaxis()
-    axis.set(xscale="log", xlabel="tracking error, RMS [mrad]")
-    axis.set_title("the same feedback for all", loc="left", fontsize=11)
-    axis.grid(color="#E4E4E4", axis="x")
-    axis.set_axisbelow(True)
-    axis.legend(frameon=False, fontsize=9)
+    axis.set(xscale="log", xlabel="tracking error, RMS [mrad]", title="the same feedback for all")
+    axis.grid(visible=False, axis="y")
+    axis.legend(fontsize=9)
 
 
 if __name__ == "__main__":

@@ -24,11 +24,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-import matplotlib
 import numpy as np
 import torch
 import tyro
-from matplotlib import pyplot as plt
+from pictures import BLUE, ORANGE, label, panels, prepare, save
 from recordings import LAYOUTS
 from rich.console import Console
 from rich.table import Table
@@ -240,27 +239,19 @@ def main(args: Args) -> dict[str, dict[str, list[float]]]:
 
 def plot(robot: torchdq.Robot, test: Samples, models: dict[str, nn.Module], out: Path) -> None:
     """Measured torques and those of three models over a stretch of a test motion, a panel per joint."""
-    matplotlib.use("Agg")
-    plt.rcParams.update({"font.size": 10, "axes.spines.top": False, "axes.spines.right": False, "savefig.dpi": 140})
+    prepare()
     stretch = slice(0, min(len(test.q), 800))
     rows = Samples(*(x[stretch] for x in test))
-    shown = {"description": "#D55E00", "+ friction": "#E69F00", "physics + residual": "#0072B2"}
-    figure, axes = plt.subplots(-(-robot.n // 2), 2, figsize=(10, 1.7 * -(-robot.n // 2) + 0.5), layout="constrained")
-    for j, panel in enumerate(axes.ravel()):
-        if j >= robot.n:
-            panel.set_axis_off()
-            continue
+    shown = {"description": ORANGE, "+ friction": "#E69F00", "physics + residual": BLUE}
+    figure, joints = panels(robot.n, 2, 1.7)
+    for j, panel in enumerate(joints):
         panel.plot(rows.tau[:, j], color="#B0B0B0", linewidth=4, label="measured")
         for name, color in shown.items():
             with torch.no_grad():
                 panel.plot(models[name](*rows[:3])[:, j], color=color, linewidth=1.1, label=name)
         panel.set_title(robot.joint_names[j], fontsize=10)
-    figure.supylabel("torque [N m]", fontsize=10)
-    figure.supxlabel("sample of the first test motion", fontsize=10)
-    figure.legend(*axes.flat[0].get_legend_handles_labels(), loc="outside upper center", ncols=4, frameon=False)
-    out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / "real_arm.png")
-    plt.close(figure)
+    label(figure, joints[0], "sample of the first test motion")
+    save(figure, out / "real_arm.png")
 
 
 if __name__ == "__main__":

@@ -36,6 +36,8 @@ import numpy as np
 import torch
 import tyro
 from gymnasium.vector import AutoresetMode
+from matplotlib import pyplot as plt
+from pictures import prepare, save
 from scipy.stats import bootstrap
 from stable_baselines3 import PPO
 from stable_baselines3.common.base_class import BaseAlgorithm
@@ -54,8 +56,8 @@ N = ROBOT.n
 EPISODE, DT = 100, 0.02  # steps, and their duration [s]
 TRAINED, TESTED = 256, 512  # environments
 TEST, CHOICE = 1_000_000, 2_000_000  # seeds of episodes; those of training are below 1000 times the number of seeds
-SHARE = 0.2  # of the torque limits that a full action is
-KP, KD = 100.0, 20.0  # of the controller [1/s^2, 1/s]
+SHARE = 0.2  # full action as a share of the torque limits
+KP, KD = 100.0, 20.0  # gains of the controller [1/s^2, 1/s]
 GAINS = [(kp, 2 * d * math.sqrt(kp)) for kp in (100.0, 200.0, 300.0, 400.0, 500.0, 600.0) for d in (0.7, 1.0, 1.3)]
 FRICTION = (
     effects.Viscous([4.0] * 4 + [2.0] * 3),  # [N m s/rad]
@@ -69,7 +71,7 @@ PLANT = (
     effects.Lag(0.04),  # [s]
 )
 CHECKS = 10  # how often a policy is evaluated while it learns
-JOINT = 5  # of the picture, from 0
+JOINT = 5  # joint in the picture, from 0
 Policy = Callable[[Tensor], Tensor]
 
 
@@ -78,7 +80,7 @@ class Args:
     steps: int = 1_000_000
     """Environment steps of training."""
     seeds: int = 5
-    """How often each policy is trained."""
+    """Trainings of each policy."""
     quick: bool = False
     """One seed, at most 100 000 steps."""
     json: Path | None = None
@@ -106,7 +108,7 @@ class Base:
 
     kp: float = KP  # [1/s^2]
     kd: float = KD  # [1/s]
-    true: bool = False  # whether it knows payload and masses of every episode
+    true: bool = False  # True: it knows payload and masses of every episode
 
     def environments(self, number: int, mode: AutoresetMode = AutoresetMode.SAME_STEP) -> ArmVectorEnv:
         """Environments under it; gains are tensors, so that all of them share one program."""
@@ -254,11 +256,7 @@ def draw(path: Path, curves: dict[str, list], results: dict[str, list[Result]], 
 
     `lines` are methods for comparison and their styles, first the controllers alone in the order of the curves.
     """
-    import matplotlib
-
-    matplotlib.use("agg")
-    from matplotlib import pyplot as plt
-
+    prepare()
     figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4.6), layout="constrained")
     colours = dict(zip(curves, ("tab:blue", "tab:green"), strict=True))
     for name, seeds in curves.items():
@@ -279,9 +277,7 @@ def draw(path: Path, curves: dict[str, list], results: dict[str, list[Result]], 
     right.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
     right.set(xlabel="time [s]", ylabel=f"error of joint {JOINT + 1} [mrad], one unseen episode")
     right.legend(fontsize=8)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
+    save(figure, path)
 
 
 def main(args: Args) -> dict[str, list[Result]]:

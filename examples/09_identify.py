@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
-import matplotlib
 import torch
 import tyro
 from matplotlib import pyplot as plt
+from pictures import BLUE, ORANGE, prepare, save
 from rich.console import Console
 from rich.table import Table
 from scipy.signal import butter, sosfiltfilt
@@ -33,13 +33,13 @@ class Args:
     motions: int = 8
     """Recorded motions; one more is kept for the test."""
     duration: float = 10.0
-    """Of a motion [s]."""
+    """Duration of a motion [s]."""
     torque_noise: float = 0.5
     """Standard deviation of a torque reading [N m]."""
     position_noise: float = 2e-5
     """Standard deviation of a position reading [rad]."""
     cutoff: float = 20.0
-    """Of the low-pass filter [Hz]."""
+    """Cutoff of the low-pass filter [Hz]."""
     seed: int = 0
     quick: bool = False
     """Two motions instead."""
@@ -165,32 +165,29 @@ def main(args: Args) -> Result:
 
 def draw(args: Args, test: Motions, plain: Tensor, after: Tensor, off: tuple[Tensor, ...], found: Identified) -> None:
     """Torques of two joints in the test motion, and every base parameter with its error."""
-    matplotlib.use("Agg")
-    plt.rcParams.update({"font.size": 11, "axes.spines.top": False, "axes.spines.right": False, "savefig.dpi": 160})
+    prepare()
     figure = plt.figure(figsize=(10, 7), layout="constrained")
     axes = figure.subplot_mosaic([["a", "b"], ["c", "c"]])
     time = 0.5 + torch.arange(len(test.tau)) / (2 * args.cutoff)
     for panel, joint in (("a", 1), ("b", 5)):
         axes[panel].plot(time, test.tau[:, joint], color="#000000", linewidth=1, label="measured")
-        axes[panel].plot(time, plain[:, joint], color="#D55E00", linewidth=1.5, label="as described")
-        axes[panel].plot(time, after[:, joint], color="#0072B2", linewidth=1.5, label="as found")
-        axes[panel].set(xlabel="time [s]", ylabel="torque [N m]")
-        axes[panel].set_title(f"joint {joint + 1} in a motion not seen before", loc="left", fontsize=11)
-    axes["a"].legend(frameon=False, ncols=3, loc="lower left", bbox_to_anchor=(0, 1.08), borderaxespad=0)
+        axes[panel].plot(time, plain[:, joint], color=ORANGE, linewidth=1.5, label="as described")
+        axes[panel].plot(time, after[:, joint], color=BLUE, linewidth=1.5, label="as found")
+        title = f"joint {joint + 1} in a motion not seen before"
+        axes[panel].set(xlabel="time [s]", ylabel="torque [N m]", title=title)
+    axes["a"].legend(ncols=3, loc="lower left", bbox_to_anchor=(0, 1.08), borderaxespad=0)
     described, value, error = (x / off[2] for x in off)
     order = described.abs().argsort(descending=True)
     place = torch.arange(found.rank)
     axes["c"].axhspan(-2, 2, color="#E4E4E4", label="two standard errors")
-    axes["c"].plot(place, described[order], "o", color="#D55E00", markersize=4, label="as described")
-    axes["c"].errorbar(place, value[order], error[order], fmt="o", color="#0072B2", markersize=4, label="as found")
+    axes["c"].plot(place, described[order], "o", color=ORANGE, markersize=4, label="as described")
+    axes["c"].errorbar(place, value[order], error[order], fmt="o", color=BLUE, markersize=4, label="as found")
     axes["c"].set_yscale("symlog", linthresh=4)
     axes["c"].set_yticks([-100, -10, 0, 10, 100])
     axes["c"].set(xlabel="combination of parameters", ylabel="off the truth [standard errors]")
-    axes["c"].set_title("what the motion tells", loc="left", fontsize=11)
-    axes["c"].legend(frameon=False, ncols=3, loc="lower right")
-    args.out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(args.out / "identify.png")
-    plt.close(figure)
+    axes["c"].set_title("what the motion tells")
+    axes["c"].legend(ncols=3, loc="lower right")
+    save(figure, args.out / "identify.png")
 
 
 if __name__ == "__main__":

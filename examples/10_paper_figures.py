@@ -15,10 +15,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
 
-import matplotlib
 import torch
 import tyro
+from closed_loop import simulated
 from matplotlib import pyplot as plt
+from pictures import BLUE, GREY, prepare, save
 from torch import Tensor
 
 import torchdq
@@ -32,20 +33,7 @@ from torchdq.program.program import Argument
 from torchdq.robot.robot import constants
 
 double = partial(torch.tensor, dtype=torch.float64)
-BLUE, RED, BLACK, GREY = "#0072B2", "#D0312D", "#111111", "#8A8A8A"  # matrices, dual quaternions, this package
-STYLE = {
-    "font.size": 10,
-    "axes.titlesize": 10,
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#E8E8E8",
-    "axes.axisbelow": True,
-    "axes.xmargin": 0.02,
-    "legend.frameon": False,
-    "legend.fontsize": 9,
-}
+RED, BLACK = "#D0312D", "#111111"  # dual quaternions, this package; matrices are blue
 DOTTED, DASHED, DASH_DOTTED = (0, (1, 1.5)), (0, (5, 2)), (0, (6, 2, 1, 2))
 
 
@@ -87,7 +75,7 @@ def closed_form(arm: torchdq.Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> Tenso
 
 
 def closed_equations(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-    """The same written out for the arm, two uniform rods of mass m and length l, as textbooks have it."""
+    """Torques written out for the arm, two uniform rods of mass m and length l, as textbooks have it."""
     m, l, gravity = 1.0, 1.0, 9.81
     a, b = m * l**2 / 3, m * l**2 / 2  # a rod about its end; a rod's mass, on the lever of the other
     (q1, q2), (v1, v2), (a1, a2) = q.unbind(-1), qd.unbind(-1), qdd.unbind(-1)
@@ -125,22 +113,13 @@ def closed_loop(arm: torchdq.Robot, step: float, behind: Tensor) -> tuple[Tensor
     """Times, states (q, qd) and torques of the arm under computed torque, which starts behind its reference [rad]."""
     control = torchdq.ComputedTorque(arm, kp=KP, kd=KD)  # (73)-(78)
 
-    def torque(t: Tensor, x: Tensor) -> Tensor:
-        return control(*x, *reference(t))
+    def torque(t: Tensor, q: Tensor, qd: Tensor) -> Tensor:
+        return control(q, qd, *reference(t))
 
-    def rate(t: Tensor, x: Tensor) -> Tensor:
-        return torch.stack([x[1], torchdq.forward_dynamics(arm, *x, torque(t, x))])
-
-    time, h = double(range(round(DURATION / step) + 1)) * step, step
-    states = [torch.stack([START - behind, torch.zeros(2, dtype=torch.float64)])]
-    for t in time[:-1]:  # Runge-Kutta
-        x = states[-1]
-        k1 = rate(t, x)
-        k2 = rate(t + h / 2, x + h / 2 * k1)
-        k3 = rate(t + h / 2, x + h / 2 * k2)
-        k4 = rate(t + h, x + h * k3)
-        states.append(x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
-    return time, torch.stack(states), torch.stack([torque(t, x) for t, x in zip(time, states, strict=True)])
+    time = double(range(round(DURATION / step) + 1)) * step
+    start = torch.stack([START - behind, torch.zeros(2, dtype=torch.float64)])
+    states = simulated(arm, torque, start, time[:-1], step)
+    return time, states, torque(time, *states.unbind(1))
 
 
 def decay(time: Tensor, behind: Tensor) -> Tensor:
@@ -252,7 +231,7 @@ def dynamics_costs(joints: int) -> tuple[list[Curve], list[Curve]]:
 
 
 def where(first: Curve, second: Curve, quantity: str) -> str:
-    """For how many joints the first costs less than the second."""
+    """Numbers of joints for which the first costs less than the second, in words."""
     holds = [a < b for a, b in zip(first.of(quantity), second.of(quantity), strict=True)]
     if all(holds) or not any(holds):
         return "for every n" if all(holds) else "for no n"
@@ -369,8 +348,7 @@ def draw_costs(rows: Sequence[Sequence[Curve]], title: str, quantities: Sequence
 
 def main(args: Args) -> tuple[dict[str, float], float]:
     """Largest differences of the torques [N m] by computation, and of the closed loop's error from its decay [rad]."""
-    matplotlib.use("Agg")
-    plt.rcParams.update(STYLE)
+    prepare({"font.size": 10, "axes.titlesize": 10, "legend.fontsize": 9, "savefig.dpi": args.dpi})
     torch.set_num_threads(1)
     arm, time = torchdq.robots.load("two_link"), torch.linspace(0, DURATION, 201, dtype=torch.float64)
     behind = double([0.4, -0.6])
@@ -398,10 +376,8 @@ def main(args: Args) -> tuple[dict[str, float], float]:
             ("multiplications", "additions"),
         ),
     }
-    args.out.mkdir(parents=True, exist_ok=True)
     for name, figure in figures.items():
-        figure.savefig(args.out / f"paper_{name}.png", dpi=args.dpi)
-        plt.close(figure)
+        save(figure, args.out / f"paper_{name}.png")
 
     worst = {name: float(x.max()) for name, x in differences(found).items()}
     off = float((q_des - q - decay(instants, behind)).abs().max())

@@ -16,13 +16,13 @@ class Arm(Layout):
     slow: float = 0.02
     """Speed over which Coulomb friction changes sign [rad/s]: about the noise of the filtered velocity."""
     rotors: bool = False
-    """Whether torques are taken at the motors, before the rotors' inertia."""
+    """True: torques are taken at the motors, before the rotors' inertia."""
 
 
 LAYOUTS = {
     # a header, time [s], q1 ... q7 [rad], qd1 ... [rad/s], tau1 ... measured at the joints [N m]
     "panda": Arm(robot="panda", joints=7, cutoff_qd=6.0, slow=0.05),
-    # no header; time [s], six each of q [rad], qd [rad/s], motor current [A], and twelve wishes of the controller
+    # no header; time [s], six each of q [rad], qd [rad/s], motor current [A], and twelve desired values
     "ur10e": Arm(
         robot="ur10e",
         joints=6,

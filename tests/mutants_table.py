@@ -1842,8 +1842,8 @@ MUTANTS = (
         ),
         (
             "a state without what it remembers",
-            "if there and name not in tensors:",
-            "if False:",
+            "for name in spec.state:",
+            "for name in ():",
             STEP_CHECKS,
         ),
         (

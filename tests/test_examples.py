@@ -4,12 +4,11 @@ The recordings are not part of the package. Their tests look in the folder that 
 checkout, and are skipped where there are none.
 """
 
-import importlib.util
 import os
 import runpy
 import sys
+from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -26,14 +25,6 @@ from rich.console import Console  # noqa: E402
 BACKEND = "auto"
 
 
-def example(name: str) -> ModuleType:
-    """Module of an example, whose file name no import statement can spell."""
-    spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def assert_drawn(path: Path) -> None:
     picture = imread(path)[..., :3]
     assert picture.shape[0] > 500 and picture.shape[1] > 900
@@ -44,7 +35,7 @@ def assert_drawn(path: Path) -> None:
 
 
 def test_inverse_dynamics(tmp_path, capsys):
-    main = example("01_inverse_dynamics")
+    main = import_module("01_inverse_dynamics")
     checks = main.main(main.Args(batch=64, step=2.5e-3, timing=1e-3, out=tmp_path))
     assert len(checks) == 15
     failed = {name: check for name, check in checks.items() if not check.passed}
@@ -77,12 +68,12 @@ def test_a_bad_log_ends_the_program_before_the_work(tmp_path, capsys, monkeypatc
 
 
 def test_closed_form(capsys):
-    assert example("02_closed_form").main() < 1e-13
+    assert import_module("02_closed_form").main() < 1e-13
     assert "Jt2 tz" in capsys.readouterr().out
 
 
 def test_computed_torque(tmp_path):
-    module = example("03_computed_torque")
+    module = import_module("03_computed_torque")
     right, wrong = module.main(module.Args(duration=0.5, out=tmp_path))
     analytic = 0.1 * (1 + 10 * 0.5) * np.exp(-10 * 0.5)
     assert abs(right - analytic) < 1e-6
@@ -98,7 +89,7 @@ def explained(tmp_path: Path, sources: tuple[str, ...], test_last: bool) -> tupl
         file = DATA / source.split(":")[0]
         if not file.exists():
             pytest.skip(f"no recording {file}; TORCHDQ_DATA names the folder that holds it")
-    main = example("01_inverse_dynamics")
+    main = import_module("01_inverse_dynamics")
     read = [main.read_log(str(DATA / source), "auto") for source in sources]
     alone, full, checks = main.explain_logs(Console(), read, test_last, None, tmp_path / "measured.png")
     assert all(check.passed for check in checks.values())

@@ -4,9 +4,7 @@ The references are numpy's least squares on pinocchio's regressor, the robots th
 definition of a body that can exist.
 """
 
-import importlib.util
-import sys
-from pathlib import Path
+from importlib import import_module
 
 import numpy as np
 import oracles
@@ -295,10 +293,7 @@ def test_what_it_does_not_take():
 def test_the_example_finds_the_arm(tmp_path, capsys):
     for needed in ("matplotlib", "rich", "scipy", "tyro"):
         pytest.importorskip(needed, reason="the examples need the extra 'examples'")
-    path = Path(__file__).resolve().parents[1] / "examples" / "09_identify.py"
-    spec = importlib.util.spec_from_file_location("example_09_identify", path)
-    example = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(example)
+    example = import_module("09_identify")
     with torchdq.backend("auto"):
         result = example.main(example.Args(quick=True, out=tmp_path / "new"))
     assert result.chi_square < 1.6

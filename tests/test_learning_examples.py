@@ -1,9 +1,7 @@
 """The example of residual learning: its arm is what it claims to be, its split is honest, and its table is in order."""
 
-import importlib.util
 import json
-import sys
-from pathlib import Path
+from importlib import import_module
 
 import numpy as np
 import pytest
@@ -16,17 +14,12 @@ for needed in ("matplotlib", "mujoco", "rich", "scipy", "tyro"):
 import mujoco  # noqa: E402
 from matplotlib.image import imread  # noqa: E402
 
-SCRIPT = Path(__file__).resolve().parents[1] / "examples" / "06_residual_learning.py"
 BACKEND = "auto"
 
 
 @pytest.fixture(scope="module")
 def example():
-    """Module of the example, whose file name no import statement can spell."""
-    spec = importlib.util.spec_from_file_location("example_06_residual_learning", SCRIPT)
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return import_module("06_residual_learning")
 
 
 @pytest.fixture(scope="module")

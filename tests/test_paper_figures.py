@@ -3,10 +3,9 @@
 Homogeneous matrices and the printed operators know nothing of the package's recursion, and Pinocchio nothing of either.
 """
 
-import importlib.util
 import math
-import sys
 from functools import reduce
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -30,15 +29,7 @@ from oracles import pinocchio_model  # noqa: E402
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def module(path):
-    """Module of a file, whose name no import statement can spell."""
-    spec = importlib.util.spec_from_file_location(f"paper_{path.stem}", path)
-    found = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(found)
-    return found
-
-
-figures = module(ROOT / "examples" / "10_paper_figures.py")
+figures = import_module("10_paper_figures")
 
 
 def relative(x, reference):
@@ -264,7 +255,7 @@ def test_the_figures_are_written(tmp_path, capsys):
 
 def test_formulations_that_are_timed_compute_the_same(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    timed = module(ROOT / "benchmarks" / "formulations.py")
+    timed = import_module("formulations")
     monkeypatch.setattr(timed, "BATCH", 16)
     arm = timed.Arm.random(timed.N)
     poses, torques = timed.poses(arm), timed.torques(*cost.chain(timed.N))

@@ -1,9 +1,8 @@
 """The rows of a real arm's log, on a log whose truth is known: each model explains what it can, and no more."""
 
 import csv
-import importlib.util
 import os
-import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -34,11 +33,7 @@ URDF = """
 
 @pytest.fixture(scope="module")
 def main():
-    path = ROOT / "examples" / "07_real_arm.py"
-    spec = importlib.util.spec_from_file_location("example_07_real_arm", path)
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return import_module("07_real_arm")
 
 
 def record(path: Path, robot: torchdq.Robot, seed: int) -> Path:

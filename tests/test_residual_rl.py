@@ -1,11 +1,9 @@
 """The example of a residual policy: it starts as the controller, learns, and is compared with what it says it is."""
 
-import importlib.util
 import json
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
+from importlib import import_module
 
 import pytest
 import torch
@@ -14,16 +12,13 @@ for needed in ("matplotlib", "scipy", "stable_baselines3", "tyro"):
     pytest.importorskip(needed, reason="the examples need the extra 'examples'")
 from matplotlib.image import imread  # noqa: E402
 
-ROOT = Path(__file__).resolve().parents[1]
 BACKEND = "auto"
 N = 7
 
 
 @pytest.fixture(scope="module")
 def example():
-    spec = importlib.util.spec_from_file_location("example_08_residual_rl", ROOT / "examples" / "08_residual_rl.py")
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = import_module("08_residual_rl")
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     yield module

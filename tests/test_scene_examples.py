@@ -1,8 +1,6 @@
 """The examples of scenes and environments run, and what they return holds."""
 
-import importlib.util
-import sys
-from pathlib import Path
+from importlib import import_module
 
 import pytest
 
@@ -15,16 +13,7 @@ from torchdq.backends import cache as build  # noqa: E402
 
 # thousands of steps, which take minutes as torch operations
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 BACKEND = "auto"
-
-
-def example(name):
-    """Module of an example, whose file name no import statement can spell."""
-    spec = importlib.util.spec_from_file_location(f"example_{name}", EXAMPLES / f"{name}.py")
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 SOME = ("Gravity", "Viscous", "Coulomb", "Contact", "Noise")
@@ -34,7 +23,7 @@ ALL = (*SOME, "RotorInertia", "Payload", "Limits", "Drag", "Saturation", "Lag")
 @pytest.mark.parametrize("kept", [SOME, pytest.param(ALL, marks=pytest.mark.exhaustive)], ids=len)
 def test_a_scene_is_built_effect_by_effect(kept, tmp_path, capsys, monkeypatch):
     """Every scene on the way is a program of its own, which takes seconds to compile."""
-    main = example("04_scene")
+    main = import_module("04_scene")
     monkeypatch.setattr(main, "PARTS", tuple(part for part in main.PARTS if type(part).__name__ in kept))
     assert len(main.PARTS) == len(kept)
     moved, off = main.main(main.Args(duration=0.3, seconds=0.01, out=tmp_path))
@@ -47,7 +36,7 @@ def test_a_scene_is_built_effect_by_effect(kept, tmp_path, capsys, monkeypatch):
 
 
 def test_many_arms_reach_and_are_filmed(tmp_path):
-    main = example("05_environment")
+    main = import_module("05_environment")
     distance, _ = main.main(main.Args(arms=64, steps=90, out=tmp_path / "new"))
     assert distance.shape == (64,) and float(distance.median()) < 0.02
     with Image.open(tmp_path / "new" / "reach.gif") as film:

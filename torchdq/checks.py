@@ -13,8 +13,9 @@ def require_tensor(name: str, x: Any) -> None:
         raise ArgumentError(f"{name} must be a tensor, found {type(x).__name__}; use torch.as_tensor")
 
 
-def require_floating(name: str, x: Any) -> None:
-    """Raise unless x is a tensor of floating-point numbers."""
+def floating(name: str, x: Any) -> Tensor:
+    """Tensor x; raises unless it is one of floating-point numbers."""
     require_tensor(name, x)
     if not x.dtype.is_floating_point:
         raise DtypeError(f"{name} must be a floating tensor, found {x.dtype}; convert it, e.g. {name}.double()")
+    return x

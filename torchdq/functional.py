@@ -91,9 +91,7 @@ def _robot(robot: Robot) -> Robot:
 
 def _with_tensors(robot: Robot, given: dict[str, Tensor | None]) -> dict[str, Tensor | None]:
     """Arguments of a function, together with the tensors of the robot that are arguments of its programs."""
-    for name in arguments(robot):
-        given[name] = getattr(robot, name)
-    return given
+    return {**given, **{name: getattr(robot, name) for name in arguments(robot)}}
 
 
 def function_of(

@@ -23,11 +23,8 @@ CONSTRAINED: dict[str, type[nn.Module]] = {
     **dict.fromkeys(("mass", "armature", "viscous", "coulomb"), Positive),
     "inertia": PhysicalInertia,
 }
-INITIAL = {
-    "armature": 1e-3,
-    "viscous": 1e-2,
-    "coulomb": 1e-2,
-}  # initial value of what the description does not give [SI]
+# initial value of what the description does not give [SI]
+INITIAL = {"armature": 1e-3, "viscous": 1e-2, "coulomb": 1e-2}
 SMALLEST_SIZE = 1e-2  # least size of a body, against which `prior` measures the shift of its centre of mass [m]
 
 
@@ -224,16 +221,12 @@ class DQRNEA(RobotModule):
 class ForwardDynamics(RobotModule):
     """Forward dynamics as a differentiable layer: `forward(q, qd, tau, f_tip, f_ext)` returns qdd [..., n].
 
-    Learned friction and offset are subtracted from the torques, which are those of the motors.
+    Learned friction and offset are subtracted from the torques, which are those of the motors. Example: `DQRNEA`,
+    which is made and called alike.
 
     Args:
         precision: as in `torchdq.forward_dynamics`.
         robot, learn, backend, friction_width: as in `RobotModule`.
-
-    >>> import torchdq
-    >>> layer = ForwardDynamics(torchdq.robots.load("two_link"))
-    >>> layer(torch.zeros(5, 2), torch.zeros(5, 2), torch.zeros(5, 2)).shape
-    torch.Size([5, 2])
     """
 
     def __init__(

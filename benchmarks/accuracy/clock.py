@@ -23,7 +23,7 @@ class Time(NamedTuple):
         return Time(self.nanoseconds * factor, self.low * factor, self.high * factor, self.repeats)
 
 
-def clock(call: Callable[[], object], samples: int = 1, repeats: int = 20, turn: float = TURN) -> Time:
+def clock(call: Callable[[], object], samples: int, repeats: int = 20) -> Time:
     """Time of a call per sample."""
     for _ in range(WARM_UPS):
         start = time.perf_counter()
@@ -31,7 +31,7 @@ def clock(call: Callable[[], object], samples: int = 1, repeats: int = 20, turn:
         once = time.perf_counter() - start
         if once > LONG:
             break
-    inner = max(1, int(turn / max(once, 1e-7)))
+    inner = max(1, int(TURN / max(once, 1e-7)))
     found = []
     for _ in range(repeats):
         start = time.perf_counter()

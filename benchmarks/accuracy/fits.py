@@ -1,4 +1,4 @@
-"""What errors say: orders, plateaus, fronts."""
+"""Errors, and what they say: orders, plateaus, fronts."""
 
 from __future__ import annotations
 
@@ -8,6 +8,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 Point = dict[str, Any]  # with "error_max", "nanoseconds" and whatever else
+FITTED = 5  # points of a straight line, at most
+BETTER = 0.9  # ratio of errors, and of times, from which one point beats another
+
+
+def relative(found: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Relative errors of rows [..., k]."""
+    return (np.sqrt(((found - truth) ** 2).sum(-1)) / np.sqrt((truth**2).sum(-1))).astype(float)
+
+
+def judged(errors: np.ndarray, floor: float) -> Point:
+    """Largest and median error; one below the floor of its reference is not a measurement."""
+    worst = float(errors.max())
+    return {"error_max": worst, "error_median": float(np.median(errors)), "floor": floor, "measured": worst > floor}
 
 
 def plateau(sizes: Sequence[float], errors: Sequence[float], order: float) -> float | None:
@@ -27,14 +40,14 @@ class Line(NamedTuple):
     points: int
 
 
-def slope(sizes: Sequence[float], errors: Sequence[float], lowest: float, highest: float, most: int = 5) -> Line | None:
+def slope(sizes: Sequence[float], errors: Sequence[float], lowest: float, highest: float) -> Line | None:
     """Order of convergence: of the straight line through the finest points between two errors.
 
     Points finer than the most accurate one are not among them: their errors are of rounding. None: fewer than two are.
     """
     pairs = sorted((h, e) for h, e in zip(sizes, errors, strict=True) if np.isfinite(e))
     best = min(range(len(pairs)), key=lambda k: pairs[k][1], default=0)
-    pairs = [(h, e) for h, e in pairs[best:] if lowest < e < highest][:most]
+    pairs = [(h, e) for h, e in pairs[best:] if lowest < e < highest][:FITTED]
     if len(pairs) < 2:
         return None
     h, e = np.log(np.array(pairs)).T
@@ -59,15 +72,15 @@ def thinned(best: Sequence[Point], factor: float = 2.0) -> list[Point]:
     return found
 
 
-def dominated(points: Sequence[Point], margin: float = 0.1) -> list[tuple[Point, Point]]:
-    """Points with one that is better in both by the margin, the most accurate such one."""
+def dominated(points: Sequence[Point]) -> list[tuple[Point, Point]]:
+    """Points with one that beats them in both error and time, the most accurate such one."""
     found = []
     for point in points:
         better = [
             other
             for other in points
-            if other["error_max"] <= (1 - margin) * point["error_max"]
-            and other["nanoseconds"] <= (1 - margin) * point["nanoseconds"]
+            if other["error_max"] <= BETTER * point["error_max"]
+            and other["nanoseconds"] <= BETTER * point["nanoseconds"]
         ]
         if better:
             found.append((point, min(better, key=lambda p: p["error_max"])))

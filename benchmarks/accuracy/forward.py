@@ -17,6 +17,7 @@ import torch
 
 import torchdq
 from accuracy.clock import clock
+from accuracy.fits import judged, relative
 from accuracy.methods import compiled
 from accuracy.rows import LONG, exact, joined, split
 from accuracy.scenes import chain, single
@@ -102,17 +103,12 @@ METHODS: dict[str, Callable[..., Array]] = {
 
 
 def too_much(method: str, n: int, cubic: int) -> str | None:
-    """Why a method is not tried at a number of joints."""
+    """Reason why a method is not tried at a number of joints; None: it is."""
     if method.startswith("CRBA") and n > cubic:
         return f"its cost is cubic, and it is tried up to {cubic} joints"
     if method.startswith("closed") and n > CLOSED:
         return f"it multiplies matrices of screws, and is tried up to {CLOSED} joints"
     return None
-
-
-def relative(found: Array, truth: Array) -> Array:
-    """Relative errors of rows."""
-    return (np.sqrt(((found - truth) ** 2).sum(-1)) / np.sqrt((truth**2).sum(-1))).astype(float)
 
 
 def measured(quick: bool, full: bool) -> dict[str, Any]:
@@ -163,11 +159,8 @@ def measured(quick: bool, full: bool) -> dict[str, Any]:
             point = {
                 "method": method,
                 "n": n,
-                "error_max": float(errors.max()),
-                "error_median": float(np.median(errors)),
+                **judged(errors, 10 * agreement),
                 "residual": float(relative(back, tau).max()),
-                "floor": 10 * agreement,
-                "measured": float(errors.max()) > 10 * agreement,
             }
             points.append(point)
     for n in [n for n in sizes if n <= COMPILED]:
@@ -213,7 +206,7 @@ def _unwatched(robot: torchdq.Robot, given: tuple[str, ...]) -> Program:
 
 
 def _linear_is_cheaper(robot: torchdq.Robot) -> bool:
-    """Whether articulated bodies count fewer operations than the mass matrix, where both are considered."""
+    """True if articulated bodies count fewer operations than the mass matrix, where both are considered."""
     if robot.n < recipes.LONG:
         return False
     arguments = [Argument(name, robot.n) for name in ("q", "qd", "tau")]

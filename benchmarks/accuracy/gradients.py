@@ -1,8 +1,8 @@
 """Experiment 3: the gradient of a rollout, by several ways and in two precisions: error, time, bytes kept.
 
-The loss is the sum of squares of the positions after 50 steps of a seven-joint arm, its gradient that in the beginning
-and in one torque that is held. Truth is the complex step in extended precision on torchdq's own formulas; its check
-are extrapolated central differences on a textbook's.
+The loss is the sum of squares of the positions after 50 steps of a seven-joint arm, its gradient that in the initial
+state and in one torque that is held. Truth is the complex step in extended precision on torchdq's own formulas; its
+check are extrapolated central differences on a textbook's.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from accuracy import fits
 from accuracy.clock import clock
 from accuracy.rows import LONG, Formulas
 from accuracy.scenes import arm7
@@ -22,7 +23,7 @@ from accuracy.textbook import Textbook
 from torchdq.envs import Scene, integrators
 
 STEPS, DT, SEGMENT = 50, 1 / 256, 10
-BATCH = {"eager": 64, "compiled": 4096}  # of which times are taken
+BATCH = {"eager": 64, "compiled": 4096}  # samples of a timed call
 Array = np.ndarray
 
 
@@ -49,12 +50,7 @@ def truth(x: Array) -> tuple[Array, float]:
         differences.append((up - down) / (2 * step))
     a, b = ((4 * fine - coarse) / 3 for coarse, fine in pairwise(differences))
     by_difference = (16 * b - a) / 15
-    return by_complex, float(error(by_difference, by_complex).max())
-
-
-def error(found: Array, truth: Array) -> Array:
-    """Relative error of rows."""
-    return (np.sqrt(((found - truth) ** 2).sum(-1)) / np.sqrt((truth**2).sum(-1))).astype(float)
+    return by_complex, float(fits.relative(by_difference, by_complex).max())
 
 
 def loss(scene: Scene, x: Tensor, checkpoint: int = 0) -> Tensor:
@@ -95,7 +91,7 @@ def kept(scene: Scene, x: Tensor, checkpoint: int = 0) -> float:
     with torch.autograd.graph.saved_tensors_hooks(pack, lambda y: y):
         loss(scene, x.detach().requires_grad_(), checkpoint)
     if checkpoint:
-        # a segment keeps the state at its beginning, which no hook sees
+        # a segment keeps the state at its start, which no hook sees
         n = scene.n
         storages[-1] = STEPS // checkpoint * 2 * n * x.element_size() * len(x)
     return sum(storages.values()) / len(x)
@@ -112,7 +108,7 @@ def measured(quick: bool) -> dict[str, Any]:
     for dtype in (torch.float32, torch.float64):
         small = x.to(dtype)
         steps = [10.0**-k for k in range(1, 6 if dtype == torch.float32 else 9)]
-        tried = {h: float(error(differences(scene, small, h).double().numpy(), exact).max()) for h in steps}
+        tried = {h: float(fits.relative(differences(scene, small, h).double().numpy(), exact).max()) for h in steps}
         best = min(tried, key=tried.__getitem__)
         ways: dict[str, tuple[Callable[[Tensor], Tensor], int, float | None]] = {
             "compiled reverse": (lambda y: reverse(scene, y), BATCH["compiled"], kept(scene, small)),
@@ -129,7 +125,7 @@ def measured(quick: bool) -> dict[str, Any]:
             ),
         }
         for way, (call, batch, held) in ways.items():
-            errors = error(call(small).double().numpy(), exact)
+            errors = fits.relative(call(small).double().numpy(), exact)
             rows = small[torch.arange(batch) % len(small)]
             slow = quick and way.startswith("autograd")
             time = clock(lambda call=call, rows=rows: call(rows), batch, repeats=3 if slow else 10 if quick else 20)
@@ -137,14 +133,11 @@ def measured(quick: bool) -> dict[str, Any]:
                 {
                     "way": way,
                     "precision": str(dtype).removeprefix("torch."),
-                    "error_max": float(errors.max()),
-                    "error_median": float(np.median(errors)),
+                    **fits.judged(errors, 10 * agreement),
                     **time._asdict(),
                     "batch": batch,
                     "bytes": held,
                     "step": best if way.startswith("finite") else None,
-                    "floor": 10 * agreement,
-                    "measured": float(errors.max()) > 10 * agreement,
                 }
             )
     return {"steps": STEPS, "dt": DT, "agreement": agreement, "points": points}

@@ -19,12 +19,13 @@ from torchdq.algebra.quaternion import Number
 from torchdq.backends.c import COMPILED
 from torchdq.backends.run import run
 from torchdq.backends.torch import EAGER
+from torchdq.dynamics.posed import Row
 from torchdq.envs import integrators
-from torchdq.envs.integrators import Integrator, Row, System
+from torchdq.envs.integrators import Integrator, System
 from torchdq.envs.spec import recorded as recorded_scene
-from torchdq.envs.system import SceneSystem
+from torchdq.envs.system import with_growths
 from torchdq.functions.catalogue import worth_recording
-from torchdq.program.program import GROWTH, Argument, Program, record
+from torchdq.program.program import Argument, Program, record
 
 Runner = Callable[[Program, Sequence[Tensor]], Sequence[Tensor]]
 compiled, eager = partial(run, backend=COMPILED), partial(run, backend=EAGER)
@@ -49,7 +50,7 @@ PRECISIONS = {
 
 @dataclass(frozen=True)
 class Increments(integrators.RungeKutta4):
-    """What RungeKutta4 adds to a state, to be added with care."""
+    """Increments of RungeKutta4, for a state to which they are added without loss."""
 
     def step(self, system: System, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
         """Changes over a step h."""
@@ -81,8 +82,7 @@ def _recorded(case: Case, name: str, of: Callable[..., dict[str, Any]]) -> Progr
         def algorithm(q: Row, qd: Row, torque: Row, *others: Row) -> dict[str, Any]:
             *rows, (h,) = others
             scene = recorded_scene(spec, linear, dict(zip(case.inputs, rows, strict=True)), {}, ())
-            system = SceneSystem(scene, torque)
-            return {**of(system, q, qd, h), GROWTH: system.growths}
+            return with_growths(scene, torque, lambda motion: of(motion, q, qd, h))
 
         return record(f"{name}_{case.name}", arguments, algorithm)
 
@@ -95,7 +95,7 @@ State = tuple[Tensor, ...]  # q, qd, and what a compensated one carries beside
 
 
 def dtype_of(precision: str) -> torch.dtype:
-    """Of the state."""
+    """Dtype of the state."""
     return torch.float64 if precision == "float64" else torch.float32
 
 
@@ -141,7 +141,7 @@ def two_sum(a: Tensor, b: Tensor) -> tuple[Tensor, Tensor]:
     return s, (a - (s - t)) + (b - t)
 
 
-def beginning(case: Case, precision: str, batch: int | None = None) -> tuple[State, list[Tensor], list[Tensor]]:
+def initial(case: Case, precision: str, batch: int | None = None) -> tuple[State, list[Tensor], list[Tensor]]:
     """State, torques of the periods, and further inputs, of the samples of a case or as many as a batch has."""
     dtype = dtype_of(precision)
     samples = torch.arange(batch or len(case.q)) % len(case.q)
@@ -153,7 +153,7 @@ def beginning(case: Case, precision: str, batch: int | None = None) -> tuple[Sta
 
 def flown(case: Case, integrator: str, precision: str, steps: int, runner: Runner = compiled) -> Tensor:
     """State [batch, 2 n] at the horizon after so many steps, as float64."""
-    state, torques, others = beginning(case, precision)
+    state, torques, others = initial(case, precision)
     h = torch.tensor([case.horizon / steps], dtype=dtype_of(precision))
     step = stepper(program_of(case, integrator, precision), precision, [*others, h], runner)
     for torque in torques:
@@ -168,7 +168,6 @@ def flown(case: Case, integrator: str, precision: str, steps: int, runner: Runne
 class _Bodies(System):
     """Accelerations of rows of tensors, counted."""
 
-    runner: Runner
     program: Program
     others: Sequence[Tensor]
     asked: int = 0
@@ -176,25 +175,21 @@ class _Bodies(System):
     def accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations in a state."""
         self.asked += 1
-        return [self.runner(self.program, [*x, *v, *self.others])[0]]
+        return [compiled(self.program, [*x, *v, *self.others])[0]]
 
 
-def adaptive(
-    case: Case, precision: str, rtol: float, batch: int | None = None, runner: Runner = compiled
-) -> tuple[Callable[[], Tensor], list[int]]:
-    """A call for the state at the horizon by DormandPrince, and a list that learns how often it asked for rates."""
-    (q, qd), torques, others = beginning(case, precision, batch)
+def adaptive(case: Case, precision: str, rtol: float, batch: int | None = None) -> Callable[[], tuple[Tensor, int]]:
+    """Call for the state at the horizon by DormandPrince, and the number of evaluations that it takes."""
+    (q, qd), torques, others = initial(case, precision, batch)
     method = integrators.DormandPrince(rtol, 1e-3 * rtol)
     program, h = rates_program(case), q.new_ones(1)
-    evaluations: list[int] = []
 
-    def call() -> Tensor:
+    def call() -> tuple[Tensor, int]:
         x, v, asked = q, qd, 0
         for torque in torques:
-            bodies = _Bodies(runner, program, [torque, *others, h])
+            bodies = _Bodies(program, [torque, *others, h])
             x, v = method.flow(bodies, x, v, case.horizon / PERIODS)
             asked += bodies.asked
-        evaluations.append(asked)
-        return torch.cat([x, v], -1).double()
+        return torch.cat([x, v], -1).double(), asked
 
-    return call, evaluations
+    return call

@@ -14,7 +14,7 @@ import matplotlib.pyplot as plt
 from matplotlib.axes import Axes
 from PIL import Image
 
-from accuracy import fits
+from accuracy import table
 
 INTEGRATOR_COLOURS = {
     "RungeKutta4": "C0",
@@ -93,8 +93,7 @@ def _trajectories(scenes: list[dict[str, Any]]):
             y = [max(p["error_max"], p["floor"]) for p in points]
             _curve(axes, [p["nanoseconds"] / 1e3 for p in points], y, [p["measured"] for p in points], **style)
             labels[f"{integrator}, {precision}"] = plt.Line2D([], [], markersize=4, linewidth=1, **style)
-        usable = [p for p in scene["points"] if p["nanoseconds"] is not None and p["error_max"] < scene["limit"]]
-        best = fits.front(usable)
+        best = table.front(scene)
         axes.plot(
             [p["nanoseconds"] / 1e3 for p in best], [p["error_max"] for p in best], color="0.8", linewidth=6, zorder=0
         )

@@ -14,7 +14,7 @@ from torch import Tensor
 
 import torchdq
 from accuracy.clock import clock
-from accuracy.rows import LONG, joined, split
+from accuracy.rows import LONG, joined, split, unit
 from torchdq.algebra import dual_quaternion
 
 BATCH = 64
@@ -80,23 +80,15 @@ def measured(quick: bool) -> dict[str, Any]:
 
 def _product(motion: np.ndarray, steps: int) -> np.ndarray:
     """Unit product of so many equal motions in extended precision."""
-    unit = _unit(motion)
-    found, power, left = None, unit, steps
+    found, power, left = None, unit(motion), steps
     while left:  # by squaring
         if left % 2:
             found = power if found is None else _mul(found, power)
         power, left = _mul(power, power), left // 2
-    return _unit(found)
+    return unit(found)
 
 
 def _mul(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     a, b = split(x), split(y)
     p, d = dual_quaternion.mul((tuple(a[:4]), tuple(a[4:])), (tuple(b[:4]), tuple(b[4:])))
     return np.asarray(joined([*p, *d]))
-
-
-def _unit(x: np.ndarray) -> np.ndarray:
-    p, d = x[:, :4], x[:, 4:]
-    size = np.sqrt((p * p).sum(-1, keepdims=True))
-    p, d = p / size, d / size
-    return np.concatenate([p, d - (p * d).sum(-1, keepdims=True) * p], -1)

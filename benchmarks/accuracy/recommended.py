@@ -1,4 +1,4 @@
-"""Whether what `torchdq.recommend` recommends is what the measurements say: on the front of every scene."""
+"""Recommendations of `torchdq.recommend` beside the measurements: are they on the front of every scene?"""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ OFFERED = ("float32", "float64", "mixed")
 
 
 def measured(trajectories: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """For every scene and error, what is recommended, and its cost beside that of the best that was measured."""
+    """Recommended setting for every scene and error, and its cost beside that of the best that was measured."""
     rows = []
     for scene in trajectories:
         if scene["scene"] not in SCENES:
@@ -47,7 +47,7 @@ def measured(trajectories: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def words(rows: list[dict[str, Any]]) -> list[str]:
-    """The same, a line for each."""
+    """Lines of text, one for each row of `measured`."""
     return [
         f"{r['scene']} to {r['error']:.0e}: {r['recommended']}, "
         + ("on the front" if r["on_front"] else f"the best that was measured is {r['best']}")

@@ -14,6 +14,7 @@ import pinocchio as pin
 from scipy.integrate import solve_ivp
 
 from accuracy import integration
+from accuracy.fits import relative
 from accuracy.rows import LONG, Formulas
 from accuracy.scenes import PERIODS, Case
 from accuracy.textbook import Textbook, cross, position, rotation
@@ -28,12 +29,6 @@ class Truth(NamedTuple):
     state: Array  # [batch, 2 n], extended precision
     agreements: dict[str, float]  # largest relative distance between means
     floor: float  # below which an error is not a measurement
-
-
-def distance(found: Array, truth: Array) -> Array:
-    """Relative error of states [batch, 2 n]."""
-    scale = np.sqrt((truth * truth).sum(-1))
-    return (np.sqrt(((found - truth) ** 2).sum(-1)) / scale).astype(float)
 
 
 def flown(acceleration: Any, case: Case, meshes: list | None = None) -> tuple[Array, list[list[float]]]:
@@ -112,12 +107,12 @@ def truth(case: Case) -> Truth:
     """State at the horizon, by means that are compared."""
     state, meshes = flown(Formulas(case), case)
     second, _ = flown(Textbook.of(case), case, meshes)
-    agreements = {"extrapolation and collocation": float(distance(state, second).max())}
+    agreements = {"extrapolation and collocation": float(relative(state, second).max())}
     decisive = agreements["extrapolation and collocation"]
     if case.name == "pendulum":
         exact = elliptic(case)
-        decisive = agreements["elliptic functions"] = float(distance(state, exact).max())
+        decisive = agreements["elliptic functions"] = float(relative(state, exact).max())
         state = exact
     third = dop853(case, min(2, len(state)))
-    agreements["pinocchio and DOP853, double precision"] = float(distance(third, state[: len(third)]).max())
+    agreements["pinocchio and DOP853, double precision"] = float(relative(third, state[: len(third)]).max())
     return Truth(state, agreements, 10 * decisive)

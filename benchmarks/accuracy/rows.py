@@ -10,8 +10,8 @@ import numpy as np
 import torchdq
 from accuracy.scenes import Case
 from torchdq.envs import spec
-from torchdq.envs.system import SceneSystem
-from torchdq.program.program import GROWTH, Argument, record, replay, results
+from torchdq.envs.system import with_growths
+from torchdq.program.program import Argument, record, replay, results
 from torchdq.robot.posed import INERTIAL
 
 LONG = np.longdouble  # 64 bits of mantissa on x86, 53 on machines that have no more: agreements tell
@@ -55,20 +55,18 @@ def joined(components: Sequence[Any]) -> np.ndarray:
     return np.stack([np.asarray(c) for c in np.broadcast_arrays(*components)], -1)
 
 
-def exact(robot: torchdq.Robot) -> dict[str, np.ndarray]:
-    """The robot's numbers in extended precision; poses and axes, unit to float64, are made unit to that."""
-    x = robot.X_PB_home.numpy().astype(LONG)
-    p, d = x[:, :4], x[:, 4:]
+def unit(x: np.ndarray) -> np.ndarray:
+    """Unit dual quaternions or lines [..., 2 k]: primary parts of length one, dual parts at right angles to them."""
+    p, d = np.split(x, 2, -1)
     size = np.sqrt((p * p).sum(-1, keepdims=True))
     p, d = p / size, d / size
-    d = d - (p * d).sum(-1, keepdims=True) * p
-    s = robot.screw.numpy().astype(LONG)
-    a, m = s[:, :3], s[:, 3:]
-    size = np.sqrt((a * a).sum(-1, keepdims=True))
-    a, m = a / size, m / size
-    m = m - (a * m).sum(-1, keepdims=True) * a  # all joints here are revolute
-    found = {"X_PB_home": np.concatenate([p, d], -1), "screw": np.concatenate([a, m], -1)}
-    return found | {name: getattr(robot, name).numpy().astype(LONG) for name in INERTIAL}
+    return np.concatenate([p, d - (p * d).sum(-1, keepdims=True) * p], -1)
+
+
+def exact(robot: torchdq.Robot) -> dict[str, np.ndarray]:
+    """Numbers of a robot of revolute joints in extended precision; poses and axes are made unit to that."""
+    found = {name: getattr(robot, name).numpy().astype(LONG) for name in ("X_PB_home", "screw", *INERTIAL)}
+    return {**found, "X_PB_home": unit(found["X_PB_home"]), "screw": unit(found["screw"])}
 
 
 class Formulas:
@@ -89,8 +87,7 @@ class Formulas:
                 key: tuple(float(x) if x in (0, 1, -1) else next(given) for x in row) for key, row in known.items()
             }
             scene = spec.recorded(case.scene.spec, False, inputs, tensors, ())
-            system = SceneSystem(scene, u)
-            return {"a": system.accelerations(q, qd), GROWTH: system.growths}
+            return with_growths(scene, u, lambda system: {"a": system.accelerations(q, qd)})
 
         arguments = [Argument(name, n) for name in ("q", "qd", "u")] + [Argument("numbers", len(self.numbers))]
         self.program = record("accelerations", arguments, algorithm)

@@ -1,6 +1,6 @@
-"""What is simulated: robots with effects, beginnings, torques and horizons.
+"""Scenes of the study: robots with effects, initial states, torques and horizons.
 
-Beginnings and torques are numbers that single precision holds, and horizons are sums of powers of two, so that no
+Initial states and torques are numbers that single precision holds, and horizons are sums of powers of two, so that no
 method is charged for the rounding of what it was given. Torques are held over a few periods, as controllers hold them:
 within a period the motion is smooth, and a step that divides a period keeps its order.
 """
@@ -73,7 +73,7 @@ def _random(seed: int, *shape: int) -> Tensor:
 
 
 def _waves(seed: int, batch: int, size: Tensor) -> Tensor:
-    """A smooth torque, sampled at the beginning of every period, shape [PERIODS, batch, n]."""
+    """A smooth torque, sampled at the start of every period, shape [PERIODS, batch, n]."""
     t = torch.arange(PERIODS, dtype=torch.float64)[:, None, None] / PERIODS
     phase = math.pi * _random(seed, batch, len(size))
     return single(size * torch.sin(2 * math.pi * t + phase))
@@ -108,7 +108,7 @@ def double_pendulum() -> Case:
 
 @cache
 def arm7() -> Case:
-    """A seven-joint arm that is held against gravity where it begins, and waved about."""
+    """A seven-joint arm that is held against gravity where it starts, and waved about."""
     robot = torchdq.robots.load("panda")
     ready = torch.tensor([0.0, -0.8, 0.0, -2.4, 0.0, 1.6, 0.8], dtype=torch.float64)
     q, qd = single(ready + 0.3 * _random(2, 4, 7)), single(0.25 * _random(3, 4, 7))
@@ -130,7 +130,7 @@ def arm7() -> Case:
 
 @cache
 def servo() -> Case:
-    """The same arm pulled to a target by servos whose time constants are far below those of the motion."""
+    """Seven-joint arm pulled to a target by servos whose time constants are far below those of the motion."""
     arm = arm7()
     rate = 128.0  # natural frequency of every joint alone [1/s]
     inertia = torchdq.mass_matrix(arm.robot, arm.q.mean(0), backend="eager").diagonal()
@@ -184,7 +184,7 @@ def chain42() -> Case:
     """A chain of 42 joints."""
     robot = chain(42)
     q, qd = single(0.3 * _random(6, 2, 42)), single(0.3 * _random(7, 2, 42))
-    # what the beginning takes, and a little more: light links at the end answer quickly
+    # torques that hold the initial state, and a little more: light links at the end answer quickly
     held = torchdq.inverse_dynamics(robot, q, qd, backend="eager")
     torque = single(held + _waves(8, 2, torch.full((42,), 0.01, dtype=torch.float64)))
     return Case(

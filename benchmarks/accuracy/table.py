@@ -1,4 +1,4 @@
-"""What the results advise, from the JSON alone: the table of the README, dominated settings, crossovers."""
+"""Advice from the results, from the JSON alone: the table of the README, dominated settings, crossovers."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from accuracy import fits
 Results = dict[str, Any]
 NEEDS = (("rollouts for reinforcement learning", 1e-3), ("learning and MPC", 1e-6), ("verification", 1e-10))
 STIFF = 1e-2  # error asked of the scene with stiff servos
+UNTRIED = ("nothing that was tried", "", "", "")  # cells of a need that no setting meets
 
 
 def usable(scene: dict[str, Any]) -> list[fits.Point]:
@@ -72,7 +73,7 @@ def _gradient(results: Results, precision: str) -> str:
 def _trajectory(need: str, scene: dict[str, Any] | None, error: float, results: Results) -> tuple[str, ...]:
     best = cheapest(scene, error) if scene else None
     if scene is None or best is None:
-        return need, "nothing that was tried", "", "", ""
+        return need, *UNTRIED
     return (
         need,
         called(best, scene["horizon"]),
@@ -89,7 +90,7 @@ def _energy(results: Results) -> tuple[str, ...]:
     # width must not be mistaken for a drift, which is why the drift is compared with it
     banded = [r for r in rows if abs(r["drift"]) < 0.01 * r["largest"]]
     if not banded:
-        return need, "nothing that was tried", "", "", ""
+        return need, *UNTRIED
     best = min(banded, key=lambda r: r["largest"])
     return (
         need,
@@ -105,7 +106,7 @@ def _forward(results: Results) -> tuple[str, ...]:
     # float32 in and out: how it is computed inside is the choice
     tried = [p for p in points if p["method"] in ("mixed", "float32, auto") and p["n"] == 42 and p.get("nanoseconds")]
     if not tried:
-        return need, "nothing that was tried", "", "", ""
+        return need, *UNTRIED
     best = min(tried, key=lambda p: p["nanoseconds"])
     use = 'float32, `precision="double"`' if best["method"] == "mixed" else 'float32, `precision="auto"`'
     worst = max(p["error_max"] for p in points if p["method"] == best["method"])
@@ -135,14 +136,14 @@ def dominated(results: Results) -> list[str]:
 
 
 def crossovers(results: Results) -> list[str]:
-    """Where along the front of a scene one setting takes over from another, in words."""
+    """Errors on the front of a scene below which another setting takes over, in words."""
     found = []
     for scene in results.get("trajectories", ()):
         for before, after in pairwise(fits.thinned(front(scene))):
             a, b = _setting(before), _setting(after)
             if a == b:
                 continue
-            # whether the one before would get as far, if slower
+            # true if the one before would get as far, but slower
             reaches = any(_setting(p) == a and p["error_max"] <= after["error_max"] for p in usable(scene))
             why = f"is cheaper than {a}" if reaches else f"takes over from {a}, which does not get there"
             found.append(f"{scene['scene']}: below {before['error_max']:.0e}, {b} {why}")

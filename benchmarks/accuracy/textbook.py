@@ -54,7 +54,7 @@ def position(x: Array) -> Array:
 class Textbook:
     """A chain or tree of revolute joints."""
 
-    def __init__(self, robot: Robot, gravity: Any = None, forces: Forces = no_forces):
+    def __init__(self, robot: Robot, gravity: Any, forces: Forces = no_forces):
         assert all(kind == "revolute" for kind in robot.kinds) and robot.armature is None
         known = exact(robot)
         self.parents, self.n, self.forces = robot.parents, robot.n, forces

@@ -14,11 +14,11 @@ from accuracy.methods import (
     INTEGRATORS,
     PRECISIONS,
     adaptive,
-    beginning,
     compiled,
     dtype_of,
     eager,
     flown,
+    initial,
     program_of,
     stepper,
 )
@@ -69,14 +69,24 @@ def measured(case: Case, truth: references.Truth, quick: bool) -> dict[str, Any]
     }
 
 
-def _errors(found: torch.Tensor, truth: references.Truth) -> dict[str, Any]:
-    errors = references.distance(found.numpy().astype(LONG), truth.state)
-    worst = float(errors.max())
+def _point(
+    integrator: str,
+    precision: str,
+    steps: int,
+    size: float,
+    end: torch.Tensor,
+    truth: references.Truth,
+    each: Time | None,
+) -> fits.Point:
+    """Error of a state at the horizon and the time to it, as many times that of each step, if it is known."""
     return {
-        "error_max": worst,
-        "error_median": float(np.median(errors)),
-        "floor": truth.floor,
-        "measured": worst > truth.floor,
+        "integrator": integrator,
+        "precision": precision,
+        "steps": steps,
+        "size": size,
+        **fits.judged(fits.relative(end.numpy().astype(LONG), truth.state), truth.floor),
+        **{name: each and steps * getattr(each, name) for name in ("nanoseconds", "low", "high")},
+        "per_step": each and each.nanoseconds,
     }
 
 
@@ -88,28 +98,16 @@ def _ladder(
     deepest = 6 if not timed else 10 if quick else 12
     if timed and (integrator, precision) == ("RungeKutta4", "float64"):
         deepest += 2  # where its plateau begins
-    halvings = range(1, deepest)
     curve = []
-    for steps in (PERIODS * 2**k for k in halvings):
+    for steps in (PERIODS * 2**k for k in range(1, deepest)):
         end = flown(case, integrator, precision, steps, compiled if timed else eager)
-        whole = once and once.times(steps)
-        curve.append(
-            {
-                "integrator": integrator,
-                "precision": precision,
-                "steps": steps,
-                "size": case.horizon / steps,
-                **_errors(end, truth),
-                **_spread(whole),
-                "per_step": once.nanoseconds if once else None,
-            }
-        )
+        curve.append(_point(integrator, precision, steps, case.horizon / steps, end, truth, once))
     return curve
 
 
 def _step_time(case: Case, integrator: str, precision: str) -> Time:
     """Time of a step of one robot in a large batch; it does not depend on the step's size."""
-    state, torques, others = beginning(case, precision, BATCH)
+    state, torques, others = initial(case, precision, BATCH)
     h = torch.tensor([case.horizon / 1024], dtype=dtype_of(precision))
     step = stepper(program_of(case, integrator, precision), precision, [*others, h])
     return clock(lambda: step(state, torques[0]), BATCH)
@@ -120,33 +118,13 @@ def _tolerances(case: Case, precision: str, truth: references.Truth, quick: bool
     # below a hundred times the rounding of the state a tolerance has no meaning
     tolerances = [t for t in TOLERANCES if t > 100 * torch.finfo(dtype_of(precision)).eps]
     # an evaluation costs the same at every tolerance, and what the loosest one takes in all says how much
-    call, asked = adaptive(case, precision, tolerances[0], BATCH)
-    whole = clock(call, BATCH, repeats=5 if quick else 20)
-    each = whole.times(1 / asked[-1])
+    call = adaptive(case, precision, tolerances[0], BATCH)
+    each = clock(call, BATCH, repeats=5 if quick else 20).times(1 / call()[1])
     curve = []
     for rtol in tolerances[:: 2 if quick else 1]:
-        end, evaluations = adaptive(case, precision, rtol)
-        errors = _errors(end(), truth)
-        time = each.times(evaluations[-1])
-        curve.append(
-            {
-                "integrator": DORMAND_PRINCE,
-                "precision": precision,
-                "steps": evaluations[-1],
-                "size": rtol,
-                **errors,
-                **_spread(time),
-                "per_step": each.nanoseconds,
-            }
-        )
+        end, evaluations = adaptive(case, precision, rtol)()
+        curve.append(_point(DORMAND_PRINCE, precision, evaluations, rtol, end, truth, each))
     return [p for p in curve if np.isfinite(p["error_max"])]
-
-
-def _spread(time: Time | None) -> dict[str, float | None]:
-    """Median and quartiles, or that there are none."""
-    if time is None:
-        return {"nanoseconds": None, "low": None, "high": None}
-    return {"nanoseconds": time.nanoseconds, "low": time.low, "high": time.high}
 
 
 def _fitted(

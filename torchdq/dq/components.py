@@ -3,16 +3,8 @@
 import torch
 from torch import Tensor
 
-from torchdq.errors import ArgumentError, DtypeError
-
-
-def floating(name: str, x: Tensor) -> Tensor:
-    """Tensor x; raises unless it is one of floating-point numbers."""
-    if not isinstance(x, Tensor):
-        raise ArgumentError(f"{name} must be a tensor, found {type(x).__name__}")
-    if not x.dtype.is_floating_point:
-        raise DtypeError(f"{name} must be a floating tensor, found {x.dtype}; convert it, e.g. {name}.double()")
-    return x
+from torchdq.checks import floating
+from torchdq.errors import ArgumentError
 
 
 def require_square(name: str, x: Tensor, size: int) -> None:

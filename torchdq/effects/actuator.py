@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from torchdq.algebra.quaternion import Number
-from torchdq.effects.effect import Effect, Late, Parameter, Row, Shapes, unbounded
+from torchdq.dynamics.posed import Row
+from torchdq.effects.effect import Effect, Late, Parameter, Shapes, unbounded
 from torchdq.numbers.functions import clip, exp, floor, maximum
 
 
@@ -18,7 +19,7 @@ class Actuator(Effect):
     SLOT: ClassVar[str] = "actuator"
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
-        """Torques behind it, and its memory."""
+        """Torques behind the actuator, and its memory after the step."""
         raise NotImplementedError
 
 

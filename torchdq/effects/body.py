@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, NamedTuple, Self
 
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
-from torchdq.algebra.quaternion import Number, Pure
+from torchdq.algebra.quaternion import Pure
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics.posed import Point, Posed
 from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, on_a_link
@@ -24,11 +24,6 @@ class Bodies(NamedTuple):
     robot: Robot
     posed: Posed
     V: Sequence[Screw]  # twists of the links
-
-    @classmethod
-    def moving(cls, robot: Robot, posed: Posed, qd: Sequence[Number]) -> Bodies:
-        """Links at the velocities qd of the joints."""
-        return cls(robot, posed, posed.twists(qd))
 
     def frame(self, name: str) -> tuple[int, Point]:
         """Link that a frame is fixed to, and the frame's origin and axes on it."""

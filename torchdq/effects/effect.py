@@ -20,12 +20,12 @@ import torch
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
+from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 from torchdq.robot.robot import arguments
 
-Row = Sequence[Number]
 Inputs = Mapping[str, Row]  # by name, given at a step
 Parameter = Any  # a number, a sequence of numbers, a tensor, or None: as described; while recording: a row of numbers
 Shapes = Mapping[str, tuple[int | str, ...]]  # trailing axes by name, "n" being the number of joints
@@ -152,7 +152,7 @@ class Late(Effect):
     steps: int
 
     def described(self, robot: Robot) -> Self:
-        """Itself; raises if the number of steps is not a positive integer."""
+        """Effect as it is; raises if the number of steps is not a positive integer."""
         if not isinstance(self.steps, int) or self.steps < 1:
             raise ArgumentError(f"steps of {type(self).__name__} must be a whole number from 1, found {self.steps!r}")
         return self

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 from torchdq.algebra.quaternion import Number
-from torchdq.effects.effect import Effect, Inputs, Parameter, Row, Shapes, unbounded
+from torchdq.dynamics.posed import Row
+from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, unbounded
 from torchdq.numbers.functions import absolute, at_least, maximum, minimum, sqrt
 
 TOUCHING = 2.0**-126  # smallest normal number of float32: a limit acts from this force on [N m or N]
@@ -62,7 +63,7 @@ class Viscous(JointEffect):
     coefficient: Parameter = None
 
     def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
-        """D = d."""
+        """Impedances with D = d."""
         return [Impedance(d) for d in self.coefficient]
 
 
@@ -88,7 +89,7 @@ class Coulomb(JointEffect):
     width: Parameter = 1e-2
 
     def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
-        """D = level / sqrt(qd^2 + width^2)."""
+        """Impedances with D = level / sqrt(qd^2 + width^2)."""
         return [Impedance(_over_speed(level, v, self.width)) for level, v in zip(self.level, qd, strict=True)]
 
 
@@ -116,7 +117,7 @@ class Stribeck(JointEffect):
     width: Parameter = 1e-2
 
     def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
-        """D = level(qd) / sqrt(qd^2 + width^2)."""
+        """Impedances with D = level(qd) / sqrt(qd^2 + width^2)."""
         result = []
         for c, s, v_s, v in zip(self.coulomb, self.static, self.velocity, qd, strict=True):
             ratio = v / v_s
@@ -140,7 +141,7 @@ class Spring(JointEffect):
     rest: Parameter = 0.0
 
     def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
-        """f = k (q - rest)."""
+        """Impedances with f = k (q - rest)."""
         return [spring(k, x - r) for k, r, x in zip(self.stiffness, self.rest, q, strict=True)]
 
 
@@ -165,7 +166,7 @@ class Servo(JointEffect):
         return {"target": n}
 
     def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
-        """D = kd, f = kp (q - target)."""
+        """Impedances with D = kd, f = kp (q - target)."""
         return [spring(k, x - r, d) for k, d, r, x in zip(self.kp, self.kd, inputs["target"], q, strict=True)]
 
 
@@ -193,7 +194,7 @@ class Limits(JointEffect):
     dissipation: Parameter = 1.0
 
     def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
-        """f = k e with the signed distance e beyond a limit, K = k where e is not 0, D = c |f| where e grows."""
+        """Impedances with f = k e, e the signed distance beyond a limit; K = k for e not 0, D = c |f| while e grows."""
         result = []
         for x, v, low, high, k, c in zip(q, qd, self.lower, self.upper, self.stiffness, self.dissipation, strict=True):
             above_low = x if unbounded(low) else maximum(x, low)
@@ -209,5 +210,5 @@ class Limits(JointEffect):
 
 
 def _over_speed(level: Number, v: Number, width: Number) -> Number:
-    """level / sqrt(v^2 + width^2)."""
+    """Quotient level / sqrt(v^2 + width^2)."""
     return level / sqrt(v * v + width * width)

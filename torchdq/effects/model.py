@@ -48,7 +48,7 @@ class Gravity(ModelEffect):
         return replace(found, acceleration=GRAVITY) if found.acceleration is None else found
 
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
-        """Its acceleration."""
+        """Gravity of the robot: this acceleration."""
         return {"gravity": self.acceleration}
 
 
@@ -67,7 +67,9 @@ class RotorInertia(ModelEffect):
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
         """Rotor inertia, added to that of earlier effects."""
         before = overrides.get("armature")
-        return {"armature": self.inertia if before is None else tuple(_sums(before, self.inertia))}
+        if before is None:
+            return {"armature": self.inertia}
+        return {"armature": tuple(a + b for a, b in zip(before, self.inertia, strict=True))}
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,7 @@ class MassScale(ModelEffect):
     factor: Parameter
 
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
-        """Masses and inertias, scaled."""
+        """Masses and inertias of the links times their factors."""
         mass, inertia = field(robot, "mass", overrides), field(robot, "inertia", overrides)
         return {
             "mass": [k * m for k, m in zip(self.factor, mass, strict=True)],
@@ -129,8 +131,3 @@ class MassScale(ModelEffect):
 def flat(rows: Sequence[Sequence[Number]]) -> list[Number]:
     """Rows one after the other."""
     return [x for row in rows for x in row]
-
-
-def _sums(a: Sequence[Number], b: Sequence[Number]) -> list[Number]:
-    """Sums of two rows, entry by entry."""
-    return [x + y for x, y in zip(a, b, strict=True)]

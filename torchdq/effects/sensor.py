@@ -9,8 +9,9 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
+from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import rounded
-from torchdq.effects.effect import Effect, Late, Parameter, Row, Shapes
+from torchdq.effects.effect import Effect, Late, Parameter, Shapes
 from torchdq.numbers.functions import log, sqrt
 
 
@@ -21,7 +22,7 @@ class Sensor(Effect):
     SLOT: ClassVar[str] = "sensor"
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
-        """Readings behind it, and its memory."""
+        """Readings behind the sensor, and its memory after the step."""
         raise NotImplementedError
 
 
@@ -39,7 +40,7 @@ class Noise(Sensor):
     velocity: Parameter = 0.0
 
     def noises(self, n: int) -> int:
-        """Two for every joint, which make two independent normal ones."""
+        """Number of random numbers: two for every joint, which make two independent normal ones."""
         return 2 * n
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 from torchdq.algebra.quaternion import Number
-from torchdq.effects.effect import Effect, Parameter, Row, Shapes
+from torchdq.dynamics.posed import Row
+from torchdq.effects.effect import Effect, Parameter, Shapes
 
 
 class Eliminated(NamedTuple):
@@ -76,7 +77,7 @@ class Elastic(Transmission):
         return 2 * n
 
     def start(self, q: Row, qd: Row) -> Row:
-        """The joints' own: the springs are relaxed."""
+        """Position and velocity of every rotor: those of its joint, so that its spring is relaxed."""
         return (*q, *qd)
 
     def extended(self, q: Row, qd: Row, memory: Row) -> tuple[Row, Row]:
@@ -85,7 +86,7 @@ class Elastic(Transmission):
         return (*q, *memory[:n]), (*qd, *memory[n:])
 
     def torques(self, u: Row, x: Row, v: Row) -> Row:
-        """t = k (th - q) + d (thd - qd)."""
+        """Torques of the springs and dampers, t = k (th - q) + d (thd - qd)."""
         n = len(u)
         return [
             k * (x[n + i] - x[i]) + d * (v[n + i] - v[i])
@@ -93,11 +94,11 @@ class Elastic(Transmission):
         ]
 
     def accelerations(self, u: Row, passed: Row) -> Row:
-        """thd' = (u - t) / J."""
+        """Accelerations of the rotors, thd' = (u - t) / J."""
         return [(u_i - t) / J for u_i, t, J in zip(u, passed, self.inertia, strict=True)]
 
     def eliminated(self, u: Row, x: Row, v: Row, h: Number) -> Eliminated:
-        """Spring and damper act on the end of the step, where a rotor turns at w' = (b + s qd') / a.
+        """Equations of the joints, whose springs act on the end of a step, where a rotor turns at w' = (b + s qd') / a.
 
         s = h (d + h k),   a = J + s,   b = J w + h (u - k (th - q));   t = k (th - q) + (s/h) (w' - qd')
         """

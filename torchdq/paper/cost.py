@@ -18,7 +18,6 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import Inertia
 from torchdq.dynamics.joints import KINDS, Coordinate
 from torchdq.dynamics.paper import kinematics, rnea
-from torchdq.dynamics.paper.posed import STILL
 from torchdq.dynamics.tree import Tree, on_base
 from torchdq.numbers.count import Cost, cost, dense, executed
 from torchdq.paper import homogeneous, printed
@@ -93,7 +92,7 @@ def dqrnea_as_printed(n: int, full: bool = False) -> Cost:
     """Cost of Algorithm 1 with the operators (34) to (36) as printed; `full`: no zero is known as one."""
     robot, tip = chain(n)
     Ad_tip = screw.columns(tip)
-    still = STILL
+    still = screw.ZERO
     if full:
         robot, Ad_tip, still = _all_counted(robot), dense(Ad_tip), dense(still)
     return _running(lambda: printed.rnea(robot, coordinates(n), several(n), several(n), Ad_tip, motion(), still))

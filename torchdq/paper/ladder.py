@@ -22,7 +22,6 @@ from torchdq.backends.choice import choose
 from torchdq.backends.run import run
 from torchdq.dynamics.aligned import rnea
 from torchdq.dynamics.aligned.placement import Steps
-from torchdq.dynamics.paper.posed import STILL
 from torchdq.dynamics.tree import Tree
 from torchdq.paper import cost, printed
 from torchdq.paper.tables import markdown
@@ -60,7 +59,7 @@ def aligned_frames(robot: Robot, q: Row, qd: Row, qdd: Row) -> list[Number]:
     """Recursion of Algorithm 1 in frames whose z axes are the joint axes: Ad by elementary screws."""
     at = posed.aligned(robot, q, {}, group=False)
     tree, steps = at.tree, at.steps
-    V: list[Any] = [STILL]
+    V: list[Any] = [screw.ZERO]
     A: list[Any] = [rnea.base_motion(None, tree.gravity, None, None).A]
     for i, (rate, change) in enumerate(zip(tree.rates(qd)[1:], tree.rates(qdd)[1:], strict=True), 1):
         step, parent = steps[i], tree.links[i].parent

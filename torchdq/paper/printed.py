@@ -10,7 +10,6 @@ from torchdq.algebra.inertia import Inertia
 from torchdq.algebra.quaternion import Number, Pure, Quaternion
 from torchdq.algebra.screw import Adjoint, Screw
 from torchdq.dynamics.joints import Coordinate
-from torchdq.dynamics.paper.posed import STILL
 from torchdq.dynamics.tree import Tree
 
 Row = Sequence[Number]
@@ -95,7 +94,7 @@ def rnea(
     qdd: Row,
     tip: Adjoint | None = None,
     f_tip: Screw | None = None,
-    still: Screw = STILL,
+    still: Screw = screw.ZERO,
 ) -> list[Number]:
     """Algorithm 1 line by line, corrected, on a chain with frames at the centres of mass; no line is shortened.
 
