@@ -1181,7 +1181,7 @@ MUTANTS = (
         ("minus one folded as one", "return self if other > 0 else -self", "return self", SIGNS),
         (
             "a division by a constant folded as a product",
-            "return self * (1.0 / other)",
+            "return self * (1.0 / _constant(other))",
             "return self * other",
             f"{PROGRAMS}::test_replay_in_exact_arithmetic_is_the_function_itself",
         ),

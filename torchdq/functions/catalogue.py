@@ -79,7 +79,7 @@ def inverse_dynamics(x: RecipeInputs) -> Results:
 
 def computed_torque(x: RecipeInputs, *single: str) -> Results:
     """Torques tau of the desired acceleration, errors fed back; gains in `single` are one number for all joints."""
-    given = {name: row * x.robot.n if name in single else row for name, row in x.arguments.items()}
+    given = {name: tuple(row) * x.robot.n if name in single else row for name, row in x.arguments.items()}
     q, qd, q_des, qd_des, qdd_des, kp, kd = (given[name] for name in TRACKING)
     columns = zip(q, qd, q_des, qd_des, qdd_des, kp, kd, strict=True)
     a = [qdd_d + d * (qd_d - qd_i) + p * (q_d - q_i) for q_i, qd_i, q_d, qd_d, qdd_d, p, d in columns]  # (75)-(78)
