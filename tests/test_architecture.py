@@ -166,9 +166,10 @@ def test_the_lowest_floors_need_no_library(module):
 
 
 @pytest.mark.parametrize("module", [name for name in FILES if any(within(name, package) for package in NUMBER_GENERIC)])
-def test_the_lowest_floors_import_only_each_other(module):
+def test_the_lowest_floors_import_only_each_other_and_errors(module):
     inside = [other for other in imports_of(TREES[module]) if within(other, "torchdq")]
-    assert [other for other in inside if not any(within(other, package) for package in NUMBER_GENERIC)] == []
+    known = (*NUMBER_GENERIC, "torchdq.errors")
+    assert [other for other in inside if not any(within(other, package) for package in known)] == []
 
 
 def test_importing_the_package_imports_nothing_heavy_but_torch():

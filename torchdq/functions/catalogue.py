@@ -34,7 +34,7 @@ LONG = 9  # number of joints from which an O(n) candidate is recorded
 VERY_LONG = 64  # number of joints from which only the O(n) candidate is recorded
 
 Results = dict[str, Sequence[Value | None]]
-Candidate = TypeVar("Candidate")
+Alternative = TypeVar("Alternative")
 
 
 class RecipeInputs(NamedTuple):
@@ -190,7 +190,7 @@ def _six(s: Screw | None) -> tuple[Number | None, ...]:
 Axes = tuple[int | str, ...]  # trailing axes, "n" being the number of joints
 
 
-def worth_recording(n: int, known: Sequence[Candidate]) -> Sequence[Candidate]:
+def worth_recording(n: int, known: Sequence[Alternative]) -> Sequence[Alternative]:
     """Candidates to record: the dense one below 9 joints, both below 64, then only the O(n) one."""
     return known[:1] if n < LONG else known if n < VERY_LONG else known[-1:]
 
