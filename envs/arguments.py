@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from gymnasium.vector import AutoresetMode
 
@@ -17,18 +15,6 @@ from torchdq.robot.robot import SHAPES
 from torchdq.robot.shipped import ROBOTS, load
 
 TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track()}
-
-
-def check_choice(name: str, value: Any, known: Sequence[Any]) -> None:
-    """Raise if a value is not among the known ones."""
-    if value not in known:
-        raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}, found {value!r}")
-
-
-def check_number(name: str, value: Any) -> None:
-    """Raise if a value is not a whole number from 1."""
-    if not isinstance(value, int) or value < 1:
-        raise ArgumentError(f"{name} must be a whole number from 1, found {value!r}")
 
 
 def autoreset_of(mode: AutoresetMode | str) -> AutoresetMode:

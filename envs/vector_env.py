@@ -27,9 +27,10 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
+from torchdq.checks import require_choice, require_count
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, full
-from torchdq.envs.arguments import autoreset_of, check_choice, check_number, check_scene, robot_of, task_of
+from torchdq.envs.arguments import autoreset_of, check_scene, robot_of, task_of
 from torchdq.envs.controllers import ComputedTorque, Controller
 from torchdq.envs.defaults import nominal, usual
 from torchdq.envs.integrators import Integrator, LinearlyImplicit
@@ -120,14 +121,14 @@ class ArmVectorEnv(VectorEnv):
         render_mode: Literal["rgb_array", "human"] | None = None,
         backend: BackendName | None = None,
     ) -> None:
-        check_number("num_envs", num_envs)
+        require_count("num_envs", num_envs)
         if max_episode_steps is not None:
-            check_number("max_episode_steps", max_episode_steps)
+            require_count("max_episode_steps", max_episode_steps)
         if dtype not in DTYPES:
             raise DtypeError(f"dtype must be torch.float32 or torch.float64, found {dtype}")
-        check_choice("action", action, get_args(Kind))
-        check_choice("output", output, ("torch", "numpy"))
-        check_choice("render_mode", render_mode, (None, "rgb_array", "human"))
+        require_choice("action", action, get_args(Kind))
+        require_choice("output", output, ("torch", "numpy"))
+        require_choice("render_mode", render_mode, (None, "rgb_array", "human"))
         self.num_envs, self.max_episode_steps, self.output = num_envs, max_episode_steps, output
         self.task, self.robot = task_of(task), robot_of(robot)
         self.dtype, self.device = dtype, torch.device(device)

@@ -35,13 +35,11 @@ from torchdq.backends.precision import Guarded, unguarded
 from torchdq.backends.run import run
 from torchdq.backends.torch import EAGER
 from torchdq.caches import LAYOUTS, Bounded
-from torchdq.checks import require_tensor
+from torchdq.checks import DTYPES, require_tensor
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program.autograd import in_a_graph, named, operator
 from torchdq.program.program import Argument, Program
 from torchdq.program.transforms import with_values
-
-DTYPES = (torch.float32, torch.float64)  # supported for inputs, parameters and programs
 
 Shape = tuple[int, ...]
 Tensors = Mapping[str, Tensor | None]  # by name; None: absent

@@ -1,10 +1,17 @@
-"""Checks of tensors that every public function shares."""
+"""Checks of arguments that every public function shares: the error names the argument, and what was found."""
 
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
 from typing import Any
 
+import torch
 from torch import Tensor
 
-from torchdq.errors import ArgumentError, DtypeError
+from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
+
+DTYPES = (torch.float32, torch.float64)  # of inputs, parameters and programs
 
 
 def require_tensor(name: str, x: Any) -> None:
@@ -19,3 +26,42 @@ def floating(name: str, x: Any) -> Tensor:
     if not x.dtype.is_floating_point:
         raise DtypeError(f"{name} must be a floating tensor, found {x.dtype}; convert it, e.g. {name}.double()")
     return x
+
+
+def require_choice(name: str, x: Any, known: Sequence[Any]) -> None:
+    """Raise unless x is among the known values."""
+    if not any(x is value or (isinstance(x, type(value)) and x == value) for value in known):
+        raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}, found {x!r}")
+
+
+def require_count(name: str, x: Any) -> None:
+    """Raise unless x is a whole number from 1."""
+    if not isinstance(x, int) or isinstance(x, bool) or x < 1:
+        raise ArgumentError(f"{name} must be a whole number from 1, found {x!r}")
+
+
+def require_number(name: str, x: Any, positive: bool = False) -> None:
+    """Raise unless x is a finite number, and greater than zero if `positive`."""
+    if not isinstance(x, float | int) or isinstance(x, bool) or not math.isfinite(x) or (positive and x <= 0):
+        raise ArgumentError(f"{name} must be a {'positive' if positive else 'finite'} number, found {x!r}")
+
+
+def names_of(name: str, x: Any, known: Iterable[str], kind: str) -> tuple[str, ...]:
+    """Names in a string or a sequence of strings; raises unless all of them are known."""
+    known = tuple(known)
+    if isinstance(x, str):
+        x = (x,)
+    if not isinstance(x, Sequence) or not all(isinstance(one, str) for one in x):
+        raise ArgumentError(f"{name} must be a name or a sequence of names, found {x!r}; known: {', '.join(known)}")
+    for one in x:
+        if one not in known:
+            raise UnknownNameError(kind, one, known)
+    return tuple(x)
+
+
+def dtype_of(name: str, x: Any) -> torch.dtype:
+    """Dtype of the package, by itself or by its name in torch or numpy."""
+    found = getattr(torch, x, x) if isinstance(x, str) else getattr(torch, getattr(x, "__name__", ""), x)
+    if found not in DTYPES:
+        raise DtypeError(f"{name} must be torch.float32 or torch.float64, found {x!r}")
+    return found

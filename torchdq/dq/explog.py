@@ -19,7 +19,8 @@ from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.backends.choice import BackendName
 from torchdq.caches import remembered
-from torchdq.call import DTYPES, Computation, evaluate
+from torchdq.call import Computation, evaluate
+from torchdq.checks import DTYPES
 from torchdq.numbers.functions import absolute, arctangent, at_least, below, maximum, minimum, polynomial, select, sqrt
 from torchdq.program.program import Argument, Program, record
 

@@ -13,7 +13,8 @@ from torch import Tensor
 from torchdq.backends.c_source import source
 from torchdq.backends.choice import choose
 from torchdq.backends.precision import kernel
-from torchdq.call import DTYPES, Computation, evaluate
+from torchdq.call import Computation, evaluate
+from torchdq.checks import DTYPES
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 from torchdq.functions.catalogue import RECIPES, Function
 from torchdq.program.autograd import vjp

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from torchdq.algebra.inertia import Inertia, six
 from torchdq.caches import PROGRAMS, remembered
-from torchdq.call import DTYPES
+from torchdq.checks import DTYPES
 from torchdq.dynamics.joints import KINDS, Helical, Prismatic, Revolute
 from torchdq.dynamics.tree import BASE, Tree, on_base
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError

@@ -1,0 +1,48 @@
+"""Lines on stderr about work that takes long, so that nobody waits without knowing for what."""
+
+from __future__ import annotations
+
+import sys
+import threading
+import time
+from types import TracebackType
+from typing import Self
+
+FIRST = 2.0  # time from which work is announced [s]
+EVERY = 5.0  # time between two lines [s]
+
+
+class Notice:
+    """Context that writes what is being done, and how far it is, after 2 s and then every 5 s.
+
+    Nothing is written about work that ends before. The lines come from a thread of their own, so they also come while
+    another program or a long operation runs; KeyboardInterrupt ends the work as always.
+
+    >>> with Notice("counting") as notice:
+    ...     for k in range(3):
+    ...         notice.at(f"{k} of 3")
+    """
+
+    def __init__(self, what: str):
+        self.what, self.where = what, ""
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._write, daemon=True)
+
+    def at(self, where: str) -> None:
+        """State how far the work is, for the next line."""
+        self.where = where
+
+    def _write(self) -> None:
+        start, pause = time.monotonic(), FIRST
+        while not self._ended.wait(pause):
+            pause = EVERY
+            parts = (self.what, self.where, f"{time.monotonic() - start:.0f} s")
+            sys.stderr.write(f"torchdq: {', '.join(part for part in parts if part)} ...\n")
+            sys.stderr.flush()
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._ended.set()
