@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 
-DTYPES = (torch.float32, torch.float64)  # of inputs, parameters and programs
+DTYPES = (torch.float32, torch.float64)  # supported for inputs, parameters and programs
 
 
 def require_tensor(name: str, x: Any) -> None:
