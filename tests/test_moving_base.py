@@ -220,20 +220,21 @@ def test_jacobians_and_poses_equal_pinocchios(robot, form, world):
     J = stack([[0.0] * 6 if c is None else [*c[0], *c[1]] for c in J], (B,)).numpy()
     reference = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED if world else pin.ReferenceFrame.LOCAL
     frame = m.model.getFrameId("tool")
-    X = dq.mul(at.poses()[i], X_BT)
-    matrices = torchdq.dq.to_matrix(torch.stack(torch.broadcast_tensors(*X[0], *X[1]), -1)).numpy()
+    poses = [at.poses(), *([at.poses_in_chain()] if form != "paper" else [])]
+    placed = [torchdq.dq.to_matrix(stack([*p, *d], (B,))).numpy() for p, d in (dq.mul(X[i], X_BT) for X in poses)]
     for k in range(B):
         expected = pin.computeFrameJacobian(m.model, data, m.q[k], frame, reference)
         expected = np.concatenate([expected[3:], expected[:3]])
         assert abs(to_pinocchio(m, J[k].T) - expected).max() <= 1e-12 * max(1.0, abs(expected).max())
         pin.framesForwardKinematics(m.model, data, m.q[k])
-        assert abs(matrices[k] - data.oMf[frame].homogeneous).max() <= 1e-11
+        for matrices in placed:
+            assert abs(matrices[k] - data.oMf[frame].homogeneous).max() <= 1e-11
 
 
 @EVERY
 def test_poses_by_screws_in_the_base_frame_are_those_by_elementary_screws(robot):
     at = moving(*robot).aligned
-    for found, expected in zip(at.poses_from_base(), at.poses(), strict=True):
+    for found, expected in zip(at.poses_from_base(), at.poses_in_chain(), strict=True):
         pair = (dq.mul(found.motion, found.home), expected)  # which may differ in their sign
         found, expected = (torchdq.dq.to_matrix(stack([*p, *d], (B,))) for p, d in pair)
         assert (found - expected).abs().max() <= 1e-12
