@@ -10,6 +10,7 @@ import importlib.resources
 import inspect
 import io
 import os
+import pydoc
 import re
 import subprocess
 import sys
@@ -59,6 +60,7 @@ FLOORS = {
 # storeys of the one package that has several: the sources of a description, the robot, the shipped robots
 STOREYS = {
     "torchdq.robot.robot": 1,
+    "torchdq.robot.argument": 2,
     "torchdq.robot.mdh": 2,
     "torchdq.robot.posed": 3,
     "torchdq.robot": 4,
@@ -247,7 +249,7 @@ def test_the_package_offers_all_its_errors():
         for name, value in vars(importlib.import_module("torchdq.errors")).items()
         if isinstance(value, type) and issubclass(value, Exception)
     }
-    assert errors - set(torchdq.__all__) == set()
+    assert errors - set(dir(torchdq)) == set()
 
 
 @MODULES
@@ -493,3 +495,41 @@ def test_mypy_has_nothing_to_say(tmp_path):
     (tmp_path / "torchdq" / "envs").symlink_to(ENVS)
     options = ("--config-file", str(ROOT / "pyproject.toml"), "--cache-dir", str(tmp_path / "cache"))
     assert checked("mypy", *options, at=tmp_path) == ""
+
+
+# --- the front of the package ----------------------------------------------------------------------------------------
+
+
+def test_help_of_the_package_is_short_and_names_everything():
+    """With `__all__`, pydoc would print every class with all that it inherits: 5 800 lines."""
+    lines = pydoc.plain(pydoc.render_doc(torchdq)).splitlines()
+    assert len(lines) < 300
+    errors = {name for name in dir(torchdq) if name.endswith("Error")}
+    missing = [name for name in {*dir(torchdq)} - errors - {"__version__"} if name not in torchdq.__doc__]
+    assert missing == []
+
+
+def test_type_checkers_see_the_names_that_dir_lists():
+    blocks = [node.body for node in TREES["torchdq"].body if isinstance(node, ast.If)]
+    (exported,) = (node.value for body in blocks for node in body if isinstance(node, ast.Assign))
+    assert {*ast.literal_eval(exported)} == {*dir(torchdq)} - {"envs", "learning", "__version__"}
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("rnea", "inverse_dynamics"),
+        ("fk", "forward_kinematics"),
+        ("inverse_dynamic", "did you mean inverse_dynamics"),
+        ("Robots", "did you mean"),
+        ("xyzzy", "help(torchdq)"),
+    ],
+)
+def test_a_name_of_nothing_hints_at_one(name, hint):
+    with pytest.raises(AttributeError, match=re.escape(hint)):
+        getattr(torchdq, name)
+
+
+def test_subpackages_are_imported_on_first_use():
+    program = "import torchdq; assert 'Scene' in dir(torchdq.envs); assert 'identify' in dir(torchdq.learning)"
+    subprocess.run([sys.executable, "-c", program], check=True)

@@ -7,7 +7,9 @@ package's, name the argument, and say what was expected and what was found. A fu
 
 import inspect
 import re
+from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -72,7 +74,7 @@ def says(message, *parts):
 
 
 def test_every_public_function_is_listed_with_its_arguments():
-    public = {name for name in torchdq.__all__ if inspect.isfunction(getattr(torchdq, name))} - NOT_DYNAMICS
+    public = {name for name in dir(torchdq) if inspect.isfunction(getattr(torchdq, name))} - NOT_DYNAMICS
     listed = {key: {"robot", *names.split(), *rest} for key, (names, _, rest) in FUNCTIONS.items()}
     assert {key: set(inspect.signature(getattr(torchdq, key)).parameters) - {"backend"} for key in public} == listed
 
@@ -197,6 +199,44 @@ def test_the_robot_follows_the_device_of_the_inputs(key):
 def test_what_is_not_a_robot_is_named(key):
     message = objection(ArgumentError, key, tensors(key), robot=torch.zeros(3, N))
     assert says(message, "robot", "torchdq.Robot", "Tensor")
+
+
+MAKERS = {
+    "DQRNEA": lambda robot: torchdq.DQRNEA(robot),
+    "InverseDynamics": lambda robot: torchdq.InverseDynamics(robot, learn="mass"),
+    "ForwardDynamics": lambda robot: torchdq.ForwardDynamics(robot),
+    "ComputedTorque": lambda robot: torchdq.ComputedTorque(robot, 1.0, 1.0),
+    "compile": lambda robot: torchdq.compile(robot, "inverse_dynamics"),
+    "inverse_dynamics": lambda robot: torchdq.inverse_dynamics(robot, torch.zeros(N)),
+}
+
+
+@pytest.mark.parametrize("maker", MAKERS)
+@pytest.mark.parametrize(
+    ("wrong", "way"),
+    [("arm.urdf", "Robot.from_urdf"), (Path("arm.urdf"), "Robot.from_urdf"), (None, "from_dh")],
+    ids=str,
+)
+def test_what_is_made_of_no_robot_says_at_once_how_to_load_one(maker, wrong, way):
+    with pytest.raises(ArgumentError, match=re.escape(way)) as raised:
+        MAKERS[maker](wrong)
+    assert says(str(raised.value), "robot", "torchdq.Robot")
+
+
+def test_a_layer_in_the_place_of_a_robot_says_where_its_robot_is():
+    with pytest.raises(ArgumentError, match="DQRNEA holds one as its attribute `robot`"):
+        torchdq.ForwardDynamics(torchdq.DQRNEA(arm()))
+
+
+@pytest.mark.parametrize("dtype", ["float32", torch.float32, np.float32], ids=str)
+def test_a_dtype_may_be_given_by_its_name(dtype):
+    assert torchdq.compile(arm(), "mass_matrix", dtype=dtype).dtype == torch.float32
+
+
+@pytest.mark.parametrize("dtype", ["float16", "single precision", torch.int64, np.float16, 32, None], ids=str)
+def test_a_dtype_that_is_not_of_the_package_is_named(dtype):
+    with pytest.raises(DtypeError, match=r"dtype must be torch\.float32 or torch\.float64"):
+        torchdq.compile(arm(), "mass_matrix", dtype=dtype)
 
 
 # --- gains -----------------------------------------------------------------------------------------------------------

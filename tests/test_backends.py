@@ -618,6 +618,43 @@ def test_compiling_ahead_names_what_it_does_not_know():
         torchdq.compile(TWO, "inverse_dynamics")(random(4, 2), random(4, 3), random(4, 2))
 
 
+def test_compiled_functions_have_the_options_of_the_public_ones():
+    panda, q = torchdq.robots.load("panda"), random(4, 7)
+    whole = torchdq.compile(panda, "forward_kinematics")(q)
+    assert torch.equal(whole, torchdq.forward_kinematics(panda, q).flatten(-2))
+    J = torchdq.compile(panda, "jacobian", options="tip")(q)
+    assert torch.equal(J, torchdq.jacobian(panda, q, "tip").flatten(-2))
+    assert len(torchdq.compile(panda, "closed_form")(q, q)) == len(torchdq.closed_form(panda, q, q))
+
+
+@pytest.mark.parametrize(
+    ("function", "options", "expected"),
+    [
+        ("jacobian", (), "the name of a frame and 'body' or 'world'.*tip"),
+        ("jacobian", ("tip", "local"), "expressed must be 'body' or 'world'"),
+        ("jacobian", ("hand",), "did you mean"),
+        ("jacobian", ("tip", "body", "world"), "the name of a frame"),
+        ("forward_kinematics", ("hand",), "no frame"),
+        ("closed_form", ("hand",), "no frame"),
+        ("closed_form", ("tip", ""), "one frame or ''"),
+        ("computed_torque", ("ki",), "'kp' and 'kd'"),
+        ("inverse_dynamics", ("tip",), "has no options"),
+        ("inverse_dynamics", 3, "must be a sequence of names"),
+    ],
+)
+def test_options_that_mean_nothing_are_refused(function, options, expected):
+    with pytest.raises(torchdq.TorchdqError, match=expected):
+        torchdq.compile(torchdq.robots.load("panda"), function, options=options)
+
+
+def test_arguments_of_a_compiled_program_are_names_and_tensors():
+    assert [a.name for a in torchdq.compile(TWO, "inverse_dynamics", arguments="q").program.arguments] == ["q"]
+    with pytest.raises(ArgumentError, match="arguments must be a name or a sequence of names"):
+        torchdq.compile(TWO, "inverse_dynamics", arguments=[1, 2])
+    with pytest.raises(ArgumentError, match="q must be a tensor, found list"):
+        torchdq.compile(TWO, "inverse_dynamics")([1.0], 2, 3)
+
+
 # --- other processors ------------------------------------------------------------------------------------------------
 
 

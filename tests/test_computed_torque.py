@@ -308,3 +308,60 @@ def test_the_error_of_a_wrong_mass_grows_with_it_smoothly(run):
 def test_stiffer_gains_leave_less_of_a_wrong_mass(run):
     soft, stiff = (errors_of(run, row)[1][-1].abs().max() for row in ("1.1", "1.1 stiff"))
     assert stiff < 0.4 * soft
+
+
+# --- models that were trained, and friction --------------------------------------------------------------------------
+
+
+def rubbing(name="two_link"):
+    """Robot whose description has damping and friction."""
+    robot = torchdq.robots.load(name)
+    return robot.replace(damping=torch.full_like(robot.damping, 2.0), friction=torch.full_like(robot.friction, 0.7))
+
+
+def test_friction_of_the_description_is_compensated():
+    """The joints of a scene with that friction follow the desired acceleration."""
+    robot, (q, qd, q_des, qd_des, qdd_des) = rubbing(), random(5, 3, 2)
+    tau = torchdq.ComputedTorque(robot, 25.0, 10.0)(q, qd, q_des, qd_des, qdd_des)
+    friction = 2.0 * qd + 0.7 * qd / (qd.square() + 1e-4).sqrt()
+    found = torchdq.forward_dynamics(robot, q, qd, tau - friction)
+    assert torch.allclose(found, commanded(q, qd, q_des, qd_des, qdd_des, 25.0, 10.0), rtol=1e-11, atol=1e-11)
+    rigid = torchdq.ComputedTorque(robot, 25.0, 10.0, friction=False)(q, qd, q_des, qd_des, qdd_des)
+    assert torch.equal(rigid, torchdq.computed_torque(robot, q, qd, q_des, qd_des, qdd_des, 25.0, 10.0))
+
+
+def test_learned_friction_takes_the_place_of_that_of_the_description():
+    robot, state = rubbing(), random(5, 3, 2)
+    controller = torchdq.ComputedTorque(robot, 25.0, 10.0, learn="friction")
+    expected = torchdq.ComputedTorque(robot, 25.0, 10.0)(*state)
+    assert torch.allclose(controller(*state), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["layer", "residual"])
+def test_a_trained_model_is_taken_at_the_commanded_acceleration(kind):
+    q, qd, q_des, qd_des, qdd_des = random(5, 3, 2)
+    wrench = random(3, 6)
+    model = torchdq.DQRNEA(rubbing(), learn=("mass", "friction"))
+    model.mass = 1.3 * model.mass.detach()
+    if kind == "residual":
+        model = torchdq.ResidualDynamics(model)
+        torch.nn.init.normal_(model.network.weights[-1], std=0.3)
+    controller = torchdq.ComputedTorque(model, 25.0, double([10.0, 9.0]), learn="kp")
+    tau = controller(q, qd, q_des, qd_des, qdd_des, wrench)
+    a = commanded(q, qd, q_des, qd_des, qdd_des, 25.0, double([10.0, 9.0]))
+    assert torch.equal(tau, model(q, qd, a, wrench))
+    tau.sum().backward()
+    assert controller.kp.grad is not None and all(p.grad is not None for p in model.parameters())
+
+
+def test_a_model_learns_by_itself():
+    with pytest.raises(torchdq.ArgumentError, match="learn must be among 'kp' and 'kd'"):
+        torchdq.ComputedTorque(torchdq.DQRNEA(ARMS["two_link"]), 1.0, 1.0, learn="mass")
+
+
+@pytest.mark.parametrize("wrong", ["q", "qd", "q_des", "qd_des", "qdd_des"])
+def test_arguments_that_do_not_fit_a_model_are_refused_by_name(wrong):
+    controller = torchdq.ComputedTorque(torchdq.DQRNEA(ARMS["two_link"]), 1.0, 1.0)
+    names = ("q", "qd", "q_des", "qd_des", "qdd_des")
+    with pytest.raises(torchdq.ArgumentError, match=rf"^{wrong} must have the shape"):
+        controller(**{name: torch.zeros(3 if name == wrong else 2) for name in names})

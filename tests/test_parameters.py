@@ -286,7 +286,21 @@ def test_names_of_nothing_are_refused(bad):
         torchdq.DQRNEA(ROBOTS["panda"], learn=("mass", bad))
 
 
-@pytest.mark.parametrize("bad", [0.0, -1.0, float("nan"), float("inf")])
+@pytest.mark.parametrize("bad", [True, False, None, 1, [["mass"]], {"mass": True}], ids=str)
+def test_what_is_no_list_of_names_is_refused(bad):
+    with pytest.raises(torchdq.ArgumentError, match=r"learn must name what robot 'panda' has among \['X_PB_home'"):
+        torchdq.DQRNEA(ROBOTS["panda"], learn=bad)
+    with pytest.raises(torchdq.ArgumentError, match="learn must name"):
+        torchdq.ComputedTorque(ROBOTS["panda"], 1.0, 1.0, learn=bad)
+
+
+@pytest.mark.parametrize("bad", ["fast", "C", 1], ids=str)
+def test_a_backend_that_does_not_exist_is_refused_when_a_layer_is_made(bad):
+    with pytest.raises(torchdq.ArgumentError, match="backend must be one of None, 'auto', 'eager', 'c'"):
+        torchdq.ForwardDynamics(ROBOTS["panda"], backend=bad)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, float("nan"), float("inf"), "a", None])
 def test_a_width_that_is_not_positive_is_refused(bad):
     with pytest.raises(torchdq.ArgumentError, match="friction_width"):
         torchdq.DQRNEA(ROBOTS["panda"], friction_width=bad)

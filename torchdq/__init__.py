@@ -10,8 +10,48 @@ Conventions, everywhere:
 * f_tip is the wrench the end effector exerts on the environment, in the tip frame; f_ext [..., n, 6] are the wrenches
   the environment exerts on the links, in link frames.
 * None means absent: it is decided in Python and costs nothing.
+
+Robots:
+    Robot                   from_urdf, from_screws, from_dh; `report()` says what was read, `replace` changes a copy
+    robots                  robots that ship with the package: robots.load("panda")
+
+Functions of a robot, batched and differentiable to any order:
+    inverse_dynamics        joint torques of a motion
+    forward_dynamics        joint accelerations under torques; error_growth says how rounding errors grow in it
+    closed_form             mass matrix, Coriolis torques, gravity torques, Jacobian
+    mass_matrix             mass matrix alone
+    dynamics_jacobian       derivatives of the torques in q and qd, and the mass matrix
+    regressor               factors of the inertial parameters in the torques
+    kinetic_energy, potential_energy
+    forward_kinematics      poses of frames as dual quaternions; dq.translation and dq.to_matrix convert them
+    jacobian                twist of a frame from joint velocities
+    computed_torque         torques of a tracking controller
+
+Layers, with quantities that may be learned and stay physical:
+    InverseDynamics         inverse dynamics, also under the name of the paper's algorithm, DQRNEA
+    ForwardDynamics         forward dynamics
+    ResidualDynamics        inverse dynamics and a network for what it lacks
+    ComputedTorque          controller, of a robot or of a trained layer
+
+Programs:
+    compile                 one function of one robot: operation counts, source in C, derivatives
+    backend                 context that chooses how programs run
+    clear_caches            programs of this process forgotten
+    recommend               cheapest precision, integrator and step that keep an error
+
+Tensors, other libraries, checks:
+    dq                      quaternions, dual quaternions and screws on tensors
+    convert                 conventions of Pinocchio, SciPy, Isaac and others
+    require_finite          error for NaN and infinity
+
+Subpackages, imported on first use:
+    envs                    scenes with effects and integrators, gymnasium environments
+    learning                logs, identification, training of residuals
+
+Errors derive from TorchdqError and from the built-in error that a caller would expect.
 """
 
+from difflib import get_close_matches as _close_matches
 from typing import TYPE_CHECKING
 
 from torchdq import convert, dq
@@ -45,7 +85,7 @@ from torchdq.functional import (
     require_finite,
 )
 from torchdq.functions.compile import compile
-from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics
+from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics, InverseDynamics
 from torchdq.residual import ResidualDynamics
 from torchdq.robot import Robot
 from torchdq.robot import shipped as robots
@@ -53,52 +93,90 @@ from torchdq.robot import shipped as robots
 if TYPE_CHECKING:
     from torchdq.envs.recommend import recommend
 
+    # for type checkers alone: with `__all__`, help(torchdq) would print thousands of inherited lines
+    __all__ = [
+        "DQRNEA",
+        "ArgumentError",
+        "ComputedTorque",
+        "DescriptionError",
+        "DtypeError",
+        "ForwardDynamics",
+        "InverseDynamics",
+        "MissingFileError",
+        "MissingLibraryError",
+        "NumberError",
+        "ResidualDynamics",
+        "Robot",
+        "SingularInertiaError",
+        "TorchdqError",
+        "UnknownNameError",
+        "UnphysicalError",
+        "backend",
+        "clear_caches",
+        "closed_form",
+        "compile",
+        "computed_torque",
+        "convert",
+        "dq",
+        "dynamics_jacobian",
+        "error_growth",
+        "forward_dynamics",
+        "forward_kinematics",
+        "inverse_dynamics",
+        "jacobian",
+        "kinetic_energy",
+        "mass_matrix",
+        "potential_energy",
+        "recommend",
+        "regressor",
+        "require_finite",
+        "robots",
+    ]
+
 __version__ = "0.1.0"
+
+_MODULES = ("convert", "dq", "envs", "learning", "robots")
+# names in other libraries
+_ELSEWHERE = {
+    "rnea": "inverse_dynamics",
+    "aba": "forward_dynamics",
+    "crba": "mass_matrix",
+    "nle": "inverse_dynamics without qdd",
+    "gravity": "closed_form(...).g",
+    "coriolis": "closed_form(...).c",
+    "fk": "forward_kinematics",
+    "joint_torque_regressor": "regressor",
+    "from_urdf": "Robot.from_urdf",
+    "load": "robots.load",
+    "com": "Robot.com, the centres of mass of the links",
+    "ik": "none: there is no inverse kinematics; jacobian and forward_kinematics are differentiable",
+}
 
 
 def __getattr__(name: str) -> object:
-    """Attribute `recommend`, imported on first use: it tries scenes, which need gymnasium."""
-    if name == "recommend":
+    """Attribute that is imported on first use; names of nothing raise `AttributeError` with the closest names."""
+    if name == "envs":
+        import torchdq.envs as envs
+
+        return envs
+    if name == "learning":
+        import torchdq.learning as learning
+
+        return learning
+    if name == "recommend":  # it tries scenes, which need gymnasium
         from torchdq.envs.recommend import recommend
 
         return recommend
-    raise AttributeError(f"module 'torchdq' has no attribute {name!r}")
+    hint = ""
+    if name in _ELSEWHERE:
+        hint = f"; its name here is {_ELSEWHERE[name]}"
+    elif not name.startswith("_"):
+        close = _close_matches(name, __dir__(), cutoff=0.5)
+        hint = f"; did you mean {' or '.join(close)}?" if close else "; help(torchdq) lists what there is"
+    raise AttributeError(f"module 'torchdq' has no attribute {name!r}{hint}")
 
 
-__all__ = [
-    "DQRNEA",
-    "ArgumentError",
-    "ComputedTorque",
-    "DescriptionError",
-    "DtypeError",
-    "ForwardDynamics",
-    "MissingFileError",
-    "MissingLibraryError",
-    "NumberError",
-    "ResidualDynamics",
-    "Robot",
-    "SingularInertiaError",
-    "TorchdqError",
-    "UnknownNameError",
-    "UnphysicalError",
-    "backend",
-    "clear_caches",
-    "closed_form",
-    "compile",
-    "computed_torque",
-    "convert",
-    "dq",
-    "dynamics_jacobian",
-    "error_growth",
-    "forward_dynamics",
-    "forward_kinematics",
-    "inverse_dynamics",
-    "jacobian",
-    "kinetic_energy",
-    "mass_matrix",
-    "potential_energy",
-    "recommend",
-    "regressor",
-    "require_finite",
-    "robots",
-]
+def __dir__() -> list[str]:
+    """Public names."""
+    own = [name for name, value in globals().items() if callable(value) and not name.startswith("_")]
+    return sorted([*own, *_MODULES, "recommend", "__version__"])

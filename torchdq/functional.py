@@ -20,7 +20,9 @@ from torchdq.call import batch_of, evaluate
 from torchdq.checks import require_tensor
 from torchdq.errors import ArgumentError
 from torchdq.functions.catalogue import Function, trailing
+from torchdq.functions.options import options_of
 from torchdq.robot import Robot
+from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import SHAPES, arguments, constants
 
 # --- arguments -------------------------------------------------------------------------------------------------------
@@ -80,13 +82,7 @@ def check(robot: Robot, optional: Sequence[str] = (), **quantities: Tensor | Non
     for name, x in quantities.items():
         if name not in optional:
             require_tensor(name, x)
-    return batch_of(_Quantities(constants(_robot(robot)), "check"), _with_tensors(robot, quantities))
-
-
-def _robot(robot: Robot) -> Robot:
-    if not isinstance(robot, Robot):
-        raise ArgumentError(f"robot must be a torchdq.Robot, found {type(robot).__name__}")
-    return robot
+    return batch_of(_Quantities(constants(require_robot(robot)), "check"), _with_tensors(robot, quantities))
 
 
 def _with_tensors(robot: Robot, given: dict[str, Tensor | None]) -> dict[str, Tensor | None]:
@@ -103,7 +99,7 @@ def function_of(
     double: bool = False,
 ) -> list[Tensor]:
     """Results of a function of the catalogue, with the broadcast batch axes of all tensors."""
-    what = Function(constants(_robot(robot)), name, options)
+    what = Function(constants(require_robot(robot)), name, options)
     return list(evaluate(what, _with_tensors(robot, given), backend, double).values())
 
 
@@ -249,7 +245,9 @@ def closed_form(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None
     >>> closed_form(robot, q, torch.zeros_like(q)).g
     tensor([18.5756,  4.5178], dtype=torch.float64)
     """
-    M, c, g, *Jt = function_of("closed_form", robot, {"q": q, "qd": qd}, backend, (_robot(robot).tip or "",))
+    M, c, g, *Jt = function_of(
+        "closed_form", robot, {"q": q, "qd": qd}, backend, options_of(require_robot(robot), "closed_form", ())
+    )
     return ClosedForm(M, c, g, Jt[0] if Jt else None)
 
 
@@ -309,7 +307,7 @@ def forward_kinematics(robot: Robot, q: Tensor, frame: str | None = None, backen
     >>> torchdq.dq.translation(X)
     tensor([2., 0., 0.])
     """
-    names = _robot(robot).frame_names if frame is None else (_robot(robot).frame(frame).name,)
+    names = options_of(require_robot(robot), "forward_kinematics", () if frame is None else (frame,))
     X = function_of("forward_kinematics", robot, {"q": q}, backend, names)[0]
     return X if frame is None else X.squeeze(-2)
 
@@ -334,9 +332,8 @@ def jacobian(
     >>> jacobian(torchdq.robots.load("two_link"), torch.zeros(2), "tip")[4]  # the tip's velocity along y
     tensor([2., 1.])
     """
-    if expressed not in ("body", "world"):
-        raise ArgumentError(f"expressed must be 'body' or 'world', found {expressed!r}")
-    return function_of("jacobian", robot, {"q": q}, backend, (_robot(robot).frame(frame).name, expressed))[0]
+    names = options_of(require_robot(robot), "jacobian", (frame, expressed))
+    return function_of("jacobian", robot, {"q": q}, backend, names)[0]
 
 
 def dynamics_jacobian(

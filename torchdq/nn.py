@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
 from torchdq.backends.choice import BackendName
+from torchdq.checks import require_choice, require_number
 from torchdq.control import computed_torque
 from torchdq.errors import ArgumentError
-from torchdq.functional import Precision, check, check_precision, forward_dynamics, inverse_dynamics
+from torchdq.functional import Precision, check_precision, forward_dynamics, inverse_dynamics
+from torchdq.functional import check as require_alike
 from torchdq.parametrizations import PhysicalInertia, Positive
 from torchdq.robot import Robot
+from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import SHAPES
 
 # parametrisation of each constrained quantity
@@ -25,12 +27,18 @@ CONSTRAINED: dict[str, type[nn.Module]] = {
 }
 # initial value of what the description does not give [SI]
 INITIAL = {"armature": 1e-3, "viscous": 1e-2, "coulomb": 1e-2}
+BESIDE_THE_ROBOT = ("friction", "offset")  # learned torques that are not those of rigid bodies
 SMALLEST_SIZE = 1e-2  # least size of a body, against which `prior` measures the shift of its centre of mass [m]
 
 
 def smooth_sign(qd: Tensor, width: float) -> Tensor:
     """Smooth sign qd / sqrt(qd^2 + width^2) of velocities, the direction of Coulomb friction."""
     return qd / (qd * qd + width * width).sqrt()
+
+
+def friction_torque(qd: Tensor, viscous: Tensor, coulomb: Tensor, width: float) -> Tensor:
+    """Torque viscous qd + coulomb qd / sqrt(qd^2 + width^2) that overcomes friction, in the dtype of qd."""
+    return viscous.to(qd) * qd + coulomb.to(qd) * smooth_sign(qd, width)
 
 
 class RobotModule(nn.Module):
@@ -66,10 +74,10 @@ class RobotModule(nn.Module):
         self, robot: Robot, learn: Sequence[str] = (), backend: BackendName | None = None, friction_width: float = 1e-2
     ):
         super().__init__()
-        if not (math.isfinite(friction_width) and friction_width > 0):
-            raise ArgumentError(f"friction_width must be a positive number, found {friction_width}")
-        self.learn = tuple(dict.fromkeys((learn,) if isinstance(learn, str) else learn))
-        self._robot = robot
+        require_number("friction_width", friction_width, positive=True)
+        require_choice("backend", backend, (None, *get_args(BackendName)))
+        self._robot = require_robot(robot)
+        self.learn = _learnable(robot, learn)
         self.backend = backend
         self.friction_width = float(friction_width)
         self._initial: dict[str, Tensor] = {}  # unconstrained numbers by quantity, from which `prior` measures
@@ -100,8 +108,7 @@ class RobotModule(nn.Module):
         """
         if "friction" not in self.learn:
             return torch.zeros_like(qd)
-        viscous, coulomb = (x.to(dtype=qd.dtype, device=qd.device) for x in (self.viscous, self.coulomb))
-        return viscous * qd + coulomb * smooth_sign(qd, self.friction_width)
+        return friction_torque(qd, self.viscous, self.coulomb, self.friction_width)
 
     def _learned_torque(self, q: Tensor, qd: Tensor | None) -> Tensor | None:
         """Learned friction and offset, the torque of the motors beyond that of the rigid bodies; None: neither."""
@@ -161,6 +168,17 @@ class RobotModule(nn.Module):
         return _restored, (parametrize.type_before_parametrizations(self), state, lists)
 
 
+def _learnable(robot: Robot, learn: Any) -> tuple[str, ...]:
+    """Names in `learn`, each once; raises unless all are quantities that the robot has."""
+    known = [field for field in SHAPES if getattr(robot, field) is not None or field == "armature"]
+    known += BESIDE_THE_ROBOT
+    names = (learn,) if isinstance(learn, str) else learn
+    wrong = [name for name in names if name not in known] if isinstance(names, Sequence) else [learn]
+    if wrong:
+        raise ArgumentError(f"learn must name what robot {robot.name!r} has among {known}, found {wrong[0]!r}")
+    return tuple(dict.fromkeys(names))
+
+
 def _initial_values(robot: Robot, name: str) -> dict[str, Tensor]:
     """Quantities that a name in `learn` stands for, with their initial values."""
     zeros = torch.zeros_like(robot.damping)
@@ -171,10 +189,6 @@ def _initial_values(robot: Robot, name: str) -> dict[str, Tensor]:
         return {name: zeros}
     if name == "armature" and robot.armature is None:
         return {name: zeros + INITIAL[name]}
-    present = [field for field in SHAPES if getattr(robot, field) is not None or field == "armature"]
-    if name not in present:
-        known = [*present, "friction", "offset"]
-        raise ArgumentError(f"learn must name what robot {robot.name!r} has among {known}, found {name!r}")
     return {name: getattr(robot, name).detach().clone()}
 
 
@@ -245,7 +259,7 @@ class ForwardDynamics(RobotModule):
     ) -> Tensor:
         """Joint accelerations [..., n]; see `torchdq.forward_dynamics`."""
         robot = self.robot
-        check(robot, ("qd",), q=q, qd=qd, tau=tau)
+        require_alike(robot, ("qd",), q=q, qd=qd, tau=tau)
         learned = self._learned_torque(q, qd)
         tau = tau if learned is None else tau - learned
         return forward_dynamics(robot, q, qd, tau, f_tip, f_ext, self.backend, self.precision)
@@ -254,13 +268,17 @@ class ForwardDynamics(RobotModule):
 class ComputedTorque(RobotModule):
     """Computed torque controller: `forward(q, qd, q_des, qd_des, qdd_des, f_tip)` returns tau [..., n].
 
-    Learned friction and offset are added, at the measured velocity.
+    Friction is added at the measured velocity: the learned one, or that of the robot's description.
 
     Args:
-        robot: the model of the robot that is controlled.
+        robot: the model of the robot that is controlled; or a trained module, a `DQRNEA` with what it learned or a
+            `ResidualDynamics`, whose torques are taken at the desired acceleration with the errors fed back.
         kp, kd: position gain [1/s^2] and velocity gain [1/s], numbers or shape [n].
-        learn: as in `RobotModule`, and "kp", "kd", which are unconstrained.
-        backend, friction_width: as in `RobotModule`.
+        learn: as in `RobotModule`, and "kp", "kd", which are unconstrained. For a module only "kp" and "kd": what it
+            learned itself goes on being learned with it.
+        backend, friction_width: as in `RobotModule`; a module has its own.
+        friction: whether the damping and the friction of the robot's description are compensated, as
+            `torchdq.effects.Viscous` and `Coulomb` have them.
 
     >>> import torchdq
     >>> controller = ComputedTorque(torchdq.robots.load("two_link"), kp=25.0, kd=10.0)
@@ -273,17 +291,28 @@ class ComputedTorque(RobotModule):
 
     def __init__(
         self,
-        robot: Robot,
+        robot: Robot | nn.Module,
         kp: Tensor | float,
         kd: Tensor | float,
         learn: Sequence[str] = (),
         backend: BackendName | None = None,
         friction_width: float = 1e-2,
+        friction: bool = True,
     ):
-        learn = (learn,) if isinstance(learn, str) else tuple(learn)
-        super().__init__(robot, tuple(name for name in learn if name not in ("kp", "kd")), backend, friction_width)
+        model = robot if isinstance(robot, nn.Module) and isinstance(getattr(robot, "robot", None), Robot) else None
+        robot = require_robot(robot if model is None else model.robot)
+        names = (learn,) if isinstance(learn, str) else learn
+        others = [name for name in names if name not in ("kp", "kd")] if isinstance(names, Sequence) else learn
+        if model is not None and others:
+            raise ArgumentError(
+                f"learn must be among 'kp' and 'kd' for a module, which learns by itself, found {learn!r}"
+            )
+        super().__init__(robot, others, backend, friction_width)
+        self.model = model
+        described = friction and model is None and "friction" not in self.learn
+        self.friction = described and bool((robot.damping != 0).any() or (robot.friction != 0).any())
         for name, gain in (("kp", kp), ("kd", kd)):
-            value = torch.as_tensor(gain, dtype=torch.float64)
+            value = _gain(name, gain)
             if value.shape not in ((), (robot.n,)) or not bool((value >= 0).all()):
                 raise ArgumentError(f"{name} must be a number or [{robot.n}] numbers, not negative, found {gain}")
             if name in learn:
@@ -296,6 +325,22 @@ class ComputedTorque(RobotModule):
     ) -> Tensor:
         """Joint torques [..., n]; see `torchdq.computed_torque`."""
         kp, kd = self.kp.to(q), self.kd.to(q)
+        if self.model is not None:
+            require_alike(self.robot, ("f_tip",), q=q, qd=qd, q_des=q_des, qd_des=qd_des, qdd_des=qdd_des, f_tip=f_tip)
+            return self.model(q, qd, qdd_des + kd * (qd_des - qd) + kp * (q_des - q), f_tip)  # (75)-(78), erratum 75
         tau = computed_torque(self.robot, q, qd, q_des, qd_des, qdd_des, kp, kd, f_tip, self.backend)
+        if self.friction:
+            tau = tau + friction_torque(qd, self._robot.damping, self._robot.friction, self.friction_width)
         learned = self._learned_torque(q, qd)
         return tau if learned is None else tau + learned
+
+
+def _gain(name: str, gain: Any) -> Tensor:
+    try:
+        return torch.as_tensor(gain, dtype=torch.float64)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"{name} must be a number or one per joint, found {gain!r}") from error
+
+
+# plain name beside that of the paper's algorithm
+InverseDynamics = DQRNEA

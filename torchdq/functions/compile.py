@@ -14,12 +14,14 @@ from torchdq.backends.c_source import source
 from torchdq.backends.choice import choose
 from torchdq.backends.precision import kernel
 from torchdq.call import Computation, evaluate
-from torchdq.checks import DTYPES
-from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
+from torchdq.checks import dtype_of, names_of, require_tensor
+from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functions.catalogue import RECIPES, Function
+from torchdq.functions.options import options_of
 from torchdq.program.autograd import vjp
 from torchdq.program.program import Argument, Count, Program
 from torchdq.robot import Robot
+from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import SHAPES, constants
 from torchdq.robot.robot import arguments as tensors_of
 
@@ -95,6 +97,7 @@ class CompiledProgram:
         if len(inputs) != len(arguments):
             raise ArgumentError(f"{self.program.name} takes {[a.name for a in arguments]}, found {len(inputs)} tensors")
         for a, x in zip(arguments, inputs, strict=True):
+            require_tensor(a.name, x)
             if x.dtype != self.dtype or x.shape[-1:] != (a.width,) or (a.uniform and x.ndim > 1):
                 expected = f"{self.dtype} tensor [{'' if a.uniform else '..., '}{a.width}]"
                 raise ArgumentError(f"{a.name} must be a {expected}, found {x.dtype} {tuple(x.shape)}")
@@ -114,7 +117,7 @@ def _ready(recorded: Program, dtype: torch.dtype) -> CompiledProgram:
 def compile(
     robot: Robot,
     function: str,
-    dtype: torch.dtype = torch.float64,
+    dtype: torch.dtype | str = torch.float64,
     arguments: Sequence[str] | None = None,
     options: Sequence[str] = (),
 ) -> CompiledProgram:
@@ -124,28 +127,26 @@ def compile(
         robot: the robot; its tensors are constants of the program, replaced tensors are arguments.
         function: "inverse_dynamics", "forward_dynamics", "mass_matrix", "closed_form", "regressor", "jacobian",
             "forward_kinematics", "kinetic_energy", "potential_energy", "inverse_dynamics_jacobian", "computed_torque".
-        dtype: float32 or float64.
+        dtype: float32 or float64, or the name of one.
         arguments: names of the arguments that calls will pass; None: all but the wrenches.
-        options: names of the frames for "forward_kinematics", a frame and "body" or "world" for "jacobian", the tip or
-            "" for "closed_form".
+        options: names of the frames for "forward_kinematics", by default all; a frame and "body" (the default) or
+            "world" for "jacobian"; the tip or "" for "closed_form", by default the robot's; "kp" and "kd" for
+            "computed_torque" if they are one number for all joints.
     Raises:
-        UnknownNameError: there is no such function or argument.
+        UnknownNameError: there is no such function, argument or frame.
+        ArgumentError: an option means nothing to the function.
         BuildError: the C compiler failed. Without one the program runs as torch operations, and a warning says so once.
     """
-    if function not in RECIPES:
-        raise UnknownNameError("function that is compiled", function, RECIPES)
-    if dtype not in DTYPES:
-        raise DtypeError(f"dtype must be float32 or float64, found {dtype}")
+    require_robot(robot)
+    names_of("function", function, RECIPES, "function that is compiled")
     known = [name for name, _, _ in RECIPES[function].arguments]
-    present = [name for name in known if name not in ("f_tip", "f_ext")] if arguments is None else list(arguments)
-    for name in present:
-        if name not in known:
-            raise UnknownNameError(f"argument of {function}", name, known)
-
-    what = Function(constants(robot), function, tuple(options))
+    present = [name for name in known if name not in ("f_tip", "f_ext")]
+    if arguments is not None:
+        present = list(names_of("arguments", arguments, known, f"argument of {function}"))
+    what = Function(constants(robot), function, options_of(robot, function, options))
     widths = {name: math.prod(what.axes(name)) for name in (*known, *tensors_of(robot))}
     taken = [Argument(name, widths[name]) for name in known if name in present]
     taken += [
         Argument(name, widths[name], getattr(robot, name).ndim == len(SHAPES[name])) for name in tensors_of(robot)
     ]
-    return _ready(what.program(tuple(taken)), dtype)
+    return _ready(what.program(tuple(taken)), dtype_of("dtype", dtype))
