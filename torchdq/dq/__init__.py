@@ -2,6 +2,7 @@
 
 tensors     operations of the algebra on tensors [..., 3], [..., 4], [..., 6] and [..., 8]
 poses       exponential, logarithm and interpolation of poses; conversion from and to rotations, positions and matrices
+formulas    formulas of the algebra on tensors, as programs
 explog      exponential and logarithm as programs, accurate to rounding at every angle
 components  conversion between tensors and tuples of components
 """

@@ -1,5 +1,8 @@
 """Conversion between tensors and the tuples of components of the algebra, with checks of dtype and shape."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -27,11 +30,15 @@ def checked(name: str, x: Tensor, *sizes: int) -> Tensor:
     return x
 
 
+def form(x: Sequence[Any]) -> tuple:
+    """Components in the form of the algebra: 3 or 4 numbers, or a pair of 3 or 4 for 6 or 8."""
+    half = {6: 3, 8: 4}.get(len(x))
+    return tuple(x) if half is None else (tuple(x[:half]), tuple(x[half:]))
+
+
 def split(name: str, x: Tensor, *sizes: int) -> tuple:
-    """Components of x in the form of the algebra: 3 or 4 numbers, or a pair of 3 or 4 for a last axis of 6 or 8."""
-    parts = checked(name, x, *sizes).unbind(-1)
-    half = {6: 3, 8: 4}.get(len(parts))
-    return parts if half is None else (parts[:half], parts[half:])
+    """Components of x in the form of the algebra."""
+    return form(checked(name, x, *sizes).unbind(-1))
 
 
 def split_rows(name: str, x: Tensor, size: int) -> tuple[tuple, ...]:

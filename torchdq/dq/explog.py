@@ -8,21 +8,21 @@ the one that is not selected is computed at an argument where it is finite.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
+from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
-from torchdq.backends.choice import BackendName
-from torchdq.caches import remembered
-from torchdq.call import Computation, evaluate
+from torchdq.algebra.screw import Screw
 from torchdq.checks import DTYPES
+from torchdq.dq.formulas import computed
 from torchdq.numbers.functions import absolute, arctangent, at_least, below, maximum, minimum, polynomial, select, sqrt
-from torchdq.program.program import Argument, Program, record
 
 _TERMS = 11
 _COS = [(-1) ** k / math.factorial(2 * k) for k in range(_TERMS)]
@@ -93,57 +93,35 @@ def full_turn(w: Number, n2: Number) -> Number:
     return at_least(0.0, n2) * below(w, 0.0)
 
 
-def exp(a: Sequence[Number], single: bool) -> dict[str, Sequence[Number]]:
+def exp(a: Screw, single: bool) -> DualQuaternion:
     """Unit dual quaternion x = exp(a) of a pure one."""
     split = 2.0**12 + 1.0 if single else 2.0**27 + 1.0
-    p, d = screw.exp((tuple(a[:3]), tuple(a[3:])), lambda v: entire(v, split))
-    return {"x": [*p, *d]}
+    return screw.exp(a, lambda v: entire(v, split))
 
 
-def log(x: Sequence[Number], single: bool) -> dict[str, Sequence[Number]]:
+def log(x: DualQuaternion, single: bool) -> Screw:
     """Logarithm a of a unit dual quaternion x; the axis of a full turn is along the displacement, or along x."""
-    (w, *v), b = x[:4], tuple(x[5:])
-    p, d = screw.log((tuple(x[:4]), tuple(x[4:])), lambda w, n2: angle(w, n2, single))
+    (w, *v), (scalar, *b) = x
+    p, d = screw.log(x, lambda w, n2: angle(w, n2, single))
     # a dual part that is not finite must not be replaced
-    turned = full_turn(w, quat.norm2(tuple(v))) * below(absolute(x[4]), math.inf)
+    turned = full_turn(w, quat.norm2(tuple(v))) * below(absolute(scalar), math.inf)
     size = absolute(b[0]) + absolute(b[1]) + absolute(b[2])
     slides = turned * below(0.0, size)
     line = [select(slides, e, 1.0) / select(slides, size, 1.0) for e in b]
     length = sqrt(quat.norm2(tuple(line)))
     along = [select(slides, e / length, at) for e, at in zip(line, (1.0, 0.0, 0.0), strict=True)]
-    return {
-        "a": [
-            *(select(turned, math.pi * e, y) for e, y in zip(along, p, strict=True)),
-            *(select(turned, -e, y) for e, y in zip(b, d, strict=True)),
-        ]
-    }
+    return (
+        tuple([select(turned, math.pi * e, y) for e, y in zip(along, p, strict=True)]),
+        tuple([select(turned, -e, y) for e, y in zip(b, d, strict=True)]),
+    )
 
 
-class _Formula(NamedTuple):
-    """Fields of `Map`."""
-
-    formula: Callable[..., dict[str, Sequence[Number]]]
-    width: int
-    single: bool  # whether the program runs in single precision
+# by whether the program runs in single precision
+EXP, LOG = ({single: partial(formula, single=single) for single in (False, True)} for formula in (exp, log))
 
 
-class Map(_Formula, Computation):
-    """Exponential or logarithm as a computation of `torchdq.call`."""
-
-    def axes(self, name: str) -> tuple[int, ...]:
-        """Trailing axes of the argument."""
-        return (self.width,)
-
-    @remembered(4)
-    def program(self, arguments: tuple[Argument, ...]) -> Program:
-        """Program of the formula."""
-        return record(self.formula.__name__, arguments, lambda row: self.formula(row, self.single))
-
-
-def mapped(formula: Callable[..., dict[str, Sequence[Number]]], x: Tensor) -> Tensor:
-    """Result [..., k] of `exp` or `log` for a tensor [..., width]; half precision is computed in single precision."""
+def mapped(formula: Mapping[bool, Callable[..., Any]], x: Tensor) -> Tensor:
+    """Result [..., k] of `EXP` or `LOG` for a tensor [..., width]; half precision is computed in single precision."""
     wide = x if x.dtype in DTYPES else x.float()
-    # torch.compile fuses torch operations itself
-    backend: BackendName | None = "eager" if torch.compiler.is_compiling() else None
-    (found,) = evaluate(Map(formula, x.shape[-1], wide.dtype == torch.float32), {"x": wide}, backend).values()
+    found = computed(formula[wide.dtype == torch.float32], x=wide)
     return found if wide is x else found.to(x.dtype)

@@ -9,8 +9,11 @@ import torch
 from torch import Tensor
 
 from torchdq.algebra import dual_quaternion, quaternion
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.quaternion import Pure, Quaternion
 from torchdq.dq import explog
-from torchdq.dq.components import checked, require_square, split, split_rows, stack, stack_rows
+from torchdq.dq.components import checked, require_square, split_rows, stack_rows
+from torchdq.dq.formulas import computed
 from torchdq.dq.tensors import conj, mul
 
 # --- exponential and logarithm ---------------------------------------------------------------------------------------
@@ -26,7 +29,7 @@ def exp(a: Tensor) -> Tensor:
     >>> translation(exp(torch.tensor([0.0, 0, 0, 0, 0, 1])))  # half a translation by 2 m
     tensor([0., 0., 2.])
     """
-    return explog.mapped(explog.exp, checked("a", a, 6))
+    return explog.mapped(explog.EXP, checked("a", a, 6))
 
 
 def log(x: Tensor) -> Tensor:
@@ -39,7 +42,7 @@ def log(x: Tensor) -> Tensor:
     >>> log(exp(torch.tensor([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))).mul(10).round().int().tolist()
     [1, 2, 3, 10, 20, 30]
     """
-    return explog.mapped(explog.log, checked("x", x, 8))
+    return explog.mapped(explog.LOG, checked("x", x, 8))
 
 
 def log_shortest(x: Tensor) -> Tensor:
@@ -96,6 +99,15 @@ def _divided(x: Tensor, length: Tensor, otherwise: Tensor | float) -> Tensor:
     return torch.where(present, x / torch.where(present, length, 1.0), otherwise)
 
 
+def _rotation_rows(r: Quaternion) -> tuple[Pure, ...]:
+    return tuple(zip(*quaternion.rotation_columns(r), strict=True))
+
+
+def _homogeneous(x: DualQuaternion) -> tuple:
+    p = dual_quaternion.translation(x)
+    return *((*row, at) for row, at in zip(_rotation_rows(x[0]), p, strict=True)), (0.0, 0.0, 0.0, 1.0)
+
+
 # --- poses -----------------------------------------------------------------------------------------------------------
 
 
@@ -106,7 +118,9 @@ def from_pose(rotation: Tensor, position: Tensor) -> Tensor:
         rotation: unit quaternion (w, x, y, z) that turns B components into A components, shape [..., 4].
         position: position of B's origin in A [m], shape [..., 3].
     """
-    return stack(dual_quaternion.from_pose(split("rotation", rotation, 4), split("position", position, 3)))
+    return computed(
+        dual_quaternion.from_pose, rotation=checked("rotation", rotation, 4), position=checked("position", position, 3)
+    )
 
 
 def rotation(x: Tensor) -> Tensor:
@@ -116,22 +130,22 @@ def rotation(x: Tensor) -> Tensor:
 
 def translation(x: Tensor) -> Tensor:
     """Position p = 2 D P* [..., 3] of B's origin in A [m], of the pose x = X_AB [..., 8]."""
-    return stack(dual_quaternion.translation(split("x", x, 8)))
+    return computed(dual_quaternion.translation, x=checked("x", x, 8))
 
 
 def translation_body(x: Tensor) -> Tensor:
     """Position p^b = 2 P* D [..., 3] of B's origin in B's own axes [m], of the pose x = X_AB [..., 8] (28)."""
-    return stack(dual_quaternion.translation_body(split("x", x, 8)))
+    return computed(dual_quaternion.translation_body, x=checked("x", x, 8))
 
 
 def rotate(r: Tensor, v: Tensor) -> Tensor:
     """Vector r v r* [..., 3]: v rotated by the unit quaternion r [..., 4]."""
-    return stack(quaternion.rotate(split("r", r, 4), split("v", v, 3)))
+    return computed(quaternion.rotate, r=checked("r", r, 4), v=checked("v", v, 3))
 
 
 def to_rotation_matrix(r: Tensor) -> Tensor:
     """Rotation matrix [..., 3, 3] of a unit quaternion [..., 4]."""
-    return stack_rows(quaternion.rotation_columns(split("r", r, 4))).mT
+    return computed(_rotation_rows, (3, 3), r=checked("r", r, 4))
 
 
 def from_rotation_matrix(matrix: Tensor) -> Tensor:
@@ -154,9 +168,7 @@ def to_matrix(x: Tensor) -> Tensor:
     >>> to_matrix(from_pose(torch.tensor([1.0, 0, 0, 0]), torch.tensor([1.0, 2, 3])))[:3, 3]
     tensor([1., 2., 3.])
     """
-    top = torch.cat([to_rotation_matrix(rotation(x)), translation(x).unsqueeze(-1)], -1)
-    bottom = torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=x.dtype, device=x.device)
-    return torch.cat([top, bottom.expand(*top.shape[:-2], 1, 4)], -2)
+    return computed(_homogeneous, (4, 4), x=checked("x", x, 8))
 
 
 def from_matrix(matrix: Tensor) -> Tensor:

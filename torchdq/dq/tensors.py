@@ -22,6 +22,7 @@ from torch import Tensor
 from torchdq.algebra import dual_quaternion, quaternion, screw
 from torchdq.algebra.inertia import Inertia, six
 from torchdq.dq.components import checked, require_matrix, split, split_rows, stack, stack_rows
+from torchdq.dq.formulas import computed
 from torchdq.errors import ArgumentError
 
 
@@ -44,8 +45,8 @@ def mul(x: Tensor, y: Tensor) -> Tensor:
     >>> mul(torch.tensor([0.0, 1, 0, 0]), torch.tensor([0.0, 0, 1, 0]))  # i j = k
     tensor([0., 0., 0., 1.])
     """
-    a, b = split("x", x, 4, 8), split("y", y, x.shape[-1])
-    return stack(_algebra(x).mul(a, b))
+    checked("x", x, 4, 8)
+    return computed(_algebra(x).mul, x=x, y=checked("y", y, x.shape[-1]))
 
 
 def conj(x: Tensor) -> Tensor:
@@ -54,8 +55,7 @@ def conj(x: Tensor) -> Tensor:
     >>> conj(torch.tensor([1.0, 2, 3, 4]))
     tensor([ 1., -2., -3., -4.])
     """
-    parts = split("x", x, 4, 8)
-    return stack(_algebra(x).conj(parts))
+    return computed(_algebra(checked("x", x, 4, 8)).conj, x=x)
 
 
 def matmul(a: Tensor, b: Tensor) -> Tensor:
@@ -80,7 +80,7 @@ def transpose(a: Tensor) -> Tensor:
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
     """Inner product -(ab + ba)/2 of pure quaternions [..., 3] (3)."""
-    return quaternion.dot(split("a", a, 3), split("b", b, 3))
+    return computed(quaternion.dot, (), a=checked("a", a, 3), b=checked("b", b, 3))
 
 
 def cross(a: Tensor, b: Tensor) -> Tensor:
@@ -89,8 +89,9 @@ def cross(a: Tensor, b: Tensor) -> Tensor:
     >>> cross(torch.tensor([1.0, 0, 0]), torch.tensor([0.0, 1, 0]))
     tensor([0., 0., 1.])
     """
-    parts = split("a", a, 3, 6), split("b", b, a.shape[-1])
-    return stack((screw.cross if a.shape[-1] == 6 else quaternion.cross)(*parts))
+    checked("a", a, 3, 6)
+    product = screw.cross if a.shape[-1] == 6 else quaternion.cross
+    return computed(product, a=a, b=checked("b", b, a.shape[-1]))
 
 
 def inner(a: Tensor, b: Tensor) -> Tensor:
@@ -98,7 +99,7 @@ def inner(a: Tensor, b: Tensor) -> Tensor:
 
     Its dual part is P(a).D(b) + D(a).P(b): the power, if one is a wrench and the other a twist.
     """
-    return stack(screw.inner(split("a", a, 6), split("b", b, 6)))
+    return computed(screw.inner, a=checked("a", a, 6), b=checked("b", b, 6))
 
 
 def double_geodesic(a: Tensor, b: Tensor) -> Tensor:
@@ -106,12 +107,12 @@ def double_geodesic(a: Tensor, b: Tensor) -> Tensor:
 
     It depends on the frame; the power of a wrench on a twist, `power`, does not.
     """
-    return screw.double_geodesic(split("a", a, 6), split("b", b, 6))
+    return computed(screw.double_geodesic, (), a=checked("a", a, 6), b=checked("b", b, 6))
 
 
 def swap(a: Tensor) -> Tensor:
     """Screw [..., 6] with primary and dual parts exchanged, D(a) + eps P(a)."""
-    return stack(screw.swap(split("a", a, 6)))
+    return computed(screw.swap, a=checked("a", a, 6))
 
 
 def power(wrench: Tensor, twist: Tensor) -> Tensor:
@@ -120,7 +121,7 @@ def power(wrench: Tensor, twist: Tensor) -> Tensor:
     >>> power(torch.tensor([1.0, 0, 0, 0, 0, 2]), torch.tensor([0.0, 0, 3, 4, 0, 0]))
     tensor(10.)
     """
-    return screw.power(split("wrench", wrench, 6), split("twist", twist, 6))
+    return computed(screw.power, (), wrench=checked("wrench", wrench, 6), twist=checked("twist", twist, 6))
 
 
 def t4(m: Tensor, q: Tensor) -> Tensor:
@@ -226,7 +227,11 @@ def ad(x: Tensor, m: Tensor) -> Tensor:
     >>> ad(X_AB, torch.tensor([1.0, 0, 0, 0, 0, 0]))
     tensor([1., 0., 0., 0., 2., 0.])
     """
-    return stack(screw.ad(screw.columns(split("x", x, 8)), split("m", m, 6)))
+    return computed(_ad, x=checked("x", x, 8), m=checked("m", m, 6))
+
+
+def _ad(x: dual_quaternion.DualQuaternion, m: screw.Screw) -> screw.Screw:
+    return screw.ad(screw.columns(x), m)
 
 
 def ad_matrix(x: Tensor) -> Tensor:
