@@ -30,7 +30,7 @@ def numbers(components: Any) -> Iterator[Any]:
 class _Fields(NamedTuple):
     """Fields of `Formula`."""
 
-    formula: Callable[..., Any]  # of components in the form of the algebra
+    formula: Callable[..., Any]  # takes components in the form of the algebra
     widths: tuple[tuple[str, int], ...]  # arguments with the sizes of their last axes
     shape: tuple[int, ...] | None  # trailing axes of the result; None: one axis
 

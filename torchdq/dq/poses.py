@@ -26,8 +26,8 @@ def exp(a: Tensor) -> Tensor:
     with a constant body twist during dt. Accurate to rounding, with first and second derivatives, at every angle.
     The printed (25) is not the exponential unless the line meets the origin (erratum 25).
 
-    >>> translation(exp(torch.tensor([0.0, 0, 0, 0, 0, 1])))  # half a translation by 2 m
-    tensor([0., 0., 2.])
+    >>> translation(exp(torch.tensor([0.0, 0, 0, 1, 2, 3])))  # half of the translation
+    tensor([2., 4., 6.])
     """
     return explog.mapped(explog.EXP, checked("a", a, 6))
 

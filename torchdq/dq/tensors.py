@@ -223,9 +223,9 @@ def ad(x: Tensor, m: Tensor) -> Tensor:
     It applies to twists, accelerations, momenta and wrenches alike. `ad(conj(x), m)` transforms from A to B.
 
     >>> from torchdq import dq
-    >>> X_AB = dq.from_pose(torch.tensor([1.0, 0, 0, 0]), torch.tensor([0.0, 0, 2]))
-    >>> ad(X_AB, torch.tensor([1.0, 0, 0, 0, 0, 0]))
-    tensor([1., 0., 0., 0., 2., 0.])
+    >>> X_AB = dq.from_pose(torch.tensor([1.0, 0, 0, 0]), torch.tensor([1.0, 0, 2]))
+    >>> ad(X_AB, torch.tensor([1.0, 1, 1, 0, 0, 0]))
+    tensor([ 1.,  1.,  1., -2.,  1.,  1.])
     """
     return computed(_ad, x=checked("x", x, 8), m=checked("m", m, 6))
 
