@@ -1419,7 +1419,7 @@ MUTANTS = (
         ),
         (
             "in C, results without their sign",
-            'f"-({self.vector(index)})" if negative else self.vector(index)',
+            'f"(T){{}}-({self.vector(index)})" if negative else self.vector(index)',
             "self.vector(index)",
             f"{BACKENDS}::test_compiled_functions_equal_torch_operations",
         ),

@@ -56,7 +56,8 @@ class _Printer:
         if isinstance(v, float):
             return f"(T){{}}+{_literal(v)}"
         index, negative = v
-        return f"-({self.vector(index)})" if negative else self.vector(index)
+        # a difference, so that the negative of zero is no -0
+        return f"(T){{}}-({self.vector(index)})" if negative else self.vector(index)
 
     # --- statements ---
 

@@ -59,7 +59,7 @@ def interpreted(program: Program, inputs: Sequence[Tensor], samples: int) -> lis
     nothing = inputs[0][..., :0]  # added to constants, so that they have gradients, which are zero
 
     def column(v: Output) -> Tensor:
-        x = v if isinstance(v, float) else -values[v[0]] if v[1] else values[v[0]]
+        x = v if isinstance(v, float) else 0.0 - values[v[0]] if v[1] else values[v[0]]
         x = nothing.sum(-1) + x if isinstance(x, float) else x
         return x.expand(samples)
 
