@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from torchdq import dq
+from torchdq.backends.choice import backend
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, distinct, double, numbers, poses, table
@@ -32,6 +33,7 @@ def exact(cos: float, sin: float, angle: float) -> tuple[float, float]:
     return cos, sin
 
 
+@backend("eager")  # a few poses are not worth a compilation
 def read(
     a: Sequence[float],
     alpha: Sequence[float],

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from torchdq import dq
+from torchdq.backends.choice import backend
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, UNIT, distinct, numbers, poses, table
@@ -31,6 +32,7 @@ def joint(name: str, screw: Tensor) -> tuple[str, Tensor]:
     )
 
 
+@backend("eager")  # a few poses are not worth a compilation
 def read(
     joint_screws: Any,
     link_poses: Any,

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor
 
 from torchdq import dq
+from torchdq.backends.choice import backend
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, DescriptionError, UnknownNameError
 from torchdq.robot import consistency
@@ -98,6 +99,7 @@ def _lumped(document: Document, placed: dict[str, tuple[int, Any]], n: int) -> t
     return torch.from_numpy(mass), torch.from_numpy(com), torch.from_numpy(inertia[:, *SIX])
 
 
+@backend("eager")  # a few poses are not worth a compilation
 def _pose(placement) -> Tensor:
     return dq.from_matrix(torch.from_numpy(np.array(placement.homogeneous, dtype=np.float64)))
 

@@ -9,6 +9,7 @@ from math import pi, sqrt
 import torch
 
 from torchdq import dq
+from torchdq.backends.choice import backend
 from torchdq.robot.arrays import double
 from torchdq.robot.robot import Limits, Robot
 
@@ -34,6 +35,7 @@ BODIES = [
 ]
 
 
+@backend("eager")  # a few poses are not worth a compilation
 def build() -> Robot:
     """UR10e arm; its tip is the controller's tool frame."""
     joints, axes, links, positions, orientations = zip(*CHAIN, strict=True)
