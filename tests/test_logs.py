@@ -8,6 +8,7 @@ import gzip
 import os
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -485,9 +486,40 @@ def test_the_double_pendulums_elbow_is_explained_by_its_published_model():
     assert 1 - ((measured - tau) ** 2).mean() / measured.var() > 0.95
 
 
-def test_layouts_are_told_by_the_first_line(tmp_path, log):
-    assert layout_of(log) is LAYOUTS["panda"]
+def test_a_log_of_any_seven_joints_is_no_data_set(tmp_path, log):
+    """Columns alone name nothing: those of the Panda's log are the ones any seven joints have."""
+    assert layout_of(log) is LAYOUTS["csv"]
     assert layout_of(written(tmp_path / "nine.csv", table(n=9), names(9))) is LAYOUTS["csv"]
+    without_time = tmp_path / "t.csv"
+    without_time.write_text("t,a,b\n0,1,2\n")
+    assert layout_of(without_time) is LAYOUTS["csv"]
+    heads = names(2, ("pos_meas", "vel_meas", "tau_meas"))
+    assert layout_of(written(tmp_path / "pendulum.csv", table(n=2), heads)) is LAYOUTS["csv"]
+
+
+def test_a_data_set_is_recognised_by_the_name_of_its_file_and_its_columns(tmp_path):
+    panda = written(tmp_path / "panda_exciting_traj1.csv", table(), names(7))
+    assert layout_of(panda) is LAYOUTS["panda"]
+    assert layout_of(written(panda, table(n=6), names(6))) is LAYOUTS["csv"]
+    ur10e = written(tmp_path / "ur-20_02_19.csv", np.ones((3, 31)), None)
+    assert layout_of(ur10e) is LAYOUTS["ur10e"]
+    assert layout_of(written(ur10e, np.ones((3, 30)), None)) is LAYOUTS["csv"]
+    assert layout_of(written(ur10e, np.ones((3, 31)), names(10))) is LAYOUTS["csv"]
+    heads = names(2, ("pos_meas", "vel_meas", "tau_meas"))
+    pendulum = written(tmp_path / "trajectory_03.csv", table(n=2), heads)
+    packed = tmp_path / "trajectory_03.csv.gz"
+    packed.write_bytes(gzip.compress(pendulum.read_bytes()))
+    assert layout_of(pendulum) is layout_of(packed) is LAYOUTS["double_pendulum"]
+
+
+def test_the_example_prints_what_it_recognised(tmp_path, capsys):
+    for needed in ("matplotlib", "pytorch_kinematics", "rich", "tyro"):
+        pytest.importorskip(needed, reason="the examples need the extra 'examples'")
+    example = import_module("01_inverse_dynamics")
+    example.read_log(str(written(tmp_path / "panda_exciting_traj1.csv", table(), names(7))), "auto")
+    assert "panda_exciting_traj1.csv: recognised as panda" in capsys.readouterr().out
+    example.read_log(str(written(tmp_path / "mine.csv", table(), names(7))), "auto")
+    assert "mine.csv: of no data set that is known" in capsys.readouterr().out
 
 
 def test_the_robot_of_a_layout_is_shipped_with_its_joints():
