@@ -64,7 +64,7 @@ def layout_of(path: Path) -> Arm:
     with (gzip.open if packed else open)(path, "rt", encoding="utf-8-sig", errors="replace") as file:
         heads = [cell.strip() for cell in file.readline().split(",")]
     for layout in candidates:
-        needed = layout.columns
+        needed = layout.order
         if set(needed) <= set(heads) if layout.header else len(needed) == len(heads) and _are_numbers(heads):
             return layout
     return LAYOUTS["csv"]

@@ -14,7 +14,8 @@ import torch
 
 from torchdq.errors import ArgumentError
 from torchdq.learning.data import Samples
-from torchdq.learning.logs import Log, LogError
+from torchdq.learning.layouts import LogError
+from torchdq.learning.logs import Log
 from torchdq.optional import imported
 
 ENDS = 0.5  # [s] least time left out at either end, where a filter of a few Hz has neighbours on one side only
