@@ -637,6 +637,20 @@ def test_samples_are_the_rows_of_all_motions(log, dtype):
         learning.samples([])
 
 
+@pytest.mark.parametrize("kind", ["log", "motion", "samples"])
+def test_they_print_as_tables(log, kind):
+    """Shape, range and unit of every signal in place of thousands of numbers."""
+    read = learning.read(log)
+    motion = learning.smooth(read)
+    found = {"log": read, "motion": motion, "samples": learning.samples(motion)}[kind]
+    lines = str(found).splitlines()
+    assert repr(found) == str(found) and len(lines) < 10
+    (row,) = [line for line in lines if line.startswith("qd ")]
+    assert str(list(found.qd.shape)) in row and f"{float(found.qd.max()):.4g}" in row and row.endswith("rad/s")
+    if kind == "log":
+        assert lines[0] == f"{log}: 7 joints, {len(read.time)} rows, 0 repeated time stamps left out"
+
+
 # --- recordings of real arms -----------------------------------------------------------------------------------------
 
 

@@ -170,6 +170,17 @@ def test_a_joint_without_torque_counts_as_the_others():
     assert all(math.isfinite(error) and error < 20 for error in history.train)
 
 
+def test_a_history_prints_as_a_table():
+    _, history = run(None)
+    lines = str(history).splitlines()
+    assert lines[0] == f"90 steps, weights of step {history.best_step}"
+    assert lines[2].split() == ["step", "train", "valid"] and 8 <= len(lines) <= 14
+    assert lines[-1].split() == ["90", f"{history.train[-1]:.3g}", f"{history.valid[-1]:.3g}"]
+    alone = fit(Network(), data(), steps=4, batch=200)
+    assert str(alone).splitlines()[2].split() == ["step", "train"] and len(str(alone).splitlines()) == 3 + 4
+    assert str(training.History()) == "no steps"
+
+
 # --- arguments -------------------------------------------------------------------------------------------------------
 
 

@@ -21,7 +21,9 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 
 from torchdq.errors import ArgumentError
+from torchdq.learning.data import UNITS
 from torchdq.learning.layouts import SIGNALS, Layout, LogError, find_columns, is_number
+from torchdq.tables import summary
 
 GAP = 0.1  # [s] longest time between two rows; beyond it the motion in between is unknown
 FOLLOWED = 0.01  # [rad or rad/s] least standard deviation of a signal that is compared with its rate
@@ -62,6 +64,11 @@ class Log(NamedTuple):
     tau: np.ndarray  # [rows, n] [N m]
     repeats: int  # rows left out because they repeat a time stamp
     qdd: np.ndarray | None = None  # [rows, n] [rad/s^2], if the file holds them
+
+    def __repr__(self) -> str:
+        size = f"{self.q.shape[1]} joints, {len(self.time)} rows, {self.repeats} repeated time stamps left out"
+        signals = {name: (x, UNITS[name]) for name, x in self._asdict().items() if name in UNITS and x is not None}
+        return f"{self.path}: {size}\n\n{summary('Log', signals)}"
 
 
 def read(path: str | Path, layout: Layout = STANDARD, rows: tuple[int, int] | None = None) -> Log:

@@ -22,8 +22,10 @@ from torchdq.learning import checkpoint as checkpoints
 from torchdq.learning.data import Samples, torque_variance, validated
 from torchdq.learning.distributed import Team, team
 from torchdq.learning.progress import Progress
+from torchdq.tables import table
 
 VALIDATION_ROWS = 4096  # rows of the validation data computed at a time
+ROWS = 10  # rows of a history that are printed
 PROBE_ROWS = 64  # rows of the training data whose torques tell one model from another
 
 
@@ -41,6 +43,16 @@ class History:
     valid: list[float] = field(default_factory=list)  # error on the validation data; empty without such data
     best_step: int = 0  # step of the weights that the model has in the end: of the least `valid`, or the last one
     stopped_early: bool = False  # whether patience ended the run
+
+    def __str__(self) -> str:
+        if not self.step:
+            return "no steps"
+        shown = sorted({round(k * (len(self.step) - 1) / (ROWS - 1)) for k in range(ROWS)})
+        errors = {"train": self.train, **({"valid": self.valid} if self.valid else {})}
+        rows = [(str(self.step[k]), *(f"{error[k]:.3g}" for error in errors.values())) for k in shown]
+        end = ", stopped early by patience" if self.stopped_early else ""
+        title = f"{self.step[-1]} steps, weights of step {self.best_step}{end}"
+        return f"{title}\n\n{table(('step', *errors), rows)}"
 
 
 def fit(
