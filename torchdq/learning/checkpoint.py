@@ -144,7 +144,6 @@ def require_whole(path: Path, state: dict[str, Any], model: Mapping[str, Any], l
         CheckpointError: an entry is not what `fit` writes.
     """
     history = state.get("history")
-    looks = len(history["step"]) if _is_history(history) else 0
     seen = isinstance(history, dict) and bool(history.get("valid"))  # the model was tried on the validation data
 
     def is_momentum(x: Any, like: Tensor) -> bool:
@@ -169,7 +168,7 @@ def require_whole(path: Path, state: dict[str, Any], model: Mapping[str, Any], l
         return all(alike) and all(_is_finite(x[name], model[name]) for name in learned)
 
     entries: dict[str, tuple[str, Callable[[Any], bool]]] = {
-        "history": ("equally many steps, in order, and finite errors", lambda x: _is_history(x) and looks > 0),
+        "history": ("equally many steps, in order, and finite errors", _is_history),
         "step": (f"a step of the run, up to {last}", lambda x: _is_count(x) and 0 < x <= last),
         "model": ("the tensors of the model, its parameters finite", is_model),
         "probe": ("finite torques", lambda x: isinstance(x, Tensor) and _is_finite(x, x)),
@@ -214,6 +213,7 @@ def _is_history(x: Any) -> bool:
     step, errors = x["step"], [x["train"], x["valid"]]
     return (
         all(isinstance(column, list) for column in (step, *errors))
+        and len(step) > 0
         and all(_is_count(one) for one in (*step, x["best_step"]))
         and all(earlier < later for earlier, later in itertools.pairwise(step))
         and all(isinstance(error, float) and math.isfinite(error) for column in errors for error in column)

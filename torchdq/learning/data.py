@@ -9,7 +9,7 @@ from torch import Tensor
 from torchdq.errors import ArgumentError
 from torchdq.tables import summary
 
-UNITS = {"time": "s", "q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "tau": "N m"}  # of signals
+UNITS = {"time": "s", "q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "tau": "N m"}  # units of the signals
 
 
 class Samples(NamedTuple):

@@ -130,7 +130,7 @@ class Identified(NamedTuple):
     @property
     def _units(self) -> list[str]:
         """Units of the parameters [k]."""
-        n, slides = self.robot.n, [kind == "prismatic" for kind in self.robot.kinds]
+        n, slides = self.robot.n, [not joint.turns for joint in self.robot.joint_types]
         coefficients = [name.split()[-1] for name in self.names[10 * n :: n]] if n else []
         return [*UNITS * n, *(JOINT_UNITS[name][joint] for name in coefficients for joint in slides)]
 
@@ -252,8 +252,8 @@ def identify(
 def _moving(robot: Robot, qd: Tensor, width: float) -> Tensor:
     """Joints that move faster than `width` in the samples [n]; a warning names the others."""
     fastest = qd.abs().amax(0).cpu()
-    slow = zip(robot.joint_names, robot.kinds, fastest.tolist(), strict=True)
-    names = [f"{name} ({v:.2g} {'m/s' if kind == 'prismatic' else 'rad/s'})" for name, kind, v in slow if v <= width]
+    joints = zip(robot.joint_names, robot.joint_types, fastest.tolist(), strict=True)
+    names = [f"{name} ({v:.2g} {'rad/s' if joint.turns else 'm/s'})" for name, joint, v in joints if v <= width]
     if names:
         warnings.warn(
             f"{len(names)} of {robot.n} joints never move faster than width = {width}: {', '.join(names)}; their "

@@ -60,11 +60,11 @@ class Layout:
             if not isinstance(given, str):
                 lists[name] = len(given)
         for name, count in lists.items():
-            first, expected = next(iter(lists.items()))
+            first, most = next(iter(lists.items()))
             if self.joints and count != self.joints:
                 raise ArgumentError(f"{name} has {count} names, expected {self.joints}, the number of joints")
-            if count != expected:
-                raise ArgumentError(f"{name} has {count} names, {first} {expected}")
+            if count != most:
+                raise ArgumentError(f"{name} has {count} names, {first} {most}")
 
     def names(self, signal: str, joints: int) -> list[str]:
         """Names of a signal's columns."""
