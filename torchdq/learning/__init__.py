@@ -1,6 +1,7 @@
 """Learning from recordings: read logs of real arms, and train models of their torques.
 
     motion = smooth(read("log.csv"))                    # `logs`: checked, filtered without delay, with accelerations
+    # columns of other names: Layout(columns={"time": "stamp", "q": "position_{0}", "tau": ["shoulder", "elbow"]})
     train, test = (samples(part) for part in cut(motion, 0.6))
     fit(model, train, epochs=100, checkpoint="run.pt")  # `training`: a plain loop that survives being killed
 

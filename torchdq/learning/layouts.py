@@ -48,6 +48,8 @@ class Layout:
             raise ArgumentError(f"columns must be {expected}, found {self.columns!r}")
         if self.columns and not self.header:
             raise ArgumentError("columns needs a header to find the names in; found header=False")
+        if not self.header and not self.joints:
+            raise ArgumentError("joints must be given for a file without a header; found joints=0, header=False")
         names_of("columns", tuple(self.columns), SIGNALS, "signal")
         lists: dict[str, int] = {}
         for signal, given in self.columns.items():

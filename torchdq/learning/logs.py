@@ -99,6 +99,8 @@ def read(path: str | Path, layout: Layout = STANDARD, rows: tuple[int, int] | No
     content = path.read_bytes()
     _require_table(path, content)
     table = (_archive if content.startswith(b"PK") else _text)(path, content, layout, rows)
+    if layout.gain and len(layout.gain) != table.layout.joints:
+        raise ArgumentError(f"gain must have {table.layout.joints} numbers, one per joint, found {len(layout.gain)}")
     for row, column in np.argwhere(~np.isfinite(table.values))[:1]:
         _refuse(table, row, column, f"{table.cell(row, column)} is not a finite number; {_cure(table, row, column)}")
     _require_times(table)
@@ -145,13 +147,9 @@ def _text(path: Path, content: bytes, layout: Layout, rows: tuple[int, int] | No
     for number, line in enumerate(body, start + 1):
         if (found := line.count(",") + 1) != len(heads):
             expected = f"{len(heads)} columns {heads[0]} ... {heads[-1]}"
-            cure = (
-                "; decimal commas must be points"
-                if found > len(heads)
-                else ""
-                if line.strip()
-                else "; remove empty lines"
-            )
+            cure = "; decimal commas must be points" if found > len(heads) else ""
+            if not line.strip():
+                cure = "; remove empty lines"
             raise LogError(f"{path}, row {number}: {found} columns, expected {expected}{cure}")
     _require_rows(path, len(body))
     used = [heads.index(name) for name in names]
