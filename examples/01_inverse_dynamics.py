@@ -63,7 +63,7 @@ class Args:
     test_log: str | None = None
     """Recording to test the friction on; none: it is fitted on the first 60 % of each log, tested on the rest."""
     format: Literal["auto", "panda", "ur10e", "double_pendulum", "csv"] = "auto"
-    """Layout of the recordings, see `recordings.LAYOUTS`; auto: told by the first line."""
+    """Layout of the recordings, see `recordings.LAYOUTS`; auto: told by the file's name and its columns."""
     step: float = 1e-3
     """Step of the simulated two-link arm [s]."""
     timing: float = 0.2
@@ -473,7 +473,12 @@ def explain_logs(
 def read_log(source: str, layout: str) -> Log:
     """Log of PATH or PATH:FIRST:LAST."""
     path, *rows = source.rsplit(":", 2) if source.count(":") >= 2 else (source,)
-    kind = layout_of(Path(path)) if layout == "auto" else LAYOUTS[layout]
+    kind = LAYOUTS[layout] if layout != "auto" else layout_of(Path(path))
+    if layout == "auto":
+        name = next(name for name, arm in LAYOUTS.items() if arm is kind)
+        found = f"recognised as {name} by its name and columns; --format csv if it is none of that data set"
+        other = "of no data set that is known; its columns are read as they are named, --format names a data set"
+        print(f"{Path(path).name}: {found if kind.files else other}")
     return read(path, kind, tuple(map(int, rows)) if rows else None)
 
 

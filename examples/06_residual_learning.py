@@ -331,7 +331,9 @@ def learned(choices: Sequence[Candidate], train: Samples, valid: Samples, steps:
     """The best of several models by their validation error, trained."""
     errors = []
     for model, rate, decay, prior in choices:
-        history = fit(model, train, valid, steps=steps, every=100, rate=rate, decay=decay, prior=prior, seed=seed)
+        history = fit(
+            model, train, valid, steps=steps, every=100, rate=rate, decay=decay, prior=prior, seed=seed, progress=False
+        )
         errors.append(min(history.valid))
     return choices[int(np.argmin(errors))].model
 

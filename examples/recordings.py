@@ -2,6 +2,7 @@
 
 import gzip
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 
 from torchdq.learning import Layout
@@ -11,6 +12,8 @@ from torchdq.learning import Layout
 class Arm(Layout):
     """Layout of a data set, and properties of its arm."""
 
+    files: str = ""
+    """Pattern of the names of the data set's files; empty: those of no data set."""
     robot: str | None = None
     """Name of the shipped robot it was recorded on, if it is one."""
     slow: float = 0.02
@@ -21,9 +24,10 @@ class Arm(Layout):
 
 LAYOUTS = {
     # a header, time [s], q1 ... q7 [rad], qd1 ... [rad/s], tau1 ... measured at the joints [N m]
-    "panda": Arm(robot="panda", joints=7, cutoff_qd=6.0, slow=0.05),
+    "panda": Arm(files="panda_exciting_traj*.csv", robot="panda", joints=7, cutoff_qd=6.0, slow=0.05),
     # no header; time [s], six each of q [rad], qd [rad/s], motor current [A], and twelve desired values
     "ur10e": Arm(
+        files="ur-20_*.csv",
         robot="ur10e",
         joints=6,
         blocks=("q", "qd", "current", "current_des", "tau_des"),
@@ -36,6 +40,7 @@ LAYOUTS = {
     ),
     # a header, time [s], pos_meas1, pos_meas2 [rad], vel_meas1 ... [rad/s], tau_meas1 ... from motor currents [N m]
     "double_pendulum": Arm(
+        files="trajectory_*.csv*",
         joints=2,
         blocks=("pos_meas", "vel_meas", "tau_meas"),
         cutoff_qd=8.0,  # above 8 Hz, the shoulder's torques are those of the shaking mount
@@ -47,16 +52,26 @@ LAYOUTS = {
 
 
 def layout_of(path: Path) -> Arm:
-    """Layout of a log by its first line; any seven joints are taken for a Panda's, an archive for any other arm's."""
-    with path.open("rb") as file:
-        start = file.read(2)
-    if start == b"PK":
+    """Layout of a log: a data set's if both the file's name and its columns are that set's, else any other arm's.
+
+    Columns alone say nothing: those of the Panda's log are the ones of any seven joints.
+    """
+    candidates = [layout for layout in LAYOUTS.values() if fnmatch(path.name, layout.files)]
+    if not candidates:
         return LAYOUTS["csv"]
-    with (gzip.open if start == b"\x1f\x8b" else open)(path, "rt", encoding="utf-8-sig", errors="replace") as file:
+    with path.open("rb") as file:
+        packed = file.read(2) == b"\x1f\x8b"
+    with (gzip.open if packed else open)(path, "rt", encoding="utf-8-sig", errors="replace") as file:
         heads = [cell.strip() for cell in file.readline().split(",")]
-    if "time" not in heads:
-        return LAYOUTS["ur10e"]
-    for layout in LAYOUTS.values():
-        if layout.header and layout.joints == sum(x.removeprefix(layout.blocks[0]).isdecimal() for x in heads):
+    for layout in candidates:
+        needed = layout.order
+        if set(needed) <= set(heads) if layout.header else len(needed) == len(heads) and _are_numbers(heads):
             return layout
     return LAYOUTS["csv"]
+
+
+def _are_numbers(cells: list[str]) -> bool:
+    try:
+        return bool([float(cell) for cell in cells])
+    except ValueError:
+        return False

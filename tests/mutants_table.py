@@ -59,6 +59,11 @@ BACKENDS = "backends.py"
 CONTROL = "computed_torque.py"
 SIGNS = "signs_and_turns.py::test_signs_are_those_of_plain_arithmetic"
 MANY_TURNS = "signs_and_turns.py::test_a_rotation_by_many_turns_loses_nothing_to_the_rounding_of_its_angle"
+LOGS = "logs.py"
+MALFORMED = f"{LOGS}::test_a_malformed_log_is_refused_with_the_cure"
+IDENTIFY = "identify.py"
+TRAINING = "training.py"
+UNTRUSTED = f"{TRAINING}::test_a_checkpoint_that_is_not_to_be_trusted_is_refused"
 CALL = "call.py"
 CALL_BATCH = f"{CALL}::test_results_go_by_name_and_have_the_batch_axes_of_all"
 COUPLING = "coupling.py"
@@ -1641,6 +1646,72 @@ MUTANTS = (
             "x.clamp(-LARGEST_LOGARITHM, LARGEST_LOGARITHM).exp()",
             "x.exp()",
             f"{PARAMETERS}::test_any_free_numbers_are_a_body_that_exists",
+        ),
+    ),
+    *within(
+        "examples/recordings.py",
+        (
+            "a data set by its columns alone",
+            "if fnmatch(path.name, layout.files)]",
+            "if layout.files]",
+            f"{LOGS}::test_a_log_of_any_seven_joints_is_no_data_set",
+        ),
+    ),
+    *within(
+        "torchdq/learning/layouts.py",
+        (
+            "patterns that skip a joint's number",
+            "str(int(x) + i)",
+            "str(int(x) + i + 1)",
+            f"{LOGS}::test_columns_have_names_by_a_mapping",
+        ),
+        ("numbers as Python writes them", '"_" not in cell and ', "", MALFORMED),
+    ),
+    *within(
+        "torchdq/learning/logs.py",
+        ("bombs unpacked", "if unpacked > (most", "if unpacked < 0 and unpacked > (most", MALFORMED),
+        ("first lines without an end", "if len(head) > LONGEST:", "if False:", MALFORMED),
+    ),
+    *within(
+        "torchdq/learning/checkpoint.py",
+        ("checkpoints of infinite numbers", " and bool(x.isfinite().all())", "", UNTRUSTED),
+        ("checkpoints of steps that never were", "_is_count(x) and 0 < x <= last", "_is_count(x)", UNTRUSTED),
+        ("models with other weights", "x.keys() != model.keys()", "False", UNTRUSTED),
+    ),
+    *within(
+        "torchdq/learning/training.py",
+        (
+            "an optimiser steered by a checkpoint",
+            'self.optimiser.state_dict()["param_groups"]',
+            'saved["optimiser"]["param_groups"]',
+            f"{TRAINING}::test_settings_of_the_optimiser_are_those_of_the_call",
+        ),
+        (
+            "a refused checkpoint that leaves its weights",
+            "            self.model.load_state_dict(before)\n            raise",
+            "            raise",
+            UNTRUSTED,
+        ),
+    ),
+    *within(
+        "torchdq/learning/identification.py",
+        (
+            "joints at rest that are said to be excited",
+            " & torch.cat([inertial, *own])",
+            "",
+            f"{IDENTIFY}::test_joints_that_do_not_move_are_named",
+        ),
+        (
+            "joints at rest without a word",
+            "if v <= width]",
+            "if v < 0]",
+            f"{IDENTIFY}::test_joints_that_do_not_move_are_named",
+        ),
+        (
+            "parameters excited by the prior",
+            " & (left < 1 - EXCITED)",
+            "",
+            f"{IDENTIFY}::test_what_the_samples_decide_is_said_and_nothing_warned_when_all_joints_move",
         ),
     ),
     # --- scenes -------------------------------------------------------------------------------------------------------

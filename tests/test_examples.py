@@ -90,6 +90,7 @@ def explained(tmp_path: Path, sources: tuple[str, ...], test_last: bool) -> tupl
         if not file.exists():
             pytest.skip(f"no recording {file}; TORCHDQ_DATA names the folder that holds it")
     main = import_module("01_inverse_dynamics")
+    main.prepare()
     read = [main.read_log(str(DATA / source), "auto") for source in sources]
     alone, full, checks = main.explain_logs(Console(), read, test_last, None, tmp_path / "measured.png")
     assert all(check.passed for check in checks.values())

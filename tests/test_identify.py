@@ -4,6 +4,10 @@ The references are numpy's least squares on pinocchio's regressor, the robots th
 definition of a body that can exist.
 """
 
+import re
+import signal
+import time
+import warnings
 from importlib import import_module
 
 import numpy as np
@@ -13,6 +17,7 @@ import pytest
 import torch
 
 import torchdq
+from torchdq import notice
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.learning import identify, regression
 from torchdq.robot import consistency as physical
@@ -193,7 +198,9 @@ def test_what_the_samples_do_not_tell_stays_as_described():
     real, robot = real.replace(gravity=torch.zeros(3).double()), robot.replace(gravity=torch.zeros(3).double())
     tau = torchdq.inverse_dynamics(real, q, qd, qdd)
     tau = tau * still + 0.01 * moving(7, 400, seed=3)[0]
-    found = identify(robot, q, qd, qdd, tau, prior=4.0)
+    with pytest.warns(UserWarning, match="6 of 7 joints never move"):
+        found = identify(robot, q, qd, qdd, tau, prior=4.0)
+    assert not bool(found.excited[70:].reshape(2, 7)[:, :6].any())
     told = found.base[:, :70].abs().amax(0).reshape(7, 10).amax(1)
     assert told.nonzero()[:, 0].tolist() == [6]
     assert torch.allclose(found.robot.mass[:6], robot.mass[:6], rtol=1e-9)
@@ -233,6 +240,119 @@ def test_links_without_mass_points_and_impossible_ones():
     assert float(found.robot.mass[2]) == 0 and not found.robot.inertia[2].any()
     left = torchdq.inverse_dynamics(panda, q, qd, qdd) - torchdq.inverse_dynamics(robot, q, qd, qdd)
     assert float(found.rms.sum()) < 0.5 * float(left.square().mean(0).sqrt().sum())
+
+
+# --- excitation ------------------------------------------------------------------------------------------------------
+
+
+def hardly_moving():
+    """Two-link arm whose second joint moves by 1e-5 rad, with noise of 0.05 N m."""
+    robot = torchdq.robots.load("two_link")
+    t, generator = torch.linspace(0, 10, 1000).double(), torch.Generator().manual_seed(0)
+    still = 1e-5 * (3 * t).sin(), 3e-5 * (3 * t).cos(), -9e-5 * (3 * t).sin()
+    states = [torch.stack(x, -1) for x in zip((t.sin(), t.cos(), -t.sin()), still, strict=True)]
+    noise = 0.05 * torch.randn(1000, 2, generator=generator, dtype=torch.float64)
+    return robot, *states, torchdq.inverse_dynamics(robot, *states) + noise
+
+
+def test_joints_that_do_not_move_are_named():
+    with pytest.warns(UserWarning, match=r"never move faster than width = 0\.01: joint2 \(3e-05 rad/s\).*excited"):
+        found = identify(*hardly_moving(), armature=True)
+    excited = dict(zip(found.names, found.excited.tolist(), strict=True))
+    for name in ("rotor", "viscous", "coulomb"):
+        assert not excited[f"joint2 {name}"], name
+    assert excited["joint1 viscous"] and excited["joint1 coulomb"]
+
+
+def test_what_the_samples_decide_is_said_and_nothing_warned_when_all_joints_move():
+    robot = torchdq.robots.load("panda")
+    q, qd, qdd = moving(7, 400)
+    tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.3 * qd + 0.01 * moving(7, 400, seed=4)[0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = identify(robot, q, qd, qdd, tau, prior=2.0)
+        one = identify(robot, q[:1], qd[:1], qdd[:1], tau[:1])
+    assert bool(found.excited[70:].all())  # friction of all joints
+    alone = (found.base != 0).sum(1) == 1  # base parameters of one term are told by themselves
+    lead = [int(row.nonzero()[0]) for row in found.base[alone]]
+    assert len(lead) > 10 and bool(found.excited[lead].all())
+    assert not bool(found.excited[:4].any())  # mass and its moment of the first link, which turns about the vertical
+    assert int(one.excited.sum()) < int(found.excited.sum()) / 2
+
+
+def test_what_is_found_prints_as_a_table():
+    with pytest.warns(UserWarning, match="joint2"):
+        found = identify(*hardly_moving(), armature=True, offset=True)
+    lines = str(found).splitlines()
+    assert lines[0] == f"two_link, identified: {found.rank} combinations of {len(found.names)} parameters are told"
+    header = next(i for i, line in enumerate(lines) if line.startswith("parameter"))
+    assert lines[header].split() == ["parameter", "estimate", "standard", "error", "unit", "excited"]
+    rows = lines[header + 1 : header + 1 + len(found.names)]
+    assert [row.split("  ")[0] for row in rows] == list(found.names)
+    at = found.names.index("joint2 viscous")
+    assert rows[at].split()[2:] == [f"{found.viscous[1]:.4g}", f"{found.errors[at]:.2g}", "N", "m", "s/rad", "no"]
+    assert rows[found.names.index("joint1 viscous")].endswith("yes")
+    assert "tensor(" not in str(found) and len(lines) < len(found.names) + 10
+    assert len(repr(found)) < 120 and "\n" not in repr(found) and "two_link" in repr(found)
+
+
+def test_units_are_those_of_the_joints():
+    robot = oracles.case("tree7").robot
+    q, qd, qdd = moving(robot.n, 50)
+    found = identify(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd), armature=True, offset=True)
+    sliding = [kind == "prismatic" for kind in robot.kinds]
+    assert any(sliding) and not all(sliding)
+    for name, turn, slide in (
+        ("rotor", "kg m^2", "kg"),
+        ("viscous", "N m s/rad", "N s/m"),
+        ("coulomb", "N m", "N"),
+        ("offset", "N m", "N"),
+    ):
+        for i, slides in enumerate(sliding):
+            (row,) = [line for line in str(found).splitlines() if line.startswith(f"{robot.joint_names[i]} {name}")]
+            assert re.search(rf"  {re.escape(slide if slides else turn)}  +(yes|no)$", row), row
+
+
+def test_predictions_print_as_tables():
+    robot = torchdq.robots.load("two_link")
+    q, qd, qdd = moving(2, 300)
+    found = identify(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd))
+    for text in (str(found.predict(q, qd, qdd)), repr(found.predict(q, qd, qdd))):
+        lines = text.splitlines()
+        assert lines[0].split() == ["Prediction", "shape", "least", "mean", "greatest", "unit"]
+        assert lines[1].split()[:3] == ["tau", "[300,", "2]"] and len(lines) == 3
+
+
+# --- waiting ---------------------------------------------------------------------------------------------------------
+
+
+def test_long_work_says_how_far_it_is_and_can_be_interrupted(monkeypatch, capfd):
+    robot = torchdq.robots.load("two_link")
+    states, seen = moving(2, 200), []
+    monkeypatch.setattr(notice, "FIRST", 0.01)
+    monkeypatch.setattr(notice, "EVERY", 0.01)
+    monkeypatch.setattr(regression, "CHUNK", 2 * 24 * 50)
+    plain = regression.columns
+
+    def slow(*arguments):
+        time.sleep(0.1)
+        seen.append(len(arguments[1]))
+        if len(seen) == 3:
+            signal.raise_signal(signal.SIGINT)
+        return plain(*arguments)
+
+    monkeypatch.setattr(regression, "columns", slow)
+    with pytest.raises(KeyboardInterrupt):
+        identify(robot, *states, states[0])
+    assert seen == [50, 50, 50]
+    told = capfd.readouterr().err
+    assert "torchdq: identifying two_link, 50 of 200 samples, 0 s" in told
+    time.sleep(0.1)
+    assert capfd.readouterr().err == ""  # it has ended
+    monkeypatch.undo()
+    monkeypatch.setattr(notice, "FIRST", 60.0)
+    identify(robot, *states, states[0])
+    assert capfd.readouterr().err == ""
 
 
 # --- form ------------------------------------------------------------------------------------------------------------

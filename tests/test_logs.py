@@ -4,10 +4,16 @@ What smoothing returns is held against motions known in closed form. The recordi
 package: their tests look in the folder that TORCHDQ_DATA names, or beside the checkout, and are skipped without it.
 """
 
+import contextlib
 import gzip
+import io
 import os
+import pickle
 import sys
+import time
+import zipfile
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -302,6 +308,207 @@ def test_a_joint_that_turns_far_has_a_layout_that_allows_it(tmp_path):
     assert learning.read(path, learning.Layout(farthest=np.inf)).q.max() > 100
 
 
+# --- malformed files -------------------------------------------------------------------------------------------------
+
+ROWS = [f"{0.01 * k:.2f},{np.sin(0.01 * k):.6f},{np.cos(0.01 * k):.6f},{0.1 * k:.3f}" for k in range(50)]
+HEAD = "time,q1,qd1,tau1\n"
+GOOD = HEAD + "\n".join(ROWS) + "\n"
+
+
+def packed(**members: str) -> bytes:
+    content = io.BytesIO()
+    with zipfile.ZipFile(content, "w") as file:
+        for name, text in members.items():
+            file.writestr(name.replace("_", "."), text)
+    return content.getvalue()
+
+
+def array(x: np.ndarray) -> bytes:
+    content = io.BytesIO()
+    np.save(content, x)
+    return content.getvalue()
+
+
+def replaced(row: int, text: str) -> str:
+    return HEAD + "\n".join([*ROWS[:row], text, *ROWS[row + 1 :]]) + "\n"
+
+
+MALFORMED = {
+    "nothing": ("", "log is empty"),
+    "blanks": (" \n \n", "log is empty"),
+    "a header alone": (HEAD, "0 rows of numbers, at least two"),
+    "one row": (HEAD + ROWS[0], "1 rows of numbers, at least two"),
+    "semicolons": (GOOD.replace(",", ";"), "columns are separated by semicolons; commas are needed"),
+    "tabs": (GOOD.replace(",", "\t"), "columns are separated by tabs; commas are needed"),
+    "spaces": (GOOD.replace(",", " "), "columns are separated by spaces; commas are needed"),
+    "decimal commas": (HEAD + "\n".join(row.replace(".", ",") for row in ROWS), "row 2: 8 .* decimal commas .* points"),
+    "quotes": ("\n".join(f'"{line}"'.replace(",", '","') for line in GOOD.split("\n")), "quotation marks .* removed"),
+    "quoted numbers": (replaced(8, '0.08,"1",1,1'), "row 10, column 'q1': '\"1\"' is not .* quotation marks"),
+    "a comment": ("# log of today\n" + GOOD, "row 1: .* remove the lines before the header"),
+    "units": (HEAD + "s,rad,rad/s,Nm\n" + GOOD[len(HEAD) :], r"row 2, .* words or units .* rows=\(1, last\)"),
+    "no header": ("\n".join(ROWS), r"there is no column 'time'; .* Layout\(header=False, joints=\.\.\.\)"),
+    "capitals": (GOOD.replace("time", "Time"), "no column 'time'; .* there is 'Time'; capitals count"),
+    "other names": (GOOD.replace("q1,qd1", "a,b"), r"there is no column 'q1'; .* Layout\(columns="),
+    "latin-1": (GOOD.replace("tau1", "tau1,température").encode("latin-1"), "not a text .*save it as UTF-8"),
+    "zeros": (GOOD.replace("0.1", "\0"), r"'\\x00\S*' is not a finite number"),
+    "empty lines": (GOOD.replace("\n", "\n\n"), "row 2: 1 columns, expected 4 .* remove empty lines"),
+    "two q1": (GOOD.replace("qd1", "q1"), "several columns 'q1'"),
+    "a short row": (replaced(9, "0.09,1"), "row 11: 2 columns, expected 4"),
+    "a long row": (replaced(9, ROWS[9] + ",5"), "row 11: 5 columns, expected 4"),
+    "a word": (replaced(9, "0.09,x,1,1"), "row 11, column 'q1': 'x' is not a finite number"),
+    "an underscore": (replaced(9, "0.09,1_0,1,1"), "row 11, column 'q1': '1_0' is not a finite number"),
+    "a number too large": (replaced(9, "0.09,1e400,1,1"), "row 11, column 'q1': '1e400' is not a finite number"),
+    "backwards": (HEAD + "\n".join(ROWS[::-1]), "row 3, column 'time': 0.01 s before the row above"),
+    "milliseconds": (
+        HEAD + "\n".join(f"{10 * k},0,0,{k}" for k in range(50)),
+        "times must be in seconds; divide milliseconds by 1000",
+    ),
+    "nanoseconds": (
+        HEAD + "\n".join(f"{10**18 + 10**7 * k},0,0,{k}" for k in range(50)),
+        "times must be in seconds; .* nanoseconds by 1e9",
+    ),
+    "a gap": (HEAD + "\n".join(ROWS[:10] + ROWS[40:]), "row 12, column 'time': 0.31 s after the row above"),
+    "joints 1 and 3": ("time,q1,q3,qd1,qd3,tau1,tau3\n" + "0,0,0,0,0,0,0\n" * 3, "there is no column 'q2'"),
+    "a velocity missing": ("time,q1,q2,qd1,tau1,tau2\n" + "0,0,0,0,0,0\n" * 3, "there is no column 'qd2'"),
+    "a packed file cut short": (gzip.compress(GOOD.encode())[:60], "damaged"),
+    "a bomb": (gzip.compress(b"0" * 40_000_000), "unpacks to more than .* 100 times its own size; unpack it by hand"),
+    "a bomb of rows": (gzip.compress(HEAD.encode() + b"0,0,0,0\n" * 5_000_000), "unpacks to more than"),
+    "a million columns": (",".join(f"c{i}" for i in range(1_000_000)) + "\n1", "first line is longer than 100000"),
+    "many columns": (",".join(f"c{i}" for i in range(10_000)) + "\n1", "there is no column 'time'"),
+    "a zip of a log": (packed(log_csv=GOOD), "a zip archive of log.csv; unpack it"),
+    "an empty zip": (packed(), "there is no array 'time'"),
+    "one array": (array(np.zeros((5, 4))), r"a single NumPy array, .*np\.savez\(time="),
+    "an archive of what says it is huge": (
+        packed(q_npy="\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape': (10, 99999999999999)}"),
+        "there is no array 'time'|damaged",
+    ),
+    "JSON": ('{"time": [0, 1], "q": 3}', "JSON, not a table"),
+    "pickle": (pickle.dumps({"a": 1}), "a pickle, .*columns separated by commas"),
+    "Parquet": (b"PAR1" + bytes(50), "a Parquet file, .*columns separated by commas"),
+    "HDF5": (b"\x89HDF\r\n\x1a\n" + bytes(50), "an HDF5 file"),
+    "a bag": (b"#ROSBAG V2.0\n", "a ROS bag"),
+    "a ROS 2 bag": (b"SQLite format 3\0", "an SQLite file"),
+    "bytes": (bytes(range(256)), "damaged or not a text"),
+}
+
+
+@pytest.mark.parametrize("way", MALFORMED)
+def test_a_malformed_log_is_refused_with_the_cure(tmp_path, way):
+    content, message = MALFORMED[way]
+    path = tmp_path / "log"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    start = time.process_time()
+    with pytest.raises(learning.LogError, match=message):
+        learning.read(path)
+    assert time.process_time() - start < 2
+
+
+@pytest.mark.parametrize("change", [bytes([1]), bytes([0x80])])
+def test_an_archive_that_is_wounded_anywhere_is_read_or_refused(tmp_path, change):
+    """Every 7th byte of an archive, changed: numpy's and zipfile's own errors never come through."""
+    np.savez_compressed(tmp_path / "log.npz", **{k: x[:30] for k, x in arrays(1).items()})
+    whole = (tmp_path / "log.npz").read_bytes()
+    for at in range(2, len(whole), 7):
+        (tmp_path / "log.npz").write_bytes(whole[:at] + bytes([whole[at] ^ change[0]]) + whole[at + 1 :])
+        with contextlib.suppress(learning.LogError):
+            learning.read(tmp_path / "log.npz")
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "utf-32"])
+def test_encodings_that_say_their_name_are_read(tmp_path, encoding):
+    text = GOOD if encoding != "utf-16-le" else "\ufeff" + GOOD
+    (tmp_path / "log.csv").write_bytes(text.encode(encoding))
+    assert len(learning.read(tmp_path / "log.csv").time) == 50
+
+
+# --- names of columns ------------------------------------------------------------------------------------------------
+
+ROS = [
+    "stamp",
+    *(f"position_{i}" for i in range(3)),
+    *(f"joint_states.velocity[{i}]" for i in range(3)),
+    "base",
+    "shoulder",
+    "elbow",
+]
+
+
+def test_columns_have_names_by_a_mapping(tmp_path):
+    path = written(tmp_path / "ros.csv", table(n=3), ROS)
+    columns = {
+        "time": "stamp",
+        "q": "position_{0}",
+        "qd": "joint_states.velocity[{0}]",
+        "tau": ["base", "shoulder", "elbow"],
+    }
+    found = learning.read(path, learning.Layout(columns=columns))
+    assert found.layout.joints == 3
+    assert_holds(found, table(n=3))
+    edited(path, cell(9, 3, "nan"))
+    with pytest.raises(learning.LogError, match="row 9, column 'position_1'"):
+        learning.read(path, learning.Layout(columns=columns))
+    columns["tau"] = "effort_{1}"
+    message = r"no column 'position_3'; needed are columns stamp, position_0 \.\.\. position_3, joint_states"
+    with pytest.raises(learning.LogError, match=message):
+        learning.read(path, learning.Layout(joints=4, columns=columns))
+
+
+def test_patterns_count_from_the_number_in_their_braces_and_others_keep_their_names(tmp_path):
+    heads = ["time", "p_00", "p_01", "qd1", "qd2", "tau1", "tau2", "a5", "a6"]
+    rows = np.column_stack([table(n=2), motion(table(n=2)[:, 0], 2)[2]])
+    layout = learning.Layout(columns={"q": "p_0{0}", "qdd": "a{5}"})
+    found = learning.read(written(tmp_path / "log.csv", rows, heads), layout)
+    assert_holds(found, rows[:, :7])
+    np.testing.assert_allclose(found.qdd, rows[:, 7:], atol=1e-6)
+    with pytest.raises(learning.LogError, match="there is no column 'b1'"):  # named, so it must be there
+        learning.read(tmp_path / "log.csv", learning.Layout(columns={"q": "p_0{0}", "qdd": "b{1}"}))
+
+
+def test_a_single_joint_needs_no_number_and_an_archives_arrays_have_names_too(tmp_path):
+    columns = {"time": "t", "q": "angle", "qd": "speed", "tau": "torque"}
+    found = learning.read(
+        written(tmp_path / "log.csv", table(n=1), list(columns.values())), learning.Layout(columns=columns)
+    )
+    assert_holds(found, table(n=1))
+    known = arrays()
+    np.savez(tmp_path / "log.npz", **{name: known[signal] for signal, name in columns.items()})
+    found = learning.read(tmp_path / "log.npz", learning.Layout(columns=columns))
+    np.testing.assert_array_equal(found.tau, known["tau"])
+    np.savez(tmp_path / "log.npz", **{name: known[signal] for signal, name in columns.items() if signal != "q"})
+    with pytest.raises(learning.LogError, match="there is no array 'angle'"):
+        learning.read(tmp_path / "log.npz", learning.Layout(columns=columns))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"columns": "q"}, r"columns must be a mapping such as \{'q': 'position_\{0\}'\}, found 'q'"),
+        ({"columns": {"velocity": "v{1}"}}, "no signal named 'velocity'; .*time"),
+        ({"columns": {"q": 3}}, r"columns\['q'\] must be a name, a pattern .* or a list of names, found 3"),
+        ({"columns": {"q": ["a", 3]}}, r"columns\['q'\] must be"),
+        ({"columns": {"q": []}}, r"columns\['q'\] must be"),
+        ({"columns": {"time": ["a", "b"]}}, r"columns\['time'\] must be one name"),
+        ({"columns": {"q": ["a", "b"], "qd": ["c"]}}, r"columns\['qd'\] has 1 names, columns\['q'\] 2"),
+        ({"columns": {"q": ["a", "b"]}, "joints": 3}, r"columns\['q'\] has 2 names, expected 3, the number of joints"),
+        ({"columns": {"q": "a{1}"}, "header": False, "joints": 2}, "columns needs a header"),
+        ({"header": False}, "joints must be given for a file without a header"),
+        ({"blocks": ("q", "qd")}, "blocks must be three or more names, found"),
+    ],
+)
+def test_names_of_columns_are_checked(options, message):
+    with pytest.raises(TorchdqError, match=message):
+        learning.Layout(**options)
+
+
+def test_a_layout_must_be_one(log):
+    with pytest.raises(ArgumentError, match=r"layout must be a Layout, found dict; .*Layout\(columns="):
+        learning.read(log, {"time": "stamp"})
+    with pytest.raises(ArgumentError, match="rows must be a first row"):
+        learning.read(log, rows=5)
+    with pytest.raises(ArgumentError, match="gain must have 7 numbers, one per joint, found 2"):
+        learning.read(log, learning.Layout(gain=(1.0, 2.0)))
+
+
 # --- smoothing -------------------------------------------------------------------------------------------------------
 
 
@@ -433,6 +640,20 @@ def test_samples_are_the_rows_of_all_motions(log, dtype):
         learning.samples([])
 
 
+@pytest.mark.parametrize("kind", ["log", "motion", "samples"])
+def test_they_print_as_tables(log, kind):
+    """Shape, range and unit of every signal in place of thousands of numbers."""
+    read = learning.read(log)
+    motion = learning.smooth(read)
+    found = {"log": read, "motion": motion, "samples": learning.samples(motion)}[kind]
+    lines = str(found).splitlines()
+    assert repr(found) == str(found) and len(lines) < 10
+    (row,) = [line for line in lines if line.startswith("qd ")]
+    assert str(list(found.qd.shape)) in row and f"{float(found.qd.max()):.4g}" in row and row.endswith("rad/s")
+    if kind == "log":
+        assert lines[0] == f"{log}: 7 joints, {len(read.time)} rows, 0 repeated time stamps left out"
+
+
 # --- recordings of real arms -----------------------------------------------------------------------------------------
 
 
@@ -485,9 +706,40 @@ def test_the_double_pendulums_elbow_is_explained_by_its_published_model():
     assert 1 - ((measured - tau) ** 2).mean() / measured.var() > 0.95
 
 
-def test_layouts_are_told_by_the_first_line(tmp_path, log):
-    assert layout_of(log) is LAYOUTS["panda"]
+def test_a_log_of_any_seven_joints_is_no_data_set(tmp_path, log):
+    """Columns alone name nothing: those of the Panda's log are the ones any seven joints have."""
+    assert layout_of(log) is LAYOUTS["csv"]
     assert layout_of(written(tmp_path / "nine.csv", table(n=9), names(9))) is LAYOUTS["csv"]
+    without_time = tmp_path / "t.csv"
+    without_time.write_text("t,a,b\n0,1,2\n")
+    assert layout_of(without_time) is LAYOUTS["csv"]
+    heads = names(2, ("pos_meas", "vel_meas", "tau_meas"))
+    assert layout_of(written(tmp_path / "pendulum.csv", table(n=2), heads)) is LAYOUTS["csv"]
+
+
+def test_a_data_set_is_recognised_by_the_name_of_its_file_and_its_columns(tmp_path):
+    panda = written(tmp_path / "panda_exciting_traj1.csv", table(), names(7))
+    assert layout_of(panda) is LAYOUTS["panda"]
+    assert layout_of(written(panda, table(n=6), names(6))) is LAYOUTS["csv"]
+    ur10e = written(tmp_path / "ur-20_02_19.csv", np.ones((3, 31)), None)
+    assert layout_of(ur10e) is LAYOUTS["ur10e"]
+    assert layout_of(written(ur10e, np.ones((3, 30)), None)) is LAYOUTS["csv"]
+    assert layout_of(written(ur10e, np.ones((3, 31)), names(10))) is LAYOUTS["csv"]
+    heads = names(2, ("pos_meas", "vel_meas", "tau_meas"))
+    pendulum = written(tmp_path / "trajectory_03.csv", table(n=2), heads)
+    packed = tmp_path / "trajectory_03.csv.gz"
+    packed.write_bytes(gzip.compress(pendulum.read_bytes()))
+    assert layout_of(pendulum) is layout_of(packed) is LAYOUTS["double_pendulum"]
+
+
+def test_the_example_prints_what_it_recognised(tmp_path, capsys):
+    for needed in ("matplotlib", "pytorch_kinematics", "rich", "tyro"):
+        pytest.importorskip(needed, reason="the examples need the extra 'examples'")
+    example = import_module("01_inverse_dynamics")
+    example.read_log(str(written(tmp_path / "panda_exciting_traj1.csv", table(), names(7))), "auto")
+    assert "panda_exciting_traj1.csv: recognised as panda" in capsys.readouterr().out
+    example.read_log(str(written(tmp_path / "mine.csv", table(), names(7))), "auto")
+    assert "mine.csv: of no data set that is known" in capsys.readouterr().out
 
 
 def test_the_robot_of_a_layout_is_shipped_with_its_joints():

@@ -4,15 +4,19 @@ A killed run that is called again must end with the same bits as one that was no
 has torch loaded, kill the child at a random moment and call the same run again.
 """
 
+import io
 import math
 import multiprocessing
 import os
+import pickle
 import random
+import re
 import signal
 import subprocess
 import sys
 import time
 import types
+from collections.abc import Callable
 from pathlib import Path
 
 import helpers
@@ -21,6 +25,7 @@ import torch
 from torch import nn
 
 import torchdq
+from torchdq import notice
 from torchdq.errors import ArgumentError, MissingLibraryError
 from torchdq.learning import CheckpointError, Samples, TrainingError, fit, training
 from torchdq.learning import checkpoint as checkpoints
@@ -168,6 +173,17 @@ def test_a_joint_without_torque_counts_as_the_others():
     still = data()._replace(tau=data().tau * torch.tensor([1.0, 0.0]))
     history = fit(Network(), still, steps=50, rate=0.01)
     assert all(math.isfinite(error) and error < 20 for error in history.train)
+
+
+def test_a_history_prints_as_a_table():
+    _, history = run(None)
+    lines = str(history).splitlines()
+    assert lines[0] == f"90 steps, weights of step {history.best_step}"
+    assert lines[2].split() == ["step", "train", "valid"] and 8 <= len(lines) <= 14
+    assert lines[-1].split() == ["90", f"{history.train[-1]:.3g}", f"{history.valid[-1]:.3g}"]
+    alone = fit(Network(), data(), steps=4, batch=200)
+    assert str(alone).splitlines()[2].split() == ["step", "train"] and len(str(alone).splitlines()) == 3 + 4
+    assert str(training.History()) == "no steps"
 
 
 # --- arguments -------------------------------------------------------------------------------------------------------
@@ -480,6 +496,131 @@ def test_a_checkpoint_cannot_run_anything(tmp_path):
     assert not (tmp_path / "sprung").exists()
 
 
+def put(path: Path, state: object) -> None:
+    """Write anything as a checkpoint whose hash is right: the hash tells damage, not trust."""
+    content = io.BytesIO()
+    torch.save(state, content)
+    put_bytes(path, content.getvalue())
+
+
+def put_bytes(path: Path, content: bytes) -> None:
+    path.write_bytes(content + checkpoints._digest(content))
+
+
+def changed(x: object, change: Callable[[torch.Tensor], torch.Tensor]) -> object:
+    """A copy in which all tensors of real numbers are changed, and all floats are NaN."""
+    if isinstance(x, torch.Tensor):
+        return change(x) if x.is_floating_point() else x
+    if isinstance(x, dict):
+        return {name: changed(value, change) for name, value in x.items()}
+    if isinstance(x, list | tuple):
+        return [changed(value, change) for value in x]
+    return math.nan if isinstance(x, float) else x
+
+
+ENTRIES = ("identity", "step", "model", "probe", "optimiser", "generator", "random", "best", "best_error", "waited")
+ENTRIES += ("history",)
+HISTORY = {"step": [3, 6], "train": [1.0, 1.0], "valid": [1.0, 1.0], "best_step": 6, "stopped_early": False}
+UNTRUSTED = {
+    **{f"{name} missing": (name, lambda state, name=name: state.pop(name)) for name in ENTRIES},
+    **{f"{name} a word": (name, lambda state, name=name: state.update({name: "a"})) for name in ENTRIES},
+    **{f"{name} None": (name, lambda state, name=name: state.update({name: None})) for name in ENTRIES},
+    **{f"{name} a list": (name, lambda state, name=name: state.update({name: [1, 2]})) for name in ENTRIES},
+    **{
+        f"{name} not a number": (name, lambda state, name=name: state.update({name: changed(state[name], nans)}))
+        for name in ("model", "probe", "optimiser", "best", "best_error", "history")
+    },
+    **{
+        f"{name} of other shapes": (name, lambda state, name=name: state.update({name: changed(state[name], longer)}))
+        for name in ("model", "optimiser", "best")
+    },
+    "a probe of other shapes": ("torques", lambda state: state.update(probe=longer(state["probe"]))),
+    **{
+        f"{name} of another dtype": (name, lambda state, name=name: state.update({name: changed(state[name], doubled)}))
+        for name in ("model", "best")
+    },
+    "a weight missing": ("model", lambda state: state["model"].pop("layers.0.bias")),
+    "a weight too many": ("best", lambda state: state["best"].update(more=torch.ones(2))),
+    "a step below zero": ("step", lambda state: state.update(step=-1)),
+    "a step after the last": ("step", lambda state: state.update(step=10**9)),
+    "a step that is true": ("step", lambda state: state.update(step=True)),
+    "a momentum missing": ("optimiser", lambda state: state["optimiser"]["state"].pop(0)),
+    "a momentum's name": ("optimiser", lambda state: state["optimiser"]["state"][0].pop("exp_avg")),
+    "a square below zero": ("optimiser", lambda state: state["optimiser"]["state"][0]["exp_avg_sq"].neg_().sub_(1)),
+    "a generator of zeros": ("", lambda state: state.update(generator=torch.zeros_like(state["generator"]))),
+    "a short generator": ("", lambda state: state.update(generator=state["generator"][:9])),
+    "randomness of zeros": ("", lambda state: state.update(random=[torch.zeros_like(x) for x in state["random"]])),
+    "no randomness": ("random", lambda state: state.update(random=[])),
+    "a history of words": ("history", lambda state: state.update(history={**HISTORY, "train": ["a", "b"]})),
+    "a history too short": ("history", lambda state: state.update(history={**HISTORY, "train": [1.0]})),
+    "a history that runs back": ("history", lambda state: state.update(history={**HISTORY, "step": [6, 3]})),
+    "a history with more": ("history", lambda state: state.update(history={**HISTORY, "more": []})),
+    "waited for less than nothing": ("waited", lambda state: state.update(waited=-1)),
+    "an identity of tensors": ("identity", lambda state: state["identity"].update(batch=torch.ones(2))),
+    "an error below zero": ("best_error", lambda state: state.update(best_error=-1.0)),
+}
+
+
+def nans(x: torch.Tensor) -> torch.Tensor:
+    return torch.full_like(x, math.nan)
+
+
+def longer(x: torch.Tensor) -> torch.Tensor:
+    return torch.cat([x.reshape(-1), x.new_ones(1)])
+
+
+def doubled(x: torch.Tensor) -> torch.Tensor:
+    return x.double()
+
+
+@pytest.mark.parametrize("way", UNTRUSTED)
+def test_a_checkpoint_that_is_not_to_be_trusted_is_refused(tmp_path, written, way):
+    """Its hash is right, but it holds what `fit` never writes."""
+    entry, spoil = UNTRUSTED[way]
+    path, model = tmp_path / "run.pt", Network(seed=8)
+    state = checkpoints.read(written)
+    spoil(state)
+    put(path, state)
+    before, content = weights(model).clone(), path.read_bytes()
+    with pytest.raises(CheckpointError, match=rf"checkpoint .*run\.pt.*{entry}.*(remove it|another)"):
+        run(path, model, steps=6)
+    assert torch.equal(weights(model), before) and path.read_bytes() == content and model.training
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"hello", b"PK\x03\x04", bytes(range(256)), pickle.dumps({"a": 1}), pickle.dumps(os.system)]
+)
+def test_bytes_with_the_right_hash_are_refused(tmp_path, content):
+    put_bytes(tmp_path / "run.pt", content)
+    with pytest.raises(CheckpointError, match=r"run\.pt (holds more than tensors|is not a checkpoint)"):
+        run(tmp_path / "run.pt")
+
+
+@pytest.mark.parametrize("state", [None, [1], 5, "a", {}, {"version": "1"}, {"version": torch.ones(2)}])
+def test_states_without_a_version_are_refused(tmp_path, state):
+    put(tmp_path / "run.pt", state)
+    with pytest.raises(CheckpointError, match=r"run\.pt is not a checkpoint of fit; remove it"):
+        run(tmp_path / "run.pt")
+
+
+def test_settings_of_the_optimiser_are_those_of_the_call(tmp_path, undisturbed):
+    """A checkpoint gives the optimiser's momenta, not its rates of decay or anything else that steers it."""
+    path = tmp_path / "run.pt"
+    stopped_at(20, path)
+    state = checkpoints.read(path)
+    state["optimiser"]["param_groups"][0].update(betas=(0.0, 0.0), weight_decay=5.0, maximize=True)
+    put(path, state)
+    model, history = run(path)
+    assert torch.equal(weights(model), undisturbed[0]) and history == undisturbed[1]
+
+
+def test_a_folder_is_no_checkpoint(tmp_path):
+    with pytest.raises(ArgumentError, match="checkpoint must be a file, found the folder"):
+        run(tmp_path)
+    with pytest.raises(ArgumentError, match="checkpoint must be a path, found int"):
+        run(5)
+
+
 # --- several processes -----------------------------------------------------------------------------------------------
 
 SHARED = """
@@ -575,6 +716,50 @@ def test_curves_go_to_tensorboard_and_a_resumed_run_does_not_double_them(tmp_pat
         assert [call[1:] for call in calls[1:-1] if call[0] == name] == list(zip(values, history.step, strict=True))[1:]
     rates = [call[1] for call in calls[1:-1] if call[0] == "rate"]
     assert rates == [0.01 / 2 * (1 + math.cos(math.pi * (step - 1) / 90)) for step in range(6, 91, 3)]
+
+
+class Slow(Network):
+    """Takes 20 ms a step; ends as by Ctrl-C before a step of one's choice."""
+
+    def __init__(self, last: int):
+        super().__init__()
+        self.calls, self.last = 0, last
+
+    def forward(self, q, qd, qdd):
+        if self.training:
+            time.sleep(0.02)
+            self.calls += 1
+            if self.calls > self.last:
+                signal.raise_signal(signal.SIGINT)
+        return super().forward(q, qd, qdd)
+
+
+Slow.__name__ = Slow.__qualname__ = "Network"
+
+
+def test_a_long_run_says_how_far_it_is_and_an_interrupted_one_goes_on(tmp_path, undisturbed, monkeypatch, capfd):
+    monkeypatch.setattr(notice, "FIRST", 0.05)
+    monkeypatch.setattr(notice, "EVERY", 0.05)
+    model, path = Slow(40), tmp_path / "run.pt"
+    with pytest.raises(KeyboardInterrupt):
+        run(path, model)
+    told = capfd.readouterr().err
+    assert re.search(r"torchdq: fitting, step \d+ of 90, train \S+  valid \S+, 0 s", told)
+    assert model.training and checkpoints.read(path)["step"] == 39
+    time.sleep(0.1)
+    assert capfd.readouterr().err == ""  # it has ended
+    model, history = run(path)
+    assert torch.equal(weights(model), undisturbed[0]) and history == undisturbed[1]
+
+
+def test_a_run_can_be_silent_and_a_quick_one_is(monkeypatch, capfd):
+    monkeypatch.setattr(notice, "FIRST", 60.0)
+    run(None, steps=3)
+    monkeypatch.setattr(notice, "FIRST", 0.0)
+    fit(Slow(9), data(), steps=3, batch=200, progress=False)
+    assert capfd.readouterr().err == ""
+    with pytest.raises(ArgumentError, match="progress must be one of None, True, False, found 'bar'"):
+        run(None, progress="bar")
 
 
 @pytest.mark.parametrize(

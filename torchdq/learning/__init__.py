@@ -1,6 +1,7 @@
 """Learning from recordings: read logs of real arms, and train models of their torques.
 
     motion = smooth(read("log.csv"))                    # `logs`: checked, filtered without delay, with accelerations
+    # columns of other names: Layout(columns={"time": "stamp", "q": "position_{0}", "tau": ["shoulder", "elbow"]})
     train, test = (samples(part) for part in cut(motion, 0.6))
     fit(model, train, epochs=100, checkpoint="run.pt")  # `training`: a plain loop that survives being killed
 
@@ -10,7 +11,8 @@ Nothing here is imported by `import torchdq`; scipy, rich and tensorboard are im
 from torchdq.learning.checkpoint import CheckpointError
 from torchdq.learning.data import Samples
 from torchdq.learning.identification import Identified, identify
-from torchdq.learning.logs import Layout, Log, LogError, read
+from torchdq.learning.layouts import Layout, LogError
+from torchdq.learning.logs import Log, read
 from torchdq.learning.motions import Motion, cut, hold_out, samples, smooth
 from torchdq.learning.training import History, TrainingError, fit
 

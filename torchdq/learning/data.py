@@ -7,6 +7,9 @@ import torch
 from torch import Tensor
 
 from torchdq.errors import ArgumentError
+from torchdq.tables import summary
+
+UNITS = {"time": "s", "q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "tau": "N m"}  # units of the signals
 
 
 class Samples(NamedTuple):
@@ -16,6 +19,9 @@ class Samples(NamedTuple):
     qd: Tensor  # [rad/s]
     qdd: Tensor  # [rad/s^2]
     tau: Tensor  # [N m]
+
+    def __repr__(self) -> str:
+        return summary("Samples", {name: (x, UNITS[name]) for name, x in self._asdict().items()})
 
     def to(self, device: torch.device) -> "Samples":
         """Samples on a device."""

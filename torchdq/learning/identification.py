@@ -23,10 +23,21 @@ from torchdq.errors import ArgumentError
 from torchdq.functional import check, require_finite
 from torchdq.learning.feasible import Neighbourhood
 from torchdq.learning.regression import Information, base_parameters, chunks, columns, gram, information
+from torchdq.notice import Notice
 from torchdq.robot import Robot
 from torchdq.robot.robot import batches
+from torchdq.tables import summary, table
 
 INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # parameters of a link, about its frame
+UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
+# units of the coefficients of a joint that turns, and of one that slides
+JOINT_UNITS = {
+    "rotor": ("kg m^2", "kg"),
+    "viscous": ("N m s/rad", "N s/m"),
+    "coulomb": ("N m", "N"),
+    "offset": ("N m", "N"),
+}
+EXCITED = 0.9  # least part of a parameter's variance that the samples take away where they excite it
 ITERATIONS = 200  # most Newton steps of a minimum
 ROUNDS = 10  # most times that the joints are weighted anew
 
@@ -36,6 +47,9 @@ class Prediction(NamedTuple):
 
     tau: Tensor  # [N m or N]
     error: Tensor  # [N m or N], of the prediction; the noise of a measurement comes on top
+
+    def __repr__(self) -> str:
+        return summary("Prediction", {name: (x, "N m or N") for name, x in self._asdict().items()})
 
 
 class Identified(NamedTuple):
@@ -49,8 +63,10 @@ class Identified(NamedTuple):
     are not independent: keep about two samples per period of the filter's cutoff, or the errors come out too small.
     Parameters that the samples do not identify have the width of the prior instead, the described size over
     sqrt(prior), which is large, and right as long as the description is not off by more; that the robot must be
-    physical narrows it further and is not counted. Single masses and inertias are mostly of that kind. The samples
-    identify `rank` combinations, the base parameters `base` @ `parameters`.
+    physical narrows it further and is not counted. Single masses and inertias are mostly of that kind; `excited` tells
+    them from the others. The samples identify `rank` combinations, the base parameters `base` @ `parameters`.
+
+    Printed, it is a table of the parameters.
     """
 
     robot: Robot  # baked; its damping and friction are those below, its rotor inertia the one found
@@ -64,6 +80,7 @@ class Identified(NamedTuple):
     noise: Tensor  # [n] standard deviation of a torque's residual, by which the joints were weighted [N m or N]
     rms: Tensor  # [n] root mean square of the residual torque [N m or N]
     width: float  # width of the Coulomb friction [rad/s or m/s]
+    excited: Tensor  # [k] bool: parameters that the samples decide, not the prior; false if the joint hardly moves
 
     @property
     def rank(self) -> int:
@@ -98,6 +115,24 @@ class Identified(NamedTuple):
     def base_errors(self) -> Tensor:
         """Standard errors of the base parameters [rank]."""
         return (self.base @ self.spread).norm(dim=1)
+
+    def __repr__(self) -> str:
+        return f"Identified({self.robot.name}: {len(self.names)} parameters, {self.rank} combinations of them told)"
+
+    def __str__(self) -> str:
+        title = f"{self.robot.name}, identified: {self.rank} combinations of {len(self.names)} parameters are told"
+        numbers = zip(self.names, self._units, self.parameters, self.errors, self.excited, strict=True)
+        rows = [(name, f"{x:.4g}", f"{e:.2g}", unit, "yes" if told else "no") for name, unit, x, e, told in numbers]
+        parameters = table(("parameter", "estimate", "standard error", "unit", "excited"), rows)
+        residuals = summary("residual", {"rms": (self.rms, "N m or N"), "noise": (self.noise, "N m or N")})
+        return f"{title}\n\n{parameters}\n\n{residuals}"
+
+    @property
+    def _units(self) -> list[str]:
+        """Units of the parameters [k]."""
+        n, slides = self.robot.n, [not joint.turns for joint in self.robot.joint_types]
+        coefficients = [name.split()[-1] for name in self.names[10 * n :: n]] if n else []
+        return [*UNITS * n, *(JOINT_UNITS[name][joint] for name in coefficients for joint in slides)]
 
     def predict(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Prediction:
         """Torques of the identified robot, friction and offset included, [..., n], with standard errors.
@@ -175,11 +210,13 @@ def identify(
     require_finite(q=q, qd=qd, qdd=qdd, tau=tau)
 
     coefficients = ["rotor"] * armature + ["viscous", "coulomb"] * friction + ["offset"] * offset
-    with torch.no_grad():
+    with torch.no_grad(), Notice(f"identifying {robot.name}") as notice:
         near = Neighbourhood(robot, coefficients, rows, width)
-        sums = gram(robot, rows, near.described, coefficients, width)
+        moves = _moving(robot, rows[1], width)
+        sums = gram(robot, rows, near.described, coefficients, width, notice.at)
         squares, floor = rows[3].square().mean(0).cpu(), torch.zeros(n, dtype=torch.float64)
-        for _ in range(ROUNDS):
+        for k in range(ROUNDS):
+            notice.at(f"minimum {k + 1} of at most {ROUNDS}")
             facts = information(sums, near.S, squares, floor, samples)
             y, settled = _minimum(near, facts, prior)
             change = near.S @ y
@@ -194,6 +231,7 @@ def identify(
             warnings.warn(f"the least squares have not settled after {ITERATIONS} iterations", stacklevel=2)
         phi = near.described + change
         found = dict(zip(coefficients, phi[10 * n :].reshape(-1, n), strict=True))
+        spread = near.S @ facts.V * (facts.e + prior).rsqrt()
         names = [f"{link} {name}" for link in robot.link_names for name in INERTIAL]
         return Identified(
             robot=_replaced(robot, *near.bodies(y), found),
@@ -202,12 +240,38 @@ def identify(
             offset=found.get("offset"),
             names=(*names, *(f"{joint} {name}" for name in coefficients for joint in robot.joint_names)),
             parameters=phi,
-            spread=near.S @ facts.V * (facts.e + prior).rsqrt(),
+            spread=spread,
             base=base_parameters(facts.V[:, facts.e > 0].T @ near.inverse, near.S.norm(dim=1)),
             noise=facts.noise,
             rms=rms,
             width=width,
+            excited=_excited(spread, near.S.norm(dim=1) / math.sqrt(prior), moves, coefficients),
         )
+
+
+def _moving(robot: Robot, qd: Tensor, width: float) -> Tensor:
+    """Joints that move faster than `width` in the samples [n]; a warning names the others."""
+    fastest = qd.abs().amax(0).cpu()
+    joints = zip(robot.joint_names, robot.joint_types, fastest.tolist(), strict=True)
+    names = [f"{name} ({v:.2g} {'rad/s' if joint.turns else 'm/s'})" for name, joint, v in joints if v <= width]
+    if names:
+        warnings.warn(
+            f"{len(names)} of {robot.n} joints never move faster than width = {width}: {', '.join(names)}; their "
+            "friction and rotor inertia, and all that only their motion shows, are not identified: see `excited`",
+            stacklevel=3,
+        )
+    return fastest > width
+
+
+def _excited(spread: Tensor, prior: Tensor, moves: Tensor, coefficients: list[str]) -> Tensor:
+    """Parameters [k] whose variance the samples reduce to a tenth of that by the prior alone, at joints that move.
+
+    `prior` [k] are the standard errors without samples: zero for a link without mass, and for what no sample moves.
+    """
+    left = spread.square().sum(1) / prior.square().where(prior > 0, 1.0)
+    own = [moves if name != "offset" else torch.ones_like(moves) for name in coefficients]
+    inertial = torch.ones(10 * len(moves), dtype=torch.bool)
+    return (prior > 0) & (left < 1 - EXCITED) & torch.cat([inertial, *own])
 
 
 def _rows(robot: Robot, **signals: Tensor) -> tuple[tuple[int, ...], list[Tensor]]:

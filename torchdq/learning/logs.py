@@ -4,51 +4,51 @@ A CSV file holds a header line and columns time [s], q1 ... qn [rad], qd1 ... [r
 [N m] and, if they are known, qdd1 ... [rad/s^2]. A `Layout` names other columns, turns motor currents into torques, or
 does without a header. Columns under a header are found by name; others may stand among them and stay unread. A file may
 be packed with gzip, or be an NPZ archive of arrays time [rows], q, qd, tau and, if they are known, qdd, `[rows, n]`.
+A packed file is unpacked up to 100 times its size, so that a small file cannot fill the memory.
 """
 
+import codecs
 import gzip
 import io
 import math
-import re
 import zipfile
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from torchdq.errors import ArgumentError, TorchdqError
+from torchdq.errors import ArgumentError
+from torchdq.learning.data import UNITS
+from torchdq.learning.layouts import SIGNALS, Layout, LogError, find_columns, is_number
+from torchdq.tables import summary
 
 GAP = 0.1  # [s] longest time between two rows; beyond it the motion in between is unknown
 FOLLOWED = 0.01  # [rad or rad/s] least standard deviation of a signal that is compared with its rate
+PACKED, ALWAYS = 100, 2**24  # most times that a file may grow when it is unpacked, and bytes that are always unpacked
+LONGEST = 100_000  # most characters of the first line, enough for ten thousand columns
+MARKS = {  # that a text in another encoding than UTF-8 starts with; the longer ones first
+    codecs.BOM_UTF32_LE: "utf-32",
+    codecs.BOM_UTF32_BE: "utf-32",
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+}
+OTHERS = {  # first bytes of files that are neither tables nor archives
+    b"\x93NUMPY": "a single NumPy array, save all by np.savez(time=..., q=..., qd=..., tau=...)",
+    b"PAR1": "a Parquet file",
+    b"\x89HDF": "an HDF5 file",
+    b"MATLAB 5.0": "a file of MATLAB",
+    b"#ROSBAG": "a ROS bag",
+    b"SQLite format 3": "an SQLite file, as ROS 2 writes its bags",
+    b"\x80": "a pickle",
+    b"BZh": "packed with bzip2",
+    b"\xfd7zXZ": "packed with xz",
+    b"{": "JSON",
+    b"[": "JSON",
+}
 ELSEWHERE = "read the rows before it or after it, by rows=(first, last)"
-
-
-class LogError(TorchdqError, ValueError):
-    """Unusable log; the message names the file, and the row and column where there is one."""
-
-
-@dataclass(frozen=True)
-class Layout:
-    """Columns and units of a log, and the filters its signals need."""
-
-    joints: int = 0  # number of joints; 0: as many as the header names
-    # names of the columns but for the number of the joint; the first three hold q, qd and the effort, and are read
-    blocks: tuple[str, ...] = ("q", "qd", "tau")
-    header: bool = True  # whether the first line holds the names; else the columns are time and `blocks`, in order
-    gain: tuple[float, ...] = ()  # torque per unit of effort [N m], per joint; empty: the effort is the torque
-    cutoff_qd: float = 8.0  # low-pass frequency of the velocities [Hz]
-    cutoff_tau: float = 8.0  # low-pass frequency of the torques [Hz]
-    farthest: float = 8 * math.pi  # position beyond which numbers are taken for degrees [rad]
-    fastest: float = 50.0  # speed beyond which numbers are taken for degrees [rad/s]
-
-    @property
-    def columns(self) -> list[str]:
-        """Names of the time and of all columns of the blocks."""
-        return ["time", *(f"{block}{joint}" for block in self.blocks for joint in range(1, self.joints + 1))]
-
 
 STANDARD = Layout()
 
@@ -64,6 +64,11 @@ class Log(NamedTuple):
     tau: np.ndarray  # [rows, n] [N m]
     repeats: int  # rows left out because they repeat a time stamp
     qdd: np.ndarray | None = None  # [rows, n] [rad/s^2], if the file holds them
+
+    def __repr__(self) -> str:
+        size = f"{self.q.shape[1]} joints, {len(self.time)} rows, {self.repeats} repeated time stamps left out"
+        signals = {name: (x, UNITS[name]) for name, x in self._asdict().items() if name in UNITS and x is not None}
+        return f"{self.path}: {size}\n\n{summary('Log', signals)}"
 
 
 def read(path: str | Path, layout: Layout = STANDARD, rows: tuple[int, int] | None = None) -> Log:
@@ -86,12 +91,18 @@ def read(path: str | Path, layout: Layout = STANDARD, rows: tuple[int, int] | No
            [2.1]])
     """
     path = Path(path)
-    if rows is not None and not 0 <= rows[0] < rows[1]:
+    if not isinstance(layout, Layout):
+        cure = "columns are named by Layout(columns={'q': 'position_{0}'})"
+        raise ArgumentError(f"layout must be a Layout, found {type(layout).__name__}; {cure}")
+    if rows is not None and not (isinstance(rows, tuple | list) and len(rows) == 2 and 0 <= rows[0] < rows[1]):
         raise ArgumentError(f"rows must be a first row and a greater one after the last, found {rows}")
     content = path.read_bytes()
+    _require_table(path, content)
     table = (_archive if content.startswith(b"PK") else _text)(path, content, layout, rows)
+    if layout.gain and len(layout.gain) != table.layout.joints:
+        raise ArgumentError(f"gain must have {table.layout.joints} numbers, one per joint, found {len(layout.gain)}")
     for row, column in np.argwhere(~np.isfinite(table.values))[:1]:
-        _refuse(table, row, column, f"{table.cell(row, column)} is not a finite number; {ELSEWHERE}")
+        _refuse(table, row, column, f"{table.cell(row, column)} is not a finite number; {_cure(table, row, column)}")
     _require_times(table)
     _require_radians(table)
     time = table.values[:, 0]
@@ -122,21 +133,24 @@ class _Table(NamedTuple):
 
 def _text(path: Path, content: bytes, layout: Layout, rows: tuple[int, int] | None) -> _Table:
     """Table in a CSV file; its rows are numbered as an editor does."""
-    try:
-        text = (gzip.decompress(content) if content.startswith(b"\x1f\x8b") else content).decode("utf-8-sig")
-    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as fault:
-        raise LogError(f"{path} is damaged or not a text ({fault})") from fault
-    lines = text.rstrip().splitlines()
-    if not lines:
+    text = _decoded(path, _unpacked(path, content) if content.startswith(b"\x1f\x8b") else content).rstrip()
+    if not text:
         raise LogError(f"{path} is empty")
-    heads = [cell.strip() for cell in lines[0].split(",")] if layout.header else layout.columns
-    layout, names = _read_columns(f"{path}, row 1", layout, heads)
+    head = (text[: LONGEST + 1].splitlines() or [""])[0]
+    if len(head) > LONGEST:
+        raise LogError(f"{path}: the first line is longer than {LONGEST} characters; it must be the names of columns")
+    lines = text.splitlines()
+    heads = [cell.strip() for cell in head.split(",")] if layout.header else layout.order
+    layout, names = find_columns(f"{path}, row 1", layout, heads)
     start = layout.header + (rows[0] if rows else 0)
     body = lines[start : None if rows is None else start + rows[1] - rows[0]]
     for number, line in enumerate(body, start + 1):
         if (found := line.count(",") + 1) != len(heads):
             expected = f"{len(heads)} columns {heads[0]} ... {heads[-1]}"
-            raise LogError(f"{path}, row {number}: {found} columns, expected {expected}")
+            cure = "; decimal commas must be points" if found > len(heads) else ""
+            if not line.strip():
+                cure = "; remove empty lines"
+            raise LogError(f"{path}, row {number}: {found} columns, expected {expected}{cure}")
     _require_rows(path, len(body))
     used = [heads.index(name) for name in names]
     values: np.ndarray
@@ -149,50 +163,65 @@ def _text(path: Path, content: bytes, layout: Layout, rows: tuple[int, int] | No
 
 def _archive(path: Path, content: bytes, layout: Layout, rows: tuple[int, int] | None) -> _Table:
     """Table in an NPZ archive; its rows are numbered from 0."""
+    called = {signal: layout.columns.get(signal, signal) for signal in SIGNALS}
+    if any(not isinstance(name, str) for name in called.values()):
+        raise ArgumentError(f"columns of an archive must be names of its arrays, found {layout.columns}")
     try:
+        with zipfile.ZipFile(io.BytesIO(content)) as members:
+            _require_bounded(path, len(content), sum(member.file_size for member in members.infolist()))
+            inside = members.namelist()
         with np.load(io.BytesIO(content), allow_pickle=False) as archive:
-            found = {name: archive[name] for name in ("time", "q", "qd", "tau", "qdd") if name in archive}
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as fault:
+            found = {signal: archive[name] for signal, name in called.items() if name in archive}
+    except LogError:
+        raise
+    except Exception as fault:  # numpy and zipfile raise errors of many kinds on damaged bytes
         raise LogError(f"{path} is damaged or not an archive of numbers ({fault})") from fault
-    for name in ("time", "q", "qd", "tau"):
-        if name not in found:
-            raise LogError(f"{path}: there is no array {name!r}; needed are time [rows], q, qd and tau [rows, n]")
+    if inside and not any(name.endswith(".npy") for name in inside):
+        raise LogError(f"{path} is a zip archive of {', '.join(inside[:3])}; unpack it")
+    for signal in SIGNALS[:4]:
+        if signal not in found:
+            needed = "time [rows], q, qd and tau [rows, n]"
+            raise LogError(f"{path}: there is no array {called[signal]!r}; needed are {needed}")
     shape = found["q"].shape
-    for name, x in found.items():
-        if x.shape != (shape[:1] if name == "time" else shape) or len(shape) != 2 or x.dtype.kind not in "fiu":
+    for signal, x in found.items():
+        if x.shape != (shape[:1] if signal == "time" else shape) or len(shape) != 2 or x.dtype.kind not in "fiu":
             raise LogError(
-                f"{path}, array {name!r}: {x.dtype} {list(x.shape)}, expected real numbers, "
+                f"{path}, array {called[signal]!r}: {x.dtype} {list(x.shape)}, expected real numbers, "
                 "time [rows] and q, qd, tau [rows, n]"
             )
-    heads = ["time", *(f"{name}{joint}" for name in list(found)[1:] for joint in range(1, shape[1] + 1))]
-    layout, names = _read_columns(str(path), layout, heads)
+    if layout.joints not in (0, shape[1]) or not shape[1]:
+        raise LogError(f"{path}: {shape[1]} joints, expected {layout.joints or 'at least one'}")
+    names = ["time", *(f"{signal}{joint}" for signal in list(found)[1:] for joint in range(1, shape[1] + 1))]
     start, end = rows or (0, None)
     values = np.column_stack([x.astype(float) for x in found.values()])[start:end]
     _require_rows(path, len(values))
+    layout = layout if layout.joints else replace(layout, joints=shape[1])
     return _Table(path, layout, names, values, start, lambda i, k: values[i, k])
 
 
-def _read_columns(where: str, layout: Layout, heads: list[str]) -> tuple[Layout, list[str]]:
-    """Layout with its number of joints, and names of the columns to read."""
-    joints = sum(re.fullmatch(rf"{re.escape(layout.blocks[0])}\d+", head) is not None for head in heads)
-    layout = layout if layout.joints else replace(layout, joints=max(joints, 1))
-    wanted = ", ".join(f"{block}1 ... {block}{layout.joints}" for block in layout.blocks[:3])
-    known = any(re.fullmatch(r"qdd\d+", head) for head in heads)
-    names = replace(layout, blocks=(*layout.blocks[:3], *(("qdd",) if known else ()))).columns
-    for name in names:
-        if heads.count(name) != 1:
-            found = "there is no column" if name not in heads else "there are several columns"
-            raise LogError(f"{where}: {found} {name!r}; needed are columns time, {wanted}")
-    if joints != layout.joints:
-        raise LogError(f"{where}: {joints} joints, expected {layout.joints}")
-    return layout, names
+def _unpacked(path: Path, content: bytes) -> bytes:
+    """Content of a file packed with gzip."""
+    most = max(ALWAYS, PACKED * len(content))
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(content)) as file:
+            unpacked = file.read(most + 1)
+    except (OSError, EOFError, zlib.error) as fault:
+        raise LogError(f"{path} is damaged or not a text ({fault})") from fault
+    _require_bounded(path, len(content), len(unpacked))
+    return unpacked
+
+
+def _decoded(path: Path, content: bytes) -> str:
+    """Text in UTF-8, or in the encoding that its first bytes name."""
+    encoding = next((name for mark, name in MARKS.items() if content.startswith(mark)), "utf-8-sig")
+    try:
+        return content.decode(encoding)
+    except UnicodeDecodeError as fault:
+        raise LogError(f"{path} is damaged or not a text ({fault}); save it as UTF-8 text") from fault
 
 
 def _number(cell: str) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return math.nan
+    return float(cell) if is_number(cell) else math.nan
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------
@@ -200,6 +229,30 @@ def _number(cell: str) -> float:
 
 def _refuse(table: _Table, row: int, column: int, fault: str) -> NoReturn:
     raise LogError(f"{table.path}, row {table.first + row}, column {table.names[column]!r}: {fault}")
+
+
+def _cure(table: _Table, row: int, column: int) -> str:
+    """Advice about a cell that is not a finite number."""
+    if '"' in str(table.cell(row, column)):
+        return "quotation marks must be removed"
+    if row == 0 and np.isnan(table.values[0]).all() and len(table.values) > 1:
+        start = table.first - table.layout.header
+        return f"a row of words or units must be removed, or left out by rows=({start}, last)"
+    return ELSEWHERE
+
+
+def _require_table(path: Path, content: bytes) -> None:
+    """Refuse files of other kinds, by their first bytes."""
+    for start, kind in OTHERS.items():
+        if content.startswith(start):
+            raise LogError(f"{path} is {kind}, not a table; needed are columns separated by commas, or an NPZ archive")
+
+
+def _require_bounded(path: Path, size: int, unpacked: int) -> None:
+    """Refuse a file that grows too much when it is unpacked."""
+    if unpacked > (most := max(ALWAYS, PACKED * size)):
+        times = f"{PACKED} times its own size"
+        raise LogError(f"{path} unpacks to more than {most} bytes, {times}; unpack it by hand if you trust it")
 
 
 def _require_rows(path: Path, rows: int) -> None:
@@ -216,7 +269,7 @@ def _require_times(table: _Table) -> None:
     if (step > GAP).any():
         i = int((step > GAP).argmax())
         seconds = np.median(step) <= GAP
-        cure = ELSEWHERE if seconds else "times must be in seconds; divide milliseconds by 1000"
+        cure = ELSEWHERE if seconds else "times must be in seconds; divide milliseconds by 1000, nanoseconds by 1e9"
         _refuse(table, i + 1, 0, f"{step[i]:.4g} s after the row above, more than {GAP} s; {cure}")
     if not step.any():
         _refuse(table, 1, 0, "the same time in all rows")

@@ -13,9 +13,11 @@ import numpy as np
 import torch
 
 from torchdq.errors import ArgumentError
-from torchdq.learning.data import Samples
-from torchdq.learning.logs import Log, LogError
+from torchdq.learning.data import UNITS, Samples
+from torchdq.learning.layouts import LogError
+from torchdq.learning.logs import Log
 from torchdq.optional import imported
+from torchdq.tables import summary
 
 ENDS = 0.5  # [s] least time left out at either end, where a filter of a few Hz has neighbours on one side only
 AT_REST = 0.02  # [rad/s] speed of every joint below which a row is left out: static friction may be anything there
@@ -29,6 +31,9 @@ class Motion(NamedTuple):
     qd: np.ndarray  # [rad/s]
     qdd: np.ndarray  # [rad/s^2]
     tau: np.ndarray  # [N m]
+
+    def __repr__(self) -> str:
+        return summary("Motion", {name: (x, UNITS[name]) for name, x in self._asdict().items()})
 
 
 def smooth(log: Log, cutoff_qd: float | None = None, cutoff_tau: float | None = None) -> Motion:

@@ -1,8 +1,9 @@
-"""Progress of a training run: a bar on the terminal, curves in TensorBoard."""
+"""Progress of a training run: lines or a bar on the terminal, curves in TensorBoard."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from torchdq.notice import Notice
 from torchdq.optional import imported
 
 if TYPE_CHECKING:
@@ -10,18 +11,20 @@ if TYPE_CHECKING:
 
 
 class Progress:
-    """Display of a run while its `with` block lasts; with neither a bar nor a folder it does nothing.
+    """Display of a run while its `with` block lasts.
 
     Args:
         last: steps of the whole run.
         step: steps done before, by a run that this one resumes.
         tensorboard: folder of the curves.
-        bar: whether to show the bar.
+        bar: whether to show the bar; None: lines on stderr once the run takes long.
     Raises:
         MissingLibraryError: rich or tensorboard is asked for and not installed.
     """
 
-    def __init__(self, last: int, step: int, tensorboard: str | Path | None, bar: bool):
+    def __init__(self, last: int, step: int, tensorboard: str | Path | None, bar: bool | None):
+        self._last, self._errors = last, ""
+        self._notice = Notice("fitting") if bar is None else None
         self._bar: Any = None
         self._writer: Any = None
         if tensorboard is not None:
@@ -35,9 +38,13 @@ class Progress:
             self._bar.start()
 
     def __enter__(self) -> "Progress":
+        if self._notice is not None:
+            self._notice.__enter__()
         return self
 
-    def __exit__(self, *_: object) -> None:
+    def __exit__(self, *error: Any) -> None:
+        if self._notice is not None:
+            self._notice.__exit__(*error)
         if self._bar is not None:
             self._bar.stop()
         if self._writer is not None:
@@ -45,14 +52,18 @@ class Progress:
 
     def step(self, step: int) -> None:
         """Show that a step is done."""
+        if self._notice is not None:
+            self._notice.at(f"step {step} of {self._last}{self._errors}")
         if self._bar is not None:
             self._bar.update(self._task, completed=step)
 
     def evaluation(self, history: "History", rate: float) -> None:
         """Show the errors of the last evaluation, and the learning rate."""
         errors = {"train": history.train[-1], **({"valid": history.valid[-1]} if history.valid else {})}
+        text = "  ".join(f"{name} {error:.3g}" for name, error in errors.items())
+        self._errors = f", {text}"
         if self._bar is not None:
-            self._bar.update(self._task, errors="  ".join(f"{name} {error:.3g}" for name, error in errors.items()))
+            self._bar.update(self._task, errors=text)
         if self._writer is not None:
             for name, value in ({f"error/{k}": v for k, v in errors.items()} | {"rate": rate}).items():
                 self._writer.add_scalar(name, value, history.step[-1])

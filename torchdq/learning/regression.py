@@ -4,7 +4,7 @@ Joint torques are linear in the parameters phi, tau = Z(q, qd, qdd) phi, so that
 that the samples say, however many there are.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -38,12 +38,23 @@ def columns(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, coefficients: Sequ
     return torch.cat([regressor(robot, q, qd, qdd), *effects], -1)
 
 
-def gram(robot: Robot, rows: Sequence[Tensor], described: Tensor, coefficients: Sequence[str], width: float) -> Tensor:
-    """Sums [n, k + 1, k + 1] of [Z d]^T [Z d], d being the residual of the described parameters [k]."""
+def gram(
+    robot: Robot,
+    rows: Sequence[Tensor],
+    described: Tensor,
+    coefficients: Sequence[str],
+    width: float,
+    say: Callable[[str], None],
+) -> Tensor:
+    """Sums [n, k + 1, k + 1] of [Z d]^T [Z d], d being the residual of the described parameters [k].
+
+    `say` is told how many samples have been read.
+    """
     q, qd, qdd, tau = rows
     n, phi = robot.n, described.to(q)
     sums = q.new_zeros(n, len(phi) + 1, len(phi) + 1)
     for part in chunks(len(q), n * len(phi)):
+        say(f"{part.start} of {len(q)} samples")
         Z = columns(robot, q[part], qd[part], qdd[part], coefficients, width)
         residual = tau[part] - Z @ phi
         if robot.armature is not None and "rotor" not in coefficients:

@@ -7,7 +7,9 @@ the weights come out the same to the last bit. Started by `torchrun`, the same c
 processes.
 """
 
+import copy
 import math
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -17,13 +19,16 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchdq.checks import require_choice
 from torchdq.errors import ArgumentError, TorchdqError
 from torchdq.learning import checkpoint as checkpoints
 from torchdq.learning.data import Samples, torque_variance, validated
 from torchdq.learning.distributed import Team, team
 from torchdq.learning.progress import Progress
+from torchdq.tables import table
 
 VALIDATION_ROWS = 4096  # rows of the validation data computed at a time
+ROWS = 10  # rows of a history that are printed
 PROBE_ROWS = 64  # rows of the training data whose torques tell one model from another
 
 
@@ -42,6 +47,16 @@ class History:
     best_step: int = 0  # step of the weights that the model has in the end: of the least `valid`, or the last one
     stopped_early: bool = False  # whether patience ended the run
 
+    def __str__(self) -> str:
+        if not self.step:
+            return "no steps"
+        shown = sorted({round(k * (len(self.step) - 1) / (ROWS - 1)) for k in range(ROWS)})
+        errors = {"train": self.train, **({"valid": self.valid} if self.valid else {})}
+        rows = [(str(self.step[k]), *(f"{error[k]:.3g}" for error in errors.values())) for k in shown]
+        end = ", stopped early by patience" if self.stopped_early else ""
+        title = f"{self.step[-1]} steps, weights of step {self.best_step}{end}"
+        return f"{title}\n\n{table(('step', *errors), rows)}"
+
 
 def fit(
     model: nn.Module,
@@ -59,7 +74,7 @@ def fit(
     every: int | None = None,
     checkpoint: str | Path | None = None,
     tensorboard: str | Path | None = None,
-    progress: bool = False,
+    progress: bool | None = None,
 ) -> History:
     """History of a fit of a model's parameters, which are changed in place.
 
@@ -83,7 +98,7 @@ def fit(
         every: steps from one evaluation on `valid` and one checkpoint to the next; None: an epoch.
         checkpoint: file to save the run in, and to resume it from if it is there.
         tensorboard: folder to log the losses and the rate to, for TensorBoard.
-        progress: show a progress bar.
+        progress: show a progress bar; None: lines on stderr once the run takes more than two seconds; False: nothing.
     Raises:
         ArgumentError: an argument has the wrong shape or value, or the model has nothing to learn.
         TrainingError: the loss or a gradient is not finite; the checkpoint is left as it was.
@@ -111,6 +126,7 @@ def fit(
     for name, value in positive.items():
         if value is not None and not value > 0:
             raise ArgumentError(f"{name} must be greater than 0, found {value}")
+    require_choice("progress", progress, (None, True, False))
     if (steps is None) == (epochs is None):
         raise ArgumentError(f"one of steps and epochs must be given, found steps={steps} and epochs={epochs}")
     per_epoch = -(-len(train.q) // batch)
@@ -118,7 +134,7 @@ def fit(
 
     device = next(iter(parameters.values())).device
     train, valid = train.to(device), None if valid is None else valid.to(device)
-    path = None if checkpoint is None else Path(checkpoint)
+    path = _checkpoint(checkpoint)
     identity: dict[str, Any] = {}
     if path is not None:
         identity = checkpoints.described(model)
@@ -127,22 +143,25 @@ def fit(
         identity |= {"patience": patience, "every": every}
 
     was_training = model.training
-    with team(device) as ours, _own_randomness(device, seed), torch.enable_grad():
-        run = _Run(model, parameters, train, ours, path, batch, prior, decay, seed)
-        run.resume(identity)
-        with Progress(last, run.step, tensorboard if ours.leads else None, progress and ours.leads) as shown:
-            while run.step < last and not run.history.stopped_early:
-                rate_now = rate / 2 * (1 + math.cos(math.pi * run.step / last))
-                run.advance(rate_now)
-                if run.step % every == 0 or run.step == last:
-                    run.evaluate(valid, patience)
-                    if path is not None and ours.leads:
-                        checkpoints.write(path, {"identity": identity, **run.state()})
-                    shown.evaluation(run.history, rate_now)
-                shown.step(run.step)
-        if run.best is not None:
-            model.load_state_dict(run.best)
-    model.train(was_training)
+    try:
+        with team(device) as ours, _own_randomness(device, seed), torch.enable_grad():
+            run = _Run(model, parameters, train, ours, path, batch, prior, decay, seed)
+            run.resume(identity, last)
+            bar = progress if ours.leads else False
+            with Progress(last, run.step, tensorboard if ours.leads else None, bar) as shown:
+                while run.step < last and not run.history.stopped_early:
+                    rate_now = rate / 2 * (1 + math.cos(math.pi * run.step / last))
+                    run.advance(rate_now)
+                    if run.step % every == 0 or run.step == last:
+                        run.evaluate(valid, patience)
+                        if path is not None and ours.leads:
+                            checkpoints.write(path, {"identity": identity, **run.state()})
+                        shown.evaluation(run.history, rate_now)
+                    shown.step(run.step)
+            if run.best is not None:
+                model.load_state_dict(run.best)
+    finally:
+        model.train(was_training)
     return run.history
 
 
@@ -172,30 +191,45 @@ class _Run:
         self.waited = 0
         self.history = History()
 
-    def resume(self, identity: dict[str, Any]) -> None:
-        """Load the checkpoint, if there is one; start with the same weights in all processes."""
+    def resume(self, identity: dict[str, Any], last: int) -> None:
+        """Load the checkpoint, if there is one, of a run of `last` steps; the same weights in all processes."""
         saved = None
         if self.team.leads and self.path is not None and self.path.exists():
             saved = checkpoints.read(self.path)
-            checkpoints.require_same_run(self.path, saved["identity"], identity)
+            checkpoints.require_same_run(self.path, saved, identity)
         saved = self.team.broadcast(saved)
-        if saved is None:
+        if saved is None or self.path is None:
             if self.team.size > 1:
                 weights = {name: x.cpu() for name, x in self.model.state_dict().items()}
                 self.model.load_state_dict(self.team.broadcast(weights))
             return
-        self.model.load_state_dict(saved["model"])
-        then, now = saved["probe"], self._probe().cpu()
-        if not torch.allclose(now, then, rtol=1e-3, atol=1e-3 * float(then.abs().max())):
+        before = copy.deepcopy(self.model.state_dict())
+        try:
+            self._take_up(self.path, saved, before, last)
+        except checkpoints.CheckpointError:
+            self.model.load_state_dict(before)
+            raise
+
+    def _take_up(self, path: Path, saved: dict[str, Any], now: dict[str, Any], last: int) -> None:
+        """Go on from the state in a checkpoint; `now` is the state dict of the model, `last` the last step."""
+        checkpoints.require_whole(path, saved, now, list(self.parameters), last)
+        with checkpoints.loading(path):
+            self.model.load_state_dict(saved["model"])
+        then, torques = saved["probe"], self._probe().cpu()
+        alike = then.shape == torques.shape and then.dtype == torques.dtype
+        if not alike or not torch.allclose(torques, then, rtol=1e-3, atol=1e-3 * float(then.abs().max())):
             raise checkpoints.CheckpointError(
-                f"checkpoint {self.path} is of another model: given its weights, the model does not return the torques "
+                f"checkpoint {path} is of another model: given its weights, the model does not return the torques "
                 "it did; what is not a parameter, such as the rest of the robot, must be as it was; or name another "
                 "file"
             )
-        self.optimiser.load_state_dict(saved["optimiser"])
-        self.generator.set_state(saved["generator"])
-        self._shuffle()
-        _set_randomness(saved["random"], self.train.q.device)
+        with checkpoints.loading(path):
+            # momenta only: rates and decays are those of this call
+            settings = self.optimiser.state_dict()["param_groups"]
+            self.optimiser.load_state_dict({"state": saved["optimiser"]["state"], "param_groups": settings})
+            self.generator.set_state(saved["generator"])
+            self._shuffle()
+            _set_randomness(saved["random"], self.train.q.device)
         self.step, self.best, self.best_error = saved["step"], saved["best"], saved["best_error"]
         self.waited, self.history = saved["waited"], History(**saved["history"])
 
@@ -311,6 +345,15 @@ class _Run:
             f"step {self.step + 1}: {what}, in the batch of the {len(rows)} rows {some} of train; a smaller rate may "
             f"help, and so may float64{kept}"
         )
+
+
+def _checkpoint(path: Any) -> Path | None:
+    """Path of the checkpoint; raises unless it is one, and no folder's."""
+    if path is not None and not isinstance(path, str | os.PathLike):
+        raise ArgumentError(f"checkpoint must be a path, found {type(path).__name__}")
+    if path is not None and Path(path).is_dir():
+        raise ArgumentError(f"checkpoint must be a file, found the folder {path}; name a file in it")
+    return None if path is None else Path(path)
 
 
 @contextmanager

@@ -1,0 +1,156 @@
+"""Layouts of logs: names of the columns, units and filters; and the search for the columns in a header."""
+
+import math
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from torchdq.checks import names_of
+from torchdq.errors import ArgumentError, TorchdqError
+
+SIGNALS = ("time", "q", "qd", "tau", "qdd")
+NUMBER = re.compile(r"\{(\d+)\}")  # place of a joint's number in a pattern, and the number of the first joint
+SEPARATORS = {";": "semicolons", "\t": "tabs", " ": "spaces", "|": "bars"}  # where commas are needed
+
+
+class LogError(TorchdqError, ValueError):
+    """Unusable log; the message names the file, and the row and column where there is one."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Columns and units of a log, and the filters its signals need.
+
+    >>> ros = Layout(columns={"time": "stamp", "q": "position_{0}", "qd": "velocity_{0}", "tau": ["base", "elbow"]})
+    >>> ros.names("q", 2), ros.names("tau", 2)
+    (['position_0', 'position_1'], ['base', 'elbow'])
+    """
+
+    joints: int = 0  # number of joints; 0: as many as the header names
+    # names of the columns but for the number of the joint; the first three hold q, qd and the effort, and are read
+    blocks: tuple[str, ...] = ("q", "qd", "tau")
+    header: bool = True  # whether the first line holds the names; else the columns are time and `blocks`, in order
+    gain: tuple[float, ...] = ()  # torque per unit of effort [N m], per joint; empty: the effort is the torque
+    cutoff_qd: float = 8.0  # low-pass frequency of the velocities [Hz]
+    cutoff_tau: float = 8.0  # low-pass frequency of the torques [Hz]
+    farthest: float = 8 * math.pi  # position beyond which numbers are taken for degrees [rad]
+    fastest: float = 50.0  # speed beyond which numbers are taken for degrees [rad/s]
+    # names of the columns of time, q, qd, tau (the effort) and qdd that `blocks` does not fit: a list of names, or a
+    # pattern with the number of the joint, {0} if the first joint has 0, {1} if it has 1; in archives names of arrays
+    columns: Mapping[str, str | Sequence[str]] = field(default_factory=dict, hash=False)
+
+    def __post_init__(self) -> None:
+        if len(self.blocks) < 3:
+            raise ArgumentError(f"blocks must be three or more names, found {self.blocks}")
+        if not isinstance(self.columns, Mapping):
+            expected = "a mapping such as {'q': 'position_{0}'}"
+            raise ArgumentError(f"columns must be {expected}, found {self.columns!r}")
+        if self.columns and not self.header:
+            raise ArgumentError("columns needs a header to find the names in; found header=False")
+        if not self.header and not self.joints:
+            raise ArgumentError("joints must be given for a file without a header; found joints=0, header=False")
+        names_of("columns", tuple(self.columns), SIGNALS, "signal")
+        lists: dict[str, int] = {}
+        for signal, given in self.columns.items():
+            name = f"columns[{signal!r}]"
+            if not given or not isinstance(given, str | Sequence) or not all(isinstance(one, str) for one in given):
+                expected = "a name, a pattern such as 'position_{0}' or a list of names"
+                raise ArgumentError(f"{name} must be {expected}, found {given!r}")
+            if signal == "time" and not isinstance(given, str):
+                raise ArgumentError(f"{name} must be one name, found {given!r}")
+            if not isinstance(given, str):
+                lists[name] = len(given)
+        for name, count in lists.items():
+            first, most = next(iter(lists.items()))
+            if self.joints and count != self.joints:
+                raise ArgumentError(f"{name} has {count} names, expected {self.joints}, the number of joints")
+            if count != most:
+                raise ArgumentError(f"{name} has {count} names, {first} {most}")
+
+    def names(self, signal: str, joints: int) -> list[str]:
+        """Names of a signal's columns."""
+        given = self._given(signal)
+        if not isinstance(given, str):
+            return list(given)
+        if not NUMBER.search(given):
+            return [given]
+        parts = NUMBER.split(given)  # the odd ones are the numbers of the first joint
+        return ["".join(str(int(x) + i) if k % 2 else x for k, x in enumerate(parts)) for i in range(joints)]
+
+    def count(self, heads: Sequence[str]) -> int:
+        """Number of joints whose positions a header names."""
+        given = self._given("q")
+        if not isinstance(given, str):
+            return len(given)
+        pattern = re.compile(r"\d+".join(map(re.escape, NUMBER.split(given)[::2])))
+        return sum(pattern.fullmatch(head) is not None for head in heads)
+
+    @property
+    def order(self) -> list[str]:
+        """Columns of a file without a header: the time and all columns of the blocks."""
+        return ["time", *(f"{block}{joint}" for block in self.blocks for joint in range(1, self.joints + 1))]
+
+    def _given(self, signal: str) -> str | Sequence[str]:
+        block = dict(zip(("q", "qd", "tau"), self.blocks, strict=False)).get(signal, signal)
+        return self.columns.get(signal, "time" if signal == "time" else f"{block}{{1}}")
+
+
+def find_columns(where: str, layout: Layout, heads: list[str]) -> tuple[Layout, list[str]]:
+    """Layout with its number of joints, and names of the columns to read: time, q, qd, tau and, if they are known, qdd.
+
+    Args:
+        where: file and row, for the message.
+        layout: the layout.
+        heads: names in the header.
+    Raises:
+        LogError: a column is missing or there twice, or the joints are not as many as the layout has.
+    """
+    joints = layout.count(heads)
+    n = layout.joints or max(joints, 1)
+    counts = Counter(heads)
+    columns = {signal: layout.names(signal, n) for signal in SIGNALS}
+    if "qdd" not in layout.columns and not any(re.fullmatch(r"qdd\d+", head) for head in heads):
+        del columns["qdd"]
+    needed = ", ".join(_range(columns[signal]) for signal in SIGNALS[:4])
+    for name in (name for names in columns.values() for name in names):
+        if counts[name] != 1:
+            found = f"there are several columns {name!r}" if name in counts else f"there is no column {name!r}"
+            raise LogError(f"{where}: {found}; needed are columns {needed}; {_cure(name, heads)}")
+    if joints != n:
+        raise LogError(f"{where}: {joints} joints, expected {n}")
+    for signal, names in columns.items():
+        if signal != "time" and len(names) != n:
+            raise LogError(f"{where}: {len(names)} columns of {signal}, expected {n}, one for each joint")
+    return replace(layout, joints=n) if not layout.joints else layout, [x for names in columns.values() for x in names]
+
+
+def _range(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"
+
+
+def _cure(name: str, heads: list[str]) -> str:
+    """Probable reason why a column is not there, and what to do."""
+    if heads[0].startswith("#"):
+        return f"the line is {heads[0][:40]!r} ...; remove the lines before the header"
+    if '"' in heads[0]:
+        return "quotation marks must be removed"
+    if len(heads) == 1:
+        for separator, word in SEPARATORS.items():
+            if separator in heads[0]:
+                return f"columns are separated by {word}; commas are needed"
+    if all(is_number(head) for head in heads):
+        return "the line holds numbers; a file without a header needs a Layout(header=False, joints=...)"
+    for head in heads:
+        if head.lower() == name.lower() and head != name:
+            return f"there is {head!r}; capitals count"
+    example = "{'q': 'position_{0}'}"
+    return f"other names are given by Layout(columns=...), e.g. {example}; found {', '.join(heads[:8])}"
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number as files write it: Python's float also takes 1_000 and digits of other scripts."""
+    try:
+        return cell.isascii() and "_" not in cell and isinstance(float(cell), float)
+    except ValueError:
+        return False
