@@ -15,7 +15,7 @@ from torchdq.envs.randomization import Randomised
 from torchdq.envs.rng import Streams
 from torchdq.envs.scene import Scene
 from torchdq.envs.spec import Task
-from torchdq.envs.tasks import Checked, EpisodeTask
+from torchdq.envs.tasks import Checked
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
 from torchdq.robot.robot import SHAPES, arguments
@@ -54,7 +54,7 @@ class Reset:
         u, *drawn, noise = u.split(widths, 1)
         for parameters, x in zip(self.randomised, drawn, strict=True):
             parameters.draw(self.scene, rows, x)
-        program = _program(task, self.scene.robot)
+        program = _program(self.checked, self.scene.robot)
         outputs = run(program, [u], choose(self.scene.backend, u.device))
         fresh = {result.name: x for result, x in zip(program.results, outputs, strict=True)}
         steps = rows.new_zeros(len(rows), dtype=torch.int32)
@@ -95,7 +95,8 @@ def _of_rows(scene: Scene, rows: Tensor) -> Scene:
 
 
 @remembered(PROGRAMS)
-def _program(task: EpisodeTask, robot: Robot) -> Program:
+def _program(checked: Checked, robot: Robot) -> Program:
     """Program of start and goal."""
-    argument = Argument("u", task.draws(robot))
-    return record(f"{type(task).__name__.lower()}_{robot.name}", [argument], lambda u: task.start(robot, u))
+    argument = Argument("u", checked.task.draws(robot))
+    name = type(checked.task).__name__.lower()
+    return record(f"{name}_{robot.name}", [argument], lambda u: checked.start(robot, u))

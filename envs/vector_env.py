@@ -27,10 +27,10 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.checks import require_choice, require_count
+from torchdq.checks import dtype_of, require_choice, require_count
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, full
-from torchdq.envs.arguments import autoreset_of, check_scene, robot_of, task_of
+from torchdq.envs.arguments import autoreset_of, check_scene, check_state, robot_of, task_of
 from torchdq.envs.controllers import ComputedTorque, Controller
 from torchdq.envs.defaults import nominal, usual
 from torchdq.envs.integrators import Integrator, LinearlyImplicit
@@ -40,9 +40,8 @@ from torchdq.envs.rng import Streams, seeded
 from torchdq.envs.scene import Scene
 from torchdq.envs.state import State
 from torchdq.envs.tasks import Checked, EpisodeTask
-from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
+from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import Robot
-from torchdq.robot.robot import DTYPES
 
 KP, KD = 100.0, 20.0  # gains of the default controller [1/s^2, 1/s]
 SHOWN = 4  # rendered environments
@@ -83,7 +82,7 @@ class ArmVectorEnv(VectorEnv):
             `info["final_obs"]` [N, ...] and `info["final_info"]` hold what came before in the rows of the masks
             `info["_final_obs"]` and `info["_final_info"]`. NEXT_STEP: at the next step, which ignores their action.
             DISABLED: when `reset(options={"reset_mask": mask})` is called; stepping a finished row is an error.
-        dtype: float32 or float64.
+        dtype: float32 or float64, torch's, numpy's or by name.
         device: device of the environments.
         output: "torch" or "numpy": type of everything that `reset` and `step` return.
         render_mode: "rgb_array": `render` returns frames of the first four environments; "human": every
@@ -115,7 +114,7 @@ class ArmVectorEnv(VectorEnv):
         max_episode_steps: int | None = 250,
         randomise: Mapping[str, float] | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
-        dtype: torch.dtype = torch.float32,
+        dtype: torch.dtype | str = torch.float32,
         device: torch.device | str = "cpu",
         output: Literal["torch", "numpy"] = "torch",
         render_mode: Literal["rgb_array", "human"] | None = None,
@@ -124,16 +123,14 @@ class ArmVectorEnv(VectorEnv):
         require_count("num_envs", num_envs)
         if max_episode_steps is not None:
             require_count("max_episode_steps", max_episode_steps)
-        if dtype not in DTYPES:
-            raise DtypeError(f"dtype must be torch.float32 or torch.float64, found {dtype}")
         require_choice("action", action, get_args(Kind))
         require_choice("output", output, ("torch", "numpy"))
         require_choice("render_mode", render_mode, (None, "rgb_array", "human"))
         self.num_envs, self.max_episode_steps, self.output = num_envs, max_episode_steps, output
         self.task, self.robot = task_of(task), robot_of(robot)
-        self.dtype, self.device = dtype, torch.device(device)
+        self.dtype, self.device = dtype_of("dtype", dtype), torch.device(device)
         self.autoreset_mode, self.render_mode = autoreset_of(autoreset_mode), render_mode
-        like = torch.empty(0, dtype=dtype, device=self.device)
+        like = torch.empty(0, dtype=self.dtype, device=self.device)
         scene = Scene(
             self.robot,
             usual(self.robot) if effects is None else effects,
@@ -156,7 +153,7 @@ class ArmVectorEnv(VectorEnv):
         self._actions = Actions(action, self.robot, torch.as_tensor(full(self.robot, action, scale)).to(like))
         self._checked = Checked(self.task)
         self._reset = Reset(self.scene, self._checked, self._randomised)
-        low, high = np.array(self.task.bounds(self.robot), dtype=np.dtype(str(dtype).removeprefix("torch."))).T
+        low, high = np.array(self.task.bounds(self.robot), dtype=np.dtype(str(self.dtype).removeprefix("torch."))).T
         self.single_observation_space = Box(low, high, dtype=low.dtype.type)
         self.single_action_space = Box(-1.0, 1.0, (self.robot.n,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -290,14 +287,7 @@ class ArmVectorEnv(VectorEnv):
         """
         self._open()
         own = {**self._blank(), **self._parameters()}
-        if set(state) != set(own):
-            raise ArgumentError(f"state must have the entries {sorted(own)}, found {sorted(state)}")
-        for name, x in state.items():
-            if x.shape != own[name].shape or x.dtype != own[name].dtype:
-                raise ArgumentError(
-                    f"state[{name!r}] must be {own[name].dtype} of shape {tuple(own[name].shape)}, found {x.dtype} of "
-                    f"shape {tuple(x.shape)}; was it saved by an environment with other arguments?"
-                )
+        check_state(state, own)
         for name, x in self._parameters().items():
             x.copy_(state[name])
         self._buffers = {name: x.to(self.device, copy=True) for name, x in state.items() if "." not in name}
@@ -378,7 +368,7 @@ class ArmVectorEnv(VectorEnv):
     def _blank(self) -> dict[str, Tensor]:
         """Buffers before a first episode."""
         N, n = self.num_envs, self.robot.n
-        widths = {**self.scene.spec.state, "goal": self.task.inputs(n)["goal"], "reference": 3 * n}
+        widths = {**self.scene.spec.state, "goal": self._checked.inputs(n)["goal"], "reference": 3 * n}
         widths["observation"] = self.single_observation_space.shape[0]  # type: ignore[index]
         buffers = {name: torch.zeros(N, width, dtype=self.dtype, device=self.device) for name, width in widths.items()}
         buffers["steps"] = torch.zeros(N, dtype=torch.int32, device=self.device)

@@ -119,6 +119,11 @@ def test_double_precision_throughout():
     assert envs.single_observation_space.dtype == np.float64
 
 
+@pytest.mark.parametrize("dtype", ["float64", np.float64])
+def test_a_dtype_may_have_the_name_that_numpy_gives_it(dtype):
+    assert make(2, dtype=dtype).dtype == torch.float64
+
+
 def test_gymnasium_makes_them():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -461,6 +466,25 @@ def test_wrong_states_are_refused():
         envs.set_state({**state, "q": state["q"][:3]})
     with pytest.raises(torchdq.ArgumentError, match=r"state\['q'\] must be torch.float32"):
         envs.set_state({**state, "q": state["q"].double()})
+    for bad in (None, 5, [state]):
+        with pytest.raises(torchdq.ArgumentError, match="state must be a dict of tensors"):
+            envs.set_state(bad)
+    with pytest.raises(torchdq.ArgumentError, match=r"state\['q'\] must be a tensor, found int"):
+        envs.set_state({**state, "q": 5})
+    for name in ("q", "goal"):
+        x = state[name].clone()
+        x[3, 1] = math.nan
+        with pytest.raises(torchdq.ArgumentError, match=rf"state\['{name}'\] must be finite, found nan in row 3"):
+            envs.set_state({**state, name: x})
+    assert same(envs.get_state(), state)
+
+
+def test_a_state_whose_counters_or_masks_were_changed_is_refused():
+    envs = make()
+    envs.reset(seed=0)
+    state = envs.get_state()
+    with pytest.raises(torchdq.ArgumentError, match=r"state\['steps'\] must not be negative"):
+        envs.set_state({**state, "steps": state["steps"] - 1})
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))], ids=["copy", "pickle"])
@@ -667,6 +691,87 @@ def test_a_reward_that_is_not_a_number_is_a_failure():
     assert info["where"].shape == (5, 2)
 
 
+@dataclass(frozen=True)
+class Changed(Reach):
+    """A task whose rows are changed by a function of a name."""
+
+    change: str = ""
+
+    def inputs(self, n):
+        """Inputs, changed."""
+        return INPUTS.get(self.change, lambda x: x)(super().inputs(n))
+
+    def start(self, robot, u):
+        """Start, changed."""
+        return STARTS.get(self.change, lambda x: x)(super().start(robot, u))
+
+    def rows(self, view):
+        """Rows, changed."""
+        return ROWS.get(self.change, lambda x: x)(super().rows(view))
+
+
+def without(name):
+    """Function that leaves a row out."""
+    return lambda x: {k: v for k, v in x.items() if k != name}
+
+
+ROWS = {
+    "reference is missing": without("reference"),
+    "reward is missing": without("reward"),
+    "observation is missing": without("observation"),
+    "no dict": lambda x: None,
+    "observation is short": lambda x: {**x, "observation": x["observation"][:-1]},
+    "reference is short": lambda x: {**x, "reference": x["reference"][:-1]},
+    "reward is a number": lambda x: {**x, "reward": x["distance"][0]},
+    "reward is a tensor": lambda x: {**x, "reward": torch.zeros(1)},
+    "reward holds a tensor": lambda x: {**x, "reward": [torch.zeros(1)]},
+    "reward has two": lambda x: {**x, "reward": [x["distance"][0]] * 2},
+    "end has two": lambda x: {**x, "terminated": [1.0, 0.0]},
+    "a row of the state": lambda x: {**x, "q": [0.0, 0.0]},
+    "a row of info": lambda x: {**x, "clipped": [0.0]},
+}
+STARTS = {
+    "goal is missing": without("goal"),
+    "goal is short": lambda x: {**x, "goal": x["goal"][:2]},
+    "start is a list": lambda x: list(x),
+    "start has more": lambda x: {**x, "torque": [0.0]},
+}
+INPUTS = {
+    "no goal": without("goal"),
+    "action is wide": lambda x: {**x, "action": 7},
+    "unknown input": lambda x: {**x, "velocity": 2},
+}
+MESSAGES = {
+    "reference is missing": r"Changed.rows must return a row 'reference' \[6\], found observation, reward, distance",
+    "reward is missing": r"must return a row 'reward' \[1\]",
+    "observation is missing": r"must return a row 'observation' \[12\]",
+    "no dict": "Changed.rows must return a dict of rows, observation, reward, reference, found NoneType",
+    "observation is short": "must return 'observation' of width 12, found 11",
+    "reference is short": "must return 'reference' of width 6, found 5",
+    "reward is a number": r"must return 'reward' as a list of numbers, found a Recorded; a single number x is the row \[x\]",
+    "reward is a tensor": "must return 'reward' as a list of numbers, found a Tensor;",
+    "reward holds a tensor": "must return 'reward' as a list of numbers, found a Tensor in it",
+    "reward has two": "must return 'reward' of width 1, found 2",
+    "end has two": "must return 'terminated' of width 1, found 2",
+    "a row of the state": "Changed.rows must not return a row 'q'",
+    "a row of info": "Changed.rows must not return a row 'clipped'",
+    "goal is missing": r"Changed.start must return a row 'goal' \[3\], found q, qd",
+    "goal is short": "Changed.start must return 'goal' of width 3, found 2",
+    "start is a list": "Changed.start must return a dict of rows, q, qd, goal, found list",
+    "start has more": "no row of a start that Changed.start may return named 'torque'",
+    "no goal": "Changed.inputs must name the width of 'goal', found",
+    "action is wide": "Changed.inputs must give 'action' the width 2, found 7",
+    "unknown input": "no input of tasks that Changed.inputs may ask for named 'velocity'",
+}
+
+
+@pytest.mark.parametrize("change", MESSAGES)
+def test_a_task_that_returns_other_rows_is_told_which(change):
+    assert {*ROWS, *STARTS, *INPUTS} == set(MESSAGES)
+    with pytest.raises(torchdq.TorchdqError, match=MESSAGES[change]):
+        make(2, Changed(change=change)).reset(seed=0)
+
+
 def test_limits_hold_a_usual_arm():
     envs = ArmVectorEnv(32, robot="panda", max_episode_steps=None)
     envs.reset(seed=0)
@@ -680,6 +785,12 @@ def test_limits_hold_a_usual_arm():
     assert bool((fastest < 6 * velocity).all())  # light joints are thrown about by heavy ones
 
 
+class Unhashable(Reach):
+    """A task that cannot be part of a key."""
+
+    __hash__ = None
+
+
 @pytest.mark.parametrize(
     "arguments, message",
     [
@@ -689,6 +800,8 @@ def test_limits_hold_a_usual_arm():
         ({"output": "jax"}, "output must be one of"),
         ({"render_mode": "ansi"}, "render_mode must be one of"),
         ({"task": 3}, "task must be the name of one"),
+        ({"task": Reach}, "Reach is a class, call it"),
+        ({"task": Unhashable()}, "task must be hashable, found Unhashable"),
         ({"autoreset_mode": "later"}, "autoreset_mode must be one of"),
         ({"dt": 0.0}, "dt must be a positive number"),
         ({"effects": (effects.Gravity,)}, "it is a class, call it"),
