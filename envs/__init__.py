@@ -15,7 +15,7 @@ for _task in ("Reach", "Track"):
     register(
         f"torchdq/{_task}-v0",
         entry_point="torchdq.envs.env:ArmEnv",
-        vector_entry_point="torchdq.envs.vector_env:ArmVectorEnv",
+        vector_entry_point="torchdq.envs.vector_env:made_by_gymnasium",
         max_episode_steps=250,
         kwargs={"task": _task.lower()},
     )

@@ -222,7 +222,7 @@ class Checked:
         """Rows of the task, and "valid"."""
         robot, found = view.scene.spec.robot, self.task.rows(view)
         widths = {"observation": len(self.task.bounds(robot)), "reward": 1, "reference": 3 * robot.n}
-        rows = self._rows("rows", found, widths, {"terminated": 1})
+        rows = self._rows("rows", found, widths)
         for name in rows:
             if name in RESERVED:
                 raise ArgumentError(
@@ -245,7 +245,7 @@ class Checked:
         for name in needed:
             if name not in rows:
                 raise ArgumentError(f"{what} must return a row {name!r} [{needed[name]}], found {', '.join(rows)}")
-        widths = {**(optional or {}), **needed}
+        widths = {"terminated": 1, **needed}
         for name, row in rows.items():
             listed = isinstance(row, list | tuple)
             for x in row if listed else (row,):

@@ -1,15 +1,17 @@
-"""Many arms at once as one gymnasium vector environment, tensors in and tensors out.
+"""Many arms at once as one gymnasium vector environment.
 
-    envs = gymnasium.make_vec("torchdq/Reach-v0", num_envs=4096, robot="ur10e")
+    envs = ArmVectorEnv(4096, "reach", "ur10e")  # tensors in, tensors out
+    envs = gymnasium.make_vec("torchdq/Reach-v0", num_envs=4096, robot="ur10e")  # numpy, as gymnasium's wrappers ask
     observations, info = envs.reset(seed=0)
     observations, rewards, terminated, truncated, info = envs.step(actions)
 
-Other libraries:
+Other libraries take an `ArmVectorEnv`:
 
     TorchRL               torchrl.envs.GymWrapper(envs, convert_actions_to_numpy=False, device=envs.device)
     skrl                  skrl.envs.wrappers.torch.wrap_env(envs, wrapper="gymnasium")
     Stable-Baselines3     torchdq.envs.sb3.StableBaselinesVecEnv(envs)
     numpy                 ArmVectorEnv(..., output="numpy")
+    gymnasium's wrappers  gymnasium.make_vec, or ArmVectorEnv(..., output="numpy", autoreset_mode="NextStep")
 """
 
 from __future__ import annotations
@@ -44,7 +46,6 @@ from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import Robot
 
 KP, KD = 100.0, 20.0  # gains of the default controller [1/s^2, 1/s]
-SHOWN = 4  # rendered environments
 WORST = -1000.0  # reward of a step that failed, worse than any episode
 _HANDED_OUT = ("observation", "finished")  # buffers that callers may hold, and that are never written into
 _RESTORED = ("q", "qd", "memory", "reading", "observation", "reference")  # buffers set back after a failed step
@@ -85,8 +86,8 @@ class ArmVectorEnv(VectorEnv):
         dtype: float32 or float64, torch's, numpy's or by name.
         device: device of the environments.
         output: "torch" or "numpy": type of everything that `reset` and `step` return.
-        render_mode: "rgb_array": `render` returns frames of the first four environments; "human": every
-            step shows the first one in a browser.
+        render_mode: "rgb_array": `render` returns a frame of every environment; "human": every step shows the first
+            one in a browser.
         backend: as in `torchdq.functional`.
 
     >>> import torch
@@ -243,7 +244,7 @@ class ArmVectorEnv(VectorEnv):
         return found if self.output == "torch" else tuple(self._out(x) for x in found)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """Frames [H, W, 3] uint8 of the first four environments, or None in the mode "human"."""
+        """Frames [H, W, 3] uint8 of all environments, or None in the mode "human"."""
         self._open()
         if self.render_mode is None:
             raise ArgumentError("render_mode must be 'rgb_array' or 'human' to render; it is chosen at construction")
@@ -270,7 +271,7 @@ class ArmVectorEnv(VectorEnv):
         if self.render_mode == "human":
             self._painter.show(q[0], target[0])
             return None
-        return tuple(self._painter.frame(q[i], target[i]) for i in range(min(SHOWN, self.num_envs)))
+        return tuple(self._painter.frame(q[i], target[i]) for i in range(self.num_envs))
 
     # --- saving ---
 
@@ -378,3 +379,8 @@ class ArmVectorEnv(VectorEnv):
 
     def _streams(self, buffers: Mapping[str, Tensor]) -> Streams:
         return Streams(buffers["key"], buffers["counter"])
+
+
+def made_by_gymnasium(**arguments: Any) -> ArmVectorEnv:
+    """Environments of `gymnasium.make_vec`: numpy, and finished rows reset at the next step, unless asked otherwise."""
+    return ArmVectorEnv(**{"output": "numpy", "autoreset_mode": AutoresetMode.NEXT_STEP, **arguments})

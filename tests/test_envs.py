@@ -5,6 +5,7 @@ import importlib
 import math
 import pickle
 import sys
+import types
 import warnings
 from dataclasses import dataclass
 
@@ -129,6 +130,8 @@ def test_gymnasium_makes_them():
         warnings.simplefilter("error")
         envs = gymnasium.make_vec("torchdq/Reach-v0", num_envs=7, robot="ur10e")
         assert isinstance(envs, ArmVectorEnv) and envs.max_episode_steps == 250
+        assert envs.output == "numpy" and envs.autoreset_mode == AutoresetMode.NEXT_STEP  # gymnasium's contract
+        assert envs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
         envs.reset(seed=0)
         envs.step(torch.zeros(7, 6))
         env = gymnasium.make("torchdq/Track-v0", robot=ROBOT, scale=20.0, max_episode_steps=4)
@@ -154,12 +157,67 @@ def test_gymnasiums_wrappers_accept_them():
     assert isinstance(observations, np.ndarray) and isinstance(rewards, np.ndarray)
 
 
-def test_episode_statistics_are_recorded():
-    envs = gymnasium.wrappers.vector.RecordEpisodeStatistics(make(output="numpy", max_episode_steps=3))
+def test_gymnasium_makes_what_it_is_asked_for():
+    asked = {"output": "torch", "autoreset_mode": AutoresetMode.SAME_STEP}
+    envs = gymnasium.make_vec("torchdq/Track-v0", num_envs=2, robot=ROBOT, scale=20.0, **asked)
+    assert (envs.output, envs.autoreset_mode) == ("torch", AutoresetMode.SAME_STEP)
+    assert isinstance(envs.reset(seed=0)[0], torch.Tensor)
+    assert (make().output, make().autoreset_mode) == ("torch", AutoresetMode.SAME_STEP)
+
+
+WRAPPERS = gymnasium.wrappers.vector
+WRAPPED = {
+    "RecordEpisodeStatistics": WRAPPERS.RecordEpisodeStatistics,
+    "NormalizeReward": WRAPPERS.NormalizeReward,
+    "NormalizeObservation": WRAPPERS.NormalizeObservation,
+    "FlattenObservation": WRAPPERS.FlattenObservation,
+    "RescaleAction": lambda envs: WRAPPERS.RescaleAction(envs, -2.0, 2.0),
+    "ClipReward": lambda envs: WRAPPERS.ClipReward(envs, -1.0, 1.0),
+    "DtypeObservation": lambda envs: WRAPPERS.DtypeObservation(envs, np.float64),
+    "DictInfoToList": WRAPPERS.DictInfoToList,
+}
+
+
+@pytest.mark.parametrize("wrapper", WRAPPED)
+def test_gymnasiums_vector_wrappers_take_its_vector_environments(wrapper):
+    made = gymnasium.make_vec("torchdq/Reach-v0", num_envs=5, robot=ROBOT, scale=20.0, max_episode_steps=3)
+    envs = WRAPPED[wrapper](made)
     envs.reset(seed=0)
-    for _ in range(3):
-        *_, info = envs.step(np.zeros((5, 2), np.float32))
-    assert info["episode"]["l"].tolist() == [3] * 5
+    for _ in range(8):
+        observations, rewards, terminated, truncated, info = envs.step(np.zeros((5, 2), np.float32))
+        assert all(isinstance(x, np.ndarray) for x in (observations, rewards, terminated, truncated))
+        if wrapper == "RecordEpisodeStatistics" and truncated.any():
+            assert info["episode"]["l"].tolist() == [3] * 5
+
+
+def test_gymnasium_records_videos_of_all_environments(monkeypatch, tmp_path):
+    pytest.importorskip("matplotlib")
+    films = []
+
+    class Clip:
+        """Stand-in for a film of moviepy."""
+
+        def __init__(self, frames, fps):
+            films.append((len(frames), frames[0].shape, fps))
+
+        def write_videofile(self, path, logger):
+            """Nothing."""
+
+    clips = types.ModuleType("moviepy.video.io.ImageSequenceClip")
+    clips.ImageSequenceClip = Clip
+    for name in ("moviepy", "moviepy.video", "moviepy.video.io"):
+        monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
+    monkeypatch.setitem(sys.modules, clips.__name__, clips)
+    envs = gymnasium.make_vec(
+        "torchdq/Reach-v0", num_envs=6, robot=ROBOT, scale=20.0, max_episode_steps=2, render_mode="rgb_array"
+    )
+    filmed = WRAPPERS.RecordVideo(envs, str(tmp_path / "films"), episode_trigger=lambda k: k == 0)
+    filmed.reset(seed=0)
+    height, width, _ = envs.render()[0].shape
+    for _ in range(4):
+        filmed.step(np.zeros((6, 2), np.float32))
+    filmed.close()
+    assert len(films) == 1 and films[0][1][0] * films[0][1][1] == 6 * height * width
 
 
 def test_frames_are_painted():
@@ -170,7 +228,7 @@ def test_frames_are_painted():
             envs.render()
         envs.reset(seed=0)
         frames = envs.render()
-        assert len(frames) == 4 and frames[0].shape[2] == 3 and frames[0].dtype == np.uint8
+        assert len(frames) == 6 and frames[0].shape[2] == 3 and frames[0].dtype == np.uint8
         assert not np.array_equal(frames[0], frames[1])
     env = gymnasium.make("torchdq/Reach-v0", robot=ROBOT, scale=20.0, render_mode="rgb_array")
     env.reset(seed=0)
@@ -748,7 +806,7 @@ MESSAGES = {
     "no dict": "Changed.rows must return a dict of rows, observation, reward, reference, found NoneType",
     "observation is short": "must return 'observation' of width 12, found 11",
     "reference is short": "must return 'reference' of width 6, found 5",
-    "reward is a number": r"must return 'reward' as a list of numbers, found a Recorded; a single number x is the row \[x\]",
+    "reward is a number": r"'reward' as a list of numbers, found a Recorded; a single number x is the row \[x\]",
     "reward is a tensor": "must return 'reward' as a list of numbers, found a Tensor;",
     "reward holds a tensor": "must return 'reward' as a list of numbers, found a Tensor in it",
     "reward has two": "must return 'reward' of width 1, found 2",
