@@ -36,7 +36,7 @@ from torchdq.envs.arguments import autoreset_of, check_scene, check_state, robot
 from torchdq.envs.controllers import ComputedTorque, Controller
 from torchdq.envs.defaults import nominal, usual
 from torchdq.envs.integrators import Integrator, LinearlyImplicit
-from torchdq.envs.randomization import randomised
+from torchdq.envs.randomization import Randomise, randomised
 from torchdq.envs.reset import Reset, task_inputs
 from torchdq.envs.rng import Streams, seeded
 from torchdq.envs.scene import Scene
@@ -77,8 +77,8 @@ class ArmVectorEnv(VectorEnv):
         dt: duration of a step [s].
         substeps: steps of the integrator within it.
         max_episode_steps: steps after which an episode is truncated; None: never.
-        randomise: half widths of the parameters drawn for every episode, such as {"mass": 0.1, "friction": 0.2,
-            "payload": 2.0}; see `torchdq.envs.randomization.randomised`.
+        randomise: parameters drawn for every episode, such as {"mass": 0.1, "gravity": (0.9, 1.1), "payload": 2.0};
+            fractions, ranges or distributions, see `torchdq.envs.randomization`.
         autoreset_mode: time at which finished rows are reset, as gymnasium defines it. SAME_STEP: at once, and
             `info["final_obs"]` [N, ...] and `info["final_info"]` hold what came before in the rows of the masks
             `info["_final_obs"]` and `info["_final_info"]`. NEXT_STEP: at the next step, which ignores their action.
@@ -113,7 +113,7 @@ class ArmVectorEnv(VectorEnv):
         dt: float = 0.02,
         substeps: int = 2,
         max_episode_steps: int | None = 250,
-        randomise: Mapping[str, float] | None = None,
+        randomise: Randomise | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         dtype: torch.dtype | str = torch.float32,
         device: torch.device | str = "cpu",
@@ -296,7 +296,7 @@ class ArmVectorEnv(VectorEnv):
 
     def _parameters(self) -> dict[str, Tensor]:
         """The scene's own tensors that are drawn for every episode."""
-        return {f"{r.effect}.{name}": x for r in self._randomised for name, x in r.tensors(self.scene).items()}
+        return {f"{r.owner}.{name}": x for r in self._randomised for name, x in r.tensors(self.scene).items()}
 
     # --- internals ---
 
