@@ -159,6 +159,9 @@ class ArmVectorEnv(VectorEnv):
         self.single_action_space = Box(-1.0, 1.0, (self.robot.n,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        # single numbers as tensors, since torch takes 2 us to make one
+        self._valid = like.new_ones(())
+        self._one = torch.tensor(1, dtype=torch.int32, device=self.device)
         self._buffers: dict[str, Tensor] = {}  # all that steps change, a row per environment; empty before a reset
         self._unreset = False  # True if a row has finished and was not reset
         self._painter: Any = None
@@ -208,14 +211,14 @@ class ArmVectorEnv(VectorEnv):
             )
         actions, clipped = self._actions.clipped(actions, self.num_envs)
         rows, buffers = self._advanced(actions)
-        reward, failed = rows.pop("reward").squeeze(1), rows.pop("valid").squeeze(1) != 1
+        reward, failed = rows.pop("reward"), rows.pop("valid") != self._valid
         terminated = failed
         if "terminated" in rows:
-            terminated = failed | (rows.pop("terminated").squeeze(1) != 0)
+            terminated = failed | (rows.pop("terminated") != 0)
         limit = self.max_episode_steps
         truncated = torch.zeros_like(failed) if limit is None else buffers["steps"] >= limit
         buffers["finished"] = done = terminated | truncated
-        info: dict[str, Any] = {"clipped": clipped, "nonfinite": failed, **{k: x.squeeze(1) for k, x in rows.items()}}
+        info: dict[str, Any] = {"clipped": clipped, "nonfinite": failed, **rows}
         any_done = bool(done.any())
         if any_done and bool(failed.any()):
             for name in _RESTORED:
@@ -278,7 +281,7 @@ class ArmVectorEnv(VectorEnv):
     def get_state(self) -> dict[str, Tensor]:
         """Copy of all that steps change: states, goals, random numbers, parameters; for `set_state`."""
         self._started("get_state")
-        return {name: x.clone() for name, x in (*self._buffers.items(), *self._parameters().items())}
+        return {name: x.clone() for name, x in (*self._buffers.items(), *self._drawn().items())}
 
     def set_state(self, state: Mapping[str, Tensor]) -> None:
         """Continue from a state of an environment that was constructed alike.
@@ -287,14 +290,14 @@ class ArmVectorEnv(VectorEnv):
             state: from `get_state`, or from `torch.load` of such.
         """
         self._open()
-        own = {**self._blank(), **self._parameters()}
+        own = {**self._blank(), **self._drawn()}
         check_state(state, own)
-        for name, x in self._parameters().items():
+        for name, x in self._drawn().items():
             x.copy_(state[name])
         self._buffers = {name: x.to(self.device, copy=True) for name, x in state.items() if "." not in name}
         self._unreset = bool(self._buffers["finished"].any()) and self.autoreset_mode != AutoresetMode.SAME_STEP
 
-    def _parameters(self) -> dict[str, Tensor]:
+    def _drawn(self) -> dict[str, Tensor]:
         """The scene's own tensors that are drawn for every episode."""
         return {f"{r.owner}.{name}": x for r in self._randomised for name, x in r.tensors(self.scene).items()}
 
@@ -346,7 +349,7 @@ class ArmVectorEnv(VectorEnv):
     def _advanced(self, actions: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """The task's rows after a step, and the buffers."""
         buffers = dict(self._buffers)
-        buffers["steps"] = buffers["steps"] + 1
+        buffers["steps"] = buffers["steps"] + self._one
         given = task_inputs(self.task, buffers, self.scene, actions)
         given |= self._actions.inputs(actions, buffers["reference"])
         noise = None
