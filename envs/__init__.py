@@ -7,9 +7,10 @@ from torchdq.envs import controllers, integrators
 from torchdq.envs.env import ArmEnv
 from torchdq.envs.scene import Scene
 from torchdq.envs.state import State
+from torchdq.envs.torch_task import TorchTask
 from torchdq.envs.vector_env import ArmVectorEnv
 
-__all__ = ["ArmEnv", "ArmVectorEnv", "Scene", "State", "controllers", "effects", "integrators"]
+__all__ = ["ArmEnv", "ArmVectorEnv", "Scene", "State", "TorchTask", "controllers", "effects", "integrators"]
 
 for _task in ("Reach", "Track"):
     register(

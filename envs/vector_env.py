@@ -42,6 +42,7 @@ from torchdq.envs.rng import Streams, seeded
 from torchdq.envs.scene import Scene
 from torchdq.envs.state import State
 from torchdq.envs.tasks import Checked, EpisodeTask
+from torchdq.envs.torch_task import Functions, TorchTask
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import Robot
 
@@ -62,7 +63,7 @@ class ArmVectorEnv(VectorEnv):
 
     Args:
         num_envs: number of environments.
-        task: "reach", "track", or an object like those of `torchdq.envs.tasks`.
+        task: "reach", "track", an object like those of `torchdq.envs.tasks`, or a `torchdq.envs.TorchTask`.
         robot: name of a shipped robot, path of a URDF file, or a robot; it needs an end effector to reach.
         effects: effects of the scene; None: `torchdq.envs.defaults.usual(robot)`.
         action: meaning of the actions. "torque": fractions of the torque limits. "residual": fractions of a fifth of
@@ -103,7 +104,7 @@ class ArmVectorEnv(VectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        task: str | EpisodeTask = "reach",
+        task: str | EpisodeTask | TorchTask = "reach",
         robot: str | Path | Robot = "panda",
         effects: Sequence[Effect] | None = None,
         action: Kind = "torque",
@@ -128,7 +129,8 @@ class ArmVectorEnv(VectorEnv):
         require_choice("output", output, ("torch", "numpy"))
         require_choice("render_mode", render_mode, (None, "rgb_array", "human"))
         self.num_envs, self.max_episode_steps, self.output = num_envs, max_episode_steps, output
-        self.task, self.robot = task_of(task), robot_of(robot)
+        functions = task if isinstance(task, TorchTask) else None
+        self.task, self.robot = task_of(task if functions is None else functions.recorded), robot_of(robot)
         self.dtype, self.device = dtype_of("dtype", dtype), torch.device(device)
         self.autoreset_mode, self.render_mode = autoreset_of(autoreset_mode), render_mode
         like = torch.empty(0, dtype=self.dtype, device=self.device)
@@ -153,8 +155,10 @@ class ArmVectorEnv(VectorEnv):
         check_scene(self.scene, num_envs)
         self._actions = Actions(action, self.robot, torch.as_tensor(full(self.robot, action, scale)).to(like))
         self._checked = Checked(self.task)
-        self._reset = Reset(self.scene, self._checked, self._randomised)
-        low, high = np.array(self.task.bounds(self.robot), dtype=np.dtype(str(self.dtype).removeprefix("torch."))).T
+        self._functions = None if functions is None else Functions(functions, self.robot, dt)
+        self._reset = Reset(self.scene, self._checked, self._randomised, self._functions)
+        bounds = self.task.bounds(self.robot) if functions is None or functions.bounds is None else functions.bounds
+        low, high = np.array(bounds, dtype=np.dtype(str(self.dtype).removeprefix("torch."))).T
         self.single_observation_space = Box(low, high, dtype=low.dtype.type)
         self.single_action_space = Box(-1.0, 1.0, (self.robot.n,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -357,6 +361,8 @@ class ArmVectorEnv(VectorEnv):
             noise, (buffers["key"], buffers["counter"]) = self._streams(buffers).uniform(self.scene.noises, self.dtype)
         state = State(buffers["q"], buffers["qd"], buffers.get("memory"), buffers.get("reading"))
         state, rows = self.scene.advance(state, given, noise, self._checked)
+        if self._functions is not None:
+            rows = self._functions.after(self._functions.now(state, buffers["goal"], buffers["steps"], rows, actions))
         buffers.update(state.rows(), observation=rows.pop("observation"), reference=rows.pop("reference"))
         return rows, buffers
 
