@@ -7,15 +7,16 @@ from torchdq.envs import controllers, integrators
 from torchdq.envs.env import ArmEnv
 from torchdq.envs.scene import Scene
 from torchdq.envs.state import State
+from torchdq.envs.torch_task import TorchTask
 from torchdq.envs.vector_env import ArmVectorEnv
 
-__all__ = ["ArmEnv", "ArmVectorEnv", "Scene", "State", "controllers", "effects", "integrators"]
+__all__ = ["ArmEnv", "ArmVectorEnv", "Scene", "State", "TorchTask", "controllers", "effects", "integrators"]
 
 for _task in ("Reach", "Track"):
     register(
         f"torchdq/{_task}-v0",
         entry_point="torchdq.envs.env:ArmEnv",
-        vector_entry_point="torchdq.envs.vector_env:ArmVectorEnv",
+        vector_entry_point="torchdq.envs.vector_env:made_by_gymnasium",
         max_episode_steps=250,
         kwargs={"task": _task.lower()},
     )

@@ -29,7 +29,7 @@ class Actions:
 
     def clipped(self, actions: Any, num_envs: int) -> tuple[Tensor, Tensor]:
         """Actions [N, n] within their bounds, and the number clipped in each row [N]; raises if one is not finite."""
-        found = torch.as_tensor(actions, device=self.scale.device).detach().to(self.scale.dtype)
+        found = torch.as_tensor(actions, dtype=self.scale.dtype, device=self.scale.device)
         shape = (num_envs, self.robot.n)
         if found.shape != shape:
             raise ArgumentError(

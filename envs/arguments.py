@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from gymnasium.vector import AutoresetMode
+from torch import Tensor
 
+from torchdq.checks import require_tensor
 from torchdq.envs.scene import Scene
 from torchdq.envs.tasks import EpisodeTask, Reach, Track
 from torchdq.errors import ArgumentError, UnknownNameError
@@ -14,6 +17,8 @@ from torchdq.robot.posed import GEOMETRY
 from torchdq.robot.robot import SHAPES
 from torchdq.robot.shipped import ROBOTS, load
 
+COUNTS = ("steps", "counter")  # entries of a saved state that count from 0
+METHODS = ("inputs", "draws", "start", "bounds", "rows")  # of a task
 TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track()}
 
 
@@ -30,8 +35,19 @@ def task_of(task: str | EpisodeTask) -> EpisodeTask:
         if task not in TASKS:
             raise UnknownNameError("task", task, TASKS)
         return TASKS[task]
-    if not callable(getattr(task, "start", None)):
-        raise ArgumentError(f"task must be the name of one or like those of torchdq.envs.tasks, found {task!r}")
+    if isinstance(task, type) or not all(callable(getattr(task, name, None)) for name in METHODS):
+        raise ArgumentError(
+            f"task must be the name of one or an object with the methods {', '.join(METHODS)}, like those of "
+            f"torchdq.envs.tasks, found {task!r}"
+            + (f"; {task.__name__} is a class, call it" if isinstance(task, type) else "")
+        )
+    try:
+        hash(task)
+    except TypeError as error:
+        raise ArgumentError(
+            f"task must be hashable, found {task!r}; make {type(task).__name__} a dataclass(frozen=True) whose fields "
+            f"are hashable"
+        ) from error
     return task
 
 
@@ -63,3 +79,25 @@ def check_scene(scene: Scene, num_envs: int) -> None:
                 raise ArgumentError(
                     f"{parameter} of {name} must be one for all or have {num_envs} rows, found the batch axes {batch}"
                 )
+
+
+def check_state(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) -> None:
+    """Raise unless a saved state has the entries of an environment's own, in their dtypes and shapes, and is finite."""
+    if not isinstance(state, Mapping):
+        raise ArgumentError(f"state must be a dict of tensors, from get_state(), found {type(state).__name__}")
+    if set(state) != set(own):
+        raise ArgumentError(f"state must have the entries {sorted(own)}, found {sorted(map(str, state))}")
+    for name, x in state.items():
+        label, like = f"state[{name!r}]", own[name]
+        require_tensor(label, x)
+        if x.shape != like.shape or x.dtype != like.dtype:
+            raise ArgumentError(
+                f"{label} must be {like.dtype} of shape {tuple(like.shape)}, found {x.dtype} of shape "
+                f"{tuple(x.shape)}; was it saved by an environment with other arguments?"
+            )
+        wrong = x.isnan() if "." in name else ~x.isfinite()  # a parameter may be an infinite limit
+        if len(bad := wrong.nonzero()):
+            found = x[tuple(bad[0])].item()
+            raise ArgumentError(f"{label} must be finite, found {found} in row {bad[0, 0].item()}")
+        if name in COUNTS and bool((x < 0).any()):
+            raise ArgumentError(f"{label} must not be negative, found {x.min().item()}")

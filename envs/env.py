@@ -34,7 +34,6 @@ class ArmEnv(gymnasium.Env):
             max_episode_steps=max_episode_steps,
             render_mode=render_mode,  # type: ignore[arg-type]
             autoreset_mode=AutoresetMode.DISABLED,
-            output="numpy",
             **arguments,
         )
         self.observation_space = self.envs.single_observation_space
@@ -48,7 +47,7 @@ class ArmEnv(gymnasium.Env):
         """Observation at the start of a new episode, and an empty `info`."""
         super().reset(seed=seed)
         observations, _ = self.envs.reset(seed=seed)
-        return observations[0], {}
+        return observations.cpu().numpy()[0], {}
 
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Observation, reward, termination, truncation and `info`, after `dt`.
@@ -57,8 +56,8 @@ class ArmEnv(gymnasium.Env):
             action: [n] in [-1, 1].
         """
         observations, rewards, terminated, truncated, info = self.envs.step(np.asarray(action)[None])
-        one = {name: x[0].item() for name, x in info.items()}
-        return observations[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), one
+        one = {name: x.item() if x.ndim == 1 else x.cpu().numpy()[0] for name, x in info.items()}
+        return observations.cpu().numpy()[0], rewards.item(), terminated.item(), truncated.item(), one
 
     def render(self) -> np.ndarray | None:
         """Frame [H, W, 3] uint8, or None in the mode "human"."""

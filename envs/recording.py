@@ -156,6 +156,14 @@ class Stage(_StageFields, Computation):
         evaluated = {"u": n, "x": moving, "v": moving, "to": moving, "h": 1}
         return {**spec.state, "noise": spec.noises, **spec.inputs(), **asked, **evaluated}
 
+    def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
+        """Trailing axes of the results; one number of a task, such as its reward, has none."""
+        if self.stage not in ("step", "sense", "begin"):
+            return super().results(program)
+        rows = (*self.spec.state, "observation", "reference")
+        widths = [(result.name, len(result.values)) for result in program.results]
+        return tuple([(width,) if width > 1 or name in rows else () for name, width in widths])
+
     def shared(self, name: str) -> bool:
         """True for a parameter."""
         return "." in name

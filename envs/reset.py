@@ -15,7 +15,8 @@ from torchdq.envs.randomization import Randomised
 from torchdq.envs.rng import Streams
 from torchdq.envs.scene import Scene
 from torchdq.envs.spec import Task
-from torchdq.envs.tasks import Checked, EpisodeTask
+from torchdq.envs.tasks import Checked
+from torchdq.envs.torch_task import Functions
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
 from torchdq.robot.robot import SHAPES, arguments
@@ -29,11 +30,13 @@ class Reset:
         scene: the scene of the episodes.
         checked: the task of the episodes, with the check of its numbers.
         randomised: parameters of the scene that are drawn as well.
+        functions: functions of tensors that replace parts of the task; None: there are none.
     """
 
     scene: Scene
     checked: Checked
     randomised: tuple[Randomised, ...]
+    functions: Functions | None
     opening: Scene = field(init=False, repr=False)  # the scene with the effects that act at a start
 
     def __post_init__(self) -> None:
@@ -48,20 +51,25 @@ class Reset:
             streams: random numbers of those environments.
             dtype: dtype of the buffers.
         """
-        task = self.checked.task
-        widths = [task.draws(self.scene.robot), *[r.width for r in self.randomised], self.scene.noises]
+        task, own = self.checked.task, self.functions
+        draws = [task.draws(self.scene.robot), 0 if own is None else own.task.draws]
+        widths = [*draws, *[r.width for r in self.randomised], self.scene.noises]
         u, streams = streams.uniform(sum(widths), dtype)
-        u, *drawn, noise = u.split(widths, 1)
+        u, u_own, *drawn, noise = u.split(widths, 1)
         for parameters, x in zip(self.randomised, drawn, strict=True):
             parameters.draw(self.scene, rows, x)
-        program = _program(task, self.scene.robot)
+        program = _program(self.checked, self.scene.robot)
         outputs = run(program, [u], choose(self.scene.backend, u.device))
         fresh = {result.name: x for result, x in zip(program.results, outputs, strict=True)}
+        if own is not None:
+            fresh.update(own.started(u_own))
         steps = rows.new_zeros(len(rows), dtype=torch.int32)
         fresh.update(streams._asdict(), steps=steps, finished=steps.to(torch.bool))
         opening = _of_rows(self.opening, rows)
         given = task_inputs(task, fresh, opening)
         state, seen = opening.begin(fresh["q"], fresh["qd"], given, noise, self.checked)
+        if own is not None:
+            seen["observation"] = own.first(own.now(state, fresh["goal"], steps, seen))
         return fresh | state.rows() | {"observation": seen["observation"], "reference": seen["reference"]}
 
 
@@ -95,7 +103,8 @@ def _of_rows(scene: Scene, rows: Tensor) -> Scene:
 
 
 @remembered(PROGRAMS)
-def _program(task: EpisodeTask, robot: Robot) -> Program:
+def _program(checked: Checked, robot: Robot) -> Program:
     """Program of start and goal."""
-    argument = Argument("u", task.draws(robot))
-    return record(f"{type(task).__name__.lower()}_{robot.name}", [argument], lambda u: task.start(robot, u))
+    argument = Argument("u", checked.task.draws(robot))
+    name = type(checked.task).__name__.lower()
+    return record(f"{name}_{robot.name}", [argument], lambda u: checked.start(robot, u))

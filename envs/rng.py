@@ -20,6 +20,7 @@ _STEP = 0x9E3779B97F4A7C15  # 2^64 over the golden ratio
 _ONE = {torch.float32: 0x3F800000, torch.float64: 0x3FF0000000000000}  # the bits of 1
 _FIRST, _SECOND = 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
 SEEDS = 2**63  # seeds are below it
+SMALLEST = {torch.float32: 2.0**-24, torch.float64: 2.0**-53}  # number that can be drawn; the largest is 1 less that
 
 
 class Streams(NamedTuple):

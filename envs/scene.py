@@ -82,6 +82,8 @@ class Scene:
     backend: BackendName | None = None
     precision: Precision = "auto"
     spec: SceneSpec = field(init=False, repr=False)
+    noises: int = field(init=False, repr=False)  # random numbers that a step consumes
+    _parameters: dict[str, Tensor] = field(init=False, repr=False)  # of robot, controller, effects, by "owner.name"
 
     def __post_init__(self) -> None:
         if not isinstance(self.robot, Robot):
@@ -119,6 +121,12 @@ class Scene:
         object.__setattr__(self, "effects", resolved)
         object.__setattr__(self, "controller", controller)
         object.__setattr__(self, "spec", _interned.setdefault(spec, spec))
+        found = {f"{ROBOT}.{name}": getattr(self.robot, name) for name in spec.arguments}
+        parts = () if controller is None else ((CONTROLLER, controller),)
+        for owner, part in (*parts, *enumerate(resolved)):
+            found.update({f"{owner}.{name}": x for name, x in part.tensors().items()})
+        object.__setattr__(self, "noises", spec.noises)
+        object.__setattr__(self, "_parameters", found)
 
     # --- inputs and parameters ---
 
@@ -135,13 +143,8 @@ class Scene:
     @property
     def batches(self) -> dict[str, tuple[int, ...]]:
         """Batch axes of the tensors of robot, controller and effects by their names; () where samples share one."""
-        stage, found = Stage(self.spec, "step"), self._parameters()
+        stage, found = Stage(self.spec, "step"), self._parameters
         return {stage.label(name): tuple(x.shape[: x.ndim - len(stage.axes(name))]) for name, x in found.items()}
-
-    @property
-    def noises(self) -> int:
-        """Number of random numbers that a step consumes."""
-        return self.spec.noises
 
     def replace(self, **changes: Any) -> Scene:
         """Scene with some fields replaced; tensors of equal shapes need no new program."""
@@ -267,7 +270,7 @@ class Scene:
         taken = [Argument(name, math.prod(stage.axes(name))) for name in wanted]
         if self.controller is not None and "reference" not in wanted:
             raise ArgumentError("reference must be among the inputs of a scene with a controller")
-        for name, x in self._parameters().items():
+        for name, x in self._parameters.items():
             axes = stage.axes(name)
             taken.append(Argument(name, math.prod(axes), x.ndim == len(axes)))
         return stage.program(tuple(taken))
@@ -293,16 +296,8 @@ class Scene:
 
     def _call(self, stage: str, given: Mapping[str, Tensor], task: Task | None = None) -> dict[str, Tensor]:
         """Rows of a stage's program, with the batch axes of everything that goes in; the state's inputs come first."""
-        tensors = {**given, **self._parameters()}
+        tensors = {**given, **self._parameters}
         return evaluate(Stage(self.spec, stage, task), tensors, self.backend, self.precision == "double")
-
-    def _parameters(self) -> dict[str, Tensor]:
-        """Tensors of robot, controller and effects by "owner.name"."""
-        found = {f"{ROBOT}.{name}": getattr(self.robot, name) for name in self.spec.arguments}
-        parts = () if self.controller is None else ((CONTROLLER, self.controller),)
-        for owner, part in (*parts, *enumerate(self.effects)):
-            found.update({f"{owner}.{name}": x for name, x in part.tensors().items()})
-        return found
 
     def _with_noise(self, given: dict[str, Tensor], noise: Tensor | None) -> dict[str, Tensor]:
         """Inputs with the random numbers that the sensors need."""

@@ -46,6 +46,10 @@ class SceneSpec:
     dt: float
     substeps: int
 
+    def __hash__(self) -> int:
+        # at every step; the parameters of the effects would take most of the time
+        return hash((self.robot, self.arguments, self.dt, self.substeps, *map(type, self.effects)))
+
     def of(self, base: type[E]) -> list[tuple[int, E]]:
         """Effects of a class, with their positions among all."""
         return [(i, effect) for i, effect in enumerate(self.effects) if isinstance(effect, base)]

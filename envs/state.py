@@ -25,7 +25,7 @@ class State(NamedTuple):
 
     def rows(self) -> dict[str, Tensor]:
         """Tensors of the state that are there, by name."""
-        return {name: x for name, x in self._asdict().items() if x is not None}
+        return {name: x for name, x in zip(self._fields, self, strict=True) if x is not None}
 
     def to(self, dtype: dtype) -> State:
         """State in another dtype."""

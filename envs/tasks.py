@@ -1,22 +1,36 @@
 """Tasks of environments, written for any kind of number and recorded into the step's own program.
 
 A task computes start and goal of an episode from random numbers; and, from the state at the end of a step, observation,
-reward, and the reference that the robot follows without the policy.
+reward, and the reference that the robot follows without the policy. A task of one's own starts from one of these:
+
+    @dataclass(frozen=True)
+    class Gentle(Reach):
+        def rows(self, view):
+            rows, energy = super().rows(view), sum((v * v for v in view.qd), 0.0)
+            return {**rows, "reward": [rows["reward"][0] - 0.01 * energy], "energy": [energy]}
+
+    envs = ArmVectorEnv(4096, Gentle(), "panda")
+
+Its numbers are recorded, so it uses + - * /, and the functions of `torchdq.numbers.functions` in the place of torch's,
+and no comparisons; `torchdq.envs.torch_task` has no such limits, and is slower.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.envs.spec import Rows, Task, View
+from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.numbers.functions import at_least, clip, minimum, sqrt
+from torchdq.numbers.record import Recorded
+from torchdq.program.program import GROWTH
 from torchdq.robot import Robot
 from torchdq.robot.posed import frame, posed
 
@@ -27,6 +41,7 @@ CLOSE = 0.05  # distance at which half of the bonus is earned [m]
 TIGHT = 0.1  # root mean square error at which half of the reward is earned [rad or m]
 HIGHEST = 2.0  # largest rate of the sinusoids of a reference [rad/s]
 SENSIBLE = 1e6  # bound of velocities and rewards; beyond it the simulation has failed
+RESERVED = ("q", "qd", "memory", "reading", "valid", GROWTH, "clipped", "nonfinite", "final_obs", "final_info")
 
 
 class EpisodeTask(Task, Protocol):
@@ -183,20 +198,76 @@ class Track:
 
 @dataclass(frozen=True)
 class Checked:
-    """A task with a check of its numbers: "valid" [1] is 1, or 0 where the simulation has failed."""
+    """A task whose rows are checked while they are recorded, and whose numbers are checked at every step.
+
+    It adds the row "valid" [1]: 1, or 0 where the simulation has failed.
+    """
 
     task: EpisodeTask
 
     def inputs(self, n: int) -> dict[str, int]:
         """Inputs of the task."""
-        return self.task.inputs(n)
+        found, known = self.task.inputs(n), {"goal": None, "action": n, "time": 1}
+        for name, width in found.items():
+            if name not in known:
+                raise UnknownNameError(f"input of tasks that {self._named('inputs')} may ask for", name, known)
+            if known[name] not in (None, width):
+                raise ArgumentError(
+                    f"{self._named('inputs')} must give {name!r} the width {known[name]}, found {width}"
+                )
+        if "goal" not in found:
+            raise ArgumentError(f"{self._named('inputs')} must name the width of 'goal', found {sorted(found)}")
+        return found
+
+    def start(self, robot: Robot, u: Row) -> Rows:
+        """Rows of the task at a start."""
+        n = robot.n
+        widths = {"q": n, "qd": n, "goal": self.inputs(n)["goal"]}
+        rows = self._rows("start", self.task.start(robot, u), widths)
+        for name in rows:
+            if name not in widths:
+                raise UnknownNameError(f"row of a start that {self._named('start')} may return", name, widths)
+        return rows
 
     def rows(self, view: View) -> Rows:
         """Rows of the task, and "valid"."""
-        rows = self.task.rows(view)
+        robot, found = view.scene.spec.robot, self.task.rows(view)
+        widths = {"observation": len(self.task.bounds(robot)), "reward": 1, "reference": 3 * robot.n}
+        rows = self._rows("rows", found, widths)
+        for name in rows:
+            if name in RESERVED:
+                raise ArgumentError(
+                    f"{self._named('rows')} must not return a row {name!r}: the environment has its own"
+                )
         # NaN and infinity survive sums; positions follow the velocities
         squares = [x * x for x in (*view.qd, *rows["reward"], sum(rows["observation"], 0.0))]
         return {**rows, "valid": [at_least(SENSIBLE**2, sum(squares, 0.0))]}
+
+    def _named(self, method: str) -> str:
+        return f"{type(self.task).__name__}.{method}"
+
+    def _rows(
+        self, method: str, rows: Any, needed: Mapping[str, int], optional: Mapping[str, int] | None = None
+    ) -> Rows:
+        """Rows that a method of the task returned; raises unless those that are needed are there, with their widths."""
+        what = self._named(method)
+        if not isinstance(rows, Mapping):
+            raise ArgumentError(f"{what} must return a dict of rows, {', '.join(needed)}, found {type(rows).__name__}")
+        for name in needed:
+            if name not in rows:
+                raise ArgumentError(f"{what} must return a row {name!r} [{needed[name]}], found {', '.join(rows)}")
+        widths = {"terminated": 1, **needed}
+        for name, row in rows.items():
+            listed = isinstance(row, list | tuple)
+            for x in row if listed else (row,):
+                if not (listed and isinstance(x, Recorded | float | int)):
+                    raise ArgumentError(
+                        f"{what} must return {name!r} as a list of numbers, found a {type(x).__name__}"
+                        f"{' in it' if listed else ''}; a single number x is the row [x]"
+                    )
+            if len(row) != widths.get(name, len(row)):
+                raise ArgumentError(f"{what} must return {name!r} of width {widths[name]}, found {len(row)}")
+        return dict(rows)
 
 
 # --- terms of tasks ---------------------------------------------------------------------------------------

@@ -1,15 +1,17 @@
-"""Many arms at once as one gymnasium vector environment, tensors in and tensors out.
+"""Many arms at once as one gymnasium vector environment.
 
-    envs = gymnasium.make_vec("torchdq/Reach-v0", num_envs=4096, robot="ur10e")
+    envs = ArmVectorEnv(4096, "reach", "ur10e")  # tensors in, tensors out
+    envs = gymnasium.make_vec("torchdq/Reach-v0", num_envs=4096, robot="ur10e")  # numpy, as gymnasium's wrappers ask
     observations, info = envs.reset(seed=0)
     observations, rewards, terminated, truncated, info = envs.step(actions)
 
-Other libraries:
+Other libraries take an `ArmVectorEnv`:
 
     TorchRL               torchrl.envs.GymWrapper(envs, convert_actions_to_numpy=False, device=envs.device)
     skrl                  skrl.envs.wrappers.torch.wrap_env(envs, wrapper="gymnasium")
     Stable-Baselines3     torchdq.envs.sb3.StableBaselinesVecEnv(envs)
     numpy                 ArmVectorEnv(..., output="numpy")
+    gymnasium's wrappers  gymnasium.make_vec, or ArmVectorEnv(..., output="numpy", autoreset_mode="NextStep")
 """
 
 from __future__ import annotations
@@ -27,25 +29,24 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.checks import require_choice, require_count
+from torchdq.checks import dtype_of, require_choice, require_count
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, full
-from torchdq.envs.arguments import autoreset_of, check_scene, robot_of, task_of
+from torchdq.envs.arguments import autoreset_of, check_scene, check_state, robot_of, task_of
 from torchdq.envs.controllers import ComputedTorque, Controller
 from torchdq.envs.defaults import nominal, usual
 from torchdq.envs.integrators import Integrator, LinearlyImplicit
-from torchdq.envs.randomization import randomised
+from torchdq.envs.randomization import Randomise, randomised
 from torchdq.envs.reset import Reset, task_inputs
 from torchdq.envs.rng import Streams, seeded
 from torchdq.envs.scene import Scene
 from torchdq.envs.state import State
 from torchdq.envs.tasks import Checked, EpisodeTask
-from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
+from torchdq.envs.torch_task import Functions, TorchTask
+from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import Robot
-from torchdq.robot.robot import DTYPES
 
 KP, KD = 100.0, 20.0  # gains of the default controller [1/s^2, 1/s]
-SHOWN = 4  # rendered environments
 WORST = -1000.0  # reward of a step that failed, worse than any episode
 _HANDED_OUT = ("observation", "finished")  # buffers that callers may hold, and that are never written into
 _RESTORED = ("q", "qd", "memory", "reading", "observation", "reference")  # buffers set back after a failed step
@@ -62,7 +63,7 @@ class ArmVectorEnv(VectorEnv):
 
     Args:
         num_envs: number of environments.
-        task: "reach", "track", or an object like those of `torchdq.envs.tasks`.
+        task: "reach", "track", an object like those of `torchdq.envs.tasks`, or a `torchdq.envs.TorchTask`.
         robot: name of a shipped robot, path of a URDF file, or a robot; it needs an end effector to reach.
         effects: effects of the scene; None: `torchdq.envs.defaults.usual(robot)`.
         action: meaning of the actions. "torque": fractions of the torque limits. "residual": fractions of a fifth of
@@ -77,17 +78,17 @@ class ArmVectorEnv(VectorEnv):
         dt: duration of a step [s].
         substeps: steps of the integrator within it.
         max_episode_steps: steps after which an episode is truncated; None: never.
-        randomise: half widths of the parameters drawn for every episode, such as {"mass": 0.1, "friction": 0.2,
-            "payload": 2.0}; see `torchdq.envs.randomization.randomised`.
+        randomise: parameters drawn for every episode, such as {"mass": 0.1, "gravity": (0.9, 1.1), "payload": 2.0};
+            fractions, ranges or distributions, see `torchdq.envs.randomization`.
         autoreset_mode: time at which finished rows are reset, as gymnasium defines it. SAME_STEP: at once, and
             `info["final_obs"]` [N, ...] and `info["final_info"]` hold what came before in the rows of the masks
             `info["_final_obs"]` and `info["_final_info"]`. NEXT_STEP: at the next step, which ignores their action.
             DISABLED: when `reset(options={"reset_mask": mask})` is called; stepping a finished row is an error.
-        dtype: float32 or float64.
+        dtype: float32 or float64, torch's, numpy's or by name.
         device: device of the environments.
         output: "torch" or "numpy": type of everything that `reset` and `step` return.
-        render_mode: "rgb_array": `render` returns frames of the first four environments; "human": every
-            step shows the first one in a browser.
+        render_mode: "rgb_array": `render` returns a frame of every environment; "human": every step shows the first
+            one in a browser.
         backend: as in `torchdq.functional`.
 
     >>> import torch
@@ -103,7 +104,7 @@ class ArmVectorEnv(VectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        task: str | EpisodeTask = "reach",
+        task: str | EpisodeTask | TorchTask = "reach",
         robot: str | Path | Robot = "panda",
         effects: Sequence[Effect] | None = None,
         action: Kind = "torque",
@@ -113,9 +114,9 @@ class ArmVectorEnv(VectorEnv):
         dt: float = 0.02,
         substeps: int = 2,
         max_episode_steps: int | None = 250,
-        randomise: Mapping[str, float] | None = None,
+        randomise: Randomise | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
-        dtype: torch.dtype = torch.float32,
+        dtype: torch.dtype | str = torch.float32,
         device: torch.device | str = "cpu",
         output: Literal["torch", "numpy"] = "torch",
         render_mode: Literal["rgb_array", "human"] | None = None,
@@ -124,16 +125,15 @@ class ArmVectorEnv(VectorEnv):
         require_count("num_envs", num_envs)
         if max_episode_steps is not None:
             require_count("max_episode_steps", max_episode_steps)
-        if dtype not in DTYPES:
-            raise DtypeError(f"dtype must be torch.float32 or torch.float64, found {dtype}")
         require_choice("action", action, get_args(Kind))
         require_choice("output", output, ("torch", "numpy"))
         require_choice("render_mode", render_mode, (None, "rgb_array", "human"))
         self.num_envs, self.max_episode_steps, self.output = num_envs, max_episode_steps, output
-        self.task, self.robot = task_of(task), robot_of(robot)
-        self.dtype, self.device = dtype, torch.device(device)
+        functions = task if isinstance(task, TorchTask) else None
+        self.task, self.robot = task_of(task if functions is None else functions.recorded), robot_of(robot)
+        self.dtype, self.device = dtype_of("dtype", dtype), torch.device(device)
         self.autoreset_mode, self.render_mode = autoreset_of(autoreset_mode), render_mode
-        like = torch.empty(0, dtype=dtype, device=self.device)
+        like = torch.empty(0, dtype=self.dtype, device=self.device)
         scene = Scene(
             self.robot,
             usual(self.robot) if effects is None else effects,
@@ -155,12 +155,17 @@ class ArmVectorEnv(VectorEnv):
         check_scene(self.scene, num_envs)
         self._actions = Actions(action, self.robot, torch.as_tensor(full(self.robot, action, scale)).to(like))
         self._checked = Checked(self.task)
-        self._reset = Reset(self.scene, self._checked, self._randomised)
-        low, high = np.array(self.task.bounds(self.robot), dtype=np.dtype(str(dtype).removeprefix("torch."))).T
+        self._functions = None if functions is None else Functions(functions, self.robot, dt)
+        self._reset = Reset(self.scene, self._checked, self._randomised, self._functions)
+        bounds = self.task.bounds(self.robot) if functions is None or functions.bounds is None else functions.bounds
+        low, high = np.array(bounds, dtype=np.dtype(str(self.dtype).removeprefix("torch."))).T
         self.single_observation_space = Box(low, high, dtype=low.dtype.type)
         self.single_action_space = Box(-1.0, 1.0, (self.robot.n,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        # single numbers as tensors, since torch takes 2 us to make one
+        self._valid = like.new_ones(())
+        self._one = torch.tensor(1, dtype=torch.int32, device=self.device)
         self._buffers: dict[str, Tensor] = {}  # all that steps change, a row per environment; empty before a reset
         self._unreset = False  # True if a row has finished and was not reset
         self._painter: Any = None
@@ -210,14 +215,14 @@ class ArmVectorEnv(VectorEnv):
             )
         actions, clipped = self._actions.clipped(actions, self.num_envs)
         rows, buffers = self._advanced(actions)
-        reward, failed = rows.pop("reward").squeeze(1), rows.pop("valid").squeeze(1) != 1
+        reward, failed = rows.pop("reward"), rows.pop("valid") != self._valid
         terminated = failed
         if "terminated" in rows:
-            terminated = failed | (rows.pop("terminated").squeeze(1) != 0)
+            terminated = failed | (rows.pop("terminated") != 0)
         limit = self.max_episode_steps
         truncated = torch.zeros_like(failed) if limit is None else buffers["steps"] >= limit
         buffers["finished"] = done = terminated | truncated
-        info: dict[str, Any] = {"clipped": clipped, "nonfinite": failed, **{k: x.squeeze(1) for k, x in rows.items()}}
+        info: dict[str, Any] = {"clipped": clipped, "nonfinite": failed, **rows}
         any_done = bool(done.any())
         if any_done and bool(failed.any()):
             for name in _RESTORED:
@@ -246,7 +251,7 @@ class ArmVectorEnv(VectorEnv):
         return found if self.output == "torch" else tuple(self._out(x) for x in found)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """Frames [H, W, 3] uint8 of the first four environments, or None in the mode "human"."""
+        """Frames [H, W, 3] uint8 of all environments, or None in the mode "human"."""
         self._open()
         if self.render_mode is None:
             raise ArgumentError("render_mode must be 'rgb_array' or 'human' to render; it is chosen at construction")
@@ -273,14 +278,14 @@ class ArmVectorEnv(VectorEnv):
         if self.render_mode == "human":
             self._painter.show(q[0], target[0])
             return None
-        return tuple(self._painter.frame(q[i], target[i]) for i in range(min(SHOWN, self.num_envs)))
+        return tuple(self._painter.frame(q[i], target[i]) for i in range(self.num_envs))
 
     # --- saving ---
 
     def get_state(self) -> dict[str, Tensor]:
         """Copy of all that steps change: states, goals, random numbers, parameters; for `set_state`."""
         self._started("get_state")
-        return {name: x.clone() for name, x in (*self._buffers.items(), *self._parameters().items())}
+        return {name: x.clone() for name, x in (*self._buffers.items(), *self._drawn().items())}
 
     def set_state(self, state: Mapping[str, Tensor]) -> None:
         """Continue from a state of an environment that was constructed alike.
@@ -289,23 +294,16 @@ class ArmVectorEnv(VectorEnv):
             state: from `get_state`, or from `torch.load` of such.
         """
         self._open()
-        own = {**self._blank(), **self._parameters()}
-        if set(state) != set(own):
-            raise ArgumentError(f"state must have the entries {sorted(own)}, found {sorted(state)}")
-        for name, x in state.items():
-            if x.shape != own[name].shape or x.dtype != own[name].dtype:
-                raise ArgumentError(
-                    f"state[{name!r}] must be {own[name].dtype} of shape {tuple(own[name].shape)}, found {x.dtype} of "
-                    f"shape {tuple(x.shape)}; was it saved by an environment with other arguments?"
-                )
-        for name, x in self._parameters().items():
+        own = {**self._blank(), **self._drawn()}
+        check_state(state, own)
+        for name, x in self._drawn().items():
             x.copy_(state[name])
         self._buffers = {name: x.to(self.device, copy=True) for name, x in state.items() if "." not in name}
         self._unreset = bool(self._buffers["finished"].any()) and self.autoreset_mode != AutoresetMode.SAME_STEP
 
-    def _parameters(self) -> dict[str, Tensor]:
+    def _drawn(self) -> dict[str, Tensor]:
         """The scene's own tensors that are drawn for every episode."""
-        return {f"{r.effect}.{name}": x for r in self._randomised for name, x in r.tensors(self.scene).items()}
+        return {f"{r.owner}.{name}": x for r in self._randomised for name, x in r.tensors(self.scene).items()}
 
     # --- internals ---
 
@@ -355,7 +353,7 @@ class ArmVectorEnv(VectorEnv):
     def _advanced(self, actions: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """The task's rows after a step, and the buffers."""
         buffers = dict(self._buffers)
-        buffers["steps"] = buffers["steps"] + 1
+        buffers["steps"] = buffers["steps"] + self._one
         given = task_inputs(self.task, buffers, self.scene, actions)
         given |= self._actions.inputs(actions, buffers["reference"])
         noise = None
@@ -363,6 +361,8 @@ class ArmVectorEnv(VectorEnv):
             noise, (buffers["key"], buffers["counter"]) = self._streams(buffers).uniform(self.scene.noises, self.dtype)
         state = State(buffers["q"], buffers["qd"], buffers.get("memory"), buffers.get("reading"))
         state, rows = self.scene.advance(state, given, noise, self._checked)
+        if self._functions is not None:
+            rows = self._functions.after(self._functions.now(state, buffers["goal"], buffers["steps"], rows, actions))
         buffers.update(state.rows(), observation=rows.pop("observation"), reference=rows.pop("reference"))
         return rows, buffers
 
@@ -378,7 +378,7 @@ class ArmVectorEnv(VectorEnv):
     def _blank(self) -> dict[str, Tensor]:
         """Buffers before a first episode."""
         N, n = self.num_envs, self.robot.n
-        widths = {**self.scene.spec.state, "goal": self.task.inputs(n)["goal"], "reference": 3 * n}
+        widths = {**self.scene.spec.state, "goal": self._checked.inputs(n)["goal"], "reference": 3 * n}
         widths["observation"] = self.single_observation_space.shape[0]  # type: ignore[index]
         buffers = {name: torch.zeros(N, width, dtype=self.dtype, device=self.device) for name, width in widths.items()}
         buffers["steps"] = torch.zeros(N, dtype=torch.int32, device=self.device)
@@ -388,3 +388,8 @@ class ArmVectorEnv(VectorEnv):
 
     def _streams(self, buffers: Mapping[str, Tensor]) -> Streams:
         return Streams(buffers["key"], buffers["counter"])
+
+
+def made_by_gymnasium(**arguments: Any) -> ArmVectorEnv:
+    """Environments of `gymnasium.make_vec`: numpy, and finished rows reset at the next step, unless asked otherwise."""
+    return ArmVectorEnv(**{"output": "numpy", "autoreset_mode": AutoresetMode.NEXT_STEP, **arguments})

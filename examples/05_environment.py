@@ -44,6 +44,7 @@ def main(args: Args) -> tuple[torch.Tensor, float]:
         scale=0.2,
         randomise={"mass": 0.2, "friction": 0.2},
         max_episode_steps=args.steps + 1,
+        output="torch",
     )
     robot = torchdq.robots.load("panda")
     n, tip = robot.n, robot.end_effector().name

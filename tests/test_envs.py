@@ -5,6 +5,7 @@ import importlib
 import math
 import pickle
 import sys
+import types
 import warnings
 from dataclasses import dataclass
 
@@ -119,11 +120,18 @@ def test_double_precision_throughout():
     assert envs.single_observation_space.dtype == np.float64
 
 
+@pytest.mark.parametrize("dtype", ["float64", np.float64])
+def test_a_dtype_may_have_the_name_that_numpy_gives_it(dtype):
+    assert make(2, dtype=dtype).dtype == torch.float64
+
+
 def test_gymnasium_makes_them():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         envs = gymnasium.make_vec("torchdq/Reach-v0", num_envs=7, robot="ur10e")
         assert isinstance(envs, ArmVectorEnv) and envs.max_episode_steps == 250
+        assert envs.output == "numpy" and envs.autoreset_mode == AutoresetMode.NEXT_STEP  # gymnasium's contract
+        assert envs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
         envs.reset(seed=0)
         envs.step(torch.zeros(7, 6))
         env = gymnasium.make("torchdq/Track-v0", robot=ROBOT, scale=20.0, max_episode_steps=4)
@@ -149,12 +157,67 @@ def test_gymnasiums_wrappers_accept_them():
     assert isinstance(observations, np.ndarray) and isinstance(rewards, np.ndarray)
 
 
-def test_episode_statistics_are_recorded():
-    envs = gymnasium.wrappers.vector.RecordEpisodeStatistics(make(output="numpy", max_episode_steps=3))
+def test_gymnasium_makes_what_it_is_asked_for():
+    asked = {"output": "torch", "autoreset_mode": AutoresetMode.SAME_STEP}
+    envs = gymnasium.make_vec("torchdq/Track-v0", num_envs=2, robot=ROBOT, scale=20.0, **asked)
+    assert (envs.output, envs.autoreset_mode) == ("torch", AutoresetMode.SAME_STEP)
+    assert isinstance(envs.reset(seed=0)[0], torch.Tensor)
+    assert (make().output, make().autoreset_mode) == ("torch", AutoresetMode.SAME_STEP)
+
+
+WRAPPERS = gymnasium.wrappers.vector
+WRAPPED = {
+    "RecordEpisodeStatistics": WRAPPERS.RecordEpisodeStatistics,
+    "NormalizeReward": WRAPPERS.NormalizeReward,
+    "NormalizeObservation": WRAPPERS.NormalizeObservation,
+    "FlattenObservation": WRAPPERS.FlattenObservation,
+    "RescaleAction": lambda envs: WRAPPERS.RescaleAction(envs, -2.0, 2.0),
+    "ClipReward": lambda envs: WRAPPERS.ClipReward(envs, -1.0, 1.0),
+    "DtypeObservation": lambda envs: WRAPPERS.DtypeObservation(envs, np.float64),
+    "DictInfoToList": WRAPPERS.DictInfoToList,
+}
+
+
+@pytest.mark.parametrize("wrapper", WRAPPED)
+def test_gymnasiums_vector_wrappers_take_its_vector_environments(wrapper):
+    made = gymnasium.make_vec("torchdq/Reach-v0", num_envs=5, robot=ROBOT, scale=20.0, max_episode_steps=3)
+    envs = WRAPPED[wrapper](made)
     envs.reset(seed=0)
-    for _ in range(3):
-        *_, info = envs.step(np.zeros((5, 2), np.float32))
-    assert info["episode"]["l"].tolist() == [3] * 5
+    for _ in range(8):
+        observations, rewards, terminated, truncated, info = envs.step(np.zeros((5, 2), np.float32))
+        assert all(isinstance(x, np.ndarray) for x in (observations, rewards, terminated, truncated))
+        if wrapper == "RecordEpisodeStatistics" and truncated.any():
+            assert info["episode"]["l"].tolist() == [3] * 5
+
+
+def test_gymnasium_records_videos_of_all_environments(monkeypatch, tmp_path):
+    pytest.importorskip("matplotlib")
+    films = []
+
+    class Clip:
+        """Stand-in for a film of moviepy."""
+
+        def __init__(self, frames, fps):
+            films.append((len(frames), frames[0].shape, fps))
+
+        def write_videofile(self, path, logger):
+            """Nothing."""
+
+    clips = types.ModuleType("moviepy.video.io.ImageSequenceClip")
+    clips.ImageSequenceClip = Clip
+    for name in ("moviepy", "moviepy.video", "moviepy.video.io"):
+        monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
+    monkeypatch.setitem(sys.modules, clips.__name__, clips)
+    envs = gymnasium.make_vec(
+        "torchdq/Reach-v0", num_envs=6, robot=ROBOT, scale=20.0, max_episode_steps=2, render_mode="rgb_array"
+    )
+    filmed = WRAPPERS.RecordVideo(envs, str(tmp_path / "films"), episode_trigger=lambda k: k == 0)
+    filmed.reset(seed=0)
+    height, width, _ = envs.render()[0].shape
+    for _ in range(4):
+        filmed.step(np.zeros((6, 2), np.float32))
+    filmed.close()
+    assert len(films) == 1 and films[0][1][0] * films[0][1][1] == 6 * height * width
 
 
 def test_frames_are_painted():
@@ -165,7 +228,7 @@ def test_frames_are_painted():
             envs.render()
         envs.reset(seed=0)
         frames = envs.render()
-        assert len(frames) == 4 and frames[0].shape[2] == 3 and frames[0].dtype == np.uint8
+        assert len(frames) == 6 and frames[0].shape[2] == 3 and frames[0].dtype == np.uint8
         assert not np.array_equal(frames[0], frames[1])
     env = gymnasium.make("torchdq/Reach-v0", robot=ROBOT, scale=20.0, render_mode="rgb_array")
     env.reset(seed=0)
@@ -461,6 +524,25 @@ def test_wrong_states_are_refused():
         envs.set_state({**state, "q": state["q"][:3]})
     with pytest.raises(torchdq.ArgumentError, match=r"state\['q'\] must be torch.float32"):
         envs.set_state({**state, "q": state["q"].double()})
+    for bad in (None, 5, [state]):
+        with pytest.raises(torchdq.ArgumentError, match="state must be a dict of tensors"):
+            envs.set_state(bad)
+    with pytest.raises(torchdq.ArgumentError, match=r"state\['q'\] must be a tensor, found int"):
+        envs.set_state({**state, "q": 5})
+    for name in ("q", "goal"):
+        x = state[name].clone()
+        x[3, 1] = math.nan
+        with pytest.raises(torchdq.ArgumentError, match=rf"state\['{name}'\] must be finite, found nan in row 3"):
+            envs.set_state({**state, name: x})
+    assert same(envs.get_state(), state)
+
+
+def test_a_state_whose_counters_or_masks_were_changed_is_refused():
+    envs = make()
+    envs.reset(seed=0)
+    state = envs.get_state()
+    with pytest.raises(torchdq.ArgumentError, match=r"state\['steps'\] must not be negative"):
+        envs.set_state({**state, "steps": state["steps"] - 1})
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))], ids=["copy", "pickle"])
@@ -481,7 +563,7 @@ def test_randomised_rows_differ_and_need_no_new_program(monkeypatch):
     steps(envs, 6)
     loaded = []
     monkeypatch.setattr(build, "load", lambda *arguments: loaded.append(arguments))
-    parameters = envs._parameters()
+    parameters = envs._drawn()
     before = {name: x.clone() for name, x in parameters.items()}
     steps(envs, 6)
     assert loaded == []
@@ -667,6 +749,87 @@ def test_a_reward_that_is_not_a_number_is_a_failure():
     assert info["where"].shape == (5, 2)
 
 
+@dataclass(frozen=True)
+class Changed(Reach):
+    """A task whose rows are changed by a function of a name."""
+
+    change: str = ""
+
+    def inputs(self, n):
+        """Inputs, changed."""
+        return INPUTS.get(self.change, lambda x: x)(super().inputs(n))
+
+    def start(self, robot, u):
+        """Start, changed."""
+        return STARTS.get(self.change, lambda x: x)(super().start(robot, u))
+
+    def rows(self, view):
+        """Rows, changed."""
+        return ROWS.get(self.change, lambda x: x)(super().rows(view))
+
+
+def without(name):
+    """Function that leaves a row out."""
+    return lambda x: {k: v for k, v in x.items() if k != name}
+
+
+ROWS = {
+    "reference is missing": without("reference"),
+    "reward is missing": without("reward"),
+    "observation is missing": without("observation"),
+    "no dict": lambda x: None,
+    "observation is short": lambda x: {**x, "observation": x["observation"][:-1]},
+    "reference is short": lambda x: {**x, "reference": x["reference"][:-1]},
+    "reward is a number": lambda x: {**x, "reward": x["distance"][0]},
+    "reward is a tensor": lambda x: {**x, "reward": torch.zeros(1)},
+    "reward holds a tensor": lambda x: {**x, "reward": [torch.zeros(1)]},
+    "reward has two": lambda x: {**x, "reward": [x["distance"][0]] * 2},
+    "end has two": lambda x: {**x, "terminated": [1.0, 0.0]},
+    "a row of the state": lambda x: {**x, "q": [0.0, 0.0]},
+    "a row of info": lambda x: {**x, "clipped": [0.0]},
+}
+STARTS = {
+    "goal is missing": without("goal"),
+    "goal is short": lambda x: {**x, "goal": x["goal"][:2]},
+    "start is a list": lambda x: list(x),
+    "start has more": lambda x: {**x, "torque": [0.0]},
+}
+INPUTS = {
+    "no goal": without("goal"),
+    "action is wide": lambda x: {**x, "action": 7},
+    "unknown input": lambda x: {**x, "velocity": 2},
+}
+MESSAGES = {
+    "reference is missing": r"Changed.rows must return a row 'reference' \[6\], found observation, reward, distance",
+    "reward is missing": r"must return a row 'reward' \[1\]",
+    "observation is missing": r"must return a row 'observation' \[12\]",
+    "no dict": "Changed.rows must return a dict of rows, observation, reward, reference, found NoneType",
+    "observation is short": "must return 'observation' of width 12, found 11",
+    "reference is short": "must return 'reference' of width 6, found 5",
+    "reward is a number": r"'reward' as a list of numbers, found a Recorded; a single number x is the row \[x\]",
+    "reward is a tensor": "must return 'reward' as a list of numbers, found a Tensor;",
+    "reward holds a tensor": "must return 'reward' as a list of numbers, found a Tensor in it",
+    "reward has two": "must return 'reward' of width 1, found 2",
+    "end has two": "must return 'terminated' of width 1, found 2",
+    "a row of the state": "Changed.rows must not return a row 'q'",
+    "a row of info": "Changed.rows must not return a row 'clipped'",
+    "goal is missing": r"Changed.start must return a row 'goal' \[3\], found q, qd",
+    "goal is short": "Changed.start must return 'goal' of width 3, found 2",
+    "start is a list": "Changed.start must return a dict of rows, q, qd, goal, found list",
+    "start has more": "no row of a start that Changed.start may return named 'torque'",
+    "no goal": "Changed.inputs must name the width of 'goal', found",
+    "action is wide": "Changed.inputs must give 'action' the width 2, found 7",
+    "unknown input": "no input of tasks that Changed.inputs may ask for named 'velocity'",
+}
+
+
+@pytest.mark.parametrize("change", MESSAGES)
+def test_a_task_that_returns_other_rows_is_told_which(change):
+    assert {*ROWS, *STARTS, *INPUTS} == set(MESSAGES)
+    with pytest.raises(torchdq.TorchdqError, match=MESSAGES[change]):
+        make(2, Changed(change=change)).reset(seed=0)
+
+
 def test_limits_hold_a_usual_arm():
     envs = ArmVectorEnv(32, robot="panda", max_episode_steps=None)
     envs.reset(seed=0)
@@ -680,6 +843,12 @@ def test_limits_hold_a_usual_arm():
     assert bool((fastest < 6 * velocity).all())  # light joints are thrown about by heavy ones
 
 
+class Unhashable(Reach):
+    """A task that cannot be part of a key."""
+
+    __hash__ = None
+
+
 @pytest.mark.parametrize(
     "arguments, message",
     [
@@ -689,6 +858,8 @@ def test_limits_hold_a_usual_arm():
         ({"output": "jax"}, "output must be one of"),
         ({"render_mode": "ansi"}, "render_mode must be one of"),
         ({"task": 3}, "task must be the name of one"),
+        ({"task": Reach}, "Reach is a class, call it"),
+        ({"task": Unhashable()}, "task must be hashable, found Unhashable"),
         ({"autoreset_mode": "later"}, "autoreset_mode must be one of"),
         ({"dt": 0.0}, "dt must be a positive number"),
         ({"effects": (effects.Gravity,)}, "it is a class, call it"),

@@ -93,7 +93,7 @@ class CallLayout(NamedTuple):
     backend: Backend
     results: tuple[tuple[str, Shape], ...]
     samples: int
-    direct: tuple[Shape, ...] | None  # shapes of all outputs if the tensors can be taken as they are; None: they cannot
+    direct: tuple[Tensor, ...] | None  # forms of all outputs if the tensors can be taken as they are; None: they cannot
 
 
 _layouts: Bounded[tuple, CallLayout] = Bounded(LAYOUTS)
@@ -209,7 +209,8 @@ def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, do
         or any(summed for _, summed, _ in shapes)
     ):
         growth = () if program.growth is None else (batch,)
-        direct = (*(batch + axes for _, _, axes in shapes), *growth)
+        number = torch.empty((), dtype=dtype, device=device)  # the forms are one number, expanded
+        direct = tuple(number.expand(shape) for shape in (*(batch + axes for _, _, axes in shapes), *growth))
     return CallLayout(
         rows,
         dtype,

@@ -43,10 +43,12 @@ class MissingLibraryError(TorchdqError, ImportError):
 class UnknownNameError(TorchdqError, KeyError):
     """Name of no joint, link, frame or robot."""
 
-    def __init__(self, kind: str, name: str, known: Iterable[str]):
+    def __init__(self, kind: str, name: str, known: Iterable[str], every: bool = False):
         known = list(known)
         close = get_close_matches(str(name), known, n=3, cutoff=0.4)
         hint = f"did you mean {', '.join(map(repr, close))}?" if close else f"known: {', '.join(known) or 'none'}"
+        if close and every:  # the names are few
+            hint += f" known: {', '.join(known)}"
         self.message = f"there is no {kind} named {name!r}; {hint}"
         super().__init__(self.message)
 

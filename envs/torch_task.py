@@ -1,0 +1,176 @@
+"""Tasks whose reward, observation, end or start are functions of tensors, for everything that torch can compute.
+
+Recorded tasks (`torchdq.envs.tasks`) are part of the program of a step and are faster. A `TorchTask` takes what it does
+not define from a recorded one, runs after the step, and needs no number-generic code:
+
+    def reward(now: Now) -> Tensor:  # [N]
+        return torch.exp(-10 * now.rows["distance"]) - 0.01 * now.action.square().mean(1)
+
+    def observation(now: Now) -> Tensor:  # [N, k]
+        tip = torchdq.forward_kinematics(now.robot, now.q_measured, now.robot.end_effector().name)
+        return torch.cat([torchdq.dq.translation(tip), now.qd_measured, now.goal], 1)
+
+    def terminated(now: Now) -> Tensor:  # [N] bool
+        return now.rows["distance"] < 0.01
+
+    def start(robot: Robot, u: Tensor) -> dict[str, Tensor]:  # u [N, draws] in (0, 1)
+        return {"q": robot.limits.lower + (robot.limits.upper - robot.limits.lower) * u}
+
+    task = TorchTask("reach", reward, observation, terminated, start, bounds=[(-10, 10)] * 13, draws=7)
+    envs = ArmVectorEnv(4096, task, "panda")
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.checks import floating, require_tensor
+from torchdq.envs.state import State
+from torchdq.envs.tasks import SENSIBLE, EpisodeTask
+from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.robot import Robot
+
+
+class Now(NamedTuple):
+    """A batch of environments after a step, or at the start of an episode, as the functions of a task see it."""
+
+    robot: Robot  # as described, without what is randomised
+    q: Tensor  # [N, n] positions [rad or m]
+    qd: Tensor  # [N, n] velocities [rad/s or m/s]
+    q_measured: Tensor  # [N, n] as the sensors read them
+    qd_measured: Tensor  # [N, n]
+    goal: Tensor  # [N, ...] of the recorded task
+    time: Tensor  # [N] since the start of the episode [s]
+    action: Tensor  # [N, n] in [-1, 1]; zeros at a start
+    rows: Mapping[str, Tensor]  # those of the recorded task: "observation", "reward", "reference" and others
+
+
+@dataclass(frozen=True)
+class TorchTask:
+    """A recorded task, parts of which are replaced by functions of tensors that are called after every step.
+
+    Functions take rows that are independent of each other, and must return tensors whose row i depends on row i alone.
+    They are called without gradients. A reward or an observation that is not finite ends the episode as a failure.
+
+    Args:
+        recorded: the task that defines everything else, above all goal and reference; by its name or by itself.
+        reward: function of a `Now` that returns [N]; None: that of the recorded task.
+        observation: function of a `Now` that returns [N, k], also called at starts; None: likewise.
+        terminated: function of a `Now` that returns a bool [N]; None: likewise.
+        start: function of the robot and of random numbers in (0, 1) [N, draws] that returns {"q": [N, n]}, and may
+            return "qd" [N, n] and "goal"; what it leaves out is that of the recorded task. None: likewise.
+        bounds: lower and upper bound of each of the k numbers of an observation; may be infinite.
+        draws: random numbers that `start` takes for each episode.
+
+    >>> import torch
+    >>> from torchdq.envs import ArmVectorEnv
+    >>> still = TorchTask("reach", reward=lambda now: -now.qd.square().sum(1))
+    >>> envs = ArmVectorEnv(3, still, "panda")
+    >>> observations, info = envs.reset(seed=0)
+    >>> envs.step(torch.zeros(3, 7))[1].shape
+    torch.Size([3])
+    """
+
+    recorded: str | EpisodeTask = "reach"
+    reward: Callable[[Now], Tensor] | None = None
+    observation: Callable[[Now], Tensor] | None = None
+    terminated: Callable[[Now], Tensor] | None = None
+    start: Callable[[Robot, Tensor], Mapping[str, Tensor]] | None = None
+    bounds: Sequence[tuple[float, float]] | None = None
+    draws: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("reward", "observation", "terminated", "start"):
+            if (function := getattr(self, name)) is not None and not callable(function):
+                raise ArgumentError(f"{name} must be a function or None, found {function!r}")
+        if (self.observation is None) != (self.bounds is None):
+            raise ArgumentError(
+                "bounds must be given with an observation, and only then: a pair (lower, upper) for each of its numbers"
+            )
+        for pair in self.bounds or ():
+            if not (isinstance(pair, Sequence) and len(pair) == 2 and pair[0] <= pair[1]):
+                raise ArgumentError(f"bounds must be pairs (lower, upper), found {pair!r}")
+        if not isinstance(self.draws, int) or self.draws < 0 or (self.draws and self.start is None):
+            raise ArgumentError(f"draws must be a whole number from 0, and 0 without a start, found {self.draws!r}")
+
+
+class Functions(NamedTuple):
+    """Functions of a task for one robot."""
+
+    task: TorchTask
+    robot: Robot
+    dt: float  # duration of a step [s]
+
+    def now(
+        self, state: State, goal: Tensor, steps: Tensor, rows: Mapping[str, Tensor], action: Tensor | None = None
+    ) -> Now:
+        """Environments as the functions see them."""
+        q, qd = state.measured
+        time = steps.to(state.q.dtype) * self.dt
+        action = torch.zeros_like(state.q) if action is None else action
+        return Now(self.robot, state.q, state.qd, q, qd, goal, time, action, rows)
+
+    def started(self, u: Tensor) -> dict[str, Tensor]:
+        """Rows of the start that the task defines, of random numbers [N, draws]."""
+        if self.task.start is None:
+            return {}
+        found, widths = self.task.start(self.robot, u), {"q": self.robot.n, "qd": self.robot.n, "goal": None}
+        if not isinstance(found, Mapping):
+            raise ArgumentError(f"start must return a dict of {', '.join(widths)}, found {type(found).__name__}")
+        for name in found:
+            if name not in widths:
+                raise UnknownNameError("row that start may return", name, widths)
+        rows = {name: _row(f"start's {name!r}", x, (len(u), widths[name]), u) for name, x in found.items()}
+        for name, x in rows.items():
+            _require_finite(f"start's {name!r}", x)
+        return rows
+
+    def first(self, now: Now) -> Tensor:
+        """Observation [N, k] at the start of episodes."""
+        found = self.observed(now)
+        _require_finite("observation", found)
+        return found
+
+    def observed(self, now: Now) -> Tensor:
+        """Observation [N, k]."""
+        if self.task.observation is None:
+            return now.rows["observation"]
+        return _row("observation", self.task.observation(now), (len(now.q), len(self.task.bounds or ())), now.q)
+
+    def after(self, now: Now) -> dict[str, Tensor]:
+        """Rows of a step; "valid" is 0 where a function returned what is not finite."""
+        rows = {**now.rows, "observation": self.observed(now)}
+        if self.task.reward is not None:
+            rows["reward"] = _row("reward", self.task.reward(now), (len(now.q),), now.q)
+        if self.task.terminated is not None:
+            ended = self.task.terminated(now)
+            require_tensor("terminated of the task", ended)
+            if ended.dtype != torch.bool or ended.shape != now.q.shape[:1]:
+                raise ArgumentError(
+                    f"terminated must return a bool tensor of shape ({len(now.q)},), found {ended.dtype} of shape "
+                    f"{tuple(ended.shape)}"
+                )
+            rows["terminated"] = ended
+        sound = rows["observation"].isfinite().all(1) & (rows["reward"].abs() <= SENSIBLE)
+        return {**rows, "valid": rows["valid"] * sound}
+
+
+def _require_finite(name: str, x: Tensor) -> None:
+    """Raise unless all numbers at the start of an episode are finite; later ones end the episode as a failure."""
+    if not bool(x.isfinite().all()):
+        row, column = (~x.isfinite()).nonzero()[0].tolist()
+        raise ArgumentError(f"{name} of the task must be finite at a start, found {x[row, column].item()}")
+
+
+def _row(name: str, x: Any, shape: tuple[int | None, ...], like: Tensor) -> Tensor:
+    """Tensor that a function of a task returned, in the environments' dtype; None in a shape stands for any number."""
+    x = floating(f"{name} of the task", x)
+    if x.ndim != len(shape) or any(wanted not in (None, found) for wanted, found in zip(shape, x.shape, strict=True)):
+        expected = ", ".join("k" if wanted is None else str(wanted) for wanted in shape)
+        raise ArgumentError(f"{name} of the task must have the shape [{expected}], found {tuple(x.shape)}")
+    return x.detach().to(like)

@@ -1,0 +1,192 @@
+"""Tasks of functions of tensors, beside the recorded ones."""
+
+import math
+from dataclasses import dataclass
+
+import pytest
+import torch
+
+import torchdq
+from torchdq.envs import ArmEnv, ArmVectorEnv, TorchTask, effects
+from torchdq.envs.tasks import Reach
+
+BOT = torchdq.robots.load("two_link")
+BOUNDS = [(-math.inf, math.inf)] * 4
+
+
+def make(task, num_envs=5, **arguments):
+    """Vector environment of a small robot, reset."""
+    given = {"robot": BOT, "scale": 20.0, "effects": (effects.Viscous(1.0),), **arguments}
+    envs = ArmVectorEnv(num_envs, task, **given)
+    envs.reset(seed=0)
+    return envs
+
+
+def actions(envs, number):
+    """Random actions."""
+    generator = torch.Generator().manual_seed(0)
+    return [2 * torch.rand(envs.num_envs, 2, generator=generator) - 1 for _ in range(number)]
+
+
+@dataclass(frozen=True)
+class Gentle(Reach):
+    """The example of `torchdq.envs.tasks`."""
+
+    def rows(self, view):
+        """With a cost of the velocities."""
+        rows, energy = super().rows(view), sum((v * v for v in view.qd), 0.0)
+        return {**rows, "reward": [rows["reward"][0] - 0.01 * energy], "energy": [energy]}
+
+
+def gentle(now):
+    """Reward of `Gentle`."""
+    return now.rows["reward"] - 0.01 * now.qd.square().sum(1)
+
+
+def state(now):
+    """Observation of the measured state."""
+    return torch.cat([now.q_measured, now.qd_measured], 1)
+
+
+def test_a_reward_of_tensors_is_the_recorded_one():
+    recorded, torched = make(Gentle()), make(TorchTask("reach", gentle))
+    for action in actions(recorded, 5):
+        a, b = recorded.step(action), torched.step(action)
+        assert torch.equal(a[0], b[0]) and torch.allclose(a[1], b[1], rtol=1e-6, atol=1e-6)
+        assert torch.allclose(a[4]["energy"], torched._buffers["qd"].square().sum(1), rtol=1e-5)
+
+
+def test_functions_see_the_state_after_the_step():
+    seen = []
+    envs = make(TorchTask("track", lambda now: seen.append(now) or now.q.sum(1)), effects=(effects.Bias(0.3, 0.1),))
+    action = torch.tensor([[0.5, -3.0]]).expand(5, 2)
+    rewards = [envs.step(action)[1] for _ in range(2)][1]
+    now = seen[1]
+    assert torch.equal(now.q, envs._buffers["q"]) and torch.equal(now.qd, envs._buffers["qd"])
+    assert torch.allclose(now.q_measured, now.q + 0.3) and torch.allclose(now.qd_measured, now.qd + 0.1)
+    assert torch.equal(now.action, action.clamp(-1, 1)) and now.robot is BOT
+    assert torch.allclose(now.time, torch.full((5,), 2 * envs.scene.dt)) and now.goal.shape == (5, 14)
+    assert torch.equal(rewards, now.q.sum(1)) and {"observation", "reward", "reference", "error"} <= set(now.rows)
+
+
+def test_an_observation_of_tensors_has_its_own_space():
+    envs = make(TorchTask("reach", observation=state, bounds=BOUNDS))
+    first, _ = envs.reset(seed=1)
+    assert envs.single_observation_space.shape == (4,) and first.shape == (5, 4)
+    assert torch.equal(first, torch.cat([envs._buffers["q"], envs._buffers["qd"]], 1))
+    observations, *_ = envs.step(torch.ones(5, 2))
+    assert torch.equal(observations, torch.cat([envs._buffers["q"], envs._buffers["qd"]], 1))
+
+
+def test_episodes_end_where_a_function_says():
+    envs = make(TorchTask("reach", terminated=lambda now: now.q[:, 0] > 0.5), autoreset_mode="Disabled")
+    envs.set_state(
+        {**envs.get_state(), "q": torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [2.0, 0.0], [0.0, 0.0]])}
+    )
+    _, _, terminated, _, info = envs.step(torch.zeros(5, 2))
+    assert terminated.tolist() == [False, True, False, True, False] and not bool(info["nonfinite"].any())
+
+
+def above(robot, u):
+    """The better of two random starts of each row, that whose second joint is bent more."""
+    q = (2 * u - 1).reshape(-1, 2, 2)
+    best = q[:, :, 1].abs().argmax(1)
+    return {"q": q[torch.arange(len(q)), best], "qd": torch.full((len(q), 2), 0.5)}
+
+
+def test_starts_may_be_chosen_among_several():
+    envs = make(TorchTask("reach", start=above, draws=4), 400)
+    q, qd = envs._buffers["q"], envs._buffers["qd"]
+    assert bool((qd == 0.5).all()) and bool((q.abs() <= 1).all())
+    assert abs(q[:, 1].abs().mean() - 2 / 3) < 0.05 and abs(q[:, 0].abs().mean() - 1 / 2) < 0.05
+
+
+def test_a_row_is_the_single_environment():
+    task = TorchTask("reach", gentle, state, lambda now: now.q[:, 0] > 1.0, above, BOUNDS, 4)
+    many = make(task, 7, max_episode_steps=10)
+    one = ArmEnv(task=task, robot=BOT, scale=20.0, effects=(effects.Viscous(1.0),), max_episode_steps=10)
+    observations, _ = many.reset(seed=10)
+    assert one.reset(seed=13)[0].tolist() == observations[3].tolist()
+    for action in actions(many, 30):
+        observations, rewards, terminated, truncated, info = many.step(action)
+        seen, reward, ended, cut, _ = one.step(action[3].numpy())
+        assert seen.tolist() == info.get("final_obs", observations)[3].tolist()
+        assert (reward, ended, cut) == (rewards[3].item(), terminated[3].item(), truncated[3].item())
+        if ended or cut:
+            assert one.reset()[0].tolist() == observations[3].tolist()
+
+
+@pytest.mark.parametrize(
+    "name, bad",
+    [("reward", math.nan), ("reward", math.inf), ("reward", 1e9), ("observation", math.nan), ("observation", math.inf)],
+)
+def test_a_function_that_fails_ends_that_row_alone(name, bad):
+    def wrong(x, now):
+        return torch.where((now.time > 0.03) & (torch.arange(len(x)) == 2), bad, x.sum(1))
+
+    functions = {
+        "reward": {"reward": lambda now: wrong(now.q, now)},
+        "observation": {"observation": lambda now: wrong(now.q, now)[:, None], "bounds": [(-9, 9)]},
+    }
+    envs = make(TorchTask("reach", **functions[name]), dt=0.02)
+    first, *_ = envs.step(torch.zeros(5, 2))
+    observations, rewards, terminated, _, info = envs.step(torch.zeros(5, 2))
+    assert terminated.tolist() == info["nonfinite"].tolist() == [False, False, True, False, False]
+    assert rewards[2] == -1000 and bool(rewards.isfinite().all()) and bool(observations.isfinite().all())
+    assert torch.equal(info["final_obs"][2], first[2])
+
+
+@pytest.mark.parametrize(
+    "task, message",
+    [
+        (lambda: TorchTask("push"), "no task named 'push'"),
+        (lambda: TorchTask(reward=3), "reward must be a function or None, found 3"),
+        (lambda: TorchTask(observation=state), "bounds must be given with an observation"),
+        (lambda: TorchTask(observation=state, bounds=[(1, -1)]), r"bounds must be pairs \(lower, upper\)"),
+        (lambda: TorchTask(draws=2), "draws must be a whole number from 0, and 0 without a start"),
+        (lambda: TorchTask(reward=lambda now: 1.0), "reward of the task must be a tensor, found float"),
+        (lambda: TorchTask(reward=lambda now: now.q), r"reward of the task must have the shape \[5\], found \(5, 2\)"),
+        (
+            lambda: TorchTask(reward=lambda now: now.q.sum()),
+            r"reward of the task must have the shape \[5\], found \(\)",
+        ),
+        (lambda: TorchTask(observation=state, bounds=BOUNDS[:3]), r"shape \[5, 3\], found \(5, 4\)"),
+        (lambda: TorchTask(terminated=lambda now: now.q[:, 0]), "terminated must return a bool tensor of shape"),
+        (lambda: TorchTask(start=lambda robot, u: u), "start must return a dict of q, qd, goal, found Tensor"),
+        (lambda: TorchTask(start=lambda robot, u: {"x": u}), "no row that start may return named 'x'"),
+        (lambda: TorchTask(start=lambda robot, u: {"q": u}, draws=3), r"start's 'q' of the task must have the shape"),
+        (lambda: TorchTask(start=lambda robot, u: {"q": u / 0}, draws=2), "start's 'q' of the task must be finite"),
+        (lambda: TorchTask(observation=lambda now: state(now) / 0, bounds=BOUNDS), "must be finite at a start"),
+    ],
+)
+def test_wrong_functions_are_refused(task, message):
+    with pytest.raises(torchdq.TorchdqError, match=message):
+        make(task()).step(torch.zeros(5, 2))
+
+
+def test_a_policy_is_found_by_trying():
+    # the cross-entropy method on two gains of a linear policy, one try per row, towards q = (0.5, -0.5)
+    target = torch.tensor([0.5, -0.5])
+    task = TorchTask(
+        "reach",
+        lambda now: -(now.q - target).square().sum(1),
+        state,
+        start=lambda robot, u: {"q": u - 0.5},
+        bounds=BOUNDS,
+        draws=2,
+    )
+    envs = make(task, 64, max_episode_steps=None)
+    generator = torch.Generator().manual_seed(0)
+    mean, spread, returns = torch.zeros(2), torch.ones(2), []
+    for _ in range(6):
+        gains = mean + spread * torch.randn(64, 2, generator=generator)
+        observations, _ = envs.reset(seed=0)
+        total = torch.zeros(64)
+        for _ in range(60):
+            error, rate = target - observations[:, :2], observations[:, 2:]
+            observations, rewards, *_ = envs.step(gains[:, :1] * error - gains[:, 1:] * rate)
+            total += rewards
+        best = gains[total.topk(10).indices]
+        mean, spread = best.mean(0), best.std(0) + 0.05
+        returns.append(total.mean().item())
+    assert mean[0] > 0.5 and returns[-1] > 0.4 * returns[0]  # from swinging about to staying there
