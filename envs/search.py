@@ -6,6 +6,7 @@ scene with equal states, error and horizon, a search takes no time. One that end
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from hashlib import sha256
 from typing import NamedTuple
@@ -16,7 +17,7 @@ from torch import Tensor
 from torchdq.backends.choice import BackendName
 from torchdq.caches import Bounded
 from torchdq.envs.budget import TimeIsUp
-from torchdq.envs.integrators import SemiImplicitEuler
+from torchdq.envs.integrators import Integrator, SemiImplicitEuler
 from torchdq.envs.recommendation import Stepping
 from torchdq.envs.reference import Reference, held, reference
 from torchdq.envs.spec import SceneSpec
@@ -27,6 +28,7 @@ from torchdq.program.program import LARGEST_GROWTH
 from torchdq.robot import Robot
 
 ANSWERS = 64  # answers that are kept
+PROBE = 512  # steps of a trajectory by which the promise of an integrator is judged
 PRUNE = 4.0  # candidates costing more than this times the best are dropped
 
 
@@ -69,7 +71,7 @@ def search(trial: Trial, error: float, divisible: bool) -> Answer:
     trial, limit = held(trial) if divisible else (trial, "")
     exact = reference(trial, SAFETY * error)
     found, untried = _candidates(exact, SAFETY * error)
-    limit = exact.limit or limit
+    limit = "; ".join(filter(None, (limit, exact.limit)))
     answer = Answer(exact.trial, tuple(found), tuple(untried), limit, exact.growth, trial.budget.seconds)
     _answers[question] = answer
     return answer
@@ -91,15 +93,15 @@ def _candidates(exact: Reference, error: float) -> tuple[list[Stepping], list[st
     trial = exact.trial
     dt = trial.scene.dt
     repeated = repeated_share(trial.scene.robot, trial.state.q)
-    for integrator in trial.integrators:
+    promises = [_promise(exact, integrator, error) for integrator in trial.integrators]
+    for promise in sorted(promises, key=lambda promise: promise.operations):
+        integrator, per_step = promise.integrator, promise.per_step
         name = type(integrator).__name__
-        per_step = trial.scene.replace(integrator=integrator, substeps=1).count().total
         most = MOST_STEPS / trial.intervals
         if found:
             most = min(most, PRUNE * found[0].operations * dt / per_step)
-        known = exact.known[1] if integrator == exact.known[0] else {}
         try:
-            needed = trial.steps_needed(integrator, exact.positions, error, most, known, essential=not found)
+            needed = trial.steps_needed(integrator, exact.positions, error, most, promise.known, essential=not found)
         except TimeIsUp:
             untried.append(name)
             continue
@@ -125,6 +127,27 @@ def _candidates(exact: Reference, error: float) -> tuple[list[Stepping], list[st
             f"{error / SAFETY:.1e}; shorten the horizon or raise the error"
         )
     return found, untried
+
+
+class _Promise(NamedTuple):
+    """Integrator with what it is expected to cost."""
+
+    operations: float  # in an interval
+    per_step: int  # operations
+    integrator: Integrator
+    known: dict[int, float]  # errors by the number of steps per interval
+
+
+def _promise(exact: Reference, integrator: Integrator, error: float) -> _Promise:
+    """Promise of an integrator, judged by the error of a short trial."""
+    trial = exact.trial
+    per_step = trial.scene.replace(integrator=integrator, substeps=1).count().total
+    times = 2 ** max(0, int(math.log2(PROBE / trial.intervals)))
+    known = exact.known[1] if integrator == exact.known[0] else {}
+    if times not in known:
+        known = {times: trial.error(integrator, times, EXACT, exact.positions)}
+    needed = times * (known[times] / error) ** (1 / integrator.order)
+    return _Promise(needed * per_step, per_step, integrator, known)
 
 
 def repeated_share(robot: Robot, q: Tensor) -> float:

@@ -118,7 +118,7 @@ class Trial:
 
     @property
     def integrators(self) -> list[Integrator]:
-        """Integrators to try, the most promising first."""
+        """Integrators to try, those first that most surely stay finite."""
         found: list[Integrator] = [RungeKutta4(), SemiImplicitEuler()]
         # where joints may be stiff, explicit integrators would take long to show that they are
         stiff = any(effect.SLOT == "joint" for effect in self.scene.effects)
@@ -186,7 +186,8 @@ class Trial:
             return known[times] if times in known else self.error(integrator, times, EXACT, reference)
 
         too_few = max((times for times, made in known.items() if made > error), default=0)
-        times = min((times for times in known if times > too_few), default=max(1, too_few))
+        enough = min((times for times, made in known.items() if made <= error), default=MOST_STEPS)
+        times = too_few or 1
         found = made_by(times)
         while found > error:
             too_few = times
@@ -194,7 +195,7 @@ class Trial:
             factor = (found / error) ** (1 / integrator.order) if found < 0.1 else 8.0
             if times * (factor if found < 0.01 else 1.0) >= most:
                 return None
-            times = min(math.ceil(times * min(max(1.1 * factor, 1.25), 8.0)), math.ceil(most))
+            times = min(math.ceil(times * min(max(1.1 * factor, 1.25), 8.0)), math.ceil(most), enough)
             if not allowed(times):
                 raise TimeIsUp
             found = made_by(times)

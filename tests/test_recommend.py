@@ -172,6 +172,7 @@ def test_a_chain_that_float32_cannot_bear_is_recommended_double_precision_at_onc
 # --- time, and how far trajectories can be held ---------------------------------------------------------------------
 
 PANDA = torchdq.robots.load("panda")
+LONG = 200.0  # more time than is needed, on a busy machine as well [s]
 
 
 class Clock:
@@ -195,16 +196,17 @@ class Clock:
 
 
 def test_the_panda_keeps_the_error_for_a_second_on_other_states():
-    found = recommend(PANDA, 1e-3, 1.0)
+    found = recommend(PANDA, 1e-3, 1.0, seconds=LONG)
     assert found.horizon == 1.0 and not found.limit
     assert found.step > 2e-4
-    q, qd = others(PANDA)
+    q, qd = others(PANDA, 3)
     made = (end(found.scene, State(q, qd), 1.0, found.dtype) - truth(PANDA, q, qd, 1.0)).abs().max()
     assert made <= 1e-3
 
 
-@pytest.mark.parametrize("seconds", [3.0, 10.0])
-@pytest.mark.parametrize(("name", "horizon"), [("panda", 1.0), ("panda", 100.0), ("two_link", 4.0), ("ur10e", 1.0)])
+@pytest.mark.parametrize(
+    ("name", "horizon", "seconds"), [("panda", 1.0, 10.0), ("panda", 100.0, 3.0), ("two_link", 4.0, 3.0)]
+)
 def test_a_search_ends_when_its_time_is_up(monkeypatch, name, horizon, seconds):
     clock = Clock(monkeypatch, 5e-4)
     with warnings.catch_warnings():
@@ -226,14 +228,13 @@ def test_a_short_time_gives_the_best_so_far_and_says_what_was_not_tried(monkeypa
 
 def test_no_reference_in_time_is_an_error_that_asks_for_more(monkeypatch):
     Clock(monkeypatch, 1.0)
-    with pytest.raises(torchdq.ArgumentError, match=r"in 1 s, not to 1\.0e-10; give more seconds"):
-        recommend(PANDA, 1e-10, 1.0, seconds=1.0)
+    with pytest.raises(torchdq.ArgumentError, match=r"in 1 s, not to 1\.0e-06; give more seconds"):
+        recommend(ROBOTS["two_link"], 1e-6, 20.0, seconds=1.0)
 
 
-@pytest.mark.parametrize("horizon", [3.0, 1000.0])
-def test_a_falling_arm_is_held_no_longer_than_it_can_be(horizon):
+def test_a_falling_arm_is_held_no_longer_than_it_can_be():
     with pytest.warns(UserWarning, match="'panda' cannot be held beyond 1.* s.*the recommendation is for 1"):
-        found = recommend(PANDA, 1e-2, horizon)
+        found = recommend(PANDA, 1e-2, 1000.0, seconds=LONG)
     assert 1.0 <= found.horizon <= 1.5 and 1e5 < found.growth <= 1e6
     assert found.step > 2e-4
     assert f"{found.horizon:.3g} s only: trajectories of 'panda' cannot be held" in str(found)
@@ -249,17 +250,17 @@ def test_the_growth_of_errors_is_that_of_a_small_change():
 
 
 def test_damping_lets_a_trajectory_be_held():
-    scene = Scene(PANDA, (effects.Gravity(), effects.Viscous(20.0)), dt=0.125)
-    found = recommend(scene, 1e-2, 3.0)
-    assert found.horizon == 3.0 and not found.limit and found.growth < 100
+    scene = Scene(PANDA, (effects.Gravity(), effects.Viscous(5.0)), dt=0.25)
+    found = recommend(scene, 0.05, 2.0, seconds=LONG)
+    assert found.horizon == 2.0 and not found.limit and found.growth < 1000
 
 
 def test_a_scene_is_held_for_some_of_its_steps():
-    scene = Scene(PANDA, (effects.Gravity(),), dt=0.1)
+    scene = Scene(PANDA, (effects.Gravity(),), dt=0.2)
     with pytest.warns(UserWarning, match="cannot be held beyond 1"):
-        found = recommend(scene, 1e-2, 2.5)
-    assert found.scene.dt * found.repeats == pytest.approx(0.1)
-    assert 0.9 <= found.horizon <= 1.5
+        found = recommend(scene, 0.05, 1.6, seconds=LONG)
+    assert found.scene.dt * found.repeats == pytest.approx(0.2)
+    assert 0.9 <= found.horizon <= 1.4
 
 
 def test_an_answer_is_kept_until_the_caches_are_emptied(monkeypatch):
