@@ -22,8 +22,9 @@ from torchdq.errors import ArgumentError
 MOST_GROWTH = 1e6  # growth of a small error up to which a trajectory is held
 SHIFT = 1e-9  # change of the start, above rounding and below curvature [rad or m]
 NEAR = 0.1  # change by halved steps below which a path shows how errors grow [rad or m]
-EXACTNESS = 50  # ratio of the error to that of the reference
-SHARE = 0.4  # share of the time that is left, for the next refinement
+EXACTNESS = 20  # ratio of the error to the change by the last halving, which is more than the reference's own error
+IN_TIME = 5  # that ratio where there is no time for another halving
+SHARE = 0.6  # share of the time that is left, for the next halving
 FIRST, FACTOR = 1e-3, 1.5  # first time to which growth is followed [s], and ratio of the next ones
 TOLERANCE = 1e-6  # of the trajectories along which it is followed [rad or m]
 
@@ -107,7 +108,7 @@ def held(trial: Trial) -> tuple[Trial, str]:
 
 
 def reference(trial: Trial, error: float) -> Reference:
-    """Reference that is exact to a fiftieth of the error, extrapolated from steps that are halved.
+    """Reference that is exact to a small part of the error, extrapolated from steps that are halved.
 
     Raises:
         ArgumentError: not even the first interval can be held, no steps are short enough, or there is no time for them.
@@ -164,11 +165,11 @@ def _not_held(trial: Trial, until: float) -> str:
 
 def _in_time(now: _Refinement, error: float, limit: str) -> Reference:
     """Reference of the intervals for which there was time."""
-    ready = _first(now.changes(-1) <= error / EXACTNESS)
+    ready = _first(now.changes(-1) <= error / IN_TIME)
     trial = now.trial
     seconds = f"{trial.budget.seconds:g} s"
     if not ready:
-        made = float(now.changes(-1)[0]) * EXACTNESS / SAFETY
+        made = float(now.changes(-1)[0]) * IN_TIME / SAFETY
         raise ArgumentError(
             f"{trial.name} over {trial.scene.dt:.3g} s were computed to {made:.1e} in {seconds}, not to "
             f"{error / SAFETY:.1e}; give more seconds, shorten the horizon or raise the error"
