@@ -26,7 +26,7 @@ EXACTNESS = 20  # ratio of the error to the change by the last halving, which is
 IN_TIME = 5  # that ratio where there is no time for another halving
 SHARE = 0.6  # share of the time that is left, for the next halving
 FIRST, FACTOR = 1e-3, 1.5  # first time to which growth is followed [s], and ratio of the next ones
-TOLERANCE = 1e-6  # of the trajectories along which it is followed [rad or m]
+TOLERANCE = 1e-6  # tolerated error of a step along which it is followed [rad or m]
 
 
 @dataclass(frozen=True)

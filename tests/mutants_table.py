@@ -1905,7 +1905,7 @@ MUTANTS = (
             "references without end",
             "if not essential and not trial.allows(integrator, now.times, EXACT, SHARE):",
             "if False:",
-            f"{RECOMMEND}::test_a_short_time_gives_the_best_so_far_and_says_what_was_not_tried",
+            f"{RECOMMEND}::test_no_reference_in_time_is_an_error_that_asks_for_more",
         ),
     ),
     *within(
