@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import math
+import statistics
+import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchdq.checks import dtype_of, require_count, require_number
 from torchdq.effects.effect import Effect
 from torchdq.envs.state import State
+from torchdq.notice import Notice
 from torchdq.robot import Robot
-from torchdq.timing import medians
+from torchdq.timing import measure
 
 if TYPE_CHECKING:
     from torchdq.envs.scene import Scene
+
+
+MEASURED = 0.2  # longest time of measuring each effect [s]
 
 
 class EffectCost(NamedTuple):
@@ -24,7 +32,17 @@ class EffectCost(NamedTuple):
     effect: str
     slot: str
     operations: int
-    nanoseconds: float
+    nanoseconds: float  # not below zero; NaN: there was no time to measure it
+    spread: float  # half of the range of the middle half of the measurements [ns]
+
+    @property
+    def time(self) -> str:
+        """Nanoseconds in words: a bound if the cost is within the spread, "-" if it was not measured."""
+        if math.isnan(self.nanoseconds):
+            return "-"
+        if self.nanoseconds > self.spread:
+            return f"{self.nanoseconds:.1f}"
+        return f"< {max(self.nanoseconds + self.spread, 0.1):.1f}"
 
 
 class Description(NamedTuple):
@@ -37,15 +55,19 @@ class Description(NamedTuple):
 
     def __str__(self) -> str:
         rows = [("effect", "slot", "operations", "ns per step")]
-        rows += [(c.effect, c.slot, f"{c.operations}", f"{c.nanoseconds:.1f}") for c in (*self.costs, self.total)]
+        rows += [(c.effect, c.slot, f"{c.operations}", c.time) for c in (*self.costs, self.total)]
         widths = [max(len(row[k]) for row in rows) for k in range(4)]
         lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
         left_out = "\n".join(f"- {what}" for what in self.left_out) or "- nothing"
         return "\n".join(lines) + f"\n({self.measured_on})\n\ndescribed, and not simulated:\n{left_out}"
 
 
-def describe(scene: Scene, batch: int, dtype: torch.dtype, seconds: float) -> Description:
+def describe(scene: Scene, batch: int, dtype: torch.dtype | str, seconds: float) -> Description:
     """Description of a scene; see `Scene.describe`."""
+    require_count("batch", batch)
+    require_number("seconds", seconds)
+    end = time.monotonic() + seconds
+    dtype = dtype_of("dtype", dtype)
     batches = scene.batches.values()
     batch = math.prod(torch.broadcast_shapes(*batches)) if any(batches) else batch
     bare = scene.replace(effects=(), controller=None)
@@ -55,16 +77,50 @@ def describe(scene: Scene, batch: int, dtype: torch.dtype, seconds: float) -> De
     if scene.controller is not None:
         scenes.append(scene)
         labels.append((type(scene.controller).__name__, "controller"))
-    times = medians([_step(part, batch, dtype) for part in scenes], batch, seconds)
-    counts = [part.count().total for part in scenes]
+    with Notice(f"describe the scene of {scene.robot.name!r}") as notice:
+        counts = [part.count().total for part in scenes]
+        times = _times([partial(_step, part, batch, dtype) for part in scenes], batch, end, notice)
     costs = [
-        EffectCost(*label, count - before, t - t_before)
-        for label, count, before, t, t_before in zip(labels, counts, [0, *counts], times, [0.0, *times], strict=False)
+        EffectCost(*label, count - before, *_difference(t, t_before))
+        for label, count, before, t, t_before in zip(labels, counts, [0, *counts], times, [None, *times], strict=False)
     ]
     on = f"{batch} samples of {str(dtype).removeprefix('torch.')}, {torch.get_num_threads()} threads"
-    return Description(
-        tuple(costs), EffectCost("all", "", counts[-1], times[-1]), left_out(scene.robot, scene.effects), on
-    )
+    total = EffectCost("all", "", counts[-1], *_difference(times[-1], None))
+    return Description(tuple(costs), total, left_out(scene.robot, scene.effects), on)
+
+
+def _times(
+    steps: Sequence[Callable[[], Callable[[], State]]], batch: int, end: float, notice: Notice
+) -> list[list[float]]:
+    """Times of steps that take turns [ns], one in each round; none of those that there was no time to compile."""
+    calls: dict[str, Callable[[], State]] = {}
+    order = [len(steps) - 1, *range(len(steps) - 1)]  # the whole scene first
+    longest = 0.0
+    for done, k in enumerate(order):
+        start = time.monotonic()
+        if start + longest >= end:
+            break
+        notice.at(f"{done} of {len(steps)} programs are ready")
+        calls[str(k)] = call = steps[k]()
+        call()
+        longest = max(longest, time.monotonic() - start)
+    notice.at("measuring")
+    seconds = min(MEASURED, max(0.0, end - time.monotonic()) / max(1, len(calls)))
+    found = measure(calls, batch, seconds) if calls else {}
+    return [found.get(str(k), []) for k in range(len(steps))]
+
+
+def _difference(times: Sequence[float], before: Sequence[float] | None) -> tuple[float, float]:
+    """Median of the differences of each round, not below zero, and their spread [ns]; NaN without measurements.
+
+    Args:
+        before: times from which the difference is taken; None: from zero.
+    """
+    if not times or before == []:
+        return math.nan, math.nan
+    rounds = times if before is None else [t - t_before for t, t_before in zip(times, before, strict=True)]
+    lower, middle, upper = statistics.quantiles(rounds, n=4, method="inclusive")
+    return max(0.0, middle), (upper - lower) / 2
 
 
 def _step(scene: Scene, batch: int, dtype: torch.dtype) -> Callable[[], State]:

@@ -1,15 +1,15 @@
 """Recommendation of precision, integrator and step for a requested error, found by trials on the scene itself.
 
-Trajectories from random states are compared with ones of steps so small that smaller ones change nothing. Every
-integrator is refined until it meets the error in float64; then it is tried whether float32 still does. The one with the
-fewest operations per simulated second is recommended, an operation in float32 counting half.
+Trajectories from random states are compared with ones of steps so small that smaller ones change nothing, as far as
+these can be held. Every integrator is refined until it meets the error in float64; then it is tried whether
+float32 still does. The one with the fewest operations per simulated second is recommended, an operation in float32
+counting half. When the time is up, it is the best of those that were tried.
 """
 
 from __future__ import annotations
 
-import math
+import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -17,99 +17,28 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName, choose
+from torchdq.checks import require_number
 from torchdq.effects import Gravity, RotorInertia
-from torchdq.envs.integrators import Integrator, Repeated
+from torchdq.envs.budget import Budget
+from torchdq.envs.integrators import Repeated
+from torchdq.envs.recommendation import Candidate, Recommendation, SceneRecommendation
 from torchdq.envs.scene import Scene
+from torchdq.envs.search import repeated_share, search
 from torchdq.envs.state import State
-from torchdq.envs.trials import ARITHMETICS, EXACT, MOST_STEPS, SAFETY, Arithmetic, Trial, random_states
+from torchdq.envs.trials import ARITHMETICS, SAFETY, Trial, random_states
 from torchdq.errors import ArgumentError
-from torchdq.functional import Precision, error_growth, forward_dynamics, inverse_dynamics
+from torchdq.functional import error_growth, forward_dynamics, inverse_dynamics
 from torchdq.functions.compile import compile
-from torchdq.program.program import LARGEST_GROWTH, Program
+from torchdq.notice import Notice
+from torchdq.program.program import Program
 from torchdq.robot import Robot
 from torchdq.timing import medians
 
 STATES = 256  # states at which accelerations are tried
 TYPICAL = 100.0  # errors of accelerations in units of eps times `error_growth`; measured on robots and chains
-PRUNE = 8.0  # candidates costing more than this times the best are dropped
 MOST_SUBSTEPS = 16  # substeps in one program
 BATCH = 4096  # samples per timed call
 SECONDS = 0.05  # time of measuring [s]
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """An arithmetic with its cost and its error."""
-
-    arithmetic: Arithmetic
-    error: float
-    operations: float  # weighted; per simulated second, or per call
-
-    def __str__(self) -> str:
-        return f"{self.arithmetic}: error {self.error:.1e}, {self.operations:.2e} operations"
-
-
-@dataclass(frozen=True)
-class Stepping(Candidate):
-    """An arithmetic with an integrator and its step."""
-
-    integrator: Integrator
-    step: float  # [s]
-    times: int  # steps in an interval of the scene
-
-    def __str__(self) -> str:
-        return f"{type(self.integrator).__name__}, steps of {self.step:.3g} s, {super().__str__()}"
-
-
-@dataclass(frozen=True)
-class Recommendation:
-    """Recommended way to compute accelerations; `print` it."""
-
-    dtype: torch.dtype
-    """dtype of states and inputs."""
-    precision: Precision
-    """`precision` to give to `forward_dynamics`, `ForwardDynamics` or `Scene`."""
-    backend: str
-    """Backend that runs it here: "c" or "eager"."""
-    method: str
-    """Algorithm of the accelerations: "mass matrix" or "articulated bodies". The program chooses it by itself."""
-    error: float
-    """Predicted error up to the horizon [rad or m]; without a horizon, of accelerations, relative."""
-    nanoseconds: float
-    """Measured time of an integrator's step, or of a call, per robot of a batch of 4096, on this machine."""
-    others: tuple[Candidate, ...]
-    """Candidates that meet the error, the cheapest first."""
-
-    def __str__(self) -> str:
-        return self._text((), "call")
-
-    def _text(self, stepping: tuple[str, ...], unit: str) -> str:
-        lines = [
-            f"dtype       {str(self.dtype).removeprefix('torch.')}, precision {self.precision!r}",
-            *stepping,
-            f"backend     {self.backend}, accelerations by {self.method}",
-            f"error       {self.error:.1e} predicted",
-            f"time        {self.nanoseconds:.0f} ns per robot and {unit}",
-        ]
-        others = [f"- {other}" for other in self.others[1:]]
-        return "\n".join([*lines, "alternatives", *others] if others else lines)
-
-
-@dataclass(frozen=True)
-class SceneRecommendation(Recommendation):
-    """Recommended way to compute trajectories; `print` it."""
-
-    integrator: Integrator
-    """Integrator of the scene."""
-    step: float
-    """Step of the integrator [s]."""
-    scene: Scene
-    """Scene with all of this; torques are held for `repeats` of its steps if the scene that was given is longer."""
-    repeats: int
-    """Steps of `scene` in one of the scene that was given, or in an eighth of the horizon for a robot."""
-
-    def __str__(self) -> str:
-        return self._text((f"integrator  {type(self.integrator).__name__}, steps of {self.step:.3g} s",), "step")
 
 
 def recommend(
@@ -117,6 +46,7 @@ def recommend(
     error: float = 1e-3,
     horizon: float | None = 1.0,
     state: State | None = None,
+    seconds: float = 10.0,
     **inputs: Tensor,
 ) -> Recommendation:
     """The cheapest precision, integrator and step that keep an error, found by trials on the robot or scene itself.
@@ -131,11 +61,19 @@ def recommend(
         horizon: duration of the trajectories [s], rounded to steps of the scene; None: accelerations alone, of a robot.
         state: initial states, float64, shape [samples, n]; None: 64 random ones within the limits, moving at up to
             1 rad/s.
+        seconds: time for the search [s], compiling included; when it is up, the best so far is returned, and what was
+            not tried is `untried`. It may end later, by the trials of up to 2048 steps that are made until something
+            is found, and by the compilation of the recommended step, whose time is measured. Answers are kept for the
+            process: asked again, it knows them at once.
         inputs: inputs of the scene at a step, held over the horizon; None: torques are zero, and a controller's
             reference is to stay.
 
+    Where an arm falls without damping, small errors grow exponentially. A trajectory is not held any longer once they
+    have grown a million times: the recommendation is then for a shorter horizon, and a warning says why.
+
     Returns:
-        A `SceneRecommendation` with a scene, integrator and step; without a horizon, a `Recommendation`.
+        A `SceneRecommendation` with a scene, integrator and step, and the horizon up to which the error is kept;
+        without a horizon, a `Recommendation`.
 
     Raises:
         ArgumentError: nothing reaches the error, or trajectories cannot be computed over the horizon; it says what can.
@@ -145,10 +83,10 @@ def recommend(
     >>> found.scene.step(found.scene.start(torch.zeros(8, 2, dtype=found.dtype))).q.shape
     torch.Size([8, 2])
     """
-    if isinstance(error, bool) or not (isinstance(error, int | float) and 0 < error < math.inf):
-        raise ArgumentError(f"error must be a positive number, found {error!r}")
-    if not (horizon is None or (isinstance(horizon, int | float) and 0 < horizon < math.inf)):
-        raise ArgumentError(f"horizon must be a positive number of seconds or None, found {horizon!r}")
+    require_number("error", error, positive=True)
+    require_number("seconds", seconds, positive=True)
+    if horizon is not None:
+        require_number("horizon", horizon, positive=True)
     if horizon is None and not isinstance(what, Robot):
         raise ArgumentError("a scene needs a horizon; without a horizon, pass scene.robot")
     if horizon is None and (state is not None or inputs):
@@ -162,10 +100,11 @@ def recommend(
                 f"recommend tries one robot at a time, found batch axes {batch} of {name}; "
                 f"give it the one that is hardest to simulate, with the lightest links or the stiffest joints"
             )
-    with torch.no_grad():
+    with torch.no_grad(), Notice(f"recommend for {scene.robot.name!r}") as notice:
         if horizon is None:
             return _for_accelerations(scene.robot, error)
-        return _for_trajectories(Trial.of(scene, horizon, state, inputs), error)
+        budget = Budget(seconds, notice)
+        return _for_trajectories(Trial.of(scene, horizon, state, inputs, budget), error, what is not scene)
 
 
 def _falling(robot: Robot, horizon: float) -> Scene:
@@ -177,56 +116,34 @@ def _falling(robot: Robot, horizon: float) -> Scene:
 # --- trajectories -----------------------------------------------------------------------------------------------------
 
 
-def _for_trajectories(trial: Trial, error: float) -> SceneRecommendation:
-    accepted = SAFETY * error
-    found = _candidates(trial, trial.exact_path(accepted), accepted)
-    if not found:
-        raise ArgumentError(
-            f"no candidate keeps {trial.name} within {error:.1e} in {MOST_STEPS} steps; shorten the horizon or raise "
-            f"the error"
-        )
-    best = found[0]
+def _for_trajectories(trial: Trial, error: float, divisible: bool) -> SceneRecommendation:
+    answer = search(trial, error, divisible)
+    best, tried = answer.found[0], answer.trial
+    if answer.limit:
+        warnings.warn(f"{answer.limit}; the recommendation is for {tried.horizon:.3g} s", stacklevel=3)
     times, precision = best.times, best.arithmetic.precision
-    scene = trial.scene.replace(integrator=best.integrator, precision=precision, substeps=1)
-    if not trial.sampled:
+    scene = tried.scene.replace(integrator=best.integrator, precision=precision, substeps=1)
+    if not tried.sampled:
         scene = scene.replace(dt=best.step)
     elif times <= MOST_SUBSTEPS:
         scene = scene.replace(substeps=times)
     else:  # more than a program should hold
         scene = scene.replace(integrator=Repeated(best.integrator, times))
-    (nanoseconds,) = medians([_step(scene, best.arithmetic.dtype, trial)], BATCH, SECONDS)
+    trial.budget.at("time of the recommended step")
+    (nanoseconds,) = medians([_step(scene, best.arithmetic.dtype, tried)], BATCH, SECONDS)
     return SceneRecommendation(
         **_common(best, scene.robot, scene.backend),
-        nanoseconds=nanoseconds / times if trial.sampled else nanoseconds,
-        others=tuple(found),
+        nanoseconds=nanoseconds / times if tried.sampled else nanoseconds,
+        others=answer.found,
         integrator=best.integrator,
         step=best.step,
         scene=scene,
-        repeats=1 if trial.sampled else times,
+        repeats=1 if tried.sampled else times,
+        horizon=tried.horizon,
+        limit=answer.limit,
+        growth=answer.growth,
+        untried=answer.untried,
     )
-
-
-def _candidates(trial: Trial, reference: Tensor, error: float) -> list[Stepping]:
-    """Candidates that meet the error, the cheapest first."""
-    found: list[Stepping] = []
-    dt = trial.scene.dt
-    repeated = _repeated(trial.scene.robot, trial.state.q)
-    for integrator in trial.integrators:
-        per_step = trial.scene.replace(integrator=integrator, substeps=1).count().total
-        most = MOST_STEPS / trial.intervals
-        if found:
-            most = min(most, PRUNE * found[0].operations * dt / per_step)
-        needed = trial.steps_needed(integrator, reference, error, most)
-        if needed is None:
-            continue
-        times, exact = needed
-        for arithmetic in ARITHMETICS:
-            made = exact if arithmetic is EXACT else trial.error(integrator, times, arithmetic, reference)
-            if made <= error:
-                operations = arithmetic.cost(repeated) * per_step * times / dt
-                found.append(Stepping(arithmetic, made, operations, integrator, dt / times, times))
-        found.sort(key=lambda c: c.operations)
-    return found
 
 
 def _step(scene: Scene, dtype: torch.dtype, trial: Trial) -> Callable[[], State]:
@@ -251,7 +168,7 @@ def _for_accelerations(robot: Robot, error: float) -> Recommendation:
     x = [y.float().double() for y in (q, qd, inverse_dynamics(robot, q, qd, wanted))]
     exact = forward_dynamics(robot, x[0], x[1], x[2])
     rounding = TYPICAL * 2.0**-53 * float(error_growth(robot, q).max())
-    operations, repeated = _program(robot).count().total, _repeated(robot, q)
+    operations, repeated = _program(robot).count().total, repeated_share(robot, q)
     found = []
     for arithmetic in ARITHMETICS:
         made = rounding
@@ -274,11 +191,6 @@ def _for_accelerations(robot: Robot, error: float) -> Recommendation:
 
 
 # --- both -------------------------------------------------------------------------------------------------------------
-
-
-def _repeated(robot: Robot, q: Tensor) -> float:
-    """Share of the positions that float32 recomputes in float64."""
-    return float((error_growth(robot, q) > LARGEST_GROWTH.single).double().mean())
 
 
 def _program(robot: Robot) -> Program:

@@ -279,16 +279,20 @@ class Scene:
         """Operations of a step."""
         return self.program().count()
 
-    def describe(self, batch: int = 4096, dtype: torch.dtype = torch.float64, seconds: float = 0.2) -> Description:
+    def describe(
+        self, batch: int = 4096, dtype: torch.dtype | str = torch.float64, seconds: float = 10.0
+    ) -> Description:
         """Simulated effects, the cost of each in a step, and what the scene leaves out of the description.
 
-        Effects are added one after the other to the bare step; each costs the difference it makes.
+        Effects are added one after the other to the bare step; each costs the difference it makes. The times are
+        medians of differences of steps that took turns; a cost within their spread prints as a bound, "< 3.1".
 
         Args:
             batch: samples per step of which the time is taken, on torch's present number of threads; that of the
                 parameters if they differ from sample to sample.
             dtype: dtype of those samples.
-            seconds: measuring time per effect.
+            seconds: time for all of it, compiling included as far as possible [s]; effects for which it does not last
+                print "-" in place of a time. 0: operations alone.
         """
         return describe(self, batch, dtype, seconds)
 

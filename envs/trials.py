@@ -1,14 +1,17 @@
-"""Trials of integrators and precisions on a scene, against trajectories whose steps are short enough."""
+"""Trials of integrators and precisions on a scene, against a reference."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchdq.envs.budget import ESSENTIAL, Budget, TimeIsUp
 from torchdq.envs.integrators import Integrator, LinearlyImplicit, Repeated, RungeKutta4, SemiImplicitEuler
 from torchdq.envs.scene import Scene
 from torchdq.envs.state import State
@@ -56,9 +59,17 @@ class Trial:
     state: State
     inputs: dict[str, Tensor]
     intervals: int  # number of the scene's dt until the horizon
+    budget: Budget = field(default_factory=Budget, compare=False)
 
     @classmethod
-    def of(cls, scene: Scene, horizon: float, state: State | None, inputs: dict[str, Tensor]) -> Trial:
+    def of(
+        cls,
+        scene: Scene,
+        horizon: float,
+        state: State | None,
+        inputs: Mapping[str, Tensor],
+        budget: Budget | None = None,
+    ) -> Trial:
         """Trial over a horizon, which is rounded to whole intervals."""
         intervals = max(1, round(horizon / scene.dt))
         if intervals > MOST_STEPS:
@@ -80,12 +91,25 @@ class Trial:
             given["reference"] = torch.cat([state.q, torch.zeros_like(state.q).repeat(1, 2)], -1)
         if scene.noises:
             given["noise"] = noise
-        return cls(scene, state, given, intervals)
+        return cls(scene, state, given, intervals, budget or Budget())
+
+    @property
+    def horizon(self) -> float:
+        """Duration of the trajectories [s]."""
+        return self.intervals * self.scene.dt
 
     @property
     def name(self) -> str:
-        """Words for the trial in error messages."""
-        return f"trajectories of {self.scene.robot.name!r} over {self.intervals * self.scene.dt:.3g} s"
+        """Words for the trajectories in messages."""
+        return f"trajectories of {self.scene.robot.name!r}"
+
+    def beside(self, shift: Tensor) -> Trial:
+        """Trial with every trajectory twice: as it is, and from a start whose positions are shifted."""
+        samples = len(self.state.q)
+        rows = {name: x.expand(samples, -1) for name, x in self.state.rows().items()}
+        state = State(**{name: torch.cat([x, x + shift if name == "q" else x]) for name, x in rows.items()})
+        inputs = {name: x if x.ndim < 2 else torch.cat([x.expand(samples, -1)] * 2) for name, x in self.inputs.items()}
+        return replace(self, state=state, inputs=inputs)
 
     @property
     def sampled(self) -> bool:
@@ -94,7 +118,7 @@ class Trial:
 
     @property
     def integrators(self) -> list[Integrator]:
-        """Integrators to try, the most promising first."""
+        """Integrators to try, those first that most surely stay finite."""
         found: list[Integrator] = [RungeKutta4(), SemiImplicitEuler()]
         # where joints may be stiff, explicit integrators would take long to show that they are
         stiff = any(effect.SLOT == "joint" for effect in self.scene.effects)
@@ -111,70 +135,77 @@ class Trial:
         )
         state = self.state.to(arithmetic.dtype)
         inputs = {name: x.to(arithmetic.dtype) for name, x in self.inputs.items()}
+        self.budget.at(f"{type(integrator).__name__}, {times * self.intervals} steps, {arithmetic}")
         found = []
-        for _ in range(self.intervals):
-            for _ in range(outer):
-                state = scene.step(state, **inputs)
-            found.append(state.q.double())
+        start, calls = 0.0, self.intervals * outer
+        for k in range(calls):
+            if k == 1:  # the first call may have compiled something
+                start = time.monotonic()
+            state = scene.step(state, **inputs)
+            if (k + 1) % outer == 0:
+                found.append(state.q.double())
+        if calls > 1:
+            self.budget.took((integrator, arithmetic), (calls - 1) * inner, time.monotonic() - start)
         return torch.stack(found)
+
+    def allows(self, integrator: Integrator, times: int, arithmetic: Arithmetic, share: float = 1.0) -> bool:
+        """True if there is time for a path, in a share of the time that is left."""
+        return self.budget.allows((integrator, arithmetic), times * self.intervals, share)
 
     def error(self, integrator: Integrator, times: int, arithmetic: Arithmetic, reference: Tensor) -> float:
         """Largest error of the positions; infinite if one is not finite."""
         return distance(self.path(integrator, times, arithmetic), reference)
 
-    def exact_path(self, error: float) -> Tensor:
-        """Positions up to the horizon, exact to a fiftieth of the error; extrapolated from steps that are halved."""
-        closest = math.inf
-        for integrator in self.integrators[:2]:
-            row: list[Tensor] = []
-            stuck = 0
-            for k in range(int(math.log2(MOST_STEPS / self.intervals)) + 1):
-                before, row = row, [self.path(integrator, 2**k, EXACT)]
-                # an error that is a series in the step, from the power of the order on, loses a term with every column
-                for j, coarser in enumerate(before[:4]):
-                    row.append(row[j] + (row[j] - coarser) / (2 ** (integrator.order + j) - 1))
-                if not before:
-                    continue
-                # at kinks there is no such series, and the steps themselves have to converge
-                for found, last in ((row[-1], before[-1]), (row[0], before[0])):
-                    change = distance(found, last)
-                    if change <= error / 50:
-                        return found
-                stuck = stuck + 1 if change >= closest and closest < 1e-6 else 0
-                closest = min(closest, change)
-                if stuck > 2:
-                    break
-        if not closest < 1e3:
-            raise ArgumentError(
-                f"{self.name} do not stay finite, however short the steps; is the controller stable with dt = "
-                f"{self.scene.dt:g} s?"
-            )
-        raise ArgumentError(
-            f"{self.name} can be computed to {closest * 50 / SAFETY:.1e} at best, not to {error / SAFETY:.1e}; shorten "
-            f"the horizon or raise the error"
-        )
-
     def steps_needed(
-        self, integrator: Integrator, reference: Tensor, error: float, most: float
+        self,
+        integrator: Integrator,
+        reference: Tensor,
+        error: float,
+        most: float,
+        known: Mapping[int, float] | None = None,
+        essential: bool = True,
     ) -> tuple[int, float] | None:
-        """Steps per interval by which an integrator meets an error in float64, and the error it then makes."""
-        times, found = 1, self.error(integrator, 1, EXACT, reference)
-        too_few = 0
+        """Steps per interval by which an integrator meets an error in float64, and the error it then makes.
+
+        Args:
+            most: number of steps per interval beyond which the search is given up; the result is None.
+            known: errors that numbers of steps are known to make; None: of none.
+            essential: True: short trials are made even if the time is up.
+
+        Raises:
+            TimeIsUp: there was no time to reach the error.
+        """
+
+        known = {} if known is None else known
+
+        def allowed(times: int) -> bool:
+            short = essential and times * self.intervals <= ESSENTIAL
+            return short or self.allows(integrator, times, EXACT)
+
+        def made_by(times: int) -> float:
+            return known[times] if times in known else self.error(integrator, times, EXACT, reference)
+
+        too_few = max((times for times, made in known.items() if made > error), default=0)
+        enough = min((times for times, made in known.items() if made <= error), default=MOST_STEPS)
+        times = too_few or 1
+        found = made_by(times)
         while found > error:
             too_few = times
             # as far as the order promises, but never trusting it beyond a factor of eight
             factor = (found / error) ** (1 / integrator.order) if found < 0.1 else 8.0
-            if times * (factor if found < 0.01 else 1.0) > most:
+            if times * (factor if found < 0.01 else 1.0) >= most:
                 return None
-            times = math.ceil(times * min(max(1.1 * factor, 1.25), 8.0))
-            found = self.error(integrator, times, EXACT, reference)
-        # the last jump may have been far
-        while too_few and times > CLOSE * too_few:
-            between = math.ceil(math.sqrt(times * too_few))
-            if between == times:
-                break
-            made = self.error(integrator, between, EXACT, reference)
+            times = min(math.ceil(times * min(max(1.1 * factor, 1.25), 8.0)), math.ceil(most), enough)
+            if not allowed(times):
+                raise TimeIsUp
+            found = made_by(times)
+        # the last jump may have been far: first to where the order promises to end, then to the middle
+        promised = math.ceil(1.05 * times * (found / error) ** (1 / integrator.order))
+        between = max(promised, too_few + 1)
+        while too_few and times > CLOSE * too_few and between < times and allowed(between):
+            made = made_by(between)
             times, too_few, found = (between, too_few, made) if made <= error else (times, between, found)
+            between = math.ceil(math.sqrt(times * too_few))
         return times, found
 
 

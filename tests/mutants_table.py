@@ -55,6 +55,7 @@ EFFECTS = "effects.py"
 INTEGRATORS = "integrators.py"
 PARAMETERS = "parameters.py"
 SCENE = "scene.py"
+RECOMMEND = "recommend.py"
 BACKENDS = "backends.py"
 CONTROL = "computed_torque.py"
 SIGNS = "signs_and_turns.py::test_signs_are_those_of_plain_arithmetic"
@@ -1961,6 +1962,57 @@ MUTANTS = (
             "(reference[n + i] - qd[i])",
             "(reference[n + i] - q[i])",
             f"{SCENE}::test_computed_torque_makes_any_arm_a_double_integrator",
+        ),
+    ),
+    *within(
+        "envs/reference.py",
+        (
+            "trajectories held however fast errors grow",
+            "if growth > MOST_GROWTH:",
+            "if False:",
+            f"{RECOMMEND}::test_damping_lets_a_trajectory_be_held",
+        ),
+        (
+            "references without end",
+            "if not essential and not trial.allows(integrator, now.times, EXACT, SHARE):",
+            "if False:",
+            f"{RECOMMEND}::test_no_reference_in_time_is_an_error_that_asks_for_more",
+        ),
+    ),
+    *within(
+        "envs/search.py",
+        (
+            "one answer for every error",
+            "trial.intervals, error)",
+            "trial.intervals, 1.0)",
+            f"{RECOMMEND}::test_an_answer_is_kept_until_the_caches_are_emptied",
+        ),
+        (
+            "candidates tried after the time is up",
+            "elif trial.allows(integrator, times, arithmetic):",
+            "elif True:",
+            f"{RECOMMEND}::test_a_short_time_gives_the_best_so_far_and_says_what_was_not_tried",
+        ),
+    ),
+    *within(
+        "envs/describe.py",
+        (
+            "negative costs of effects",
+            "return max(0.0, middle), (upper - lower) / 2",
+            "return middle, (upper - lower) / 2",
+            f"{SCENE}::test_costs_within_their_spread_are_bounds_and_none_is_negative",
+        ),
+        (
+            "costs within their spread as if they were known",
+            "if self.nanoseconds > self.spread:",
+            "if True:",
+            f"{SCENE}::test_costs_within_their_spread_are_bounds_and_none_is_negative",
+        ),
+        (
+            "programs compiled after the time is up",
+            "if start + longest >= end:",
+            "if False:",
+            f"{SCENE}::test_a_description_ends_in_time_and_says_what_it_did_not_measure",
         ),
     ),
 )

@@ -1,6 +1,8 @@
 """What is recommended keeps the error that was asked for, and nothing that costs less does."""
 
 import math
+import types
+import warnings
 from functools import cache
 
 import numpy as np
@@ -12,9 +14,11 @@ from oracles import pinocchio_model, random_tree
 from scipy.integrate import solve_ivp
 
 import torchdq
+from torchdq import notice
 from torchdq.backends import cache as build
-from torchdq.envs import Scene, State, controllers, effects, integrators
+from torchdq.envs import Scene, State, budget, controllers, effects, integrators, trials
 from torchdq.envs.recommend import recommend
+from torchdq.envs.reference import held
 from torchdq.envs.trials import ARITHMETICS, SAFETY, SAMPLES, Trial, random_states
 
 BACKEND = "auto"
@@ -166,6 +170,154 @@ def test_a_chain_that_float32_cannot_bear_is_recommended_double_precision_at_onc
     assert (found.dtype, found.precision) in ((torch.float64, "auto"), (torch.float32, "double"))
 
 
+# --- time, and how far trajectories can be held ---------------------------------------------------------------------
+
+PANDA = torchdq.robots.load("panda")
+LONG = 200.0  # more time than is needed, on a busy machine as well [s]
+
+
+class Clock:
+    """Clock that only steps of scenes move on."""
+
+    def __init__(self, monkeypatch, seconds):
+        self.now, self.steps = 0.0, 0
+        step = Scene.step
+
+        def slow(*args, **inputs):
+            self.now += seconds
+            self.steps += 1
+            return step(*args, **inputs)
+
+        monkeypatch.setattr(Scene, "step", slow)
+        for module in (budget, trials):
+            monkeypatch.setattr(module, "time", types.SimpleNamespace(monotonic=lambda: self.now))
+        # the time of the recommended step is measured by another clock
+        monkeypatch.setattr("torchdq.envs.recommend.medians", lambda calls, batch, seconds: [1.0])
+        torchdq.clear_caches()
+
+
+def test_the_panda_keeps_the_error_for_a_second_on_other_states():
+    found = recommend(PANDA, 1e-3, 1.0, seconds=LONG)
+    assert found.horizon == 1.0 and not found.limit
+    assert found.step > 2e-4
+    q, qd = others(PANDA, 3)
+    made = (end(found.scene, State(q, qd), 1.0, found.dtype) - truth(PANDA, q, qd, 1.0)).abs().max()
+    assert made <= 1e-3
+
+
+@pytest.mark.parametrize(
+    ("name", "horizon", "seconds"), [("panda", 1.0, 10.0), ("panda", 100.0, 3.0), ("two_link", 4.0, 3.0)]
+)
+def test_a_search_ends_when_its_time_is_up(monkeypatch, name, horizon, seconds):
+    clock = Clock(monkeypatch, 5e-4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        recommend(torchdq.robots.load(name), 1e-3, horizon, seconds=seconds)
+    assert clock.now <= 1.05 * seconds
+
+
+def test_a_short_time_gives_the_best_so_far_and_says_what_was_not_tried(monkeypatch):
+    clock = Clock(monkeypatch, 1.0)
+    found = recommend(ROBOTS["ur10e"], 1e-3, 0.3, seconds=1.0)
+    assert clock.steps <= 3 * budget.ESSENTIAL
+    assert "RungeKutta4, float32" in found.untried
+    assert "not tried, for lack of time\n- " in str(found) and "\n- RungeKutta4, float32" in str(found)
+    q, qd = others(ROBOTS["ur10e"])
+    made = end(found.scene, State(q, qd), found.horizon, found.dtype) - truth(ROBOTS["ur10e"], q, qd, found.horizon)
+    assert made.abs().max() <= 1e-3
+
+
+def test_no_reference_in_time_is_an_error_that_asks_for_more(monkeypatch):
+    Clock(monkeypatch, 1.0)
+    with pytest.raises(torchdq.ArgumentError, match=r"in 1 s, not to 1\.0e-06; give more seconds"):
+        recommend(ROBOTS["two_link"], 1e-6, 20.0, seconds=1.0)
+
+
+def test_a_falling_arm_is_held_no_longer_than_it_can_be():
+    with pytest.warns(UserWarning, match="'panda' cannot be held beyond 1.* s.*the recommendation is for 1"):
+        found = recommend(PANDA, 0.1, 1000.0, seconds=LONG)
+    assert 1.0 <= found.horizon <= 1.5 and 1e5 < found.growth <= 1e6
+    assert found.step > 2e-4
+    assert f"{found.horizon:.3g} s only: trajectories of 'panda' cannot be held" in str(found)
+    assert found.repeats * found.step == pytest.approx(found.horizon / 8)
+
+
+def test_the_growth_of_errors_is_that_of_a_small_change():
+    found = recommend(ROBOTS["ur10e"], 1e-3, 0.3)
+    q, qd = (x[:SAMPLES] for x in others(ROBOTS["ur10e"], SAMPLES))
+    ends = [end(found.scene, State(x, qd), 0.3, F64) for x in (q, q + 1e-7)]
+    grown = float((ends[0] - ends[1]).abs().max()) / 1e-7
+    assert found.growth / 10 <= grown <= 10 * found.growth
+
+
+def test_damping_lets_a_trajectory_be_held():
+    robot = ROBOTS["two_link"]
+    undamped, limit = held(Trial.of(Scene(robot, (effects.Gravity(),), dt=2.5), 20.0, None, {}))
+    assert 2.0 < undamped.horizon < 15.0 and "'two_link' cannot be held beyond" in limit
+    found = recommend(Scene(robot, (effects.Gravity(), effects.Viscous(2.0)), dt=2.5), 0.1, 20.0, seconds=LONG)
+    assert found.horizon == 20.0 and not found.limit and found.growth < 100
+
+
+def test_a_scene_is_held_for_some_of_its_steps():
+    scene = Scene(PANDA, (effects.Gravity(),), dt=0.2)
+    with pytest.warns(UserWarning, match="cannot be held beyond 1"):
+        found = recommend(scene, 0.1, 1.6, seconds=LONG)
+    assert found.scene.dt * found.repeats == pytest.approx(0.2)
+    assert 0.9 <= found.horizon <= 1.4
+
+
+def test_an_answer_is_kept_until_the_caches_are_emptied(monkeypatch):
+    robot = ROBOTS["two_link"]
+    clock = Clock(monkeypatch, 1e-9)
+    found = recommend(robot, 1e-3, 0.2)
+    tried, clock.steps = clock.steps, 0
+    again = recommend(torchdq.robots.load("two_link"), 1e-3, 0.2, seconds=20.0)
+    assert clock.steps == 0 and again.others == found.others
+    for different in (
+        lambda: recommend(robot.replace(mass=2 * robot.mass), 1e-3, 0.2),
+        lambda: recommend(robot, 1e-4, 0.2),
+        lambda: recommend(robot, 1e-3, 0.2, torque=torch.ones(2, dtype=F64)),
+        lambda: recommend(robot, 1e-3, 0.2, State(*others(robot))),
+    ):
+        clock.steps = 0
+        different()
+        assert clock.steps
+    clock.steps = 0
+    torchdq.clear_caches()
+    recommend(robot, 1e-3, 0.2)
+    assert clock.steps == tried
+
+
+def test_an_answer_that_ended_early_is_searched_again_with_more_time(monkeypatch):
+    clock = Clock(monkeypatch, 1e-2)
+    first = recommend(ROBOTS["two_link"], 1e-3, 0.2, seconds=0.5)
+    assert first.untried
+    clock.steps = 0
+    assert recommend(ROBOTS["two_link"], 1e-3, 0.2, seconds=0.5).untried and not clock.steps
+    assert not recommend(ROBOTS["two_link"], 1e-3, 0.2, seconds=500.0).untried and clock.steps
+
+
+def test_it_says_what_it_is_doing(monkeypatch, capsys):
+    torchdq.clear_caches()
+    monkeypatch.setattr(notice, "FIRST", 0.01)
+    monkeypatch.setattr(notice, "EVERY", 0.01)
+    recommend(ROBOTS["ur10e"], 1e-3, 0.2)
+    lines = capsys.readouterr().err.splitlines()
+    assert any(line.startswith("torchdq: recommend for 'ur10e', RungeKutta4, ") and "steps" in line for line in lines)
+
+
+def test_an_interrupt_ends_it(monkeypatch):
+    torchdq.clear_caches()
+
+    def interrupted(*args, **inputs):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(Scene, "step", interrupted)
+        recommend(ROBOTS["two_link"], 1e-3, 0.1)
+    assert recommend(ROBOTS["two_link"], 1e-3, 0.1).step  # nothing of it was kept
+
+
 def test_it_says_what_it_recommends():
     text = str(recommend(ROBOTS["two_link"], 1e-3, HORIZON))
     for word in ("float32", "RungeKutta4", "steps of", "backend", "error", "ns per robot", "alternatives"):
@@ -177,6 +329,8 @@ def test_it_says_what_it_recommends():
     [
         (lambda robot: recommend(robot, 0.0), "error must be a positive number"),
         (lambda robot: recommend(robot, 1e-3, -1.0), "horizon must be"),
+        (lambda robot: recommend(robot, 1e-3, seconds=0), "seconds must be a positive number"),
+        (lambda robot: recommend(robot, 1e-3, seconds=math.inf), "seconds must be a positive number"),
         (lambda robot: recommend(Scene(robot), 1e-3, None), "a scene needs a horizon"),
         (lambda robot: recommend("panda"), "torchdq.Robot"),
         (lambda robot: recommend(robot, True), "error must be a positive number"),

@@ -4,8 +4,10 @@ What each effect does is the claim of test_effects.py, how time passes that of t
 """
 
 import dataclasses
+import importlib
 import itertools
 import math
+import types
 
 import numpy as np
 import pinocchio as pin
@@ -15,6 +17,7 @@ from helpers import FIXED, called, double, random, thinned
 from oracles import random_tree, shipped, states
 
 import torchdq
+from torchdq import notice
 from torchdq.backends import cache as build
 from torchdq.envs import Scene, State, effects
 from torchdq.envs import recording as plans
@@ -30,6 +33,7 @@ from torchdq.envs.integrators import (
 from torchdq.errors import ArgumentError, DtypeError
 
 EPS = 2.0**-52
+describing = importlib.import_module("torchdq.envs.describe")
 ARM = shipped("two_link").robot
 TREE = random_tree(3, seed=6, armature=True).robot
 PANDA = shipped("panda").robot
@@ -219,6 +223,87 @@ def test_a_description_prints_as_a_table():
     assert total.split()[1] == str(Scene(ARM, (effects.Viscous(0.1), effects.Push())).count().total)
     assert measured.startswith("(2 samples of float64, ")
     assert rest[-1].startswith("- gravity: ")
+
+
+def faked(monkeypatch, *rounds):
+    """Times of the steps of a described scene, by their order, in place of measured ones."""
+
+    def measure(calls, batch, seconds):
+        return {name: list(rounds[int(name)]) for name in calls}
+
+    monkeypatch.setattr(describing, "measure", measure)
+
+
+def test_costs_within_their_spread_are_bounds_and_none_is_negative(monkeypatch):
+    """Bare step, then three effects: one that costs, one lost in the noise, and one that makes the step faster."""
+    bare, noise = [100.0, 120.0, 90.0, 110.0, 100.0], [0.0, 30.0, -25.0, 5.0, -10.0]
+    costly = [t + 50 + d for t, d in zip(bare, (0, 1, -1, 2, 0), strict=True)]
+    lost = [t + d for t, d in zip(costly, noise, strict=True)]
+    faster = [t - 40 for t in lost]
+    faked(monkeypatch, bare, costly, lost, faster)
+    scene = Scene(ARM, (effects.Viscous(0.1), effects.Coulomb(0.2), effects.Push()))
+    found = scene.describe(batch=2, seconds=60.0)
+    assert [cost.nanoseconds for cost in found.costs] == [100.0, 50.0, 0.0, 0.0]
+    assert [cost.time for cost in found.costs] == ["100.0", "50.0", "< 7.5", "< 0.1"]
+    assert found.total.nanoseconds == 110.0
+    rows = [line.split()[-2:] for line in str(found).splitlines()[1:5]]
+    assert [row[-1] for row in rows] == ["100.0", "50.0", "7.5", "0.1"]
+
+
+@needs_compiler
+def test_measured_costs_are_not_negative():
+    scene = Scene(ARM, (effects.Gravity(), effects.Viscous(1.0), effects.Coulomb(0.5)))
+    found = scene.describe(batch=256, seconds=60.0)
+    assert all(cost.nanoseconds >= 0 and cost.spread >= 0 for cost in (*found.costs, found.total))
+    assert "-" not in "".join(line.split("  ")[-1] for line in str(found).splitlines()[:6])
+
+
+def test_a_description_ends_in_time_and_says_what_it_did_not_measure(monkeypatch):
+    """Each program takes a second: the whole scene and two more fit into four seconds, with the measuring."""
+    now = [0.0]
+    step = Scene.step
+
+    def slow(*args, **inputs):
+        now[0] += 1.0
+        return step(*args, **inputs)
+
+    monkeypatch.setattr(Scene, "step", slow)
+    monkeypatch.setattr(describing, "time", types.SimpleNamespace(monotonic=lambda: now[0]))
+    faked(monkeypatch, [1.0] * 5, [3.0] * 5, [4.0] * 5, [8.0] * 5)
+    scene = Scene(ARM, (effects.Viscous(0.1), effects.Coulomb(0.2), effects.Push()))
+    found = scene.describe(batch=2, seconds=4.0)
+    assert now[0] <= 4.0
+    assert [cost.time for cost in found.costs] == ["1.0", "2.0", "-", "-"]
+    assert found.total.time == "8.0"
+    assert sum(cost.operations for cost in found.costs) == scene.count().total
+    nothing = scene.describe(batch=2, seconds=0.0)
+    assert [cost.time for cost in (*nothing.costs, nothing.total)] == ["-"] * 5
+
+
+def test_a_description_says_what_it_is_doing(monkeypatch, capsys):
+    monkeypatch.setattr(notice, "FIRST", 0.01)
+    monkeypatch.setattr(notice, "EVERY", 0.01)
+    Scene(ARM, (effects.Viscous(0.1),)).describe(batch=2, seconds=0.5)
+    lines = [line for line in capsys.readouterr().err.splitlines() if "describe the scene of 'two_link'" in line]
+    assert any("of 2 programs are ready" in line or "measuring" in line for line in lines)
+
+
+@pytest.mark.parametrize("dtype", ["float32", np.float32, torch.float32])
+def test_the_dtype_of_a_description_may_be_a_name(dtype):
+    assert "samples of float32, " in Scene(ARM).describe(batch=2, dtype=dtype, seconds=0.0).measured_on
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"dtype": "float16"}, "dtype must be torch.float32 or torch.float64, found 'float16'"),
+        ({"batch": 0}, "batch must be a whole number from 1, found 0"),
+        ({"seconds": None}, "seconds must be a finite number, found None"),
+    ],
+)
+def test_wrong_arguments_of_a_description_are_named(wrong, message):
+    with pytest.raises(torchdq.TorchdqError, match=message):
+        Scene(ARM).describe(**{"batch": 2, "seconds": 0.0, **wrong})
 
 
 # --- controllers -----------------------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@
     kernels       of programs, by backend, precision and device
     layouts       of calls, by the shapes, dtypes and devices of their tensors
     names         of programs in traced graphs; a graph whose program was removed must be traced again
+    answers       of `recommend`, by robot or scene, states, inputs, horizon and error
     machine       compiler and processor
 
 `clear_caches` empties them and stops the threads that share a batch. Compiled libraries on disk stay, see

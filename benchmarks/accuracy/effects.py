@@ -28,7 +28,7 @@ def measured(quick: bool) -> dict[str, Any]:
     scene = Scene(
         robot, parts, controller=controllers.PD(kp=100.0, kd=20.0), integrator=integrators.LinearlyImplicit(), dt=0.002
     )
-    found = scene.describe(4096, torch.float64, seconds=0.1 if quick else 1.0)
+    found = scene.describe(4096, torch.float64, seconds=20.0 if quick else 60.0)
     return {
         "costs": [cost._asdict() for cost in found.costs],
         "total": found.total._asdict(),
