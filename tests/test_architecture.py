@@ -30,6 +30,7 @@ FLOORS = {
     "torchdq.optional": 1,
     "torchdq.checks": 0,
     "torchdq.notice": 0,
+    "torchdq.sources": 0,
     "torchdq.timing": 0,
     "torchdq.algebra": 0,
     "torchdq.numbers": 0,

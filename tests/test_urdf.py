@@ -4,6 +4,7 @@ The files are written here by hand, and what they mean is worked out with numpy 
 real files is compared elsewhere. Refusals must come quickly, name the link or joint, and name every fault at once.
 """
 
+import io
 import math
 import os
 import random
@@ -556,6 +557,90 @@ def test_a_path_is_read(tmp_path, kind):
     path = tmp_path / "arm.urdf"
     path.write_text(arm())
     assert torch.equal(torques(Robot.from_urdf(kind(path))), torques(Robot.from_urdf(arm())))
+
+
+OPENED = {
+    "bytes": lambda path: path.read_bytes(),
+    "bytearray": lambda path: bytearray(path.read_bytes()),
+    "text handle": lambda path: path.open(encoding="utf-8"),
+    "binary handle": lambda path: path.open("rb"),
+    "StringIO": lambda path: io.StringIO(path.read_text()),
+    "BytesIO": lambda path: io.BytesIO(path.read_bytes()),
+    "file address": lambda path: path.as_uri(),
+    "file address of this machine": lambda path: path.as_uri().replace("file://", "file://localhost"),
+}
+
+
+@pytest.mark.parametrize("kind", OPENED)
+def test_bytes_open_files_and_addresses_are_read(tmp_path, kind):
+    path = tmp_path / "an arm.urdf"
+    path.write_text(arm())
+    source = OPENED[kind](path)
+    assert torch.equal(torques(Robot.from_urdf(source)), torques(Robot.from_urdf(arm())))
+    if hasattr(source, "close"):
+        source.close()
+
+
+def test_the_home_folder_is_written_as_in_a_shell(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "arm.urdf").write_text(arm())
+    assert Robot.from_urdf("~/arm.urdf").n == 2
+
+
+@pytest.mark.parametrize(
+    "variable, value, folder",
+    [
+        ("ROS_PACKAGE_PATH", "{0}/none:{0}/src", "src/arm_description"),
+        ("ROS_PACKAGE_PATH", "{0}/src/arm_description", "src/arm_description"),
+        ("AMENT_PREFIX_PATH", "{0}/none:{0}/install", "install/share/arm_description"),
+    ],
+)
+def test_a_package_of_ros_is_found(tmp_path, monkeypatch, variable, value, folder):
+    for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
+        monkeypatch.delenv(name, raising=False)
+    address = "package://arm_description/urdf/arm.urdf"
+    message = refusal(address, MissingFileError)
+    assert repr(address) in message and "ROS_PACKAGE_PATH are not set" in message and "setup script" in message
+    monkeypatch.setenv(variable, value.format(tmp_path))
+    assert f"{tmp_path}/{folder}" in refusal(address, MissingFileError)
+    path = tmp_path / folder / "urdf" / "arm.urdf"
+    path.parent.mkdir(parents=True)
+    path.write_text(arm())
+    assert Robot.from_urdf(address).n == 2
+
+
+@pytest.mark.parametrize(
+    "source, expected",
+    [
+        ("https://host/arm.urdf", "only file:/// and package:// addresses are read, found 'https://host/arm.urdf'"),
+        ("file://other/arm.urdf", "only file:/// and package://"),
+        ("", "its path is empty, found ''"),
+        (" \n", "its path is empty"),
+        (b"", "the robot description is empty"),
+        (io.StringIO(""), "the open file is empty"),
+        ("$HOME/arm.urdf", "there is no file '$HOME/arm.urdf'; variables such as $HOME are not replaced"),
+        ("panda", "a robot that comes with this package is torchdq.robots.load('panda')"),
+    ],
+)
+def test_a_source_that_cannot_be_read_says_what_to_do(source, expected):
+    assert expected in refusal(source)
+
+
+@pytest.mark.parametrize("source", [None, 5, True, ["arm.urdf"], {"path": "arm.urdf"}], ids=repr)
+def test_what_is_no_source_is_refused_by_kind(source):
+    message = refusal(source, ArgumentError)
+    assert message.startswith("the robot description must be a path") and repr(source) in message
+
+
+def closed():
+    file = io.StringIO(arm())
+    file.close()
+    return file
+
+
+@pytest.mark.parametrize("source", [closed(), io.StringIO, "a/../" * 2000], ids=["closed", "class", "long"])
+def test_a_source_that_fails_is_one_of_the_packages_errors(source):
+    assert "cannot be read" in refusal(source)
 
 
 @pytest.mark.parametrize("before", ["", "\n  ", "<!-- arm -->", '<?xml version="1.0" encoding="utf-8"?>', "\ufeff"])

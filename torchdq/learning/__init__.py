@@ -10,7 +10,7 @@ Nothing here is imported by `import torchdq`; scipy, rich and tensorboard are im
 from torchdq.learning.checkpoint import CheckpointError
 from torchdq.learning.data import Samples
 from torchdq.learning.identification import Identified, identify
-from torchdq.learning.logs import Layout, Log, LogError, read
+from torchdq.learning.logs import Layout, Log, LogError, MissingLogError, read
 from torchdq.learning.motions import Motion, cut, hold_out, samples, smooth
 from torchdq.learning.training import History, TrainingError, fit
 
@@ -21,6 +21,7 @@ __all__ = [
     "Layout",
     "Log",
     "LogError",
+    "MissingLogError",
     "Motion",
     "Samples",
     "TrainingError",

@@ -14,13 +14,16 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from os import PathLike
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import IO, Any, NamedTuple, NoReturn
 
 import numpy as np
 
+from torchdq import sources
 from torchdq.errors import ArgumentError, TorchdqError
 
+MOST_BYTES = 1_000_000_000  # of a file
 GAP = 0.1  # [s] longest time between two rows; beyond it the motion in between is unknown
 FOLLOWED = 0.01  # [rad or rad/s] least standard deviation of a signal that is compared with its rate
 ELSEWHERE = "read the rows before it or after it, by rows=(first, last)"
@@ -28,6 +31,10 @@ ELSEWHERE = "read the rows before it or after it, by rows=(first, last)"
 
 class LogError(TorchdqError, ValueError):
     """Unusable log; the message names the file, and the row and column where there is one."""
+
+
+class MissingLogError(LogError, FileNotFoundError):
+    """Log in a file that does not exist."""
 
 
 @dataclass(frozen=True)
@@ -66,17 +73,20 @@ class Log(NamedTuple):
     qdd: np.ndarray | None = None  # [rows, n] [rad/s^2], if the file holds them
 
 
-def read(path: str | Path, layout: Layout = STANDARD, rows: tuple[int, int] | None = None) -> Log:
+def read(
+    path: str | PathLike[str] | bytes | IO[Any], layout: Layout = STANDARD, rows: tuple[int, int] | None = None
+) -> Log:
     """Log in a file.
 
     Args:
-        path: the file: numbers separated by commas, packed with gzip or not, or an NPZ archive.
+        path: path of the file, a file:// or package:// address, an open file, or its bytes: numbers separated by
+            commas, packed with gzip or not, or an NPZ archive.
         layout: names and units of the columns; by default time, q1 ..., qd1 ..., tau1 ... in SI units.
         rows: first row and the one after the last to use, counted from 0; None: all.
     Raises:
-        LogError: a column is missing, a number is missing or not finite, time runs backwards, there is a gap, or a
-            column is in degrees.
-        OSError: the file cannot be opened.
+        LogError: the file cannot be opened, a column is missing, a number is missing or not finite, time runs
+            backwards, there is a gap, or a column is in degrees.
+        MissingLogError: there is no such file; it is a FileNotFoundError too.
 
     >>> import tempfile
     >>> path = Path(tempfile.mkdtemp()) / "log.csv"
@@ -85,10 +95,10 @@ def read(path: str | Path, layout: Layout = STANDARD, rows: tuple[int, int] | No
     array([[2. ],
            [2.1]])
     """
-    path = Path(path)
     if rows is not None and not 0 <= rows[0] < rows[1]:
         raise ArgumentError(f"rows must be a first row and a greater one after the last, found {rows}")
-    content = path.read_bytes()
+    name, content = sources.content("log", path, MOST_BYTES, LogError, MissingLogError)
+    path = Path(name)
     table = (_archive if content.startswith(b"PK") else _text)(path, content, layout, rows)
     for row, column in np.argwhere(~np.isfinite(table.values))[:1]:
         _refuse(table, row, column, f"{table.cell(row, column)} is not a finite number; {ELSEWHERE}")

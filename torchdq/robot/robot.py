@@ -7,8 +7,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
-from typing import Any, Literal, get_args
+from os import PathLike
+from typing import IO, Any, Literal, get_args
 
 import torch
 from torch import Tensor
@@ -106,7 +106,7 @@ class Robot:
     @classmethod
     def from_urdf(
         cls,
-        source: str | Path,
+        source: str | PathLike[str] | bytes | IO[Any],
         base: Literal["fixed"] = "fixed",
         lock: Mapping[str, float] | None = None,
         tip: str | None = None,
@@ -120,7 +120,7 @@ class Robot:
         read but are not part of the rigid-body dynamics; `report()` lists them.
 
         Args:
-            source: path of the file, or its XML text.
+            source: path of the file, a file:// or package:// address, an open file, or the XML text itself.
             base: "fixed", the only kind of base so far.
             lock: positions [rad or m] of joints to freeze, by name; they become fixed joints.
             tip: name of the frame of the end effector; None: the leaf of the tree, if there is only one.

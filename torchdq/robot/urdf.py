@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -102,7 +101,7 @@ def _pose(placement) -> Tensor:
     return dq.from_matrix(torch.from_numpy(np.array(placement.homogeneous, dtype=np.float64)))
 
 
-def read(source: str | Path, lock: dict[str, float]) -> tuple[RobotDescription, list[str]]:
+def read(source: Any, lock: dict[str, float]) -> tuple[RobotDescription, list[str]]:
     """Description and its faults; `Robot.from_urdf` says what is expected."""
     import pinocchio as pin
 

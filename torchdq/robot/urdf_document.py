@@ -9,13 +9,13 @@ import math
 import re
 import reprlib
 import xml.etree.ElementTree as ET
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torch import Tensor
 
 from torchdq.errors import DescriptionError, MissingFileError
 from torchdq.robot.arrays import double
+from torchdq.sources import content
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 MOST_BYTES = 10_000_000
@@ -56,25 +56,20 @@ class Document(NamedTuple):
     joints: dict[str, UrdfJoint]
 
 
-def text_of(source: str | Path) -> str:
-    """XML text of a path, or the text itself."""
+def text_of(source: Any) -> str:
+    """XML text of a source, or the text itself."""
     if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
         if len(source) > MOST_BYTES:
             raise DescriptionError(f"the text has {len(source)} characters; a robot has at most {MOST_BYTES}")
         return source
-    try:
-        with Path(source).open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-    except FileNotFoundError as error:
-        raise MissingFileError(f"there is no file {str(source)!r}; XML text would begin with '<'") from error
-    except (OSError, ValueError) as error:  # a folder, no permission, a name no file can have
-        raise DescriptionError(f"the robot description cannot be read: {error}") from error
-    if len(data) > MOST_BYTES:
-        raise DescriptionError(f"{source} holds more than {MOST_BYTES} bytes, the most a robot description may have")
+    hint = "XML text would begin with '<'"
+    if isinstance(source, str) and source.isidentifier():
+        hint += f"; a robot that comes with this package is torchdq.robots.load({source!r})"
+    name, data = content("robot description", source, MOST_BYTES, DescriptionError, MissingFileError, hint)
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise DescriptionError(f"{source} is not UTF-8 text: {error}") from error
+        raise DescriptionError(f"{name} is not UTF-8 text: {error}") from error
 
 
 def parse(text: str) -> Document:
