@@ -881,10 +881,92 @@ def test_a_base_alone_is_a_robot_without_joints():
     assert Robot.from_urdf(urdf(link("base"))).n == 0
 
 
-@pytest.mark.parametrize("root", ["sdf", "mujoco", "Robot", "xacro:robot xmlns:xacro='http://ros.org'"])
+def test_a_base_alone_weighs_nothing_that_moves():
+    assert "0 joints, chain, 0 kg" in repr(Robot.from_urdf(urdf(link("base"))))
+
+
+ROOTS = {
+    "sdf": "this is SDF",
+    "mujoco": "this is MJCF",
+    "srdf": "this is SRDF",
+    "launch": "this is a launch file",
+    "COLLADA": "this is a mesh",
+    "html": "this is a web page",
+    "Robot": "tags are written in lower case",
+    "arm": "a URDF file was expected",
+}
+
+
+@pytest.mark.parametrize("root", ROOTS)
 def test_the_root_must_be_a_robot(root):
-    text = f"<{root}>{link('base')}</{root.split()[0]}>"
-    assert "root element must be <robot>" in refusal(text)
+    message = refusal(f"<{root}>{link('base')}</{root}>")
+    assert f"root element must be <robot>, found <{root}>; {ROOTS[root]}" in message
+
+
+XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+UNEXPANDED = {
+    "a macro that is called": '<xacro:arm prefix="a"/><link name="base"/>',
+    "a file that is included": '<xacro:include filename="arm.xacro"/>',
+    "a macro inside of a link": '<link name="base"><xacro:inertia mass="1"/></link>',
+    "a condition": '<link name="base" xacro:if="true"/>',
+    "an expression in a name": '<link name="${prefix}_base"/>',
+    "an expression in a number": arm(mass="${2 * m}").removeprefix('<robot name="arm">').removesuffix("</robot>"),
+    "a command in a name": '<link name="$(arg prefix)base"/>',
+}
+
+
+@pytest.mark.parametrize("case", UNEXPANDED)
+@pytest.mark.parametrize("head", [f'<robot name="a" {XACRO}>', '<robot name="a">'], ids=["declared", "undeclared"])
+def test_unexpanded_xacro_is_refused_with_the_command_that_expands_it(case, head):
+    message = refusal(head + UNEXPANDED[case] + "</robot>")
+    assert "this is xacro, which must be expanded first: run `xacro" in message and len(message.splitlines()) == 1
+
+
+def test_a_root_of_xacro_is_refused_as_xacro():
+    assert "this is xacro" in refusal(f'<xacro:robot {XACRO}><link name="base"/></xacro:robot>')
+
+
+@pytest.mark.parametrize(
+    "more",
+    ["<!-- <xacro:arm/> ${x} -->", '<gazebo reference="${x}"/>', "<transmission><xacro:arm/></transmission>", XACRO],
+)
+def test_xacro_in_what_is_not_read_does_not_matter(more):
+    text = arm().replace("<robot", f"<robot {more}") if more == XACRO else arm().replace("</robot>", more + "</robot>")
+    assert torch.equal(torques(Robot.from_urdf(text)), torques(Robot.from_urdf(arm())))
+
+
+@pytest.mark.parametrize(
+    "more, expected",
+    [
+        (
+            '<group name="hand"/><disable_collisions link1="a" link2="b"/>',
+            "['disable_collisions', 'group']; this is SRDF",
+        ),
+        ("<robot><link name='c'/></robot>", "<robot> holds no <joint> but ['robot']; a robot is described by"),
+        ('<Joint name="j" type="fixed"/>', "['Joint']; a robot is described by <link> and <joint>"),
+    ],
+)
+def test_a_file_of_other_things_is_no_robot_without_joints(more, expected):
+    assert expected in refusal(urdf(link("base", None), more))
+
+
+@pytest.mark.parametrize("more", ['<material name="m"/>', "<gazebo/>", '<drake:x value="1"/>', "<ros2_control/>"])
+def test_a_body_alone_may_have_what_robots_have(more):
+    assert Robot.from_urdf(urdf(link("base"), more)).n == 0
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        arm().replace("</robot>", '<drake:x value="1"><drake:y/></drake:x></robot>'),
+        arm().replace("<robot", '<robot xsi:schema="x"'),
+        arm(more='<gz:y gz:x="1"/>'),
+        arm().replace("<robot", '<robot xmlns="http://www.ros.org"'),
+    ],
+    ids=["elements", "attributes", "in a link", "a namespace without a prefix"],
+)
+def test_prefixes_need_no_declaration(text):
+    assert torch.equal(torques(Robot.from_urdf(text)), torques(Robot.from_urdf(arm())))
 
 
 # --- malformed: text -------------------------------------------------------------------------------------------------
@@ -926,12 +1008,20 @@ def test_deep_nesting_is_refused(around):
 
 
 @pytest.mark.case("U8")
+def test_more_attributes_than_any_robot_has_are_refused():
+    attributes = " ".join(f'a{i}="1"' for i in range(300_000))
+    assert "attributes; a robot description has at most 200000" in refusal(
+        arm().replace("<robot", f"<robot {attributes}")
+    )
+
+
+@pytest.mark.case("U8")
 def test_nesting_that_is_not_refused_is_survived():
     assert Robot.from_urdf(arm(more="<a>" * 90_000 + "</a>" * 90_000)).n == 2
 
 
 def test_robots_within_robots_are_none():
-    assert "no links" in refusal("<robot>" * 90_000 + "</robot>" * 90_000)
+    assert "<robot> holds no <joint> but ['robot']" in refusal("<robot>" * 90_000 + "</robot>" * 90_000)
 
 
 @pytest.mark.case("U8")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -341,7 +340,7 @@ class Robot:
 
     def __repr__(self) -> str:
         hangs = "chain" if self.parents == tuple(range(BASE, self.n - 1)) else "tree"
-        mass = float(self.mass.sum(-1).mean()) if self.n else math.nan
+        mass = float(self.mass.sum(-1).mean())
         return f"Robot({self.name!r}, {self.n} joints, {hangs}, {mass:.4g} kg, tip={self.tip!r})"
 
 
