@@ -758,6 +758,21 @@ def test_a_limit_may_be_as_large_as_a_number_can_be():
     assert robot.limits.upper[0] == 1.7976931348623157e308
 
 
+@pytest.mark.parametrize(
+    "before, after, named",
+    [
+        ('effort="4"', 'effort="-4"', "limit effort"),
+        ('velocity="3"', 'velocity="-1e-9"', "limit velocity"),
+        (LIMIT, LIMIT + '<dynamics damping="-3"/>', "dynamics damping"),
+        (LIMIT, LIMIT + '<dynamics friction="-3"/>', "dynamics friction"),
+    ],
+)
+def test_what_only_resists_is_not_negative(before, after, named):
+    number = re.search(r'"(-[^"]*)"', after.replace('lower="-1"', "")).group(1)
+    expected = f"joint 'shoulder': {named} must not be negative, found '{number}'"
+    assert expected in refusal(arm().replace(before, after, 1))
+
+
 @pytest.mark.case("U6")
 @pytest.mark.parametrize("axis", ["0 0 0", "1e-10 0 0", "-0 0 0", "1e-320 0 0"])
 def test_an_axis_must_have_a_direction(axis):
@@ -1088,6 +1103,16 @@ def test_huge_text_is_refused():
 
 def test_a_long_number_takes_no_time_to_refuse():
     refusal(arm(mass="1" * 50_000 + "x"))
+
+
+@pytest.mark.case("U8")
+@pytest.mark.parametrize("field", ["mass", "xyz"])
+@pytest.mark.parametrize("blank", [" ", " " * 99, "\n"])
+def test_millions_of_numbers_in_place_of_one_take_no_time_to_refuse(field, blank):
+    text = arm(**{field: ("1" + blank) * (9_000_000 // (1 + len(blank)))})
+    begin = time.perf_counter()
+    assert f"{'value' if field == 'mass' else field} must be" in refusal(text)
+    assert time.perf_counter() - begin < 0.5
 
 
 @pytest.mark.case("U8")

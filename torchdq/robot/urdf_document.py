@@ -112,15 +112,18 @@ def _numbers(
     default: str,
     count: int,
     faults: list[str],
+    signed: bool = True,
     most: float = MOST,
 ) -> tuple[float, ...]:
     """Numbers of an attribute, `count` finite ones; a plain float() would let 'nan', '1_0' and other digits through."""
     text = default if element is None else element.get(attribute, default)
-    words = text.split()
+    words = text.split(None, count + 1)[: count + 1]  # a file of nothing but numbers is not taken apart
     values = tuple(float(word) for word in words if _NUMBER.fullmatch(word))
     expected = "a finite number" if count == 1 else f"{count} finite numbers"
     if len(words) != count or len(values) != count or not all(map(math.isfinite, values)):
         faults.append(f"{what} {attribute} must be {expected}, found {reprlib.repr(text)}")
+    elif not signed and min(values) < 0:
+        faults.append(f"{what} {attribute} must not be negative, found {reprlib.repr(text)}")
     elif any(abs(value) > most for value in values):
         faults.append(f"{what} {attribute} must not exceed {most:g} in size, found {reprlib.repr(text)}")
     else:
@@ -173,10 +176,10 @@ def _joint(name: str, joint: ET.Element, faults: list[str]) -> UrdfJoint:
     limits = {"lower": -math.inf, "upper": math.inf, "velocity": math.inf, "effort": math.inf}
     if limit is not None:
         for key in ("velocity", "effort") if kind == "continuous" else tuple(limits):
+            place = key in ("lower", "upper")
             # the format's own default for a limit that is not stated is 0 for the positions
-            default = "0" if key in ("lower", "upper") else None
-            if default is not None or limit.get(key) is not None:
-                limits[key] = _numbers(f"{what} limit", limit, key, default or "", 1, faults, most=math.inf)[0]
+            if place or limit.get(key) is not None:
+                limits[key] = _numbers(f"{what} limit", limit, key, "0", 1, faults, signed=place, most=math.inf)[0]
         if limits["lower"] > limits["upper"]:
             faults.append(f"{what} lower limit {limits['lower']:g} is above upper limit {limits['upper']:g}")
     elif kind in ("revolute", "prismatic"):
@@ -189,8 +192,8 @@ def _joint(name: str, joint: ET.Element, faults: list[str]) -> UrdfJoint:
         (x / length, y / length, z / length) if length >= 1e-9 else (1.0, 0.0, 0.0),
         abs(length - 1.0) > 1e-6,
         limits,
-        _numbers(f"{what} dynamics", dynamics, "damping", "0", 1, faults)[0],
-        _numbers(f"{what} dynamics", dynamics, "friction", "0", 1, faults)[0],
+        _numbers(f"{what} dynamics", dynamics, "damping", "0", 1, faults, signed=False)[0],
+        _numbers(f"{what} dynamics", dynamics, "friction", "0", 1, faults, signed=False)[0],
         None if mimic is None else mimic.get("joint", ""),
     )
 
