@@ -511,7 +511,13 @@ def test_limits_are_read():
 
 
 def test_limits_are_reported():
-    assert "limits given but not enforced: shoulder, elbow" in Robot.from_urdf(arm()).notes
+    some = arm().replace("revolute", "continuous", 1).replace(LIMIT, "", 1)
+    assert "limits given but not enforced: elbow" in Robot.from_urdf(some).notes
+
+
+def test_joints_are_not_listed_where_all_are_meant():
+    # the report's table shows the limits of each joint already
+    assert Robot.from_urdf(arm()).notes == ("limits given but not enforced: all joints",)
 
 
 @pytest.mark.case("U7")
@@ -786,10 +792,27 @@ def test_limits_must_not_be_reversed():
     assert "joint 'shoulder': lower limit -1 is above upper limit -2" in message
 
 
-@pytest.mark.parametrize("part", ['<mass value="1.0"/>', "<inertia "])
-def test_an_inertial_has_mass_and_inertia(part):
-    broken = re.sub(r"<inertia .*?/>", "", arm(), count=1) if part == "<inertia " else arm().replace(part, "", 1)
-    assert "link 'upper': <inertial> must hold <mass> and <inertia>" in refusal(broken)
+def test_an_inertial_has_mass():
+    message = refusal(arm().replace('<mass value="1.0"/>', "", 1))
+    assert "link 'upper': <inertial> must hold <mass>, found only ['origin', 'inertia']" in message
+
+
+WITHOUT_INERTIA = re.sub(r"<inertia .*?/>", "", arm(), count=1)
+
+
+def test_a_mass_without_inertia_is_a_point():
+    robot = Robot.from_urdf(WITHOUT_INERTIA)
+    assert robot.inertia[0].tolist() == [0.0] * 6 and robot.mass[0] == 1.0
+    assert torch.equal(torques(robot), torques(Robot.from_urdf(arm(inertia=(0,) * 6))))
+    note = "links with mass but without <inertia>, taken as points at their centres of mass: upper"
+    assert note in robot.notes and note not in Robot.from_urdf(arm(inertia=(0,) * 6)).notes
+
+
+def test_a_point_on_the_axis_of_its_joint_must_have_inertia():
+    text = re.sub(r'<origin xyz="0.02[^>]*>', "", WITHOUT_INERTIA).replace("upper", "hub")
+    text = text.replace('<joint name="elbow" type="revolute">', '<joint name="elbow" type="fixed">')
+    text = re.sub(r'(<link name="lower">).*?</link>', r"\1</link>", text)
+    assert "joint 'shoulder': it moves no inertia" in refusal(text, UnphysicalError)
 
 
 # --- malformed: links and joints -------------------------------------------------------------------------------------

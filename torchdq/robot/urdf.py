@@ -157,9 +157,11 @@ def _notes(
     """Requests of the file that the dynamics do not use, or use otherwise."""
 
     def listed(wanted: Callable[[UrdfJoint], object]) -> str:
-        return ", ".join(name for name in names if wanted(document.joints[name]))
+        found = [name for name in names if wanted(document.joints[name])]
+        return "all joints" if 1 < len(found) == len(names) else ", ".join(found)
 
     massless = ", ".join(name for name, inertial in moving.items() if inertial is None or inertial.mass == 0)
+    points = ", ".join(name for name, inertial in moving.items() if inertial and inertial.mass and not inertial.stated)
     fixed = sum(joint.kind == "fixed" for joint in document.joints.values())
     given = (
         ("viscous damping given but not simulated", lambda j: j.damping),
@@ -172,6 +174,7 @@ def _notes(
         (f"{fixed} fixed joints lumped; their links are frames", fixed),
         (f"locked: {', '.join(f'{k} at {v:g}' for k, v in lock.items())}", lock),
         (f"links without mass: {massless}", massless),
+        (f"links with mass but without <inertia>, taken as points at their centres of mass: {points}", points),
         *((f"{what}: {listed(wanted)}", listed(wanted)) for what, wanted in given),
         (f"no tip chosen among the leaves {', '.join(leaves)}; name one with tip=", len(leaves) > 1),
     ]

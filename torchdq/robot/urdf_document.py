@@ -31,6 +31,7 @@ class Inertial(NamedTuple):
     mass: float
     inertia: Tensor  # [3, 3] about the centre of mass
     origin: dict[str, tuple[float, ...]]
+    stated: bool  # whether the file gives an inertia; without one the body is a point
 
 
 class UrdfJoint(NamedTuple):
@@ -145,15 +146,17 @@ def _inertial(name: str, link: ET.Element, faults: list[str]) -> Inertial | None
     what = f"link {name!r}:"
     origin = _origin(f"{what} inertial", element, faults)
     mass, inertia = element.find("mass"), element.find("inertia")
-    if mass is None or inertia is None:
-        faults.append(f"{what} <inertial> must hold <mass> and <inertia>")
+    if mass is None:
+        faults.append(f"{what} <inertial> must hold <mass>, found only {[child.tag for child in element]}")
         return None
+    # an attribute that is not given is a fault, an element that is not given is a point
+    absent = "0" if inertia is None else ""
     xx, xy, xz, yy, yz, zz = (
-        _numbers(f"{what} inertia", inertia, key, "", 1, faults)[0]
+        _numbers(f"{what} inertia", inertia, key, absent, 1, faults)[0]
         for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     )
     matrix = double([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return Inertial(_numbers(f"{what} mass", mass, "value", "", 1, faults)[0], matrix, origin)
+    return Inertial(_numbers(f"{what} mass", mass, "value", "", 1, faults)[0], matrix, origin, inertia is not None)
 
 
 def _joint(name: str, joint: ET.Element, faults: list[str]) -> UrdfJoint:
