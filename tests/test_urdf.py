@@ -448,10 +448,134 @@ def test_a_fixed_joint_cannot_be_locked():
         Robot.from_urdf(text, lock={"elbow": 0.0})
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -1e300])
-def test_a_joint_is_locked_somewhere(value):
-    with pytest.raises(ArgumentError, match=r"lock\['elbow'\] must be finite"):
+@pytest.mark.parametrize("value", [math.nan, math.inf, 10**400, None, "0.4", True, [0.4]])
+def test_a_joint_is_locked_at_a_number(value):
+    with pytest.raises(ArgumentError, match=r"lock\['elbow'\] must be a finite number, found "):
         Robot.from_urdf(arm(), lock={"elbow": value})
+
+
+def test_a_joint_is_locked_where_its_pose_is_a_number():
+    with pytest.raises(ArgumentError, match=r"lock\['elbow'\] must not exceed 1e\+50 in size, found -1e\+300"):
+        Robot.from_urdf(arm(), lock={"elbow": -1e300})
+
+
+@pytest.mark.parametrize("lock", [True, 5, 0.4, [5], [None], {5: 0.4}, b"elbow"], ids=repr)
+def test_what_is_locked_is_named(lock):
+    with pytest.raises(ArgumentError, match=r"lock must .*found .*known: shoulder, elbow"):
+        Robot.from_urdf(arm(), lock=lock)
+
+
+@pytest.mark.parametrize("lock", ["elbow", ["elbow"], ("elb*",), {"elbow"}, {"e*": 0}, {"*": 5.0, "elbow": 0.0}])
+def test_joints_are_locked_by_names_and_patterns(lock):
+    robot = Robot.from_urdf(tree(), lock={"left_?": 0.0})
+    assert robot.joint_names == ("waist", "right_a")
+    locked = Robot.from_urdf(arm(), lock=lock)
+    if len(lock) == 2:  # a name goes before a pattern
+        assert "locked: shoulder at 5, elbow at 0" in locked.notes
+    else:
+        assert torch.equal(torques(locked), torques(Robot.from_urdf(arm(), lock={"elbow": 0.0})))
+
+
+def test_locked_at_zero_means_where_the_file_was_drawn():
+    assert "locked: elbow at 0" in Robot.from_urdf(arm(), lock=["elbow"]).notes
+
+
+@pytest.mark.parametrize("joints", ["left_*", ["left_a", "left_b"], ("*_b", "left_a")])
+def test_joints_that_are_not_kept_are_locked_at_zero(joints):
+    robot = Robot.from_urdf(tree(), joints=joints)
+    assert robot.joint_names == ("left_a", "left_b")
+    others = Robot.from_urdf(tree(), lock={"waist": 0.0, "right_a": 0.0})
+    assert torch.equal(torques(robot), torques(others)) and robot.frame_names == others.frame_names
+
+
+def test_joints_that_are_not_kept_may_be_locked_elsewhere():
+    robot = Robot.from_urdf(tree(), joints="left_*", lock={"waist": 0.4})
+    assert torch.equal(torques(robot), torques(Robot.from_urdf(tree(), lock={"waist": 0.4, "right_a": 0.0})))
+    assert "locked: waist at 0.4, right_a at 0" in robot.notes
+
+
+def test_joints_to_keep_are_named():
+    with pytest.raises(UnknownNameError, match=r"no movable joint named 'left'; did you mean 'left_"):
+        Robot.from_urdf(tree(), joints=["left"])
+    with pytest.raises(UnknownNameError, match=r"no movable joint named 'arm\*'"):
+        Robot.from_urdf(tree(), joints="arm*")
+    with pytest.raises(ArgumentError, match="joints and lock must not name the same joint, found waist in both"):
+        Robot.from_urdf(tree(), joints=["waist"], lock=["waist"])
+    for joints in (5, {"waist": 0.0}, [5]):
+        with pytest.raises(ArgumentError, match=r"joints must be a name, a pattern .*known: waist, left_a"):
+            Robot.from_urdf(tree(), joints=joints)
+
+
+def hand(*mimics):
+    """Four fingers that slide on the base, each with a <mimic>, or without."""
+    names = ("thumb", "index", "ring", "little")
+    joints = (
+        joint(name, "base", f"{name}_link", "prismatic", more=LIMIT + mimic)
+        for name, mimic in zip(names, (*mimics, "", "", "", ""), strict=False)
+    )
+    return urdf(link("base", None), *(link(f"{name}_link") for name in names), *joints)
+
+
+FOLLOWING = hand(
+    "",
+    '<mimic joint="thumb" multiplier="-2" offset="0.25"/>',
+    '<mimic joint="index" multiplier="0.5"/>',
+    '<mimic joint="thumb"/>',
+)
+
+
+def lock_of(robot):
+    return next(note for note in robot.notes if note.startswith("locked: "))
+
+
+def test_the_followers_of_a_locked_joint_are_locked_where_the_file_puts_them():
+    robot = Robot.from_urdf(FOLLOWING, lock={"thumb": 0.5})
+    assert robot.n == 0 and lock_of(robot) == "locked: thumb at 0.5, index at -0.75, ring at -0.375, little at 0.5"
+    assert same(position(robot, [], "index_link"), [0, 0, -0.75])
+    assert not any("independent" in note for note in robot.notes)
+
+
+def test_a_follower_that_is_named_itself_does_not_follow():
+    robot = Robot.from_urdf(FOLLOWING, lock={"thumb": 0.5, "index": 0.0})
+    assert lock_of(robot) == "locked: thumb at 0.5, index at 0, ring at 0, little at 0.5"
+    robot = Robot.from_urdf(FOLLOWING, joints="index", lock={"thumb": 0.5})
+    assert robot.joint_names == ("index",) and lock_of(robot) == "locked: thumb at 0.5, ring at 0, little at 0.5"
+
+
+def test_a_follower_that_is_locked_alone_is_told():
+    robot = Robot.from_urdf(FOLLOWING, joints="thumb")
+    assert lock_of(robot) == "locked: index at 0, ring at 0, little at 0"
+    assert "locked although the joints that they mimic move: index, little" in robot.notes
+
+
+def test_followers_of_unnamed_joints_are_locked_at_their_offset():
+    robot = Robot.from_urdf(FOLLOWING, joints=())
+    assert lock_of(robot) == "locked: thumb at 0, index at 0.25, ring at 0.125, little at 0"
+
+
+@pytest.mark.parametrize("circle", [["index", "thumb"], ["thumb"], ["index", "ring", "thumb"]], ids=repr)
+def test_joints_that_mimic_each_other_are_locked_once(circle):
+    text = hand(*(f'<mimic joint="{name}" offset="1"/>' for name in circle))
+    assert len(Robot.from_urdf(text, lock=["thumb"]).joint_names) == 4 - len(circle)
+    assert Robot.from_urdf(text, joints=()).n == 0
+
+
+@pytest.mark.parametrize("number", ["multiplier", "offset"])
+def test_the_numbers_of_a_follower_are_checked(number):
+    message = refusal(hand("", f'<mimic joint="thumb" {number}="nan"/>'))
+    assert f"joint 'index': mimic {number} must be a finite number, found 'nan'" in message
+
+
+def test_a_follower_must_not_be_carried_beyond_all_numbers():
+    text = hand("", '<mimic joint="thumb" multiplier="1e40"/>')
+    with pytest.raises(ArgumentError, match=r"lock\['index'\] must not exceed 1e\+50 in size, found 1e\+60"):
+        Robot.from_urdf(text, lock={"thumb": 1e20})
+
+
+@pytest.mark.parametrize("value, told", [(2.0, False), (2.0000001, False), (2.1, True), (-400.0, True)])
+def test_a_lock_beyond_the_limits_is_told(value, told):
+    notes = Robot.from_urdf(arm(), lock={"elbow": value}).notes
+    assert (f"locked beyond their limits: elbow at {value:g}, limits [-1, 2]" in notes) == told
 
 
 # --- tip, gravity, what is read but not simulated --------------------------------------------------------------------

@@ -107,10 +107,11 @@ class Robot:
         cls,
         source: str | PathLike[str] | bytes | IO[Any],
         base: Literal["fixed"] = "fixed",
-        lock: Mapping[str, float] | None = None,
+        lock: Mapping[str, float] | Sequence[str] | str | None = None,
         tip: str | None = None,
         gravity: Sequence[float] | None = GRAVITY,
         on_unphysical: OnUnphysical = "error",
+        joints: Sequence[str] | str | None = None,
     ) -> Robot:
         """Robot from a URDF file.
 
@@ -121,20 +122,23 @@ class Robot:
         Args:
             source: path of the file, a file:// or package:// address, an open file, or the XML text itself.
             base: "fixed", the only kind of base so far.
-            lock: positions [rad or m] of joints to freeze, by name; they become fixed joints.
+            lock: positions [rad or m] of joints that become fixed joints, by name or pattern ("finger*"); names or
+                patterns alone lock at zero. The joints that mimic a locked one are locked where the file puts them.
             tip: name of the frame of the end effector; None: the leaf of the tree, if there is only one.
             gravity: acceleration in the base frame [m/s^2]; None: none.
             on_unphysical: treatment of a body that cannot exist: "error" raises, "warn" warns, "ignore" only notes it
                 in the report.
+            joints: names or patterns of the joints to keep; all others are locked, at zero if not named in `lock`.
+                None: all.
 
         Raises:
             DescriptionError: the text is not a usable URDF; every fault found is named.
             UnphysicalError: a link cannot exist, or a joint moves no inertia.
-            UnknownNameError: a name in `lock` or `tip` is not in the file.
+            UnknownNameError: a name in `lock`, `joints` or `tip` is not in the file.
         """
         if base != "fixed":
             raise ArgumentError(f"base must be 'fixed', found {base!r}")
-        return cls._finish(*urdf.read(source, dict(lock or {})), tip, gravity, on_unphysical)
+        return cls._finish(*urdf.read(source, joints, lock), tip, gravity, on_unphysical)
 
     @classmethod
     def from_screws(

@@ -17,11 +17,12 @@ from torch import Tensor
 
 from torchdq import dq
 from torchdq.dynamics.tree import BASE
-from torchdq.errors import ArgumentError, DescriptionError, UnknownNameError
+from torchdq.errors import DescriptionError
 from torchdq.robot import consistency
 from torchdq.robot.arrays import SIX, double
 from torchdq.robot.description import Frame, Limits, RobotDescription
-from torchdq.robot.urdf_document import MOST, MOVING, Document, Inertial, UrdfJoint, children_of, parse, text_of
+from torchdq.robot.urdf_document import MOVING, Document, Inertial, UrdfJoint, children_of, parse, text_of
+from torchdq.robot.urdf_lock import locked, notes_of
 
 
 def _codes(kind: str, names: Iterable[str]) -> dict[str, str]:
@@ -56,12 +57,6 @@ def _reduced(document: Document, lock: dict[str, float]):
     """Pinocchio's model of the document with some joints frozen."""
     import pinocchio as pin
 
-    movable = [name for name, joint in document.joints.items() if joint.kind in MOVING]
-    for name, value in lock.items():
-        if name not in movable:
-            raise UnknownNameError("movable joint to lock", name, movable)
-        if not abs(value) <= MOST:
-            raise ArgumentError(f"lock[{name!r}] must be finite, found {value}")
     try:
         model = pin.buildModelFromXML(_skeleton(document))
     except Exception as error:  # pinocchio raises its C++ errors as various types
@@ -101,12 +96,13 @@ def _pose(placement) -> Tensor:
     return dq.from_matrix(torch.from_numpy(np.array(placement.homogeneous, dtype=np.float64)))
 
 
-def read(source: Any, lock: dict[str, float]) -> tuple[RobotDescription, list[str]]:
+def read(source: Any, kept: Any, lock: Any) -> tuple[RobotDescription, list[str]]:
     """Description and its faults; `Robot.from_urdf` says what is expected."""
     import pinocchio as pin
 
     document = parse(text_of(source))
-    model = _reduced(document, lock)
+    at = locked(document, kept, lock)
+    model = _reduced(document, at)
     known = {code: name for name, code in _codes("joint", document.joints).items()}
     names = tuple(known[code] for code in list(model.names)[1:])
     joints = [document.joints[name] for name in names]
@@ -142,7 +138,7 @@ def read(source: Any, lock: dict[str, float]) -> tuple[RobotDescription, list[st
         friction=double([joint.friction for joint in joints]),
         frames=tuple(Frame(name, link, _pose(placement)) for name, (link, placement) in placed.items()),
         tip=leaves[0] if len(leaves) == 1 else None,
-        notes=_notes(document, names, moving, leaves, lock),
+        notes=_notes(document, names, moving, leaves, at),
     )
     return description, faults
 
@@ -172,7 +168,7 @@ def _notes(
     )
     notes = [
         (f"{fixed} fixed joints lumped; their links are frames", fixed),
-        (f"locked: {', '.join(f'{k} at {v:g}' for k, v in lock.items())}", lock),
+        *((note, True) for note in notes_of(document, lock)),
         (f"links without mass: {massless}", massless),
         (f"links with mass but without <inertia>, taken as points at their centres of mass: {points}", points),
         *((f"{what}: {listed(wanted)}", listed(wanted)) for what, wanted in given),

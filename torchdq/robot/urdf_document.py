@@ -34,6 +34,14 @@ class Inertial(NamedTuple):
     stated: bool  # whether the file gives an inertia; without one the body is a point
 
 
+class Mimic(NamedTuple):
+    """Joint that another follows, at multiplier times its position plus offset."""
+
+    joint: str
+    multiplier: float
+    offset: float
+
+
 class UrdfJoint(NamedTuple):
     """Joint element."""
 
@@ -46,7 +54,7 @@ class UrdfJoint(NamedTuple):
     limits: dict[str, float]
     damping: float
     friction: float
-    mimics: str | None
+    mimics: Mimic | None
 
 
 class Document(NamedTuple):
@@ -197,8 +205,14 @@ def _joint(name: str, joint: ET.Element, faults: list[str]) -> UrdfJoint:
         limits,
         _numbers(f"{what} dynamics", dynamics, "damping", "0", 1, faults, signed=False)[0],
         _numbers(f"{what} dynamics", dynamics, "friction", "0", 1, faults, signed=False)[0],
-        None if mimic is None else mimic.get("joint", ""),
+        None if mimic is None else _mimic(f"{what} mimic", mimic, faults),
     )
+
+
+def _mimic(what: str, mimic: ET.Element, faults: list[str]) -> Mimic:
+    factors = {"multiplier": "1", "offset": "0"}
+    numbers = (_numbers(what, mimic, key, default, 1, faults)[0] for key, default in factors.items())
+    return Mimic(mimic.get("joint", ""), *numbers)
 
 
 def _tree_faults(document: Document) -> list[str]:
