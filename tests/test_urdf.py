@@ -1267,6 +1267,23 @@ def test_a_refusal_does_not_repeat_the_file():
     assert len(refusal(arm(mass="secret " * 10_000, xyz="x" * 10_000))) < 500
 
 
+@pytest.mark.case("U8")
+@pytest.mark.parametrize("old", ['"arm"', '"upper"', '"elbow"'])
+def test_a_name_is_not_a_book(old):
+    message = refusal(arm().replace(old, '"' + "n" * 50_000 + '"'))
+    assert "name must have at most 1000 characters, found 50000: 'nnn" in message and len(message) < 5_000
+
+
+@pytest.mark.case("U8")
+def test_a_refusal_does_not_list_all_links():
+    message = refusal(urdf(*(link(f"l{i}", None) for i in range(1000))))
+    assert "found 1000: ['l0', " in message and "and 980 more" in message and len(message) < 500
+
+
+def test_a_long_path_is_not_repeated():
+    assert "File name too long" in (message := refusal("a" * 100_000)) and len(message) < 500
+
+
 # --- unphysical ------------------------------------------------------------------------------------------------------
 
 UNPHYSICAL = {

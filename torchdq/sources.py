@@ -37,7 +37,8 @@ def content(
     except (OSError, TypeError, ValueError) as fault:  # a folder, no permission, a name no file can have, a closed file
         if isinstance(fault, TorchdqError):
             raise
-        raise error(f"the {kind} cannot be read: {fault}") from fault
+        cause = fault.strerror if isinstance(fault, OSError) and fault.strerror else fault
+        raise error(f"the {kind} {_shown(source)} cannot be read: {cause}") from fault
     if len(data) > most:
         raise error(f"{name} holds more than {most} bytes, the most that a {kind} may have")
     if not data:
@@ -50,23 +51,27 @@ def _read(kind: str, source: Any, most: int, missing: type[TorchdqError], hint: 
         return Content(f"the {kind}", bytes(source))
     if callable(getattr(source, "read", None)):
         read, name = source.read(most + 1), getattr(source, "name", None)
-        return Content(
-            name if isinstance(name, str) else "the open file", read.encode() if isinstance(read, str) else bytes(read)
-        )
+        data = read.encode() if isinstance(read, str) else memoryview(read).tobytes()
+        return Content(name if isinstance(name, str) else "the open file", data)
     if not isinstance(source, str | os.PathLike):
-        raise ArgumentError(
-            f"the {kind} must be a path, a file:// or package:// address, bytes or an open file, found {source!r:.100}"
-        )
+        expected = "a path, a file:// or package:// address, bytes or an open file"
+        raise ArgumentError(f"the {kind} must be {expected}, found {_shown(source)}")
     text = os.fsdecode(source)
     if not text.strip():
-        raise ValueError(f"its path is empty, found {text!r:.100}")
+        raise ValueError(f"its path is empty, found {_shown(text)}")
     path = _located(text, missing)
     try:
         with path.open("rb") as file:
             return Content(text, file.read(most + 1))
     except FileNotFoundError as fault:
         variables = "; variables such as $HOME are not replaced, use os.path.expandvars" if "$" in text else ""
-        raise missing(f"there is no file {str(path)!r}{variables}{hint and '; '}{hint}") from fault
+        raise missing(f"there is no file {_shown(str(path))}{variables}{hint and '; '}{hint}") from fault
+
+
+def _shown(x: Any) -> str:
+    """Value as Python writes it, its beginning if that is long."""
+    text = repr(x)
+    return text if len(text) <= 300 else f"{text[:300]}..."
 
 
 def _located(text: str, missing: type[TorchdqError]) -> Path:
@@ -80,7 +85,7 @@ def _located(text: str, missing: type[TorchdqError]) -> Path:
     if scheme == "package":
         return _in_package(text, address.netloc, unquote(address.path).lstrip("/"), missing)
     raise ValueError(
-        f"only file:/// and package:// addresses are read, found {text!r:.200}; save the file and pass its path"
+        f"only file:/// and package:// addresses are read, found {_shown(text)}; save the file and pass its path"
     )
 
 
@@ -94,6 +99,6 @@ def _in_package(text: str, package: str, inside: str, missing: type[TorchdqError
             return folder / inside
     searched = ", ".join(map(str, folders)) or f"no folder, because {' and '.join(PACKAGES)} are not set"
     raise missing(
-        f"there is no file {text!r}; searched: {searched}; run the setup script of the ROS workspace first, or pass "
+        f"there is no file {_shown(text)}; searched: {searched}; run the setup script of the ROS workspace, or pass "
         "the path of the file"
     )

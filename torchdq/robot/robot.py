@@ -136,7 +136,7 @@ class Robot:
             UnphysicalError: a link cannot exist, or a joint moves no inertia.
             UnknownNameError: a name in `lock`, `joints` or `tip` is not in the file.
         """
-        if base != "fixed":
+        if not isinstance(base, str) or base != "fixed":
             raise ArgumentError(f"base must be 'fixed', found {base!r}")
         return cls._finish(*urdf.read(source, joints, lock), tip, gravity, on_unphysical)
 

@@ -14,14 +14,14 @@ from typing import Any, NamedTuple
 from torch import Tensor
 
 from torchdq.errors import DescriptionError, MissingFileError
-from torchdq.robot.arrays import double
+from torchdq.robot.arrays import MOST, double
 from torchdq.robot.urdf_xml import root_of
 from torchdq.sources import content
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 MOST_BYTES = 10_000_000
+MOST_CHARACTERS = 1_000  # of a name
 MOST_LINKS = 2_000  # pinocchio recurses over the tree and crashes the process somewhere beyond 3000
-MOST = 1e50  # largest number: the products of three that dynamics form still do not overflow
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
@@ -85,6 +85,7 @@ def parse(text: str) -> Document:
     """Document of a URDF text; raises `DescriptionError` with every fault found."""
     root = root_of(text)
     faults: list[str] = []
+    robot = _name("robot:", root, "name", faults) or "robot"
     links = _by_name(root, "link", faults)
     joints = _by_name(root, "joint", faults)
     if max(len(links), len(joints)) > MOST_LINKS:
@@ -92,7 +93,7 @@ def parse(text: str) -> Document:
             f"the file has {len(links)} links and {len(joints)} joints; at most {MOST_LINKS} are read"
         )
     document = Document(
-        root.get("name", "robot"),
+        robot,
         {name: _inertial(name, element, faults) for name, element in links.items()},
         {name: _joint(name, element, faults) for name, element in joints.items()},
     )
@@ -105,13 +106,24 @@ def parse(text: str) -> Document:
 def _by_name(root: ET.Element, tag: str, faults: list[str]) -> dict[str, ET.Element]:
     found: dict[str, ET.Element] = {}
     for element in root.findall(tag):
-        name = element.get("name", "")
+        name = _name(f"{tag}:", element, "name", faults)
         if not name:
             faults.append(f"a <{tag}> has no name")
         elif name in found:
             faults.append(f"{tag} {name!r} is described twice")
         found[name] = element
     return found
+
+
+def _name(what: str, element: ET.Element | None, attribute: str, faults: list[str]) -> str:
+    """Name in an attribute; empty if there is none."""
+    name = "" if element is None else element.get(attribute, "")
+    if len(name) <= MOST_CHARACTERS:
+        return name
+    faults.append(
+        f"{what} {attribute} must have at most {MOST_CHARACTERS} characters, found {len(name)}: {name[:30]!r}..."
+    )
+    return name[:MOST_CHARACTERS]
 
 
 def _numbers(
@@ -170,11 +182,11 @@ def _inertial(name: str, link: ET.Element, faults: list[str]) -> Inertial | None
 def _joint(name: str, joint: ET.Element, faults: list[str]) -> UrdfJoint:
     what, kind = f"joint {name!r}:", joint.get("type", "")
     if kind not in MOVING and kind != "fixed":
-        faults.append(f"{what} type must be revolute, continuous, prismatic or fixed, found {kind!r}")
+        faults.append(f"{what} type must be revolute, continuous, prismatic or fixed, found {reprlib.repr(kind)}")
     ends = {}
     for end in ("parent", "child"):
         element = joint.find(end)
-        ends[end] = "" if element is None else element.get("link", "")
+        ends[end] = _name(f"{what} {end}", element, "link", faults)
         if not ends[end]:
             faults.append(f"{what} it names no {end} link")
     origin = _origin(what, joint, faults)
@@ -212,7 +224,7 @@ def _joint(name: str, joint: ET.Element, faults: list[str]) -> UrdfJoint:
 def _mimic(what: str, mimic: ET.Element, faults: list[str]) -> Mimic:
     factors = {"multiplier": "1", "offset": "0"}
     numbers = (_numbers(what, mimic, key, default, 1, faults)[0] for key, default in factors.items())
-    return Mimic(mimic.get("joint", ""), *numbers)
+    return Mimic(_name(what, mimic, "joint", faults), *numbers)
 
 
 def _tree_faults(document: Document) -> list[str]:
@@ -231,7 +243,7 @@ def _tree_faults(document: Document) -> list[str]:
             carried[joint.child] = name
     roots = [link for link in document.links if link not in carried]
     if len(roots) != 1:
-        faults.append(f"exactly one link must be the base, carried by no joint; found {len(roots)}: {roots}")
+        faults.append(f"exactly one link must be the base, carried by no joint; found {len(roots)}: {_listed(roots)}")
     children = children_of(document)
     # links that hang on a missing link are in no loop
     frontier = [*roots, *(parent for parent in children if parent not in document.links)]
@@ -242,7 +254,12 @@ def _tree_faults(document: Document) -> list[str]:
                 reached.add(child)
                 frontier.append(child)
     loose = [link for link in document.links if link not in reached]
-    return [*faults, f"links {loose} hang in a loop"] if loose else faults
+    return [*faults, f"links {_listed(loose)} hang in a loop"] if loose else faults
+
+
+def _listed(names: list[str]) -> str:
+    """Names in brackets, the first twenty of many."""
+    return f"{names}" if len(names) <= 20 else f"{names[:20]} and {len(names) - 20} more"
 
 
 def children_of(document: Document) -> dict[str, list[str]]:

@@ -7,7 +7,8 @@ from typing import Any
 
 from torchdq.checks import matching, require_number
 from torchdq.errors import ArgumentError
-from torchdq.robot.urdf_document import MOST, MOVING, Document
+from torchdq.robot.arrays import MOST
+from torchdq.robot.urdf_document import MOVING, Document
 
 KIND = "movable joint"
 NEAR = 1e-6  # [rad or m] a position that close to a limit is within: files are printed with about six digits
