@@ -32,6 +32,7 @@ FLOORS = {
     "torchdq.checks": 0,
     "torchdq.notice": 0,
     "torchdq.tables": 0,
+    "torchdq.sources": 0,
     "torchdq.timing": 0,
     "torchdq.algebra": 0,
     "torchdq.numbers": 0,

@@ -202,9 +202,31 @@ def test_the_layout_and_the_rows_are_checked(log):
         learning.read(log, rows=(100_000, 100_010))
     with pytest.raises(learning.LogError, match="9 joints, expected 7"):
         learning.read(written(log, table(n=9), names(9)), LAYOUTS["panda"])
-    with pytest.raises(FileNotFoundError):
-        learning.read(log.with_name("missing.csv"))
     assert issubclass(learning.LogError, TorchdqError)
+
+
+@pytest.mark.parametrize("opened", [Path.as_uri, Path.read_bytes, lambda log: log.open("rb"), Path.open])
+def test_a_log_may_be_an_address_bytes_or_an_open_file(log, opened):
+    source = opened(log)
+    assert_holds(learning.read(source), table())
+    if hasattr(source, "close"):
+        source.close()
+
+
+@pytest.mark.parametrize("error", [FileNotFoundError, learning.LogError])
+def test_a_missing_log_is_what_a_caller_expects(log, error):
+    with pytest.raises(error, match=r"there is no file .*missing\.csv"):
+        learning.read(log.with_name("missing.csv"))
+
+
+def test_what_is_no_log_at_all_is_refused(tmp_path):
+    with pytest.raises(learning.LogError, match=r"the log .* cannot be read: .*directory"):
+        learning.read(tmp_path)
+    with pytest.raises(learning.LogError, match="only file:/// and package:// addresses"):
+        learning.read("https://host/log.csv")
+    for source in (None, 5, ["log.csv"]):
+        with pytest.raises(ArgumentError, match="the log must be a path"):
+            learning.read(source)
 
 
 def test_rows_are_named_as_in_the_file_when_only_some_are_read(log):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Sequence
+import sys
+from collections.abc import Iterable, Sequence, Set
+from fnmatch import fnmatchcase
 from typing import Any
 
 import torch
@@ -12,6 +13,7 @@ from torch import Tensor
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 
 DTYPES = (torch.float32, torch.float64)  # supported for inputs, parameters and programs
+LARGEST = sys.float_info.max  # whole numbers may be larger
 
 
 def require_tensor(name: str, x: Any) -> None:
@@ -42,21 +44,39 @@ def require_count(name: str, x: Any) -> None:
 
 def require_number(name: str, x: Any, positive: bool = False) -> None:
     """Raise unless x is a finite number, and greater than zero if `positive`."""
-    if not isinstance(x, float | int) or isinstance(x, bool) or not math.isfinite(x) or (positive and x <= 0):
+    if not isinstance(x, float | int) or isinstance(x, bool) or not abs(x) <= LARGEST or (positive and x <= 0):
         raise ArgumentError(f"{name} must be a {'positive' if positive else 'finite'} number, found {x!r}")
 
 
 def names_of(name: str, x: Any, known: Iterable[str], kind: str) -> tuple[str, ...]:
     """Names in a string or a sequence of strings; raises unless all of them are known."""
     known = tuple(known)
-    if isinstance(x, str):
-        x = (x,)
-    if not isinstance(x, Sequence) or not all(isinstance(one, str) for one in x):
-        raise ArgumentError(f"{name} must be a name or a sequence of names, found {x!r}; known: {', '.join(known)}")
-    for one in x:
+    found = _words(name, x, known, "a name or a sequence of names")
+    for one in found:
         if one not in known:
             raise UnknownNameError(kind, one, known)
-    return tuple(x)
+    return found
+
+
+def matching(name: str, x: Any, known: Iterable[str], kind: str) -> tuple[str, ...]:
+    """Known names, in their order, that a name, a pattern such as "finger*", or a sequence of these matches.
+
+    Raises unless each matches one.
+    """
+    known, found = tuple(known), set()
+    for one in _words(name, x, known, "a name, a pattern such as 'finger*', or a sequence of them"):
+        matched = [one] if one in known else [other for other in known if fnmatchcase(other, one)]
+        if not matched:
+            raise UnknownNameError(kind, one, known)
+        found.update(matched)
+    return tuple(other for other in known if other in found)
+
+
+def _words(name: str, x: Any, known: tuple[str, ...], expected: str) -> tuple[str, ...]:
+    words = (x,) if isinstance(x, str) else x
+    if not isinstance(words, Sequence | Set) or not all(isinstance(one, str) for one in words):
+        raise ArgumentError(f"{name} must be {expected}, found {x!r}; known: {', '.join(known)}")
+    return tuple(words)
 
 
 def dtype_of(name: str, x: Any) -> torch.dtype:

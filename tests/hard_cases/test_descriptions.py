@@ -203,7 +203,7 @@ MIMICS = {
     "a circle": {"shoulder": '<mimic joint="elbow"/>', "elbow": '<mimic joint="shoulder"/>', "c": ""},
     "itself": {"shoulder": '<mimic joint="shoulder"/>', "elbow": "", "c": ""},
     "nobody": {"shoulder": '<mimic joint="nobody"/>', "elbow": "", "c": ""},
-    "a multiplier that is none": {"shoulder": "", "elbow": '<mimic joint="shoulder" multiplier="nan"/>', "c": ""},
+    "a multiplier of zero": {"shoulder": "", "elbow": '<mimic joint="shoulder" multiplier="0" offset="9"/>', "c": ""},
 }
 
 
@@ -224,6 +224,16 @@ def test_mimic_joints_of_every_kind_move_by_themselves_and_are_told(which, kind)
     s = states(plain)
     assert robot.n == 3
     assert torch.equal(*(torchdq.inverse_dynamics(r, s.q, s.qd, s.qdd) for r in (robot, plain)))
+
+
+@pytest.mark.case("U4")
+@pytest.mark.parametrize("number", ["multiplier", "offset"])
+def test_a_mimic_joint_with_a_number_that_is_none_is_refused(number):
+    text = arm().replace(LIMIT, LIMIT + f'<mimic joint="elbow" {number}="nan"/>', 1)
+    with pytest.raises(
+        DescriptionError, match=f"joint 'shoulder': mimic {number} must be a finite number, found 'nan'"
+    ):
+        Robot.from_urdf(text)
 
 
 # --- U2, U6, U7, U9: numbers -----------------------------------------------------------------------------------------

@@ -11,7 +11,7 @@ Nothing here is imported by `import torchdq`; scipy, rich and tensorboard are im
 from torchdq.learning.checkpoint import CheckpointError
 from torchdq.learning.data import Samples
 from torchdq.learning.identification import Identified, identify
-from torchdq.learning.layouts import Layout, LogError
+from torchdq.learning.layouts import Layout, LogError, MissingLogError
 from torchdq.learning.logs import Log, read
 from torchdq.learning.motions import Motion, cut, hold_out, samples, smooth
 from torchdq.learning.training import History, TrainingError, fit
@@ -23,6 +23,7 @@ __all__ = [
     "Layout",
     "Log",
     "LogError",
+    "MissingLogError",
     "Motion",
     "Samples",
     "TrainingError",

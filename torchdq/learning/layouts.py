@@ -18,6 +18,10 @@ class LogError(TorchdqError, ValueError):
     """Unusable log; the message names the file, and the row and column where there is one."""
 
 
+class MissingLogError(LogError, FileNotFoundError):
+    """Log in a file that does not exist."""
+
+
 @dataclass(frozen=True)
 class Layout:
     """Columns and units of a log, and the filters its signals need.

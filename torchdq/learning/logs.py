@@ -15,16 +15,19 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
-from typing import NamedTuple, NoReturn
+from typing import IO, Any, NamedTuple, NoReturn
 
 import numpy as np
 
+from torchdq import sources
 from torchdq.errors import ArgumentError
 from torchdq.learning.data import UNITS
-from torchdq.learning.layouts import SIGNALS, Layout, LogError, find_columns, is_number
+from torchdq.learning.layouts import SIGNALS, Layout, LogError, MissingLogError, find_columns, is_number
 from torchdq.tables import summary
 
+MOST_BYTES = 1_000_000_000  # largest file that is read
 GAP = 0.1  # [s] longest time between two rows; beyond it the motion in between is unknown
 FOLLOWED = 0.01  # [rad or rad/s] least standard deviation of a signal that is compared with its rate
 PACKED, ALWAYS = 100, 2**24  # most times that a file may grow when it is unpacked, and bytes that are always unpacked
@@ -71,17 +74,20 @@ class Log(NamedTuple):
         return f"{self.path}: {size}\n\n{summary('Log', signals)}"
 
 
-def read(path: str | Path, layout: Layout = STANDARD, rows: tuple[int, int] | None = None) -> Log:
+def read(
+    path: str | PathLike[str] | bytes | IO[Any], layout: Layout = STANDARD, rows: tuple[int, int] | None = None
+) -> Log:
     """Log in a file.
 
     Args:
-        path: the file: numbers separated by commas, packed with gzip or not, or an NPZ archive.
+        path: path of the file, a file:// or package:// address, an open file, or its bytes: numbers separated by
+            commas, packed with gzip or not, or an NPZ archive.
         layout: names and units of the columns; by default time, q1 ..., qd1 ..., tau1 ... in SI units.
         rows: first row and the one after the last to use, counted from 0; None: all.
     Raises:
-        LogError: a column is missing, a number is missing or not finite, time runs backwards, there is a gap, or a
-            column is in degrees.
-        OSError: the file cannot be opened.
+        LogError: the file cannot be opened, a column is missing, a number is missing or not finite, time runs
+            backwards, there is a gap, or a column is in degrees.
+        MissingLogError: there is no such file; it is a FileNotFoundError too.
 
     >>> import tempfile
     >>> path = Path(tempfile.mkdtemp()) / "log.csv"
@@ -90,13 +96,13 @@ def read(path: str | Path, layout: Layout = STANDARD, rows: tuple[int, int] | No
     array([[2. ],
            [2.1]])
     """
-    path = Path(path)
     if not isinstance(layout, Layout):
         cure = "columns are named by Layout(columns={'q': 'position_{0}'})"
         raise ArgumentError(f"layout must be a Layout, found {type(layout).__name__}; {cure}")
     if rows is not None and not (isinstance(rows, tuple | list) and len(rows) == 2 and 0 <= rows[0] < rows[1]):
         raise ArgumentError(f"rows must be a first row and a greater one after the last, found {rows}")
-    content = path.read_bytes()
+    name, content = sources.content("log", path, MOST_BYTES, LogError, MissingLogError)
+    path = Path(name)
     _require_table(path, content)
     table = (_archive if content.startswith(b"PK") else _text)(path, content, layout, rows)
     if layout.gain and len(layout.gain) != table.layout.joints:

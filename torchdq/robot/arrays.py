@@ -1,5 +1,6 @@
 """Arrays and names of a robot description, checked."""
 
+import reprlib
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ from torchdq import dq
 from torchdq.errors import DescriptionError
 
 UNIT = 1e-9  # largest distance from 0 or 1 of a number that is taken as 0 or 1
+MOST = 1e50  # largest number of a description: the products of three that dynamics form still do not overflow
 SIX = [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]  # rows and columns of xx xy yy xz yz zz in a symmetric matrix
 
 
@@ -25,7 +27,10 @@ IDENTITY = double([1.0, 0, 0, 0, 0, 0, 0, 0])  # pose
 def numbers(name: str, value: Any) -> Tensor:
     """Value as a float64 tensor."""
     try:
-        return torch.as_tensor(value if isinstance(value, Tensor) else np.array(value), dtype=torch.float64)
+        x = value if isinstance(value, Tensor) else torch.as_tensor(np.array(value))
+        if not x.is_complex():
+            return x.to(torch.float64)
+        raise TypeError("found complex numbers")
     except (TypeError, ValueError, RuntimeError) as error:  # words, or rows of different lengths
         raise DescriptionError(f"{name} must be an array of numbers: {error}") from error
 
@@ -37,7 +42,17 @@ def table(name: str, value: Any, *shape: int) -> Tensor:
         raise DescriptionError(f"{name} must have the shape {shape}, found {tuple(x.shape)}")
     if not bool(x.isfinite().all()):
         raise DescriptionError(f"{name} must be finite, found {x.tolist()}")
+    if bool((x.abs() > MOST).any()):
+        raise DescriptionError(f"{name} must not exceed {MOST:g} in size, found {float(x.abs().max()):g}")
     return x
+
+
+def indices(name: str, value: Any) -> tuple[int, ...]:
+    """Value as a row of whole numbers."""
+    x = numbers(name, value)
+    if x.ndim != 1 or not bool((x == x.round()).all() and x.isfinite().all()):
+        raise DescriptionError(f"{name} must be a row of whole numbers, found {reprlib.repr(value)}")
+    return tuple(map(int, x.tolist()))
 
 
 def poses(name: str, value: Any, *shape: int) -> Tensor:
@@ -71,9 +86,19 @@ def second_moments(inertia: Tensor) -> Tensor:
     return torch.diag_embed(half.unsqueeze(-1).expand(*half.shape, 3)) - I
 
 
+def words(name: str, value: Any, n: int, expected: str) -> tuple[str, ...]:
+    """Value as n strings."""
+    found = tuple(value) if isinstance(value, Sequence) and not isinstance(value, str | bytes) else ()
+    if len(found) != n or not all(isinstance(word, str) for word in found):
+        raise DescriptionError(f"{name} must be {n} {expected}, found {reprlib.repr(value)}")
+    return found
+
+
 def distinct(kind: str, names: Sequence[str] | None, n: int) -> tuple[str, ...]:
     """Names, n different ones; without any, joint1, joint2, ... for the kind "joint"."""
-    chosen = tuple(f"{kind}{i + 1}" for i in range(n)) if names is None else tuple(names)
-    if len(chosen) != n or len(set(chosen)) != n:
+    if names is None:
+        return tuple(f"{kind}{i + 1}" for i in range(n))
+    chosen = words(f"{kind}_names", names, n, "different names")
+    if len(set(chosen)) != n:
         raise DescriptionError(f"{kind}_names must be {n} different names, found {chosen}")
     return chosen

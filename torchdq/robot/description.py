@@ -70,6 +70,8 @@ def assemble(
 ) -> tuple[RobotDescription, list[str]]:
     """Description without limits or friction, with a frame per link, one at the tip and one at the base; its faults."""
     n = len(parents)
+    if not isinstance(name, str):
+        raise DescriptionError(f"name must be a string, found {name!r}")
     links = distinct("link", link_names, n)
     if {"base", "tip"} & set(links):
         raise DescriptionError(f"link_names must not be 'base' or 'tip', which are frames already, found {links}")

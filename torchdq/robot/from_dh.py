@@ -11,7 +11,7 @@ from torchdq import dq
 from torchdq.backends.choice import backend
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
-from torchdq.robot.arrays import IDENTITY, distinct, double, numbers, poses, table
+from torchdq.robot.arrays import IDENTITY, distinct, double, numbers, poses, table, words
 from torchdq.robot.description import RobotDescription, assemble
 
 
@@ -50,10 +50,10 @@ def read(
     if n == 0:
         raise DescriptionError("a must hold a number for each of at least one joint")
     rows = [table(what, x, n).tolist() for what, x in (("a", a), ("alpha", alpha), ("d", d), ("theta", theta))]
-    types = ("revolute",) * n if kinds is None else tuple(kinds)
-    if len(types) != n or not set(types) <= {"revolute", "prismatic"}:
+    types = ("revolute",) * n if kinds is None else words("kinds", kinds, n, "times 'revolute' or 'prismatic'")
+    if not set(types) <= {"revolute", "prismatic"}:
         raise DescriptionError(f"kinds must be {n} times 'revolute' or 'prismatic', found {types}")
-    if convention not in ("standard", "modified"):
+    if not isinstance(convention, str) or convention not in ("standard", "modified"):
         raise DescriptionError(f"convention must be 'standard' or 'modified', found {convention!r}")
     placements, screws = [], []
     for kind, a_i, alpha_i, d_i, theta_i in zip(types, *rows, strict=True):

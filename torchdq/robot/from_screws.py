@@ -10,7 +10,7 @@ from torchdq import dq
 from torchdq.backends.choice import backend
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
-from torchdq.robot.arrays import IDENTITY, UNIT, distinct, numbers, poses, table
+from torchdq.robot.arrays import IDENTITY, UNIT, distinct, indices, numbers, poses, table
 from torchdq.robot.description import RobotDescription, assemble
 
 
@@ -47,7 +47,7 @@ def read(
     s = table("joint_screws", s, n, 6)
     if n == 0:
         raise DescriptionError("joint_screws must hold at least one joint")
-    tree = tuple(range(BASE, n - 1)) if parents is None else tuple(int(p) for p in parents)
+    tree = tuple(range(BASE, n - 1)) if parents is None else indices("parents", parents)
     if len(tree) != n or any(not BASE <= p < i for i, p in enumerate(tree)):
         raise DescriptionError(f"parents must hold, for each of {n} links, an earlier link or -1, found {tree}")
     X_WB = IDENTITY.expand(n, 8) if link_poses is None else poses("link_poses", link_poses, n, 8)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
-from typing import Any, Literal, get_args
+from os import PathLike
+from typing import IO, Any, Literal, get_args
 
 import torch
 from torch import Tensor
@@ -106,12 +105,13 @@ class Robot:
     @classmethod
     def from_urdf(
         cls,
-        source: str | Path,
+        source: str | PathLike[str] | bytes | IO[Any],
         base: Literal["fixed"] = "fixed",
-        lock: Mapping[str, float] | None = None,
+        lock: Mapping[str, float] | Sequence[str] | str | None = None,
         tip: str | None = None,
         gravity: Sequence[float] | None = GRAVITY,
         on_unphysical: OnUnphysical = "error",
+        joints: Sequence[str] | str | None = None,
     ) -> Robot:
         """Robot from a URDF file.
 
@@ -120,22 +120,25 @@ class Robot:
         read but are not part of the rigid-body dynamics; `report()` lists them.
 
         Args:
-            source: path of the file, or its XML text.
+            source: path of the file, a file:// or package:// address, an open file, or the XML text itself.
             base: "fixed", the only kind of base so far.
-            lock: positions [rad or m] of joints to freeze, by name; they become fixed joints.
+            lock: positions [rad or m] of joints that become fixed joints, by name or pattern ("finger*"); names or
+                patterns alone lock at zero. The joints that mimic a locked one are locked where the file puts them.
             tip: name of the frame of the end effector; None: the leaf of the tree, if there is only one.
             gravity: acceleration in the base frame [m/s^2]; None: none.
             on_unphysical: treatment of a body that cannot exist: "error" raises, "warn" warns, "ignore" only notes it
                 in the report.
+            joints: names or patterns of the joints to keep; all others are locked, at zero if not named in `lock`.
+                None: all.
 
         Raises:
             DescriptionError: the text is not a usable URDF; every fault found is named.
             UnphysicalError: a link cannot exist, or a joint moves no inertia.
-            UnknownNameError: a name in `lock` or `tip` is not in the file.
+            UnknownNameError: a name in `lock`, `joints` or `tip` is not in the file.
         """
-        if base != "fixed":
+        if not isinstance(base, str) or base != "fixed":
             raise ArgumentError(f"base must be 'fixed', found {base!r}")
-        return cls._finish(*urdf.read(source, dict(lock or {})), tip, gravity, on_unphysical)
+        return cls._finish(*urdf.read(source, joints, lock), tip, gravity, on_unphysical)
 
     @classmethod
     def from_screws(
@@ -341,7 +344,7 @@ class Robot:
 
     def __repr__(self) -> str:
         hangs = "chain" if self.parents == tuple(range(BASE, self.n - 1)) else "tree"
-        mass = float(self.mass.sum(-1).mean()) if self.n else math.nan
+        mass = float(self.mass.sum(-1).mean())
         return f"Robot({self.name!r}, {self.n} joints, {hangs}, {mass:.4g} kg, tip={self.tip!r})"
 
 

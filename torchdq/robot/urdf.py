@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,11 +18,12 @@ from torch import Tensor
 from torchdq import dq
 from torchdq.backends.choice import backend
 from torchdq.dynamics.tree import BASE
-from torchdq.errors import ArgumentError, DescriptionError, UnknownNameError
+from torchdq.errors import DescriptionError
 from torchdq.robot import consistency
 from torchdq.robot.arrays import SIX, double
 from torchdq.robot.description import Frame, Limits, RobotDescription
-from torchdq.robot.urdf_document import MOST, MOVING, Document, Inertial, UrdfJoint, children_of, parse, text_of
+from torchdq.robot.urdf_document import MOVING, Document, Inertial, UrdfJoint, children_of, parse, text_of
+from torchdq.robot.urdf_lock import locked, notes_of
 
 
 def _codes(kind: str, names: Iterable[str]) -> dict[str, str]:
@@ -58,12 +58,6 @@ def _reduced(document: Document, lock: dict[str, float]):
     """Pinocchio's model of the document with some joints frozen."""
     import pinocchio as pin
 
-    movable = [name for name, joint in document.joints.items() if joint.kind in MOVING]
-    for name, value in lock.items():
-        if name not in movable:
-            raise UnknownNameError("movable joint to lock", name, movable)
-        if not abs(value) <= MOST:
-            raise ArgumentError(f"lock[{name!r}] must be finite, found {value}")
     try:
         model = pin.buildModelFromXML(_skeleton(document))
     except Exception as error:  # pinocchio raises its C++ errors as various types
@@ -104,12 +98,13 @@ def _pose(placement) -> Tensor:
     return dq.from_matrix(torch.from_numpy(np.array(placement.homogeneous, dtype=np.float64)))
 
 
-def read(source: str | Path, lock: dict[str, float]) -> tuple[RobotDescription, list[str]]:
+def read(source: Any, kept: Any, lock: Any) -> tuple[RobotDescription, list[str]]:
     """Description and its faults; `Robot.from_urdf` says what is expected."""
     import pinocchio as pin
 
     document = parse(text_of(source))
-    model = _reduced(document, lock)
+    at = locked(document, kept, lock)
+    model = _reduced(document, at)
     known = {code: name for name, code in _codes("joint", document.joints).items()}
     names = tuple(known[code] for code in list(model.names)[1:])
     joints = [document.joints[name] for name in names]
@@ -145,7 +140,7 @@ def read(source: str | Path, lock: dict[str, float]) -> tuple[RobotDescription, 
         friction=double([joint.friction for joint in joints]),
         frames=tuple(Frame(name, link, _pose(placement)) for name, (link, placement) in placed.items()),
         tip=leaves[0] if len(leaves) == 1 else None,
-        notes=_notes(document, names, moving, leaves, lock),
+        notes=_notes(document, names, moving, leaves, at),
     )
     return description, faults
 
@@ -160,9 +155,11 @@ def _notes(
     """Requests of the file that the dynamics do not use, or use otherwise."""
 
     def listed(wanted: Callable[[UrdfJoint], object]) -> str:
-        return ", ".join(name for name in names if wanted(document.joints[name]))
+        found = [name for name in names if wanted(document.joints[name])]
+        return "all joints" if 1 < len(found) == len(names) else ", ".join(found)
 
     massless = ", ".join(name for name, inertial in moving.items() if inertial is None or inertial.mass == 0)
+    points = ", ".join(name for name, inertial in moving.items() if inertial and inertial.mass and not inertial.stated)
     fixed = sum(joint.kind == "fixed" for joint in document.joints.values())
     given = (
         ("viscous damping given but not simulated", lambda j: j.damping),
@@ -173,8 +170,9 @@ def _notes(
     )
     notes = [
         (f"{fixed} fixed joints lumped; their links are frames", fixed),
-        (f"locked: {', '.join(f'{k} at {v:g}' for k, v in lock.items())}", lock),
+        *((note, True) for note in notes_of(document, lock)),
         (f"links without mass: {massless}", massless),
+        (f"links with mass but without <inertia>, taken as points at their centres of mass: {points}", points),
         *((f"{what}: {listed(wanted)}", listed(wanted)) for what, wanted in given),
         (f"no tip chosen among the leaves {', '.join(leaves)}; name one with tip=", len(leaves) > 1),
     ]

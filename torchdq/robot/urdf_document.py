@@ -1,6 +1,6 @@
 """Text of a URDF file, parsed and checked; every fault is named at once.
 
-Only the elements that dynamics need are read: meshes are never opened, and entities are refused before parsing.
+Only the elements that dynamics need are read: meshes are never opened.
 """
 
 from __future__ import annotations
@@ -9,19 +9,19 @@ import math
 import re
 import reprlib
 import xml.etree.ElementTree as ET
-from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torch import Tensor
 
 from torchdq.errors import DescriptionError, MissingFileError
-from torchdq.robot.arrays import double
+from torchdq.robot.arrays import MOST, double
+from torchdq.robot.urdf_xml import root_of
+from torchdq.sources import content
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 MOST_BYTES = 10_000_000
-MOST_TAGS = 200_000
+MOST_CHARACTERS = 1_000  # of a name
 MOST_LINKS = 2_000  # pinocchio recurses over the tree and crashes the process somewhere beyond 3000
-MOST = 1e50  # largest number: the products of three that dynamics form still do not overflow
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
@@ -31,6 +31,15 @@ class Inertial(NamedTuple):
     mass: float
     inertia: Tensor  # [3, 3] about the centre of mass
     origin: dict[str, tuple[float, ...]]
+    stated: bool  # whether the file gives an inertia; without one the body is a point
+
+
+class Mimic(NamedTuple):
+    """Joint that another follows, at multiplier times its position plus offset."""
+
+    joint: str
+    multiplier: float
+    offset: float
 
 
 class UrdfJoint(NamedTuple):
@@ -45,7 +54,7 @@ class UrdfJoint(NamedTuple):
     limits: dict[str, float]
     damping: float
     friction: float
-    mimics: str | None
+    mimics: Mimic | None
 
 
 class Document(NamedTuple):
@@ -56,42 +65,27 @@ class Document(NamedTuple):
     joints: dict[str, UrdfJoint]
 
 
-def text_of(source: str | Path) -> str:
-    """XML text of a path, or the text itself."""
+def text_of(source: Any) -> str:
+    """XML text of a source, or the text itself."""
     if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
         if len(source) > MOST_BYTES:
             raise DescriptionError(f"the text has {len(source)} characters; a robot has at most {MOST_BYTES}")
         return source
-    try:
-        with Path(source).open("rb") as file:
-            data = file.read(MOST_BYTES + 1)
-    except FileNotFoundError as error:
-        raise MissingFileError(f"there is no file {str(source)!r}; XML text would begin with '<'") from error
-    except (OSError, ValueError) as error:  # a folder, no permission, a name no file can have
-        raise DescriptionError(f"the robot description cannot be read: {error}") from error
-    if len(data) > MOST_BYTES:
-        raise DescriptionError(f"{source} holds more than {MOST_BYTES} bytes, the most a robot description may have")
+    hint = "XML text would begin with '<'"
+    if isinstance(source, str) and source.isidentifier():
+        hint += f"; a robot that comes with this package is torchdq.robots.load({source!r})"
+    name, data = content("robot description", source, MOST_BYTES, DescriptionError, MissingFileError, hint)
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError as error:
-        raise DescriptionError(f"{source} is not UTF-8 text: {error}") from error
+        raise DescriptionError(f"{name} is not UTF-8 text: {error}") from error
 
 
 def parse(text: str) -> Document:
     """Document of a URDF text; raises `DescriptionError` with every fault found."""
-    if "<!DOCTYPE" in text or "<!ENTITY" in text:
-        raise DescriptionError("the file declares a document type or entities, which a robot description never needs")
-    if text.count("<") > MOST_TAGS:
-        raise DescriptionError(f"the file has {text.count('<')} tags; a robot description has at most {MOST_TAGS}")
-    try:
-        root = ET.fromstring(text)
-    except (ET.ParseError, UnicodeError) as error:
-        raise DescriptionError(f"the file is not well-formed XML: {error}") from error
-    if root.tag != "robot":
-        raise DescriptionError(
-            f"the file's root element must be <robot>, found <{reprlib.repr(root.tag)[1:-1]}>; expand xacro files first"
-        )
+    root = root_of(text)
     faults: list[str] = []
+    robot = _name("robot:", root, "name", faults) or "robot"
     links = _by_name(root, "link", faults)
     joints = _by_name(root, "joint", faults)
     if max(len(links), len(joints)) > MOST_LINKS:
@@ -99,7 +93,7 @@ def parse(text: str) -> Document:
             f"the file has {len(links)} links and {len(joints)} joints; at most {MOST_LINKS} are read"
         )
     document = Document(
-        root.get("name", "robot"),
+        robot,
         {name: _inertial(name, element, faults) for name, element in links.items()},
         {name: _joint(name, element, faults) for name, element in joints.items()},
     )
@@ -112,13 +106,24 @@ def parse(text: str) -> Document:
 def _by_name(root: ET.Element, tag: str, faults: list[str]) -> dict[str, ET.Element]:
     found: dict[str, ET.Element] = {}
     for element in root.findall(tag):
-        name = element.get("name", "")
+        name = _name(f"{tag}:", element, "name", faults)
         if not name:
             faults.append(f"a <{tag}> has no name")
         elif name in found:
             faults.append(f"{tag} {name!r} is described twice")
         found[name] = element
     return found
+
+
+def _name(what: str, element: ET.Element | None, attribute: str, faults: list[str]) -> str:
+    """Name in an attribute; empty if there is none."""
+    name = "" if element is None else element.get(attribute, "")
+    if len(name) <= MOST_CHARACTERS:
+        return name
+    faults.append(
+        f"{what} {attribute} must have at most {MOST_CHARACTERS} characters, found {len(name)}: {name[:30]!r}..."
+    )
+    return name[:MOST_CHARACTERS]
 
 
 def _numbers(
@@ -128,15 +133,18 @@ def _numbers(
     default: str,
     count: int,
     faults: list[str],
+    signed: bool = True,
     most: float = MOST,
 ) -> tuple[float, ...]:
     """Numbers of an attribute, `count` finite ones; a plain float() would let 'nan', '1_0' and other digits through."""
     text = default if element is None else element.get(attribute, default)
-    words = text.split()
+    words = text.split(None, count + 1)[: count + 1]  # a file of nothing but numbers is not taken apart
     values = tuple(float(word) for word in words if _NUMBER.fullmatch(word))
     expected = "a finite number" if count == 1 else f"{count} finite numbers"
     if len(words) != count or len(values) != count or not all(map(math.isfinite, values)):
         faults.append(f"{what} {attribute} must be {expected}, found {reprlib.repr(text)}")
+    elif not signed and min(values) < 0:
+        faults.append(f"{what} {attribute} must not be negative, found {reprlib.repr(text)}")
     elif any(abs(value) > most for value in values):
         faults.append(f"{what} {attribute} must not exceed {most:g} in size, found {reprlib.repr(text)}")
     else:
@@ -158,25 +166,27 @@ def _inertial(name: str, link: ET.Element, faults: list[str]) -> Inertial | None
     what = f"link {name!r}:"
     origin = _origin(f"{what} inertial", element, faults)
     mass, inertia = element.find("mass"), element.find("inertia")
-    if mass is None or inertia is None:
-        faults.append(f"{what} <inertial> must hold <mass> and <inertia>")
+    if mass is None:
+        faults.append(f"{what} <inertial> must hold <mass>, found only {[child.tag for child in element]}")
         return None
+    # an attribute that is not given is a fault, an element that is not given is a point
+    absent = "0" if inertia is None else ""
     xx, xy, xz, yy, yz, zz = (
-        _numbers(f"{what} inertia", inertia, key, "", 1, faults)[0]
+        _numbers(f"{what} inertia", inertia, key, absent, 1, faults)[0]
         for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     )
     matrix = double([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return Inertial(_numbers(f"{what} mass", mass, "value", "", 1, faults)[0], matrix, origin)
+    return Inertial(_numbers(f"{what} mass", mass, "value", "", 1, faults)[0], matrix, origin, inertia is not None)
 
 
 def _joint(name: str, joint: ET.Element, faults: list[str]) -> UrdfJoint:
     what, kind = f"joint {name!r}:", joint.get("type", "")
     if kind not in MOVING and kind != "fixed":
-        faults.append(f"{what} type must be revolute, continuous, prismatic or fixed, found {kind!r}")
+        faults.append(f"{what} type must be revolute, continuous, prismatic or fixed, found {reprlib.repr(kind)}")
     ends = {}
     for end in ("parent", "child"):
         element = joint.find(end)
-        ends[end] = "" if element is None else element.get("link", "")
+        ends[end] = _name(f"{what} {end}", element, "link", faults)
         if not ends[end]:
             faults.append(f"{what} it names no {end} link")
     origin = _origin(what, joint, faults)
@@ -189,10 +199,10 @@ def _joint(name: str, joint: ET.Element, faults: list[str]) -> UrdfJoint:
     limits = {"lower": -math.inf, "upper": math.inf, "velocity": math.inf, "effort": math.inf}
     if limit is not None:
         for key in ("velocity", "effort") if kind == "continuous" else tuple(limits):
+            place = key in ("lower", "upper")
             # the format's own default for a limit that is not stated is 0 for the positions
-            default = "0" if key in ("lower", "upper") else None
-            if default is not None or limit.get(key) is not None:
-                limits[key] = _numbers(f"{what} limit", limit, key, default or "", 1, faults, most=math.inf)[0]
+            if place or limit.get(key) is not None:
+                limits[key] = _numbers(f"{what} limit", limit, key, "0", 1, faults, signed=place, most=math.inf)[0]
         if limits["lower"] > limits["upper"]:
             faults.append(f"{what} lower limit {limits['lower']:g} is above upper limit {limits['upper']:g}")
     elif kind in ("revolute", "prismatic"):
@@ -205,10 +215,16 @@ def _joint(name: str, joint: ET.Element, faults: list[str]) -> UrdfJoint:
         (x / length, y / length, z / length) if length >= 1e-9 else (1.0, 0.0, 0.0),
         abs(length - 1.0) > 1e-6,
         limits,
-        _numbers(f"{what} dynamics", dynamics, "damping", "0", 1, faults)[0],
-        _numbers(f"{what} dynamics", dynamics, "friction", "0", 1, faults)[0],
-        None if mimic is None else mimic.get("joint", ""),
+        _numbers(f"{what} dynamics", dynamics, "damping", "0", 1, faults, signed=False)[0],
+        _numbers(f"{what} dynamics", dynamics, "friction", "0", 1, faults, signed=False)[0],
+        None if mimic is None else _mimic(f"{what} mimic", mimic, faults),
     )
+
+
+def _mimic(what: str, mimic: ET.Element, faults: list[str]) -> Mimic:
+    factors = {"multiplier": "1", "offset": "0"}
+    numbers = (_numbers(what, mimic, key, default, 1, faults)[0] for key, default in factors.items())
+    return Mimic(_name(what, mimic, "joint", faults), *numbers)
 
 
 def _tree_faults(document: Document) -> list[str]:
@@ -227,7 +243,7 @@ def _tree_faults(document: Document) -> list[str]:
             carried[joint.child] = name
     roots = [link for link in document.links if link not in carried]
     if len(roots) != 1:
-        faults.append(f"exactly one link must be the base, carried by no joint; found {len(roots)}: {roots}")
+        faults.append(f"exactly one link must be the base, carried by no joint; found {len(roots)}: {_listed(roots)}")
     children = children_of(document)
     # links that hang on a missing link are in no loop
     frontier = [*roots, *(parent for parent in children if parent not in document.links)]
@@ -238,7 +254,12 @@ def _tree_faults(document: Document) -> list[str]:
                 reached.add(child)
                 frontier.append(child)
     loose = [link for link in document.links if link not in reached]
-    return [*faults, f"links {loose} hang in a loop"] if loose else faults
+    return [*faults, f"links {_listed(loose)} hang in a loop"] if loose else faults
+
+
+def _listed(names: list[str]) -> str:
+    """Names in brackets, the first twenty of many."""
+    return f"{names}" if len(names) <= 20 else f"{names[:20]} and {len(names) - 20} more"
 
 
 def children_of(document: Document) -> dict[str, list[str]]:

@@ -1,0 +1,87 @@
+"""Positions of the joints of a URDF file that are locked: those that are named, and those that mimic them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence, Set
+from typing import Any
+
+from torchdq.checks import matching, require_number
+from torchdq.errors import ArgumentError
+from torchdq.robot.arrays import MOST
+from torchdq.robot.urdf_document import MOVING, Document
+
+KIND = "movable joint"
+NEAR = 1e-6  # [rad or m] a position that close to a limit is within: files are printed with about six digits
+
+
+def positions(lock: Any, movable: Iterable[str], zero: Mapping[str, float] | None = None) -> dict[str, float]:
+    """Position [rad or m] of every joint that `lock` names.
+
+    Args:
+        lock: positions by name or pattern, where a name goes before a pattern, or names or patterns alone; None: none.
+        movable: names of the joints.
+        zero: positions of joints that are only named; None: zero.
+    """
+    movable = tuple(movable)
+    if lock is None:
+        return {}
+    if not isinstance(lock, Mapping | Sequence | Set):
+        expected = "positions by name, e.g. {'finger': 0.0}, or names of joints to lock at zero"
+        raise ArgumentError(f"lock must hold {expected}, found {lock!r}; known: {', '.join(movable)}")
+    if not isinstance(lock, Mapping):
+        return {name: zero[name] if zero else 0.0 for name in matching("lock", lock, movable, f"{KIND} to lock")}
+    found = {}
+    for pattern in sorted(lock, key=lambda pattern: pattern in movable):
+        require_number(f"lock[{pattern!r}]", lock[pattern])
+        for name in matching("lock", pattern, movable, f"{KIND} to lock"):
+            found[name] = float(lock[pattern])
+    return found
+
+
+def locked(document: Document, joints: Any, lock: Any) -> dict[str, float]:
+    """Position [rad or m] of every joint to lock; `Robot.from_urdf` says what is expected.
+
+    A joint that mimics a locked one is locked where the file puts it, unless it is named itself.
+    """
+    movable = [name for name, joint in document.joints.items() if joint.kind in MOVING]
+    given = positions(lock, movable)
+    kept = () if joints is None else matching("joints", joints, movable, KIND)
+    if both := [name for name in kept if name in given]:
+        raise ArgumentError(f"joints and lock must not name the same joint, found {', '.join(both)} in both")
+    at = given if joints is None else {name: 0.0 for name in movable if name not in kept} | given
+    named = {*given, *kept}
+    followers: dict[str, list[str]] = {}
+    for name in movable:
+        if (mimic := document.joints[name].mimics) is not None and name not in named:
+            followers.setdefault(mimic.joint, []).append(name)
+    following = {name for driver in at for name in followers.get(driver, ())}
+    drivers = [name for name in at if name not in following]
+    while drivers:
+        driver = drivers.pop()
+        for name in followers.pop(driver, ()):
+            mimic = document.joints[name].mimics
+            at[name] = mimic.multiplier * at[driver] + mimic.offset
+            drivers.append(name)
+    for name, value in at.items():
+        if not abs(value) <= MOST:
+            raise ArgumentError(f"lock[{name!r}] must not exceed {MOST:g} in size, found {value:g}")
+    return {name: at[name] for name in movable if name in at}
+
+
+def notes_of(document: Document, lock: Mapping[str, float]) -> list[str]:
+    """Notes about locked joints: their positions, those beyond their limits, and those that should follow others."""
+    if not lock:
+        return []
+    notes = [f"locked: {', '.join(f'{name} at {value:g}' for name, value in lock.items())}"]
+    moving = {name for name, joint in document.joints.items() if joint.kind in MOVING and name not in lock}
+    beyond, apart = [], []
+    for name, value in lock.items():
+        lower, upper = (document.joints[name].limits[key] for key in ("lower", "upper"))
+        mimic = document.joints[name].mimics
+        if not lower - NEAR <= value <= upper + NEAR:
+            beyond.append(f"{name} at {value:g}, limits [{lower:g}, {upper:g}]")
+        if mimic and mimic.joint in moving:
+            apart.append(name)
+    notes += [f"locked beyond their limits: {'; '.join(beyond)}"] if beyond else []
+    notes += [f"locked although the joints that they mimic move: {', '.join(apart)}"] if apart else []
+    return notes

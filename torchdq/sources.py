@@ -1,0 +1,104 @@
+"""Bytes of files that a caller names by a path, an address, an open file, or gives as they are.
+
+Every reader takes the same kinds of sources through here, and none of them reads more than its bound.
+"""
+
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+from urllib.parse import unquote, urlsplit
+
+from torchdq.errors import ArgumentError, TorchdqError
+
+PACKAGES = ("AMENT_PREFIX_PATH", "ROS_PACKAGE_PATH")  # variables in which ROS 2 and ROS 1 list their folders
+
+
+class Content(NamedTuple):
+    """Bytes of a source, with a name for messages."""
+
+    name: str
+    data: bytes
+
+
+def content(
+    kind: str, source: Any, most: int, error: type[TorchdqError], missing: type[TorchdqError], hint: str = ""
+) -> Content:
+    """Bytes of a source.
+
+    Args:
+        kind: contents for messages, e.g. "robot description".
+        source: path (`~` is the home folder), `file://` or `package://` address, bytes, or an open file.
+        most: largest number of bytes that is read.
+        error, missing: errors of a source that cannot be read, and of a file that does not exist.
+        hint: end of the message about a file that does not exist.
+    """
+    try:
+        name, data = _read(kind, source, most, missing, hint)
+    except (OSError, TypeError, ValueError) as fault:  # a folder, no permission, a name no file can have, a closed file
+        if isinstance(fault, TorchdqError):
+            raise
+        cause = fault.strerror if isinstance(fault, OSError) and fault.strerror else fault
+        raise error(f"the {kind} {_shown(source)} cannot be read: {cause}") from fault
+    if len(data) > most:
+        raise error(f"{name} holds more than {most} bytes, the most that a {kind} may have")
+    if not data:
+        raise error(f"{name} is empty; a {kind} was expected")
+    return Content(name, data)
+
+
+def _read(kind: str, source: Any, most: int, missing: type[TorchdqError], hint: str) -> Content:
+    if isinstance(source, bytes | bytearray | memoryview):
+        return Content(f"the {kind}", bytes(source))
+    if callable(getattr(source, "read", None)):
+        read, name = source.read(most + 1), getattr(source, "name", None)
+        data = read.encode() if isinstance(read, str) else memoryview(read).tobytes()
+        return Content(name if isinstance(name, str) else "the open file", data)
+    if not isinstance(source, str | os.PathLike):
+        expected = "a path, a file:// or package:// address, bytes or an open file"
+        raise ArgumentError(f"the {kind} must be {expected}, found {_shown(source)}")
+    text = os.fsdecode(source)
+    if not text.strip():
+        raise ValueError(f"its path is empty, found {_shown(text)}")
+    path = _located(text, missing)
+    try:
+        with path.open("rb") as file:
+            return Content(text, file.read(most + 1))
+    except FileNotFoundError as fault:
+        variables = "; variables such as $HOME are not replaced, use os.path.expandvars" if "$" in text else ""
+        raise missing(f"there is no file {_shown(str(path))}{variables}{hint and '; '}{hint}") from fault
+
+
+def _shown(x: Any) -> str:
+    """Value as Python writes it, its beginning if that is long."""
+    text = repr(x)
+    return text if len(text) <= 300 else f"{text[:300]}..."
+
+
+def _located(text: str, missing: type[TorchdqError]) -> Path:
+    """Path of a file that is named by a path or an address."""
+    scheme, separator, _ = text.partition("://")
+    if not separator or not scheme.isalnum():
+        return Path(os.path.expanduser(text))
+    address = urlsplit(text)
+    if scheme == "file" and address.netloc in ("", "localhost"):
+        return Path(unquote(address.path))
+    if scheme == "package":
+        return _in_package(text, address.netloc, unquote(address.path).lstrip("/"), missing)
+    raise ValueError(
+        f"only file:/// and package:// addresses are read, found {_shown(text)}; save the file and pass its path"
+    )
+
+
+def _in_package(text: str, package: str, inside: str, missing: type[TorchdqError]) -> Path:
+    """Path of a file in a package of ROS."""
+    ament, ros = ([Path(x) for x in os.environ.get(variable, "").split(os.pathsep) if x] for variable in PACKAGES)
+    folders = [prefix / "share" / package for prefix in ament]
+    folders += [path for root in ros for path in (root / package, root) if path.name == package]
+    for folder in folders:
+        if (folder / inside).is_file():
+            return folder / inside
+    searched = ", ".join(map(str, folders)) or f"no folder, because {' and '.join(PACKAGES)} are not set"
+    raise missing(
+        f"there is no file {_shown(text)}; searched: {searched}; run the setup script of the ROS workspace, or pass "
+        "the path of the file"
+    )
