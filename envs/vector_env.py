@@ -27,7 +27,7 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.checks import require_choice, require_count
+from torchdq.checks import DTYPES, require_choice, require_count
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, full
 from torchdq.envs.arguments import autoreset_of, check_scene, robot_of, task_of
@@ -42,7 +42,6 @@ from torchdq.envs.state import State
 from torchdq.envs.tasks import Checked, EpisodeTask
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 from torchdq.robot import Robot
-from torchdq.robot.robot import DTYPES
 
 KP, KD = 100.0, 20.0  # gains of the default controller [1/s^2, 1/s]
 SHOWN = 4  # rendered environments

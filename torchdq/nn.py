@@ -85,7 +85,7 @@ class RobotModule(nn.Module):
     def robot(self) -> Robot:
         """Robot with the module's present parameters."""
         changes = {name: getattr(self, name) for name in self.learn if name in SHAPES}
-        return self._robot.replace(**changes) if changes else self._robot
+        return self._robot._with(**changes) if changes else self._robot
 
     def friction_torque(self, qd: Tensor) -> Tensor:
         """Torque [..., n] that overcomes the friction at velocities qd [..., n], in its dtype and on its device.
