@@ -37,6 +37,7 @@ from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, check_precision
 from torchdq.program.program import Argument, Count, Program
 from torchdq.robot import Robot
+from torchdq.robot.changes import require_unchanged
 from torchdq.robot.robot import arguments, constants, recorded
 
 _interned: Bounded[SceneSpec, SceneSpec] = Bounded(PROGRAMS)  # equal scenes share their programs
@@ -298,6 +299,7 @@ class Scene:
 
     def _parameters(self) -> dict[str, Tensor]:
         """Tensors of robot, controller and effects by "owner.name"."""
+        require_unchanged(self.robot)
         found = {f"{ROBOT}.{name}": getattr(self.robot, name) for name in self.spec.arguments}
         parts = () if self.controller is None else ((CONTROLLER, self.controller),)
         for owner, part in (*parts, *enumerate(self.effects)):

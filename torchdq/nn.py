@@ -166,7 +166,7 @@ def _initial_values(robot: Robot, name: str) -> dict[str, Tensor]:
     zeros = torch.zeros_like(robot.damping)
     if name == "friction":
         described = {"viscous": robot.damping, "coulomb": robot.friction}
-        return {quantity: x.detach().where(x > 0, INITIAL[quantity]) for quantity, x in described.items()}
+        return {quantity: x.detach().where(x != 0, INITIAL[quantity]) for quantity, x in described.items()}
     if name == "offset":
         return {name: zeros}
     if name == "armature" and robot.armature is None:

@@ -25,9 +25,20 @@ IDENTITY = double([1.0, 0, 0, 0, 0, 0, 0, 0])  # pose
 def numbers(name: str, value: Any) -> Tensor:
     """Value as a float64 tensor."""
     try:
-        return torch.as_tensor(value if isinstance(value, Tensor) else np.array(value), dtype=torch.float64)
+        x = torch.as_tensor(value if isinstance(value, Tensor) else np.array(value))
+        if x.is_complex():
+            raise TypeError(f"found {x.dtype}")
+        return x.to(torch.float64)
     except (TypeError, ValueError, RuntimeError) as error:  # words, or rows of different lengths
         raise DescriptionError(f"{name} must be an array of numbers: {error}") from error
+
+
+def finite(name: str, value: Any) -> Tensor:
+    """Value as a finite float64 tensor."""
+    x = numbers(name, value)
+    if not bool(x.isfinite().all()):
+        raise DescriptionError(f"{name} must be finite, found {x.tolist()}")
+    return x
 
 
 def table(name: str, value: Any, *shape: int) -> Tensor:
@@ -35,9 +46,7 @@ def table(name: str, value: Any, *shape: int) -> Tensor:
     x = numbers(name, value)
     if tuple(x.shape) != shape:
         raise DescriptionError(f"{name} must have the shape {shape}, found {tuple(x.shape)}")
-    if not bool(x.isfinite().all()):
-        raise DescriptionError(f"{name} must be finite, found {x.tolist()}")
-    return x
+    return finite(name, x)
 
 
 def poses(name: str, value: Any, *shape: int) -> Tensor:

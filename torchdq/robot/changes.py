@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from functools import partial
-from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import consistency, fields
+from torchdq.robot.constants import version
 from torchdq.robot.description import Limits
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.tree import general_tree, plain
@@ -19,7 +20,6 @@ from torchdq.robot.tree import general_tree, plain
 if TYPE_CHECKING:
     from torchdq.robot.robot import Robot
 
-_requires_grad = attrgetter("requires_grad")
 # fields that the robots of a stack may have different values of
 STACKED = (*SHAPES, "limits", "damping", "friction")
 
@@ -35,26 +35,21 @@ def require_unchanged(robot: Robot, replaced: Collection[str] = ()) -> None:
     Changes through `x.data` and `x.numpy()` are not seen, since torch does not count them. Tensors with the names
     `replaced` may require grad.
     """
-    if torch.compiler.is_compiling():
+    if is_compiling():
         return
-    if robot._storages.changed():  # type: ignore[union-attr]
-        _complain_of_a_change(robot)
-    if True in map(_requires_grad, robot._watched):
-        for name, x in fields.present(robot, SHAPES).items():
-            if x.requires_grad and name not in (*replaced, *robot._arguments):
-                raise ArgumentError(
-                    f"{name} of robot {robot.name!r} requires grad, but is a constant of its programs and would get no "
-                    f"gradient; use robot.replace({name}={name}) with a tensor that requires grad"
-                )
-
-
-def _complain_of_a_change(robot: Robot) -> None:
-    constant = {name: x for name, x in values(robot).items() if name not in ("notes", *robot._arguments)}
-    names = robot._constants.changed(constant) or ["a tensor"]  # type: ignore[union-attr]
-    raise ArgumentError(
-        f"{', '.join(names)} of robot {robot.name!r} was changed in place, but is a constant of its programs, which "
-        f"still have the numbers of before; load the robot again and use robot.replace({names[0]}=...)"
-    )
+    if any(map(version, robot._storages)):
+        constant = {name: x for name, x in values(robot).items() if name not in ("notes", *robot._arguments)}
+        names = robot._constants.changed(constant) or ["a tensor"]
+        raise ArgumentError(
+            f"{', '.join(names)} of robot {robot.name!r} was changed in place, but its programs still have the numbers "
+            f"of before; load the robot again and use robot.replace({names[0]}=...)"
+        )
+    for name, x in fields.present(robot, SHAPES).items():
+        if x.requires_grad and name not in (*replaced, *robot._arguments):
+            raise ArgumentError(
+                f"{name} of robot {robot.name!r} requires grad, but is a constant of its programs and would get no "
+                f"gradient; use robot.replace({name}={name}) with a tensor that requires grad"
+            )
 
 
 def require_fields(robot: Robot, changes: Mapping[str, Any]) -> None:

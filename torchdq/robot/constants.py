@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchdq.program.transforms import with_values, without_values
 
-version = attrgetter("_version")  # of a tensor: number of changes in place of its storage
+version = attrgetter("_version")  # of a tensor: number of changes in place of all tensors in its storage
 
 
 class Numbers(NamedTuple):
@@ -65,25 +65,18 @@ class Constants:
         return hash(self.digest)
 
 
-class Storages(NamedTuple):
-    """Storages of a robot's constant tensors, with the number of their changes in place when they were filled."""
-
-    flat: tuple[Tensor, ...]  # one for each dtype and device, which is one in general
-    versions: int
-
-    def changed(self) -> bool:
-        """Whether a tensor in them was changed in place."""
-        return sum(map(version, self.flat)) != self.versions
-
-    def hold(self, x: Any) -> bool:
-        """Whether they hold a tensor that has values to read."""
-        if not isinstance(x, Tensor) or without_values([x]):
-            return False
-        return any(x.untyped_storage()._cdata == flat.untyped_storage()._cdata for flat in self.flat)
+def hold(storages: tuple[Tensor, ...], x: Any) -> bool:
+    """Whether storages hold a tensor that has values to read."""
+    if not isinstance(x, Tensor) or without_values([x]):
+        return False
+    return any(x.untyped_storage()._cdata == flat.untyped_storage()._cdata for flat in storages)
 
 
-def stored(fields: Mapping[str, Any]) -> tuple[dict[str, Any], Storages]:
-    """Fields with copies of their tensors in common storages; tensors that require grad stay as they are."""
+def stored(fields: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[Tensor, ...]]:
+    """Fields with copies of their tensors in a common storage, and the storage, one for each dtype and device.
+
+    Its `_version` is 0 until one of the copies is changed in place. Tensors that require grad stay as they are.
+    """
     found: dict[tuple[torch.dtype, torch.device], list[Tensor]] = {}
 
     def collected(x: Tensor) -> None:
@@ -104,7 +97,7 @@ def stored(fields: Mapping[str, Any]) -> tuple[dict[str, Any], Storages]:
             return flat[key].narrow(0, ends[key] - x.numel(), x.numel()).view(x.shape)
 
         copies = {name: _mapped(copied, Tensor, value) for name, value in fields.items()}
-    return copies, Storages(tuple(flat.values()), sum(map(version, flat.values())))
+    return copies, tuple(flat.values())
 
 
 def _numbers(x: Tensor) -> Numbers:

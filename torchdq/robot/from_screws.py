@@ -1,6 +1,7 @@
 """Robots from joint screws in the base frame: the paper's own description, section 5.1."""
 
 from collections.abc import Sequence
+from numbers import Integral
 from typing import Any
 
 import torch
@@ -45,9 +46,10 @@ def read(
     s = table("joint_screws", s, n, 6)
     if n == 0:
         raise DescriptionError("joint_screws must hold at least one joint")
-    tree = tuple(range(BASE, n - 1)) if parents is None else tuple(int(p) for p in parents)
-    if len(tree) != n or any(not BASE <= p < i for i, p in enumerate(tree)):
+    tree = tuple(range(BASE, n - 1)) if parents is None else tuple(parents)
+    if len(tree) != n or not all(isinstance(p, Integral) and BASE <= p < i for i, p in enumerate(tree)):
         raise DescriptionError(f"parents must hold, for each of {n} links, an earlier link or -1, found {tree}")
+    tree = tuple(map(int, tree))
     X_WB = IDENTITY.expand(n, 8) if link_poses is None else poses("link_poses", link_poses, n, 8)
     X_WE = X_WB[-1] if tip_pose is None else poses("tip_pose", tip_pose, 8)
     names = distinct("joint", joint_names, n)

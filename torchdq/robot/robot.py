@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from torchdq.algebra.inertia import six
 from torchdq.caches import PROGRAMS, remembered
@@ -19,11 +20,12 @@ from torchdq.checks import frozen
 from torchdq.dynamics.joints import KINDS, Helical, Prismatic, Revolute
 from torchdq.dynamics.tree import BASE, Tree
 from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.program.transforms import any_requires_grad
 from torchdq.robot import consistency, from_dh, from_screws, urdf
-from torchdq.robot.arrays import numbers
+from torchdq.robot.arrays import finite
 from torchdq.robot.changes import check, faults_of, require_fields, require_unchanged, stacked, values
 from torchdq.robot.consistency import OnUnphysical
-from torchdq.robot.constants import Constants, Storages, stored
+from torchdq.robot.constants import Constants, hold, stored
 from torchdq.robot.description import Frame, Limits, RobotDescription
 from torchdq.robot.fields import DESCRIBED, SHAPES, batches, present, require_shapes
 from torchdq.robot.report import Report
@@ -67,18 +69,17 @@ class Robot:
     armature: Tensor | None = None  # [..., n] rotor inertia at the joint [kg m^2 or kg]; None: none
     notes: tuple[str, ...] = ()  # faults, and parts of the description that are not used or are used differently
     _arguments: tuple[str, ...] = field(default=(), repr=False)  # see `arguments`
-    _constants: Constants | None = field(default=None, repr=False)  # see `constants`; None: those of the fields
-    _storages: Storages | None = field(default=None, repr=False)  # of the constants; None: new ones
+    _constants: Constants = field(default=None, repr=False)  # type: ignore[assignment] # None: those of the fields
+    _storages: tuple[Tensor, ...] = field(default=(), repr=False)  # of the constants; (): new ones
     _watched: tuple[Tensor, ...] = field(default=(), repr=False)  # constants, which must not require grad
 
     def __post_init__(self) -> None:
         require_shapes(self)
-        # a tensor with batch axes depends on the sample and cannot be a constant
-        batched = batches(self)
+        batched = batches(self)  # these depend on the sample and cannot be constants
         names = tuple(name for name in present(self, SHAPES) if name in self._arguments or name in batched)
         made: dict[str, Any] = {"_arguments": names}
         kept = {name: x for name, x in values(self).items() if name not in names}
-        if self._storages is None:
+        if not self._storages:
             kept, made["_storages"] = stored(kept)
             made |= kept
         made["_watched"] = tuple([kept[name] for name in SHAPES if kept.get(name) is not None])
@@ -89,9 +90,9 @@ class Robot:
             object.__setattr__(self, name, value)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Parts for pickle and copy: the fields, from which the copy makes its own storages."""
+        """Parts for pickle and copy: all fields but the storages, which the copy makes anew."""
         require_unchanged(self)
-        return _restored, ({**values(self), "_arguments": self._arguments, "_constants": self._constants},)
+        return Robot, tuple(getattr(self, f.name) for f in dataclasses.fields(self)[:-2])
 
     # --- sources ---
 
@@ -212,9 +213,7 @@ class Robot:
         gravity: Sequence[float] | None,
         on_unphysical: OnUnphysical,
     ) -> Robot:
-        g = None if gravity is None else numbers("gravity", gravity)
-        if g is not None and not bool(g.isfinite().all()):
-            raise ArgumentError(f"gravity must be finite, found {g.tolist()}")
+        g = None if gravity is None else finite("gravity", gravity)
         robot = cls(**vars(description), gravity=g)
         if tip is not None:
             robot = robot.with_tip(tip)
@@ -258,12 +257,11 @@ class Robot:
         """Robot with some fields replaced; the other fields are shared.
 
         A replaced physical tensor becomes an argument of the programs, so new values, batches and gradients need no new
-        program; `bake` makes it a constant again. New values are checked as those of a file are, with `on_unphysical` as
-        in `from_urdf`, except for batches and for tensors that require grad or are inside a transform: see `check`.
+        program; `bake` makes it a constant again. New values are checked as a file's are, with `on_unphysical` as in
+        `from_urdf`; batches, and tensors that require grad or are inside a transform, only by `check`.
 
         Raises:
-            UnknownNameError: there is no such field.
-            ArgumentError, DtypeError: a value does not fit the robot.
+            UnknownNameError, ArgumentError, DtypeError: there is no such field, or a value does not fit the robot.
             UnphysicalError: a body cannot exist, or a friction or a limit is negative.
 
         >>> import torchdq
@@ -274,8 +272,8 @@ class Robot:
         """
         require_fields(self, changes)
         robot = self._with(**changes)
-        if any(self._storages.hold(x) for x in changes.values()):  # and would see its changes in place
-            robot = dataclasses.replace(robot, _storages=None)
+        if any(hold(self._storages, x) for x in changes.values()):  # whose changes in place are not the robot's
+            robot = dataclasses.replace(robot, _storages=())
         faults = faults_of(robot, changes)
         consistency.complain(self.name, faults, on_unphysical)
         return robot._with(notes=(*faults, *robot.notes)) if faults else robot
@@ -285,8 +283,8 @@ class Robot:
         names = tuple(name for name in SHAPES if name in self._arguments or changes.get(name) is not None)
         same = all(name in SHAPES and value is not None for name, value in changes.items())
         kept = not any(name in DESCRIBED for name in changes)
-        own = {"_constants": self._constants if same else None, "_storages": self._storages if kept else None}
-        return dataclasses.replace(self, **changes, _arguments=names, **own)
+        changes |= {"_constants": self._constants if same else None, "_storages": self._storages if kept else ()}
+        return dataclasses.replace(self, **changes, _arguments=names)
 
     def check(self) -> None:
         """Raise unless the robot can exist: the checks of a file on all present values, also of batches and parameters.
@@ -304,7 +302,7 @@ class Robot:
     def stack(cls, robots: Sequence[Robot]) -> Robot:
         """Batch of robots with equal trees, as one robot with a new leading axis.
 
-        Tensors that are equal in all robots stay as they are, without the axis. The name is that of the first robot.
+        Tensors that are equal in all robots stay as they are. The name is that of the first robot.
 
         >>> import torchdq
         >>> robot = torchdq.robots.load("two_link")
@@ -322,7 +320,7 @@ class Robot:
         for name in batches(self):
             raise ArgumentError(f"{name} of robot {self.name!r} has batch axes and cannot be a constant")
         detached = {name: getattr(self, name).detach() for name in self._arguments}
-        return dataclasses.replace(self, **detached, _arguments=(), _constants=None, _storages=None)
+        return dataclasses.replace(self, **detached, _arguments=(), _constants=None, _storages=())
 
     def with_tip(self, name: str | None) -> Robot:
         """Robot whose end effector is the frame with a name; None: no end effector."""
@@ -352,7 +350,7 @@ class Robot:
         changes: dict[str, Any] = {name: None if x is None else cast(x) for name, x in fields.items()}
         changes["limits"] = Limits(*map(cast, self.limits))
         changes["frames"] = tuple(frame._replace(X_BF=cast(frame.X_BF)) for frame in self.frames)
-        return dataclasses.replace(self, **changes, _constants=None, _storages=None)
+        return dataclasses.replace(self, **changes, _constants=None, _storages=())
 
     # --- numbers for the algorithms ---
 
@@ -378,10 +376,6 @@ class Robot:
         return f"Robot({self.name!r}, {self.n} joints, {hangs}, {mass:.4g} kg, tip={self.tip!r})"
 
 
-def _restored(fields: dict[str, Any]) -> Robot:
-    return Robot(**fields)
-
-
 # --- constants and arguments of programs -----------------------------------------------------------------------------
 
 
@@ -391,9 +385,13 @@ def arguments(robot: Robot) -> tuple[str, ...]:
 
 
 def constants(robot: Robot) -> Constants:
-    """Constants of the programs of a robot; replaced tensors are arguments and do not change them."""
-    require_unchanged(robot)
-    return robot._constants  # type: ignore[return-value]
+    """Constants of the programs of a robot, if they are still its numbers; replaced tensors are arguments."""
+    # every call of a function comes here, so the look is short
+    if not is_compiling():
+        for x in robot._storages:
+            if x._version or any_requires_grad(*robot._watched):
+                require_unchanged(robot)
+    return robot._constants
 
 
 @remembered(PROGRAMS)
