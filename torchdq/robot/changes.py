@@ -63,10 +63,9 @@ def require_fields(robot: Robot, changes: Mapping[str, Any]) -> None:
 
 
 def faults_of(robot: Robot, changes: Collection[str]) -> list[str]:
-    """Faults of changed fields that the notes do not tell of; raises unless tip and geometry are right."""
+    """Faults of changed fields that the notes do not tell of; raises unless the tip is a frame."""
     if {"tip", "frames"} & set(changes) and robot.tip is not None:
         robot.frame(robot.tip)
-    fields.require_geometry(robot, changes)
     known = {_without_numbers(note) for note in robot.notes}
     return [fault for fault in fields.faults(robot, changes) if _without_numbers(fault) not in known]
 
@@ -80,7 +79,6 @@ def check(robot: Robot) -> None:
     require_unchanged(robot)
     names = values(robot)
     fields.require_structure(robot.name, robot.n, names)
-    fields.require_geometry(robot, names, everything=True)
     faults = fields.faults(robot, names, everything=True)
     if not faults and not fields.batches(robot):
         faults = consistency.inert_joints(robot.joint_names, general_tree(robot, partial(plain, robot)))

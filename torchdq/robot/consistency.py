@@ -93,12 +93,12 @@ def inert_joints(names: Sequence[str], tree: Tree) -> list[str]:
     ]
 
 
-def complain(robot: str, faults: Sequence[str], on_unphysical: OnUnphysical) -> None:
-    """Raise, warn or do nothing about faults; a warning names the line that called the caller's caller."""
+def complain(robot: str, faults: Sequence[str], on_unphysical: OnUnphysical, stacklevel: int = 4) -> None:
+    """Raise, warn or do nothing about faults; `stacklevel` as in `warnings.warn`."""
     require_choice("on_unphysical", on_unphysical, get_args(OnUnphysical))
     if not faults or on_unphysical == "ignore":
         return
     message = f"robot {robot!r} is unphysical:\n  " + "\n  ".join(faults)
     if on_unphysical == "error":
         raise UnphysicalError(f"{message}\nCorrect the description, or pass on_unphysical='warn'.")
-    warnings.warn(message, stacklevel=4)
+    warnings.warn(message, stacklevel=stacklevel)

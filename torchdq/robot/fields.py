@@ -1,7 +1,7 @@
 """Fields of a robot: their shapes, and the checks of values that are given to `Robot.replace`.
 
-A description's source checks what it reads. Here the same is checked of single fields: structure and geometry, without
-which the numbers of the dynamics mean nothing, raise at once; `faults` are the properties that no body can have.
+A description's source checks what it reads. Here the same is checked of single fields: values of the wrong kind or
+length raise at once; `faults` are numbers that no robot can have.
 """
 
 from __future__ import annotations
@@ -167,26 +167,20 @@ def _of_kind(screw: Tensor, kinds: tuple[str, ...]) -> Tensor:
     return torch.stack([fits[kind][..., i] for i, kind in enumerate(kinds)], -1) if kinds else line
 
 
-def require_geometry(robot: Robot, names: Collection[str], everything: bool = False) -> None:
-    """Raise unless the poses and the screws among the names are unit ones, and screws those of their joints' kinds."""
+def _geometry(robot: Robot, names: Collection[str], everything: bool) -> Iterator[str]:
+    """Faults of poses and screws: those that are no unit ones, and screws that are not of the kind of their joint."""
     poses = {"X_PB_home": robot.X_PB_home} if "X_PB_home" in names else {}
     poses |= {f"pose X_BF of frame {f.name!r}": f.X_BF for f in robot.frames if "frames" in names}
     for name, x in poses.items():
         if readable(x, everything) and not bool(_unit(x.detach()).all()):
             at, found = _bad(x, ~_unit(x.detach()))
-            raise ArgumentError(
-                f"{name} of robot {robot.name!r} must be unit dual quaternions, found {found} at {at}; "
-                f"use torchdq.dq.normalize"
-            )
+            yield f"{name} must be unit dual quaternions (see torchdq.dq.normalize), found {found} at {at}"
     if {"screw", "kinds"} & set(names) and readable(robot.screw, everything):
         fits = _of_kind(robot.screw.detach(), robot.kinds)
         if not bool(fits.all()):
             at, found = _bad(robot.screw, ~fits)
             name, kind = robot.joint_names[at[-1]], robot.kinds[at[-1]]
-            raise ArgumentError(
-                f"screw of joint {name!r} of robot {robot.name!r} must be {SCREWS[kind]} with |l| = 1, since the joint "
-                f"is {kind}, found {found} at {at}"
-            )
+            yield f"screw of the {kind} joint {name!r} must be {SCREWS[kind]} with |l| = 1, found {found} at {at}"
 
 
 def faults(robot: Robot, names: Collection[str], everything: bool = False) -> list[str]:
@@ -197,7 +191,7 @@ def faults(robot: Robot, names: Collection[str], everything: bool = False) -> li
         names: names of fields.
         everything: whether batches and tensors that require grad are read, too.
     """
-    found, bodies = [], (robot.mass, robot.inertia)
+    found, bodies = [*_geometry(robot, names, everything)], (robot.mass, robot.inertia)
     batched = any(x.ndim > axes for x, axes in zip(bodies, (1, 2), strict=True))
     wanted = {"mass", "inertia"} & set(names) and (everything or not batched)
     if wanted and all(readable(x, everything) for x in bodies):

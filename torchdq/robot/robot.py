@@ -275,7 +275,7 @@ class Robot:
         if any(hold(self._storages, x) for x in changes.values()):  # whose changes in place are not the robot's
             robot = dataclasses.replace(robot, _storages=())
         faults = faults_of(robot, changes)
-        consistency.complain(self.name, faults, on_unphysical)
+        consistency.complain(self.name, faults, on_unphysical, stacklevel=3)
         return robot._with(notes=(*faults, *robot.notes)) if faults else robot
 
     def _with(self, **changes: Any) -> Robot:
