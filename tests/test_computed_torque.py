@@ -4,6 +4,8 @@ The closed loop is the two-link arm, pressing on something with its tip, trackin
 All its variants are rows of one batch. The error's own equation is solved by a matrix exponential.
 """
 
+import math
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -308,3 +310,11 @@ def test_the_error_of_a_wrong_mass_grows_with_it_smoothly(run):
 def test_stiffer_gains_leave_less_of_a_wrong_mass(run):
     soft, stiff = (errors_of(run, row)[1][-1].abs().max() for row in ("1.1", "1.1 stiff"))
     assert stiff < 0.4 * soft
+
+
+@pytest.mark.parametrize("gain", [-100.0, math.nan, math.inf, True, "stiff"])
+@pytest.mark.parametrize("name", ["kp", "kd"])
+def test_a_gain_that_is_no_gain_is_refused(name, gain):
+    gains = {"kp": 25.0, "kd": 10.0} | {name: gain}
+    with pytest.raises(torchdq.ArgumentError, match=f"{name} must"):
+        torchdq.computed_torque(torchdq.robots.load("two_link"), *torch.zeros(5, 2, dtype=torch.float64), **gains)

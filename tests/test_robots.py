@@ -946,9 +946,13 @@ UNPHYSICAL = {
     "effort": ({"limits": two().limits._replace(effort=row(1, -1))}, "effort limit must be a number that is not neg"),
     "velocity": ({"limits": two().limits._replace(velocity=row(1, math.nan))}, "velocity limit must be"),
     "long screw": ({"screw": 2 * two().screw}, "screw of the revolute joint 'joint1' must be a unit line"),
+    "screw with pitch": ({"screw": two().screw + row(0, 0, 0, 0, 0, 0.1)}, "joint 'joint1' must be a unit line"),
     "no screw": ({"screw": 0 * two().screw}, "screw of the revolute joint 'joint1'"),
     "screw of nan": ({"screw": math.nan * two().screw}, "screw of the revolute joint 'joint1'"),
     "kinds and screws": (
+        {"kinds": ("revolute", "prismatic")},
+        "prismatic joint 'joint2' must be a unit translation",
+    ),
     "long pose": ({"X_PB_home": 2 * two().X_PB_home}, "X_PB_home .* unit dual quaternions.*dq.normalize"),
     "long frame": ({"frames": (Frame("tip", 1, row(2, 0, 0, 0, 0, 0, 0, 0)),)}, "frame 'tip' must be unit dual q"),
     "crossed": ({"limits": two().limits._replace(lower=row(9, 9), upper=row(0, 0))}, "lower limit must be"),
@@ -969,9 +973,6 @@ def test_replace_checks_values_as_a_file_is_checked(case):
 
 
 BROKEN = {
-        {"kinds": ("revolute", "prismatic")},
-        "prismatic joint 'joint2' must be a unit translation",
-    ),
     "frame beyond": ({"frames": (Frame("tip", 2, two().frames[0].X_BF),)}, "frames of robot 'two_link' must be"),
     "damping": ({"damping": torch.ones(5)}, r"damping of robot 'two_link' must be a tensor \[n\], with n = 2"),
     "integers": ({"friction": torch.ones(2, dtype=torch.int64)}, "friction of robot 'two_link' must be"),

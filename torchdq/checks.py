@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchdq.errors import ArgumentError, DtypeError, FrozenError, UnknownNameError
 
-DTYPES = (torch.float32, torch.float64)  # of inputs, parameters and programs
+DTYPES = (torch.float32, torch.float64)  # dtypes of inputs, parameters and programs
 
 Class = TypeVar("Class", bound=type)
 

@@ -1,7 +1,7 @@
 """Errors of this package, each also an instance of the built-in error a caller would expect."""
 
+import dataclasses
 from collections.abc import Iterable
-from dataclasses import FrozenInstanceError
 from difflib import get_close_matches
 
 
@@ -21,7 +21,7 @@ class NumberError(TorchdqError, TypeError):
     """Operation that a program cannot record, on a number whose value differs from sample to sample."""
 
 
-class FrozenError(TorchdqError, FrozenInstanceError):
+class FrozenError(TorchdqError, dataclasses.FrozenInstanceError):
     """Assignment to a field of an object that does not change."""
 
 

@@ -39,7 +39,7 @@ def require_unchanged(robot: Robot, replaced: Collection[str] = ()) -> None:
         return
     if any(map(version, robot._storages)):
         constant = {name: x for name, x in values(robot).items() if name not in ("notes", *robot._arguments)}
-        names = robot._constants.changed(constant) or ["a tensor"]
+        names = robot._constants.changed(constant) or ["a tensor"]  # type: ignore[union-attr]
         raise ArgumentError(
             f"{', '.join(names)} of robot {robot.name!r} was changed in place, but its programs still have the numbers "
             f"of before; load the robot again and use robot.replace({names[0]}=...)"

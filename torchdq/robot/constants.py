@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchdq.program.transforms import with_values, without_values
 
-version = attrgetter("_version")  # of a tensor: number of changes in place of all tensors in its storage
+version = attrgetter("_version")  # number of changes in place of all tensors in a tensor's storage
 
 
 class Numbers(NamedTuple):

@@ -114,7 +114,7 @@ STRUCTURE: dict[str, tuple[str, Callable[[Any, int], bool]]] = {
     ),
     "limits": (
         "Limits of four tensors [n]",
-        lambda x, n: isinstance(x, Limits) and all(_row(bound, n) for bound in x),
+        lambda x, n: getattr(x, "_fields", ()) == Limits._fields and all(_row(bound, n) for bound in x),
     ),
     "damping": ("a tensor [n]", _row),
     "friction": ("a tensor [n]", _row),

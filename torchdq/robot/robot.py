@@ -69,8 +69,8 @@ class Robot:
     armature: Tensor | None = None  # [..., n] rotor inertia at the joint [kg m^2 or kg]; None: none
     notes: tuple[str, ...] = ()  # faults, and parts of the description that are not used or are used differently
     _arguments: tuple[str, ...] = field(default=(), repr=False)  # see `arguments`
-    _constants: Constants = field(default=None, repr=False)  # type: ignore[assignment] # None: those of the fields
-    _storages: tuple[Tensor, ...] = field(default=(), repr=False)  # of the constants; (): new ones
+    _constants: Constants | None = field(default=None, repr=False)  # see `constants`; None: those of the fields
+    _storages: tuple[Tensor, ...] = field(default=(), repr=False)  # storages of the constants; (): new ones
     _watched: tuple[Tensor, ...] = field(default=(), repr=False)  # constants, which must not require grad
 
     def __post_init__(self) -> None:
@@ -391,7 +391,7 @@ def constants(robot: Robot) -> Constants:
         for x in robot._storages:
             if x._version or any_requires_grad(*robot._watched):
                 require_unchanged(robot)
-    return robot._constants
+    return robot._constants  # type: ignore[return-value]
 
 
 @remembered(PROGRAMS)
