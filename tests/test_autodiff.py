@@ -112,7 +112,7 @@ def in_one(robot, key, name, inputs):
     """A function of one of its inputs or of one of the robot's parameters, and where it is taken."""
     if name in inputs:
         return lambda x: outputs(robot, key, inputs | {name: x}), inputs[name]
-    return lambda x: outputs(robot.replace(**{name: x}), key, inputs), getattr(robot, name)
+    return lambda x: outputs(robot.replace(**{name: x}, on_unphysical="ignore"), key, inputs), getattr(robot, name)
 
 
 def flat(tensors):

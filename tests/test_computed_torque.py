@@ -4,6 +4,8 @@ The closed loop is the two-link arm, pressing on something with its tip, trackin
 All its variants are rows of one batch. The error's own equation is solved by a matrix exponential.
 """
 
+import math
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -365,3 +367,11 @@ def test_arguments_that_do_not_fit_a_model_are_refused_by_name(wrong):
     names = ("q", "qd", "q_des", "qd_des", "qdd_des")
     with pytest.raises(torchdq.ArgumentError, match=rf"^{wrong} must have the shape"):
         controller(**{name: torch.zeros(3 if name == wrong else 2) for name in names})
+
+
+@pytest.mark.parametrize("gain", [-100.0, math.nan, math.inf, True, "stiff"])
+@pytest.mark.parametrize("name", ["kp", "kd"])
+def test_a_gain_that_is_no_gain_is_refused(name, gain):
+    gains = {"kp": 25.0, "kd": 10.0} | {name: gain}
+    with pytest.raises(torchdq.ArgumentError, match=f"{name} must"):
+        torchdq.computed_torque(torchdq.robots.load("two_link"), *torch.zeros(5, 2, dtype=torch.float64), **gains)

@@ -65,6 +65,23 @@ def test_a_single_joint_magnifies_nothing():
     assert torchdq.error_growth(rods(1), torch.zeros(3, 1)).tolist() == [1.0, 1.0, 1.0]
 
 
+@every_backend
+@pytest.mark.parametrize("scale", [-1.0, -1e-6, -1e5])
+@pytest.mark.parametrize("joints", [1, 2, 5])
+def test_a_mass_matrix_that_is_negative_has_no_accelerations(backend, joints, scale):
+    robot = rods(joints)
+    q, qd, tau = inputs(robot, 3, torch.float64)
+    factor = torch.tensor([[scale], [1.0], [scale]], dtype=torch.float64)
+    mixed = robot.replace(mass=factor * robot.mass, inertia=factor.unsqueeze(-1) * robot.inertia)
+    growth = torchdq.error_growth(mixed, q, backend=backend)
+    assert (growth[[0, 2]] >= 1e30).all()
+    torch.testing.assert_close(growth[1], torchdq.error_growth(robot, q[1], backend=backend), rtol=1e-9, atol=0)
+    qdd = torchdq.forward_dynamics(mixed, q, qd, tau, backend=backend)
+    assert qdd[[0, 2]].isnan().all() and qdd[1].isfinite().all()
+    negative = robot.replace(armature=torch.full((joints,), -1e3, dtype=torch.float64), on_unphysical="ignore")
+    assert torchdq.forward_dynamics(negative, q, qd, tau, backend=backend).isnan().all()
+
+
 # --- what follows -----------------------------------------------------------------------------------------------------
 
 

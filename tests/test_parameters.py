@@ -565,3 +565,19 @@ def test_a_whole_arm_is_found_from_torques_but_for_what_torques_do_not_show():
     error = (module(*unseen) - torchdq.inverse_dynamics(true, *unseen)).square().mean()
     assert float(error) < 1e-3 * before
     assert objections(module.mass, module.inertia) == []
+
+
+@pytest.mark.parametrize("name", ["mass", "armature"])
+def test_negative_values_are_refused(name):
+    module = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=(name,))
+    before = getattr(module, name).detach()
+    with pytest.raises(torchdq.ArgumentError, match="value must not be negative, found -"):
+        setattr(module, name, -before)
+    assert torch.equal(getattr(module, name), before)
+
+
+def test_negative_friction_of_a_description_is_not_another_one():
+    robot = torchdq.robots.load("two_link")
+    robot = robot.replace(friction=-torch.ones_like(robot.mass), on_unphysical="ignore")
+    with pytest.raises(torchdq.ArgumentError, match="must not be negative, found -1"):
+        torchdq.DQRNEA(robot, learn="friction")

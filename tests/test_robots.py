@@ -4,9 +4,12 @@ Evidence: homogeneous matrices multiplied out here, formulas of one-joint robots
 and description files of two of them that were written by others.
 """
 
+import copy
 import dataclasses
 import math
 import os
+import pickle
+import re
 import warnings
 from pathlib import Path
 
@@ -16,6 +19,7 @@ import torch
 
 import torchdq
 from torchdq import ArgumentError, DescriptionError, DtypeError, Robot, UnknownNameError, UnphysicalError, dq
+from torchdq.envs import Scene, effects
 from torchdq.robot import Frame
 
 F64 = torch.float64
@@ -785,3 +789,311 @@ def test_a_batch_of_robots_has_a_batch_of_parameters(field):
 def test_a_batch_of_robots_is_reported_by_its_mean():
     robots = panda().replace(mass=torch.stack([panda().mass, 3 * panda().mass]))
     assert "32.12 kg" in repr(robots) and robots.report().joints[3][3] == "7.176 kg"
+
+
+# --- changes that would go unseen -------------------------------------------------------------------------------------
+
+
+CONSTANTS = [
+    "mass",
+    "com",
+    "inertia",
+    "gravity",
+    "X_PB_home",
+    "screw",
+    "damping",
+    "friction",
+    "limits.effort",
+    "frame tip",
+]
+
+
+def uses(robot):
+    """Everything that reads a robot's constants."""
+    q = torch.ones(robot.n, dtype=F64)
+    return {
+        "function": lambda: torchdq.inverse_dynamics(robot, q),
+        "kinematics": lambda: torchdq.forward_kinematics(robot, q),
+        "module": lambda: torchdq.DQRNEA(robot)(q),
+        "learned module": lambda: torchdq.DQRNEA(robot, learn=("home",) if robot.home is not None else ("offset",))(q),
+        "compile": lambda: torchdq.compile(robot, "inverse_dynamics"),
+        "scene": lambda: Scene(robot, (effects.Gravity(),)),
+        "replace": lambda: robot.replace(com=robot.com.clone()),
+        "with_tip": lambda: robot.with_tip(None),
+        "to": lambda: robot.to(torch.float32),
+        "bake": lambda: robot.bake(),
+        "tree": lambda: robot.tree(),
+        "report": lambda: robot.report(),
+        "parameters": lambda: robot.inertial_parameters,
+        "pickle": lambda: pickle.dumps(robot),
+        "copy": lambda: copy.deepcopy(robot),
+        "check": lambda: robot.check(),
+    }
+
+
+USES = list(uses(torchdq.robots.load("two_link")))
+
+
+@pytest.mark.parametrize("use", USES)
+def test_a_constant_that_was_changed_in_place_is_told_at_the_next_use(use):
+    robot = torchdq.robots.load("two_link")
+    uses(robot)[use]()
+    robot.mass.mul_(2)
+    with pytest.raises(
+        ArgumentError, match=r"mass of robot 'two_link' was changed in place.* robot\.replace\(mass=\.\.\.\)"
+    ):
+        uses(robot)[use]()
+
+
+@pytest.mark.parametrize("name", CONSTANTS)
+def test_every_constant_is_watched(name):
+    robot = torchdq.robots.load("two_link")
+    tensors(robot)[name].fill_(3)
+    with pytest.raises(ArgumentError, match=f"{name.split('.')[0].split(' ')[0]}.* was changed in place"):
+        torchdq.inverse_dynamics(robot, torch.ones(2, dtype=F64))
+
+
+def test_a_scene_sees_that_its_robot_was_changed_in_place():
+    robot = torchdq.robots.load("two_link")
+    scene, q = Scene(robot, (effects.Viscous(),)), torch.zeros(2, dtype=F64)
+    scene.step(scene.start(q, q))
+    robot.damping.add_(5.0)
+    with pytest.raises(ArgumentError, match="damping of robot 'two_link' was changed in place"):
+        scene.step(scene.start(q, q))
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))])
+@pytest.mark.parametrize("field", ["mass", "limits"])
+def test_copies_are_watched_too(copied, field):
+    original = torchdq.robots.load("two_link")
+    robot = copied(original)
+    assert torch.equal(torques(robot), torques(original))
+    (robot.mass if field == "mass" else robot.limits.lower).fill_(3)
+    with pytest.raises(ArgumentError, match=f"{field} of robot 'two_link' was changed in place"):
+        torques(robot)
+    torques(original)
+
+
+def test_a_robot_shares_no_tensor_with_another_by_chance():
+    a, b = (Robot.from_screws([LINE], [2.0], [[0.1, 0.2, 0.3]], [BALL]) for _ in range(2))
+    a.frames[0].X_BF.mul_(2)
+    torques(b)
+    mass = torch.ones(1, dtype=F64)
+    baked = b.replace(mass=mass).bake()
+    mass.mul_(3)
+    assert baked.mass.tolist() == [1.0]
+    torques(baked)
+
+
+def test_a_replaced_tensor_may_be_changed_in_place():
+    robot = torchdq.robots.load("two_link")
+    q, mass = torch.ones(2, dtype=F64), torch.nn.Parameter(robot.mass)  # one storage with the robot
+    learned = robot.replace(mass=mass)
+    before = torchdq.inverse_dynamics(learned, q)
+    with torch.no_grad():
+        mass.mul_(2)
+    assert not torch.equal(torchdq.inverse_dynamics(learned, q), before)
+    with pytest.raises(ArgumentError, match="mass of robot 'two_link' was changed in place"):
+        torchdq.inverse_dynamics(robot, q)
+
+
+def test_robots_of_inference_mode_are_watched():
+    with torch.inference_mode():
+        robot = torchdq.robots.load("two_link").replace(mass=torch.ones(2, dtype=F64)).bake()
+        torques(robot)
+    robot.mass.mul_(2)
+    with pytest.raises(ArgumentError, match="changed in place"):
+        torques(robot)
+
+
+@pytest.mark.parametrize("use", USES)
+def test_a_constant_that_requires_grad_is_told_at_the_next_use(use):
+    robot = torchdq.robots.load("two_link")
+    robot.mass.requires_grad_()
+    with pytest.raises(ArgumentError, match=r"mass of robot 'two_link' requires grad.*robot\.replace\(mass=mass\)"):
+        uses(robot)[use]()
+    tau = torchdq.inverse_dynamics(robot.replace(mass=robot.mass), torch.ones(2, dtype=F64))
+    tau.sum().backward()
+    assert robot.mass.grad is not None
+    robot.mass.requires_grad_(False)
+    uses(robot)[use]()
+
+
+@pytest.mark.parametrize("backend", ["auto", "eager"])
+def test_a_robot_made_of_a_tensor_that_requires_grad_is_told(backend):
+    robot = one_joint(LINE, mass=torch.ones(1, dtype=F64, requires_grad=True))
+    with pytest.raises(ArgumentError, match="mass of robot 'robot' requires grad"):
+        torchdq.inverse_dynamics(robot, torch.ones(1, dtype=F64), backend=backend)
+
+
+def test_assignment_names_replace():
+    with pytest.raises(torchdq.errors.FrozenError, match=r"robot\.replace\(mass=\.\.\.\)"):
+        panda().mass = torch.ones(7)
+    with pytest.raises(dataclasses.FrozenInstanceError, match="a Robot does not change"):
+        del panda().mass
+
+
+# --- values that no robot has ----------------------------------------------------------------------------------------
+
+
+def two():
+    return torchdq.robots.load("two_link")
+
+
+def row(*numbers):
+    return torch.tensor(numbers, dtype=F64)
+
+
+UNPHYSICAL = {
+    "negative mass": ({"mass": row(1, -1)}, "link 'link2': mass must not be negative, found -1 kg"),
+    "mass of nan": ({"mass": row(math.nan, 1)}, "link 'link1': mass and inertia must be finite"),
+    "negative inertia": ({"inertia": -two().inertia}, "link 'link1': inertia must be positive definite"),
+    "triangle": (
+        {"inertia": row(1, 0, 0, 0, 0, 9).expand(2, 6)},
+        r"link 'link1': .*triangle inequality\), found 0, 1, 9",
+    ),
+    "inertia without mass": ({"mass": row(1, 0)}, "link 'link2': it has no mass, so its inertia must be zero"),
+    "com of inf": ({"com": two().com + math.inf}, "com must be finite"),
+    "home of nan": ({"home": row(0, math.nan)}, r"home must be finite, found nan at \(1,\)"),
+    "gravity of nan": ({"gravity": row(0, 0, math.nan)}, "gravity must be finite"),
+    "armature": ({"armature": row(0, -1)}, r"armature must be finite and not negative, found -1.0 at \(1,\)"),
+    "damping": ({"damping": row(0, -1)}, "damping must be finite and not negative, found -1.0"),
+    "friction": ({"friction": row(0, -1)}, "friction must be finite and not negative, found -1.0"),
+    "effort": ({"limits": two().limits._replace(effort=row(1, -1))}, "effort limit must be a number that is not neg"),
+    "velocity": ({"limits": two().limits._replace(velocity=row(1, math.nan))}, "velocity limit must be"),
+    "long screw": ({"screw": 2 * two().screw}, "screw of the revolute joint 'joint1' must be a unit line"),
+    "screw with pitch": ({"screw": two().screw + row(0, 0, 0, 0, 0, 0.1)}, "joint 'joint1' must be a unit line"),
+    "no screw": ({"screw": 0 * two().screw}, "screw of the revolute joint 'joint1'"),
+    "screw of nan": ({"screw": math.nan * two().screw}, "screw of the revolute joint 'joint1'"),
+    "kinds and screws": (
+        {"kinds": ("revolute", "prismatic")},
+        "prismatic joint 'joint2' must be a unit translation",
+    ),
+    "long pose": ({"X_PB_home": 2 * two().X_PB_home}, "X_PB_home .* unit dual quaternions.*dq.normalize"),
+    "long frame": ({"frames": (Frame("tip", 1, row(2, 0, 0, 0, 0, 0, 0, 0)),)}, "frame 'tip' must be unit dual q"),
+    "crossed": ({"limits": two().limits._replace(lower=row(9, 9), upper=row(0, 0))}, "lower limit must be"),
+}
+
+
+@pytest.mark.parametrize("case", UNPHYSICAL)
+def test_replace_checks_values_as_a_file_is_checked(case):
+    changes, named = UNPHYSICAL[case]
+    with pytest.raises(UnphysicalError, match=named):
+        two().replace(**changes)
+    with pytest.warns(UserWarning, match=named) as warned:
+        robot = two().replace(**changes, on_unphysical="warn")
+    assert warned[0].filename == __file__
+    assert re.search(named, "; ".join(robot.report().notes))
+    with pytest.raises(UnphysicalError, match=named):
+        two().replace(**changes, on_unphysical="ignore").check()
+
+
+BROKEN = {
+    "frame beyond": ({"frames": (Frame("tip", 2, two().frames[0].X_BF),)}, "frames of robot 'two_link' must be"),
+    "damping": ({"damping": torch.ones(5)}, r"damping of robot 'two_link' must be a tensor \[n\], with n = 2"),
+    "integers": ({"friction": torch.ones(2, dtype=torch.int64)}, "friction of robot 'two_link' must be"),
+    "limits": ({"limits": 5}, "limits of robot 'two_link' must be Limits"),
+    "name": ({"name": 3}, "name of robot 'two_link' must be a string, with n = 2, found 3"),
+    "joints": ({"joint_names": ("a", "a")}, "joint_names .* different names"),
+    "links": ({"link_names": ["a", "b"]}, "link_names .* different names"),
+    "parents": ({"parents": (1, 0)}, "parents .* earlier link or -1"),
+    "kinds": ({"kinds": ("ball", "ball")}, "kinds .* revolute, prismatic, helical"),
+    "tip": ({"tip": 3}, "tip .* name of a frame"),
+    "notes": ({"notes": "none"}, "notes .* strings"),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_replace_checks_structure(case):
+    changes, named = BROKEN[case]
+    with pytest.raises(ArgumentError, match=named):
+        two().replace(**changes)
+
+
+def test_every_field_can_be_replaced_by_itself():
+    for name in SHIPPED:
+        robot = torchdq.robots.load(name)
+        fields = [f.name for f in dataclasses.fields(robot) if not f.name.startswith("_")]
+        for field in fields:
+            again = robot.replace(**{field: getattr(robot, field)})
+            assert same(torques(again), torques(robot))
+            assert again.to(torch.float32).replace(**{field: getattr(robot.to(torch.float32), field)}).n == robot.n
+
+
+def test_an_unknown_field_names_the_closest():
+    with pytest.raises(UnknownNameError, match="no field of robot 'two_link' named 'masses'; did you mean 'mass'"):
+        two().replace(masses=two().mass)
+    with pytest.raises(UnknownNameError, match="no frame of robot 'two_link' named 'tool'"):
+        two().replace(tip="tool")
+
+
+def test_learned_and_transformed_values_are_not_read():
+    mass = -torch.ones(2, dtype=F64)
+    learned = two().replace(mass=mass.clone().requires_grad_())
+    torch.func.vmap(lambda m: torchdq.inverse_dynamics(two().replace(mass=m), torch.ones(2, dtype=F64)))(mass[None])
+    for robot in (learned, two().replace(mass=mass[None])):
+        with pytest.raises(UnphysicalError, match="mass must not be negative"):
+            robot.check()
+
+
+def test_a_shipped_robot_passes_its_check():
+    for name in sorted(set(SHIPPED) - {"puma560"}):
+        torchdq.robots.load(name).check()
+        torchdq.robots.load(name).to(torch.float32).check()
+
+
+def test_a_check_finds_a_joint_without_inertia():
+    robot = two().replace(mass=row(1, 0), inertia=row(0, 0, 0, 0, 0, 0).expand(2, 6))
+    with pytest.raises(UnphysicalError, match="joint 'joint2': it moves no inertia"):
+        robot.check()
+
+
+# --- one robot of several --------------------------------------------------------------------------------------------
+
+
+def test_a_stack_of_robots_is_a_batch_of_them():
+    robots = [two(), two().replace(mass=row(2, 3), com=two().com + 0.1), two().replace(armature=row(0.1, 0.2)).bake()]
+    batch = Robot.stack(robots)
+    assert (batch.mass.shape, batch.com.shape, batch.armature.shape) == ((3, 2), (3, 2, 3), (3, 2))
+    assert batch.screw.shape == (2, 6) and batch.inertia.shape == (2, 6)
+    q, qd, qdd = states(2, rows=3)
+    expected = torch.stack([torchdq.inverse_dynamics(x, *rows) for x, *rows in zip(robots, q, qd, qdd, strict=True)])
+    assert same(torchdq.inverse_dynamics(batch, q, qd, qdd), expected)
+
+
+def test_a_stack_holds_frictions_and_limits_of_all():
+    other = two().replace(damping=row(1, 2), limits=two().limits._replace(effort=row(3, 4)))
+    batch = Robot.stack([two(), other])
+    assert batch.damping[1].tolist() == [1, 2] and batch.limits.effort[1].tolist() == [3, 4]
+    assert "joint2" in str(batch.report())
+
+
+@pytest.mark.parametrize(
+    "other, named",
+    [
+        (lambda: two().with_tip(None), "must have the same tip"),
+        (lambda: panda(), "must have the same joint_names"),
+        (
+            lambda: two().replace(joint_names=("a", "b")),
+            r"same joint_names, found \('joint1', 'joint2'\) and \('a', 'b'\)",
+        ),
+        (lambda: 3, "robots must be a sequence of torchdq.Robot"),
+    ],
+)
+def test_a_stack_is_of_equal_trees(other, named):
+    with pytest.raises(ArgumentError, match=named):
+        Robot.stack([two(), other()])
+
+
+def test_a_stack_of_none_is_refused():
+    with pytest.raises(ArgumentError, match="robots must be a sequence"):
+        Robot.stack([])
+
+
+def test_words_and_complex_numbers_are_refused_by_name():
+    with pytest.raises(DescriptionError, match="gravity must be an array of numbers"):
+        one_joint(LINE, gravity="down")
+    with pytest.raises(DescriptionError, match="parents must hold"):
+        one_joint(LINE, parents=["a"])
+    with pytest.raises(DescriptionError, match=r"mass must be an array of numbers: found torch\.complex128"):
+        one_joint(LINE, mass=[1j])

@@ -5,15 +5,30 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Sequence, Set
 from fnmatch import fnmatchcase
-from typing import Any
+from typing import Any, NoReturn, TypeVar
 
 import torch
 from torch import Tensor
 
-from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
+from torchdq.errors import ArgumentError, DtypeError, FrozenError, UnknownNameError
 
 DTYPES = (torch.float32, torch.float64)  # supported for inputs, parameters and programs
 LARGEST = sys.float_info.max  # whole numbers may be larger
+
+Class = TypeVar("Class", bound=type)
+
+
+def frozen(cls: Class) -> Class:
+    """Class of a frozen dataclass with a method `replace`, which errors of assignments name."""
+
+    def refuse(self: Any, name: str, value: Any = None) -> NoReturn:
+        kind = cls.__name__
+        raise FrozenError(
+            f"a {kind} does not change; use {kind.lower()}.replace({name}=...), which returns another one"
+        )
+
+    cls.__setattr__ = cls.__delattr__ = refuse  # type: ignore[assignment]
+    return cls
 
 
 def require_tensor(name: str, x: Any) -> None:

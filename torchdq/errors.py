@@ -1,5 +1,6 @@
 """Errors of this package, each also an instance of the built-in error a caller would expect."""
 
+import dataclasses
 from collections.abc import Iterable
 from difflib import get_close_matches
 
@@ -18,6 +19,10 @@ class DtypeError(TorchdqError, TypeError):
 
 class NumberError(TorchdqError, TypeError):
     """Operation that a program cannot record, on a number whose value differs from sample to sample."""
+
+
+class FrozenError(TorchdqError, dataclasses.FrozenInstanceError):
+    """Assignment to a field of an object that does not change."""
 
 
 class DescriptionError(TorchdqError, ValueError):

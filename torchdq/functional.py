@@ -100,7 +100,8 @@ def function_of(
 ) -> list[Tensor]:
     """Results of a function of the catalogue, with the broadcast batch axes of all tensors."""
     what = Function(constants(require_robot(robot)), name, options)
-    return list(evaluate(what, _with_tensors(robot, given), backend, double).values())
+    tensors = _with_tensors(robot, given) if arguments(robot) else given
+    return list(evaluate(what, tensors, backend, double).values())
 
 
 # --- dynamics --------------------------------------------------------------------------------------------------------

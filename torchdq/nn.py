@@ -93,7 +93,7 @@ class RobotModule(nn.Module):
     def robot(self) -> Robot:
         """Robot with the module's present parameters."""
         changes = {name: getattr(self, name) for name in self.learn if name in SHAPES}
-        return self._robot.replace(**changes) if changes else self._robot
+        return self._robot._with(**changes) if changes else self._robot
 
     def friction_torque(self, qd: Tensor) -> Tensor:
         """Torque [..., n] that overcomes the friction at velocities qd [..., n], in its dtype and on its device.
@@ -184,7 +184,7 @@ def _initial_values(robot: Robot, name: str) -> dict[str, Tensor]:
     zeros = torch.zeros_like(robot.damping)
     if name == "friction":
         described = {"viscous": robot.damping, "coulomb": robot.friction}
-        return {quantity: x.detach().where(x > 0, INITIAL[quantity]) for quantity, x in described.items()}
+        return {quantity: x.detach().where(x != 0, INITIAL[quantity]) for quantity, x in described.items()}
     if name == "offset":
         return {name: zeros}
     if name == "armature" and robot.armature is None:

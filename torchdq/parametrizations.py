@@ -8,6 +8,7 @@ one step width suits a crane and a finger: a change by 0.01 is one percent of a 
 import torch
 from torch import Tensor, nn
 
+from torchdq.errors import ArgumentError
 from torchdq.functional import require_finite
 from torchdq.robot.arrays import second_moments
 
@@ -31,7 +32,7 @@ SUMS = (
 class Positive(nn.Module):
     """Positive numbers as exponentials of unconstrained ones, between exp(-30) and exp(30).
 
-    Zero and negative numbers are no exponentials, and become 1e-6 (in SI units).
+    Zero is no exponential, and becomes 1e-6 (in SI units).
 
     >>> form = Positive()
     >>> form(torch.tensor([-1e9, 0.0])), form(form.right_inverse(torch.tensor([0.0, 2.5])))
@@ -43,8 +44,10 @@ class Positive(nn.Module):
         return _exponential(x)
 
     def right_inverse(self, value: Tensor) -> Tensor:
-        """Unconstrained numbers of given values; raises `ArgumentError` unless they are finite."""
+        """Unconstrained numbers of given values; raises `ArgumentError` unless they are finite and not negative."""
         require_finite(value=value)
+        if bool((value < 0).any()):
+            raise ArgumentError(f"value must not be negative, found {value[value < 0][0].item():g}")
         return value.where(value > 0, SMALLEST).log()
 
 

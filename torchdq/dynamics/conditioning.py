@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from functools import reduce
 
 from torchdq.algebra.quaternion import Number
-from torchdq.numbers.functions import maximum, minimum
+from torchdq.numbers.functions import at_least, maximum, minimum, select
 
 HUGE = 1e30  # factor for a pivot that is not positive, above every limit
 
@@ -34,4 +34,5 @@ def growth(diagonal: Sequence[Number], inverses: Sequence[Number]) -> Number:
     factors = [m * r for m, r in zip(diagonal, inverses, strict=True)]
     if not factors:
         return 1.0
-    return maximum(reduce(maximum, factors), -HUGE * reduce(minimum, factors))
+    # M_ii / D_i would be positive where both are negative
+    return select(at_least(0.0, reduce(minimum, inverses)), HUGE, reduce(maximum, factors))

@@ -286,7 +286,7 @@ def _replaced(robot: Robot, mass: Tensor, com: Tensor, inertia: Tensor, found: d
     changes = dict(mass=mass, com=com, inertia=inertia)
     names = {"rotor": "armature", "viscous": "damping", "coulomb": "friction"}
     changes |= {names[name]: x for name, x in found.items() if name in names}
-    return robot.replace(**{name: x.to(robot.mass) for name, x in changes.items()}).bake()
+    return robot.replace(on_unphysical="warn", **{name: x.to(robot.mass) for name, x in changes.items()}).bake()
 
 
 def _minimum(near: Neighbourhood, facts: Information, prior: float) -> tuple[Tensor, bool]:

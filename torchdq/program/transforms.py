@@ -4,7 +4,7 @@ They exist in torch 2.6 to 2.13. Where one is missing, a transform is taken to b
 no result.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from operator import attrgetter
 from typing import Any
@@ -24,6 +24,10 @@ def _private(name: str, missing: Any) -> Any:
 
 
 _functional = _private("_are_functorch_transforms_active", lambda: True)
+# whether one of the tensors requires grad, in half of the time that a look at each of them takes
+any_requires_grad: Callable[..., bool] = _private(
+    "_any_requires_grad", lambda *tensors: any([x.requires_grad for x in tensors])
+)
 _batched_by_autograd = _private("_functorch.is_legacy_batchedtensor", lambda x: False)
 
 

@@ -27,12 +27,20 @@ IDENTITY = double([1.0, 0, 0, 0, 0, 0, 0, 0])  # pose
 def numbers(name: str, value: Any) -> Tensor:
     """Value as a float64 tensor."""
     try:
-        x = value if isinstance(value, Tensor) else torch.as_tensor(np.array(value))
-        if not x.is_complex():
-            return x.to(torch.float64)
-        raise TypeError("found complex numbers")
+        x = torch.as_tensor(value if isinstance(value, Tensor) else np.array(value))
+        if x.is_complex():
+            raise TypeError(f"found {x.dtype}")
+        return x.to(torch.float64)
     except (TypeError, ValueError, RuntimeError) as error:  # words, or rows of different lengths
         raise DescriptionError(f"{name} must be an array of numbers: {error}") from error
+
+
+def finite(name: str, value: Any) -> Tensor:
+    """Value as a finite float64 tensor."""
+    x = numbers(name, value)
+    if not bool(x.isfinite().all()):
+        raise DescriptionError(f"{name} must be finite, found {x.tolist()}")
+    return x
 
 
 def table(name: str, value: Any, *shape: int) -> Tensor:
@@ -40,8 +48,7 @@ def table(name: str, value: Any, *shape: int) -> Tensor:
     x = numbers(name, value)
     if tuple(x.shape) != shape:
         raise DescriptionError(f"{name} must have the shape {shape}, found {tuple(x.shape)}")
-    if not bool(x.isfinite().all()):
-        raise DescriptionError(f"{name} must be finite, found {x.tolist()}")
+    x = finite(name, x)
     if bool((x.abs() > MOST).any()):
         raise DescriptionError(f"{name} must not exceed {MOST:g} in size, found {float(x.abs().max()):g}")
     return x

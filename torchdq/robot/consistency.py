@@ -3,13 +3,14 @@
 import math
 import warnings
 from collections.abc import Sequence
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor
 
 from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
+from torchdq.checks import require_choice
 from torchdq.dynamics import crba
 from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.paper.posed import Paper
@@ -20,29 +21,44 @@ OnUnphysical = Literal["error", "warn", "ignore"]
 TOLERANCE = 1e-6  # relative to the trace: descriptions are printed with about six digits
 
 
-def body(link: str, mass: float, inertia: Tensor) -> list[str]:
-    """Faults of a link of that mass [kg] and inertia about its centre of mass [kg m^2], [3, 3].
+def bodies(links: Sequence[str], mass: Tensor, inertia: Tensor) -> list[str]:
+    """Faults of links of these masses [..., n] [kg] and inertias about their centres of mass [..., n, 3, 3] [kg m^2].
 
     Principal moments must not be negative, and none may exceed the sum of the other two. Equality is possible (a
-    point, a rod, a plate) and is accepted.
+    point, a rod, a plate) and is accepted. In a batch of robots a link has the fault of the first robot that has one.
     """
-    if not (math.isfinite(mass) and bool(inertia.isfinite().all())):
-        return [f"link {link!r}: mass and inertia must be finite, found mass {mass} and inertia {inertia.tolist()}"]
-    if mass < 0:
-        return [f"link {link!r}: mass must not be negative, found {mass:g} kg"]
-    moments = [float(x) for x in torch.linalg.eigvalsh(inertia)]
-    shown = ", ".join(f"{x:.6g}" for x in moments)
-    slack = TOLERANCE * sum(map(abs, moments))
-    if mass == 0 and slack > 0:
-        return [f"link {link!r}: it has no mass, so its inertia must be zero, found principal moments {shown} kg m^2"]
-    if moments[0] < -slack:
-        return [f"link {link!r}: inertia must be positive definite, found principal moments {shown} kg m^2"]
-    if moments[2] > moments[0] + moments[1] + slack:
-        return [
-            f"link {link!r}: the largest principal moment must not exceed the sum of the others "
-            f"(triangle inequality), found {shown} kg m^2"
-        ]
-    return []
+    batch = torch.broadcast_shapes(mass.shape[:-1], inertia.shape[:-3])
+    mass, inertia = mass.double().expand(*batch, -1), inertia.double().expand(*batch, -1, -1, -1)
+    finite = mass.isfinite() & inertia.isfinite().all(-1).all(-1)
+    moments = torch.linalg.eigvalsh(inertia.where(finite[..., None, None], 0.0))
+    slack = TOLERANCE * moments.abs().sum(-1)
+    wrong = {
+        "mass and inertia must be finite, found mass {mass} and inertia {inertia}": ~finite,
+        "mass must not be negative, found {mass:g} kg": mass < 0,
+        "it has no mass, so its inertia must be zero, found principal moments {shown} kg m^2": (mass == 0)
+        & (slack > 0),
+        "inertia must be positive definite, found principal moments {shown} kg m^2": moments[..., 0] < -slack,
+        "the largest principal moment must not exceed the sum of the others (triangle inequality), "
+        "found {shown} kg m^2": moments[..., 2] > moments[..., 0] + moments[..., 1] + slack,
+    }
+    if not bool(torch.stack([*wrong.values()]).any()):
+        return []
+    faults = []
+    for i, link in enumerate(links):
+        for words, mask in wrong.items():
+            rows = mask[..., i].nonzero().tolist()
+            if rows:
+                at = tuple(rows[0])
+                shown = ", ".join(f"{x:.6g}" for x in moments[at][i].tolist())
+                found = words.format(mass=float(mass[at][i]), inertia=inertia[at][i].tolist(), shown=shown)
+                faults.append(f"link {link!r}{f' of robot {list(at)}' if at else ''}: {found}")
+                break
+    return faults
+
+
+def body(link: str, mass: float, inertia: Tensor) -> list[str]:
+    """Faults of a link of that mass [kg] and inertia about its centre of mass [kg m^2], [3, 3]."""
+    return bodies((link,), torch.tensor([mass], dtype=torch.float64), inertia.unsqueeze(0))
 
 
 def inert_joints(names: Sequence[str], tree: Tree) -> list[str]:
@@ -77,11 +93,12 @@ def inert_joints(names: Sequence[str], tree: Tree) -> list[str]:
     ]
 
 
-def complain(robot: str, faults: Sequence[str], on_unphysical: OnUnphysical) -> None:
-    """Raise, warn or do nothing about faults."""
+def complain(robot: str, faults: Sequence[str], on_unphysical: OnUnphysical, stacklevel: int = 4) -> None:
+    """Raise, warn or do nothing about faults; `stacklevel` as in `warnings.warn`."""
+    require_choice("on_unphysical", on_unphysical, get_args(OnUnphysical))
     if not faults or on_unphysical == "ignore":
         return
     message = f"robot {robot!r} is unphysical:\n  " + "\n  ".join(faults)
     if on_unphysical == "error":
-        raise UnphysicalError(f"{message}\nCorrect the description, or load it with on_unphysical='warn'.")
-    warnings.warn(message, stacklevel=4)
+        raise UnphysicalError(f"{message}\nCorrect the description, or pass on_unphysical='warn'.")
+    warnings.warn(message, stacklevel=stacklevel)

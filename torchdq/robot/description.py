@@ -76,7 +76,7 @@ def assemble(
     if {"base", "tip"} & set(links):
         raise DescriptionError(f"link_names must not be 'base' or 'tip', which are frames already, found {links}")
     mass, com, inertia = table("mass", mass, n), table("com", com, n, 3), inertias(inertia, n)
-    faults = [f for i in range(n) for f in consistency.body(links[i], float(mass[i]), matrices(inertia[i]))]
+    faults = consistency.bodies(links, mass, matrices(inertia))
     infinite, zero = torch.full((n,), torch.inf, dtype=torch.float64), torch.zeros(n, dtype=torch.float64)
     at_links = (Frame(link, i, IDENTITY) for i, link in enumerate(links))
     return RobotDescription(

@@ -18,7 +18,9 @@ from torchdq.dynamics.tree import Tree, on_base
 from torchdq.errors import SingularInertiaError
 from torchdq.numbers.functions import cos, sin
 from torchdq.robot import mdh
-from torchdq.robot.robot import SHAPES, Robot, general_tree, plain
+from torchdq.robot.fields import SHAPES
+from torchdq.robot.robot import Robot
+from torchdq.robot.tree import general_tree, plain
 
 # flat components of tensors that replace those of the robot, by name; None: absent
 Overrides = Mapping[str, Sequence[Number] | None]

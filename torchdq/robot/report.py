@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from torchdq.robot.changes import require_unchanged
+
 if TYPE_CHECKING:
     from torchdq.robot.robot import Robot
 
@@ -18,6 +20,7 @@ class Report(NamedTuple):
     @classmethod
     def of(cls, robot: Robot) -> Report:
         """Report of a robot."""
+        require_unchanged(robot)
         used = ["mass, centre of mass and inertia of the links", "joint axes and placements"]
         used += [] if robot.gravity is None else [f"gravity {robot.gravity.tolist()} m/s^2"]
         used += [] if robot.armature is None else ["rotor inertia"]
@@ -27,7 +30,7 @@ class Report(NamedTuple):
                 robot.kinds[i],
                 robot.link_names[i],
                 f"{float(robot.mass[..., i].mean()):.4g} kg",
-                f"[{float(robot.limits.lower[i]):.4g}, {float(robot.limits.upper[i]):.4g}]",
+                f"[{float(robot.limits.lower[..., i].min()):.4g}, {float(robot.limits.upper[..., i].max()):.4g}]",
             )
             for i in range(robot.n)
         )

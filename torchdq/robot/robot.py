@@ -3,41 +3,37 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from os import PathLike
-from typing import IO, Any, Literal, get_args
+from typing import IO, Any, Literal
 
 import torch
 from torch import Tensor
+from torch.compiler import is_compiling
 
-from torchdq.algebra.inertia import Inertia, six
+from torchdq.algebra.inertia import six
 from torchdq.caches import PROGRAMS, remembered
-from torchdq.checks import DTYPES
+from torchdq.checks import frozen
 from torchdq.dynamics.joints import KINDS, Helical, Prismatic, Revolute
-from torchdq.dynamics.tree import BASE, Tree, on_base
-from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
+from torchdq.dynamics.tree import BASE, Tree
+from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.program.transforms import any_requires_grad
 from torchdq.robot import consistency, from_dh, from_screws, urdf
+from torchdq.robot.arrays import finite
+from torchdq.robot.changes import check, faults_of, require_fields, require_unchanged, stacked, values
 from torchdq.robot.consistency import OnUnphysical
-from torchdq.robot.constants import Constants
+from torchdq.robot.constants import Constants, hold, stored
 from torchdq.robot.description import Frame, Limits, RobotDescription
+from torchdq.robot.fields import DESCRIBED, SHAPES, batches, present, require_shapes
 from torchdq.robot.report import Report
+from torchdq.robot.tree import general_tree, plain, unbound
 
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], in the base frame
-# trailing axes of each tensor field; leading axes are batch axes, "n" is the number of joints
-SHAPES: dict[str, tuple] = {
-    "X_PB_home": ("n", 8),
-    "screw": ("n", 6),
-    "home": ("n",),
-    "mass": ("n",),
-    "com": ("n", 3),
-    "inertia": ("n", 6),
-    "gravity": (3,),
-    "armature": ("n",),
-}
 
 
+@frozen
 @dataclass(frozen=True, eq=False)
 class Robot:
     """Robot with n one-degree-of-freedom joints, each carrying one link.
@@ -73,32 +69,29 @@ class Robot:
     notes: tuple[str, ...] = ()  # faults, and parts of the description that are not used or are used differently
     _arguments: tuple[str, ...] = field(default=(), repr=False)  # see `arguments`
     _constants: Constants | None = field(default=None, repr=False)  # see `constants`; None: those of the fields
+    _storages: tuple[Tensor, ...] = field(default=(), repr=False)  # storages of the constants; (): new ones
+    _watched: tuple[Tensor, ...] = field(default=(), repr=False)  # constants, which must not require grad
 
     def __post_init__(self) -> None:
-        n = len(self.joint_names)
-        for name, trailing in SHAPES.items():
-            value = getattr(self, name)
-            shape = tuple(n if axis == "n" else axis for axis in trailing)
-            if value is None and name in ("gravity", "home", "armature"):
-                continue
-            if not isinstance(value, Tensor) or tuple(value.shape[value.ndim - len(shape) :]) != shape:
-                found = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
-                expected = ", ".join(["...", *map(str, shape)])
-                raise ArgumentError(
-                    f"{name} of robot {self.name!r} must be a tensor of shape [{expected}] for its {n} joints, "
-                    f"found {found}"
-                )
-            if value.dtype not in DTYPES:
-                raise DtypeError(f"{name} of robot {self.name!r} must be float32 or float64, found {value.dtype}")
-        # a tensor with batch axes depends on the sample and cannot be a constant
-        batched = batches(self)
-        present = [name for name in SHAPES if getattr(self, name) is not None]
-        names = tuple(name for name in present if name in self._arguments or name in batched)
-        object.__setattr__(self, "_arguments", names)
+        require_shapes(self)
+        batched = batches(self)  # these depend on the sample and cannot be constants
+        names = tuple(name for name in present(self, SHAPES) if name in self._arguments or name in batched)
+        made: dict[str, Any] = {"_arguments": names}
+        kept = {name: x for name, x in values(self).items() if name not in names}
+        if not self._storages:
+            kept, made["_storages"] = stored(kept)
+            made |= kept
+        made["_watched"] = tuple([kept[name] for name in SHAPES if kept.get(name) is not None])
         if self._constants is None:
-            fields = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
-            own = {name: x for name, x in fields.items() if name not in ("notes", "_arguments", "_constants")}
-            object.__setattr__(self, "_constants", Constants.of(own, {name: len(SHAPES[name]) for name in names}))
+            own = {name: x for name, x in values(self).items() if name != "notes"}
+            made["_constants"] = Constants.of(own, {name: len(SHAPES[name]) for name in names})
+        for name, value in made.items():
+            object.__setattr__(self, name, value)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Parts for pickle and copy: all fields but the storages, which the copy makes anew."""
+        require_unchanged(self)
+        return Robot, tuple(getattr(self, f.name) for f in dataclasses.fields(self)[:-2])
 
     # --- sources ---
 
@@ -223,17 +216,13 @@ class Robot:
         gravity: Sequence[float] | None,
         on_unphysical: OnUnphysical,
     ) -> Robot:
-        if on_unphysical not in get_args(OnUnphysical):
-            raise ArgumentError(f"on_unphysical must be one of {get_args(OnUnphysical)}, found {on_unphysical!r}")
-        g = None if gravity is None else torch.as_tensor(gravity, dtype=torch.float64)
-        if g is not None and not bool(g.isfinite().all()):
-            raise ArgumentError(f"gravity must be finite, found {g.tolist()}")
+        g = None if gravity is None else finite("gravity", gravity)
         robot = cls(**vars(description), gravity=g)
         if tip is not None:
             robot = robot.with_tip(tip)
         faults = faults + consistency.inert_joints(robot.joint_names, general_tree(robot, partial(plain, robot)))
         consistency.complain(robot.name, faults, on_unphysical)
-        return dataclasses.replace(robot, notes=(*faults, *robot.notes))
+        return robot._with(notes=(*faults, *robot.notes))
 
     # --- names ---
 
@@ -267,11 +256,16 @@ class Robot:
 
     # --- changed copies ---
 
-    def replace(self, **changes: Any) -> Robot:
+    def replace(self, *, on_unphysical: OnUnphysical = "error", **changes: Any) -> Robot:
         """Robot with some fields replaced; the other fields are shared.
 
         A replaced physical tensor becomes an argument of the programs, so new values, batches and gradients need no new
-        program; `bake` makes it a constant again.
+        program; `bake` makes it a constant again. New values are checked as a file's are, with `on_unphysical` as in
+        `from_urdf`; batches, and tensors that require grad or are inside a transform, only by `check`.
+
+        Raises:
+            UnknownNameError, ArgumentError, DtypeError: there is no such field, or a value does not fit the robot.
+            UnphysicalError: a body cannot exist, or a friction or a limit is negative.
 
         >>> import torchdq
         >>> robot = torchdq.robots.load("two_link")
@@ -279,16 +273,57 @@ class Robot:
         >>> heavier.mass.shape  # three robots
         torch.Size([3, 2])
         """
+        require_fields(self, changes)
+        robot = self._with(**changes)
+        if any(hold(self._storages, x) for x in changes.values()):  # whose changes in place are not the robot's
+            robot = dataclasses.replace(robot, _storages=())
+        faults = faults_of(robot, changes)
+        consistency.complain(self.name, faults, on_unphysical, stacklevel=3)
+        return robot._with(notes=(*faults, *robot.notes)) if faults else robot
+
+    def _with(self, **changes: Any) -> Robot:
+        """Robot with some fields replaced, their values unchecked."""
         names = tuple(name for name in SHAPES if name in self._arguments or changes.get(name) is not None)
         same = all(name in SHAPES and value is not None for name, value in changes.items())
-        return dataclasses.replace(self, **changes, _arguments=names, _constants=self._constants if same else None)
+        kept = not any(name in DESCRIBED for name in changes)
+        changes |= {"_constants": self._constants if same else None, "_storages": self._storages if kept else ()}
+        return dataclasses.replace(self, **changes, _arguments=names)
+
+    def check(self) -> None:
+        """Raise unless the robot can exist: the checks of a file on all present values, also of batches and parameters.
+
+        >>> import torchdq
+        >>> robot = torchdq.robots.load("two_link")
+        >>> robot.replace(mass=robot.mass * torch.tensor([[1.0], [-1.0]], dtype=torch.float64)).check()
+        Traceback (most recent call last):
+        torchdq.errors.UnphysicalError: robot 'two_link' is unphysical:
+          link 'link1' of robot [1]: mass must not be negative, found -1 kg
+        """
+        check(self)
+
+    @classmethod
+    def stack(cls, robots: Sequence[Robot]) -> Robot:
+        """Batch of robots with equal trees, as one robot with a new leading axis.
+
+        Tensors that are equal in all robots stay as they are. The name is that of the first robot.
+
+        >>> import torchdq
+        >>> robot = torchdq.robots.load("two_link")
+        >>> Robot.stack([robot, robot.replace(mass=2 * robot.mass)]).mass
+        tensor([[1., 1.],
+                [2., 2.]], dtype=torch.float64)
+        """
+        if not robots or not all(isinstance(robot, Robot) for robot in robots):
+            raise ArgumentError(f"robots must be a sequence of torchdq.Robot, found {robots!r}")
+        return robots[0].replace(**stacked(robots))
 
     def bake(self) -> Robot:
         """Robot whose tensors, all without batch axes, are constants of its programs, which is fastest."""
+        require_unchanged(self)
         for name in batches(self):
             raise ArgumentError(f"{name} of robot {self.name!r} has batch axes and cannot be a constant")
         detached = {name: getattr(self, name).detach() for name in self._arguments}
-        return dataclasses.replace(self, **detached, _arguments=(), _constants=None)
+        return dataclasses.replace(self, **detached, _arguments=(), _constants=None, _storages=())
 
     def with_tip(self, name: str | None) -> Robot:
         """Robot whose end effector is the frame with a name; None: no end effector."""
@@ -309,6 +344,8 @@ class Robot:
     def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> Robot:
         """Robot with all tensors converted to a dtype and moved to a device."""
 
+        require_unchanged(self)
+
         def cast(x: Tensor) -> Tensor:
             return x.to(dtype=dtype, device=device)
 
@@ -316,20 +353,14 @@ class Robot:
         changes: dict[str, Any] = {name: None if x is None else cast(x) for name, x in fields.items()}
         changes["limits"] = Limits(*map(cast, self.limits))
         changes["frames"] = tuple(frame._replace(X_BF=cast(frame.X_BF)) for frame in self.frames)
-        return dataclasses.replace(self, **changes, _constants=None)
+        return dataclasses.replace(self, **changes, _constants=None, _storages=())
 
     # --- numbers for the algorithms ---
 
     def tree(self) -> Tree:
         """Tree of the robot, with numbers that are tensors of the batch axes."""
-
-        def values(name: str) -> Sequence[Any] | None:
-            x = getattr(self, name)
-            if x is None:
-                return None
-            return x.unbind(-1) if len(SHAPES[name]) == 1 else [row.unbind(-1) for row in x.unbind(-2)]
-
-        return general_tree(self, values)
+        require_unchanged(self)
+        return general_tree(self, partial(unbound, self))
 
     @property
     def inertial_parameters(self) -> Tensor:
@@ -348,39 +379,6 @@ class Robot:
         return f"Robot({self.name!r}, {self.n} joints, {hangs}, {mass:.4g} kg, tip={self.tip!r})"
 
 
-def batches(robot: Robot) -> dict[str, tuple[int, ...]]:
-    """Batch axes, by name, of the tensors of a robot that have some."""
-    tensors = {name: getattr(robot, name) for name in SHAPES}
-    axes = {name: tuple(x.shape[: x.ndim - len(SHAPES[name])]) for name, x in tensors.items() if x is not None}
-    return {name: batch for name, batch in axes.items() if batch}
-
-
-def general_tree(robot: Robot, values: Callable[[str], Any]) -> Tree:
-    """Tree on a fixed base, in the link frames of the description.
-
-    Args:
-        robot: the robot.
-        values: numbers of the tensor with a name, in a row or one row per link; None: absent.
-    """
-    bodies = zip(*map(values, ("mass", "com", "inertia")), strict=True)
-    return on_base(
-        robot.parents,
-        [KINDS[kind]((s[:3], s[3:])) for kind, s in zip(robot.kinds, values("screw"), strict=True)],
-        [(x[:4], x[4:]) for x in values("X_PB_home")],
-        [Inertia.from_com(*body) for body in bodies],
-        values("armature"),
-        values("gravity"),
-    )
-
-
-def plain(robot: Robot, name: str) -> tuple | None:
-    """Tensor of a robot without batch axes as nested tuples of numbers; None: absent."""
-    value = getattr(robot, name)
-    if value is None:
-        return None
-    return tuple(tuple(row) if isinstance(row, list) else row for row in value.tolist())
-
-
 # --- constants and arguments of programs -----------------------------------------------------------------------------
 
 
@@ -390,7 +388,12 @@ def arguments(robot: Robot) -> tuple[str, ...]:
 
 
 def constants(robot: Robot) -> Constants:
-    """Constants of the programs of a robot; replaced tensors are arguments and do not change them."""
+    """Constants of the programs of a robot, if they are still its numbers; replaced tensors are arguments."""
+    # every call of a function comes here, so the look is short
+    if not is_compiling():
+        for x in robot._storages:
+            if x._version or any_requires_grad(*robot._watched):
+                require_unchanged(robot)
     return robot._constants  # type: ignore[return-value]
 
 
