@@ -5,7 +5,6 @@ definition of a body that can exist.
 """
 
 import re
-import signal
 import time
 import warnings
 from importlib import import_module
@@ -338,7 +337,7 @@ def test_long_work_says_how_far_it_is_and_can_be_interrupted(monkeypatch, capfd)
         time.sleep(0.1)
         seen.append(len(arguments[1]))
         if len(seen) == 3:
-            signal.raise_signal(signal.SIGINT)
+            raise KeyboardInterrupt  # as Ctrl-C does
         return plain(*arguments)
 
     monkeypatch.setattr(regression, "columns", slow)

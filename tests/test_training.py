@@ -730,7 +730,7 @@ class Slow(Network):
             time.sleep(0.02)
             self.calls += 1
             if self.calls > self.last:
-                signal.raise_signal(signal.SIGINT)
+                raise KeyboardInterrupt  # as Ctrl-C does
         return super().forward(q, qd, qdd)
 
 
