@@ -232,7 +232,7 @@ def test_links_without_mass_points_and_impossible_ones():
     mass[2], inertia[2] = 0, 0  # nothing
     inertia[3] = 0  # a point
     inertia[4] = double([1.0, 0.0, 0.1, 0.0, 0.0, 0.1]) * 1e-2  # no body: 1 > 0.1 + 0.1
-    robot = panda.replace(mass=mass, inertia=inertia)
+    robot = panda.replace(mass=mass, inertia=inertia, on_unphysical="ignore")
     q, qd, qdd = moving(7, 500)
     found = identify(robot, q, qd, qdd, torchdq.inverse_dynamics(panda, q, qd, qdd), friction=False)
     assert_can_exist(found)
@@ -402,7 +402,7 @@ def test_what_it_does_not_take():
     with pytest.raises(ArgumentError, match="batch axes"):
         identify(robot.replace(mass=robot.mass * torch.ones(3, 1).double()), x[:3], x[:3], x[:3], x[:3])
     with pytest.raises(ArgumentError, match="no mass"):
-        empty = robot.replace(mass=0 * robot.mass)
+        empty = robot.replace(mass=0 * robot.mass, on_unphysical="ignore")
         identify(empty, x, x, x, x, friction=False)
 
 
