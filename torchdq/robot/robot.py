@@ -18,7 +18,7 @@ from torchdq.checks import DTYPES
 from torchdq.dynamics.joints import KINDS, Helical, Prismatic, Revolute
 from torchdq.dynamics.tree import BASE, Tree, on_base
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
-from torchdq.robot import consistency, from_dh, from_screws, urdf
+from torchdq.robot import consistency, from_dh, from_screws, reduced, urdf
 from torchdq.robot.consistency import OnUnphysical
 from torchdq.robot.constants import Constants
 from torchdq.robot.description import Frame, Limits, RobotDescription
@@ -122,14 +122,12 @@ class Robot:
         Args:
             source: path of the file, a file:// or package:// address, an open file, or the XML text itself.
             base: "fixed", the only kind of base so far.
-            lock: positions [rad or m] of joints that become fixed joints, by name or pattern ("finger*"); names or
-                patterns alone lock at zero. The joints that mimic a locked one are locked where the file puts them.
+            lock: positions [rad or m] of joints to fix, by name or pattern ("finger*"), or names alone: at zero. Joints
+                that mimic a locked one are locked too.
             tip: name of the frame of the end effector; None: the leaf of the tree, if there is only one.
             gravity: acceleration in the base frame [m/s^2]; None: none.
-            on_unphysical: treatment of a body that cannot exist: "error" raises, "warn" warns, "ignore" only notes it
-                in the report.
-            joints: names or patterns of the joints to keep; all others are locked, at zero if not named in `lock`.
-                None: all.
+            on_unphysical: treatment of a body that cannot exist: "error" raises, "warn" warns, "ignore" only notes it.
+            joints: names or patterns of the joints to keep; the others are locked, at zero or as in `lock`.
 
         Raises:
             DescriptionError: the text is not a usable URDF; every fault found is named.
@@ -293,6 +291,8 @@ class Robot:
     def with_tip(self, name: str | None) -> Robot:
         """Robot whose end effector is the frame with a name; None: no end effector."""
         return self.replace(tip=None if name is None else self.frame(name).name)
+
+    lock, subchain = reduced.lock, reduced.subchain
 
     def end_effector(self) -> Frame:
         """Frame of the end effector; raises `ArgumentError` if none was chosen or if it does not move."""
