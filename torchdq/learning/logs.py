@@ -23,7 +23,7 @@ import numpy as np
 from torchdq import sources
 from torchdq.errors import ArgumentError, TorchdqError
 
-MOST_BYTES = 1_000_000_000  # of a file
+MOST_BYTES = 1_000_000_000  # largest file that is read
 GAP = 0.1  # [s] longest time between two rows; beyond it the motion in between is unknown
 FOLLOWED = 0.01  # [rad or rad/s] least standard deviation of a signal that is compared with its rate
 ELSEWHERE = "read the rows before it or after it, by rows=(first, last)"

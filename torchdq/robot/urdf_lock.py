@@ -8,7 +8,7 @@ from typing import Any
 from torchdq.checks import matching, require_number
 from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import MOST
-from torchdq.robot.urdf_document import MOVING, Document
+from torchdq.robot.urdf_document import MOVING, Document, Mimic
 
 KIND = "movable joint"
 NEAR = 1e-6  # [rad or m] a position that close to a limit is within: files are printed with about six digits
@@ -50,16 +50,15 @@ def locked(document: Document, joints: Any, lock: Any) -> dict[str, float]:
         raise ArgumentError(f"joints and lock must not name the same joint, found {', '.join(both)} in both")
     at = given if joints is None else {name: 0.0 for name in movable if name not in kept} | given
     named = {*given, *kept}
-    followers: dict[str, list[str]] = {}
+    followers: dict[str, list[tuple[str, Mimic]]] = {}
     for name in movable:
         if (mimic := document.joints[name].mimics) is not None and name not in named:
-            followers.setdefault(mimic.joint, []).append(name)
-    following = {name for driver in at for name in followers.get(driver, ())}
+            followers.setdefault(mimic.joint, []).append((name, mimic))
+    following = {name for driver in at for name, _ in followers.get(driver, ())}
     drivers = [name for name in at if name not in following]
     while drivers:
         driver = drivers.pop()
-        for name in followers.pop(driver, ()):
-            mimic = document.joints[name].mimics
+        for name, mimic in followers.pop(driver, ()):
             at[name] = mimic.multiplier * at[driver] + mimic.offset
             drivers.append(name)
     for name, value in at.items():
