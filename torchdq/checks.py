@@ -12,7 +12,7 @@ from torch import Tensor
 
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
 
-DTYPES = (torch.float32, torch.float64)  # inputs, parameters and programs have one of these
+DTYPES = (torch.float32, torch.float64)  # supported for inputs, parameters and programs
 LARGEST = sys.float_info.max  # whole numbers may be larger
 
 
