@@ -1537,6 +1537,54 @@ MUTANTS = (
         ),
     ),
     *within(
+        "torchdq/robot/urdf_document.py",
+        (
+            "a number read to its end before it is refused",
+            "text.split(None, count + 1)[: count + 1]",
+            "text.split()",
+            f"{URDF}::test_millions_of_numbers_in_place_of_one_take_no_time_to_refuse",
+        ),
+        (
+            "negative damping read",
+            "elif not signed and min(values) < 0:",
+            "elif False:",
+            f"{URDF}::test_what_only_resists_is_not_negative",
+        ),
+    ),
+    *within(
+        "torchdq/robot/urdf_xml.py",
+        (
+            "xacro read as a description",
+            'element.tag.startswith("xacro:")',
+            "False",
+            f"{URDF}::test_unexpanded_xacro_is_refused_with_the_command_that_expands_it",
+        ),
+    ),
+    *within(
+        "torchdq/robot/urdf_lock.py",
+        (
+            "the offset of a follower forgotten",
+            "mimic.multiplier * at[driver] + mimic.offset",
+            "mimic.multiplier * at[driver]",
+            f"{URDF}::test_the_followers_of_a_locked_joint_are_locked_where_the_file_puts_them",
+        ),
+    ),
+    *within(
+        "torchdq/robot/reduced.py",
+        (
+            "a joint locked from zero, not from home",
+            "0.5 * (at[name] - home[i]) * robot.screw[i]",
+            "0.5 * at[name] * robot.screw[i]",
+            "reduced.py::test_a_locked_joint_is_one_that_stands_still",
+        ),
+        (
+            "no parallel axes for locked links",
+            "(mass * share).unsqueeze(-1) * steiner",
+            "0 * steiner",
+            "reduced.py::test_locking_a_loaded_robot_is_locking_its_file",
+        ),
+    ),
+    *within(
         "torchdq/robot/from_dh.py",
         (
             "a shift of the other sign",

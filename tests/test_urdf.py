@@ -1257,9 +1257,9 @@ def test_a_long_number_takes_no_time_to_refuse():
 @pytest.mark.parametrize("blank", [" ", " " * 99, "\n"])
 def test_millions_of_numbers_in_place_of_one_take_no_time_to_refuse(field, blank):
     text = arm(**{field: ("1" + blank) * (9_000_000 // (1 + len(blank)))})
-    begin = time.perf_counter()
+    begin = time.thread_time()
     assert f"{'value' if field == 'mass' else field} must be" in refusal(text)
-    assert time.perf_counter() - begin < 0.5
+    assert time.thread_time() - begin < 0.5
 
 
 @pytest.mark.case("U8")

@@ -88,8 +88,10 @@ def check(robot: Robot) -> None:
 # --- robots in one batch ---------------------------------------------------------------------------------------------
 
 
-def stacked(robots: Sequence[Robot]) -> dict[str, Any]:
+def stacked(kind: type[Robot], robots: Sequence[Robot]) -> dict[str, Any]:
     """Fields that make a batch of all robots of the first one; see `Robot.stack`."""
+    if not robots or not all(isinstance(robot, kind) for robot in robots):
+        raise ArgumentError(f"robots must be a sequence of torchdq.Robot, found {robots!r}")
     first, notes = robots[0], dict.fromkeys(note for robot in robots for note in robot.notes)
     changes: dict[str, Any] = {"notes": tuple(notes)}
     for robot in robots:

@@ -20,7 +20,7 @@ from torchdq.dynamics.joints import KINDS, Helical, Prismatic, Revolute
 from torchdq.dynamics.tree import BASE, Tree
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.program.transforms import any_requires_grad
-from torchdq.robot import consistency, from_dh, from_screws, urdf
+from torchdq.robot import consistency, from_dh, from_screws, reduced, urdf
 from torchdq.robot.arrays import finite
 from torchdq.robot.changes import check, faults_of, require_fields, require_unchanged, stacked, values
 from torchdq.robot.consistency import OnUnphysical
@@ -115,14 +115,12 @@ class Robot:
         Args:
             source: path of the file, a file:// or package:// address, an open file, or the XML text itself.
             base: "fixed", the only kind of base so far.
-            lock: positions [rad or m] of joints that become fixed joints, by name or pattern ("finger*"); names or
-                patterns alone lock at zero. The joints that mimic a locked one are locked where the file puts them.
+            lock: positions [rad or m] of joints to fix, by name or pattern ("finger*"), or names alone: at zero. Joints
+                that mimic a locked one are locked too.
             tip: name of the frame of the end effector; None: the leaf of the tree, if there is only one.
             gravity: acceleration in the base frame [m/s^2]; None: none.
-            on_unphysical: treatment of a body that cannot exist: "error" raises, "warn" warns, "ignore" only notes it
-                in the report.
-            joints: names or patterns of the joints to keep; all others are locked, at zero if not named in `lock`.
-                None: all.
+            on_unphysical: treatment of a body that cannot exist: "error" raises, "warn" warns, "ignore" only notes it.
+            joints: names or patterns of the joints to keep; the others are locked, at zero or as in `lock`.
 
         Raises:
             DescriptionError: the text is not a usable URDF; every fault found is named.
@@ -290,7 +288,7 @@ class Robot:
         return dataclasses.replace(self, **changes, _arguments=names)
 
     def check(self) -> None:
-        """Raise unless the robot can exist: the checks of a file on all present values, also of batches and parameters.
+        """Raise unless the robot can exist: the checks of a file on all present values, batches included.
 
         >>> import torchdq
         >>> robot = torchdq.robots.load("two_link")
@@ -313,9 +311,7 @@ class Robot:
         tensor([[1., 1.],
                 [2., 2.]], dtype=torch.float64)
         """
-        if not robots or not all(isinstance(robot, Robot) for robot in robots):
-            raise ArgumentError(f"robots must be a sequence of torchdq.Robot, found {robots!r}")
-        return robots[0].replace(**stacked(robots))
+        return robots[0].replace(**stacked(cls, robots))
 
     def bake(self) -> Robot:
         """Robot whose tensors, all without batch axes, are constants of its programs, which is fastest."""
@@ -328,6 +324,8 @@ class Robot:
     def with_tip(self, name: str | None) -> Robot:
         """Robot whose end effector is the frame with a name; None: no end effector."""
         return self.replace(tip=None if name is None else self.frame(name).name)
+
+    lock, subchain = reduced.lock, reduced.subchain
 
     def end_effector(self) -> Frame:
         """Frame of the end effector; raises `ArgumentError` if none was chosen or if it does not move."""
@@ -343,7 +341,6 @@ class Robot:
 
     def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> Robot:
         """Robot with all tensors converted to a dtype and moved to a device."""
-
         require_unchanged(self)
 
         def cast(x: Tensor) -> Tensor:

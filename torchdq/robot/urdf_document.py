@@ -20,7 +20,7 @@ from torchdq.sources import content
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 MOST_BYTES = 10_000_000
-MOST_CHARACTERS = 1_000  # of a name
+MOST_CHARACTERS = 1_000  # longest name
 MOST_LINKS = 2_000  # pinocchio recurses over the tree and crashes the process somewhere beyond 3000
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 

@@ -14,23 +14,23 @@ KIND = "movable joint"
 NEAR = 1e-6  # [rad or m] a position that close to a limit is within: files are printed with about six digits
 
 
-def positions(lock: Any, movable: Iterable[str], zero: Mapping[str, float] | None = None) -> dict[str, float]:
+def positions(lock: Any, movable: Iterable[str]) -> dict[str, float | None]:
     """Position [rad or m] of every joint that `lock` names.
 
     Args:
-        lock: positions by name or pattern, where a name goes before a pattern, or names or patterns alone; None: none.
+        lock: positions by name or pattern, where a name goes before a pattern, or names or patterns alone.
         movable: names of the joints.
-        zero: positions of joints that are only named; None: zero.
+
+    Returns:
+        Positions by name; None: home, where only the name was given.
     """
     movable = tuple(movable)
-    if lock is None:
-        return {}
     if not isinstance(lock, Mapping | Sequence | Set):
         expected = "positions by name, e.g. {'finger': 0.0}, or names of joints to lock at zero"
         raise ArgumentError(f"lock must hold {expected}, found {lock!r}; known: {', '.join(movable)}")
     if not isinstance(lock, Mapping):
-        return {name: zero[name] if zero else 0.0 for name in matching("lock", lock, movable, f"{KIND} to lock")}
-    found = {}
+        return dict.fromkeys(matching("lock", lock, movable, f"{KIND} to lock"))
+    found: dict[str, float | None] = {}
     for pattern in sorted(lock, key=lambda pattern: pattern in movable):
         require_number(f"lock[{pattern!r}]", lock[pattern])
         for name in matching("lock", pattern, movable, f"{KIND} to lock"):
@@ -44,7 +44,7 @@ def locked(document: Document, joints: Any, lock: Any) -> dict[str, float]:
     A joint that mimics a locked one is locked where the file puts it, unless it is named itself.
     """
     movable = [name for name, joint in document.joints.items() if joint.kind in MOVING]
-    given = positions(lock, movable)
+    given = {name: value or 0.0 for name, value in positions(() if lock is None else lock, movable).items()}
     kept = () if joints is None else matching("joints", joints, movable, KIND)
     if both := [name for name in kept if name in given]:
         raise ArgumentError(f"joints and lock must not name the same joint, found {', '.join(both)} in both")
@@ -69,18 +69,19 @@ def locked(document: Document, joints: Any, lock: Any) -> dict[str, float]:
 
 def notes_of(document: Document, lock: Mapping[str, float]) -> list[str]:
     """Notes about locked joints: their positions, those beyond their limits, and those that should follow others."""
+    limits = {name: document.joints[name].limits for name in lock}
+    notes = told(lock, {name: (x["lower"], x["upper"]) for name, x in limits.items()})
+    moving = {name for name, joint in document.joints.items() if joint.kind in MOVING and name not in lock}
+    mimics = ((name, document.joints[name].mimics) for name in lock)
+    apart = [name for name, mimic in mimics if mimic and mimic.joint in moving]
+    return [*notes, f"locked although the joints that they mimic move: {', '.join(apart)}"] if apart else notes
+
+
+def told(lock: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> list[str]:
+    """Notes about positions [rad or m] of locked joints, and about those beyond their limits."""
     if not lock:
         return []
     notes = [f"locked: {', '.join(f'{name} at {value:g}' for name, value in lock.items())}"]
-    moving = {name for name, joint in document.joints.items() if joint.kind in MOVING and name not in lock}
-    beyond, apart = [], []
-    for name, value in lock.items():
-        lower, upper = (document.joints[name].limits[key] for key in ("lower", "upper"))
-        mimic = document.joints[name].mimics
-        if not lower - NEAR <= value <= upper + NEAR:
-            beyond.append(f"{name} at {value:g}, limits [{lower:g}, {upper:g}]")
-        if mimic and mimic.joint in moving:
-            apart.append(name)
-    notes += [f"locked beyond their limits: {'; '.join(beyond)}"] if beyond else []
-    notes += [f"locked although the joints that they mimic move: {', '.join(apart)}"] if apart else []
-    return notes
+    outside = {name: (low, high) for name, (low, high) in limits.items() if not low - NEAR <= lock[name] <= high + NEAR}
+    beyond = "; ".join(f"{name} at {lock[name]:g}, limits [{a:g}, {b:g}]" for name, (a, b) in outside.items())
+    return [*notes, f"locked beyond their limits: {beyond}"] if beyond else notes

@@ -13,7 +13,14 @@ MOST_TAGS = 200_000
 MOST_ATTRIBUTES = 200_000
 # children of <robot>, besides links and joints, that say nothing of a tree of bodies
 BESIDES = {"material", "gazebo", "transmission", "ros2_control", "sensor", "mujoco"}
-SEMANTIC = {"group", "group_state", "disable_collisions", "virtual_joint", "end_effector", "passive_joint"}  # of SRDF
+SEMANTIC = {
+    "group",
+    "group_state",
+    "disable_collisions",
+    "virtual_joint",
+    "end_effector",
+    "passive_joint",
+}  # tags in SRDF files
 FOREIGN = {
     "sdf": "this is SDF; load the URDF file it was made from",
     "mujoco": "this is MJCF, a model for MuJoCo; load the URDF file it was made from",

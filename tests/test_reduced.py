@@ -1,0 +1,198 @@
+"""Locked joints and chains of robots that are loaded already.
+
+Evidence: pinocchio's reduced models of robots that others described, and for joints of every kind the full robot, whose
+locked joints stand still.
+"""
+
+import math
+
+import oracles
+import pinocchio as pin
+import pytest
+import torch
+
+import torchdq
+from torchdq import ArgumentError, Robot, UnknownNameError, dq
+
+F64 = torch.float64
+EPS = 2.0**-52
+
+
+def locked_model(case, names, values):
+    """Pinocchio's model with joints locked."""
+    q = torch.zeros(case.robot.n, dtype=F64)
+    q[[case.robot.joint_index(name) for name in names]] = torch.tensor(values, dtype=F64)
+    ids = [case.model.getJointId(name) for name in names]
+    return pin.buildReducedModel(case.model, ids, case.configuration(q.tolist()))
+
+
+@pytest.mark.parametrize("name", ["panda", "ur5_gripper", "hyq_no_sensors", "double_pendulum_continuous"])
+@pytest.mark.parametrize("chosen", [slice(0, 1), slice(-1, None), slice(1, None, 2), slice(0, None, 2)], ids=str)
+def test_locked_joints_are_those_of_pinocchio(name, chosen):
+    case = oracles.example_case(name)
+    names = case.robot.joint_names[chosen]
+    values = [0.3 + 0.2 * i for i in range(len(names))]
+    robot = case.robot.lock(dict(zip(names, values, strict=True)))
+    assert robot.joint_names == tuple(name for name in case.robot.joint_names if name not in names)
+    reduced = oracles.Case(robot, locked_model(case, names, values))
+    s = oracles.states(robot)
+    found = torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd)
+    size = oracles.size_of_torques(reduced, s)
+
+    def rnea(model, data, q, v, a, *_):
+        return pin.rnea(model, data, q, v, a)[reduced.order]
+
+    exact = oracles.over(rnea, reduced, s)
+    assert oracles.worst(found, exact, size) < 32 * EPS
+    for frame in robot.frame_names:
+        if not reduced.model.existFrame(frame, pin.FrameType.BODY):
+            continue
+        data = reduced.model.createData()
+        pin.framesForwardKinematics(reduced.model, data, reduced.configuration(s.q[0].tolist()))
+        X = torchdq.forward_kinematics(robot, s.q[0], frame)
+        placement = torch.from_numpy(data.oMf[reduced.frame_id(frame)].homogeneous)
+        assert torch.allclose(dq.to_matrix(X), placement, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("seed", [3, 7, 11])
+def test_a_locked_joint_is_one_that_stands_still(seed):
+    """Without the torques that hold the locked ones."""
+    full = oracles.tree(seed).robot
+    robot = full.lock(full.joint_names[::2])
+    free = [full.joint_index(name) for name in robot.joint_names]
+    s = oracles.states(robot)
+    q = full.home.expand(3, full.n).index_copy(-1, torch.tensor(free), s.q)
+    still = torch.zeros_like(q)
+    qd, qdd = (still.index_copy(-1, torch.tensor(free), x) for x in (s.qd, s.qdd))
+    expected = torchdq.inverse_dynamics(full, q, qd, qdd)[:, free]
+    found = torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd)
+    assert float((found - expected).abs().max()) < 1e-12 * float(expected.abs().max())
+
+
+def test_locking_a_loaded_robot_is_locking_its_file():
+    path = oracles.urdf_paths()["panda"]
+    lock = {"panda_joint3": 0.4, "panda_finger_*": 0.02}
+    ours, files = Robot.from_urdf(path).lock(lock), Robot.from_urdf(path, lock=lock)
+    assert ours.joint_names == files.joint_names and ours.link_names == files.link_names
+    assert ours.frame_names == files.frame_names and ours.parents == files.parents
+    for name in ("X_PB_home", "mass", "com", "inertia", "damping", "friction"):
+        assert torch.allclose(getattr(ours, name), getattr(files, name), rtol=1e-13, atol=1e-14), name
+    assert torch.equal(ours.limits.upper, files.limits.upper)
+    assert "locked: panda_joint3 at 0.4, panda_finger_joint1 at 0.02, panda_finger_joint2 at 0.02" in ours.notes
+
+
+def test_a_lock_beyond_the_limits_of_a_loaded_robot_is_told():
+    notes = torchdq.robots.load("panda").lock({"panda_joint4": 1.0}).notes
+    assert any(note.startswith("locked beyond their limits: panda_joint4 at 1, limits [-3.07") for note in notes)
+
+
+def test_a_robot_is_not_changed_by_locking_it():
+    robot = torchdq.robots.load("panda")
+    before = [getattr(robot, name).clone() for name in ("mass", "com", "inertia", "X_PB_home")]
+    robot.lock(["panda_joint2"])
+    robot.subchain("panda_link2", "tip")
+    after = [getattr(robot, name) for name in ("mass", "com", "inertia", "X_PB_home")]
+    assert all(map(torch.equal, before, after)) and robot.n == 7
+
+
+def test_a_robot_with_every_joint_locked_has_none():
+    robot = torchdq.robots.load("panda").lock("*")
+    assert robot.n == 0 and robot.frames[-1].link == -1
+
+
+def test_a_batch_of_robots_is_locked_as_a_whole():
+    full = torchdq.robots.load("panda")
+    factors = torch.tensor([[1.0], [1.5], [3.0]], dtype=F64)
+    batch = full.replace(mass=full.mass * factors).lock({"panda_joint5": 0.7})
+    assert batch.mass.shape == (3, 6) and batch.inertia.shape == (3, 6, 6)
+    s = oracles.states(batch)
+    together = torchdq.inverse_dynamics(batch, s.q, s.qd, s.qdd)
+    for i, factor in enumerate(factors):
+        alone = full.replace(mass=full.mass * factor).bake().lock({"panda_joint5": 0.7})
+        expected = torchdq.inverse_dynamics(alone, s.q[i], s.qd[i], s.qdd[i])
+        assert torch.allclose(together[i], expected, rtol=1e-13, atol=1e-13)
+
+
+def test_gradients_reach_the_masses_of_locked_links():
+    full = torchdq.robots.load("panda")
+    q = torch.linspace(0.1, 0.6, 6, dtype=F64)
+
+    def torques(mass):
+        return torchdq.inverse_dynamics(full.replace(mass=mass).lock({"panda_joint5": 0.7}), q, q, q)
+
+    assert torch.autograd.gradcheck(torques, full.mass.clone().requires_grad_())
+
+
+@pytest.mark.parametrize("name", ["X_PB_home", "screw"])
+def test_the_geometry_must_be_constant(name):
+    full = torchdq.robots.load("panda")
+    learned = full.replace(**{name: getattr(full, name).clone()})
+    with pytest.raises(ArgumentError, match=f"{name} of robot 'panda' must be constant, as its frames are; use bake"):
+        learned.lock(["panda_joint5"])
+    with pytest.raises(ArgumentError, match=name):
+        learned.subchain("panda_link2", "tip")
+    assert learned.bake().lock(["panda_joint5"]).n == 6
+
+
+def test_joints_to_lock_are_named():
+    robot = torchdq.robots.load("two_link")
+    with pytest.raises(UnknownNameError, match="no movable joint to lock named 'joint3'; did you mean"):
+        robot.lock({"joint3": 0.0})
+    for lock in (5, None, [None], {"joint1": math.nan}, {"joint1": None}):
+        with pytest.raises(ArgumentError, match=r"lock.* must "):
+            robot.lock(lock)
+
+
+# --- chains ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_chain_from_the_base_to_the_tip_is_the_robot():
+    robot = torchdq.robots.load("panda")
+    chain = robot.subchain("base", "tip")
+    assert chain.joint_names == robot.joint_names and chain.notes == robot.notes
+    s = oracles.states(robot)
+    torques = [torchdq.inverse_dynamics(x, s.q, s.qd, s.qdd) for x in (robot, chain)]
+    assert torch.allclose(*torques, rtol=1e-14, atol=1e-13)
+
+
+def test_a_chain_from_a_link_is_what_it_carries():
+    """The joints before stand still at home."""
+    full = torchdq.robots.load("panda")
+    chain = full.subchain("panda_link3", "tip")
+    assert chain.joint_names == full.joint_names[3:] and chain.parents == (-1, 0, 1, 2)
+    assert (
+        "chain from 'panda_link3' to 'tip', without the joints panda_joint1, panda_joint2, panda_joint3" in chain.notes
+    )
+    s = oracles.states(chain)
+    q, qd, qdd = (torch.cat([torch.zeros(3, 3, dtype=F64), x], -1) for x in (s.q, s.qd, s.qdd))
+    found, expected = torchdq.inverse_dynamics(chain, s.q, s.qd, s.qdd), torchdq.inverse_dynamics(full, q, qd, qdd)
+    assert torch.allclose(found, expected[:, 3:], rtol=1e-13, atol=1e-12)
+    X = torchdq.forward_kinematics(full, q, "panda_link3")
+    seen = dq.mul(X, torchdq.forward_kinematics(chain, s.q, "tip"))
+    assert torch.allclose(dq.to_matrix(seen), dq.to_matrix(torchdq.forward_kinematics(full, q, "tip")), atol=1e-13)
+
+
+def test_a_chain_leaves_branches_out():
+    full = oracles.tree(11).robot
+    tip = full.frame(full.tip)
+    chain = full.subchain("base", tip.name)
+    path, link = [], tip.link
+    while link >= 0:
+        path.insert(0, full.joint_names[link])
+        link = full.parents[link]
+    assert list(chain.joint_names) == path and len(path) < full.n
+    s = oracles.states(chain)
+    at = torch.tensor([full.joint_index(name) for name in path])
+    q = full.home.expand(3, full.n).index_copy(-1, at, s.q)
+    found, expected = (torchdq.forward_kinematics(*x) for x in ((chain, s.q, tip.name), (full, q, tip.name)))
+    assert torch.allclose(dq.to_matrix(found), dq.to_matrix(expected), atol=1e-13)
+    assert chain.mass.tolist() == [float(full.mass[full.joint_index(name)]) for name in path]
+
+
+def test_a_chain_runs_outwards():
+    robot = torchdq.robots.load("panda")
+    for base, tip in (("tip", "panda_link2"), ("panda_link3", "panda_link3"), ("panda_link7", "tip")):
+        with pytest.raises(ArgumentError, match=f"tip must be a frame that joints carry from the frame '{base}' on"):
+            robot.subchain(base, tip)
+    with pytest.raises(UnknownNameError):
+        robot.subchain("panda_link9", "tip")
