@@ -65,8 +65,9 @@ class _Refinement:
 
     def until(self, intervals: int) -> _Refinement:
         """Refinement of the first intervals alone."""
-        cut = {name: tuple(x[:intervals] for x in getattr(self, name)) for name in ("paths", "before", "row")}
-        return replace(self, trial=replace(self.trial, intervals=intervals), **cut)
+        trial = replace(self.trial, intervals=intervals)
+        paths, before, row = (tuple(x[:intervals] for x in part) for part in (self.paths, self.before, self.row))
+        return replace(self, trial=trial, paths=paths, before=before, row=row)
 
     def changes(self, column: int) -> Tensor:
         """Largest changes by the last halving until the end of every interval."""

@@ -144,9 +144,9 @@ def _promise(exact: Reference, integrator: Integrator, error: float) -> _Promise
     per_step = trial.scene.replace(integrator=integrator, substeps=1).count().total
     times = 2 ** max(0, int(math.log2(PROBE / trial.intervals)))
     known = exact.known[1] if integrator == exact.known[0] else {}
-    if times not in known:
+    if times not in known and trial.allows(integrator, times, EXACT):
         known = {times: trial.error(integrator, times, EXACT, exact.positions)}
-    needed = times * (known[times] / error) ** (1 / integrator.order)
+    needed = times * (known.get(times, math.inf) / error) ** (1 / integrator.order)
     return _Promise(needed * per_step, per_step, integrator, known)
 
 

@@ -175,7 +175,6 @@ class Trial:
         Raises:
             TimeIsUp: there was no time to reach the error.
         """
-
         known = {} if known is None else known
 
         def allowed(times: int) -> bool:
@@ -183,10 +182,14 @@ class Trial:
             return short or self.allows(integrator, times, EXACT)
 
         def made_by(times: int) -> float:
-            return known[times] if times in known else self.error(integrator, times, EXACT, reference)
+            if times in known:
+                return known[times]
+            if not allowed(times):
+                raise TimeIsUp
+            return self.error(integrator, times, EXACT, reference)
 
         too_few = max((times for times, made in known.items() if made > error), default=0)
-        enough = min((times for times, made in known.items() if made <= error), default=MOST_STEPS)
+        enough = min((times for times in known if times > too_few), default=MOST_STEPS)
         times = too_few or 1
         found = made_by(times)
         while found > error:
@@ -196,8 +199,6 @@ class Trial:
             if times * (factor if found < 0.01 else 1.0) >= most:
                 return None
             times = min(math.ceil(times * min(max(1.1 * factor, 1.25), 8.0)), math.ceil(most), enough)
-            if not allowed(times):
-                raise TimeIsUp
             found = made_by(times)
         # the last jump may have been far: first to where the order promises to end, then to the middle
         promised = math.ceil(1.05 * times * (found / error) ** (1 / integrator.order))
