@@ -18,7 +18,7 @@ from torchdq.robot.robot import SHAPES
 from torchdq.robot.shipped import ROBOTS, load
 
 COUNTS = ("steps", "counter")  # entries of a saved state that count from 0
-METHODS = ("inputs", "draws", "start", "bounds", "rows")  # of a task
+METHODS = ("inputs", "draws", "start", "bounds", "rows")  # every task has them
 TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track()}
 
 

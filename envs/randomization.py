@@ -12,11 +12,12 @@
     "Effect.parameter"  factor of every number of that parameter of the scene           1 - x to 1 + x
     "com"               shift of every coordinate of the links' centres of mass [m]     -x to x
     "payload"           mass held by the end effector [kg]                              0 to x
-    "delay"             delay of the torques [time steps], also between whole steps     0 to x
+    "delay"             delay of commanded torques [time steps], whole or not           0 to x
 
 A value is a number x, a pair (lower, upper) of what is drawn, or a distribution of torch with an inverse of its
 cumulative distribution (`icdf`), such as Uniform, Normal or LogNormal. Everything is drawn from the environments' own
-streams of random numbers, so a row is the same whatever the others are.
+streams of random numbers, so a row is the same whatever the others are. A drawn payload and a drawn delay add to those
+that the scene has.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from torch import Tensor
 from torch.distributions import Distribution
 
 from torchdq.dynamics.posed import Row
-from torchdq.effects import Delay, Gravity, MassScale, Payload, RotorInertia, Viscous
+from torchdq.effects import Gravity, MassScale, Payload, RotorInertia, Viscous
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.effect import Effect, Parameter, Shapes
 from torchdq.envs.rng import SMALLEST
@@ -251,9 +252,7 @@ def _with_effects(scene: Scene, spans: Mapping[str, Span]) -> Scene:
     """Scene with the effects that carry what is drawn, its sensors last."""
     found = [e for e in scene.effects if e.SLOT != "sensor"]
     if "delay" in spans:
-        late = DrawnDelay(0.0, max(1, math.ceil(spans["delay"].upper)))
-        at = next((i for i, e in enumerate(found) if isinstance(e, Delay)), None)
-        found = [late, *found] if at is None else [*found[:at], late, *found[at + 1 :]]
+        found.insert(0, DrawnDelay(0.0, max(1, math.ceil(spans["delay"].upper))))
     if "mass" in spans:
         found.append(MassScale((1.0,) * scene.n))
     if "payload" in spans:  # the last, since it does not grow with the link that holds it

@@ -84,7 +84,7 @@ class Scene:
     precision: Precision = "auto"
     spec: SceneSpec = field(init=False, repr=False)
     noises: int = field(init=False, repr=False)  # random numbers that a step consumes
-    _parameters: dict[str, Tensor] = field(init=False, repr=False)  # of robot, controller, effects, by "owner.name"
+    _parameters: dict[str, Tensor] = field(init=False, repr=False)  # by "owner.name"
 
     def __post_init__(self) -> None:
         if not isinstance(self.robot, Robot):

@@ -68,7 +68,7 @@ class TorchTask:
         draws: random numbers that `start` takes for each episode.
 
     >>> import torch
-    >>> from torchdq.envs import ArmVectorEnv
+    >>> from torchdq.envs import ArmVectorEnv, TorchTask
     >>> still = TorchTask("reach", reward=lambda now: -now.qd.square().sum(1))
     >>> envs = ArmVectorEnv(3, still, "panda")
     >>> observations, info = envs.reset(seed=0)

@@ -130,7 +130,8 @@ class ArmVectorEnv(VectorEnv):
         require_choice("render_mode", render_mode, (None, "rgb_array", "human"))
         self.num_envs, self.max_episode_steps, self.output = num_envs, max_episode_steps, output
         functions = task if isinstance(task, TorchTask) else None
-        self.task, self.robot = task_of(task if functions is None else functions.recorded), robot_of(robot)
+        self.task = task_of(task.recorded if isinstance(task, TorchTask) else task)
+        self.robot = robot_of(robot)
         self.dtype, self.device = dtype_of("dtype", dtype), torch.device(device)
         self.autoreset_mode, self.render_mode = autoreset_of(autoreset_mode), render_mode
         like = torch.empty(0, dtype=self.dtype, device=self.device)

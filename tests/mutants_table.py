@@ -2055,6 +2055,54 @@ MUTANTS = (
         ),
     ),
     *within(
+        "envs/tasks.py",
+        (
+            "rows of a task of any width",
+            "if len(row) != widths.get(name, len(row)):",
+            "if False:",
+            "envs.py::test_a_task_that_returns_other_rows_is_told_which",
+        ),
+        (
+            "rows of a task in the place of the state's",
+            "if name in RESERVED:",
+            "if False:",
+            "envs.py::test_a_task_that_returns_other_rows_is_told_which",
+        ),
+    ),
+    *within(
+        "envs/arguments.py",
+        (
+            "saved states that are not finite",
+            "else ~x.isfinite()",
+            "else x.isnan() & ~x.isnan()",
+            "envs.py::test_wrong_states_are_refused",
+        ),
+    ),
+    *within(
+        "envs/randomization.py",
+        (
+            "factors that may be negative",
+            "span.lower > 0)",
+            "True)",
+            "env_random.py::test_wrong_ranges_are_refused",
+        ),
+        (
+            "shifts that multiply",
+            "base + value if self.shift else base * value",
+            "base * value",
+            "env_random.py::test_a_number_is_a_fraction_and_a_pair_is_a_range",
+        ),
+    ),
+    *within(
+        "envs/torch_task.py",
+        (
+            "functions whose failures do not end an episode",
+            'rows["valid"] * sound',
+            'rows["valid"]',
+            "torch_task.py::test_a_function_that_fails_ends_that_row_alone",
+        ),
+    ),
+    *within(
         "envs/controllers.py",
         (
             "75: positions in the place of velocities, in scenes",
