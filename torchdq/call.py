@@ -30,7 +30,7 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.backend import Backend
-from torchdq.backends.choice import BackendName, choose, present
+from torchdq.backends.choice import BackendName, choose, choose_for_graph, present
 from torchdq.backends.precision import Guarded, unguarded
 from torchdq.backends.run import run
 from torchdq.backends.torch import EAGER
@@ -39,7 +39,7 @@ from torchdq.checks import DTYPES, require_tensor
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program.autograd import in_a_graph, named, operator
 from torchdq.program.program import Argument, Program
-from torchdq.program.transforms import with_values
+from torchdq.program.transforms import proxy_tracing, with_values
 
 Shape = tuple[int, ...]
 Tensors = Mapping[str, Tensor | None]  # by name; None: absent
@@ -110,7 +110,7 @@ def evaluate(
         backend: as in `torchdq.functional`.
         double: whether float32 inputs are computed in float64, and the results rounded.
     """
-    if torch.compiler.is_compiling():
+    if torch.compiler.is_compiling() or proxy_tracing():
         return _traced(what, tensors, backend, double)
     try:
         looks = [None if x is None else (x.shape, x.dtype, x.device) for x in tensors.values()]
@@ -285,7 +285,7 @@ def _known(
     `arguments` are plain tuples, since torch.compile does not keep named ones.
     """
     what = kind(*fields)
-    program, chosen = _recorded(what, tuple(Argument(*a) for a in arguments)), choose(backend, device)
+    program, chosen = _recorded(what, tuple(Argument(*a) for a in arguments)), choose_for_graph(backend, device)
     results = _shapes(what, program)
     if chosen.differentiable:
         return "", program, results

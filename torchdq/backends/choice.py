@@ -16,6 +16,7 @@ from torchdq.backends.cache import BuildError
 from torchdq.backends.torch import EAGER
 from torchdq.caches import remembered
 from torchdq.errors import ArgumentError
+from torchdq.program.transforms import proxy_tracing
 
 BackendName = Literal["auto", "eager", "c"]
 BACKENDS: tuple[Backend, ...] = (COMPILED, EAGER)  # "auto" is the first that can run
@@ -56,6 +57,29 @@ def _warn_without_compiler() -> None:
 def present() -> BackendName:
     """Backend of the innermost `backend` block, or "auto"."""
     return _chosen.get()
+
+
+def choose_for_graph(name: BackendName | None, device: torch.device) -> Backend:
+    """Backend that runs programs in a traced graph.
+
+    A graph of torch.export is saved and loaded elsewhere, and one of make_fx may be transformed, so without a named
+    backend they consist of torch's own operations.
+    """
+    exporting = torch.compiler.is_exporting()
+    if (exporting or proxy_tracing()) and (name or present()) == "auto":
+        return EAGER
+    chosen = choose(name, device)
+    if exporting and not chosen.differentiable:
+        _warn_about_export(chosen.name)
+    return chosen
+
+
+def _warn_about_export(name: str) -> None:
+    warnings.warn(
+        f"the exported graph calls programs that backend {name!r} compiled in this process, so it runs only here; "
+        "export without a named backend, or with 'eager', to save it and to load it elsewhere",
+        stacklevel=2,
+    )
 
 
 @torch.compiler.assume_constant_result  # a traced graph keeps the backend it was traced with

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch._functorch import pyfunctorch
 from torch.autograd import forward_ad
+from torch.fx.experimental import proxy_tensor
 from torch.utils import _python_dispatch
 
 
@@ -24,6 +25,9 @@ def _private(name: str, missing: Any) -> Any:
 
 
 _functional = _private("_are_functorch_transforms_active", lambda: True)
+_jit_state = _private("_get_tracing_state", lambda: None)
+_modes = _private("_len_torch_dispatch_stack", lambda: 1)
+_proxy_mode = getattr(proxy_tensor, "get_proxy_mode", lambda: None)
 _batched_by_autograd = _private("_functorch.is_legacy_batchedtensor", lambda x: False)
 
 
@@ -44,6 +48,16 @@ def transforming() -> bool:
     return _functional() or getattr(forward_ad, "_current_level", 0) >= 0
 
 
+def jit_tracing() -> bool:
+    """Whether torch.jit.trace records torch's operations; it cannot record a compiled program."""
+    return _jit_state() is not None
+
+
+def proxy_tracing() -> bool:
+    """Whether make_fx records the operators that tensors go through."""
+    return _modes() > 0 and _proxy_mode() is not None
+
+
 def in_a_batch_of_gradients(inputs: Sequence[Tensor]) -> bool:
     """Whether autograd maps over gradients (`is_grads_batched`), which supports only torch's own operations."""
     return any(map(_batched_by_autograd, inputs))
@@ -55,5 +69,7 @@ def without_values(inputs: Sequence[Tensor]) -> bool:
         torch.compiler.is_compiling()
         or inputs[0].device.type == "meta"
         or _functional()
+        or jit_tracing()
+        or proxy_tracing()
         or in_a_batch_of_gradients(inputs)
     )
