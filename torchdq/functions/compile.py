@@ -12,7 +12,6 @@ from torch import Tensor
 
 from torchdq.backends.c_source import source
 from torchdq.backends.choice import choose
-from torchdq.backends.precision import kernel
 from torchdq.call import Computation, evaluate
 from torchdq.checks import DTYPES
 from torchdq.errors import ArgumentError, DtypeError, UnknownNameError
@@ -107,7 +106,7 @@ class CompiledProgram:
 
 
 def _ready(recorded: Program, dtype: torch.dtype) -> CompiledProgram:
-    kernel(choose(None, CPU), recorded, dtype, CPU)
+    choose(None, CPU).kernel(recorded, dtype, CPU)
     return CompiledProgram(recorded, dtype)
 
 
