@@ -91,7 +91,8 @@ class CallLayout(NamedTuple):
     device: torch.device
     program: Program
     backend: Backend
-    results: tuple[tuple[str, Shape], ...]
+    names: tuple[str, ...]  # of the results
+    shapes: tuple[Shape, ...]  # of the results
     samples: int
     direct: tuple[Shape, ...] | None  # shapes of all outputs if the tensors can be taken as they are; None: they cannot
 
@@ -124,15 +125,14 @@ def evaluate(
     given = [x for x in tensors.values() if x is not None]
     found = _direct(layout, given)
     if found is not None:
-        return {name: y for (name, _), y in zip(layout.results, found, strict=True)}
+        return dict(zip(layout.names, found, strict=True))
     rows = [_row(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]
     found = run(layout.program, rows, layout.backend)
     narrow = given[0].dtype
     if narrow != layout.dtype:
         found = [y.to(narrow) for y in found]
-    return {
-        name: y if y.shape == shape else y.view(shape) for y, (name, shape) in zip(found, layout.results, strict=True)
-    }
+    shaped = [y if y.shape == shape else y.view(shape) for y, shape in zip(found, layout.shapes, strict=True)]
+    return dict(zip(layout.names, shaped, strict=True))
 
 
 def _direct(layout: CallLayout, given: Sequence[Tensor]) -> Sequence[Tensor] | None:
@@ -216,7 +216,8 @@ def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, do
         device,
         program,
         chosen,
-        tuple([(name, axes if summed else batch + axes) for name, summed, axes in shapes]),
+        tuple([name for name, _, _ in shapes]),
+        tuple([axes if summed else batch + axes for _, summed, axes in shapes]),
         math.prod(batch),
         direct,
     )

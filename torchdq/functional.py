@@ -91,7 +91,8 @@ def _robot(robot: Robot) -> Robot:
 
 def _with_tensors(robot: Robot, given: dict[str, Tensor | None]) -> dict[str, Tensor | None]:
     """Arguments of a function, together with the tensors of the robot that are arguments of its programs."""
-    return {**given, **{name: getattr(robot, name) for name in arguments(robot)}}
+    names = arguments(robot)
+    return {**given, **{name: getattr(robot, name) for name in names}} if names else given
 
 
 def function_of(

@@ -95,7 +95,10 @@ class CompiledKernel:
 
         All tensors are contiguous and have the dtype of the kernel; only their number of elements matters.
         """
-        self._run([*inputs, *results], samples, *threads.shares(samples, self.operations, False))
+        if samples <= threads.BLOCK:
+            self.function(samples, *[x.data_ptr() for x in (*inputs, *results)])
+        else:
+            self._run([*inputs, *results], samples, *threads.shares(samples, self.operations, False))
 
     def _run(self, tensors: Sequence[Tensor], samples: int, number: int, size: int) -> None:
         """Run the program on all tensors, with a number of threads and a number of samples in each part."""

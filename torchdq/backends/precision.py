@@ -67,7 +67,8 @@ def unguarded(
         samples: number of samples, at least one.
     """
     like = inputs[0]
-    found = [torch.empty(shape, dtype=like.dtype, device=like.device) for shape in shapes]
+    # sizes one by one, since torch takes longer to read a tuple; a number without axes has none
+    found = [like.new_empty(*shape) if shape else like.new_empty(()) for shape in shapes]
     direct = cast(DirectKernel, backend.kernel(program, like.dtype, like.device))
     direct.into(inputs, found, samples)
     if program.growth is None:
