@@ -28,7 +28,6 @@ from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number
 from torchdq.backends.c import COMPILED
-from torchdq.backends.precision import kernel
 from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.paper import kinematics, rnea
 from torchdq.dynamics.posed import Row
@@ -209,7 +208,7 @@ Execute = Callable[[Program, Sequence[Tensor]], Sequence[Tensor]]
 
 def compiled(program: Program, x: Sequence[Tensor]) -> Sequence[Tensor]:
     """Results of a program by its kernel."""
-    return kernel(COMPILED, program, torch.float64, torch.device("cpu"))(x, BATCH)
+    return COMPILED.kernel(program, torch.float64, torch.device("cpu"))(x, BATCH)
 
 
 def results(formulation: Formulation, execute: Execute) -> Tensor:

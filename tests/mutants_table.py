@@ -57,6 +57,7 @@ PARAMETERS = "parameters.py"
 SCENE = "scene.py"
 RECOMMEND = "recommend.py"
 BACKENDS = "backends.py"
+BUILD = "build.py"
 CONTROL = "computed_torque.py"
 SIGNS = "signs_and_turns.py::test_signs_are_those_of_plain_arithmetic"
 MANY_TURNS = "signs_and_turns.py::test_a_rotation_by_many_turns_loses_nothing_to_the_rounding_of_its_angle"
@@ -1146,8 +1147,8 @@ MUTANTS = (
         ),
         (
             "batch axes lost",
-            "(name, axes if summed else batch + axes) for",
-            "(name, axes) for",
+            "tuple([axes if summed else batch + axes for",
+            "tuple([axes for",
             CALL_BATCH,
         ),
         (
@@ -1173,6 +1174,60 @@ MUTANTS = (
             "found = [y.to(narrow) for y in found]",
             "pass",
             f"{CALL}::test_double_precision_inside_is_float64_rounded",
+        ),
+    ),
+    *within(
+        "torchdq/program/autograd.py",
+        (
+            "torch.jit.trace not noticed by calls without views",
+            "transforming() or jit_tracing() or",
+            "transforming() or",
+            f"{BACKENDS}::test_torch_jit_trace_refuses_compiled_programs",
+        ),
+    ),
+    *within(
+        "torchdq/program/transforms.py",
+        (
+            "branches on values in traces",
+            "        or jit_tracing()\n        or proxy_tracing()\n",
+            "",
+            f"{BACKENDS}::test_a_trace_recomputes_the_rows_of_other_values_in_float64",
+        ),
+    ),
+    *within(
+        "torchdq/backends/choice.py",
+        (
+            "exported graphs of compiled programs",
+            'and (name or present()) == "auto"',
+            "and False",
+            f"{BACKENDS}::test_an_exported_module_runs_in_another_process",
+        ),
+    ),
+    *within(
+        "torchdq/backends/cache.py",
+        (
+            "libraries kept before they were loaded",
+            "            _opened(library)\n",
+            "",
+            f"{BUILD}::test_a_compiler_that_does_not_compile_is_an_error_and_nothing_is_kept",
+        ),
+        (
+            "libraries that stay in memory",
+            "weakref.finalize(function, _ctypes.dlclose, library)",
+            "weakref.finalize(function, str, library)",
+            f"{BUILD}::test_a_library_is_unloaded_with_its_kernel",
+        ),
+        (
+            "libraries used last removed first",
+            "sorted(libraries, reverse=True)",
+            "sorted(libraries)",
+            f"{BUILD}::test_a_full_cache_loses_the_libraries_that_were_used_least_recently",
+        ),
+        (
+            "one compilation per thread",
+            "fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)",
+            "pass",
+            f"{BUILD}::test_sixteen_threads_and_four_processes_compile_a_program_once",
         ),
     ),
     # --- numbers and programs -----------------------------------------------------------------------------------------

@@ -6,6 +6,8 @@ kernels write nowhere but into their results; and that their sine and cosine are
 
 import ctypes
 import platform
+import subprocess
+import sys
 import warnings
 
 import helpers
@@ -16,6 +18,7 @@ import torch
 from helpers import eager
 from oracles import EPS, random_tree, states
 from torch.autograd import forward_ad, gradcheck, gradgradcheck
+from torch.fx.experimental.proxy_tensor import make_fx
 
 import torchdq
 from torchdq import call
@@ -25,7 +28,7 @@ from torchdq.backends import threads as pool
 from torchdq.backends.c import COMPILED, CompiledKernel
 from torchdq.errors import ArgumentError
 from torchdq.program import autograd
-from torchdq.program.program import Argument, record
+from torchdq.program.program import LARGEST_GROWTH, Argument, record
 from torchdq.robot.robot import arguments
 
 F32, F64 = torch.float32, torch.float64
@@ -485,6 +488,110 @@ def test_an_exported_graph_takes_any_batch():
     for batch in (2, 33):
         x = random(batch, 3), random(batch, 3, seed=1)
         agree([graph(*x)], [torchdq.inverse_dynamics(RPH, *x, backend="eager")])
+
+
+TRACED = {
+    "a layer": lambda backend: torchdq.DQRNEA(RPH, backend=backend),
+    "a layer that learns": lambda backend: torchdq.DQRNEA(RPH, learn=("mass",), backend=backend),
+    "accelerations": lambda backend: lambda q: torchdq.forward_dynamics(RPH, q, q, q, backend=backend),
+    "a gradient": lambda backend: torch.func.grad(lambda q: torchdq.kinetic_energy(RPH, q, q, backend=backend).sum()),
+    "a batch by vmap": lambda backend: torch.func.vmap(lambda q: torchdq.mass_matrix(RPH, q, backend=backend)),
+}
+
+
+@pytest.mark.parametrize("name", ["a layer", "a layer that learns", "accelerations"])
+def test_torch_jit_trace_refuses_compiled_programs(name):
+    """In transforms of torch.func, torch.jit.trace fails by itself."""
+    x = random(9, 3)
+    for backend in (None, "c"):
+        f = TRACED[name](backend)
+        f(x)  # a call that is known already is refused as well
+        with pytest.raises(ArgumentError, match=r"torch.jit.trace .* backend='eager'"):
+            torch.jit.trace(f, (x,), check_trace=False)
+
+
+def test_torch_jit_trace_refuses_other_programs_too():
+    x = random(9, 6)
+    torchdq.dq.exp(x)
+    with pytest.raises(ArgumentError, match=r"torch.jit.trace .* 'exp'"):
+        torch.jit.trace(torchdq.dq.exp, (x,), check_trace=False)
+
+
+def test_torch_jit_trace_records_torch_operations():
+    x = random(9, 3)
+    f = torch.jit.trace(TRACED["a layer"]("eager"), (x,))
+    agree([f(2 * x)], [TRACED["a layer"]("eager")(2 * x)])
+
+
+@pytest.mark.parametrize(
+    ("name", "mode"), [*((name, "real") for name in TRACED), ("a layer", "symbolic"), ("accelerations", "symbolic")]
+)
+def test_make_fx_records_what_a_function_computes_and_not_its_result(name, mode):
+    x, f = random(9, 3), TRACED[name](None)
+    f(x)
+    found = make_fx(f, tracing_mode=mode)(x)(2 * x)
+    agree([found], [f(2 * x)])
+
+
+def test_make_fx_records_a_program_of_a_named_backend():
+    x, f = random(9, 3), TRACED["a layer"]("c")
+    agree([make_fx(f)(x)(2 * x)], [f(2 * x)])
+
+
+@pytest.mark.parametrize("trace", [make_fx, lambda f: lambda x: torch.jit.trace(f, (x,))], ids=["make_fx", "jit"])
+def test_a_trace_recomputes_the_rows_of_other_values_in_float64(trace):
+    """The arm of the example is bent and needs float32 only, that of the call is stretched and needs float64."""
+    light = TWO.replace(mass=torch.tensor([1e-3, 1.0], dtype=F64), inertia=1e-4 * TWO.inertia).bake()
+    light = light.replace(com=torch.tensor([[1.0, 0.0, 0.0]] * 2, dtype=F64)).bake()
+    bent, stretched = torch.tensor([[0.0, 1.5]]), torch.tensor([[0.3, 0.0]])
+    growth = torchdq.error_growth(light, torch.cat([bent, stretched]))
+    assert growth[0] < LARGEST_GROWTH.single < growth[1]
+    f = lambda q: torchdq.forward_dynamics(light, q, q + 1, q, backend="eager")  # noqa: E731
+    agree([trace(f)(bent)(stretched)], [f(stretched)], factor=1.0)
+
+
+def in_another_process(code: str, cwd) -> None:
+    done = subprocess.run([sys.executable, "-c", code], cwd=cwd, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(("kind", "strict"), [("DQRNEA", False), ("ForwardDynamics", True)])
+def test_an_exported_module_runs_in_another_process(kind, strict, tmp_path):
+    """Without torchdq, and with another batch than the one it was exported with."""
+    layer, batch = getattr(torchdq, kind)(RPH), {0: torch.export.Dim("batch")}
+    given = tuple(random(9, 3, seed=k) for k in range(3))
+    graph = torch.export.export(layer, given, dynamic_shapes=(batch,) * 3, strict=strict)
+    torch.export.save(graph, tmp_path / "layer.pt2")
+    later = tuple(random(4, 3, seed=k) for k in range(5, 8))
+    torch.save(later, tmp_path / "given.pt")
+    in_another_process(
+        "import torch; layer = torch.export.load('layer.pt2').module(); "
+        "torch.save(layer(*torch.load('given.pt')), 'found.pt')",
+        tmp_path,
+    )
+    agree([torch.load(tmp_path / "found.pt")], [layer(*later)])
+
+
+@pytest.mark.exhaustive
+def test_an_exported_module_is_compiled_to_a_file_that_another_process_loads(tmp_path):
+    layer, given = torchdq.DQRNEA(TWO), (random(9, 2),)
+    graph = torch.export.export(layer, given)
+    torch._inductor.aoti_compile_and_package(graph, package_path=str(tmp_path / "layer.pt2"))
+    torch.save(given[0], tmp_path / "given.pt")
+    in_another_process(
+        "import torch; layer = torch._inductor.aoti_load_package('layer.pt2'); "
+        "torch.save(layer(torch.load('given.pt')), 'found.pt')",
+        tmp_path,
+    )
+    agree([torch.load(tmp_path / "found.pt")], [layer(*given)])
+
+
+def test_exporting_programs_of_a_named_backend_warns_that_the_graph_stays_in_this_process():
+    given = (random(9, 3),)
+    with pytest.warns(UserWarning, match="runs only here; export without a named backend"):
+        torch.export.export(torchdq.DQRNEA(RPH, backend="c"), given)
+    with pytest.warns(UserWarning, match="runs only here"), torchdq.backend("c"):
+        torch.export.export(torchdq.DQRNEA(RPH), given)
 
 
 # --- choosing a backend, and recording no more than needed -----------------------------------------------------------

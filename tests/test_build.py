@@ -17,8 +17,11 @@ import pytest
 import torch
 
 import torchdq
+from torchdq import notice
 from torchdq.backends import cache as build
-from torchdq.backends.c_source import source
+from torchdq.backends import compiler as machine
+from torchdq.backends.c_source import pieces_of, source
+from torchdq.backends.compiler import BuildError
 from torchdq.program.program import Argument, record
 
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
@@ -92,6 +95,14 @@ def cache(tmp_path, monkeypatch) -> Path:
     return path
 
 
+@pytest.fixture
+def warned():
+    """Process that was not warned about anything."""
+    notice._topics.cache_clear()
+    yield
+    notice._topics.cache_clear()
+
+
 def libraries(cache: Path) -> list[Path]:
     return sorted(cache.glob("*.so"))
 
@@ -105,18 +116,22 @@ def test_the_cache_is_made_for_the_user_alone(cache):
     assert stat.S_IMODE(cache.stat().st_mode) == 0o700
 
 
+@pytest.mark.usefixtures("warned")
 @pytest.mark.parametrize("mode", [0o770, 0o707, 0o777], ids=oct)
 def test_a_cache_that_others_can_write_is_not_used(cache, mode):
     cache.mkdir(parents=True)
     cache.chmod(mode)
-    assert apply(build.load(*double(3.0)), 2.0) == 6.0
+    with pytest.warns(UserWarning, match="others than you can write .*deep/cache; name a folder"):
+        assert apply(build.load(*double(3.0)), 2.0) == 6.0
     assert list(cache.iterdir()) == []
 
 
+@pytest.mark.usefixtures("warned")
 def test_a_cache_that_is_a_file_is_not_used(cache):
     cache.parent.mkdir()
     cache.write_text("occupied")
-    assert apply(build.load(*double(3.0)), 2.0) == 6.0
+    with pytest.warns(UserWarning, match="compiled programs are not kept"):
+        assert apply(build.load(*double(3.0)), 2.0) == 6.0
     assert cache.read_text() == "occupied"
 
 
@@ -194,6 +209,28 @@ print(sum(os.waitpid(child, 0)[1] == 0 for child in children))
     assert [path.suffix for path in cache.iterdir()] == [".so"]
 
 
+def test_sixteen_threads_and_four_processes_compile_a_program_once(tmp_path):
+    log = tmp_path / "log"
+    noted = script(
+        tmp_path / "noted", f'case "$*" in *--version*) ;; *) echo built >> {log};; esac\nexec {REAL} "$@"\n'
+    )
+    code = """
+from concurrent.futures import ThreadPoolExecutor
+import torch, torchdq
+robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+with ThreadPoolExecutor(16) as pool:
+    found = list(pool.map(lambda k: torchdq.inverse_dynamics(robot, q), range(16)))
+assert all(torch.equal(found[0], tau) for tau in found)
+print(*found[0].tolist())
+"""
+    processes = [start(code, tmp_path / "cache", CC=noted) for _ in range(4)]
+    for process in processes:
+        out, err = process.communicate(timeout=120)
+        assert process.returncode == 0 and right([float(x) for x in out.split()]), err
+    assert log.read_text().split() == ["built"]
+    assert [path.suffix for path in (tmp_path / "cache").iterdir()] == [".so"]
+
+
 def test_a_process_killed_while_it_compiles_leaves_nothing_that_is_loaded(tmp_path):
     cache, begun = tmp_path / "cache", tmp_path / "begun"
     slow = script(
@@ -224,7 +261,7 @@ print(*tau.tolist())
     process = start(twice, tmp_path / "cache", PATH=str(tmp_path), CC=None)
     out, err = process.communicate(timeout=120)
     assert process.returncode == 0 and right([float(x) for x in out.split()])
-    assert err.count("there is no C compiler on the path") == 1
+    assert err.count("as torch operations, which is slower: there is no C compiler") == 1
 
 
 def test_without_a_compiler_asking_for_one_says_what_to_do(tmp_path):
@@ -242,7 +279,181 @@ def test_a_compiler_that_fails_is_an_error_that_names_the_program(tmp_path):
     _, err = process.communicate(timeout=120)
     assert process.returncode == 1
     assert f"BuildError: {broken} could not compile the program 'inverse_dynamics_two_link'" in err
-    assert "out of cheese" in err and list((tmp_path / "cache").iterdir()) == []
+    assert "out of cheese" in err and "clear_caches() makes this process try again" in err
+    assert list((tmp_path / "cache").iterdir()) == []
+
+
+BAD = {
+    "hangs": ("sleep 600 & sleep 600", "did not end within 1 s"),
+    "prints garbage and fails": (r"printf '\377\376garbage' >&2; exit 1", "garbage"),
+    "crashes": ("kill -SEGV $$", "exit status -11"),
+    "writes garbage": (
+        r"""while [ $# -gt 1 ]; do [ "$1" = -o ] && printf '\377\376\000' > "$2"; shift; done""",
+        "no library",
+    ),
+    "writes nothing": ("exit 0", "no library"),
+    "writes a library without run": (f'echo "int other;" > empty.c; exec {REAL} -shared -o "$OUT" empty.c', "'run'"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_compiler_that_does_not_compile_is_an_error_and_nothing_is_kept(name, tmp_path, cache, monkeypatch):
+    action, said = BAD[name]
+    find = 'for x in "$@"; do [ "$before" = -o ] && OUT="$x"; before="$x"; done'
+    bad = script(
+        tmp_path / "bad", f'case "$*" in *--version*) echo bad; exit 0;; esac\ncd {tmp_path}\n{find}\n{action}\n'
+    )
+    monkeypatch.setattr(build, "compiler", lambda: machine.Compiler((bad,), "bad"))
+    monkeypatch.setattr(build, "LIMIT", 1.0 if name == "hangs" else 60.0)
+    started = time.monotonic()
+    with pytest.raises(BuildError, match=rf"bad could not compile the program 'scale': (.|\n)*{said}"):
+        build.load(*double(3.0))
+    assert list(cache.iterdir()) == [] and time.monotonic() - started < 30
+    monkeypatch.undo()
+    monkeypatch.setenv("TORCHDQ_CACHE", str(cache))
+    assert apply(build.load(*double(3.0)), 2.0) == 6.0
+
+
+VERSIONS = {
+    "hangs": "sleep 600 & sleep 600",
+    "fails": "echo no >&2; exit 1",
+}
+
+
+@pytest.mark.usefixtures("warned")
+@pytest.mark.parametrize("name", [*VERSIONS, "is not there", "has an open quotation"])
+def test_a_named_compiler_that_states_no_version_is_replaced_by_another_with_a_warning(name, tmp_path, monkeypatch):
+    named = {"is not there": "/nope", "has an open quotation": "cc '"}.get(name) or script(
+        tmp_path / "bad", VERSIONS[name]
+    )
+    monkeypatch.setattr(machine, "ASKED", 1.0)
+    monkeypatch.setenv("CC", named)
+    with pytest.warns(UserWarning, match=r"\$CC names .* which cannot be used"):
+        found = machine.compiler.__wrapped__()
+    assert found is not None and found.command[0] != named
+
+
+def test_a_version_that_is_garbage_is_a_version(tmp_path, monkeypatch):
+    monkeypatch.setenv("CC", script(tmp_path / "odd", r"printf '\377\376'"))
+    assert machine.compiler.__wrapped__().command == (str(tmp_path / "odd"),)
+
+
+# --- a disk that is full ---------------------------------------------------------------------------------------------
+
+FULL = """
+import resource
+import torch, torchdq, warnings
+resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))  # no file can be longer
+robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64, requires_grad=True)
+torchdq.forward_dynamics(robot, q, q, q{options}).sum().backward()
+tau = torchdq.inverse_dynamics(robot, q.detach().expand(5, 2){options})[0]
+print(*tau.tolist())
+"""
+
+
+def test_on_a_full_disk_torch_computes_with_one_warning(tmp_path):
+    process = start(FULL.format(options=""), tmp_path / "cache")
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0 and right([float(x) for x in out.split()]), err
+    assert err.count("torchdq runs programs as torch operations, which is slower") == 1
+    assert err.count("Warning") == 2 and "the disk of" in err  # the other one says that nothing is kept
+    assert list((tmp_path / "cache").iterdir()) == []
+
+
+def test_on_a_full_disk_a_named_backend_is_an_error_that_says_so(tmp_path):
+    process = start(FULL.format(options=", backend='c'"), tmp_path / "cache")
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 1 and "BuildError" in err and "the disk of" in err
+
+
+@pytest.mark.usefixtures("warned")
+def test_where_only_the_cache_is_full_a_temporary_folder_holds_the_library(cache, monkeypatch):
+    full = build._full
+    monkeypatch.setattr(build, "_full", lambda folder: folder == cache or full(folder))
+    run = build.run
+
+    def runs(commands, limit, folder):
+        if folder.is_relative_to(cache):
+            raise BuildError("no space left on device")
+        return run(commands, limit, folder)
+
+    monkeypatch.setattr(build, "run", runs)
+    with pytest.warns(UserWarning, match="not kept.*the disk of .*deep/cache is full"):
+        assert apply(build.load(*double(3.0)), 2.0) == 6.0
+    assert list(cache.iterdir()) == []
+
+
+def test_without_any_folder_torch_computes_with_a_warning(tmp_path):
+    nowhere = str(tmp_path / "nowhere")
+    code = f"import tempfile; tempfile.tempdir = {nowhere!r}\n" + TORQUES.format(options="")
+    occupied = tmp_path / "occupied"
+    occupied.touch()
+    process = start(code, occupied)
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0 and right([float(x) for x in out.split()]), err
+    assert "no folder can hold compiled programs" in err and err.count("Warning") == 1
+
+
+def test_one_warning_says_that_nothing_is_kept(tmp_path):
+    (tmp_path / "occupied").touch()
+    twice = TORQUES.format(options="") + "torchdq.mass_matrix(robot, torch.zeros(2))\n"
+    process = start(twice, tmp_path / "occupied")
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0 and right([float(x) for x in out.split()]), err
+    assert err.count("compiled programs are not kept") == err.count("Warning") == 1
+
+
+# --- bounds ----------------------------------------------------------------------------------------------------------
+
+
+def mapped(cache: Path) -> int:
+    """Number of libraries of a cache in the memory of this process."""
+    lines = Path("/proc/self/maps").read_text().splitlines()
+    return len({line.split()[-1] for line in lines if str(cache) in line})
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="what is mapped is read from /proc")
+def test_a_library_is_unloaded_with_its_kernel(cache):
+    torchdq.clear_caches()
+    robot, q = torchdq.robots.load("two_link"), torch.zeros(2, dtype=torch.float64)
+    for k in range(3):
+        torchdq.inverse_dynamics(robot.replace(mass=(1 + k) * robot.mass).bake(), q, backend="c")
+    assert mapped(cache) == 3
+    torchdq.clear_caches()
+    assert mapped(cache) == 0
+
+
+def test_a_full_cache_loses_the_libraries_that_were_used_least_recently(cache, monkeypatch):
+    for k in range(3):
+        build.load(*double(3.0 + k))
+        os.utime(cache_entry(cache, double(3.0 + k)), (1000.0 + k,) * 2)
+    build.load(*double(3.0))  # the oldest, used again
+    size = sum(path.stat().st_size for path in libraries(cache))
+    monkeypatch.setattr(build, "LARGEST", 0.7 * size)
+    build.load(*double(7.0))
+    assert {cache_entry(cache, double(x)) for x in (3.0, 5.0, 7.0)} == set(libraries(cache))
+
+
+# --- long programs ---------------------------------------------------------------------------------------------------
+
+
+def test_a_long_program_is_compiled_in_pieces_and_is_right(cache, monkeypatch):
+    def algorithm(x):
+        y = x[0]
+        for _ in range(4000):
+            y = y * x[0] + 1.0
+        return {"y": [y]}
+
+    program = record("long", [Argument("x", 1)], algorithm)
+    text = source(program, False)
+    assert pieces_of(text) > 2
+    found = []
+    for processes in (1, 2, 3):
+        monkeypatch.setattr(build, "PROCESSES", processes)
+        monkeypatch.setattr(os, "cpu_count", lambda: 4)
+        build._compile(cache_entry(cache, (text, "long", 2)), "key", text, "long")
+        found.append(apply(build.load(text, "long", 2), 0.5))
+    assert found == [2.0] * 3
 
 
 def test_the_compiler_named_in_the_environment_is_used(tmp_path):
@@ -274,7 +485,7 @@ def test_what_a_killed_build_left_behind_is_removed_by_a_later_one(cache):
 
 
 def test_a_slow_build_is_announced(tmp_path):
-    slow = script(tmp_path / "slow", f'case "$*" in *--version*) ;; *) sleep 1.5;; esac\nexec {REAL} "$@"\n')
+    slow = script(tmp_path / "slow", f'case "$*" in *--version*) ;; *) sleep 2.5;; esac\nexec {REAL} "$@"\n')
     found, err = torques(tmp_path / "cache", CC=slow)
     assert right(found) and err.count("compiling inverse_dynamics_two_link") == 1
 

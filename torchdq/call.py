@@ -30,7 +30,7 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.backend import Backend
-from torchdq.backends.choice import BackendName, choose, present
+from torchdq.backends.choice import BackendName, choose, choose_for_graph, present
 from torchdq.backends.precision import Guarded, unguarded
 from torchdq.backends.run import run
 from torchdq.backends.torch import EAGER
@@ -39,7 +39,7 @@ from torchdq.checks import DTYPES, require_tensor
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program.autograd import in_a_graph, named, operator
 from torchdq.program.program import Argument, Program
-from torchdq.program.transforms import with_values
+from torchdq.program.transforms import proxy_tracing, with_values
 
 Shape = tuple[int, ...]
 Tensors = Mapping[str, Tensor | None]  # by name; None: absent
@@ -91,7 +91,8 @@ class CallLayout(NamedTuple):
     device: torch.device
     program: Program
     backend: Backend
-    results: tuple[tuple[str, Shape], ...]
+    names: tuple[str, ...]  # of the results
+    shapes: tuple[Shape, ...]  # of the results
     samples: int
     direct: tuple[Tensor, ...] | None  # forms of all outputs if the tensors can be taken as they are; None: they cannot
 
@@ -110,7 +111,7 @@ def evaluate(
         backend: as in `torchdq.functional`.
         double: whether float32 inputs are computed in float64, and the results rounded.
     """
-    if torch.compiler.is_compiling():
+    if torch.compiler.is_compiling() or proxy_tracing():
         return _traced(what, tensors, backend, double)
     try:
         looks = [None if x is None else (x.shape, x.dtype, x.device) for x in tensors.values()]
@@ -124,15 +125,14 @@ def evaluate(
     given = [x for x in tensors.values() if x is not None]
     found = _direct(layout, given)
     if found is not None:
-        return {name: y for (name, _), y in zip(layout.results, found, strict=True)}
+        return dict(zip(layout.names, found, strict=True))
     rows = [_row(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]
     found = run(layout.program, rows, layout.backend)
     narrow = given[0].dtype
     if narrow != layout.dtype:
         found = [y.to(narrow) for y in found]
-    return {
-        name: y if y.shape == shape else y.view(shape) for y, (name, shape) in zip(found, layout.results, strict=True)
-    }
+    shaped = [y if y.shape == shape else y.view(shape) for y, shape in zip(found, layout.shapes, strict=True)]
+    return dict(zip(layout.names, shaped, strict=True))
 
 
 def _direct(layout: CallLayout, given: Sequence[Tensor]) -> Sequence[Tensor] | None:
@@ -217,7 +217,8 @@ def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, do
         device,
         program,
         chosen,
-        tuple([(name, axes if summed else batch + axes) for name, summed, axes in shapes]),
+        tuple([name for name, _, _ in shapes]),
+        tuple([axes if summed else batch + axes for _, summed, axes in shapes]),
         math.prod(batch),
         direct,
     )
@@ -286,7 +287,7 @@ def _known(
     `arguments` are plain tuples, since torch.compile does not keep named ones.
     """
     what = kind(*fields)
-    program, chosen = _recorded(what, tuple(Argument(*a) for a in arguments)), choose(backend, device)
+    program, chosen = _recorded(what, tuple(Argument(*a) for a in arguments)), choose_for_graph(backend, device)
     results = _shapes(what, program)
     if chosen.differentiable:
         return "", program, results

@@ -87,7 +87,8 @@ def check(robot: Robot, optional: Sequence[str] = (), **quantities: Tensor | Non
 
 def _with_tensors(robot: Robot, given: dict[str, Tensor | None]) -> dict[str, Tensor | None]:
     """Arguments of a function, together with the tensors of the robot that are arguments of its programs."""
-    return {**given, **{name: getattr(robot, name) for name in arguments(robot)}}
+    names = arguments(robot)
+    return {**given, **{name: getattr(robot, name) for name in names}} if names else given
 
 
 def function_of(

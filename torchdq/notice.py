@@ -1,15 +1,32 @@
-"""Lines on stderr about work that takes long, so that nobody waits without knowing for what."""
+"""Words to the user: lines on stderr about work that takes long, and warnings that are given once."""
 
 from __future__ import annotations
 
 import sys
 import threading
 import time
+import warnings
+from contextlib import suppress
 from types import TracebackType
 from typing import Self
 
+from torchdq.caches import remembered
+
 FIRST = 2.0  # time from which work is announced [s]
 EVERY = 5.0  # time between two lines [s]
+
+
+@remembered(1)
+def _topics() -> set[str]:
+    """Topics of the warnings that were given."""
+    return set()
+
+
+def warn_once(topic: str, text: str) -> None:
+    """Warn, unless this process was warned about the topic since its start or the last `clear_caches`."""
+    if topic not in _topics():
+        _topics().add(topic)
+        warnings.warn(text, stacklevel=3)
 
 
 class Notice:
@@ -37,8 +54,9 @@ class Notice:
         while not self._ended.wait(pause):
             pause = EVERY
             parts = (self.what, self.where, f"{time.monotonic() - start:.0f} s")
-            sys.stderr.write(f"torchdq: {', '.join(part for part in parts if part)} ...\n")
-            sys.stderr.flush()
+            with suppress(AttributeError, ValueError, OSError):  # a stream that is absent or closed
+                sys.stderr.write(f"torchdq: {', '.join(part for part in parts if part)} ...\n")
+                sys.stderr.flush()
 
     def __enter__(self) -> Self:
         self._thread.start()

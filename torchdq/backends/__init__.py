@@ -3,7 +3,8 @@
 run        the function by which callers run a program
 choice     list of backends, and choice of one by name and device
 backend    interface of a backend
-c          compiled C on the CPU: c_prelude and c_source print it, cache builds and stores it, threads share a batch
+c          compiled C on the CPU: c_prelude and c_source print it, compiler runs the compiler, cache builds and stores
+           libraries, threads share a batch
 torch      torch's own operations, on any device
 precision  recomputation in float64 of rows whose rounding errors are too large
 

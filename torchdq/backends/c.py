@@ -8,9 +8,13 @@ import torch
 from torch import Tensor
 
 from torchdq.backends import cache, threads
-from torchdq.backends.backend import Backend
+from torchdq.backends.backend import Backend, DirectKernel
 from torchdq.backends.c_source import source
+from torchdq.backends.compiler import BuildError, compiler, no_compiler
+from torchdq.backends.torch import InterpretedKernel
+from torchdq.caches import PROGRAMS, remembered
 from torchdq.errors import ArgumentError, TorchdqError
+from torchdq.notice import warn_once
 from torchdq.program.program import Program, outputs
 
 
@@ -24,14 +28,38 @@ class C(Backend):
         """Error that says why programs cannot run on a device; None: they can."""
         if device.type != "cpu":
             return ArgumentError(f"backend 'c' runs on the CPU, and the arguments are on the device {device.type!r}")
-        return None if cache.compiler() is not None else cache.no_compiler()
+        return None if compiler() is not None else no_compiler()
 
-    def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> CompiledKernel:
+    def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> DirectKernel:
         """Compiled program in one precision, built unless the cache on disk has it."""
+        found = _compiled(program, dtype)
+        if isinstance(found, BuildError):
+            raise BuildError(f"{found}\n(torchdq.clear_caches() makes this process try again)")
+        return found
+
+
+class COrTorch(C):
+    """Backend that compiles programs for the CPU, and runs as torch operations those that cannot be compiled."""
+
+    def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> DirectKernel:
+        """Compiled program in one precision, or its torch operations."""
+        found = _compiled(program, dtype)
+        if isinstance(found, BuildError):
+            warn_once("build", f"torchdq runs programs as torch operations, which is slower, since one failed: {found}")
+            return InterpretedKernel(program)
+        return found
+
+
+COMPILED, COMPILED_OR_EAGER = C(), COrTorch()
+
+
+@remembered(PROGRAMS)
+def _compiled(program: Program, dtype: torch.dtype) -> CompiledKernel | BuildError:
+    """Kernel of a program, or the error of its build, made once per process."""
+    try:
         return CompiledKernel(program, dtype)
-
-
-COMPILED = C()
+    except BuildError as error:
+        return error
 
 
 class CompiledKernel:
@@ -67,7 +95,10 @@ class CompiledKernel:
 
         All tensors are contiguous and have the dtype of the kernel; only their number of elements matters.
         """
-        self._run([*inputs, *results], samples, *threads.shares(samples, self.operations, False))
+        if samples <= threads.BLOCK:
+            self.function(samples, *[x.data_ptr() for x in (*inputs, *results)])
+        else:
+            self._run([*inputs, *results], samples, *threads.shares(samples, self.operations, False))
 
     def _run(self, tensors: Sequence[Tensor], samples: int, number: int, size: int) -> None:
         """Run the program on all tensors, with a number of threads and a number of samples in each part."""

@@ -8,6 +8,7 @@ from torchdq.program.program import Output, Program, outputs
 from torchdq.program.schedule import TOGETHER, Part, schedule
 
 LONGEST = 1500  # operations of a C function; compile time grows faster than its length
+PIECE = "%PIECES==PIECE"  # condition of a function that one of several processes compiles
 
 
 def source(program: Program, single: bool) -> str:
@@ -17,6 +18,11 @@ def source(program: Program, single: bool) -> str:
     [samples, width], or [width] where they are uniform or summed.
     """
     return _Printer(program, single).text()
+
+
+def pieces_of(source: str) -> int:
+    """Number of pieces that a source can be compiled in: it is one file, of which -DPIECES=n -DPIECE=k is piece k."""
+    return max(1, source.count(PIECE))
 
 
 def _literal(x: float) -> str:
@@ -37,6 +43,7 @@ class _Printer:
     def __init__(self, program: Program, single: bool):
         self.program, self.single = program, single
         self.schedule = schedule(program, LONGEST)
+        self.home = {i: part for part in self.schedule.parts for i in part.values}
 
     # --- values ---
 
@@ -92,11 +99,14 @@ class _Printer:
                 lines.append(f"const T x{i}={_applied(row, row.c, operands)};")
         return lines
 
-    def results(self) -> list[str]:
-        lines = [f"const T x{i}=v[{slot}];" for i, slot in self.schedule.results]
-        for k, result in enumerate(outputs(self.program)):
-            lines += [f"O{k}[{j}]={self.output(v)};" for j, v in enumerate(result.values)]
-        return lines
+    def results(self, part: Part | None) -> list[str]:
+        """Statements that write the results among a part's values; None: those that are the same for all samples."""
+        return [
+            f"O{k}[{j}]={self.output(v)};"
+            for k, result in enumerate(outputs(self.program))
+            for j, v in enumerate(result.values)
+            if (None if isinstance(v, float) else self.home.get(v[0])) is part
+        ]
 
     # --- the whole ---
 
@@ -109,6 +119,7 @@ class _Printer:
         functions, body = self.body(rows)
         lines = [c_prelude.text(self.single), *functions]
         pointers = [f"const S*in{k}" for k in range(len(p.arguments))] + [f"S*out{k}" for k in range(len(results))]
+        lines += ["#if PIECE==0"] if functions else []
         lines += [f"void run(long samples,{','.join(pointers)}){{", *self.prelude()]
         lines += [f"T A{k}[{w}];for(int j=0;j<{w};j++)A{k}[j]=(T){{}};" for k, w in summed]
         lines += ["for(long b=0;b<samples;b+=LANES){", "const long here=samples-b<LANES?samples-b:LANES;"]
@@ -137,7 +148,7 @@ class _Printer:
             f"for(int j=0;j<{len(results[k].values)};j++){{S t=0;for(int l=0;l<LANES;l++)t+=A{k}[j][l];out{k}[j]=t;}}"
             for k, _ in summed
         ]
-        return "\n".join([*lines, "}"]) + "\n"
+        return "\n".join([*lines, "}", *(["#endif"] if functions else [])]) + "\n"
 
     def body(self, rows: Sequence[tuple[int, int]]) -> tuple[list[str], list[str]]:
         """Functions, and the statements of the loop over samples that compute the results.
@@ -146,15 +157,20 @@ class _Printer:
         """
         parts = self.schedule.parts
         if len(parts) == 1:
-            return [], [*self.statements(parts[0]), *self.results()]
-        parameters = ",".join(["T*v", "const S*u", *(f"const T*I{k}" for k, _ in rows)])
-        arguments = ",".join(["v", "u" if self.schedule.prelude else "0", *(f"I{k}" for k, _ in rows)])
-        functions, calls = [], [f"T v[{max(self.schedule.slots, 1)}];"]
+            return [], [*self.statements(parts[0]), *self.results(parts[0]), *self.results(None)]
+        arrays = [*(f"I{k}" for k, _ in rows), *(f"O{k}" for k in range(len(outputs(self.program))))]
+        parameters = ",".join(["T*v", "const S*u", *(f"{'const ' * (x[0] == 'I')}T*{x}" for x in arrays)])
+        arguments = ",".join(["v", "u" if self.schedule.prelude else "0", *arrays])
+        functions = ["#ifndef PIECES", "#define PIECES 1", "#define PIECE 0", "#endif"]
+        functions += [
+            f'__attribute__((noinline,visibility("hidden"))) void part{k}({parameters});' for k in range(len(parts))
+        ]
+        calls = [f"T v[{max(self.schedule.slots, 1)}];"]
         for k, part in enumerate(parts):
-            functions += [f"static __attribute__((noinline)) void part{k}({parameters}){{"]
+            functions += [f"#if {k}{PIECE}", f"void part{k}({parameters}){{"]
             functions += [f"const T x{i}=v[{slot}];" for i, slot in part.loaded]
-            functions += self.statements(part)
+            functions += [*self.statements(part), *self.results(part)]
             functions += [f"v[{slot}]=x{i};" for i, slot in part.stored]
-            functions += ["}"]
+            functions += ["}", "#endif"]
             calls.append(f"part{k}({arguments});")
-        return functions, [*calls, *self.results()]
+        return functions, [*calls, *self.results(None)]

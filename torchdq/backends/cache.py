@@ -2,66 +2,41 @@
 
 Libraries lie in a directory that only the user can write. The name of a file is the hash of everything it depends on:
 source, compiler, flags and processor. The file ends with a hash of its content: one that is incomplete, was changed or
-belongs to another user is rebuilt and never loaded. A complete file gets its name by one atomic rename, so any number
-of processes may build the same program at once.
+belongs to another user is rebuilt and never loaded. A file gets its name by one atomic rename, after it was loaded once
+and is complete. One thread of one process builds a program; the others wait for it.
+
+The directory has a bound: a build removes the libraries that were used least recently. A library in memory is unloaded
+with the last reference to its function.
 """
 
+import _ctypes
 import ctypes
+import fcntl
 import hashlib
 import os
 import platform
-import shlex
 import shutil
 import stat
-import subprocess
 import sys
 import tempfile
-import threading
 import time
-from collections.abc import Callable
+import weakref
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
 
+from torchdq.backends.c_source import pieces_of
+from torchdq.backends.compiler import BuildError, compiler, no_compiler, run
 from torchdq.caches import remembered
-from torchdq.errors import TorchdqError
+from torchdq.notice import Notice, warn_once
 
 FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-shared", "-fPIC", "-w")
-SLOW = 1.0  # duration of a build from which a message is written [s]
-ABANDONED = 3600.0  # age from which a build's folder is taken to be left by a killed process [s]
-
-
-class BuildError(TorchdqError, RuntimeError):
-    """Failure to find a C compiler, or to compile a program."""
-
-
-def no_compiler() -> BuildError:
-    """Error for a machine without a C compiler."""
-    return BuildError("there is no C compiler; install gcc or clang, or name one in $CC")
-
-
-class Compiler(NamedTuple):
-    """C compiler of this machine."""
-
-    command: tuple[str, ...]  # path and arguments
-    version: str  # output of --version
-
-
-@remembered(1)
-def compiler() -> Compiler | None:
-    """C compiler: `$CC`, which may have arguments, or cc, gcc or clang on the path; None: there is none."""
-    for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
-        program, *arguments = shlex.split(name) or [name]
-        path = shutil.which(program)
-        if path is None:
-            continue
-        command = (path, *arguments)
-        try:
-            version = subprocess.run([*command, "--version"], capture_output=True, text=True, timeout=20, check=True)
-        except (OSError, subprocess.SubprocessError):
-            continue
-        return Compiler(command, version.stdout)
-    return None
+LIMIT = 600.0  # time in which a program must be compiled [s]
+ABANDONED = 3600.0  # age from which a build's files are taken to be left by a killed process [s]
+LARGEST = 2**30  # size of all libraries in the directory [bytes]
+ROOM = 2**22  # a folder in which a file of this size cannot be written is full [bytes]
+PROCESSES = 4  # processes that compile one program at most
 
 
 @remembered(1)
@@ -75,25 +50,99 @@ def _processor() -> str:
     return "\n".join([platform.machine(), platform.processor(), sys.platform, *kinds])
 
 
+# --- folders ---------------------------------------------------------------------------------------------------------
+
+
 def directory() -> Path:
-    """Directory of the built libraries, private to the user: `$TORCHDQ_CACHE`, or torchdq in the user's cache."""
+    """Directory of the built libraries, private to the user: `$TORCHDQ_CACHE`, or torchdq in the user's cache.
+
+    If it cannot be written, or others can write it, one for this process alone, with a warning.
+    """
     stated = os.environ.get("TORCHDQ_CACHE")
-    base = Path(stated) if stated else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "torchdq"
     try:
+        base = Path(stated) if stated else Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "torchdq"
         base.mkdir(mode=0o700, parents=True, exist_ok=True)
         status = base.stat()
-        private = status.st_uid == os.getuid() and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-        if private and os.access(base, os.W_OK | os.X_OK):
-            return base
-    except OSError:
-        pass
-    return _temporary()
+        if status.st_uid != os.getuid() or status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+            return _temporary(f"others than you can write {base}")
+        if not os.access(base, os.W_OK | os.X_OK):
+            return _temporary(f"{base} cannot be written")
+    except (OSError, RuntimeError) as error:
+        return _temporary(str(error))
+    return base
+
+
+def _temporary(reason: str) -> Path:
+    """Directory for this process alone, with a warning that says why it is needed."""
+    try:
+        found = _made()
+    except OSError as error:
+        raise BuildError(
+            f"no folder can hold compiled programs: {reason}; {error}; name one in $TORCHDQ_CACHE"
+        ) from error
+    warn_once(
+        "cache",
+        f"compiled programs are not kept, so every process compiles them anew: {reason}; name a folder that only you "
+        "can write, with some room, in $TORCHDQ_CACHE",
+    )
+    return found
 
 
 @cache
-def _temporary() -> Path:
-    """Directory for this process alone, used when the cache directory cannot be written or is not private."""
+def _made() -> Path:
     return Path(tempfile.mkdtemp(prefix="torchdq-"))
+
+
+def _full(folder: Path) -> bool:
+    """Whether nothing more can be written to a folder."""
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(ROOM))
+    except OSError:
+        return True
+    return False
+
+
+def _sweep(folder: Path) -> None:
+    """Remove what killed builds left, and the libraries that were used least recently if all are too large."""
+    now, libraries = time.time(), []
+    for entry in folder.iterdir():
+        with suppress(OSError):  # another process removed it
+            status = entry.stat()
+            if entry.suffix == ".so":
+                libraries.append((status.st_mtime, status.st_size, entry))
+            elif entry.name.startswith(".build-") and now - status.st_mtime > ABANDONED:
+                shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+    size = 0
+    for _, own, entry in sorted(libraries, reverse=True):
+        size += own
+        if size > LARGEST:
+            entry.unlink(missing_ok=True)
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Context that one thread of one process is in at a time; who waited longer than a build may take, enters too."""
+    deadline = time.monotonic() + LIMIT
+    with path.open("w") as file:
+        with suppress(OSError):  # a file system without locks
+            while not _locked(file.fileno()) and time.monotonic() < deadline:
+                time.sleep(0.02)
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def _locked(file: int) -> bool:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+# --- libraries -------------------------------------------------------------------------------------------------------
 
 
 def _digest(key: str, body: bytes) -> bytes:
@@ -112,25 +161,36 @@ def _intact(path: Path, key: str) -> bool:
     return len(data) > 32 and _digest(key, data[:-32]) == data[-32:]
 
 
+def _opened(path: Path, pointers: int = 0) -> Callable[..., None]:
+    """Function `run` of a library, which is unloaded with the last reference to the function.
+
+    Functions of `ctypes.CDLL` refer to themselves and its libraries stay, so the function is made from its address.
+    """
+    try:
+        library = _ctypes.dlopen(str(path), ctypes.DEFAULT_MODE)
+        address = _ctypes.dlsym(library, "run")
+    except OSError as error:
+        raise BuildError(f"{path} is no library with a function 'run': {error}") from error
+    function = ctypes.CFUNCTYPE(None, ctypes.c_long, *(ctypes.c_void_p,) * pointers)(address)
+    weakref.finalize(function, _ctypes.dlclose, library).atexit = False
+    return function
+
+
 def _compile(path: Path, key: str, source: str, name: str) -> None:
+    """Build a library under its name."""
     found = compiler()
     if found is None:
         raise no_compiler()
     _sweep(path.parent)
-    with tempfile.TemporaryDirectory(prefix=".build-", dir=path.parent) as folder:
-        text, library = Path(folder) / "program.c", Path(folder) / "program.so"
-        text.write_text(source)
-        announcement = threading.Timer(SLOW, _announce, (name,))
-        announcement.daemon = True
-        announcement.start()
+    with tempfile.TemporaryDirectory(prefix=".build-", dir=path.parent, ignore_cleanup_errors=True) as made:
+        folder, library = Path(made), Path(made) / "program.so"
+        (folder / "program.c").write_text(source)
+        command = [*found.command, *FLAGS]
         try:
-            done = subprocess.run(
-                [*found.command, *FLAGS, "-o", str(library), str(text), "-lm"], capture_output=True, text=True
-            )
-        finally:
-            announcement.cancel()
-        if done.returncode != 0:
-            raise BuildError(f"{found.command[0]} could not compile the program {name!r}:\n{done.stderr[-2000:]}")
+            _run_compiler(command, folder, library, min(pieces_of(source), os.cpu_count() or 1, PROCESSES))
+            _opened(library)
+        except BuildError as error:
+            raise BuildError(f"{found.command[0]} could not compile the program {name!r}: {error}") from error
         body = library.read_bytes()
         with library.open("ab") as file:
             file.write(_digest(key, body))
@@ -139,19 +199,16 @@ def _compile(path: Path, key: str, source: str, name: str) -> None:
         library.replace(path)
 
 
-def _sweep(base: Path) -> None:
-    """Remove the folders of builds that were killed."""
-    for folder in base.glob(".build-*"):
-        try:
-            abandoned = time.time() - folder.stat().st_mtime > ABANDONED
-        except OSError:
-            continue  # another process removed it
-        if abandoned:
-            shutil.rmtree(folder, ignore_errors=True)
-
-
-def _announce(name: str) -> None:
-    sys.stderr.write(f"torchdq: compiling {name}, once for this machine ...\n")
+def _run_compiler(command: list[str], folder: Path, library: Path, pieces: int) -> None:
+    """Compile a source, in several processes at once if it is long."""
+    source = str(folder / "program.c")
+    if pieces == 1:
+        run([[*command, "-o", str(library), source, "-lm"]], LIMIT, folder)
+        return
+    objects = [str(folder / f"{k}.o") for k in range(pieces)]
+    parts = [f"-DPIECES={pieces}", "-c", source]
+    run([[*command, *parts, f"-DPIECE={k}", "-o", to] for k, to in enumerate(objects)], LIMIT, folder)
+    run([[*command, "-o", str(library), *objects, "-lm"]], LIMIT, folder)
 
 
 def entry_key(source: str) -> str:
@@ -161,17 +218,33 @@ def entry_key(source: str) -> str:
     return hashlib.sha256("\0".join([source, version, *FLAGS, _processor()]).encode()).hexdigest()
 
 
+def _built(folder: Path, source: str, name: str, pointers: int) -> Callable[..., None]:
+    """Function of a source from a folder, compiled unless it is there."""
+    key = entry_key(source)
+    path = folder / f"{key}.so"
+    try:
+        if not _intact(path, key):
+            with Notice(f"compiling {name}, once for this machine"), _alone(folder / f".build-{key}.lock"):
+                if not _intact(path, key):  # another thread or process may have built it meanwhile
+                    _compile(path, key, source, name)
+        os.utime(path)  # used now
+    except OSError as error:
+        raise BuildError(f"the program {name!r} cannot be stored: {error}") from error
+    return _opened(path, pointers)
+
+
 def load(source: str, name: str, pointers: int) -> Callable[..., None]:
     """Function `run` of a C source, compiled unless the cache has it.
 
     Args:
         pointers: number of pointers that it takes after the number of samples.
+    Raises:
+        BuildError: the program cannot be compiled, or there is no room for it.
     """
-    key = entry_key(source)
-    path = directory() / f"{key}.so"
-    if not _intact(path, key):
-        _compile(path, key, source, name)
-    function = ctypes.CDLL(str(path)).run
-    function.restype = None
-    function.argtypes = (ctypes.c_long, *(ctypes.c_void_p,) * pointers)
-    return function
+    folder = directory()
+    try:
+        return _built(folder, source, name, pointers)
+    except BuildError as error:
+        if not _full(folder):
+            raise
+        return _built(_temporary(f"the disk of {folder} is full, {error}"), source, name, pointers)

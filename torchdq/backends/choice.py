@@ -6,19 +6,26 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Literal, get_args
+from typing import Literal
 
 import torch
 
 from torchdq.backends.backend import Backend
-from torchdq.backends.c import COMPILED
-from torchdq.backends.cache import BuildError
+from torchdq.backends.c import COMPILED, COMPILED_OR_EAGER
+from torchdq.backends.compiler import BuildError
 from torchdq.backends.torch import EAGER
-from torchdq.caches import remembered
+from torchdq.checks import require_choice
 from torchdq.errors import ArgumentError
+from torchdq.notice import warn_once
+from torchdq.program.transforms import proxy_tracing
 
 BackendName = Literal["auto", "eager", "c"]
-BACKENDS: tuple[Backend, ...] = (COMPILED, EAGER)  # "auto" is the first that can run
+# by name: the first that can run on the device
+BACKENDS: dict[BackendName, tuple[Backend, ...]] = {
+    "auto": (COMPILED_OR_EAGER, EAGER),
+    "c": (COMPILED,),
+    "eager": (EAGER,),
+}
 
 _chosen: ContextVar[BackendName] = ContextVar("torchdq_backend", default="auto")
 
@@ -39,18 +46,8 @@ def backend(name: BackendName) -> Iterator[None]:
 
 
 def _valid(name: BackendName) -> BackendName:
-    if name not in get_args(BackendName):
-        raise ArgumentError(f"backend must be one of {', '.join(map(repr, get_args(BackendName)))}, found {name!r}")
+    require_choice("backend", name, tuple(BACKENDS))
     return name
-
-
-@remembered(1)
-def _warn_without_compiler() -> None:
-    warnings.warn(
-        "there is no C compiler on the path, so torchdq runs its programs as torch operations, which is slower; "
-        "install gcc or clang, or name one in $CC",
-        stacklevel=2,
-    )
 
 
 def present() -> BackendName:
@@ -58,17 +55,39 @@ def present() -> BackendName:
     return _chosen.get()
 
 
+def choose_for_graph(name: BackendName | None, device: torch.device) -> Backend:
+    """Backend that runs programs in a traced graph.
+
+    A graph of torch.export is saved and loaded elsewhere, and one of make_fx may be transformed, so without a named
+    backend they consist of torch's own operations.
+    """
+    exporting = torch.compiler.is_exporting()
+    if (exporting or proxy_tracing()) and (name or present()) == "auto":
+        return EAGER
+    chosen = choose(name, device)
+    if exporting and not chosen.differentiable:
+        _warn_about_export(chosen.name)
+    return chosen
+
+
+def _warn_about_export(name: str) -> None:
+    warnings.warn(
+        f"the exported graph calls programs that backend {name!r} compiled in this process, so it runs only here; "
+        "export without a named backend, or with 'eager', to save it and to load it elsewhere",
+        stacklevel=2,
+    )
+
+
 @torch.compiler.assume_constant_result  # a traced graph keeps the backend it was traced with
 def choose(name: BackendName | None, device: torch.device) -> Backend:
     """Backend that runs programs on a device; the name None is that of the innermost `backend` block."""
     name = present() if name is None else _valid(name)
-    for candidate in BACKENDS:
-        if name in ("auto", candidate.name):
-            refusal = candidate.refusal(device)
-            if refusal is None:
-                return candidate
-            if name != "auto":
-                raise refusal
-            if isinstance(refusal, BuildError):
-                _warn_without_compiler()
+    for candidate in BACKENDS[name]:
+        refusal = candidate.refusal(device)
+        if refusal is None:
+            return candidate
+        if name != "auto":
+            raise refusal
+        if isinstance(refusal, BuildError):
+            warn_once("compiler", f"torchdq runs its programs as torch operations, which is slower: {refusal}")
     raise ArgumentError(f"no backend runs on the device {device.type!r}")

@@ -12,17 +12,10 @@ from typing import NamedTuple, cast
 import torch
 from torch import Tensor
 
-from torchdq.backends.backend import Backend, DirectKernel, Kernel
+from torchdq.backends.backend import Backend, DirectKernel
 from torchdq.backends.torch import EAGER
-from torchdq.caches import PROGRAMS, remembered
 from torchdq.program.program import LARGEST_GROWTH, Program, samples_of
 from torchdq.program.transforms import without_values
-
-
-@remembered(PROGRAMS)
-def kernel(backend: Backend, program: Program, dtype: torch.dtype, device: torch.device) -> Kernel:
-    """Kernel of a program, made once per process."""
-    return backend.kernel(program, dtype, device)
 
 
 class Guarded(NamedTuple):
@@ -75,7 +68,7 @@ def unguarded(
     """
     like = inputs[0]
     found = [torch.empty_like(form) for form in forms]
-    direct = cast(DirectKernel, kernel(backend, program, like.dtype, like.device))
+    direct = cast(DirectKernel, backend.kernel(program, like.dtype, like.device))
     direct.into(inputs, found, samples)
     if program.growth is None:
         return found
@@ -93,10 +86,7 @@ def _limit(dtype: torch.dtype) -> float:
 
 def _outputs(backend: Backend, program: Program, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
     like = inputs[0]
-    # the torch backend has nothing to compile, and torch.compile must be able to trace this call
-    if backend.differentiable:
-        return backend.kernel(program, like.dtype, like.device)(inputs, samples)
-    return kernel(backend, program, like.dtype, like.device)(inputs, samples)
+    return backend.kernel(program, like.dtype, like.device)(inputs, samples)
 
 
 def _or_nan(program: Program, results: Sequence[Tensor], over: Tensor) -> list[Tensor]:

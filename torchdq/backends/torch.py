@@ -32,6 +32,26 @@ class Torch(Backend):
 EAGER = Torch()
 
 
+class InterpretedKernel:
+    """Program run by torch, operation by operation, in place of a compiled one."""
+
+    def __init__(self, program: Program):
+        self.program = program
+
+    def __call__(self, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
+        """Outputs of the program."""
+        return interpreted(self.program, inputs, samples)
+
+    def into(self, inputs: Sequence[Tensor], results: Sequence[Tensor], samples: int) -> None:
+        """Compute the outputs, none of them summed, into given tensors."""
+        arguments = self.program.arguments
+        rows = [
+            x.reshape([a.width] if a.uniform else [samples, a.width]) for x, a in zip(inputs, arguments, strict=True)
+        ]
+        for y, found in zip(results, self(rows, samples), strict=True):
+            y.copy_(found.reshape(y.shape))
+
+
 def interpreted(program: Program, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
     """Outputs of a program, operation by operation; differentiable by torch itself."""
     rows = [x.unbind(-1) for x in inputs]

@@ -12,7 +12,6 @@ from torch import Tensor
 
 from torchdq.backends.c_source import source
 from torchdq.backends.choice import choose
-from torchdq.backends.precision import kernel
 from torchdq.call import Computation, evaluate
 from torchdq.checks import dtype_of, names_of, require_tensor
 from torchdq.errors import ArgumentError, UnknownNameError
@@ -110,7 +109,7 @@ class CompiledProgram:
 
 
 def _ready(recorded: Program, dtype: torch.dtype) -> CompiledProgram:
-    kernel(choose(None, CPU), recorded, dtype, CPU)
+    choose(None, CPU).kernel(recorded, dtype, CPU)
     return CompiledProgram(recorded, dtype)
 
 

@@ -18,7 +18,7 @@ from torchdq.caches import LAYOUTS, PROGRAMS, Bounded, remembered
 from torchdq.errors import ArgumentError
 from torchdq.program import autodiff
 from torchdq.program.program import Argument, Program, samples_of
-from torchdq.program.transforms import in_a_batch_of_gradients, transforming
+from torchdq.program.transforms import in_a_batch_of_gradients, jit_tracing, transforming
 
 vjp = remembered(PROGRAMS)(autodiff.vjp)
 jvp = remembered(PROGRAMS)(autodiff.jvp)
@@ -36,8 +36,8 @@ class Execute(Protocol):
 
 
 def in_a_graph(inputs: Sequence[Tensor]) -> bool:
-    """Whether torch must record operations on these tensors: for gradients, or in a transform."""
-    return transforming() or (torch.is_grad_enabled() and any([x.requires_grad for x in inputs]))
+    """Whether torch must record operations on these tensors: for gradients, in a transform or in torch.jit.trace."""
+    return transforming() or jit_tracing() or (torch.is_grad_enabled() and any([x.requires_grad for x in inputs]))
 
 
 def differentiable(execute: Execute, program: Program, inputs: Sequence[Tensor]) -> Sequence[Tensor]:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
-from torchdq.program.program import Program, outputs
+from torchdq.program.program import Program
 
 TOGETHER = ("sin", "cos")  # operations on the same angle that one call computes
 
@@ -21,7 +21,7 @@ class Part(NamedTuple):
 
     values: tuple[int, ...]  # in order of evaluation
     loaded: tuple[tuple[int, int], ...] = ()  # values read from earlier parts, with their slots
-    stored: tuple[tuple[int, int], ...] = ()  # values read by later parts or results, with their slots
+    stored: tuple[tuple[int, int], ...] = ()  # values read by later parts, with their slots
 
 
 class Schedule(NamedTuple):
@@ -32,7 +32,6 @@ class Schedule(NamedTuple):
     pairs: dict[int, tuple[int, ...]]  # by the index of a sine or cosine: those of the same angle
     parts: tuple[Part, ...]  # computed per sample
     slots: int  # number of slots that parts pass values in
-    results: tuple[tuple[int, int], ...]  # values that results read from slots, with their slots
 
 
 def schedule(program: Program, longest: int) -> Schedule:
@@ -42,7 +41,7 @@ def schedule(program: Program, longest: int) -> Schedule:
     pairs = _pairs(program)
     body = _order(program, uniform, pairs)
     if len(body) <= longest:
-        return Schedule(uniform, prelude, pairs, (Part(tuple(body)),), 0, ())
+        return Schedule(uniform, prelude, pairs, (Part(tuple(body)),), 0)
     cut = [body[k : k + longest] for k in range(0, len(body), longest)]
     for earlier, later in pairwise(cut):
         first = later[0]
@@ -82,18 +81,14 @@ def _order(program: Program, uniform: Sequence[bool], pairs: dict[int, tuple[int
     return [*order, *only_results]
 
 
-def _in_slots(
-    program: Program, cut: Sequence[Sequence[int]]
-) -> tuple[tuple[Part, ...], int, tuple[tuple[int, int], ...]]:
-    """Parts with their loads and stores, the number of slots, and the slots that results read."""
+def _in_slots(program: Program, cut: Sequence[Sequence[int]]) -> tuple[tuple[Part, ...], int]:
+    """Parts with their loads and stores, and the number of slots."""
     home = {i: k for k, part in enumerate(cut) for i in part}
     last = dict.fromkeys(home, -1)  # last part that reads a value
     for i, k in home.items():
         for operand in program.ops[i].operands:
             if operand in home:
                 last[operand] = max(last[operand], k)
-    results = {v[0] for r in outputs(program) for v in r.values if not isinstance(v, float) and v[0] in home}
-    last.update(dict.fromkeys(results, len(cut)))
     slots: dict[int, int] = {}
     free: list[int] = []
     most = 0
@@ -110,4 +105,4 @@ def _in_slots(
                 # free again in part `last`, which loads before it stores
                 expiring.setdefault(last[i], []).append(slots[i])
         parts.append(Part(tuple(part), loaded, tuple((i, slots[i]) for i in part if i in slots)))
-    return tuple(parts), most, tuple((i, slots[i]) for i in sorted(results))
+    return tuple(parts), most

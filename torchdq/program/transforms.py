@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 from torch._functorch import pyfunctorch
 from torch.autograd import forward_ad
+from torch.fx.experimental import proxy_tensor
 from torch.utils import _python_dispatch
 
 
@@ -28,6 +29,9 @@ _functional = _private("_are_functorch_transforms_active", lambda: True)
 any_requires_grad: Callable[..., bool] = _private(
     "_any_requires_grad", lambda *tensors: any([x.requires_grad for x in tensors])
 )
+_jit_state = _private("_get_tracing_state", lambda: None)
+_modes = _private("_len_torch_dispatch_stack", lambda: 1)
+_proxy_mode = getattr(proxy_tensor, "get_proxy_mode", lambda: None)
 _batched_by_autograd = _private("_functorch.is_legacy_batchedtensor", lambda x: False)
 
 
@@ -48,6 +52,16 @@ def transforming() -> bool:
     return _functional() or getattr(forward_ad, "_current_level", 0) >= 0
 
 
+def jit_tracing() -> bool:
+    """Whether torch.jit.trace records torch's operations; it cannot record a compiled program."""
+    return _jit_state() is not None
+
+
+def proxy_tracing() -> bool:
+    """Whether make_fx records the operators that tensors go through."""
+    return _modes() > 0 and _proxy_mode() is not None
+
+
 def in_a_batch_of_gradients(inputs: Sequence[Tensor]) -> bool:
     """Whether autograd maps over gradients (`is_grads_batched`), which supports only torch's own operations."""
     return any(map(_batched_by_autograd, inputs))
@@ -59,5 +73,7 @@ def without_values(inputs: Sequence[Tensor]) -> bool:
         torch.compiler.is_compiling()
         or inputs[0].device.type == "meta"
         or _functional()
+        or jit_tracing()
+        or proxy_tracing()
         or in_a_batch_of_gradients(inputs)
     )

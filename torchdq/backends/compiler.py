@@ -1,0 +1,109 @@
+"""C compiler of this machine: its choice, and runs of it with a time limit."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from torchdq.caches import remembered
+from torchdq.errors import TorchdqError
+from torchdq.notice import warn_once
+
+ASKED = 10.0  # time in which a compiler must state its version [s]
+
+
+class BuildError(TorchdqError, RuntimeError):
+    """Failure to find a C compiler, or to compile a program."""
+
+
+def no_compiler() -> BuildError:
+    """Error for a machine without a C compiler."""
+    return BuildError("there is no C compiler; install gcc or clang, or name one in $CC")
+
+
+class Compiler(NamedTuple):
+    """C compiler of this machine."""
+
+    command: tuple[str, ...]  # path and arguments
+    version: str  # output of --version
+
+
+@remembered(1)
+def compiler() -> Compiler | None:
+    """C compiler: `$CC`, which may have arguments, or cc, gcc or clang on the path; None: there is none."""
+    stated = os.environ.get("CC")
+    for name in filter(None, (stated, "cc", "gcc", "clang")):
+        try:
+            return _asked(name)
+        except (BuildError, ValueError) as error:
+            if name is stated:
+                warn_once("$CC", f"$CC names {name!r}, which cannot be used, so torchdq looks for another one: {error}")
+    return None
+
+
+def _asked(name: str) -> Compiler:
+    """Compiler that states its version."""
+    program, *arguments = shlex.split(name) or [name]
+    path = shutil.which(program)
+    if path is None:
+        raise BuildError(f"there is no program {program!r} on the path")
+    return Compiler((path, *arguments), run([[path, *arguments, "--version"]], ASKED))
+
+
+def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = None) -> str:
+    """Output of commands that run at the same time.
+
+    None of their processes outlives the call if one fails, takes too long or is interrupted.
+
+    Args:
+        limit: time in which all of them must end [s].
+        folder: where they write temporary files; None: where they always do.
+    Raises:
+        BuildError: a command cannot be run, fails, or does not end in time.
+    """
+    program, deadline = commands[0][0], time.monotonic() + limit
+    environment = {**os.environ, "TMPDIR": str(folder)} if folder else None
+    running: list[subprocess.Popen[bytes]] = []
+    output = b""
+    try:
+        for command in commands:
+            running.append(
+                subprocess.Popen(
+                    command,
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.STDOUT,
+                    env=environment,
+                    process_group=0,
+                )
+            )
+        for process in running:
+            output += process.communicate(timeout=max(0.0, deadline - time.monotonic()))[0]
+            if process.returncode != 0:
+                said = output.decode(errors="replace")[-2000:]
+                raise BuildError(f"{program} failed with exit status {process.returncode}:\n{said}")
+    except OSError as error:
+        raise BuildError(f"{program} cannot be run: {error}") from error
+    except subprocess.TimeoutExpired as error:
+        raise BuildError(f"{program} did not end within {limit:.0f} s") from error
+    finally:
+        for process in running:
+            _end(process)
+    return output.decode(errors="replace")
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a process, and all that it started."""
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    if process.stdout is not None:
+        process.stdout.close()
