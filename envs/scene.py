@@ -29,7 +29,7 @@ from torchdq.effects.sensor import Sensor
 from torchdq.effects.transmission import Transmission
 from torchdq.envs.controllers import Controller
 from torchdq.envs.describe import Description, describe
-from torchdq.envs.integrators import Integrator, SemiImplicitEuler, Unrecorded
+from torchdq.envs.integrators import Integrator, LinearlyImplicit, Unrecorded
 from torchdq.envs.recording import Stage
 from torchdq.envs.spec import CONTROLLER, ROBOT, SceneSpec, Task
 from torchdq.envs.state import State
@@ -57,7 +57,8 @@ class Scene:
         robot: its gravity and rotor inertia only act if `effects.Gravity()` and `effects.RotorInertia()` are there.
         effects: simulated effects; see `torchdq.effects`. Actuators and sensors act in their order.
         controller: turns the input `reference` into torques; None: the given torques act alone.
-        integrator: see `torchdq.envs.integrators`.
+        integrator: see `torchdq.envs.integrators`. The default holds damping, friction, springs, servos and limits of
+            joints at any step; what an explicit one holds, `check` says.
         dt: duration of a step [s]; torques are constant over it.
         substeps: steps of the integrator within a step.
         backend: as in `torchdq.functional`.
@@ -76,7 +77,7 @@ class Scene:
     robot: Robot
     effects: Sequence[Effect] = ()
     controller: Controller | None = None
-    integrator: Integrator = field(default_factory=SemiImplicitEuler)
+    integrator: Integrator = field(default_factory=LinearlyImplicit)
     dt: float = 0.01
     substeps: int = 1
     backend: BackendName | None = None
