@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class EvaluatedSystem(System):
+class _Evaluated(System):
     """Equations of motion on rows that are lists of one tensor [..., n]."""
 
     scene: Scene
@@ -45,9 +45,9 @@ class EvaluatedSystem(System):
 
 def driven(
     scene: Scene, state: State, inputs: Mapping[str, Tensor], task: Task | None = None
-) -> tuple[EvaluatedSystem, Tensor, Tensor, dict[str, Tensor]]:
+) -> tuple[_Evaluated, Tensor, Tensor, dict[str, Tensor]]:
     """Equations of motion over a step, the positions x and velocities v to integrate, and the rows for `sense`."""
     rows = scene.evaluate("drive", {**state.rows(), **inputs}, task)
     x, v = rows.pop("x"), rows.pop("v")
     acting = {name: inputs[name] for effect in scene.effects for name in effect.inputs(scene.n) if name in inputs}
-    return EvaluatedSystem(scene, {**acting, "u": rows["u"]}), x, v, rows
+    return _Evaluated(scene, {**acting, "u": rows["u"]}), x, v, rows

@@ -38,9 +38,10 @@ def linearize(scene: Scene, state: State, given: Mapping[str, Tensor | None]) ->
         stepped = scene.step(State(**dict(zip(names, rows, strict=True))), u, **inputs)
         return torch.cat(list(stepped.rows().values()), -1)
 
-    ends, pull = torch.func.vjp(after, torch.cat([x.expand(*batch, x.shape[-1]) for x in parts], -1))
+    ends, pull, *_ = torch.func.vjp(after, torch.cat([x.expand(*batch, x.shape[-1]) for x in parts], -1))
     s = ends.shape[-1]
     # samples do not depend on each other, so that one gradient per row of the state is enough for all of them
     units = torch.eye(s, dtype=ends.dtype, device=ends.device).reshape(s, *[1] * len(batch), s)
     (found,) = torch.func.vmap(pull)(units.expand(s, *ends.shape))
-    return Linearization(*found.movedim(0, -2).split([s, scene.n], -1))
+    A, B = found.movedim(0, -2).split([s, scene.n], -1)
+    return Linearization(A, B)

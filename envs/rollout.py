@@ -40,7 +40,7 @@ def rollout(
     read = lost != "keep" and not without_values((state.q,))
     if lost == "stop" and not read:
         raise ArgumentError("lost='stop' reads values, which tensors have none of inside a transform or a trace")
-    start = scene.finite(state) if read else None
+    start = scene.finite(state) if read else torch.tensor(False)
 
     def gone(state: State) -> Tensor:
         """Rows that were finite at the start, and are not."""

@@ -7,7 +7,6 @@ slot, and costs what it adds to the one program that a step is recorded into.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
@@ -20,13 +19,7 @@ from torch import Tensor
 from torchdq.backends.choice import BackendName
 from torchdq.caches import PROGRAMS, Bounded
 from torchdq.call import batch_of, evaluate
-from torchdq.effects.actuator import Actuator
-from torchdq.effects.body import BodyEffect
 from torchdq.effects.effect import Effect
-from torchdq.effects.joint import JointEffect
-from torchdq.effects.model import ModelEffect
-from torchdq.effects.sensor import Sensor
-from torchdq.effects.transmission import Transmission
 from torchdq.envs.controllers import Controller
 from torchdq.envs.describe import Description, describe
 from torchdq.envs.evaluated import driven
@@ -37,6 +30,7 @@ from torchdq.envs.rollout import Lost, Policy, rollout
 from torchdq.envs.spec import CONTROLLER, ROBOT, SceneSpec, Task
 from torchdq.envs.stability import Check, check
 from torchdq.envs.state import State, require_state
+from torchdq.envs.together import together
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, check_precision
 from torchdq.program.program import Argument, Count, Program
@@ -44,7 +38,6 @@ from torchdq.robot import Robot
 from torchdq.robot.robot import arguments, constants, recorded
 
 _interned: Bounded[SceneSpec, SceneSpec] = Bounded(PROGRAMS)  # equal scenes share their programs
-SLOTS = (ModelEffect, JointEffect, Transmission, BodyEffect, Actuator, Sensor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,12 +98,7 @@ class Scene:
                 f"substeps are those of a recorded integrator, found {self.substeps} with {self.integrator!r}; "
                 f"give them to Repeated, DormandPrince chooses its own"
             )
-        _check_effects(self.effects)
-        resolved = tuple(effect.resolved(self.robot) for effect in self.effects)
-        names = Counter(name for effect in resolved for name in effect.inputs(self.robot.n))
-        for name, number in names.items():
-            if number > 1:
-                raise ArgumentError(f"the input {name!r} belongs to {number} effects; give them names of their own")
+        resolved = together(self.effects, self.robot)
         controller = None if self.controller is None else self.controller.resolved(self.robot)
         spec = SceneSpec(
             recorded(constants(self.robot)),
@@ -361,32 +349,6 @@ class Scene:
         x, v = integrator.flow(system, x, v, self.dt)
         given = self._with_noise({"x": x, "v": v, **rows, **inputs}, noise)
         return _split(self.evaluate("sense", given, task))
-
-
-def _check_effects(effects: Sequence[Effect]) -> None:
-    """Raise if some effects cannot be those of one scene."""
-    if not isinstance(effects, Sequence):
-        raise ArgumentError(f"effects must be a sequence of effects, found {effects!r}")
-    for effect in effects:
-        if not isinstance(effect, Effect):
-            raise ArgumentError(
-                f"effects must be objects of torchdq.effects, found {effect!r}"
-                + ("; it is a class, call it" if isinstance(effect, type) else "")
-            )
-        if not isinstance(effect, SLOTS):
-            slots = ", ".join(slot.__name__ for slot in SLOTS)
-            raise ArgumentError(f"{type(effect).__name__} must extend one of {slots}, found {type(effect).__bases__}")
-    for effect in effects:
-        name = type(effect).__name__
-        if effect.ONCE and sum(other.ONCE == effect.ONCE for other in effects) > 1:
-            raise ArgumentError(f"effects must not hold {name} twice: {effect.ONCE}")
-        for source in effect.missing().values():
-            for other in effects:
-                if source in effect.SOLE and other is not effect and source in other.missing().values():
-                    raise ArgumentError(
-                        f"{name} and {type(other).__name__} would both take {effect.SOLE[source]}, so leave "
-                        f"{type(other).__name__} out"
-                    )
 
 
 def _split(rows: dict[str, Tensor]) -> tuple[State, dict[str, Tensor]]:

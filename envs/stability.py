@@ -20,6 +20,7 @@ from torchdq.checks import require_number
 from torchdq.dynamics.posed import Row
 from torchdq.envs.evaluated import driven
 from torchdq.envs.integrators import DormandPrince, Integrator, LinearlyImplicit, Repeated, System
+from torchdq.envs.rollout import rollout
 from torchdq.envs.state import State, require_state
 from torchdq.errors import ArgumentError
 from torchdq.notice import Notice
@@ -36,7 +37,7 @@ FAR = 1e6  # positions and velocities beyond which a row is lost, though it may 
 STATES = 16  # states of a trial run that are looked at
 
 
-class Alternative(NamedTuple):
+class Holding(NamedTuple):
     """An integrator, and a number of its steps within one of the scene, that hold."""
 
     integrator: Integrator
@@ -58,7 +59,7 @@ class Check:
     growth: float  # largest factor by which a step magnifies a motion of the springs and dampers; up to 1 they settle
     joint: str  # joint that moves most in it
     lost: Tensor  # [...] rows that are beyond 1e6 rad, m or rad/s at the end of the trial run, or not finite
-    alternatives: tuple[Alternative, ...]  # that hold, where this one does not
+    alternatives: tuple[Holding, ...]  # that hold, where this one does not
 
     @property
     def holds(self) -> bool:
@@ -92,16 +93,18 @@ def check(scene: Scene, state: State, seconds: float, inputs: Mapping[str, Tenso
     given = {name: x.double() for name, x in inputs.items() if x is not None}
     trial = _Trial(scene.replace(substeps=1), state.to(torch.float64), given, intervals)
     integrator, times = scene.integrator, scene.substeps
-    if isinstance(integrator, Repeated):
-        integrator, times = integrator.integrator, integrator.times
+    if isinstance(scene.integrator, Repeated):
+        integrator, times = scene.integrator.integrator, scene.integrator.times
     with Notice(f"checking {intervals} steps of a scene of robot {scene.robot.name!r}") as notice:
         growth, joint, lost = trial.run(integrator, times)
         found = Check(integrator, scene.dt / times, seconds, growth, joint, lost, ())
         if found.holds:
             return found
-        candidates = [] if isinstance(integrator, LinearlyImplicit | DormandPrince) else [(LinearlyImplicit(), times)]
-        candidates += [] if isinstance(integrator, DormandPrince) else [(integrator, 2 * times)]
-        holding = []
+        candidates: list[tuple[Integrator, int]] = []
+        if not isinstance(integrator, DormandPrince):
+            implicit = isinstance(integrator, LinearlyImplicit)
+            candidates = [*([] if implicit else [(LinearlyImplicit(), times)]), (integrator, 2 * times)]
+        holding: list[Holding] = []
         for other, first in candidates:
             notice.at(f"trying shorter steps of {other}")
             holding += trial.shortened(other, first, stiff=growth > GROWTH)
@@ -117,7 +120,7 @@ class _Trial:
     inputs: Mapping[str, Tensor]
     intervals: int
 
-    def shortened(self, integrator: Integrator, times: int, stiff: bool) -> list[Alternative]:
+    def shortened(self, integrator: Integrator, times: int, stiff: bool) -> list[Holding]:
         """The first power of two of shorter steps that holds, if one does."""
         while times <= SHORTEST:
             intervals = min(self.intervals, max(1, ENOUGH // times)) if stiff else self.intervals
@@ -127,7 +130,7 @@ class _Trial:
             if self._growth(integrator, times, self.state)[0] <= GROWTH:
                 growth, _, lost = replace(self, intervals=intervals).run(integrator, times)
                 if growth <= GROWTH and not bool(lost.any()):
-                    return [Alternative(integrator, times, self.scene.dt / times)]
+                    return [Holding(integrator, times, self.scene.dt / times)]
             times *= 2
         return []
 
@@ -137,7 +140,7 @@ class _Trial:
         scene = self.scene.replace(integrator=integrator if adaptive else Repeated(integrator, times))
         series = {name: x.expand(self.intervals, *x.shape) for name, x in self._inputs().items()}
         with torch.no_grad():
-            path = scene.rollout(self.state, steps=self.intervals, lost="keep", **series)
+            path = rollout(scene, self.state, series, self.intervals, None, 0, "keep")
         begins = scene.finite(self.state)
         ends = scene.finite(path) & (path.q.abs() < FAR).all(-1) & (path.qd.abs() < FAR).all(-1)
         lost = begins & ~ends[-1]
@@ -146,7 +149,7 @@ class _Trial:
         at = torch.linspace(0, self.intervals - 1, min(STATES, self.intervals)).long()
         kept = ends[at][..., None]
         seen = State._make(
-            None if x is None else torch.cat([first.expand_as(x[:1]), torch.where(kept, x[at], first)])
+            None if x is None or first is None else torch.cat([first.expand_as(x[:1]), torch.where(kept, x[at], first)])
             for x, first in zip(path, self.state, strict=True)
         )
         return *self._growth(integrator, times, seen), lost

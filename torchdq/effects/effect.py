@@ -105,6 +105,14 @@ class Parametric:
             if x == 0 and name in self.DIVIDING:
                 raise ArgumentError(f"{what} must be positive, found 0; it divides")
 
+    def idle(self) -> tuple[str, ...]:
+        """Parameters that the description may give, if all are constants of no effect: zeros, or absent limits."""
+
+        def none(name: str, row: Any) -> bool:
+            return isinstance(row, tuple) and all(math.isinf(x) if name in self.UNBOUNDED else x == 0 for x in row)
+
+        return tuple(self.DESCRIBED) if all(none(name, getattr(self, name)) for name in self.DESCRIBED) else ()
+
     def tensors(self) -> dict[str, Tensor]:
         """Parameters that are arguments of the programs."""
         return {name: getattr(self, name) for name in self.SHAPES if isinstance(getattr(self, name), Tensor)}
