@@ -1907,7 +1907,7 @@ MUTANTS = (
             "lost rows untold",
             'if lost == "warn" and read',
             'if lost == "never" and read',
-            "test_stability.py::test_a_rollout_that_loses_rows_says_so",
+            "stability.py::test_a_rollout_that_loses_rows_says_so",
         ),
     ),
     *within(
@@ -1916,7 +1916,7 @@ MUTANTS = (
             "damping left out of a frozen system",
             "self.K @ x.mT + D @ v.mT",
             "self.K @ x.mT",
-            "test_stability.py::test_the_bound_of_damping_is_that_of_the_textbook",
+            "stability.py::test_the_bound_of_damping_is_that_of_the_textbook",
         ),
     ),
     *within(
