@@ -7,7 +7,7 @@ system has positions x and velocities v (of the joints, and of the rotors of ela
 |---|---|---|---|
 | ExplicitEuler | 1 | 1 | grows |
 | SemiImplicitEuler | 1 | 1 | drifts: the mass matrix depends on q, so it is not symplectic in (q, qd) |
-| LinearlyImplicit | 1 | 1 | drifts; the damping, stiffness and friction of joints cannot make it unstable |
+| LinearlyImplicit (default) | 1 | 1 | drifts; damping, stiffness and friction of joints cannot make it unstable |
 | RungeKutta4 | 4 | 4 | falls slowly |
 | StoermerVerlet | 2 | about 2 + 2 iterations | stays within a band of width dt^2: symplectic in (q, p) |
 | Repeated | that of another | its times a number | that of another |

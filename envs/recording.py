@@ -114,7 +114,13 @@ def _evaluation(method: Callable[..., Row], *names: str) -> Callable[[RecordedSc
     return stage
 
 
+def _frozen(scene: RecordedScene, task: Task | None) -> Rows:
+    x, v = scene.inputs["x"], scene.inputs["v"]
+    return with_growths(scene, (), lambda system: system.frozen(x, v))
+
+
 EVALUATIONS = {
+    "frozen": _frozen,
     "accelerations": _evaluation(SceneSystem.accelerations, "x", "v"),
     "implicit_accelerations": _evaluation(lambda s, x, v, h: s.implicit_accelerations(x, v, h[0]), "x", "v", "h"),
     "momentum_accelerations": _evaluation(SceneSystem.momentum_accelerations, "x", "v"),

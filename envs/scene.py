@@ -7,32 +7,30 @@ slot, and costs what it adds to the one program that a step is recorded into.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import reduce
+from operator import and_
 from typing import Any
 
 import torch
 from torch import Tensor
-from torch.utils.checkpoint import checkpoint as checkpointed
 
 from torchdq.backends.choice import BackendName
 from torchdq.caches import PROGRAMS, Bounded
 from torchdq.call import batch_of, evaluate
-from torchdq.dynamics.posed import Row
-from torchdq.effects.actuator import Actuator
-from torchdq.effects.body import BodyEffect
 from torchdq.effects.effect import Effect
-from torchdq.effects.joint import JointEffect
-from torchdq.effects.model import ModelEffect
-from torchdq.effects.sensor import Sensor
-from torchdq.effects.transmission import Transmission
 from torchdq.envs.controllers import Controller
 from torchdq.envs.describe import Description, describe
-from torchdq.envs.integrators import Integrator, SemiImplicitEuler, Unrecorded
+from torchdq.envs.evaluated import driven
+from torchdq.envs.integrators import Integrator, LinearlyImplicit, Unrecorded
+from torchdq.envs.linearize import Linearization, linearize
 from torchdq.envs.recording import Stage
+from torchdq.envs.rollout import Lost, Policy, rollout
 from torchdq.envs.spec import CONTROLLER, ROBOT, SceneSpec, Task
-from torchdq.envs.state import State
+from torchdq.envs.stability import Check, check
+from torchdq.envs.state import State, require_state
+from torchdq.envs.together import together
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, check_precision
 from torchdq.program.program import Argument, Count, Program
@@ -41,7 +39,6 @@ from torchdq.robot.changes import require_unchanged
 from torchdq.robot.robot import arguments, constants, recorded
 
 _interned: Bounded[SceneSpec, SceneSpec] = Bounded(PROGRAMS)  # equal scenes share their programs
-SLOTS = (ModelEffect, JointEffect, Transmission, BodyEffect, Actuator, Sensor)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +55,8 @@ class Scene:
         robot: its gravity and rotor inertia only act if `effects.Gravity()` and `effects.RotorInertia()` are there.
         effects: simulated effects; see `torchdq.effects`. Actuators and sensors act in their order.
         controller: turns the input `reference` into torques; None: the given torques act alone.
-        integrator: see `torchdq.envs.integrators`.
+        integrator: see `torchdq.envs.integrators`. The default holds damping, friction, springs, servos and limits of
+            joints at any step; what an explicit one holds, `check` says.
         dt: duration of a step [s]; torques are constant over it.
         substeps: steps of the integrator within a step.
         backend: as in `torchdq.functional`.
@@ -77,7 +75,7 @@ class Scene:
     robot: Robot
     effects: Sequence[Effect] = ()
     controller: Controller | None = None
-    integrator: Integrator = field(default_factory=SemiImplicitEuler)
+    integrator: Integrator = field(default_factory=LinearlyImplicit)
     dt: float = 0.01
     substeps: int = 1
     backend: BackendName | None = None
@@ -103,12 +101,7 @@ class Scene:
                 f"substeps are those of a recorded integrator, found {self.substeps} with {self.integrator!r}; "
                 f"give them to Repeated, DormandPrince chooses its own"
             )
-        _check_effects(self.effects)
-        resolved = tuple(effect.resolved(self.robot) for effect in self.effects)
-        names = Counter(name for effect in resolved for name in effect.inputs(self.robot.n))
-        for name, number in names.items():
-            if number > 1:
-                raise ArgumentError(f"the input {name!r} belongs to {number} effects; give them names of their own")
+        resolved = together(self.effects, self.robot)
         controller = None if self.controller is None else self.controller.resolved(self.robot)
         spec = SceneSpec(
             recorded(constants(self.robot)),
@@ -172,7 +165,7 @@ class Scene:
         """Initial state, and rows that a task computes from it."""
         if task is None and not self.spec.senses and not self.spec.remembers:
             return State(q, qd), {}
-        state, rows = _split(self._call("begin", self._with_noise({"q": q, "qd": qd, **inputs}, noise), task))
+        state, rows = _split(self.evaluate("begin", self._with_noise({"q": q, "qd": qd, **inputs}, noise), task))
         return state._replace(q=q, qd=qd), rows
 
     def step(self, state: State, torque: Tensor | None = None, noise: Tensor | None = None, **inputs: Tensor) -> State:
@@ -196,9 +189,10 @@ class Scene:
         task: Task | None = None,
     ) -> tuple[State, dict[str, Tensor]]:
         """State after `dt`, and rows that a task computes from it in the same program."""
+        require_state(state)
         present = {name: x for name, x in inputs.items() if x is not None}
         if not isinstance(self.integrator, Unrecorded):
-            return _split(self._call("step", self._with_noise({**state.rows(), **present}, noise), task))
+            return _split(self.evaluate("step", self._with_noise({**state.rows(), **present}, noise), task))
         dtype = state.q.dtype
         if self.precision != "double" or dtype != torch.float32:
             return self._unrecorded(self.integrator, state, present, noise, task)
@@ -214,6 +208,8 @@ class Scene:
         torque: Tensor | None = None,
         steps: int | None = None,
         checkpoint: int = 0,
+        policy: Policy | None = None,
+        lost: Lost = "warn",
         **inputs: Tensor,
     ) -> State:
         """States after each of a number of steps, shape [steps, ...].
@@ -224,40 +220,66 @@ class Scene:
             steps: number of steps; None: as many as there are torques.
             checkpoint: for the gradient, one state in so many is kept, and the others are computed again; 0 keeps the
                 inputs of every step.
+            policy: function of the state that returns the torques of a step, shape [..., n], instead of `torque`; a
+                module, for instance. Where there are sensors it should look at `state.measured`.
+            lost: "warn": warn if rows that were finite at the start are not at the end; "stop": end before the step
+                that loses one; "keep": say nothing.
             inputs: as in `step`, shape [steps, ...].
+
+        >>> import torch, torchdq
+        >>> scene = Scene(torchdq.robots.load("two_link"))
+        >>> scene.rollout(scene.start(torch.ones(3, 2)), steps=50, policy=lambda s: -4 * s.q - s.qd).q.shape
+        torch.Size([50, 3, 2])
         """
         series = {name: x for name, x in (("torque", torque), *inputs.items()) if x is not None}
-        lengths = {name: len(x) for name, x in series.items()}
-        total = steps if steps is not None else next(iter(lengths.values()), None)
-        if total is None or any(length != total for length in lengths.values()):
-            raise ArgumentError(f"steps and the first axes of the inputs must agree, found {steps} and {lengths}")
-        for name, number in (("steps", total), ("checkpoint", checkpoint)):
-            if number < 0:
-                raise ArgumentError(f"{name} must not be negative, found {number}")
+        return rollout(self, state, series, steps, policy, checkpoint, lost)
 
-        def part(first: int, last: int, state: State) -> list[State]:
-            found = []
-            for k in range(first, last):
-                state = self.step(state, **{name: x[k] for name, x in series.items()})
-                found.append(state)
-            return found
-
-        stride = checkpoint or max(total, 1)
-        found: list[State] = []
-        for first in range(0, total, stride):
-            last = min(first + stride, total)
-            if checkpoint:
-                found += checkpointed(part, first, last, state, use_reentrant=False)
-            else:
-                found += part(first, last, state)
-            state = found[-1]
-        if not found:
-            return State._make(None if x is None else x[None][:0] for x in state)
-        return State._make(None if rows[0] is None else torch.stack(rows) for rows in zip(*found, strict=True))
+    def finite(self, state: State) -> Tensor:
+        """True for every row of a state whose numbers are all finite, shape [...]."""
+        require_state(state)
+        return reduce(and_, [x.isfinite().all(-1) for x in state.rows().values()])
 
     def energy(self, state: State) -> Tensor:
         """Kinetic and potential energy [J] of the rigid bodies, without springs and their rotors, shape [..., 2]."""
-        return self._call("energy", {"q": state.q, "qd": state.qd})["E"]
+        require_state(state)
+        return self.evaluate("energy", {"q": state.q, "qd": state.qd})["E"]
+
+    def linearize(
+        self, state: State, torque: Tensor | None = None, noise: Tensor | None = None, **inputs: Tensor
+    ) -> Linearization:
+        """Derivatives of the state after a step, with respect to the state before it and the torques: `A, B`.
+
+        Args:
+            state: states, shape [..., n]; derivatives are those of every row by itself.
+            torque, noise, inputs: as in `step`.
+
+        >>> import torch, torchdq
+        >>> scene = Scene(torchdq.robots.load("two_link"), dt=0.01)
+        >>> A, B = scene.linearize(scene.start(torch.zeros(5, 2)))
+        >>> A.shape, B.shape
+        (torch.Size([5, 4, 4]), torch.Size([5, 4, 2]))
+        """
+        return linearize(self, state, {"torque": torque, "noise": noise, **inputs})
+
+    def check(self, state: State, seconds: float = 1.0, **inputs: Tensor) -> Check:
+        """Whether the steps are short enough for the stiffness and damping that is there; if not, what holds.
+
+        A step must let the springs and dampers at the joints settle, as they are at the state and along a trial run
+        from it; and all rows of that run must stay below 1e6 rad or m, and 1e6 rad/s or m/s. Computed in float64.
+
+        Args:
+            state: states to start from.
+            seconds: duration of the trial run [s].
+            inputs: as in `step`, the same at every step; a controller without `reference` holds the start.
+
+        >>> import torch, torchdq
+        >>> from torchdq.envs import effects, integrators
+        >>> parts = (effects.Viscous(500.0),)
+        >>> scene = Scene(torchdq.robots.load("two_link"), parts, integrator=integrators.SemiImplicitEuler())
+        >>> print(scene.check(scene.start(torch.zeros(2)), seconds=0.1))  # doctest: +ELLIPSIS
+        steps of 0.01 s with SemiImplicitEuler() do not hold...
+        """
+        return check(self, state, seconds, inputs)
 
     # --- cost ---
 
@@ -299,7 +321,7 @@ class Scene:
 
     # --- internals ---
 
-    def _call(self, stage: str, given: Mapping[str, Tensor], task: Task | None = None) -> dict[str, Tensor]:
+    def evaluate(self, stage: str, given: Mapping[str, Tensor], task: Task | None = None) -> dict[str, Tensor]:
         """Rows of a stage's program, with the batch axes of everything that goes in; the state's inputs come first."""
         require_unchanged(self.robot)
         tensors = {**given, **self._parameters}
@@ -324,63 +346,12 @@ class Scene:
         task: Task | None,
     ) -> tuple[State, dict[str, Tensor]]:
         """Step of an integrator that is not recorded; its three stages are programs of their own."""
-        driven = self._call("drive", {**state.rows(), **inputs}, task)
-        u, x, v = driven.pop("u"), driven.pop("x"), driven.pop("v")
-        acting = {name: inputs[name] for effect in self.effects for name in effect.inputs(self.n) if name in inputs}
-        x, v = integrator.flow(_System(self, {**acting, "u": u}), x, v, self.dt)
-        given = self._with_noise({"x": x, "v": v, "u": u, **driven, **inputs}, noise)
-        return _split(self._call("sense", given, task))
-
-
-def _check_effects(effects: Sequence[Effect]) -> None:
-    """Raise if some effects cannot be those of one scene."""
-    if not isinstance(effects, Sequence):
-        raise ArgumentError(f"effects must be a sequence of effects, found {effects!r}")
-    for effect in effects:
-        if not isinstance(effect, Effect):
-            raise ArgumentError(
-                f"effects must be objects of torchdq.effects, found {effect!r}"
-                + ("; it is a class, call it" if isinstance(effect, type) else "")
-            )
-        if not isinstance(effect, SLOTS):
-            slots = ", ".join(slot.__name__ for slot in SLOTS)
-            raise ArgumentError(f"{type(effect).__name__} must extend one of {slots}, found {type(effect).__bases__}")
-    for effect in effects:
-        name = type(effect).__name__
-        if effect.ONCE and sum(other.ONCE == effect.ONCE for other in effects) > 1:
-            raise ArgumentError(f"effects must not hold {name} twice: {effect.ONCE}")
-        for source in effect.missing().values():
-            for other in effects:
-                if source in effect.SOLE and other is not effect and source in other.missing().values():
-                    raise ArgumentError(
-                        f"{name} and {type(other).__name__} would both take {effect.SOLE[source]}, so leave "
-                        f"{type(other).__name__} out"
-                    )
+        system, x, v, rows = driven(self, state, inputs, task)
+        x, v = integrator.flow(system, x, v, self.dt)
+        given = self._with_noise({"x": x, "v": v, **rows, **inputs}, noise)
+        return _split(self.evaluate("sense", given, task))
 
 
 def _split(rows: dict[str, Tensor]) -> tuple[State, dict[str, Tensor]]:
     """State and the task's rows, of the rows of a program."""
     return State(rows.pop("q"), rows.pop("qd"), rows.pop("memory", None), rows.pop("reading", None)), rows
-
-
-@dataclass(frozen=True)
-class _System:
-    """Equations of motion of a scene on rows that are one tensor [..., n], each evaluation a program of its own."""
-
-    scene: Scene
-    inputs: Mapping[str, Tensor]
-
-    def _evaluated(self, stage: str, **given: Tensor) -> list[Tensor]:
-        return [self.scene._call(stage, {**given, **self.inputs})["a"]]
-
-    def accelerations(self, x: Row, v: Row) -> list[Tensor]:
-        return self._evaluated("accelerations", x=x[0], v=v[0])
-
-    def implicit_accelerations(self, x: Row, v: Row, h: float) -> list[Tensor]:
-        return self._evaluated("implicit_accelerations", x=x[0], v=v[0], h=x[0].new_full((1,), h))
-
-    def momentum_accelerations(self, x: Row, v: Row) -> list[Tensor]:
-        return self._evaluated("momentum_accelerations", x=x[0], v=v[0])
-
-    def velocities_at(self, x: Row, v: Row, to: Row) -> list[Tensor]:
-        return self._evaluated("velocities_at", x=x[0], v=v[0], to=to[0])

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torch import Tensor, dtype
+
+from torchdq.checks import require_tensor
+from torchdq.errors import ArgumentError
 
 
 class State(NamedTuple):
@@ -30,3 +33,13 @@ class State(NamedTuple):
     def to(self, dtype: dtype) -> State:
         """State in another dtype."""
         return State._make(None if x is None else x.to(dtype) for x in self)
+
+
+def require_state(x: Any) -> None:
+    """Raise unless x is a state with positions and velocities."""
+    if not isinstance(x, State):
+        raise ArgumentError(
+            f"state must be a torchdq.envs.State, found {type(x).__name__}; scene.start(q, qd) makes one"
+        )
+    for name in ("q", "qd"):
+        require_tensor(f"{name} of the state", getattr(x, name))

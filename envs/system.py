@@ -67,6 +67,18 @@ class SceneSystem(System):
         found = [effect.impedances(q, qd, self.scene.inputs) for _, effect in self.scene.spec.of(JointEffect)]
         return [list(joint) for joint in zip(*found, strict=True)] if found else [[] for _ in q]
 
+    def frozen(self, x: Row, v: Row) -> Rows:
+        """Mass matrix M of the joints, their damping D and stiffness K in a state, and the rotors behind them."""
+        q = x[: self._n]
+        impedances = self._impedances(q, v[: self._n])
+        rows: Rows = {
+            "M": [0.0 if a is None else a for row in self.scene.posed(q).mass_matrix() for a in row],
+            "D": [sum((z.damping for z in joint), 0.0) for joint in impedances],
+            "K": [sum((z.stiffness * z.active for z in joint), 0.0) for joint in impedances],
+        }
+        rotors = self._transmission.rotors()
+        return {**rows, **rotors._asdict()} if rotors.inertia else rows
+
     def _forces(self, passed: Row, impedances: Sequence[Sequence[Impedance]], damping: Row, qd: Row) -> list[Number]:
         """Torques on the joints: those that the transmission passes on, less those of the impedances."""
         forces = [sum((z.force for z in joint), 0.0) for joint in impedances]

@@ -2217,4 +2217,40 @@ MUTANTS = (
             f"{SCENE}::test_a_description_ends_in_time_and_says_what_it_did_not_measure",
         ),
     ),
+    *within(
+        "torchdq/effects/effect.py",
+        (
+            "tensors of parameters unchecked",
+            "torch.stack(value.detach().aminmax()).tolist()",
+            "[]",
+            f"{EFFECTS}::test_a_parameter_that_is_a_tensor_is_checked_like_numbers",
+        ),
+    ),
+    *within(
+        "envs/rollout.py",
+        (
+            "lost rows untold",
+            'if lost == "warn" and read',
+            'if lost == "never" and read',
+            "stability.py::test_a_rollout_that_loses_rows_says_so",
+        ),
+    ),
+    *within(
+        "envs/stability.py",
+        (
+            "damping left out of a frozen system",
+            "self.K @ x.mT + D @ v.mT",
+            "self.K @ x.mT",
+            "stability.py::test_the_bound_of_damping_is_that_of_the_textbook",
+        ),
+    ),
+    *within(
+        "envs/together.py",
+        (
+            "effects that take nothing untold",
+            "if not sources or",
+            "if True or",
+            f"{SCENE}::test_a_description_that_has_nothing_to_take_is_told_once",
+        ),
+    ),
 )

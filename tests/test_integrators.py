@@ -515,3 +515,26 @@ def test_stiff_elastic_joints_are_stable_when_integrated_implicitly(damping):
     assert (end.q - end.memory[:2]).abs().max() < 1e-6
     assert torch.cat([end.qd, end.memory]).abs().max() < 10
     assert not rolled(scene.replace(integrator=SemiImplicitEuler()), start, 300).q.abs().max() < 1e3
+
+
+HOME = (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785)
+ORDINARY = {
+    "Viscous": (effects.Viscous(5.0), {}),
+    "Coulomb": (effects.Coulomb(0.5), {}),
+    "Stribeck": (effects.Stribeck(0.5, 1.0), {}),
+    "Servo": (effects.Servo(1e3, 1e2), {"target": double(*HOME)}),
+    "Spring": (effects.Spring(1e3, HOME), {}),
+    "Limits": (effects.Limits(), {}),
+}
+
+
+@pytest.mark.parametrize("kind", ORDINARY)
+def test_ordinary_effects_hold_at_the_default_integrator_and_step(kind):
+    """A Panda of the file, whose last link is light, for two seconds."""
+    effect, inputs = ORDINARY[kind]
+    scene = Scene(PANDA.robot, (effects.Gravity(), effect))
+    state, fastest = scene.start(double(*HOME)), 0.0
+    for _ in range(200):
+        state = scene.step(state, **inputs)
+        fastest = max(fastest, float(state.qd.abs().max()))
+    assert fastest < 50.0  # a joint that falls reaches 20 rad/s

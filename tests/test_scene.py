@@ -8,6 +8,7 @@ import importlib
 import itertools
 import math
 import types
+import warnings
 
 import numpy as np
 import pinocchio as pin
@@ -425,6 +426,46 @@ def test_a_model_that_is_no_single_robot_with_these_joints_is_refused(controller
     many = ARM.replace(mass=ARM.mass * double(1.0, 2.0)[:, None])
     with pytest.raises(torchdq.ArgumentError, match=rf"model of {controller.__name__} must be one robot, .* its mass"):
         Scene(ARM, controller=controller(1.0, 1.0, many))
+
+
+# --- effects that take nothing ---------------------------------------------------------------------------------------
+
+# parts of a description, and what the shipped arm without friction and limits says of each
+TAKING = {
+    effects.Viscous(): ("coefficient from", "no damping", "coefficient is 0"),
+    effects.Coulomb(): ("level from", "no friction", "level is 0"),
+    effects.Stribeck(static=0.0): ("coulomb from", "no friction", "coulomb is 0, static is 0"),
+    effects.Limits(): ("lower and upper from", "no limits.lower and limits.upper", "lower is -inf, upper is inf"),
+    effects.Saturation(): ("limit from", "no limits.effort", "limit is inf"),
+    effects.TorqueSpeed(): ("stall and speed from", "no limits.effort and limits.velocity", "stall is inf"),
+}
+
+
+@pytest.mark.parametrize("effect", TAKING, ids=lambda e: type(e).__name__)
+def test_a_description_that_has_nothing_to_take_is_told_once(effect):
+    torchdq.clear_caches()
+    name, (wanted, absent, value) = type(effect).__name__, TAKING[effect]
+    with pytest.warns(
+        UserWarning, match=f"{name} takes {wanted} .* 'two_link', which has {absent}: it acts on no joint"
+    ):
+        scene = Scene(ARM, (effect,))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Scene(ARM, (effect,))
+        lines = scene.describe(batch=1, seconds=0.0).left_out
+    assert f"{name} acts on no joint: {value}" in lines
+
+
+def test_effects_that_act_are_not_told():
+    """Nor are numbers that were given, and limits of zero are limits."""
+    torchdq.clear_caches()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for effect in (effects.Viscous(0.0), effects.Stribeck(static=1.0), effects.Saturation(0.0), effects.Gravity()):
+            Scene(ARM, (effect,))
+        Scene(PANDA, (effects.Viscous(double(*[0.0] * 7)), effects.Saturation(), effects.Limits()))
+    held = Scene(ARM, (effects.Saturation(0.0), effects.Limits(0.0, 0.0))).describe(batch=1, seconds=0.0).left_out
+    assert not any("acts on no joint" in line for line in held)
 
 
 # --- what is refused -------------------------------------------------------------------------------------------------

@@ -60,6 +60,10 @@ class TorqueSpeed(Actuator):
     stall: Parameter = None
     speed: Parameter = None
 
+    def idle(self) -> tuple[str, ...]:
+        """Torque at rest, if it is infinite at every joint."""
+        return ("stall",) if isinstance(self.stall, tuple) and all(map(unbounded, self.stall)) else ()
+
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
         """Torques clipped to what the motors have at their speeds."""
         result = []

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal, NamedTuple, Self
 
+import torch
+
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Pure
@@ -14,6 +16,7 @@ from torchdq.dynamics.posed import Point, Posed
 from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, on_a_link
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import maximum, sqrt
+from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 from torchdq.robot.posed import frame
 
@@ -158,9 +161,15 @@ class Contact(BodyEffect):
 
     def described(self, robot: Robot) -> Self:
         """Copy with the frame named."""
-        if isinstance(self.normal, tuple) and abs(sum(x * x for x in self.normal) - 1) > 1e-6:
-            raise ArgumentError(f"normal of Contact must be a unit vector, found {self.normal}")
         return on_a_link(self, robot)
+
+    def resolved(self, robot: Robot) -> Self:
+        """Copy for a robot; raises unless the normal has the length 1, but for rounding."""
+        whole = super().resolved(robot)
+        normal = torch.as_tensor(whole.normal, dtype=torch.float64)
+        if not without_values((normal,)) and bool(((normal.square().sum(-1) - 1).abs() > 1e-5).any()):
+            raise ArgumentError(f"normal of Contact must be a unit vector, found {self.normal}")
+        return whole
 
     def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
         """The force on the link that touches."""

@@ -23,6 +23,7 @@ from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
+from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 from torchdq.robot.robot import arguments
 
@@ -81,6 +82,8 @@ class Parametric:
                 value = value.expand(shape)
             if shape and value.shape[-1] not in (1, size):
                 raise ArgumentError(f"{what} must have the shape [..., {size}], found {tuple(value.shape)}")
+            if value.numel() and not without_values((value,)):
+                self._check_values(name, torch.stack(value.detach().aminmax()).tolist())
             return value.expand((*value.shape[: value.ndim - len(shape)], *shape))
         try:
             numbers = [float(x) for x in value] if isinstance(value, Sequence) else [float(value)] * size
@@ -88,6 +91,12 @@ class Parametric:
             raise ArgumentError(f"{what} must be a number, {size} numbers or a tensor, found {value!r}") from error
         if len(numbers) != size:
             raise ArgumentError(f"{what} must be one number or {size}, found {len(numbers)}")
+        self._check_values(name, numbers)
+        return tuple(numbers) if shape else numbers[0]
+
+    def _check_values(self, name: str, numbers: Sequence[float]) -> None:
+        """Raise unless a parameter may have these values; of a tensor, the smallest and the largest are enough."""
+        what = f"{name} of {type(self).__name__}"
         for x in numbers:
             if math.isnan(x) or (math.isinf(x) and name not in self.UNBOUNDED):
                 raise ArgumentError(f"{what} must be finite, found {x}")
@@ -95,7 +104,14 @@ class Parametric:
                 raise ArgumentError(f"{what} must not be negative, found {x}")
             if x == 0 and name in self.DIVIDING:
                 raise ArgumentError(f"{what} must be positive, found 0; it divides")
-        return tuple(numbers) if shape else numbers[0]
+
+    def idle(self) -> tuple[str, ...]:
+        """Parameters that the description may give, if all are constants of no effect: zeros, or absent limits."""
+
+        def none(name: str, row: Any) -> bool:
+            return isinstance(row, tuple) and all(math.isinf(x) if name in self.UNBOUNDED else x == 0 for x in row)
+
+        return tuple(self.DESCRIBED) if all(none(name, getattr(self, name)) for name in self.DESCRIBED) else ()
 
     def tensors(self) -> dict[str, Tensor]:
         """Parameters that are arguments of the programs."""

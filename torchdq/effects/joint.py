@@ -116,6 +116,11 @@ class Stribeck(JointEffect):
     velocity: Parameter = 0.1
     width: Parameter = 1e-2
 
+    def idle(self) -> tuple[str, ...]:
+        """Friction parameters, if both are zero."""
+        both = super().idle() and isinstance(self.static, tuple) and not any(self.static)
+        return ("coulomb", "static") if both else ()
+
     def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
         """Impedances with D = level(qd) / sqrt(qd^2 + width^2)."""
         result = []

@@ -15,6 +15,14 @@ from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Effect, Parameter, Shapes
 
 
+class Rotors(NamedTuple):
+    """Rotors behind the joints, with a spring and a damper to each joint."""
+
+    stiffness: Row = ()  # [N m/rad or N/m]
+    damping: Row = ()  # [N m s/rad or N s/m]
+    inertia: Row = ()  # [kg m^2 or kg]
+
+
 class Eliminated(NamedTuple):
     """Equations of the joints for an implicit step, after the end velocities of the rotors have been eliminated."""
 
@@ -33,6 +41,10 @@ class Transmission(Effect):
     def extended(self, q: Row, qd: Row, memory: Row) -> tuple[Row, Row]:
         """Positions and velocities of the joints and then of the rotors."""
         return q, qd
+
+    def rotors(self) -> Rotors:
+        """Rotors of all joints; none if they are rigid."""
+        return Rotors()
 
     def torques(self, u: Row, x: Row, v: Row) -> Row:
         """Torques on the joints, of the actuators' torques u."""
@@ -84,6 +96,10 @@ class Elastic(Transmission):
         """Joints, and the rotors from the memory."""
         n = len(q)
         return (*q, *memory[:n]), (*qd, *memory[n:])
+
+    def rotors(self) -> Rotors:
+        """Rotors of all joints."""
+        return Rotors(self.stiffness, self.damping, self.inertia)
 
     def torques(self, u: Row, x: Row, v: Row) -> Row:
         """Torques of the springs and dampers, t = k (th - q) + d (thd - qd)."""

@@ -1,0 +1,53 @@
+"""Equations of motion of a scene on tensors: every evaluation is a program of its own.
+
+For integrators that are not recorded into the program of a step, and for the analysis of their stability.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from torch import Tensor
+
+from torchdq.dynamics.posed import Row
+from torchdq.envs.integrators import System
+from torchdq.envs.spec import Task
+from torchdq.envs.state import State
+
+if TYPE_CHECKING:
+    from torchdq.envs.scene import Scene
+
+
+@dataclass(frozen=True)
+class _Evaluated(System):
+    """Equations of motion on rows that are lists of one tensor [..., n]."""
+
+    scene: Scene
+    inputs: Mapping[str, Tensor]
+
+    def _evaluated(self, stage: str, **given: Tensor) -> list[Tensor]:
+        return [self.scene.evaluate(stage, {**given, **self.inputs})["a"]]
+
+    def accelerations(self, x: Row, v: Row) -> list[Tensor]:
+        return self._evaluated("accelerations", x=x[0], v=v[0])
+
+    def implicit_accelerations(self, x: Row, v: Row, h: float) -> list[Tensor]:
+        return self._evaluated("implicit_accelerations", x=x[0], v=v[0], h=x[0].new_full((1,), h))
+
+    def momentum_accelerations(self, x: Row, v: Row) -> list[Tensor]:
+        return self._evaluated("momentum_accelerations", x=x[0], v=v[0])
+
+    def velocities_at(self, x: Row, v: Row, to: Row) -> list[Tensor]:
+        return self._evaluated("velocities_at", x=x[0], v=v[0], to=to[0])
+
+
+def driven(
+    scene: Scene, state: State, inputs: Mapping[str, Tensor], task: Task | None = None
+) -> tuple[_Evaluated, Tensor, Tensor, dict[str, Tensor]]:
+    """Equations of motion over a step, the positions x and velocities v to integrate, and the rows for `sense`."""
+    rows = scene.evaluate("drive", {**state.rows(), **inputs}, task)
+    x, v = rows.pop("x"), rows.pop("v")
+    acting = {name: inputs[name] for effect in scene.effects for name in effect.inputs(scene.n) if name in inputs}
+    return _Evaluated(scene, {**acting, "u": rows["u"]}), x, v, rows
