@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -47,7 +48,7 @@ def nominal(scene: Scene) -> Robot:
 
     It does not know friction, payloads, or what differs between episodes.
     """
-    known: dict[str, Tensor | None] = {"gravity": None, "armature": None}
+    known: dict[str, Any] = {"gravity": None, "armature": None}
     for effect in scene.effects:
         if effect.SLOT == "model":
             known.update({source: _mean(getattr(effect, name)) for name, source in effect.DESCRIBED.items()})

@@ -271,7 +271,7 @@ def _base(scene: Scene, owner: int, name: str, num_envs: int, like: Tensor) -> T
 
 def _with_rows(scene: Scene, r: Randomised) -> Scene:
     """Scene with tensors of its own for the parameters that are drawn."""
-    rows = {name: x.clone() for name, x in r.bases.items()}
+    rows: dict[str, Any] = {name: x.clone() for name, x in r.bases.items()}
     if r.owner == ROBOT:
         return scene.replace(robot=scene.robot.replace(**rows))
     if r.owner == CONTROLLER:

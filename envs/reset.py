@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -92,7 +93,9 @@ def _of_rows(scene: Scene, rows: Tensor) -> Scene:
     def chosen(x: Tensor, axes: int) -> Tensor:
         return x[rows] if x.ndim > axes and len(x) > 1 else x
 
-    tensors = {name: chosen(getattr(scene.robot, name), len(SHAPES[name])) for name in arguments(scene.robot)}
+    tensors: dict[str, Any] = {
+        name: chosen(getattr(scene.robot, name), len(SHAPES[name])) for name in arguments(scene.robot)
+    }
     effects = [
         replace(effect, **{name: chosen(x, len(effect.SHAPES[name])) for name, x in effect.tensors().items()})
         for effect in scene.effects

@@ -474,12 +474,13 @@ def read_log(source: str, layout: str) -> Log:
     """Log of PATH or PATH:FIRST:LAST."""
     path, *rows = source.rsplit(":", 2) if source.count(":") >= 2 else (source,)
     kind = LAYOUTS[layout] if layout != "auto" else layout_of(Path(path))
+    log = read(path, kind, tuple(map(int, rows)) if rows else None)
     if layout == "auto":
         name = next(name for name, arm in LAYOUTS.items() if arm is kind)
         found = f"recognised as {name} by its name and columns; --format csv if it is none of that data set"
         other = "of no data set that is known; its columns are read as they are named, --format names a data set"
         print(f"{Path(path).name}: {found if kind.files else other}")
-    return read(path, kind, tuple(map(int, rows)) if rows else None)
+    return log
 
 
 def plot_recording(

@@ -110,7 +110,8 @@ def with_friction(robot: torchdq.Robot, data: Samples) -> torchdq.DQRNEA:
     terms = torch.stack([qd, qd / (qd * qd + WIDTH**2).sqrt(), torch.ones_like(qd), qdd], -1)  # [N, n, 4]
     left = tau - torchdq.inverse_dynamics(robot.replace(armature=None), q, qd, qdd)
     columns = [torch.linalg.lstsq(terms[:, j], left[:, j, None]).solution[:, 0] for j in range(robot.n)]
-    layer.viscous, layer.coulomb, offset, layer.armature = torch.stack(columns, -1)  # negative ones become zero
+    viscous, coulomb, offset, armature = torch.stack(columns, -1)
+    layer.viscous, layer.coulomb, layer.armature = (x.clamp(min=0.0) for x in (viscous, coulomb, armature))
     layer.offset = nn.Parameter(offset)
     return layer
 

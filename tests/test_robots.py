@@ -141,7 +141,7 @@ def test_what_is_no_screw_is_refused_by_name(screw):
         ({"tip_pose": [0.0] * 8}, "tip_pose must be dual quaternions with a rotation"),
         ({"parents": [0]}, r"parents must hold, for each of 1 links, an earlier link or -1, found \(0,\)"),
         ({"parents": [-1, 0]}, "parents must hold, for each of 1 links"),
-        ({"parents": [None]}, "parents must be a row of whole numbers"),
+        ({"parents": [None]}, "parents must be an array of numbers"),
         ({"parents": ["a"]}, "parents must be an array of numbers"),
         ({"parents": [0.5]}, r"parents must be a row of whole numbers, found \[0.5\]"),
         ({"parents": [math.nan]}, "parents must be a row of whole numbers"),
@@ -1093,7 +1093,7 @@ def test_a_stack_of_none_is_refused():
 def test_words_and_complex_numbers_are_refused_by_name():
     with pytest.raises(DescriptionError, match="gravity must be an array of numbers"):
         one_joint(LINE, gravity="down")
-    with pytest.raises(DescriptionError, match="parents must hold"):
+    with pytest.raises(DescriptionError, match="parents must be an array of numbers"):
         one_joint(LINE, parents=["a"])
-    with pytest.raises(DescriptionError, match=r"mass must be an array of numbers: found torch\.complex128"):
+    with pytest.raises(DescriptionError, match="mass must be an array of numbers: found complex numbers"):
         one_joint(LINE, mass=[1j])

@@ -91,8 +91,8 @@ class CallLayout(NamedTuple):
     device: torch.device
     program: Program
     backend: Backend
-    names: tuple[str, ...]  # of the results
-    shapes: tuple[Shape, ...]  # of the results
+    names: tuple[str, ...]  # names of the results
+    shapes: tuple[Shape, ...]  # shapes of the results
     samples: int
     direct: tuple[Tensor, ...] | None  # forms of all outputs if the tensors can be taken as they are; None: they cannot
 

@@ -50,6 +50,8 @@ def _gain(name: str, gain: Tensor | float, q: Tensor) -> Tensor:
     """Gain as a tensor, a single number in the dtype of q."""
     if isinstance(gain, Tensor):
         return gain if gain.ndim else gain.to(q)
+    if not isinstance(gain, float | int):
+        raise ArgumentError(f"{name} must be a number or a tensor, found {type(gain).__name__}")
     require_number(name, gain)
     if gain < 0:
         raise ArgumentError(f"{name} must not be negative, found {gain!r}")

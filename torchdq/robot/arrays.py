@@ -29,7 +29,7 @@ def numbers(name: str, value: Any) -> Tensor:
     try:
         x = torch.as_tensor(value if isinstance(value, Tensor) else np.array(value))
         if x.is_complex():
-            raise TypeError(f"found {x.dtype}")
+            raise TypeError("found complex numbers")
         return x.to(torch.float64)
     except (TypeError, ValueError, RuntimeError) as error:  # words, or rows of different lengths
         raise DescriptionError(f"{name} must be an array of numbers: {error}") from error

@@ -88,8 +88,8 @@ def check(robot: Robot) -> None:
 # --- robots in one batch ---------------------------------------------------------------------------------------------
 
 
-def stacked(kind: type[Robot], robots: Sequence[Robot]) -> dict[str, Any]:
-    """Fields that make a batch of all robots of the first one; see `Robot.stack`."""
+def stacked(kind: type[Robot], robots: Sequence[Robot]) -> Robot:
+    """Batch of robots; see `Robot.stack`."""
     if not robots or not all(isinstance(robot, kind) for robot in robots):
         raise ArgumentError(f"robots must be a sequence of torchdq.Robot, found {robots!r}")
     first, notes = robots[0], dict.fromkeys(note for robot in robots for note in robot.notes)
@@ -104,7 +104,7 @@ def stacked(kind: type[Robot], robots: Sequence[Robot]) -> dict[str, Any]:
             other = next(x for x in found if not _equal(value, x))
             raise ArgumentError(f"robots of a stack must have the same {name}, found {value} and {other}")
         changes[name] = Limits(*map(_together, zip(*found, strict=True))) if name == "limits" else _together(found)
-    return changes
+    return first.replace(**changes)
 
 
 def _together(found: Sequence[Tensor | None]) -> Tensor:

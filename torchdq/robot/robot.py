@@ -311,7 +311,7 @@ class Robot:
         tensor([[1., 1.],
                 [2., 2.]], dtype=torch.float64)
         """
-        return robots[0].replace(**stacked(cls, robots))
+        return stacked(cls, robots)
 
     def bake(self) -> Robot:
         """Robot whose tensors, all without batch axes, are constants of its programs, which is fastest."""
