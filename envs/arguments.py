@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 
 from gymnasium.vector import AutoresetMode
@@ -40,6 +41,13 @@ def task_of(task: str | EpisodeTask) -> EpisodeTask:
             f"task must be the name of one or an object with the methods {', '.join(METHODS)}, like those of "
             f"torchdq.envs.tasks, found {task!r}"
             + (f"; {task.__name__} is a class, call it" if isinstance(task, type) else "")
+        )
+    known = {field.name for field in fields(task)} if is_dataclass(task) else set()
+    unknown = [name for name in getattr(task, "__dict__", {}) if name not in known]
+    if unknown:
+        raise ArgumentError(
+            f"task has the attributes {', '.join(unknown)}, which are no fields, so tasks that differ in them would share "
+            f"a program; make {type(task).__name__} a dataclass(frozen=True) with these fields"
         )
     try:
         hash(task)

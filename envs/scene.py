@@ -156,7 +156,8 @@ class Scene:
         """
         given = {"q": q} if qd is None else {"q": q, "qd": qd}
         batch_of(Stage(self.spec, "start"), given)
-        q, qd = torch.broadcast_tensors(q, torch.zeros_like(q) if qd is None else qd)
+        # clones, so that later changes of q do not move the state
+        q, qd = torch.broadcast_tensors(q.clone(), torch.zeros_like(q) if qd is None else qd.clone())
         return self.begin(q, qd, {}, noise)[0]
 
     def begin(

@@ -144,6 +144,7 @@ class Functions(NamedTuple):
 
     def after(self, now: Now) -> dict[str, Tensor]:
         """Rows of a step; "valid" is 0 where a function returned what is not finite."""
+        versions = _versions(now)
         rows = {**now.rows, "observation": self.observed(now)}
         if self.task.reward is not None:
             rows["reward"] = _row("reward", self.task.reward(now), (len(now.q),), now.q)
@@ -156,8 +157,19 @@ class Functions(NamedTuple):
                     f"{tuple(ended.shape)}"
                 )
             rows["terminated"] = ended
+        if versions != _versions(now):
+            raise ArgumentError(
+                "functions of a TorchTask must not change tensors in place, which would change the simulation; write "
+                "x + 1 instead of x.add_(1), or x.clone() first"
+            )
         sound = rows["observation"].isfinite().all(1) & (rows["reward"].abs() <= SENSIBLE)
         return {**rows, "valid": rows["valid"] * sound}
+
+
+def _versions(now: Now) -> list[int]:
+    """Numbers of changes in place of all tensors that the functions see."""
+    seen = [*now, *now.rows.values()]
+    return [x._version for x in seen if isinstance(x, Tensor) and not x.is_inference()]
 
 
 def _require_finite(name: str, x: Tensor) -> None:

@@ -944,3 +944,14 @@ def test_static_friction_stays_above_that_of_motion_and_rows_keep_their_own():
     assert torch.allclose(stribeck.static, 1.1 * stribeck.coulomb)
     assert bool((viscous.coefficient >= 0.5 * rows).all()) and bool((viscous.coefficient <= 1.5 * rows).all())
     assert float((viscous.coefficient / rows).std()) > 0.1
+
+
+def test_a_task_whose_attributes_are_no_fields_is_refused():
+    """Two such tasks would be equal, and share the program of the first."""
+
+    class Weighted(Reach):
+        def __init__(self, weight):
+            object.__setattr__(self, "weight", weight)
+
+    with pytest.raises(ArgumentError, match=r"task has the attributes weight.*make Weighted a dataclass"):
+        ArmVectorEnv(2, Weighted(5.0), "two_link", scale=10.0)

@@ -767,3 +767,11 @@ def test_the_example_prints_what_it_recognised(tmp_path, capsys):
 def test_the_robot_of_a_layout_is_shipped_with_its_joints():
     for kind in LAYOUTS.values():
         assert kind.robot is None or torchdq.robots.load(kind.robot).n == kind.joints
+
+
+@pytest.mark.parametrize("wrong", ["std.csv", None, 3])
+def test_what_is_no_log_and_no_motion_is_named(wrong):
+    with pytest.raises(ArgumentError, match=r"log must be a Log, found .*read\(path\)"):
+        motions.smooth(wrong)
+    with pytest.raises(ArgumentError, match=r"motions must be Motion objects, found .*smooth\(log\)"):
+        motions.samples(wrong)

@@ -581,3 +581,13 @@ def test_negative_friction_of_a_description_is_not_another_one():
     robot = robot.replace(friction=-torch.ones_like(robot.mass), on_unphysical="ignore")
     with pytest.raises(torchdq.ArgumentError, match="must not be negative, found -1"):
         torchdq.DQRNEA(robot, learn="friction")
+
+
+@pytest.mark.parametrize("name", ["com", "inertia", "gravity", "viscous", "coulomb", "offset"])
+def test_assigning_to_what_is_not_learned_is_refused(name):
+    """It would leave the torques as they are."""
+    layer = torchdq.DQRNEA(ROBOTS["panda"], learn=("mass",))
+    with pytest.raises(torchdq.ArgumentError, match=rf"{name} is not learned by this layer.*learn=\('mass', "):
+        setattr(layer, name, torch.ones(7, dtype=torch.float64))
+    layer.mass = 2 * layer.mass.detach()
+    assert torch.allclose(layer.robot.mass, 2 * ROBOTS["panda"].mass)

@@ -974,3 +974,16 @@ def test_steps_are_traced_whole(backend):
         assert torch.equal(found, expected)
         gradients = [torch.autograd.grad(x.sum(), learned)[0] for x in (found, expected)]
         assert torch.allclose(*gradients, rtol=1e-13)
+
+
+def test_a_state_does_not_follow_later_changes_of_what_it_was_made_from():
+    q = torch.zeros(2, dtype=torch.float64)
+    state = Scene(torchdq.robots.load("two_link")).start(q, q)
+    q.add_(1.0)
+    assert not state.q.any() and not state.qd.any()
+
+
+def test_limits_that_leave_nothing_between_them_are_refused():
+    scene = Scene(torchdq.robots.load("two_link"), (effects.Limits(1.0, -1.0),))
+    with pytest.raises(torchdq.ArgumentError, match="lower of Limits must not be above upper, found 1 and -1"):
+        scene.step(scene.start(torch.zeros(2)))

@@ -190,3 +190,10 @@ def test_a_policy_is_found_by_trying():
         mean, spread = best.mean(0), best.std(0) + 0.05
         returns.append(total.mean().item())
     assert mean[0] > 0.5 and returns[-1] > 0.4 * returns[0]  # from swinging about to staying there
+
+
+def test_a_function_that_writes_in_place_is_refused():
+    envs = ArmVectorEnv(2, TorchTask("reach", lambda now: now.q.mul_(0).sum(1)), "two_link", scale=10.0)
+    envs.reset(seed=0)
+    with pytest.raises(torchdq.ArgumentError, match="must not change tensors in place"):
+        envs.step(torch.zeros(2, 2))

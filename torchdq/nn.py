@@ -89,6 +89,16 @@ class RobotModule(nn.Module):
                 if quantity in CONSTRAINED or quantity == "com":
                     self._initial[quantity] = self._unconstrained(quantity).detach().clone()
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in (*SHAPES, "viscous", "coulomb", "offset") and "learn" in self.__dict__:
+            source = "friction" if name in ("viscous", "coulomb") else name
+            if source not in self.learn:
+                raise ArgumentError(
+                    f"{name} is not learned by this layer, so assigning to it would change nothing; make the layer "
+                    f"with learn={(*self.learn, source)}, or with robot.replace(...)"
+                )
+        super().__setattr__(name, value)
+
     @property
     def robot(self) -> Robot:
         """Robot with the module's present parameters."""

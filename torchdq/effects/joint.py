@@ -15,6 +15,7 @@ from typing import ClassVar, NamedTuple
 from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, unbounded
+from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import absolute, at_least, maximum, minimum, sqrt
 
 TOUCHING = 2.0**-126  # smallest normal number of float32: a limit acts from this force on [N m or N]
@@ -202,6 +203,8 @@ class Limits(JointEffect):
         """Impedances with f = k e, e the signed distance beyond a limit; K = k for e not 0, D = c |f| while e grows."""
         result = []
         for x, v, low, high, k, c in zip(q, qd, self.lower, self.upper, self.stiffness, self.dissipation, strict=True):
+            if isinstance(low, float) and isinstance(high, float) and low > high:
+                raise ArgumentError(f"lower of Limits must not be above upper, found {low:g} and {high:g}")
             above_low = x if unbounded(low) else maximum(x, low)
             nearest = above_low if unbounded(high) else minimum(above_low, high)
             force = k * (x - nearest)

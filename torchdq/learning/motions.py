@@ -51,6 +51,8 @@ def smooth(log: Log, cutoff_qd: float | None = None, cutoff_tau: float | None = 
         ArgumentError: a frequency is not between zero and half the rate of the rows.
         MissingLibraryError: scipy is not installed.
     """
+    if not isinstance(log, Log):
+        raise ArgumentError(f"log must be a Log, found {type(log).__name__}; read(path) reads one")
     signal = imported("scipy.signal", "scipy", "smooth")
     cutoff_qd = log.layout.cutoff_qd if cutoff_qd is None else cutoff_qd
     cutoff_tau = log.layout.cutoff_tau if cutoff_tau is None else cutoff_tau
@@ -130,7 +132,9 @@ def samples(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.float
     Raises:
         ArgumentError: there is no motion, or they have different numbers of joints.
     """
-    several = [motions] if isinstance(motions, Motion) else list(motions)
+    several = [motions] if isinstance(motions, Motion) else motions
+    if not isinstance(several, Sequence) or not all(isinstance(motion, Motion) for motion in several):
+        raise ArgumentError(f"motions must be Motion objects, found {type(motions).__name__}; smooth(log) makes one")
     joints = sorted({motion.q.shape[1] for motion in several})
     if len(joints) != 1:
         raise ArgumentError(f"motions must be of one arm, found motions of {joints or 'no'} joints")
