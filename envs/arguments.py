@@ -46,8 +46,8 @@ def task_of(task: str | EpisodeTask) -> EpisodeTask:
     unknown = [name for name in getattr(task, "__dict__", {}) if name not in known]
     if unknown:
         raise ArgumentError(
-            f"task has the attributes {', '.join(unknown)}, which are no fields, so tasks that differ in them would share "
-            f"a program; make {type(task).__name__} a dataclass(frozen=True) with these fields"
+            f"task has the attributes {', '.join(unknown)}, which are no fields, so tasks that differ in them would "
+            f"share a program; make {type(task).__name__} a dataclass(frozen=True) with these fields"
         )
     try:
         hash(task)
