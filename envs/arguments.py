@@ -42,7 +42,7 @@ def task_of(task: str | EpisodeTask) -> EpisodeTask:
             f"torchdq.envs.tasks, found {task!r}"
             + (f"; {task.__name__} is a class, call it" if isinstance(task, type) else "")
         )
-    known = {field.name for field in fields(task)} if is_dataclass(task) else set()
+    known: set[str] = {field.name for field in fields(task)} if is_dataclass(task) else set()
     unknown = [name for name in getattr(task, "__dict__", {}) if name not in known]
     if unknown:
         raise ArgumentError(
