@@ -29,6 +29,7 @@ _functional = _private("_are_functorch_transforms_active", lambda: True)
 any_requires_grad: Callable[..., bool] = _private(
     "_any_requires_grad", lambda *tensors: any([x.requires_grad for x in tensors])
 )
+_unseen = _private("DisableTorchFunction", nullcontext)
 _jit_state = _private("_get_tracing_state", lambda: None)
 _modes = _private("_len_torch_dispatch_stack", lambda: 1)
 _proxy_mode = getattr(proxy_tensor, "get_proxy_mode", lambda: None)
@@ -43,7 +44,8 @@ def with_values() -> Iterator[None]:
     """
     no_export = getattr(_python_dispatch, "_disable_current_modes", nullcontext)
     no_transform = getattr(pyfunctorch, "temporarily_clear_interpreter_stack", nullcontext)
-    with no_export(), no_transform():
+    # export would also record that gradients are switched off and on in between
+    with no_export(), no_transform(), _unseen():
         yield
 
 
