@@ -122,7 +122,7 @@ def test_a_falling_arm_is_not_stiff(integrator):
 
 
 def test_rows_are_lost_one_by_one():
-    """What is too stiff in one sample; a row that was not finite at the start is not lost."""
+    """A sample whose step is too long is found; a row that was not finite at the start is not lost."""
     damping = double(0.1, 500.0, 0.1)[:, None].expand(3, 2)
     scene = Scene(ARM, (effects.Viscous(damping),), integrator=SemiImplicitEuler())
     start = scene.start(double((0.1, 0.2), (0.1, 0.2), (math.nan, 0.2)), double(0.1, 0.2))
