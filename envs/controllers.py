@@ -8,6 +8,7 @@ from typing import ClassVar, Self
 
 from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.posed import Posed, Row
+from torchdq.dynamics.tracking import commanded
 from torchdq.effects.effect import Parameter, Parametric, Shapes
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
@@ -55,10 +56,8 @@ class Feedback(Controller):
     def corrected(self, reference: Row, q: Row, qd: Row) -> list[Number]:
         """Desired acceleration, or feed-forward, with the errors fed back."""
         n = len(q)
-        return [
-            reference[2 * n + i] + self.kd[i] * (reference[n + i] - qd[i]) + self.kp[i] * (reference[i] - q[i])
-            for i in range(n)
-        ]  # (75)-(78), erratum 75
+        desired = (reference[:n], reference[n : 2 * n], reference[2 * n :])
+        return list(map(commanded, q, qd, *desired, self.kp, self.kd))
 
 
 @dataclass(frozen=True)

@@ -1761,19 +1761,22 @@ MUTANTS = (
     ),
     # --- control and learning -----------------------------------------------------------------------------------------
     *within(
-        "torchdq/functions/catalogue.py",
-        ("75: positions in the place of velocities", "d * (qd_d - qd_i)", "d * (qd_d - q_i)", ours("75")),
-        (
-            "73: the wrench left out of the feed-forward",
-            "at.torques(qd, a, x.exerted(at))",
-            "at.torques(qd, a, None)",
-            ours("75"),
-        ),
+        "torchdq/dynamics/tracking.py",
+        ("75: positions in the place of velocities", "kd * (qd_des - qd)", "kd * (qd_des - q)", ours("75")),
         (
             "the velocity gain on positions",
-            "+ p * (q_d - q_i) for",
-            "+ d * (q_d - q_i) for",
+            "+ kp * (q_des - q)",
+            "+ kd * (q_des - q)",
             f"{CONTROL}::test_the_robot_accelerates_as_commanded",
+        ),
+    ),
+    *within(
+        "torchdq/functions/catalogue.py",
+        (
+            "73: the wrench left out of the feed-forward",
+            'at.torques(given["qd"], a, x.exerted(at))',
+            'at.torques(given["qd"], a, None)',
+            ours("75"),
         ),
     ),
     *within(
@@ -2161,8 +2164,8 @@ MUTANTS = (
         "envs/controllers.py",
         (
             "75: positions in the place of velocities, in scenes",
-            "(reference[n + i] - qd[i])",
-            "(reference[n + i] - q[i])",
+            "commanded, q, qd, *desired",
+            "commanded, q, q, *desired",
             f"{SCENE}::test_computed_torque_makes_any_arm_a_double_integrator",
         ),
     ),

@@ -495,25 +495,25 @@ SECTION_5_4 = (
     Row(
         "75",
         "a_c = -K_P q - K_D qd + r",
-        "functions.catalogue:computed_torque envs.controllers:Feedback.corrected nn:ComputedTorque.forward",
+        "dynamics.tracking:commanded",
         f"{CONTROL}_without_its_dot_75_leaves_a_fifth_of_a_radian",
     ),
     Row(
         "76",
         "r = qdd_des + K_P q_des + K_D qd_des",
-        "functions.catalogue:computed_torque envs.controllers:Feedback.corrected nn:ComputedTorque.forward",
+        "dynamics.tracking:commanded",
         f"{CONTROL}_a_robot_where_it_should_be_is_only_held",
     ),
     Row(
         "77",
         "a_c = K_P (q_des - q) + K_D (qd_des - qd) + qdd_des",
-        "functions.catalogue:computed_torque envs.controllers:Feedback.corrected nn:ComputedTorque.forward",
+        "dynamics.tracking:commanded",
         f"{OURS}[75]",
     ),
     Row(
         "78",
         "the same with the errors named: e'' + K_D e' + K_P e = 0",
-        "functions.catalogue:computed_torque envs.controllers:Feedback.corrected nn:ComputedTorque.forward",
+        "dynamics.tracking:commanded",
         f"{CONTROL}_the_error_dies_as_its_equation_says",
     ),
 )

@@ -12,6 +12,7 @@ from torch.nn.utils import parametrize
 from torchdq.backends.choice import BackendName
 from torchdq.checks import require_choice, require_number
 from torchdq.control import computed_torque
+from torchdq.dynamics.tracking import commanded
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, check_precision, forward_dynamics, inverse_dynamics
 from torchdq.functional import check as require_alike
@@ -337,7 +338,7 @@ class ComputedTorque(RobotModule):
         kp, kd = self.kp.to(q), self.kd.to(q)
         if self.model is not None:
             require_alike(self.robot, ("f_tip",), q=q, qd=qd, q_des=q_des, qd_des=qd_des, qdd_des=qdd_des, f_tip=f_tip)
-            return self.model(q, qd, qdd_des + kd * (qd_des - qd) + kp * (q_des - q), f_tip)  # (75)-(78), erratum 75
+            return self.model(q, qd, commanded(q, qd, q_des, qd_des, qdd_des, kp, kd), f_tip)
         tau = computed_torque(self.robot, q, qd, q_des, qd_des, qdd_des, kp, kd, f_tip, self.backend)
         if self.friction:
             tau = tau + friction_torque(qd, self._robot.damping, self._robot.friction, self.friction_width)

@@ -21,6 +21,7 @@ from torchdq.dynamics import posed as mechanics
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.paper.rnea import exerted_wrenches
 from torchdq.dynamics.posed import Posed
+from torchdq.dynamics.tracking import commanded
 from torchdq.errors import SingularInertiaError
 from torchdq.program import autodiff as derive
 from torchdq.program.program import GROWTH, Argument, Program, Value, record
@@ -80,11 +81,9 @@ def inverse_dynamics(x: RecipeInputs) -> Results:
 def computed_torque(x: RecipeInputs, *single: str) -> Results:
     """Torques tau of the desired acceleration, errors fed back; gains in `single` are one number for all joints."""
     given = {name: tuple(row) * x.robot.n if name in single else row for name, row in x.arguments.items()}
-    q, qd, q_des, qd_des, qdd_des, kp, kd = (given[name] for name in TRACKING)
-    columns = zip(q, qd, q_des, qd_des, qdd_des, kp, kd, strict=True)
-    a = [qdd_d + d * (qd_d - qd_i) + p * (q_d - q_i) for q_i, qd_i, q_d, qd_d, qdd_d, p, d in columns]  # (75)-(78)
+    a = list(map(commanded, *[given[name] for name in TRACKING]))
     at = x.posed()
-    return {"tau": at.torques(qd, a, x.exerted(at))}  # (73), (74), erratum 75
+    return {"tau": at.torques(given["qd"], a, x.exerted(at))}  # (73), (74)
 
 
 def mass_matrix(x: RecipeInputs) -> Results:
