@@ -1780,6 +1780,21 @@ MUTANTS = (
         ),
     ),
     *within(
+        "torchdq/nn.py",
+        (
+            "described friction left to a model that has none",
+            "model if isinstance(model, DQRNEA) else None",
+            "None",
+            f"{CONTROL}::test_a_model_that_learned_no_friction_is_compensated_as_its_robot",
+        ),
+        (
+            "described friction on top of the learned one",
+            'rigid is not None and "friction" not in rigid.learn',
+            "rigid is not None",
+            f"{CONTROL}::test_a_model_that_learned_no_friction_is_compensated_as_its_robot",
+        ),
+    ),
+    *within(
         "torchdq/parametrizations.py",
         (
             "negative values become tiny ones",

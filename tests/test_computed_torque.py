@@ -339,6 +339,36 @@ def test_learned_friction_takes_the_place_of_that_of_the_description():
     assert torch.allclose(controller(*state), expected, rtol=1e-12)
 
 
+@pytest.mark.parametrize("learn", [(), "mass", "offset", "friction"])
+@pytest.mark.parametrize("friction", [True, False])
+def test_a_model_that_learned_no_friction_is_compensated_as_its_robot(friction, learn):
+    """The described friction, unless it is switched off; the learned one instead where there is one; never both."""
+    robot, state = rubbing(), random(5, 4, 2)
+    model = torchdq.DQRNEA(robot, learn=learn, friction_width=0.3)
+    found = torchdq.ComputedTorque(model, 25.0, 10.0, friction=friction)(*state)
+    alike = torchdq.ComputedTorque(robot, 25.0, 10.0, learn=learn, friction_width=0.3, friction=friction)
+    torch.testing.assert_close(found, alike(*state), rtol=1e-12, atol=1e-12)
+    rigid = torchdq.ComputedTorque(robot, 25.0, 10.0, friction=False)(*state)
+    qd = state[1]
+    rubs = 2.0 * qd + 0.7 * qd / (qd.square() + 0.09).sqrt() if friction or learn == "friction" else 0 * qd
+    torch.testing.assert_close(found, rigid + rubs, rtol=1e-9, atol=1e-9)
+
+
+def test_a_residual_that_was_trained_on_torques_with_friction_gets_no_other():
+    """Its network learned measured torques less those of the model, which has none of the described friction."""
+    robot, state = rubbing(), random(5, 4, 2)
+    model = torchdq.ResidualDynamics(torchdq.DQRNEA(robot))
+    with torch.no_grad():  # a network that found the friction
+        model.correction = lambda features: 2.0 * features[..., 2] + 0.7 * features[..., 4]
+        found = torchdq.ComputedTorque(model, 25.0, 10.0)(*state)
+    torch.testing.assert_close(found, torchdq.ComputedTorque(robot, 25.0, 10.0)(*state), rtol=1e-12, atol=1e-12)
+
+
+def test_a_module_that_returns_no_torques_of_motions_is_no_model():
+    with pytest.raises(torchdq.ArgumentError, match="robot must be .* found a ForwardDynamics"):
+        torchdq.ComputedTorque(torchdq.ForwardDynamics(ARMS["two_link"]), 1.0, 1.0)
+
+
 @pytest.mark.parametrize("kind", ["layer", "residual"])
 def test_a_trained_model_is_taken_at_the_commanded_acceleration(kind):
     q, qd, q_des, qd_des, qdd_des = random(5, 3, 2)

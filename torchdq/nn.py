@@ -279,7 +279,9 @@ class ForwardDynamics(RobotModule):
 class ComputedTorque(RobotModule):
     """Computed torque controller: `forward(q, qd, q_des, qd_des, qdd_des, f_tip)` returns tau [..., n].
 
-    Friction is added at the measured velocity: the learned one, or that of the robot's description.
+    Friction is added at the measured velocity, once: the learned one, or else that of the robot's description. A
+    `ResidualDynamics` adds what its network found, which was trained on torques that include all friction that its
+    model does not learn; so that of the description is never added to its torques, nor to those of other modules.
 
     Args:
         robot: the model of the robot that is controlled; or a trained module, a `DQRNEA` with what it learned or a
@@ -289,7 +291,7 @@ class ComputedTorque(RobotModule):
             learned itself goes on being learned with it.
         backend, friction_width: as in `RobotModule`; a module has its own.
         friction: whether the damping and the friction of the robot's description are compensated, as
-            `torchdq.effects.Viscous` and `Coulomb` have them.
+            `torchdq.effects.Viscous` and `Coulomb` have them, where no friction is learned: of a robot or a `DQRNEA`.
 
     >>> import torchdq
     >>> controller = ComputedTorque(torchdq.robots.load("two_link"), kp=25.0, kd=10.0)
@@ -314,13 +316,20 @@ class ComputedTorque(RobotModule):
         robot = require_robot(robot if model is None else model.robot)
         names = (learn,) if isinstance(learn, str) else learn
         others = [name for name in names if name not in ("kp", "kd")] if isinstance(names, Sequence) else learn
+        if isinstance(model, RobotModule) and not isinstance(model, DQRNEA):
+            raise ArgumentError(
+                f"robot must be a torchdq.Robot or a module that returns torques of motions, a DQRNEA or a "
+                f"ResidualDynamics, found a {type(model).__name__}; its attribute `robot` is a robot"
+            )
         if model is not None and others:
             raise ArgumentError(
                 f"learn must be among 'kp' and 'kd' for a module, which learns by itself, found {learn!r}"
             )
-        super().__init__(robot, others, backend, friction_width)
+        super().__init__(robot, others, backend, getattr(model, "friction_width", friction_width))
         self.model = model
-        described = friction and model is None and "friction" not in self.learn
+        # the network of a residual learns all friction that its model leaves; other modules are taken as they are
+        rigid = self if model is None else model if isinstance(model, DQRNEA) else None
+        described = friction and rigid is not None and "friction" not in rigid.learn
         self.friction = described and bool((robot.damping != 0).any() or (robot.friction != 0).any())
         for name, gain in (("kp", kp), ("kd", kd)):
             value = _gain(name, gain)
@@ -338,8 +347,9 @@ class ComputedTorque(RobotModule):
         kp, kd = self.kp.to(q), self.kd.to(q)
         if self.model is not None:
             require_alike(self.robot, ("f_tip",), q=q, qd=qd, q_des=q_des, qd_des=qd_des, qdd_des=qdd_des, f_tip=f_tip)
-            return self.model(q, qd, commanded(q, qd, q_des, qd_des, qdd_des, kp, kd), f_tip)
-        tau = computed_torque(self.robot, q, qd, q_des, qd_des, qdd_des, kp, kd, f_tip, self.backend)
+            tau = self.model(q, qd, commanded(q, qd, q_des, qd_des, qdd_des, kp, kd), f_tip)
+        else:
+            tau = computed_torque(self.robot, q, qd, q_des, qd_des, qdd_des, kp, kd, f_tip, self.backend)
         if self.friction:
             tau = tau + friction_torque(qd, self._robot.damping, self._robot.friction, self.friction_width)
         learned = self._learned_torque(q, qd)
