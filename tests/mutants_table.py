@@ -1623,6 +1623,18 @@ MUTANTS = (
             "mimic.multiplier * at[driver]",
             f"{URDF}::test_the_followers_of_a_locked_joint_are_locked_where_the_file_puts_them",
         ),
+        (
+            "a robot without joints when all are locked",
+            "if movable and set(movable) <= set(locked):",
+            "if False:",
+            (f"{URDF}::test_locking_every_joint_is_refused", "reduced.py::test_locking_every_joint_is_refused"),
+        ),
+        (
+            "no joint to keep",
+            "if movable and joints is not None and not kept:",
+            "if False:",
+            f"{URDF}::test_joints_to_keep_are_one_at_least",
+        ),
     ),
     *within(
         "torchdq/robot/reduced.py",

@@ -365,7 +365,7 @@ def test_a_residual_that_was_trained_on_torques_with_friction_gets_no_other():
 
 
 def test_a_module_that_returns_no_torques_of_motions_is_no_model():
-    with pytest.raises(torchdq.ArgumentError, match="robot must be .* found a ForwardDynamics"):
+    with pytest.raises(torchdq.ArgumentError, match=r"robot must be .* found a ForwardDynamics"):
         torchdq.ComputedTorque(torchdq.ForwardDynamics(ARMS["two_link"]), 1.0, 1.0)
 
 

@@ -95,9 +95,10 @@ def test_a_robot_is_not_changed_by_locking_it():
     assert all(map(torch.equal, before, after)) and robot.n == 7
 
 
-def test_a_robot_with_every_joint_locked_has_none():
-    robot = torchdq.robots.load("panda").lock("*")
-    assert robot.n == 0 and robot.frames[-1].link == -1
+@pytest.mark.parametrize("lock", ["*", ["panda_joint*"]], ids=repr)
+def test_locking_every_joint_is_refused(lock):
+    with pytest.raises(ArgumentError, match=r"lock must leave at least one joint free, .*panda_joint7, which"):
+        torchdq.robots.load("panda").lock(lock)
 
 
 def test_a_batch_of_robots_is_locked_as_a_whole():

@@ -432,9 +432,27 @@ def test_the_right_joint_is_locked_whatever_its_name():
     assert torch.equal(torques(universe), torques(elbow))
 
 
-def test_a_robot_with_every_joint_locked_has_none():
-    robot = Robot.from_urdf(arm(), lock={"shoulder": 0.1, "elbow": 0.2})
-    assert robot.n == 0 and robot.frame_names == ("base", "upper", "lower")
+@pytest.mark.parametrize("lock", [{"shoulder": 0.1, "elbow": 0.2}, "*", ["shoulder", "elbow"]], ids=repr)
+def test_locking_every_joint_is_refused(lock):
+    with pytest.raises(
+        ArgumentError, match=r"lock must leave at least one joint free, .* locks shoulder, elbow, which"
+    ):
+        Robot.from_urdf(arm(), lock=lock)
+
+
+def test_locking_every_joint_by_those_that_follow_is_refused():
+    with pytest.raises(ArgumentError, match=r"lock must leave .* locks thumb, index, ring, little, which are all"):
+        Robot.from_urdf(FOLLOWING, lock="thumb")
+
+
+@pytest.mark.parametrize("joints", [[], ()], ids=repr)
+def test_joints_to_keep_are_one_at_least(joints):
+    with pytest.raises(ArgumentError, match="joints must name at least one joint to keep, found none; known: shoulder"):
+        Robot.from_urdf(arm(), joints=joints)
+
+
+def test_a_body_without_joints_has_none_to_keep_or_to_lock():
+    assert Robot.from_urdf(urdf(link("base")), joints=[]).n == Robot.from_urdf(urdf(link("base")), lock=[]).n == 0
 
 
 def test_locking_an_unknown_joint_names_the_closest():
@@ -465,15 +483,17 @@ def test_what_is_locked_is_named(lock):
         Robot.from_urdf(arm(), lock=lock)
 
 
-@pytest.mark.parametrize("lock", ["elbow", ["elbow"], ("elb*",), {"elbow"}, {"e*": 0}, {"*": 5.0, "elbow": 0.0}])
+@pytest.mark.parametrize("lock", ["elbow", ["elbow"], ("elb*",), {"elbow"}, {"e*": 0}])
 def test_joints_are_locked_by_names_and_patterns(lock):
     robot = Robot.from_urdf(tree(), lock={"left_?": 0.0})
     assert robot.joint_names == ("waist", "right_a")
     locked = Robot.from_urdf(arm(), lock=lock)
-    if len(lock) == 2:  # a name goes before a pattern
-        assert "locked: shoulder at 5, elbow at 0" in locked.notes
-    else:
-        assert torch.equal(torques(locked), torques(Robot.from_urdf(arm(), lock={"elbow": 0.0})))
+    assert torch.equal(torques(locked), torques(Robot.from_urdf(arm(), lock={"elbow": 0.0})))
+
+
+def test_a_name_to_lock_goes_before_a_pattern():
+    robot = Robot.from_urdf(tree(), lock={"left_*": 0.5, "left_a": 0.0})
+    assert any(note.startswith("locked: left_a at 0, left_b at 0.5") for note in robot.notes)
 
 
 def test_locked_at_zero_means_where_the_file_was_drawn():
@@ -516,6 +536,12 @@ def hand(*mimics):
     return urdf(link("base", None), *(link(f"{name}_link") for name in names), *joints)
 
 
+def beside(robot):
+    """A robot and, on its base, a joint that follows none and that none follows."""
+    more = link("other_link") + joint("other", "base", "other_link", "prismatic", more=LIMIT)
+    return robot.replace("</robot>", more + "</robot>")
+
+
 FOLLOWING = hand(
     "",
     '<mimic joint="thumb" multiplier="-2" offset="0.25"/>',
@@ -529,14 +555,14 @@ def lock_of(robot):
 
 
 def test_the_followers_of_a_locked_joint_are_locked_where_the_file_puts_them():
-    robot = Robot.from_urdf(FOLLOWING, lock={"thumb": 0.5})
-    assert robot.n == 0 and lock_of(robot) == "locked: thumb at 0.5, index at -0.75, ring at -0.375, little at 0.5"
-    assert same(position(robot, [], "index_link"), [0, 0, -0.75])
+    robot = Robot.from_urdf(beside(FOLLOWING), lock={"thumb": 0.5})
+    assert lock_of(robot) == "locked: thumb at 0.5, index at -0.75, ring at -0.375, little at 0.5"
+    assert robot.joint_names == ("other",) and same(position(robot, [0.0], "index_link"), [0, 0, -0.75])
     assert not any("independent" in note for note in robot.notes)
 
 
 def test_a_follower_that_is_named_itself_does_not_follow():
-    robot = Robot.from_urdf(FOLLOWING, lock={"thumb": 0.5, "index": 0.0})
+    robot = Robot.from_urdf(beside(FOLLOWING), lock={"thumb": 0.5, "index": 0.0})
     assert lock_of(robot) == "locked: thumb at 0.5, index at 0, ring at 0, little at 0.5"
     robot = Robot.from_urdf(FOLLOWING, joints="index", lock={"thumb": 0.5})
     assert robot.joint_names == ("index",) and lock_of(robot) == "locked: thumb at 0.5, ring at 0, little at 0.5"
@@ -549,15 +575,15 @@ def test_a_follower_that_is_locked_alone_is_told():
 
 
 def test_followers_of_unnamed_joints_are_locked_at_their_offset():
-    robot = Robot.from_urdf(FOLLOWING, joints=())
+    robot = Robot.from_urdf(beside(FOLLOWING), joints="other")
     assert lock_of(robot) == "locked: thumb at 0, index at 0.25, ring at 0.125, little at 0"
 
 
 @pytest.mark.parametrize("circle", [["index", "thumb"], ["thumb"], ["index", "ring", "thumb"]], ids=repr)
 def test_joints_that_mimic_each_other_are_locked_once(circle):
-    text = hand(*(f'<mimic joint="{name}" offset="1"/>' for name in circle))
-    assert len(Robot.from_urdf(text, lock=["thumb"]).joint_names) == 4 - len(circle)
-    assert Robot.from_urdf(text, joints=()).n == 0
+    text = beside(hand(*(f'<mimic joint="{name}" offset="1"/>' for name in circle)))
+    assert len(Robot.from_urdf(text, lock=["thumb"]).joint_names) == 5 - len(circle)
+    assert Robot.from_urdf(text, joints="other").n == 1
 
 
 @pytest.mark.parametrize("number", ["multiplier", "offset"])

@@ -17,7 +17,7 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import IDENTITY, SIX, matrices
 from torchdq.robot.description import Frame, Limits
-from torchdq.robot.urdf_lock import positions, told
+from torchdq.robot.urdf_lock import positions, require_free, told
 
 if TYPE_CHECKING:
     from torchdq.robot.robot import Robot
@@ -38,6 +38,7 @@ def lock(robot: Robot, lock: Mapping[str, float] | Sequence[str] | str) -> Robot
     """
     _require_constant_geometry(robot)
     given = positions(lock, robot.joint_names)
+    require_free(robot.joint_names, given)
     home = [0.0] * robot.n if robot.home is None else robot.home.tolist()
     limits = list(zip(robot.limits.lower.tolist(), robot.limits.upper.tolist(), strict=True))
     own = IDENTITY.to(robot.screw)

@@ -120,7 +120,7 @@ class Robot:
             tip: name of the frame of the end effector; None: the leaf of the tree, if there is only one.
             gravity: acceleration in the base frame [m/s^2]; None: none.
             on_unphysical: treatment of a body that cannot exist: "error" raises, "warn" warns, "ignore" only notes it.
-            joints: names or patterns of the joints to keep; the others are locked, at zero or as in `lock`.
+            joints: names or patterns of the joints to keep, at least one; the others are locked, at 0 or as in `lock`.
 
         Raises:
             DescriptionError: the text is not a usable URDF; every fault found is named.

@@ -61,10 +61,23 @@ def locked(document: Document, joints: Any, lock: Any) -> dict[str, float]:
         for name, mimic in followers.pop(driver, ()):
             at[name] = mimic.multiplier * at[driver] + mimic.offset
             drivers.append(name)
+    if movable and joints is not None and not kept:
+        raise ArgumentError(f"joints must name at least one joint to keep, found none; known: {', '.join(movable)}")
+    require_free(movable, at)
     for name, value in at.items():
         if not abs(value) <= MOST:
             raise ArgumentError(f"lock[{name!r}] must not exceed {MOST:g} in size, found {value:g}")
     return {name: at[name] for name in movable if name in at}
+
+
+def require_free(movable: Iterable[str], locked: Iterable[str]) -> None:
+    """Raise if every joint is locked; a robot that has none to begin with has nothing to lock."""
+    movable, locked = tuple(movable), tuple(locked)
+    if movable and set(movable) <= set(locked):
+        raise ArgumentError(
+            f"lock must leave at least one joint free, found that it locks {', '.join(movable)}, which are all (a "
+            f"joint that mimics a locked one is locked too); name fewer, or a joint to keep in `joints`"
+        )
 
 
 def notes_of(document: Document, lock: Mapping[str, float]) -> list[str]:
