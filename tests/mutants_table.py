@@ -1792,6 +1792,27 @@ MUTANTS = (
         ),
     ),
     *within(
+        "torchdq/robot/units.py",
+        (
+            "centres of mass in mm believed",
+            "far > max(FAR * length, SLENDER * radius)",
+            "far > 1e9",
+            "units.py::test_a_body_in_other_units_is_named_when_loaded_and_when_checked",
+        ),
+        (
+            "inertias in kg mm^2 believed",
+            "length > 0 and radius > LARGE * length",
+            "False",
+            "units.py::test_a_body_in_other_units_is_named_when_loaded_and_when_checked",
+        ),
+        (
+            "lengths of joints forgotten",
+            "ways[parent] + steps[i]",
+            "steps[i]",
+            "units.py::test_a_body_in_other_units_is_named_when_loaded_and_when_checked",
+        ),
+    ),
+    *within(
         "torchdq/nn.py",
         (
             "described friction left to a model that has none",

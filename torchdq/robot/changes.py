@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.robot import consistency, fields
+from torchdq.robot import consistency, fields, units
 from torchdq.robot.constants import version
 from torchdq.robot.description import Limits
 from torchdq.robot.fields import SHAPES
@@ -83,6 +83,7 @@ def check(robot: Robot) -> None:
     if not faults and not fields.batches(robot):
         faults = consistency.inert_joints(robot.joint_names, general_tree(robot, partial(plain, robot)))
     consistency.complain(robot.name, faults, "error")
+    units.doubts(robot)
 
 
 # --- robots in one batch ---------------------------------------------------------------------------------------------

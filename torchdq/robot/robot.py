@@ -20,7 +20,7 @@ from torchdq.dynamics.joints import KINDS, Helical, Prismatic, Revolute
 from torchdq.dynamics.tree import BASE, Tree
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.program.transforms import any_requires_grad
-from torchdq.robot import consistency, from_dh, from_screws, reduced, urdf
+from torchdq.robot import consistency, from_dh, from_screws, reduced, units, urdf
 from torchdq.robot.arrays import finite
 from torchdq.robot.changes import check, faults_of, require_fields, require_unchanged, stacked, values
 from torchdq.robot.consistency import OnUnphysical
@@ -120,6 +120,7 @@ class Robot:
             tip: name of the frame of the end effector; None: the leaf of the tree, if there is only one.
             gravity: acceleration in the base frame [m/s^2]; None: none.
             on_unphysical: treatment of a body that cannot exist: "error" raises, "warn" warns, "ignore" only notes it.
+                One far too large for the robot, as of numbers in mm, can exist: the first two warn, the last notes it.
             joints: names or patterns of the joints to keep, at least one; the others are locked, at 0 or as in `lock`.
 
         Raises:
@@ -220,7 +221,8 @@ class Robot:
             robot = robot.with_tip(tip)
         faults = faults + consistency.inert_joints(robot.joint_names, general_tree(robot, partial(plain, robot)))
         consistency.complain(robot.name, faults, on_unphysical)
-        return robot._with(notes=(*faults, *robot.notes))
+        doubts = units.doubts(robot, quiet=on_unphysical == "ignore")
+        return robot._with(notes=(*faults, *doubts, *robot.notes))
 
     # --- names ---
 
@@ -289,6 +291,8 @@ class Robot:
 
     def check(self) -> None:
         """Raise unless the robot can exist: the checks of a file on all present values, batches included.
+
+        Warns, as loading does, where a body is so far or so large that its numbers seem to be in other units.
 
         >>> import torchdq
         >>> torchdq.robots.load("two_link").check()  # raises nothing: this robot can exist

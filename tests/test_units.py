@@ -1,0 +1,102 @@
+"""Doubts about units: a body in mm or kg mm^2 on a robot in m is named, and no robot that exists is doubted."""
+
+import warnings
+
+import oracles
+import pytest
+import torch
+
+import torchdq
+from torchdq.robot import units
+
+CLEAR = 8.0  # factor by which every robot that exists stays below what is doubted
+EXISTING = [name for name in oracles.urdf_paths() if name not in oracles.UNREADABLE]
+
+
+def double(x):
+    return torch.tensor(x, dtype=torch.float64)
+
+
+def arm(*scaled, factor=1e3, **given):
+    """Arm of three links of 0.3 m, with quantities of the second one in other units."""
+    bodies = {
+        "mass": double([1.0, 0.8, 0.5]),
+        "com": double([[0.15, 0.01, 0.0]] * 3),
+        "inertia": double([[1e-4, 0.0, 8e-3, 0.0, 0.0, 8e-3]] * 3),
+    }
+    for name in scaled:
+        bodies[name][1] *= factor**2 if name == "inertia" else factor
+    tip = double([1.0, 0, 0, 0, 0, 0.15, 0, 0])
+    return torchdq.Robot.from_dh([0.3] * 3, [0.0] * 3, [0.0] * 3, [0.0] * 3, **bodies, tip_pose=tip, **given)
+
+
+@pytest.mark.parametrize(
+    "scaled, found",
+    [
+        (
+            ("com",),
+            r"link 'link2': com must be in m, found it 150\.3 m .* reach at most 3 m .*; is it in mm\?$",
+        ),
+        (("inertia",), r"link 'link2': inertia must be in kg m\^2 .* of 100\.3 m, .* is the inertia in kg mm\^2\?$"),
+        (("com", "inertia"), r"link 'link2': inertia must be in kg m\^2"),
+    ],
+)
+def test_a_body_in_other_units_is_named_when_loaded_and_when_checked(scaled, found):
+    with pytest.warns(UserWarning, match="robot 'robot' may have numbers in other units:\n  link 'link2'") as seen:
+        robot = arm(*scaled)
+    assert len(seen) == 1 and seen[0].filename == __file__
+    with pytest.warns(UserWarning, match=found) as seen:
+        robot.check()
+    assert len(seen) == 1 and seen[0].filename == __file__
+    (note,) = (note for note in robot.notes if note.startswith("link 'link2'"))
+    assert note in str(robot.report())
+
+
+def test_what_is_unphysical_by_consent_is_only_noted():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        robot = arm("com", on_unphysical="ignore")
+    assert "is it in mm?" in str(robot.report())
+
+
+def test_a_batch_is_doubted_for_one_of_its_robots():
+    robot = arm()
+    batch = robot.replace(com=torch.stack([robot.com, robot.com * double([[1.0], [1.0], [1e3]])]))
+    with pytest.warns(UserWarning, match=r"link 'link3': com must be in m, found it 150\.3 m"):
+        batch.check()
+
+
+def test_every_file_in_mm_of_an_arm_of_one_link_is_doubted():
+    """Without joints at a distance, the size of the body itself is what its centre of mass is compared with."""
+    text = (
+        '<robot name="r"><link name="base"/><link name="rod"><inertial><mass value="1"/><origin xyz="{} 0 0"/>'
+        '<inertia ixx="1e-4" iyy="0.03" izz="0.03" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="j" '
+        'type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 0 1"/></joint></robot>'
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        torchdq.Robot.from_urdf(text.format(0.3)).check()
+        with pytest.raises(UserWarning, match="com must be in m, found it 300 m"):
+            torchdq.Robot.from_urdf(text.format(300))
+
+
+def silent(robot):
+    """Whether a robot stays undoubted with limits that are lower by a clear factor."""
+    with pytest.MonkeyPatch.context() as patch:
+        for limit in ("FAR", "LARGE", "SLENDER"):
+            patch.setattr(units, limit, getattr(units, limit) / CLEAR)
+        return units.doubts(robot, quiet=True) == []
+
+
+@pytest.mark.parametrize("name", EXISTING)
+def test_no_robot_that_exists_is_doubted(name):
+    assert silent(torchdq.Robot.from_urdf(oracles.urdf_paths()[name], on_unphysical="ignore"))
+
+
+@pytest.mark.parametrize("name", torchdq.robots.names())
+def test_no_shipped_robot_is_doubted(name):
+    assert silent(torchdq.robots.load(name))
+
+
+def test_an_arm_in_its_units_is_not_doubted():
+    assert silent(arm())

@@ -1,0 +1,74 @@
+"""Doubts about the units of a robot: bodies that lie, or reach, far beyond everything else about it.
+
+A centre of mass in mm lies a thousand times too far from its frame, and an inertia in kg mm^2 is that of a body a
+thousand times too large. Such a robot can exist, so these are doubts and not faults. Masses and inertias that are all
+too large by one factor look like those of another material, and a mass in g like that of a point: neither is seen.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from torchdq.program.transforms import without_values
+
+if TYPE_CHECKING:
+    from torchdq.robot.robot import Robot
+
+# None of the 70 robots of example-robot-data and of this package has a centre of mass farther than 0.8 lengths of the
+# robot, or a body larger than 1.6: factors of ten and more below what is doubted.
+FAR = 10.0  # distance of a centre of mass from its frame that is doubted, in lengths of the robot
+LARGE = 16.0  # radius of gyration that is doubted, likewise
+SLENDER = 200.0  # distance of a centre of mass that is believed, in radii of gyration: a bob on a long string
+
+
+def doubts(robot: Robot, quiet: bool = False, stacklevel: int = 4) -> list[str]:
+    """Links whose numbers seem to be in other units than m, kg and kg m^2, and why; warns of them unless `quiet`.
+
+    `stacklevel` is as in `warnings.warn`. Numbers that cannot be read, inside a transform, are not doubted.
+    """
+    needed = (robot.X_PB_home, robot.screw, robot.mass, robot.com, robot.inertia, *robot.limits)
+    found = [] if without_values(needed) else [*_doubts(robot)]
+    if found and not quiet:
+        lines = "\n  ".join(found)
+        warnings.warn(f"robot {robot.name!r} may have numbers in other units:\n  {lines}", stacklevel=stacklevel)
+    return found
+
+
+def _doubts(robot: Robot) -> Iterator[str]:
+    length = _length(robot)
+    among = f"although its joints and frames reach at most {length:.3g} m from the base"
+    mass = robot.mass.detach().double()
+    spread = robot.inertia.detach().double()[..., (0, 2, 5)].sum(-1) / 2
+    radii = _largest((spread / mass.where(mass > 0, torch.inf)).clamp(min=0).sqrt())
+    away = _largest(robot.com.norm(dim=-1) * (robot.mass > 0))
+    for link, far, radius in zip(robot.link_names, away, radii, strict=True):
+        if max(length, radius) > 0 and far > max(FAR * length, SLENDER * radius):
+            yield f"link {link!r}: com must be in m, found it {far:.4g} m from the link's frame, {among}; is it in mm?"
+        if length > 0 and radius > LARGE * length:
+            yield (
+                f"link {link!r}: inertia must be in kg m^2 and mass in kg, found a radius of gyration "
+                f"sqrt(inertia / mass) of {radius:.4g} m, {among}; is the inertia in kg mm^2?"
+            )
+
+
+def _length(robot: Robot) -> float:
+    """Longest way [m] from the base along the joints to a frame, with sliding joints at their ends."""
+    steps = _largest(2 * robot.X_PB_home[..., 4:].norm(dim=-1))  # |translation| is twice the norm of the dual part
+    axes = _largest(robot.screw[..., 3:].norm(dim=-1))
+    ends = _largest(torch.stack([x.abs().where(x.isfinite(), 0.0) for x in (robot.limits.lower, robot.limits.upper)]))
+    ways = [0.0] * (robot.n + 1)  # the last is that of the base, whose index is -1
+    for i, (parent, joint) in enumerate(zip(robot.parents, robot.joint_types, strict=True)):
+        # a frame beside its axis is carried around it
+        ways[i] = ways[parent] + steps[i] + (2 * axes[i] if joint.turns else 0.0) + (ends[i] if joint.slides else 0.0)
+    return max(ways + [ways[frame.link] + 2 * float(frame.X_BF[4:].norm()) for frame in robot.frames])
+
+
+def _largest(x: Tensor) -> list[float]:
+    """Largest number of every link, [n], of [..., n]."""
+    x = x.detach().double()
+    return (x.flatten(0, -2).amax(0) if x.ndim > 1 else x).tolist()
