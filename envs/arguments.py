@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from numbers import Integral
 from pathlib import Path
+from typing import Any
 
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
 from torchdq.checks import require_tensor
+from torchdq.envs.rng import SEEDS
 from torchdq.envs.scene import Scene
 from torchdq.envs.tasks import EpisodeTask, Reach, Track
 from torchdq.errors import ArgumentError, UnknownNameError
@@ -24,10 +27,24 @@ TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track()}
 
 
 def autoreset_of(mode: AutoresetMode | str) -> AutoresetMode:
-    """Autoreset mode, by itself or by its value."""
-    if mode not in {name for member in AutoresetMode for name in (member, member.value)}:
-        raise ArgumentError(f"autoreset_mode must be one of {[*AutoresetMode]}, found {mode!r}")
-    return AutoresetMode(mode)
+    """Autoreset mode, by itself, by its value or by its name."""
+    for member in AutoresetMode:
+        if mode is member or (isinstance(mode, str) and mode in (member.value, member.name)):
+            return member
+    known = ", ".join(f"{member.name!r} or {member.value!r}" for member in AutoresetMode)
+    raise ArgumentError(f"autoreset_mode must be one of {known}, or a gymnasium.vector.AutoresetMode, found {mode!r}")
+
+
+def seeds_of(seed: Any, rows: int) -> list[int | None]:
+    """Seed of every row, from one number s, which is s + i in row i, or from one or None for each row."""
+    each = isinstance(seed, Sequence) and not isinstance(seed, str | bytes)
+    if each and len(seed) != rows:
+        raise ArgumentError(f"seed must be one number or {rows}, one for each environment, found {len(seed)}")
+    for x in seed if each else (seed,):
+        whole = isinstance(x, Integral) and not isinstance(x, bool) and 0 <= x < SEEDS
+        if not whole and not (each and x is None):
+            raise ArgumentError(f"seed must be a whole number from 0 and below {SEEDS}, or {rows} of them, found {x!r}")
+    return list(seed) if each else [int(seed) + i for i in range(rows)]
 
 
 def task_of(task: str | EpisodeTask) -> EpisodeTask:

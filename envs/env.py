@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
+from torchdq.envs.arguments import seeds_of
 from torchdq.envs.vector_env import ArmVectorEnv
 from torchdq.errors import ArgumentError
 
@@ -45,6 +46,8 @@ class ArmEnv(gymnasium.Env):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Observation at the start of a new episode, and an empty `info`."""
+        if seed is not None:
+            (seed,) = seeds_of(seed, 1)
         super().reset(seed=seed)
         observations, _ = self.envs.reset(seed=seed)
         return observations.cpu().numpy()[0], {}

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchdq.checks import device_of
 from torchdq.errors import ArgumentError
 
 _STEP = 0x9E3779B97F4A7C15  # 2^64 over the golden ratio
@@ -70,7 +71,7 @@ def seeded(seed: int | Sequence[int], size: int, device: torch.device | str = "c
     for s in seeds:
         if not isinstance(s, Integral) or not 0 <= int(s) < SEEDS:
             raise ArgumentError(f"seed must be a whole number from 0 and below {SEEDS}, found {s!r}")
-    key = torch.tensor(seeds, dtype=torch.int64, device=device)
+    key = torch.tensor(seeds, dtype=torch.int64, device=device_of("device", device))
     # twice, so that keys of neighbouring seeds are not neighbours in any stream
     key = _mixed(_mixed(key.mul_(_signed(_STEP)).add_(_signed(_FIRST))).add_(_signed(_STEP)))
     return Streams(key, torch.zeros_like(key))

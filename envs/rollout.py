@@ -51,7 +51,7 @@ def rollout(
         for k in range(first, last):
             given = {name: x[k] for name, x in series.items()}
             if policy is not None:
-                given["torque"] = _commanded(policy, state)
+                given["torque"] = _commanded(policy, state, scene.n)
             state = scene.step(state, **given)
             if lost == "stop" and bool(gone(state).any()):
                 break
@@ -102,8 +102,21 @@ def _length(series: Mapping[str, Tensor], steps: int | None, policy: Policy | No
     return total
 
 
-def _commanded(policy: Policy, state: State) -> Tensor:
+def _commanded(policy: Policy, state: State, n: int) -> Tensor:
     """Torques of a policy."""
-    torque = policy(state)
-    require_tensor("what policy returns", torque)
+    expected = f"torques, a tensor [..., {n}] of {state.q.dtype} like state.q"
+    try:
+        torque = policy(state)
+    except (TypeError, AttributeError) as error:
+        absent = [name for name in ("reading", "memory") if getattr(state, name) is None]
+        if not absent or "NoneType" not in str(error):
+            raise
+        raise ArgumentError(
+            f"policy must not use state.{' and state.'.join(absent)}, which is None, since the scene has no sensors or "
+            f"no effect with a memory, found that it may: {error}; state.measured is there without sensors, too"
+        ) from error
+    if not isinstance(torque, Tensor):
+        raise ArgumentError(f"policy must return {expected}, found {type(torque).__name__}")
+    if torque.shape[-1:] != (n,) or torque.dtype != state.q.dtype:
+        raise ArgumentError(f"policy must return {expected}, found {torque.dtype} of shape {tuple(torque.shape)}")
     return torque

@@ -20,7 +20,7 @@ class State(NamedTuple):
 
     @property
     def measured(self) -> tuple[Tensor, Tensor]:
-        """Positions and velocities as the sensors read them."""
+        """Positions and velocities as the sensors read them; without sensors, those of the state itself."""
         if self.reading is None:
             return self.q, self.qd
         n = self.q.shape[-1]

@@ -25,6 +25,7 @@ from typing import Any, NamedTuple, Protocol
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
+from torchdq.checks import Named
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.envs.spec import Rows, Task, View
 from torchdq.errors import ArgumentError, UnknownNameError
@@ -231,7 +232,8 @@ class Checked:
 
     def rows(self, view: View) -> Rows:
         """Rows of the task, and "valid"."""
-        robot, found = view.scene.spec.robot, self.task.rows(view)
+        kind = f"entry of view.inputs, which are those of {self._named('inputs')}, at a start without the action,"
+        robot, found = view.scene.spec.robot, self.task.rows(view._replace(inputs=Named(kind, view.inputs)))
         widths = {"observation": len(self.task.bounds(robot)), "reward": 1, "reference": 3 * robot.n}
         rows = self._rows("rows", found, widths)
         for name in rows:

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.checks import floating, require_tensor
+from torchdq.checks import Named, floating, require_tensor
 from torchdq.envs.state import State
 from torchdq.envs.tasks import SENSIBLE, EpisodeTask
 from torchdq.errors import ArgumentError, UnknownNameError
@@ -113,13 +113,25 @@ class Functions(NamedTuple):
         q, qd = state.measured
         time = steps.to(state.q.dtype) * self.dt
         action = torch.zeros_like(state.q) if action is None else action
-        return Now(self.robot, state.q, state.qd, q, qd, goal, time, action, rows)
+        return Now(self.robot, state.q, state.qd, q, qd, goal, time, action, Named("row in now.rows", rows))
+
+    def _called(self, name: str, *arguments: Any) -> Any:
+        """Result of a function of the task."""
+        try:
+            return getattr(self.task, name)(*arguments)
+        except RuntimeError as error:
+            if "Boolean value of Tensor" not in str(error):
+                raise
+            raise ArgumentError(
+                f"{name} of the task must not decide by if, and, or, not on a tensor, which has one value for each "
+                f"environment, found that it does; use torch.where(condition, a, b), and & | ~ in the condition"
+            ) from error
 
     def started(self, u: Tensor) -> dict[str, Tensor]:
         """Rows of the start that the task defines, of random numbers [N, draws]."""
         if self.task.start is None:
             return {}
-        found, widths = self.task.start(self.robot, u), {"q": self.robot.n, "qd": self.robot.n, "goal": None}
+        found, widths = self._called("start", self.robot, u), {"q": self.robot.n, "qd": self.robot.n, "goal": None}
         if not isinstance(found, Mapping):
             raise ArgumentError(f"start must return a dict of {', '.join(widths)}, found {type(found).__name__}")
         for name in found:
@@ -140,16 +152,16 @@ class Functions(NamedTuple):
         """Observation [N, k]."""
         if self.task.observation is None:
             return now.rows["observation"]
-        return _row("observation", self.task.observation(now), (len(now.q), len(self.task.bounds or ())), now.q)
+        return _row("observation", self._called("observation", now), (len(now.q), len(self.task.bounds or ())), now.q)
 
     def after(self, now: Now) -> dict[str, Tensor]:
         """Rows of a step; "valid" is 0 where a function returned what is not finite."""
         versions = _versions(now)
         rows = {**now.rows, "observation": self.observed(now)}
         if self.task.reward is not None:
-            rows["reward"] = _row("reward", self.task.reward(now), (len(now.q),), now.q)
+            rows["reward"] = _row("reward", self._called("reward", now), (len(now.q),), now.q)
         if self.task.terminated is not None:
-            ended = self.task.terminated(now)
+            ended = self._called("terminated", now)
             require_tensor("terminated of the task", ended)
             if ended.dtype != torch.bool or ended.shape != now.q.shape[:1]:
                 raise ArgumentError(

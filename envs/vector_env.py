@@ -17,6 +17,7 @@ Other libraries take an `ArmVectorEnv`:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -29,10 +30,10 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.checks import dtype_of, require_choice, require_count
+from torchdq.checks import device_of, dtype_of, require_choice, require_count
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, full
-from torchdq.envs.arguments import autoreset_of, check_scene, check_state, robot_of, task_of
+from torchdq.envs.arguments import autoreset_of, check_scene, check_state, robot_of, seeds_of, task_of
 from torchdq.envs.controllers import ComputedTorque, Controller
 from torchdq.envs.defaults import nominal, usual
 from torchdq.envs.integrators import Integrator, LinearlyImplicit
@@ -132,7 +133,7 @@ class ArmVectorEnv(VectorEnv):
         functions = task if isinstance(task, TorchTask) else None
         self.task = task_of(task.recorded if isinstance(task, TorchTask) else task)
         self.robot = robot_of(robot)
-        self.dtype, self.device = dtype_of("dtype", dtype), torch.device(device)
+        self.dtype, self.device = dtype_of("dtype", dtype), device_of("device", device)
         self.autoreset_mode, self.render_mode = autoreset_of(autoreset_mode), render_mode
         like = torch.empty(0, dtype=self.dtype, device=self.device)
         scene = Scene(
@@ -339,13 +340,9 @@ class ArmVectorEnv(VectorEnv):
         """Random numbers with some rows seeded."""
         if isinstance(seed, Tensor | np.ndarray):
             seed = seed.tolist()
-        if isinstance(seed, Sequence):
-            seeds = list(seed)
-        else:
+        seeds = seeds_of(seed, self.num_envs)
+        if isinstance(seed, Integral):
             super().reset(seed=int(seed))
-            seeds = [int(seed) + i for i in range(self.num_envs)]
-        if len(seeds) != self.num_envs:
-            raise ArgumentError(f"seed must be one number or {self.num_envs}, found {len(seeds)}")
         chosen = {i: s for i in rows.tolist() if (s := seeds[i]) is not None}
         fresh = seeded(list(chosen.values()), len(chosen), self.device)
         chosen_rows = torch.tensor(list(chosen), dtype=torch.int64, device=self.device)

@@ -1792,6 +1792,15 @@ MUTANTS = (
         ),
     ),
     *within(
+        "torchdq/checks.py",
+        (
+            "devices in torch's own words",
+            "torch.empty(0, device=device)",
+            "pass",
+            "envs.py::test_wrong_arguments_are_refused",
+        ),
+    ),
+    *within(
         "torchdq/robot/units.py",
         (
             "centres of mass in mm believed",
@@ -1819,6 +1828,12 @@ MUTANTS = (
             "model if isinstance(model, DQRNEA) else None",
             "None",
             f"{CONTROL}::test_a_model_that_learned_no_friction_is_compensated_as_its_robot",
+        ),
+        (
+            "TorchScript that says nothing",
+            "def __prepare_scriptable__(self)",
+            "def _prepare_scriptable_(self)",
+            f"{PARAMETERS}::test_a_layer_says_what_takes_the_place_of_torchscript",
         ),
         (
             "described friction on top of the learned one",
@@ -2178,6 +2193,12 @@ MUTANTS = (
     *within(
         "envs/arguments.py",
         (
+            "seeds of any kind",
+            "if not whole and not (each and x is None):",
+            "if False:",
+            "envs.py::test_a_seed_that_is_none_is_refused_by_name",
+        ),
+        (
             "saved states that are not finite",
             "else ~x.isfinite()",
             "else x.isnan() & ~x.isnan()",
@@ -2201,6 +2222,18 @@ MUTANTS = (
     ),
     *within(
         "envs/torch_task.py",
+        (
+            "decisions for all rows at once in torch's own words",
+            'if "Boolean value of Tensor" not in str(error):',
+            "if True:",
+            "torch_task.py::test_a_function_that_decides_for_all_rows_at_once_is_told_of_where",
+        ),
+        (
+            "unknown rows in the words of a dict",
+            'Named("row in now.rows", rows)',
+            "rows",
+            "torch_task.py::test_an_unknown_row_is_refused_with_those_there_are",
+        ),
         (
             "functions whose failures do not end an episode",
             'rows["valid"] * sound',

@@ -394,6 +394,19 @@ def test_wrong_masks_are_refused(mask):
         envs.reset(options={"reset_mask": mask})
 
 
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_a_mode_of_resets_may_be_named_in_both_ways(mode):
+    assert make(autoreset_mode=mode.name).autoreset_mode is make(autoreset_mode=mode.value).autoreset_mode is mode
+
+
+@pytest.mark.parametrize("single", [False, True], ids=["five", "one"])
+@pytest.mark.parametrize("seed", ["a", 1.5, -1, True, 2**63, [1, 2, 3], [1, "a", 2, 3, 4], [0.5], [True] * 5])
+def test_a_seed_that_is_none_is_refused_by_name(seed, single):
+    envs = ArmEnv(robot="panda") if single else make()
+    with pytest.raises(torchdq.ArgumentError, match=r"^seed must be (a whole number from 0|one number or)"):
+        envs.reset(seed=seed)
+
+
 def test_calls_in_the_wrong_order_are_refused():
     envs = make()
     for call in (lambda: envs.step(torch.zeros(5, 2)), envs.get_state,
@@ -860,7 +873,11 @@ class Unhashable(Reach):
         ({"task": 3}, "task must be the name of one"),
         ({"task": Reach}, "Reach is a class, call it"),
         ({"task": Unhashable()}, "task must be hashable, found Unhashable"),
-        ({"autoreset_mode": "later"}, "autoreset_mode must be one of"),
+        ({"autoreset_mode": "later"}, "autoreset_mode must be one of .*'DISABLED' or 'Disabled'.* found 'later'"),
+        ({"autoreset_mode": ["Disabled"]}, "autoreset_mode must be one of"),
+        ({"device": "cuda:99"}, "device must be a device that torch has on this machine, .*found 'cuda:99'"),
+        ({"device": "gpu"}, "device must be a device that torch has on this machine, which are cpu.*found 'gpu'"),
+        ({"robot": torchdq.robots.load("panda").with_tip(None)}, r"^tip of robot 'panda' must be chosen .*with_tip\("),
         ({"dt": 0.0}, "dt must be a positive number"),
         ({"effects": (effects.Gravity,)}, "it is a class, call it"),
         ({"num_envs": 0}, "num_envs must be a whole number from 1"),

@@ -5,7 +5,9 @@ same effects simulates, and formulas are written out here.
 """
 
 import copy
+import math
 import pickle
+import re
 
 import helpers
 import numpy as np
@@ -571,9 +573,34 @@ def test_a_whole_arm_is_found_from_torques_but_for_what_torques_do_not_show():
 def test_negative_values_are_refused(name):
     module = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=(name,))
     before = getattr(module, name).detach()
-    with pytest.raises(torchdq.ArgumentError, match="value must not be negative, found -"):
+    with pytest.raises(torchdq.ArgumentError, match=f"^{name} must not be negative, found -"):
         setattr(module, name, -before)
     assert torch.equal(getattr(module, name), before)
+
+
+@pytest.mark.parametrize(
+    "name, value, expected",
+    [
+        ("mass", [math.nan, 1.0], "mass must be finite, found nan at (0,)"),
+        ("viscous", [1.0, -2.0], "viscous must not be negative, found -2"),
+        ("coulomb", [1.0, -2.0], "coulomb must not be negative, found -2"),
+        ("inertia", [[math.inf] * 6] * 2, "inertia must be finite, found inf at (0, 0)"),
+        ("inertia", [[1.0] * 5] * 2, "inertia must have the shape [..., 6], xx xy yy xz yz zz, found (2, 5)"),
+    ],
+)
+def test_a_quantity_that_cannot_be_set_is_named(name, value, expected):
+    module = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=("mass", "inertia", "friction"))
+    for one in (module, pickle.loads(pickle.dumps(module))):
+        with pytest.raises(torchdq.ArgumentError, match=f"^{re.escape(expected)}"):
+            setattr(one, name, torch.tensor(value))
+
+
+@pytest.mark.parametrize("kind", ["DQRNEA", "ForwardDynamics", "ResidualDynamics"])
+def test_a_layer_says_what_takes_the_place_of_torchscript(kind):
+    layer = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn="mass")
+    layer = layer if kind == "DQRNEA" else getattr(torchdq, kind)(layer.robot if kind == "ForwardDynamics" else layer)
+    with pytest.raises(torchdq.ArgumentError, match=r"^torch\.jit\.script cannot compile a .*use torch\.compile"):
+        torch.jit.script(layer)
 
 
 def test_negative_friction_of_a_description_is_not_another_one():

@@ -1036,6 +1036,24 @@ def test_learned_and_transformed_values_are_not_read():
             robot.check()
 
 
+@pytest.mark.parametrize("way", ["data", "numpy"])
+def test_writes_that_torch_does_not_count_change_nothing(way):
+    """`Robot.replace` says so; `x[...] = ` is counted, and refused."""
+    robot, q = two(), torch.ones(2, dtype=F64)
+    before = torchdq.inverse_dynamics(robot, q)
+    (robot.mass.data if way == "data" else robot.mass.numpy())[:] = 5.0
+    assert robot.mass._version == 0 and torch.equal(torchdq.inverse_dynamics(robot, q), before)
+    robot.mass[:] = 5.0
+    with pytest.raises(ArgumentError, match=r"mass of robot .* was changed in place"):
+        torchdq.inverse_dynamics(robot, q)
+
+
+@pytest.mark.parametrize("device", ["cuda:99", "gpu", 3.5], ids=repr)
+def test_a_device_that_is_not_there_is_named(device):
+    with pytest.raises(ArgumentError, match=r"^device must be a device that torch has on this machine, which are cpu"):
+        two().to(device=device)
+
+
 def test_a_shipped_robot_passes_its_check():
     for name in sorted(set(SHIPPED) - {"puma560"}):
         torchdq.robots.load(name).check()

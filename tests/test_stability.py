@@ -274,8 +274,16 @@ Q = torch.zeros(3, 2, dtype=torch.float64)
         (lambda s: s.rollout(s.start(Q), policy=lambda x: x.q), "steps and the first axes of the inputs must agree"),
         (lambda s: s.rollout(s.start(Q), Q, policy=lambda x: x.q), "torque and policy exclude each other"),
         (lambda s: s.rollout(s.start(Q), steps=2, policy=Q), "policy must be a function of the state"),
-        (lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: None), "what policy returns must be a tensor"),
-        (lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: Q[:, :1]), r"torque must have the shape \[..., 2\]"),
+        (lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: None), "policy must return torques, a tensor"),
+        (
+            lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: Q[:, :1]),
+            r"policy must return torques, .*\[..., 2\]",
+        ),
+        (lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: x.q.float()), r"policy .* found torch.float32 of"),
+        (
+            lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: x.reading[..., :2]),
+            "policy must not use state.reading and state.memory, which is None, .*state.measured is there",
+        ),
         (lambda s: s.rollout(s.start(Q), steps=2, lost="ignore"), "lost must be one of 'warn', 'stop', 'keep'"),
     ],
 )

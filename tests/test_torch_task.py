@@ -192,6 +192,48 @@ def test_a_policy_is_found_by_trying():
     assert mean[0] > 0.5 and returns[-1] > 0.4 * returns[0]  # from swinging about to staying there
 
 
+@pytest.mark.parametrize("name", ["reward", "observation", "terminated"])
+def test_an_unknown_row_is_refused_with_those_there_are(name):
+    task = TorchTask(**{name: lambda now: now.rows["energy"]}, **({"bounds": BOUNDS} if name == "observation" else {}))
+    with pytest.raises(torchdq.UnknownNameError, match=r"no row in now\.rows named 'energy'.*known: .*distance"):
+        envs = make(task)
+        envs.reset(seed=0)
+        envs.step(torch.zeros(5, 2))
+
+
+@pytest.mark.parametrize("name", ["reward", "observation", "terminated", "start"])
+def test_a_function_that_decides_for_all_rows_at_once_is_told_of_where(name):
+    def decides(now, u=None):
+        return now.q if (now.q if u is None else u)[:, 0] > 0 else now.qd
+
+    more = {"observation": {"bounds": BOUNDS}, "start": {"draws": 2}}.get(name, {})
+    task = TorchTask(**{name: decides}, **more)
+    with pytest.raises(torchdq.ArgumentError, match=rf"^{name} of the task must not decide by if.* use torch\.where"):
+        envs = make(task)
+        envs.reset(seed=0)
+        envs.step(torch.zeros(5, 2))
+
+
+def test_another_error_of_a_function_stays_what_it_is():
+    envs = make(TorchTask(reward=lambda now: now.q @ now.q))
+    envs.reset(seed=0)
+    with pytest.raises(RuntimeError, match="shapes cannot be multiplied"):
+        envs.step(torch.zeros(5, 2))
+
+
+@dataclass(frozen=True)
+class Timed(Reach):
+    """A recorded task that reads an input that it did not ask for."""
+
+    def rows(self, view):
+        return super().rows(view) | {"late": view.inputs["time"]}
+
+
+def test_an_input_that_a_recorded_task_did_not_ask_for_is_named():
+    with pytest.raises(torchdq.UnknownNameError, match=r"those of Timed\.inputs, .* named 'time'; .*goal"):
+        make(Timed()).reset(seed=0)
+
+
 def test_a_function_that_writes_in_place_is_refused():
     envs = ArmVectorEnv(2, TorchTask("reach", lambda now: now.q.mul_(0).sum(1)), "two_link", scale=10.0)
     envs.reset(seed=0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence, Set
+from collections.abc import Iterable, Mapping, Sequence, Set
 from fnmatch import fnmatchcase
 from typing import Any, NoReturn, TypeVar
 
@@ -29,6 +29,21 @@ def frozen(cls: Class) -> Class:
 
     cls.__setattr__ = cls.__delattr__ = refuse  # type: ignore[assignment]
     return cls
+
+
+class Named(dict[str, Any]):
+    """Dictionary whose error for an unknown name says which names there are.
+
+    >>> "x" in Named("row", {"x": 1}), Named("row", {"x": 1}).get("y")
+    (True, None)
+    """
+
+    def __init__(self, kind: str, entries: Mapping[str, Any]):
+        super().__init__(entries)
+        self.kind = kind
+
+    def __missing__(self, name: str) -> NoReturn:
+        raise UnknownNameError(self.kind, name, self, every=True)
 
 
 def require_tensor(name: str, x: Any) -> None:
@@ -92,6 +107,25 @@ def _words(name: str, x: Any, known: tuple[str, ...], expected: str) -> tuple[st
     if not isinstance(words, Sequence | Set) or not all(isinstance(one, str) for one in words):
         raise ArgumentError(f"{name} must be {expected}, found {x!r}; known: {', '.join(known)}")
     return tuple(words)
+
+
+def device_of(name: str, x: Any) -> torch.device:
+    """Device, by itself or by its name; raises unless torch can hold a tensor there."""
+    try:
+        device = torch.device(x)
+        torch.empty(0, device=device)
+    except (
+        RuntimeError,
+        AssertionError,
+        TypeError,
+    ) as error:  # torch raises the second where it was built without CUDA
+        present = ["cpu", *(f"cuda:{i}" for i in range(torch.cuda.device_count()))]
+        reason = str(error).partition("\n")[0]
+        raise ArgumentError(
+            f"{name} must be a device that torch has on this machine, which are {', '.join(present)}, found {x!r} "
+            f"({reason}); choose one of them, or install a torch that was built for the device"
+        ) from error
+    return device
 
 
 def dtype_of(name: str, x: Any) -> torch.dtype:

@@ -19,6 +19,7 @@ import torch
 from torch import Tensor
 
 from torchdq import dq
+from torchdq.checks import device_of
 from torchdq.dq.components import checked
 from torchdq.errors import ArgumentError
 from torchdq.optional import imported
@@ -98,6 +99,7 @@ def from_scipy(
     transform: RigidTransform, dtype: torch.dtype = torch.float64, device: torch.device | str | None = None
 ) -> Tensor:
     """Poses X_AB [..., 8] of a scipy RigidTransform, with its leading axes."""
+    device = None if device is None else device_of("device", device)
     return torch.as_tensor(transform.as_dual_quat(scalar_first=True).copy(), dtype=dtype, device=device)
 
 
@@ -119,6 +121,7 @@ def from_pinocchio(
 ) -> Tensor:
     """Pose X_AB [8], with w >= 0, of Pinocchio's placement aMb."""
     matrix: Any = placement.homogeneous
+    device = None if device is None else device_of("device", device)
     return dq.from_matrix(torch.tensor(matrix, dtype=torch.float64)).to(dtype=dtype, device=device)
 
 

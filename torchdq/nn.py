@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, get_args
+from typing import Any, NoReturn, get_args
 
 import torch
 from torch import Tensor, nn
@@ -22,7 +22,7 @@ from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import SHAPES
 
 # parametrisation of each constrained quantity
-CONSTRAINED: dict[str, type[nn.Module]] = {
+CONSTRAINED: dict[str, type[Positive | PhysicalInertia]] = {
     **dict.fromkeys(("mass", "armature", "viscous", "coulomb"), Positive),
     "inertia": PhysicalInertia,
 }
@@ -86,7 +86,7 @@ class RobotModule(nn.Module):
             for quantity, value in _initial_values(robot, name).items():
                 self.register_parameter(quantity, nn.Parameter(value))
                 if quantity in CONSTRAINED:
-                    parametrize.register_parametrization(self, quantity, CONSTRAINED[quantity]())
+                    parametrize.register_parametrization(self, quantity, CONSTRAINED[quantity](quantity))
                 if quantity in CONSTRAINED or quantity == "com":
                     self._initial[quantity] = self._unconstrained(quantity).detach().clone()
 
@@ -164,6 +164,13 @@ class RobotModule(nn.Module):
         spread = inertia[..., (0, 2, 5)].sum(-1) / 2
         # without a mass the ratio is undefined, and the least size is as good as any
         return (spread / mass.where(mass > 0, torch.inf)).clamp(min=SMALLEST_SIZE**2)
+
+    def __prepare_scriptable__(self) -> NoReturn:
+        kind = parametrize.type_before_parametrizations(self).__name__
+        raise ArgumentError(
+            f"torch.jit.script cannot compile a {kind}, which runs a program that is compiled for its robot already; "
+            f"use torch.compile, torch.export.export, or torch.jit.trace with example inputs"
+        )
 
     def extra_repr(self) -> str:
         """Robot, for `print(module)`."""

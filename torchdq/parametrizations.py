@@ -29,10 +29,20 @@ SUMS = (
 )
 
 
-class Positive(nn.Module):
+class _Quantity(nn.Module):
+    """Parametrisation of a quantity with a name, which errors state."""
+
+    name = "value"  # until one is given
+
+    def __init__(self, name: str = name):
+        super().__init__()
+        self.name = name
+
+
+class Positive(_Quantity):
     """Positive numbers as exponentials of unconstrained ones, between exp(-30) and exp(30).
 
-    Zero is no exponential, and becomes 1e-6 (in SI units).
+    Zero is no exponential, and becomes 1e-6 (in SI units). Errors call the numbers by `name`.
 
     >>> form = Positive()
     >>> form(torch.tensor([-1e9, 0.0])), form(form.right_inverse(torch.tensor([0.0, 2.5])))
@@ -45,13 +55,13 @@ class Positive(nn.Module):
 
     def right_inverse(self, value: Tensor) -> Tensor:
         """Unconstrained numbers of given values; raises `ArgumentError` unless they are finite and not negative."""
-        require_finite(value=value)
+        require_finite(**{self.name: value})
         if bool((value < 0).any()):
-            raise ArgumentError(f"value must not be negative, found {value[value < 0][0].item():g}")
+            raise ArgumentError(f"{self.name} must not be negative, found {value[value < 0][0].item():g}")
         return value.where(value > 0, SMALLEST).log()
 
 
-class PhysicalInertia(nn.Module):
+class PhysicalInertia(_Quantity):
     """Inertias [..., 6] about the centre of mass (xx xy yy xz yz zz) of bodies that can exist.
 
     A positive mass distribution is one whose second moments Sigma = tr(I)/2 1 - I are positive definite, which is that
@@ -72,8 +82,8 @@ class PhysicalInertia(nn.Module):
     pairs: Tensor
     sums: Tensor
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, name: str = "inertia"):
+        super().__init__(name)
         # whole numbers, which follow the device but not the dtype of a module
         self.register_buffer("diagonal", torch.tensor([1, 0, 1, 0, 0, 1], dtype=torch.bool), persistent=False)
         pairs = torch.tensor([["abcdef".index(x) for x in pair] for pair in PRODUCTS])
@@ -98,7 +108,11 @@ class PhysicalInertia(nn.Module):
         Raises:
             ArgumentError: a value is not finite.
         """
-        require_finite(value=value)
+        require_finite(**{self.name: value})
+        if value.shape[-1:] != (6,):
+            raise ArgumentError(
+                f"{self.name} must have the shape [..., 6], xx xy yy xz yz zz, found {tuple(value.shape)}"
+            )
         second = second_moments(value.to(torch.float64))
         moments, axes = torch.linalg.eigh(second)
         floor = (FLAT * moments.clamp(min=0).sum(-1, keepdim=True)).where(moments[..., -1:] > 0, POINT)

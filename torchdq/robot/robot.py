@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from operator import methodcaller
 from os import PathLike
 from typing import IO, Any, Literal
 
@@ -15,7 +16,7 @@ from torch.compiler import is_compiling
 
 from torchdq.algebra.inertia import six
 from torchdq.caches import PROGRAMS, remembered
-from torchdq.checks import frozen
+from torchdq.checks import device_of, frozen
 from torchdq.dynamics.joints import KINDS, Helical, Prismatic, Revolute
 from torchdq.dynamics.tree import BASE, Tree
 from torchdq.errors import ArgumentError, UnknownNameError
@@ -261,7 +262,9 @@ class Robot:
 
         A replaced physical tensor becomes an argument of the programs, so new values, batches and gradients need no new
         program; `bake` makes it a constant again. New values are checked as a file's are, with `on_unphysical` as in
-        `from_urdf`; batches, and tensors that require grad or are inside a transform, only by `check`.
+        `from_urdf`; batches, and tensors that require grad or are inside a transform, only by `check`. A tensor that
+        was written in place is refused at the next call; not so through `x.data[...]` or `x.numpy()[...]`, which torch
+        does not count: the programs go on with the numbers of before.
 
         Raises:
             UnknownNameError, ArgumentError, DtypeError: there is no such field, or a value does not fit the robot.
@@ -290,9 +293,7 @@ class Robot:
         return dataclasses.replace(self, **changes, _arguments=names)
 
     def check(self) -> None:
-        """Raise unless the robot can exist: the checks of a file on all present values, batches included.
-
-        Warns, as loading does, where a body is so far or so large that its numbers seem to be in other units.
+        """Raise unless the robot can exist, and warn of other units: a file's checks on all values, batches included.
 
         >>> import torchdq
         >>> torchdq.robots.load("two_link").check()  # raises nothing: this robot can exist
@@ -331,8 +332,8 @@ class Robot:
         """Frame of the end effector; raises `ArgumentError` if none was chosen or if it does not move."""
         if self.tip is None:
             raise ArgumentError(
-                f"f_tip needs an end effector, and robot {self.name!r} has none chosen; load it with tip=, or use "
-                f"robot.with_tip(name) with one of {', '.join(self.frame_names)}"
+                f"tip of robot {self.name!r} must be chosen for an end effector, which f_tip and reaching tasks need; "
+                f"found None; load it with tip=, or use robot.with_tip(name) with one of {', '.join(self.frame_names)}"
             )
         frame = self.frame(self.tip)
         if frame.link == BASE:
@@ -343,9 +344,8 @@ class Robot:
         """Robot with all tensors converted to a dtype and moved to a device."""
         require_unchanged(self)
 
-        def cast(x: Tensor) -> Tensor:
-            return x.to(dtype=dtype, device=device)
-
+        device = None if device is None else device_of("device", device)
+        cast = methodcaller("to", dtype=dtype, device=device)
         fields = {name: getattr(self, name) for name in (*SHAPES, "damping", "friction")}
         changes: dict[str, Any] = {name: None if x is None else cast(x) for name, x in fields.items()}
         changes["limits"] = Limits(*map(cast, self.limits))
