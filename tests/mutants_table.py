@@ -1801,6 +1801,21 @@ MUTANTS = (
         ),
     ),
     *within(
+        "torchdq/functional.py",
+        (
+            "many programs of single frames in silence",
+            "number > FEW and seconds > FIRST",
+            "False",
+            "notice.py::test_frames_one_by_one_are_told_once_when_their_programs_took_long",
+        ),
+        (
+            "seconds of calls that build nothing",
+            "if recordings() != before:",
+            "if True:",
+            "notice.py::test_quick_programs_and_programs_that_are_there_are_no_reason_to_warn",
+        ),
+    ),
+    *within(
         "torchdq/robot/units.py",
         (
             "centres of mass in mm believed",

@@ -8,9 +8,10 @@ import time
 import warnings
 
 import pytest
+import torch
 
 import torchdq
-from torchdq import notice
+from torchdq import functional, notice
 from torchdq.notice import Notice, warn_once
 
 
@@ -90,3 +91,57 @@ def test_a_topic_is_warned_about_once_until_the_caches_are_cleared():
     torchdq.clear_caches()
     with pytest.warns(UserWarning, match="text"):
         warn_once("a topic of this test", "text")
+
+
+# --- programs of single frames ---------------------------------------------------------------------------------------
+
+
+def frame_by_frame(robot, name):
+    """Calls for every frame of a robot, one by one, with the warnings."""
+    q = torch.zeros(robot.n, dtype=torch.float64)
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        for frame in robot.frame_names:
+            getattr(torchdq, name)(robot, q, frame, backend="eager")
+    return [(str(one.message), one.filename) for one in seen]
+
+
+@pytest.mark.parametrize("name", ["forward_kinematics", "jacobian"])
+def test_frames_one_by_one_are_told_once_when_their_programs_took_long(name, monkeypatch):
+    torchdq.clear_caches()
+    robot = torchdq.robots.load("panda")
+    monkeypatch.setattr(functional, "FIRST", 0.0)
+    ((text, file),) = frame_by_frame(robot, name)
+    assert text.startswith(f"{name} built 3 programs in 0.") and "one for each frame of robot 'panda'; " in text
+    assert file == __file__ and ("frame=[...] takes" in text) == (name == "forward_kinematics")
+    assert frame_by_frame(robot, name) == []
+    assert len(frame_by_frame(torchdq.robots.load("ur10e"), name)) == 1
+
+
+def test_quick_programs_and_programs_that_are_there_are_no_reason_to_warn(monkeypatch):
+    torchdq.clear_caches()
+    monkeypatch.setattr(functional, "FIRST", 1e9)
+    robot = torchdq.robots.load("panda")
+    assert frame_by_frame(robot, "forward_kinematics") == []
+    monkeypatch.setattr(functional, "FIRST", 0.0)
+    assert frame_by_frame(robot, "forward_kinematics") == []  # nothing is built
+
+
+def test_several_frames_come_from_one_program():
+    torchdq.clear_caches()
+    robot, q = torchdq.robots.load("panda"), torch.ones(3, 7, dtype=torch.float64)
+    names = ["tip", "panda_link3", "base"]
+    found = torchdq.forward_kinematics(robot, q, names)
+    assert found.shape == (3, 3, 8) and functional.recordings() == 1
+    each = [torchdq.forward_kinematics(robot, q, name) for name in names]
+    torch.testing.assert_close(found, torch.stack(each, -2), rtol=1e-14, atol=1e-14)
+    assert torchdq.forward_kinematics(robot, q, ["tip"]).shape == (3, 1, 8)
+
+
+@pytest.mark.parametrize("frames", [[], 5, ["tip", "hand"], [1]], ids=repr)
+def test_frames_that_are_none_are_refused(frames):
+    robot = torchdq.robots.load("panda")
+    with pytest.raises(
+        torchdq.TorchdqError, match=r"frame must (name one|be a name or a seq)|no frame .* named 'hand'"
+    ):
+        torchdq.forward_kinematics(robot, torch.zeros(7), frames)

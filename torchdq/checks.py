@@ -114,11 +114,7 @@ def device_of(name: str, x: Any) -> torch.device:
     try:
         device = torch.device(x)
         torch.empty(0, device=device)
-    except (
-        RuntimeError,
-        AssertionError,
-        TypeError,
-    ) as error:  # torch raises the second where it was built without CUDA
+    except (RuntimeError, AssertionError, TypeError) as error:  # the second by a torch without CUDA
         present = ["cpu", *(f"cuda:{i}" for i in range(torch.cuda.device_count()))]
         reason = str(error).partition("\n")[0]
         raise ArgumentError(

@@ -10,19 +10,24 @@ operations, on any device; "auto", the first of these that can run on the device
 `torchdq.backend` block, or "auto".
 """
 
+import time
 from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple, get_args
 
 from torch import Tensor
+from torch.compiler import is_compiling
 
 from torchdq.backends.choice import BackendName
+from torchdq.caches import PROGRAMS, Bounded
 from torchdq.call import batch_of, evaluate
-from torchdq.checks import require_tensor
+from torchdq.checks import names_of, require_tensor
 from torchdq.errors import ArgumentError
-from torchdq.functions.catalogue import Function, trailing
+from torchdq.functions.catalogue import Function, recordings, trailing
 from torchdq.functions.options import options_of
+from torchdq.notice import FIRST, warn_once
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
+from torchdq.robot.constants import Constants
 from torchdq.robot.robot import SHAPES, arguments, constants
 
 # --- arguments -------------------------------------------------------------------------------------------------------
@@ -295,23 +300,54 @@ def potential_energy(robot: Robot, q: Tensor, backend: BackendName | None = None
 
 # --- kinematics ------------------------------------------------------------------------------------------------------
 
+FEW = 2  # single frames of a robot, each with its own program, that need no warning
+_built: Bounded[tuple[str, Constants], tuple[int, float]] = Bounded(PROGRAMS)  # programs of single frames, and seconds
 
-def forward_kinematics(robot: Robot, q: Tensor, frame: str | None = None, backend: BackendName | None = None) -> Tensor:
-    """Pose X_WF [..., 8] of a frame in the base frame, or [..., frames, 8] of all frames in `robot.frame_names` (39).
+
+def _of_one_frame(
+    name: str, robot: Robot, q: Tensor, options: tuple[str, ...], backend: BackendName | None, otherwise: str
+) -> Tensor:
+    """Result for one frame; warns once if the programs of single frames of a robot took more than 2 s in all."""
+    if is_compiling():
+        return function_of(name, robot, {"q": q}, backend, options)[0]
+    before, start = recordings(), time.perf_counter()
+    found = function_of(name, robot, {"q": q}, backend, options)[0]
+    if recordings() != before:
+        key = (name, constants(robot))
+        number, seconds = _built.get(key, (0, 0.0))
+        _built[key] = number, seconds = number + 1, seconds + time.perf_counter() - start
+        if number > FEW and seconds > FIRST:
+            text = f"{name} built {number} programs in {seconds:.1f} s, one for each frame of robot {robot.name!r}"
+            warn_once(f"{name} of {key[1].digest}", f"{text}; {otherwise}", stacklevel=4)
+    return found
+
+
+def forward_kinematics(
+    robot: Robot, q: Tensor, frame: str | Sequence[str] | None = None, backend: BackendName | None = None
+) -> Tensor:
+    """Pose X_WF [..., 8] of a frame in the base frame, or [..., frames, 8] of several or all frames (39).
 
     Args:
         robot: the robot.
         q: joint positions [rad or m], shape [..., n].
-        frame: name of the frame; None: all of them.
+        frame: name of the frame; or names of several, which one program computes together, much faster than one by one;
+            None: all of them, in the order of `robot.frame_names`.
 
     >>> import torch, torchdq
     >>> X = forward_kinematics(torchdq.robots.load("two_link"), torch.zeros(2), "tip")
     >>> torchdq.dq.translation(X)
     tensor([2., 0., 0.])
     """
-    names = options_of(require_robot(robot), "forward_kinematics", () if frame is None else (frame,))
-    X = function_of("forward_kinematics", robot, {"q": q}, backend, names)[0]
-    return X if frame is None else X.squeeze(-2)
+    if not isinstance(frame, str):
+        names = robot_frames = require_robot(robot).frame_names
+        if frame is not None:
+            names = names_of("frame", frame, robot_frames, f"frame of robot {robot.name!r}")
+            if not names:
+                raise ArgumentError(f"frame must name one frame at least, found none; known: {', '.join(robot_frames)}")
+        return function_of("forward_kinematics", robot, {"q": q}, backend, names)[0]
+    names = options_of(require_robot(robot), "forward_kinematics", (frame,))
+    otherwise = "frame=[...] takes the names of all of them in one program"
+    return _of_one_frame("forward_kinematics", robot, q, names, backend, otherwise).squeeze(-2)
 
 
 def jacobian(
@@ -335,7 +371,8 @@ def jacobian(
     tensor([2., 1.])
     """
     names = options_of(require_robot(robot), "jacobian", (frame, expressed))
-    return function_of("jacobian", robot, {"q": q}, backend, names)[0]
+    otherwise = "they are kept on disk, and the next process finds them there"
+    return _of_one_frame("jacobian", robot, q, names, backend, otherwise)
 
 
 def dynamics_jacobian(

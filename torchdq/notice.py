@@ -22,11 +22,11 @@ def _topics() -> set[str]:
     return set()
 
 
-def warn_once(topic: str, text: str) -> None:
+def warn_once(topic: str, text: str, stacklevel: int = 3) -> None:
     """Warn, unless this process was warned about the topic since its start or the last `clear_caches`."""
     if topic not in _topics():
         _topics().add(topic)
-        warnings.warn(text, stacklevel=3)
+        warnings.warn(text, stacklevel=stacklevel)
 
 
 class Notice:

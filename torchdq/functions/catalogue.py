@@ -298,6 +298,11 @@ def trailing(axes: Axes, n: int) -> tuple[int, ...]:
     return tuple([n if axis == "n" else int(axis) for axis in axes])
 
 
+def recordings() -> int:
+    """Number of programs of functions that this process has recorded so far, or since the last `clear_caches`."""
+    return int(_program.cache_info().misses)  # type: ignore[attr-defined]
+
+
 @remembered(PROGRAMS)
 def _program(what: Function, arguments: tuple[Argument, ...]) -> Program:
     robot, recipe = recorded(what.constants), RECIPES[what.name]
