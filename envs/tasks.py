@@ -18,8 +18,11 @@ and no comparisons; `torchdq.envs.torch_task` has no such limits, and is slower.
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import Enum
+from types import FunctionType
 from typing import Any, NamedTuple, Protocol
 
 from torchdq.algebra import dual_quaternion as dq
@@ -42,6 +45,8 @@ CLOSE = 0.05  # distance at which half of the bonus is earned [m]
 TIGHT = 0.1  # root mean square error at which half of the reward is earned [rad or m]
 HIGHEST = 2.0  # largest rate of the sinusoids of a reference [rad/s]
 SENSIBLE = 1e6  # bound of velocities and rewards; beyond it the simulation has failed
+# kinds of class attributes that tell programs apart
+PLAIN = (numbers.Number, str, bytes, Enum, FunctionType, type, property, classmethod, staticmethod)
 RESERVED = ("q", "qd", "memory", "reading", "valid", GROWTH, "clipped", "nonfinite", "final_obs", "final_info")
 
 
@@ -53,6 +58,11 @@ class EpisodeTask(Task, Protocol):
     Others go to the environment's `info`. In addition to its "goal" it may take the "action" [n] in [-1, 1] and the
     "time" [1] since the start of the episode [s]; at the start of an episode there is no action. A goal of three
     numbers is drawn as a point.
+
+    A task is recorded once, when its first environment is reset, and what it reads is part of the program from then on.
+    Its fields and the attributes of its class tell programs apart: environments that are made after a change of either
+    have the new value. A change of a module's global, of a tensor or of an object inside cannot be seen and has no
+    effect until `torchdq.clear_caches()`; make such a number a field.
     """
 
     def __hash__(self) -> int: ...
@@ -205,6 +215,20 @@ class Checked:
     """
 
     task: EpisodeTask
+    attributes: tuple[tuple[str, Any], ...] = field(init=False, repr=False)  # those of the class, when this was made
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "attributes", attributes_of(type(self.task)))
+
+    def require_unchanged(self) -> None:
+        """Raise if an attribute of the task's class has changed since the environment was made."""
+        before, now = dict(self.attributes), dict(attributes_of(type(self.task)))
+        changed = [name for name in {**before, **now} if before.get(name) != now.get(name)]
+        if changed:
+            raise ArgumentError(
+                f"{self._named(changed[0])} must not change between the making of an environment and its first reset, "
+                f"found that it did; make the environment again"
+            )
 
     def inputs(self, n: int) -> dict[str, int]:
         """Inputs of the task."""
@@ -222,6 +246,7 @@ class Checked:
 
     def start(self, robot: Robot, u: Row) -> Rows:
         """Rows of the task at a start."""
+        self.require_unchanged()
         n = robot.n
         widths = {"q": n, "qd": n, "goal": self.inputs(n)["goal"]}
         rows = self._rows("start", self.task.start(robot, u), widths)
@@ -232,6 +257,7 @@ class Checked:
 
     def rows(self, view: View) -> Rows:
         """Rows of the task, and "valid"."""
+        self.require_unchanged()
         kind = f"entry of view.inputs, which are those of {self._named('inputs')}, at a start without the action,"
         robot, found = view.scene.spec.robot, self.task.rows(view._replace(inputs=Named(kind, view.inputs)))
         widths = {"observation": len(self.task.bounds(robot)), "reward": 1, "reference": 3 * robot.n}
@@ -270,6 +296,21 @@ class Checked:
             if len(row) != widths.get(name, len(row)):
                 raise ArgumentError(f"{what} must return {name!r} of width {widths[name]}, found {len(row)}")
         return dict(rows)
+
+
+def attributes_of(kind: type) -> tuple[tuple[str, Any], ...]:
+    """Attributes of a class and of those that it derives from, by name, methods among them, as hashable values."""
+    found = {name: x for base in reversed(kind.__mro__[:-1]) for name, x in vars(base).items()}
+    return tuple((name, _frozen(x)) for name, x in found.items() if not name.startswith("__"))
+
+
+def _frozen(x: Any) -> Any:
+    """Numbers, words, functions, and lists and dicts of them, as a value that changes with them; a type for others."""
+    if isinstance(x, Mapping):
+        return tuple((name, _frozen(value)) for name, value in x.items())
+    if isinstance(x, list | tuple | set | frozenset):
+        return (type(x), *map(_frozen, x))
+    return x if x is None or isinstance(x, PLAIN) else type(x)
 
 
 # --- terms of tasks ---------------------------------------------------------------------------------------

@@ -2204,6 +2204,18 @@ MUTANTS = (
             "if False:",
             "envs.py::test_a_task_that_returns_other_rows_is_told_which",
         ),
+        (
+            "programs that forget the attributes of their task's class",
+            'object.__setattr__(self, "attributes", attributes_of(type(self.task)))',
+            'object.__setattr__(self, "attributes", ())',
+            "torch_task.py::test_a_class_attribute_that_changed_is_recorded_anew",
+        ),
+        (
+            "a class that changes before it is recorded",
+            "        if changed:\n",
+            "        if False:\n",
+            "torch_task.py::test_a_class_that_changes_before_the_first_reset_is_refused",
+        ),
     ),
     *within(
         "envs/arguments.py",

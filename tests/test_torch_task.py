@@ -239,3 +239,55 @@ def test_a_function_that_writes_in_place_is_refused():
     envs.reset(seed=0)
     with pytest.raises(torchdq.ArgumentError, match="must not change tensors in place"):
         envs.step(torch.zeros(2, 2))
+
+
+# --- class attributes of recorded tasks ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Priced(Reach):
+    """A recorded task with numbers in its class."""
+
+    PRICE = 1.0
+    _table = ({"not": torch.ones(2)}, torch.ones(2))  # cannot be compared, and is left out
+    prices = [1.0, {"all": [2.0]}]  # noqa: RUF012
+
+    def rows(self, view):
+        return super().rows(view) | {"reward": [self.PRICE * self.prices[0] * self.prices[1]["all"][0] + 0.0]}
+
+
+@dataclass(frozen=True)
+class Cheap(Priced):
+    """One whose numbers are those of another class."""
+
+
+@pytest.mark.parametrize("kind", [Priced, Cheap])
+def test_a_class_attribute_that_changed_is_recorded_anew(kind, monkeypatch):
+    def reward(envs):
+        return envs.step(torch.zeros(5, 2))[1].tolist()
+
+    old = make(kind())
+    assert reward(old) == [2.0] * 5
+    monkeypatch.setattr(Priced, "PRICE", 3.0)
+    assert reward(make(kind())) == [6.0] * 5
+    monkeypatch.setattr(Priced, "prices", [5.0, {"all": [1.0]}])
+    assert reward(make(kind())) == [15.0] * 5
+    monkeypatch.setattr(Priced, "rows", lambda self, view: Reach.rows(self, view) | {"reward": [7.0]})
+    assert reward(make(kind())) == [7.0] * 5
+    assert reward(old) == [2.0] * 5  # an environment keeps the task that it was made with
+    monkeypatch.undo()
+    assert reward(make(kind())) == [2.0] * 5
+
+
+def test_a_list_of_a_class_that_is_written_into_is_recorded_anew(monkeypatch):
+    make(Priced()).step(torch.zeros(5, 2))
+    monkeypatch.setitem(Priced.prices[1], "all", [11.0])
+    assert make(Priced()).step(torch.zeros(5, 2))[1].tolist() == [11.0] * 5
+
+
+def test_a_class_that_changes_before_the_first_reset_is_refused(monkeypatch):
+    envs = ArmVectorEnv(2, Priced(), BOT, scale=20.0)
+    monkeypatch.setattr(Priced, "PRICE", 4.0)
+    torchdq.clear_caches()
+    with pytest.raises(torchdq.ArgumentError, match=r"^Priced\.PRICE must not change between .*; make the environment"):
+        envs.reset(seed=0)
