@@ -41,7 +41,7 @@ def seeds_of(seed: Any, rows: int) -> list[int | None]:
     if each and len(seed) != rows:
         raise ArgumentError(f"seed must be one number or {rows}, one for each environment, found {len(seed)}")
     for x in seed if each else (seed,):
-        whole = isinstance(x, Integral) and not isinstance(x, bool) and 0 <= x < SEEDS
+        whole = isinstance(x, Integral) and not isinstance(x, bool) and 0 <= int(x) < SEEDS
         if not whole and not (each and x is None):
             raise ArgumentError(f"seed must be a whole number from 0 and below {SEEDS}, or {rows} of them, found {x!r}")
     return list(seed) if each else [int(seed) + i for i in range(rows)]
