@@ -23,7 +23,7 @@ from torch import Tensor
 from torchdq.errors import ArgumentError
 from torchdq.functional import check, require_finite
 from torchdq.learning.feasible import Neighbourhood
-from torchdq.learning.plausibility import LogWarning, Torques, doubts, sampled, unexplained
+from torchdq.learning.plausibility import LogWarning, doubts, sampled, unexplained
 from torchdq.learning.regression import Information, base_parameters, chunks, columns, gram, information
 from torchdq.notice import Notice
 from torchdq.robot import Robot
@@ -219,6 +219,8 @@ def identify(
     with torch.no_grad(), Notice(f"identifying {robot.name}") as notice:
         near = Neighbourhood(robot, coefficients, rows[:4], width)
         moves = _moving(robot, rows[1], width)
+        if doubt := _doubts(robot, rows[:4], near.described, width):
+            warnings.warn(doubt, LogWarning, stacklevel=2)
         sums = gram(robot, rows, near.described, coefficients, width, notice.at)
         squares, floor = rows[3].square().mean(0).cpu(), torch.zeros(n, dtype=torch.float64)
         for k in range(ROUNDS):
@@ -236,11 +238,9 @@ def identify(
         if not settled:
             warnings.warn(f"the least squares have not settled after {ITERATIONS} iterations", stacklevel=2)
         phi = near.described + change
-
-        def fitted(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-            return _torques(robot, q, qd, qdd, phi, coefficients, width)
-
-        if doubt := _doubts(robot, rows[:4], near.described, fitted, width):
+        some = sampled(rows[:4])
+        fitted = _torques(robot, *some[:3], phi, coefficients, width)
+        if not doubt and (doubt := unexplained(robot.joint_names, some, fitted, width)):
             warnings.warn(doubt, LogWarning, stacklevel=2)
         found = dict(zip(coefficients, phi[10 * n :].reshape(-1, n), strict=True))
         spread = near.S @ facts.V * (facts.e + prior).rsqrt()
@@ -285,14 +285,13 @@ def _torques(
     return tau
 
 
-def _doubts(robot: Robot, rows: Sequence[Tensor], described: Tensor, fitted: Torques, width: float) -> str:
-    """Words for what is wrong with samples that neither the description nor the fit explains; "" for nothing."""
-    some = sampled(rows)
+def _doubts(robot: Robot, rows: Sequence[Tensor], described: Tensor, width: float) -> str:
+    """Words for what is wrong with samples that the description does not explain; "" for nothing."""
 
     def torques(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
         return _torques(robot, q, qd, qdd, described[: 10 * robot.n], (), width)
 
-    return doubts(torques, robot.joint_names, some, width) or unexplained(robot.joint_names, some, fitted, width)
+    return doubts(torques, robot.joint_names, sampled(rows), width)
 
 
 def _excited(spread: Tensor, prior: Tensor, moves: Tensor, coefficients: list[str]) -> Tensor:

@@ -81,13 +81,13 @@ def doubts(torques: Torques, names: Sequence[str], rows: Sequence[Tensor], width
     return "; ".join(found)
 
 
-def unexplained(names: Sequence[str], rows: Sequence[Tensor], fitted: Torques, width: float) -> str:
+def unexplained(names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, width: float) -> str:
     """Words for joints that move, whose measured torques a fit hardly explains; "" if there are none."""
-    q, qd, qdd, tau = rows
+    _, qd, _, tau = rows
     if len(tau) < FEW:
         return ""
     size = tau.var(0)
-    part = (tau - fitted(q, qd, qdd)).var(0) / size.clamp_min(1e-12 * float(size.max()) + 1e-30)
+    part = (tau - fitted).var(0) / size.clamp_min(1e-12 * float(size.max()) + 1e-30)
     moves = (qd.abs() > width).double().mean(0) > MOVING
     told = moves & (size > FAINT * size.max()) & (part > POOR)
     poor = [
