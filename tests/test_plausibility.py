@@ -66,9 +66,10 @@ def test_a_robot_that_differs_from_its_description_is_not_doubted(name, seed):
 @pytest.mark.parametrize("factor", [1e-3, 1e3])
 def test_torques_in_another_unit_are_named(name, factor):
     robot, data = recorded(name, seed=1)
-    with pytest.warns(LogWarning, match="is the unit right. give tau in N m") as found:
-        with contextlib.suppress(RuntimeError):  # the least squares may fail on such torques, after the warning
-            identify(robot, *data._replace(tau=factor * data.tau))
+    expected = "is the unit right. give tau in N m"
+    # the least squares may fail on such torques, after the warning
+    with pytest.warns(LogWarning, match=expected) as found, contextlib.suppress(RuntimeError):
+        identify(robot, *data._replace(tau=factor * data.tau))
     assert any(f"{joint} (" in str(found[0].message) for joint in robot.joint_names)
 
 
