@@ -360,6 +360,6 @@ def test_a_reference_that_does_not_stay_finite_in_time_names_its_steps():
     trial = Trial.of(Scene(robot, dt=0.01), 0.02, None, {}, budget.Budget(3.0))
     far = torch.full((2, 2 * SAMPLES, 2), math.inf).double()
     now = reference._Refinement(trial, integrators.RungeKutta4(), (far, far), (far,), (far,))
-    with pytest.raises(torchdq.ArgumentError, match="do not stay finite with RungeKutta4 in steps of 0.005 s") as found:
+    with pytest.raises(torchdq.ArgumentError, match="do not stay finite with RungeKutta4") as found:
         reference._in_time(now, 1e-3, "")
-    assert "scene.check(state)" in str(found.value) and "inf " not in str(found.value)
+    assert "steps of 0.005 s" in str(found.value) and "inf " not in str(found.value)
