@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint as checkpointed
 
 from torchdq.checks import require_choice, require_tensor
+from torchdq.envs.starts import not_finite
 from torchdq.envs.state import State, require_state
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
@@ -41,6 +42,8 @@ def rollout(
     if lost == "stop" and not read:
         raise ArgumentError("lost='stop' reads values, which tensors have none of inside a transform or a trace")
     start = scene.finite(state) if read else torch.tensor(False)
+    if lost == "warn" and read and (unusable := not_finite(scene, state)):
+        warnings.warn(unusable, stacklevel=3)
 
     def gone(state: State) -> Tensor:
         """Rows that were finite at the start, and are not."""

@@ -7,6 +7,7 @@ slot, and costs what it adds to the one program that a step is recorded into.
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
@@ -29,6 +30,7 @@ from torchdq.envs.recording import Stage
 from torchdq.envs.rollout import Lost, Policy, rollout
 from torchdq.envs.spec import CONTROLLER, ROBOT, SceneSpec, Task
 from torchdq.envs.stability import Check, check
+from torchdq.envs.starts import outside_limits
 from torchdq.envs.state import State, require_state
 from torchdq.envs.together import together
 from torchdq.errors import ArgumentError
@@ -147,7 +149,7 @@ class Scene:
     # --- time ---
 
     def start(self, q: Tensor, qd: Tensor | None = None, noise: Tensor | None = None) -> State:
-        """Initial state, effects at rest, sensors read once.
+        """Initial state, effects at rest, sensors read once; positions far outside `effects.Limits` are warned of.
 
         Args:
             q: positions [rad or m], shape [..., n].
@@ -158,6 +160,8 @@ class Scene:
         batch_of(Stage(self.spec, "start"), given)
         # clones, so that later changes of q do not move the state
         q, qd = torch.broadcast_tensors(q.clone(), torch.zeros_like(q) if qd is None else qd.clone())
+        if found := outside_limits(self, q):
+            warnings.warn(found, stacklevel=2)
         return self.begin(q, qd, {}, noise)[0]
 
     def begin(
@@ -223,7 +227,7 @@ class Scene:
                 inputs of every step.
             policy: function of the state that returns the torques of a step, shape [..., n], instead of `torque`; a
                 module, for instance. Where there are sensors it should look at `state.measured`.
-            lost: "warn": warn if rows that were finite at the start are not at the end; "stop": end before the step
+            lost: "warn": warn if rows are not finite at the start, or no longer at the end; "stop": end before the step
                 that loses one; "keep": say nothing.
             inputs: as in `step`, shape [steps, ...].
 

@@ -2287,7 +2287,7 @@ MUTANTS = (
         ),
         (
             "references without end",
-            "if not essential and not trial.allows(integrator, now.times, EXACT, SHARE):",
+            "if not essential and not trial.allows(integrator, now.times, EXACT, share):",
             "if False:",
             f"{RECOMMEND}::test_no_reference_in_time_is_an_error_that_asks_for_more",
         ),
@@ -2341,9 +2341,15 @@ MUTANTS = (
         "envs/rollout.py",
         (
             "lost rows untold",
-            'if lost == "warn" and read',
-            'if lost == "never" and read',
+            'if lost == "warn" and read and bool(',
+            'if lost == "never" and read and bool(',
             "stability.py::test_a_rollout_that_loses_rows_says_so",
+        ),
+        (
+            "a start that is not finite untold",
+            'if lost == "warn" and read and (unusable',
+            'if lost == "never" and read and (unusable',
+            "starts.py::test_rows_that_are_not_finite_at_the_start_are_named",
         ),
     ),
     *within(
@@ -2362,6 +2368,39 @@ MUTANTS = (
             "if not sources or",
             "if True or",
             f"{SCENE}::test_a_description_that_has_nothing_to_take_is_told_once",
+        ),
+    ),
+    *within(
+        "envs/starts.py",
+        (
+            "starts below a limit untold",
+            "torch.maximum(low - q, q - high)",
+            "q - high",
+            "starts.py::test_a_start_far_outside_the_limits_is_named_once",
+        ),
+    ),
+    *within(
+        "torchdq/learning/plausibility.py",
+        (
+            "torques of the opposite sign undoubted",
+            "torch.where(flipped, -plain, plain)",
+            "plain",
+            "plausibility.py::test_a_fit_of_a_model_that_holds_a_robot_says_it_too",
+        ),
+        (
+            "torques in another unit undoubted",
+            "told = (alone - left > SHARE)",
+            "told = (alone - left > 2)",
+            "plausibility.py::test_torques_in_another_unit_are_named",
+        ),
+    ),
+    *within(
+        "torchdq/learning/regression.py",
+        (
+            "sharp signs of velocity beside filtered torques",
+            'units["coulomb"] = direction',
+            "pass",
+            "friction_of_logs.py::test_friction_is_found_within_the_stated_errors",
         ),
     ),
 )

@@ -16,7 +16,7 @@ from scipy.integrate import solve_ivp
 import torchdq
 from torchdq import notice
 from torchdq.backends import cache as build
-from torchdq.envs import Scene, State, budget, controllers, effects, integrators, trials
+from torchdq.envs import Scene, State, budget, controllers, effects, integrators, reference, trials
 from torchdq.envs.recommend import recommend
 from torchdq.envs.reference import held
 from torchdq.envs.trials import ARITHMETICS, SAFETY, SAMPLES, Trial, random_states
@@ -353,3 +353,13 @@ def test_what_cannot_be_is_named(ask, message):
 
 def test_it_is_found_at_the_top():
     assert torchdq.recommend is recommend
+
+
+def test_a_reference_that_does_not_stay_finite_in_time_names_its_steps():
+    robot = torchdq.robots.load("two_link")
+    trial = Trial.of(Scene(robot, dt=0.01), 0.02, None, {}, budget.Budget(3.0))
+    far = torch.full((2, 2 * SAMPLES, 2), math.inf).double()
+    now = reference._Refinement(trial, integrators.RungeKutta4(), (far, far), (far,), (far,))
+    with pytest.raises(torchdq.ArgumentError, match="do not stay finite with RungeKutta4") as found:
+        reference._in_time(now, 1e-3, "")
+    assert "steps of 0.005 s" in str(found.value) and "inf " not in str(found.value)

@@ -13,7 +13,8 @@ from torchdq.learning.data import Samples
 from torchdq.learning.identification import Identified, identify
 from torchdq.learning.layouts import Layout, LogError, MissingLogError
 from torchdq.learning.logs import Log, read
-from torchdq.learning.motions import Motion, cut, hold_out, samples, smooth
+from torchdq.learning.motions import Motion, cut, directions, hold_out, samples, smooth
+from torchdq.learning.plausibility import LogWarning
 from torchdq.learning.training import History, TrainingError, fit
 
 __all__ = [
@@ -23,11 +24,13 @@ __all__ = [
     "Layout",
     "Log",
     "LogError",
+    "LogWarning",
     "MissingLogError",
     "Motion",
     "Samples",
     "TrainingError",
     "cut",
+    "directions",
     "fit",
     "hold_out",
     "identify",

@@ -14,6 +14,7 @@ convex in phi, so that there is one minimum, and Newton's method finds it in the
 
 import math
 import warnings
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -22,6 +23,7 @@ from torch import Tensor
 from torchdq.errors import ArgumentError
 from torchdq.functional import check, require_finite
 from torchdq.learning.feasible import Neighbourhood
+from torchdq.learning.plausibility import LogWarning, doubts, sampled, unexplained
 from torchdq.learning.regression import Information, base_parameters, chunks, columns, gram, information
 from torchdq.notice import Notice
 from torchdq.robot import Robot
@@ -60,7 +62,8 @@ class Identified(NamedTuple):
 
     `covariance` [k, k] is that of the least squares with the prior, linearised at the description: its diagonal is the
     squared standard error that noise of the found size, independent from sample to sample, leaves. Smoothed signals
-    are not independent: keep about two samples per period of the filter's cutoff, or the errors come out too small.
+    are not independent: keep about two samples per period of the filter's cutoff, by `rate` of `smooth`, or the
+    errors come out too small.
     Parameters that the samples do not identify have the width of the prior instead, the described size over
     sqrt(prior), which is large, and right as long as the description is not off by more; that the robot must be
     physical narrows it further and is not counted. Single masses and inertias are mostly of that kind; `excited` tells
@@ -147,11 +150,9 @@ class Identified(NamedTuple):
         tau, error = torch.empty_like(q), torch.empty_like(q)
         with torch.no_grad():
             for part in chunks(len(tau), n * len(self.names)):
-                Z = columns(self.robot, q[part], qd[part], qdd[part], coefficients, self.width)
-                error[part] = (Z @ self.spread).norm(dim=-1)
-                tau[part] = Z @ self.parameters
-                if self.robot.armature is not None and "rotor" not in coefficients:
-                    tau[part] += self.robot.armature.to(torch.float64) * qdd[part]
+                some = (q[part], qd[part], qdd[part])
+                error[part] = (columns(self.robot, *some, coefficients, self.width) @ self.spread).norm(dim=-1)
+                tau[part] = _torques(self.robot, *some, self.parameters, coefficients, self.width)
         return Prediction(tau.reshape(*batch, n), error.reshape(*batch, n))
 
 
@@ -166,6 +167,7 @@ def identify(
     armature: bool = False,
     prior: float = 1.0,
     width: float = 1e-2,
+    direction: Tensor | None = None,
 ) -> Identified:
     """Physically consistent robot that explains measured torques best, as `Identified`.
 
@@ -186,6 +188,9 @@ def identify(
             as much as one torque that is off by the noise of its joint. What hundreds of samples identify does not
             depend on it, what they hardly identify stays near the description, the rest stays as described.
         width: velocity below which Coulomb friction is viscous, as in `torchdq.effects.Coulomb` [rad/s or m/s].
+        direction: sign of the velocities, filtered as the torques were, shape [..., n]: `directions(motion)`. None:
+            qd / sqrt(qd^2 + width^2). A filter rounds the steps of dry friction in the torques; beside sharp signs they
+            make Coulomb friction a few percent too small, and viscous friction too large.
 
     Raises:
         ArgumentError: a shape, a device, a value that is not finite, no samples, or a robot with batch axes.
@@ -198,7 +203,8 @@ def identify(
     >>> torch.allclose(found.predict(q, qd, qdd).tau, torchdq.inverse_dynamics(real, q, qd, qdd), atol=1e-6)
     True
     """
-    batch, rows = _rows(robot, q=q, qd=qd, qdd=qdd, tau=tau)
+    signals = {"q": q, "qd": qd, "qdd": qdd, "tau": tau} | ({} if direction is None else {"direction": direction})
+    batch, rows = _rows(robot, **signals)
     n, samples = robot.n, math.prod(batch)
     for name, axes in batches(robot).items():
         raise ArgumentError(f"{name} of robot {robot.name!r} has batch axes {axes}; identify one at a time")
@@ -207,12 +213,14 @@ def identify(
     for name, value in (("prior", prior), ("width", width)):
         if not (value > 0 and math.isfinite(value)):
             raise ArgumentError(f"{name} must be positive and finite, found {value}")
-    require_finite(q=q, qd=qd, qdd=qdd, tau=tau)
+    require_finite(**signals)
 
     coefficients = ["rotor"] * armature + ["viscous", "coulomb"] * friction + ["offset"] * offset
     with torch.no_grad(), Notice(f"identifying {robot.name}") as notice:
-        near = Neighbourhood(robot, coefficients, rows, width)
+        near = Neighbourhood(robot, coefficients, rows[:4], width)
         moves = _moving(robot, rows[1], width)
+        if doubt := _doubts(robot, rows[:4], near.described, width):
+            warnings.warn(doubt, LogWarning, stacklevel=2)
         sums = gram(robot, rows, near.described, coefficients, width, notice.at)
         squares, floor = rows[3].square().mean(0).cpu(), torch.zeros(n, dtype=torch.float64)
         for k in range(ROUNDS):
@@ -230,6 +238,10 @@ def identify(
         if not settled:
             warnings.warn(f"the least squares have not settled after {ITERATIONS} iterations", stacklevel=2)
         phi = near.described + change
+        some = sampled(rows[:4])
+        fitted = _torques(robot, *some[:3], phi, coefficients, width)
+        if not doubt and (doubt := unexplained(robot.joint_names, some, fitted, width)):
+            warnings.warn(doubt, LogWarning, stacklevel=2)
         found = dict(zip(coefficients, phi[10 * n :].reshape(-1, n), strict=True))
         spread = near.S @ facts.V * (facts.e + prior).rsqrt()
         names = [f"{link} {name}" for link in robot.link_names for name in INERTIAL]
@@ -261,6 +273,25 @@ def _moving(robot: Robot, qd: Tensor, width: float) -> Tensor:
             stacklevel=3,
         )
     return fastest > width
+
+
+def _torques(
+    robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, parameters: Tensor, coefficients: Sequence[str], width: float
+) -> Tensor:
+    """Torques [samples, n] of parameters phi; rotors are those of the description if they are not among these."""
+    tau = columns(robot, q, qd, qdd, coefficients, width) @ parameters.to(q)
+    if robot.armature is not None and "rotor" not in coefficients:
+        tau += robot.armature.to(q) * qdd
+    return tau
+
+
+def _doubts(robot: Robot, rows: Sequence[Tensor], described: Tensor, width: float) -> str:
+    """Words for what is wrong with samples that the description does not explain; "" for nothing."""
+
+    def torques(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
+        return _torques(robot, q, qd, qdd, described[: 10 * robot.n], (), width)
+
+    return doubts(torques, robot.joint_names, sampled(rows), width)
 
 
 def _excited(spread: Tensor, prior: Tensor, moves: Tensor, coefficients: list[str]) -> Tensor:

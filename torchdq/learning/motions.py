@@ -4,6 +4,7 @@ log = read("arm.csv")             # `torchdq.learning.logs`: checked, torques in
 motion = smooth(log)              # even steps, filtered without delay, with accelerations
 before, after = cut(motion, 0.6)  # to fit and to test; with several motions: hold_out
 train = samples(before)           # tensors, for `torchdq.learning.fit`
+signs = directions(before)        # signs of the velocities, filtered as the torques, for `torchdq.learning.identify`
 """
 
 from collections.abc import Sequence
@@ -12,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from torchdq.checks import require_number
 from torchdq.errors import ArgumentError
 from torchdq.learning.data import UNITS, Samples
 from torchdq.learning.layouts import LogError
@@ -20,6 +22,7 @@ from torchdq.optional import imported
 from torchdq.tables import summary
 
 ENDS = 0.5  # [s] least time left out at either end, where a filter of a few Hz has neighbours on one side only
+SIGN_WIDTH = 1e-3  # [rad/s] velocity below which its sign is rounded, small beside what the filter rounds
 AT_REST = 0.02  # [rad/s] speed of every joint below which a row is left out: static friction may be anything there
 
 
@@ -31,21 +34,29 @@ class Motion(NamedTuple):
     qd: np.ndarray  # [rad/s]
     qdd: np.ndarray  # [rad/s^2]
     tau: np.ndarray  # [N m]
+    direction: np.ndarray | None = None  # sign of the velocity, filtered as the torques; None: unknown
 
     def __repr__(self) -> str:
-        return summary("Motion", {name: (x, UNITS[name]) for name, x in self._asdict().items()})
+        return summary("Motion", {name: (x, UNITS[name]) for name, x in self._asdict().items() if name in UNITS})
 
 
-def smooth(log: Log, cutoff_qd: float | None = None, cutoff_tau: float | None = None) -> Motion:
+def smooth(
+    log: Log, cutoff_qd: float | None = None, cutoff_tau: float | None = None, rate: float | None = None
+) -> Motion:
     """Motion of a log in even steps of its median step, without its ends and the rows at rest.
 
     Velocities and torques pass a Butterworth filter of fourth order forwards and backwards, so that neither lags behind
     the other; accelerations are central differences of the filtered velocities, or those of the log, filtered alike.
 
+    The filter rounds the step that dry friction makes in the torque where a velocity changes its sign. `direction` is
+    that sign, rounded alike: with it `identify` finds the friction without bias (`directions`).
+
     Args:
         log: from `read`.
         cutoff_qd: low-pass frequency of velocities and accelerations [Hz]; None: the layout's.
         cutoff_tau: low-pass frequency of torques [Hz]; None: the layout's.
+        rate: rows per second that are kept [Hz], rounded to every so many of the log; None: all. Twice the cutoff are
+            independent, as `identify` takes them to be for its standard errors.
     Raises:
         LogError: the log is too short, or nothing moves in it.
         ArgumentError: a frequency is not between zero and half the rate of the rows.
@@ -60,6 +71,9 @@ def smooth(log: Log, cutoff_qd: float | None = None, cutoff_tau: float | None = 
     for name, cutoff in (("cutoff_qd", cutoff_qd), ("cutoff_tau", cutoff_tau)):
         if not 0 < cutoff < 0.5 / step:
             raise ArgumentError(f"{name} must be between 0 and {0.5 / step:.4g} Hz, half the rate, found {cutoff}")
+    if rate is not None:
+        require_number("rate", rate, positive=True)
+    every = 1 if rate is None else max(1, round(1 / (rate * step)))
     time = np.arange(log.time[0], log.time[-1], step)
     ends = max(ENDS, 3 / min(cutoff_qd, cutoff_tau))
     if time[-1] - time[0] <= 3 * ends:
@@ -76,10 +90,12 @@ def smooth(log: Log, cutoff_qd: float | None = None, cutoff_tau: float | None = 
     qd = low_pass(even(log.qd), cutoff_qd)
     qdd = np.gradient(qd, step, axis=0) if log.qdd is None else low_pass(even(log.qdd), cutoff_qd)
     tau = low_pass(even(log.tau), cutoff_tau)
+    direction = low_pass(qd / np.hypot(qd, SIGN_WIDTH), cutoff_tau)
     used = (abs(qd) > AT_REST).any(axis=-1) & (time - time[0] >= ends) & (time[-1] - time >= ends)
     if not used.any():
         raise LogError(f"{log.path}: no joint ever moves faster than {AT_REST} rad/s")
-    return Motion(*(x[used] for x in (time, even(log.q), qd, qdd, tau)))
+    used &= np.arange(len(time)) % every == 0
+    return Motion(*(x[used] for x in (time, even(log.q), qd, qdd, tau, direction)))
 
 
 def cut(motion: Motion, share: float) -> tuple[Motion, Motion]:
@@ -98,7 +114,11 @@ def cut(motion: Motion, share: float) -> tuple[Motion, Motion]:
     second = motion.time > (motion.time[first].max(initial=-np.inf) + ENDS)
     if not (0 < share < 1 and first.any() and second.any()):
         raise ArgumentError(f"share must leave rows on both sides of the cut of {rows} rows, found {share}")
-    return Motion(*(x[first] for x in motion)), Motion(*(x[second] for x in motion))
+    return _rows(motion, first), _rows(motion, second)
+
+
+def _rows(motion: Motion, rows: np.ndarray) -> Motion:
+    return Motion(*(None if x is None else x[rows] for x in motion))
 
 
 def hold_out(motions: Sequence[Motion], share: float, seed: int = 0) -> tuple[list[Motion], list[Motion]]:
@@ -132,12 +152,33 @@ def samples(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.float
     Raises:
         ArgumentError: there is no motion, or they have different numbers of joints.
     """
+    several = _several(motions)
+    parts = ([getattr(motion, name) for motion in several] for name in Samples._fields)
+    return Samples(*(torch.as_tensor(np.concatenate(part), dtype=dtype) for part in parts))
+
+
+def directions(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.float64) -> torch.Tensor:
+    """Signs of the velocities, filtered as the torques are, [N, n], of the rows of `samples`; for `identify`.
+
+    Args:
+        motions: one motion from `smooth`, or several of the same arm.
+        dtype: dtype of the tensor.
+    Raises:
+        ArgumentError: as `samples`, or a motion has no directions.
+    """
+    parts = [motion.direction for motion in _several(motions)]
+    known = [x for x in parts if x is not None]
+    if len(known) < len(parts):
+        raise ArgumentError("motions must have the field direction; smooth(log) makes it")
+    return torch.as_tensor(np.concatenate(known), dtype=dtype)
+
+
+def _several(motions: Motion | Sequence[Motion]) -> Sequence[Motion]:
+    """Motions of one arm."""
     several = [motions] if isinstance(motions, Motion) else motions
     if not isinstance(several, Sequence) or not all(isinstance(motion, Motion) for motion in several):
         raise ArgumentError(f"motions must be Motion objects, found {type(motions).__name__}; smooth(log) makes one")
     joints = sorted({motion.q.shape[1] for motion in several})
     if len(joints) != 1:
         raise ArgumentError(f"motions must be of one arm, found motions of {joints or 'no'} joints")
-    return Samples(
-        *(torch.as_tensor(np.concatenate(parts), dtype=dtype) for parts in list(zip(*several, strict=True))[1:])
-    )
+    return several

@@ -32,9 +32,20 @@ def unit_torque(name: str, qd: Tensor, qdd: Tensor, width: float) -> Tensor:
     return {"rotor": qdd, "viscous": qd, "coulomb": smooth_sign(qd, width), "offset": torch.ones_like(qd)}[name]
 
 
-def columns(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, coefficients: Sequence[str], width: float) -> Tensor:
-    """Regressor Z [samples, n, k]: torque per unit of every parameter."""
-    effects = [torch.diag_embed(unit_torque(name, qd, qdd, width)) for name in coefficients]
+def columns(
+    robot: Robot,
+    q: Tensor,
+    qd: Tensor,
+    qdd: Tensor,
+    coefficients: Sequence[str],
+    width: float,
+    direction: Tensor | None = None,
+) -> Tensor:
+    """Regressor Z [samples, n, k]: torque per unit of every parameter; `direction` is that of Coulomb friction."""
+    units = {name: unit_torque(name, qd, qdd, width) for name in coefficients}
+    if direction is not None and "coulomb" in units:
+        units["coulomb"] = direction
+    effects = [torch.diag_embed(unit) for unit in units.values()]
     return torch.cat([regressor(robot, q, qd, qdd), *effects], -1)
 
 
@@ -48,14 +59,15 @@ def gram(
 ) -> Tensor:
     """Sums [n, k + 1, k + 1] of [Z d]^T [Z d], d being the residual of the described parameters [k].
 
-    `say` is told how many samples have been read.
+    `rows` are q, qd, qdd, tau and perhaps the direction of Coulomb friction; `say` is told how many have been read.
     """
-    q, qd, qdd, tau = rows
+    q, qd, qdd, tau, *given = rows
     n, phi = robot.n, described.to(q)
     sums = q.new_zeros(n, len(phi) + 1, len(phi) + 1)
     for part in chunks(len(q), n * len(phi)):
         say(f"{part.start} of {len(q)} samples")
-        Z = columns(robot, q[part], qd[part], qdd[part], coefficients, width)
+        direction = given[0][part] if given else None
+        Z = columns(robot, q[part], qd[part], qdd[part], coefficients, width, direction)
         residual = tau[part] - Z @ phi
         if robot.armature is not None and "rotor" not in coefficients:
             residual -= robot.armature.to(q) * qdd[part]

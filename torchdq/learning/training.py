@@ -10,6 +10,7 @@ processes.
 import copy
 import math
 import os
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -24,7 +25,10 @@ from torchdq.errors import ArgumentError, TorchdqError
 from torchdq.learning import checkpoint as checkpoints
 from torchdq.learning.data import Samples, torque_variance, validated
 from torchdq.learning.distributed import Team, team
+from torchdq.learning.plausibility import LogWarning, doubts, sampled
 from torchdq.learning.progress import Progress
+from torchdq.nn import DQRNEA
+from torchdq.robot.robot import batches
 from torchdq.tables import table
 
 VALIDATION_ROWS = 4096  # rows of the validation data computed at a time
@@ -146,6 +150,8 @@ def fit(
     try:
         with team(device) as ours, _own_randomness(device, seed), torch.enable_grad():
             run = _Run(model, parameters, train, ours, path, batch, prior, decay, seed)
+            if ours.leads and (doubt := _doubts(model, train)):
+                warnings.warn(doubt, LogWarning, stacklevel=2)
             run.resume(identity, last)
             bar = progress if ours.leads else False
             with Progress(last, run.step, tensorboard if ours.leads else None, bar) as shown:
@@ -345,6 +351,16 @@ class _Run:
             f"step {self.step + 1}: {what}, in the batch of the {len(rows)} rows {some} of train; a smaller rate may "
             f"help, and so may float64{kept}"
         )
+
+
+@torch.no_grad()
+def _doubts(model: nn.Module, train: Samples) -> str:
+    """Words for what is wrong with samples that a robot in the model does not explain; "" for nothing, or no robot."""
+    rigid = next((part for part in model.modules() if isinstance(part, DQRNEA)), None)
+    if rigid is None or any(batches(rigid.robot).values()) or rigid.robot.n != train.q.shape[1]:
+        return ""
+    model.eval()
+    return doubts(rigid, rigid.robot.joint_names, sampled(train), rigid.friction_width)
 
 
 def _checkpoint(path: Any) -> Path | None:

@@ -1,0 +1,137 @@
+"""Wrong logs are named with their joints, and logs of robots that differ from their description are not doubted."""
+
+import contextlib
+import math
+import warnings
+
+import pytest
+import torch
+
+import torchdq
+from torchdq.learning import LogWarning, Samples, fit, identify
+
+ROBOTS = ("two_link", "panda", "ur10e", "puma560")
+
+
+def recorded(name, seed=0, rows=600, noise=0.05):
+    """Description, and samples of a robot whose masses are off by 30 %, with dry friction of 30 % of the torque."""
+    robot = torchdq.robots.load(name)
+    g = torch.Generator().manual_seed(seed)
+    n, t = robot.n, torch.linspace(0, 30, rows, dtype=torch.float64)[:, None, None]
+
+    def uniform(*shape):
+        return torch.rand(shape, generator=g, dtype=torch.float64)
+
+    rate = 2 * math.pi * 0.1 * torch.arange(1, 6).double()
+    size, phase = (0.2 + 0.5 * uniform(n, 5)) / rate.sqrt(), rate * t + 6.3 * uniform(n, 5)
+    q, qd = (size * phase.sin()).sum(-1), (size * rate * phase.cos()).sum(-1)
+    qdd = -(size * rate**2 * phase.sin()).sum(-1)
+    factor = 0.7 + 0.6 * uniform(n)
+    real = robot.replace(mass=factor * robot.mass, inertia=factor[:, None] * robot.inertia)
+    tau = torchdq.inverse_dynamics(real, q, qd, qdd)
+    size = tau.std(0)
+    tau = tau + 0.3 * size.clamp_min(0.02 * size.max()) * (qd / (qd**2 + 1e-4).sqrt() + 0.3 * qd)
+    tau = tau + noise * tau.std(0) * torch.randn(tau.shape, generator=g, dtype=torch.float64)
+    return robot, Samples(q, qd, qdd, tau)
+
+
+def told(robot, data, **options):
+    """Doubts about samples."""
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        identify(robot, *data, **options)
+    return [str(w.message) for w in found if w.category is LogWarning]
+
+
+def exchanged(x, i, j):
+    order = list(range(x.shape[1]))
+    order[i], order[j] = order[j], order[i]
+    return x[:, order]
+
+
+def negative(x, j):
+    return torch.cat([x[:, :j], -x[:, j : j + 1], x[:, j + 1 :]], 1)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_robot_that_differs_from_its_description_is_not_doubted(name, seed):
+    robot, data = recorded(name, seed)
+    assert told(robot, data) == told(robot, data, armature=True, offset=True, width=0.02) == []
+    gains = torch.linspace(0.7, 1.4, robot.n).double()  # gains of the torque sensors
+    assert told(robot, data._replace(tau=gains * data.tau)) == []
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("factor", [1e-3, 1e3])
+def test_torques_in_another_unit_are_named(name, factor):
+    robot, data = recorded(name, seed=1)
+    expected = "is the unit right. give tau in N m"
+    # the least squares may fail on such torques, after the warning
+    with pytest.warns(LogWarning, match=expected) as found, contextlib.suppress(RuntimeError):
+        identify(robot, *data._replace(tau=factor * data.tau))
+    assert any(f"{joint} (" in str(found[0].message) for joint in robot.joint_names)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_torques_of_the_opposite_sign_are_named(name):
+    robot, data = recorded(name, seed=1)
+    for j, joint in list(enumerate(robot.joint_names))[1::2]:
+        (found,) = told(robot, data._replace(tau=negative(data.tau, j)))
+        assert joint in found and ("the opposite sign in the" in found or "explains only" in found)
+        assert not any(other in found for other in robot.joint_names if other != joint)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_columns_in_another_order_are_named(name):
+    robot, data = recorded(name, seed=1)
+    (found,) = told(robot, data._replace(tau=data.tau.flip(1)))
+    assert "all joints in reverse in the torques; are they in the order of the robot's joints?" in found
+    (found,) = told(robot, Samples(*(x.flip(1) for x in data)))
+    assert "all joints in reverse in the columns of all signals" in found
+    if robot.n > 2:
+        (found,) = told(robot, data._replace(q=data.q.flip(1)))
+        assert "all joints in reverse in the positions" in found
+        a, b = robot.joint_names[1:3]
+        (found,) = told(robot, data._replace(tau=exchanged(data.tau, 1, 2)))
+        assert f"{a} and {b} exchanged in the torques" in found
+        (found,) = told(robot, data._replace(q=exchanged(data.q, 1, 2)))
+        assert f"{a} and {b} exchanged in the positions" in found
+
+
+def test_joints_sorted_by_name_are_named():
+    robot, data = recorded("ur10e", seed=1)
+    order = sorted(range(6), key=lambda j: robot.joint_names[j])
+    (found,) = told(robot, Samples(*(x[:, order] for x in data)))
+    assert "the joints sorted by their names in the columns of all signals" in found or "exchanged" in found
+
+
+def test_torques_that_nothing_explains_are_named():
+    robot, data = recorded("panda")
+    other = torch.randn(data.tau.shape, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    (found,) = told(robot, data._replace(tau=10 * other))
+    assert "explains only these parts" in found and all(name in found for name in robot.joint_names)
+
+
+def test_the_warning_can_be_silenced_and_a_few_rows_are_not_doubted():
+    robot, data = recorded("two_link")
+    wrong = data._replace(tau=-data.tau)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", LogWarning)
+        identify(robot, *wrong)
+    assert told(robot, Samples(*(x[:90] for x in wrong))) == []
+
+
+@pytest.mark.parametrize("residual", [False, True])
+def test_a_fit_of_a_model_that_holds_a_robot_says_it_too(residual):
+    robot, data = recorded("panda", seed=1)
+    model = torchdq.DQRNEA(robot, learn=("mass", "friction"))
+    model = torchdq.ResidualDynamics(model) if residual else model
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        fit(model, data, steps=1)
+    with pytest.warns(LogWarning, match="opposite sign in the torques of panda_joint2"):
+        fit(model, data._replace(tau=negative(data.tau, 1)), steps=1)
+    with pytest.warns(LogWarning, match="is the unit right"):
+        fit(model, Samples(*(x.float() for x in data._replace(tau=data.tau / 1000))), steps=1)

@@ -1,0 +1,199 @@
+"""Measurements held against the description: wrong units, signs and orders of columns, named with their joints.
+
+A description that is off by tens of percent still explains most of a joint's torque, once friction, rotor inertia and
+an offset are allowed for. Where it does not, the measurements are tried with what goes wrong in logs undone: a sign,
+two joints exchanged, all joints reversed or sorted by name, in some of the signals. What explains them far better is
+named.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from itertools import combinations, product
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.nn import smooth_sign
+
+ROWS = 400  # rows that are looked at
+FACTOR = 100.0  # ratio of measured to described torques beyond which the unit is doubted; a payload makes one of 30
+LIKE = 10.0  # the same ratio, for other readings: torques that compensate friction alone are not of the opposite sign
+DOUBTFUL = 0.08  # part of a joint's torque that is left unexplained, from which other readings are tried
+GAIN = 0.15  # least sum of these parts that another reading must explain
+BETTER = 3.0  # times less that it must leave unexplained
+SHARE = 0.2  # least part of a joint's torque that only the description explains, for its factor to be trusted
+FEW = 100  # rows below which nothing is doubted: five coefficients a joint fit a few rows whatever they are
+MOVING = 0.1  # least part of the rows in which a joint must move to be judged by a fit
+FAINT = 1e-4  # variance of a torque, relative to the largest, below which it may be noise alone
+POOR = 0.5  # part of a joint's torque that a fit leaves unexplained, from which it is named
+WIDE = 12  # most joints of which every pair is tried; of more, neighbours alone
+
+SIGNALS = ("q", "qd", "qdd", "tau")
+GROUPS = {  # signals that a reading changes
+    "torques": ("tau",),
+    "positions": ("q",),
+    "velocities and accelerations": ("qd", "qdd"),
+    "positions, velocities and accelerations": ("q", "qd", "qdd"),
+    "columns of all signals": SIGNALS,
+}
+Torques = Callable[[Tensor, Tensor, Tensor], Tensor]
+
+
+class LogWarning(UserWarning):
+    """Measurements that the description of the robot cannot explain: a wrong unit, sign or order of columns, perhaps.
+
+    Silenced by `warnings.simplefilter("ignore", torchdq.learning.LogWarning)`.
+    """
+
+
+class _Reading(NamedTuple):
+    """Another reading of the measurements: columns of some signals in another order, and with other signs."""
+
+    words: str
+    signals: tuple[str, ...]
+    order: Tensor  # [n]
+    sign: Tensor  # [n]
+
+    def applied(self, rows: Sequence[Tensor]) -> list[Tensor]:
+        """Rows as this reading takes them."""
+        return [
+            self.sign * x[:, self.order] if name in self.signals else x for name, x in zip(SIGNALS, rows, strict=True)
+        ]
+
+
+def sampled(rows: Sequence[Tensor]) -> list[Tensor]:
+    """At most `ROWS` of the rows, evenly spaced."""
+    at = torch.linspace(0, len(rows[0]) - 1, min(ROWS, len(rows[0])), device=rows[0].device).round().long()
+    return [x[at] for x in rows]
+
+
+def doubts(torques: Torques, names: Sequence[str], rows: Sequence[Tensor], width: float) -> str:
+    """Words for what is probably wrong with rows (q, qd, qdd, tau), [samples, n] each; "" if nothing seems to be.
+
+    `torques` are those of the description.
+    """
+    if len(rows[0]) < FEW:
+        return ""
+    left, alone, factor = _compared(torques, rows, width)
+    found = _scaled(names, left, alone, factor)
+    if bool((left > DOUBTFUL).any()):
+        found += _misread(torques, names, rows, width, left)
+    return "; ".join(found)
+
+
+def unexplained(names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, width: float) -> str:
+    """Words for joints that move, whose measured torques a fit hardly explains; "" if there are none."""
+    _, qd, _, tau = rows
+    if len(tau) < FEW:
+        return ""
+    size = tau.var(0)
+    part = (tau - fitted).var(0) / size.clamp_min(1e-12 * float(size.max()) + 1e-30)
+    moves = (qd.abs() > width).double().mean(0) > MOVING
+    told = moves & (size > FAINT * size.max()) & (part > POOR)
+    poor = [
+        f"{name} ({max(0.0, 1 - p):.0%})"
+        for name, p, bad in zip(names, part.tolist(), told.tolist(), strict=True)
+        if bad
+    ]
+    if not poor:
+        return ""
+    cure = "are units, signs and the order of the joints those of the robot, and are torques measured at the joints?"
+    return f"the fit explains only these parts of the torques' variance: {', '.join(poor)}; {cure}"
+
+
+def _compared(torques: Torques, rows: Sequence[Tensor], width: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Parts of the torques' variances that the description leaves, and that friction alone leaves, and its factor [n].
+
+    Every joint's torque is fitted by that of the description, rotor inertia and friction, none of them negative, and an
+    offset. A least squares of four such terms is the best of those of all their subsets that come out positive.
+    """
+    q, qd, qdd, tau = rows
+    terms = torch.stack([torques(q, qd, qdd), qdd, qd, smooth_sign(qd, width)], -1).double()  # [samples, n, 4]
+    X, y = terms - terms.mean(0), (tau - tau.mean(0)).double()
+    X = (X / X.square().mean(0).sqrt().clamp_min(1e-30)).cpu()
+    scale = terms.std(0, correction=0).clamp_min(1e-30).cpu()
+    y = y.cpu()
+    A = torch.einsum("sjk,sjl->jkl", X, X)
+    b, total = torch.einsum("sjk,sj->jk", X, y), y.square().sum(0)
+    known = total > 1e-8 * total.max()  # a joint whose torque does not change tells nothing
+    total = torch.where(known, total, 1.0)
+    left, alone, factor = (torch.ones_like(total), torch.ones_like(total), torch.zeros_like(total))
+    for subset in product((False, True), repeat=4):
+        use = [k for k in range(4) if subset[k]]
+        if not use:
+            continue
+        part = A[:, use][:, :, use] + 1e-9 * len(X) * torch.eye(len(use)).double()
+        x = torch.linalg.solve(part, b[:, use, None])[..., 0]
+        rest = (1 - (b[:, use] * x).sum(1) / total).clamp_min(0)
+        good = (x >= 0).all(1) & (rest < (left if subset[0] else alone))
+        if not subset[0]:
+            alone = torch.where(good, rest, alone)
+        left = torch.where(good & (rest < left), rest, left)
+        if subset[0]:
+            factor = torch.where(good, x[:, 0] / scale[:, 0], factor)
+    none = torch.zeros_like(left)
+    return torch.where(known, torch.minimum(left, alone), none), torch.where(known, alone, none), factor
+
+
+def _scaled(names: Sequence[str], left: Tensor, alone: Tensor, factor: Tensor) -> list[str]:
+    """Words for joints whose torques are in another unit than those of the description."""
+    told = (alone - left > SHARE) & (left < POOR)
+    rows = zip(names, factor.tolist(), told.tolist(), strict=True)
+    off = [f"{name} ({x:.2g})" for name, x, sure in rows if sure and not 1 / FACTOR < x < FACTOR]
+    if not off:
+        return []
+    cure = "give tau in N m (N for a joint that slides), measured at the joints"
+    return [f"measured torques are multiples of the described ones, of {', '.join(off)}; is the unit right? {cure}"]
+
+
+def _misread(torques: Torques, names: Sequence[str], rows: Sequence[Tensor], width: float, left: Tensor) -> list[str]:
+    """Words for the reading of the measurements that explains them far better."""
+    bad, best, words = left > DOUBTFUL, float(left.sum()) - GAIN, ""
+    for reading in _readings(torques, names, rows, width, left):
+        found = _left(torques, reading.applied(rows), width, left)
+        tried = float(found.sum())
+        if tried < best and BETTER * float(found[bad].sum()) < float(left[bad].sum()):
+            best, words = 0.9 * tried, reading.words  # of equals, the first
+    return [words] if words else []
+
+
+def _left(torques: Torques, rows: Sequence[Tensor], width: float, left: Tensor) -> Tensor:
+    """Parts that another reading leaves [n]; `left` where its torques are not of the size of those described."""
+    found, _, factor = _compared(torques, rows, width)
+    return torch.where((factor > 1 / LIKE) & (factor < LIKE), found, torch.maximum(found, left))
+
+
+def _readings(
+    torques: Torques, names: Sequence[str], rows: Sequence[Tensor], width: float, left: Tensor
+) -> Iterator[_Reading]:
+    """Readings to try, the likeliest first."""
+    n, same, plain = len(names), torch.arange(len(names)), torch.ones(len(names), dtype=rows[0].dtype)
+    same, plain = same.to(rows[0].device), plain.to(rows[0].device)
+    bad = (left > DOUBTFUL).tolist()
+    # signs of torques do not touch other joints: each is chosen by itself
+    flipped = (left - _left(torques, [*rows[:3], -rows[3]], width, left) > GAIN / 2).to(same.device)
+    if bool(flipped.any()):
+        of = ", ".join(name for name, f in zip(names, flipped.tolist(), strict=True) if f)
+        yield _Reading(_sign("torques", of), ("tau",), same, torch.where(flipped, -plain, plain))
+    orders = [("all joints in reverse", same.flip(0))] if n > 1 else []
+    by_name = torch.tensor(sorted(range(n), key=lambda j: names[j])).argsort().to(same.device)
+    if not torch.equal(by_name, same):
+        orders.append(("the joints sorted by their names", by_name))
+    pairs = [pair for pair in combinations(range(n), 2) if n <= WIDE or pair[1] == pair[0] + 1]
+    for i, j in (pair for pair in pairs if bad[pair[0]] or bad[pair[1]]):
+        order = same.clone()
+        order[[i, j]] = order[[j, i]]
+        orders.append((f"{names[i]} and {names[j]} exchanged", order))
+    for group, signals in GROUPS.items():
+        for what, order in orders:
+            fits = f"the description fits far better with {what} in the {group}"
+            yield _Reading(f"{fits}; are they in the order of the robot's joints?", signals, order, plain)
+        if signals != ("tau",):
+            for j in (j for j in range(n) if bad[j]):
+                sign = plain.clone()
+                sign[j] = -1.0
+                yield _Reading(_sign(group, names[j]), signals, same, sign)
+
+
+def _sign(group: str, of: str) -> str:
+    return f"the description fits far better with the opposite sign in the {group} of {of}; reverse it in the log"
