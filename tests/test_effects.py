@@ -1053,6 +1053,7 @@ TENSORS = {
     "Bias": lambda: (effects.Bias(p(0.1, 0.2), p(0.3, 0.4)), {}),
     "ReadingDelay": lambda: (effects.ReadingDelay(1), {}),
     "QuantisedCommand": lambda: (effects.QuantisedCommand(p(0.3, 0.4)), {}),
+    "Residual": lambda: (effects.Residual(torch.mul), {}),
     "QuantisedReading": lambda: (effects.QuantisedReading(p(0.03, 0.04), p(0.3, 0.4)), {}),
 }
 STEPPED = ("QuantisedCommand", "QuantisedReading")  # differentiable only between their steps
