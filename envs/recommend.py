@@ -102,7 +102,7 @@ def recommend(
             )
     if any(isinstance(effect, Residual) for effect in scene.effects):
         raise ArgumentError(
-            "recommend keeps answers by the numbers of a scene, and a network of effects.Residual changes without them; "
+            "recommend keeps answers by the numbers of a scene, and a network of effects.Residual has none; "
             "ask about the scene without it, and halve dt until the motion with it stays the same"
         )
     with torch.no_grad(), Notice(f"recommend for {scene.robot.name!r}") as notice:

@@ -294,7 +294,12 @@ class Scene:
             name = type(self.integrator).__name__
             raise ArgumentError(f"a step of {name} is no program of its own")
         stage = Stage(self.spec, "step", task)
-        wanted = [*self.spec.state, *(present or self.inputs), *self.spec.computed(), *(["noise"] if self.noises else [])]
+        wanted = [
+            *self.spec.state,
+            *(present or self.inputs),
+            *self.spec.computed(),
+            *(["noise"] if self.noises else []),
+        ]
         taken = [Argument(name, math.prod(stage.axes(name))) for name in wanted]
         if self.controller is not None and "reference" not in wanted:
             raise ArgumentError("reference must be among the inputs of a scene with a controller")

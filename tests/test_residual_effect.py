@@ -4,9 +4,9 @@ import importlib
 import warnings
 
 import gymnasium
+import helpers
 import pytest
 import torch
-import helpers
 from helpers import FIXED, called, double, random
 from oracles import shipped
 from torch import nn
