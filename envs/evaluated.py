@@ -7,13 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from torch import Tensor
 
 from torchdq.dynamics.posed import Row
 from torchdq.effects.residual import NAME as RESIDUAL
-from torchdq.effects.residual import Residual
 from torchdq.envs.integrators import System
 from torchdq.envs.spec import Task
 from torchdq.envs.state import State
@@ -63,9 +62,9 @@ def driven(
     return _Evaluated(scene, {**acting, **held}), x, v, rows
 
 
-def learned_effect(scene: Scene) -> Residual | None:
+def learned_effect(scene: Scene) -> Any:
     """Effect whose torques are computed before a step; None: there is none."""
-    return next((effect for effect in scene.effects if isinstance(effect, Residual)), None)
+    return next((effect for effect in scene.effects if effect.computed(scene.n)), None)
 
 
 def with_held(

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchdq.backends.choice import BackendName, choose
 from torchdq.checks import require_number
-from torchdq.effects import Gravity, Residual, RotorInertia
+from torchdq.effects import Gravity, RotorInertia
 from torchdq.envs.budget import Budget
 from torchdq.envs.integrators import Repeated
 from torchdq.envs.recommendation import Candidate, Recommendation, SceneRecommendation
@@ -100,7 +100,7 @@ def recommend(
                 f"recommend tries one robot at a time, found batch axes {batch} of {name}; "
                 f"give it the one that is hardest to simulate, with the lightest links or the stiffest joints"
             )
-    if any(isinstance(effect, Residual) for effect in scene.effects):
+    if scene.spec.computed():
         raise ArgumentError(
             "recommend keeps answers by the numbers of a scene, and a network of effects.Residual has none; "
             "ask about the scene without it, and halve dt until the motion with it stays the same"

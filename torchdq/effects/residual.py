@@ -31,12 +31,12 @@ class Residual(JointEffect):
     torque that changes fast, such as stiff friction, needs short steps: leave friction to `Viscous` and `Coulomb`,
     which are integrated implicitly. Gradients flow to the model's parameters and to the state.
 
-    A `torchdq.ResidualDynamics` also sees the acceleration qdd, which its torque r decides in turn. So r is the solution
-    of r = residual(q, qd, a - W r), with the acceleration a of the scene without it and W = -dqdd/dr, by Newton's
+    A `torchdq.ResidualDynamics` also sees the acceleration, which its torque r decides in turn. So r is the solution of
+    r = residual(q, qd, a - W r), with the acceleration a of the scene without it and W = -dqdd/dr, by Newton's
     iteration from r = 0. A network that has learned a missing rotor, which is heavier than the link behind it, is
-    simulated right in this way; the acceleration without residual as a feature would be wrong by as much as the rotor.
-    Gradients are exact where the iteration has converged. The model's torque among the features is that of the robot
-    of the `ResidualDynamics`, without wrenches on bodies, as in its training without `f_ext`.
+    simulated right in this way; at the acceleration a it would be wrong by as much as the rotor. Gradients are exact
+    where the iteration has converged. The model's torque among the features is that of the robot of the
+    `ResidualDynamics`, without wrenches on bodies, as in training without `f_ext`.
 
     Args:
         model: a `torchdq.ResidualDynamics`, of which the network and a learned offset act; its `effects()` are this
