@@ -2256,4 +2256,13 @@ MUTANTS = (
             f"{SCENE}::test_a_description_that_has_nothing_to_take_is_told_once",
         ),
     ),
+    *within(
+        "torchdq/effects/residual.py",
+        (
+            "a learned torque at the acceleration without it",
+            "return r - step.squeeze(-1)",
+            "return residual(free)",
+            "residual_effect.py::test_a_network_that_learned_rotors_is_those_rotors_however_heavy",
+        ),
+    ),
 )
