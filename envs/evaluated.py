@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from torch import Tensor
 
 from torchdq.dynamics.posed import Row
+from torchdq.effects.residual import NAME as RESIDUAL
 from torchdq.envs.integrators import System
 from torchdq.envs.spec import Task
 from torchdq.envs.state import State
@@ -50,4 +51,27 @@ def driven(
     rows = scene.evaluate("drive", {**state.rows(), **inputs}, task)
     x, v = rows.pop("x"), rows.pop("v")
     acting = {name: inputs[name] for effect in scene.effects for name in effect.inputs(scene.n) if name in inputs}
-    return _Evaluated(scene, {**acting, "u": rows["u"]}), x, v, rows
+    acting["u"] = rows["u"]
+
+    def accelerations(held: Tensor | None) -> Tensor:
+        given = acting if held is None else {**acting, RESIDUAL: held}
+        return scene.evaluate("accelerations", {"x": x, "v": v, **given})["a"][..., : scene.n]
+
+    learned = learned_effect(scene)
+    held = {} if learned is None else {RESIDUAL: learned.torques(state.q, state.qd, accelerations)}
+    return _Evaluated(scene, {**acting, **held}), x, v, rows
+
+
+def learned_effect(scene: Scene) -> Any:
+    """Effect whose torques are computed before a step; None: there is none."""
+    return next((effect for effect in scene.effects if effect.computed(scene.n)), None)
+
+
+def with_held(
+    scene: Scene, state: State, inputs: Mapping[str, Tensor], task: Task | None = None
+) -> Mapping[str, Tensor]:
+    """Inputs of the program of a step, those that the scene computes before it included."""
+    if learned_effect(scene) is None:
+        return inputs
+    system, *_ = driven(scene, state, inputs, task)
+    return {**inputs, RESIDUAL: system.inputs[RESIDUAL]}

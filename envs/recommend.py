@@ -100,6 +100,11 @@ def recommend(
                 f"recommend tries one robot at a time, found batch axes {batch} of {name}; "
                 f"give it the one that is hardest to simulate, with the lightest links or the stiffest joints"
             )
+    if scene.spec.computed():
+        raise ArgumentError(
+            "recommend keeps answers by the numbers of a scene, and a network of effects.Residual has none; "
+            "ask about the scene without it, and halve dt until the motion with it stays the same"
+        )
     with torch.no_grad(), Notice(f"recommend for {scene.robot.name!r}") as notice:
         if horizon is None:
             return _for_accelerations(scene.robot, error)

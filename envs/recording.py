@@ -160,7 +160,7 @@ class Stage(_StageFields, Computation):
         moving = n + spec.transmission[1].memory(n) // 2
         asked = {} if self.task is None else self.task.inputs(n)
         evaluated = {"u": n, "x": moving, "v": moving, "to": moving, "h": 1}
-        return {**spec.state, "noise": spec.noises, **spec.inputs(), **asked, **evaluated}
+        return {**spec.state, "noise": spec.noises, **spec.inputs(), **spec.computed(), **asked, **evaluated}
 
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
         """Trailing axes of the results; one number of a task, such as its reward, has none."""

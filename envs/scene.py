@@ -23,7 +23,7 @@ from torchdq.call import batch_of, evaluate
 from torchdq.effects.effect import Effect
 from torchdq.envs.controllers import Controller
 from torchdq.envs.describe import Description, describe
-from torchdq.envs.evaluated import driven
+from torchdq.envs.evaluated import driven, with_held
 from torchdq.envs.integrators import Integrator, LinearlyImplicit, Unrecorded
 from torchdq.envs.linearize import Linearization, linearize
 from torchdq.envs.recording import Stage
@@ -196,7 +196,11 @@ class Scene:
         """State after `dt`, and rows that a task computes from it in the same program."""
         require_state(state)
         present = {name: x for name, x in inputs.items() if x is not None}
+        for name in self.spec.computed():
+            if name in present:
+                raise ArgumentError(f"{name} is computed by the scene before every step; leave it out")
         if not isinstance(self.integrator, Unrecorded):
+            present = {**with_held(self, state, present, task)}
             return _split(self.evaluate("step", self._with_noise({**state.rows(), **present}, noise), task))
         dtype = state.q.dtype
         if self.precision != "double" or dtype != torch.float32:
@@ -294,7 +298,12 @@ class Scene:
             name = type(self.integrator).__name__
             raise ArgumentError(f"a step of {name} is no program of its own")
         stage = Stage(self.spec, "step", task)
-        wanted = [*self.spec.state, *(present or self.inputs), *(["noise"] if self.noises else [])]
+        wanted = [
+            *self.spec.state,
+            *(present or self.inputs),
+            *self.spec.computed(),
+            *(["noise"] if self.noises else []),
+        ]
         taken = [Argument(name, math.prod(stage.axes(name))) for name in wanted]
         if self.controller is not None and "reference" not in wanted:
             raise ArgumentError("reference must be among the inputs of a scene with a controller")

@@ -79,6 +79,10 @@ class SceneSpec:
             found.update(effect.inputs(n))
         return found
 
+    def computed(self) -> dict[str, int]:
+        """Names and widths of the rows that a scene computes before a step."""
+        return {name: width for effect in self.effects for name, width in effect.computed(self.robot.n).items()}
+
     @property
     def noises(self) -> int:
         """Number of random numbers that a step consumes."""

@@ -6,6 +6,8 @@ import warnings
 from collections import Counter
 from collections.abc import Sequence
 
+from torch import nn
+
 from torchdq.caches import PROGRAMS, Bounded
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.body import BodyEffect
@@ -27,7 +29,7 @@ def together(effects: Sequence[Effect], robot: Robot) -> tuple[Effect, ...]:
     resolved = tuple(effect.resolved(robot) for effect in effects)
     for asked, effect in zip(effects, resolved, strict=True):
         _tell_if_idle(asked, effect, robot)
-    names = Counter(name for effect in resolved for name in effect.inputs(robot.n))
+    names = Counter(name for effect in resolved for name in (*effect.inputs(robot.n), *effect.computed(robot.n)))
     for name, number in names.items():
         if number > 1:
             raise ArgumentError(f"the input {name!r} belongs to {number} effects; give them names of their own")
@@ -43,6 +45,7 @@ def _check_effects(effects: Sequence[Effect]) -> None:
             raise ArgumentError(
                 f"effects must be objects of torchdq.effects, found {effect!r}"
                 + ("; it is a class, call it" if isinstance(effect, type) else "")
+                + ("; what a module learned acts as effects.Residual(module)" if isinstance(effect, nn.Module) else "")
             )
         if not isinstance(effect, SLOTS):
             slots = ", ".join(slot.__name__ for slot in SLOTS)

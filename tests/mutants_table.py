@@ -2403,4 +2403,13 @@ MUTANTS = (
             "friction_of_logs.py::test_friction_is_found_within_the_stated_errors",
         ),
     ),
+    *within(
+        "torchdq/effects/residual.py",
+        (
+            "a learned torque at the acceleration without it",
+            "return r - step.squeeze(-1)",
+            "return residual(free)",
+            "residual_effect.py::test_a_network_that_learned_rotors_is_those_rotors_however_heavy",
+        ),
+    ),
 )

@@ -406,6 +406,7 @@ def test_limits_are_continuous_at_the_limit():
     assert sizes[2] < 1e-4
 
 
+@pytest.mark.filterwarnings("ignore:.*it acts on no joint:UserWarning")  # held by test_scene.py
 def test_infinite_limits_cost_nothing():
     robot = CASES["two_link"].robot
     assert not robot.limits.upper.isfinite().any()
@@ -714,6 +715,7 @@ def test_saturation_is_exactly_its_limit_beyond_it():
     assert torch.equal(scene.step(state, u).qd, unbounded.step(state, u).qd)
 
 
+@pytest.mark.filterwarnings("ignore:.*it acts on no joint:UserWarning")  # held by test_scene.py
 def test_saturation_without_limits_costs_nothing():
     robot = CASES["two_link"].robot
     for effect in (effects.Saturation(), effects.TorqueSpeed()):
@@ -1053,6 +1055,7 @@ TENSORS = {
     "Bias": lambda: (effects.Bias(p(0.1, 0.2), p(0.3, 0.4)), {}),
     "ReadingDelay": lambda: (effects.ReadingDelay(1), {}),
     "QuantisedCommand": lambda: (effects.QuantisedCommand(p(0.3, 0.4)), {}),
+    "Residual": lambda: (effects.Residual(torch.mul), {}),
     "QuantisedReading": lambda: (effects.QuantisedReading(p(0.03, 0.04), p(0.3, 0.4)), {}),
 }
 STEPPED = ("QuantisedCommand", "QuantisedReading")  # differentiable only between their steps

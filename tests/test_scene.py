@@ -100,6 +100,7 @@ SOMETHING = (
     effects.Servo(3.0),
     effects.Limits(-1.0, 1.0),
     effects.Elastic(30.0),
+    effects.Residual(torch.mul),
     effects.Push(),
     effects.Drag(0.1),
     effects.Contact(),

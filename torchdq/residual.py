@@ -10,7 +10,9 @@ from typing import Literal, get_args
 import torch
 from torch import Tensor, nn
 
+from torchdq.effects import Coulomb, Effect, Gravity, Residual, RotorInertia, Viscous
 from torchdq.errors import ArgumentError
+from torchdq.functional import mass_matrix
 from torchdq.nn import DQRNEA, smooth_sign
 from torchdq.robot import Robot
 
@@ -128,6 +130,50 @@ class ResidualDynamics(nn.Module):
         """Torques [..., n] that the network adds to those of the model."""
         return self._parts(q, qd, qdd, f_tip, f_ext)[1]
 
+    def unmodelled(self, q: Tensor, qd: Tensor, qdd: Tensor | None = None) -> Tensor:
+        """Torques [..., n] of the network and of the offset that the model learned: all that is not physics."""
+        tau = self.model(q, qd, qdd)
+        # where the torque is simulated, its gradient flows through the model as well
+        rest = self.correction(self._columns(q, qd, qdd, tau))
+        return rest + self.model.offset.to(rest) if "offset" in self.model.learn else rest
+
+    @torch.no_grad()
+    def changes(self, q: Tensor, qd: Tensor, qdd: Tensor, directions: Tensor) -> Tensor:
+        """Derivatives [..., n, k] of the network's torques along changes of qdd, the columns of directions [..., n, k].
+
+        Without gradients of their own.
+        """
+        features = self._columns(q, qd, qdd, self.model(q, qd, qdd))
+        M = mass_matrix(self.robot, q, self.model.backend)  # the model's torque is linear in qdd
+        none = torch.zeros_like(directions)
+        columns = (none, none, none, directions, none, M @ directions)
+        along = torch.stack(torch.broadcast_tensors(*columns), -1).movedim(-2, 0)  # [k, ..., n, 6]
+
+        def changed(direction: Tensor) -> Tensor:
+            return torch.func.jvp(self.correction, (features,), (direction,))[1]
+
+        # forward mode, because torch refuses reverse mode inside of a checkpoint
+        return torch.func.vmap(changed)(along).movedim(0, -1)
+
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects that simulate all that was learned, with `robot`: `Scene(model.robot, model.effects())`.
+
+        Gravity and rotor inertia if the robot has them, friction if it is learned, and `torchdq.effects.Residual`.
+        Learned masses, friction and so on are as they are now: after an update of the parameters, make the scene anew.
+        The network itself is always the present one.
+
+        >>> import torchdq
+        >>> model = ResidualDynamics(DQRNEA(torchdq.robots.load("panda"), learn="friction"))
+        >>> print(*[type(effect).__name__ for effect in model.effects()])
+        Gravity RotorInertia Viscous Coulomb Residual
+        """
+        robot, inner = self.robot, self.model
+        found: list[Effect] = [] if robot.gravity is None else [Gravity()]
+        found += [] if robot.armature is None else [RotorInertia()]
+        if "friction" in inner.learn:
+            found += [Viscous(inner.viscous), Coulomb(inner.coulomb, inner.friction_width)]
+        return (*found, Residual(self))
+
     def _parts(self, q: Tensor, qd: Tensor, qdd: Tensor | None, *wrenches: Tensor | None) -> tuple[Tensor, Tensor]:
         """Torques of the model, and those of the network."""
         tau = self.model(q, qd, qdd, *wrenches)
@@ -135,8 +181,11 @@ class ResidualDynamics(nn.Module):
 
     def features(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> Tensor:
         """Features of every joint [..., n, 6], before scaling; tau [..., n] are the torques of the model."""
+        return self._columns(q, qd, qdd, tau.detach())
+
+    def _columns(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> Tensor:
         direction = smooth_sign(qd, self.model.friction_width)
-        columns = (q.sin(), q.cos(), qd, torch.zeros_like(qd) if qdd is None else qdd, direction, tau.detach())
+        columns = (q.sin(), q.cos(), qd, torch.zeros_like(qd) if qdd is None else qdd, direction, tau)
         return torch.stack(torch.broadcast_tensors(*columns), -1)
 
     def correction(self, features: Tensor) -> Tensor:

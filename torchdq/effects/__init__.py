@@ -5,6 +5,7 @@ from torchdq.effects.body import Contact, Drag, Push
 from torchdq.effects.effect import Effect
 from torchdq.effects.joint import Coulomb, Limits, Servo, Spring, Stribeck, Viscous
 from torchdq.effects.model import Gravity, MassScale, Payload, RotorInertia
+from torchdq.effects.residual import Residual
 from torchdq.effects.sensor import Bias, Noise, QuantisedReading, ReadingDelay
 from torchdq.effects.transmission import Elastic
 
@@ -27,6 +28,7 @@ __all__ = [
     "QuantisedCommand",
     "QuantisedReading",
     "ReadingDelay",
+    "Residual",
     "RotorInertia",
     "Saturation",
     "Servo",

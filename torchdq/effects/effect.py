@@ -143,6 +143,10 @@ class Effect(Parametric):
         """Names of the inputs that must be given at every step."""
         return tuple(self.inputs(n))
 
+    def computed(self, n: int) -> dict[str, int]:
+        """Names and widths of the rows that the scene computes for it before a step; nobody gives them."""
+        return {}
+
     def noises(self, n: int) -> int:
         """Number of random numbers, uniform in (0, 1), that it consumes at a step."""
         return 0

@@ -1,0 +1,164 @@
+"""Torques that a network has learned, as an effect at the joints."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar, Self
+
+import torch
+from torch import Tensor, nn
+
+from torchdq.checks import require_count, require_tensor
+from torchdq.dynamics.posed import Row
+from torchdq.effects.effect import TENSOR, Inputs
+from torchdq.effects.joint import Impedance, JointEffect
+from torchdq.errors import ArgumentError
+from torchdq.program.transforms import without_values
+from torchdq.robot import Robot
+
+NAME = "residual"  # row of the torques in the programs of a scene
+CHANGE = 1e-2  # relative change in the last iteration that is worth a warning; the error left is its square
+
+
+@dataclass(frozen=True)
+class Residual(JointEffect):
+    """Learned torques: the joints feel the opposite of what a model says the motors need beyond the rigid bodies.
+
+    The model runs in torch once per step, at the state at its start, and its torque is held over the step, over all
+    substeps and whatever the integrator, as a commanded torque is. So a simulation is of first order in `dt`, and a
+    torque that changes fast, such as stiff friction, needs short steps: leave friction to `Viscous` and `Coulomb`,
+    which are integrated implicitly. Gradients flow to the model's parameters and to the state.
+
+    A `torchdq.ResidualDynamics` also sees the acceleration, which its torque r decides in turn. So r is the solution of
+    r = residual(q, qd, a - W r), with the acceleration a of the scene without it and W = -dqdd/dr, by Newton's
+    iteration from r = 0. A network that has learned a missing rotor, which is heavier than the link behind it, is
+    simulated right in this way; at the acceleration a it would be wrong by as much as the rotor. Gradients are exact
+    where the iteration has converged. The model's torque among the features is that of the robot of the
+    `ResidualDynamics`, without wrenches on bodies, as in training without `f_ext`.
+
+    Args:
+        model: a `torchdq.ResidualDynamics`, of which the network and a learned offset act; its `effects()` are this
+            one and those of all else that it learned. Or a function or module of (q, qd) that returns the torques
+            [..., n], for which there is nothing to iterate; a module computes in the dtype of its parameters.
+        iterations: number of Newton's iterations for a `ResidualDynamics` in a step; one is enough for a network that
+            is linear in the acceleration.
+
+    >>> import torch, torchdq
+    >>> from torchdq.envs import Scene, effects
+    >>> scene = Scene(torchdq.robots.load("two_link"), (effects.Residual(lambda q, qd: 0.1 * qd),))
+    >>> scene.step(scene.start(torch.zeros(3, 2), torch.ones(3, 2))).qd.shape
+    torch.Size([3, 2])
+    """
+
+    ONCE: ClassVar[str] = "their torques are one row; give a function that adds them"
+    model: Any
+    iterations: int = 3
+
+    def described(self, robot: Robot) -> Self:
+        """Effect as it is; raises if its model cannot give torques of the robot's joints."""
+        require_count("iterations of Residual", self.iterations)
+        has_robot = isinstance(getattr(self.model, "robot", None), Robot)
+        if isinstance(self.model, type) or not callable(self.model) or (has_robot and not self._learns_accelerations):
+            raise ArgumentError(
+                f"model of Residual must be a torchdq.ResidualDynamics, or a function or module of (q, qd) that "
+                f"returns torques [..., n], found {_named(self.model)}"
+                + ("; it is a class, call it" if isinstance(self.model, type) else "")
+                + ("; its torques are those of all bodies, make a ResidualDynamics of it" if has_robot else "")
+            )
+        if has_robot and self.model.robot.n != robot.n:
+            raise ArgumentError(
+                f"model of Residual must have the {robot.n} joints of robot {robot.name!r}, found {self.model.robot.n}"
+            )
+        return self
+
+    @property
+    def _learns_accelerations(self) -> bool:
+        """True for a `ResidualDynamics`, whose torques depend on the acceleration."""
+        return callable(getattr(self.model, "unmodelled", None))
+
+    def template(self) -> Self:
+        """Copy without the model, on which no program depends."""
+        return replace(self, model=TENSOR, iterations=1)
+
+    def computed(self, n: int) -> dict[str, int]:
+        """The torques [n]."""
+        return {NAME: n}
+
+    def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
+        """Impedances of a constant force."""
+        return [Impedance(force=x) for x in inputs.get(NAME, (0.0,) * len(q))]
+
+    def torques(self, q: Tensor, qd: Tensor, accelerations: Callable[[Tensor | None], Tensor]) -> Tensor:
+        """Torques [..., n] of the model in a state; the joints feel the opposite.
+
+        Args:
+            q, qd: positions and velocities [..., n].
+            accelerations: function that returns the accelerations [..., n] under the torques [..., n] that it is given,
+                or under none.
+        """
+        if not self._learns_accelerations:
+            return self._of_state(q, qd)
+        free, n = accelerations(None), q.shape[-1]
+        units = torch.eye(n, dtype=q.dtype, device=q.device).reshape(n, *[1] * (free.ndim - 1), n)
+        W = (free - accelerations(units)).movedim(0, -1)  # accelerations are linear in the torques
+
+        def residual(qdd: Tensor) -> Tensor:
+            return self._checked(self.model.unmodelled(q, qd, qdd), q)
+
+        def changes(qdd: Tensor) -> Tensor:
+            return self.model.changes(q, qd, qdd, W)
+
+        before = found = torch.zeros_like(free)
+        for k in range(self.iterations):
+            before = found
+            # derivatives of the last iteration are those of the solution, so the others need none
+            with torch.set_grad_enabled(torch.is_grad_enabled() and k == self.iterations - 1):
+                found = _improved(before, free, W, residual, changes)
+        if self.iterations > 1 and not without_values((q,)):
+            self._tell_if_unsolved(before.detach(), found.detach())
+        return found
+
+    def _tell_if_unsolved(self, before: Tensor, after: Tensor) -> None:
+        """Warn about rows in which the last iteration still changed the torques."""
+        rows = ((after - before).abs() > CHANGE * (1.0 + after.abs())).any(-1)
+        if bool(rows.any()):
+            warnings.warn(
+                f"{int(rows.sum())} of {rows.numel()} rows of Residual still changed in the last of {self.iterations} "
+                f"iterations; give more iterations, or train the network near these motions: one whose torque falls "
+                f"with the acceleration has several solutions or none",
+                stacklevel=2,
+            )
+
+    def _of_state(self, q: Tensor, qd: Tensor) -> Tensor:
+        """Torques of a function or module of (q, qd)."""
+        like = next(self.model.parameters(), q) if isinstance(self.model, nn.Module) else q
+        found = self._checked(self.model(q.to(like.dtype), qd.to(like.dtype)), q)
+        return found.to(q.dtype) if isinstance(self.model, nn.Module) else found
+
+    def _checked(self, found: Any, q: Tensor) -> Tensor:
+        """Torques that a model returned; raises unless they are those of the joints."""
+        require_tensor("what model of Residual returns", found)
+        if found.shape[-1:] != q.shape[-1:] or found.ndim < q.ndim:
+            raise ArgumentError(
+                f"model of Residual must return torques of the shape {tuple(q.shape)} for positions of that shape, "
+                f"found {tuple(found.shape)}"
+            )
+        return found
+
+
+def _improved(
+    r: Tensor, free: Tensor, W: Tensor, residual: Callable[[Tensor], Tensor], changes: Callable[[Tensor], Tensor]
+) -> Tensor:
+    """Torques r [..., n] after an iteration of Newton's for r = residual(free - W r)."""
+    qdd = free - (W @ r.unsqueeze(-1)).squeeze(-1)
+    J = torch.eye(r.shape[-1], dtype=r.dtype, device=r.device) + changes(qdd)
+    # a row without a solution becomes NaN or infinite alone
+    step, _ = torch.linalg.solve_ex(J, (r - residual(qdd)).unsqueeze(-1))
+    return r - step.squeeze(-1)
+
+
+def _named(model: Any) -> str:
+    """Words for a model in an error."""
+    return repr(model) if isinstance(model, type | Tensor) or not isinstance(model, nn.Module) else type(model).__name__
