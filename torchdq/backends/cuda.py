@@ -80,15 +80,25 @@ def _refusal(index: int) -> BuildError | None:
     if torch.version.hip is not None:
         return BuildError("programs are compiled for NVIDIA GPUs alone, and this torch is built for ROCm")
     compiler = nvrtc.found()
-    return compiler if isinstance(compiler, BuildError) else compiler.refusal(_architecture(index))
+    if isinstance(compiler, str):
+        return BuildError(compiler)
+    try:
+        compiler.target(_architecture(index))
+    except BuildError as error:
+        return error
+    return None
 
 
 @remembered(PROGRAMS)
 def _compiled(program: Program, dtype: torch.dtype, architecture: int) -> CudaKernel | BuildError:
     """Kernel of a program, or the error of its build, made once per process."""
 
+    compiler = nvrtc.found()
+    if isinstance(compiler, str):
+        return BuildError(compiler)
+
     def build(text: str, name: str, arrays: int) -> Launch:
-        return cuda_driver.Module(nvrtc.built(text, name, architecture)).kernel("run", arrays)
+        return cuda_driver.Module(compiler.load(text, name, architecture)).kernel("run", arrays)
 
     try:
         return CudaKernel(program, dtype, build)
