@@ -1204,10 +1204,10 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/backends/cache.py",
+        "torchdq/backends/c_library.py",
         (
             "libraries kept before they were loaded",
-            "            _opened(library)\n",
+            "        _opened(library)\n",
             "",
             f"{BUILD}::test_a_compiler_that_does_not_compile_is_an_error_and_nothing_is_kept",
         ),
@@ -1217,11 +1217,26 @@ MUTANTS = (
             "weakref.finalize(function, str, library)",
             f"{BUILD}::test_a_library_is_unloaded_with_its_kernel",
         ),
+    ),
+    *within(
+        "torchdq/backends/cache.py",
         (
-            "libraries used last removed first",
-            "sorted(libraries, reverse=True)",
-            "sorted(libraries)",
+            "files used last removed first",
+            "sorted(files, reverse=True)",
+            "sorted(files)",
             f"{BUILD}::test_a_full_cache_loses_the_libraries_that_were_used_least_recently",
+        ),
+        (
+            "machine code for GPUs never removed",
+            'Literal[".so", ".cubin"]',
+            'Literal[".so"]',
+            f"{BUILD}::test_a_full_cache_loses_files_of_any_kind",
+        ),
+        (
+            "a file taken for another program's",
+            "hashlib.sha256(key.encode() + body)",
+            "hashlib.sha256(body)",
+            f"{BUILD}::test_a_broken_or_foreign_entry_is_built_again",
         ),
         (
             "one compilation per thread",
