@@ -256,9 +256,11 @@ def main() -> None:
     parser = report.parser(__doc__, quick="bounds in float32 alone; fewer batch sizes")
     parser.add_argument("--device", help="device of the measurements; without a GPU, bounds are computed instead")
     arguments = parser.parse_args()
-    facts = report.machine()
+    facts, how = report.machine(), "Measured on"
     if arguments.device is None and not torch.cuda.is_available():
         text, rows = computed_table(arguments.quick)
+        version = ".".join(map(str, nvrtc.found().version))  # type: ignore[union-attr]
+        facts, how = {"compiler": f"NVRTC {version}", "architecture": f"sm_{ARCHITECTURE}"}, "Computed with"
         print(text)
     else:
         device = torch.device(arguments.device or "cuda")
@@ -267,7 +269,7 @@ def main() -> None:
         rows = measured(device, arguments.quick)  # type: ignore[assignment]
         text = measured_table(rows, copy_speed(device), name)  # type: ignore[arg-type]
         print(text)
-    report.finish(arguments, __file__, text, facts, rows=[asdict(row) for row in rows])
+    report.finish(arguments, __file__, text, facts, how, rows=[asdict(row) for row in rows])
 
 
 if __name__ == "__main__":
