@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 from helpers import random, rods
-from host_gpu import HOST, BACKWARDS, function, host_backends  # noqa: F401
+from host_gpu import BACKWARDS, HOST, function, host_backends  # noqa: F401
 from oracles import EPS, random_tree, states
 from torch.autograd import gradcheck, gradgradcheck
 
@@ -131,18 +131,16 @@ def test_every_operation_has_the_values_of_torch(code, dtype):
     program = record(code, [Argument("x", arity)], lambda x: {"y": [applied(code, *x)]})
     grids = torch.meshgrid(*[torch.tensor(SPECIAL, dtype=dtype)] * arity, indexing="ij")
     x = torch.stack([g.flatten() for g in grids], -1)
-    found, expected = (on(name, lambda x: run(program, [x], chosen(name)), x)[0][0] for name in ("host", "eager"))
+    (found,), (expected,) = (run(program, [x], backend) for backend in (HOST, EAGER))
     torch.testing.assert_close(found, expected, rtol=4 * EPS[dtype], atol=0, equal_nan=True)
-
-
-def chosen(name):
-    return torchdq.backends.choice.choose(name, torch.device("cpu"))
 
 
 @pytest.mark.parametrize("dtype", [F64, F32], ids=str)
 def test_sine_and_cosine_of_any_angle_are_those_of_torch(dtype):
     program = record("turn", [Argument("x", 1)], lambda x: {"y": [applied("sin", x[0]), applied("cos", x[0])]})
-    x = torch.cat([torch.linspace(-1e4, 1e4, 20001), 10 ** torch.linspace(0, 30, 301), -(10 ** torch.linspace(-30, 4, 99))])
+    x = torch.cat(
+        [torch.linspace(-1e4, 1e4, 20001), 10 ** torch.linspace(0, 30, 301), -(10 ** torch.linspace(-30, 4, 99))]
+    )
     x = x.to(dtype).unsqueeze(-1)
     found = run(program, [x], HOST)[0].double()
     exact = torch.cat([x.double().sin(), x.double().cos()], -1)
@@ -157,7 +155,7 @@ def test_constants_that_are_not_finite_are_exact():
     same(run(program, [x], HOST), run(program, [x], COMPILED))
 
 
-# --- rows that would lose their digits ---------------------------------------------------------------------------------
+# --- rows that would lose their digits -------------------------------------------------------------------------------
 
 # some of its samples are beyond what float32 may magnify, all are far from singular
 MIXED = rods(6, tip=1000.0)
@@ -188,7 +186,14 @@ def test_singular_rows_are_nan_and_alone(dtype):
     found = torchdq.forward_dynamics(robot, q, qd, tau, backend="host")
     assert found[60].isnan().all()
     others = [k for k in range(200) if k != 60]
-    same([found[others]], [torchdq.forward_dynamics(robot.replace(mass=mass[others]), q[others], qd[others], tau[others], backend="host")])
+    same(
+        [found[others]],
+        [
+            torchdq.forward_dynamics(
+                robot.replace(mass=mass[others]), q[others], qd[others], tau[others], backend="host"
+            )
+        ],
+    )
 
 
 @pytest.mark.parametrize("batch", [1, 50, 300])

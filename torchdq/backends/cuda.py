@@ -11,7 +11,7 @@ from torch import Tensor
 from torchdq.backends import cuda_driver, nvrtc
 from torchdq.backends.backend import Backend, DirectKernel
 from torchdq.backends.compiler import BuildError
-from torchdq.backends.cuda_kernel import CudaKernel, Launch
+from torchdq.backends.cuda_kernel import CudaKernel, Launcher
 from torchdq.backends.precision import guarded
 from torchdq.backends.torch import EAGER, InterpretedKernel
 from torchdq.caches import PROGRAMS, remembered
@@ -97,8 +97,8 @@ def _compiled(program: Program, dtype: torch.dtype, architecture: int) -> CudaKe
     if isinstance(compiler, str):
         return BuildError(compiler)
 
-    def build(text: str, name: str, arrays: int) -> Launch:
-        return cuda_driver.Module(compiler.load(text, name, architecture)).kernel("run", arrays)
+    def build(text: str, name: str, arrays: int) -> Launcher:
+        return cuda_driver.Module(compiler.load(text, name, architecture)).kernel("run", arrays, 0)
 
     try:
         return CudaKernel(program, dtype, build)

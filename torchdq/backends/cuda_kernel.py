@@ -14,8 +14,8 @@ from torchdq.backends.cuda_source import marks, recomputing_source, source, stag
 from torchdq.program.program import Program
 
 # called with the numbers of blocks, of threads in each and of samples, the addresses of all arrays, and the device
-Launch = Callable[[int, int, int, Sequence[int], torch.device], None]
-Build = Callable[[str, str, int], Launch]  # from a text, the name of its program, and the number of arrays
+Launcher = Callable[[int, int, int, Sequence[int], torch.device], None]
+Build = Callable[[str, str, int], Launcher]  # from a text, the name of its program, and the number of arrays
 
 
 class CudaKernel:
@@ -62,7 +62,7 @@ class CudaKernel:
         samples: int,
         device: torch.device,
     ) -> None:
-        """Launch the kernel, and the one that recomputes marked rows into `again`."""
+        """Launcher the kernel, and the one that recomputes marked rows into `again`."""
         if not samples:
             return
         blocks, block = -(-samples // self.stage.block), self.stage.block

@@ -37,7 +37,7 @@ def source(program: Program, single: bool) -> str:
     result that is summed is [blocks, width], the sums of the blocks, where it is `staged`, and otherwise [samples,
     width], whose sum is left to the caller.
     """
-    return _Printer(program, single, recomputing=False).text()
+    return _KernelPrinter(program, single, recomputing=False).text()
 
 
 def recomputing_source(program: Program) -> str:
@@ -45,7 +45,7 @@ def recomputing_source(program: Program) -> str:
 
     Sums of blocks are those of the marked rows alone.
     """
-    return _Printer(program, single=False, recomputing=True).text()
+    return _KernelPrinter(program, single=False, recomputing=True).text()
 
 
 def marks(program: Program, single: bool) -> bool:
@@ -77,10 +77,10 @@ def staged(program: Program, single: bool) -> Staged:
     return Staged(block, *map(frozenset, chosen))
 
 
-class _Printer:
+class _KernelPrinter:
     def __init__(self, program: Program, single: bool, recomputing: bool):
         self.program, self.single, self.recomputing = program, single, recomputing
-        self.number = "float" if recomputing else "S"  # of memory; the arithmetic is in S
+        self.number = "float" if recomputing else "S"  # type in memory; the arithmetic is in S
         self.stage = staged(program, single or recomputing)
         self.pairs = pairs(program)
         if recomputing:  # few rows, which are read and written where they are; sums are those of all threads
