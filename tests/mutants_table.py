@@ -1451,12 +1451,6 @@ MUTANTS = (
             "r=(x-k*HALF_PI_1)-k*HALF_PI_2",
             f"{BACKENDS}::test_sine_and_cosine_are_within_two_units_in_the_last_place",
         ),
-        (
-            "in C, a digit of the sine's polynomial",
-            "SIN(z) (-0x1.5555555555549p-3",
-            "SIN(z) (-0x1.5555555455549p-3",
-            f"{BACKENDS}::test_compiled_functions_equal_torch_operations",
-        ),
         ("in C, whole numbers rounded down by one", "(y>x)&(M)", "(y>=x)&(M)", f"{NUMBERS}::test_special_values"),
         (
             "in C, an infinite logarithm",
@@ -2269,6 +2263,84 @@ MUTANTS = (
             "if not sources or",
             "if True or",
             f"{SCENE}::test_a_description_that_has_nothing_to_take_is_told_once",
+        ),
+    ),
+    *within(
+        "torchdq/backends/c_constants.py",
+        (
+            "in C, a digit of the sine's polynomial",
+            "SIN(z) (-0x1.5555555555549p-3",
+            "SIN(z) (-0x1.5555555455549p-3",
+            f"{BACKENDS}::test_compiled_functions_equal_torch_operations",
+        ),
+    ),
+    *within(
+        "torchdq/backends/cuda_source.py",
+        (
+            "sums of a GPU with recomputed rows twice",
+            'value = f"over?(S)0:{value}"',
+            "value = value",
+            "cuda_host.py::test_sums_contain_the_recomputed_rows",
+        ),
+        (
+            "rows of a GPU that nothing recomputes",
+            "self.literal(LARGEST_GROWTH.single)",
+            "self.literal(LARGEST_GROWTH.double)",
+            "cuda_host.py::test_rows_over_the_limit_are_recomputed_in_float64",
+        ),
+        (
+            "singular rows of a GPU as numbers",
+            'value = f"over?real(NAN_BITS):{value}"',
+            "value = value",
+            "cuda_host.py::test_singular_rows_are_nan_and_alone",
+        ),
+        (
+            "rows of the last block left out",
+            "i<here*{width};i+=BLOCK",
+            "i<here*{width}-1;i+=BLOCK",
+            "cuda_host.py::test_a_row_of_a_batch_is_bitwise_the_row_alone",
+        ),
+        (
+            "rows of even width moved into each other",
+            'f"i/{width}*{width + 1}+i%{width}"',
+            '"i"',
+            "cuda_host.py::test_kernels_write_only_into_their_results",
+        ),
+        (
+            "sums of whole blocks where the last is shorter",
+            "for(int i=0;i<here;i++)a+=",
+            "for(int i=0;i<BLOCK;i++)a+=",
+            "cuda_host.py::test_gradients_equal_those_of_the_c_backend",
+        ),
+        (
+            "rows wider than shared memory",
+            "if width <= room:",
+            "if True:",
+            "cuda_host.py::test_rows_too_wide_for_shared_memory_are_read_and_written_where_they_are",
+        ),
+    ),
+    *within(
+        "torchdq/backends/cuda_kernel.py",
+        (
+            "sums without the recomputed rows",
+            "(sums[k].sum((0, 1)) if k in sums",
+            "(sums[k][0].sum(0) if k in sums",
+            "cuda_host.py::test_sums_contain_the_recomputed_rows",
+        ),
+    ),
+    *within(
+        "torchdq/program/order.py",
+        (
+            "values before their operands",
+            "ready = [rank(i) for i in range(len(ops)) if not given[i] and not missing[i]]",
+            "ready = [rank(i) for i in range(len(ops)) if not given[i]]",
+            "cuda_compile.py::test_orders_hold_every_value_once_after_its_operands",
+        ),
+        (
+            "the order that keeps most values alive",
+            "return min(recorded(program), listed(program)",
+            "return max(recorded(program), listed(program)",
+            "cuda_compile.py::test_the_narrowest_order_keeps_the_fewest_values_alive",
         ),
     ),
 )
