@@ -59,6 +59,7 @@ RECOMMEND = "recommend.py"
 BACKENDS = "backends.py"
 BUILD = "build.py"
 NVRTC = "nvrtc.py"
+DRIVER = "cuda_driver.py"
 CONTROL = "computed_torque.py"
 SIGNS = "signs_and_turns.py::test_signs_are_those_of_plain_arithmetic"
 MANY_TURNS = "signs_and_turns.py::test_a_rotation_by_many_turns_loses_nothing_to_the_rounding_of_its_angle"
@@ -1217,6 +1218,45 @@ MUTANTS = (
             "weakref.finalize(function, _ctypes.dlclose, library)",
             "weakref.finalize(function, str, library)",
             f"{BUILD}::test_a_library_is_unloaded_with_its_kernel",
+        ),
+    ),
+    *within(
+        "torchdq/backends/cuda_driver.py",
+        (
+            "arguments of a kernel shared by threads",
+            "class _Arguments(threading.local):",
+            "class _Arguments:",
+            f"{DRIVER}::test_threads_do_not_mix_their_arguments",
+        ),
+        (
+            "a kernel launched on another device than its tensors'",
+            "with torch.cuda.device(device.index):",
+            "if True:",
+            f"{DRIVER}::test_another_device_is_current_during_the_launch_only",
+        ),
+        (
+            "kernels that stay loaded",
+            'weakref.finalize(self, call["cuLibraryUnload"], self.handle)',
+            "weakref.finalize(self, str, self.handle)",
+            f"{DRIVER}::test_kernels_are_loaded_once_and_unloaded_with_the_last_reference",
+        ),
+        (
+            "kernels of a CUDA graph unloaded",
+            "_captured.add(self.module)",
+            "pass",
+            f"{DRIVER}::test_what_a_graph_captured_stays_loaded",
+        ),
+        (
+            "shared memory that was not asked for",
+            "if self.shared > SHARED and",
+            "if False and",
+            f"{DRIVER}::test_more_shared_memory_is_asked_for_once_on_every_device",
+        ),
+        (
+            "threads without a context",
+            "if status == NO_CONTEXT:",
+            "if False:",
+            f"{DRIVER}::test_a_thread_without_a_context_gets_that_of_torch",
         ),
     ),
     *within(

@@ -5,7 +5,7 @@ choice     list of backends, and choice of one by name and device
 backend    interface of a backend
 c          compiled C on the CPU: c_prelude and c_source print it, compiler runs the compiler, c_library makes
            functions of it, threads share a batch
-nvrtc      run-time compiler of CUDA
+nvrtc      run-time compiler of CUDA, and cuda_driver, which loads and launches what it compiled
 cache      compiled programs on disk
 torch      torch's own operations, on any device
 precision  recomputation in float64 of rows whose rounding errors are too large
