@@ -304,10 +304,11 @@ def said(registers: int, stack: int, spilled: int = 0) -> str:
     "first, second, again",
     [
         (said(32, 24000), said(255, 7000, 9000), True),
-        (said(32, 24000), said(255, 25000), False),  # no better
-        (said(255, 24000), said(255, 7000), False),  # registers are in use
-        (said(32, 1000), said(255, 0), False),  # a short program
+        (said(32, 24000), said(255, 25000), False),
+        (said(255, 24000), said(255, 7000), False),
+        (said(32, 1000), said(255, 0), False),
     ],
+    ids=["less stack", "more stack", "registers in use", "short program"],
 )
 def test_where_registers_are_not_allocated_less_optimisation_is_tried(fake, first, second, again):
     found = fake.compile(f"{first}\f{second}", "scale", 90)

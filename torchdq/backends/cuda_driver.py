@@ -219,7 +219,7 @@ class Launch:
         if torch.cuda.is_current_stream_capturing():
             _captured.add(self.module)
         arguments = self._arguments
-        arguments.values[:] = (samples, *pointers)
+        arguments.values[:] = [samples, *pointers]
         grid = (blocks, 1, 1, threads, 1, 1, self.shared, _stream(index), arguments.at, None)
         status = self._launch(self.handle, *grid)
         if status == NO_CONTEXT:  # torch makes a context current in a thread only when it needs one
