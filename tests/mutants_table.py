@@ -58,6 +58,8 @@ SCENE = "scene.py"
 RECOMMEND = "recommend.py"
 BACKENDS = "backends.py"
 BUILD = "build.py"
+NVRTC = "nvrtc.py"
+DRIVER = "cuda_driver.py"
 CONTROL = "computed_torque.py"
 SIGNS = "signs_and_turns.py::test_signs_are_those_of_plain_arithmetic"
 MANY_TURNS = "signs_and_turns.py::test_a_rotation_by_many_turns_loses_nothing_to_the_rounding_of_its_angle"
@@ -1216,6 +1218,84 @@ MUTANTS = (
             "weakref.finalize(function, _ctypes.dlclose, library)",
             "weakref.finalize(function, str, library)",
             f"{BUILD}::test_a_library_is_unloaded_with_its_kernel",
+        ),
+    ),
+    *within(
+        "torchdq/backends/cuda_driver.py",
+        (
+            "arguments of a kernel shared by threads",
+            "class _Arguments(threading.local):",
+            "class _Arguments:",
+            f"{DRIVER}::test_threads_do_not_mix_their_arguments",
+        ),
+        (
+            "a kernel launched on another device than its tensors'",
+            "with torch.cuda.device(device.index):",
+            "if True:",
+            f"{DRIVER}::test_another_device_is_current_during_the_launch_only",
+        ),
+        (
+            "kernels that stay loaded",
+            'weakref.finalize(self, call["cuLibraryUnload"], self.handle)',
+            "weakref.finalize(self, str, self.handle)",
+            f"{DRIVER}::test_kernels_are_loaded_once_and_unloaded_with_the_last_reference",
+        ),
+        (
+            "kernels of a CUDA graph unloaded",
+            "_captured.add(self.module)",
+            "pass",
+            f"{DRIVER}::test_what_a_graph_captured_stays_loaded",
+        ),
+        (
+            "shared memory that was not asked for",
+            "if self.shared > SHARED and",
+            "if False and",
+            f"{DRIVER}::test_more_shared_memory_is_asked_for_once_on_every_device",
+        ),
+        (
+            "threads without a context",
+            "if status == NO_CONTEXT:",
+            "if False:",
+            f"{DRIVER}::test_a_thread_without_a_context_gets_that_of_torch",
+        ),
+    ),
+    *within(
+        "torchdq/backends/nvrtc.py",
+        (
+            "NVRTC without its second library",
+            'raise BuildError(f"{path} lacks its second library: {error}") from error',
+            "pass",
+            f"{NVRTC}::test_one_that_cannot_be_used_is_passed_over",
+        ),
+        (
+            "NVRTC of another version than torch's",
+            "return [own, *(major for major in MAJORS if major != own)]",
+            "return sorted({own, *MAJORS}, reverse=True)",
+            f"{NVRTC}::test_the_version_of_torch_goes_before_newer_ones_wherever_they_are",
+        ),
+        (
+            "kernels that keep all values in memory",
+            "used.registers <= FEW and used.stack >= LARGE",
+            "False",
+            f"{NVRTC}::test_where_registers_are_not_allocated_less_optimisation_is_tried",
+        ),
+        (
+            "machine code for a GPU that the compiler does not know",
+            'return f"compute_{older[-1]}"',
+            'return f"sm_{older[-1]}"',
+            f"{NVRTC}::test_another_architecture_gets_text_of_the_newest_before_it",
+        ),
+        (
+            "programs of NVRTC that stay in memory",
+            "library.nvrtcDestroyProgram(program)",
+            "pass",
+            f"{NVRTC}::test_no_program_stays_in_memory",
+        ),
+        (
+            "machine code of another architecture",
+            "self.target(architecture), *FLAGS, CALMER",
+            "*FLAGS, CALMER",
+            f"{NVRTC}::test_code_is_kept_by_all_that_it_depends_on",
         ),
     ),
     *within(
