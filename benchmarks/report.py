@@ -38,12 +38,17 @@ def spread(times: Sequence[float]) -> tuple[float, float, float]:
 
 
 def finish(
-    arguments: argparse.Namespace, script: str, text: str, facts: dict[str, str], **everything: Sequence[Any]
+    arguments: argparse.Namespace,
+    script: str,
+    text: str,
+    facts: dict[str, str],
+    how: str = "Measured on",
+    **everything: Sequence[Any],
 ) -> None:
     """Print the machine; write a text into the README and everything into a JSON file, where the options ask for it."""
     print(f"\n{words(facts)}")
     if arguments.readme:
-        into_readme(text, script, facts)
+        into_readme(text, script, facts, how)
     into_json(arguments.json, machine=facts, **everything)
 
 
@@ -62,12 +67,12 @@ def _short(x: Any) -> Any:
     return float(f"{x:.4g}") if isinstance(x, float) else x
 
 
-def into_readme(text: str, script: str, facts: dict[str, str]) -> None:
+def into_readme(text: str, script: str, facts: dict[str, str], how: str = "Measured on") -> None:
     """Write a text and the machine between the two marks of a script in the README."""
     readme = Path(__file__).resolve().parents[1] / "README.md"
     begin, end = (f"<!-- benchmarks/{Path(script).name} {word} -->" for word in ("begins", "ends"))
     before, rest = readme.read_text().split(begin)
-    readme.write_text(f"{before}{begin}\n{text}\n\nMeasured on: {words(facts)}.\n{end}{rest.split(end)[1]}")
+    readme.write_text(f"{before}{begin}\n{text}\n\n{how}: {words(facts)}.\n{end}{rest.split(end)[1]}")
 
 
 def words(facts: dict[str, str]) -> str:

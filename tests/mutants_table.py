@@ -58,6 +58,8 @@ SCENE = "scene.py"
 RECOMMEND = "recommend.py"
 BACKENDS = "backends.py"
 BUILD = "build.py"
+NVRTC = "nvrtc.py"
+DRIVER = "cuda_driver.py"
 CONTROL = "computed_torque.py"
 SIGNS = "signs_and_turns.py::test_signs_are_those_of_plain_arithmetic"
 MANY_TURNS = "signs_and_turns.py::test_a_rotation_by_many_turns_loses_nothing_to_the_rounding_of_its_angle"
@@ -1204,10 +1206,10 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/backends/cache.py",
+        "torchdq/backends/c_library.py",
         (
             "libraries kept before they were loaded",
-            "            _opened(library)\n",
+            "        _opened(library)\n",
             "",
             f"{BUILD}::test_a_compiler_that_does_not_compile_is_an_error_and_nothing_is_kept",
         ),
@@ -1217,11 +1219,104 @@ MUTANTS = (
             "weakref.finalize(function, str, library)",
             f"{BUILD}::test_a_library_is_unloaded_with_its_kernel",
         ),
+    ),
+    *within(
+        "torchdq/backends/cuda_driver.py",
         (
-            "libraries used last removed first",
-            "sorted(libraries, reverse=True)",
-            "sorted(libraries)",
+            "arguments of a kernel shared by threads",
+            "class _Arguments(threading.local):",
+            "class _Arguments:",
+            f"{DRIVER}::test_threads_do_not_mix_their_arguments",
+        ),
+        (
+            "a kernel launched on another device than its tensors'",
+            "with torch.cuda.device(device.index):",
+            "if True:",
+            f"{DRIVER}::test_another_device_is_current_during_the_launch_only",
+        ),
+        (
+            "kernels that stay loaded",
+            'weakref.finalize(self, call["cuLibraryUnload"], self.handle)',
+            "weakref.finalize(self, str, self.handle)",
+            f"{DRIVER}::test_kernels_are_loaded_once_and_unloaded_with_the_last_reference",
+        ),
+        (
+            "kernels of a CUDA graph unloaded",
+            "_captured.add(self.module)",
+            "pass",
+            f"{DRIVER}::test_what_a_graph_captured_stays_loaded",
+        ),
+        (
+            "shared memory that was not asked for",
+            "if self.shared > SHARED and",
+            "if False and",
+            f"{DRIVER}::test_more_shared_memory_is_asked_for_once_on_every_device",
+        ),
+        (
+            "threads without a context",
+            "if status == NO_CONTEXT:",
+            "if False:",
+            f"{DRIVER}::test_a_thread_without_a_context_gets_that_of_torch",
+        ),
+    ),
+    *within(
+        "torchdq/backends/nvrtc.py",
+        (
+            "NVRTC without its second library",
+            'raise BuildError(f"{path} lacks its second library: {error}") from error',
+            "pass",
+            f"{NVRTC}::test_one_that_cannot_be_used_is_passed_over",
+        ),
+        (
+            "NVRTC of another version than torch's",
+            "return [own, *(major for major in MAJORS if major != own)]",
+            "return sorted({own, *MAJORS}, reverse=True)",
+            f"{NVRTC}::test_the_version_of_torch_goes_before_newer_ones_wherever_they_are",
+        ),
+        (
+            "kernels that keep all values in memory",
+            "used.registers <= FEW and used.stack >= LARGE",
+            "False",
+            f"{NVRTC}::test_where_registers_are_not_allocated_less_optimisation_is_tried",
+        ),
+        (
+            "machine code for a GPU that the compiler does not know",
+            'return f"compute_{older[-1]}"',
+            'return f"sm_{older[-1]}"',
+            f"{NVRTC}::test_another_architecture_gets_text_of_the_newest_before_it",
+        ),
+        (
+            "programs of NVRTC that stay in memory",
+            "library.nvrtcDestroyProgram(program)",
+            "pass",
+            f"{NVRTC}::test_no_program_stays_in_memory",
+        ),
+        (
+            "machine code of another architecture",
+            "self.target(architecture), *FLAGS, CALMER",
+            "*FLAGS, CALMER",
+            f"{NVRTC}::test_code_is_kept_by_all_that_it_depends_on",
+        ),
+    ),
+    *within(
+        "torchdq/backends/cache.py",
+        (
+            "files used last removed first",
+            "sorted(files, reverse=True)",
+            "sorted(files)",
             f"{BUILD}::test_a_full_cache_loses_the_libraries_that_were_used_least_recently",
+        ),
+        (
+            "machine code for GPUs never removed",
+            'Literal[".so", ".cubin"]',
+            'Literal[".so"]',
+            f"{BUILD}::test_a_full_cache_loses_files_of_any_kind",
+        ),
+        (
+            "a file taken for another program's",
+            "hashlib.sha256(key.encode() + body)",
+            "hashlib.sha256(body)",
+            f"{BUILD}::test_a_broken_or_foreign_entry_is_built_again",
         ),
         (
             "one compilation per thread",
@@ -1435,12 +1530,6 @@ MUTANTS = (
             "r=((x-k*HALF_PI_1)-k*HALF_PI_2)-k*HALF_PI_3",
             "r=(x-k*HALF_PI_1)-k*HALF_PI_2",
             f"{BACKENDS}::test_sine_and_cosine_are_within_two_units_in_the_last_place",
-        ),
-        (
-            "in C, a digit of the sine's polynomial",
-            "SIN(z) (-0x1.5555555555549p-3",
-            "SIN(z) (-0x1.5555555455549p-3",
-            f"{BACKENDS}::test_compiled_functions_equal_torch_operations",
         ),
         ("in C, whole numbers rounded down by one", "(y>x)&(M)", "(y>=x)&(M)", f"{NUMBERS}::test_special_values"),
         (
@@ -2410,6 +2499,84 @@ MUTANTS = (
             "return r - step.squeeze(-1)",
             "return residual(free)",
             "residual_effect.py::test_a_network_that_learned_rotors_is_those_rotors_however_heavy",
+        ),
+    ),
+    *within(
+        "torchdq/backends/c_constants.py",
+        (
+            "in C, a digit of the sine's polynomial",
+            "SIN(z) (-0x1.5555555555549p-3",
+            "SIN(z) (-0x1.5555555455549p-3",
+            f"{BACKENDS}::test_compiled_functions_equal_torch_operations",
+        ),
+    ),
+    *within(
+        "torchdq/backends/cuda_source.py",
+        (
+            "sums of a GPU with recomputed rows twice",
+            'value = f"over?(S)0:{value}"',
+            "value = value",
+            "cuda_host.py::test_sums_contain_the_recomputed_rows",
+        ),
+        (
+            "rows of a GPU that nothing recomputes",
+            "self.literal(LARGEST_GROWTH.single)",
+            "self.literal(LARGEST_GROWTH.double)",
+            "cuda_host.py::test_rows_over_the_limit_are_recomputed_in_float64",
+        ),
+        (
+            "singular rows of a GPU as numbers",
+            'value = f"over?real(NAN_BITS):{value}"',
+            "value = value",
+            "cuda_host.py::test_singular_rows_are_nan_and_alone",
+        ),
+        (
+            "rows of the last block left out",
+            "i<here*{width};i+=BLOCK",
+            "i<here*{width}-1;i+=BLOCK",
+            "cuda_host.py::test_a_row_of_a_batch_is_bitwise_the_row_alone",
+        ),
+        (
+            "rows of even width moved into each other",
+            'f"i/{width}*{width + 1}+i%{width}"',
+            '"i"',
+            "cuda_host.py::test_kernels_write_only_into_their_results",
+        ),
+        (
+            "sums of whole blocks where the last is shorter",
+            "for(int i=0;i<here;i++)a+=",
+            "for(int i=0;i<BLOCK;i++)a+=",
+            "cuda_host.py::test_gradients_equal_those_of_the_c_backend",
+        ),
+        (
+            "rows wider than shared memory",
+            "if width <= room:",
+            "if True:",
+            "cuda_host.py::test_rows_too_wide_for_shared_memory_are_read_and_written_where_they_are",
+        ),
+    ),
+    *within(
+        "torchdq/backends/cuda_kernel.py",
+        (
+            "sums without the recomputed rows",
+            "(sums[k].sum((0, 1)) if k in sums",
+            "(sums[k][0].sum(0) if k in sums",
+            "cuda_host.py::test_sums_contain_the_recomputed_rows",
+        ),
+    ),
+    *within(
+        "torchdq/program/order.py",
+        (
+            "values before their operands",
+            "ready = [rank(i) for i in range(len(ops)) if not given[i] and not missing[i]]",
+            "ready = [rank(i) for i in range(len(ops)) if not given[i]]",
+            "cuda_compile.py::test_orders_hold_every_value_once_after_its_operands",
+        ),
+        (
+            "the order that keeps most values alive",
+            "return min(recorded(program), listed(program)",
+            "return max(recorded(program), listed(program)",
+            "cuda_compile.py::test_the_narrowest_order_keeps_the_fewest_values_alive",
         ),
     ),
 )

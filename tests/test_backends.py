@@ -22,7 +22,7 @@ from torch.fx.experimental.proxy_tensor import make_fx
 
 import torchdq
 from torchdq import call
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
 from torchdq.backends import precision
 from torchdq.backends import threads as pool
 from torchdq.backends.c import COMPILED, CompiledKernel

@@ -18,7 +18,8 @@ import torch
 
 import torchdq
 from torchdq import notice
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
+from torchdq.backends import cache as kept
 from torchdq.backends import compiler as machine
 from torchdq.backends.c_source import pieces_of, source
 from torchdq.backends.compiler import BuildError
@@ -169,18 +170,21 @@ SPOILED = {
 @pytest.mark.parametrize("spoil", SPOILED.values(), ids=SPOILED)
 def test_a_broken_or_foreign_entry_is_built_again(cache, spoil):
     """Spoiled under its own name before this process ever loads it."""
-    build._compile(cache_entry(cache, double(5.0)), cache_entry(cache, double(5.0)).stem, *double(5.0)[:2])
-    entry = cache_entry(cache, double(3.0))
-    build._compile(entry, entry.stem, *double(3.0)[:2])
-    good = entry.read_bytes()
-    entry.write_bytes(spoil(good, cache_entry(cache, double(5.0)).read_bytes()))
+    entry, other = built(double(3.0)), built(double(5.0))
+    entry.write_bytes(spoil(entry.read_bytes(), other.read_bytes()))
     assert apply(build.load(*double(3.0)), 2.0) == 6.0
-    assert build._intact(entry, entry.stem)
+    assert kept._intact(entry, entry.stem)
 
 
 def cache_entry(cache: Path, program: tuple[str, str, int]) -> Path:
     """Where a program's library lies, or will."""
-    return build.directory() / f"{build.entry_key(program[0])}.so"
+    return kept.directory() / f"{build.entry_key(program[0])}.so"
+
+
+def built(program: tuple[str, str, int]) -> Path:
+    """Where the library of a program lies, which is built but not loaded."""
+    text, name, _ = program
+    return kept.kept(build.entry_key(text), ".so", name, lambda library: build._compile(library, text, name))
 
 
 # --- processes -------------------------------------------------------------------------------------------------------
@@ -368,8 +372,8 @@ def test_on_a_full_disk_a_named_backend_is_an_error_that_says_so(tmp_path):
 
 @pytest.mark.usefixtures("warned")
 def test_where_only_the_cache_is_full_a_temporary_folder_holds_the_library(cache, monkeypatch):
-    full = build._full
-    monkeypatch.setattr(build, "_full", lambda folder: folder == cache or full(folder))
+    full = kept._full
+    monkeypatch.setattr(kept, "_full", lambda folder: folder == cache or full(folder))
     run = build.run
 
     def runs(commands, limit, folder):
@@ -429,9 +433,63 @@ def test_a_full_cache_loses_the_libraries_that_were_used_least_recently(cache, m
         os.utime(cache_entry(cache, double(3.0 + k)), (1000.0 + k,) * 2)
     build.load(*double(3.0))  # the oldest, used again
     size = sum(path.stat().st_size for path in libraries(cache))
-    monkeypatch.setattr(build, "LARGEST", 0.7 * size)
+    monkeypatch.setattr(kept, "LARGEST", 0.7 * size)
     build.load(*double(7.0))
     assert {cache_entry(cache, double(x)) for x in (3.0, 5.0, 7.0)} == set(libraries(cache))
+
+
+# --- files that are no libraries -------------------------------------------------------------------------------------
+
+
+def machine_code(key: str, content: bytes) -> Path:
+    """File of machine code in the cache."""
+    return kept.kept(key, ".cubin", "scale", lambda path: path.write_bytes(content))
+
+
+def test_a_file_has_the_content_that_was_made_and_is_made_once(cache):
+    path = machine_code("key", b"\x00code\xff")
+    assert path == cache / "key.cubin" and kept.content(path) == b"\x00code\xff"
+    assert machine_code("key", b"other") == path and kept.content(path) == b"\x00code\xff"
+    assert list(cache.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("spoil", SPOILED.values(), ids=SPOILED)
+def test_a_broken_or_foreign_file_is_made_again(cache, spoil):
+    path, other = machine_code("key", bytes(2000)), machine_code("other", bytes(2000))
+    path.write_bytes(spoil(path.read_bytes(), other.read_bytes()))
+    assert kept.content(machine_code("key", b"new")) == b"new"
+
+
+def test_a_full_cache_loses_files_of_any_kind(cache, monkeypatch):
+    build.load(*double(3.0))
+    old = machine_code("old", bytes(1000))
+    os.utime(old, (1000.0, 1000.0))
+    monkeypatch.setattr(kept, "LARGEST", cache_entry(cache, double(3.0)).stat().st_size + 500)
+    new = machine_code("new", bytes(100))
+    assert set(cache.iterdir()) == {cache_entry(cache, double(3.0)), new}
+
+
+def test_a_failure_to_make_a_file_leaves_nothing(cache):
+    def fail(path):
+        path.write_bytes(b"half")
+        raise BuildError("out of cheese")
+
+    with pytest.raises(BuildError, match="out of cheese"):
+        kept.kept("key", ".cubin", "scale", fail)
+    assert list(cache.iterdir()) == []
+
+
+@pytest.mark.usefixtures("warned")
+def test_where_only_the_cache_is_full_a_temporary_folder_holds_the_file(cache, monkeypatch):
+    def write(path):
+        if path.is_relative_to(cache):
+            raise OSError("no space left on device")
+        path.write_bytes(b"code")
+
+    monkeypatch.setattr(kept, "_full", lambda folder: folder == cache)
+    with pytest.warns(UserWarning, match="not kept.*the disk of .*deep/cache is full"):
+        path = kept.kept("key", ".cubin", "scale", write)
+    assert kept.content(path) == b"code" and list(cache.iterdir()) == []
 
 
 # --- long programs ---------------------------------------------------------------------------------------------------
@@ -451,7 +509,7 @@ def test_a_long_program_is_compiled_in_pieces_and_is_right(cache, monkeypatch):
     for processes in (1, 2, 3):
         monkeypatch.setattr(build, "PROCESSES", processes)
         monkeypatch.setattr(os, "cpu_count", lambda: 4)
-        build._compile(cache_entry(cache, (text, "long", 2)), "key", text, "long")
+        cache_entry(cache, (text, "long", 2)).unlink(missing_ok=True)
         found.append(apply(build.load(text, "long", 2), 0.5))
     assert found == [2.0] * 3
 
@@ -473,12 +531,12 @@ def test_the_compiler_named_in_the_environment_may_have_arguments(tmp_path):
 
 
 def test_what_a_killed_build_left_behind_is_removed_by_a_later_one(cache):
-    directory = build.directory()
+    directory = kept.directory()
     abandoned, at_work = directory / ".build-abandoned", directory / ".build-atwork"
     for folder in (abandoned, at_work):
         folder.mkdir()
         (folder / "program.c").touch()
-    long_ago = time.time() - 2 * build.ABANDONED
+    long_ago = time.time() - 2 * kept.ABANDONED
     os.utime(abandoned, (long_ago, long_ago))
     build.load(*double(7.0))
     assert not abandoned.exists() and at_work.exists()

@@ -6,7 +6,7 @@ import pytest
 import torch
 from helpers import random
 
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
 from torchdq.call import Computation, evaluate
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program.program import record

@@ -18,7 +18,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 import torchdq
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
 from torchdq.envs import ArmEnv, ArmVectorEnv, controllers, effects
 from torchdq.envs.defaults import nominal, usual
 from torchdq.envs.tasks import Reach, Track

@@ -8,7 +8,7 @@ import torch
 from helpers import rods
 
 import torchdq
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
 from torchdq.backends.choice import choose
 from torchdq.backends.run import run
 from torchdq.envs import Scene, effects, integrators

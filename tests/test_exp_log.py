@@ -18,7 +18,7 @@ from torch.autograd.functional import hessian, jacobian
 import torchdq
 from torchdq import dq
 from torchdq.algebra import dual_quaternion, screw
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
 
 F32, F64 = torch.float32, torch.float64
 EPS = {F32: 2.0**-23, F64: 2.0**-52}

@@ -16,7 +16,7 @@ from oracles import random_tree, shipped
 from scipy.integrate import solve_ivp
 
 import torchdq
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
 from torchdq.envs import Scene, State, effects
 from torchdq.envs.integrators import (
     DormandPrince,

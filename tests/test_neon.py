@@ -13,7 +13,7 @@ import torch
 from helpers import compiled
 
 import torchdq
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
 from torchdq.backends.c_source import source as source_of
 from torchdq.envs import Scene, effects
 from torchdq.program.program import outputs

@@ -17,8 +17,8 @@ from oracles import EPS
 from torch.autograd import gradcheck, gradgradcheck
 
 import torchdq
+from torchdq.backends import c_library as build
 from torchdq.backends import c_source
-from torchdq.backends import cache as build
 from torchdq.numbers.functions import absolute, at_least, clip, exp, floor, log, maximum, minimum, select, sqrt
 from torchdq.program import autodiff as derive
 from torchdq.program.program import Argument, Program, record, replay, results

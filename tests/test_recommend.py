@@ -15,7 +15,7 @@ from scipy.integrate import solve_ivp
 
 import torchdq
 from torchdq import notice
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
 from torchdq.envs import Scene, State, budget, controllers, effects, integrators, reference, trials
 from torchdq.envs.recommend import recommend
 from torchdq.envs.reference import held

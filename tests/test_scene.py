@@ -19,7 +19,7 @@ from oracles import random_tree, shipped, states
 
 import torchdq
 from torchdq import notice
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
 from torchdq.envs import Scene, State, effects
 from torchdq.envs import recording as plans
 from torchdq.envs.controllers import PD, ComputedTorque

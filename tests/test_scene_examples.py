@@ -9,7 +9,7 @@ for needed in ("matplotlib", "rich", "tyro"):
 from matplotlib.image import imread  # noqa: E402
 from PIL import Image  # noqa: E402
 
-from torchdq.backends import cache as build  # noqa: E402
+from torchdq.backends import c_library as build  # noqa: E402
 
 # thousands of steps, which take minutes as torch operations
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")

@@ -13,7 +13,7 @@ import pytest
 import torch
 
 import torchdq
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
 from torchdq.envs import Scene, State, effects
 from torchdq.envs.integrators import DormandPrince, LinearlyImplicit, RungeKutta4, SemiImplicitEuler
 

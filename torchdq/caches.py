@@ -6,9 +6,9 @@
     layouts       of calls, by the shapes, dtypes and devices of their tensors
     names         of programs in traced graphs; a graph whose program was removed must be traced again
     answers       of `recommend`, by robot or scene, states, inputs, horizon and error
-    machine       compiler and processor, and topics of warnings that were given
+    machine       compilers, processor and driver, and topics of warnings that were given
 
-`clear_caches` empties them and stops the threads that share a batch. Compiled libraries stay on disk, see
+`clear_caches` empties them and stops the threads that share a batch. Compiled programs stay on disk, see
 `backends.cache`. Every cache has a bound: programs, derivatives and kernels remove the entry that was used least
 recently, layouts and names the oldest one.
 """

@@ -208,7 +208,7 @@ def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, do
         or any(row.expanded is not None for row in rows)
         or any(summed for _, summed, _ in shapes)
     ):
-        growth = () if program.growth is None else (batch,)
+        growth = () if program.growth is None or chosen.guards else (batch,)
         number = torch.empty((), dtype=dtype, device=device)  # the forms are one number, expanded
         direct = tuple(number.expand(shape) for shape in (*(batch + axes for _, _, axes in shapes), *growth))
     return CallLayout(

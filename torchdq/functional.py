@@ -5,9 +5,9 @@ have the dtype (float32 or float64) and the device of the inputs, and are differ
 in the tensors of the robot that were replaced (`robot.replace`). A row that is not finite gives a row that is not
 finite and does not change another.
 
-`backend` names what runs the program that is recorded for the robot: "c", compiled for the CPU; "eager", torch
-operations, on any device; "auto", the first of these that can run on the device; None, that of the innermost
-`torchdq.backend` block, or "auto".
+`backend` names what runs the program that is recorded for the robot: "c", compiled for the CPU; "cuda", compiled for
+NVIDIA GPUs; "eager", torch operations, on any device; "auto", the first of these that can run on the device; None, that
+of the innermost `torchdq.backend` block, or "auto".
 """
 
 import time

@@ -13,7 +13,7 @@ from oracles import EPS, pinocchio_model, random_tree, states
 
 import torchdq
 from torchdq import dq
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
 from torchdq.errors import SingularInertiaError, UnphysicalError
 
 F32, F64 = torch.float32, torch.float64

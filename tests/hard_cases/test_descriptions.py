@@ -22,7 +22,7 @@ from oracles import EPS, Case, over, size_of_torques, states, worst
 
 import torchdq
 from torchdq import DescriptionError, Robot, SingularInertiaError, TorchdqError, UnphysicalError, dq
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
 from torchdq.envs import Scene, effects
 
 F32, F64 = torch.float32, torch.float64

@@ -18,7 +18,7 @@ from oracles import EPS, Case, over, random_tree, shipped, size_of_torques, stat
 from torch.func import grad, hessian, jacfwd, jacrev, jvp, vmap
 
 import torchdq
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
 from torchdq.errors import ArgumentError
 from torchdq.functional import require_finite
 

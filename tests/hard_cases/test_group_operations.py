@@ -19,7 +19,7 @@ from torch.autograd.functional import hessian, jacobian
 import torchdq
 from torchdq import dq
 from torchdq.algebra import dual_quaternion
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
 from torchdq.backends.c import COMPILED
 from torchdq.errors import DescriptionError
 from torchdq.program.program import Argument, record

@@ -17,7 +17,7 @@ from oracles import EPS, random_tree
 from torch.func import hessian, jacfwd, jacrev, vmap
 
 import torchdq
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
 from torchdq.envs import Scene, State, effects
 from torchdq.envs.integrators import LinearlyImplicit
 from torchdq.errors import ArgumentError, DtypeError

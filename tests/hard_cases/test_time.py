@@ -21,7 +21,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 import torchdq
 from torchdq import dq
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
 from torchdq.envs import Scene, State, effects
 from torchdq.envs.integrators import (
     DormandPrince,

@@ -13,7 +13,7 @@ from torchdq.program.program import Program
 
 
 class Kernel(Protocol):
-    """Function that computes all outputs of a program."""
+    """Function that computes all outputs of a program; the results alone if the backend `guards` them."""
 
     def __call__(self, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
         """Outputs [samples, width], summed ones [width], from arguments [samples, width], uniform ones [width]."""
@@ -34,6 +34,7 @@ class Backend:
 
     name: str  # in `torchdq.backend(name)` and in arguments `backend`
     differentiable: bool  # whether it runs torch operations, which torch itself traces, differentiates and transforms
+    guards: bool = False  # whether kernels recompute rows of large error growth themselves, and return results alone
 
     def refusal(self, device: torch.device) -> TorchdqError | None:
         """Error that says why programs cannot run on a device; None: they can."""

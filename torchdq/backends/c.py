@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchdq.backends import cache, threads
+from torchdq.backends import c_library, threads
 from torchdq.backends.backend import Backend, DirectKernel
 from torchdq.backends.c_source import source
 from torchdq.backends.compiler import BuildError, compiler, no_compiler
@@ -69,7 +69,7 @@ class CompiledKernel:
         self.program, self.dtype = program, dtype
         results = outputs(program)
         pointers = len(program.arguments) + len(results)
-        self.function = cache.load(source(program, dtype == torch.float32), program.name, pointers)
+        self.function = c_library.load(source(program, dtype == torch.float32), program.name, pointers)
         self.operations = program.count().total
         self.widths = [(len(r.values), r.summed) for r in results]
         self.any_summed = any(r.summed for r in results)

@@ -4,8 +4,9 @@ from collections.abc import Iterable, Sequence
 
 from torchdq.backends import c_prelude
 from torchdq.numbers.ops import OPS, Operation
+from torchdq.program.order import TOGETHER
 from torchdq.program.program import Output, Program, outputs
-from torchdq.program.schedule import TOGETHER, Part, schedule
+from torchdq.program.schedule import Part, schedule
 
 LONGEST = 1500  # operations of a C function; compile time grows faster than its length
 PIECE = "%PIECES==PIECE"  # condition of a function that one of several processes compiles

@@ -1,60 +1,42 @@
-"""Compilation of C source into a function, and the cache of compiled libraries on disk.
+"""Cache of compiled programs on disk: libraries of the C backend, machine code for GPUs.
 
-Libraries lie in a directory that only the user can write. The name of a file is the hash of everything it depends on:
+Files lie in a directory that only the user can write. The name of a file is the hash of everything it depends on:
 source, compiler, flags and processor. The file ends with a hash of its content: one that is incomplete, was changed or
-belongs to another user is rebuilt and never loaded. A file gets its name by one atomic rename, after it was loaded once
-and is complete. One thread of one process builds a program; the others wait for it.
+belongs to another user is made anew and never used. A file gets its name by one atomic rename, when it is complete. One
+thread of one process makes a file; the others wait for it.
 
-The directory has a bound: a build removes the libraries that were used least recently. A library in memory is unloaded
-with the last reference to its function.
+The directory has a bound: what is made removes the files that were used least recently.
 """
 
-import _ctypes
-import ctypes
 import fcntl
 import hashlib
 import os
-import platform
 import shutil
 import stat
-import sys
 import tempfile
 import time
-import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from typing import Literal, get_args
 
-from torchdq.backends.c_source import pieces_of
-from torchdq.backends.compiler import BuildError, compiler, no_compiler, run
-from torchdq.caches import remembered
+from torchdq.backends.compiler import BuildError
 from torchdq.notice import Notice, warn_once
 
-FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-shared", "-fPIC", "-w")
-LIMIT = 600.0  # time in which a program must be compiled [s]
-ABANDONED = 3600.0  # age from which a build's files are taken to be left by a killed process [s]
-LARGEST = 2**30  # size of all libraries in the directory [bytes]
+Suffix = Literal[".so", ".cubin"]
+LIMIT = 600.0  # time in which a file must be made [s]
+ABANDONED = 3600.0  # age from which what is being made is taken to be left by a killed process [s]
+LARGEST = 2**30  # size of all files in the directory [bytes]
 ROOM = 2**22  # a folder in which a file of this size cannot be written is full [bytes]
-PROCESSES = 4  # processes that compile one program at most
-
-
-@remembered(1)
-def _processor() -> str:
-    """Features of the processor that -march=native depends on."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        kinds = sorted({line for line in lines if line.startswith(("flags", "Features", "model name", "CPU part"))})
-    except OSError:
-        kinds = []
-    return "\n".join([platform.machine(), platform.processor(), sys.platform, *kinds])
+HASH = 32  # length of the hash at the end of a file [bytes]
 
 
 # --- folders ---------------------------------------------------------------------------------------------------------
 
 
 def directory() -> Path:
-    """Directory of the built libraries, private to the user: `$TORCHDQ_CACHE`, or torchdq in the user's cache.
+    """Directory of the compiled programs, private to the user: `$TORCHDQ_CACHE`, or torchdq in the user's cache.
 
     If it cannot be written, or others can write it, one for this process alone, with a warning.
     """
@@ -75,7 +57,7 @@ def directory() -> Path:
 def _temporary(reason: str) -> Path:
     """Directory for this process alone, with a warning that says why it is needed."""
     try:
-        found = _made()
+        found = _own_folder()
     except OSError as error:
         raise BuildError(
             f"no folder can hold compiled programs: {reason}; {error}; name one in $TORCHDQ_CACHE"
@@ -89,7 +71,7 @@ def _temporary(reason: str) -> Path:
 
 
 @cache
-def _made() -> Path:
+def _own_folder() -> Path:
     return Path(tempfile.mkdtemp(prefix="torchdq-"))
 
 
@@ -104,20 +86,23 @@ def _full(folder: Path) -> bool:
 
 
 def _sweep(folder: Path) -> None:
-    """Remove what killed builds left, and the libraries that were used least recently if all are too large."""
-    now, libraries = time.time(), []
+    """Remove what killed processes left, and the files that were used least recently if all are too large."""
+    now, files = time.time(), []
     for entry in folder.iterdir():
         with suppress(OSError):  # another process removed it
             status = entry.stat()
-            if entry.suffix == ".so":
-                libraries.append((status.st_mtime, status.st_size, entry))
+            if entry.suffix in get_args(Suffix):
+                files.append((status.st_mtime, status.st_size, entry))
             elif entry.name.startswith(".build-") and now - status.st_mtime > ABANDONED:
                 shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
     size = 0
-    for _, own, entry in sorted(libraries, reverse=True):
+    for _, own, entry in sorted(files, reverse=True):
         size += own
         if size > LARGEST:
             entry.unlink(missing_ok=True)
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
 
 
 @contextmanager
@@ -142,15 +127,12 @@ def _locked(file: int) -> bool:
     return True
 
 
-# --- libraries -------------------------------------------------------------------------------------------------------
-
-
 def _digest(key: str, body: bytes) -> bytes:
     return hashlib.sha256(key.encode() + body).digest()
 
 
 def _intact(path: Path, key: str) -> bool:
-    """Whether a library exists, belongs to the user, and has the content that was built."""
+    """Whether a file exists, belongs to the user, and has the content that was made."""
     try:
         with path.open("rb") as file:
             if os.fstat(file.fileno()).st_uid != os.getuid():
@@ -158,93 +140,58 @@ def _intact(path: Path, key: str) -> bool:
             data = file.read()
     except OSError:
         return False
-    return len(data) > 32 and _digest(key, data[:-32]) == data[-32:]
+    return len(data) > HASH and _digest(key, data[:-HASH]) == data[-HASH:]
 
 
-def _opened(path: Path, pointers: int = 0) -> Callable[..., None]:
-    """Function `run` of a library, which is unloaded with the last reference to the function.
-
-    Functions of `ctypes.CDLL` refer to themselves and its libraries stay, so the function is made from its address.
-    """
-    try:
-        library = _ctypes.dlopen(str(path), ctypes.DEFAULT_MODE)
-        address = _ctypes.dlsym(library, "run")
-    except OSError as error:
-        raise BuildError(f"{path} is no library with a function 'run': {error}") from error
-    function = ctypes.CFUNCTYPE(None, ctypes.c_long, *(ctypes.c_void_p,) * pointers)(address)
-    weakref.finalize(function, _ctypes.dlclose, library).atexit = False
-    return function
-
-
-def _compile(path: Path, key: str, source: str, name: str) -> None:
-    """Build a library under its name."""
-    found = compiler()
-    if found is None:
-        raise no_compiler()
+def _make(path: Path, key: str, make: Callable[[Path], None]) -> None:
+    """Make a file in a folder of its own, and give it its name."""
     _sweep(path.parent)
-    with tempfile.TemporaryDirectory(prefix=".build-", dir=path.parent, ignore_cleanup_errors=True) as made:
-        folder, library = Path(made), Path(made) / "program.so"
-        (folder / "program.c").write_text(source)
-        command = [*found.command, *FLAGS]
-        try:
-            _run_compiler(command, folder, library, min(pieces_of(source), os.cpu_count() or 1, PROCESSES))
-            _opened(library)
-        except BuildError as error:
-            raise BuildError(f"{found.command[0]} could not compile the program {name!r}: {error}") from error
-        body = library.read_bytes()
-        with library.open("ab") as file:
+    with tempfile.TemporaryDirectory(prefix=".build-", dir=path.parent, ignore_cleanup_errors=True) as folder:
+        new = Path(folder) / f"program{path.suffix}"
+        make(new)
+        body = new.read_bytes()
+        with new.open("ab") as file:
             file.write(_digest(key, body))
             file.flush()
             os.fsync(file.fileno())
-        library.replace(path)
+        new.replace(path)
 
 
-def _run_compiler(command: list[str], folder: Path, library: Path, pieces: int) -> None:
-    """Compile a source, in several processes at once if it is long."""
-    source = str(folder / "program.c")
-    if pieces == 1:
-        run([[*command, "-o", str(library), source, "-lm"]], LIMIT, folder)
-        return
-    objects = [str(folder / f"{k}.o") for k in range(pieces)]
-    parts = [f"-DPIECES={pieces}", "-c", source]
-    run([[*command, *parts, f"-DPIECE={k}", "-o", to] for k, to in enumerate(objects)], LIMIT, folder)
-    run([[*command, "-o", str(library), *objects, "-lm"]], LIMIT, folder)
-
-
-def entry_key(source: str) -> str:
-    """Name of the library of a source: hash of everything it depends on."""
-    found = compiler()
-    version = "" if found is None else "\n".join([*found.command, found.version])
-    return hashlib.sha256("\0".join([source, version, *FLAGS, _processor()]).encode()).hexdigest()
-
-
-def _built(folder: Path, source: str, name: str, pointers: int) -> Callable[..., None]:
-    """Function of a source from a folder, compiled unless it is there."""
-    key = entry_key(source)
-    path = folder / f"{key}.so"
+def _found(path: Path, key: str, name: str, make: Callable[[Path], None]) -> Path:
+    """File that is intact, made unless it was there."""
     try:
         if not _intact(path, key):
-            with Notice(f"compiling {name}, once for this machine"), _alone(folder / f".build-{key}.lock"):
-                if not _intact(path, key):  # another thread or process may have built it meanwhile
-                    _compile(path, key, source, name)
+            with Notice(f"compiling {name}, once for this machine"), _alone(path.parent / f".build-{key}.lock"):
+                if not _intact(path, key):  # another thread or process may have made it meanwhile
+                    _make(path, key, make)
         os.utime(path)  # used now
     except OSError as error:
         raise BuildError(f"the program {name!r} cannot be stored: {error}") from error
-    return _opened(path, pointers)
+    return path
 
 
-def load(source: str, name: str, pointers: int) -> Callable[..., None]:
-    """Function `run` of a C source, compiled unless the cache has it.
+def kept(key: str, suffix: Suffix, name: str, make: Callable[[Path], None]) -> Path:
+    """Path of a compiled program, which is made unless the cache has it.
+
+    The file is what `make` wrote, and a hash of it at the end; `content` is the file without the hash.
 
     Args:
-        pointers: number of pointers that it takes after the number of samples.
+        key: hash of everything that the compiled program depends on.
+        name: what the program is called in messages.
+        make: function that writes the compiled program to a path, in a folder where it may also write other files.
     Raises:
-        BuildError: the program cannot be compiled, or there is no room for it.
+        BuildError: `make` raised it, or there is no room for the file.
     """
     folder = directory()
     try:
-        return _built(folder, source, name, pointers)
+        return _found(folder / f"{key}{suffix}", key, name, make)
     except BuildError as error:
         if not _full(folder):
             raise
-        return _built(_temporary(f"the disk of {folder} is full, {error}"), source, name, pointers)
+        instead = _temporary(f"the disk of {folder} is full, {error}")
+        return _found(instead / f"{key}{suffix}", key, name, make)
+
+
+def content(path: Path) -> bytes:
+    """Compiled program in a file of the cache."""
+    return path.read_bytes()[:-HASH]

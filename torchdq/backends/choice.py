@@ -13,17 +13,19 @@ import torch
 from torchdq.backends.backend import Backend
 from torchdq.backends.c import COMPILED, COMPILED_OR_EAGER
 from torchdq.backends.compiler import BuildError
+from torchdq.backends.cuda import CUDA, CUDA_OR_EAGER
 from torchdq.backends.torch import EAGER
 from torchdq.checks import require_choice
 from torchdq.errors import ArgumentError
 from torchdq.notice import warn_once
 from torchdq.program.transforms import proxy_tracing
 
-BackendName = Literal["auto", "eager", "c"]
+BackendName = Literal["auto", "eager", "c", "cuda"]
 # by name: the first that can run on the device
 BACKENDS: dict[BackendName, tuple[Backend, ...]] = {
-    "auto": (COMPILED_OR_EAGER, EAGER),
+    "auto": (COMPILED_OR_EAGER, CUDA_OR_EAGER, EAGER),
     "c": (COMPILED,),
+    "cuda": (CUDA,),
     "eager": (EAGER,),
 }
 

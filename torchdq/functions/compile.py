@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import torch
 from torch import Tensor
 
-from torchdq.backends.c_source import source
+from torchdq.backends import c_source, cuda_source
 from torchdq.backends.choice import choose
 from torchdq.call import Computation, evaluate
-from torchdq.checks import dtype_of, names_of, require_tensor
+from torchdq.checks import dtype_of, names_of, require_choice, require_tensor
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functions.catalogue import RECIPES, Function
 from torchdq.functions.options import options_of
@@ -25,6 +25,7 @@ from torchdq.robot.robot import SHAPES, constants
 from torchdq.robot.robot import arguments as tensors_of
 
 CPU = torch.device("cpu")
+Language = Literal["c", "cuda"]
 
 
 class _RecordedFields(NamedTuple):
@@ -71,11 +72,11 @@ class CompiledProgram:
         """Operations per sample."""
         return self.program.count()
 
-    def source(self, language: Literal["c"] = "c") -> str:
-        """Source code in a language."""
-        if language != "c":
-            raise ArgumentError(f"language must be 'c', found {language!r}")
-        return source(self.program, self.dtype == torch.float32)
+    def source(self, language: Language = "c") -> str:
+        """Source code in a language: C with vectors, as it runs on the CPU, or CUDA C++, as it runs on a GPU."""
+        require_choice("language", language, get_args(Language))
+        printed = {"c": c_source.source, "cuda": cuda_source.source}[language]
+        return printed(self.program, self.dtype == torch.float32)
 
     def vjp(self, wrt: Sequence[str] | None = None) -> CompiledProgram:
         """Compiled vector-Jacobian product: takes the arguments and a cotangent per result, returns the gradients.

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
+from torchdq.program.order import pairs, recorded
 from torchdq.program.program import Program
-
-TOGETHER = ("sin", "cos")  # operations on the same angle that one call computes
 
 
 class Part(NamedTuple):
@@ -38,16 +37,16 @@ def schedule(program: Program, longest: int) -> Schedule:
     """Schedule of a program, in parts of at most `longest` values."""
     uniform = _uniform(program)
     prelude = tuple(i for i, op in enumerate(program.ops) if uniform[i] and op.code != "const")
-    pairs = _pairs(program)
-    body = _order(program, uniform, pairs)
+    together = pairs(program)
+    body = recorded(program, {i for i, shared in enumerate(uniform) if shared})
     if len(body) <= longest:
-        return Schedule(uniform, prelude, pairs, (Part(tuple(body)),), 0)
+        return Schedule(uniform, prelude, together, (Part(tuple(body)),), 0)
     cut = [body[k : k + longest] for k in range(0, len(body), longest)]
     for earlier, later in pairwise(cut):
         first = later[0]
-        if first in pairs and pairs[first][0] != first:  # second of a pair; it stays in the part of the first
+        if first in together and together[first][0] != first:  # second of a pair; it stays in the part of the first
             earlier.append(later.pop(0))
-    return Schedule(uniform, prelude, pairs, *_in_slots(program, cut))
+    return Schedule(uniform, prelude, together, *_in_slots(program, cut))
 
 
 def _uniform(program: Program) -> tuple[bool, ...]:
@@ -58,27 +57,6 @@ def _uniform(program: Program) -> tuple[bool, ...]:
         else:
             known.append(all(known[k] for k in op.operands))
     return tuple(known)
-
-
-def _pairs(program: Program) -> dict[int, tuple[int, ...]]:
-    known = {(op.code, op.operands): i for i, op in enumerate(program.ops) if op.code in TOGETHER}
-    return {
-        i: tuple(known[code, angle] for code in TOGETHER if (code, angle) in known) for (_, angle), i in known.items()
-    }
-
-
-def _order(program: Program, uniform: Sequence[bool], pairs: dict[int, tuple[int, ...]]) -> list[int]:
-    """Values computed per sample, in order, sine and cosine of one angle next to each other.
-
-    Inputs come right before the first operation on them, so that they do not occupy registers before.
-    """
-    order: dict[int, None] = {}
-    for i, op in enumerate(program.ops):
-        if not uniform[i] and op.code != "in":
-            read = [k for k in op.operands if program.ops[k].code == "in" and not uniform[k]]
-            order.update(dict.fromkeys([*read, *pairs.get(i, (i,))]))
-    only_results = [i for i, shared in enumerate(uniform) if not shared and i not in order]
-    return [*order, *only_results]
 
 
 def _in_slots(program: Program, cut: Sequence[Sequence[int]]) -> tuple[tuple[Part, ...], int]:

@@ -1,0 +1,106 @@
+"""Backend "cuda": programs compiled for NVIDIA GPUs at run time, by the compiler that torch's CUDA build installs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache as once
+
+import torch
+from torch import Tensor
+
+from torchdq.backends import cuda_driver, nvrtc
+from torchdq.backends.backend import Backend, DirectKernel
+from torchdq.backends.compiler import BuildError
+from torchdq.backends.cuda_kernel import CudaKernel, Launcher
+from torchdq.backends.precision import guarded
+from torchdq.backends.torch import EAGER, InterpretedKernel
+from torchdq.caches import PROGRAMS, remembered
+from torchdq.errors import ArgumentError, TorchdqError
+from torchdq.notice import warn_once
+from torchdq.program.program import Program
+
+
+class Cuda(Backend):
+    """Backend that compiles programs for GPUs."""
+
+    name = "cuda"
+    differentiable = False
+    guards = True
+
+    def refusal(self, device: torch.device) -> TorchdqError | None:
+        """Error that says why programs cannot run on a device; None: they can."""
+        if device.type != "cuda":
+            return ArgumentError(
+                f"backend 'cuda' runs on NVIDIA GPUs, and the arguments are on the device {device.type!r}; move them "
+                "by x.to('cuda'), or leave the backend 'auto'"
+            )
+        return _refusal(device.index or 0)
+
+    def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> DirectKernel:
+        """Compiled program in one precision, built unless the cache on disk has it."""
+        found = _compiled(program, dtype, _architecture(device.index or 0))
+        if isinstance(found, BuildError):
+            raise BuildError(f"{found}\n(torchdq.clear_caches() makes this process try again)")
+        return found
+
+
+class _GuardedByTorch(InterpretedKernel):
+    """Program run by torch, with the fallback to float64."""
+
+    def __call__(self, inputs: Sequence[Tensor], samples: int) -> list[Tensor]:
+        """Results of the program."""
+        return guarded(EAGER, self.program, inputs)
+
+
+class CudaOrTorch(Cuda):
+    """Backend that compiles programs for GPUs, and runs as torch operations those that cannot be compiled."""
+
+    def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> DirectKernel:
+        """Compiled program in one precision, or its torch operations."""
+        found = _compiled(program, dtype, _architecture(device.index or 0))
+        if isinstance(found, BuildError):
+            warn_once("build", f"torchdq runs programs as torch operations, which is slower, since one failed: {found}")
+            return _GuardedByTorch(program)
+        return found
+
+
+CUDA, CUDA_OR_EAGER = Cuda(), CudaOrTorch()
+
+
+@once
+def _architecture(index: int) -> int:
+    """Compute capability of a GPU, 90 for 9.0."""
+    major, minor = torch.cuda.get_device_capability(index)
+    return 10 * major + minor
+
+
+@once
+def _refusal(index: int) -> BuildError | None:
+    """Error that says why programs cannot be compiled for a GPU; None: they can."""
+    if torch.version.hip is not None:
+        return BuildError("programs are compiled for NVIDIA GPUs alone, and this torch is built for ROCm")
+    compiler = nvrtc.found()
+    if isinstance(compiler, str):
+        return BuildError(compiler)
+    try:
+        compiler.target(_architecture(index))
+    except BuildError as error:
+        return error
+    return None
+
+
+@remembered(PROGRAMS)
+def _compiled(program: Program, dtype: torch.dtype, architecture: int) -> CudaKernel | BuildError:
+    """Kernel of a program, or the error of its build, made once per process."""
+
+    compiler = nvrtc.found()
+    if isinstance(compiler, str):
+        return BuildError(compiler)
+
+    def build(text: str, name: str, arrays: int) -> Launcher:
+        return cuda_driver.Module(compiler.load(text, name, architecture)).kernel("run", arrays, 0)
+
+    try:
+        return CudaKernel(program, dtype, build)
+    except BuildError as error:
+        return error

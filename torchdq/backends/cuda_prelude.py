@@ -1,0 +1,88 @@
+"""CUDA C++ at the top of every kernel; the same text is CUDA, HIP, and C for the host, on which kernels are tested.
+
+Six macros decide what it is compiled for. On a GPU, `EACH` is a barrier, and every thread executes what follows it. On
+the host, `EACH` is a loop over the threads of a block, so that the end of a loop is the barrier; `REVERSED` runs the
+threads from the last to the first, and must give the same bits.
+
+Sine and cosine are those of the C backend. Angles that are very large or not finite take the library's.
+"""
+
+from torchdq.backends.c_constants import DOUBLE, FLOAT
+
+_LIBRARY_DOUBLE = """
+#define LIBRARY_SINCOS sincos
+#define LIBRARY_SQRT sqrt
+#define LIBRARY_EXP exp
+#define LIBRARY_LOG log
+#define LIBRARY_FLOOR floor
+#define NAN_BITS 0x7ff8000000000000LL
+#define INFINITE_BITS 0x7ff0000000000000LL
+"""
+_LIBRARY_FLOAT = """
+#define SINGLE
+#define LIBRARY_SINCOS sincosf
+#define LIBRARY_SQRT sqrtf
+#define LIBRARY_EXP expf
+#define LIBRARY_LOG logf
+#define LIBRARY_FLOOR floorf
+#define NAN_BITS 0x7fc00000
+#define INFINITE_BITS 0x7f800000
+"""
+
+_TARGET = """
+#ifdef HOST
+#include <math.h>
+#include <string.h>
+#define DEVICE static inline
+#define APART static __attribute__((noinline))
+#define STAGE
+#define UNROLL(n)
+#ifdef REVERSED
+#define EACH for(int t=BLOCK-1;t>=0;t--)
+#else
+#define EACH for(int t=0;t<BLOCK;t++)
+#endif
+#define KERNEL(...) void run(long long samples,__VA_ARGS__){for(long long block=0;block*BLOCK<samples;block++){
+static inline N bits(S x){N i;memcpy(&i,&x,sizeof x);return i;}
+static inline S real(N i){S x;memcpy(&x,&i,sizeof x);return x;}
+#else
+#define DEVICE static __device__ __forceinline__
+#define APART static __device__ __noinline__
+#define STAGE __shared__
+#define PRAGMA(x) _Pragma(#x)
+#define UNROLL(n) PRAGMA(unroll n)
+#define EACH __syncthreads();
+#define KERNEL(...) extern "C" __global__ void __launch_bounds__(BLOCK) run(long long samples,__VA_ARGS__){\\
+  const int t=threadIdx.x;const long long block=blockIdx.x;{
+#ifdef SINGLE
+DEVICE N bits(S x){return __float_as_int(x);}
+DEVICE S real(N i){return __int_as_float(i);}
+#else
+DEVICE N bits(S x){return __double_as_longlong(x);}
+DEVICE S real(N i){return __longlong_as_double(i);}
+#endif
+#endif
+"""
+
+# the library's function returns a pair: a pointer to the results would put every sine into memory
+_FUNCTIONS = """
+typedef struct{S sin,cos;}Turn;
+APART Turn rare(S x){Turn y;LIBRARY_SINCOS(x,&y.sin,&y.cos);return y;}
+DEVICE Turn turn(S x){
+  S t=x*TWO_OVER_PI+ROUND,k=t-ROUND;
+  N q=bits(t);
+  S r=((x-k*HALF_PI_1)-k*HALF_PI_2)-k*HALF_PI_3,z=r*r;
+  S sr=r+r*z*SIN(z),h=z*(S)0.5,w=1-h,cr=w+(((1-w)-h)+z*z*COS(z));
+  S a=q&1?cr:sr,b=q&1?sr:cr;
+  const int top=8*sizeof(S)-1;
+  Turn y={real(bits(a)^((q>>1&1)<<top)),real(bits(b)^(((q+1)>>1&1)<<top))};
+  if(!(x<=LARGEST&&x>=-LARGEST))y=rare(x);
+  return y;
+}
+"""
+
+
+def text(single: bool, block: int) -> str:
+    """Text at the top of a kernel in single or double precision, with blocks of so many threads."""
+    constants = FLOAT + _LIBRARY_FLOAT if single else DOUBLE + _LIBRARY_DOUBLE
+    return f"{constants}#define BLOCK {block}\n{_TARGET}{_FUNCTIONS}"

@@ -1,0 +1,221 @@
+"""CUDA source of a program: one thread per sample; rows [batch, n] pass through shared memory.
+
+Neighbouring threads read and write neighbouring numbers of memory. A thread finds its row in shared memory, where rows
+have odd lengths, so that the rows of a warp begin in different banks.
+
+Where errors grow too much, a kernel in float32 marks the row, and a second one, launched in any case, recomputes the
+marked rows in float64; so that the host has nothing to ask. A kernel in float64 writes NaN.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from torchdq.backends import cuda_prelude
+from torchdq.numbers.ops import OPS
+from torchdq.program.order import TOGETHER, narrowest, pairs
+from torchdq.program.program import LARGEST_GROWTH, Output, Program
+
+SHARED = 48 * 1024  # shared memory that every block may have [bytes]
+BLOCKS = (128, 64, 32)  # threads of a block; the first whose rows fit
+UNROLLED = 32  # most steps of a loop that is unrolled
+
+
+class Staged(NamedTuple):
+    """Rows that pass through shared memory."""
+
+    block: int
+    arguments: frozenset[int]
+    results: frozenset[int]
+
+
+def source(program: Program, single: bool) -> str:
+    """Kernel of a program in one precision.
+
+    It defines `run`, which takes the number of samples, a pointer for each argument and result, and, where it `marks`
+    rows, one to a byte per sample. Arrays are dense: [samples, width], or [width] where an argument is uniform. A
+    result that is summed is [blocks, width], the sums of the blocks, where it is `staged`, and otherwise [samples,
+    width], whose sum is left to the caller.
+    """
+    return _KernelPrinter(program, single, recomputing=False).text()
+
+
+def recomputing_source(program: Program) -> str:
+    """Kernel that recomputes the marked rows in float64, from float32 to float32; its arguments are those of `source`.
+
+    Sums of blocks are those of the marked rows alone.
+    """
+    return _KernelPrinter(program, single=False, recomputing=True).text()
+
+
+def marks(program: Program, single: bool) -> bool:
+    """Whether the kernel of a program marks rows that are to be recomputed."""
+    return single and program.growth is not None
+
+
+def odd(width: int) -> int:
+    """Length of a row in shared memory."""
+    return width + 1 - width % 2
+
+
+def staged(program: Program, single: bool) -> Staged:
+    """Rows that pass through shared memory; the narrow ones if not all of them fit."""
+    size = 4 if single else 8
+    arguments = {k: odd(a.width) for k, a in enumerate(program.arguments) if a.width and not a.uniform}
+    results = {k: odd(len(r.values)) for k, r in enumerate(program.results) if r.values}
+    for block in BLOCKS:
+        if block * size * (sum(arguments.values()) + sum(results.values())) <= SHARED:
+            return Staged(block, frozenset(arguments), frozenset(results))
+    room, chosen = SHARED // (block * size), (set[int](), set[int]())
+    # sums first, which otherwise take a row per sample
+    wanted = [(not program.results[k].summed, w, 1, k) for k, w in results.items()]
+    wanted += [(True, w, 0, k) for k, w in arguments.items()]
+    for _, width, side, k in sorted(wanted):
+        if width <= room:
+            room -= width
+            chosen[side].add(k)
+    return Staged(block, *map(frozenset, chosen))
+
+
+class _KernelPrinter:
+    def __init__(self, program: Program, single: bool, recomputing: bool):
+        self.program, self.single, self.recomputing = program, single, recomputing
+        self.number = "float" if recomputing else "S"  # type in memory; the arithmetic is in S
+        self.stage = staged(program, single or recomputing)
+        self.pairs = pairs(program)
+        if recomputing:  # few rows, which are read and written where they are; sums are those of all threads
+            sums = frozenset(k for k in self.stage.results if program.results[k].summed)
+            self.stage = self.stage._replace(arguments=frozenset(), results=sums)
+
+    # --- values ---
+
+    def literal(self, x: float) -> str:
+        """Exact literal of a constant."""
+        if x != x:
+            return "real(NAN_BITS)"
+        if abs(x) == float("inf"):
+            return f"({'-' if x < 0 else ''}real(INFINITE_BITS))"
+        return f"((S){float(x).hex()})"
+
+    def name(self, i: int) -> str:
+        """Expression for a value that has been computed."""
+        op = self.program.ops[i]
+        return self.literal(op.payload) if op.code == "const" else f"x{i}"
+
+    def output(self, v: Output) -> str:
+        """Expression for a number of a result; a difference, so that the negative of zero is no -0."""
+        if isinstance(v, float):
+            return self.literal(v)
+        index, negative = v
+        return f"(S)0-{self.name(index)}" if negative else self.name(index)
+
+    # --- statements ---
+
+    def statements(self) -> list[str]:
+        """Statements of all operations; one call computes sine and cosine of the same angle."""
+        lines, done = [], set[int]()
+        for i in narrowest(self.program):
+            op = self.program.ops[i]
+            if op.code == "const" or i in done:
+                continue
+            if op.code == "in":
+                lines.append(f"const S x{i}={self.input(*op.payload)};")
+            elif op.code in TOGETHER:
+                done.update(self.pairs[i])
+                lines.append(f"const Turn y{i}=turn({self.name(op.operands[0])});")
+                lines += [f"const S x{k}=y{i}.{self.program.ops[k].code};" for k in self.pairs[i]]
+            else:
+                row, operands = OPS[op.code], [self.name(k) for k in op.operands]
+                value = row.infix.join(operands) if row.infix else row.c_single.format(*operands)
+                lines.append(f"const S x{i}={value};")
+        return lines
+
+    def input(self, k: int, j: int) -> str:
+        """Expression for a number of an argument."""
+        argument = self.program.arguments[k]
+        if argument.uniform:
+            return f"in{k}[{j}]"
+        return f"s{k}[t*{odd(argument.width)}+{j}]" if k in self.stage.arguments else f"in{k}[b*{argument.width}+{j}]"
+
+    def results(self) -> list[str]:
+        """Statements that write all results of a sample."""
+        growth = self.program.growth
+        lines = []
+        if growth is not None:
+            factor = self.output(growth.values[0])
+            if self.single:
+                lines.append(f"const int over=!({factor}<={self.literal(LARGEST_GROWTH.single)});lost[b]=over;")
+            else:
+                lines.append(f"const int over=!({factor}<={self.literal(LARGEST_GROWTH.double)});")
+        for k, result in enumerate(self.program.results):
+            for j, v in enumerate(result.values):
+                value = self.output(v)
+                if growth is not None and not self.single:
+                    value = f"over?real(NAN_BITS):{value}"
+                elif growth is not None and result.summed:
+                    value = f"over?(S)0:{value}"  # the kernel that recomputes the row adds it
+                lines.append(f"{self.place(k, j)}={value};")
+        return lines
+
+    def place(self, k: int, j: int) -> str:
+        """Expression for the place of a number of a result."""
+        w = len(self.program.results[k].values)
+        return f"o{k}[t*{odd(w)}+{j}]" if k in self.stage.results else f"out{k}[b*{w}+{j}]"
+
+    def nothing(self) -> list[str]:
+        """Statements of a sample that adds nothing to the sums of its block."""
+        return [
+            f"{self.place(k, j)}=0;"
+            for k in sorted(self.stage.results)
+            for j in range(len(self.program.results[k].values))
+        ]
+
+    # --- the whole ---
+
+    def text(self) -> str:
+        p, stage, number = self.program, self.stage, self.number
+        names, loads, stores, size = [], [], [], 0
+        for k in sorted(stage.arguments):
+            w = p.arguments[k].width
+            names.append(f"{number}*const s{k}=stage+{size};")
+            loads.append(_moved(w, f"s{k}[{{0}}]=in{k}[first*{w}+i]"))
+            size += stage.block * odd(w)
+        for k in sorted(stage.results):
+            w = len(p.results[k].values)
+            names.append(f"{number}*const o{k}=stage+{size};")
+            size += stage.block * odd(w)
+            if p.results[k].summed:
+                total = f"S a=0;for(int i=0;i<here;i++)a+=o{k}[i*{odd(w)}+j];out{k}[block*{w}+j]=a;"
+                stores.append(f"EACH{{for(int j=t;j<{w};j+=BLOCK){{{total}}}}}")
+            else:
+                stores.append(_moved(w, f"out{k}[first*{w}+i]=o{k}[{{0}}]"))
+        pointers = [f"const {number}*__restrict__ in{k}" for k in range(len(p.arguments))]
+        pointers += [f"{number}*__restrict__ out{k}" for k in range(len(p.results))]
+        if marks(p, self.single or self.recomputing):
+            pointers.append(f"{'const ' if self.recomputing else ''}unsigned char*__restrict__ lost")
+        body = ["{", *self.statements(), *self.results(), "}"]
+        if self.recomputing:
+            body = ["if(lost[b])", *body, "else{", *self.nothing(), "}"]
+        lines = [
+            cuda_prelude.text(self.single, stage.block),
+            f"KERNEL({','.join(pointers)})",
+            "const long long first=block*BLOCK;const int here=samples-first<BLOCK?(int)(samples-first):BLOCK;",
+            *([f"STAGE {number} stage[{size}];"] if size else []),
+            *names,
+            *loads,
+            "EACH{const long long b=first+t;if(t<here){",
+            *body,
+            "}}",
+            *stores,
+            "}}",
+        ]
+        return "\n".join(lines) + "\n"
+
+
+def _moved(width: int, statement: str) -> str:
+    """Rows between memory, where neighbouring threads take neighbouring numbers, and shared memory."""
+    one = statement.format("i" if width % 2 else f"i/{width}*{width + 1}+i%{width}")
+    return (
+        f"EACH{{if(here==BLOCK){{UNROLL({min(width, UNROLLED)})for(int k=0;k<{width};k++)"
+        f"{{const int i=k*BLOCK+t;{one};}}}}else UNROLL(1)for(int i=t;i<here*{width};i+=BLOCK){one};}}"
+    )
