@@ -286,10 +286,10 @@ def _traced(what: Computation, tensors: Tensors, backend: BackendName | None, do
         x = x if x.shape == shape else x.expand(shape)
         inputs.append(x if shape == flat else x.reshape(flat))
     found = run(program, inputs, EAGER) if program is not None else operator(name, inputs)
-    return {
-        result: y.to(given[0].dtype).reshape(axes if summed else batch + axes)
-        for y, (result, summed, axes) in zip(found, results, strict=True)
-    }
+    shapes = [axes if summed else batch + axes for _, summed, axes in results]
+    narrow = [y if dtype == given[0].dtype else y.to(given[0].dtype) for y in found]
+    shaped = [y if y.shape == shape else y.reshape(shape) for y, shape in zip(narrow, shapes, strict=True)]
+    return {result: y for (result, _, _), y in zip(results, shaped, strict=True)}
 
 
 def _common_batch(given: Sequence[Tensor], forms: Sequence[tuple[Shape, int, bool]]) -> Shape | None:

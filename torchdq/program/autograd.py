@@ -151,9 +151,8 @@ def _found(name: str) -> tuple[Execute, Program]:
     return _named[name]
 
 
-# A graph that torch.compile traces calls `evaluate`, which is differentiable. Where gradients are decided, by autograd or
-# while torch.compile makes forward and backward graphs, it becomes `run`, so that a compiled graph calls `run` alone.
-# `library.custom_op` does the same with one operator, but takes ten microseconds more per call.
+# A graph that torch.compile traces calls `evaluate`, which is differentiable; where autograd sees it, it becomes `run`,
+# so a compiled graph calls `run` alone. `library.custom_op` would take ten microseconds more at each call.
 _LIBRARY = library.Library("torchdq", "DEF")
 for _name in ("evaluate", "run"):
     _LIBRARY.define(f"{_name}(str program, Tensor[] inputs) -> Tensor[]", tags=(torch.Tag.pt2_compliant_tag,))
@@ -191,6 +190,9 @@ class _DifferentiableByName(torch.autograd.Function):
 
 
 def _recorded(program: str, inputs: Sequence[Tensor]) -> Sequence[Tensor]:
+    if transforming():  # only torch's own operations carry tangents
+        execute, found = _found(program)
+        return list(execute.by_torch(found, inputs))
     if torch.is_grad_enabled() and any_requires_grad(*inputs):
         return list(_DifferentiableByName.apply(program, *inputs))
     return _run(program, inputs)
