@@ -277,7 +277,7 @@ def _traced(what: Computation, tensors: Tensors, backend: BackendName | None, do
     batch = None if known is None else _common_batch(given, known[0])
     if batch is None:
         batch = batch_of(what, tensors)  # broadcast, or raises
-    forms, dtype, name, program, results = known  # type: ignore[misc]
+    forms, dtype, name, program, results = known
     samples = math.prod(batch)
     inputs = []
     for x, (axes, width, uniform) in zip(given, forms, strict=True):
