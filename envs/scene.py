@@ -37,7 +37,6 @@ from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, check_precision
 from torchdq.program.program import Argument, Count, Program
 from torchdq.robot import Robot
-from torchdq.robot.changes import require_unchanged
 from torchdq.robot.robot import arguments, constants, recorded
 
 _interned: Bounded[SceneSpec, SceneSpec] = Bounded(PROGRAMS)  # equal scenes share their programs
@@ -337,7 +336,7 @@ class Scene:
 
     def evaluate(self, stage: str, given: Mapping[str, Tensor], task: Task | None = None) -> dict[str, Tensor]:
         """Rows of a stage's program, with the batch axes of everything that goes in; the state's inputs come first."""
-        require_unchanged(self.robot)
+        constants(self.robot)  # raises if they were changed in place
         tensors = {**given, **self._parameters}
         return evaluate(Stage(self.spec, stage, task), tensors, self.backend, self.precision == "double")
 

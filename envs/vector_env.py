@@ -225,7 +225,7 @@ class ArmVectorEnv(VectorEnv):
         truncated = torch.zeros_like(failed) if limit is None else buffers["steps"] >= limit
         buffers["finished"] = done = terminated | truncated
         info: dict[str, Any] = {"clipped": clipped, "nonfinite": failed, **rows}
-        any_done = bool(done.any())
+        any_done = bool(done if self.num_envs == 1 else done.any())  # `any` of one row takes a microsecond
         if any_done and bool(failed.any()):
             for name in _RESTORED:
                 if name in buffers:

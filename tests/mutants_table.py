@@ -1124,6 +1124,12 @@ MUTANTS = (
             "arguments.py::test_a_dtype_that_dynamics_are_not_computed_in_is_named",
         ),
         (
+            "batch axes that differ not broadcast in graphs",
+            "if last != axes or not (uniform or own == batch):",
+            "if last != axes:",
+            "transforms.py::test_a_compiled_layer_broadcasts_batch_axes",
+        ),
+        (
             "no check of the arguments together",
             "what.check(given)",
             "given",
@@ -1155,8 +1161,8 @@ MUTANTS = (
         ),
         (
             "batch axes in one row",
-            "else (batch + axes, (samples, width))",
-            "else (batch + axes, (1, samples * width))",
+            "expanded, flat = (axes, (width,)) if uniform else (batch + axes, (samples, width))",
+            "expanded, flat = (axes, (width,)) if uniform else (batch + axes, (1, samples * width))",
             CALL_BATCH,
         ),
         (
@@ -1185,6 +1191,12 @@ MUTANTS = (
             "transforming() or jit_tracing() or",
             "transforming() or",
             f"{BACKENDS}::test_torch_jit_trace_refuses_compiled_programs",
+        ),
+        (
+            "tangents lost in compiled graphs",
+            "if transforming():  # only torch's own operations carry tangents",
+            "if False:",
+            "transforms.py::test_a_transform_inside_a_compiled_function_has_the_values_of_the_transform_outside",
         ),
     ),
     *within(

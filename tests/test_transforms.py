@@ -6,6 +6,7 @@ run over `FUNCTIONS`, every public function of the dynamics, unless they are abo
 
 import copy
 import io
+import operator
 import pickle
 import shutil
 from functools import cache
@@ -13,11 +14,15 @@ from functools import cache
 import pytest
 import torch
 from helpers import thinned
+from torch._dynamo.backends.common import aot_autograd
 from torch._dynamo.testing import CompileCounterWithBackend
+from torch._functorch.aot_autograd import make_boxed_func
 from torch.func import functional_call, grad, hessian, jacfwd, jacrev, jvp, vmap
 from torch.nn.utils.parametrize import type_before_parametrizations
 
 import torchdq
+from torchdq.backends.compiler import compiler
+from torchdq.program import autograd
 
 F32, F64 = torch.float32, torch.float64
 EPS = {F32: 2.0**-23, F64: 2.0**-52}
@@ -48,6 +53,7 @@ MODULES = {
 }
 MASS = "parametrizations.mass.original"  # the free numbers behind a learned mass: its logarithms
 every_function = pytest.mark.parametrize("key", FUNCTIONS)
+C_COMPILER = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 every_module = pytest.mark.parametrize("key", MODULES)
 
 
@@ -487,6 +493,80 @@ def test_compiled_to_machine_code_for_any_batch_size_it_has_the_same_values_and_
     for batch in (5, 18):
         args = inputs("q qd qdd", 2, (batch,))
         assert relative(slopes(module, compiled, args), slopes(module, module, args)) < 1e-12
+
+
+@pytest.mark.case("P4")
+@pytest.mark.parametrize(
+    "transform, backend",
+    [  # torch refuses vmap of an operator that is not its own
+        *((transform, "auto") for transform in (grad, jacrev, jacfwd, vmap)),
+        *(pytest.param(transform, "c", marks=C_COMPILER) for transform in (grad, jacrev, jacfwd)),
+    ],
+)
+def test_a_transform_inside_a_compiled_function_has_the_values_of_the_transform_outside(transform, backend, fresh):
+    robot, args = arm(), inputs("q qd tau", 2, (3,))
+
+    def f(q):
+        qdd = torchdq.forward_dynamics(robot, q, *(x[:1] for x in args[1:]))
+        return qdd.square().sum() if transform is grad else qdd
+
+    with torchdq.backend(backend):
+        compiled = torch.compile(lambda q: transform(f)(q), backend="aot_eager", fullgraph=True)
+        assert relative([compiled(args[0])], [transform(f)(args[0])]) < 1e-12
+
+
+@pytest.mark.case("P4")
+@C_COMPILER
+def test_the_operator_of_traced_graphs_is_one_that_torch_approves_of(fresh):
+    q = inputs("q", 2, (3,))[0]
+    torch.compile(torchdq.DQRNEA(torchdq.robots.load("two_link"), backend="c"), backend="eager", fullgraph=True)(q)
+    name = next(name for name in reversed(autograd._named) if ":" not in name)
+    for requires_grad in (False, True):
+        torch.library.opcheck(torch.ops.torchdq.evaluate.default, (name, [q.clone().requires_grad_(requires_grad)]))
+
+
+@pytest.mark.case("P4")
+@C_COMPILER
+def test_a_compiled_graph_is_little_more_than_its_program(fresh):
+    """What every call of a compiled layer pays for: operators, which include no views or copies, and guards."""
+    graphs, guards = [], []
+
+    def counting(graph, _):
+        graphs.append([node.target for node in graph.graph.nodes if node.op == "call_function"])
+        return make_boxed_func(graph.forward)
+
+    def all_of(found):
+        guards.extend(found)
+        return [True] * len(found)
+
+    module, args = torchdq.DQRNEA(torchdq.robots.load("panda"), backend="c"), inputs("q qd qdd", 7, (4,))
+    backend = aot_autograd(fw_compiler=counting)
+    compiled = torch.compile(module, backend=backend, fullgraph=True, options={"guard_filter_fn": all_of})
+    with torch.no_grad():
+        assert same([compiled(*args)], [module(*args)])
+    assert graphs == [[torch.ops.torchdq.run.default, operator.getitem]]
+    assert len(guards) < 120  # 80 at present, and 150 if the checks of arguments were traced
+
+
+@pytest.mark.case("P4")
+@C_COMPILER
+def test_a_compiled_layer_broadcasts_batch_axes(fresh):
+    module, (q, qd, qdd) = torchdq.DQRNEA(arm(), backend="c"), inputs("q qd qdd", 2, (4,))
+    compiled = torch.compile(module, backend="eager", fullgraph=True)
+    args = q, qd[:1], qdd[:3, None]
+    assert compiled(*args).shape == (3, 4, 2) and relative([compiled(*args)], [module(*args)]) < 1e-12
+
+
+@pytest.mark.case("P4")
+@C_COMPILER
+def test_a_compiled_layer_notices_that_its_robot_was_replaced_by_one_of_equal_shapes(fresh):
+    module, args = torchdq.DQRNEA(arm(), backend="c"), inputs("q qd qdd", 2, (4,))
+    compiled = torch.compile(module, backend="aot_eager", fullgraph=True)
+    before = compiled(*args)
+    heavier = arm().replace(mass=2 * arm().mass).bake()
+    module._robot = heavier
+    expected = torchdq.inverse_dynamics(heavier, *args)
+    assert relative([before], [expected]) > 0.1 and relative([compiled(*args)], [expected]) < 1e-12
 
 
 def test_a_module_that_was_never_called_is_exported():

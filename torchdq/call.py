@@ -31,12 +31,12 @@ from torch import Tensor
 
 from torchdq.backends.backend import Backend
 from torchdq.backends.choice import BackendName, choose, choose_for_graph, present
-from torchdq.backends.precision import Guarded, unguarded
+from torchdq.backends.precision import Form, Guarded, contiguous, unguarded
 from torchdq.backends.run import run
 from torchdq.backends.torch import EAGER
 from torchdq.caches import LAYOUTS, Bounded
 from torchdq.checks import DTYPES, require_tensor
-from torchdq.errors import ArgumentError, DtypeError
+from torchdq.errors import ArgumentError, DtypeError, TorchdqError
 from torchdq.program.autograd import in_a_graph, named, operator
 from torchdq.program.program import Argument, Program
 from torchdq.program.transforms import proxy_tracing, with_values
@@ -94,7 +94,7 @@ class CallLayout(NamedTuple):
     names: tuple[str, ...]  # names of the results
     shapes: tuple[Shape, ...]  # shapes of the results
     samples: int
-    direct: tuple[Tensor, ...] | None  # forms of all outputs if the tensors can be taken as they are; None: they cannot
+    direct: tuple[Form, ...] | None  # forms of all outputs if the tensors can be taken as they are; None: they cannot
 
 
 _layouts: Bounded[tuple, CallLayout] = Bounded(LAYOUTS)
@@ -204,13 +204,13 @@ def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, do
     direct = None
     if alike and not (
         chosen.differentiable
+        or device.type != "cpu"
         or 0 in batch
         or any(row.expanded is not None for row in rows)
         or any(summed for _, summed, _ in shapes)
     ):
         growth = () if program.growth is None or chosen.guards else (batch,)
-        number = torch.empty((), dtype=dtype, device=device)  # the forms are one number, expanded
-        direct = tuple(number.expand(shape) for shape in (*(batch + axes for _, _, axes in shapes), *growth))
+        direct = tuple(contiguous(shape, dtype) for shape in (*(batch + axes for _, _, axes in shapes), *growth))
     return CallLayout(
         rows,
         dtype,
@@ -263,32 +263,81 @@ def _row(x: Tensor, dtype: torch.dtype, device: torch.device, row: Arrangement) 
 
 
 def _traced(what: Computation, tensors: Tensors, backend: BackendName | None, double: bool) -> dict[str, Tensor]:
-    """Results in a graph that is being traced."""
-    arguments, rows, batch = _arranged(what, tensors)
+    """Results in a graph that is being traced.
+
+    At every call of its graph, torch.compile checks all objects that were read while it was traced, so whatever does
+    not depend on sizes is read in `_known`.
+    """
     given = [x for x in tensors.values() if x is not None]
-    like = given[0]
-    dtype = torch.float64 if double else like.dtype
-    inputs = [_row(x, dtype, like.device, row) for x, row in zip(given, rows, strict=True)]
+    if not all([isinstance(x, Tensor) for x in given]):
+        batch_of(what, tensors)  # raises
+    looks = tuple([(name, x.ndim, x.dtype, x.device) for name, x in tensors.items() if x is not None])
     # the fields one by one, so that torch.compile guards the graph by each of them
-    name, program, results = _known(type(what), arguments, backend, like.device, *what)  # type: ignore[misc]
+    known = _known(type(what), looks, backend, double, *what)  # type: ignore[misc]
+    batch = None if known is None else _common_batch(given, known[0])
+    if batch is None:
+        batch = batch_of(what, tensors)  # broadcast, or raises
+    forms, dtype, name, program, results = known
+    samples = math.prod(batch)
+    inputs = []
+    for x, (axes, width, uniform) in zip(given, forms, strict=True):
+        shape, flat = (axes, (width,)) if uniform else (batch + axes, (samples, width))
+        x = x if x.dtype == dtype and x.device == given[0].device else x.to(dtype=dtype, device=given[0].device)
+        x = x if x.shape == shape else x.expand(shape)
+        inputs.append(x if shape == flat else x.reshape(flat))
     found = run(program, inputs, EAGER) if program is not None else operator(name, inputs)
-    return {
-        result: y.to(like.dtype).reshape(axes if summed else batch + axes)
-        for y, (result, summed, axes) in zip(found, results, strict=True)
-    }
+    shapes = [axes if summed else batch + axes for _, summed, axes in results]
+    narrow = [y if dtype == given[0].dtype else y.to(given[0].dtype) for y in found]
+    shaped = [y if y.shape == shape else y.reshape(shape) for y, shape in zip(narrow, shapes, strict=True)]
+    return {result: y for (result, _, _), y in zip(results, shaped, strict=True)}
+
+
+def _common_batch(given: Sequence[Tensor], forms: Sequence[tuple[Shape, int, bool]]) -> Shape | None:
+    """Batch axes of tensors that all have them, without broadcasting; None: they differ, or other axes do not fit."""
+    batch = None
+    for x, (axes, _, uniform) in zip(given, forms, strict=True):
+        own, last = x.shape[: x.ndim - len(axes)], x.shape[x.ndim - len(axes) :]
+        batch = own if batch is None and not uniform else batch
+        if last != axes or not (uniform or own == batch):
+            return None
+    return None if batch is None else tuple(batch)
 
 
 @torch.compiler.assume_constant_result
 def _known(
-    kind: type, arguments: Sequence[tuple], backend: BackendName | None, device: torch.device, *fields: Any
-) -> tuple[str, Program | None, tuple[tuple[str, bool, Shape], ...]]:
-    """Name of the program in a graph, or the program itself if it runs as torch operations; and its results.
+    kind: type,
+    looks: Sequence[tuple[str, int, torch.dtype, torch.device]],
+    backend: BackendName | None,
+    double: bool,
+    *fields: Any,
+) -> tuple | None:
+    """Whatever of a call in a graph does not depend on the sizes of its tensors; None: they do not fit.
 
-    `arguments` are plain tuples, since torch.compile does not keep named ones.
+    Args:
+        kind, fields: type and fields of the computation.
+        looks: name, number of axes, dtype and device of every tensor.
+        backend, double: as in `evaluate`.
+    Returns:
+        forms: trailing axes and their size, and whether it is one row for all samples, of every tensor.
+        dtype: that of the program.
+        name: name of the program in a graph, or "" if it runs as torch operations.
+        program: program that runs as torch operations, or None.
+        results: name, whether it is summed over the samples, and trailing axes of every result.
     """
     what = kind(*fields)
-    program, chosen = _recorded(what, tuple(Argument(*a) for a in arguments)), choose_for_graph(backend, device)
-    results = _shapes(what, program)
+    try:
+        with with_values():
+            one = {
+                name: torch.empty(((1,) * ndim + what.axes(name))[len(what.axes(name)) :], dtype=dtype, device=device)
+                for name, ndim, dtype, device in looks
+            }
+            arguments, _, _ = _arranged(what, one)
+    except TorchdqError:
+        return None
+    _, _, dtype, device = looks[0]
+    forms = tuple([(what.axes(a.name), a.width, a.uniform) for a in arguments])
+    program, chosen = _recorded(what, arguments), choose_for_graph(backend, device)
+    results, dtype = _shapes(what, program), torch.float64 if double else dtype
     if chosen.differentiable:
-        return "", program, results
-    return named(Guarded(chosen), program), None, results
+        return forms, dtype, "", program, results
+    return forms, dtype, named(Guarded(chosen), program), None, results

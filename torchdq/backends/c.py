@@ -16,6 +16,7 @@ from torchdq.caches import PROGRAMS, remembered
 from torchdq.errors import ArgumentError, TorchdqError
 from torchdq.notice import warn_once
 from torchdq.program.program import Program, outputs
+from torchdq.program.transforms import empty_on_cpu
 
 
 class C(Backend):
@@ -82,8 +83,7 @@ class CompiledKernel:
         number, size = threads.shares(samples, self.operations, self.any_summed)
         parts = max(1, -(-samples // size))
         found = [
-            torch.empty((parts if summed else samples, width), dtype=self.dtype, device="cpu")
-            for width, summed in self.widths
+            empty_on_cpu((parts if summed else samples, width), (width, 1), self.dtype) for width, summed in self.widths
         ]
         self._run([*[x.contiguous() for x in inputs], *found], samples, number, size)
         if self.any_summed:

@@ -18,7 +18,7 @@ from torchdq.backends.torch import EAGER
 from torchdq.checks import require_choice
 from torchdq.errors import ArgumentError
 from torchdq.notice import warn_once
-from torchdq.program.transforms import proxy_tracing
+from torchdq.program.transforms import proxy_tracing, transforming
 
 BackendName = Literal["auto", "eager", "c", "cuda"]
 # by name: the first that can run on the device
@@ -60,11 +60,11 @@ def present() -> BackendName:
 def choose_for_graph(name: BackendName | None, device: torch.device) -> Backend:
     """Backend that runs programs in a traced graph.
 
-    A graph of torch.export is saved and loaded elsewhere, and one of make_fx may be transformed, so without a named
-    backend they consist of torch's own operations.
+    A graph of torch.export is saved and loaded elsewhere, one of make_fx may be transformed, and one that is traced in
+    a transform of `torch.func` is, so without a named backend they consist of torch's own operations.
     """
     exporting = torch.compiler.is_exporting()
-    if (exporting or proxy_tracing()) and (name or present()) == "auto":
+    if (exporting or proxy_tracing() or transforming()) and (name or present()) == "auto":
         return EAGER
     chosen = choose(name, device)
     if exporting and not chosen.differentiable:

@@ -7,6 +7,7 @@ the factors; on a GPU, where that would make it wait, the kernels of the backend
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple, cast
 
@@ -16,7 +17,9 @@ from torch import Tensor
 from torchdq.backends.backend import Backend, DirectKernel
 from torchdq.backends.torch import EAGER
 from torchdq.program.program import LARGEST_GROWTH, Program, samples_of
-from torchdq.program.transforms import without_values
+from torchdq.program.transforms import empty_on_cpu, without_values
+
+Form = tuple[tuple[int, ...], tuple[int, ...], torch.dtype]  # size, strides and dtype of a tensor
 
 
 class Guarded(NamedTuple):
@@ -56,24 +59,29 @@ def guarded(backend: Backend, program: Program, inputs: Sequence[Tensor]) -> lis
 
 
 def unguarded(
-    backend: Backend, program: Program, inputs: Sequence[Tensor], forms: Sequence[Tensor], samples: int
+    backend: Backend, program: Program, inputs: Sequence[Tensor], forms: Sequence[Form], samples: int
 ) -> list[Tensor] | None:
     """Results in final shapes, without views on the way; None: a row is over the limit, and `guarded` must be called.
 
     Args:
-        backend: one that is not differentiable.
+        backend: one that is not differentiable, on the CPU.
         program: without sums over the samples.
         inputs: contiguous tensors of one dtype, in any shapes with the elements of [samples, width].
-        forms: tensors of which `torch.empty_like` makes the outputs; it takes half the time of `torch.empty`.
+        forms: size, strides and dtype of every output, contiguous.
         samples: number of samples, at least one.
     """
     like = inputs[0]
-    found = [torch.empty_like(form) for form in forms]
+    found = [empty_on_cpu(*form) for form in forms]
     direct = cast(DirectKernel, backend.kernel(program, like.dtype, like.device))
     direct.into(inputs, found, samples)
     if program.growth is None or backend.guards:
         return found
     return found if _within_limit(found.pop(), samples) else None
+
+
+def contiguous(shape: tuple[int, ...], dtype: torch.dtype) -> Form:
+    """Form of a contiguous tensor."""
+    return shape, tuple([math.prod(shape[k + 1 :]) for k in range(len(shape))]), dtype
 
 
 def _within_limit(growth: Tensor, samples: int) -> bool:
