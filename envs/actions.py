@@ -27,8 +27,11 @@ class Actions:
     robot: Robot
     scale: Tensor  # [n] size of a full action [N m or N; rad or m of a reference]
 
-    def clipped(self, actions: Any, num_envs: int) -> tuple[Tensor, Tensor]:
-        """Actions [N, n] within their bounds, and the number clipped in each row [N]; raises if one is not finite."""
+    def clipped(self, actions: Any, num_envs: int, looks: bool = True) -> tuple[Tensor, Tensor]:
+        """Actions [N, n] within their bounds, and the number clipped in each row [N].
+
+        Raises if one is not finite; unless the host `looks` at them, such an action stays NaN.
+        """
         found = torch.as_tensor(actions, dtype=self.scale.dtype, device=self.scale.device)
         shape = (num_envs, self.robot.n)
         if found.shape != shape:
@@ -37,9 +40,9 @@ class Actions:
                 f"robot {self.robot.name!r}, found {tuple(found.shape)}"
             )
         inside = found.clamp(-1.0, 1.0)
-        if torch.equal(inside, found):  # false if one is NaN
+        if looks and torch.equal(inside, found):  # false if one is NaN
             return inside, torch.zeros(num_envs, dtype=torch.int64, device=found.device)
-        if not math.isfinite(found.sum().item()) and len(bad := (~found.isfinite()).nonzero()):
+        if looks and not math.isfinite(found.sum().item()) and len(bad := (~found.isfinite()).nonzero()):
             row, joint = bad[0].tolist()
             raise ArgumentError(
                 f"actions must be finite, found {found[row, joint].item()} in row {row} for joint "

@@ -8,6 +8,7 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any
 
+import torch
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
@@ -126,3 +127,17 @@ def check_state(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) -> None:
             raise ArgumentError(f"{label} must be finite, found {found} in row {bad[0, 0].item()}")
         if name in COUNTS and bool((x < 0).any()):
             raise ArgumentError(f"{label} must not be negative, found {x.min().item()}")
+
+
+def reset_mask_of(mask: Any, num_envs: int, device: torch.device) -> Tensor | None:
+    """Mask [N] of the rows to reset; None: all of them."""
+    if mask is None:
+        return None
+    mask = torch.as_tensor(mask, device=device)
+    if mask.dtype != torch.bool or mask.shape != (num_envs,):
+        raise ArgumentError(
+            f"reset_mask must be a bool of shape ({num_envs},), found {mask.dtype} of {tuple(mask.shape)}"
+        )
+    if not bool(mask.any()):
+        raise ArgumentError("reset_mask must be true in at least one row, found none; do not call reset then")
+    return mask

@@ -37,6 +37,7 @@ from torchdq.effects.actuator import Actuator
 from torchdq.effects.effect import Effect, Parameter, Shapes
 from torchdq.envs.rng import SMALLEST
 from torchdq.envs.scene import Scene
+from torchdq.envs.some_rows import SomeRows
 from torchdq.envs.spec import CONTROLLER, ROBOT
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.numbers.functions import absolute, maximum
@@ -77,13 +78,13 @@ class Randomised(NamedTuple):
         part = scene.robot if self.owner == ROBOT else _parts(scene)[self.owner]
         return {name: getattr(part, name) for name in self.bases}
 
-    def draw(self, scene: Scene, rows: Tensor, u: Tensor) -> None:
+    def draw(self, scene: Scene, rows: SomeRows, u: Tensor) -> None:
         """Write new values into some rows; u are random numbers [k, width]."""
         drawn = self.span(u)
         for name, target in self.tensors(scene).items():
-            base = self.bases[name][rows]
+            base = rows.of(self.bases[name])
             value = drawn.reshape(base.shape)
-            target.index_copy_(0, rows, base + value if self.shift else base * value)
+            rows.write(target, base + value if self.shift else base * value)
 
 
 @dataclass(frozen=True)

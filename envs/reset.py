@@ -15,6 +15,7 @@ from torchdq.caches import PROGRAMS, remembered
 from torchdq.envs.randomization import Randomised
 from torchdq.envs.rng import Streams
 from torchdq.envs.scene import Scene
+from torchdq.envs.some_rows import SomeRows
 from torchdq.envs.spec import Task
 from torchdq.envs.tasks import Checked
 from torchdq.envs.torch_task import Functions
@@ -44,11 +45,11 @@ class Reset:
         acting = [e for e in self.scene.effects if e.SLOT == "sensor" or e.memory(self.scene.n)]
         object.__setattr__(self, "opening", self.scene.replace(effects=acting, controller=None))
 
-    def __call__(self, rows: Tensor, streams: Streams, dtype: torch.dtype) -> dict[str, Tensor]:
+    def __call__(self, rows: SomeRows, streams: Streams, dtype: torch.dtype) -> dict[str, Tensor]:
         """Buffers of new episodes, by name, shape [k, ...]; drawn parameters are written into the scene.
 
         Args:
-            rows: indices of the environments [k].
+            rows: the environments.
             streams: random numbers of those environments.
             dtype: dtype of the buffers.
         """
@@ -64,7 +65,7 @@ class Reset:
         fresh = {result.name: x for result, x in zip(program.results, outputs, strict=True)}
         if own is not None:
             fresh.update(own.started(u_own))
-        steps = rows.new_zeros(len(rows), dtype=torch.int32)
+        steps = torch.zeros(rows.number, dtype=torch.int32, device=u.device)
         fresh.update(streams._asdict(), steps=steps, finished=steps.to(torch.bool))
         opening = _of_rows(self.opening, rows)
         given = task_inputs(task, fresh, opening)
@@ -87,11 +88,11 @@ def task_inputs(
     return given
 
 
-def _of_rows(scene: Scene, rows: Tensor) -> Scene:
+def _of_rows(scene: Scene, rows: SomeRows) -> Scene:
     """Scene of some environments: their rows of every tensor that has one row per environment."""
 
     def chosen(x: Tensor, axes: int) -> Tensor:
-        return x[rows] if x.ndim > axes and len(x) > 1 else x
+        return rows.of(x) if x.ndim > axes and len(x) > 1 else x
 
     tensors: dict[str, Any] = {
         name: chosen(getattr(scene.robot, name), len(SHAPES[name])) for name in arguments(scene.robot)

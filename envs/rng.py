@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from torchdq.checks import device_of
+from torchdq.envs.some_rows import SomeRows
 from torchdq.errors import ArgumentError
 
 _STEP = 0x9E3779B97F4A7C15  # 2^64 over the golden ratio
@@ -44,13 +45,13 @@ class Streams(NamedTuple):
         numbers = fraction.bitwise_or_(_ONE[dtype]).view(dtype).sub_(1 - 2.0 ** -(kept + 1))
         return numbers, self._replace(counter=self.counter + words)
 
-    def rows(self, rows: Tensor) -> Streams:
-        """Streams of some rows, by their numbers [k]."""
-        return Streams(self.key[rows], self.counter[rows])
+    def rows(self, rows: SomeRows) -> Streams:
+        """Streams of some rows."""
+        return Streams(rows.of(self.key), rows.of(self.counter))
 
-    def with_rows(self, rows: Tensor, streams: Streams) -> Streams:
+    def with_rows(self, rows: SomeRows, streams: Streams) -> Streams:
         """The streams with some rows replaced."""
-        return Streams(*(own.index_copy(0, rows, new) for own, new in zip(self, streams, strict=True)))
+        return Streams(*(rows.replaced(own, new) for own, new in zip(self, streams, strict=True)))
 
 
 def seeded(seed: int | Sequence[int], size: int, device: torch.device | str = "cpu") -> Streams:

@@ -33,7 +33,7 @@ from torchdq.backends.choice import BackendName
 from torchdq.checks import device_of, dtype_of, require_choice, require_count
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, full
-from torchdq.envs.arguments import autoreset_of, check_scene, check_state, robot_of, seeds_of, task_of
+from torchdq.envs.arguments import autoreset_of, check_scene, check_state, reset_mask_of, robot_of, seeds_of, task_of
 from torchdq.envs.controllers import ComputedTorque, Controller
 from torchdq.envs.defaults import nominal, usual
 from torchdq.envs.integrators import Integrator, LinearlyImplicit
@@ -41,6 +41,7 @@ from torchdq.envs.randomization import Randomise, randomised
 from torchdq.envs.reset import Reset, task_inputs
 from torchdq.envs.rng import Streams, seeded
 from torchdq.envs.scene import Scene
+from torchdq.envs.some_rows import Indexed, Masked, SomeRows, column
 from torchdq.envs.state import State
 from torchdq.envs.tasks import Checked, EpisodeTask
 from torchdq.envs.torch_task import Functions, TorchTask
@@ -86,7 +87,8 @@ class ArmVectorEnv(VectorEnv):
             `info["_final_obs"]` and `info["_final_info"]`. NEXT_STEP: at the next step, which ignores their action.
             DISABLED: when `reset(options={"reset_mask": mask})` is called; stepping a finished row is an error.
         dtype: float32 or float64, torch's, numpy's or by name.
-        device: device of the environments.
+        device: device of the environments. On a GPU the host does not wait for flags: actions that are not finite end
+            their rows as failed instead of raising an error, and `info["final_obs"]` is there at every step.
         output: "torch" or "numpy": type of everything that `reset` and `step` return.
         render_mode: "rgb_array": `render` returns a frame of every environment; "human": every step shows the first
             one in a browser.
@@ -169,7 +171,8 @@ class ArmVectorEnv(VectorEnv):
         self._valid = like.new_ones(())
         self._one = torch.tensor(1, dtype=torch.int32, device=self.device)
         self._buffers: dict[str, Tensor] = {}  # all that steps change, a row per environment; empty before a reset
-        self._unreset = False  # True if a row has finished and was not reset
+        self._unreset = False  # True if a row has finished, or may have, and was not reset
+        self._looks = self.device.type == "cpu"  # whether the host looks at flags; at those of a GPU it would wait
         self._painter: Any = None
 
     # --- gymnasium ---
@@ -189,14 +192,14 @@ class ArmVectorEnv(VectorEnv):
         for name in options or {}:
             if name != "reset_mask":
                 raise UnknownNameError("option of reset", name, ("reset_mask",))
-        mask = self._mask((options or {}).get("reset_mask"))
+        mask = reset_mask_of((options or {}).get("reset_mask"), self.num_envs, self.device)
         if mask is not None and not self._buffers:
             raise ResetNeeded("a first reset must be of all environments; call reset() without a reset_mask")
         rows = torch.arange(self.num_envs, device=self.device) if mask is None else mask.nonzero().squeeze(1)
         buffers = self._buffers or self._blank()
         if seed is not None:
             buffers.update(self._seeded(buffers, seed, rows)._asdict())
-        self._begin(buffers, rows)
+        self._begin(buffers, Indexed(rows))
         self._unreset = bool(self._buffers["finished"].any())
         self._show()
         return self._out(self._buffers["observation"]), {}
@@ -210,12 +213,12 @@ class ArmVectorEnv(VectorEnv):
         """
         self._started("step")
         finished, counter = self._buffers["finished"], self._buffers["counter"]
-        if self._unreset and self.autoreset_mode == AutoresetMode.DISABLED:
+        if self._unreset and self.autoreset_mode == AutoresetMode.DISABLED and bool(finished.any()):
             raise ResetNeeded(
                 f"environments {finished.nonzero().squeeze(1).tolist()[:8]} have finished; reset them with "
                 f"options={{'reset_mask': terminated | truncated}}, or choose another autoreset_mode"
             )
-        actions, clipped = self._actions.clipped(actions, self.num_envs)
+        actions, clipped = self._actions.clipped(actions, self.num_envs, self._looks)
         rows, buffers = self._advanced(actions)
         reward, failed = rows.pop("reward"), rows.pop("valid") != self._valid
         terminated = failed
@@ -225,25 +228,25 @@ class ArmVectorEnv(VectorEnv):
         truncated = torch.zeros_like(failed) if limit is None else buffers["steps"] >= limit
         buffers["finished"] = done = terminated | truncated
         info: dict[str, Any] = {"clipped": clipped, "nonfinite": failed, **rows}
-        any_done = bool(done if self.num_envs == 1 else done.any())  # `any` of one row takes a microsecond
-        if any_done and bool(failed.any()):
+        any_done = self._any(done)
+        if any_done and self._any(failed):
             for name in _RESTORED:
                 if name in buffers:
                     buffers[name] = torch.where(failed[:, None], self._buffers[name], buffers[name])
             reward = reward.masked_fill(failed, WORST)
-            for name in rows:
-                info[name][failed] = torch.nan
+            info |= {name: x.masked_fill(column(failed, x), torch.nan) for name, x in rows.items()}
         last = buffers["observation"]
-        if self._unreset:  # in the mode NEXT_STEP, this step is the reset of the rows that had finished
+        if self._unreset and self.autoreset_mode == AutoresetMode.NEXT_STEP:
+            # this step is the reset of the rows that had finished
             buffers["counter"] = torch.where(finished, counter, buffers["counter"])
-            self._begin(buffers, finished.nonzero().squeeze(1))
+            self._begin(buffers, self._some(finished))
             going = ~finished
             reward, terminated, truncated = reward.masked_fill(finished, 0.0), terminated & going, truncated & going
             info["nonfinite"] = failed & going
-            any_done = bool(self._buffers["finished"].any())
+            any_done = self._any(self._buffers["finished"])
         elif any_done and self.autoreset_mode == AutoresetMode.SAME_STEP:
             info.update(final_obs=last, _final_obs=done, final_info=dict(info), _final_info=done)
-            self._begin(buffers, done.nonzero().squeeze(1))
+            self._begin(buffers, self._some(done))
             any_done = False
         else:
             self._buffers = buffers
@@ -324,18 +327,6 @@ class ArmVectorEnv(VectorEnv):
             return x
         return {k: self._out(v) for k, v in x.items()} if isinstance(x, dict) else x.cpu().numpy()
 
-    def _mask(self, mask: Any) -> Tensor | None:
-        if mask is None:
-            return None
-        mask = torch.as_tensor(mask, device=self.device)
-        if mask.dtype != torch.bool or mask.shape != (self.num_envs,):
-            raise ArgumentError(
-                f"reset_mask must be a bool of shape ({self.num_envs},), found {mask.dtype} of {tuple(mask.shape)}"
-            )
-        if not bool(mask.any()):
-            raise ArgumentError("reset_mask must be true in at least one row, found none; do not call reset then")
-        return mask
-
     def _seeded(self, buffers: Mapping[str, Tensor], seed: Any, rows: Tensor) -> Streams:
         """Random numbers with some rows seeded."""
         if isinstance(seed, Tensor | np.ndarray):
@@ -346,7 +337,7 @@ class ArmVectorEnv(VectorEnv):
         chosen = {i: s for i in rows.tolist() if (s := seeds[i]) is not None}
         fresh = seeded(list(chosen.values()), len(chosen), self.device)
         chosen_rows = torch.tensor(list(chosen), dtype=torch.int64, device=self.device)
-        return self._streams(buffers).with_rows(chosen_rows, fresh)
+        return self._streams(buffers).with_rows(Indexed(chosen_rows), fresh)
 
     def _advanced(self, actions: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """The task's rows after a step, and the buffers."""
@@ -364,14 +355,23 @@ class ArmVectorEnv(VectorEnv):
         buffers.update(state.rows(), observation=rows.pop("observation"), reference=rows.pop("reference"))
         return rows, buffers
 
-    def _begin(self, buffers: Mapping[str, Tensor], rows: Tensor) -> None:
-        """Keep the buffers, with new episodes in the rows of some indices [k]."""
+    def _any(self, mask: Tensor) -> bool:
+        """Whether a row of a mask [N] is true, or may be."""
+        # `any` of one row takes a microsecond
+        return not self._looks or bool(mask if self.num_envs == 1 else mask.any())
+
+    def _some(self, mask: Tensor) -> SomeRows:
+        """Rows of a mask [N]."""
+        return Indexed(mask.nonzero().squeeze(1)) if self._looks else Masked(mask)
+
+    def _begin(self, buffers: Mapping[str, Tensor], rows: SomeRows) -> None:
+        """Keep the buffers, with new episodes in some rows."""
         self._buffers = dict(buffers)
         for name, x in self._reset(rows, self._streams(buffers).rows(rows), self.dtype).items():
             if name in _HANDED_OUT:
-                self._buffers[name] = buffers[name].index_copy(0, rows, x)
+                self._buffers[name] = rows.replaced(buffers[name], x)
             else:
-                buffers[name].index_copy_(0, rows, x)
+                rows.write(buffers[name], x)
 
     def _blank(self) -> dict[str, Tensor]:
         """Buffers before a first episode."""

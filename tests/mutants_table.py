@@ -2591,4 +2591,22 @@ MUTANTS = (
             "cuda_compile.py::test_the_narrowest_order_keeps_the_fewest_values_alive",
         ),
     ),
+    *within(
+        "envs/some_rows.py",
+        (
+            "new episodes in the rows that go on",
+            "return torch.where(column(self.mask, x), fresh, x)",
+            "return torch.where(column(self.mask, x), x, fresh)",
+            "envs.py::test_rows_are_the_same_where_the_host_does_not_look",
+        ),
+    ),
+    *within(
+        "envs/vector_env.py",
+        (
+            "a step that waits for flags of a GPU",
+            "return not self._looks or bool(",
+            "return bool(",
+            "cuda_host.py::test_a_step_of_environments_asks_the_device_nothing",
+        ),
+    ),
 )

@@ -15,7 +15,7 @@ from torchdq.backends.c import COMPILED
 from torchdq.backends.compiler import compiler
 from torchdq.backends.run import run
 from torchdq.backends.torch import EAGER
-from torchdq.envs import Scene, effects
+from torchdq.envs import ArmVectorEnv, Scene, effects
 from torchdq.numbers.ops import OPS
 from torchdq.numbers.ops import apply as applied
 from torchdq.program.program import LARGEST_GROWTH, Argument, record
@@ -295,6 +295,23 @@ def test_a_scene_with_sensors_steps_as_with_the_c_backend(dtype):
 
     agree(after("host"), after("c"), 2.0**12)
     same(after("backwards"), after("host"))
+
+
+@pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
+def test_a_step_of_environments_asks_the_device_nothing(mode, monkeypatch):
+    with torchdq.backend("host"):
+        envs = ArmVectorEnv(70, "reach", TWO, scale=20.0, max_episode_steps=2, autoreset_mode=mode)
+        envs._looks = False  # as on a GPU
+        envs.reset(seed=0)
+        envs.step(torch.zeros(70, 2))
+        asked = []
+        for name in ("item", "__bool__", "__int__", "__float__", "tolist", "nonzero", "cpu", "numpy"):
+            monkeypatch.setattr(torch.Tensor, name, lambda x, *a, name=name: asked.append(name))
+        monkeypatch.setattr(torch, "equal", lambda *a: asked.append("equal"))
+        truncated = envs.step(torch.zeros(70, 2))[3]
+        envs.step(torch.zeros(70, 2))
+        monkeypatch.undo()
+    assert not asked and bool(truncated.all())
 
 
 def test_exponential_and_logarithm_of_poses():

@@ -10,6 +10,7 @@ import torchdq
 from torchdq.envs import ArmVectorEnv, effects
 from torchdq.envs.randomization import SHORT, DrawnDelay
 from torchdq.envs.rng import SEEDS, Streams, seeded
+from torchdq.envs.some_rows import Indexed
 from torchdq.envs.spec import CONTROLLER, ROBOT
 from torchdq.errors import ArgumentError, UnknownNameError
 
@@ -95,7 +96,7 @@ def seeded_without_mixing():
 def test_a_row_does_not_depend_on_the_others(dtype, width):
     many, streams = seeded(10, 50).uniform(width, dtype)
     some = torch.tensor([3, 41, 7])
-    assert torch.equal(seeded(10, 50).rows(some).uniform(width, dtype)[0], many[some])
+    assert torch.equal(seeded(10, 50).rows(Indexed(some)).uniform(width, dtype)[0], many[some])
     assert torch.equal(seeded(10 + 41, 1).uniform(width, dtype)[0][0], many[41])
     assert torch.equal(seeded([51, 13], 2).uniform(width, dtype)[0], many[[41, 3]])
     assert many.shape == (50, width) and many.dtype == dtype
@@ -112,12 +113,12 @@ def test_drawing_changes_nothing():
     streams = seeded(0, 4)
     before = [x.clone() for x in streams]
     streams.uniform(9)
-    streams.with_rows(torch.tensor([1]), seeded(7, 1))
+    streams.with_rows(Indexed(torch.tensor([1])), seeded(7, 1))
     assert all(torch.equal(a, b) for a, b in zip(streams, before, strict=True))
 
 
 def test_some_rows_are_seeded_anew():
-    streams = seeded(0, 4).uniform(3)[1].with_rows(torch.tensor([2]), seeded(9, 1))
+    streams = seeded(0, 4).uniform(3)[1].with_rows(Indexed(torch.tensor([2])), seeded(9, 1))
     assert torch.equal(streams.uniform(3)[0][2], seeded(9, 1).uniform(3)[0][0])
     assert torch.equal(streams.uniform(3)[0][1], seeded(0, 4).uniform(3)[1].uniform(3)[0][1])
 

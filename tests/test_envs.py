@@ -19,7 +19,7 @@ from gymnasium.vector import AutoresetMode
 
 import torchdq
 from torchdq.backends import c_library as build
-from torchdq.envs import ArmEnv, ArmVectorEnv, controllers, effects
+from torchdq.envs import ArmEnv, ArmVectorEnv, TorchTask, controllers, effects
 from torchdq.envs.defaults import nominal, usual
 from torchdq.envs.tasks import Reach, Track
 from torchdq.errors import ArgumentError, UnknownNameError
@@ -371,6 +371,35 @@ def test_finished_rows_wait_to_be_reset():
         envs.step(torch.zeros(5, 2))
     envs.reset(options={"reset_mask": terminated | truncated})
     envs.step(torch.zeros(5, 2))
+
+
+IN_TORCH = TorchTask("reach", reward=lambda now: -now.q.square().sum(1))
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+@pytest.mark.parametrize("task", ["reach", IN_TORCH], ids=["recorded", "in torch"])
+def test_rows_are_the_same_where_the_host_does_not_look(mode, task):
+    options = {"randomise": {"mass": 0.2, "friction": 0.3}, "effects": (*usual(ROBOT), effects.Noise(0.01, 0.01))}
+    looking, blind = (make(task=task, max_episode_steps=4, autoreset_mode=mode, **options) for _ in range(2))
+    blind._looks = False
+    for envs in (looking, blind):
+        envs.reset(seed=0)
+        envs._buffers["steps"][1:3] = 2  # two rows are ahead of the others
+    for k in range(11):
+        if k == 5:
+            for envs in (looking, blind):
+                envs._buffers["qd"][3, 0] = math.nan  # the row fails
+        actions = torch.full((5, 2), 1.5 - 0.2 * k)
+        found = [envs.step(actions) for envs in (looking, blind)]
+        assert same(found[0][:4], found[1][:4])
+        assert all(torch.equal(x, y) for x, y in zip(*(step[4]["nonfinite"] for step in found), strict=True))
+        if mode == AutoresetMode.DISABLED and bool((found[0][2] | found[0][3]).any()):
+            for envs in (looking, blind):
+                envs.reset(options={"reset_mask": found[0][2] | found[0][3]})
+    states = [envs.get_state() for envs in (looking, blind)]
+    assert states[0].keys() == states[1].keys()
+    for name, x in states[0].items():
+        torch.testing.assert_close(states[1][name], x, rtol=0, atol=0, equal_nan=True)
 
 
 def test_a_mask_resets_only_its_rows():
