@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from torchdq.effects import Limits
 from torchdq.envs.state import State
 from torchdq.program.transforms import without_values
 
@@ -35,11 +34,11 @@ def not_finite(scene: Scene, state: State) -> str:
 
 def outside_limits(scene: Scene, q: Tensor) -> str:
     """Words for a position far outside the limits that a scene simulates; "" if there is none."""
-    limits = [effect for effect in scene.effects if isinstance(effect, Limits)]
+    limits = [found for effect in scene.effects if (found := effect.free_range()) is not None]
     if not limits or not q.numel() or without_values((q,)):
         return ""
-    for effect in limits:
-        low, high = (torch.as_tensor(x).detach().to(q) for x in (effect.lower, effect.upper))
+    for bounds in limits:
+        low, high = (torch.as_tensor(x).detach().to(q) for x in bounds)
         if without_values((low, high)):
             continue
         q = q.detach()

@@ -155,6 +155,10 @@ class Effect(Parametric):
         """Number of values that it remembers from step to step."""
         return 0
 
+    def free_range(self) -> tuple[Parameter, Parameter] | None:
+        """Positions [n] below and above which it pushes joints back; None: it does not."""
+        return None
+
     def start(self, q: Row, qd: Row) -> Row:
         """Memory in the initial state."""
         return (0.0,) * self.memory(len(q))

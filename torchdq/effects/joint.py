@@ -199,6 +199,10 @@ class Limits(JointEffect):
     stiffness: Parameter = 1e4
     dissipation: Parameter = 1.0
 
+    def free_range(self) -> tuple[Parameter, Parameter]:
+        """The limits."""
+        return self.lower, self.upper
+
     def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
         """Impedances with f = k e, e the signed distance beyond a limit; K = k for e not 0, D = c |f| while e grows."""
         result = []

@@ -118,7 +118,7 @@ def cut(motion: Motion, share: float) -> tuple[Motion, Motion]:
 
 
 def _rows(motion: Motion, rows: np.ndarray) -> Motion:
-    return Motion(*(None if x is None else x[rows] for x in motion))
+    return Motion._make(None if x is None else x[rows] for x in motion)
 
 
 def hold_out(motions: Sequence[Motion], share: float, seed: int = 0) -> tuple[list[Motion], list[Motion]]:

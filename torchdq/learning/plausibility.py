@@ -153,7 +153,7 @@ def _misread(torques: Torques, names: Sequence[str], rows: Sequence[Tensor], wid
         found = _left(torques, reading.applied(rows), width, left)
         tried = float(found.sum())
         if tried < best and BETTER * float(found[bad].sum()) < float(left[bad].sum()):
-            best, words = 0.9 * tried, reading.words  # of equals, the first
+            best, words = 0.9 * tried, reading.words  # the first of equals
     return [words] if words else []
 
 
