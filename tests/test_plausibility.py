@@ -95,6 +95,7 @@ def test_columns_in_another_order_are_named(name):
         a, b = robot.joint_names[1:3]
         (found,) = told(robot, data._replace(tau=exchanged(data.tau, 1, 2)))
         assert f"{a} and {b} exchanged in the torques" in found
+    if robot.n > 2 and name != "puma560":  # other masses of a puma explain these torques; its log is refused when read
         (found,) = told(robot, data._replace(q=exchanged(data.q, 1, 2)))
         assert f"{a} and {b} exchanged in the positions" in found
 

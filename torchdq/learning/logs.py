@@ -29,6 +29,7 @@ from torchdq.tables import summary
 
 MOST_BYTES = 1_000_000_000  # largest file that is read
 GAP = 0.1  # [s] longest time between two rows; beyond it the motion in between is unknown
+UNLIKE, ALIKE = 0.5, 0.95  # correlations of signals that have nothing to do with each other, and that follow each other
 FOLLOWED = 0.01  # [rad or rad/s] least standard deviation of a signal that is compared with its rate
 PACKED, ALWAYS = 100, 2**24  # most times that a file may grow when it is unpacked, and bytes that are always unpacked
 LONGEST = 100_000  # most characters of the first line, enough for ten thousand columns
@@ -282,7 +283,7 @@ def _require_times(table: _Table) -> None:
 
 
 def _require_radians(table: _Table) -> None:
-    """Refuse columns that are in degrees: by their size, and because positions change as their velocities say."""
+    """Refuse columns in degrees, by their size, and signals that do not change as their rates say."""
     n, layout, blocks, time = table.layout.joints, table.layout, table.blocks, table.values[:, 0]
     for k, limit, unit in ((0, layout.farthest, "rad"), (1, layout.fastest, "rad/s")):
         row, joint = divmod(int(abs(blocks[k]).argmax()), n)
@@ -292,10 +293,12 @@ def _require_radians(table: _Table) -> None:
             _refuse(table, row, 1 + k * n + joint, f"{found}; if these are degrees, {cure}")
     for k, rate in ((0, 1), (1, 3)):
         for joint in range(n) if rate < len(blocks) else ():
-            ratio = _ratio(time, blocks[k][:, joint], blocks[rate][:, joint])
-            if ratio is None or 0.5 < ratio < 2:
-                continue
+            ratio, correlation = _followed(time, blocks[k][:, joint], blocks[rate][:, joint])
             name, other = table.names[1 + k * n + joint], table.names[1 + rate * n + joint]
+            if abs(correlation) < UNLIKE:
+                _require_no_other_rate(table, k, rate, joint)
+            if not abs(correlation) >= ALIKE or 0.5 < ratio < 2:
+                continue
             cure = "the two must agree in unit, sign and joint"
             for column, factor in ((name, ratio), (other, 1 / ratio)):
                 if 0.5 < factor * math.pi / 180 < 2:
@@ -304,12 +307,24 @@ def _require_radians(table: _Table) -> None:
             raise LogError(f"{table.path}, column {name!r}: {found}; {cure}")
 
 
-def _ratio(time: np.ndarray, x: np.ndarray, rate: np.ndarray) -> float | None:
-    """Changes of a signal over the integral of its rate; None where noise, drift or rest hide it."""
+def _require_no_other_rate(table: _Table, k: int, rate: int, joint: int) -> None:
+    """Raise if a signal, which does not follow its own rate, follows that of another joint."""
+    n, blocks, time = table.layout.joints, table.blocks, table.values[:, 0]
+    for other in range(n):
+        ratio, correlation = _followed(time, blocks[k][:, joint], blocks[rate][:, other])
+        if other != joint and correlation > ALIKE and 0.5 < ratio < 2:
+            names = [table.names[1 + i] for i in (k * n + joint, rate * n + other, rate * n + joint)]
+            raise LogError(
+                f"{table.path}, column {names[0]!r}: it changes as {names[1]} says, not as {names[2]}; the columns of "
+                "both signals must be in the same order of joints"
+            )
+
+
+def _followed(time: np.ndarray, x: np.ndarray, rate: np.ndarray) -> tuple[float, float]:
+    """Changes of a signal over the integral of a rate, and the correlation of both; NaN where one is at rest."""
     integral = np.concatenate([[0.0], np.cumsum(np.diff(time) * (rate[1:] + rate[:-1]) / 2)])
     x, integral = x - x.mean(), integral - integral.mean()
     if x.std() < FOLLOWED or integral.std() < FOLLOWED:
-        return None
-    if abs(x @ integral) < 0.95 * math.sqrt((x @ x) * (integral @ integral)):
-        return None
-    return float(x @ integral / (integral @ integral))
+        return math.nan, math.nan
+    product = float(x @ integral)
+    return product / float(integral @ integral), product / math.sqrt((x @ x) * (integral @ integral))
