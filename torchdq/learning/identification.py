@@ -238,9 +238,9 @@ def identify(
         if not settled:
             warnings.warn(f"the least squares have not settled after {ITERATIONS} iterations", stacklevel=2)
         phi = near.described + change
-        some = sampled(rows[:4])
-        fitted = _torques(robot, *some[:3], phi, coefficients, width)
-        if not doubt and (doubt := unexplained(robot.joint_names, some, fitted, width)):
+        few = sampled(rows[:4])
+        fitted = _torques(robot, few[0], few[1], few[2], phi, coefficients, width)
+        if not doubt and (doubt := unexplained(robot.joint_names, few, fitted, width)):
             warnings.warn(doubt, LogWarning, stacklevel=2)
         found = dict(zip(coefficients, phi[10 * n :].reshape(-1, n), strict=True))
         spread = near.S @ facts.V * (facts.e + prior).rsqrt()
