@@ -1,6 +1,6 @@
 """4096 arms reach for 4096 points: a batched gymnasium environment, a policy of five lines, and a film.
 
-    python examples/05_environment.py
+    python examples/05_environment.py [--device cuda]
 
 Every arm is its own: link masses and friction differ by up to 20 %, and the controller knows nothing of it. Actions are
 offsets of the joint positions that a computed-torque controller follows; the policy takes the way to the goal through
@@ -29,6 +29,8 @@ class Args:
     """Steps of 20 ms."""
     damping: float = 0.05
     """Damping of the inverse of the Jacobian [m]."""
+    device: str = "cpu"
+    """Device of the environments and of the policy."""
     out: Path = Path("out")
     """Folder of the film."""
 
@@ -45,15 +47,16 @@ def main(args: Args) -> tuple[torch.Tensor, float]:
         randomise={"mass": 0.2, "friction": 0.2},
         max_episode_steps=args.steps + 1,
         output="torch",
+        device=args.device,
     )
-    robot = torchdq.robots.load("panda")
+    robot = torchdq.robots.load("panda").to(args.device)
     n, tip = robot.n, robot.end_effector().name
 
     def policy(observation: torch.Tensor) -> torch.Tensor:
         turns, way = observation[:, : 2 * n], observation[:, 3 * n : 3 * n + 3]
         q = torch.atan2(turns[:, ::2], turns[:, 1::2])
         J = torchdq.jacobian(robot, q, tip, expressed="world")[:, 3:]
-        damped = J @ J.mT + args.damping**2 * torch.eye(3)
+        damped = J @ J.mT + args.damping**2 * torch.eye(3, device=J.device)
         return (J.mT @ torch.linalg.solve(damped, way[:, :, None])).squeeze(-1) / 0.2
 
     painter, frames = Painter(robot, (480, 480)), []
@@ -63,14 +66,17 @@ def main(args: Args) -> tuple[torch.Tensor, float]:
         action = policy(observation)
         start = time.perf_counter()
         observation, _, _, _, info = envs.step(action)
+        if action.is_cuda:
+            torch.cuda.synchronize(action.device)
         spent += time.perf_counter() - start if k else 0.0
         if k % 3 == 0:
             now = envs.unwrapped.get_state()
-            frames.append(painter.frame(now["q"][:9], now["goal"][:9]))
+            frames.append(painter.frame(now["q"][:9].cpu(), now["goal"][:9].cpu()))
     args.out.mkdir(parents=True, exist_ok=True)
     save_gif(frames, args.out / "reach.gif", fps=50 / 3)
     distance, rate = info["distance"], args.arms * (args.steps - 1) / spent
-    print(f"{args.arms} arms, {args.steps} steps: {rate / 1e6:.1f} million environment steps per second on one thread")
+    where = "on one thread" if args.device == "cpu" else f"on {args.device}"
+    print(f"{args.arms} arms, {args.steps} steps: {rate / 1e6:.1f} million environment steps per second, {where}")
     share = float((distance < 0.01).float().mean())
     print(f"distance to the goal at the end: median {1e3 * float(distance.median()):.1f} mm, below 10 mm {share:.0%}")
     return distance, rate
