@@ -618,6 +618,20 @@ def test_a_robot_can_be_cast():
     assert {x.dtype for x in tensors(panda().to(torch.float32)).values()} == {torch.float32}
 
 
+def test_a_robot_is_converted_as_tensors_of_torch_are():
+    robot = two()
+    for same in (robot.to("float32"), robot.to(torch.float32), robot.to(dtype="float32"), robot.to("float32", "cpu")):
+        assert {x.dtype for x in tensors(same).values()} == {torch.float32}
+    for same in (robot.to("meta"), robot.to(torch.device("meta")), robot.to(device="meta")):
+        assert {x.device.type for x in tensors(same).values()} == {"meta"}
+    with pytest.raises(torchdq.ArgumentError, match="device must be a device that torch has"):
+        robot.to("gpu")
+    with pytest.raises(torchdq.ArgumentError, match="one device must be given, found 'cpu' and 'meta'"):
+        robot.to("cpu", "meta")
+    with pytest.raises(torchdq.DtypeError, match=r"dtype must be torch\.float32"):
+        robot.to(torch.float16)
+
+
 def test_a_robot_can_be_moved():
     robot = torchdq.robots.load("puma560").to(device="meta")
     assert {x.device.type for x in tensors(robot).values()} == {"meta"}

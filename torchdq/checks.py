@@ -130,3 +130,14 @@ def dtype_of(name: str, x: Any) -> torch.dtype:
     if found not in DTYPES:
         raise DtypeError(f"{name} must be torch.float32 or torch.float64, found {x!r}")
     return found
+
+
+def destination(what: Any, device: Any) -> dict[str, Any]:
+    """Dtype and device to convert tensors to, by name; `what` is a dtype, or a device where there is no other."""
+    named = isinstance(what, str) and isinstance(getattr(torch, what, None), torch.dtype)
+    if what is None or named or not isinstance(what, str | torch.device):
+        dtype = None if what is None else dtype_of("dtype", what)
+        return {"dtype": dtype, "device": None if device is None else device_of("device", device)}
+    if device is not None:
+        raise ArgumentError(f"one device must be given, found {what!r} and {device!r}")
+    return {"dtype": None, "device": device_of("device", what)}

@@ -16,7 +16,7 @@ from torch.compiler import is_compiling
 
 from torchdq.algebra.inertia import six
 from torchdq.caches import PROGRAMS, remembered
-from torchdq.checks import device_of, frozen
+from torchdq.checks import destination, frozen
 from torchdq.dynamics.joints import KINDS, Helical, Prismatic, Revolute
 from torchdq.dynamics.tree import BASE, Tree
 from torchdq.errors import ArgumentError, UnknownNameError
@@ -340,12 +340,10 @@ class Robot:
             raise ArgumentError(f"the tip {frame.name!r} of robot {self.name!r} is fixed to the base")
         return frame
 
-    def to(self, dtype: torch.dtype | None = None, device: torch.device | str | None = None) -> Robot:
-        """Robot with all tensors converted to a dtype and moved to a device."""
+    def to(self, dtype: Any = None, device: torch.device | str | None = None) -> Robot:
+        """Robot with all tensors converted to a dtype and moved to a device; a device may come first, as in torch."""
         require_unchanged(self)
-
-        device = None if device is None else device_of("device", device)
-        cast = methodcaller("to", dtype=dtype, device=device)
+        cast = methodcaller("to", **destination(dtype, device))
         fields = {name: getattr(self, name) for name in (*SHAPES, "damping", "friction")}
         changes: dict[str, Any] = {name: None if x is None else cast(x) for name, x in fields.items()}
         changes["limits"] = Limits(*map(cast, self.limits))
