@@ -12,7 +12,7 @@ from oracles import shipped
 from torch import nn
 
 import torchdq
-from torchdq.backends import cache as build
+from torchdq.backends import c_library as build
 from torchdq.envs import ArmVectorEnv, Scene, State, controllers, effects
 from torchdq.envs.integrators import DormandPrince, ExplicitEuler, LinearlyImplicit, Repeated, RungeKutta4
 from torchdq.errors import ArgumentError

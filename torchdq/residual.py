@@ -24,6 +24,8 @@ class Perceptrons(nn.Module):
     """Several perceptrons of one shape side by side: [..., groups, inputs] to [..., groups, outputs], in one product.
 
     Hidden layers are hyperbolic tangents. The last layer is zero, and so are the outputs, until it is trained.
+    tanh y is computed as 2 s(2 y) - 1 with the logistic function s, which torch computes in a third of the time; its
+    factors are those of the products before and after it.
 
     Args:
         groups: number of perceptrons; each has its own weights and sees its own inputs only.
@@ -46,10 +48,54 @@ class Perceptrons(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Outputs [..., groups, outputs] for inputs x [..., groups, inputs]."""
-        y = x.reshape(-1, *x.shape[-2:]).permute(1, 2, 0)  # samples last: rows are long
+        return self._rows(self._layers(x)[0], x)
+
+    @torch.no_grad()
+    def linearised(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Outputs, and their derivatives [..., groups, outputs, inputs] by the inputs, without gradients.
+
+        >>> y, J = Perceptrons(7, 6, 1)(torch.ones(100, 7, 6)), Perceptrons(7, 6, 1).linearised(torch.ones(100, 7, 6))
+        >>> y.shape, J[1].shape
+        (torch.Size([100, 7, 1]), torch.Size([100, 7, 1, 6]))
+        """
+        y, hidden = self._layers(x)
+        weights = list(self.weights)
+        J = weights.pop().mT.unsqueeze(-1)  # [groups, width, outputs, samples], from the outputs backwards
+        for s in reversed(hidden):
+            # the derivative of tanh is 4 s (1 - s)
+            along = s.mul_(1.0 - s).unsqueeze(2)
+            along = along.mul_(J) if J.shape[2] == 1 else along * J
+            J = ((4 * weights.pop()).mT @ along.flatten(2)).unflatten(2, along.shape[2:])
+        J = J.permute(3, 0, 2, 1)
+        return self._rows(y, x), J.expand(y.shape[-1], *J.shape[1:]).reshape(*x.shape[:-1], y.shape[1], -1)
+
+    def _layers(self, x: Tensor) -> tuple[Tensor, list[Tensor]]:
+        """Outputs [groups, outputs, samples], and the logistic functions of the hidden layers."""
+        y, hidden = x.reshape(-1, *x.shape[-2:]).permute(1, 2, 0), []  # samples last: rows are long
         for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            y = torch.baddbmm(bias, weight, torch.tanh(y) if k else y)
+            last = k == len(self.weights) - 1
+            if k:
+                hidden.append(y.sigmoid_())
+                bias = bias - weight.sum(-1, keepdim=True)
+            factor = 1.0 if last else 2.0
+            y = torch.baddbmm(bias, weight, y, beta=factor, alpha=2.0 * factor if k else factor)
+        return y, hidden
+
+    def _rows(self, y: Tensor, x: Tensor) -> Tensor:
+        """Outputs [groups, outputs, samples] with the axes of inputs x."""
         return y.permute(2, 0, 1).reshape(*x.shape[:-1], y.shape[1])
+
+
+class Joined(nn.Sequential):
+    """One perceptron that sees the features of all joints: [..., inputs] to [..., outputs]."""
+
+    def __init__(self, inputs: int, outputs: int, hidden: Sequence[int]):
+        super().__init__(nn.Unflatten(-1, (1, -1)), Perceptrons(1, inputs, outputs, hidden), nn.Flatten(-2))
+
+    def linearised(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Outputs, and their derivatives [..., outputs, inputs] by the inputs, without gradients."""
+        y, J = self[1].linearised(x.unsqueeze(-2))
+        return y.squeeze(-2), J.squeeze(-3)
 
 
 class ResidualDynamics(nn.Module):
@@ -102,7 +148,7 @@ class ResidualDynamics(nn.Module):
         if network is None and inputs == "joint":
             network = Perceptrons(n, FEATURES, 1, hidden)
         elif network is None:
-            network = nn.Sequential(nn.Unflatten(-1, (1, -1)), Perceptrons(1, FEATURES * n, n, hidden), nn.Flatten(-2))
+            network = Joined(FEATURES * n, n, hidden)
         self.network = network
         self.register_buffer("feature_mean", torch.zeros(n, FEATURES, dtype=torch.float64))
         self.register_buffer("feature_spread", torch.ones(n, FEATURES, dtype=torch.float64))
@@ -138,22 +184,14 @@ class ResidualDynamics(nn.Module):
         return rest + self.model.offset.to(rest) if "offset" in self.model.learn else rest
 
     @torch.no_grad()
-    def changes(self, q: Tensor, qd: Tensor, qdd: Tensor, directions: Tensor) -> Tensor:
-        """Derivatives [..., n, k] of the network's torques along changes of qdd, the columns of directions [..., n, k].
+    def line(self, q: Tensor, qd: Tensor, qdd: Tensor, W: Tensor) -> Line:
+        """Torques as a function of torques r [..., n] that change the acceleration: unmodelled(q, qd, qdd - W r).
 
-        Without gradients of their own.
+        Without gradients, and for little: the model itself is computed once. See `torchdq.effects.Residual`.
         """
-        features = self._columns(q, qd, qdd, self.model(q, qd, qdd))
+        tau = self.model(q, qd, qdd)
         M = mass_matrix(self.robot, q, self.model.backend)  # the model's torque is linear in qdd
-        none = torch.zeros_like(directions)
-        columns = (none, none, none, directions, none, M @ directions)
-        along = torch.stack(torch.broadcast_tensors(*columns), -1).movedim(-2, 0)  # [k, ..., n, 6]
-
-        def changed(direction: Tensor) -> Tensor:
-            return torch.func.jvp(self.correction, (features,), (direction,))[1]
-
-        # forward mode, because torch refuses reverse mode inside of a checkpoint
-        return torch.func.vmap(changed)(along).movedim(0, -1)
+        return Line(self, self._columns(q, qd, qdd, tau), torch.stack(torch.broadcast_tensors(W, M @ W)))
 
     def effects(self) -> tuple[Effect, ...]:
         """Effects that simulate all that was learned, with `robot`: `Scene(model.robot, model.effects())`.
@@ -190,11 +228,15 @@ class ResidualDynamics(nn.Module):
 
     def correction(self, features: Tensor) -> Tensor:
         """Torques [..., n] of the network for features [..., n, 6]."""
-        mean, spread, scale = (x.to(features) for x in (self.feature_mean, self.feature_spread, self.torque_scale))
-        x = (features - mean) / spread
+        x = self._scaled(features)
+        found = self.network(x).squeeze(-1) if self.inputs == "joint" else self.network(x)
+        return found.to(features.dtype) * self.torque_scale.to(features)
+
+    def _scaled(self, features: Tensor) -> Tensor:
+        """Inputs of the network."""
+        x = (features - self.feature_mean.to(features)) / self.feature_spread.to(features)
         x = x.to(next(self.network.parameters(), x).dtype)
-        found = self.network(x).squeeze(-1) if self.inputs == "joint" else self.network(x.flatten(-2))
-        return found.to(features.dtype) * scale
+        return x if self.inputs == "joint" else x.flatten(-2)
 
     @torch.no_grad()
     def standardise(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> None:
@@ -217,6 +259,63 @@ class ResidualDynamics(nn.Module):
         self.feature_mean.copy_(mean)
         self.feature_spread.copy_(_spread(features, mean))
         self.torque_scale.copy_(_spread(torques, torques.mean(0)))
+
+
+class Line:
+    """Torques of a `ResidualDynamics` as a function of torques r [..., n], of which its accelerations are linear.
+
+    Args:
+        dynamics: the model and the network.
+        features: features [..., n, 6] without r.
+        directions: what r subtracts from the accelerations and from the model's torques, [2, ..., n, n].
+    """
+
+    def __init__(self, dynamics: ResidualDynamics, features: Tensor, directions: Tensor):
+        self.dynamics, self.directions = dynamics, directions
+        self._columns = features.unbind(-1)
+
+    def torques(self, r: Tensor) -> Tensor:
+        """Torques [..., n]."""
+        return self._with_offset(self.dynamics.correction(self._features(r)))
+
+    def linearised(self, r: Tensor) -> tuple[Tensor, Tensor]:
+        """Torques [..., n], and J = 1 - their derivatives by r, [..., n, n]."""
+        features, of = self._features(r), self.dynamics
+        one = torch.eye(r.shape[-1], dtype=r.dtype, device=r.device)
+        if type(of.network) not in (Perceptrons, Joined):
+            return self._with_offset(of.correction(features)), one - self._by_forward_mode(features)
+        found, J = of.network.linearised(of._scaled(features))
+        scale, spread = of.torque_scale.to(features), of.feature_spread.to(features)
+        if of.inputs == "joint":  # a joint's torque depends on the features of this joint only
+            found, J = found.squeeze(-1), J.to(features.dtype) * (scale[:, None] / spread)[:, None]
+            J = one.addcmul(J[..., 3], self.directions[0]).addcmul(J[..., 5], self.directions[1])
+        else:
+            J = J.unflatten(-1, (-1, FEATURES)).to(features.dtype) / spread * scale[:, None, None]
+            J = one + J[..., 3] @ self.directions[0] + J[..., 5] @ self.directions[1]
+        return self._with_offset(found.to(features.dtype) * scale), J
+
+    def _features(self, r: Tensor) -> Tensor:
+        """Features [..., n, 6]."""
+        change = (self.directions @ r.unsqueeze(-1)).squeeze(-1)
+        sine, cosine, velocity, acceleration, direction, torque = self._columns
+        columns = (sine, cosine, velocity, acceleration - change[0], direction, torque - change[1])
+        return torch.stack(torch.broadcast_tensors(*columns), -1)
+
+    def _with_offset(self, torques: Tensor) -> Tensor:
+        model = self.dynamics.model
+        return torques + model.offset.to(torques) if "offset" in model.learn else torques
+
+    def _by_forward_mode(self, features: Tensor) -> Tensor:
+        """Derivatives [..., n, n] of any network's torques by r."""
+        none = torch.zeros_like(self.directions[0])
+        columns = (none, none, none, -self.directions[0], none, -self.directions[1])
+        along = torch.stack(columns, -1).movedim(-2, 0)  # [n, ..., n, 6]
+
+        def changed(direction: Tensor) -> Tensor:
+            return torch.func.jvp(self.dynamics.correction, (features,), (direction,))[1]
+
+        # forward mode, because torch refuses reverse mode inside of a checkpoint
+        return torch.func.vmap(changed)(along).movedim(0, -1)
 
 
 def _spread(x: Tensor, mean: Tensor) -> Tensor:
