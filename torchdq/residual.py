@@ -48,41 +48,12 @@ class Perceptrons(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Outputs [..., groups, outputs] for inputs x [..., groups, inputs]."""
-        return self._rows(self._layers(x)[0], x)
-
-    @torch.no_grad()
-    def linearised(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Outputs, and their derivatives [..., groups, outputs, inputs] by the inputs, without gradients.
-
-        >>> y, J = Perceptrons(7, 6, 1)(torch.ones(100, 7, 6)), Perceptrons(7, 6, 1).linearised(torch.ones(100, 7, 6))
-        >>> y.shape, J[1].shape
-        (torch.Size([100, 7, 1]), torch.Size([100, 7, 1, 6]))
-        """
-        y, hidden = self._layers(x)
-        weights = list(self.weights)
-        J = weights.pop().mT.unsqueeze(-1)  # [groups, width, outputs, samples], from the outputs backwards
-        for s in reversed(hidden):
-            # the derivative of tanh is 4 s (1 - s)
-            along = s.mul_(1.0 - s).unsqueeze(2)
-            along = along.mul_(J) if J.shape[2] == 1 else along * J
-            J = ((4 * weights.pop()).mT @ along.flatten(2)).unflatten(2, along.shape[2:])
-        J = J.permute(3, 0, 2, 1)
-        return self._rows(y, x), J.expand(y.shape[-1], *J.shape[1:]).reshape(*x.shape[:-1], y.shape[1], -1)
-
-    def _layers(self, x: Tensor) -> tuple[Tensor, list[Tensor]]:
-        """Outputs [groups, outputs, samples], and the logistic functions of the hidden layers."""
-        y, hidden = x.reshape(-1, *x.shape[-2:]).permute(1, 2, 0), []  # samples last: rows are long
+        y = x.reshape(-1, *x.shape[-2:]).permute(1, 2, 0)  # samples last: rows are long
         for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            last = k == len(self.weights) - 1
+            factor = 1.0 if k == len(self.weights) - 1 else 2.0
             if k:
-                hidden.append(y.sigmoid_())
                 bias = bias - weight.sum(-1, keepdim=True)
-            factor = 1.0 if last else 2.0
-            y = torch.baddbmm(bias, weight, y, beta=factor, alpha=2.0 * factor if k else factor)
-        return y, hidden
-
-    def _rows(self, y: Tensor, x: Tensor) -> Tensor:
-        """Outputs [groups, outputs, samples] with the axes of inputs x."""
+            y = torch.baddbmm(bias, weight, y.sigmoid_() if k else y, beta=factor, alpha=2 * factor if k else factor)
         return y.permute(2, 0, 1).reshape(*x.shape[:-1], y.shape[1])
 
 
@@ -91,11 +62,6 @@ class Joined(nn.Sequential):
 
     def __init__(self, inputs: int, outputs: int, hidden: Sequence[int]):
         super().__init__(nn.Unflatten(-1, (1, -1)), Perceptrons(1, inputs, outputs, hidden), nn.Flatten(-2))
-
-    def linearised(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Outputs, and their derivatives [..., outputs, inputs] by the inputs, without gradients."""
-        y, J = self[1].linearised(x.unsqueeze(-2))
-        return y.squeeze(-2), J.squeeze(-3)
 
 
 class ResidualDynamics(nn.Module):
@@ -191,7 +157,9 @@ class ResidualDynamics(nn.Module):
         """
         tau = self.model(q, qd, qdd)
         M = mass_matrix(self.robot, q, self.model.backend)  # the model's torque is linear in qdd
-        return Line(self, self._columns(q, qd, qdd, tau), torch.stack(torch.broadcast_tensors(W, M @ W)))
+        directions = torch.stack(torch.broadcast_tensors(W, M @ W), -2)
+        known = type(self.network) in (Perceptrons, Joined)
+        return (Prepared if known else Line)(self, self._columns(q, qd, qdd, tau), directions)
 
     def effects(self) -> tuple[Effect, ...]:
         """Effects that simulate all that was learned, with `robot`: `Scene(model.robot, model.effects())`.
@@ -267,12 +235,14 @@ class Line:
     Args:
         dynamics: the model and the network.
         features: features [..., n, 6] without r.
-        directions: what r subtracts from the accelerations and from the model's torques, [2, ..., n, n].
+        directions: what r subtracts from the accelerations and from the model's torques, [..., n, 2, n].
     """
 
     def __init__(self, dynamics: ResidualDynamics, features: Tensor, directions: Tensor):
-        self.dynamics, self.directions = dynamics, directions
-        self._columns = features.unbind(-1)
+        self.dynamics, self.features, self.directions = dynamics, features, directions
+        n = features.shape[-2]
+        self.one = torch.eye(n, dtype=features.dtype, device=features.device)
+        self.offset = dynamics.model.offset.to(features) if "offset" in dynamics.model.learn else None
 
     def torques(self, r: Tensor) -> Tensor:
         """Torques [..., n]."""
@@ -280,42 +250,78 @@ class Line:
 
     def linearised(self, r: Tensor) -> tuple[Tensor, Tensor]:
         """Torques [..., n], and J = 1 - their derivatives by r, [..., n, n]."""
-        features, of = self._features(r), self.dynamics
-        one = torch.eye(r.shape[-1], dtype=r.dtype, device=r.device)
-        if type(of.network) not in (Perceptrons, Joined):
-            return self._with_offset(of.correction(features)), one - self._by_forward_mode(features)
-        found, J = of.network.linearised(of._scaled(features))
-        scale, spread = of.torque_scale.to(features), of.feature_spread.to(features)
-        if of.inputs == "joint":  # a joint's torque depends on the features of this joint only
-            found, J = found.squeeze(-1), J.to(features.dtype) * (scale[:, None] / spread)[:, None]
-            J = one.addcmul(J[..., 3], self.directions[0]).addcmul(J[..., 5], self.directions[1])
-        else:
-            J = J.unflatten(-1, (-1, FEATURES)).to(features.dtype) / spread * scale[:, None, None]
-            J = one + J[..., 3] @ self.directions[0] + J[..., 5] @ self.directions[1]
-        return self._with_offset(found.to(features.dtype) * scale), J
-
-    def _features(self, r: Tensor) -> Tensor:
-        """Features [..., n, 6]."""
-        change = (self.directions @ r.unsqueeze(-1)).squeeze(-1)
-        sine, cosine, velocity, acceleration, direction, torque = self._columns
-        columns = (sine, cosine, velocity, acceleration - change[0], direction, torque - change[1])
-        return torch.stack(torch.broadcast_tensors(*columns), -1)
-
-    def _with_offset(self, torques: Tensor) -> Tensor:
-        model = self.dynamics.model
-        return torques + model.offset.to(torques) if "offset" in model.learn else torques
-
-    def _by_forward_mode(self, features: Tensor) -> Tensor:
-        """Derivatives [..., n, n] of any network's torques by r."""
-        none = torch.zeros_like(self.directions[0])
-        columns = (none, none, none, -self.directions[0], none, -self.directions[1])
+        features = self._features(r)
+        none = torch.zeros_like(self.directions[..., 0, :])
+        columns = (none, none, none, self.directions[..., 0, :], none, self.directions[..., 1, :])
         along = torch.stack(columns, -1).movedim(-2, 0)  # [n, ..., n, 6]
 
         def changed(direction: Tensor) -> Tensor:
             return torch.func.jvp(self.dynamics.correction, (features,), (direction,))[1]
 
         # forward mode, because torch refuses reverse mode inside of a checkpoint
-        return torch.func.vmap(changed)(along).movedim(0, -1)
+        J = self.one + torch.func.vmap(changed)(along).movedim(0, -1)
+        return self._with_offset(self.dynamics.correction(features)), J
+
+    def _features(self, r: Tensor) -> Tensor:
+        """Features [..., n, 6]."""
+        change = (self.directions @ r[..., None, :, None]).squeeze(-1)
+        none = torch.zeros_like(change[..., 0])
+        return self.features - torch.stack((none, none, none, change[..., 0], none, change[..., 1]), -1)
+
+    def _with_offset(self, torques: Tensor) -> Tensor:
+        return torques if self.offset is None else torques + self.offset
+
+
+class Prepared(Line):
+    """`Line` of `Perceptrons`: all that r does not change is computed before, derivatives are products backwards."""
+
+    def __init__(self, dynamics: ResidualDynamics, features: Tensor, directions: Tensor):
+        super().__init__(dynamics, features, directions)
+        network = dynamics.network[1] if isinstance(dynamics.network, Joined) else dynamics.network
+        weights, biases = list(network.weights), list(network.biases)
+        self.groups, self.dtype = weights[0].shape[0], weights[0].dtype
+        self.columns = directions.flatten(-3, -2)  # [..., 2 n, n], joint by joint
+        spread = dynamics.feature_spread.to(weights[0]).reshape(self.groups, 1, -1)
+        scale = dynamics.torque_scale.to(weights[0]).reshape(self.groups, -1, 1)
+        for k, weight in enumerate(weights):
+            # tanh y = 2 s(2 y) - 1, as in `Perceptrons`; the torques in N m
+            factor = scale if k == len(weights) - 1 else 2.0
+            biases[k] = factor * (biases[k] - weight.sum(-1, keepdim=True) if k else biases[k])
+            weights[k] = factor * (2 * weight if k else weight)
+        x = dynamics._scaled(features).reshape(-1, self.groups, weights[0].shape[-1]).permute(1, 2, 0)
+        self.start = torch.baddbmm(biases[0], weights[0], x)  # [groups, width, samples], without r
+        self.first = -(weights[0] / spread).unflatten(-1, (-1, FEATURES))[..., 3::2].flatten(-2)
+        self.weights, self.biases = weights[1:], biases[1:]
+
+    def torques(self, r: Tensor) -> Tensor:
+        """Torques [..., n]."""
+        return self._layers(r)[0]
+
+    def linearised(self, r: Tensor) -> tuple[Tensor, Tensor]:
+        """Torques [..., n], and J = 1 - their derivatives by r, [..., n, n]."""
+        found, hidden = self._layers(r)
+        # [groups, width, outputs, samples], from the outputs backwards; the derivative of s is s (1 - s)
+        weights = [self.first, *self.weights]
+        J = weights.pop().mT.unsqueeze(-1)
+        for s in reversed(hidden):
+            along = s.mul_(1.0 - s).unsqueeze(2) * J
+            J = (weights.pop().mT @ along.flatten(2)).unflatten(2, along.shape[2:])
+        J = J.permute(3, 0, 2, 1).to(r.dtype)  # [samples, groups, outputs, changes]
+        if self.groups > 1 or r.shape[-1] == 1:  # a joint's torque depends on the features of this joint only
+            J = J.squeeze(2).expand(r.shape[:-1].numel(), -1, -1).reshape(*r.shape, 2, 1)
+            by = torch.addcmul(self.one, J[..., 0, :], self.directions[..., 0, :], value=-1)
+            return found, by.addcmul(J[..., 1, :], self.directions[..., 1, :], value=-1)
+        J = J.squeeze(1).expand(r.shape[:-1].numel(), -1, -1).reshape(*r.shape, -1)
+        return found, self.one - J @ self.columns
+
+    def _layers(self, r: Tensor) -> tuple[Tensor, list[Tensor]]:
+        """Torques [..., n], and the logistic functions of the hidden layers [groups, width, samples]."""
+        change = (self.columns @ r.unsqueeze(-1)).reshape(-1, self.groups, self.first.shape[-1]).permute(1, 2, 0)
+        y, hidden = torch.baddbmm(self.start, self.first, change.to(self.dtype)), []
+        for weight, bias in zip(self.weights, self.biases, strict=True):
+            hidden.append(y.sigmoid_())
+            y = torch.baddbmm(bias, weight, y)
+        return self._with_offset(y.flatten(0, 1).mT.reshape(r.shape).to(r.dtype)), hidden
 
 
 def _spread(x: Tensor, mean: Tensor) -> Tensor:
