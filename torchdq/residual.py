@@ -14,6 +14,7 @@ from torchdq.effects import Coulomb, Effect, Gravity, Residual, RotorInertia, Vi
 from torchdq.errors import ArgumentError
 from torchdq.functional import mass_matrix
 from torchdq.nn import DQRNEA, smooth_sign
+from torchdq.program.transforms import load_forward_mode
 from torchdq.robot import Robot
 
 Grouping = Literal["joint", "all"]
@@ -258,6 +259,8 @@ class Line:
         def changed(direction: Tensor) -> Tensor:
             return torch.func.jvp(self.dynamics.correction, (features,), (direction,))[1]
 
+        if not torch.compiler.is_compiling():
+            load_forward_mode()
         # forward mode, because torch refuses reverse mode inside of a checkpoint
         J = self.one + torch.func.vmap(changed)(along).movedim(0, -1)
         return self._with_offset(self.dynamics.correction(features)), J
@@ -304,7 +307,7 @@ class Prepared(Line):
         weights = [self.first, *self.weights]
         J = weights.pop().mT.unsqueeze(-1)
         for s in reversed(hidden):
-            along = s.mul_(1.0 - s).unsqueeze(2) * J
+            along = torch.ops.aten.sigmoid_backward(J, s.unsqueeze(2))
             J = (weights.pop().mT @ along.flatten(2)).unflatten(2, along.shape[2:])
         J = J.permute(3, 0, 2, 1).to(r.dtype)  # [samples, groups, outputs, changes]
         if self.groups > 1 or r.shape[-1] == 1:  # a joint's torque depends on the features of this joint only
