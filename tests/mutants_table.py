@@ -2520,6 +2520,15 @@ MUTANTS = (
         ),
     ),
     *within(
+        "torchdq/residual.py",
+        (
+            "derivative of the perceptrons by the wrong features",
+            "[..., 3::2].flatten(-2)",
+            "[..., 2::2][..., :2].flatten(-2)",
+            "residual_effect.py::test_the_closed_form_is_what_forward_mode_finds_of_any_network",
+        ),
+    ),
+    *within(
         "torchdq/backends/c_constants.py",
         (
             "in C, a digit of the sine's polynomial",
