@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor, nn
@@ -172,7 +172,7 @@ class ResidualDynamics(nn.Module):
         >>> import torchdq
         >>> model = ResidualDynamics(DQRNEA(torchdq.robots.load("panda"), learn="friction"))
         >>> print(*[type(effect).__name__ for effect in model.effects()])
-        Gravity RotorInertia Viscous Coulomb Residual
+        Gravity Viscous Coulomb Residual
         """
         robot, inner = self.robot, self.model
         found: list[Effect] = [] if robot.gravity is None else [Gravity()]
@@ -280,7 +280,7 @@ class Prepared(Line):
 
     def __init__(self, dynamics: ResidualDynamics, features: Tensor, directions: Tensor):
         super().__init__(dynamics, features, directions)
-        network = dynamics.network[1] if isinstance(dynamics.network, Joined) else dynamics.network
+        network: Any = dynamics.network[1] if isinstance(dynamics.network, Joined) else dynamics.network
         weights, biases = list(network.weights), list(network.biases)
         self.groups, self.dtype = weights[0].shape[0], weights[0].dtype
         self.columns = directions.flatten(-3, -2)  # [..., 2 n, n], joint by joint

@@ -20,7 +20,7 @@ from torchdq.robot import Robot
 
 NAME = "residual"  # row of the torques in the programs of a scene
 BLOCK = 512  # rows that are solved at once: their arrays stay in a processor's cache, larger ones are slow
-CHANGE = 1e-2  # relative change in the last iteration that is worth a warning; the error left is its square
+CHANGE = 1e-2  # relative change in the last iteration that is worth a warning; the error left is much smaller
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Residual(JointEffect):
             one and those of all else that it learned. Or a function or module of (q, qd) that returns the torques
             [..., n], for which there is nothing to iterate; a module computes in the dtype of its parameters.
         iterations: number of Newton's iterations for a `ResidualDynamics` in a step; one is enough for a network that
-            is linear in the acceleration.
+            is linear in the acceleration. Of several, the last uses the derivatives of the one before it.
 
     >>> import torch, torchdq
     >>> from torchdq.envs import Scene, effects
@@ -112,7 +112,7 @@ class Residual(JointEffect):
             return r
         # derivatives of the solution: J^-1 times those of the residual while r is held
         r = r.detach()
-        change = self._checked(self.model.unmodelled(q, qd, free - (W @ r.unsqueeze(-1)).squeeze(-1)), q)
+        change = self._of_joints(self.model.unmodelled(q, qd, free - (W @ r.unsqueeze(-1)).squeeze(-1)), q)
         return r + _solution(factors, change - change.detach())
 
     @torch.no_grad()
@@ -120,21 +120,22 @@ class Residual(JointEffect):
         """Torques [..., n] after all iterations, those before the last, and the factors for the gradients."""
         batch = free.shape[:-1]
         if without_values((q,)) or batch.numel() <= BLOCK:
-            return self._iterated(q, qd, free, W, gradients)
+            return self._iterated(gradients, q, qd, free, W)
         given = (q.expand(free.shape), qd.expand(free.shape), free, W.expand(*free.shape, -1))
         blocks = zip(*(x.flatten(0, len(batch) - 1).split(BLOCK) for x in given), strict=True)
-        found = zip(*(self._iterated(*block, gradients) for block in blocks), strict=True)
+        found = zip(*(self._iterated(gradients, *rows) for rows in blocks), strict=True)
         return [torch.cat(parts).unflatten(0, batch) for parts in found]
 
-    def _iterated(self, q: Tensor, qd: Tensor, free: Tensor, W: Tensor, gradients: bool) -> Sequence[Tensor]:
+    def _iterated(self, gradients: bool, q: Tensor, qd: Tensor, free: Tensor, W: Tensor) -> Sequence[Tensor]:
         """`_solved` for all rows at once."""
-        line, r, before, factors = self.model.line(q, qd, free, W), torch.zeros_like(free), free, ()
+        line, r, before = self.model.line(q, qd, free, W), torch.zeros_like(free), free
+        factors: list[Tensor] = []
         for k in range(self.iterations):
             before = r
             if k == 0 or k < self.iterations - 1:
                 found, *factors = self._linearised(line, r)
             else:  # the factors of the iteration before are almost as good
-                found = self._checked(line.torques(r), q)
+                found = self._of_joints(line.torques(r), q)
             r = r + _solution(factors, found - r)
         if gradients:
             _, *factors = self._linearised(line, r)
@@ -145,7 +146,7 @@ class Residual(JointEffect):
         found, J = line.linearised(r)
         # a row without a solution becomes NaN or infinite alone
         factors, pivots, _ = torch.linalg.lu_factor_ex(J)
-        return self._checked(found, r), factors, pivots
+        return self._of_joints(found, r), factors, pivots
 
     def _tell_if_unsolved(self, before: Tensor, after: Tensor) -> None:
         """Warn about rows in which the last iteration still changed the torques."""
@@ -161,10 +162,10 @@ class Residual(JointEffect):
     def _of_state(self, q: Tensor, qd: Tensor) -> Tensor:
         """Torques of a function or module of (q, qd)."""
         like = next(self.model.parameters(), q) if isinstance(self.model, nn.Module) else q
-        found = self._checked(self.model(q.to(like.dtype), qd.to(like.dtype)), q)
+        found = self._of_joints(self.model(q.to(like.dtype), qd.to(like.dtype)), q)
         return found.to(q.dtype) if isinstance(self.model, nn.Module) else found
 
-    def _checked(self, found: Any, q: Tensor) -> Tensor:
+    def _of_joints(self, found: Any, q: Tensor) -> Tensor:
         """Torques that a model returned; raises unless they are those of the joints."""
         require_tensor("what model of Residual returns", found)
         if found.shape[-1:] != q.shape[-1:] or found.ndim < q.ndim:
