@@ -17,7 +17,7 @@ from torchdq.effects.residual import BLOCK
 from torchdq.envs import ArmVectorEnv, Scene, State, controllers, effects
 from torchdq.envs.integrators import DormandPrince, ExplicitEuler, LinearlyImplicit, Repeated, RungeKutta4
 from torchdq.errors import ArgumentError
-from torchdq.residual import Line, Prepared
+from torchdq.residual import Learned, Prepared
 
 ARM, PANDA = shipped("two_link").robot, shipped("panda").robot
 EVERY = (*FIXED, Repeated(RungeKutta4(), 3), DormandPrince())
@@ -269,7 +269,7 @@ def test_the_closed_form_is_what_forward_mode_finds_of_any_network(inputs, learn
         if learn:
             model.model.offset.add_(0.3)
         closed = model.line(q, qd, qdd, W)
-        general = Line(model, closed.features, closed.directions)
+        general = Learned(model, closed.features, closed.directions)
         assert type(closed) is Prepared
         expected = model.unmodelled(q, qd, qdd - (W @ r[..., None])[..., 0])
         for line in (closed, general):

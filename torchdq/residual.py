@@ -151,7 +151,7 @@ class ResidualDynamics(nn.Module):
         return rest + self.model.offset.to(rest) if "offset" in self.model.learn else rest
 
     @torch.no_grad()
-    def line(self, q: Tensor, qd: Tensor, qdd: Tensor, W: Tensor) -> Line:
+    def line(self, q: Tensor, qd: Tensor, qdd: Tensor, W: Tensor) -> Learned:
         """Torques as a function of torques r [..., n] that change the acceleration: unmodelled(q, qd, qdd - W r).
 
         Without gradients, and for little: the model itself is computed once. See `torchdq.effects.Residual`.
@@ -160,7 +160,7 @@ class ResidualDynamics(nn.Module):
         M = mass_matrix(self.robot, q, self.model.backend)  # the model's torque is linear in qdd
         directions = torch.stack(torch.broadcast_tensors(W, M @ W), -2)
         known = type(self.network) in (Perceptrons, Joined)
-        return (Prepared if known else Line)(self, self._columns(q, qd, qdd, tau), directions)
+        return (Prepared if known else Learned)(self, self._columns(q, qd, qdd, tau), directions)
 
     def effects(self) -> tuple[Effect, ...]:
         """Effects that simulate all that was learned, with `robot`: `Scene(model.robot, model.effects())`.
@@ -230,7 +230,7 @@ class ResidualDynamics(nn.Module):
         self.torque_scale.copy_(_spread(torques, torques.mean(0)))
 
 
-class Line:
+class Learned:
     """Torques of a `ResidualDynamics` as a function of torques r [..., n], of which its accelerations are linear.
 
     Args:
@@ -275,8 +275,8 @@ class Line:
         return torques if self.offset is None else torques + self.offset
 
 
-class Prepared(Line):
-    """`Line` of `Perceptrons`: all that r does not change is computed before, derivatives are products backwards."""
+class Prepared(Learned):
+    """`Learned` of `Perceptrons`: all that r does not change is computed before, derivatives are products backwards."""
 
     def __init__(self, dynamics: ResidualDynamics, features: Tensor, directions: Tensor):
         super().__init__(dynamics, features, directions)

@@ -4,7 +4,6 @@ They exist in torch 2.6 to 2.13. Where one is missing, a transform is taken to b
 no result.
 """
 
-import importlib
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
@@ -65,7 +64,7 @@ def load_forward_mode() -> None:
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
-        importlib.import_module("torch._decomp.decompositions_for_jvp")
+        from torch._decomp import decompositions_for_jvp  # noqa: F401
 
 
 def transforming() -> bool:
