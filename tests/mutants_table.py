@@ -2508,9 +2508,24 @@ MUTANTS = (
         "torchdq/effects/residual.py",
         (
             "a learned torque at the acceleration without it",
-            "return r - step.squeeze(-1)",
-            "return residual(free)",
+            "r = r + _solution(factors, found - r)",
+            "r = found",
             "residual_effect.py::test_a_network_that_learned_rotors_is_those_rotors_however_heavy",
+        ),
+        (
+            "gradients of learned torques as if they did not change the acceleration",
+            "return r + _solution(factors, change - change.detach())",
+            "return r + (change - change.detach())",
+            "residual_effect.py::test_gradients_are_those_of_finite_differences",
+        ),
+    ),
+    *within(
+        "torchdq/residual.py",
+        (
+            "derivative of the perceptrons by the wrong features",
+            "[..., 3::2].flatten(-2)",
+            "[..., 2::2][..., :2].flatten(-2)",
+            "residual_effect.py::test_the_closed_form_is_what_forward_mode_finds_of_any_network",
         ),
     ),
     *within(

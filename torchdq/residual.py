@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import torch
 from torch import Tensor, nn
@@ -14,6 +14,7 @@ from torchdq.effects import Coulomb, Effect, Gravity, Residual, RotorInertia, Vi
 from torchdq.errors import ArgumentError
 from torchdq.functional import mass_matrix
 from torchdq.nn import DQRNEA, smooth_sign
+from torchdq.program.transforms import load_forward_mode
 from torchdq.robot import Robot
 
 Grouping = Literal["joint", "all"]
@@ -24,6 +25,8 @@ class Perceptrons(nn.Module):
     """Several perceptrons of one shape side by side: [..., groups, inputs] to [..., groups, outputs], in one product.
 
     Hidden layers are hyperbolic tangents. The last layer is zero, and so are the outputs, until it is trained.
+    tanh y is computed as 2 s(2 y) - 1 with the logistic function s, which torch computes in a third of the time; its
+    factors are those of the products before and after it.
 
     Args:
         groups: number of perceptrons; each has its own weights and sees its own inputs only.
@@ -48,8 +51,18 @@ class Perceptrons(nn.Module):
         """Outputs [..., groups, outputs] for inputs x [..., groups, inputs]."""
         y = x.reshape(-1, *x.shape[-2:]).permute(1, 2, 0)  # samples last: rows are long
         for k, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
-            y = torch.baddbmm(bias, weight, torch.tanh(y) if k else y)
+            factor = 1.0 if k == len(self.weights) - 1 else 2.0
+            if k:
+                bias = bias - weight.sum(-1, keepdim=True)
+            y = torch.baddbmm(bias, weight, y.sigmoid_() if k else y, beta=factor, alpha=2 * factor if k else factor)
         return y.permute(2, 0, 1).reshape(*x.shape[:-1], y.shape[1])
+
+
+class Joined(nn.Sequential):
+    """One perceptron that sees the features of all joints: [..., inputs] to [..., outputs]."""
+
+    def __init__(self, inputs: int, outputs: int, hidden: Sequence[int]):
+        super().__init__(nn.Unflatten(-1, (1, -1)), Perceptrons(1, inputs, outputs, hidden), nn.Flatten(-2))
 
 
 class ResidualDynamics(nn.Module):
@@ -102,7 +115,7 @@ class ResidualDynamics(nn.Module):
         if network is None and inputs == "joint":
             network = Perceptrons(n, FEATURES, 1, hidden)
         elif network is None:
-            network = nn.Sequential(nn.Unflatten(-1, (1, -1)), Perceptrons(1, FEATURES * n, n, hidden), nn.Flatten(-2))
+            network = Joined(FEATURES * n, n, hidden)
         self.network = network
         self.register_buffer("feature_mean", torch.zeros(n, FEATURES, dtype=torch.float64))
         self.register_buffer("feature_spread", torch.ones(n, FEATURES, dtype=torch.float64))
@@ -138,22 +151,16 @@ class ResidualDynamics(nn.Module):
         return rest + self.model.offset.to(rest) if "offset" in self.model.learn else rest
 
     @torch.no_grad()
-    def changes(self, q: Tensor, qd: Tensor, qdd: Tensor, directions: Tensor) -> Tensor:
-        """Derivatives [..., n, k] of the network's torques along changes of qdd, the columns of directions [..., n, k].
+    def line(self, q: Tensor, qd: Tensor, qdd: Tensor, W: Tensor) -> Learned:
+        """Torques as a function of torques r [..., n] that change the acceleration: unmodelled(q, qd, qdd - W r).
 
-        Without gradients of their own.
+        Without gradients, and for little: the model itself is computed once. See `torchdq.effects.Residual`.
         """
-        features = self._columns(q, qd, qdd, self.model(q, qd, qdd))
+        tau = self.model(q, qd, qdd)
         M = mass_matrix(self.robot, q, self.model.backend)  # the model's torque is linear in qdd
-        none = torch.zeros_like(directions)
-        columns = (none, none, none, directions, none, M @ directions)
-        along = torch.stack(torch.broadcast_tensors(*columns), -1).movedim(-2, 0)  # [k, ..., n, 6]
-
-        def changed(direction: Tensor) -> Tensor:
-            return torch.func.jvp(self.correction, (features,), (direction,))[1]
-
-        # forward mode, because torch refuses reverse mode inside of a checkpoint
-        return torch.func.vmap(changed)(along).movedim(0, -1)
+        directions = torch.stack(torch.broadcast_tensors(W, M @ W), -2)
+        known = type(self.network) in (Perceptrons, Joined)
+        return (Prepared if known else Learned)(self, self._columns(q, qd, qdd, tau), directions)
 
     def effects(self) -> tuple[Effect, ...]:
         """Effects that simulate all that was learned, with `robot`: `Scene(model.robot, model.effects())`.
@@ -165,7 +172,7 @@ class ResidualDynamics(nn.Module):
         >>> import torchdq
         >>> model = ResidualDynamics(DQRNEA(torchdq.robots.load("panda"), learn="friction"))
         >>> print(*[type(effect).__name__ for effect in model.effects()])
-        Gravity RotorInertia Viscous Coulomb Residual
+        Gravity Viscous Coulomb Residual
         """
         robot, inner = self.robot, self.model
         found: list[Effect] = [] if robot.gravity is None else [Gravity()]
@@ -190,11 +197,15 @@ class ResidualDynamics(nn.Module):
 
     def correction(self, features: Tensor) -> Tensor:
         """Torques [..., n] of the network for features [..., n, 6]."""
-        mean, spread, scale = (x.to(features) for x in (self.feature_mean, self.feature_spread, self.torque_scale))
-        x = (features - mean) / spread
+        x = self._scaled(features)
+        found = self.network(x).squeeze(-1) if self.inputs == "joint" else self.network(x)
+        return found.to(features.dtype) * self.torque_scale.to(features)
+
+    def _scaled(self, features: Tensor) -> Tensor:
+        """Inputs of the network."""
+        x = (features - self.feature_mean.to(features)) / self.feature_spread.to(features)
         x = x.to(next(self.network.parameters(), x).dtype)
-        found = self.network(x).squeeze(-1) if self.inputs == "joint" else self.network(x.flatten(-2))
-        return found.to(features.dtype) * scale
+        return x if self.inputs == "joint" else x.flatten(-2)
 
     @torch.no_grad()
     def standardise(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> None:
@@ -217,6 +228,103 @@ class ResidualDynamics(nn.Module):
         self.feature_mean.copy_(mean)
         self.feature_spread.copy_(_spread(features, mean))
         self.torque_scale.copy_(_spread(torques, torques.mean(0)))
+
+
+class Learned:
+    """Torques of a `ResidualDynamics` as a function of torques r [..., n], of which its accelerations are linear.
+
+    Args:
+        dynamics: the model and the network.
+        features: features [..., n, 6] without r.
+        directions: what r subtracts from the accelerations and from the model's torques, [..., n, 2, n].
+    """
+
+    def __init__(self, dynamics: ResidualDynamics, features: Tensor, directions: Tensor):
+        self.dynamics, self.features, self.directions = dynamics, features, directions
+        n = features.shape[-2]
+        self.one = torch.eye(n, dtype=features.dtype, device=features.device)
+        self.offset = dynamics.model.offset.to(features) if "offset" in dynamics.model.learn else None
+
+    def torques(self, r: Tensor) -> Tensor:
+        """Torques [..., n]."""
+        return self._with_offset(self.dynamics.correction(self._features(r)))
+
+    def linearised(self, r: Tensor) -> tuple[Tensor, Tensor]:
+        """Torques [..., n], and J = 1 - their derivatives by r, [..., n, n]."""
+        features = self._features(r)
+        none = torch.zeros_like(self.directions[..., 0, :])
+        columns = (none, none, none, self.directions[..., 0, :], none, self.directions[..., 1, :])
+        along = torch.stack(columns, -1).movedim(-2, 0)  # [n, ..., n, 6]
+
+        def changed(direction: Tensor) -> Tensor:
+            return torch.func.jvp(self.dynamics.correction, (features,), (direction,))[1]
+
+        if not torch.compiler.is_compiling():
+            load_forward_mode()
+        # forward mode, because torch refuses reverse mode inside of a checkpoint
+        J = self.one + torch.func.vmap(changed)(along).movedim(0, -1)
+        return self._with_offset(self.dynamics.correction(features)), J
+
+    def _features(self, r: Tensor) -> Tensor:
+        """Features [..., n, 6]."""
+        change = (self.directions @ r[..., None, :, None]).squeeze(-1)
+        none = torch.zeros_like(change[..., 0])
+        return self.features - torch.stack((none, none, none, change[..., 0], none, change[..., 1]), -1)
+
+    def _with_offset(self, torques: Tensor) -> Tensor:
+        return torques if self.offset is None else torques + self.offset
+
+
+class Prepared(Learned):
+    """`Learned` of `Perceptrons`: all that r does not change is computed before, derivatives are products backwards."""
+
+    def __init__(self, dynamics: ResidualDynamics, features: Tensor, directions: Tensor):
+        super().__init__(dynamics, features, directions)
+        network: Any = dynamics.network[1] if isinstance(dynamics.network, Joined) else dynamics.network
+        weights, biases = list(network.weights), list(network.biases)
+        self.groups, self.dtype = weights[0].shape[0], weights[0].dtype
+        self.columns = directions.flatten(-3, -2)  # [..., 2 n, n], joint by joint
+        spread = dynamics.feature_spread.to(weights[0]).reshape(self.groups, 1, -1)
+        scale = dynamics.torque_scale.to(weights[0]).reshape(self.groups, -1, 1)
+        for k, weight in enumerate(weights):
+            # tanh y = 2 s(2 y) - 1, as in `Perceptrons`; the torques in N m
+            factor = scale if k == len(weights) - 1 else 2.0
+            biases[k] = factor * (biases[k] - weight.sum(-1, keepdim=True) if k else biases[k])
+            weights[k] = factor * (2 * weight if k else weight)
+        x = dynamics._scaled(features).reshape(-1, self.groups, weights[0].shape[-1]).permute(1, 2, 0)
+        self.start = torch.baddbmm(biases[0], weights[0], x)  # [groups, width, samples], without r
+        self.first = -(weights[0] / spread).unflatten(-1, (-1, FEATURES))[..., 3::2].flatten(-2)
+        self.weights, self.biases = weights[1:], biases[1:]
+
+    def torques(self, r: Tensor) -> Tensor:
+        """Torques [..., n]."""
+        return self._layers(r)[0]
+
+    def linearised(self, r: Tensor) -> tuple[Tensor, Tensor]:
+        """Torques [..., n], and J = 1 - their derivatives by r, [..., n, n]."""
+        found, hidden = self._layers(r)
+        # [groups, width, outputs, samples], from the outputs backwards; the derivative of s is s (1 - s)
+        weights = [self.first, *self.weights]
+        J = weights.pop().mT.unsqueeze(-1)
+        for s in reversed(hidden):
+            along = torch.ops.aten.sigmoid_backward(J, s.unsqueeze(2))
+            J = (weights.pop().mT @ along.flatten(2)).unflatten(2, along.shape[2:])
+        J = J.permute(3, 0, 2, 1).to(r.dtype)  # [samples, groups, outputs, changes]
+        if self.groups > 1 or r.shape[-1] == 1:  # a joint's torque depends on the features of this joint only
+            J = J.squeeze(2).expand(r.shape[:-1].numel(), -1, -1).reshape(*r.shape, 2, 1)
+            by = torch.addcmul(self.one, J[..., 0, :], self.directions[..., 0, :], value=-1)
+            return found, by.addcmul(J[..., 1, :], self.directions[..., 1, :], value=-1)
+        J = J.squeeze(1).expand(r.shape[:-1].numel(), -1, -1).reshape(*r.shape, -1)
+        return found, self.one - J @ self.columns
+
+    def _layers(self, r: Tensor) -> tuple[Tensor, list[Tensor]]:
+        """Torques [..., n], and the logistic functions of the hidden layers [groups, width, samples]."""
+        change = (self.columns @ r.unsqueeze(-1)).reshape(-1, self.groups, self.first.shape[-1]).permute(1, 2, 0)
+        y, hidden = torch.baddbmm(self.start, self.first, change.to(self.dtype)), []
+        for weight, bias in zip(self.weights, self.biases, strict=True):
+            hidden.append(y.sigmoid_())
+            y = torch.baddbmm(bias, weight, y)
+        return self._with_offset(y.flatten(0, 1).mT.reshape(r.shape).to(r.dtype)), hidden
 
 
 def _spread(x: Tensor, mean: Tensor) -> Tensor:

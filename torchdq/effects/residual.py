@@ -19,7 +19,8 @@ from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 
 NAME = "residual"  # row of the torques in the programs of a scene
-CHANGE = 1e-2  # relative change in the last iteration that is worth a warning; the error left is its square
+BLOCK = 512  # rows that are solved at once: their arrays stay in a processor's cache, larger ones are slow
+CHANGE = 1e-2  # relative change in the last iteration that is worth a warning; the error left is much smaller
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Residual(JointEffect):
             one and those of all else that it learned. Or a function or module of (q, qd) that returns the torques
             [..., n], for which there is nothing to iterate; a module computes in the dtype of its parameters.
         iterations: number of Newton's iterations for a `ResidualDynamics` in a step; one is enough for a network that
-            is linear in the acceleration.
+            is linear in the acceleration. Of several, the last uses the derivatives of the one before it.
 
     >>> import torch, torchdq
     >>> from torchdq.envs import Scene, effects
@@ -103,22 +104,49 @@ class Residual(JointEffect):
         free, n = accelerations(None), q.shape[-1]
         units = torch.eye(n, dtype=q.dtype, device=q.device).reshape(n, *[1] * (free.ndim - 1), n)
         W = (free - accelerations(units)).movedim(0, -1)  # accelerations are linear in the torques
-
-        def residual(qdd: Tensor) -> Tensor:
-            return self._checked(self.model.unmodelled(q, qd, qdd), q)
-
-        def changes(qdd: Tensor) -> Tensor:
-            return self.model.changes(q, qd, qdd, W)
-
-        before = found = torch.zeros_like(free)
-        for k in range(self.iterations):
-            before = found
-            # derivatives of the last iteration are those of the solution, so the others need none
-            with torch.set_grad_enabled(torch.is_grad_enabled() and k == self.iterations - 1):
-                found = _improved(before, free, W, residual, changes)
+        gradients = torch.is_grad_enabled() or without_values((q,))
+        r, before, *factors = self._solved(q.detach(), qd.detach(), free.detach(), W.detach(), gradients)
         if self.iterations > 1 and not without_values((q,)):
-            self._tell_if_unsolved(before.detach(), found.detach())
-        return found
+            self._tell_if_unsolved(before, r)
+        if not gradients:
+            return r
+        # derivatives of the solution: J^-1 times those of the residual while r is held
+        r = r.detach()
+        change = self._of_joints(self.model.unmodelled(q, qd, free - (W @ r.unsqueeze(-1)).squeeze(-1)), q)
+        return r + _solution(factors, change - change.detach())
+
+    @torch.no_grad()
+    def _solved(self, q: Tensor, qd: Tensor, free: Tensor, W: Tensor, gradients: bool) -> Sequence[Tensor]:
+        """Torques [..., n] after all iterations, those before the last, and the factors for the gradients."""
+        batch = free.shape[:-1]
+        if without_values((q,)) or batch.numel() <= BLOCK:
+            return self._iterated(gradients, q, qd, free, W)
+        given = (q.expand(free.shape), qd.expand(free.shape), free, W.expand(*free.shape, -1))
+        blocks = zip(*(x.flatten(0, len(batch) - 1).split(BLOCK) for x in given), strict=True)
+        found = zip(*(self._iterated(gradients, *rows) for rows in blocks), strict=True)
+        return [torch.cat(parts).unflatten(0, batch) for parts in found]
+
+    def _iterated(self, gradients: bool, q: Tensor, qd: Tensor, free: Tensor, W: Tensor) -> Sequence[Tensor]:
+        """`_solved` for all rows at once."""
+        line, r, before = self.model.line(q, qd, free, W), torch.zeros_like(free), free
+        factors: list[Tensor] = []
+        for k in range(self.iterations):
+            before = r
+            if k == 0 or k < self.iterations - 1:
+                found, *factors = self._linearised(line, r)
+            else:  # the factors of the iteration before are almost as good
+                found = self._of_joints(line.torques(r), q)
+            r = r + _solution(factors, found - r)
+        if gradients:
+            _, *factors = self._linearised(line, r)
+        return r, before, *factors
+
+    def _linearised(self, line: Any, r: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Torques at r, and the factors of J = 1 - their derivative by r."""
+        found, J = line.linearised(r)
+        # a row without a solution becomes NaN or infinite alone
+        factors, pivots, _ = torch.linalg.lu_factor_ex(J)
+        return self._of_joints(found, r), factors, pivots
 
     def _tell_if_unsolved(self, before: Tensor, after: Tensor) -> None:
         """Warn about rows in which the last iteration still changed the torques."""
@@ -134,10 +162,10 @@ class Residual(JointEffect):
     def _of_state(self, q: Tensor, qd: Tensor) -> Tensor:
         """Torques of a function or module of (q, qd)."""
         like = next(self.model.parameters(), q) if isinstance(self.model, nn.Module) else q
-        found = self._checked(self.model(q.to(like.dtype), qd.to(like.dtype)), q)
+        found = self._of_joints(self.model(q.to(like.dtype), qd.to(like.dtype)), q)
         return found.to(q.dtype) if isinstance(self.model, nn.Module) else found
 
-    def _checked(self, found: Any, q: Tensor) -> Tensor:
+    def _of_joints(self, found: Any, q: Tensor) -> Tensor:
         """Torques that a model returned; raises unless they are those of the joints."""
         require_tensor("what model of Residual returns", found)
         if found.shape[-1:] != q.shape[-1:] or found.ndim < q.ndim:
@@ -148,15 +176,9 @@ class Residual(JointEffect):
         return found
 
 
-def _improved(
-    r: Tensor, free: Tensor, W: Tensor, residual: Callable[[Tensor], Tensor], changes: Callable[[Tensor], Tensor]
-) -> Tensor:
-    """Torques r [..., n] after an iteration of Newton's for r = residual(free - W r)."""
-    qdd = free - (W @ r.unsqueeze(-1)).squeeze(-1)
-    J = torch.eye(r.shape[-1], dtype=r.dtype, device=r.device) + changes(qdd)
-    # a row without a solution becomes NaN or infinite alone
-    step, _ = torch.linalg.solve_ex(J, (r - residual(qdd)).unsqueeze(-1))
-    return r - step.squeeze(-1)
+def _solution(factors: Sequence[Tensor], x: Tensor) -> Tensor:
+    """J^-1 x for vectors x [..., n] and the factors of matrices J [..., n, n]."""
+    return torch.linalg.lu_solve(factors[0], factors[1], x.unsqueeze(-1)).squeeze(-1)
 
 
 def _named(model: Any) -> str:

@@ -4,8 +4,10 @@ They exist in torch 2.6 to 2.13. Where one is missing, a transform is taken to b
 no result.
 """
 
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
+from functools import cache
 from operator import attrgetter
 from typing import Any
 
@@ -52,6 +54,17 @@ def with_values() -> Iterator[None]:
     # export would also record that gradients are switched off and on in between
     with no_export(), no_transform(), _unseen():
         yield
+
+
+@cache
+def load_forward_mode() -> None:
+    """Load torch's rules for forward-mode differentiation now, without the warnings that torch gives of its own code.
+
+    Torch loads them at the first use, and warns eighteen times that it calls its deprecated torch.jit.script.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        from torch._decomp import decompositions_for_jvp  # noqa: F401
 
 
 def transforming() -> bool:
