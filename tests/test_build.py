@@ -454,6 +454,7 @@ def machine_code(key: str, content: bytes) -> Path:
 
 
 def test_a_pipe_of_the_name_of_a_file_is_replaced(cache):
+    machine_code("key", b"code").unlink()
     os.mkfifo(cache / "key.cubin")
     assert kept.content(machine_code("key", b"code")) == b"code"
 
