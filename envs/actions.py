@@ -32,7 +32,12 @@ class Actions:
 
         Raises if one is not finite; unless the host `looks` at them, such an action stays NaN.
         """
-        found = torch.as_tensor(actions, dtype=self.scale.dtype, device=self.scale.device)
+        try:
+            found = torch.as_tensor(actions, dtype=self.scale.dtype, device=self.scale.device)
+        except (TypeError, ValueError, RuntimeError) as error:
+            raise ArgumentError(
+                f"actions must be a tensor or an array of numbers, found {type(actions).__name__} ({error})"
+            ) from error
         shape = (num_envs, self.robot.n)
         if found.shape != shape:
             raise ArgumentError(

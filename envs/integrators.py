@@ -27,6 +27,7 @@ from torch import Tensor
 from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.posed import Row
 from torchdq.errors import ArgumentError
+from torchdq.notice import Notice
 
 
 class System(Protocol):
@@ -234,26 +235,28 @@ class DormandPrince(Unrecorded):
         t = y.new_zeros(y.shape[:-1])
         h = torch.full_like(t, T / 16)
         failed = torch.zeros_like(t, dtype=torch.bool)
-        for _ in range(self.most):
-            going = ~failed & (t < T * (1 - floor))
-            if not bool(going.any()):
-                break
-            step = torch.where(going, torch.minimum(h, T - t), 0.0)
-            k = [slope(y)]
-            for row in _TABLEAU:
-                end = y + step[..., None] * _combined(row, k)
-                k.append(slope(end))
-            with torch.no_grad():
-                size = self.atol + rtol * torch.maximum(y.abs(), end.abs())
-                error = (step[..., None] * _combined(_ERROR, k) / size).square().mean(-1).sqrt()
-                good = going & (error <= 1)
-                factor = (0.9 * error.clamp(min=1e-10) ** -0.2).clamp(0.2, 5.0)
-                failed = failed | going & ~good & (step <= floor * T)
-                # the last step was cut to end on time, and does not suggest the size of the next
-                kept = good & (step < h)
-                h = torch.where(kept | ~going, h, step * torch.where(error.isfinite(), factor, 0.2))
-                t = torch.where(good, t + step, t)
-            y = torch.where(good[..., None], end, y)
+        with Notice(f"steps of DormandPrince over {T:g} s") as notice:
+            for count in range(self.most):
+                notice.at(f"{count} of at most {self.most}")
+                going = ~failed & (t < T * (1 - floor))
+                if not bool(going.any()):
+                    break
+                step = torch.where(going, torch.minimum(h, T - t), 0.0)
+                k = [slope(y)]
+                for row in _TABLEAU:
+                    end = y + step[..., None] * _combined(row, k)
+                    k.append(slope(end))
+                with torch.no_grad():
+                    size = self.atol + rtol * torch.maximum(y.abs(), end.abs())
+                    error = (step[..., None] * _combined(_ERROR, k) / size).square().mean(-1).sqrt()
+                    good = going & (error <= 1)
+                    factor = (0.9 * error.clamp(min=1e-10) ** -0.2).clamp(0.2, 5.0)
+                    failed = failed | going & ~good & (step <= floor * T)
+                    # the last step was cut to end on time, and does not suggest the size of the next
+                    kept = good & (step < h)
+                    h = torch.where(kept | ~going, h, step * torch.where(error.isfinite(), factor, 0.2))
+                    t = torch.where(good, t + step, t)
+                y = torch.where(good[..., None], end, y)
         y = torch.where((failed | (t < T * (1 - floor)))[..., None], torch.nan, y)
         return y[..., :n], y[..., n:]
 

@@ -26,7 +26,7 @@ from torchdq.envs.scene import Scene
 from torchdq.envs.search import repeated_share, search
 from torchdq.envs.state import State
 from torchdq.envs.trials import ARITHMETICS, SAFETY, Trial, random_states
-from torchdq.errors import ArgumentError
+from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functional import error_growth, forward_dynamics, inverse_dynamics
 from torchdq.functions.compile import compile
 from torchdq.notice import Notice
@@ -94,6 +94,9 @@ def recommend(
     scene = _falling(what, horizon or 1.0) if isinstance(what, Robot) else what
     if not isinstance(scene, Scene):
         raise ArgumentError(f"what must be a torchdq.Robot or a torchdq.envs.Scene, found {type(what).__name__}")
+    for name in inputs:
+        if name not in scene.inputs:
+            raise UnknownNameError("input of the scene", name, scene.inputs)
     for name, batch in scene.batches.items():
         if batch:
             raise ArgumentError(

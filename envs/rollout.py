@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from typing import TYPE_CHECKING, Literal, get_args
 
 import torch
@@ -14,11 +15,13 @@ from torchdq.checks import require_choice, require_tensor
 from torchdq.envs.starts import not_finite
 from torchdq.envs.state import State, require_state
 from torchdq.errors import ArgumentError
+from torchdq.notice import Notice
 from torchdq.program.transforms import without_values
 
 if TYPE_CHECKING:
     from torchdq.envs.scene import Scene
 
+LONG = 50  # steps from which a rollout says how far it is
 Policy = Callable[[State], Tensor]
 Lost = Literal["warn", "stop", "keep"]
 
@@ -42,6 +45,7 @@ def rollout(
     if lost == "stop" and not read:
         raise ArgumentError("lost='stop' reads values, which tensors have none of inside a transform or a trace")
     start = scene.finite(state) if read else torch.tensor(False)
+    notice = Notice(f"rollout of {total} steps")
     if lost == "warn" and read and (unusable := not_finite(scene, state)):
         warnings.warn(unusable, stacklevel=3)
 
@@ -52,6 +56,7 @@ def rollout(
     def part(first: int, last: int, state: State) -> list[State]:
         found: list[State] = []
         for k in range(first, last):
+            notice.at(f"step {k + 1} of {total}")
             given = {name: x[k] for name, x in series.items()}
             if policy is not None:
                 given["torque"] = _commanded(policy, state, scene.n)
@@ -63,15 +68,16 @@ def rollout(
 
     stride = checkpoint or max(total, 1)
     found: list[State] = []
-    for first in range(0, total, stride):
-        last = min(first + stride, total)
-        if checkpoint:
-            found += checkpointed(part, first, last, state, use_reentrant=False)
-        else:
-            found += part(first, last, state)
-        if len(found) < last:
-            break
-        state = found[-1]
+    with notice if total >= LONG else nullcontext():
+        for first in range(0, total, stride):
+            last = min(first + stride, total)
+            if checkpoint:
+                found += checkpointed(part, first, last, state, use_reentrant=False)
+            else:
+                found += part(first, last, state)
+            if len(found) < last:
+                break
+            state = found[-1]
     if not found:
         return State._make(None if x is None else x[None][:0] for x in state)
     if lost == "warn" and read and bool((rows := gone(found[-1])).any()):
@@ -98,7 +104,9 @@ def _length(series: Mapping[str, Tensor], steps: int | None, policy: Policy | No
         raise ArgumentError("torque and policy exclude each other; add the torques in the policy")
     lengths = {name: len(x) for name, x in series.items()}
     total = steps if steps is not None else next(iter(lengths.values()), None)
-    if total is None or any(length != total for length in lengths.values()):
+    if total is None:
+        raise ArgumentError("steps must be given where there is no torque, whose first axis says how many they are")
+    if any(length != total for length in lengths.values()):
         raise ArgumentError(f"steps and the first axes of the inputs must agree, found {steps} and {lengths}")
     if not isinstance(total, int) or isinstance(total, bool) or total < 0:
         raise ArgumentError(f"steps must not be negative, a whole number, found {total!r}")

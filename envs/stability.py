@@ -21,6 +21,7 @@ from torchdq.dynamics.posed import Row
 from torchdq.envs.evaluated import driven
 from torchdq.envs.integrators import DormandPrince, Integrator, LinearlyImplicit, Repeated, System
 from torchdq.envs.rollout import rollout
+from torchdq.envs.starts import not_finite
 from torchdq.envs.state import State, require_state
 from torchdq.errors import ArgumentError
 from torchdq.notice import Notice
@@ -90,6 +91,8 @@ def check(scene: Scene, state: State, seconds: float, inputs: Mapping[str, Tenso
     intervals = max(1, round(seconds / scene.dt))
     if intervals > MOST:
         raise ArgumentError(f"seconds={seconds:g} are {intervals} steps, and {MOST} are the most; shorten them")
+    if unusable := not_finite(scene, state):
+        raise ArgumentError(f"state must be finite to start a trial run from, found: {unusable}")
     given = {name: x.double() for name, x in inputs.items() if x is not None}
     trial = _Trial(scene.replace(substeps=1), state.to(torch.float64), given, intervals)
     integrator, times = scene.integrator, scene.substeps

@@ -18,6 +18,7 @@ from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.effects.transmission import Transmission
 from torchdq.envs.integrators import System
 from torchdq.envs.spec import RecordedScene, Rows
+from torchdq.errors import ArgumentError
 from torchdq.numbers.record import Recorded
 from torchdq.program import autodiff as derive
 from torchdq.program.program import GROWTH, Argument, record, replay
@@ -65,6 +66,12 @@ class SceneSystem(System):
     def _impedances(self, q: Row, qd: Row) -> list[list[Impedance]]:
         """Impedances of every joint."""
         found = [effect.impedances(q, qd, self.scene.inputs) for _, effect in self.scene.spec.of(JointEffect)]
+        for (_, effect), row in zip(self.scene.spec.of(JointEffect), found, strict=True):
+            if len(row) != len(q):
+                raise ArgumentError(
+                    f"impedances of {type(effect).__name__} must return one Impedance for each of {len(q)} joints, "
+                    f"found {len(row)}"
+                )
         return [list(joint) for joint in zip(*found, strict=True)] if found else [[] for _ in q]
 
     def frozen(self, x: Row, v: Row) -> Rows:

@@ -17,8 +17,10 @@ import pytest
 import torch
 from helpers import eager
 from oracles import EPS, random_tree, states
+from torch._subclasses.fake_tensor import FakeTensor, FakeTensorMode
 from torch.autograd import forward_ad, gradcheck, gradgradcheck
 from torch.fx.experimental.proxy_tensor import make_fx
+from torch.utils.flop_counter import FlopCounterMode
 
 import torchdq
 from torchdq import call
@@ -777,3 +779,50 @@ def test_narrower_vectors_compute_the_same(monkeypatch, flags, dtype):
     (expected,) = eager(recorded, x)
     # without fused multiplication and addition some roundings differ
     assert (found - expected).abs().max() <= 256 * torch.finfo(dtype).eps * expected.abs().max()
+
+
+# --- tensors whose memory is not what they are -----------------------------------------------------------------------
+
+
+def test_views_with_a_sign_of_their_own_are_read_with_it():
+    q = random(5, 7)
+    negated = torch._neg_view(-q)
+    turned = torch.complex(torch.zeros(7, dtype=F64), -q[0]).conj().imag
+    assert negated.is_neg() and turned.is_neg()
+    for function in (torchdq.inverse_dynamics, torchdq.mass_matrix, torchdq.forward_kinematics):
+        expected = function(PANDA, q, backend="c")
+        assert torch.equal(function(PANDA, negated, backend="c"), expected)
+        assert torch.equal(function(PANDA, turned, backend="c"), function(PANDA, q[0], backend="c"))
+    x = q.clone().requires_grad_()
+    found, expected = (
+        torch.autograd.grad(torchdq.inverse_dynamics(PANDA, x, backend="c"), x, d)[0] for d in (negated, q)
+    )
+    assert torch.equal(found, expected)
+
+
+def test_zeros_without_memory_are_zeros():
+    found = torchdq.inverse_dynamics(PANDA, torch._efficientzerotensor((4, 7), dtype=F64), backend="c")
+    assert torch.equal(found, torchdq.inverse_dynamics(PANDA, torch.zeros(4, 7, dtype=F64), backend="c"))
+
+
+def test_tensors_without_values_give_tensors_without_values():
+    with FakeTensorMode():
+        q = torch.randn(3, 7, dtype=F64)
+        for function in (torchdq.inverse_dynamics, torchdq.mass_matrix, torchdq.forward_kinematics):
+            found = function(PANDA, q)
+            assert isinstance(found, FakeTensor) and found.shape[0] == 3
+
+
+def test_a_counter_of_operations_does_not_change_the_numbers():
+    q = random(5, 7)
+    expected = torchdq.inverse_dynamics(PANDA, q)
+    with FlopCounterMode(display=False):
+        assert torch.equal(torchdq.inverse_dynamics(PANDA, q), expected)
+
+
+def test_forward_derivatives_in_one_batch_of_directions():
+    q = random(2)
+    function = lambda q: torchdq.inverse_dynamics(TWO, q, backend="c")  # noqa: E731
+    jacobian = torch.autograd.functional.jacobian
+    found = jacobian(function, q, vectorize=True, strategy="forward-mode")
+    torch.testing.assert_close(found, jacobian(function, q), rtol=1e-12, atol=1e-12)

@@ -342,6 +342,13 @@ def test_a_version_that_is_garbage_is_a_version(tmp_path, monkeypatch):
     assert machine.compiler.__wrapped__().command == (str(tmp_path / "odd"),)
 
 
+def test_a_compiler_that_prints_without_end_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setenv("CC", script(tmp_path / "odd", "exec yes"))
+    with pytest.warns(UserWarning, match=r"\$CC names .* printed more than \d+ bytes"):
+        found = machine.compiler.__wrapped__()
+    assert found is None or found.command != (str(tmp_path / "odd"),)
+
+
 # --- a disk that is full ---------------------------------------------------------------------------------------------
 
 FULL = """
@@ -444,6 +451,12 @@ def test_a_full_cache_loses_the_libraries_that_were_used_least_recently(cache, m
 def machine_code(key: str, content: bytes) -> Path:
     """File of machine code in the cache."""
     return kept.kept(key, ".cubin", "scale", lambda path: path.write_bytes(content))
+
+
+def test_a_pipe_of_the_name_of_a_file_is_replaced(cache):
+    machine_code("key", b"code").unlink()
+    os.mkfifo(cache / "key.cubin")
+    assert kept.content(machine_code("key", b"code")) == b"code"
 
 
 def test_a_file_has_the_content_that_was_made_and_is_made_once(cache):

@@ -8,6 +8,7 @@ the largest torque, turned into accelerations by the inverse of the mass matrix.
 import dataclasses
 import itertools
 import math
+from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
@@ -19,8 +20,10 @@ from oracles import Case, random_tree, shipped, states
 from scipy import stats
 
 import torchdq
+from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.envs import Scene, State, effects
 from torchdq.envs.integrators import ExplicitEuler, LinearlyImplicit, RungeKutta4, SemiImplicitEuler
+from torchdq.errors import NumberError
 
 EPS = 2.0**-52
 CASES = {"two_link": shipped("two_link"), "tree": random_tree(3, seed=6, armature=True), "panda": shipped("panda")}
@@ -1136,3 +1139,60 @@ def test_gradients_of_dry_friction_stay_finite_as_its_width_shrinks(width, qd, t
     assert all(bool(x.isfinite().all()) for x in found)
     if torque < 0.3:  # nor large while friction holds: the state's gradient is damped, not amplified
         assert max(float(x.abs().max()) for x in found[:3]) < 10
+
+
+# --- parameters that make no sense -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("effect", "message"),
+    [
+        (effects.Gravity(9.81), "acceleration of Gravity must have 3 components, found the number 9.81"),
+        (effects.Gravity(torch.tensor(9.81)), "acceleration of Gravity must have 3 components, found the number 9.81"),
+        (effects.Gravity(torch.tensor([9.81])), r"must have the shape \[..., 3\], found \(1,\)"),
+        (effects.Payload(1.0, com=0.1), "com of Payload must have 3 components"),
+        (effects.Payload(1.0, inertia=0.1), "inertia of Payload must have 6 components"),
+        (effects.Payload(1.0, inertia=(1.0, 1.0, 100.0, 0.0, 0.0, 0.0)), "must be a body that can exist, inertia in"),
+        (effects.Payload(torch.ones(5), inertia=(0.01, 0.02, 0.015, 0.0, 0.0, 0.0)), "must be a body that can exist"),
+        (effects.Stribeck(2.0, 1.0), "static of Stribeck must be at least coulomb, found coulomb and static 2 and 1"),
+        (effects.Stribeck(torch.tensor([1.0, 2.0]), 1.5), "found coulomb and static 2 and 1.5 at joint 'elbow'"),
+        (effects.Limits(torch.tensor([1.0, 1.0]), torch.tensor([2.0, -1.0])), "found 1 and -1 at joint 'elbow'"),
+        (effects.Delay(10**7), "steps of Delay must be at most 500"),
+    ],
+)
+def test_parameters_that_make_no_sense_are_refused(effect, message):
+    robot = torchdq.robots.load("two_link").replace(joint_names=("shoulder", "elbow"))
+    with pytest.raises(torchdq.ArgumentError, match=message):
+        Scene(robot, (effect,))
+
+
+def test_a_payload_is_a_point_or_any_body():
+    robot = torchdq.robots.load("two_link")
+    for inertia in (0.0, (0.0,) * 6, (0.1, 0.0, 0.1, 0.0, 0.0, 0.1), torch.zeros(6)):
+        Scene(robot, (effects.Payload(1.0, inertia=inertia), effects.Payload(torch.ones(3))))
+
+
+@dataclass(frozen=True)
+class Few(JointEffect):
+    """An effect that forgets a joint."""
+
+    def impedances(self, q, qd, inputs):
+        return [Impedance(force=x) for x in q][:1]
+
+
+@dataclass(frozen=True)
+class ByTorch(JointEffect):
+    """An effect that calls torch."""
+
+    def impedances(self, q, qd, inputs):
+        return [Impedance(force=torch.sin(x)) for x in q]
+
+
+def test_own_effects_that_are_wrong_are_named():
+    robot = torchdq.robots.load("two_link")
+    with pytest.raises(torchdq.ArgumentError, match="impedances of Few must return one Impedance for each of 2 joints"):
+        Scene(robot, (Few(),)).program()
+    scene = Scene(robot, (ByTorch(),))
+    for recorded in (scene.program, lambda: scene.step(scene.start(torch.zeros(2)))):
+        with pytest.raises(NumberError, match=r"recorded number .*use the functions of torchdq"):
+            recorded()

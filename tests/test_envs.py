@@ -373,6 +373,14 @@ def test_finished_rows_wait_to_be_reset():
     envs.step(torch.zeros(5, 2))
 
 
+@pytest.mark.parametrize("actions", [None, "x", np.array([None, object()]), {"a": 1}], ids=str)
+def test_actions_that_are_no_numbers_are_refused(actions):
+    envs = make()
+    envs.reset(seed=0)
+    with pytest.raises(torchdq.ArgumentError, match="actions must be a tensor or an array of numbers, found"):
+        envs.step(actions)
+
+
 IN_TORCH = TorchTask("reach", reward=lambda now: -now.q.square().sum(1))
 
 

@@ -363,3 +363,9 @@ def test_a_reference_that_does_not_stay_finite_in_time_names_its_steps():
     with pytest.raises(torchdq.ArgumentError, match="do not stay finite with RungeKutta4") as found:
         reference._in_time(now, 1e-3, "")
     assert "steps of 0.005 s" in str(found.value) and "inf " not in str(found.value)
+
+
+def test_inputs_that_a_scene_does_not_have_are_named():
+    scene = Scene(ROBOTS["two_link"], (effects.Gravity(),))
+    with pytest.raises(torchdq.UnknownNameError, match=r"input of the scene.*'foo'"):
+        recommend(scene, error=1e-3, horizon=0.1, foo=torch.zeros(2))

@@ -618,6 +618,14 @@ def test_a_robot_can_be_cast():
     assert {x.dtype for x in tensors(panda().to(torch.float32)).values()} == {torch.float32}
 
 
+def test_a_robot_without_values_takes_no_arguments_with_values():
+    robot = two().to("meta")
+    for function in (torchdq.inverse_dynamics, torchdq.forward_kinematics, torchdq.mass_matrix):
+        with pytest.raises(torchdq.ArgumentError, match="is on the device 'meta', where tensors have no values"):
+            function(robot, torch.zeros(2))
+        assert function(robot, torch.zeros(2, device="meta")).is_meta
+
+
 def test_a_robot_is_converted_as_tensors_of_torch_are():
     robot = two()
     for same in (robot.to("float32"), robot.to(torch.float32), robot.to(dtype="float32"), robot.to("float32", "cpu")):

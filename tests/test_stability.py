@@ -176,6 +176,12 @@ def test_finite_tells_rows_apart():
     assert remembering.finite(state._replace(memory=double((0.0, 0.0), (0.0, math.nan)))).tolist() == [True, False]
 
 
+def test_a_rollout_needs_a_number_of_steps():
+    scene = Scene(torchdq.robots.load("two_link"))
+    with pytest.raises(torchdq.ArgumentError, match="steps must be given where there is no torque"):
+        scene.rollout(scene.start(double(0, 0)))
+
+
 def test_a_rollout_that_loses_rows_says_so():
     with pytest.warns(UserWarning, match=r"1 of 2 rows left .*, the first at step \d+ of 300; scene.check"):
         states = LOSING.rollout(losing(), steps=300)
@@ -184,7 +190,10 @@ def test_a_rollout_that_loses_rows_says_so():
         warnings.simplefilter("error")
         assert LOSING.rollout(losing(), steps=300, lost="keep").q.shape == (300, 2, 2)
         assert LOSING.rollout(losing(), steps=3).q.shape == (3, 2, 2)
-        LOSING.rollout(losing()._replace(q=double((0.0, 0.0), (math.nan, 0.0))), steps=3)  # lost before
+    lost_before = losing()._replace(q=double((0.0, 0.0), (math.nan, 0.0)))
+    with pytest.warns(UserWarning, match="1 of 2 rows are not finite at the start") as found:
+        LOSING.rollout(lost_before, steps=3)
+    assert len(found) == 1
 
 
 @pytest.mark.parametrize("checkpoint", [0, 7])

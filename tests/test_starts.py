@@ -63,3 +63,9 @@ def test_rows_that_are_not_finite_at_the_start_are_named(value):
         scene.rollout(scene.start(HOME), steps=1)
     with pytest.warns(UserWarning, match=r"1 of 1 rows are not finite at the start: qd of joint 'panda_joint1' is nan"):
         scene.rollout(scene.start(HOME[0], moved(0, 0, math.nan)[0]), steps=1)
+
+
+def test_a_check_takes_no_state_that_is_not_finite():
+    for q in (moved(1, 2, math.nan), moved(0, 3, math.inf)):
+        with pytest.raises(torchdq.ArgumentError, match=r"state must be finite .* 1 of 3 rows are not finite"):
+            SCENE.check(SCENE.begin(q, torch.zeros_like(q), {})[0])

@@ -31,6 +31,7 @@ from torch import Tensor
 
 from torchdq.backends.backend import Backend
 from torchdq.backends.choice import BackendName, choose, choose_for_graph, present
+from torchdq.backends.memory import dense
 from torchdq.backends.precision import Form, Guarded, contiguous, unguarded
 from torchdq.backends.run import run
 from torchdq.backends.torch import EAGER
@@ -39,7 +40,7 @@ from torchdq.checks import DTYPES, require_tensor
 from torchdq.errors import ArgumentError, DtypeError, TorchdqError
 from torchdq.program.autograd import in_a_graph, named, operator
 from torchdq.program.program import Argument, Program
-from torchdq.program.transforms import proxy_tracing, with_values
+from torchdq.program.transforms import dispatching, with_values
 
 Shape = tuple[int, ...]
 Tensors = Mapping[str, Tensor | None]  # by name; None: absent
@@ -111,7 +112,7 @@ def evaluate(
         backend: as in `torchdq.functional`.
         double: whether float32 inputs are computed in float64, and the results rounded.
     """
-    if torch.compiler.is_compiling() or proxy_tracing():
+    if torch.compiler.is_compiling() or dispatching():
         return _traced(what, tensors, backend, double)
     try:
         looks = [None if x is None else (x.shape, x.dtype, x.device) for x in tensors.values()]
@@ -142,8 +143,7 @@ def _direct(layout: CallLayout, given: Sequence[Tensor]) -> Sequence[Tensor] | N
     """
     if layout.direct is None or in_a_graph(given):
         return None
-    rows = [x.contiguous() for x in given]
-    return unguarded(layout.backend, layout.program, rows, layout.direct, layout.samples)
+    return unguarded(layout.backend, layout.program, dense(given), layout.direct, layout.samples)
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------

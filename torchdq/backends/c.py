@@ -11,6 +11,7 @@ from torchdq.backends import c_library, threads
 from torchdq.backends.backend import Backend, DirectKernel
 from torchdq.backends.c_source import source
 from torchdq.backends.compiler import BuildError, compiler, no_compiler
+from torchdq.backends.memory import dense
 from torchdq.backends.torch import InterpretedKernel
 from torchdq.caches import PROGRAMS, remembered
 from torchdq.errors import ArgumentError, TorchdqError
@@ -85,7 +86,7 @@ class CompiledKernel:
         found = [
             empty_on_cpu((parts if summed else samples, width), (width, 1), self.dtype) for width, summed in self.widths
         ]
-        self._run([*[x.contiguous() for x in inputs], *found], samples, number, size)
+        self._run([*dense(inputs), *found], samples, number, size)
         if self.any_summed:
             return [y.sum(0) if summed else y for y, (_, summed) in zip(found, self.widths, strict=True)]
         return found

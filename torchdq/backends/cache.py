@@ -134,8 +134,10 @@ def _digest(key: str, body: bytes) -> bytes:
 def _intact(path: Path, key: str) -> bool:
     """Whether a file exists, belongs to the user, and has the content that was made."""
     try:
-        with path.open("rb") as file:
-            if os.fstat(file.fileno()).st_uid != os.getuid():
+        # without waiting, should it be a pipe
+        with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
+            status = os.fstat(file.fileno())
+            if status.st_uid != os.getuid() or not stat.S_ISREG(status.st_mode):
                 return False
             data = file.read()
     except OSError:

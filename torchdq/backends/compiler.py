@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import selectors
 import shlex
 import shutil
 import signal
@@ -17,7 +18,8 @@ from torchdq.caches import remembered
 from torchdq.errors import TorchdqError
 from torchdq.notice import warn_once
 
-ASKED = 10.0  # time in which a compiler must state its version [s]
+ASKED = 5.0  # time in which a compiler must state its version [s]
+MOST = 2**22  # bytes that a compiler prints at most
 
 
 class BuildError(TorchdqError, RuntimeError):
@@ -86,7 +88,7 @@ def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = N
                 )
             )
         for process in running:
-            output += process.communicate(timeout=max(0.0, deadline - time.monotonic()))[0]
+            output += _output(process, deadline)
             if process.returncode != 0:
                 said = output.decode(errors="replace")[-2000:]
                 raise BuildError(f"{program} failed with exit status {process.returncode}:\n{said}")
@@ -98,6 +100,27 @@ def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = N
         for process in running:
             _end(process)
     return output.decode(errors="replace")
+
+
+def _output(process: subprocess.Popen[bytes], deadline: float) -> bytes:
+    """Output of a process, after its end.
+
+    Raises:
+        BuildError: it is longer than any compiler's.
+        TimeoutExpired: the process does not end in time.
+    """
+    found = b""
+    with selectors.DefaultSelector() as selector:
+        selector.register(process.stdout, selectors.EVENT_READ)  # type: ignore[arg-type]
+        while selector.select(left := max(0.0, deadline - time.monotonic())):
+            piece = os.read(process.stdout.fileno(), 2**16)  # type: ignore[union-attr]
+            if not piece:
+                process.wait(left)
+                return found
+            found += piece
+            if len(found) > MOST:
+                raise BuildError(f"{process.args[0]!r} printed more than {MOST} bytes")  # type: ignore[index]
+    raise subprocess.TimeoutExpired(process.args, 0.0)
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.cuda_source import marks, recomputing_source, source, staged
+from torchdq.backends.memory import dense
 from torchdq.program.program import Program
 
 # called with the numbers of blocks, of threads in each and of samples, the addresses of all arrays, and the device
@@ -41,7 +42,7 @@ class CudaKernel:
             else:
                 found.append(torch.empty((samples, width), dtype=self.dtype, device=device))
         again = [sums[k][1] if k in sums else y for k, y in enumerate(found)] if self.marks else []
-        self._run([x.contiguous() for x in inputs], found, again, samples, device)
+        self._run(dense(inputs), found, again, samples, device)
         return [
             (sums[k].sum((0, 1)) if k in sums else y.sum(0)) if summed else y
             for k, (y, (_, summed)) in enumerate(zip(found, self.widths, strict=True))

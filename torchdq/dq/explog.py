@@ -3,6 +3,10 @@
 Their coefficients are entire functions of squares. Near the singular points they are power series, elsewhere closed
 formulas; the switch lies far from the singular point, where both are accurate. Both are computed and a mask selects;
 the one that is not selected is computed at an argument where it is finite.
+
+Near a full turn the axis of a motion is in few digits of its dual quaternion, (-1, small): there the logarithm is that
+of a dual quaternion within rounding of the given one, and may differ by eps over the distance to the full turn.
+`log_shortest` never comes there.
 """
 
 from __future__ import annotations

@@ -32,6 +32,9 @@ Parameter = Any  # a number, a sequence of numbers, a tensor, or None: as descri
 Shapes = Mapping[str, tuple[int | str, ...]]  # trailing axes by name, "n" being the number of joints
 
 
+MOST_LATE = 500  # steps of a delay; a program with as many takes half a minute to compile
+
+
 class _Placeholder:
     """Placeholder of a tensor in the specification of a scene."""
 
@@ -71,16 +74,20 @@ class Parametric:
 
     def _checked(self, name: str, value: Any, robot: Robot) -> Any:
         what = f"{name} of {type(self).__name__}"
-        shape = tuple(robot.n if axis == "n" else int(axis) for axis in self.SHAPES[name])
+        axes = self.SHAPES[name]
+        shape = tuple(robot.n if axis == "n" else int(axis) for axis in axes)
         size = math.prod(shape)
         if value is None:
             raise ArgumentError(f"{what} must be given: the description of robot {robot.name!r} has none")
+        single = value.ndim == 0 if isinstance(value, Tensor) else isinstance(value, int | float) and value != 0
+        if single and axes and "n" not in axes:  # one number for all joints makes sense, one for all components none
+            raise ArgumentError(f"{what} must have {size} components, found the number {float(value):g}")
         if isinstance(value, Tensor):
             if not value.is_floating_point():
                 raise ArgumentError(f"{what} must be a floating-point tensor, found {value.dtype}")
             if value.ndim < len(shape):
                 value = value.expand(shape)
-            if shape and value.shape[-1] not in (1, size):
+            if shape and value.shape[-1] not in ((1, size) if "n" in axes else (size,)):
                 raise ArgumentError(f"{what} must have the shape [..., {size}], found {tuple(value.shape)}")
             if value.numel() and not without_values((value,)):
                 self._check_values(name, torch.stack(value.detach().aminmax()).tolist())
@@ -169,7 +176,7 @@ class Late(Effect):
     """Delay of a row of numbers by a whole number of steps.
 
     Args:
-        steps: at least 1.
+        steps: from 1 to 500.
     """
 
     PER_JOINT: ClassVar[int]  # numbers in a row for each joint
@@ -179,6 +186,11 @@ class Late(Effect):
         """Effect as it is; raises if the number of steps is not a positive integer."""
         if not isinstance(self.steps, int) or self.steps < 1:
             raise ArgumentError(f"steps of {type(self).__name__} must be a whole number from 1, found {self.steps!r}")
+        if self.steps > MOST_LATE:  # every step is a row of numbers in the program
+            raise ArgumentError(
+                f"steps of {type(self).__name__} must be at most {MOST_LATE}, found {self.steps}; a longer delay needs "
+                "longer time steps, or rows kept outside the scene"
+            )
         return self
 
     def memory(self, n: int) -> int:

@@ -10,13 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Self
+
+import torch
 
 from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, unbounded
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import absolute, at_least, maximum, minimum, sqrt
+from torchdq.program.transforms import without_values
+from torchdq.robot import Robot
 
 TOUCHING = 2.0**-126  # smallest normal number of float32: a limit acts from this force on [N m or N]
 
@@ -117,6 +121,14 @@ class Stribeck(JointEffect):
     velocity: Parameter = 0.1
     width: Parameter = 1e-2
 
+    def resolved(self, robot: Robot) -> Self:
+        """Copy for a robot; raises unless friction at rest is at least that of a moving joint."""
+        whole = super().resolved(robot)
+        wrong = crossed(whole.coulomb, whole.static, robot)
+        if wrong:
+            raise ArgumentError(f"static of Stribeck must be at least coulomb, found coulomb and static {wrong}")
+        return whole
+
     def idle(self) -> tuple[str, ...]:
         """Friction parameters, if both are zero."""
         both = super().idle() and isinstance(self.static, tuple) and not any(self.static)
@@ -199,6 +211,14 @@ class Limits(JointEffect):
     stiffness: Parameter = 1e4
     dissipation: Parameter = 1.0
 
+    def resolved(self, robot: Robot) -> Self:
+        """Copy for a robot; raises unless the limits are in order."""
+        whole = super().resolved(robot)
+        wrong = crossed(whole.lower, whole.upper, robot)
+        if wrong:
+            raise ArgumentError(f"lower of Limits must not be above upper, found {wrong}")
+        return whole
+
     def free_range(self) -> tuple[Parameter, Parameter]:
         """The limits."""
         return self.lower, self.upper
@@ -207,8 +227,6 @@ class Limits(JointEffect):
         """Impedances with f = k e, e the signed distance beyond a limit; K = k for e not 0, D = c |f| while e grows."""
         result = []
         for x, v, low, high, k, c in zip(q, qd, self.lower, self.upper, self.stiffness, self.dissipation, strict=True):
-            if isinstance(low, float) and isinstance(high, float) and low > high:
-                raise ArgumentError(f"lower of Limits must not be above upper, found {low:g} and {high:g}")
             above_low = x if unbounded(low) else maximum(x, low)
             nearest = above_low if unbounded(high) else minimum(above_low, high)
             force = k * (x - nearest)
@@ -219,6 +237,18 @@ class Limits(JointEffect):
             growing = at_least(force * v, 0.0)
             result.append(Impedance(c * (size * growing), force, k, at_least(size, TOUCHING)))
         return result
+
+
+def crossed(lower: Parameter, upper: Parameter, robot: Robot) -> str:
+    """Words for the first joint whose lower value is above the upper one; "" if there is none, or none can be read."""
+    low, high = (torch.as_tensor(x).detach().double() for x in (lower, upper))
+    if without_values((low,)) or without_values((high,)):
+        return ""
+    low, high = torch.broadcast_tensors(low, high)
+    if not bool((low > high).any()):
+        return ""
+    at = tuple((low > high).nonzero()[0].tolist())
+    return f"{float(low[at]):g} and {float(high[at]):g} at joint {robot.joint_names[at[-1]]!r}"
 
 
 def _over_speed(level: Number, v: Number, width: Number) -> Number:

@@ -6,12 +6,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
+import torch
+
 from torchdq.algebra import dual_quaternion, screw
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.inertia import merged, rotated, six, square
 from torchdq.algebra.quaternion import Number
 from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link
+from torchdq.errors import ArgumentError
+from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
+from torchdq.robot.arrays import matrices
+from torchdq.robot.consistency import bodies
 from torchdq.robot.posed import Overrides, constant_pose, field
 from torchdq.robot.robot import GRAVITY
 
@@ -93,6 +99,18 @@ class Payload(ModelEffect):
     def described(self, robot: Robot) -> Self:
         """Copy with the frame named."""
         return on_a_link(self, robot)
+
+    def resolved(self, robot: Robot) -> Self:
+        """Copy for a robot; raises unless a body of that mass and inertia can exist."""
+        whole = super().resolved(robot)
+        mass, inertia = (torch.as_tensor(x).detach().double() for x in (whole.mass, whole.inertia))
+        if mass.numel() and inertia.numel() and not (without_values((mass,)) or without_values((inertia,))):
+            faults = bodies(("payload",), mass.unsqueeze(-1), matrices(inertia).unsqueeze(-3))
+            if faults:
+                raise ArgumentError(
+                    f"Payload must be a body that can exist, inertia in the order xx xy yy xz yz zz: {faults[0]}"
+                )
+        return whole
 
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
         """Inertial parameters, those of one link merged with the payload."""

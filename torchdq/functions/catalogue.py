@@ -22,7 +22,7 @@ from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.paper.rnea import exerted_wrenches
 from torchdq.dynamics.posed import Posed
 from torchdq.dynamics.tracking import commanded
-from torchdq.errors import SingularInertiaError
+from torchdq.errors import ArgumentError, SingularInertiaError
 from torchdq.program import autodiff as derive
 from torchdq.program.program import GROWTH, Argument, Program, Value, record
 from torchdq.robot import consistency
@@ -283,6 +283,12 @@ class Function(_Call, Computation):
         for name, _, optional in RECIPES[self.name].arguments:
             if not optional:
                 require_tensor(name, tensors.get(name))
+        first = next(iter(tensors.values()))
+        if not first.is_meta and self.constants.without_values():
+            raise ArgumentError(
+                f"robot {self.constants.fields['name']!r} is on the device 'meta', where tensors have no values, and "
+                f"the arguments are on {first.device}; load the robot anew"
+            )
 
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
         """Trailing axes of the results."""

@@ -108,12 +108,12 @@ class Recorded:
     @classmethod
     def __torch_function__(cls, function: Callable[..., Any], *_: Any) -> NoReturn:
         name = getattr(function, "__name__", str(function))
-        raise NumberError(f"a recorded number is no tensor, found one in torch.{name}; {_FUNCTIONS}")
+        raise NumberError(f"a recorded number is no tensor, found one in torch.{name}; {FUNCTIONS}")
 
     def __array_ufunc__(self, function: Any, method: str, *x: Any, **_: Any) -> Recorded | float:
         arithmetic = _ARITHMETIC.get(function.__name__)
         if arithmetic is None:
-            raise NumberError(f"a recorded number is no array, found one in numpy.{function.__name__}; {_FUNCTIONS}")
+            raise NumberError(f"a recorded number is no array, found one in numpy.{function.__name__}; {FUNCTIONS}")
         a, b = (v if isinstance(v, Recorded) else _constant(v) for v in x)
         return arithmetic(a, b)  # a number of numpy on the left
 
@@ -152,7 +152,7 @@ _ARITHMETIC: dict[str, Callable[[Any, Any], Any]] = {
     "multiply": operator.mul,
     "divide": operator.truediv,
 }
-_FUNCTIONS = "use the functions of torchdq.numbers.functions: " + ", ".join(
+FUNCTIONS = "use the functions of torchdq.numbers.functions: " + ", ".join(
     ("sqrt", "sin", "cos", "exp", "log", "floor", "absolute", "maximum", "minimum", "clip")
 )
 _REFUSED = {
@@ -166,11 +166,11 @@ _REFUSED = {
     ),
     "be an index, a key, or a number of Python or numpy": (
         ("index", "hash", "int", "float", "complex", "array", "round", "trunc", "floor", "ceil"),
-        _FUNCTIONS,
+        FUNCTIONS,
     ),
     "be taken to a power, divided with remainder, or made positive by abs": (
         ("pow", "rpow", "mod", "rmod", "floordiv", "rfloordiv", "divmod", "rdivmod", "abs"),
-        "use x * x, floor(x / y) and absolute(x); " + _FUNCTIONS,
+        "use x * x, floor(x / y) and absolute(x); " + FUNCTIONS,
     ),
 }
 

@@ -50,12 +50,17 @@ def differentiable(execute: Execute, program: Program, inputs: Sequence[Tensor])
 def _gradients(ctx, needed: Sequence[bool], cotangents: Sequence[Tensor]) -> list:
     """Gradients of the inputs that need one, by the vector-Jacobian product of the program; None for the others."""
     derivative, rows = vjp(ctx.program, tuple([k for k, wanted in enumerate(needed) if wanted])), ctx.saved_tensors
-    if in_a_batch_of_gradients(cotangents):
-        found = ctx.execute.by_torch(derivative, [*rows, *cotangents])
-    else:
-        found = differentiable(ctx.execute, derivative, [*rows, *cotangents])
-    gradients = iter(found)
+    gradients = iter(_derived(ctx.execute, derivative, rows, cotangents))
     return [next(gradients) if wanted else None for wanted in needed]
+
+
+def _derived(
+    execute: Execute, derivative: Program, rows: Sequence[Tensor], directions: Sequence[Tensor]
+) -> Sequence[Tensor]:
+    """Results of a derivative, by torch's own operations where autograd maps over directions."""
+    if in_a_batch_of_gradients(directions):
+        return execute.by_torch(derivative, [*rows, *directions])
+    return differentiable(execute, derivative, [*rows, *directions])
 
 
 class _Differentiable(torch.autograd.Function):
@@ -93,7 +98,7 @@ class _Transformable(torch.autograd.Function):
     def jvp(ctx, _execute, _program, *tangents: Tensor | None) -> tuple[Tensor, ...]:
         wrt = tuple(k for k, t in enumerate(tangents) if t is not None)
         present = [t for t in tangents if t is not None]
-        return tuple(differentiable(ctx.execute, jvp(ctx.program, wrt), [*ctx.saved_tensors, *present]))
+        return tuple(_derived(ctx.execute, jvp(ctx.program, wrt), ctx.saved_tensors, present))
 
     @staticmethod
     def vmap(info, in_dims, execute: Execute, program: Program, *inputs: Tensor):

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import Any, NamedTuple
 
+from torchdq.errors import NumberError
 from torchdq.numbers.functions import maximum
 from torchdq.numbers.ops import OPS, apply
-from torchdq.numbers.record import Op, Recorded, Tape
+from torchdq.numbers.record import FUNCTIONS, Op, Recorded, Tape
 from torchdq.program.half_angles import halves
 
 Value = Any  # a recorded number or a constant
@@ -128,7 +129,12 @@ def record(
     Numbers named `GROWTH` are no result, but factors by which rounding errors are magnified on the way to the results.
     """
     tape = Tape()
-    found = dict(algorithm(*inputs(tape, arguments)))
+    try:
+        found = dict(algorithm(*inputs(tape, arguments)))
+    except TypeError as error:
+        if Recorded.__name__ not in str(error):
+            raise
+        raise NumberError(f"a recorded number is no number for this function: {error}; {FUNCTIONS}") from error
     factors = found.pop(GROWTH, ())
     return with_half_angles(finish(name, arguments, tape, found, summed, factors))
 

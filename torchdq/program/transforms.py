@@ -77,6 +77,11 @@ def jit_tracing() -> bool:
     return _jit_state() is not None
 
 
+def dispatching() -> bool:
+    """Whether a mode of torch sees the operators that tensors go through: make_fx, tensors without values, counters."""
+    return _modes() > 0
+
+
 def proxy_tracing() -> bool:
     """Whether make_fx records the operators that tensors go through."""
     return _modes() > 0 and _proxy_mode() is not None

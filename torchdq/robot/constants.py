@@ -58,6 +58,10 @@ class Constants:
         """Names of those among the fields whose numbers are no longer those of the constants."""
         return [name for name, value in fields.items() if _mapped(_numbers, Tensor, value) != self.fields[name]]
 
+    def without_values(self) -> bool:
+        """Whether the numbers are those of tensors without values."""
+        return any(math.isnan(x) for x in self.fields["damping"].values)
+
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Constants) and self.digest == other.digest
 

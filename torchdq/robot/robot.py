@@ -262,9 +262,9 @@ class Robot:
 
         A replaced physical tensor becomes an argument of the programs, so new values, batches and gradients need no new
         program; `bake` makes it a constant again. New values are checked as a file's are, with `on_unphysical` as in
-        `from_urdf`; batches, and tensors that require grad or are inside a transform, only by `check`. A tensor that
-        was written in place is refused at the next call; not so through `x.data[...]` or `x.numpy()[...]`, which torch
-        does not count: the programs go on with the numbers of before.
+        `from_urdf`; batches, and tensors that require grad or are inside a transform, only by `check`. Writing in place
+        into a replaced tensor changes the robot, into a constant it is refused at the next call; not so through
+        `x.data[...]` or `x.numpy()[...]`, which torch does not count: programs keep the numbers of before.
 
         Raises:
             UnknownNameError, ArgumentError, DtypeError: there is no such field, or a value does not fit the robot.
