@@ -258,3 +258,13 @@ def test_it_learns_what_the_model_has_no_word_for():
     q, qd, qdd = 0.9 * random(3, 500, 2, seed=11)
     error = (layer.residual(q, qd, qdd) - gears(q, qd)).square().mean()
     assert float(error) < 0.05 * float(gears(q, qd).square().mean())
+
+
+@pytest.mark.parametrize(
+    ("inputs", "network"),
+    [("joint", torch.nn.Linear(6, 2)), ("all", torch.nn.Linear(42, 1)), ("all", torch.nn.Linear(42, 6))],
+)
+def test_a_network_of_another_width_is_refused(inputs, network):
+    layer = ResidualDynamics(torchdq.DQRNEA(torchdq.robots.load("panda")), network, inputs)
+    with pytest.raises(torchdq.ArgumentError, match="network must return the shape"):
+        layer(*torch.ones(3, 5, 7))

@@ -198,7 +198,14 @@ class ResidualDynamics(nn.Module):
     def correction(self, features: Tensor) -> Tensor:
         """Torques [..., n] of the network for features [..., n, 6]."""
         x = self._scaled(features)
-        found = self.network(x).squeeze(-1) if self.inputs == "joint" else self.network(x)
+        found = self.network(x)
+        expected = (*features.shape[:-1], 1) if self.inputs == "joint" else features.shape[:-1]
+        if found.shape != expected:
+            raise ArgumentError(
+                f"network must return the shape {tuple(expected)} for inputs of the shape {tuple(x.shape)}, found "
+                f"{tuple(found.shape)}"
+            )
+        found = found.squeeze(-1) if self.inputs == "joint" else found
         return found.to(features.dtype) * self.torque_scale.to(features)
 
     def _scaled(self, features: Tensor) -> Tensor:
