@@ -1196,3 +1196,19 @@ def test_own_effects_that_are_wrong_are_named():
     for recorded in (scene.program, lambda: scene.step(scene.start(torch.zeros(2)))):
         with pytest.raises(NumberError, match=r"recorded number .*use the functions of torchdq"):
             recorded()
+
+
+@dataclass(frozen=True, eq=False)
+class Mutable(JointEffect):
+    """An effect with a field that can change."""
+
+    gains: object
+
+    def impedances(self, q, qd, inputs):
+        return [Impedance(force=1.0 * x) for x in q]
+
+
+@pytest.mark.parametrize("gains", [{"k": 1.0}, [1.0], {1.0}, np.ones(2), torch.ones(2)], ids=lambda x: type(x).__name__)
+def test_fields_of_effects_that_can_change_are_refused(gains):
+    with pytest.raises(torchdq.ArgumentError, match=r"gains of Mutable is a .*, which can change after it was recorded"):
+        Scene(torchdq.robots.load("two_link"), (Mutable(gains),))

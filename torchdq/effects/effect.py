@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from operator import attrgetter
 from typing import Any, ClassVar, Self
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -69,6 +70,13 @@ class Parametric:
 
     def resolved(self, robot: Robot) -> Self:
         """Copy for a robot: described and checked, every parameter a tuple of floats, a float, or a tensor."""
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if entry.name not in self.SHAPES and isinstance(value, dict | list | set | np.ndarray | Tensor):
+                raise ArgumentError(
+                    f"{entry.name} of {type(self).__name__} is a {type(value).__name__}, which can change after it was "
+                    "recorded; use a number or a tuple, or name a tensor in SHAPES"
+                )
         whole = self.described(robot)
         return replace(whole, **{name: self._checked(name, getattr(whole, name), robot) for name in self.SHAPES})
 
