@@ -373,7 +373,7 @@ def test_finished_rows_wait_to_be_reset():
     envs.step(torch.zeros(5, 2))
 
 
-@pytest.mark.parametrize("actions", [None, "x", np.array([None, object()]), {"a": 1}], ids=str)
+@pytest.mark.parametrize("actions", [None, "x", np.array([None, {}]), {"a": 1}], ids=lambda x: type(x).__name__)
 def test_actions_that_are_no_numbers_are_refused(actions):
     envs = make()
     envs.reset(seed=0)
