@@ -2624,4 +2624,41 @@ MUTANTS = (
             "cuda_host.py::test_a_step_of_environments_asks_the_device_nothing",
         ),
     ),
+    *within(
+        "torchdq/backends/memory.py",
+        (
+            "views read without their sign",
+            "if x.is_neg() or not x.is_contiguous()",
+            "if not x.is_contiguous()",
+            f"{BACKENDS}::test_views_with_a_sign_of_their_own_are_read_with_it",
+        ),
+    ),
+    *within(
+        "torchdq/call.py",
+        (
+            "memory of tensors without values read",
+            "torch.compiler.is_compiling() or dispatching()",
+            "torch.compiler.is_compiling()",
+            f"{BACKENDS}::test_tensors_without_values_give_tensors_without_values",
+            True,
+        ),
+    ),
+    *within(
+        "torchdq/effects/effect.py",
+        (
+            "one number for all components of a vector",
+            'if single and axes and "n" not in axes:',
+            "if False:",
+            f"{EFFECTS}::test_parameters_that_make_no_sense_are_refused",
+        ),
+    ),
+    *within(
+        "torchdq/learning/logs.py",
+        (
+            "positions that follow another joint believed",
+            "if abs(correlation) < UNLIKE:",
+            "if False:",
+            "logs.py::test_positions_that_follow_the_velocity_of_another_joint_are_refused",
+        ),
+    ),
 )
