@@ -2490,9 +2490,27 @@ MUTANTS = (
         ),
         (
             "torques in another unit undoubted",
-            "told = (alone - left > SHARE)",
-            "told = (alone - left > 2)",
+            "sure = (alone - left > SHARE)",
+            "sure = (alone - left > 2)",
             "plausibility.py::test_torques_in_another_unit_are_named",
+        ),
+        (
+            "torques in hundredths undoubted",
+            "FACTOR = 45.0",
+            "FACTOR = 450.0",
+            "plausibility.py::test_torques_in_hundredths_are_named_with_all_joints_that_share_the_factor",
+        ),
+        (
+            "torques without gravity undoubted",
+            "left * size < WEIGHTLESS * weight",
+            "left * size < 0 * weight",
+            "plausibility.py::test_torques_without_gravity_are_named",
+        ),
+        (
+            "dead torques undoubted",
+            "<= STILL * tau",
+            "< -STILL * tau",
+            "plausibility.py::test_a_torque_that_never_changes_is_named",
         ),
     ),
     *within(
