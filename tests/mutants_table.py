@@ -1755,6 +1755,12 @@ MUTANTS = (
     *within(
         "torchdq/robot/from_dh.py",
         (
+            "angles in degrees believed",
+            "if abs(angle) > TURN:",
+            "if abs(angle) > 1e6 * TURN:",
+            "robots.py::test_a_column_that_does_not_fit_is_named",
+        ),
+        (
             "a shift of the other sign",
             "-0.5 * shift * s",
             "0.5 * shift * s",
@@ -1919,6 +1925,12 @@ MUTANTS = (
     *within(
         "torchdq/robot/units.py",
         (
+            "robots of hundreds of metres believed",
+            "LONG = 50.0",
+            "LONG = 5e9",
+            "units.py::test_a_table_of_lengths_in_mm_is_named",
+        ),
+        (
             "centres of mass in mm believed",
             "far > max(FAR * length, SLENDER * radius)",
             "far > 1e9",
@@ -1996,6 +2008,12 @@ MUTANTS = (
     ),
     *within(
         "torchdq/learning/layouts.py",
+        (
+            "columns that are read for two signals",
+            "< max(3, len(self.blocks))",
+            "< min(2, len(self.blocks))",
+            "logs.py::test_names_of_columns_are_checked",
+        ),
         (
             "patterns that skip a joint's number",
             "str(int(x) + i)",
@@ -2490,9 +2508,27 @@ MUTANTS = (
         ),
         (
             "torques in another unit undoubted",
-            "told = (alone - left > SHARE)",
-            "told = (alone - left > 2)",
+            "sure = (alone - left > SHARE)",
+            "sure = (alone - left > 2)",
             "plausibility.py::test_torques_in_another_unit_are_named",
+        ),
+        (
+            "torques in hundredths undoubted",
+            "FACTOR = 45.0",
+            "FACTOR = 450.0",
+            "plausibility.py::test_torques_in_hundredths_are_named_with_all_joints_that_share_the_factor",
+        ),
+        (
+            "torques without gravity undoubted",
+            "left * size < WEIGHTLESS * weight",
+            "left * size < 0 * weight",
+            "plausibility.py::test_torques_without_gravity_are_named",
+        ),
+        (
+            "dead torques undoubted",
+            "<= STILL * tau",
+            "< -STILL * tau",
+            "plausibility.py::test_a_torque_that_never_changes_is_named",
         ),
     ),
     *within(

@@ -54,9 +54,9 @@ FLOORS = {
     "torchdq.residual": 10,
     "torchdq.learning": 11,
     "torchdq.paper": 11,
-    "torchdq.__main__": 12,
     "torchdq.envs": 12,
     "torchdq": 13,
+    "torchdq.__main__": 14,
 }
 
 # storeys of the one package that has several: the sources of a description, the robot, the shipped robots

@@ -5,10 +5,12 @@ package: their tests look in the folder that TORCHDQ_DATA names, or beside the c
 """
 
 import contextlib
+import dataclasses
 import gzip
 import io
 import os
 import pickle
+import re
 import sys
 import time
 import zipfile
@@ -287,9 +289,10 @@ DEGREES = 180 / np.pi
         (
             (3,),
             DEGREES,
-            r"row \d+, column 'q3': -?57\.\d+ rad, more than 25\.1; if these are degrees, multiply .* pi/180",
+            r"row \d+, column 'q3': -?57\.\d+ rad, more than 25\.1; are these degrees \(multiply by pi/180\), or "
+            r"millimetres of a joint that slides \(by 0\.001\)\? .* by farthest",
         ),
-        ((12,), DEGREES, r"row \d+, column 'qd5': -?25\d\S* rad/s, more than 50; if these are degrees, multiply"),
+        ((12,), DEGREES, r"row \d+, column 'qd5': -?25\d\S* rad/s, more than 50; are these degrees .* by fastest"),
         ((3,), 0.1 * DEGREES, r"column 'q3': q3 changes 5\.73 times as much as qd3 says; the two must agree in unit"),
         ((12,), -1.0, r"column 'q5': q5 changes -1 times as much as qd5 says; .* sign"),
         ((4, 5), (0.3 * DEGREES, 0.3), r"column 'q4': q4 changes 17\.2 times"),
@@ -333,7 +336,7 @@ def test_a_joint_that_turns_far_has_a_layout_that_allows_it(tmp_path):
     rows = table(n=1)
     rows[:, 1] += 100.0
     path = written(tmp_path / "wheel.csv", rows, names(1))
-    with pytest.raises(learning.LogError, match="pass a Layout that allows it"):
+    with pytest.raises(learning.LogError, match="pass a Layout that allows it, by farthest"):
         learning.read(path)
     assert learning.read(path, learning.Layout(farthest=np.inf)).q.max() > 100
 
@@ -505,7 +508,7 @@ def test_a_single_joint_needs_no_number_and_an_archives_arrays_have_names_too(tm
     found = learning.read(tmp_path / "log.npz", learning.Layout(columns=columns))
     np.testing.assert_array_equal(found.tau, known["tau"])
     np.savez(tmp_path / "log.npz", **{name: known[signal] for signal, name in columns.items() if signal != "q"})
-    with pytest.raises(learning.LogError, match="there is no array 'angle'"):
+    with pytest.raises(learning.LogError, match=r"there is no array 'angle'; .* found t, speed, torque$"):
         learning.read(tmp_path / "log.npz", learning.Layout(columns=columns))
 
 
@@ -522,12 +525,34 @@ def test_a_single_joint_needs_no_number_and_an_archives_arrays_have_names_too(tm
         ({"columns": {"q": ["a", "b"]}, "joints": 3}, r"columns\['q'\] has 2 names, expected 3, the number of joints"),
         ({"columns": {"q": "a{1}"}, "header": False, "joints": 2}, "columns needs a header"),
         ({"header": False}, "joints must be given for a file without a header"),
-        ({"blocks": ("q", "qd")}, "blocks must be three or more names, found"),
+        (
+            {"blocks": ("q", "tau")},
+            r"blocks must be three or more different names, .* positions, velocities and torques, "
+            r"found \('q', 'tau'\); .* add qd = numpy.gradient\(q, time, axis=0\); `smooth` filters it",
+        ),
+        ({"blocks": ("q", "q", "tau")}, "blocks must be three or more different names"),
+        ({"blocks": "qvt"}, "blocks must be three or more different names, .* found 'qvt'"),
     ],
 )
 def test_names_of_columns_are_checked(options, message):
     with pytest.raises(TorchdqError, match=message):
         learning.Layout(**options)
+
+
+def test_a_missing_column_says_how_many_others_there_are(tmp_path):
+    heads = ["stamp", *(f"{joint}_{what}" for what in ("pos", "vel", "eff") for joint in ("base", "elbow"))]
+    for more, end in ((0, "elbow_eff$"), (1, "extra0$"), (5, "extra0 and 4 more$")):
+        path = written(tmp_path / "log.csv", np.ones((3, 7 + more)), heads + [f"extra{i}" for i in range(more)])
+        with pytest.raises(learning.LogError, match=f"found stamp, base_pos, .*{end}"):
+            learning.read(path)
+
+
+def test_every_field_of_a_layout_is_explained():
+    text = learning.Layout.__doc__ or ""
+    entries = text[text.index("Args:") : text.index(">>>")]
+    for field in dataclasses.fields(learning.Layout):
+        assert re.search(rf"^ +(\w+, )?{field.name}(, \w+)?: ", entries, re.MULTILINE), field.name
+    assert entries.count("[rad") == 5 and "[Hz]" in entries and "a list of names in the robot's order" in entries
 
 
 def test_a_layout_must_be_one(log):

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import torchdq
-from torchdq.learning import LogWarning, Samples, fit, identify
+from torchdq.learning import LogWarning, Samples, fit, identify, plausibility
 
 ROBOTS = ("two_link", "panda", "ur10e", "puma560")
 
@@ -43,6 +43,15 @@ def told(robot, data, **options):
     return [str(w.message) for w in found if w.category is LogWarning]
 
 
+def doubted(robot, data):
+    """Doubts about samples, without the least squares that follow."""
+
+    def torques(q, qd, qdd):
+        return torchdq.inverse_dynamics(robot, q, qd, qdd)
+
+    return plausibility.doubts(torques, robot.joint_names, plausibility.sampled(data), 1e-2)
+
+
 def exchanged(x, i, j):
     order = list(range(x.shape[1]))
     order[i], order[j] = order[j], order[i]
@@ -71,6 +80,47 @@ def test_torques_in_another_unit_are_named(name, factor):
     with pytest.warns(LogWarning, match=expected) as found, contextlib.suppress(RuntimeError):
         identify(robot, *data._replace(tau=factor * data.tau))
     assert any(f"{joint} (" in str(found[0].message) for joint in robot.joint_names)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_torques_in_hundredths_are_named_with_all_joints_that_share_the_factor(name):
+    robot, data = recorded(name, seed=1)
+    for factor in (1e-2, 1e2):
+        found = doubted(robot, data._replace(tau=factor * data.tau))
+        assert "is the unit right" in found
+        # joints whose torque is friction alone tell no factor
+        assert all(f"{joint} (" in found for joint in robot.joint_names[1 if name == "puma560" else 0 : 3])
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_torques_without_gravity_are_named(name, seed):
+    robot, data = recorded(name, seed)
+    gravity = torchdq.inverse_dynamics(robot, data.q)
+    expected = "the torques seem to be without gravity; add torchdq.inverse_dynamics(robot, q) to them"
+    assert doubted(robot, data._replace(tau=data.tau - gravity)) == expected
+    assert doubted(robot, data) == ""
+    for factor in (-1, 1e-3, 1e3):
+        assert "without gravity" not in doubted(robot, data._replace(tau=factor * data.tau))
+
+
+@pytest.mark.parametrize("value", [0.0, -3.7])
+def test_a_torque_that_never_changes_is_named(value):
+    robot, data = recorded("panda", seed=1)
+    tau = data.tau.clone()
+    tau[:, 3] = value
+    wrong = data._replace(tau=tau)
+    expected = f"never change although the joints move: panda_joint4 ({value:.3g} in all rows, described as varying by"
+    (found,) = told(robot, wrong)
+    assert expected in found and "is the sensor connected" in found
+    assert not any(other in found for other in robot.joint_names if other != "panda_joint4")
+    with pytest.warns(LogWarning, match="never change although the joints move: panda_joint4"):
+        fit(torchdq.DQRNEA(robot, learn=("mass",)), Samples(*(x.float() for x in wrong)), steps=1)
+    held = Samples(*(x.clone() for x in wrong))  # a joint that is held, and one that has nothing to carry
+    held.qd[:, 3] = held.qdd[:, 3] = 0
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".*never move faster")
+        assert not any("never change" in found for found in told(robot, held))
 
 
 @pytest.mark.parametrize("name", ROBOTS)

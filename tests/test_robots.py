@@ -396,6 +396,8 @@ def test_quarter_and_half_turns_of_a_table_are_not_blurred():
         ({"convention": "craig"}, "convention must be 'standard' or 'modified', found 'craig'"),
         ({"tip_pose": [0.0] * 8}, "tip_pose must be dual quaternions with a rotation"),
         ({"joint_names": ["a"]}, "joint_names must be 5 different names"),
+        ({"alpha": [0, 90, 0, 0, 0]}, "alpha must be in radians, found 90 in row 2, more than a whole turn; multiply"),
+        ({"theta": [0, 0, 0, 0, -45.0]}, "theta must be in radians, found -45 in row 5, .* degrees by pi/180"),
     ],
 )
 def test_a_column_that_does_not_fit_is_named(broken, named):

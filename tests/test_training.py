@@ -213,6 +213,13 @@ def spoilt(value: float) -> Samples:
         ({"steps": 3, "train": spoilt(math.nan)}, r"train\.qd must be finite, found nan in row 7, joint 2; leave"),
         ({"steps": 3, "valid": spoilt(math.inf)}, r"valid\.qd must be finite, found inf in row 7, joint 2; leave"),
         ({"steps": 3, "train": data()[:3]}, r"train must be Samples\(q, qd, qdd, tau\), found 3 entries"),
+        (
+            {"steps": 3, "train": Samples(*(x.numpy() for x in data()))},
+            r"train\.q must be a tensor, found ndarray; use torch\.as_tensor",
+        ),
+        ({"steps": 3, "valid": data()._replace(tau=data().tau.tolist())}, r"valid\.tau must be a tensor, found list"),
+        ({"steps": 3, "train": None}, r"train must be Samples\(q, qd, qdd, tau\), found NoneType"),
+        ({"steps": 3, "valid": data()._asdict()}, r"valid must be Samples\(q, qd, qdd, tau\), found dict"),
         ({"steps": 3, "train": data()._replace(qd=torch.zeros(200, 3))}, r"train\.qd must be .*\[200, 2\] as train\.q"),
         ({"steps": 3, "train": data(0)}, r"train\.q must be real numbers \[N, n\] with N > 0, found .*\[0, 2\]"),
         ({"steps": 3, "valid": Samples(*(x[:, :1] for x in data()))}, "valid must have the 2 joints of train, found 1"),

@@ -1,5 +1,6 @@
 """Doubts about units: a body in mm or kg mm^2 on a robot in m is named, and no robot that exists is doubted."""
 
+import math
 import warnings
 
 import oracles
@@ -52,6 +53,23 @@ def test_a_body_in_other_units_is_named_when_loaded_and_when_checked(scaled, fou
     assert note in str(robot.report())
 
 
+def test_a_table_of_lengths_in_mm_is_named():
+    robot = torchdq.robots.load("two_link")
+    bodies = {"mass": robot.mass, "com": robot.com, "inertia": robot.inertia}
+    torchdq.Robot.from_dh([0.3, 0.3], [0.0, 0.0], [0.2, 0.0], [0.0, 2 * math.pi], **bodies)
+    expected = r"lengths must be in m, found 360\.6 m from one joint to the next, and frames up to .* are they in mm\?"
+    with pytest.warns(UserWarning, match=expected):
+        torchdq.Robot.from_dh([300, 300], [0.0, 0.0], [200, 0.0], [0.0, 0.0], **bodies)
+
+
+def test_a_long_chain_of_short_links_is_not_doubted():
+    n = 400
+    bodies = {"mass": [1.0] * n, "com": [[0.1, 0.0, 0.0]] * n, "inertia": [[0.01, 0.0, 0.01, 0.0, 0.0, 0.01]] * n}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        torchdq.Robot.from_dh([0.3] * n, [0.0] * n, [0.0] * n, [0.0] * n, **bodies)
+
+
 def test_what_is_unphysical_by_consent_is_only_noted():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -83,7 +101,7 @@ def test_every_file_in_mm_of_an_arm_of_one_link_is_doubted():
 def silent(robot):
     """Whether a robot stays undoubted with limits that are lower by a clear factor."""
     with pytest.MonkeyPatch.context() as patch:
-        for limit in ("FAR", "LARGE", "SLENDER"):
+        for limit in ("LONG", "STEP", "FAR", "LARGE", "SLENDER"):
             patch.setattr(units, limit, getattr(units, limit) / CLEAR)
         return units.doubts(robot, quiet=True) == []
 

@@ -3,17 +3,26 @@
 import argparse
 import sys
 
+from torchdq import __version__
 from torchdq.paper import cost, ladder
+
+COMMANDS = {"cost": "the paper's Tables 2, 3 and 4, counted, and the steps from Algorithm 1 to the program that runs"}
 
 
 def main() -> None:
-    """Print the report that the arguments name."""
-    parser = argparse.ArgumentParser(prog="python -m torchdq")
-    explanation = (
-        "cost: the paper's Tables 2, 3 and 4, counted, and the steps from Algorithm 1 to the program that runs"
+    """Run the command that the arguments name."""
+    listed = "\n".join(f"  {name:8} {what}" for name, what in COMMANDS.items())
+    parser = argparse.ArgumentParser(
+        prog="python -m torchdq",
+        epilog=f"commands:\n{listed}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("report", choices=["cost"], help=explanation)
-    parser.parse_args()
+    parser.add_argument("--version", action="version", version=f"torchdq {__version__}")
+    parser.add_argument("command", metavar="COMMAND", nargs="?", help="one of the commands below")
+    command = parser.parse_args().command
+    if command not in COMMANDS:
+        found = "none" if command is None else repr(command)
+        parser.error(f"COMMAND must be one of the following, found {found}:\n{listed}")
     sys.stdout.write(f"{cost.report()}\n\n## From Algorithm 1 to the program that runs\n\n")
     sys.stdout.flush()
     sys.stderr.write("compiling and timing the steps ...\n")

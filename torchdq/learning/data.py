@@ -1,11 +1,13 @@
 """Training data: joint positions, velocities, accelerations and torques, validated."""
 
 import hashlib
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchdq.checks import require_tensor
 from torchdq.errors import ArgumentError
 from torchdq.tables import summary
 
@@ -37,9 +39,13 @@ class Samples(NamedTuple):
 
 def validated(name: str, samples: Samples) -> Samples:
     """Samples, detached, after checking that they are finite real numbers of one shape and dtype."""
+    if not isinstance(samples, Sequence | Tensor) or isinstance(samples, str):
+        raise ArgumentError(f"{name} must be Samples(q, qd, qdd, tau), found {type(samples).__name__}")
     if len(samples) != len(Samples._fields):
         raise ArgumentError(f"{name} must be Samples(q, qd, qdd, tau), found {len(samples)} entries")
     samples = Samples(*samples)
+    for field, x in samples._asdict().items():
+        require_tensor(f"{name}.{field}", x)
     shape, dtype = samples.q.shape, samples.q.dtype
     if len(shape) != 2 or not shape[0] or not dtype.is_floating_point:
         raise ArgumentError(f"{name}.q must be real numbers [N, n] with N > 0, found {dtype} {list(shape)}")

@@ -10,6 +10,7 @@ from torchdq.checks import names_of
 from torchdq.errors import ArgumentError, TorchdqError
 
 SIGNALS = ("time", "q", "qd", "tau", "qdd")
+SHOWN = 8  # most names of columns that a message holds
 NUMBER = re.compile(r"\{(\d+)\}")  # place of a joint's number in a pattern, and the number of the first joint
 SEPARATORS = {";": "semicolons", "\t": "tabs", " ": "spaces", "|": "bars"}  # where commas are needed
 
@@ -26,27 +27,42 @@ class MissingLogError(LogError, FileNotFoundError):
 class Layout:
     """Columns and units of a log, and the filters its signals need.
 
+    Args:
+        joints: number of joints; 0: as many as the header names.
+        blocks: names of the columns without the number of the joint, which counts from 1: ("q", "qd", "tau") are q1,
+            q2 ..., qd1 ..., tau1 ... . The first three hold positions [rad or m], velocities [rad/s or m/s] and efforts
+            and are read; more are named only where there is no header.
+        header: whether the first line holds the names; if not, the columns are time and all `blocks`, in order.
+        gain: torque per unit of effort, one number per joint [N m or N per unit], e.g. of motor currents [N m/A];
+            empty: the effort is the torque.
+        cutoff_qd, cutoff_tau: frequencies of the low-pass filters of velocities and torques [Hz], for `smooth`.
+        farthest: position beyond which a column is refused as one in degrees or millimetres [rad or m].
+        fastest: speed beyond which it is refused [rad/s or m/s].
+        columns: names that `blocks` does not fit, of "time", "q", "qd", "tau" (the effort) and "qdd" [rad/s^2 or
+            m/s^2]: a pattern, in which {0} is the number of the joint if the first joint has 0, {1} if it has 1, {7}
+            if it has 7; or, where columns carry the names of joints, a list of names in the robot's order of joints.
+            In NPZ archives these are names of arrays.
+
     >>> ros = Layout(columns={"time": "stamp", "q": "position_{0}", "qd": "velocity_{0}", "tau": ["base", "elbow"]})
     >>> ros.names("q", 2), ros.names("tau", 2)
     (['position_0', 'position_1'], ['base', 'elbow'])
     """
 
-    joints: int = 0  # number of joints; 0: as many as the header names
-    # names of the columns but for the number of the joint; the first three hold q, qd and the effort, and are read
+    joints: int = 0
     blocks: tuple[str, ...] = ("q", "qd", "tau")
-    header: bool = True  # whether the first line holds the names; else the columns are time and `blocks`, in order
-    gain: tuple[float, ...] = ()  # torque per unit of effort [N m], per joint; empty: the effort is the torque
-    cutoff_qd: float = 8.0  # low-pass frequency of the velocities [Hz]
-    cutoff_tau: float = 8.0  # low-pass frequency of the torques [Hz]
-    farthest: float = 8 * math.pi  # position beyond which numbers are taken for degrees [rad]
-    fastest: float = 50.0  # speed beyond which numbers are taken for degrees [rad/s]
-    # names of the columns of time, q, qd, tau (the effort) and qdd that `blocks` does not fit: a list of names, or a
-    # pattern with the number of the joint, {0} if the first joint has 0, {1} if it has 1; in archives names of arrays
+    header: bool = True
+    gain: tuple[float, ...] = ()
+    cutoff_qd: float = 8.0  # [Hz]
+    cutoff_tau: float = 8.0  # [Hz]
+    farthest: float = 8 * math.pi  # [rad]
+    fastest: float = 50.0  # [rad/s]
     columns: Mapping[str, str | Sequence[str]] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
-        if len(self.blocks) < 3:
-            raise ArgumentError(f"blocks must be three or more names, found {self.blocks}")
+        if isinstance(self.blocks, str) or len({*self.blocks}) < max(3, len(self.blocks)):
+            expected = "three or more different names, the first of positions, velocities and torques"
+            cure = "where velocities were not recorded, add qd = numpy.gradient(q, time, axis=0); `smooth` filters it"
+            raise ArgumentError(f"blocks must be {expected}, found {self.blocks!r}; {cure}")
         if not isinstance(self.columns, Mapping):
             expected = "a mapping such as {'q': 'position_{0}'}"
             raise ArgumentError(f"columns must be {expected}, found {self.columns!r}")
@@ -149,7 +165,13 @@ def _cure(name: str, heads: list[str]) -> str:
         if head.lower() == name.lower() and head != name:
             return f"there is {head!r}; capitals count"
     example = "{'q': 'position_{0}'}"
-    return f"other names are given by Layout(columns=...), e.g. {example}; found {', '.join(heads[:8])}"
+    return f"other names are given by Layout(columns=...), e.g. {example}; found {listed(heads)}"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names for a message, and how many it leaves out."""
+    more = f" and {len(names) - SHOWN} more" if len(names) > SHOWN else ""
+    return ", ".join(names[:SHOWN]) + more
 
 
 def is_number(cell: str) -> bool:

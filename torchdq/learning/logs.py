@@ -24,7 +24,7 @@ import numpy as np
 from torchdq import sources
 from torchdq.errors import ArgumentError
 from torchdq.learning.data import UNITS
-from torchdq.learning.layouts import SIGNALS, Layout, LogError, MissingLogError, find_columns, is_number
+from torchdq.learning.layouts import SIGNALS, Layout, LogError, MissingLogError, find_columns, is_number, listed
 from torchdq.tables import summary
 
 MOST_BYTES = 1_000_000_000  # largest file that is read
@@ -184,11 +184,13 @@ def _archive(path: Path, content: bytes, layout: Layout, rows: tuple[int, int] |
     except Exception as fault:  # numpy and zipfile raise errors of many kinds on damaged bytes
         raise LogError(f"{path} is damaged or not an archive of numbers ({fault})") from fault
     if inside and not any(name.endswith(".npy") for name in inside):
-        raise LogError(f"{path} is a zip archive of {', '.join(inside[:3])}; unpack it")
+        raise LogError(f"{path} is a zip archive of {listed(inside)}; unpack it")
     for signal in SIGNALS[:4]:
         if signal not in found:
             needed = "time [rows], q, qd and tau [rows, n]"
-            raise LogError(f"{path}: there is no array {called[signal]!r}; needed are {needed}")
+            arrays = listed([name.removesuffix(".npy") for name in inside])
+            cure = f"other names are given by Layout(columns=...), e.g. {{'q': 'positions'}}; found {arrays}"
+            raise LogError(f"{path}: there is no array {called[signal]!r}; needed are {needed}; {cure}")
     shape = found["q"].shape
     for signal, x in found.items():
         if x.shape != (shape[:1] if signal == "time" else shape) or len(shape) != 2 or x.dtype.kind not in "fiu":
@@ -288,9 +290,10 @@ def _require_radians(table: _Table) -> None:
     for k, limit, unit in ((0, layout.farthest, "rad"), (1, layout.fastest, "rad/s")):
         row, joint = divmod(int(abs(blocks[k]).argmax()), n)
         if abs(blocks[k][row, joint]) > limit:
-            cure = "multiply the column by pi/180, and if the joint does go there, pass a Layout that allows it"
+            others = "are these degrees (multiply by pi/180), or millimetres of a joint that slides (by 0.001)?"
+            cure = f"if the joint does go there, pass a Layout that allows it, by {('farthest', 'fastest')[k]}"
             found = f"{blocks[k][row, joint]:.6g} {unit}, more than {limit:.3g}"
-            _refuse(table, row, 1 + k * n + joint, f"{found}; if these are degrees, {cure}")
+            _refuse(table, row, 1 + k * n + joint, f"{found}; {others} {cure}")
     for k, rate in ((0, 1), (1, 3)):
         for joint in range(n) if rate < len(blocks) else ():
             ratio, correlation = _followed(time, blocks[k][:, joint], blocks[rate][:, joint])

@@ -3,7 +3,8 @@
 A description that is off by tens of percent still explains most of a joint's torque, once friction, rotor inertia and
 an offset are allowed for. Where it does not, the measurements are tried with what goes wrong in logs undone: a sign,
 two joints exchanged, all joints reversed or sorted by name, in some of the signals. What explains them far better is
-named.
+named. Three mistakes are looked for before that: a torque that never changes, another unit, and torques from which the
+drives have taken gravity away.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -16,12 +17,16 @@ from torch import Tensor
 from torchdq.nn import smooth_sign
 
 ROWS = 400  # rows that are looked at
-FACTOR = 100.0  # ratio of measured to described torques beyond which the unit is doubted; a payload makes one of 30
+FACTOR = 45.0  # ratio of measured to described torques beyond which the unit is doubted; a payload makes one of 31
+SHARED = 15.0  # the same ratio, of a joint that is named beside one whose unit is doubted
+LOADED = 0.1  # least variance of a joint's gravity, relative to that of its torque, for gravity to be missed
+WEIGHTLESS = 0.15  # most variance that is left, relative to that of gravity, where torques are without gravity
 LIKE = 10.0  # the same ratio, for other readings: torques that compensate friction alone are not of the opposite sign
 DOUBTFUL = 0.08  # part of a joint's torque that is left unexplained, from which other readings are tried
 GAIN = 0.15  # least sum of these parts that another reading must explain
 BETTER = 3.0  # times less that it must leave unexplained
 SHARE = 0.2  # least part of a joint's torque that only the description explains, for its factor to be trusted
+STILL = 1e-6  # change of a torque, relative to its size, that is none
 FEW = 100  # rows below which nothing is doubted: five coefficients a joint fit a few rows whatever they are
 MOVING = 0.1  # least part of the rows in which a joint must move to be judged by a fit
 FAINT = 1e-4  # variance of a torque, relative to the largest, below which it may be noise alone
@@ -76,9 +81,10 @@ def doubts(torques: Torques, names: Sequence[str], rows: Sequence[Tensor], width
         return ""
     left, alone, factor = _compared(torques, rows, width)
     found = _scaled(names, left, alone, factor)
-    if bool((left > DOUBTFUL).any()):
+    weightless = [] if found else _weightless(torques, rows, width)
+    if not weightless and bool((left > DOUBTFUL).any()):
         found += _misread(torques, names, rows, width, left)
-    return "; ".join(found)
+    return "; ".join([*_dead(torques, names, rows, width), *found, *weightless])
 
 
 def unexplained(names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, width: float) -> str:
@@ -88,8 +94,7 @@ def unexplained(names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, wi
         return ""
     size = tau.var(0)
     part = (tau - fitted).var(0) / size.clamp_min(1e-12 * float(size.max()) + 1e-30)
-    moves = (qd.abs() > width).double().mean(0) > MOVING
-    told = moves & (size > FAINT * size.max()) & (part > POOR)
+    told = _moves(qd, width) & (size > FAINT * size.max()) & (part > POOR)
     poor = [
         f"{name} ({max(0.0, 1 - p):.0%})"
         for name, p, bad in zip(names, part.tolist(), told.tolist(), strict=True)
@@ -99,6 +104,49 @@ def unexplained(names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, wi
         return ""
     cure = "are units, signs and the order of the joints those of the robot, and are torques measured at the joints?"
     return f"the fit explains only these parts of the torques' variance: {', '.join(poor)}; {cure}"
+
+
+def _moves(qd: Tensor, width: float) -> Tensor:
+    """Joints that move in enough of the rows [n]."""
+    return (qd.abs() > width).double().mean(0) > MOVING
+
+
+def _dead(torques: Torques, names: Sequence[str], rows: Sequence[Tensor], width: float) -> list[str]:
+    """Words for joints that move, whose measured torque never changes although the described one does."""
+    q, qd, qdd, tau = rows
+    varies = torques(q, qd, qdd).std(0)
+    still = tau.amax(0) - tau.amin(0) <= STILL * tau.abs().amax(0)
+    told = still & _moves(qd, width) & (varies.square() > FAINT * varies.square().max())
+    joints = zip(names, tau[0].tolist(), varies.tolist(), told.tolist(), strict=True)
+    off = [f"{name} ({x:.3g} in all rows, described as varying by {v:.2g})" for name, x, v, dead in joints if dead]
+    if not off:
+        return []
+    cure = "is the sensor connected, and is it the right column? leave the log out, or measure again"
+    return [f"measured torques never change although the joints move: {', '.join(off)}; {cure}"]
+
+
+def _weightless(torques: Torques, rows: Sequence[Tensor], width: float) -> list[str]:
+    """Words for torques that are explained without the gravity of the description.
+
+    A joint tells it when motion, rotor inertia and friction explain its torque so well that gravity, of which they
+    explain little, cannot be in it. Most joints that gravity loads must tell it.
+    """
+    q, qd, qdd, tau = rows
+    still = torch.zeros_like(q)
+    gravity = torques(q, still, still)
+
+    def motion(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
+        return torques(q, qd, qdd) - torques(q, still, still)
+
+    left, _, factor = _compared(motion, rows, width)
+    apart, _, _ = _compared(motion, (q, qd, qdd, gravity), width)
+    size, weight = tau.var(0).cpu(), apart * gravity.var(0).cpu()
+    loaded = weight > LOADED * size
+    told = loaded & (left * size < WEIGHTLESS * weight) & (factor > 1 / LIKE) & (factor < LIKE)
+    if not 2 * int(told.sum()) > int(loaded.sum()):
+        return []
+    cure = "add torchdq.inverse_dynamics(robot, q) to them"
+    return [f"the torques seem to be without gravity; {cure}"]
 
 
 def _compared(torques: Torques, rows: Sequence[Tensor], width: float) -> tuple[Tensor, Tensor, Tensor]:
@@ -137,9 +185,14 @@ def _compared(torques: Torques, rows: Sequence[Tensor], width: float) -> tuple[T
 
 def _scaled(names: Sequence[str], left: Tensor, alone: Tensor, factor: Tensor) -> list[str]:
     """Words for joints whose torques are in another unit than those of the description."""
-    told = (alone - left > SHARE) & (left < POOR)
-    rows = zip(names, factor.tolist(), told.tolist(), strict=True)
-    off = [f"{name} ({x:.2g})" for name, x, sure in rows if sure and not 1 / FACTOR < x < FACTOR]
+    sure = (alone - left > SHARE) & (left < POOR)
+    small, large = factor * FACTOR <= 1, factor >= FACTOR
+    told = torch.zeros_like(sure)
+    if bool((sure & small).any()):
+        told |= (factor > 0) & (factor * SHARED <= 1)
+    if bool((sure & large).any()):
+        told |= factor >= SHARED
+    off = [f"{name} ({x:.2g})" for name, x, one in zip(names, factor.tolist(), told.tolist(), strict=True) if one]
     if not off:
         return []
     cure = "give tau in N m (N for a joint that slides), measured at the joints"

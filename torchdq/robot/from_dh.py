@@ -14,6 +14,8 @@ from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, distinct, double, numbers, poses, table, words
 from torchdq.robot.description import RobotDescription, assemble
 
+TURN = 2 * math.pi + 1e-5  # largest angle of a table; degrees are larger
+
 
 def _about(axis: int, angle: float, shift: float) -> Tensor:
     """Pose of a rotation about, and a translation along, one axis of a frame."""
@@ -50,6 +52,11 @@ def read(
     if n == 0:
         raise DescriptionError("a must hold a number for each of at least one joint")
     rows = [table(what, x, n).tolist() for what, x in (("a", a), ("alpha", alpha), ("d", d), ("theta", theta))]
+    for what, angles in (("alpha", rows[1]), ("theta", rows[3])):
+        for i, angle in enumerate(angles):
+            if abs(angle) > TURN:
+                found = f"found {angle:g} in row {i + 1}, more than a whole turn"
+                raise DescriptionError(f"{what} must be in radians, {found}; multiply degrees by pi/180")
     types = ("revolute",) * n if kinds is None else words("kinds", kinds, n, "times 'revolute' or 'prismatic'")
     if not set(types) <= {"revolute", "prismatic"}:
         raise DescriptionError(f"kinds must be {n} times 'revolute' or 'prismatic', found {types}")

@@ -1,4 +1,4 @@
-"""Doubts about the units of a robot: bodies that lie, or reach, far beyond everything else about it.
+"""Doubts about the units of a robot: bodies that lie, or reach, far beyond everything else about it, and its length.
 
 A centre of mass in mm lies a thousand times too far from its frame, and an inertia in kg mm^2 is that of a body a
 thousand times too large. Such a robot can exist, so these are doubts and not faults. Masses and inertias that are all
@@ -21,13 +21,15 @@ if TYPE_CHECKING:
 
 # None of the 70 robots of example-robot-data and of this package has a centre of mass farther than 0.8 lengths of the
 # robot, or a body larger than 1.6: factors of ten and more below what is doubted.
+LONG = 50.0  # length of a robot that is doubted [m], where one of its steps is as long as
+STEP = 5.0  # this [m]: chains of hundreds of short links exist
 FAR = 10.0  # distance of a centre of mass from its frame that is doubted, in lengths of the robot
 LARGE = 16.0  # radius of gyration that is doubted, likewise
 SLENDER = 200.0  # distance of a centre of mass that is believed, in radii of gyration: a bob on a long string
 
 
 def doubts(robot: Robot, quiet: bool = False, stacklevel: int = 4) -> list[str]:
-    """Links whose numbers seem to be in other units than m, kg and kg m^2, and why; warns of them unless `quiet`.
+    """Links and lengths whose numbers seem to be in other units than m, kg and kg m^2, and why; warns unless `quiet`.
 
     `stacklevel` is as in `warnings.warn`. Numbers that cannot be read, inside a transform, are not doubted.
     """
@@ -41,6 +43,10 @@ def doubts(robot: Robot, quiet: bool = False, stacklevel: int = 4) -> list[str]:
 
 def _doubts(robot: Robot) -> Iterator[str]:
     length = _length(robot)
+    step = max(_steps(robot), default=0.0)
+    if length > LONG and step > STEP:
+        found = f"found {step:.4g} m from one joint to the next, and frames up to {length:.4g} m from the base"
+        yield f"lengths must be in m, {found}; are they in mm?"
     among = f"although its joints and frames reach at most {length:.3g} m from the base"
     mass = robot.mass.detach().double()
     spread = robot.inertia.detach().double()[..., (0, 2, 5)].sum(-1) / 2
@@ -58,7 +64,7 @@ def _doubts(robot: Robot) -> Iterator[str]:
 
 def _length(robot: Robot) -> float:
     """Longest way [m] from the base along the joints to a frame, with sliding joints at their ends."""
-    steps = _largest(2 * robot.X_PB_home[..., 4:].norm(dim=-1))  # |translation| is twice the norm of the dual part
+    steps = _steps(robot)
     axes = _largest(robot.screw[..., 3:].norm(dim=-1))
     ends = _largest(torch.stack([x.abs().where(x.isfinite(), 0.0) for x in (robot.limits.lower, robot.limits.upper)]))
     ways = [0.0] * (robot.n + 1)  # the last is that of the base, whose index is -1
@@ -66,6 +72,11 @@ def _length(robot: Robot) -> float:
         # a frame beside its axis is carried around it
         ways[i] = ways[parent] + steps[i] + (2 * axes[i] if joint.turns else 0.0) + (ends[i] if joint.slides else 0.0)
     return max(ways + [ways[frame.link] + 2 * float(frame.X_BF[4:].norm()) for frame in robot.frames])
+
+
+def _steps(robot: Robot) -> list[float]:
+    """Distances [m] of the links' frames from those of their parents, at home, [n]."""
+    return _largest(2 * robot.X_PB_home[..., 4:].norm(dim=-1))  # |translation| is twice the norm of the dual part
 
 
 def _largest(x: Tensor) -> list[float]:
