@@ -34,7 +34,7 @@ from torch.distributions import Distribution
 from torchdq.dynamics.posed import Row
 from torchdq.effects import Gravity, MassScale, Payload, RotorInertia, Viscous
 from torchdq.effects.actuator import Actuator
-from torchdq.effects.effect import Effect, Parameter, Shapes
+from torchdq.effects.effect import MOST_LATE, Effect, Parameter, Shapes
 from torchdq.envs.rng import SMALLEST
 from torchdq.envs.scene import Scene
 from torchdq.envs.some_rows import SomeRows
@@ -198,7 +198,8 @@ def _targets(scene: Scene, name: str) -> list[tuple[int, tuple[str, ...]]]:
         missing = f"the effect {kind.__name__}, found none; add {kind.__name__}()"
     if not found:
         raise ArgumentError(f"randomise[{name!r}] needs {missing}")
-    return found[-1:] if name in ("mass", "payload") else found  # the last is the one that was added
+    # the one that was added
+    return found[:1] if name == "mass" else found[-1:] if name == "payload" else found
 
 
 # --- values ----------------------------------------------------------------------------------------------------------
@@ -233,6 +234,8 @@ def _span(name: str, x: Any, like: Tensor) -> Span:
     if not (ADDED[name] <= span.lower if added else span.lower > 0) or not span.upper < math.inf:
         expected = f"values from {ADDED[name]:g}" if added else "factors above 0"
         raise ArgumentError(f"{what} must draw finite {expected}, found some from {span.lower:.4g} to {span.upper:.4g}")
+    if name == "delay" and span.upper > MOST_LATE:
+        raise ArgumentError(f"{what} must draw at most {MOST_LATE} time steps, found up to {span.upper:g}")
     return span
 
 
@@ -254,8 +257,8 @@ def _with_effects(scene: Scene, spans: Mapping[str, Span]) -> Scene:
     found = [e for e in scene.effects if e.SLOT != "sensor"]
     if "delay" in spans:
         found.insert(0, DrawnDelay(0.0, max(1, math.ceil(spans["delay"].upper))))
-    if "mass" in spans:
-        found.append(MassScale((1.0,) * scene.n))
+    if "mass" in spans:  # the first, since a payload of the scene does not grow with the link that holds it
+        found.insert(0, MassScale((1.0,) * scene.n))
     if "payload" in spans:  # the last, since it does not grow with the link that holds it
         found.append(Payload(1.0))
     return scene.replace(effects=(*found, *[e for e in scene.effects if e.SLOT == "sensor"]))

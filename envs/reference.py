@@ -116,16 +116,12 @@ def reference(trial: Trial, error: float) -> Reference:
     """
     shift = _shift(trial)
     limit, closest = "", math.inf
-    unfinished: list[_Refinement] = []
-    integrators = trial.integrators[:2]
-    for integrator in integrators:
-        share = SHARE if integrator is integrators[-1] else SHARE / 2  # the next one may need what is left
+    for integrator in trial.integrators[:2]:
         now, stuck = _Refinement(trial, integrator), 0
         while now.times * trial.intervals <= MOST_STEPS:
             essential = not now.before or now.times * trial.intervals <= ESSENTIAL
-            if not essential and not trial.allows(integrator, now.times, EXACT, share):
-                unfinished.append(now)
-                break
+            if not essential and not trial.allows(integrator, now.times, EXACT, SHARE):
+                return _in_time(now, error, limit)
             now = now.refined(shift)
             if not now.before:
                 continue
@@ -146,8 +142,6 @@ def reference(trial: Trial, error: float) -> Reference:
             closest = min(closest, change)
             if stuck > 2:
                 break
-    if unfinished:
-        return _in_time(max(unfinished, key=lambda now: _ready(now, error)), error, limit)
     name = f"{trial.name} over {trial.horizon:.3g} s"
     if not closest < 1e3:
         raise ArgumentError(
@@ -170,24 +164,17 @@ def _not_held(trial: Trial, until: float) -> str:
     return f"{trial.name} cannot be held beyond {until:.3g} s, for small errors soon grow {MOST_GROWTH:.0e} times"
 
 
-def _ready(now: _Refinement, error: float) -> tuple[int, float]:
-    """Number of intervals that are exact enough, and less the error of the first: the more, the better."""
-    changes = now.changes(-1)
-    return _first(changes <= error / IN_TIME), -float(changes[0])
-
-
 def _in_time(now: _Refinement, error: float, limit: str) -> Reference:
     """Reference of the intervals for which there was time."""
-    ready, _ = _ready(now, error)
+    ready = _first(now.changes(-1) <= error / IN_TIME)
     trial = now.trial
     seconds = f"{trial.budget.seconds:g} s"
     if not ready:
         made = float(now.changes(-1)[0]) * IN_TIME / SAFETY
-        if not made < 1e3:
-            step = 2 * trial.scene.dt / now.times
+        if not math.isfinite(made):
             raise ArgumentError(
-                f"{trial.name} do not stay finite with {type(now.integrator).__name__} in steps of {step:.2g} s, the "
-                f"shortest there was time for in {seconds}: stiffness or damping is too large for them; "
+                f"{trial.name} do not stay finite with {type(now.integrator).__name__} in steps of "
+                f"{2 * trial.scene.dt / now.times:.2g} s, the shortest there was time for in {seconds}; "
                 "scene.check(state) says which steps hold, and more seconds try shorter ones"
             )
         raise ArgumentError(

@@ -2406,7 +2406,7 @@ MUTANTS = (
         ),
         (
             "references without end",
-            "if not essential and not trial.allows(integrator, now.times, EXACT, share):",
+            "if not essential and not trial.allows(integrator, now.times, EXACT, SHARE):",
             "if False:",
             f"{RECOMMEND}::test_no_reference_in_time_is_an_error_that_asks_for_more",
         ),

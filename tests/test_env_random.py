@@ -279,3 +279,14 @@ def test_a_factor_of_nothing_is_refused(name):
 def test_a_payload_of_the_scene_stays_beside_the_drawn_one():
     held = make({"payload": 1.0}, effects=(effects.Gravity(), effects.Payload(3.0))).scene.effects[1:]
     assert held[0].mass == 3.0 and held[1].mass.shape == (200,)
+
+
+def test_a_payload_of_the_scene_does_not_grow_with_the_links():
+    parts = (effects.Gravity(), effects.Payload(2.0))
+    envs = ArmVectorEnv(3, "reach", "two_link", scale=1.0, effects=parts, randomise={"mass": (1.999, 2.0)})
+    assert [type(effect).__name__ for effect in envs.scene.effects] == ["MassScale", "Gravity", "Payload"]
+
+
+def test_delays_have_a_bound():
+    with pytest.raises(ArgumentError, match=r"'delay'\] must draw at most 500 time steps, found up to 600"):
+        ArmVectorEnv(2, "reach", "two_link", scale=1.0, randomise={"delay": 600})

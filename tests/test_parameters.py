@@ -618,3 +618,15 @@ def test_assigning_to_what_is_not_learned_is_refused(name):
         setattr(layer, name, torch.ones(7, dtype=torch.float64))
     layer.mass = 2 * layer.mass.detach()
     assert torch.allclose(layer.robot.mass, 2 * ROBOTS["panda"].mass)
+
+
+def test_learned_quantities_are_assigned_in_their_shape():
+    layer = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=("offset", "friction", "mass", "com"))
+    before = layer.offset
+    layer.offset = torch.tensor([0.5, 0.25])
+    assert layer.offset is before and layer.offset.tolist() == [0.5, 0.25]
+    layer.mass = torch.tensor([1.5, 2.5])
+    assert layer.mass.tolist() == pytest.approx([1.5, 2.5])
+    for name, wrong in (("viscous", 3), ("mass", 3), ("offset", 3), ("com", (3, 3))):
+        with pytest.raises(torchdq.ArgumentError, match=f"{name} of this layer must have the shape"):
+            setattr(layer, name, torch.ones(wrong))

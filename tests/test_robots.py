@@ -1139,3 +1139,10 @@ def test_words_and_complex_numbers_are_refused_by_name():
         one_joint(LINE, parents=["a"])
     with pytest.raises(DescriptionError, match="mass must be an array of numbers: found complex numbers"):
         one_joint(LINE, mass=[1j])
+
+
+def test_robots_with_batch_axes_are_not_stacked():
+    robot = two()
+    several = robot.replace(mass=robot.mass * torch.ones(3, 1))
+    with pytest.raises(torchdq.ArgumentError, match=r"must have no batch axes, found \(3,\) of mass"):
+        torchdq.Robot.stack([several, robot])

@@ -98,7 +98,24 @@ class RobotModule(nn.Module):
                     f"{name} is not learned by this layer, so assigning to it would change nothing; make the layer "
                     f"with learn={(*self.learn, source)}, or with robot.replace(...)"
                 )
+        if isinstance(value, Tensor) and "_initial" in self.__dict__ and name in self._learned_quantities():
+            present = getattr(self, name)
+            if value.shape[-present.ndim :] != present.shape[-present.ndim :] and value.ndim:
+                raise ArgumentError(
+                    f"{name} of this layer must have the shape {tuple(present.shape)}, found {tuple(value.shape)}"
+                )
+            if not isinstance(value, nn.Parameter):
+                value = value.to(present)
+                if name in self._parameters and value.shape == present.shape:
+                    with torch.no_grad():
+                        present.copy_(value)  # an optimiser goes on with it
+                    return
         super().__setattr__(name, value)
+
+    def _learned_quantities(self) -> set[str]:
+        """Names of the tensors that are learned."""
+        constrained = self._modules.get("parametrizations", nn.ModuleDict())
+        return {*self._parameters, *constrained}  # type: ignore[misc]
 
     @property
     def robot(self) -> Robot:

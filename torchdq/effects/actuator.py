@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Self
+
+from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Effect, Late, Parameter, Shapes, unbounded
+from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import clip, exp, floor, maximum
+from torchdq.program.transforms import without_values
+from torchdq.robot import Robot
 
 
 @dataclass(frozen=True)
@@ -43,9 +48,10 @@ class Saturation(Actuator):
 
 @dataclass(frozen=True)
 class TorqueSpeed(Actuator):
-    """A motor whose torque falls with speed: tau <= stall (1 - qd/speed), tau >= -stall (1 + qd/speed), |tau| <= stall.
+    """A motor whose torque falls with speed: -stall max(0, 1 + qd/speed) <= tau <= stall max(0, 1 - qd/speed).
 
-    Torque-speed line of a direct-current motor at maximum voltage, in both directions; braking has the full torque.
+    Torque-speed line of a direct-current motor at maximum voltage, in both directions, and |tau| <= stall; braking has
+    the full torque.
 
     Args:
         stall: torque at rest [N m or N], shape [..., n]; None: the effort limits of the description. Where it is an
@@ -59,6 +65,16 @@ class TorqueSpeed(Actuator):
     DESCRIBED: ClassVar[Mapping[str, str]] = {"stall": "limits.effort", "speed": "limits.velocity"}
     stall: Parameter = None
     speed: Parameter = None
+
+    def resolved(self, robot: Robot) -> Self:
+        """Copy for a robot; raises if a torque at rest that is a tensor is infinite, which only a number can be."""
+        whole = super().resolved(robot)
+        x = whole.stall
+        if isinstance(x, Tensor) and not without_values((x,)) and bool(x.detach().isinf().any()):
+            raise ArgumentError(
+                "stall of TorqueSpeed must be finite as a tensor; a joint without limit is the number inf"
+            )
+        return whole
 
     def idle(self) -> tuple[str, ...]:
         """Torque at rest, if it is infinite at every joint."""

@@ -241,6 +241,9 @@ class Limits(JointEffect):
 
 def crossed(lower: Parameter, upper: Parameter, robot: Robot) -> str:
     """Words for the first joint whose lower value is above the upper one; "" if there is none, or none can be read."""
+    if isinstance(lower, tuple) and isinstance(upper, tuple):
+        pairs = zip(robot.joint_names, lower, upper, strict=True)
+        return next((f"{a:g} and {b:g} at joint {joint!r}" for joint, a, b in pairs if a > b), "")
     low, high = (torch.as_tensor(x).detach().double() for x in (lower, upper))
     if without_values((low,)) or without_values((high,)):
         return ""

@@ -101,10 +101,11 @@ class Payload(ModelEffect):
         return on_a_link(self, robot)
 
     def resolved(self, robot: Robot) -> Self:
-        """Copy for a robot; raises unless a body of that mass and inertia can exist."""
+        """Copy for a robot; raises unless a body of that mass and inertia, if they are not learned, can exist."""
         whole = super().resolved(robot)
-        mass, inertia = (torch.as_tensor(x).detach().double() for x in (whole.mass, whole.inertia))
-        if mass.numel() and inertia.numel() and not (without_values((mass,)) or without_values((inertia,))):
+        parts = [torch.as_tensor(x) for x in (whole.mass, whole.inertia)]
+        if all(x.numel() and not (x.requires_grad or without_values((x,))) for x in parts):
+            mass, inertia = (x.double() for x in parts)
             faults = bodies(("payload",), mass.unsqueeze(-1), matrices(inertia).unsqueeze(-3))
             if faults:
                 raise ArgumentError(

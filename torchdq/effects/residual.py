@@ -20,7 +20,7 @@ from torchdq.robot import Robot
 
 NAME = "residual"  # row of the torques in the programs of a scene
 BLOCK = 512  # rows that are solved at once: their arrays stay in a processor's cache, larger ones are slow
-CHANGE = 1e-2  # relative change in the last iteration that is worth a warning; the error left is much smaller
+CHANGE = 1e-3  # relative change in the last iteration that is worth a warning; the error left is much smaller
 
 
 @dataclass(frozen=True)

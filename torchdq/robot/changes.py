@@ -14,7 +14,7 @@ from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import consistency, fields, units
 from torchdq.robot.constants import version
 from torchdq.robot.description import Limits
-from torchdq.robot.fields import SHAPES
+from torchdq.robot.fields import SHAPES, batches
 from torchdq.robot.tree import general_tree, plain
 
 if TYPE_CHECKING:
@@ -97,6 +97,11 @@ def stacked(kind: type[Robot], robots: Sequence[Robot]) -> Robot:
     changes: dict[str, Any] = {"notes": tuple(notes)}
     for robot in robots:
         require_unchanged(robot)
+        for field, axes in batches(robot).items():
+            raise ArgumentError(
+                f"robots of a stack must have no batch axes, found {axes} of {field} in robot {robot.name!r}; stack "
+                "the single robots"
+            )
     for name, value in values(first).items():
         found = [getattr(robot, name) for robot in robots]
         if name in ("name", "notes") or all(_equal(value, other) for other in found):
