@@ -100,10 +100,10 @@ class RobotModule(nn.Module):
                 )
         if isinstance(value, Tensor) and "_initial" in self.__dict__ and name in self._learned_quantities():
             present = getattr(self, name)
-            if value.shape[-present.ndim :] != present.shape[-present.ndim :] and value.ndim:
-                raise ArgumentError(
-                    f"{name} of this layer must have the shape {tuple(present.shape)}, found {tuple(value.shape)}"
-                )
+            joints = value.shape[-present.ndim :][:1]
+            if joints != present.shape[:1] and value.ndim:
+                expected = ", ".join(["...", *map(str, present.shape)])
+                raise ArgumentError(f"{name} must have the shape [{expected}], found {tuple(value.shape)}")
             if not isinstance(value, nn.Parameter):
                 value = value.to(present)
                 if name in self._parameters and value.shape == present.shape:
