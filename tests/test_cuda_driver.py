@@ -80,16 +80,16 @@ class Recorder:
     """The driver's notes, and how it shall fail."""
 
     def __init__(self, library):
-        self.library = library
+        self.opened = library
 
     def number(self, name):
-        return ctypes.c_int.in_dll(self.library, name)
+        return ctypes.c_int.in_dll(self.opened, name)
 
     def text(self, name, size):
-        return (ctypes.c_char * size).in_dll(self.library, name)
+        return (ctypes.c_char * size).in_dll(self.opened, name)
 
     def calls(self):
-        """What was called since the last time."""
+        """Calls since the last look."""
         notes = self.text("calls", 1 << 20)
         found = notes.value.decode().splitlines()
         notes.value = b""

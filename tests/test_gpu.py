@@ -8,7 +8,8 @@ import pytest
 import torch
 from helpers import random
 from oracles import states
-from test_cuda_host import FUNCTIONS, MIXED, PANDA, TREE, TWO, agree, mixed, same
+from test_backends import FUNCTIONS, PANDA, TREE, TWO
+from test_cuda_host import MIXED, agree, condition, mixed, same
 from torch.autograd import gradcheck, gradgradcheck
 
 import torchdq
@@ -46,9 +47,7 @@ def test_tensors_on_a_gpu_take_its_backend():
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_functions_equal_those_of_the_c_backend(name, robot, dtype):
     s = states(robot, 1000, dtype=dtype)
-    worst = 1.0
-    if name == "forward_dynamics":
-        worst = torch.linalg.cond(torchdq.mass_matrix(robot, s.q.double())).max().item()
+    worst = condition(name, robot, s)
     expected = FUNCTIONS[name](robot, s)
     found = FUNCTIONS[name](robot.to(GPU), moved(s, GPU))
     agree(to("cpu", found), to("cpu", expected), 64 * worst)

@@ -18,6 +18,7 @@ from torch._dynamo.backends.common import aot_autograd
 from torch._dynamo.testing import CompileCounterWithBackend
 from torch._functorch.aot_autograd import make_boxed_func
 from torch.func import functional_call, grad, hessian, jacfwd, jacrev, jvp, vmap
+from torch.library import opcheck
 from torch.nn.utils.parametrize import type_before_parametrizations
 
 import torchdq
@@ -522,13 +523,13 @@ def test_the_operator_of_traced_graphs_is_one_that_torch_approves_of(fresh):
     torch.compile(torchdq.DQRNEA(torchdq.robots.load("two_link"), backend="c"), backend="eager", fullgraph=True)(q)
     name = next(name for name in reversed(autograd._named) if ":" not in name)
     for requires_grad in (False, True):
-        torch.library.opcheck(torch.ops.torchdq.evaluate.default, (name, [q.clone().requires_grad_(requires_grad)]))
+        opcheck(torch.ops.torchdq.evaluate.default, (name, [q.clone().requires_grad_(requires_grad)]))
 
 
 @pytest.mark.case("P4")
 @C_COMPILER
 def test_a_compiled_graph_is_little_more_than_its_program(fresh):
-    """What every call of a compiled layer pays for: operators, which include no views or copies, and guards."""
+    """Operators and guards, for which every call of a compiled layer pays; no views and no copies are among them."""
     graphs, guards = [], []
 
     def counting(graph, _):
