@@ -15,7 +15,7 @@ from torchdq.backends.memory import dense
 from torchdq.backends.torch import InterpretedKernel
 from torchdq.caches import PROGRAMS, remembered
 from torchdq.errors import ArgumentError, TorchdqError
-from torchdq.notice import warn_once
+from torchdq.notice import Notice, warn_once
 from torchdq.program.program import Program, outputs
 from torchdq.program.transforms import empty_on_cpu
 
@@ -71,7 +71,9 @@ class CompiledKernel:
         self.program, self.dtype = program, dtype
         results = outputs(program)
         pointers = len(program.arguments) + len(results)
-        self.function = c_library.load(source(program, dtype == torch.float32), program.name, pointers)
+        with Notice(f"writing {program.name} in C"):
+            code = source(program, dtype == torch.float32)
+        self.function = c_library.load(code, program.name, pointers)
         self.operations = program.count().total
         self.widths = [(len(r.values), r.summed) for r in results]
         self.any_summed = any(r.summed for r in results)

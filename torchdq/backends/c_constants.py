@@ -2,10 +2,7 @@
 
 # fdlibm's minimax polynomials (Sun Microsystems 1993): sine and cosine on [-pi/4, pi/4], with pi/2 in three parts;
 # r (exp r + 1)/(exp r - 1) on [-ln2/2, ln2/2] and (log(1 + s) - log(1 - s))/s on [0, 0.1716], with ln2 in two parts
-DOUBLE = """
-typedef double S;
-#define SIZE 8
-typedef long long N;
+SINES_DOUBLE = """
 #define HALF_PI_1 0x1.921fb54400000p+0
 #define HALF_PI_2 0x1.0b4611a600000p-34
 #define HALF_PI_3 0x1.3198a2e037073p-69
@@ -16,6 +13,12 @@ typedef long long N;
   +z*(-0x1.ae5e68a2b9cebp-26+z*0x1.5d93a5acfd57cp-33)))))
 #define COS(z) (0x1.555555555554cp-5+z*(-0x1.6c16c16c15177p-10+z*(0x1.a01a019cb1590p-16+z*(-0x1.27e4f809c52adp-22 \\
   +z*(0x1.1ee9ebdb4b1c4p-29+z*-0x1.8fae9be8838d4p-37)))))
+"""
+DOUBLE = f"""
+typedef double S;
+#define SIZE 8
+typedef long long N;
+{SINES_DOUBLE}
 #define MANTISSA 52
 #define BIAS 1023
 #define SMALLEST 0x1p-1022
@@ -33,10 +36,7 @@ typedef long long N;
 """
 
 # the same in single precision (sine and cosine: Cephes, Moshier 1992; the others: FreeBSD's fdlibm)
-FLOAT = """
-typedef float S;
-#define SIZE 4
-typedef int N;
+SINES_FLOAT = """
 #define HALF_PI_1 0x1.92p+0f
 #define HALF_PI_2 0x1.fb4p-12f
 #define HALF_PI_3 0x1.4442d2p-24f
@@ -45,6 +45,12 @@ typedef int N;
 #define LARGEST 4e3f
 #define SIN(z) (-1.6666654611e-1f+z*(8.3321608736e-3f+z*-1.9515295891e-4f))
 #define COS(z) (4.166664568298827e-2f+z*(-1.388731625493765e-3f+z*2.443315711809948e-5f))
+"""
+FLOAT = f"""
+typedef float S;
+#define SIZE 4
+typedef int N;
+{SINES_FLOAT}
 #define MANTISSA 23
 #define BIAS 127
 #define SMALLEST 0x1p-126f

@@ -3,18 +3,23 @@
 Neighbouring threads read and write neighbouring numbers of memory. A thread finds its row in shared memory, where rows
 have odd lengths, so that the rows of a warp begin in different banks.
 
+Values that all samples share are computed by one thread of a block and handed to the others in shared memory, where
+that spares enough.
+
 Where errors grow too much, a kernel in float32 marks the row, and a second one, launched in any case, recomputes the
 marked rows in float64; so that the host has nothing to ask. A kernel in float64 writes NaN.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from torchdq.backends import cuda_prelude
 from torchdq.numbers.ops import OPS
 from torchdq.program.order import TOGETHER, narrowest, pairs
 from torchdq.program.program import LARGEST_GROWTH, Output, Program
+from torchdq.program.uniform import split
 
 SHARED = 48 * 1024  # shared memory that every block may have [bytes]
 BLOCKS = (128, 64, 32)  # threads of a block; the first whose rows fit
@@ -63,10 +68,12 @@ def staged(program: Program, single: bool) -> Staged:
     size = 4 if single else 8
     arguments = {k: odd(a.width) for k, a in enumerate(program.arguments) if a.width and not a.uniform}
     results = {k: odd(len(r.values)) for k, r in enumerate(program.results) if r.values}
+    parts = split(program)
+    free = SHARED - (0 if parts is None else size * parts.rest.arguments[-1].width)
     for block in BLOCKS:
-        if block * size * (sum(arguments.values()) + sum(results.values())) <= SHARED:
+        if block * size * (sum(arguments.values()) + sum(results.values())) <= free:
             return Staged(block, frozenset(arguments), frozenset(results))
-    room, chosen = SHARED // (block * size), (set[int](), set[int]())
+    room, chosen = free // (block * size), (set[int](), set[int]())
     # sums first, which otherwise take a row per sample
     wanted = [(not program.results[k].summed, w, 1, k) for k, w in results.items()]
     wanted += [(True, w, 0, k) for k, w in arguments.items()]
@@ -77,79 +84,98 @@ def staged(program: Program, single: bool) -> Staged:
     return Staged(block, *map(frozenset, chosen))
 
 
-class _KernelPrinter:
-    def __init__(self, program: Program, single: bool, recomputing: bool):
-        self.program, self.single, self.recomputing = program, single, recomputing
-        self.number = "float" if recomputing else "S"  # type in memory; the arithmetic is in S
-        self.stage = staged(program, single or recomputing)
-        self.pairs = pairs(program)
-        if recomputing:  # few rows, which are read and written where they are; sums are those of all threads
-            sums = frozenset(k for k in self.stage.results if program.results[k].summed)
-            self.stage = self.stage._replace(arguments=frozenset(), results=sums)
+def literal(x: float) -> str:
+    """Exact literal of a constant."""
+    if x != x:
+        return "real(NAN_BITS)"
+    if abs(x) == float("inf"):
+        return f"({'-' if x < 0 else ''}real(INFINITE_BITS))"
+    return f"((S){float(x).hex()})"
 
-    # --- values ---
 
-    def literal(self, x: float) -> str:
-        """Exact literal of a constant."""
-        if x != x:
-            return "real(NAN_BITS)"
-        if abs(x) == float("inf"):
-            return f"({'-' if x < 0 else ''}real(INFINITE_BITS))"
-        return f"((S){float(x).hex()})"
+class _Values(NamedTuple):
+    """Text of the values of a program."""
+
+    program: Program
+    read: Callable[[int, int], str]  # expression for a number of an argument
 
     def name(self, i: int) -> str:
         """Expression for a value that has been computed."""
         op = self.program.ops[i]
-        return self.literal(op.payload) if op.code == "const" else f"x{i}"
+        return literal(op.payload) if op.code == "const" else f"x{i}"
 
     def output(self, v: Output) -> str:
         """Expression for a number of a result; a difference, so that the negative of zero is no -0."""
         if isinstance(v, float):
-            return self.literal(v)
+            return literal(v)
         index, negative = v
         return f"(S)0-{self.name(index)}" if negative else self.name(index)
 
-    # --- statements ---
-
     def statements(self) -> list[str]:
         """Statements of all operations; one call computes sine and cosine of the same angle."""
-        lines, done = [], set[int]()
+        lines, done, together = [], set[int](), pairs(self.program)
         for i in narrowest(self.program):
             op = self.program.ops[i]
             if op.code == "const" or i in done:
                 continue
             if op.code == "in":
-                lines.append(f"const S x{i}={self.input(*op.payload)};")
+                lines.append(f"const S x{i}={self.read(*op.payload)};")
             elif op.code in TOGETHER:
-                done.update(self.pairs[i])
+                done.update(together[i])
                 lines.append(f"const Turn y{i}=turn({self.name(op.operands[0])});")
-                lines += [f"const S x{k}=y{i}.{self.program.ops[k].code};" for k in self.pairs[i]]
+                lines += [f"const S x{k}=y{i}.{self.program.ops[k].code};" for k in together[i]]
             else:
                 row, operands = OPS[op.code], [self.name(k) for k in op.operands]
                 value = row.infix.join(operands) if row.infix else row.c_single.format(*operands)
                 lines.append(f"const S x{i}={value};")
         return lines
 
+
+class _KernelPrinter:
+    def __init__(self, program: Program, single: bool, recomputing: bool):
+        self.arguments, self.stage = program.arguments, staged(program, single or recomputing)
+        parts = None if recomputing else split(program)  # few rows compute all of their values
+        self.program = program if parts is None else parts.rest
+        self.common = None if parts is None else parts.common
+        self.values = _Values(self.program, self.input)
+        self.single, self.recomputing = single, recomputing
+        self.number = "float" if recomputing else "S"  # type in memory; the arithmetic is in S
+        if recomputing:  # few rows, which are read and written where they are; sums are those of all threads
+            sums = frozenset(k for k in self.stage.results if program.results[k].summed)
+            self.stage = self.stage._replace(arguments=frozenset(), results=sums)
+
+    # --- statements ---
+
     def input(self, k: int, j: int) -> str:
         """Expression for a number of an argument."""
-        argument = self.program.arguments[k]
+        if k == len(self.arguments):
+            return f"common[{j}]"
+        argument = self.arguments[k]
         if argument.uniform:
             return f"in{k}[{j}]"
         return f"s{k}[t*{odd(argument.width)}+{j}]" if k in self.stage.arguments else f"in{k}[b*{argument.width}+{j}]"
+
+    def shared(self) -> list[str]:
+        """Statements of the first thread of a block: values that are common to all samples."""
+        if self.common is None:
+            return []
+        values, (row,) = _Values(self.common, self.input), self.common.results
+        stored = [f"common[{j}]={values.output(v)};" for j, v in enumerate(row.values)]
+        return [f"STAGE S common[{len(stored)}];", "EACH{if(t==0){", *values.statements(), *stored, "}}"]
 
     def results(self) -> list[str]:
         """Statements that write all results of a sample."""
         growth = self.program.growth
         lines = []
         if growth is not None:
-            factor = self.output(growth.values[0])
+            factor = self.values.output(growth.values[0])
             if self.single:
-                lines.append(f"const int over=!({factor}<={self.literal(LARGEST_GROWTH.single)});lost[b]=over;")
+                lines.append(f"const int over=!({factor}<={literal(LARGEST_GROWTH.single)});lost[b]=over;")
             else:
-                lines.append(f"const int over=!({factor}<={self.literal(LARGEST_GROWTH.double)});")
+                lines.append(f"const int over=!({factor}<={literal(LARGEST_GROWTH.double)});")
         for k, result in enumerate(self.program.results):
             for j, v in enumerate(result.values):
-                value = self.output(v)
+                value = self.values.output(v)
                 if growth is not None and not self.single:
                     value = f"over?real(NAN_BITS):{value}"
                 elif growth is not None and result.summed:
@@ -176,7 +202,7 @@ class _KernelPrinter:
         p, stage, number = self.program, self.stage, self.number
         names, loads, stores, size = [], [], [], 0
         for k in sorted(stage.arguments):
-            w = p.arguments[k].width
+            w = self.arguments[k].width
             names.append(f"{number}*const s{k}=stage+{size};")
             loads.append(_moved(w, f"s{k}[{{0}}]=in{k}[first*{w}+i]"))
             size += stage.block * odd(w)
@@ -189,11 +215,11 @@ class _KernelPrinter:
                 stores.append(f"EACH{{for(int j=t;j<{w};j+=BLOCK){{{total}}}}}")
             else:
                 stores.append(_moved(w, f"out{k}[first*{w}+i]=o{k}[{{0}}]"))
-        pointers = [f"const {number}*__restrict__ in{k}" for k in range(len(p.arguments))]
+        pointers = [f"const {number}*__restrict__ in{k}" for k in range(len(self.arguments))]
         pointers += [f"{number}*__restrict__ out{k}" for k in range(len(p.results))]
         if marks(p, self.single or self.recomputing):
             pointers.append(f"{'const ' if self.recomputing else ''}unsigned char*__restrict__ lost")
-        body = ["{", *self.statements(), *self.results(), "}"]
+        body = ["{", *self.values.statements(), *self.results(), "}"]
         if self.recomputing:
             body = ["if(lost[b])", *body, "else{", *self.nothing(), "}"]
         lines = [
@@ -203,6 +229,7 @@ class _KernelPrinter:
             *([f"STAGE {number} stage[{size}];"] if size else []),
             *names,
             *loads,
+            *self.shared(),
             "EACH{const long long b=first+t;if(t<here){",
             *body,
             "}}",

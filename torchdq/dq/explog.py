@@ -59,16 +59,17 @@ def _sum(a: Number, b: Number) -> tuple[Number, Number]:
     return total, (a - (total - kept)) + (b - kept)
 
 
-def entire(a: Pure, split: float) -> tuple[Number, Number, Number]:
+def entire(a: Pure, split: float | None) -> tuple[Number, Number, Number]:
     """C = cos |a|, S = sin |a|/|a|, K = (C - S)/|a|^2, with every derivative finite at a = 0.
 
-    Outside the series, the rounding error of |a| would cost one ulp per radian; it is computed and corrected.
+    Outside the series, the rounding error of |a| would cost one ulp per radian; it is computed and corrected, unless
+    `split` is None.
     """
     x = quat.norm2(a)
     near = below(x, 1.0)
     x_near, x_far = minimum(x, 1.0), maximum(x, 1.0)
     h = sqrt(x_far)
-    defect = select(near, 0.0, length_defect(a, h, split))
+    defect = 0.0 if split is None else select(near, 0.0, length_defect(a, h, split))
     sin, cos = h.sin(), h.cos()
     c, s = cos - defect * sin, (sin + defect * (cos - sin / h)) / h
     return (

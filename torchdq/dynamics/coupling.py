@@ -19,6 +19,7 @@ from torchdq.algebra.matrix import Matrix
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import lift, total
+from torchdq.dynamics import ltdl
 from torchdq.dynamics.posed import Exerted, Factors, Point, Posed, Row, factors_by_entries
 
 
@@ -78,6 +79,10 @@ class Coupled(NamedTuple):
         """Pose of every link in the world."""
         return self.robot.poses()
 
+    def composites(self) -> Sequence:
+        """Composite inertias of the links."""
+        return self.robot.composites()
+
     def potential_energy(self) -> Number:
         """Potential energy of gravity."""
         return self.robot.potential_energy()
@@ -119,24 +124,26 @@ class Coupled(NamedTuple):
         """Mass matrix S^T M S."""
         S = self.coupling.S
         half = matrix.matmul(self.robot.mass_matrix(), S, mul, add)
-        M = [list(map(present, row)) for row in matrix.matmul(matrix.transpose(S), half, mul, add)]
+        M = [list(row) for row in matrix.matmul(matrix.transpose(S), half, mul, add)]
         for k, J in enumerate(self.armature or ()):
-            M[k][k] = M[k][k] + J
-        return tuple(map(tuple, M))
+            M[k][k] = present(M[k][k]) + J
+        # both halves are sums of the same terms in another order
+        return tuple(tuple(M[max(i, k)][min(i, k)] for k in range(len(M))) for i in range(len(M)))
 
     def factors(self, linear: bool) -> Factors:
-        """Factors of the mass matrix, which in general has no zeros."""
+        """Factors of the mass matrix, entry by entry: coordinates have no tree of their own."""
         M = self.mass_matrix()
-        return factors_by_entries(range(-1, len(M) - 1), M)
+        return factors_by_entries(ltdl.predecessors(M), M)
 
     def with_armature(self, more: Row) -> Coupled:
         """Posed robot with additional inertia at its coordinates."""
         before = self.armature or [0.0] * len(more)
         return self._replace(armature=[a + b for a, b in zip(before, more, strict=True)])
 
-    def regressor(self, qd: Row, qdd: Row) -> list[list[Row | None]]:
-        """Factors of the inertial parameters, [coordinate][link]."""
-        Y = tuple(map(tuple, self.robot.regressor(self.coupling.rates(qd), self.coupling.rates(qdd))))
+    def regressor(self, qd: Row | None, qdd: Row | None) -> list[list[Row | None]]:
+        """Factors of the inertial parameters, [coordinate][body]."""
+        v, a = (None if x is None else self.coupling.rates(x) for x in (qd, qdd))
+        Y = tuple(map(tuple, self.robot.regressor(v, a)))
         found = matrix.matmul(matrix.transpose(self.coupling.S), Y, quat.scale, quat.add)
         return [list(row) for row in found]
 

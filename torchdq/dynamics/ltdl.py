@@ -26,6 +26,22 @@ def _path(before: Sequence[int], i: int) -> Iterator[int]:
         i = before[i]
 
 
+def predecessors(M: Matrix) -> tuple[int, ...]:
+    """Elimination tree of a mass matrix whose zeros are None: the factors are zero off its paths to the root.
+
+    Row k of L has entries where M has, and where a row that was eliminated before it left some (Davis, Direct Methods
+    for Sparse Linear Systems, 2006, section 4.1).
+    """
+    before: list[int] = []
+    left: list[set[int]] = [{j for j in range(i) if M[i][j] is not None} for i in range(len(M))]
+    for k in reversed(range(len(M))):
+        parent = max(left[k], default=-1)
+        if parent >= 0:
+            left[parent] |= left[k] - {parent}
+        before.insert(0, parent)
+    return tuple(before)
+
+
 def factorise(before: Sequence[int], M: Matrix) -> TreeFactors:
     """Factors of a mass matrix.
 
@@ -34,7 +50,11 @@ def factorise(before: Sequence[int], M: Matrix) -> TreeFactors:
         M: mass matrix; entries of degrees of freedom on different branches are not read.
     """
     n = len(before)
-    H = {(i, j): M[i][j] for i in range(n) for j in _path(before, i)}
+    H: dict[tuple[int, int], Number] = {}
+    for i in range(n):
+        for j in _path(before, i):
+            entry = M[i][j]
+            H[i, j] = 0.0 if entry is None else entry
     lower = {}
     inverses: list[Number] = [0.0] * n
     for k in reversed(range(n)):

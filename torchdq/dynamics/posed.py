@@ -83,6 +83,9 @@ class Posed(Protocol):
 
     # --- dynamics ---
 
+    def composites(self) -> Sequence:
+        """Composite inertias of all links that each joint moves, the base's first; None: no body."""
+
     def torques(self, qd: Row | None, qdd: Row | None, exerted: Exerted | None) -> Row:
         """Generalised forces of a motion; absent arguments are zero."""
 
@@ -104,8 +107,11 @@ class Posed(Protocol):
     def potential_energy(self) -> Number:
         """Potential energy of gravity [J]."""
 
-    def regressor(self, qd: Row, qdd: Row) -> Sequence[Sequence[Row | None]]:
-        """Factors of the inertial parameters about the link frames of the description, [degree of freedom][link]."""
+    def regressor(self, qd: Row | None, qdd: Row | None) -> Sequence[Sequence[Row | None]]:
+        """Factors of the inertial parameters about the link frames of the description, [degree of freedom][body].
+
+        The bodies are a free base, if there is one, and the links.
+        """
 
 
 def closed_form(posed: Posed, qd: Row) -> tuple[Matrix, Row, Row]:

@@ -39,6 +39,10 @@ class Tree(NamedTuple):
         """Number of degrees of freedom of all joints."""
         return self.links[-1].v.stop
 
+    def bodies(self) -> range:
+        """Indices of the links that move: a free base, and all others."""
+        return range(0 if self.links[0].joint.nv else 1, len(self.links))
+
     def rates(self, v: Sequence[Number] | None) -> list[Any]:
         """Twist of every link relative to its parent, or its rate if v are accelerations; None: zero."""
         return [link.joint.rate(None if v is None else v[link.v]) for link in self.links]

@@ -2,6 +2,8 @@
 
 program     a program: recording, dead code elimination, operation count, text, replay on other numbers
 autodiff    derivatives of programs, which are programs again
+uniform     values that all samples share, and the split of a program into these and the rest
+order       orders in which operations can be evaluated
 schedule    order of evaluation, for code in any language
 autograd    programs in torch's graphs: gradients, transforms, traced graphs
 transforms  state of torch's transforms, read from its private symbols

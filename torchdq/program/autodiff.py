@@ -3,8 +3,8 @@
 from collections.abc import Callable, Sequence
 
 from torchdq.numbers.ops import OPS
-from torchdq.numbers.record import Recorded, Tape
-from torchdq.program.program import Argument, Program, Value, finish, growths, inputs, replay, results
+from torchdq.numbers.record import Recorded
+from torchdq.program.program import Argument, Program, Value, finish, growths, inputs, recording, replay, results
 
 
 def cotangents(program: Program, values: Sequence[Value], seeds: dict[int, Value]) -> dict[tuple[int, int], Value]:
@@ -35,24 +35,25 @@ def vjp(program: Program, wrt: Sequence[int]) -> Program:
     `wrt` are positions of arguments; the gradients come in that order. The gradient of an argument that is uniform is
     summed over the samples; the cotangent of a summed result is uniform.
     """
-    tape = Tape()
-    arguments = [*program.arguments]
-    for r in program.results:
-        arguments.append(Argument(_unused(f"{r.name}'", arguments), len(r.values), r.summed))
-    rows = inputs(tape, arguments)
-    values = replay(program, rows)
-    seeds: dict[int, Value] = {}
-    for result, row in zip(program.results, rows[len(program.arguments) :], strict=True):
-        for v, seed in zip(result.values, row, strict=True):
-            if not isinstance(v, float):
-                seeds[v[0]] = seeds.get(v[0], 0.0) + (-seed if v[1] else seed)
-    found = cotangents(program, values, seeds)
-    outputs = {
-        f"{program.arguments[k].name}'": [found.get((k, j), 0.0) for j in range(program.arguments[k].width)]
-        for k in wrt
-    }
-    summed = [f"{program.arguments[k].name}'" for k in wrt if program.arguments[k].uniform]
-    return finish(f"{program.name}_vjp", arguments, tape, outputs, summed, growths(program, values))
+    name = f"{program.name}_vjp"
+    with recording(name) as tape:
+        arguments = [*program.arguments]
+        for r in program.results:
+            arguments.append(Argument(_unused(f"{r.name}'", arguments), len(r.values), r.summed))
+        rows = inputs(tape, arguments)
+        values = replay(program, rows)
+        seeds: dict[int, Value] = {}
+        for result, row in zip(program.results, rows[len(program.arguments) :], strict=True):
+            for v, seed in zip(result.values, row, strict=True):
+                if not isinstance(v, float):
+                    seeds[v[0]] = seeds.get(v[0], 0.0) + (-seed if v[1] else seed)
+        found = cotangents(program, values, seeds)
+        outputs = {
+            f"{program.arguments[k].name}'": [found.get((k, j), 0.0) for j in range(program.arguments[k].width)]
+            for k in wrt
+        }
+        summed = [f"{program.arguments[k].name}'" for k in wrt if program.arguments[k].uniform]
+        return finish(name, arguments, tape, outputs, summed, growths(program, values))
 
 
 def _unused(name: str, arguments: Sequence[Argument]) -> str:
@@ -88,17 +89,18 @@ def _tangent_results(program: Program, t: Sequence[Value]) -> dict[str, list[Val
 
 def jvp(program: Program, wrt: Sequence[int]) -> Program:
     """Jacobian-vector product by forward mode: takes the arguments and a tangent of each argument in `wrt`."""
-    tape = Tape()
-    arguments = [*program.arguments]
-    for k in wrt:
-        arguments.append(program.arguments[k]._replace(name=_unused(f"d{program.arguments[k].name}", arguments)))
-    rows = inputs(tape, arguments)
-    values = replay(program, rows)
-    seeds = zip(wrt, rows[len(program.arguments) :], strict=True)
-    t = tangents(program, values, {(k, j): x for k, row in seeds for j, x in enumerate(row)})
-    summed = [r.name for r in program.results if r.summed]
-    outputs = _tangent_results(program, t)
-    return finish(f"{program.name}_jvp", arguments, tape, outputs, summed, growths(program, values))
+    name = f"{program.name}_jvp"
+    with recording(name) as tape:
+        arguments = [*program.arguments]
+        for k in wrt:
+            arguments.append(program.arguments[k]._replace(name=_unused(f"d{program.arguments[k].name}", arguments)))
+        rows = inputs(tape, arguments)
+        values = replay(program, rows)
+        seeds = zip(wrt, rows[len(program.arguments) :], strict=True)
+        t = tangents(program, values, {(k, j): x for k, row in seeds for j, x in enumerate(row)})
+        summed = [r.name for r in program.results if r.summed]
+        outputs = _tangent_results(program, t)
+        return finish(name, arguments, tape, outputs, summed, growths(program, values))
 
 
 def jacobian(program: Program, wrt: Sequence[int]) -> Program:
@@ -113,10 +115,11 @@ def jacobian(program: Program, wrt: Sequence[int]) -> Program:
 
 
 def _jacobian(program: Program, wrt: Sequence[int], by: Callable[..., dict[str, list[Value]]]) -> Program:
-    tape = Tape()
-    values = replay(program, inputs(tape, program.arguments))
-    outputs = by(program, values, wrt)
-    return finish(f"{program.name}_jacobian", program.arguments, tape, outputs, growths=growths(program, values))
+    name = f"{program.name}_jacobian"
+    with recording(name) as tape:
+        values = replay(program, inputs(tape, program.arguments))
+        outputs = by(program, values, wrt)
+        return finish(name, program.arguments, tape, outputs, growths=growths(program, values))
 
 
 def _name(result: str, argument: Argument) -> str:

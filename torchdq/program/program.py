@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import reduce
 from typing import Any, NamedTuple
 
 from torchdq.errors import NumberError
+from torchdq.notice import Notice
 from torchdq.numbers.functions import maximum
 from torchdq.numbers.ops import OPS, apply
 from torchdq.numbers.record import FUNCTIONS, Op, Recorded, Tape
@@ -128,15 +130,24 @@ def record(
 
     Numbers named `GROWTH` are no result, but factors by which rounding errors are magnified on the way to the results.
     """
+    with recording(name) as tape:
+        try:
+            found = dict(algorithm(*inputs(tape, arguments)))
+        except TypeError as error:
+            if Recorded.__name__ not in str(error):
+                raise
+            raise NumberError(f"a recorded number is no number for this function: {error}; {FUNCTIONS}") from error
+        factors = found.pop(GROWTH, ())
+        return with_half_angles(finish(name, arguments, tape, found, summed, factors))
+
+
+@contextmanager
+def recording(name: str) -> Iterator[Tape]:
+    """Tape for a program; what takes long is announced, with the number of operations so far."""
     tape = Tape()
-    try:
-        found = dict(algorithm(*inputs(tape, arguments)))
-    except TypeError as error:
-        if Recorded.__name__ not in str(error):
-            raise
-        raise NumberError(f"a recorded number is no number for this function: {error}; {FUNCTIONS}") from error
-    factors = found.pop(GROWTH, ())
-    return with_half_angles(finish(name, arguments, tape, found, summed, factors))
+    with Notice(f"recording {name}") as notice:
+        notice.at(lambda: f"{len(tape.ops)} operations")
+        yield tape
 
 
 def with_half_angles(program: Program) -> Program:
@@ -152,10 +163,10 @@ def with_half_angles(program: Program) -> Program:
         s, c = apply("sin", half), apply("cos", half)
         return (s + s) * c if op.code == "sin" else 1.0 - (s + s) * s
 
-    tape = Tape()
-    values = replay(program, inputs(tape, program.arguments), from_half)
-    summed = [r.name for r in program.results if r.summed]
-    return finish(program.name, program.arguments, tape, results(program, values), summed, growths(program, values))
+    with recording(program.name) as tape:
+        values = replay(program, inputs(tape, program.arguments), from_half)
+        summed = [r.name for r in program.results if r.summed]
+        return finish(program.name, program.arguments, tape, results(program, values), summed, growths(program, values))
 
 
 def finish(

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from torchdq.program.order import pairs, recorded
 from torchdq.program.program import Program
+from torchdq.program.uniform import shared
 
 
 class Part(NamedTuple):
@@ -35,10 +36,10 @@ class Schedule(NamedTuple):
 
 def schedule(program: Program, longest: int) -> Schedule:
     """Schedule of a program, in parts of at most `longest` values."""
-    uniform = _uniform(program)
+    uniform = shared(program)
     prelude = tuple(i for i, op in enumerate(program.ops) if uniform[i] and op.code != "const")
     together = pairs(program)
-    body = recorded(program, {i for i, shared in enumerate(uniform) if shared})
+    body = recorded(program, {i for i, known in enumerate(uniform) if known})
     if len(body) <= longest:
         return Schedule(uniform, prelude, together, (Part(tuple(body)),), 0)
     cut = [body[k : k + longest] for k in range(0, len(body), longest)]
@@ -47,16 +48,6 @@ def schedule(program: Program, longest: int) -> Schedule:
         if first in together and together[first][0] != first:  # second of a pair; it stays in the part of the first
             earlier.append(later.pop(0))
     return Schedule(uniform, prelude, together, *_in_slots(program, cut))
-
-
-def _uniform(program: Program) -> tuple[bool, ...]:
-    known: list[bool] = []
-    for op in program.ops:
-        if op.code == "in":
-            known.append(program.arguments[op.payload[0]].uniform)
-        else:
-            known.append(all(known[k] for k in op.operands))
-    return tuple(known)
 
 
 def _in_slots(program: Program, cut: Sequence[Sequence[int]]) -> tuple[tuple[Part, ...], int]:

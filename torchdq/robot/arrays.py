@@ -18,7 +18,7 @@ SIX = [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]  # rows and columns of xx xy yy xz 
 
 def double(values: Any) -> Tensor:
     """Float64 tensor of numbers."""
-    return torch.tensor(values, dtype=torch.float64)
+    return torch.tensor(values, dtype=torch.float64, device="cpu")
 
 
 IDENTITY = double([1.0, 0, 0, 0, 0, 0, 0, 0])  # pose
@@ -27,7 +27,7 @@ IDENTITY = double([1.0, 0, 0, 0, 0, 0, 0, 0])  # pose
 def numbers(name: str, value: Any) -> Tensor:
     """Value as a float64 tensor."""
     try:
-        x = torch.as_tensor(value if isinstance(value, Tensor) else np.array(value))
+        x = value if isinstance(value, Tensor) else torch.as_tensor(np.array(value), device="cpu")
         if x.is_complex():
             raise TypeError("found complex numbers")
         return x.to(torch.float64)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -13,15 +12,17 @@ from torch.compiler import is_compiling
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import consistency, fields, units
 from torchdq.robot.constants import version
-from torchdq.robot.description import Limits
+from torchdq.robot.description import Frame, Limits
 from torchdq.robot.fields import SHAPES, batches
-from torchdq.robot.tree import general_tree, plain
+from torchdq.robot.tree import inert_joints
 
 if TYPE_CHECKING:
     from torchdq.robot.robot import Robot
 
 # fields that the robots of a stack may have different values of
 STACKED = (*SHAPES, "limits", "damping", "friction")
+# fields whose units can be doubted
+MEASURED = ("X_PB_home", "screw", "mass", "com", "inertia", "limits", "frames")
 
 
 def values(robot: Robot) -> dict[str, Any]:
@@ -59,29 +60,34 @@ def require_fields(robot: Robot, changes: Mapping[str, Any]) -> None:
         if name not in known:
             raise UnknownNameError(f"field of robot {robot.name!r}", name, known)
     require_unchanged(robot, changes)
-    fields.require_structure(robot.name, robot.n, changes)
+    fields.require_structure(robot, changes)
 
 
-def faults_of(robot: Robot, changes: Collection[str]) -> list[str]:
-    """Faults of changed fields that the notes do not tell of; raises unless the tip is a frame."""
+def complaints(robot: Robot, changes: Collection[str], on_unphysical: consistency.OnUnphysical) -> list[str]:
+    """Faults of changed fields and doubts about their units, that the notes do not tell of, once raised or warned of.
+
+    Raises unless the tip is a frame. Units are doubted of one robot on the CPU whose numbers are not learned.
+    """
     if {"tip", "frames"} & set(changes) and robot.tip is not None:
         robot.frame(robot.tip)
-    known = {_without_numbers(note) for note in robot.notes}
-    return [fault for fault in fields.faults(robot, changes) if _without_numbers(fault) not in known]
-
-
-def _without_numbers(fault: str) -> str:
-    return fault.partition(", found")[0]
+    known = {units.without_numbers(note) for note in robot.notes}
+    faults = [fault for fault in fields.faults(robot, changes) if units.without_numbers(fault) not in known]
+    consistency.complain(robot.name, faults, on_unphysical)
+    read = [x for x in (*fields.present(robot, SHAPES).values(), *robot.limits)]
+    here = all(x.device.type == "cpu" and fields.readable(x, False) for x in read)
+    if faults or not {*MEASURED} & {*changes} or batches(robot) or not here:
+        return faults
+    return units.doubts(robot, quiet=on_unphysical == "ignore", known=known)
 
 
 def check(robot: Robot) -> None:
     """Raise unless a robot can exist; see `Robot.check`."""
     require_unchanged(robot)
     names = values(robot)
-    fields.require_structure(robot.name, robot.n, names)
+    fields.require_structure(robot, names)
     faults = fields.faults(robot, names, everything=True)
     if not faults and not fields.batches(robot):
-        faults = consistency.inert_joints(robot.joint_names, general_tree(robot, partial(plain, robot)))
+        faults = inert_joints(robot)
     consistency.complain(robot.name, faults, "error")
     units.doubts(robot)
 
@@ -97,6 +103,13 @@ def stacked(kind: type[Robot], robots: Sequence[Robot]) -> Robot:
     changes: dict[str, Any] = {"notes": tuple(notes)}
     for robot in robots:
         require_unchanged(robot)
+        for field, x in fields.present(robot, SHAPES).items():
+            mine = getattr(first, field)
+            if mine is not None and (mine.dtype, mine.device) != (x.dtype, x.device):
+                raise ArgumentError(
+                    f"robots of a stack must have one dtype and device, found {field} with {mine.dtype} on "
+                    f"{mine.device} and with {x.dtype} on {x.device}; convert them by robot.to(dtype, device)"
+                )
         for field, axes in batches(robot).items():
             raise ArgumentError(
                 f"robots of a stack must have no batch axes, found {axes} of {field} in robot {robot.name!r}; stack "
@@ -108,8 +121,10 @@ def stacked(kind: type[Robot], robots: Sequence[Robot]) -> Robot:
             continue
         if name not in STACKED:
             other = next(x for x in found if not _equal(value, x))
-            raise ArgumentError(f"robots of a stack must have the same {name}, found {value} and {other}")
+            raise ArgumentError(f"robots of a stack must have the same {name}, found {_difference(value, other)}")
         changes[name] = Limits(*map(_together, zip(*found, strict=True))) if name == "limits" else _together(found)
+    if not {*SHAPES} & {*changes}:  # equal robots are several, too
+        changes["mass"] = _together([robot.mass for robot in robots])
     return first.replace(**changes)
 
 
@@ -117,6 +132,17 @@ def _together(found: Sequence[Tensor | None]) -> Tensor:
     """Tensors along a new leading axis; absent ones are zero."""
     zero = torch.zeros_like(next(x for x in found if x is not None))
     return torch.stack(torch.broadcast_tensors(*(zero if x is None else x for x in found)))
+
+
+def _difference(a: Any, b: Any) -> str:
+    """Two different values of a field, in words; of frames with the same names, the first that differs."""
+    pairs = [*zip(a, b, strict=False)] if isinstance(a, tuple) and isinstance(b, tuple) else []
+    if not pairs or len(a) != len(b) or not all(isinstance(x, Frame) and x.name == y.name for x, y in pairs):
+        return f"{a} and {b}"
+    x, y = next(pair for pair in pairs if not _equal(*pair))
+    if x.link != y.link:
+        return f"frame {x.name!r} with link {x.link} and {y.link}"
+    return f"frame {x.name!r} with X_BF {x.X_BF.tolist()} and {y.X_BF.tolist()}"
 
 
 def _equal(a: Any, b: Any) -> bool:

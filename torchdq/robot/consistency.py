@@ -17,8 +17,12 @@ from torchdq.dynamics.paper.posed import Paper
 from torchdq.dynamics.tree import Tree
 from torchdq.errors import UnphysicalError
 
-OnUnphysical = Literal["error", "warn", "ignore"]
+OnUnphysical = Literal["error", "warn", "repair", "ignore"]
 TOLERANCE = 1e-6  # relative to the trace: descriptions are printed with about six digits
+# Moments of inertia that are rounding, of a mass m: a ball as dense as osmium has 1e-3 m^(5/3).
+POINT = 1e-14
+NOTHING = 1e-30  # the same without mass [kg m^2]: a bacterium has a hundred times more
+MASSLESS = "it has no mass, so its inertia must be zero"
 
 
 def bodies(links: Sequence[str], mass: Tensor, inertia: Tensor) -> list[str]:
@@ -28,16 +32,16 @@ def bodies(links: Sequence[str], mass: Tensor, inertia: Tensor) -> list[str]:
     point, a rod, a plate) and is accepted. In a batch of robots a link has the fault of the first robot that has one.
     """
     batch = torch.broadcast_shapes(mass.shape[:-1], inertia.shape[:-3])
-    mass, inertia = mass.double().expand(*batch, -1), inertia.double().expand(*batch, -1, -1, -1)
+    mass, inertia = (x.to("cpu", torch.float64) for x in (mass, inertia))
+    mass, inertia = mass.expand(*batch, -1), inertia.expand(*batch, -1, -1, -1)
     finite = mass.isfinite() & inertia.isfinite().all(-1).all(-1)
     moments = torch.linalg.eigvalsh(inertia.where(finite[..., None, None], 0.0))
-    slack = TOLERANCE * moments.abs().sum(-1)
+    slack = (TOLERANCE * moments.abs().sum(-1)).maximum(rounding(mass))
     wrong = {
         "mass and inertia must be finite, found mass {mass} and inertia {inertia}": ~finite,
         "mass must not be negative, found {mass:g} kg": mass < 0,
-        "it has no mass, so its inertia must be zero, found principal moments {shown} kg m^2": (mass == 0)
-        & (slack > 0),
         "inertia must be positive definite, found principal moments {shown} kg m^2": moments[..., 0] < -slack,
+        f"{MASSLESS}, found principal moments {{shown}} kg m^2": (mass == 0) & (moments.abs().amax(-1) > NOTHING),
         "the largest principal moment must not exceed the sum of the others (triangle inequality), "
         "found {shown} kg m^2": moments[..., 2] > moments[..., 0] + moments[..., 1] + slack,
     }
@@ -56,13 +60,40 @@ def bodies(links: Sequence[str], mass: Tensor, inertia: Tensor) -> list[str]:
     return faults
 
 
-def body(link: str, mass: float, inertia: Tensor) -> list[str]:
-    """Faults of a link of that mass [kg] and inertia about its centre of mass [kg m^2], [3, 3]."""
-    return bodies((link,), torch.tensor([mass], dtype=torch.float64), inertia.unsqueeze(0))
+def rounding(mass: Tensor) -> Tensor:
+    """Largest moment of inertia [kg m^2] of a mass [kg] that is taken for rounding."""
+    return torch.where(mass == 0, NOTHING, POINT * mass.abs() ** (5 / 3))
 
 
-def inert_joints(names: Sequence[str], tree: Tree) -> list[str]:
-    """Faults of joints that move no inertia in any position: the mass matrix is singular whatever the robot does.
+def repaired(links: Sequence[str], mass: Tensor, inertia: Tensor) -> tuple[Tensor, list[str]]:
+    """Inertias [n, 3, 3] with those that no body has replaced by the nearest that one has, and notes of the changes.
+
+    Nearest is meant for the second moments E = tr(I)/2 1 - I, in the Frobenius norm: negative eigenvalues become zero.
+    Masses [n] are those of the links; one that cannot be is left to the faults of `bodies`.
+    """
+    one = torch.eye(3, dtype=torch.float64)
+    new, notes = inertia.clone(), []
+    for i, link in enumerate(links):
+        if (
+            not bool(inertia[i].isfinite().all())
+            or not float(mass[i]) > 0
+            or not bodies((link,), mass[[i]], inertia[[i]])
+        ):
+            continue
+        E = inertia[i].trace() / 2 * one - inertia[i]
+        values, axes = torch.linalg.eigh(E)
+        E = axes @ torch.diag(values.clamp(min=0)) @ axes.T
+        new[i] = E.trace() * one - E
+        before, after = (", ".join(f"{x:.6g}" for x in torch.linalg.eigvalsh(I)) for I in (inertia[i], new[i]))
+        part = float((new[i] - inertia[i]).norm() / inertia[i].norm())
+        notes.append(
+            f"link {link!r}: inertia repaired by {100 * part:.3g} %, principal moments {before} to {after} kg m^2"
+        )
+    return new, notes
+
+
+def inert_joints(names: Sequence[str], tree: Tree) -> dict[str, str]:
+    """Faults, by name, of joints that move no inertia in any position: the mass matrix is singular everywhere.
 
     Args:
         names: names of the joints.
@@ -83,22 +114,28 @@ def inert_joints(names: Sequence[str], tree: Tree) -> list[str]:
             inertias[i] = max(inertias[i], diagonal[k])
             sizes[i] = max(sizes[i], quat.norm2(a[0]) * spread[i] + quat.norm2(a[1]) * abs(mass))
             spread[links[i].parent] += spread[i] + abs(mass) * quat.norm2(dual_quaternion.translation(at.X_PB[i]))
+        enough = 1e-24 * max(sizes)
+        if all(inertia > max(1e-10 * size, enough) for inertia, size in zip(inertias[1:], sizes[1:], strict=True)):
+            break  # most robots need one position only
     # Below this part of its terms an inertia is rounding, and below that part of the robot's it is the square of the
     # rounding of a distance. An absolute bound would reject a microrobot, or its hand on a crane.
     square = 1e-28 * max(sizes)
-    return [
-        f"joint {name!r}: it moves no inertia, so its acceleration is undefined; give the links beyond it mass"
+    return {
+        name: f"joint {name!r}: it moves no inertia, so its acceleration is undefined; give the links beyond it mass"
         for name, inertia, size in zip(names, inertias[1:], sizes[1:], strict=True)
         if not inertia > max(1e-14 * size, square)
-    ]
+    }
 
 
 def complain(robot: str, faults: Sequence[str], on_unphysical: OnUnphysical, stacklevel: int = 4) -> None:
-    """Raise, warn or do nothing about faults; `stacklevel` as in `warnings.warn`."""
+    """Raise, warn or do nothing about faults, those left by a repair; `stacklevel` as in `warnings.warn`."""
     require_choice("on_unphysical", on_unphysical, get_args(OnUnphysical))
     if not faults or on_unphysical == "ignore":
         return
     message = f"robot {robot!r} is unphysical:\n  " + "\n  ".join(faults)
     if on_unphysical == "error":
-        raise UnphysicalError(f"{message}\nCorrect the description, or pass on_unphysical='warn'.")
+        ways = "'repair' for the nearest inertias that bodies have, or 'warn' for these"
+        raise UnphysicalError(f"{message}\nCorrect the description, or pass on_unphysical={ways}.")
+    if on_unphysical == "repair":
+        raise UnphysicalError(f"{message}\nCorrect the description: only inertias can be repaired.")
     warnings.warn(message, stacklevel=stacklevel)

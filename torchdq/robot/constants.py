@@ -115,7 +115,7 @@ def _unknown(x: Tensor, axes: int) -> Numbers:
 
 
 def _tensor(x: Numbers) -> Tensor:
-    return torch.tensor(x.values, dtype=torch.float64).reshape(x.shape)
+    return torch.tensor(x.values, dtype=torch.float64, device="cpu").reshape(x.shape)
 
 
 def _mapped(function: Callable[[Any], Any], kind: type, x: Any) -> Any:

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.robot import consistency
-from torchdq.robot.arrays import IDENTITY, distinct, inertias, matrices, table
+from torchdq.robot.arrays import IDENTITY, SIX, distinct, inertias, matrices, table
 
 
 class Limits(NamedTuple):
@@ -28,6 +28,13 @@ class Frame(NamedTuple):
     name: str
     link: int  # index of the link, -1: the base
     X_BF: Tensor  # [8]
+
+
+class JointMap(NamedTuple):
+    """Joints that follow the coordinates q: the displacements of all joints are S q - home."""
+
+    joint_names: tuple[str, ...]  # names of all joints, one per link
+    S: Tensor  # [links, n] positions of the joints per coordinate
 
 
 @dataclass(frozen=True)
@@ -50,6 +57,11 @@ class RobotDescription:
     frames: tuple[Frame, ...]
     tip: str | None
     home: Tensor | None = None
+    armature: Tensor | None = None
+    base_mass: Tensor | None = None
+    base_com: Tensor | None = None
+    base_inertia: Tensor | None = None
+    joint_map: JointMap | None = None
     notes: tuple[str, ...] = ()
 
 
@@ -67,6 +79,7 @@ def assemble(
     com: Any,
     inertia: Any,
     home: Any = None,
+    repair: bool = False,
 ) -> tuple[RobotDescription, list[str]]:
     """Description without limits or friction, with a frame per link, one at the tip and one at the base; its faults."""
     n = len(parents)
@@ -76,8 +89,10 @@ def assemble(
     if {"base", "tip"} & set(links):
         raise DescriptionError(f"link_names must not be 'base' or 'tip', which are frames already, found {links}")
     mass, com, inertia = table("mass", mass, n), table("com", com, n, 3), inertias(inertia, n)
-    faults = consistency.bodies(links, mass, matrices(inertia))
-    infinite, zero = torch.full((n,), torch.inf, dtype=torch.float64), torch.zeros(n, dtype=torch.float64)
+    I, notes = consistency.repaired(links, mass, matrices(inertia)) if repair else (matrices(inertia), [])
+    faults = consistency.bodies(links, mass, I)
+    zero = torch.zeros(n, dtype=torch.float64, device="cpu")
+    infinite = zero + torch.inf
     at_links = (Frame(link, i, IDENTITY) for i, link in enumerate(links))
     return RobotDescription(
         name=name,
@@ -89,11 +104,12 @@ def assemble(
         screw=screw,
         mass=mass,
         com=com,
-        inertia=inertia,
+        inertia=I[:, *SIX],
         limits=Limits(-infinite, infinite, infinite, infinite),
         damping=zero,
         friction=zero,
         frames=(Frame("base", BASE, IDENTITY), *at_links, Frame("tip", n - 1, X_BE)),
         tip="tip",
         home=None if home is None else table("home", home, n),
+        notes=tuple(notes),
     ), faults

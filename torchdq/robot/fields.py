@@ -12,37 +12,47 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from torchdq.checks import DTYPES
+from torchdq.checks import DTYPES, is_dense, require_tensor
 from torchdq.dynamics.joints import KINDS
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program.transforms import without_values
 from torchdq.robot import consistency
 from torchdq.robot.arrays import UNIT, matrices
-from torchdq.robot.description import Frame, Limits
+from torchdq.robot.description import Frame, JointMap, Limits
 
 if TYPE_CHECKING:
     from torchdq.robot.robot import Robot
 
-# trailing axes of each tensor field; leading axes are batch axes, "n" is the number of joints
-SHAPES: dict[str, tuple] = {
-    "X_PB_home": ("n", 8),
-    "screw": ("n", 6),
-    "home": ("n",),
-    "mass": ("n",),
-    "com": ("n", 3),
-    "inertia": ("n", 6),
+Axes = tuple[int | str, ...]  # trailing axes, by number or by name
+
+# trailing axes of each tensor field, see `Robot.sizes`; leading axes are batch axes
+SHAPES: dict[str, Axes] = {
+    "X_PB_home": ("links", 8),
+    "screw": ("links", 6),
+    "home": ("links",),
+    "mass": ("links",),
+    "com": ("links", 3),
+    "inertia": ("links", 6),
     "gravity": (3,),
     "armature": ("n",),
+    "base_mass": (),
+    "base_com": (3,),
+    "base_inertia": (6,),
 }
-OPTIONAL = ("gravity", "home", "armature")
-DESCRIBED = ("limits", "damping", "friction", "frames")  # other fields that hold tensors
+OPTIONAL = ("gravity", "home", "armature", "base_mass", "base_com", "base_inertia")
+DESCRIBED = ("limits", "damping", "friction", "frames", "joint_map")  # other fields that hold tensors
 UNIT_SINGLE = 1e-5  # as UNIT, of numbers in single precision
 SCREWS = {
     "revolute": "a unit line (l | p x l)",
     "helical": "a unit line with pitch (l | p x l + h l)",
     "prismatic": "a unit translation (0 | l)",
 }
+
+
+def trailing(axes: Axes, sizes: Mapping[str, int]) -> tuple[int, ...]:
+    """Trailing axes as numbers."""
+    return tuple([sizes[axis] if isinstance(axis, str) else axis for axis in axes])
 
 
 def present(robot: Robot, names: Collection[str]) -> dict[str, Tensor]:
@@ -60,11 +70,19 @@ def batches(robot: Robot) -> dict[str, tuple[int, ...]]:
 def require_shapes(robot: Robot) -> None:
     """Raise unless the physical tensors of a robot are tensors of their shapes and of a dtype of the package."""
     n = len(robot.joint_names)
-    for name, trailing in SHAPES.items():
+    absent = [name for name in ("base_mass", "base_com", "base_inertia") if getattr(robot, name) is None]
+    if 0 < len(absent) < 3:
+        raise ArgumentError(
+            f"base_mass, base_com and base_inertia of robot {robot.name!r} must be given together, for a free base, or "
+            f"all be None; {', '.join(absent)} {'is' if len(absent) == 1 else 'are'} None"
+        )
+    for name, axes in SHAPES.items():
         value = getattr(robot, name)
         if value is None and name in OPTIONAL:
             continue
-        shape = tuple(n if axis == "n" else axis for axis in trailing)
+        shape = trailing(axes, robot.sizes)
+        if isinstance(value, Tensor):
+            require_tensor(f"{name} of robot {robot.name!r}", value)
         if not isinstance(value, Tensor) or tuple(value.shape[value.ndim - len(shape) :]) != shape:
             found = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
             expected = ", ".join(["...", *map(str, shape)])
@@ -80,56 +98,70 @@ def _strings(x: Any) -> bool:
     return isinstance(x, tuple) and all(isinstance(one, str) for one in x)
 
 
-def _names(x: Any, n: int) -> bool:
-    return _strings(x) and len(x) == len(set(x)) == n
+def _names(x: Any, count: int) -> bool:
+    return _strings(x) and len(x) == len(set(x)) == count
 
 
-def _row(x: Any, n: int) -> bool:
-    return isinstance(x, Tensor) and x.dtype in DTYPES and x.shape[-1:] == (n,)
+def _row(x: Any, size: int) -> bool:
+    return isinstance(x, Tensor) and is_dense(x) and x.dtype in DTYPES and x.shape[-1:] == (size,)
 
 
-def _frames(x: Any, n: int) -> bool:
+def _parents(x: Any, links: int) -> bool:
+    return (
+        isinstance(x, tuple) and len(x) == links and all(isinstance(p, int) and BASE <= p < i for i, p in enumerate(x))
+    )
+
+
+def _frames(x: Any, links: int) -> bool:
     return (
         isinstance(x, tuple)
         and all(isinstance(frame, Frame) and _row(frame.X_BF, 8) and frame.X_BF.ndim == 1 for frame in x)
-        and all(isinstance(frame.link, int) and BASE <= frame.link < n for frame in x)
+        and all(isinstance(frame.link, int) and BASE <= frame.link < links for frame in x)
         and _names(tuple(frame.name for frame in x), len(x))
     )
 
 
+def _joint_map(x: Any, n: int, links: int) -> bool:
+    return getattr(x, "_fields", ()) == JointMap._fields and _names(x.joint_names, links) and x.S.shape == (links, n)
+
+
 # expected value of every other field of a robot with n joints, in words and as a test
-STRUCTURE: dict[str, tuple[str, Callable[[Any, int], bool]]] = {
-    "name": ("a string", lambda x, n: isinstance(x, str)),
-    "joint_names": ("a tuple of different names, one per joint", _names),
-    "link_names": ("a tuple of different names, one per link", _names),
-    "parents": (
-        "a tuple with an earlier link or -1 for each link",
-        lambda x, n: (
-            isinstance(x, tuple) and len(x) == n and all(isinstance(p, int) and BASE <= p < i for i, p in enumerate(x))
-        ),
-    ),
+STRUCTURE: dict[str, tuple[str, Callable[[Any, int, int], bool]]] = {
+    "name": ("a string", lambda x, n, links: isinstance(x, str)),
+    "joint_names": ("a tuple of different names, one per joint", lambda x, n, links: _names(x, n)),
+    "link_names": ("a tuple of different names, one per link", lambda x, n, links: _names(x, links)),
+    "parents": ("a tuple with an earlier link or -1 for each link", lambda x, n, links: _parents(x, links)),
     "kinds": (
-        f"a tuple with one of {', '.join(KINDS)} for each joint",
-        lambda x, n: _strings(x) and len(x) == n and set(x) <= set(KINDS),
+        f"a tuple with one of {', '.join(KINDS)} for each link",
+        lambda x, n, links: _strings(x) and len(x) == links and set(x) <= set(KINDS),
     ),
     "limits": (
         "Limits of four tensors [n]",
-        lambda x, n: getattr(x, "_fields", ()) == Limits._fields and all(_row(bound, n) for bound in x),
+        lambda x, n, links: getattr(x, "_fields", ()) == Limits._fields and all(_row(bound, n) for bound in x),
     ),
-    "damping": ("a tensor [n]", _row),
-    "friction": ("a tensor [n]", _row),
-    "frames": ("a tuple of Frames with different names, links from -1 to n - 1 and poses [8]", _frames),
-    "tip": ("the name of a frame or None", lambda x, n: x is None or isinstance(x, str)),
-    "notes": ("a tuple of strings", lambda x, n: _strings(x)),
+    "damping": ("a tensor [n]", lambda x, n, links: _row(x, n)),
+    "friction": ("a tensor [n]", lambda x, n, links: _row(x, n)),
+    "frames": (
+        "a tuple of Frames with different names, links from -1 to links - 1 and poses [8]",
+        lambda x, n, links: _frames(x, links),
+    ),
+    "joint_map": (
+        "a JointMap of the names of all joints and a tensor [links, n], or None",
+        lambda x, n, links: links == n if x is None else _joint_map(x, n, links),
+    ),
+    "tip": ("the name of a frame or None", lambda x, n, links: x is None or isinstance(x, str)),
+    "notes": ("a tuple of strings", lambda x, n, links: _strings(x)),
 }
 
 
-def require_structure(robot: str, n: int, values: Mapping[str, Any]) -> None:
+def require_structure(robot: Robot, values: Mapping[str, Any]) -> None:
     """Raise unless values are of the kind and the length of their fields, those with physical tensors apart."""
+    sizes = robot.sizes
     for name, value in values.items():
-        expected, fits = STRUCTURE.get(name, ("", lambda x, n: True))
-        if not fits(value, n):
-            raise ArgumentError(f"{name} of robot {robot!r} must be {expected}, with n = {n}, found {value!r}")
+        expected, fits = STRUCTURE.get(name, ("", lambda x, n, links: True))
+        if not fits(value, **sizes):
+            counts = f"n = {robot.n}" + ("" if robot.joint_map is None else f" and links = {sizes['links']}")
+            raise ArgumentError(f"{name} of robot {robot.name!r} must be {expected}, with {counts}, found {value!r}")
 
 
 # --- values ----------------------------------------------------------------------------------------------------------
@@ -179,7 +211,7 @@ def _geometry(robot: Robot, names: Collection[str], everything: bool) -> Iterato
         fits = _of_kind(robot.screw.detach(), robot.kinds)
         if not bool(fits.all()):
             at, found = _bad(robot.screw, ~fits)
-            name, kind = robot.joint_names[at[-1]], robot.kinds[at[-1]]
+            name, kind = robot.every_joint[at[-1]], robot.kinds[at[-1]]
             yield f"screw of the {kind} joint {name!r} must be {SCREWS[kind]} with |l| = 1, found {found} at {at}"
 
 
@@ -197,6 +229,11 @@ def faults(robot: Robot, names: Collection[str], everything: bool = False) -> li
     if wanted and all(readable(x, everything) for x in bodies):
         mass, inertia = (x.detach() for x in bodies)
         found += consistency.bodies(robot.link_names, mass, matrices(inertia))
+    base = {name: x for name, x in present(robot, ("base_mass", "base_inertia")).items() if name in names}
+    if base and robot.base_mass is not None and robot.base_inertia is not None:
+        shaped = robot.base_mass.unsqueeze(-1), matrices(robot.base_inertia).unsqueeze(-3)
+        if all(readable(x, everything) for x in shaped):
+            found += consistency.bodies(("the base",), *(x.detach() for x in shaped))
     for name, expected, x, fits in _rules(robot, names):
         if readable(x, everything) and (everything or x.ndim <= len(SHAPES.get(name, "n"))) and not bool(fits(x).all()):
             at, value = _bad(x, ~fits(x))
@@ -206,7 +243,7 @@ def faults(robot: Robot, names: Collection[str], everything: bool = False) -> li
 
 def _rules(robot: Robot, names: Collection[str]) -> Iterator[tuple[str, str, Tensor, Callable[[Tensor], Tensor]]]:
     """Name, expectation in words, tensor and expectation as a mask of every rule on single numbers."""
-    for name in ("com", "home", "gravity"):
+    for name in ("com", "home", "gravity", "base_com"):
         if name in names and getattr(robot, name) is not None:
             yield name, "finite", getattr(robot, name), torch.isfinite
     for name in ("armature", "damping", "friction"):

@@ -20,7 +20,7 @@ TURN = 2 * math.pi + 1e-5  # largest angle of a table; degrees are larger
 def _about(axis: int, angle: float, shift: float) -> Tensor:
     """Pose of a rotation about, and a translation along, one axis of a frame."""
     c, s = exact(math.cos(0.5 * angle), math.sin(0.5 * angle), angle)
-    x = torch.zeros(8, dtype=torch.float64)
+    x = torch.zeros(8, dtype=torch.float64, device="cpu")
     x[0], x[1 + axis] = c, s
     # (eps/2) p r with p along the axis of r
     x[4], x[5 + axis] = -0.5 * shift * s, 0.5 * shift * c

@@ -65,6 +65,7 @@ def align(tree: Tree) -> tuple[Alignment, ...]:
         beyond = lines[main[i]] if i in main else None
         x, origin = _frame(lines[i], beyond, Axis(p_P, R_P[:, 0]), p_WB[i], size)
         z = lines[i].direction
+        x = _across(x, z)
         R = np.stack([x, np.cross(z, x), z], axis=1)
         R_WL.append(R)
         p_WL.append(origin)
@@ -122,6 +123,16 @@ def _along_axes(p: np.ndarray, gamma: float, alpha: float, size: float) -> tuple
 
 def _unit(v: np.ndarray) -> np.ndarray:
     return v / np.linalg.norm(v)
+
+
+def _across(x: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Unit vector perpendicular to z up to rounding, near x.
+
+    A common normal of axes that are close together is a small difference, whose rounding error is not perpendicular.
+    """
+    for _ in range(2):
+        x = _unit(x - (x @ z) * z)
+    return x
 
 
 def _main_children(tree: Tree) -> dict[int, int]:

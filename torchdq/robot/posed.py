@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import Moments
@@ -11,13 +12,15 @@ from torchdq.algebra.screw import Screw
 from torchdq.dynamics import conditioning
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.aligned.regroup import regrouped
-from torchdq.dynamics.joints import Coordinate, along_z
+from torchdq.dynamics.coupling import Coupled, Coupling
+from torchdq.dynamics.joints import Coordinate, Free, along_z
 from torchdq.dynamics.paper.posed import Paper
 from torchdq.dynamics.posed import Factors, Posed
 from torchdq.dynamics.tree import Tree, on_base
 from torchdq.errors import SingularInertiaError
 from torchdq.numbers.functions import cos, sin
 from torchdq.robot import mdh
+from torchdq.robot.description import JointMap
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.robot import Robot
 from torchdq.robot.tree import general_tree, plain
@@ -26,7 +29,9 @@ from torchdq.robot.tree import general_tree, plain
 Overrides = Mapping[str, Sequence[Number] | None]
 
 GEOMETRY = ("X_PB_home", "screw")
-INERTIAL = ("mass", "com", "inertia")
+BASE = 6  # degrees of freedom of a free base, which come first
+INERTIAL = ("mass", "com", "inertia")  # tensors of the links
+BODIES = (*INERTIAL, "base_mass", "base_com", "base_inertia")
 
 
 def field(robot: Robot, name: str, overrides: Overrides):
@@ -36,34 +41,50 @@ def field(robot: Robot, name: str, overrides: Overrides):
         if row is None:
             return None
         flat = tuple(row)
+        if not shape:
+            return flat[0]
         if len(shape) == 1:
             return flat
-        return tuple(flat[k : k + shape[1]] for k in range(0, len(flat), shape[1]))
+        width = int(shape[1])
+        return tuple(flat[k : k + width] for k in range(0, len(flat), width))
     return plain(robot, name)
 
 
-def tree(robot: Robot, overrides: Overrides) -> Tree:
+def tree(robot: Robot, overrides: Overrides, free: bool = False) -> Tree:
     """Tree of the robot in the link frames of its description."""
-    return general_tree(robot, lambda name: field(robot, name, overrides))
+    return general_tree(robot, lambda name: field(robot, name, overrides), free)
+
+
+def coupling(joint_map: JointMap, before: int = 0) -> Coupling:
+    """Map from coordinates to all joints, after some degrees of freedom of the base that stay as they are."""
+    rows = [[x or None for x in row] for row in joint_map.S.tolist()]
+    own = [[1.0 if i == k else None for k in range(before + len(rows[0]))] for i in range(before)]
+    S = (*own, *([None] * before + row for row in rows))
+    return Coupling(tuple(map(tuple, S)), (0.0,) * len(S))
 
 
 def displacements(robot: Robot, q: Sequence[Number], overrides: Overrides) -> list[Number]:
-    """Joint positions relative to home."""
+    """Positions of all joints relative to home."""
     home = field(robot, "home", overrides)
+    if robot.joint_map is not None:
+        q = coupling(robot.joint_map).rates(q)
     return list(q) if home is None else [x - h for x, h in zip(q, home, strict=True)]
 
 
-def coordinates(robot: Robot, q: Sequence[Number], overrides: Overrides) -> list[Coordinate | None]:
-    """Coordinates of all joints, beginning with the base, which has none."""
+def coordinates(robot: Robot, q: Sequence[Number], overrides: Overrides, X_WB: DualQuaternion | None) -> list[Any]:
+    """Coordinates of all joints, beginning with the base."""
     halves = [(x, 0.5 * x) for x in displacements(robot, q, overrides)]
-    return [None, *(Coordinate(x, cos(half), sin(half)) for x, half in halves)]
+    return [X_WB, *(Coordinate(x, cos(half), sin(half)) for x, half in halves)]
 
 
-def aligned(robot: Robot, q: Sequence[Number], overrides: Overrides, group: bool) -> Aligned:
+def aligned(
+    robot: Robot, q: Sequence[Number], overrides: Overrides, group: bool, X_WB: DualQuaternion | None = None
+) -> Aligned:
     """Robot at q in aligned frames; its geometry must be constant.
 
     Args:
         group: whether inertial parameters are regrouped; it saves operations if they do not depend on the sample.
+        X_WB: pose of a free base; None: the base is fixed.
     """
     described = tree(robot, {"gravity": None, "armature": None})
     alignments, coms = mdh.align(described), field(robot, "com", overrides)
@@ -76,27 +97,46 @@ def aligned(robot: Robot, q: Sequence[Number], overrides: Overrides, group: bool
             Moments.from_com(m, at.point_from_own(com), at.inertia_from_own(inertia))
             for at, m, com, inertia in zip(alignments, masses, coms, inertias, strict=True)
         ],
-        field(robot, "armature", overrides),
+        None if robot.joint_map else field(robot, "armature", overrides),
         field(robot, "gravity", overrides),
+        *(() if X_WB is None else (Free(), _base_body(robot, overrides))),
     )
     x = displacements(robot, q, overrides)
-    return Aligned.at(regrouped(found) if group else found, alignments, coms, x)
+    return Aligned.at(regrouped(found) if group else found, alignments, coms, x, X_WB)
 
 
-def paper(robot: Robot, q: Sequence[Number], overrides: Overrides) -> Paper:
+def _base_body(robot: Robot, overrides: Overrides) -> Moments:
+    return Moments.from_com(*(field(robot, name, overrides) for name in ("base_mass", "base_com", "base_inertia")))
+
+
+def paper(robot: Robot, q: Sequence[Number], overrides: Overrides, X_WB: DualQuaternion | None = None) -> Paper:
     """Robot at q in the paper's form, in the link frames of its description; every tensor may be an argument."""
-    return Paper.at(tree(robot, overrides), field(robot, "com", overrides), coordinates(robot, q, overrides))
+    found = tree(robot, overrides, free=X_WB is not None)
+    return Paper.at(found, field(robot, "com", overrides), coordinates(robot, q, overrides, X_WB))
 
 
-def posed(robot: Robot, q: Sequence[Number], overrides: Overrides, per_sample: Sequence[str]) -> Posed:
+def posed(
+    robot: Robot,
+    q: Sequence[Number],
+    overrides: Overrides,
+    per_sample: Sequence[str],
+    X_WB: DualQuaternion | None = None,
+) -> Posed:
     """Robot at q, in aligned frames if its geometry is constant, otherwise in the paper's form.
 
     Args:
         per_sample: names of the tensors of the robot that depend on the sample.
+        X_WB: pose of a free base; None: the base is fixed.
     """
+    at: Posed
     if any(name in overrides for name in GEOMETRY):
-        return paper(robot, q, overrides)
-    return aligned(robot, q, overrides, group=not any(name in per_sample for name in INERTIAL))
+        at = paper(robot, q, overrides, X_WB)
+    else:
+        at = aligned(robot, q, overrides, not any(name in per_sample for name in BODIES), X_WB)
+    if robot.joint_map is None:
+        return at
+    before, rotors = 0 if X_WB is None else BASE, field(robot, "armature", overrides)
+    return Coupled(at, coupling(robot.joint_map, before), rotors and (0.0,) * before + tuple(rotors))
 
 
 def factors(robot: Robot, at: Posed, linear: bool) -> Factors:
@@ -104,9 +144,11 @@ def factors(robot: Robot, at: Posed, linear: bool) -> Factors:
     try:
         return at.factors(linear)
     except conditioning.NoInertiaError as error:
+        joint = error.joint - (BASE if robot.floating else 0)
+        what = "the free base" if joint < 0 else f"joint {robot.joint_names[joint]!r}"
         raise SingularInertiaError(
-            f"joint {robot.joint_names[error.joint]!r} of robot {robot.name!r} moves no inertia, so its "
-            f"acceleration is undefined; give the links beyond it mass, or the joint armature"
+            f"{what} of robot {robot.name!r} moves no inertia, so its acceleration is undefined; give the links beyond "
+            "it mass, or the joint armature"
         ) from error
 
 

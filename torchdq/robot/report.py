@@ -24,15 +24,10 @@ class Report(NamedTuple):
         used = ["mass, centre of mass and inertia of the links", "joint axes and placements"]
         used += [] if robot.gravity is None else [f"gravity {robot.gravity.tolist()} m/s^2"]
         used += [] if robot.armature is None else ["rotor inertia"]
+        used += [f"a free base of {float(robot.base_mass.mean()):.4g} kg"] if robot.base_mass is not None else []
         joints = tuple(
-            (
-                robot.joint_names[i],
-                robot.kinds[i],
-                robot.link_names[i],
-                f"{float(robot.mass[..., i].mean()):.4g} kg",
-                f"[{float(robot.limits.lower[..., i].min()):.4g}, {float(robot.limits.upper[..., i].max()):.4g}]",
-            )
-            for i in range(robot.n)
+            (name, kind, link, f"{float(robot.mass[..., i].mean()):.4g} kg", _range(robot, name))
+            for i, (name, kind, link) in enumerate(zip(robot.every_joint, robot.kinds, robot.link_names, strict=True))
         )
         return cls(f"{robot!r}\nused: {'; '.join(used)}", joints, robot.notes)
 
@@ -45,3 +40,15 @@ class Report(NamedTuple):
         )
         notes = "\n".join(f"- {note}" for note in self.notes) or "- nothing else in the description"
         return f"{self.summary}\n\n{table}\n\nnotes:\n{notes}"
+
+
+def _range(robot: Robot, joint: str) -> str:
+    """Limits of a joint that is a coordinate; of another one, the coordinates that it follows."""
+    factors = {joint: 1.0}
+    if robot.joint_map is not None:
+        row = robot.joint_map.S[robot.every_joint.index(joint)].tolist()
+        factors = {name: x for name, x in zip(robot.joint_names, row, strict=True) if x}
+    if factors != {joint: 1.0}:
+        return "follows " + (" + ".join(f"{x:g} {name}" for name, x in factors.items()) or "nothing")
+    i = robot.joint_index(joint)
+    return f"[{float(robot.limits.lower[..., i].min()):.4g}, {float(robot.limits.upper[..., i].max()):.4g}]"

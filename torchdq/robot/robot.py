@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from operator import methodcaller
-from os import PathLike
-from typing import IO, Any, Literal
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -21,23 +20,23 @@ from torchdq.dynamics.joints import KINDS, Helical, Prismatic, Revolute
 from torchdq.dynamics.tree import BASE, Tree
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.program.transforms import any_requires_grad
-from torchdq.robot import consistency, from_dh, from_screws, reduced, units, urdf
-from torchdq.robot.arrays import finite
-from torchdq.robot.changes import check, faults_of, require_fields, require_unchanged, stacked, values
+from torchdq.robot import combined, coupled, loading, mjcf_writer, reduced, urdf_writer
+from torchdq.robot.changes import check, complaints, require_fields, require_unchanged, stacked, values
 from torchdq.robot.consistency import OnUnphysical
 from torchdq.robot.constants import Constants, hold, stored
-from torchdq.robot.description import Frame, Limits, RobotDescription
+from torchdq.robot.description import Frame, JointMap, Limits
 from torchdq.robot.fields import DESCRIBED, SHAPES, batches, present, require_shapes
 from torchdq.robot.report import Report
-from torchdq.robot.tree import general_tree, plain, unbound
-
-GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], in the base frame
+from torchdq.robot.tree import general_tree, unbound
 
 
 @frozen
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """Robot with n one-degree-of-freedom joints, each carrying one link.
+    """Robot of links, each carried by a joint of one degree of freedom, and n coordinates that move the joints.
+
+    Every joint is a coordinate, unless a `joint_map` says which joints follow which coordinates. The base is fixed, or
+    free if it has a mass; see `torchdq.floating`.
 
     Link i's frame B_i is the frame of its joint (of its URDF link, of its DH frame), not its centre of mass. Every
     parent comes before its children. Physical tensors may carry leading batch axes, which broadcast against the
@@ -51,22 +50,26 @@ class Robot:
 
     name: str
     joint_names: tuple[str, ...]
-    link_names: tuple[str, ...]
+    link_names: tuple[str, ...]  # names of the links that joints move
     parents: tuple[int, ...]  # parent of link i; -1: the base
     kinds: tuple[str, ...]  # "revolute", "prismatic", "helical"
-    X_PB_home: Tensor  # [..., n, 8] pose of each link frame in its parent's frame at home
-    screw: Tensor  # [..., n, 6] joint screw in the link frame: line of a revolute joint, eps l of a prismatic one
-    mass: Tensor  # [..., n] [kg]
-    com: Tensor  # [..., n, 3] centre of mass in the link frame [m]
-    inertia: Tensor  # [..., n, 6] about the centre of mass, link axes: xx xy yy xz yz zz [kg m^2]
+    X_PB_home: Tensor  # [..., links, 8] pose of each link frame in its parent's frame at home
+    screw: Tensor  # [..., links, 6] joint screw in the link frame: line of a revolute joint, eps l of a prismatic one
+    mass: Tensor  # [..., links] [kg]
+    com: Tensor  # [..., links, 3] centre of mass in the link frame [m]
+    inertia: Tensor  # [..., links, 6] about the centre of mass, link axes: xx xy yy xz yz zz [kg m^2]
     gravity: Tensor | None  # [..., 3] gravitational acceleration in the base frame [m/s^2]; None: none
     limits: Limits
     damping: Tensor  # [n] viscous friction as described [N m s/rad or N s/m]; not part of the rigid-body dynamics
     friction: Tensor  # [n] Coulomb friction as described [N m or N]; not part of the rigid-body dynamics
     frames: tuple[Frame, ...]
     tip: str | None = None  # name of the frame of the end effector, F_{n+1}; None: not chosen
-    home: Tensor | None = None  # [..., n] joint positions at home [rad or m]; None: zero
+    home: Tensor | None = None  # [..., links] joint positions at home [rad or m]; None: zero
     armature: Tensor | None = None  # [..., n] rotor inertia at the joint [kg m^2 or kg]; None: none
+    base_mass: Tensor | None = None  # [...] of a free base [kg]; None: the base is fixed
+    base_com: Tensor | None = None  # [..., 3] in the frame of the base [m]
+    base_inertia: Tensor | None = None  # [..., 6] about its centre of mass, as `inertia` [kg m^2]
+    joint_map: JointMap | None = None  # joints that follow the coordinates; None: every joint is a coordinate
     notes: tuple[str, ...] = ()  # faults, and parts of the description that are not used or are used differently
     _arguments: tuple[str, ...] = field(default=(), repr=False)  # see `arguments`
     _constants: Constants | None = field(default=None, repr=False)  # see `constants`; None: those of the fields
@@ -94,148 +97,48 @@ class Robot:
         require_unchanged(self)
         return Robot, tuple(getattr(self, f.name) for f in dataclasses.fields(self)[:-2])
 
-    # --- sources ---
-
-    @classmethod
-    def from_urdf(
-        cls,
-        source: str | PathLike[str] | bytes | IO[Any],
-        base: Literal["fixed"] = "fixed",
-        lock: Mapping[str, float] | Sequence[str] | str | None = None,
-        tip: str | None = None,
-        gravity: Sequence[float] | None = GRAVITY,
-        on_unphysical: OnUnphysical = "error",
-        joints: Sequence[str] | str | None = None,
-    ) -> Robot:
-        """Robot from a URDF file.
-
-        Links on fixed joints are merged with their parents and stay as frames; the coordinate of a continuous joint is
-        its angle; mimic joints are independent joints. Meshes are never opened. Joint friction, damping and limits are
-        read but are not part of the rigid-body dynamics; `report()` lists them.
-
-        Args:
-            source: path of the file, a file:// or package:// address, an open file, or the XML text itself.
-            base: "fixed", the only kind of base so far.
-            lock: positions [rad or m] of joints to fix, by name or pattern ("finger*"), or names alone: at zero. Joints
-                that mimic a locked one are locked too.
-            tip: name of the frame of the end effector; None: the leaf of the tree, if there is only one.
-            gravity: acceleration in the base frame [m/s^2]; None: none.
-            on_unphysical: treatment of a body that cannot exist: "error" raises, "warn" warns, "ignore" only notes it.
-                One far too large for the robot, as of numbers in mm, can exist: the first two warn, the last notes it.
-            joints: names or patterns of the joints to keep, at least one; the others are locked, at 0 or as in `lock`.
-
-        Raises:
-            DescriptionError: the text is not a usable URDF; every fault found is named.
-            UnphysicalError: a link cannot exist, or a joint moves no inertia.
-            UnknownNameError: a name in `lock`, `joints` or `tip` is not in the file.
-        """
-        if not isinstance(base, str) or base != "fixed":
-            raise ArgumentError(f"base must be 'fixed', found {base!r}")
-        return cls._finish(*urdf.read(source, joints, lock), tip, gravity, on_unphysical)
-
-    @classmethod
-    def from_screws(
-        cls,
-        joint_screws: Any,
-        mass: Any,
-        com: Any,
-        inertia: Any,
-        link_poses: Any = None,
-        tip_pose: Any = None,
-        parents: Sequence[int] | None = None,
-        home: Any = None,
-        joint_names: Sequence[str] | None = None,
-        link_names: Sequence[str] | None = None,
-        gravity: Sequence[float] | None = GRAVITY,
-        name: str = "robot",
-        on_unphysical: OnUnphysical = "error",
-    ) -> Robot:
-        """Robot from joint screws given in the base frame at the home position, as in section 5.1 of the paper.
-
-        Args:
-            joint_screws: s_i, shape [n, 6]. A unit line (l | p x l) is a revolute joint, (0 | l) a prismatic one,
-                (l | p x l + h l) a helical one of pitch h [m/rad].
-            mass: [kg], shape [n].
-            com: centres of mass [m], shape [n, 3], in the link frames.
-            inertia: about the centres of mass [kg m^2], shape [n, 3, 3] or [n, 6] (xx xy yy xz yz zz), link axes.
-            link_poses: delta_i^0, pose of each link frame in the base frame at home, shape [n, 8]; None: all link
-                frames coincide with the base frame at home.
-            tip_pose: delta_{n+1}^0, pose of the end effector in the base frame at home, shape [8], on the last link.
-            parents: index of the parent of each link, -1 for the base, shape [n]; None: a serial chain.
-            home: joint positions at home [rad or m], shape [n]; None: zero.
-            joint_names, link_names, name: names; None: joint1, link1, ...
-            gravity, on_unphysical: as in `from_urdf`.
-        """
-        bodies = dict(mass=mass, com=com, inertia=inertia, home=home, link_names=link_names, name=name)
-        found = from_screws.read(joint_screws, link_poses, tip_pose, parents, joint_names, **bodies)
-        return cls._finish(*found, None, gravity, on_unphysical)
-
-    @classmethod
-    def from_dh(
-        cls,
-        a: Sequence[float],
-        alpha: Sequence[float],
-        d: Sequence[float],
-        theta: Sequence[float],
-        mass: Any,
-        com: Any,
-        inertia: Any,
-        convention: Literal["standard", "modified"] = "standard",
-        kinds: Sequence[str] | None = None,
-        tip_pose: Any = None,
-        joint_names: Sequence[str] | None = None,
-        link_names: Sequence[str] | None = None,
-        gravity: Sequence[float] | None = GRAVITY,
-        name: str = "robot",
-        on_unphysical: OnUnphysical = "error",
-    ) -> Robot:
-        """Robot from Denavit-Hartenberg parameters; link frame i is DH frame i of the convention.
-
-            standard   frame i in frame i-1: Rot_z(theta + q) Trans_z(d) Trans_x(a) Rot_x(alpha)
-            modified   frame i in frame i-1: Rot_x(alpha) Trans_x(a) Rot_z(theta + q) Trans_z(d)
-
-        Args:
-            a, d: lengths [m], shape [n]; in the modified convention a is a_{i-1}.
-            alpha, theta: angles [rad], shape [n]; in the modified convention alpha is alpha_{i-1}; theta is the offset
-                at q = 0. The coordinate of a prismatic joint is added to d.
-            mass, com, inertia: as in `from_screws`, in the DH frames.
-            kinds: "revolute" or "prismatic" per joint; None: all revolute.
-            tip_pose: pose of the end effector in the last DH frame, shape [8]; None: that frame.
-            joint_names, link_names, name, gravity, on_unphysical: as in `from_screws`.
-        """
-        bodies = dict(mass=mass, com=com, inertia=inertia, link_names=link_names, name=name)
-        found = from_dh.read(a, alpha, d, theta, convention, kinds, tip_pose, joint_names, **bodies)
-        return cls._finish(*found, None, gravity, on_unphysical)
-
-    @classmethod
-    def _finish(
-        cls,
-        description: RobotDescription,
-        faults: list[str],
-        tip: str | None,
-        gravity: Sequence[float] | None,
-        on_unphysical: OnUnphysical,
-    ) -> Robot:
-        g = None if gravity is None else finite("gravity", gravity)
-        robot = cls(**vars(description), gravity=g)
-        if tip is not None:
-            robot = robot.with_tip(tip)
-        faults = faults + consistency.inert_joints(robot.joint_names, general_tree(robot, partial(plain, robot)))
-        consistency.complain(robot.name, faults, on_unphysical)
-        doubts = units.doubts(robot, quiet=on_unphysical == "ignore")
-        return robot._with(notes=(*faults, *doubts, *robot.notes))
+    from_urdf = classmethod(loading.from_urdf)
+    from_xacro = classmethod(loading.from_xacro)
+    from_mjcf = classmethod(loading.from_mjcf)
+    from_name = classmethod(loading.from_name)
+    from_screws = classmethod(loading.from_screws)
+    from_dh = classmethod(loading.from_dh)
 
     # --- names ---
 
     @property
     def n(self) -> int:
-        """Number of joints."""
+        """Number of coordinates: of joints, less those that follow others."""
         return len(self.joint_names)
 
     @property
+    def sizes(self) -> dict[str, int]:
+        """Numbers of coordinates, "n", and of "links", which name axes of tensors."""
+        return {"n": len(self.joint_names), "links": len(self.link_names)}
+
+    @property
+    def every_joint(self) -> tuple[str, ...]:
+        """Names of all joints, one per link; `joint_names` are those of the coordinates."""
+        return self.joint_names if self.joint_map is None else self.joint_map.joint_names
+
+    @property
+    def floating(self) -> bool:
+        """Whether the base is free."""
+        return self.base_mass is not None
+
+    @property
     def joint_types(self) -> tuple[type[Revolute | Prismatic | Helical], ...]:
-        """Types of the joints, with class attributes `turns` and `slides`."""
-        return tuple(KINDS[kind] for kind in self.kinds)
+        """Types of the joints [n], with class attributes `turns` and `slides`.
+
+        A coordinate has that of the joint with its name if it moves it, otherwise that of the first joint it moves.
+        """
+        if self.joint_map is None:
+            return tuple(KINDS[kind] for kind in self.kinds)
+        joints, S = self.joint_map
+        moved = ([i for i, x in enumerate(column) if x] for column in S.T.tolist())
+        own = ((joints.index(name) if name in joints else None) for name in self.joint_names)
+        first = (k if k in among else among[0] for k, among in zip(own, moved, strict=True))
+        return tuple(KINDS[self.kinds[i]] for i in first)
 
     @property
     def frame_names(self) -> tuple[str, ...]:
@@ -263,7 +166,8 @@ class Robot:
         A replaced physical tensor becomes an argument of the programs, so new values, batches and gradients need no new
         program; `bake` makes it a constant again. New values are checked as a file's are, with `on_unphysical` as in
         `from_urdf`; batches, and tensors that require grad or are inside a transform, only by `check`. Writing in place
-        into a replaced tensor changes the robot, into a constant it is refused at the next call; not so through
+        into a replaced physical tensor changes the robot. Damping, friction, limits and frames are copied: writing into
+        the given tensor changes nothing. Writing into a copy or a constant is refused at the next call; not so through
         `x.data[...]` or `x.numpy()[...]`, which torch does not count: programs keep the numbers of before.
 
         Raises:
@@ -277,17 +181,19 @@ class Robot:
         torch.Size([3, 2])
         """
         require_fields(self, changes)
+        if on_unphysical == "repair":
+            raise ArgumentError("on_unphysical must be 'error', 'warn' or 'ignore', found 'repair', which is for files")
         robot = self._with(**changes)
         if any(hold(self._storages, x) for x in changes.values()):  # whose changes in place are not the robot's
             robot = dataclasses.replace(robot, _storages=())
-        faults = faults_of(robot, changes)
-        consistency.complain(self.name, faults, on_unphysical, stacklevel=3)
+        faults = complaints(robot, changes, on_unphysical)
         return robot._with(notes=(*faults, *robot.notes)) if faults else robot
 
     def _with(self, **changes: Any) -> Robot:
         """Robot with some fields replaced, their values unchecked."""
         names = tuple(name for name in SHAPES if name in self._arguments or changes.get(name) is not None)
-        same = all(name in SHAPES and value is not None for name, value in changes.items())
+        freed = "base_mass" in changes and not self.floating  # and has other functions
+        same = all(name in SHAPES and value is not None for name, value in changes.items()) and not freed
         kept = not any(name in DESCRIBED for name in changes)
         changes |= {"_constants": self._constants if same else None, "_storages": self._storages if kept else ()}
         return dataclasses.replace(self, **changes, _arguments=names)
@@ -304,7 +210,8 @@ class Robot:
     def stack(cls, robots: Sequence[Robot]) -> Robot:
         """Batch of robots with equal trees, as one robot with a new leading axis.
 
-        Tensors that are equal in all robots stay as they are. The name is that of the first robot.
+        Tensors that are equal in all robots stay as they are; if all are equal, the masses have the new axis. The name
+        is that of the first robot.
 
         >>> import torchdq
         >>> robot = torchdq.robots.load("two_link")
@@ -327,6 +234,9 @@ class Robot:
         return self.replace(tip=None if name is None else self.frame(name).name)
 
     lock, subchain = reduced.lock, reduced.subchain
+    to_urdf, to_mjcf = urdf_writer.to_urdf, mjcf_writer.to_mjcf
+    couple = coupled.couple
+    with_payload, with_tool, attach = combined.with_payload, combined.with_tool, combined.attach
 
     def end_effector(self) -> Frame:
         """Frame of the end effector; raises `ArgumentError` if none was chosen or if it does not move."""
@@ -336,7 +246,7 @@ class Robot:
                 f"found None; load it with tip=, or use robot.with_tip(name) with one of {', '.join(self.frame_names)}"
             )
         frame = self.frame(self.tip)
-        if frame.link == BASE:
+        if frame.link == BASE and not self.floating:
             raise ArgumentError(f"the tip {frame.name!r} of robot {self.name!r} is fixed to the base")
         return frame
 
@@ -347,6 +257,7 @@ class Robot:
         fields = {name: getattr(self, name) for name in (*SHAPES, "damping", "friction")}
         changes: dict[str, Any] = {name: None if x is None else cast(x) for name, x in fields.items()}
         changes["limits"] = Limits(*map(cast, self.limits))
+        changes["joint_map"] = self.joint_map and self.joint_map._replace(S=cast(self.joint_map.S))
         changes["frames"] = tuple(frame._replace(X_BF=cast(frame.X_BF)) for frame in self.frames)
         return dataclasses.replace(self, **changes, _constants=None, _storages=())
 
@@ -355,12 +266,15 @@ class Robot:
     def tree(self) -> Tree:
         """Tree of the robot, with numbers that are tensors of the batch axes."""
         require_unchanged(self)
-        return general_tree(self, partial(unbound, self))
+        return general_tree(self, partial(unbound, self), self.floating)
 
     @property
     def inertial_parameters(self) -> Tensor:
-        """Inertial parameters pi [..., 10 n] of the links about their frames, in the order of the regressor."""
-        bodies = [link.inertia for link in self.tree().links[1:]]
+        """Inertial parameters pi [..., 10 links] about the link frames, in the order of the regressor.
+
+        Those of a free base come first.
+        """
+        bodies = [link.inertia for link in self.tree().links if link.inertia is not None]
         numbers = [x for body in bodies for x in (body.mass, *body.first, *six(body.rotational))]
         return torch.stack(torch.broadcast_tensors(*numbers), -1) if numbers else self.mass
 
@@ -369,9 +283,13 @@ class Robot:
         return Report.of(self)
 
     def __repr__(self) -> str:
-        hangs = "chain" if self.parents == tuple(range(BASE, self.n - 1)) else "tree"
-        mass = float(self.mass.sum(-1).mean())
-        return f"Robot({self.name!r}, {self.n} joints, {hangs}, {mass:.4g} kg, tip={self.tip!r})"
+        links = len(self.link_names)
+        hangs = "chain" if self.parents == tuple(range(BASE, links - 1)) else "tree"
+        masses = [self.mass.sum(-1), *([] if self.base_mass is None else [self.base_mass])]
+        mass = "?" if any(x.is_meta for x in masses) else f"{sum(float(x.mean()) for x in masses):.4g}"
+        joints = f"{self.n} joints" if links == self.n else f"{self.n} joints that move {links} links"
+        free = "free base, " if self.floating else ""
+        return f"Robot({self.name!r}, {joints}, {free}{hangs}, {mass} kg, tip={self.tip!r})"
 
 
 # --- constants and arguments of programs -----------------------------------------------------------------------------

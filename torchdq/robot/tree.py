@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from torchdq.algebra.inertia import Inertia
-from torchdq.dynamics.joints import KINDS
+from torchdq.dynamics.joints import KINDS, Free
 from torchdq.dynamics.tree import Tree, on_base
+from torchdq.robot import consistency
 from torchdq.robot.fields import SHAPES
 
 if TYPE_CHECKING:
     from torchdq.robot.robot import Robot
 
 
-def general_tree(robot: Robot, values: Callable[[str], Any]) -> Tree:
-    """Tree on a fixed base, in the link frames of the description.
+def general_tree(robot: Robot, values: Callable[[str], Any], free: bool = False) -> Tree:
+    """Tree of all joints of a robot, in the link frames of the description.
 
     Args:
         robot: the robot.
         values: numbers of the tensor with a name, in a row or one row per link; None: absent.
+        free: whether the base is free; then it is a body.
     """
     bodies = zip(*map(values, ("mass", "com", "inertia")), strict=True)
     return on_base(
@@ -27,22 +30,40 @@ def general_tree(robot: Robot, values: Callable[[str], Any]) -> Tree:
         [KINDS[kind]((s[:3], s[3:])) for kind, s in zip(robot.kinds, values("screw"), strict=True)],
         [(x[:4], x[4:]) for x in values("X_PB_home")],
         [Inertia.from_com(*body) for body in bodies],
-        values("armature"),
+        None if robot.joint_map else values("armature"),
         values("gravity"),
+        *((Free(), Inertia.from_com(*map(values, ("base_mass", "base_com", "base_inertia")))) if free else ()),
     )
 
 
-def plain(robot: Robot, name: str) -> tuple | None:
+def inert_joints(robot: Robot) -> list[str]:
+    """Faults of coordinates that move no inertia in any position, whatever the base does."""
+    known = robot.every_joint
+    faults = consistency.inert_joints(known, general_tree(robot, partial(plain, robot)))
+    if robot.joint_map is None:
+        return list(faults.values())
+    rotors = [0.0] * robot.n if robot.armature is None else robot.armature.tolist()
+    followers = [[known[i] for i in column.nonzero().flatten().tolist()] for column in robot.joint_map.S.T]
+    return [
+        faults[names[0]]
+        for names, rotor in zip(followers, rotors, strict=True)
+        if not rotor and set(names) <= set(faults)
+    ]
+
+
+def plain(robot: Robot, name: str) -> Any:
     """Tensor of a robot without batch axes as nested tuples of numbers; None: absent."""
     value = getattr(robot, name)
     if value is None:
         return None
+    if not SHAPES[name]:
+        return value.item()
     return tuple(tuple(row) if isinstance(row, list) else row for row in value.tolist())
 
 
-def unbound(robot: Robot, name: str) -> Sequence[Any] | None:
+def unbound(robot: Robot, name: str) -> Any:
     """Tensor of a robot as nested lists of tensors of the batch axes; None: absent."""
     x = getattr(robot, name)
-    if x is None:
-        return None
+    if x is None or not SHAPES[name]:
+        return x
     return x.unbind(-1) if len(SHAPES[name]) == 1 else [row.unbind(-1) for row in x.unbind(-2)]

@@ -8,12 +8,13 @@ too large by one factor look like those of another material, and a mass in g lik
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
+from torchdq.dynamics.joints import KINDS
 from torchdq.program.transforms import without_values
 
 if TYPE_CHECKING:
@@ -28,13 +29,19 @@ LARGE = 16.0  # radius of gyration that is doubted, likewise
 SLENDER = 200.0  # distance of a centre of mass that is believed, in radii of gyration: a bob on a long string
 
 
-def doubts(robot: Robot, quiet: bool = False, stacklevel: int = 4) -> list[str]:
+def without_numbers(fault: str) -> str:
+    """Words of a fault or doubt before what was found."""
+    return fault.partition(", found")[0]
+
+
+def doubts(robot: Robot, quiet: bool = False, stacklevel: int = 4, known: Collection[str] = ()) -> list[str]:
     """Links and lengths whose numbers seem to be in other units than m, kg and kg m^2, and why; warns unless `quiet`.
 
-    `stacklevel` is as in `warnings.warn`. Numbers that cannot be read, inside a transform, are not doubted.
+    `stacklevel` is as in `warnings.warn`. Numbers that cannot be read, inside a transform, are not doubted, nor is what
+    is `known`: doubts without their numbers.
     """
     needed = (robot.X_PB_home, robot.screw, robot.mass, robot.com, robot.inertia, *robot.limits)
-    found = [] if without_values(needed) else [*_doubts(robot)]
+    found = [] if without_values(needed) else [x for x in _doubts(robot) if without_numbers(x) not in known]
     if found and not quiet:
         lines = "\n  ".join(found)
         warnings.warn(f"robot {robot.name!r} may have numbers in other units:\n  {lines}", stacklevel=stacklevel)
@@ -66,9 +73,10 @@ def _length(robot: Robot) -> float:
     """Longest way [m] from the base along the joints to a frame, with sliding joints at their ends."""
     steps = _steps(robot)
     axes = _largest(robot.screw[..., 3:].norm(dim=-1))
-    ends = _largest(torch.stack([x.abs().where(x.isfinite(), 0.0) for x in (robot.limits.lower, robot.limits.upper)]))
-    ways = [0.0] * (robot.n + 1)  # the last is that of the base, whose index is -1
-    for i, (parent, joint) in enumerate(zip(robot.parents, robot.joint_types, strict=True)):
+    bounds = torch.stack([x.abs().where(x.isfinite(), 0.0) for x in (robot.limits.lower, robot.limits.upper)])
+    ends = _largest(bounds if robot.joint_map is None else bounds @ robot.joint_map.S.abs().mT)
+    ways = [0.0] * (len(robot.link_names) + 1)  # the last is that of the base, whose index is -1
+    for i, (parent, joint) in enumerate(zip(robot.parents, [KINDS[kind] for kind in robot.kinds], strict=True)):
         # a frame beside its axis is carried around it
         ways[i] = ways[parent] + steps[i] + (2 * axes[i] if joint.turns else 0.0) + (ends[i] if joint.slides else 0.0)
     return max(ways + [ways[frame.link] + 2 * float(frame.X_BF[4:].norm()) for frame in robot.frames])

@@ -1,68 +1,35 @@
-"""Text of a URDF file, parsed and checked; every fault is named at once.
+"""Text of a URDF file, parsed and checked: every fault is named at once, and what can be done without is noted.
 
 Only the elements that dynamics need are read: meshes are never opened.
 """
 
 from __future__ import annotations
 
-import math
-import re
-import reprlib
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from torch import Tensor
-
 from torchdq.errors import DescriptionError, MissingFileError
-from torchdq.robot.arrays import MOST, double
-from torchdq.robot.urdf_xml import root_of
+from torchdq.robot.urdf_elements import MOVING, Inertial, UrdfJoint, inertial_of, joint_of, listed, name_in
+from torchdq.robot.urdf_mimic import Driven, followers, orphans, stuck
+from torchdq.robot.urdf_planar import taken_apart
+from torchdq.robot.urdf_xml import root_of, unread
 from torchdq.sources import content
 
-MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
 MOST_BYTES = 10_000_000
-MOST_CHARACTERS = 1_000  # longest name
-MOST_LINKS = 2_000  # pinocchio recurses over the tree and crashes the process somewhere beyond 3000
-_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-
-
-class Inertial(NamedTuple):
-    """Inertial element of a link."""
-
-    mass: float
-    inertia: Tensor  # [3, 3] about the centre of mass
-    origin: dict[str, tuple[float, ...]]
-    stated: bool  # whether the file gives an inertia; without one the body is a point
-
-
-class Mimic(NamedTuple):
-    """Joint that another follows, at multiplier times its position plus offset."""
-
-    joint: str
-    multiplier: float
-    offset: float
-
-
-class UrdfJoint(NamedTuple):
-    """Joint element."""
-
-    kind: str
-    parent: str
-    child: str
-    origin: dict[str, tuple[float, ...]]
-    axis: tuple[float, ...]  # unit vector
-    scaled: bool  # whether the file's axis had another length
-    limits: dict[str, float]
-    damping: float
-    friction: float
-    mimics: Mimic | None
+MOST_LINKS = 2_000
 
 
 class Document(NamedTuple):
     """Links and joints of a file by name, in its order."""
 
     name: str
+    base: str  # link that no joint carries
     links: dict[str, Inertial | None]
     joints: dict[str, UrdfJoint]
+    followers: dict[str, Driven]  # moving joints that follow others by <mimic>, unless all are independent
+    stuck: dict[str, float]  # positions [rad or m] of mimic joints that never move
+    notes: tuple[str, ...]  # parts of the file that are wrong and not needed
 
 
 def text_of(source: Any) -> str:
@@ -81,32 +48,78 @@ def text_of(source: Any) -> str:
         raise DescriptionError(f"{name} is not UTF-8 text: {error}") from error
 
 
-def parse(text: str) -> Document:
-    """Document of a URDF text; raises `DescriptionError` with every fault found."""
+def parse(text: str, free: bool, coupled: bool) -> Document:
+    """Document of a URDF text; raises `DescriptionError` with every fault found.
+
+    Args:
+        text: the text.
+        free: whether the base moves.
+        coupled: whether mimic joints follow others.
+    """
     root = root_of(text)
     faults: list[str] = []
-    robot = _name("robot:", root, "name", faults) or "robot"
-    links = _by_name(root, "link", faults)
-    joints = _by_name(root, "joint", faults)
-    if max(len(links), len(joints)) > MOST_LINKS:
+    robot = name_in("robot:", root, "name", faults) or "robot"
+    links, elements = _by_name(root, "link", faults), _by_name(root, "joint", faults)
+    if max(len(links), len(elements)) > MOST_LINKS:
         raise DescriptionError(
-            f"the file has {len(links)} links and {len(joints)} joints; at most {MOST_LINKS} are read"
+            f"the file has {len(links)} links and {len(elements)} joints; at most {MOST_LINKS} are read"
         )
-    document = Document(
-        robot,
-        {name: _inertial(name, element, faults) for name, element in links.items()},
-        {name: _joint(name, element, faults) for name, element in joints.items()},
-    )
-    faults += _tree_faults(document)
+    wrong: dict[str, list[str]] = {name: [] for name in links}
+    bodies = {name: inertial_of(name, link, wrong[name]) for name, link in links.items()}
+    beyond: list[str] = []
+    joints = {name: joint_of(name, joint, beyond) for name, joint in elements.items()}
+    planar = [name for name, joint in joints.items() if joint.kind == "planar"]
+    bodies, joints = taken_apart(bodies, joints, beyond)
+    follow = followers(joints, beyond) if coupled else {}
+    base, others = _base(bodies, joints, beyond)
+    still = set() if free or beyond else _still(base, joints)
+    faults += [fault for name in links if name not in still for fault in wrong[name]] + beyond
     if faults:
         raise DescriptionError("the robot description cannot be used:\n  " + "\n  ".join(faults))
-    return document
+    excused = [name for name in links if wrong[name]]
+    bodies = {name: body for name, body in bodies.items() if name not in others}
+    fixed = stuck(joints, follow)
+    lost = orphans(joints) if coupled else []
+    notes = {
+        **{note: True for note in unread(root)},
+        f"links that nothing carries and that have neither bodies nor joints, left out: {', '.join(others)}": others,
+        f"<inertial> cannot be read in links that never move: {', '.join(excused)}": excused,
+        **_gaps(links, elements),
+        f"planar joints taken as two slides, x and y, and a turn: {', '.join(planar)}": planar,
+        f"mimic joints whose drivers are not in the file, taken as independent: {', '.join(lost)}": lost,
+        f"mimic joints that stay where they are: {', '.join(f'{name} at {x:g}' for name, x in fixed.items())}": fixed,
+    }
+    return Document(
+        robot,
+        base,
+        {name: None if name in excused else body for name, body in bodies.items()},
+        joints,
+        {name: follows for name, follows in follow.items() if name not in fixed},
+        fixed,
+        tuple(note for note, applies in notes.items() if applies),
+    )
+
+
+def _gaps(links: Mapping[str, ET.Element], joints: Mapping[str, ET.Element]) -> dict[str, list[str]]:
+    """Notes about elements without their content, with the names of those that the notes are about."""
+    empty = [
+        name for name, link in links.items() if link.find("inertial") is not None and link.find("inertial/mass") is None
+    ]
+    bare = [
+        name
+        for name, joint in joints.items()
+        if joint.get("type") in ("revolute", "prismatic") and joint.find("limit") is None
+    ]
+    return {
+        f"links whose <inertial> gives no <mass>, taken as massless: {', '.join(empty)}": empty,
+        f"revolute and prismatic joints without <limit>, taken as unlimited: {', '.join(bare)}": bare,
+    }
 
 
 def _by_name(root: ET.Element, tag: str, faults: list[str]) -> dict[str, ET.Element]:
     found: dict[str, ET.Element] = {}
     for element in root.findall(tag):
-        name = _name(f"{tag}:", element, "name", faults)
+        name = name_in(f"{tag}:", element, "name", faults)
         if not name:
             faults.append(f"a <{tag}> has no name")
         elif name in found:
@@ -115,156 +128,55 @@ def _by_name(root: ET.Element, tag: str, faults: list[str]) -> dict[str, ET.Elem
     return found
 
 
-def _name(what: str, element: ET.Element | None, attribute: str, faults: list[str]) -> str:
-    """Name in an attribute; empty if there is none."""
-    name = "" if element is None else element.get(attribute, "")
-    if len(name) <= MOST_CHARACTERS:
-        return name
-    faults.append(
-        f"{what} {attribute} must have at most {MOST_CHARACTERS} characters, found {len(name)}: {name[:30]!r}..."
-    )
-    return name[:MOST_CHARACTERS]
-
-
-def _numbers(
-    what: str,
-    element: ET.Element | None,
-    attribute: str,
-    default: str,
-    count: int,
-    faults: list[str],
-    signed: bool = True,
-    most: float = MOST,
-) -> tuple[float, ...]:
-    """Numbers of an attribute, `count` finite ones; a plain float() would let 'nan', '1_0' and other digits through."""
-    text = default if element is None else element.get(attribute, default)
-    words = text.split(None, count + 1)[: count + 1]  # a file of nothing but numbers is not taken apart
-    values = tuple(float(word) for word in words if _NUMBER.fullmatch(word))
-    expected = "a finite number" if count == 1 else f"{count} finite numbers"
-    if len(words) != count or len(values) != count or not all(map(math.isfinite, values)):
-        faults.append(f"{what} {attribute} must be {expected}, found {reprlib.repr(text)}")
-    elif not signed and min(values) < 0:
-        faults.append(f"{what} {attribute} must not be negative, found {reprlib.repr(text)}")
-    elif any(abs(value) > most for value in values):
-        faults.append(f"{what} {attribute} must not exceed {most:g} in size, found {reprlib.repr(text)}")
-    else:
-        return values
-    return (0.0,) * count
-
-
-def _origin(what: str, element: ET.Element, faults: list[str]) -> dict[str, tuple[float, ...]]:
-    origin = element.find("origin")
-    if origin is not None and "quat_xyzw" in origin.attrib:
-        faults.append(f"{what} origin must be given as xyz and rpy, found quat_xyzw")
-    return {key: _numbers(f"{what} origin", origin, key, "0 0 0", 3, faults) for key in ("xyz", "rpy")}
-
-
-def _inertial(name: str, link: ET.Element, faults: list[str]) -> Inertial | None:
-    element = link.find("inertial")
-    if element is None:
-        return None
-    what = f"link {name!r}:"
-    origin = _origin(f"{what} inertial", element, faults)
-    mass, inertia = element.find("mass"), element.find("inertia")
-    if mass is None:
-        faults.append(f"{what} <inertial> must hold <mass>, found only {[child.tag for child in element]}")
-        return None
-    # an attribute that is not given is a fault, an element that is not given is a point
-    absent = "0" if inertia is None else ""
-    xx, xy, xz, yy, yz, zz = (
-        _numbers(f"{what} inertia", inertia, key, absent, 1, faults)[0]
-        for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-    )
-    matrix = double([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    return Inertial(_numbers(f"{what} mass", mass, "value", "", 1, faults)[0], matrix, origin, inertia is not None)
-
-
-def _joint(name: str, joint: ET.Element, faults: list[str]) -> UrdfJoint:
-    what, kind = f"joint {name!r}:", joint.get("type", "")
-    if kind not in MOVING and kind != "fixed":
-        faults.append(f"{what} type must be revolute, continuous, prismatic or fixed, found {reprlib.repr(kind)}")
-    ends = {}
-    for end in ("parent", "child"):
-        element = joint.find(end)
-        ends[end] = _name(f"{what} {end}", element, "link", faults)
-        if not ends[end]:
-            faults.append(f"{what} it names no {end} link")
-    origin = _origin(what, joint, faults)
-    before = len(faults)
-    x, y, z = _numbers(f"{what} axis", joint.find("axis"), "xyz", "1 0 0", 3, faults)
-    length = math.hypot(x, y, z)
-    if kind in MOVING and length < 1e-9 and len(faults) == before:
-        faults.append(f"{what} axis must have a direction, found {(x, y, z)}")
-    limit, dynamics, mimic = joint.find("limit"), joint.find("dynamics"), joint.find("mimic")
-    limits = {"lower": -math.inf, "upper": math.inf, "velocity": math.inf, "effort": math.inf}
-    if limit is not None:
-        for key in ("velocity", "effort") if kind == "continuous" else tuple(limits):
-            place = key in ("lower", "upper")
-            # the format's own default for a limit that is not stated is 0 for the positions
-            if place or limit.get(key) is not None:
-                limits[key] = _numbers(f"{what} limit", limit, key, "0", 1, faults, signed=place, most=math.inf)[0]
-        if limits["lower"] > limits["upper"]:
-            faults.append(f"{what} lower limit {limits['lower']:g} is above upper limit {limits['upper']:g}")
-    elif kind in ("revolute", "prismatic"):
-        faults.append(f"{what} a {kind} joint must have <limit>; a revolute joint without limits is 'continuous'")
-    return UrdfJoint(
-        kind,
-        ends["parent"],
-        ends["child"],
-        origin,
-        (x / length, y / length, z / length) if length >= 1e-9 else (1.0, 0.0, 0.0),
-        abs(length - 1.0) > 1e-6,
-        limits,
-        _numbers(f"{what} dynamics", dynamics, "damping", "0", 1, faults, signed=False)[0],
-        _numbers(f"{what} dynamics", dynamics, "friction", "0", 1, faults, signed=False)[0],
-        None if mimic is None else _mimic(f"{what} mimic", mimic, faults),
-    )
-
-
-def _mimic(what: str, mimic: ET.Element, faults: list[str]) -> Mimic:
-    factors = {"multiplier": "1", "offset": "0"}
-    numbers = (_numbers(what, mimic, key, default, 1, faults)[0] for key, default in factors.items())
-    return Mimic(_name(what, mimic, "joint", faults), *numbers)
-
-
-def _tree_faults(document: Document) -> list[str]:
-    """Faults that keep the links and joints from being one tree."""
-    if not document.links:
-        return ["the robot has no links; exactly one link must be the base, carried by no joint; found 0"]
-    faults = []
+def _base(
+    links: Mapping[str, Inertial | None], joints: Mapping[str, UrdfJoint], faults: list[str]
+) -> tuple[str, list[str]]:
+    """Link that no joint carries, and others that are only frames; faults keep links and joints from being one tree."""
+    if not links:
+        faults.append("the robot has no links; exactly one link must be the base, carried by no joint; found 0")
+        return "", []
     carried: dict[str, str] = {}  # link -> joint that carries it
-    for name, joint in document.joints.items():
+    children: dict[str, list[str]] = {}
+    for name, joint in joints.items():
         for end in (joint.parent, joint.child):
-            if end and end not in document.links:
+            if end and end not in links:
                 faults.append(f"joint {name!r}: there is no link {end!r}")
         if joint.child in carried:
             faults.append(f"link {joint.child!r} is carried by two joints, {carried[joint.child]!r} and {name!r}")
         if joint.child:
             carried[joint.child] = name
-    roots = [link for link in document.links if link not in carried]
-    if len(roots) != 1:
-        faults.append(f"exactly one link must be the base, carried by no joint; found {len(roots)}: {_listed(roots)}")
-    children = children_of(document)
+        children.setdefault(joint.parent, []).append(joint.child)
+    roots = [link for link in links if link not in carried]
+    bases = roots if len(roots) == 1 else [link for link in roots if link in children or _massive(links[link])]
+    if len(bases) != 1:
+        faults.append(f"exactly one link must be the base, carried by no joint; found {len(roots)}: {listed(roots)}")
     # links that hang on a missing link are in no loop
-    frontier = [*roots, *(parent for parent in children if parent not in document.links)]
-    reached = set(frontier)
+    reached = _below([*roots, *(parent for parent in children if parent not in links)], children)
+    loose = [link for link in links if link not in reached]
+    if loose:
+        faults.append(f"links {listed(loose)} hang in a loop")
+    return (bases[0] if bases else ""), [link for link in roots if link not in bases]
+
+
+def _massive(body: Inertial | None) -> bool:
+    return body is not None and any((body.mass, *body.inertia))
+
+
+def _still(base: str, joints: Mapping[str, UrdfJoint]) -> set[str]:
+    """Links that fixed joints alone carry."""
+    children: dict[str, list[str]] = {}
+    for joint in joints.values():
+        if joint.kind not in MOVING:
+            children.setdefault(joint.parent, []).append(joint.child)
+    return _below([base], children)
+
+
+def _below(roots: list[str], children: Mapping[str, list[str]]) -> set[str]:
+    """Links that are among the roots or hang on one of them."""
+    reached, frontier = set(roots), list(roots)
     while frontier:
         for child in children.get(frontier.pop(), ()):
             if child not in reached:
                 reached.add(child)
                 frontier.append(child)
-    loose = [link for link in document.links if link not in reached]
-    return [*faults, f"links {_listed(loose)} hang in a loop"] if loose else faults
-
-
-def _listed(names: list[str]) -> str:
-    """Names in brackets, the first twenty of many."""
-    return f"{names}" if len(names) <= 20 else f"{names[:20]} and {len(names) - 20} more"
-
-
-def children_of(document: Document) -> dict[str, list[str]]:
-    """Names of the links that hang on each link by a joint."""
-    children: dict[str, list[str]] = {}
-    for joint in document.joints.values():
-        children.setdefault(joint.parent, []).append(joint.child)
-    return children
+    return reached

@@ -13,6 +13,11 @@ MOST_TAGS = 200_000
 MOST_ATTRIBUTES = 200_000
 # children of <robot>, besides links and joints, that say nothing of a tree of bodies
 BESIDES = {"material", "gazebo", "transmission", "ros2_control", "sensor", "mujoco"}
+KNOWN = {
+    "robot": {"link", "joint"} | BESIDES,
+    "link": {"inertial", "visual", "collision", "sensor", "contact"},
+    "joint": {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "calibration", "safety_controller"},
+}
 SEMANTIC = {
     "group",
     "group_state",
@@ -23,14 +28,16 @@ SEMANTIC = {
 }  # tags in SRDF files
 FOREIGN = {
     "sdf": "this is SDF; load the URDF file it was made from",
-    "mujoco": "this is MJCF, a model for MuJoCo; load the URDF file it was made from",
+    "mujoco": "this is MJCF, a model for MuJoCo; use Robot.from_mjcf",
     "srdf": "this is SRDF, which names groups of joints and describes no bodies; load the URDF file it belongs to",
     "launch": "this is a launch file of ROS; load the URDF file that it names",
     "COLLADA": "this is a mesh; load the URDF file that names it",
     "html": "this is a web page; download the file itself (on GitHub: 'Raw')",
     "Robot": "tags are written in lower case",
 }
-XACRO = "this is xacro, which must be expanded first: run `xacro robot.urdf.xacro > robot.urdf` and load robot.urdf"
+XACRO = (
+    "this is xacro, which must be expanded first: use Robot.from_xacro(path), or run `xacro` and load what it writes"
+)
 
 
 def root_of(text: str) -> ET.Element:
@@ -75,3 +82,23 @@ def _xacro(root: ET.Element) -> Iterator[str]:
             if name.startswith("xacro:") or "${" in value or "$(" in value:
                 yield f'{name}="{value}"'
         elements += reversed(element)
+
+
+def unread(root: ET.Element) -> list[str]:
+    """Notes about tags that no URDF has, which may be misspelt, and about prefixes that are not declared."""
+    found = {
+        child.tag
+        for element in (root, *root.findall("link"), *root.findall("joint"))
+        for child in element
+        if ":" not in child.tag and child.tag not in KNOWN[element.tag]
+    }
+    names = {name for element in root.iter() for name in (element.tag, *element.attrib) if ":" in name}
+    declared = {"xml", "xmlns"} | {name.removeprefix("xmlns:") for name in names if name.startswith("xmlns:")}
+    prefixes = {name.partition(":")[0] for name in names} - declared
+    notes = {"tags that are not of URDF, not read": found, "XML prefixes that are not declared": prefixes}
+    return [f"{note}: {', '.join(_some(names))}" for note, names in notes.items() if names]
+
+
+def _some(names: set[str]) -> list[str]:
+    """Names in their order, the first twenty, shortened."""
+    return [reprlib.repr(name)[1:-1] for name in sorted(names)[:20]]

@@ -163,11 +163,15 @@ class Aligned(NamedTuple):
         first = quat.add(quat.rotate(self.X_WB[0], whole.first), quat.scale(whole.mass, dq.translation(self.X_WB)))
         return energy.potential_energy(self.tree.gravity, first)
 
-    def regressor(self, qd: Row, qdd: Row) -> list:
+    def regressor(self, qd: Row | None, qdd: Row | None) -> list:
         """Factors of the inertial parameters about the link frames of the description."""
-        motion = list(rnea.outward(self.tree, self.steps, self.X_WB, qd, qdd))
+        base, *motion = rnea.outward(self.tree, self.steps, self.X_WB, qd, qdd)
         screws, u, d = [], [], []
-        for i, (at, m) in enumerate(zip(self.alignments, motion[1:], strict=True), 1):
+        if self.X_WB is not None:
+            screws.append(kinematics.joint_screws(self.tree, self.steps, 0, Point(quat.ZERO, kinematics.UNITS)))
+            u.append(base.u)
+            d.append(base.A[1])
+        for i, (at, m) in enumerate(zip(self.alignments, motion, strict=True), 1):
             # origin of the link frame in the aligned frame; its axes there are the rows of R_BL
             origin = at.point_from_own(quat.ZERO)
             screws.append(kinematics.joint_screws(self.tree, self.steps, i, Point(origin, at.R_BL)))

@@ -125,11 +125,11 @@ class Paper(NamedTuple):
         """Terms of (63) from dual-quaternion matrices; `tip` is the end effector's link and pose in it."""
         return closed_form.closed_form(self.tree, self.Ad, qd, tip)
 
-    def regressor(self, qd: Row, qdd: Row) -> list:
+    def regressor(self, qd: Row | None, qdd: Row | None) -> list:
         """Factors of the inertial parameters about the link frames."""
         V, A = rnea.outward(self.tree, self.Ad, qd, qdd)
         screws, u, d = [], [], []
-        for i in range(1, len(self.tree.links)):
+        for i in self.tree.bodies():
             (w, v), (wd, vd) = V[i] or screw.ZERO, A[i] or screw.ZERO
             screws.append(kinematics.joint_screws(self.tree, self.Ad, i))
             u.append(tensor(w, wd))

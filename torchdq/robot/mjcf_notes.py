@@ -1,0 +1,89 @@
+"""Parts of an MJCF file that the dynamics do not use, or use otherwise; and its gravity."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+from torchdq.robot.couplings import Follows
+from torchdq.robot.mjcf_joints import FREE, MjcfJoint, actuators_at, names_of
+from torchdq.robot.mjcf_links import Links
+from torchdq.robot.mjcf_source import MjcfModel
+
+
+def gravity(of: MjcfModel) -> tuple[float, ...] | None:
+    """Gravitational acceleration of a file [m/s^2]; None: there is none, or every moving body is relieved of it."""
+    m = of.model
+    off = m.opt.disableflags & int(of.mujoco.mjtDisableBit.mjDSBL_GRAVITY)
+    found = tuple(m.opt.gravity.tolist())
+    return None if off or not any(found) or _relieved(of) == {1.0} else found
+
+
+def _relieved(of: MjcfModel) -> set[float]:
+    """Parts of gravity that moving bodies are relieved of."""
+    m = of.model
+    return {float(m.body_gravcomp[i]) for i in range(1, m.nbody) if m.body_weldid[i] and m.body_mass[i] > 0}
+
+
+def notes(
+    of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], links: Links, others: Sequence[str]
+) -> tuple[str, ...]:
+    """Notes on a model.
+
+    Args:
+        of: the model.
+        joints, moves: its joints, and the displacement of each of them.
+        links: its links.
+        others: equality constraints that are no linear couplings.
+    """
+    m = of.model
+    moving = [joint for joint in joints if moves[joint.row].root is not None and joint.single]
+
+    def listed(wanted: Callable[[MjcfJoint], object], among: Sequence[MjcfJoint] = moving) -> str:
+        found = [joint.name for joint in among if wanted(joint)]
+        return "all joints" if 1 < len(found) == len(moving) else ", ".join(found)
+
+    def dof(joint: MjcfJoint) -> int:
+        return int(m.jnt_dofadr[joint.row])
+
+    free = [joint for joint in joints if joint.kind == FREE and moves[joint.row].root is not None]
+    fluid = m.opt.density or m.opt.viscosity
+    acting = {k for joint in joints for k in actuators_at(of, joint.row)}
+    remote = [name for k, name in enumerate(names_of(of, "ACTUATOR", m.nactuator)) if k not in acting]
+    given = (
+        ("viscous damping given but not simulated", listed(lambda j: j.damping)),
+        ("damping that is no multiple of the velocity, not used", listed(lambda j: m.dof_dampingpoly[dof(j)].any())),
+        ("Coulomb friction given but not simulated", listed(lambda j: j.friction)),
+        ("limits given but not enforced", listed(lambda j: math.isfinite(j.lower) or math.isfinite(j.upper))),
+        ("springs given but not simulated", listed(lambda j: _spring(of, j.row), [*moving, *free])),
+        ("damping or armature of the free base, not used", listed(lambda j: _resists(of, dof(j)), free)),
+        ("joints without actuators", listed(lambda j: j.effort is None) if m.nactuator else ""),
+        ("actuators that act on no joint, not used", ", ".join(remote)),
+        ("tendons not used", ", ".join(names_of(of, "TENDON", m.ntendon))),
+        ("equality constraints not used", ", ".join(others)),
+        ("contacts given but not simulated", "between geoms" if of.collides else ""),
+        ("resistance of air or water, not used", "yes" if fluid else ""),
+        ("left out, because it stands still beside the free base", ", ".join(links.left_out)),
+        ("compensation of gravity, used for none of the bodies", _compensation(of)),
+    )
+    relieved = _relieved(of) == {1.0}
+    found = [f"{what}: {names}" for what, names in given if names]
+    found += [f"{links.lumped} bodies without moving joints lumped; they are frames"] if links.lumped else []
+    found += ["no gravity, because every moving body is compensated for it (gravcomp)"] if relieved else []
+    found += ["bodies moved by hand (mocap) stand still"] if m.nmocap else []
+    return tuple(found)
+
+
+def _spring(of: MjcfModel, joint: int) -> bool:
+    return bool(of.model.jnt_stiffness[joint] or of.model.jnt_stiffnesspoly[joint].any())
+
+
+def _resists(of: MjcfModel, dof: int) -> bool:
+    return bool(of.model.dof_damping[dof : dof + 6].any() or of.model.dof_armature[dof : dof + 6].any())
+
+
+def _compensation(of: MjcfModel) -> str:
+    """Names of the bodies that are relieved of gravity, where some moving ones are not."""
+    names = names_of(of, "BODY", of.model.nbody)
+    relieved = [name for name, part in zip(names, of.model.body_gravcomp, strict=True) if part]
+    return "" if _relieved(of) == {1.0} else ", ".join(relieved)
