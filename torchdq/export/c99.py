@@ -1,0 +1,182 @@
+"""C99 text of a program: a function of one sample, in straight lines, without memory of its own.
+
+It has no heap, no static state, no recursion and no loop, and takes the same operations whatever the data. Everything
+is read before anything is written, so an output may be the array of an input.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from torchdq.backends.c_constants import SINES_DOUBLE, SINES_FLOAT
+from torchdq.errors import ArgumentError
+from torchdq.numbers.ops import OPS
+from torchdq.program.order import TOGETHER, pairs, recorded
+from torchdq.program.program import LARGEST_GROWTH, Output, Program, outputs
+
+Library = Literal["math.h", "own"]
+_WORDS = (
+    "auto break case char const continue default do double else enum extern float for goto if inline int long register "
+    "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while "
+    "bool catch class delete explicit export false friend mutable namespace new operator private protected public "
+    "template this throw true try typename using virtual main S"
+)
+KEYWORDS = frozenset(_WORDS.split())  # words of C and C++, which cannot be names
+_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
+
+# operations in C; those with an infix need no entry
+_CALLS = {
+    "sqrt": "sqrt{f}({0})",
+    "exp": "exp{f}({0})",
+    "log": "log{f}({0})",
+    "floor": "floor{f}({0})",
+    "max": "({0} >= {1} || {0} != {0}) ? {0} : {1}",
+    "min": "({0} <= {1} || {0} != {0}) ? {0} : {1}",
+    "ge": "({0} >= {1}) ? {one} : {zero}",
+    "select": "({0} != {zero}) ? {1} : {2}",
+}
+_OF_MATH = ("sqrt", "exp", "log", "floor")
+
+# sine and cosine by the polynomials of the compiled programs, to the last bit; NaN beyond LARGEST
+_SINE_AND_COSINE = """
+static void sine_and_cosine(S x, S *s, S *c)
+{
+    const S t = x * TWO_OVER_PI + ROUND, k = t - ROUND;
+    const S r = ((x - k * HALF_PI_1) - k * HALF_PI_2) - k * HALF_PI_3, z = r * r;
+    const S sr = r + r * z * SIN(z), h = z * (S)0.5, w = 1 - h, cr = w + (((1 - w) - h) + z * z * COS(z));
+    const int inside = x <= LARGEST && x >= -LARGEST;
+    const int q = inside ? (int)k : 0;
+    const S a = (q & 1) ? cr : sr, b = (q & 1) ? sr : cr, none = inside ? x : (x - x) / (x - x);
+    *s = inside ? ((q & 2) ? -a : a) : none;
+    *c = inside ? (((q + 1) & 2) ? -b : b) : none;
+}
+"""
+
+
+class Array(NamedTuple):
+    """Argument or output of a function in C."""
+
+    name: str
+    size: int
+
+
+def identifier(name: str, what: str) -> str:
+    """Name that C accepts; raises if it is none."""
+    if not isinstance(name, str) or not _IDENTIFIER.fullmatch(name) or name in KEYWORDS:
+        raise ArgumentError(f"{what} must be a name that C accepts, such as arm_torques, found {name!r}")
+    return name
+
+
+def distinct(names: Iterable[str]) -> list[str]:
+    """Names that C accepts, in the place of names of a program, all different."""
+    found: list[str] = []
+    for name in names:
+        last = name.rpartition(".")[2].replace("'", "_bar")
+        plain = re.sub(r"\W", "_", last, flags=re.ASCII).strip("_") or "x"
+        plain = f"{plain}_" if plain in KEYWORDS or plain[0].isdigit() or re.fullmatch(r"x\d+", plain) else plain
+        number, unique = 2, plain
+        while unique in found:
+            unique, number = f"{plain}_{number}", number + 1
+        found.append(unique)
+    return found
+
+
+def arrays(program: Program) -> tuple[list[Array], list[Array]]:
+    """Arguments and outputs of the function of a program, in its order."""
+    wide = [a for a in program.arguments if a.width]
+    results = [r for r in outputs(program) if r.values]
+    names = distinct([*(a.name for a in wide), *(f"{r.name}" for r in results)])
+    sizes = [*(a.width for a in wide), *(len(r.values) for r in results)]
+    found = [Array(name, size) for name, size in zip(names, sizes, strict=True)]
+    return found[: len(wide)], found[len(wide) :]
+
+
+def declaration(program: Program, name: str, single: bool) -> str:
+    """Declaration of the function of a program, without the semicolon."""
+    scalar = "float" if single else "double"
+    taken, given = arrays(program)
+    parameters = [f"const {scalar} {a.name}[{a.size}]" for a in taken] + [f"{scalar} {a.name}[{a.size}]" for a in given]
+    return f"int {name}({', '.join(parameters) or 'void'})"
+
+
+def literal(x: float, single: bool) -> str:
+    """Shortest C literal that is read as this number."""
+    if not np.isfinite(x):
+        scalar = "float" if single else "double"
+        zero = f"({scalar})0"
+        return f"({zero} / {zero})" if x != x else f"({'-' if x < 0 else ''}({scalar})1 / {zero})"
+    text = repr(float(x)) if not single else str(np.float32(x))
+    text = text if any(mark in text for mark in ".e") else f"{text}.0"
+    return f"{text}f" if single else text
+
+
+def preamble(program: Program, single: bool, library: Library) -> str:
+    """Text in front of the functions of programs: what it includes, and its own sine and cosine if it has them."""
+    codes = {op.code for op in program.ops}
+    if library == "math.h":
+        return "#include <math.h>\n" if codes & {*TOGETHER, *_OF_MATH} else ""
+    if found := sorted(codes & set(_OF_MATH)):
+        raise ArgumentError(
+            f"library must be 'math.h' for {program.name}, which takes {', '.join(found)}; 'own' has sine and cosine"
+        )
+    if not codes & set(TOGETHER):
+        return ""
+    scalar, constants = ("float", SINES_FLOAT) if single else ("double", SINES_DOUBLE)
+    return f"typedef {scalar} S;\n{constants.strip()}\n{_SINE_AND_COSINE}"
+
+
+def function(program: Program, name: str, single: bool, library: Library = "math.h") -> str:
+    """Text of the function of a program, without `preamble`."""
+    scalar, suffix = ("float", "f") if single else ("double", "")
+    taken, given = arrays(program)
+    by_position = dict(zip((k for k, a in enumerate(program.arguments) if a.width), taken, strict=True))
+    together = pairs(program)
+    words: Mapping[str, str] = {"f": suffix, "one": literal(1.0, single), "zero": literal(0.0, single)}
+
+    def at(i: int) -> str:
+        op = program.ops[i]
+        return literal(op.payload, single) if op.code == "const" else f"x{i}"
+
+    def shown(v: Output) -> str:
+        if isinstance(v, float):
+            return literal(v, single)
+        index, negative = v
+        return f"{words['zero']} - {at(index)}" if negative else at(index)
+
+    read = {program.arguments[op.payload[0]].name for op in program.ops if op.code == "in"}
+    unread = [array.name for k, array in by_position.items() if program.arguments[k].name not in read]
+    lines = [f"(void){name};" for name in unread]
+    for i in recorded(program, {i for i, op in enumerate(program.ops) if op.code == "const"}):
+        op = program.ops[i]
+        if op.code == "in":
+            argument, component = op.payload
+            lines.append(f"const {scalar} x{i} = {by_position[argument].name}[{component}];")
+        elif op.code in TOGETHER and library == "own":
+            if i == together[i][0]:
+                known = {program.ops[k].code: f"x{k}" for k in together[i]}
+                s, c = known.get("sin", f"x{i}_"), known.get("cos", f"x{i}_")
+                lines.append(f"{scalar} {s}, {c}; sine_and_cosine({at(op.operands[0])}, &{s}, &{c});")
+        elif op.code in TOGETHER:
+            lines.append(f"const {scalar} x{i} = {op.code}{suffix}({at(op.operands[0])});")
+        else:
+            sign, operands = OPS[op.code].infix, [at(k) for k in op.operands]
+            text = f" {sign} ".join(operands) if sign else _CALLS[op.code].format(*operands, **words)
+            lines.append(f"const {scalar} x{i} = {text};")
+    rows = [r for r in outputs(program) if r.values]
+    for array, result in zip(given, rows, strict=True):
+        lines += [f"{array.name}[{j}] = {shown(v)};" for j, v in enumerate(result.values)]
+    lines.append(f"return {_status(program, given, single)};")
+    body = "\n".join(f"    {line}" for line in lines)
+    return f"{declaration(program, name, single)}\n{{\n{body}\n}}\n"
+
+
+def _status(program: Program, given: Sequence[Array], single: bool) -> str:
+    """Expression for what the function returns: 1 where rounding errors grow too much, otherwise 0."""
+    if program.growth is None:
+        return "0"
+    limit = LARGEST_GROWTH.single if single else LARGEST_GROWTH.double
+    return f"({given[-1].name}[0] <= {literal(limit, single)}) ? 0 : 1"

@@ -1,0 +1,57 @@
+"""Words and units for the arguments and results of programs, by their names."""
+
+from collections.abc import Sequence
+
+WORDS = {
+    "q": "joint positions [rad or m]",
+    "qd": "joint velocities [rad/s or m/s]",
+    "qdd": "joint accelerations [rad/s^2 or m/s^2]",
+    "tau": "joint torques or forces [N m or N]",
+    "torque": "commanded joint torques or forces [N m or N]",
+    "q_des": "desired joint positions [rad or m]",
+    "qd_des": "desired joint velocities [rad/s or m/s]",
+    "qdd_des": "desired joint accelerations [rad/s^2 or m/s^2]",
+    "kp": "gains of the position errors [1/s^2]",
+    "kd": "gains of the velocity errors [1/s]",
+    "f_tip": "wrench (force, moment) the end effector exerts on the environment, in the tip frame [N, N m]",
+    "f_ext": "wrenches (force, moment) the environment exerts on the links, link by link, in link frames [N, N m]",
+    "f_base": "wrench (force, moment) the environment exerts on the base, in its frame [N, N m]",
+    "X_WB": "pose of the base: unit dual quaternion (w x y z, w x y z), primary and dual part [-, m]",
+    "V_WB_B": "twist (angular, linear) of the base in its axes [rad/s, m/s]",
+    "A_WB_B": "rate of the twist of the base [rad/s^2, m/s^2]",
+    "F_B": "wrench (force, moment) on the base, in its axes [N, N m]",
+    "M": "mass matrix, row by row [kg m^2, kg m or kg]",
+    "c": "Coriolis and centrifugal torques [N m or N]",
+    "g": "gravity torques [N m or N]",
+    "Jt": "transposed Jacobian of the tip on (force, moment), row by row",
+    "J": "Jacobian of the frame, (angular, linear), row by row",
+    "X": "poses of the frames: unit dual quaternions, frame by frame",
+    "Y": "regressor, row by row",
+    "T": "kinetic energy [J]",
+    "U": "potential energy [J]",
+    "growth": "factor by which rounding errors are magnified; the function returns 1 where it is too large",
+    "memory": "what the effects remember from step to step; see the scene's effects, in their order",
+    "reading": "measured joint positions, then velocities [rad or m, rad/s or m/s]",
+    "reference": "desired joint positions, velocities and accelerations, one after the other",
+    "noise": "uniform random numbers in (0, 1)",
+    "mass": "masses of the links [kg]",
+    "com": "centres of mass of the links, xyz, in the link frames [m]",
+    "inertia": "inertias of the links about their centres of mass, xx xy yy xz yz zz [kg m^2]",
+    "armature": "rotor inertias at the joints [kg m^2 or kg]",
+    "gravity": "gravitational acceleration in the base frame [m/s^2]",
+    "viscous": "viscous friction of the joints [N m s/rad or N s/m]",
+    "coulomb": "Coulomb friction of the joints [N m or N]",
+}
+
+
+def words(name: str) -> str:
+    """Words and units for an argument or a result of a program; "" if nothing is known of its name."""
+    plain = name.rpartition(".")[2]
+    if plain.startswith("d/d"):
+        return f"derivative with respect to {plain.removeprefix('d/d')}"
+    return WORDS.get(plain, "")
+
+
+def listed(title: str, names: Sequence[str]) -> str:
+    """Line that lists names in the order of an array."""
+    return f"{title}: {', '.join(names)}" if names else ""
