@@ -26,6 +26,7 @@ Functions of a robot, batched and differentiable to any order:
     forward_kinematics      poses of frames as dual quaternions; dq.translation and dq.to_matrix convert them
     jacobian                twist of a frame from joint velocities
     computed_torque         torques of a tracking controller
+    floating                the same for robots with a free base, and their momentum: floating.inverse_dynamics, ...
 
 Layers, with quantities that may be learned and stay physical:
     InverseDynamics         inverse dynamics, also under the name of the paper's algorithm, DQRNEA
@@ -54,7 +55,7 @@ Errors derive from TorchdqError and from the built-in error that a caller would 
 from difflib import get_close_matches as _close_matches
 from typing import TYPE_CHECKING
 
-from torchdq import convert, dq
+from torchdq import convert, dq, floating
 from torchdq.backends.choice import backend
 from torchdq.caches import clear_caches
 from torchdq.control import computed_torque
@@ -122,6 +123,7 @@ if TYPE_CHECKING:
         "dq",
         "dynamics_jacobian",
         "error_growth",
+        "floating",
         "forward_dynamics",
         "forward_kinematics",
         "inverse_dynamics",
@@ -137,7 +139,7 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_MODULES = ("convert", "dq", "envs", "learning", "robots")
+_MODULES = ("convert", "dq", "envs", "floating", "learning", "robots")
 # names in other libraries
 _ELSEWHERE = {
     "rnea": "inverse_dynamics",

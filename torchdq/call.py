@@ -36,7 +36,7 @@ from torchdq.backends.precision import Form, Guarded, contiguous, unguarded
 from torchdq.backends.run import run
 from torchdq.backends.torch import EAGER
 from torchdq.caches import LAYOUTS, Bounded
-from torchdq.checks import DTYPES, require_tensor
+from torchdq.checks import DTYPES, is_dense, require_tensor
 from torchdq.errors import ArgumentError, DtypeError, TorchdqError
 from torchdq.program.autograd import in_a_graph, named, operator
 from torchdq.program.program import Argument, Program
@@ -116,19 +116,21 @@ def evaluate(
         return _traced(what, tensors, backend, double)
     try:
         looks = [None if x is None else (x.shape, x.dtype, x.device) for x in tensors.values()]
-    except AttributeError:
-        batch_of(what, tensors)  # raises, naming the argument that is not a tensor
+        key = (what, backend, present(), double, *tensors, *looks)
+        layout = _layouts.get(key)
+        if layout is None:
+            layout = _layouts[key] = _layout(what, tensors, backend, double)
+        given = [x for x in tensors.values() if x is not None]
+        found = _direct(layout, given)
+        if found is not None:
+            return dict(zip(layout.names, found, strict=True))
+        if not all(map(is_dense, given)):  # torch multiplies some of them in silence
+            batch_of(what, tensors)  # raises
+        rows = [_row(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]
+        found = run(layout.program, rows, layout.backend)
+    except (AttributeError, RuntimeError):
+        batch_of(what, tensors)  # raises, naming an argument that is no tensor, or no dense one
         raise
-    key = (what, backend, present(), double, *tensors, *looks)
-    layout = _layouts.get(key)
-    if layout is None:
-        layout = _layouts[key] = _layout(what, tensors, backend, double)
-    given = [x for x in tensors.values() if x is not None]
-    found = _direct(layout, given)
-    if found is not None:
-        return dict(zip(layout.names, found, strict=True))
-    rows = [_row(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]
-    found = run(layout.program, rows, layout.backend)
     narrow = given[0].dtype
     if narrow != layout.dtype:
         found = [y.to(narrow) for y in found]
@@ -164,6 +166,11 @@ def batch_of(what: Computation, tensors: Tensors) -> Shape:
         if not what.shared(name):
             first = first or name
             _require_alike(label, x, first, given[first])
+        elif x.is_meta and not given[first].is_meta:
+            raise ArgumentError(
+                f"{label} is on the device 'meta', where tensors have no values, but {first} is on "
+                f"{given[first].device}; give it with values"
+            )
         if x.ndim < len(axes) or tuple(x.shape[x.ndim - len(axes) :]) != axes:
             raise ArgumentError(
                 f"{label} must have the shape [{', '.join(['...', *map(str, axes)])}]{what.subject()}, "
@@ -265,8 +272,8 @@ def _row(x: Tensor, dtype: torch.dtype, device: torch.device, row: Arrangement) 
 def _traced(what: Computation, tensors: Tensors, backend: BackendName | None, double: bool) -> dict[str, Tensor]:
     """Results in a graph that is being traced.
 
-    At every call of its graph, torch.compile checks all objects that were read while it was traced, so whatever does
-    not depend on sizes is read in `_known`.
+    At every call of its graph, torch.compile checks all objects that were read while it was traced, so all parts
+    that do not depend on sizes are read in `_known`.
     """
     given = [x for x in tensors.values() if x is not None]
     if not all([isinstance(x, Tensor) for x in given]):
@@ -311,7 +318,7 @@ def _known(
     double: bool,
     *fields: Any,
 ) -> tuple | None:
-    """Whatever of a call in a graph does not depend on the sizes of its tensors; None: they do not fit.
+    """Parts of a call in a graph that do not depend on the sizes of its tensors; None: the tensors do not fit.
 
     Args:
         kind, fields: type and fields of the computation.

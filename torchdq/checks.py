@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence, Set
 from fnmatch import fnmatchcase
+from numbers import Real
 from typing import Any, NoReturn, TypeVar
 
 import torch
@@ -46,10 +48,19 @@ class Named(dict[str, Any]):
         raise UnknownNameError(self.kind, name, self, every=True)
 
 
+def is_dense(x: Tensor) -> bool:
+    """True unless a tensor is sparse, nested, or laid out for a library."""
+    return x.layout == torch.strided and not x.is_nested
+
+
 def require_tensor(name: str, x: Any) -> None:
-    """Raise unless x is a tensor."""
+    """Raise unless x is a dense tensor."""
     if not isinstance(x, Tensor):
         raise ArgumentError(f"{name} must be a tensor, found {type(x).__name__}; use torch.as_tensor")
+    if not is_dense(x):
+        found = "nested" if x.is_nested else str(x.layout).removeprefix("torch.").strip("_")
+        cure = "torch.nested.to_padded_tensor" if x.is_nested else "to_dense()"
+        raise ArgumentError(f"{name} must be a dense tensor, found a {found} one; convert it by {cure}")
 
 
 def floating(name: str, x: Any) -> Tensor:
@@ -66,16 +77,23 @@ def require_choice(name: str, x: Any, known: Sequence[Any]) -> None:
         raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}, found {x!r}")
 
 
-def require_count(name: str, x: Any) -> None:
-    """Raise unless x is a whole number from 1."""
-    if not isinstance(x, int) or isinstance(x, bool) or x < 1:
-        raise ArgumentError(f"{name} must be a whole number from 1, found {x!r}")
+def is_number(x: Any) -> bool:
+    """True for a real number of Python or numpy; a truth value is none, nor is a whole number beyond any float."""
+    return isinstance(x, Real) and not isinstance(x, bool) and not (isinstance(x, int) and abs(x) > LARGEST)
 
 
-def require_number(name: str, x: Any, positive: bool = False) -> None:
-    """Raise unless x is a finite number, and greater than zero if `positive`."""
-    if not isinstance(x, float | int) or isinstance(x, bool) or not abs(x) <= LARGEST or (positive and x <= 0):
-        raise ArgumentError(f"{name} must be a {'positive' if positive else 'finite'} number, found {x!r}")
+def require_count(name: str, x: Any, least: int = 1) -> None:
+    """Raise unless x is a whole number from `least` on."""
+    if not isinstance(x, int) or isinstance(x, bool) or x < least:
+        raise ArgumentError(f"{name} must be a whole number from {least}, found {x!r}")
+
+
+def require_number(name: str, x: Any, positive: bool = False, least: float = -LARGEST) -> None:
+    """Raise unless x is a finite number from `least` on, and greater than zero if `positive`."""
+    value = float(x) if is_number(x) else math.nan
+    if not least <= value <= LARGEST or (positive and value <= 0):
+        expected = "positive number" if positive else "finite number" + (f" from {least:g}" if least > -LARGEST else "")
+        raise ArgumentError(f"{name} must be a {expected}, found {x!r}")
 
 
 def names_of(name: str, x: Any, known: Iterable[str], kind: str) -> tuple[str, ...]:

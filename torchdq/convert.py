@@ -6,20 +6,25 @@ Here a pose X_AB is [..., 8], a quaternion (w, x, y, z), a twist (angular, linea
     Pinocchio  pin.SE3 holds the same pose; Motion is (linear, angular); Force is (linear, angular) = (force, moment),
                which is the order here, so that a wrench needs no conversion: `pin.Force(wrench.numpy())`
     MuJoCo     position and quaternion (w, x, y, z)
-    Isaac      position and quaternion (x, y, z, w)
+    Isaac      position and quaternion, (x, y, z, w) or (w, x, y, z): see `root_to_isaac`
+
+Robots with a free base have their converters at the end: their configurations, velocities, accelerations and forces are
+rows of the base and then of the joints there. The joints are those of our robots, in our order: take `q[..., order]`
+for the order of a model, found by names. These are differentiable.
 
 scipy and Pinocchio are imported when their converters are called. Nothing is differentiated through those two.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 from torch import Tensor
 
 from torchdq import dq
-from torchdq.checks import device_of
+from torchdq.checks import device_of, require_choice
 from torchdq.dq.components import checked
 from torchdq.errors import ArgumentError
 from torchdq.optional import imported
@@ -108,8 +113,7 @@ def from_scipy(
 
 def to_pinocchio(x: Tensor) -> pinocchio.SE3:
     """Placement aMb of Pinocchio for one pose x = X_AB [8]."""
-    import pinocchio
-
+    pinocchio = imported("pinocchio", "pin", "to_pinocchio")
     if checked("x", x, 8).ndim != 1:
         raise ArgumentError(f"x must be one pose of shape (8,), found {tuple(x.shape)}; convert row by row")
     x = x.detach().cpu().double()
@@ -143,3 +147,188 @@ def motion_from_pinocchio(motion: Tensor) -> Tensor:
     tensor([1., 2., 3., 4., 5., 6.])
     """
     return dq.swap(checked("motion", motion, 6))
+
+
+# --- free bases: Pinocchio's free-flyer ------------------------------------------------------------------------------
+
+
+def configuration_to_pinocchio(X_WB: Tensor, q: Tensor) -> Tensor:
+    """Configuration [..., 7 + n] of Pinocchio: position, quaternion (x, y, z, w), joints of one coordinate.
+
+    Args:
+        X_WB: pose of the base in the world, shape [..., 8].
+        q: joint positions, shape [..., n].
+
+    >>> configuration_to_pinocchio(torch.tensor([1.0, 0, 0, 0, 0, 0.5, 1, 1.5]), torch.tensor([0.7]))
+    tensor([1.0000, 2.0000, 3.0000, 0.0000, 0.0000, 0.0000, 1.0000, 0.7000])
+    """
+    return _row(dq.translation(X_WB), to_xyzw(dq.rotation(X_WB)), q)
+
+
+def configuration_from_pinocchio(configuration: Tensor) -> tuple[Tensor, Tensor]:
+    """Pose X_WB [..., 8] of the base and joint positions q [..., n], from Pinocchio's configuration [..., 7 + n]."""
+    position, rotation, q = _parts("configuration", configuration, 3, 4)
+    return dq.from_pose(from_xyzw(rotation), position), q
+
+
+def velocity_to_pinocchio(V_WB_B: Tensor, qd: Tensor) -> Tensor:
+    """Velocity [..., 6 + n] of Pinocchio (linear, angular, joints), from the twist of the base and qd.
+
+    Accelerations are converted alike: Pinocchio's, too, are the rates of the twist in the axes of the base.
+    """
+    return _row(motion_to_pinocchio(V_WB_B), qd)
+
+
+def velocity_from_pinocchio(velocity: Tensor) -> tuple[Tensor, Tensor]:
+    """Twist V_WB_B [..., 6] of the base and qd [..., n], or accelerations, from Pinocchio's [..., 6 + n]."""
+    base, qd = _parts("velocity", velocity, 6)
+    return motion_from_pinocchio(base), qd
+
+
+def forces_to_pinocchio(F_B: Tensor, tau: Tensor) -> Tensor:
+    """Generalised forces [..., 6 + n] of Pinocchio, from the wrench (force, moment) on the base and torques."""
+    return _row(checked("F_B", F_B, 6), tau)
+
+
+def forces_from_pinocchio(forces: Tensor) -> tuple[Tensor, Tensor]:
+    """Wrench F_B [..., 6] on the base and torques tau [..., n], from Pinocchio's generalised forces [..., 6 + n]."""
+    F_B, tau = _parts("forces", forces, 6)
+    return F_B, tau
+
+
+# --- free bases: MuJoCo's freejoint ----------------------------------------------------------------------------------
+
+
+def configuration_to_mujoco(X_WB: Tensor, q: Tensor) -> Tensor:
+    """`qpos` [..., 7 + n] of MuJoCo: position, quaternion (w, x, y, z), joints; arguments as for Pinocchio."""
+    return _row(*to_mujoco(X_WB), q)
+
+
+def configuration_from_mujoco(qpos: Tensor) -> tuple[Tensor, Tensor]:
+    """Pose X_WB [..., 8] of the base and joint positions q [..., n], from `qpos` [..., 7 + n]."""
+    position, rotation, q = _parts("qpos", qpos, 3, 4)
+    return from_mujoco(position, rotation), q
+
+
+def velocity_to_mujoco(X_WB: Tensor, V_WB_B: Tensor, qd: Tensor) -> Tensor:
+    """`qvel` [..., 6 + n]: velocity of the base's origin in world axes, angular velocity in base axes, joints.
+
+    >>> quarter = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5, 0, 0, 0, 0])  # about z
+    >>> velocity_to_mujoco(quarter, torch.tensor([1.0, 0, 0, 1, 0, 0]), torch.tensor([5.0])).round(decimals=4)
+    tensor([0., 1., 0., 1., 0., 0., 5.])
+    """
+    w, v = _parts("V_WB_B", V_WB_B, 3, 3)[:2]
+    return _row(dq.rotate(dq.rotation(X_WB), v), w, qd)
+
+
+def velocity_from_mujoco(X_WB: Tensor, qvel: Tensor) -> tuple[Tensor, Tensor]:
+    """Twist V_WB_B [..., 6] of the base and qd [..., n], from `qvel` [..., 6 + n]."""
+    v, w, qd = _parts("qvel", qvel, 3, 3)
+    return _row(w, _to_base(X_WB, v)), qd
+
+
+def acceleration_to_mujoco(X_WB: Tensor, V_WB_B: Tensor, A_WB_B: Tensor, qdd: Tensor) -> Tensor:
+    """`qacc` [..., 6 + n]: rates of `qvel`; the velocity in world axes also changes as the base turns."""
+    (w, v), (wd, vd) = (_parts(*x, 3, 3)[:2] for x in (("V_WB_B", V_WB_B), ("A_WB_B", A_WB_B)))
+    return _row(dq.rotate(dq.rotation(X_WB), vd + _cross(w, v)), wd, qdd)
+
+
+def acceleration_from_mujoco(X_WB: Tensor, V_WB_B: Tensor, qacc: Tensor) -> tuple[Tensor, Tensor]:
+    """Rate A_WB_B [..., 6] of the base's twist and qdd [..., n], from `qacc` [..., 6 + n]."""
+    w, v = _parts("V_WB_B", V_WB_B, 3, 3)[:2]
+    vd, wd, qdd = _parts("qacc", qacc, 3, 3)
+    return _row(wd, _to_base(X_WB, vd) - _cross(w, v)), qdd
+
+
+def forces_to_mujoco(X_WB: Tensor, F_B: Tensor, tau: Tensor) -> Tensor:
+    """`qfrc_applied` or `qfrc_inverse` [..., 6 + n]: force in world axes, moment in base axes, torques."""
+    force, moment = _parts("F_B", F_B, 3, 3)[:2]
+    return _row(dq.rotate(dq.rotation(X_WB), force), moment, tau)
+
+
+def forces_from_mujoco(X_WB: Tensor, qfrc: Tensor) -> tuple[Tensor, Tensor]:
+    """Wrench F_B [..., 6] on the base and torques tau [..., n], from generalised forces [..., 6 + n] of MuJoCo."""
+    force, moment, tau = _parts("qfrc", qfrc, 3, 3)
+    return _row(_to_base(X_WB, force), moment), tau
+
+
+# --- free bases: Isaac's root states ---------------------------------------------------------------------------------
+
+QuaternionOrder = Literal["wxyz", "xyzw"]
+
+
+def root_to_isaac(X_WB: Tensor, V_WB_B: Tensor, order: QuaternionOrder = "wxyz", com: Tensor | None = None) -> Tensor:
+    """Root state [..., 13] of Isaac: position, quaternion, linear and angular velocity, all in world axes.
+
+    Args:
+        X_WB: pose of the base in the world, shape [..., 8].
+        V_WB_B: twist (angular, linear) of the base, shape [..., 6].
+        order: "wxyz" for Isaac Lab before 3.0 and Isaac Sim, "xyzw" for Isaac Gym and Isaac Lab from 3.0 on.
+        com: point of the base [m], shape [..., 3], that the linear velocity is of; None: the origin, as in
+            `root_link_state_w`. Isaac Lab's `root_state_w` has that of the centre of mass, `robot.base_com`.
+    """
+    require_choice("order", order, ("wxyz", "xyzw"))
+    r = dq.rotation(X_WB)
+    w, v = _parts("V_WB_B", V_WB_B, 3, 3)[:2]
+    v = v if com is None else v + _cross(w, com)
+    return _row(dq.translation(X_WB), r if order == "wxyz" else to_xyzw(r), dq.rotate(r, v), dq.rotate(r, w))
+
+
+def root_from_isaac(state: Tensor, order: QuaternionOrder = "wxyz", com: Tensor | None = None) -> tuple[Tensor, Tensor]:
+    """Pose X_WB [..., 8] and twist V_WB_B [..., 6] of the base, from a root state [..., 13]; see `root_to_isaac`."""
+    require_choice("order", order, ("wxyz", "xyzw"))
+    position, r, v, w, _ = _parts("state", state, 3, 4, 3, 3)
+    X_WB = dq.from_pose(r if order == "wxyz" else from_xyzw(r), position)
+    w, v = _to_base(X_WB, w), _to_base(X_WB, v)
+    return X_WB, _row(w, v if com is None else v - _cross(w, com))
+
+
+def acceleration_to_isaac(X_WB: Tensor, V_WB_B: Tensor, A_WB_B: Tensor, com: Tensor | None = None) -> Tensor:
+    """Linear and angular acceleration [..., 6] of the base in world axes; `com` as in `root_to_isaac`."""
+    (w, v), (wd, vd) = (_parts(*x, 3, 3)[:2] for x in (("V_WB_B", V_WB_B), ("A_WB_B", A_WB_B)))
+    r = dq.rotation(X_WB)
+    if com is not None:
+        v, vd = v + _cross(w, com), vd + _cross(wd, com)
+    return _row(dq.rotate(r, vd + _cross(w, v)), dq.rotate(r, wd))
+
+
+def acceleration_from_isaac(X_WB: Tensor, V_WB_B: Tensor, acceleration: Tensor, com: Tensor | None = None) -> Tensor:
+    """Rate A_WB_B [..., 6] of the base's twist, from linear and angular acceleration [..., 6] in world axes."""
+    w, v = _parts("V_WB_B", V_WB_B, 3, 3)[:2]
+    vd, wd = (_to_base(X_WB, x) for x in _parts("acceleration", acceleration, 3, 3)[:2])
+    if com is not None:
+        v, vd = v + _cross(w, com), vd - _cross(wd, com)
+    return _row(wd, vd - _cross(w, v))
+
+
+def wrench_to_isaac(F_B: Tensor, com: Tensor) -> tuple[Tensor, Tensor]:
+    """Force and moment about the centre of mass `com` [..., 3], both in base axes, of a wrench F_B [..., 6]."""
+    force, moment = _parts("F_B", F_B, 3, 3)[:2]
+    return force, moment - _cross(com, force)
+
+
+def wrench_from_isaac(force: Tensor, moment: Tensor, com: Tensor) -> Tensor:
+    """Wrench F_B [..., 6] about the origin of the base, from force and moment about its centre of mass."""
+    return _row(force, moment + _cross(com, force))
+
+
+def _to_base(X_WB: Tensor, v: Tensor) -> Tensor:
+    return dq.rotate(dq.conj(X_WB)[..., :4], v)
+
+
+def _cross(a: Tensor, b: Tensor) -> Tensor:
+    return torch.linalg.cross(*torch.broadcast_tensors(a, b))
+
+
+def _parts(name: str, x: Tensor, *sizes: int) -> Sequence[Tensor]:
+    """First parts of a row, of these sizes, and the rest of it."""
+    x = x if isinstance(x, Tensor) else torch.tensor(x)  # a copy, see `from_mujoco`
+    if x.ndim == 0 or x.shape[-1] < sum(sizes):
+        raise ArgumentError(f"{name} must end with an axis of {sum(sizes)} components or more, found {tuple(x.shape)}")
+    return x.split([*sizes, x.shape[-1] - sum(sizes)], -1)
+
+
+def _row(*parts: Tensor) -> Tensor:
+    """Row of parts whose batch axes broadcast."""
+    batch = torch.broadcast_shapes(*[x.shape[:-1] for x in parts])
+    return torch.cat([x.expand(*batch, x.shape[-1]) for x in parts], -1)

@@ -22,13 +22,14 @@ from torchdq.caches import PROGRAMS, Bounded
 from torchdq.call import batch_of, evaluate
 from torchdq.checks import names_of, require_tensor
 from torchdq.errors import ArgumentError
-from torchdq.functions.catalogue import Function, recordings, trailing
+from torchdq.functions.catalogue import Function, recordings
 from torchdq.functions.options import options_of
 from torchdq.notice import FIRST, warn_once
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.constants import Constants
-from torchdq.robot.robot import SHAPES, arguments, constants
+from torchdq.robot.fields import SHAPES, trailing
+from torchdq.robot.robot import arguments, constants
 
 # --- arguments -------------------------------------------------------------------------------------------------------
 
@@ -67,10 +68,14 @@ class _Quantities(Function):
 
     def axes(self, name: str) -> tuple[int, ...]:
         """Trailing axes of a quantity, or of a tensor of the robot."""
-        return trailing({"f_tip": (6,), **SHAPES}.get(name, ("n",)), self.n)
+        return trailing({"f_tip": (6,), **SHAPES}.get(name, ("n",)), self.sizes)
 
     def check(self, tensors: Mapping[str, Tensor]) -> None:
-        """Nothing to check: any of them may be absent."""
+        """Raise unless the base is fixed; any of them may be absent."""
+        if self.constants.fields["base_mass"] is not None:
+            raise ArgumentError(
+                f"robot {self.constants.fields['name']!r} must have a fixed base here, found a free one"
+            )
 
 
 def check(robot: Robot, optional: Sequence[str] = (), **quantities: Tensor | None) -> tuple[int, ...]:

@@ -77,7 +77,12 @@ class RobotModule(nn.Module):
         super().__init__()
         require_number("friction_width", friction_width, positive=True)
         require_choice("backend", backend, (None, *get_args(BackendName)))
-        self._robot = require_robot(robot)
+        if require_robot(robot).floating:
+            raise ArgumentError(
+                f"robot of {type(self).__name__} must have a fixed base, found {robot.name!r} with a free one; "
+                "torchdq.floating has functions for it"
+            )
+        self._robot = robot
         self.learn = _learnable(robot, learn)
         self.backend = backend
         self.friction_width = float(friction_width)
@@ -91,6 +96,7 @@ class RobotModule(nn.Module):
                     self._initial[quantity] = self._unconstrained(quantity).detach().clone()
 
     def __setattr__(self, name: str, value: Any) -> None:
+        """Assign; raises if the robot's quantity is not learned or of another shape. A parameter takes the numbers."""
         if name in (*SHAPES, "viscous", "coulomb", "offset") and "learn" in self.__dict__:
             source = "friction" if name in ("viscous", "coulomb") else name
             if source not in self.learn:
@@ -382,7 +388,7 @@ class ComputedTorque(RobotModule):
 
 def _gain(name: str, gain: Any) -> Tensor:
     try:
-        return torch.as_tensor(gain, dtype=torch.float64)
+        return torch.as_tensor(gain, dtype=torch.float64, device=getattr(gain, "device", "cpu"))
     except (TypeError, ValueError) as error:
         raise ArgumentError(f"{name} must be a number or one per joint, found {gain!r}") from error
 

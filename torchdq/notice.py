@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 import warnings
+from collections.abc import Callable
 from contextlib import suppress
 from types import TracebackType
 from typing import Self
@@ -41,19 +42,21 @@ class Notice:
     """
 
     def __init__(self, what: str):
-        self.what, self.where = what, ""
+        self.what = what
+        self.where: str | Callable[[], str] = ""
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._write, daemon=True)
 
-    def at(self, where: str) -> None:
-        """State how far the work is, for the next line."""
+    def at(self, where: str | Callable[[], str]) -> None:
+        """State how far the work is, for the next line; a function is called when the line is written."""
         self.where = where
 
     def _write(self) -> None:
         start, pause = time.monotonic(), FIRST
         while not self._ended.wait(pause):
             pause = EVERY
-            parts = (self.what, self.where, f"{time.monotonic() - start:.0f} s")
+            where = self.where if isinstance(self.where, str) else self.where()
+            parts = (self.what, where, f"{time.monotonic() - start:.0f} s")
             with suppress(AttributeError, ValueError, OSError):  # a stream that is absent or closed
                 sys.stderr.write(f"torchdq: {', '.join(part for part in parts if part)} ...\n")
                 sys.stderr.flush()

@@ -85,10 +85,13 @@ class PhysicalInertia(_Quantity):
     def __init__(self, name: str = "inertia"):
         super().__init__(name)
         # whole numbers, which follow the device but not the dtype of a module
-        self.register_buffer("diagonal", torch.tensor([1, 0, 1, 0, 0, 1], dtype=torch.bool), persistent=False)
-        pairs = torch.tensor([["abcdef".index(x) for x in pair] for pair in PRODUCTS])
+        with torch.device("cpu"):  # as the numbers of a robot are
+            diagonal = torch.tensor([1, 0, 1, 0, 0, 1], dtype=torch.bool)
+            pairs = torch.tensor([["abcdef".index(x) for x in pair] for pair in PRODUCTS])
+            sums = torch.tensor(SUMS, dtype=torch.int8)
+        self.register_buffer("diagonal", diagonal, persistent=False)
         self.register_buffer("pairs", pairs, persistent=False)
-        self.register_buffer("sums", torch.tensor(SUMS, dtype=torch.int8), persistent=False)
+        self.register_buffer("sums", sums, persistent=False)
 
     def forward(self, x: Tensor) -> Tensor:
         """Inertias [..., 6] in the units of Sigma; the diagonal of L stays between exp(-30) and exp(30)."""

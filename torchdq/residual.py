@@ -10,6 +10,7 @@ from typing import Any, Literal, get_args
 import torch
 from torch import Tensor, nn
 
+from torchdq.checks import require_count
 from torchdq.effects import Coulomb, Effect, Gravity, Residual, RotorInertia, Viscous
 from torchdq.errors import ArgumentError
 from torchdq.functional import mass_matrix
@@ -107,8 +108,8 @@ class ResidualDynamics(nn.Module):
             raise ArgumentError(f"model must be a torchdq.DQRNEA, found {type(model).__name__}; make one of the robot")
         if inputs not in get_args(Grouping):
             raise ArgumentError(f"inputs must be one of {get_args(Grouping)}, found {inputs!r}")
-        if any(not isinstance(width, int) or width < 1 for width in hidden):
-            raise ArgumentError(f"hidden must be positive whole numbers, one per layer, found {hidden}")
+        for width in hidden:
+            require_count("every width in hidden", width)
         n = model.robot.n
         self.model = model
         self.inputs = inputs

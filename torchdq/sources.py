@@ -59,7 +59,7 @@ def _read(kind: str, source: Any, most: int, missing: type[TorchdqError], hint: 
     text = os.fsdecode(source)
     if not text.strip():
         raise ValueError(f"its path is empty, found {_shown(text)}")
-    path = _located(text, missing)
+    path = located(text, missing)
     try:
         with path.open("rb") as file:
             return Content(text, file.read(most + 1))
@@ -74,7 +74,7 @@ def _shown(x: Any) -> str:
     return text if len(text) <= 300 else f"{text[:300]}..."
 
 
-def _located(text: str, missing: type[TorchdqError]) -> Path:
+def located(text: str, missing: type[TorchdqError]) -> Path:
     """Path of a file that is named by a path or an address."""
     scheme, separator, _ = text.partition("://")
     if not separator or not scheme.isalnum():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Self
@@ -12,7 +13,7 @@ from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Effect, Late, Parameter, Shapes, unbounded
 from torchdq.errors import ArgumentError
-from torchdq.numbers.functions import clip, exp, floor, maximum
+from torchdq.numbers.functions import below, clip, exp, floor, maximum, polynomial, select
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 
@@ -97,6 +98,9 @@ class TorqueSpeed(Actuator):
 class Lag(Actuator):
     """A first-order lag: T tau' = u - tau, solved exactly over a step in which u is constant.
 
+    The torque that acts over the step is the mean of that solution, so that its impulse is exact at any length of the
+    step; the solution at the end is remembered.
+
     Args:
         time: T [s], shape [..., n]; zero is no lag.
     """
@@ -105,16 +109,17 @@ class Lag(Actuator):
     time: Parameter
 
     def memory(self, n: int) -> int:
-        """The torques of the last step."""
+        """The torques at the end of the last step."""
         return n
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
-        """Torques at the end of the step, which it remembers."""
-        tau = []
+        """Mean torques over the step, and those at its end."""
+        mean, end = [], []
         for x, before, T in zip(u, memory, self.time, strict=True):
-            kept = 0.0 if isinstance(T, float) and T == 0 else exp(-(dt / T))
-            tau.append(x + kept * (before - x))
-        return tau, tau
+            kept, share = (0.0, 0.0) if isinstance(T, float) and T == 0 else (exp(-(dt / T)), _decay(dt / T))
+            mean.append(x + share * (before - x))
+            end.append(x + kept * (before - x))
+        return mean, end
 
 
 @dataclass(frozen=True)
@@ -163,6 +168,15 @@ class QuantisedCommand(Actuator):
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
         """The nearest multiples of the step."""
         return [rounded(x, s) for x, s in zip(u, self.step, strict=True)], ()
+
+
+def _decay(z: Number) -> Number:
+    """Mean (1 - exp(-z)) / z of the exponential exp(-t) over t from 0 to z > 0."""
+    if isinstance(z, float):
+        return -math.expm1(-z) / z
+    # the difference of 1 and a number near it has no digits left; 1 - z/2 + z^2/6 - ... has all
+    series = polynomial([(-1) ** k / math.factorial(k + 1) for k in range(9)], z)
+    return select(below(z, 0.05), series, (1.0 - exp(-z)) / z)
 
 
 def rounded(x: Number, step: Number) -> Number:

@@ -56,8 +56,8 @@ class Push(BodyEffect):
 
     Args:
         frame: name of the frame; None: the robot's end effector.
-        axes: "world": force and moment are given in the axes of the base frame; "body": in those of the frame. Both
-            are about the frame's origin.
+        axes: "world": force and moment are given in the axes of the base frame, or of the world if the base is free;
+            "body": in those of the frame. Both are about the frame's origin.
         name: name of the input, shape [..., 6] [N, N m].
     """
 
@@ -96,14 +96,16 @@ class Push(BodyEffect):
 class Drag(BodyEffect):
     """Resistance of a medium at every link: f = -(a + b |v|) v at the centre of mass, moment -c w.
 
+    A free base, which is no link, feels none.
+
     Args:
-        linear: a [N s/m], shape [..., n]; Stokes.
-        quadratic: b [N s^2/m^2], shape [..., n]; half density times area times drag coefficient.
-        angular: c [N m s/rad], shape [..., n].
+        linear: a [N s/m], shape [..., links]; Stokes.
+        quadratic: b [N s^2/m^2], shape [..., links]; half density times area times drag coefficient.
+        angular: c [N m s/rad], shape [..., links].
         width: speed below which |v| is rounded off [m/s].
     """
 
-    SHAPES: ClassVar[Shapes] = {"linear": ("n",), "quadratic": ("n",), "angular": ("n",), "width": ()}
+    SHAPES: ClassVar[Shapes] = {"linear": ("links",), "quadratic": ("links",), "angular": ("links",), "width": ()}
     DIVIDING = frozenset({"width"})
     linear: Parameter = 0.0
     quadratic: Parameter = 0.0
@@ -133,8 +135,8 @@ class Contact(BodyEffect):
 
     Args:
         frame: name of the frame; None: the robot's end effector.
-        height: of the surface along the normal from the base's origin [m], a number or [...].
-        normal: unit normal n of the surface in the base frame, shape [..., 3].
+        height: of the surface along the normal from the base's origin, the world's if the base is free [m].
+        normal: unit normal n of the surface in the base frame, or in the world, shape [..., 3].
         stiffness: k [N/m], a number or [...].
         dissipation: c [s/m], a number or [...].
         friction: mu, a number or [...].
@@ -166,7 +168,7 @@ class Contact(BodyEffect):
     def resolved(self, robot: Robot) -> Self:
         """Copy for a robot; raises unless the normal has the length 1, but for rounding."""
         whole = super().resolved(robot)
-        normal = torch.as_tensor(whole.normal, dtype=torch.float64)
+        normal = torch.as_tensor(whole.normal, dtype=torch.float64, device=getattr(whole.normal, "device", "cpu"))
         if not without_values((normal,)) and bool(((normal.square().sum(-1) - 1).abs() > 1e-5).any()):
             raise ArgumentError(f"normal of Contact must be a unit vector, found {self.normal}")
         return whole

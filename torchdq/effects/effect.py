@@ -21,16 +21,18 @@ import torch
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
+from torchdq.checks import is_number, require_count, require_tensor
 from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
+from torchdq.robot.fields import trailing
 from torchdq.robot.robot import arguments
 
 Inputs = Mapping[str, Row]  # by name, given at a step
 Parameter = Any  # a number, a sequence of numbers, a tensor, or None: as described; while recording: a row of numbers
-Shapes = Mapping[str, tuple[int | str, ...]]  # trailing axes by name, "n" being the number of joints
+Shapes = Mapping[str, tuple[int | str, ...]]  # trailing axes by name, see `Robot.sizes`
 
 
 MOST_LATE = 500  # steps of a delay; a program with as many takes half a minute to compile
@@ -83,29 +85,31 @@ class Parametric:
     def _checked(self, name: str, value: Any, robot: Robot) -> Any:
         what = f"{name} of {type(self).__name__}"
         axes = self.SHAPES[name]
-        shape = tuple(robot.n if axis == "n" else int(axis) for axis in axes)
+        shape = trailing(axes, robot.sizes)
         size = math.prod(shape)
         if value is None:
             raise ArgumentError(f"{what} must be given: the description of robot {robot.name!r} has none")
-        single = value.ndim == 0 if isinstance(value, Tensor) else isinstance(value, int | float) and value != 0
-        if single and axes and "n" not in axes:  # one number for all joints makes sense, one for all components none
+        single = value.ndim == 0 if isinstance(value, Tensor) else is_number(value) and value != 0
+        per_joint = any(isinstance(axis, str) for axis in axes)
+        if single and axes and not per_joint:  # one number for all joints makes sense, one for all components none
             raise ArgumentError(f"{what} must have {size} components, found the number {float(value):g}")
         if isinstance(value, Tensor):
+            require_tensor(what, value)
             if not value.is_floating_point():
                 raise ArgumentError(f"{what} must be a floating-point tensor, found {value.dtype}")
             if value.ndim < len(shape):
                 value = value.expand(shape)
-            if shape and value.shape[-1] not in ((1, size) if "n" in axes else (size,)):
+            if shape and value.shape[-1] not in ((1, size) if per_joint else (size,)):
                 raise ArgumentError(f"{what} must have the shape [..., {size}], found {tuple(value.shape)}")
             if value.numel() and not without_values((value,)):
                 self._check_values(name, torch.stack(value.detach().aminmax()).tolist())
             return value.expand((*value.shape[: value.ndim - len(shape)], *shape))
-        try:
-            numbers = [float(x) for x in value] if isinstance(value, Sequence) else [float(value)] * size
-        except (TypeError, ValueError) as error:
-            raise ArgumentError(f"{what} must be a number, {size} numbers or a tensor, found {value!r}") from error
-        if len(numbers) != size:
-            raise ArgumentError(f"{what} must be one number or {size}, found {len(numbers)}")
+        given = value if isinstance(value, Sequence) and not isinstance(value, str | bytes) else [value] * size
+        if not all(map(is_number, given)):  # float() would take words and truth values, and detach tensors
+            raise ArgumentError(f"{what} must be a number, {size} numbers or a tensor, found {value!r}")
+        if len(given) != size:
+            raise ArgumentError(f"{what} must be one number or {size}, found {len(given)}")
+        numbers = [float(x) for x in given]
         self._check_values(name, numbers)
         return tuple(numbers) if shape else numbers[0]
 
@@ -178,6 +182,10 @@ class Effect(Parametric):
         """Memory in the initial state."""
         return (0.0,) * self.memory(len(q))
 
+    def outside(self) -> str:
+        """Words for what is computed outside the program of a step; "": nothing."""
+        return ""
+
 
 @dataclass(frozen=True)
 class Late(Effect):
@@ -192,8 +200,7 @@ class Late(Effect):
 
     def described(self, robot: Robot) -> Self:
         """Effect as it is; raises if the number of steps is not a positive integer."""
-        if not isinstance(self.steps, int) or self.steps < 1:
-            raise ArgumentError(f"steps of {type(self).__name__} must be a whole number from 1, found {self.steps!r}")
+        require_count(f"steps of {type(self).__name__}", self.steps)
         if self.steps > MOST_LATE:  # every step is a row of numbers in the program
             raise ArgumentError(
                 f"steps of {type(self).__name__} must be at most {MOST_LATE}, found {self.steps}; a longer delay needs "
@@ -228,6 +235,6 @@ def unbounded(x: Number) -> bool:
 def on_a_link(effect: Any, robot: Robot) -> Any:
     """Effect with its frame named, None being the end effector; the frame must be on a moving link."""
     frame = robot.end_effector() if effect.frame is None else robot.frame(effect.frame)
-    if frame.link == BASE:
+    if frame.link == BASE and not robot.floating:
         raise ArgumentError(f"frame of {type(effect).__name__} is {frame.name!r}, which is fixed to the base")
     return replace(effect, frame=frame.name)

@@ -48,6 +48,16 @@ class JointEffect(Effect):
     """A torque at every joint that depends on the state of that joint alone."""
 
     SLOT: ClassVar[str] = "joint"
+    ORDERED: ClassVar[tuple[str, ...]] = ()  # two parameters, of which the first must not be above the second
+
+    def resolved(self, robot: Robot) -> Self:
+        """Copy for a robot; raises unless parameters that have an order are in it."""
+        whole = super().resolved(robot)
+        if self.ORDERED:
+            low, high = self.ORDERED
+            if wrong := crossed(getattr(whole, low), getattr(whole, high), robot):
+                raise ArgumentError(f"{low} of {type(self).__name__} must not be above {high}, found {wrong}")
+        return whole
 
     def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
         """Impedance of every joint in a state."""
@@ -113,6 +123,7 @@ class Stribeck(JointEffect):
     """
 
     SHAPES: ClassVar[Shapes] = {"coulomb": ("n",), "static": ("n",), "velocity": ("n",), "width": ()}
+    ORDERED = ("coulomb", "static")
     SCALES = ("coulomb", "static")
     DIVIDING = frozenset({"velocity", "width"})
     DESCRIBED: ClassVar[Mapping[str, str]] = {"coulomb": "friction"}
@@ -120,14 +131,6 @@ class Stribeck(JointEffect):
     static: Parameter = None
     velocity: Parameter = 0.1
     width: Parameter = 1e-2
-
-    def resolved(self, robot: Robot) -> Self:
-        """Copy for a robot; raises unless friction at rest is at least that of a moving joint."""
-        whole = super().resolved(robot)
-        wrong = crossed(whole.coulomb, whole.static, robot)
-        if wrong:
-            raise ArgumentError(f"static of Stribeck must be at least coulomb, found coulomb and static {wrong}")
-        return whole
 
     def idle(self) -> tuple[str, ...]:
         """Friction parameters, if both are zero."""
@@ -203,6 +206,7 @@ class Limits(JointEffect):
     """
 
     SHAPES: ClassVar[Shapes] = {"lower": ("n",), "upper": ("n",), "stiffness": ("n",), "dissipation": ("n",)}
+    ORDERED = ("lower", "upper")
     SIGNED = frozenset({"lower", "upper"})
     UNBOUNDED = frozenset({"lower", "upper"})
     DESCRIBED: ClassVar[Mapping[str, str]] = {"lower": "limits.lower", "upper": "limits.upper"}
@@ -210,14 +214,6 @@ class Limits(JointEffect):
     upper: Parameter = None
     stiffness: Parameter = 1e4
     dissipation: Parameter = 1.0
-
-    def resolved(self, robot: Robot) -> Self:
-        """Copy for a robot; raises unless the limits are in order."""
-        whole = super().resolved(robot)
-        wrong = crossed(whole.lower, whole.upper, robot)
-        if wrong:
-            raise ArgumentError(f"lower of Limits must not be above upper, found {wrong}")
-        return whole
 
     def free_range(self) -> tuple[Parameter, Parameter]:
         """The limits."""
@@ -244,10 +240,10 @@ def crossed(lower: Parameter, upper: Parameter, robot: Robot) -> str:
     if isinstance(lower, tuple) and isinstance(upper, tuple):
         pairs = zip(robot.joint_names, lower, upper, strict=True)
         return next((f"{a:g} and {b:g} at joint {joint!r}" for joint, a, b in pairs if a > b), "")
-    low, high = (torch.as_tensor(x).detach().double() for x in (lower, upper))
+    low, high = (torch.as_tensor(x, device=getattr(x, "device", "cpu")).detach() for x in (lower, upper))
     if without_values((low,)) or without_values((high,)):
         return ""
-    low, high = torch.broadcast_tensors(low, high)
+    low, high = torch.broadcast_tensors(*(x.to("cpu", torch.float64) for x in (low, high)))
     if not bool((low > high).any()):
         return ""
     at = tuple((low > high).nonzero()[0].tolist())

@@ -12,14 +12,15 @@ from torchdq.algebra import dual_quaternion, screw
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.inertia import merged, rotated, six, square
 from torchdq.algebra.quaternion import Number
+from torchdq.dynamics.tree import BASE
 from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 from torchdq.robot.arrays import matrices
 from torchdq.robot.consistency import bodies
+from torchdq.robot.loading import GRAVITY
 from torchdq.robot.posed import Overrides, constant_pose, field
-from torchdq.robot.robot import GRAVITY
 
 
 @dataclass(frozen=True)
@@ -27,6 +28,7 @@ class ModelEffect(Effect):
     """A change of the robot's own numbers."""
 
     SLOT: ClassVar[str] = "model"
+    LATE: ClassVar[bool] = False  # whether it acts on what the others have changed, wherever it stands
 
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
         """Rows of the robot's tensors that it changes; `overrides` are those of earlier effects."""
@@ -80,7 +82,7 @@ class RotorInertia(ModelEffect):
 
 @dataclass(frozen=True)
 class Payload(ModelEffect):
-    """A body held by a frame, merged with the link that carries it.
+    """A body held by a frame, merged with the link that carries it; its mass is as given, whatever scales the links.
 
     Args:
         mass: [kg], a number or [...].
@@ -89,6 +91,7 @@ class Payload(ModelEffect):
         frame: name of the frame; None: the robot's end effector.
     """
 
+    LATE = True
     SHAPES: ClassVar[Shapes] = {"mass": (), "com": (3,), "inertia": (6,)}
     SIGNED = frozenset({"com", "inertia"})
     mass: Parameter
@@ -98,12 +101,17 @@ class Payload(ModelEffect):
 
     def described(self, robot: Robot) -> Self:
         """Copy with the frame named."""
-        return on_a_link(self, robot)
+        named = on_a_link(self, robot)
+        if robot.frame(named.frame).link == BASE:
+            raise ArgumentError(
+                f"frame of Payload must be on a link, found {named.frame!r} on the base; use robot.with_payload"
+            )
+        return named
 
     def resolved(self, robot: Robot) -> Self:
         """Copy for a robot; raises unless a body of that mass and inertia, if they are not learned, can exist."""
         whole = super().resolved(robot)
-        parts = [torch.as_tensor(x) for x in (whole.mass, whole.inertia)]
+        parts = [torch.as_tensor(x, device=getattr(x, "device", "cpu")) for x in (whole.mass, whole.inertia)]
         if all(x.numel() and not (x.requires_grad or without_values((x,))) for x in parts):
             mass, inertia = (x.double() for x in parts)
             faults = bodies(("payload",), mass.unsqueeze(-1), matrices(inertia).unsqueeze(-3))
@@ -129,13 +137,14 @@ class Payload(ModelEffect):
 class MassScale(ModelEffect):
     """Links that are denser than described: mass and inertia times a factor, centres of mass unchanged.
 
-    A tensor [batch, n] makes every sample its own robot that is still physical.
+    Payloads are not scaled, wherever the effects stand.
+    A tensor [batch, links] makes every sample its own robot that is still physical.
 
     Args:
-        factor: shape [..., n].
+        factor: shape [..., links].
     """
 
-    SHAPES: ClassVar[Shapes] = {"factor": ("n",)}
+    SHAPES: ClassVar[Shapes] = {"factor": ("links",)}
     factor: Parameter
 
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:

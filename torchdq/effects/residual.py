@@ -87,6 +87,14 @@ class Residual(JointEffect):
         """The torques [n]."""
         return {NAME: n}
 
+    def outside(self) -> str:
+        """Words for the model: the size of its network, and what its torques add to."""
+        kind, model = "function", self.model
+        if isinstance(model, nn.Module):
+            network: Any = model.network if self._learns_accelerations else model
+            kind = f"network of {sum(x.numel() for x in network.parameters())} numbers in a {type(model).__name__}"
+        return f"a {kind}, run by torch once per step, adds to the joint torques of the rigid bodies and other effects"
+
     def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
         """Impedances of a constant force."""
         return [Impedance(force=x) for x in inputs.get(NAME, (0.0,) * len(q))]
@@ -150,12 +158,16 @@ class Residual(JointEffect):
 
     def _tell_if_unsolved(self, before: Tensor, after: Tensor) -> None:
         """Warn about rows in which the last iteration still changed the torques."""
-        rows = ((after - before).abs() > CHANGE * (1.0 + after.abs())).any(-1)
+        change = (after - before).abs() / (1.0 + after.abs())
+        rows = (change > CHANGE).any(-1)
         if bool(rows.any()):
+            most = int(change.nan_to_num(posinf=0.0).reshape(-1, change.shape[-1]).amax(0).argmax())
             warnings.warn(
                 f"{int(rows.sum())} of {rows.numel()} rows of Residual still changed in the last of {self.iterations} "
-                f"iterations; give more iterations, or train the network near these motions: one whose torque falls "
-                f"with the acceleration has several solutions or none",
+                f"iterations, most at joint {self.model.robot.joint_names[most]!r}; give Residual(model, iterations="
+                f"{2 * self.iterations}), learn 'armature' in the model, so that no network has to imitate a rotor "
+                f"behind a light link, or train the network near these motions: one whose torque falls with the "
+                f"acceleration has several solutions or none",
                 stacklevel=2,
             )
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from os import PathLike
+from pathlib import Path
 from typing import Literal, NamedTuple, get_args
 
 import torch
@@ -15,8 +17,12 @@ from torchdq.backends.choice import choose
 from torchdq.call import Computation, evaluate
 from torchdq.checks import dtype_of, names_of, require_choice, require_tensor
 from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.export import c99
+from torchdq.export.c99 import Library
+from torchdq.export.files import Export, Exported
 from torchdq.functions.catalogue import RECIPES, Function
 from torchdq.functions.options import options_of
+from torchdq.program.autodiff import jacobian
 from torchdq.program.autograd import vjp
 from torchdq.program.program import Argument, Count, Program
 from torchdq.robot import Robot
@@ -67,6 +73,8 @@ class CompiledProgram:
 
     program: Program
     dtype: torch.dtype
+    about: tuple[str, ...] = ()  # lines about the robot, for exported files
+    examples: Mapping[str, Tensor] = field(default_factory=dict, repr=False)  # values of arguments that are parameters
 
     def count(self) -> Count:
         """Operations per sample."""
@@ -84,12 +92,49 @@ class CompiledProgram:
         Args:
             wrt: names of the arguments to differentiate with respect to; None: all of them.
         """
+        return self._derived(vjp(self.program, self._positions(wrt)))
+
+    def jacobian(self, wrt: Sequence[str] | None = None) -> CompiledProgram:
+        """Compiled Jacobians of all results, row by row: takes the arguments, returns one for each result and argument.
+
+        Args:
+            wrt: names of the arguments to differentiate with respect to; None: all of them.
+        """
+        return self._derived(jacobian(self.program, self._positions(wrt)))
+
+    def _positions(self, wrt: Sequence[str] | None) -> tuple[int, ...]:
         names = [a.name for a in self.program.arguments]
         for name in wrt or ():
             if name not in names:
                 raise UnknownNameError(f"argument of {self.program.name}", name, names)
-        positions = tuple(k for k, name in enumerate(names) if wrt is None or name in wrt)
-        return _ready(vjp(self.program, positions), self.dtype)
+        return tuple(k for k, name in enumerate(names) if wrt is None or name in wrt)
+
+    def _derived(self, derivative: Program) -> CompiledProgram:
+        return replace(_ready(derivative, self.dtype), about=self.about, examples=self.examples)
+
+    def export(self, folder: str | PathLike[str], name: str = "", library: Library = "math.h") -> Exported:
+        """Files that need neither Python nor torch: a function in strict C99, with headers, a test and a CMake file.
+
+        The function takes one sample. It has no memory of its own, no loops and no heap, and may be called by several
+        threads. Its arguments and outputs are those of the program, in its order, described in the header.
+
+        Args:
+            folder: path of the folder, which is made if it is not there; files of the same names are replaced.
+            name: name of the function; "": that of the program.
+            library: source of sine, cosine and roots: "math.h", or "own", the polynomials of compiled programs, with
+                sine and cosine up to 1e5 rad (4e3 in float32) and no roots or exponentials.
+        Raises:
+            ArgumentError: the name is none that C accepts, or the library lacks a function.
+
+        >>> import tempfile, torchdq
+        >>> tau = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
+        >>> tau.export(tempfile.mkdtemp(), "arm_torques").header.name
+        'arm_torques.h'
+        """
+        require_choice("library", library, get_args(Library))
+        named = c99.identifier(name or c99.distinct([self.program.name])[0], "name")
+        whole = Export(self.program, named, self.dtype == torch.float32, library, self.about)
+        return whole.write(Path(folder), self.examples)
 
     def __call__(self, *inputs: Tensor) -> Tensor | tuple[Tensor, ...]:
         """Results [..., width] of arguments [..., width]; uniform arguments are [width]."""
@@ -115,8 +160,8 @@ def _ready(recorded: Program, dtype: torch.dtype) -> CompiledProgram:
 
 
 def compile(
-    robot: Robot,
-    function: str,
+    robot: Robot | Program,
+    function: str = "",
     dtype: torch.dtype | str = torch.float64,
     arguments: Sequence[str] | None = None,
     options: Sequence[str] = (),
@@ -124,9 +169,11 @@ def compile(
     """Compiled program of a function for a robot, built and cached now instead of at the first call.
 
     Args:
-        robot: the robot; its tensors are constants of the program, replaced tensors are arguments.
+        robot: the robot; its tensors are constants of the program, replaced tensors are arguments. Or a program that is
+            recorded already, such as the step of a scene, `scene.program()`, which needs no other argument but dtype.
         function: "inverse_dynamics", "forward_dynamics", "mass_matrix", "closed_form", "regressor", "jacobian",
-            "forward_kinematics", "kinetic_energy", "potential_energy", "inverse_dynamics_jacobian", "computed_torque".
+            "forward_kinematics", "kinetic_energy", "potential_energy", "inverse_dynamics_jacobian", "computed_torque";
+            of a robot with a free base, "floating.inverse_dynamics" and so on.
         dtype: float32 or float64, or the name of one.
         arguments: names of the arguments that calls will pass; None: all but the wrenches.
         options: names of the frames for "forward_kinematics", by default all; a frame and "body" (the default) or
@@ -137,16 +184,27 @@ def compile(
         ArgumentError: an option means nothing to the function.
         BuildError: the C compiler failed. Without one the program runs as torch operations, and a warning says so once.
     """
+    if isinstance(robot, Program):
+        if function or arguments is not None or options:
+            raise ArgumentError(
+                f"program {robot.name!r} is recorded already; leave out function, arguments and options"
+            )
+        return _ready(robot, dtype_of("dtype", dtype))
     require_robot(robot)
     names_of("function", function, RECIPES, "function that is compiled")
     known = [name for name, _, _ in RECIPES[function].arguments]
-    present = [name for name in known if name not in ("f_tip", "f_ext")]
+    present = [name for name in known if name not in ("f_tip", "f_ext", "f_base")]
     if arguments is not None:
         present = list(names_of("arguments", arguments, known, f"argument of {function}"))
+        for name in (name for name, _, optional in RECIPES[function].arguments if not optional):
+            if name not in present:
+                raise ArgumentError(f"arguments of {function!r} must hold {name!r}, found {present}; add it")
     what = Function(constants(robot), function, options_of(robot, function, options))
     widths = {name: math.prod(what.axes(name)) for name in (*known, *tensors_of(robot))}
     taken = [Argument(name, widths[name]) for name in known if name in present]
     taken += [
         Argument(name, widths[name], getattr(robot, name).ndim == len(SHAPES[name])) for name in tensors_of(robot)
     ]
-    return _ready(what.program(tuple(taken)), dtype_of("dtype", dtype))
+    found = _ready(what.program(tuple(taken)), dtype_of("dtype", dtype))
+    about = (f"{function} of robot {robot.name}", f"joints in the order of q: {', '.join(robot.joint_names)}")
+    return replace(found, about=about, examples={name: getattr(robot, name) for name in tensors_of(robot)})

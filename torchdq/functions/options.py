@@ -45,6 +45,8 @@ def _single_gains(robot: Robot, *given: str) -> Options:
 _READERS: dict[str, Callable[..., Options]] = {
     "forward_kinematics": _frames,
     "jacobian": _frame_and_axes,
+    "floating.forward_kinematics": _frames,
+    "floating.jacobian": _frame_and_axes,
     "closed_form": _tip,
     "computed_torque": _single_gains,
 }

@@ -20,10 +20,12 @@ import torch
 from torch import Tensor, nn
 
 from torchdq.errors import TorchdqError
+from torchdq.learning.attributes import attributes
 
-KIND, VERSION = b"checkpoint of torchdq.learning.fit", 1
+KIND, VERSION = b"checkpoint of torchdq.learning.fit", 2
 HASH = 32  # length of SHA-256 [bytes]
 CURE = "remove it to start anew, or name another file"
+CHANGES = "changed by the run"  # in place of a value that tells nothing about the model at its start
 
 
 class CheckpointError(TorchdqError, RuntimeError):
@@ -110,7 +112,7 @@ def require_same_run(path: Path, state: dict[str, Any], expected: dict[str, Any]
         raise CheckpointError(f"checkpoint {path}: identity must be names and plain values; {CURE}")
     for name in (*expected, *(name for name in found if name not in expected)):
         there, here = found.get(name, "absent"), expected.get(name, "absent")
-        if there != here:
+        if there not in (here, CHANGES):
             raise CheckpointError(
                 f"checkpoint {path} is of another run: {name} is {there} there and {here} here; "
                 "call fit as that run did, or name another file"
@@ -118,14 +120,31 @@ def require_same_run(path: Path, state: dict[str, Any], expected: dict[str, Any]
 
 
 def described(model: nn.Module) -> dict[str, Any]:
-    """Identity of a model but for its weights: its repr, names and shapes of its tensors, as plain values."""
+    """Identity of a model but for its weights: names and shapes of its tensors, its attributes and its repr."""
     text = re.sub(r"0x[0-9a-fA-F]+", "0x", " ".join(repr(model).split()))  # addresses differ between processes
     identity = {}
     for name, value in model.state_dict().items():
         shaped = isinstance(value, Tensor)
         found = f"{str(value.dtype).removeprefix('torch.')} {list(value.shape)}" if shaped else repr(value)
         identity[f"tensor {name!r} of the model"] = found
-    return {**identity, "the model": text}
+    own = {f"attribute {name!r} of the model": found for name, found in attributes(model).items()}
+    return {**identity, "the model": text, **own}
+
+
+def still(identity: dict[str, Any], model: nn.Module) -> dict[str, Any]:
+    """Identity of a run, without the values of attributes that the run has changed since, such as counters."""
+    now = described(model)
+    return {name: CHANGES if now.get(name, x) != x else x for name, x in {**dict.fromkeys(now), **identity}.items()}
+
+
+def same_torques(then: Tensor, now: Tensor, model: Mapping[str, Any]) -> bool:
+    """Whether the torques [N, n] of a model, of which `model` is the state dict, differ by rounding at most."""
+    if (then.shape, then.dtype) != (now.shape, now.dtype):
+        return False
+    tensors = [now, *(x for x in model.values() if isinstance(x, Tensor) and x.is_floating_point())]
+    share = 1e-6 if all(x.dtype == torch.float64 for x in tensors) else 1e-3
+    largest = now.abs().amax(0)  # a joint without load has nothing but rounding
+    return bool(((now - then).abs() <= share * largest.clamp(min=1e-3 * float(largest.max()))).all())
 
 
 # --- entries of a checkpoint -----------------------------------------------------------------------------------------

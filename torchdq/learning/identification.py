@@ -14,16 +14,18 @@ convex in phi, so that there is one minimum, and Newton's method finds it in the
 
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchdq.checks import require_number
 from torchdq.errors import ArgumentError
 from torchdq.functional import check, require_finite
 from torchdq.learning.feasible import Neighbourhood
-from torchdq.learning.plausibility import LogWarning, doubts, sampled, unexplained
+from torchdq.learning.plausibility import LogWarning, doubts, misshapen, sampled, unexplained
 from torchdq.learning.regression import Information, base_parameters, chunks, columns, gram, information
 from torchdq.notice import Notice
 from torchdq.robot import Robot
@@ -133,9 +135,16 @@ class Identified(NamedTuple):
     @property
     def _units(self) -> list[str]:
         """Units of the parameters [k]."""
-        n, slides = self.robot.n, [not joint.turns for joint in self.robot.joint_types]
-        coefficients = [name.split()[-1] for name in self.names[10 * n :: n]] if n else []
-        return [*UNITS * n, *(JOINT_UNITS[name][joint] for name in coefficients for joint in slides)]
+        slides = [not joint.turns for joint in self.robot.joint_types]
+        return [
+            *UNITS * len(self.robot.link_names),
+            *(JOINT_UNITS[name][joint] for name in self._coefficients for joint in slides),
+        ]
+
+    @property
+    def _coefficients(self) -> list[str]:
+        """Kinds of the parameters that are not those of bodies, each with one per joint."""
+        return [name.split()[-1] for name in self.names[10 * len(self.robot.link_names) :: self.robot.n]]
 
     def predict(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Prediction:
         """Torques of the identified robot, friction and offset included, [..., n], with standard errors.
@@ -145,8 +154,7 @@ class Identified(NamedTuple):
                 shape [..., n].
         """
         batch, (q, qd, qdd) = _rows(self.robot, q=q, qd=qd, qdd=qdd)
-        n = self.robot.n
-        coefficients = [name.split()[-1] for name in self.names[10 * n :: n]]
+        n, coefficients = self.robot.n, self._coefficients
         tau, error = torch.empty_like(q), torch.empty_like(q)
         with torch.no_grad():
             for part in chunks(len(tau), n * len(self.names)):
@@ -188,9 +196,11 @@ def identify(
             as much as one torque that is off by the noise of its joint. What hundreds of samples identify does not
             depend on it, what they hardly identify stays near the description, the rest stays as described.
         width: velocity below which Coulomb friction is viscous, as in `torchdq.effects.Coulomb` [rad/s or m/s].
-        direction: sign of the velocities, filtered as the torques were, shape [..., n]: `directions(motion)`. None:
-            qd / sqrt(qd^2 + width^2). A filter rounds the steps of dry friction in the torques; beside sharp signs they
-            make Coulomb friction a few percent too small, and viscous friction too large.
+        direction: sign of the velocities, filtered as the torques were, shape [..., n]: `directions(motion)`. Filters
+            round the steps of dry friction in the torques, and beside sharp signs Coulomb friction comes out too small,
+            viscous friction too large. Give `smooth` the same `width`: the one here then only serves predictions and
+            simulation. None: qd / sqrt(qd^2 + width^2), for torques that are not filtered. A `LogWarning` names joints
+            whose friction has another shape than this, for which both numbers are biased beyond their errors.
 
     Raises:
         ArgumentError: a shape, a device, a value that is not finite, no samples, or a robot with batch axes.
@@ -205,18 +215,17 @@ def identify(
     """
     signals = {"q": q, "qd": qd, "qdd": qdd, "tau": tau} | ({} if direction is None else {"direction": direction})
     batch, rows = _rows(robot, **signals)
-    n, samples = robot.n, math.prod(batch)
+    n, samples, bodies = robot.n, math.prod(batch), 10 * len(robot.link_names)
     for name, axes in batches(robot).items():
         raise ArgumentError(f"{name} of robot {robot.name!r} has batch axes {axes}; identify one at a time")
     if not samples or not n:
         raise ArgumentError(f"at least one sample and one joint are needed, found {samples} samples of {n} joints")
-    for name, value in (("prior", prior), ("width", width)):
-        if not (value > 0 and math.isfinite(value)):
-            raise ArgumentError(f"{name} must be positive and finite, found {value}")
+    require_number("prior", prior, positive=True)
+    require_number("width", width, positive=True)
     require_finite(**signals)
 
     coefficients = ["rotor"] * armature + ["viscous", "coulomb"] * friction + ["offset"] * offset
-    with torch.no_grad(), Notice(f"identifying {robot.name}") as notice:
+    with torch.no_grad(), _solvable(signals), Notice(f"identifying {robot.name}") as notice:
         near = Neighbourhood(robot, coefficients, rows[:4], width)
         moves = _moving(robot, rows[1], width)
         if doubt := _doubts(robot, rows[:4], near.described, width):
@@ -238,11 +247,14 @@ def identify(
         if not settled:
             warnings.warn(f"the least squares have not settled after {ITERATIONS} iterations", stacklevel=2)
         phi = near.described + change
-        few = sampled(rows[:4])
-        fitted = _torques(robot, few[0], few[1], few[2], phi, coefficients, width)
-        if not doubt and (doubt := unexplained(robot.joint_names, few, fitted, width)):
-            warnings.warn(doubt, LogWarning, stacklevel=2)
-        found = dict(zip(coefficients, phi[10 * n :].reshape(-1, n), strict=True))
+        few, signs = (kept := sampled(rows))[:4], kept[4] if direction is not None else None
+        fitted = _torques(robot, few[0], few[1], few[2], phi, coefficients, width, signs)
+        late = unexplained(robot.joint_names, few, fitted, width)
+        if friction and not late:
+            late = misshapen(robot.joint_names, few, fitted, width, signs)
+        if late and not doubt:
+            warnings.warn(late, LogWarning, stacklevel=2)
+        found = dict(zip(coefficients, phi[bodies:].reshape(-1, n), strict=True))
         spread = near.S @ facts.V * (facts.e + prior).rsqrt()
         names = [f"{link} {name}" for link in robot.link_names for name in INERTIAL]
         return Identified(
@@ -261,6 +273,20 @@ def identify(
         )
 
 
+@contextmanager
+def _solvable(signals: Mapping[str, Tensor]) -> Iterator[None]:
+    """Raise, with the signal of the largest numbers, where a matrix made of the signals cannot be factorised."""
+    try:
+        yield
+    except torch.linalg.LinAlgError as error:
+        largest = {name: float(x.abs().max()) for name, x in signals.items()}
+        name = max(largest, key=lambda name: largest[name])
+        raise ArgumentError(
+            f"{name} must be numbers for which least squares can be solved, found up to {largest[name]:.0e}, the "
+            f"largest of {', '.join(largest)}; give SI units, and leave out the rows that no robot could have measured"
+        ) from error
+
+
 def _moving(robot: Robot, qd: Tensor, width: float) -> Tensor:
     """Joints that move faster than `width` in the samples [n]; a warning names the others."""
     fastest = qd.abs().amax(0).cpu()
@@ -276,10 +302,17 @@ def _moving(robot: Robot, qd: Tensor, width: float) -> Tensor:
 
 
 def _torques(
-    robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, parameters: Tensor, coefficients: Sequence[str], width: float
+    robot: Robot,
+    q: Tensor,
+    qd: Tensor,
+    qdd: Tensor,
+    parameters: Tensor,
+    coefficients: Sequence[str],
+    width: float,
+    direction: Tensor | None = None,
 ) -> Tensor:
     """Torques [samples, n] of parameters phi; rotors are those of the description if they are not among these."""
-    tau = columns(robot, q, qd, qdd, coefficients, width) @ parameters.to(q)
+    tau = columns(robot, q, qd, qdd, coefficients, width, direction) @ parameters.to(q)
     if robot.armature is not None and "rotor" not in coefficients:
         tau += robot.armature.to(q) * qdd
     return tau
@@ -289,7 +322,7 @@ def _doubts(robot: Robot, rows: Sequence[Tensor], described: Tensor, width: floa
     """Words for what is wrong with samples that the description does not explain; "" for nothing."""
 
     def torques(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        return _torques(robot, q, qd, qdd, described[: 10 * robot.n], (), width)
+        return _torques(robot, q, qd, qdd, described[: 10 * len(robot.link_names)], (), width)
 
     return doubts(torques, robot.joint_names, sampled(rows), width)
 
@@ -301,7 +334,7 @@ def _excited(spread: Tensor, prior: Tensor, moves: Tensor, coefficients: list[st
     """
     left = spread.square().sum(1) / prior.square().where(prior > 0, 1.0)
     own = [moves if name != "offset" else torch.ones_like(moves) for name in coefficients]
-    inertial = torch.ones(10 * len(moves), dtype=torch.bool)
+    inertial = torch.ones(len(prior) - len(own) * len(moves), dtype=torch.bool)
     return (prior > 0) & (left < 1 - EXCITED) & torch.cat([inertial, *own])
 
 

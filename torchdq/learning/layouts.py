@@ -5,6 +5,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from numbers import Real
 
 from torchdq.checks import names_of
 from torchdq.errors import ArgumentError, TorchdqError
@@ -59,6 +60,7 @@ class Layout:
     columns: Mapping[str, str | Sequence[str]] = field(default_factory=dict, hash=False)
 
     def __post_init__(self) -> None:
+        self._require_numbers()
         if isinstance(self.blocks, str) or len({*self.blocks}) < max(3, len(self.blocks)):
             expected = "three or more different names, the first of positions, velocities and torques"
             cure = "where velocities were not recorded, add qd = numpy.gradient(q, time, axis=0); `smooth` filters it"
@@ -87,6 +89,28 @@ class Layout:
                 raise ArgumentError(f"{name} has {count} names, expected {self.joints}, the number of joints")
             if count != most:
                 raise ArgumentError(f"{name} has {count} names, {first} {most}")
+        counts = Counter(one for x in self.columns.values() for one in ([x] if isinstance(x, str) else x))
+        if twice := [name for name, count in counts.items() if count > 1]:
+            raise ArgumentError(
+                f"columns must name every column once, found {', '.join(map(repr, twice))} several times"
+            )
+
+    def _require_numbers(self) -> None:
+        """Raise unless what must be numbers is; `gain` becomes a tuple of floats."""
+        if not isinstance(self.joints, int) or isinstance(self.joints, bool) or self.joints < 0:
+            raise ArgumentError(f"joints must be a whole number from 0, found {self.joints!r}")
+        for name in ("cutoff_qd", "cutoff_tau", "farthest", "fastest"):
+            x = getattr(self, name)
+            if not isinstance(x, Real) or isinstance(x, bool) or not float(x) > 0:
+                raise ArgumentError(f"{name} must be a positive number, found {x!r}")
+        try:
+            gain = tuple(map(float, [self.gain] if isinstance(self.gain, str) else self.gain))
+        except (TypeError, ValueError) as error:
+            expected = "numbers, one per joint, such as (2.0, 1.5), or () for torques"
+            raise ArgumentError(f"gain must be {expected}, found {self.gain!r}") from error
+        if not all(map(math.isfinite, gain)):
+            raise ArgumentError(f"gain must be finite numbers, found {self.gain!r}")
+        object.__setattr__(self, "gain", gain)
 
     def names(self, signal: str, joints: int) -> list[str]:
         """Names of a signal's columns."""
@@ -132,6 +156,11 @@ def find_columns(where: str, layout: Layout, heads: list[str]) -> tuple[Layout, 
     columns = {signal: layout.names(signal, n) for signal in SIGNALS}
     if "qdd" not in layout.columns and not any(re.fullmatch(r"qdd\d+", head) for head in heads):
         del columns["qdd"]
+    readers = Counter(name for names in columns.values() for name in names)
+    if twice := [name for name, count in readers.items() if count > 1]:
+        raise LogError(
+            f"{where}: {', '.join(map(repr, twice))} would be read for several signals or joints; see columns"
+        )
     needed = ", ".join(_range(columns[signal]) for signal in SIGNALS[:4])
     for name in (name for names in columns.values() for name in names):
         if counts[name] != 1:

@@ -11,10 +11,12 @@ import codecs
 import gzip
 import io
 import math
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable
 from dataclasses import replace
+from numbers import Integral
 from os import PathLike
 from pathlib import Path
 from typing import IO, Any, NamedTuple, NoReturn
@@ -25,11 +27,14 @@ from torchdq import sources
 from torchdq.errors import ArgumentError
 from torchdq.learning.data import UNITS
 from torchdq.learning.layouts import SIGNALS, Layout, LogError, MissingLogError, find_columns, is_number, listed
+from torchdq.learning.plausibility import LogWarning
 from torchdq.tables import summary
 
 MOST_BYTES = 1_000_000_000  # largest file that is read
 GAP = 0.1  # [s] longest time between two rows; beyond it the motion in between is unknown
 UNLIKE, ALIKE = 0.5, 0.95  # correlations of signals that have nothing to do with each other, and that follow each other
+JUMP = 0.05  # [rad or m] change of a position between two rows that may stay unexplained by the velocities
+FAR = 10.0  # times the usual unexplained change from which one is a jump
 FOLLOWED = 0.01  # [rad or rad/s] least standard deviation of a signal that is compared with its rate
 PACKED, ALWAYS = 100, 2**24  # most times that a file may grow when it is unpacked, and bytes that are always unpacked
 LONGEST = 100_000  # most characters of the first line, enough for ten thousand columns
@@ -89,6 +94,8 @@ def read(
         LogError: the file cannot be opened, a column is missing, a number is missing or not finite, time runs
             backwards, there is a gap, or a column is in degrees.
         MissingLogError: there is no such file; it is a FileNotFoundError too.
+    Warns:
+        LogWarning: a position jumps farther than its velocities explain, or the last number seems to be cut.
 
     >>> import tempfile
     >>> path = Path(tempfile.mkdtemp()) / "log.csv"
@@ -100,8 +107,9 @@ def read(
     if not isinstance(layout, Layout):
         cure = "columns are named by Layout(columns={'q': 'position_{0}'})"
         raise ArgumentError(f"layout must be a Layout, found {type(layout).__name__}; {cure}")
-    if rows is not None and not (isinstance(rows, tuple | list) and len(rows) == 2 and 0 <= rows[0] < rows[1]):
-        raise ArgumentError(f"rows must be a first row and a greater one after the last, found {rows}")
+    whole = rows is None or (isinstance(rows, tuple | list) and all(map(_is_index, rows)) and len(rows) == 2)
+    if not whole or (rows is not None and not 0 <= rows[0] < rows[1]):
+        raise ArgumentError(f"rows must be a first row and a greater one after the last, whole numbers, found {rows!r}")
     name, content = sources.content("log", path, MOST_BYTES, LogError, MissingLogError)
     path = Path(name)
     _require_table(path, content)
@@ -112,10 +120,17 @@ def read(
         _refuse(table, row, column, f"{table.cell(row, column)} is not a finite number; {_cure(table, row, column)}")
     _require_times(table)
     _require_radians(table)
+    for doubt in (table.doubt, _jump(table)):
+        if doubt:
+            warnings.warn(f"{path}, {doubt}", LogWarning, stacklevel=2)
     time = table.values[:, 0]
     new = np.concatenate([[True], np.diff(time) > 0])
     q, qd, effort, *qdd = (block[new] for block in table.blocks)
     return Log(path, table.layout, time[new], q, qd, effort * (layout.gain or 1.0), int((~new).sum()), *qdd)
+
+
+def _is_index(x: Any) -> bool:
+    return isinstance(x, Integral) and not isinstance(x, bool)
 
 
 # --- the table in a file ---------------------------------------------------------------------------------------------
@@ -130,6 +145,7 @@ class _Table(NamedTuple):
     values: np.ndarray  # [rows, columns]
     first: int  # number of the first row, for messages
     cell: Callable[[int, int], object]  # a value as the file writes it, for messages
+    doubt: str = ""  # words for what a file may lack
 
     @property
     def blocks(self) -> list[np.ndarray]:
@@ -140,7 +156,8 @@ class _Table(NamedTuple):
 
 def _text(path: Path, content: bytes, layout: Layout, rows: tuple[int, int] | None) -> _Table:
     """Table in a CSV file; its rows are numbered as an editor does."""
-    text = _decoded(path, _unpacked(path, content) if content.startswith(b"\x1f\x8b") else content).rstrip()
+    text = _decoded(path, _unpacked(path, content) if content.startswith(b"\x1f\x8b") else content)
+    ended, text = text.endswith(("\n", "\r")), text.rstrip()
     if not text:
         raise LogError(f"{path} is empty")
     head = (text[: LONGEST + 1].splitlines() or [""])[0]
@@ -165,7 +182,21 @@ def _text(path: Path, content: bytes, layout: Layout, rows: tuple[int, int] | No
         values = np.loadtxt(body, delimiter=",", usecols=used, comments=None, ndmin=2)
     except ValueError:  # some cell is no number; NaN marks it
         values = np.array([[_number(cells[i]) for i in used] for cells in (line.split(",") for line in body)])
-    return _Table(path, layout, names, values, start + 1, lambda i, k: repr(body[i].split(",")[used[k]]))
+    whole = ended or start + len(body) < len(lines) or len(heads) - 1 not in used
+    doubt = "" if whole else _cut(body, start, layout)
+    return _Table(path, layout, names, values, start + 1, lambda i, k: repr(body[i].split(",")[used[k]]), doubt)
+
+
+def _cut(lines: list[str], start: int, layout: Layout) -> str:
+    """Words for a last line, which no line break ends, whose last number is shorter than all before; "" if not."""
+    *before, last = [len(line) - line.rfind(",") - 1 for line in lines]
+    if last >= min(before):
+        return ""
+    first = start - layout.header
+    return (
+        f"row {start + len(lines)}: the last number has fewer digits than all before it, and no line break after it; "
+        f"if the file was cut there, leave the row out by rows=({first}, {first + len(before)})"
+    )
 
 
 def _archive(path: Path, content: bytes, layout: Layout, rows: tuple[int, int] | None) -> _Table:
@@ -282,6 +313,26 @@ def _require_times(table: _Table) -> None:
         _refuse(table, i + 1, 0, f"{step[i]:.4g} s after the row above, more than {GAP} s; {cure}")
     if not step.any():
         _refuse(table, 1, 0, "the same time in all rows")
+
+
+def _jump(table: _Table) -> str:
+    """Words for the first jump of a position that its velocities do not explain; "" for none."""
+    time, (q, qd, *_) = table.values[:, 0], table.blocks
+    step = np.diff(time)
+    # stamps may be rounded, or late by a row
+    fastest = np.maximum(abs(qd[1:]), abs(qd[:-1])) * (step + np.median(step))[:, None]
+    unexplained = np.maximum(abs(np.diff(q, axis=0)) - fastest, 0.0)
+    jumps = unexplained > np.maximum(JUMP, FAR * np.quantile(unexplained, 0.9, axis=0))
+    if not jumps.any():
+        return ""
+    i, joint = np.argwhere(jumps)[0]
+    rows, change = int(jumps.any(1).sum()), abs(q[i + 1, joint] - q[i, joint])
+    others = f", the first of {rows} such jumps" if rows > 1 else ""
+    return (
+        f"row {table.first + i + 1}, column {table.names[1 + joint]!r}: it changes by {change:.3g} within "
+        f"{step[i]:.3g} s, of which its velocity explains {fastest[i, joint]:.2g} at most{others}; is a number "
+        f"wrong, or does an angle turn over at pi? {ELSEWHERE}"
+    )
 
 
 def _require_radians(table: _Table) -> None:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from torchdq.checks import require_number
+from torchdq.checks import is_number, require_count, require_number
 from torchdq.errors import ArgumentError
 from torchdq.learning.data import UNITS, Samples
 from torchdq.learning.layouts import LogError
@@ -22,7 +22,7 @@ from torchdq.optional import imported
 from torchdq.tables import summary
 
 ENDS = 0.5  # [s] least time left out at either end, where a filter of a few Hz has neighbours on one side only
-SIGN_WIDTH = 1e-3  # [rad/s] velocity below which its sign is rounded, small beside what the filter rounds
+SIGN_WIDTH = 1e-3  # velocity below which its sign is rounded, small beside what the filter rounds [rad/s or m/s]
 AT_REST = 0.02  # [rad/s] speed of every joint below which a row is left out: static friction may be anything there
 
 
@@ -41,7 +41,11 @@ class Motion(NamedTuple):
 
 
 def smooth(
-    log: Log, cutoff_qd: float | None = None, cutoff_tau: float | None = None, rate: float | None = None
+    log: Log,
+    cutoff_qd: float | None = None,
+    cutoff_tau: float | None = None,
+    rate: float | None = None,
+    width: float = SIGN_WIDTH,
 ) -> Motion:
     """Motion of a log in even steps of its median step, without its ends and the rows at rest.
 
@@ -49,7 +53,7 @@ def smooth(
     the other; accelerations are central differences of the filtered velocities, or those of the log, filtered alike.
 
     The filter rounds the step that dry friction makes in the torque where a velocity changes its sign. `direction` is
-    that sign, rounded alike: with it `identify` finds the friction without bias (`directions`).
+    that sign, rounded alike: with it `identify` finds the friction without bias, if its shape is right (`directions`).
 
     Args:
         log: from `read`.
@@ -57,9 +61,11 @@ def smooth(
         cutoff_tau: low-pass frequency of torques [Hz]; None: the layout's.
         rate: rows per second that are kept [Hz], rounded to every so many of the log; None: all. Twice the cutoff are
             independent, as `identify` takes them to be for its standard errors.
+        width: velocity below which dry friction is viscous [rad/s or m/s], as in `torchdq.effects.Coulomb`, whose
+            default is 0.01: the default here is a sharp step, for logs of real arms. Only `direction` depends on it.
     Raises:
         LogError: the log is too short, or nothing moves in it.
-        ArgumentError: a frequency is not between zero and half the rate of the rows.
+        ArgumentError: a frequency is not between zero and half the rate of the rows, or no rows are left.
         MissingLibraryError: scipy is not installed.
     """
     if not isinstance(log, Log):
@@ -69,11 +75,12 @@ def smooth(
     cutoff_tau = log.layout.cutoff_tau if cutoff_tau is None else cutoff_tau
     step = float(np.median(np.diff(log.time)))
     for name, cutoff in (("cutoff_qd", cutoff_qd), ("cutoff_tau", cutoff_tau)):
-        if not 0 < cutoff < 0.5 / step:
-            raise ArgumentError(f"{name} must be between 0 and {0.5 / step:.4g} Hz, half the rate, found {cutoff}")
+        if not is_number(cutoff) or not 0 < cutoff < 0.5 / step:
+            raise ArgumentError(f"{name} must be between 0 and {0.5 / step:.4g} Hz, half the rate, found {cutoff!r}")
     if rate is not None:
         require_number("rate", rate, positive=True)
-    every = 1 if rate is None else max(1, round(1 / (rate * step)))
+    every = 1.0 if rate is None else max(1.0, np.rint(1 / rate / step))
+    require_number("width", width, positive=True)
     time = np.arange(log.time[0], log.time[-1], step)
     ends = max(ENDS, 3 / min(cutoff_qd, cutoff_tau))
     if time[-1] - time[0] <= 3 * ends:
@@ -90,11 +97,15 @@ def smooth(
     qd = low_pass(even(log.qd), cutoff_qd)
     qdd = np.gradient(qd, step, axis=0) if log.qdd is None else low_pass(even(log.qdd), cutoff_qd)
     tau = low_pass(even(log.tau), cutoff_tau)
-    direction = low_pass(qd / np.hypot(qd, SIGN_WIDTH), cutoff_tau)
+    direction = low_pass(qd / np.hypot(qd, width), cutoff_tau)
     used = (abs(qd) > AT_REST).any(axis=-1) & (time - time[0] >= ends) & (time[-1] - time >= ends)
     if not used.any():
         raise LogError(f"{log.path}: no joint ever moves faster than {AT_REST} rad/s")
     used &= np.arange(len(time)) % every == 0
+    if not used.any():
+        raise ArgumentError(
+            f"rate must leave rows of the {time[-1] - time[0]:.3g} s of motion, found {rate:g} Hz, which leaves none"
+        )
     return Motion(*(x[used] for x in (time, even(log.q), qd, qdd, tau, direction)))
 
 
@@ -110,6 +121,7 @@ def cut(motion: Motion, share: float) -> tuple[Motion, Motion]:
         ArgumentError: a part would be empty.
     """
     rows = len(motion.time)
+    require_number("share", share)
     first = np.arange(rows) < share * rows
     second = motion.time > (motion.time[first].max(initial=-np.inf) + ENDS)
     if not (0 < share < 1 and first.any() and second.any()):
@@ -133,8 +145,9 @@ def hold_out(motions: Sequence[Motion], share: float, seed: int = 0) -> tuple[li
     """
     if len(motions) < 2:
         raise ArgumentError(f"motions must be at least two to hold one out, found {len(motions)}; cut a single one")
-    if not 0 < share < 1:
-        raise ArgumentError(f"share must be between 0 and 1, found {share}")
+    if not is_number(share) or not 0 < share < 1:
+        raise ArgumentError(f"share must be between 0 and 1, found {share!r}")
+    require_count("seed", seed, least=0)
     count = min(max(round(share * len(motions)), 1), len(motions) - 1)
     held = set(np.random.default_rng(seed).permutation(len(motions))[:count].tolist())
     parts: tuple[list[Motion], list[Motion]] = ([], [])

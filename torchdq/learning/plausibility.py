@@ -7,6 +7,7 @@ named. Three mistakes are looked for before that: a torque that never changes, a
 drives have taken gravity away.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from itertools import combinations, product
 from typing import NamedTuple
@@ -30,6 +31,9 @@ STILL = 1e-6  # change of a torque, relative to its size, that is none
 FEW = 100  # rows below which nothing is doubted: five coefficients a joint fit a few rows whatever they are
 MOVING = 0.1  # least part of the rows in which a joint must move to be judged by a fit
 FAINT = 1e-4  # variance of a torque, relative to the largest, below which it may be noise alone
+WIDTHS = (0.1, 1.0, 3.0, 10.0, 30.0)  # widths of dry friction that are tried, in multiples of the one assumed
+SHAPED = 0.9  # part of the residual torque left by dry friction of these widths, below which another shape is told
+SEEN = 0.02  # residual that they explain, relative to the joint's torques, below which the shape does not matter
 POOR = 0.5  # part of a joint's torque that a fit leaves unexplained, from which it is named
 WIDE = 12  # most joints of which every pair is tried; of more, neighbours alone
 
@@ -104,6 +108,44 @@ def unexplained(names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, wi
         return ""
     cure = "are units, signs and the order of the joints those of the robot, and are torques measured at the joints?"
     return f"the fit explains only these parts of the torques' variance: {', '.join(poor)}; {cure}"
+
+
+def misshapen(
+    names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, width: float, direction: Tensor | None
+) -> str:
+    """Words for joints whose dry friction has another shape than was fitted; "" if there are none.
+
+    Residuals that functions of the velocity around zero explain, which change their signs more or less sharply, are
+    those of friction whose sign does. `direction` is the sign that was fitted; None: that of `width`.
+    """
+    _, qd, qdd, tau = (x.cpu() for x in rows)
+    if len(tau) < FEW:
+        return ""
+    left, told = tau - fitted.cpu(), []
+    own = smooth_sign(qd, width) if direction is None else direction.cpu()
+    for j in _moves(qd, width).nonzero()[:, 0].tolist():
+        v, known = qd[:, j], [own[:, j], qd[:, j], qdd[:, j], torch.ones_like(qd[:, j])]
+        # an offset or a rotor that was not sought is no friction
+        before = _rest(left[:, j], known)
+        after = _rest(left[:, j], [*known, *(smooth_sign(v, k * width) for k in WIDTHS)])
+        explained = math.sqrt(max(0.0, before**2 - after**2))
+        if after < SHAPED * before and explained > SEEN * float(tau[:, j].std()):
+            told.append(f"{names[j]} (residual {before:.2g}, {after:.2g} with another)")
+    if not told:
+        return ""
+    cure = "if the torques were filtered, give direction=directions(motion) of smooth(log)"
+    if direction is not None:
+        cure = (
+            "where it is rounder, as in a simulation, give smooth(log) its width; unless tau was filtered, no direction"
+        )
+    found = f"dry friction of {', '.join(told)} has another shape than the one fitted"
+    return f"{found}, which biases it and viscous friction; {cure}"
+
+
+def _rest(x: Tensor, columns: Sequence[Tensor]) -> float:
+    """Standard deviation of what columns leave of x in least squares."""
+    A = torch.stack([column / column.norm().clamp_min(1e-30) for column in columns], 1)
+    return float((x - A @ torch.linalg.lstsq(A, x[:, None], driver="gelsd").solution[:, 0]).std())
 
 
 def _moves(qd: Tensor, width: float) -> Tensor:

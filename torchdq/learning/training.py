@@ -20,7 +20,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchdq.checks import require_choice
+from torchdq.checks import require_choice, require_count, require_number
 from torchdq.errors import ArgumentError, TorchdqError
 from torchdq.learning import checkpoint as checkpoints
 from torchdq.learning.data import Samples, torque_variance, validated
@@ -126,10 +126,15 @@ def fit(
         raise ArgumentError(f"valid must have the {train.q.shape[1]} joints of train, found {valid.q.shape[1]}")
     if valid is None and patience is not None:
         raise ArgumentError("patience needs samples in valid to wait for; found none")
-    positive = {"batch": batch, "rate": rate, "steps": steps, "epochs": epochs, "patience": patience, "every": every}
-    for name, value in positive.items():
-        if value is not None and not value > 0:
-            raise ArgumentError(f"{name} must be greater than 0, found {value}")
+    require_count("batch", batch)
+    require_count("seed", seed, least=0)
+    for name, count in {"steps": steps, "epochs": epochs, "patience": patience, "every": every}.items():
+        if count is not None:
+            require_count(name, count)
+    require_number("rate", rate, positive=True)
+    for name, weight in {"decay": decay, "prior": prior}.items():
+        require_number(name, weight, least=0)
+    rate, decay, prior = float(rate), float(decay), float(prior)  # checkpoints hold no numbers of numpy
     require_choice("progress", progress, (None, True, False))
     if (steps is None) == (epochs is None):
         raise ArgumentError(f"one of steps and epochs must be given, found steps={steps} and epochs={epochs}")
@@ -161,7 +166,7 @@ def fit(
                     if run.step % every == 0 or run.step == last:
                         run.evaluate(valid, patience)
                         if path is not None and ours.leads:
-                            checkpoints.write(path, {"identity": identity, **run.state()})
+                            checkpoints.write(path, {"identity": checkpoints.still(identity, model), **run.state()})
                         shown.evaluation(run.history, rate_now)
                     shown.step(run.step)
             if run.best is not None:
@@ -221,9 +226,7 @@ class _Run:
         checkpoints.require_whole(path, saved, now, list(self.parameters), last)
         with checkpoints.loading(path):
             self.model.load_state_dict(saved["model"])
-        then, torques = saved["probe"], self._probe().cpu()
-        alike = then.shape == torques.shape and then.dtype == torques.dtype
-        if not alike or not torch.allclose(torques, then, rtol=1e-3, atol=1e-3 * float(then.abs().max())):
+        if not checkpoints.same_torques(saved["probe"], self._probe().cpu(), now):
             raise checkpoints.CheckpointError(
                 f"checkpoint {path} is of another model: given its weights, the model does not return the torques "
                 "it did; what is not a parameter, such as the rest of the robot, must be as it was; or name another "

@@ -47,7 +47,7 @@ class Rung(NamedTuple):
 
 def as_printed(robot: Robot, q: Row, qd: Row, qdd: Row) -> Sequence[Number]:
     """Algorithm 1 line by line: (34)-(36), (38), (40), (44)-(48), corrected; frames at the centres of mass."""
-    return printed.rnea(posed.tree(robot, {}), posed.coordinates(robot, q, {}), qd, qdd)
+    return printed.rnea(posed.tree(robot, {}), posed.coordinates(robot, q, {}, None), qd, qdd)
 
 
 def zeros_known(robot: Robot, q: Row, qd: Row, qdd: Row) -> Sequence[Number]:

@@ -1,0 +1,305 @@
+"""Rigid-body dynamics of a robot with a free base: a humanoid, a quadruped, an arm on a satellite.
+
+Load the robot with `base="floating"`. The pose of the base stays beside the joint positions q, never in one vector
+with them: X_WB [..., 8] is the pose of the base B in the world W, a unit dual quaternion (`torchdq.dq`). Velocities
+are the twist V_WB_B [..., 6] of the base, (angular, linear) in its own axes and of its own origin, and qd.
+Accelerations are the rate A_WB_B of that twist, and qdd. No orientation is special:
+
+    (moment, force, tau) = M(q) (A_WB_B, qdd) + c(q, V_WB_B, qd) + g(X_WB, q)
+
+Functions broadcast, run and differentiate as those of `torchdq` do. A gradient in X_WB is one in its eight numbers; the
+derivative in a displacement X_WB exp(xi/2) is its product with d X_WB / d xi = X_WB xi / 2. `torchdq.convert` has
+converters from and to the configurations of Pinocchio, MuJoCo and Isaac.
+"""
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+from torch import Tensor
+
+from torchdq.backends.choice import BackendName
+from torchdq.checks import names_of
+from torchdq.errors import ArgumentError
+from torchdq.functional import Precision, check_precision, function_of
+from torchdq.functions.catalogue import FLOATING
+from torchdq.functions.options import options_of
+from torchdq.robot import Robot
+from torchdq.robot.argument import require_robot
+
+
+class Forces(NamedTuple):
+    """Wrench on the base, and torques of the joints."""
+
+    F_B: Tensor  # [..., 6] (force, moment) that must act on the base, in its axes and about its origin [N, N m]
+    tau: Tensor  # [..., n] joint torques [N m] or forces [N]
+
+
+class Accelerations(NamedTuple):
+    """Acceleration of the base, and of the joints."""
+
+    A_WB_B: Tensor  # [..., 6] rate of the twist of the base [rad/s^2, m/s^2]
+    qdd: Tensor  # [..., n] joint accelerations [rad/s^2 or m/s^2]
+
+
+class MassMatrix(NamedTuple):
+    """Mass matrix and its blocks, which are views of it; base rows and columns are (angular, linear)."""
+
+    M: Tensor  # [..., 6 + n, 6 + n]
+    base: Tensor  # [..., 6, 6] inertia of the whole robot about the base
+    coupling: Tensor  # [..., 6, n] wrench (moment, force) on the base per joint acceleration
+    joints: Tensor  # [..., n, n] mass matrix of the robot on a fixed base
+
+
+class FreeClosedForm(NamedTuple):
+    """Terms of (moment, force, tau) = M (A_WB_B, qdd) + c + g."""
+
+    M: Tensor  # [..., 6 + n, 6 + n]
+    c: Tensor  # [..., 6 + n]
+    g: Tensor  # [..., 6 + n]
+
+
+class Momentum(NamedTuple):
+    """Momentum about the centre of mass, or its rate, in axes of the world."""
+
+    linear: Tensor  # [..., 3] [N s], or [N] for the rate
+    angular: Tensor  # [..., 3] [N m s], or [N m] for the rate
+
+
+def _of(
+    name: str,
+    robot: Robot,
+    given: dict[str, Tensor | None],
+    backend: BackendName | None,
+    options: Sequence[str] = (),
+    double: bool = False,
+) -> list[Tensor]:
+    return function_of(FLOATING + name, require_robot(robot), given, backend, tuple(options), double)
+
+
+def inverse_dynamics(
+    robot: Robot,
+    X_WB: Tensor,
+    q: Tensor,
+    V_WB_B: Tensor | None = None,
+    qd: Tensor | None = None,
+    A_WB_B: Tensor | None = None,
+    qdd: Tensor | None = None,
+    f_tip: Tensor | None = None,
+    f_ext: Tensor | None = None,
+    f_base: Tensor | None = None,
+    backend: BackendName | None = None,
+) -> Forces:
+    """Wrench on the base [..., 6] and joint torques [..., n] that produce a motion.
+
+    Args:
+        robot: the robot, with a free base.
+        X_WB: pose of the base in the world, a unit dual quaternion, shape [..., 8]. It is not looked at: another one
+            scales gravity; `torchdq.dq.normalize` makes it unit.
+        q: joint positions [rad or m], shape [..., n].
+        V_WB_B: twist (angular, linear) of the base in its own axes [rad/s, m/s], shape [..., 6]; None: at rest.
+        qd: joint velocities [rad/s or m/s], shape [..., n]; None: zero.
+        A_WB_B: rate of V_WB_B [rad/s^2, m/s^2], shape [..., 6]; None: zero.
+        qdd: joint accelerations [rad/s^2 or m/s^2], shape [..., n]; None: zero.
+        f_tip: wrench (force, moment) the end effector exerts on the environment, shape [..., 6], in the tip frame.
+        f_ext: wrenches (force, moment) the environment exerts on the links, shape [..., links, 6], in the link frames.
+        f_base: wrench (force, moment) the environment exerts on the base besides F_B, shape [..., 6], in its frame.
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
+    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
+    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
+    >>> inverse_dynamics(robot, X_WB, q).F_B[1]  # the weight of 4 kg
+    tensor(39.2400)
+    """
+    given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "A_WB_B": A_WB_B, "qdd": qdd}
+    wrenches = {"f_tip": f_tip, "f_ext": f_ext, "f_base": f_base}
+    return Forces(*_of("inverse_dynamics", robot, given | wrenches, backend))
+
+
+def forward_dynamics(
+    robot: Robot,
+    X_WB: Tensor,
+    q: Tensor,
+    V_WB_B: Tensor | None = None,
+    qd: Tensor | None = None,
+    tau: Tensor | None = None,
+    f_tip: Tensor | None = None,
+    f_ext: Tensor | None = None,
+    f_base: Tensor | None = None,
+    backend: BackendName | None = None,
+    precision: Precision = "auto",
+) -> Accelerations:
+    """Rate of the twist of the base [..., 6] and joint accelerations [..., n] that torques produce.
+
+    Args:
+        tau: joint torques [N m] or forces [N], shape [..., n]; None: zero.
+        robot, X_WB, q, V_WB_B, qd, f_tip, f_ext: as in `inverse_dynamics`.
+        f_base: wrench (force, moment) the environment exerts on the base, shape [..., 6]; None: the base is free.
+        precision: as in `torchdq.forward_dynamics`.
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
+    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
+    >>> forward_dynamics(robot, torch.eye(8)[0], torch.zeros(2)).A_WB_B[4]  # it falls
+    tensor(-9.8100)
+    """
+    given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "tau": tau}
+    wrenches = {"f_tip": f_tip, "f_ext": f_ext, "f_base": f_base}
+    double = check_precision(precision) == "double"
+    return Accelerations(*_of("forward_dynamics", robot, given | wrenches, backend, double=double))
+
+
+def mass_matrix(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | None = None) -> MassMatrix:
+    """Mass matrix [..., 6 + n, 6 + n] with its blocks; it maps (A_WB_B, qdd) to (moment, force, tau).
+
+    Args:
+        robot, X_WB, q: as in `inverse_dynamics`; the matrix depends on X_WB only through its batch axes.
+    """
+    (M,) = _of("mass_matrix", robot, {"X_WB": X_WB, "q": q}, backend)
+    return MassMatrix(M, M[..., :6, :6], M[..., :6, 6:], M[..., 6:, 6:])
+
+
+def closed_form(
+    robot: Robot, X_WB: Tensor, q: Tensor, V_WB_B: Tensor, qd: Tensor, backend: BackendName | None = None
+) -> FreeClosedForm:
+    """Mass matrix M, Coriolis forces c and gravity forces g [..., 6 + n]; c + g is the bias.
+
+    Args:
+        robot, X_WB, q, V_WB_B, qd: as in `inverse_dynamics`.
+    """
+    return FreeClosedForm(*_of("closed_form", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend))
+
+
+def error_growth(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | None = None) -> Tensor:
+    """Factor [...], at least 1, by which `forward_dynamics` magnifies rounding errors; see `torchdq.error_growth`.
+
+    Args:
+        robot, X_WB, q: as in `inverse_dynamics`.
+    """
+    return _of("error_growth", robot, {"X_WB": X_WB, "q": q}, backend)[0]
+
+
+def regressor(
+    robot: Robot,
+    X_WB: Tensor,
+    q: Tensor,
+    V_WB_B: Tensor | None = None,
+    qd: Tensor | None = None,
+    A_WB_B: Tensor | None = None,
+    qdd: Tensor | None = None,
+    backend: BackendName | None = None,
+) -> Tensor:
+    """Regressor Y [..., 6 + n, 10 (1 + links)]: (moment, force, tau) = Y pi, with pi = `robot.inertial_parameters`.
+
+    Args:
+        robot, X_WB, q, V_WB_B, qd, A_WB_B, qdd: as in `inverse_dynamics`.
+    """
+    given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "A_WB_B": A_WB_B, "qdd": qdd}
+    return _of("regressor", robot, given, backend)[0]
+
+
+# --- energy and momentum ---------------------------------------------------------------------------------------------
+
+
+def kinetic_energy(
+    robot: Robot, X_WB: Tensor, q: Tensor, V_WB_B: Tensor, qd: Tensor, backend: BackendName | None = None
+) -> Tensor:
+    """Kinetic energy [J], shape [...], rotors included.
+
+    Args:
+        robot, X_WB, q, V_WB_B, qd: as in `inverse_dynamics`.
+    """
+    return _of("kinetic_energy", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend)[0]
+
+
+def potential_energy(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | None = None) -> Tensor:
+    """Potential energy of gravity [J], shape [...]; zero if the centre of mass is at the origin of the world.
+
+    Args:
+        robot, X_WB, q: as in `inverse_dynamics`.
+    """
+    return _of("potential_energy", robot, {"X_WB": X_WB, "q": q}, backend)[0]
+
+
+def centre_of_mass(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | None = None) -> Tensor:
+    """Centre of mass of the robot in the world [m], shape [..., 3].
+
+    Args:
+        robot, X_WB, q: as in `inverse_dynamics`.
+    """
+    return _of("centre_of_mass", robot, {"X_WB": X_WB, "q": q}, backend)[0]
+
+
+def momentum(
+    robot: Robot, X_WB: Tensor, q: Tensor, V_WB_B: Tensor, qd: Tensor, backend: BackendName | None = None
+) -> Momentum:
+    """Linear and angular momentum [..., 3] of the robot about its centre of mass, in axes of the world.
+
+    Args:
+        robot, X_WB, q, V_WB_B, qd: as in `inverse_dynamics`.
+    """
+    return Momentum(*_of("momentum", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend))
+
+
+def momentum_rate(
+    robot: Robot,
+    X_WB: Tensor,
+    q: Tensor,
+    V_WB_B: Tensor | None = None,
+    qd: Tensor | None = None,
+    A_WB_B: Tensor | None = None,
+    qdd: Tensor | None = None,
+    backend: BackendName | None = None,
+) -> Momentum:
+    """Rate of `momentum` in a motion: the sum of all forces, and of their moments about the centre of mass.
+
+    Args:
+        robot, X_WB, q, V_WB_B, qd, A_WB_B, qdd: as in `inverse_dynamics`.
+    """
+    given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "A_WB_B": A_WB_B, "qdd": qdd}
+    return Momentum(*_of("momentum_rate", robot, given, backend))
+
+
+# --- kinematics ------------------------------------------------------------------------------------------------------
+
+
+def forward_kinematics(
+    robot: Robot,
+    X_WB: Tensor,
+    q: Tensor,
+    frame: str | Sequence[str] | None = None,
+    backend: BackendName | None = None,
+) -> Tensor:
+    """Pose X_WF [..., 8] of a frame in the world, or [..., frames, 8] of several or all frames.
+
+    Args:
+        robot, X_WB, q: as in `inverse_dynamics`.
+        frame: name of the frame, or names of several; None: all of them, in the order of `robot.frame_names`.
+    """
+    known = require_robot(robot).frame_names
+    if isinstance(frame, str):
+        names = options_of(robot, "forward_kinematics", (frame,))
+    else:
+        names = known if frame is None else names_of("frame", frame, known, f"frame of robot {robot.name!r}")
+    if not names:
+        raise ArgumentError(f"frame must name one frame at least, found none; known: {', '.join(known)}")
+    (X,) = _of("forward_kinematics", robot, {"X_WB": X_WB, "q": q}, backend, names)
+    return X.squeeze(-2) if isinstance(frame, str) else X
+
+
+def jacobian(
+    robot: Robot,
+    X_WB: Tensor,
+    q: Tensor,
+    frame: str,
+    expressed: Literal["body", "world"] = "body",
+    backend: BackendName | None = None,
+) -> Tensor:
+    """Jacobian J [..., 6, 6 + n]: the twist (angular, linear) of a frame is J (V_WB_B, qd).
+
+    Args:
+        robot, X_WB, q: as in `inverse_dynamics`.
+        frame, expressed: as in `torchdq.jacobian`; "world" are the axes of the world.
+    """
+    options = options_of(require_robot(robot), "jacobian", (frame, expressed))
+    return _of("jacobian", robot, {"X_WB": X_WB, "q": q}, backend, options)[0]

@@ -1,0 +1,87 @@
+"""Formulas of the functions of robots with a free base.
+
+The velocities are those of the base, its twist V_WB_B (angular, linear), and then those of the coordinates. Generalised
+forces have the same order: moment and force on the base, then torques.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from torchdq.algebra import dual_quaternion as dq
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra.quaternion import Number, Pure
+from torchdq.algebra.screw import Screw
+from torchdq.dynamics import posed as mechanics
+from torchdq.functions.recipe import RecipeInputs, Results
+from torchdq.program.program import GROWTH
+from torchdq.robot.posed import BASE, as_screw, solve
+
+
+def _wrench(row: Sequence[Number | None]) -> list[Number | None]:
+    """Wrench (force, moment) on the base, of generalised forces."""
+    return [*row[3:BASE], *row[:3]]
+
+
+def inverse_dynamics(x: RecipeInputs) -> Results:
+    """Wrench on the base, and torques."""
+    at = x.posed()
+    forces = at.torques(x.velocities(), x.accelerations(), x.exerted(at))
+    return {"F_B": _wrench(forces), "tau": forces[BASE:]}
+
+
+def forward_dynamics(x: RecipeInputs, linear: bool = False) -> Results:
+    """Rate of the twist of the base, and accelerations, with no other wrench on the base than that of `f_base`."""
+    x.require_inertia()
+    at = x.posed()
+    forces = (*[0.0] * BASE, *x.arguments.get("tau", [0.0] * x.robot.n))
+    bias = at.torques(x.velocities(), None, x.exerted(at))
+    net = [t if b is None else t - b for t, b in zip(forces, bias, strict=True)]
+    a, growth = solve(x.robot, at, net, linear)
+    return {"A_WB_B": a[:BASE], "qdd": a[BASE:], GROWTH: [growth]}
+
+
+def forward_dynamics_articulated(x: RecipeInputs) -> Results:
+    """Rate of the twist of the base, and accelerations, by articulated bodies."""
+    return forward_dynamics(x, linear=True)
+
+
+def closed_form(x: RecipeInputs) -> Results:
+    """Mass matrix M, Coriolis forces c and gravity forces g."""
+    M, c, g = mechanics.closed_form(x.posed(), x.velocities() or ())
+    return {"M": [entry for row in M for entry in row], "c": c, "g": g}
+
+
+def _centre(x: RecipeInputs) -> tuple[Number, Pure]:
+    """Mass of the robot, and its centre of mass in the frame of the base."""
+    whole = x.bodies().composites()[0]
+    return whole.mass, quat.scale(1.0 / whole.mass, whole.first)
+
+
+def centre_of_mass(x: RecipeInputs) -> Results:
+    """Centre of mass in the world."""
+    X_WB = x.base() or dq.ONE
+    _, c = _centre(x)
+    return {"p_WC": quat.add(dq.translation(X_WB), quat.rotate(X_WB[0], c))}
+
+
+def _about_centre(x: RecipeInputs, generalised: Sequence[Number | None]) -> Screw:
+    """Linear and angular part, about the centre of mass and in axes of the world, of (moment, force) on the base."""
+    X_WB = x.base() or dq.ONE
+    angular, linear = as_screw([0.0 if e is None else e for e in generalised[:BASE]])
+    _, c = _centre(x)
+    angular = quat.sub(angular, quat.cross(c, linear))
+    return quat.rotate(X_WB[0], linear), quat.rotate(X_WB[0], angular)
+
+
+def momentum(x: RecipeInputs) -> Results:
+    """Linear and angular momentum about the centre of mass, in axes of the world: the first rows of M v."""
+    linear, angular = _about_centre(x, x.posed().without_gravity().torques(None, x.velocities(), None))
+    return {"linear": linear, "angular": angular}
+
+
+def momentum_rate(x: RecipeInputs) -> Results:
+    """Rates of linear and angular momentum: the wrench that would have to act on the base without gravity."""
+    forces = x.posed().without_gravity().torques(x.velocities(), x.accelerations(), None)
+    linear, angular = _about_centre(x, forces)
+    return {"linear": linear, "angular": angular}

@@ -1,0 +1,132 @@
+"""Formulas of the functions of robots with a fixed base; those of their place alone serve free bases too."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from torchdq.algebra import dual_quaternion, screw
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.quaternion import Number
+from torchdq.algebra.screw import Screw
+from torchdq.dynamics import posed as mechanics
+from torchdq.dynamics.aligned.posed import Aligned
+from torchdq.dynamics.tracking import commanded
+from torchdq.functions.recipe import RecipeInputs, Results
+from torchdq.program.program import GROWTH, Value
+from torchdq.robot.posed import factors, frame, paper, solve
+
+TRACKING = ("q", "qd", "q_des", "qd_des", "qdd_des", "kp", "kd")  # arguments of computed torque control
+
+
+def inverse_dynamics(x: RecipeInputs) -> Results:
+    """Torques tau."""
+    at = x.posed()
+    return {"tau": at.torques(x.velocities(), x.accelerations(), x.exerted(at))}
+
+
+def computed_torque(x: RecipeInputs, *single: str) -> Results:
+    """Torques tau of the desired acceleration, errors fed back; gains in `single` are one number for all joints."""
+    given = {name: tuple(row) * x.robot.n if name in single else row for name, row in x.arguments.items()}
+    a = list(map(commanded, *[given[name] for name in TRACKING]))
+    at = x.posed()
+    return {"tau": at.torques(given["qd"], a, x.exerted(at))}  # (73), (74)
+
+
+def mass_matrix(x: RecipeInputs) -> Results:
+    """Mass matrix M, row-major."""
+    return {"M": [entry for row in x.posed().mass_matrix() for entry in row]}
+
+
+def forward_dynamics(x: RecipeInputs, linear: bool = False) -> Results:
+    """Accelerations qdd, by the factors of the mass matrix or, if `linear`, by articulated bodies."""
+    x.require_inertia()
+    at = x.posed()
+    bias = at.torques(x.velocities(), None, x.exerted(at))
+    net = [t if b is None else t - b for t, b in zip(x.arguments["tau"], bias, strict=True)]
+    qdd, growth = solve(x.robot, at, net, linear)  # (63) solved for qdd
+    return {"qdd": qdd, GROWTH: [growth]}
+
+
+def forward_dynamics_articulated(x: RecipeInputs) -> Results:
+    """Accelerations qdd, by articulated bodies."""
+    return forward_dynamics(x, linear=True)
+
+
+def error_growth(x: RecipeInputs, linear: bool = False) -> Results:
+    """Largest ratio of M_ii to its pivot."""
+    x.require_inertia()
+    return {"growth": [factors(x.robot, x.posed(), linear).growth]}
+
+
+def error_growth_articulated(x: RecipeInputs) -> Results:
+    """Largest ratio of M_ii to its pivot, by articulated bodies."""
+    return error_growth(x, linear=True)
+
+
+def closed_form(x: RecipeInputs, tip_name: str) -> Results:
+    """Mass matrix M, Coriolis torques c, gravity torques g, and the Jacobian Jt if there is a tip."""
+    at = x.posed()
+    M, c, g = mechanics.closed_form(at, x.arguments["qd"])
+    rows: Results = {"M": [entry for row in M for entry in row], "c": c, "g": g}
+    if tip_name:
+        columns = at.jacobian(*frame(x.robot, tip_name), world=False)
+        # a wrench is (force, moment) and a twist (angular, linear)
+        rows["Jt"] = [entry for c in columns for entry in _six(None if c is None else screw.swap(c))]  # (72)
+    return rows
+
+
+def regressor(x: RecipeInputs) -> Results:
+    """Regressor Y, row-major."""
+    blocks = x.posed().regressor(x.velocities(), x.accelerations())
+    return {"Y": [entry for row in blocks for block in row for entry in (block or (None,) * 10)]}
+
+
+def kinetic_energy(x: RecipeInputs) -> Results:
+    """Kinetic energy T."""
+    return {"T": [x.posed().kinetic_energy(x.velocities() or ())]}
+
+
+def potential_energy(x: RecipeInputs) -> Results:
+    """Potential energy U."""
+    return {"U": [x.posed().potential_energy()]}
+
+
+def forward_kinematics(x: RecipeInputs, *names: str) -> Results:
+    """Poses of frames, joint by joint, by elementary screws."""
+    at = x.bodies()
+    X_WB = at.poses_in_chain() if isinstance(at, Aligned) else at.poses()
+    return _poses(x, names, lambda link, X_BF: dual_quaternion.mul(X_WB[link], X_BF))
+
+
+def forward_kinematics_in_link_frames(x: RecipeInputs, *names: str) -> Results:
+    """Poses of frames, joint by joint, in the link frames of the description."""
+    X_WB = paper(x.robot, x.arguments["q"], x.overrides, x.base()).poses()
+    return _poses(x, names, lambda link, X_BF: dual_quaternion.mul(X_WB[link], X_BF))
+
+
+def forward_kinematics_from_base(x: RecipeInputs, *names: str) -> Results:
+    """Poses of frames, by joint screws in the base frame."""
+    at = x.bodies()
+    if not isinstance(at, Aligned):
+        return forward_kinematics(x, *names)
+    links = at.poses_from_base()
+    mul = dual_quaternion.mul
+    return _poses(x, names, lambda link, X_BF: mul(links[link].motion, mul(links[link].home, X_BF)))
+
+
+def _poses(x: RecipeInputs, names: Sequence[str], pose: Callable[[int, DualQuaternion], DualQuaternion]) -> Results:
+    """Poses of frames; `pose(link, X_BF)` is that of a frame on a link."""
+    rows: list[Value] = []
+    for p, d in (pose(*frame(x.robot, name)) for name in names):
+        rows += [*p, *d]
+    return {"X": rows}
+
+
+def jacobian(x: RecipeInputs, name: str, expressed: str) -> Results:
+    """Jacobian J, row-major, twist components by joints."""
+    columns = x.posed().jacobian(*frame(x.robot, name), world=expressed == "world")
+    return {"J": [_six(c)[i] for i in range(6) for c in columns]}
+
+
+def _six(s: Screw | None) -> tuple[Number | None, ...]:
+    return (None,) * 6 if s is None else (*s[0], *s[1])
