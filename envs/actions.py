@@ -7,9 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from torchdq.checks import require_tensor
 from torchdq.envs.tasks import velocities
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
@@ -32,7 +34,11 @@ class Actions:
 
         Raises if one is not finite; unless the host `looks` at them, such an action stays NaN.
         """
+        if isinstance(actions, Tensor):
+            require_tensor("actions", actions)
         try:
+            if actions.is_complex() if isinstance(actions, Tensor) else np.iscomplexobj(actions):
+                raise TypeError("complex numbers, whose imaginary parts would be lost")
             found = torch.as_tensor(actions, dtype=self.scale.dtype, device=self.scale.device)
         except (TypeError, ValueError, RuntimeError) as error:
             raise ArgumentError(

@@ -19,7 +19,7 @@ from torchdq.envs.tasks import EpisodeTask, Reach, Track
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import Robot
 from torchdq.robot.posed import GEOMETRY
-from torchdq.robot.robot import SHAPES
+from torchdq.robot.robot import SHAPES, batches
 from torchdq.robot.shipped import ROBOTS, load
 
 COUNTS = ("steps", "counter")  # entries of a saved state that count from 0
@@ -84,15 +84,30 @@ def robot_of(robot: str | Path | Robot) -> Robot:
     elif isinstance(robot, str) and not robot.lstrip().startswith("<") and Path(robot).suffix == "":
         raise UnknownNameError("shipped robot", robot, ROBOTS)
     found = robot if isinstance(robot, Robot) else Robot.from_urdf(robot)
+    if found.floating:
+        raise ArgumentError(
+            f"robot {found.name!r} must have a fixed base in environments, found a free one, which a Scene can step"
+        )
     for name in (*GEOMETRY, "home"):
         x = getattr(found, name)
         if x is not None and x.ndim > len(SHAPES[name]):
             raise ArgumentError(f"{name} of robot {found.name!r} has batch axes; environments need one geometry")
+    if any(x.ndim > 1 for x in found.limits):
+        raise ArgumentError(
+            f"limits of robot {found.name!r} have batch axes; environments need one set of limits, which scales "
+            "actions and observations: give one by robot.replace(limits=...), or make environments for each robot"
+        )
     return found
 
 
 def check_scene(scene: Scene, num_envs: int) -> None:
     """Raise if an effect takes an input that an environment cannot supply, or has another number of rows."""
+    for field, batch in batches(scene.robot).items():
+        if batch not in ((1,), (num_envs,)):
+            raise ArgumentError(
+                f"{field} of robot {scene.robot.name!r} must be one for all or have {num_envs} rows, found the batch "
+                f"axes {batch}"
+            )
     for effect in scene.effects:
         name = type(effect).__name__
         for wanted in effect.inputs(scene.n):
@@ -129,8 +144,8 @@ def check_state(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) -> None:
             raise ArgumentError(f"{label} must not be negative, found {x.min().item()}")
 
 
-def reset_mask_of(mask: Any, num_envs: int, device: torch.device) -> Tensor | None:
-    """Mask [N] of the rows to reset; None: all of them."""
+def reset_mask_of(mask: Any, num_envs: int, device: torch.device, looks: bool) -> Tensor | None:
+    """Mask [N] of the rows to reset; None: all of them. Raises if it has none and the host `looks` at it."""
     if mask is None:
         return None
     mask = torch.as_tensor(mask, device=device)
@@ -138,6 +153,6 @@ def reset_mask_of(mask: Any, num_envs: int, device: torch.device) -> Tensor | No
         raise ArgumentError(
             f"reset_mask must be a bool of shape ({num_envs},), found {mask.dtype} of {tuple(mask.shape)}"
         )
-    if not bool(mask.any()):
+    if looks and not bool(mask.any()):
         raise ArgumentError("reset_mask must be true in at least one row, found none; do not call reset then")
     return mask

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 from torchdq.algebra.quaternion import Number
@@ -13,7 +13,7 @@ from torchdq.effects.effect import Parameter, Parametric, Shapes
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 from torchdq.robot.posed import posed
-from torchdq.robot.robot import SHAPES, arguments
+from torchdq.robot.robot import SHAPES, arguments, constants, recorded
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Feedback(Controller):
 
     Args:
         kp, kd: gains of the errors of positions and velocities, shape [..., n].
-        model: one robot, whose tensors are constants; None: no model.
+        model: one robot, whose numbers a scene copies as constants when it is made; None: no model.
     """
 
     SHAPES: ClassVar[Shapes] = {"kp": ("n",), "kd": ("n",)}
@@ -40,7 +40,7 @@ class Feedback(Controller):
     model: Robot | None = None
 
     def described(self, robot: Robot) -> Self:
-        """Controller as it is; raises if its model does not have the robot's joints, or has batch axes."""
+        """Copy whose model keeps the numbers of now; raises if they are no constants of one robot with these joints."""
         believed, what = self.model, f"model of {type(self).__name__}"
         if believed is None:
             return self
@@ -51,7 +51,12 @@ class Feedback(Controller):
                 raise ArgumentError(
                     f"{what} must be one robot, found batch axes of its {name}; its tensors are constants"
                 )
-        return self
+            if getattr(believed, name).requires_grad:
+                raise ArgumentError(
+                    f"{what} must have constants, which get no gradient, found a {name} that requires grad; use "
+                    "model.bake(), or learn with torques from torchdq.computed_torque"
+                )
+        return replace(self, model=recorded(constants(believed.bake())))
 
     def corrected(self, reference: Row, q: Row, qd: Row) -> list[Number]:
         """Desired acceleration, or feed-forward, with the errors fed back."""
@@ -70,8 +75,8 @@ class ComputedTorque(Feedback):
     Args:
         kp: position gain [1/s^2], shape [..., n].
         kd: velocity gain [1/s], shape [..., n].
-        model: the robot as the controller believes it to be, with its own gravity and rotor inertia; its tensors are
-            constants. None: as it is in the scene, payload and gravity included.
+        model: the robot as the controller believes it to be, with its own gravity and rotor inertia; its numbers
+            are copied when a scene is made. None: as it is in the scene, payload and gravity included.
     """
 
     def torques(self, at: Posed, reference: Row, q: Row, qd: Row) -> Sequence[Number]:
@@ -88,7 +93,7 @@ class PD(Feedback):
     Args:
         kp: position gain [N m/rad or N/m], shape [..., n].
         kd: velocity gain [N m s/rad or N s/m], shape [..., n].
-        model: the robot whose gravity torques are added; None: none are.
+        model: the robot whose gravity torques are added, copied likewise; None: none are.
     """
 
     def torques(self, at: Posed, reference: Row, q: Row, qd: Row) -> Sequence[Number]:

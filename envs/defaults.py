@@ -13,6 +13,7 @@ from torchdq.effects import Effect
 from torchdq.effects.effect import owned
 from torchdq.envs.scene import Scene
 from torchdq.robot import Robot
+from torchdq.robot.robot import SHAPES, batches
 
 ROTOR = 0.1  # where a description has none; common for geared arms [kg m^2 or kg]
 DAMPING = 1.0  # likewise [N m s/rad or N s/m]
@@ -29,7 +30,7 @@ def usual(robot: Robot) -> tuple[Effect, ...]:
     found: list[Effect] = [
         kinds.Gravity(),
         kinds.RotorInertia((ROTOR,) * robot.n if rotors is None else rotors),
-        kinds.Viscous(tuple(d if d > 0 else DAMPING for d in robot.damping.tolist())),
+        kinds.Viscous(owned(robot, robot.damping.where(robot.damping > 0, DAMPING))),
     ]
     if bool((robot.friction > 0).any()):
         found.append(kinds.Coulomb())
@@ -46,16 +47,22 @@ def usual(robot: Robot) -> tuple[Effect, ...]:
 def nominal(scene: Scene) -> Robot:
     """Rigid bodies as a controller may know them: as described, with the scene's gravity and rotors.
 
-    It does not know friction, payloads, or what differs between episodes.
+    It does not know friction, payloads, or what differs between episodes or robots.
     """
     known: dict[str, Any] = {"gravity": None, "armature": None}
     for effect in scene.effects:
         if effect.SLOT == "model":
-            known.update({source: _mean(getattr(effect, name)) for name, source in effect.DESCRIBED.items()})
-    return scene.robot.replace(**known).bake()
+            known.update({source: _mean(getattr(effect, name), 1) for name, source in effect.DESCRIBED.items()})
+    return one_of(scene.robot).replace(**known).bake()
 
 
-def _mean(x: Tensor | Sequence[float]) -> Tensor:
-    """One value of a parameter; the mean of those that differ from sample to sample."""
+def one_of(robot: Robot) -> Robot:
+    """Robot without batch axes: of several, the mean of every tensor."""
+    means: dict[str, Any] = {name: _mean(getattr(robot, name), len(SHAPES[name])) for name in batches(robot)}
+    return robot.replace(**means) if means else robot
+
+
+def _mean(x: Tensor | Sequence[float], axes: int) -> Tensor:
+    """One value of a parameter with some trailing axes; the mean of those that differ from sample to sample."""
     x = torch.as_tensor(x, dtype=torch.float64)
-    return x.reshape(-1, x.shape[-1]).mean(0)
+    return x.reshape(-1, *x.shape[x.ndim - axes :]).mean(0)

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchdq.checks import dtype_of, require_count, require_number
 from torchdq.effects.effect import Effect
+from torchdq.envs.starts import motion_at_start
 from torchdq.envs.state import State
 from torchdq.notice import Notice
 from torchdq.robot import Robot
@@ -52,6 +53,7 @@ class Description(NamedTuple):
     total: EffectCost
     left_out: tuple[str, ...]
     measured_on: str
+    outside: tuple[str, ...] = ()  # what torch computes beside the program of a step
 
     def __str__(self) -> str:
         rows = [("effect", "slot", "operations", "ns per step")]
@@ -59,13 +61,16 @@ class Description(NamedTuple):
         widths = [max(len(row[k]) for row in rows) for k in range(4)]
         lines = ["  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]
         left_out = "\n".join(f"- {what}" for what in self.left_out) or "- nothing"
-        return "\n".join(lines) + f"\n({self.measured_on})\n\ndescribed, and not simulated:\n{left_out}"
+        outside = "".join(f"\n- {what}" for what in self.outside)
+        if outside:
+            outside = f"\n\ncomputed outside the program, and not among the operations:{outside}"
+        return "\n".join(lines) + f"\n({self.measured_on}){outside}\n\ndescribed, and not simulated:\n{left_out}"
 
 
 def describe(scene: Scene, batch: int, dtype: torch.dtype | str, seconds: float) -> Description:
     """Description of a scene; see `Scene.describe`."""
     require_count("batch", batch)
-    require_number("seconds", seconds)
+    require_number("seconds", seconds, least=0)
     end = time.monotonic() + seconds
     dtype = dtype_of("dtype", dtype)
     batches = scene.batches.values()
@@ -86,7 +91,8 @@ def describe(scene: Scene, batch: int, dtype: torch.dtype | str, seconds: float)
     ]
     on = f"{batch} samples of {str(dtype).removeprefix('torch.')}, {torch.get_num_threads()} threads"
     total = EffectCost("all", "", counts[-1], *_difference(times[-1], None))
-    return Description(tuple(costs), total, left_out(scene.robot, scene.effects), on)
+    outside = [f"{type(effect).__name__}: {words}" for effect in scene.effects if (words := effect.outside())]
+    return Description(tuple(costs), total, left_out(scene.robot, scene.effects), on, tuple(outside))
 
 
 def _times(
@@ -130,7 +136,9 @@ def _step(scene: Scene, batch: int, dtype: torch.dtype) -> Callable[[], State]:
     def random(width: int) -> Tensor:
         return torch.rand(batch, width, generator=generator, dtype=dtype)
 
-    state = scene.start(random(scene.n), random(scene.n), random(scene.noises))
+    # not `start`, which warns of positions outside the limits
+    moved = motion_at_start(scene, {"q": random(scene.n), "qd": random(scene.n)})
+    state, _ = scene.begin(moved, {}, random(scene.noises))
     inputs = {name: random(width) for name, width in scene.inputs.items()}
     noise = random(scene.noises)
     return lambda: scene.step(state, noise=noise, **inputs)
@@ -157,6 +165,7 @@ def left_out(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
     simulated = {source for effect in effects for source in effect.DESCRIBED.values()}
     lines = []
     for source, there, words, effect in parts:
+        there = there.reshape(-1, there.shape[-1]).any(0)  # in one of several robots
         if bool(there.any()) and source not in simulated:
             joints = ", ".join(name for name, has in zip(robot.joint_names, there.tolist(), strict=False) if has)
             lines.append(f"{words.format(joints)}: effects.{effect}")
@@ -164,4 +173,4 @@ def left_out(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
         if idle := acting.idle():
             values = ", ".join(f"{name} is {getattr(acting, name)[0]:g}" for name in idle)
             lines.append(f"{type(acting).__name__} acts on no joint: {values}")
-    return (*lines, *[f"mimic joints are independent: {note}" for note in robot.notes if "mimic" in note])
+    return (*lines, *[note for note in robot.notes if note.startswith("mimic joints treated as independent")])

@@ -9,10 +9,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+import torch
 from torch import Tensor
 
+from torchdq import dq
+from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.posed import Row
 from torchdq.effects.residual import NAME as RESIDUAL
+from torchdq.envs import free_base
+from torchdq.envs.free_base import POSE, TWIST
 from torchdq.envs.integrators import System
 from torchdq.envs.spec import Task
 from torchdq.envs.state import State
@@ -30,6 +35,27 @@ class _Evaluated(System):
 
     def _evaluated(self, stage: str, **given: Tensor) -> list[Tensor]:
         return [self.scene.evaluate(stage, {**given, **self.inputs})["a"]]
+
+    def moved(self, x: Row, h: Number, rate: Row) -> list[Number]:
+        if not self.scene.robot.floating:
+            return super().moved(x, h, rate)
+        displacement = h * rate[0]
+        joints = x[0][..., :-POSE] + displacement[..., :-TWIST]
+        base = dq.mul(x[0][..., -POSE:], dq.exp(0.5 * displacement[..., -TWIST:]))
+        return [torch.cat([joints, base], -1)]
+
+    def rates(self, h: Number, rate: Row, v: Row) -> Row:
+        if not self.scene.robot.floating:
+            return v
+        displacement, twist = (y[..., -TWIST:].unbind(-1) for y in (h * rate[0], v[0]))
+        base = torch.stack(free_base.rate(displacement, twist, free_base.EXACT), -1)
+        return [torch.cat([v[0][..., :-TWIST].expand(*base.shape[:-1], -1), base], -1)]
+
+    def sizes(self, x: Row) -> Row:
+        if not self.scene.robot.floating:
+            return super().sizes(x)
+        joints = x[0][..., :-POSE].abs()
+        return [torch.cat([joints, joints.new_ones(*joints.shape[:-1], TWIST)], -1)]
 
     def accelerations(self, x: Row, v: Row) -> list[Tensor]:
         return self._evaluated("accelerations", x=x[0], v=v[0])

@@ -12,6 +12,8 @@ system has positions x and velocities v (of the joints, and of the rotors of ela
 | StoermerVerlet | 2 | about 2 + 2 iterations | stays within a band of width dt^2: symplectic in (q, p) |
 | Repeated | that of another | its times a number | that of another |
 | DormandPrince | 5 | adaptive | to tolerance |
+
+All but StoermerVerlet serve robots with a free base, whose pose moves on its group; see `free_base`.
 """
 
 from __future__ import annotations
@@ -25,13 +27,29 @@ import torch
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
+from torchdq.checks import require_count, require_number
 from torchdq.dynamics.posed import Row
 from torchdq.errors import ArgumentError
 from torchdq.notice import Notice
 
 
 class System(Protocol):
-    """Equations of motion, as integrators evaluate them."""
+    """Equations of motion, as integrators evaluate them.
+
+    Positions need not have as many numbers as velocities: the pose of a free base has eight, its twist six.
+    """
+
+    def moved(self, x: Row, h: Number, rate: Row) -> list[Number]:
+        """Positions at a displacement h times `rate` from x."""
+        return _plus(x, h, rate)
+
+    def rates(self, h: Number, rate: Row, v: Row) -> Row:
+        """Rates, at velocities v, of the displacement of the positions, which is h times `rate`."""
+        return v
+
+    def sizes(self, x: Row) -> Row:
+        """Sizes that errors of a displacement from x are relative to."""
+        return [abs(y) for y in x]
 
     def accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations in a state."""
@@ -51,6 +69,7 @@ class Integrator:
     """Base of the integrators."""
 
     order: ClassVar[int]
+    FIXED: ClassVar[str] = ""  # reason why it is for robots with a fixed base only; "": it is for all
 
     def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
         """State after a step h [s]."""
@@ -70,7 +89,7 @@ class ExplicitEuler(Integrator):
 
     def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
         """Positions and velocities, both with the rates at the start of the step."""
-        return _plus(x, h, v), _plus(v, h, system.accelerations(x, v))
+        return system.moved(x, h, v), _plus(v, h, system.accelerations(x, v))
 
 
 @dataclass(frozen=True)
@@ -82,7 +101,7 @@ class SemiImplicitEuler(Integrator):
     def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
         """Velocities first, positions with the new ones."""
         v = _plus(v, h, system.accelerations(x, v))
-        return _plus(x, h, v), v
+        return system.moved(x, h, v), v
 
 
 @dataclass(frozen=True)
@@ -98,7 +117,7 @@ class LinearlyImplicit(Integrator):
     def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
         """Velocities first, the impedances acting on the end of the step; positions with the new ones."""
         v = _plus(v, h, system.implicit_accelerations(x, v, h))
-        return _plus(x, h, v), v
+        return system.moved(x, h, v), v
 
 
 @dataclass(frozen=True)
@@ -110,23 +129,23 @@ class RungeKutta4(Integrator):
     def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
         """State plus increments."""
         dx, dv = self.increments(system, x, v, h)
-        return _plus(x, 1.0, dx), _plus(v, 1.0, dv)
+        return system.moved(x, 1.0, dx), _plus(v, 1.0, dv)
 
     def increments(self, system: System, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
-        """Increments of a state: the step times the weighted mean of four rates."""
-        a = system.accelerations
+        """Displacement and increments of the velocities: the step times the weighted mean of four rates."""
+        a, half = system.accelerations, 0.5 * h
         a1 = a(x, v)
-        v2 = _plus(v, 0.5 * h, a1)
-        a2 = a(_plus(x, 0.5 * h, v), v2)
-        v3 = _plus(v, 0.5 * h, a2)
-        a3 = a(_plus(x, 0.5 * h, v2), v3)
+        v2 = _plus(v, half, a1)
+        a2, k2 = a(system.moved(x, half, v), v2), system.rates(half, v, v2)
+        v3 = _plus(v, half, a2)
+        a3, k3 = a(system.moved(x, half, k2), v3), system.rates(half, k2, v3)
         v4 = _plus(v, h, a3)
-        a4 = a(_plus(x, h, v3), v4)
+        a4, k4 = a(system.moved(x, h, k3), v4), system.rates(h, k3, v4)
 
         def mean(k1: Row, k2: Row, k3: Row, k4: Row) -> list[Number]:
             return [h / 6.0 * (p + 2.0 * (q + r) + s) for p, q, r, s in zip(k1, k2, k3, k4, strict=True)]
 
-        return mean(v, v2, v3, v4), mean(a1, a2, a3, a4)
+        return mean(v, k2, k3, k4), mean(a1, a2, a3, a4)
 
 
 @dataclass(frozen=True)
@@ -146,7 +165,11 @@ class StoermerVerlet(Integrator):
     """
 
     order = 2
+    FIXED = "its momenta are those of joint positions"
     iterations: int = 3
+
+    def __post_init__(self) -> None:
+        require_count(f"iterations of {type(self).__name__}", self.iterations)
 
     def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
         """Half a kick, a drift with the velocities of both ends, half a kick."""
@@ -181,8 +204,7 @@ class Repeated(Unrecorded):
     def __post_init__(self) -> None:
         if not isinstance(self.integrator, Integrator) or isinstance(self.integrator, Unrecorded):
             raise ArgumentError(f"integrator of Repeated must be one that can be recorded, found {self.integrator!r}")
-        if not isinstance(self.times, int) or isinstance(self.times, bool) or self.times < 1:
-            raise ArgumentError(f"times of Repeated must be a whole number from 1, found {self.times!r}")
+        require_count("times of Repeated", self.times)
 
     @property
     def order(self) -> int:  # type: ignore[override]
@@ -218,21 +240,23 @@ class DormandPrince(Unrecorded):
     most: int = 100_000
 
     def __post_init__(self) -> None:
-        if not (self.rtol > 0 and self.atol > 0):
-            raise ArgumentError(f"rtol and atol must be positive, found {self.rtol} and {self.atol}")
+        require_number("rtol", self.rtol, positive=True)
+        require_number("atol", self.atol, positive=True)
+        require_count("most", self.most)
 
     def flow(self, system: System, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
         """State after the time T, of rows [..., n]; rows that have arrived wait for the others."""
-        n, floor = x.shape[-1], 100 * torch.finfo(x.dtype).eps
+        floor = 100 * torch.finfo(x.dtype).eps
         rtol = max(self.rtol, floor)
         if rtol > self.rtol:
             warnings.warn(f"rtol {self.rtol:g} is below the rounding of {x.dtype}; {rtol:.1g} is kept", stacklevel=2)
-        y = torch.cat([x, v], -1)
+        n = v.shape[-1]  # numbers of velocities, and of displacements of the positions over a step
 
-        def slope(y: Tensor) -> Tensor:
-            return torch.cat([y[..., n:], *system.accelerations([y[..., :n]], [y[..., n:]])], -1)
+        def slope(increment: Tensor) -> Tensor:
+            d, w = [increment[..., :n]], [v + increment[..., n:]]
+            return torch.cat([*system.rates(1.0, d, w), *system.accelerations(system.moved([x], 1.0, d), w)], -1)
 
-        t = y.new_zeros(y.shape[:-1])
+        t = x.new_zeros(x.shape[:-1])
         h = torch.full_like(t, T / 16)
         failed = torch.zeros_like(t, dtype=torch.bool)
         with Notice(f"steps of DormandPrince over {T:g} s") as notice:
@@ -242,12 +266,15 @@ class DormandPrince(Unrecorded):
                 if not bool(going.any()):
                     break
                 step = torch.where(going, torch.minimum(h, T - t), 0.0)
-                k = [slope(y)]
+                end = v.new_zeros(*v.shape[:-1], 2 * n)
+                k = [slope(end)]
                 for row in _TABLEAU:
-                    end = y + step[..., None] * _combined(row, k)
+                    end = step[..., None] * _combined(row, k)
                     k.append(slope(end))
+                (to,), w = system.moved([x], 1.0, [end[..., :n]]), v + end[..., n:]
                 with torch.no_grad():
-                    size = self.atol + rtol * torch.maximum(y.abs(), end.abs())
+                    sizes = [torch.cat([*system.sizes([y]), u.abs()], -1) for y, u in ((x, v), (to, w))]
+                    size = self.atol + rtol * torch.maximum(*sizes)
                     error = (step[..., None] * _combined(_ERROR, k) / size).square().mean(-1).sqrt()
                     good = going & (error <= 1)
                     factor = (0.9 * error.clamp(min=1e-10) ** -0.2).clamp(0.2, 5.0)
@@ -256,9 +283,9 @@ class DormandPrince(Unrecorded):
                     kept = good & (step < h)
                     h = torch.where(kept | ~going, h, step * torch.where(error.isfinite(), factor, 0.2))
                     t = torch.where(good, t + step, t)
-                y = torch.where(good[..., None], end, y)
-        y = torch.where((failed | (t < T * (1 - floor)))[..., None], torch.nan, y)
-        return y[..., :n], y[..., n:]
+                x, v = (torch.where(good[..., None], new, old) for new, old in ((to, x), (w, v)))
+        lost = (failed | (t < T * (1 - floor)))[..., None]
+        return torch.where(lost, torch.nan, x), torch.where(lost, torch.nan, v)
 
 
 def _combined(weights: Sequence[float], k: Sequence[Tensor]) -> Tensor:

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchdq.envs.state import State, require_state
+from torchdq.errors import ArgumentError
 
 if TYPE_CHECKING:
     from torchdq.envs.scene import Scene
@@ -27,6 +28,11 @@ class Linearization(NamedTuple):
 def linearize(scene: Scene, state: State, given: Mapping[str, Tensor | None]) -> Linearization:
     """Jacobian matrices of a step; see `Scene.linearize`."""
     require_state(state)
+    if scene.robot.floating:
+        raise ArgumentError(
+            f"robot {scene.robot.name!r} must have a fixed base to be linearized, found a free one, whose pose is "
+            "no vector"
+        )
     inputs = {name: x for name, x in given.items() if x is not None}
     torque = inputs.pop("torque", state.q.new_zeros(scene.n))
     parts = [*state.rows().values(), torque]

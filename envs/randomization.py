@@ -31,6 +31,7 @@ import torch
 from torch import Tensor
 from torch.distributions import Distribution
 
+from torchdq.checks import is_number
 from torchdq.dynamics.posed import Row
 from torchdq.effects import Gravity, MassScale, Payload, RotorInertia, Viscous
 from torchdq.effects.actuator import Actuator
@@ -41,6 +42,7 @@ from torchdq.envs.some_rows import SomeRows
 from torchdq.envs.spec import CONTROLLER, ROBOT
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.numbers.functions import absolute, maximum
+from torchdq.robot.fields import trailing
 
 Randomise = Mapping[str, float | tuple[float, float] | Distribution]  # by name, as above
 ADDED = {"com": -math.inf, "payload": 0.0, "delay": 0.0}  # not drawn as factors, and their smallest values
@@ -217,14 +219,14 @@ def _span(name: str, x: Any, like: Tensor) -> Span:
                 f"{what} must be a distribution with icdf(), such as Uniform, Normal or LogNormal, found {x}"
             ) from error
         span = Span(found.min().item(), found.max().item(), x)
-    elif isinstance(x, int | float) and not isinstance(x, bool):
+    elif is_number(x):
         if not (0 <= x < math.inf) or (not added and x >= 1):
             units = {"com": "a shift in m", "payload": "a mass in kg", "delay": "a number of time steps"}
             expected = units.get(name, "a fraction from 0 to 1")
             raise ArgumentError(f"{what} must be {expected}, or a pair (lower, upper), found {x!r}")
         span = Span(0.0 if name in ("payload", "delay") else -x, float(x)) if added else Span(1 - x, 1 + x)
     else:
-        pair = isinstance(x, Sequence) and len(x) == 2 and all(isinstance(end, int | float) for end in x)
+        pair = isinstance(x, Sequence) and len(x) == 2 and all(map(is_number, x))
         if not (pair and math.isfinite(x[0]) and math.isfinite(x[1]) and x[0] <= x[1]):
             raise ArgumentError(
                 f"{what} must be a number, a pair (lower, upper) of finite numbers, or a distribution of torch, "
@@ -258,7 +260,7 @@ def _with_effects(scene: Scene, spans: Mapping[str, Span]) -> Scene:
     if "delay" in spans:
         found.insert(0, DrawnDelay(0.0, max(1, math.ceil(spans["delay"].upper))))
     if "mass" in spans:  # the first, since a payload of the scene does not grow with the link that holds it
-        found.insert(0, MassScale((1.0,) * scene.n))
+        found.insert(0, MassScale((1.0,) * len(scene.robot.link_names)))
     if "payload" in spans:  # the last, since it does not grow with the link that holds it
         found.append(Payload(1.0))
     return scene.replace(effects=(*found, *[e for e in scene.effects if e.SLOT == "sensor"]))
@@ -268,7 +270,7 @@ def _base(scene: Scene, owner: int, name: str, num_envs: int, like: Tensor) -> T
     """Value of a parameter before anything is drawn, a row per environment."""
     if isinstance(part := _parts(scene).get(owner), DrawnDelay):
         return like.new_ones(num_envs)
-    shape = tuple(scene.n if axis == "n" else int(axis) for axis in scene.spec.shapes(owner)[name])
+    shape = trailing(scene.spec.shapes(owner)[name], scene.robot.sizes)
     value = torch.as_tensor(getattr(scene.robot if owner == ROBOT else part, name)).detach().to(like)
     return value.expand(num_envs, *shape)
 

@@ -94,6 +94,11 @@ def recommend(
     scene = _falling(what, horizon or 1.0) if isinstance(what, Robot) else what
     if not isinstance(scene, Scene):
         raise ArgumentError(f"what must be a torchdq.Robot or a torchdq.envs.Scene, found {type(what).__name__}")
+    if scene.robot.floating:
+        raise ArgumentError(
+            f"robot {scene.robot.name!r} must have a fixed base, found a free one: errors of poses have no measure; "
+            "scene.check says which steps hold"
+        )
     for name in inputs:
         if name not in scene.inputs:
             raise UnknownNameError("input of the scene", name, scene.inputs)

@@ -17,12 +17,16 @@ from torchdq.call import Computation
 from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.sensor import Sensor
+from torchdq.envs.free_base import POSE, TWIST
 from torchdq.envs.integrators import Integrator
 from torchdq.envs.spec import Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
-from torchdq.envs.system import SceneSystem, with_growths
+from torchdq.envs.system import SceneSystem, motion, with_growths
 from torchdq.errors import ArgumentError
-from torchdq.functions.catalogue import trailing, worth_recording
+from torchdq.functions.recipe import worth_recording
 from torchdq.program.program import Argument, Program, record
+from torchdq.robot.fields import trailing
+
+MOST_OPERATIONS = 400_000  # recorded for the substeps in one program; compiling more takes many minutes
 
 
 def drive(scene: RecordedScene) -> tuple[Row, Row, Row, Memory]:
@@ -38,20 +42,28 @@ def drive(scene: RecordedScene) -> tuple[Row, Row, Row, Memory]:
     x, v = scene.packed(q, qd, memory)
     for i, actuator in spec.of(Actuator):
         u, memory[i] = actuator.driven(u, v[-n:], memory[i], spec.dt)  # motors turn with the rotors
-    return u, x, v, memory
+    return u, *scene.with_base(x, v), memory
 
 
 def flow(system: SceneSystem, x: Row, v: Row) -> tuple[Row, Row]:
     """Positions and velocities at the end of a step."""
-    spec = system.scene.spec
-    for _ in range(spec.substeps):
+    spec, operations = system.scene.spec, x[0].tape.ops if x else ()
+    before = len(operations)
+    for k in range(spec.substeps):
         x, v = spec.integrator.step(system, x, v, spec.dt / spec.substeps)
+        if not k and (expected := (len(operations) - before) * spec.substeps) > MOST_OPERATIONS:
+            raise ArgumentError(
+                f"substeps must be few enough for a program of {MOST_OPERATIONS} operations, found {spec.substeps}, "
+                f"which would record {expected}; give substeps=1 and "
+                f"integrator=integrators.Repeated({spec.integrator}, {spec.substeps}), which calls one step that often"
+            )
     return x, v
 
 
 def sense(scene: RecordedScene, task: Task | None, u: Row, x: Row, v: Row, memory: Memory) -> Rows:
     """State at the end of a step, and the task's rows; sensors without a memory start with what they sense."""
-    q, qd, memory = scene.unpacked(x, v, memory)
+    moved, memory = scene.unpacked(x, v, memory)
+    q, qd = moved["q"], moved["qd"]
     n, used = len(q), 0
     reading: Row = (*q, *qd)
     noise = scene.inputs.get("noise", ())
@@ -60,7 +72,7 @@ def sense(scene: RecordedScene, task: Task | None, u: Row, x: Row, v: Row, memor
         width = sensor.noises(n)
         reading, memory[i] = sensor.read(reading, before, noise[used : used + width])
         used += width
-    rows: Rows = {"q": q, "qd": qd, **_remembered(memory)}
+    rows: Rows = {**moved, **_remembered(memory)}
     if scene.spec.senses:
         rows["reading"] = reading
     if task is not None:
@@ -96,12 +108,13 @@ def _begin(scene: RecordedScene, task: Task | None) -> Rows:
     q, qd = scene.inputs["q"], scene.inputs["qd"]
     sensors = {i for i, _ in scene.spec.of(Sensor)}
     memory = {i: e.start(q, qd) for i, e in enumerate(scene.spec.effects) if i not in sensors}
-    return sense(scene, task, [0.0] * len(q), *scene.packed(q, qd, memory), memory)
+    return sense(scene, task, [0.0] * len(q), *scene.with_base(*scene.packed(q, qd, memory)), memory)
 
 
 def _energy(scene: RecordedScene, task: Task | None) -> Rows:
-    at = scene.posed(scene.inputs["q"])
-    return {"E": (at.kinetic_energy(scene.inputs["qd"]), at.potential_energy())}
+    x, v = scene.with_base(scene.inputs["q"], scene.inputs["qd"])
+    at = scene.posed(scene.inputs["q"], scene.base_of(x))
+    return {"E": (at.kinetic_energy(motion(scene, v)), at.potential_energy())}
 
 
 def _evaluation(method: Callable[..., Row], *names: str) -> Callable[[RecordedScene, Task | None], Rows]:
@@ -148,7 +161,7 @@ class Stage(_StageFields, Computation):
         owned = owner_of(name)
         if owned is not None:
             owner, parameter = owned
-            return trailing(self.spec.shapes(owner)[parameter], self.spec.robot.n)
+            return trailing(self.spec.shapes(owner)[parameter], self.spec.robot.sizes)
         known = self.widths()
         if name not in known:
             raise ArgumentError(f"{name} is no input of this scene; it has {', '.join(self.spec.inputs())}")
@@ -159,7 +172,8 @@ class Stage(_StageFields, Computation):
         spec, n = self.spec, self.spec.robot.n
         moving = n + spec.transmission[1].memory(n) // 2
         asked = {} if self.task is None else self.task.inputs(n)
-        evaluated = {"u": n, "x": moving, "v": moving, "to": moving, "h": 1}
+        poses, twists = (POSE, TWIST) if spec.robot.floating else (0, 0)
+        evaluated = {"u": n, "x": moving + poses, "v": moving + twists, "to": moving + poses, "h": 1}
         return {**spec.state, "noise": spec.noises, **spec.inputs(), **spec.computed(), **asked, **evaluated}
 
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:

@@ -12,10 +12,11 @@ from torch import Tensor
 from torchdq.backends.choice import choose
 from torchdq.backends.run import run
 from torchdq.caches import PROGRAMS, remembered
+from torchdq.envs.defaults import one_of
 from torchdq.envs.randomization import Randomised
-from torchdq.envs.rng import Streams
+from torchdq.envs.rng import Streams, seeded
 from torchdq.envs.scene import Scene
-from torchdq.envs.some_rows import SomeRows
+from torchdq.envs.some_rows import Masked, SomeRows
 from torchdq.envs.spec import Task
 from torchdq.envs.tasks import Checked
 from torchdq.envs.torch_task import Functions
@@ -40,10 +41,12 @@ class Reset:
     randomised: tuple[Randomised, ...]
     functions: Functions | None
     opening: Scene = field(init=False, repr=False)  # the scene with the effects that act at a start
+    robot: Robot = field(init=False, repr=False)  # the scene's, without batch axes
 
     def __post_init__(self) -> None:
         acting = [e for e in self.scene.effects if e.SLOT == "sensor" or e.memory(self.scene.n)]
         object.__setattr__(self, "opening", self.scene.replace(effects=acting, controller=None))
+        object.__setattr__(self, "robot", one_of(self.scene.robot))
 
     def __call__(self, rows: SomeRows, streams: Streams, dtype: torch.dtype) -> dict[str, Tensor]:
         """Buffers of new episodes, by name, shape [k, ...]; drawn parameters are written into the scene.
@@ -53,26 +56,38 @@ class Reset:
             streams: random numbers of those environments.
             dtype: dtype of the buffers.
         """
-        task, own = self.checked.task, self.functions
-        draws = [task.draws(self.scene.robot), 0 if own is None else own.task.draws]
+        task, own, looks = self.checked.task, self.functions, not isinstance(rows, Masked)
+        draws = [task.draws(self.robot), 0 if own is None else own.task.draws]
         widths = [*draws, *[r.width for r in self.randomised], self.scene.noises]
         u, streams = streams.uniform(sum(widths), dtype)
         u, u_own, *drawn, noise = u.split(widths, 1)
         for parameters, x in zip(self.randomised, drawn, strict=True):
             parameters.draw(self.scene, rows, x)
-        program = _program(self.checked, self.scene.robot)
+        program = _program(self.checked, self.robot)
         outputs = run(program, [u], choose(self.scene.backend, u.device))
         fresh = {result.name: x for result, x in zip(program.results, outputs, strict=True)}
         if own is not None:
-            fresh.update(own.started(u_own))
+            fresh.update(own.started(u_own, looks))
         steps = torch.zeros(rows.number, dtype=torch.int32, device=u.device)
         fresh.update(streams._asdict(), steps=steps, finished=steps.to(torch.bool))
         opening = _of_rows(self.opening, rows)
         given = task_inputs(task, fresh, opening)
-        state, seen = opening.begin(fresh["q"], fresh["qd"], given, noise, self.checked)
+        state, seen = opening.begin({"q": fresh["q"], "qd": fresh["qd"]}, given, noise, self.checked)
         if own is not None:
-            seen["observation"] = own.first(own.now(state, fresh["goal"], steps, seen))
+            seen["observation"] = own.first(own.now(state, fresh["goal"], steps, seen), looks)
         return fresh | state.rows() | {"observation": seen["observation"], "reference": seen["reference"]}
+
+    def blank(
+        self, num_envs: int, width: int, seed: int, dtype: torch.dtype, device: torch.device
+    ) -> dict[str, Tensor]:
+        """Buffers before a first episode, with observations of a width and streams of a seed."""
+        n = self.scene.n
+        widths = {**self.scene.spec.state, "goal": self.checked.inputs(n)["goal"], "reference": 3 * n}
+        widths["observation"] = width
+        found = {name: torch.zeros(num_envs, wide, dtype=dtype, device=device) for name, wide in widths.items()}
+        found["steps"] = torch.zeros(num_envs, dtype=torch.int32, device=device)
+        found["finished"] = torch.zeros(num_envs, dtype=torch.bool, device=device)
+        return {**found, **seeded(seed, num_envs, device)._asdict()}
 
 
 def task_inputs(
@@ -90,6 +105,8 @@ def task_inputs(
 
 def _of_rows(scene: Scene, rows: SomeRows) -> Scene:
     """Scene of some environments: their rows of every tensor that has one row per environment."""
+    if isinstance(rows, Masked):
+        return scene
 
     def chosen(x: Tensor, axes: int) -> Tensor:
         return rows.of(x) if x.ndim > axes and len(x) > 1 else x

@@ -8,10 +8,10 @@ from contextlib import nullcontext
 from typing import TYPE_CHECKING, Literal, get_args
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint as checkpointed
 
-from torchdq.checks import require_choice, require_tensor
+from torchdq.checks import require_choice, require_count, require_tensor
 from torchdq.envs.starts import not_finite
 from torchdq.envs.state import State, require_state
 from torchdq.errors import ArgumentError
@@ -39,12 +39,13 @@ def rollout(
     require_state(state)
     require_choice("lost", lost, get_args(Lost))
     total = _length(series, steps, policy)
-    if not isinstance(checkpoint, int) or checkpoint < 0:
-        raise ArgumentError(f"checkpoint must not be negative, a whole number, found {checkpoint!r}")
+    require_count("checkpoint", checkpoint, least=0)
     read = lost != "keep" and not without_values((state.q,))
     if lost == "stop" and not read:
-        raise ArgumentError("lost='stop' reads values, which tensors have none of inside a transform or a trace")
-    start = scene.finite(state) if read else torch.tensor(False)
+        raise ArgumentError(
+            "lost='stop' reads values, which tensors have none of inside a transform, a trace or a graph"
+        )
+    start = scene.finite(state) if read else state.q.new_zeros((), dtype=torch.bool)
     notice = Notice(f"rollout of {total} steps")
     if lost == "warn" and read and (unusable := not_finite(scene, state)):
         warnings.warn(unusable, stacklevel=3)
@@ -53,13 +54,19 @@ def rollout(
         """Rows that were finite at the start, and are not."""
         return start & ~scene.finite(state)
 
+    recomputed = bool(checkpoint) and torch.is_grad_enabled() and not without_values((state.q,))
+    commands: dict[int, Tensor] = {}  # torques of the policy by step, if they are computed again
+
     def part(first: int, last: int, state: State) -> list[State]:
         found: list[State] = []
         for k in range(first, last):
             notice.at(f"step {k + 1} of {total}")
             given = {name: x[k] for name, x in series.items()}
             if policy is not None:
-                given["torque"] = _commanded(policy, state, scene.n)
+                before = _memory(policy) if recomputed else []
+                given["torque"] = torque = _commanded(policy, state, scene.n)
+                if recomputed:
+                    _require_memoryless(policy, before, commands.setdefault(k, torque.detach().clone()), torque)
             state = scene.step(state, **given)
             if lost == "stop" and bool(gone(state).any()):
                 break
@@ -108,9 +115,27 @@ def _length(series: Mapping[str, Tensor], steps: int | None, policy: Policy | No
         raise ArgumentError("steps must be given where there is no torque, whose first axis says how many they are")
     if any(length != total for length in lengths.values()):
         raise ArgumentError(f"steps and the first axes of the inputs must agree, found {steps} and {lengths}")
-    if not isinstance(total, int) or isinstance(total, bool) or total < 0:
-        raise ArgumentError(f"steps must not be negative, a whole number, found {total!r}")
+    require_count("steps", total, least=0)
     return total
+
+
+def _memory(policy: Policy) -> list[tuple[str, Tensor, int]]:
+    """Buffers of a policy that is a module, by name, and how often each was changed in place."""
+    found = policy.named_buffers() if isinstance(policy, nn.Module) else ()
+    return [(name, x, x._version) for name, x in found if not x.is_inference()]
+
+
+def _require_memoryless(policy: Policy, before: list[tuple[str, Tensor, int]], first: Tensor, torque: Tensor) -> None:
+    """Raise if a policy changed a buffer, or returned other torques in this pass than in the first one."""
+    after = _memory(policy)
+    changed = [a[0] for a, b in zip(before, after, strict=False) if a[1] is not b[1] or a[2] != b[2]]
+    other = first.shape != torque.shape or bool(((first != torque) & ~(first.isnan() & torque.isnan())).any())
+    if changed or other:
+        found = f"that it changes its buffer {changed[0]!r}" if changed else "other torques the second time"
+        raise ArgumentError(
+            f"policy must depend on the state alone where checkpoint is not 0, since it is called again for the "
+            f"gradient, found {found}; use checkpoint=0, or a policy that remembers nothing, as after policy.eval()"
+        )
 
 
 def _commanded(policy: Policy, state: State, n: int) -> Tensor:

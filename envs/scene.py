@@ -19,7 +19,8 @@ from torch import Tensor
 
 from torchdq.backends.choice import BackendName
 from torchdq.caches import PROGRAMS, Bounded
-from torchdq.call import batch_of, evaluate
+from torchdq.call import evaluate
+from torchdq.checks import require_count, require_number
 from torchdq.effects.effect import Effect
 from torchdq.envs.controllers import Controller
 from torchdq.envs.describe import Description, describe
@@ -30,9 +31,9 @@ from torchdq.envs.recording import Stage
 from torchdq.envs.rollout import Lost, Policy, rollout
 from torchdq.envs.spec import CONTROLLER, ROBOT, SceneSpec, Task
 from torchdq.envs.stability import Check, check
-from torchdq.envs.starts import outside_limits
+from torchdq.envs.starts import motion_at_start, outside_limits
 from torchdq.envs.state import State, require_state
-from torchdq.envs.together import together
+from torchdq.envs.together import require_free, together
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, check_precision
 from torchdq.program.program import Argument, Count, Program
@@ -59,7 +60,7 @@ class Scene:
         integrator: see `torchdq.envs.integrators`. The default holds damping, friction, springs, servos and limits of
             joints at any step; what an explicit one holds, `check` says.
         dt: duration of a step [s]; torques are constant over it.
-        substeps: steps of the integrator within a step.
+        substeps: steps of the integrator within a step, in one program; for hundreds, `integrators.Repeated`.
         backend: as in `torchdq.functional`.
         precision: "auto": in the dtype of the state; a sample whose mass matrix would cost float32 half of its digits
             takes that step in float64, one whose mass matrix is singular becomes NaN. "double": a float32 state, and
@@ -92,16 +93,15 @@ class Scene:
             raise ArgumentError(f"controller must be one of torchdq.envs.controllers, found {self.controller!r}")
         if not isinstance(self.integrator, Integrator):
             raise ArgumentError(f"integrator must be one of torchdq.envs.integrators, found {self.integrator!r}")
-        if not (isinstance(self.dt, int | float) and 0 < self.dt < math.inf):
-            raise ArgumentError(f"dt must be a positive number of seconds, found {self.dt!r}")
-        if not isinstance(self.substeps, int) or self.substeps < 1:
-            raise ArgumentError(f"substeps must be a whole number from 1, found {self.substeps!r}")
+        require_number("dt", self.dt, positive=True)
+        require_count("substeps", self.substeps)
         check_precision(self.precision)
         if self.substeps > 1 and isinstance(self.integrator, Unrecorded):
             raise ArgumentError(
                 f"substeps are those of a recorded integrator, found {self.substeps} with {self.integrator!r}; "
                 f"give them to Repeated, DormandPrince chooses its own"
             )
+        require_free(self.robot, self.controller, self.integrator)
         resolved = together(self.effects, self.robot)
         controller = None if self.controller is None else self.controller.resolved(self.robot)
         spec = SceneSpec(
@@ -145,32 +145,58 @@ class Scene:
         """Scene with some fields replaced; tensors of equal shapes need no new program."""
         return replace(self, **changes)
 
+    def to(self, device: torch.device | str) -> Scene:
+        """Scene whose parameters that are tensors are on a device; a step would copy them there every time."""
+        if all(x.device == torch.device(device) for x in self._parameters.values()):
+            return self
+        robot = self.robot.replace(**{name: getattr(self.robot, name).to(device) for name in arguments(self.robot)})
+        controller, *effects = [
+            None if part is None else replace(part, **{name: x.to(device) for name, x in part.tensors().items()})
+            for part in (self.controller, *self.effects)
+        ]
+        return self.replace(robot=robot, controller=controller, effects=effects)
+
     # --- time ---
 
-    def start(self, q: Tensor, qd: Tensor | None = None, noise: Tensor | None = None) -> State:
+    def start(
+        self,
+        q: Tensor,
+        qd: Tensor | None = None,
+        noise: Tensor | None = None,
+        X_WB: Tensor | None = None,
+        V_WB_B: Tensor | None = None,
+    ) -> State:
         """Initial state, effects at rest, sensors read once; positions far outside `effects.Limits` are warned of.
 
         Args:
             q: positions [rad or m], shape [..., n].
             qd: velocities [rad/s or m/s], shape [..., n]; None: at rest.
             noise: random numbers for the sensors, as in `step`.
+            X_WB: pose of a free base in the world, shape [..., 8]; None: at the origin.
+            V_WB_B: twist (angular, linear) of a free base in its axes [rad/s, m/s], shape [..., 6]; None: at rest.
         """
-        given = {"q": q} if qd is None else {"q": q, "qd": qd}
-        batch_of(Stage(self.spec, "start"), given)
-        # clones, so that later changes of q do not move the state
-        q, qd = torch.broadcast_tensors(q.clone(), torch.zeros_like(q) if qd is None else qd.clone())
-        if found := outside_limits(self, q):
+        moved = motion_at_start(self, {"q": q, "qd": qd, "X_WB": X_WB, "V_WB_B": V_WB_B})
+        if found := outside_limits(self, moved["q"]):
             warnings.warn(found, stacklevel=2)
-        return self.begin(q, qd, {}, noise)[0]
+        return self.begin(moved, {}, noise)[0]
 
     def begin(
-        self, q: Tensor, qd: Tensor, inputs: Mapping[str, Tensor], noise: Tensor | None = None, task: Task | None = None
+        self,
+        moved: Mapping[str, Tensor],
+        inputs: Mapping[str, Tensor],
+        noise: Tensor | None = None,
+        task: Task | None = None,
     ) -> tuple[State, dict[str, Tensor]]:
-        """Initial state, and rows that a task computes from it."""
+        """Initial state, and rows that a task computes from it.
+
+        Args:
+            moved: positions and velocities, by their names in a state.
+            inputs, noise, task: as in `advance`.
+        """
         if task is None and not self.spec.senses and not self.spec.remembers:
-            return State(q, qd), {}
-        state, rows = _split(self.evaluate("begin", self._with_noise({"q": q, "qd": qd, **inputs}, noise), task))
-        return state._replace(q=q, qd=qd), rows
+            return State(**moved), {}
+        state, rows = _split(self.evaluate("begin", self._with_noise({**moved, **inputs}, noise), task))
+        return state._replace(**moved), rows
 
     def step(self, state: State, torque: Tensor | None = None, noise: Tensor | None = None, **inputs: Tensor) -> State:
         """State after `dt`.
@@ -229,7 +255,8 @@ class Scene:
             checkpoint: for the gradient, one state in so many is kept, and the others are computed again; 0 keeps the
                 inputs of every step.
             policy: function of the state that returns the torques of a step, shape [..., n], instead of `torque`; a
-                module, for instance. Where there are sensors it should look at `state.measured`.
+                module, for instance. Where there are sensors it should look at `state.measured`. With a checkpoint it
+                is called again for the gradient, and must remember nothing: no filter, counter or batch norm.
             lost: "warn": warn if rows are not finite at the start, or no longer at the end; "stop": end before the step
                 that loses one; "keep": say nothing.
             inputs: as in `step`, shape [steps, ...].
@@ -250,7 +277,7 @@ class Scene:
     def energy(self, state: State) -> Tensor:
         """Kinetic and potential energy [J] of the rigid bodies, without springs and their rotors, shape [..., 2]."""
         require_state(state)
-        return self.evaluate("energy", {"q": state.q, "qd": state.qd})["E"]
+        return self.evaluate("energy", {name: x for name, x in state.rows().items() if name in self.spec.moving})["E"]
 
     def linearize(
         self, state: State, torque: Tensor | None = None, noise: Tensor | None = None, **inputs: Tensor
@@ -367,4 +394,4 @@ class Scene:
 
 def _split(rows: dict[str, Tensor]) -> tuple[State, dict[str, Tensor]]:
     """State and the task's rows, of the rows of a program."""
-    return State(rows.pop("q"), rows.pop("qd"), rows.pop("memory", None), rows.pop("reading", None)), rows
+    return State(**{name: rows.pop(name) for name in State._fields if name in rows}), rows

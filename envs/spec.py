@@ -12,9 +12,10 @@ from torchdq.effects.model import ModelEffect
 from torchdq.effects.sensor import Sensor
 from torchdq.effects.transmission import Transmission
 from torchdq.envs.controllers import Controller
+from torchdq.envs.free_base import POSE, TWIST, unit
 from torchdq.envs.integrators import Integrator
 from torchdq.robot import Robot
-from torchdq.robot.posed import INERTIAL, Overrides, posed
+from torchdq.robot.posed import BODIES, Overrides, posed
 from torchdq.robot.robot import SHAPES
 
 Rows = dict[str, Row]
@@ -59,7 +60,13 @@ class SceneSpec:
         """Names and widths of the rows of a state."""
         n = self.robot.n
         memory = {"memory": self.remembers} if self.remembers else {}
-        return {"q": n, "qd": n, **memory, **({"reading": 2 * n} if self.senses else {})}
+        return {**self.moving, **memory, **({"reading": 2 * n} if self.senses else {})}
+
+    @property
+    def moving(self) -> dict[str, int]:
+        """Names and widths of the positions and velocities of a state."""
+        base = {"X_WB": POSE, "V_WB_B": TWIST} if self.robot.floating else {}
+        return {"q": self.robot.n, "qd": self.robot.n, **base}
 
     @property
     def senses(self) -> bool:
@@ -120,19 +127,34 @@ class RecordedScene:
     linear: bool  # True: accelerations by articulated bodies, in O(n)
     inputs: Mapping[str, Row] = field(default_factory=dict)
 
-    def posed(self, q: Row) -> Posed:
-        """Robot at joint positions, with the scene's changes."""
-        return posed(self.spec.robot, q, self.overrides, self.per_sample)
+    def posed(self, q: Row, X_WB: Row | None = None) -> Posed:
+        """Robot at joint positions and, if its base is free, at the pose of it, with the scene's changes."""
+        base = None if X_WB is None else (tuple(X_WB[:4]), tuple(X_WB[4:]))
+        return posed(self.spec.robot, q, self.overrides, self.per_sample, base)
 
     def packed(self, q: Row, qd: Row, memory: Memory) -> tuple[Row, Row]:
-        """Integrated positions x and velocities v of a state: joints, then rotors."""
+        """Positions and velocities of the joints and then of the rotors behind them."""
         at, transmission = self.spec.transmission
         return transmission.extended(q, qd, () if at is None else memory[at])
 
-    def unpacked(self, x: Row, v: Row, memory: Memory) -> tuple[Row, Row, Memory]:
-        """State of integrated positions x and velocities v."""
+    def with_base(self, x: Row, v: Row) -> tuple[Row, Row]:
+        """Integrated positions x and velocities v: `packed` ones, then those of a free base."""
+        if not self.spec.robot.floating:
+            return x, v
+        return (*x, *self.inputs["X_WB"]), (*v, *self.inputs["V_WB_B"])
+
+    def base_of(self, x: Row) -> Row | None:
+        """Pose of a free base among integrated positions; None: the base is fixed."""
+        return x[-POSE:] if self.spec.robot.floating else None
+
+    def unpacked(self, x: Row, v: Row, memory: Memory) -> tuple[Rows, Memory]:
+        """State of integrated positions x and velocities v, and the memory."""
         (at, _), n = self.spec.transmission, self.spec.robot.n
-        return x[:n], v[:n], memory if at is None else {**memory, at: (*x[n:], *v[n:])}
+        rows: Rows = {"q": x[:n], "qd": v[:n]}
+        if self.spec.robot.floating:
+            rows |= {"X_WB": unit(x[-POSE:]), "V_WB_B": v[-TWIST:]}
+            x, v = x[:-POSE], v[:-TWIST]
+        return rows, memory if at is None else {**memory, at: (*x[n:], *v[n:])}
 
 
 class View(NamedTuple):
@@ -166,9 +188,9 @@ def recorded(
         effects=tuple(bound(i, effect) for i, effect in enumerate(spec.effects)),
         controller=None if spec.controller is None else bound(CONTROLLER, spec.controller),
     )
-    for i, effect in spec.of(ModelEffect):
+    for i, effect in sorted(spec.of(ModelEffect), key=lambda found: found[1].LATE):
         changes = effect.changed(spec.robot, overrides)
         overrides.update(changes)
         if any(owner == i for owner, _ in per_sample):
             differing.update(changes)
-    return RecordedScene(spec, overrides, tuple(name for name in INERTIAL if name in differing), linear, inputs)
+    return RecordedScene(spec, overrides, tuple(name for name in BODIES if name in differing), linear, inputs)

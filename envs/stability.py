@@ -148,7 +148,8 @@ class _Trial:
         with torch.no_grad():
             path = rollout(scene, self.state, series, self.intervals, None, 0, "keep")
         begins = scene.finite(self.state)
-        ends = scene.finite(path) & (path.q.abs() < FAR).all(-1) & (path.qd.abs() < FAR).all(-1)
+        moving = [x for name, x in path.rows().items() if name in scene.spec.moving]
+        ends = scene.finite(path) & (torch.cat(moving, -1).abs() < FAR).all(-1)
         lost = begins & ~ends[-1]
         if adaptive:
             return 1.0, "", lost
@@ -171,6 +172,8 @@ class _Trial:
 
     def _growth(self, integrator: Integrator, times: int, states: State) -> tuple[float, str]:
         """Largest factor by which a step magnifies a motion of frozen springs and dampers, and the joint that moves."""
+        if not self.scene.n:
+            return 1.0, ""
         inputs = {name: x for name, x in self._inputs().items() if name != "noise"}
         with torch.no_grad():
             system, x, v, _ = driven(self.scene, states, inputs)
@@ -201,7 +204,10 @@ class _Frozen(System):
     def of(cls, rows: Mapping[str, Tensor]) -> _Frozen:
         """System of joints and, if there are any, of the rotors behind them."""
         n = rows["D"].shape[-1]
-        M = rows["M"].reshape(-1, n, n)
+        whole = rows["M"].unflatten(-1, (math.isqrt(rows["M"].shape[-1]), -1)).flatten(0, -3)
+        free, M = whole.shape[-1] - n, whole[:, -n:, -n:]
+        if free:  # a base that may move takes inertia off its joints
+            M = M - whole[:, free:, :free] @ torch.linalg.solve(whole[:, :free, :free], whole[:, :free, free:])
         D, K = (torch.diag_embed(rows[name].reshape(-1, n)) for name in "DK")
         if "inertia" in rows:
             d, k, J = (torch.diag_embed(rows[name].reshape(-1, n)) for name in ("damping", "stiffness", "inertia"))

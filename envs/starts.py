@@ -1,19 +1,50 @@
-"""States that a scene should not start from: rows that are not finite, and positions far outside the joint limits."""
+"""States that a scene starts from, and those that it should not: not finite, or far outside the joint limits."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
+from torchdq.call import batch_of
+from torchdq.envs.free_base import POSE
+from torchdq.envs.recording import Stage
 from torchdq.envs.state import State
+from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
 
 if TYPE_CHECKING:
     from torchdq.envs.scene import Scene
 
+UNIT = 1e-4  # error of a pose that is taken for a unit dual quaternion: finite differences stay below
 OUTSIDE = 0.5  # distance beyond a limit from which its spring throws the joint back at speeds of no real arm [rad or m]
+
+
+def motion_at_start(scene: Scene, given: Mapping[str, Tensor | None]) -> dict[str, Tensor]:
+    """Positions and velocities of a state, by name, with common batch axes; those not given are zero, a pose is 1."""
+    present = {name: x for name, x in given.items() if x is not None}
+    batch = batch_of(Stage(scene.spec, "start"), present)
+    q = present["q"]
+    moved = {name: q.new_zeros(width) for name, width in scene.spec.moving.items()}
+    if "X_WB" in present:
+        _require_unit(present["X_WB"])
+    if "X_WB" in moved:
+        moved["X_WB"] = torch.eye(1, POSE, dtype=q.dtype, device=q.device)[0]
+    # clones, so that later changes of q do not move the state
+    return {name: x.clone().expand(*batch, x.shape[-1]) for name, x in {**moved, **present}.items()}
+
+
+def _require_unit(X_WB: Tensor) -> None:
+    """Raise unless poses, those with NaN apart, are unit dual quaternions up to their rounding."""
+    if without_values((X_WB,)) or not X_WB.numel():
+        return
+    r, d = X_WB.detach().double().split(4, -1)
+    wrong = ((r.norm(dim=-1) - 1).abs() > UNIT) | ((r * d).sum(-1).abs() > UNIT * (1 + d.norm(dim=-1)))
+    if bool(wrong.any()):
+        found = X_WB[tuple(wrong.nonzero()[0].tolist())].tolist()
+        raise ArgumentError(f"X_WB must be unit dual quaternions (see torchdq.dq.normalize), found {found}")
 
 
 def not_finite(scene: Scene, state: State) -> str:
@@ -38,9 +69,10 @@ def outside_limits(scene: Scene, q: Tensor) -> str:
     if not limits or not q.numel() or without_values((q,)):
         return ""
     for bounds in limits:
-        low, high = (torch.as_tensor(x).detach().to(q) for x in bounds)
-        if without_values((low, high)):
+        low, high = (torch.as_tensor(x, device=getattr(x, "device", "cpu")).detach() for x in bounds)
+        if without_values((low,)) or without_values((high,)):
             continue
+        low, high = low.to(q), high.to(q)
         q = q.detach()
         beyond = torch.maximum(low - q, q - high)
         if not bool((beyond > OUTSIDE).any()):

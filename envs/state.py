@@ -15,8 +15,10 @@ class State(NamedTuple):
 
     q: Tensor  # [..., n] positions [rad or m]
     qd: Tensor  # [..., n] velocities [rad/s or m/s]
-    memory: Tensor | None = None  # [..., m] what the effects remember; None: nothing
+    memory: Tensor | None = None  # [..., m] what the effects of its scene remember, in their order; None: nothing
     reading: Tensor | None = None  # [..., 2 n] measured positions and velocities; None: there are no sensors
+    X_WB: Tensor | None = None  # [..., 8] pose of a free base; None: the base is fixed
+    V_WB_B: Tensor | None = None  # [..., 6] twist (angular, linear) of a free base in its axes [rad/s, m/s]
 
     @property
     def measured(self) -> tuple[Tensor, Tensor]:

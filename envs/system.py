@@ -16,6 +16,7 @@ from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.body import Bodies, BodyEffect
 from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.effects.transmission import Transmission
+from torchdq.envs import free_base
 from torchdq.envs.integrators import System
 from torchdq.envs.spec import RecordedScene, Rows
 from torchdq.errors import ArgumentError
@@ -35,29 +36,56 @@ class SceneSystem(System):
 
     # --- mechanics ---
 
-    def _exerted(self, at: Posed, qd: Row) -> list[Screw | None] | None:
+    def moved(self, x: Row, h: Number, rate: Row) -> list[Number]:
+        """Positions at a displacement: joints and rotors along straight lines, a free base along a screw."""
+        if not self.scene.spec.robot.floating:
+            return super().moved(x, h, rate)
+        joints = super().moved(x[: -free_base.POSE], h, rate[: -free_base.TWIST])
+        return [*joints, *free_base.moved(x[-free_base.POSE :], h, rate[-free_base.TWIST :])]
+
+    def rates(self, h: Number, rate: Row, v: Row) -> Row:
+        """Rates of the displacement: the velocities, up to terms of the displacement of a free base."""
+        if not self.scene.spec.robot.floating:
+            return v
+        displacement = [h * x for x in rate[-free_base.TWIST :]]
+        return [*v[: -free_base.TWIST], *free_base.rate(displacement, v[-free_base.TWIST :])]
+
+    def _at(self, x: Row) -> Posed:
+        return self.scene.posed(x[: self._n], self.scene.base_of(x))
+
+    def _exerted(self, at: Posed, v: Row) -> list[Screw | None] | None:
         """Wrenches of the links on the environment; None: there are no body effects."""
         effects = self.scene.spec.of(BodyEffect)
         if not effects:
             return None
-        bodies = Bodies(self.scene.spec.robot, at, at.twists(qd))
-        wrenches: list[Screw | None] = [None] * (len(qd) + 1)  # the base's first
+        robot = self.scene.spec.robot
+        bodies = Bodies(robot, at, at.twists(motion(self.scene, v)))
+        wrenches: list[Screw | None] = [None] * (len(robot.link_names) + 1)  # the base's first
         for _, effect in effects:
             for i, wrench in effect.wrenches(bodies, self.scene.inputs).items():
                 wrenches[i] = add(wrenches[i], wrench)
         return [neg(f) for f in wrenches]
 
-    def _solved(self, at: Posed, b: Row) -> Sequence[Number]:
-        """Solution of M x = b."""
+    def _solved(self, at: Posed, b: Row) -> tuple[Sequence[Number], Sequence[Number]]:
+        """Solution of M x = b: the rows of the joints, and those of a free base."""
         x, growth = solve(self.scene.spec.robot, at, b, self.scene.linear)
         self.watch(growth)
-        return x
+        return x[-self._n :] if self._n else (), x[: len(x) - self._n]
+
+    def _net(self, at: Posed, forces: Row, x: Row, v: Row) -> list[Number]:
+        """Forces on a free base and on the joints, less those of velocities, gravity and wrenches."""
+        return difference([*self._free, *forces], at.torques(motion(self.scene, v), None, self._exerted(at, v)))
 
     # --- forces at the joints ---
 
     @property
     def _n(self) -> int:
         return self.scene.spec.robot.n
+
+    @property
+    def _free(self) -> Row:
+        """Zeros for the twist of a free base; none if the base is fixed."""
+        return (0.0,) * free_base.TWIST if self.scene.spec.robot.floating else ()
 
     @property
     def _transmission(self) -> Transmission:
@@ -75,11 +103,11 @@ class SceneSystem(System):
         return [list(joint) for joint in zip(*found, strict=True)] if found else [[] for _ in q]
 
     def frozen(self, x: Row, v: Row) -> Rows:
-        """Mass matrix M of the joints, their damping D and stiffness K in a state, and the rotors behind them."""
+        """Mass matrix M, damping D and stiffness K of the joints in a state, and the rotors behind them."""
         q = x[: self._n]
         impedances = self._impedances(q, v[: self._n])
         rows: Rows = {
-            "M": [0.0 if a is None else a for row in self.scene.posed(q).mass_matrix() for a in row],
+            "M": [0.0 if a is None else a for row in self._at(x).mass_matrix() for a in row],
             "D": [sum((z.damping for z in joint), 0.0) for joint in impedances],
             "K": [sum((z.stiffness * z.active for z in joint), 0.0) for joint in impedances],
         }
@@ -102,43 +130,47 @@ class SceneSystem(System):
 
     def accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations in a state."""
-        q, qd = x[: self._n], v[: self._n]
-        at = self.scene.posed(q)
+        at = self._at(x)
         passed, forces = self._explicit(x, v)
-        net = difference(forces, at.torques(qd, None, self._exerted(at, qd)))
-        return [*self._solved(at, net), *self._transmission.accelerations(self.u, passed)]
+        qdd, base = self._solved(at, self._net(at, forces, x, v))
+        return [*qdd, *self._transmission.accelerations(self.u, passed), *base]
 
     def implicit_accelerations(self, x: Row, v: Row, h: Number) -> list[Number]:
         """Mean accelerations over a step whose impedances and transmission act on the state at its end."""
         q, qd = x[: self._n], v[: self._n]
-        at = self.scene.posed(q)
-        joints = self._transmission.eliminated(self.u, x, v, h)
+        at = self._at(x)
+        joints = self._transmission.eliminated(self.u, x, v[: len(v) - len(self._free)], h)
         impedances = self._impedances(q, qd)
         damping = [sum((z.damping_at_end(h) for z in joint), 0.0) for joint in impedances]
         forces = self._forces(joints.torques, impedances, damping, qd)
-        net = difference(forces, at.torques(qd, None, self._exerted(at, qd)))
         inertia = [a + h * d for a, d in zip(joints.inertia, damping, strict=True)]
-        qdd = self._solved(at.with_armature(inertia), net)
-        return [*qdd, *joints.rotors(qdd)]
+        qdd, base = self._solved(at.with_armature([*self._free, *inertia]), self._net(at, forces, x, v))
+        return [*qdd, *joints.rotors(qdd), *base]
 
     def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations M(q)^-1 (dL/dq + forces), and those of the rotors."""
         q, qd = x[: self._n], v[: self._n]
         passed, forces = self._explicit(x, v)
         at = self.scene.posed(q)
-        exerted = self._exerted(at, qd)
+        exerted = self._exerted(at, v)
         if exerted is not None:
             # inverse dynamics at rest without gravity: the wrenches alone
             forces = difference(forces, at.without_gravity().torques(None, None, exerted))
         rate = [f + g for f, g in zip(forces, lagrangian_gradient(self.scene, q, qd), strict=True)]
-        return [*self._solved(at, rate), *self._transmission.accelerations(self.u, passed)]
+        return [*self._solved(at, rate)[0], *self._transmission.accelerations(self.u, passed)]
 
     def velocities_at(self, x: Row, v: Row, to: Row) -> list[Number]:
         """Velocities at the positions `to` that have the momentum of (x, v); rotors keep theirs."""
         n = self._n
         # by the mass matrix, whose rounding is that of the solution, and not by the cheaper inverse dynamics
         momentum = matrix.matvec(self.scene.posed(x[:n]).mass_matrix(), v[:n], mul, plus)
-        return [*self._solved(self.scene.posed(to[:n]), momentum), *v[n:]]
+        return [*self._solved(self.scene.posed(to[:n]), momentum)[0], *v[n:]]
+
+
+def motion(scene: RecordedScene, v: Row) -> Row:
+    """Velocities of a free base and of the coordinates, in the order of the dynamics, among integrated velocities."""
+    n = scene.spec.robot.n
+    return [*v[-free_base.TWIST :], *v[:n]] if scene.spec.robot.floating else v[:n]
 
 
 def with_growths(scene: RecordedScene, u: Row, rows: Callable[[SceneSystem], Rows]) -> Rows:

@@ -29,6 +29,7 @@ from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.checks import Named
+from torchdq.dynamics.joints import KINDS
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.envs.spec import Rows, Task, View
 from torchdq.errors import ArgumentError, UnknownNameError
@@ -364,12 +365,21 @@ def reach(robot: Robot) -> float:
     length, i = _length(frame.X_BF.tolist()), frame.link
     while i >= 0:
         length += _length(robot.X_PB_home[i].tolist())
-        if robot.joint_types[i].turns:  # a turn about an axis that passes the frame's origin at a distance
+        if KINDS[robot.kinds[i]].turns:  # a turn about an axis that passes the frame's origin at a distance
             length += 2 * math.hypot(*robot.screw[i, 3:].tolist())
-        if robot.joint_types[i].slides:
-            length += max(map(abs, ranges(robot)[i].beyond))
+        if KINDS[robot.kinds[i]].slides:
+            length += _slide(robot, i)
         i = robot.parents[i]
     return 1.01 * length
+
+
+def _slide(robot: Robot, i: int) -> float:
+    """Longest displacement of a sliding joint from its home [m]."""
+    bounds = [max(map(abs, r.beyond)) for r in ranges(robot)]
+    home = 0.0 if robot.home is None else abs(float(robot.home[i]))
+    if robot.joint_map is None:
+        return home + bounds[i]
+    return home + sum(abs(x) * bound for x, bound in zip(robot.joint_map.S[i].tolist(), bounds, strict=True))
 
 
 def _length(X: Sequence[float]) -> float:

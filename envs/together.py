@@ -16,6 +16,8 @@ from torchdq.effects.joint import JointEffect
 from torchdq.effects.model import ModelEffect
 from torchdq.effects.sensor import Sensor
 from torchdq.effects.transmission import Transmission
+from torchdq.envs.controllers import Controller
+from torchdq.envs.integrators import Integrator
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 
@@ -34,6 +36,20 @@ def together(effects: Sequence[Effect], robot: Robot) -> tuple[Effect, ...]:
         if number > 1:
             raise ArgumentError(f"the input {name!r} belongs to {number} effects; give them names of their own")
     return resolved
+
+
+def require_free(robot: Robot, controller: Controller | None, integrator: Integrator) -> None:
+    """Raise unless controller and integrator serve the base of a robot: all of them do if it is fixed."""
+    if robot.floating and controller is not None:
+        raise ArgumentError(
+            f"controller must be None for a robot with a free base, found {type(controller).__name__}, which commands "
+            "joints of a robot with a fixed one; use effects.Servo, or compute torques with torchdq.floating"
+        )
+    if robot.floating and integrator.FIXED:
+        raise ArgumentError(
+            f"integrator must be one for robots with a free base, such as RungeKutta4, found "
+            f"{type(integrator).__name__}: {integrator.FIXED}"
+        )
 
 
 def _check_effects(effects: Sequence[Effect]) -> None:

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.checks import Named, floating, require_tensor
+from torchdq.checks import Named, floating, require_count, require_tensor
 from torchdq.envs.state import State
 from torchdq.envs.tasks import SENSIBLE, EpisodeTask
 from torchdq.errors import ArgumentError, UnknownNameError
@@ -95,8 +95,9 @@ class TorchTask:
         for pair in self.bounds or ():
             if not (isinstance(pair, Sequence) and len(pair) == 2 and pair[0] <= pair[1]):
                 raise ArgumentError(f"bounds must be pairs (lower, upper), found {pair!r}")
-        if not isinstance(self.draws, int) or self.draws < 0 or (self.draws and self.start is None):
-            raise ArgumentError(f"draws must be a whole number from 0, and 0 without a start, found {self.draws!r}")
+        require_count("draws", self.draws, least=0)
+        if self.draws and self.start is None:
+            raise ArgumentError(f"draws must be 0 without a start, which takes them, found {self.draws!r}")
 
 
 class Functions(NamedTuple):
@@ -127,8 +128,8 @@ class Functions(NamedTuple):
                 f"environment, found that it does; use torch.where(condition, a, b), and & | ~ in the condition"
             ) from error
 
-    def started(self, u: Tensor) -> dict[str, Tensor]:
-        """Rows of the start that the task defines, of random numbers [N, draws]."""
+    def started(self, u: Tensor, looks: bool) -> dict[str, Tensor]:
+        """Rows of the start that the task defines, of random numbers [N, draws]; `looks`: as in `first`."""
         if self.task.start is None:
             return {}
         found, widths = self._called("start", self.robot, u), {"q": self.robot.n, "qd": self.robot.n, "goal": None}
@@ -138,14 +139,18 @@ class Functions(NamedTuple):
             if name not in widths:
                 raise UnknownNameError("row that start may return", name, widths)
         rows = {name: _row(f"start's {name!r}", x, (len(u), widths[name]), u) for name, x in found.items()}
-        for name, x in rows.items():
+        for name, x in rows.items() if looks else ():
             _require_finite(f"start's {name!r}", x)
         return rows
 
-    def first(self, now: Now) -> Tensor:
-        """Observation [N, k] at the start of episodes."""
+    def first(self, now: Now, looks: bool) -> Tensor:
+        """Observation [N, k] at the start of episodes.
+
+        Raises if one is not finite; unless the host `looks`, such an episode fails at its first step.
+        """
         found = self.observed(now)
-        _require_finite("observation", found)
+        if looks:
+            _require_finite("observation", found)
         return found
 
     def observed(self, now: Now) -> Tensor:

@@ -87,8 +87,8 @@ class ArmVectorEnv(VectorEnv):
             `info["_final_obs"]` and `info["_final_info"]`. NEXT_STEP: at the next step, which ignores their action.
             DISABLED: when `reset(options={"reset_mask": mask})` is called; stepping a finished row is an error.
         dtype: float32 or float64, torch's, numpy's or by name.
-        device: device of the environments. On a GPU the host does not wait for flags: actions that are not finite end
-            their rows as failed instead of raising an error, and `info["final_obs"]` is there at every step.
+        device: device of the environments. On a GPU the host does not wait for flags: instead of an error, a row fails
+            whose action is not finite, or that has finished and was not reset; `info["final_obs"]` is always there.
         output: "torch" or "numpy": type of everything that `reset` and `step` return.
         render_mode: "rgb_array": `render` returns a frame of every environment; "human": every step shows the first
             one in a browser.
@@ -155,11 +155,12 @@ class ArmVectorEnv(VectorEnv):
             scene = scene.replace(controller=controller or ComputedTorque(KP, KD, nominal(scene)))
         elif controller is not None:
             raise ArgumentError("controller must be None for torque actions; did you mean action='residual'?")
-        self.scene, self._randomised = randomised(scene, randomise or {}, num_envs, like)
+        self.scene, self._randomised = randomised(scene.to(self.device), randomise or {}, num_envs, like)
         check_scene(self.scene, num_envs)
         self._actions = Actions(action, self.robot, torch.as_tensor(full(self.robot, action, scale)).to(like))
         self._checked = Checked(self.task)
-        self._functions = None if functions is None else Functions(functions, self.robot, dt)
+        near = self.robot if self.robot.mass.device == self.device else self.robot.to(self.device)
+        self._functions = None if functions is None else Functions(functions, near, dt)
         self._reset = Reset(self.scene, self._checked, self._randomised, self._functions)
         bounds = self.task.bounds(self.robot) if functions is None or functions.bounds is None else functions.bounds
         low, high = np.array(bounds, dtype=np.dtype(str(self.dtype).removeprefix("torch."))).T
@@ -192,17 +193,19 @@ class ArmVectorEnv(VectorEnv):
         for name in options or {}:
             if name != "reset_mask":
                 raise UnknownNameError("option of reset", name, ("reset_mask",))
-        mask = reset_mask_of((options or {}).get("reset_mask"), self.num_envs, self.device)
-        if mask is not None and not self._buffers:
+        mask = reset_mask_of((options or {}).get("reset_mask"), self.num_envs, self.device, self._looks)
+        if mask is None:
+            mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        elif not self._buffers:
             raise ResetNeeded("a first reset must be of all environments; call reset() without a reset_mask")
-        rows = torch.arange(self.num_envs, device=self.device) if mask is None else mask.nonzero().squeeze(1)
-        buffers = self._buffers or self._blank()
+        buffers = dict(self._buffers) or self._blank()
         if seed is not None:
-            buffers.update(self._seeded(buffers, seed, rows)._asdict())
-        self._begin(buffers, Indexed(rows))
-        self._unreset = bool(self._buffers["finished"].any())
+            buffers.update(self._seeded(buffers, seed, mask)._asdict())
+        buffers = self._begun(buffers, self._some(mask))
+        self._keep(buffers)
+        self._unreset = self._any(buffers["finished"])
         self._show()
-        return self._out(self._buffers["observation"]), {}
+        return self._out(buffers["observation"]), {}
 
     @torch.no_grad()
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
@@ -213,7 +216,8 @@ class ArmVectorEnv(VectorEnv):
         """
         self._started("step")
         finished, counter = self._buffers["finished"], self._buffers["counter"]
-        if self._unreset and self.autoreset_mode == AutoresetMode.DISABLED and bool(finished.any()):
+        unreset = self._unreset and self.autoreset_mode == AutoresetMode.DISABLED
+        if unreset and self._looks and bool(finished.any()):
             raise ResetNeeded(
                 f"environments {finished.nonzero().squeeze(1).tolist()[:8]} have finished; reset them with "
                 f"options={{'reset_mask': terminated | truncated}}, or choose another autoreset_mode"
@@ -221,7 +225,7 @@ class ArmVectorEnv(VectorEnv):
         actions, clipped = self._actions.clipped(actions, self.num_envs, self._looks)
         rows, buffers = self._advanced(actions)
         reward, failed = rows.pop("reward"), rows.pop("valid") != self._valid
-        terminated = failed
+        terminated = failed = failed | finished if unreset else failed
         if "terminated" in rows:
             terminated = failed | (rows.pop("terminated") != 0)
         limit = self.max_episode_steps
@@ -239,20 +243,19 @@ class ArmVectorEnv(VectorEnv):
         if self._unreset and self.autoreset_mode == AutoresetMode.NEXT_STEP:
             # this step is the reset of the rows that had finished
             buffers["counter"] = torch.where(finished, counter, buffers["counter"])
-            self._begin(buffers, self._some(finished))
+            buffers = self._begun(buffers, self._some(finished))
             going = ~finished
             reward, terminated, truncated = reward.masked_fill(finished, 0.0), terminated & going, truncated & going
             info["nonfinite"] = failed & going
-            any_done = self._any(self._buffers["finished"])
+            any_done = self._any(buffers["finished"])
         elif any_done and self.autoreset_mode == AutoresetMode.SAME_STEP:
             info.update(final_obs=last, _final_obs=done, final_info=dict(info), _final_info=done)
-            self._begin(buffers, self._some(done))
+            buffers = self._begun(buffers, self._some(done))
             any_done = False
-        else:
-            self._buffers = buffers
+        self._keep(buffers)
         self._unreset = any_done
         self._show()
-        found = (self._buffers["observation"], reward, terminated, truncated, info)
+        found = (buffers["observation"], reward, terminated, truncated, info)
         return found if self.output == "torch" else tuple(self._out(x) for x in found)
 
     def render(self) -> tuple[np.ndarray, ...] | None:
@@ -303,8 +306,8 @@ class ArmVectorEnv(VectorEnv):
         check_state(state, own)
         for name, x in self._drawn().items():
             x.copy_(state[name])
-        self._buffers = {name: x.to(self.device, copy=True) for name, x in state.items() if "." not in name}
-        self._unreset = bool(self._buffers["finished"].any()) and self.autoreset_mode != AutoresetMode.SAME_STEP
+        self._keep({name: x.to(self.device, copy=True) for name, x in state.items() if "." not in name})
+        self._unreset = self._any(self._buffers["finished"]) and self.autoreset_mode != AutoresetMode.SAME_STEP
 
     def _drawn(self) -> dict[str, Tensor]:
         """The scene's own tensors that are drawn for every episode."""
@@ -327,17 +330,16 @@ class ArmVectorEnv(VectorEnv):
             return x
         return {k: self._out(v) for k, v in x.items()} if isinstance(x, dict) else x.cpu().numpy()
 
-    def _seeded(self, buffers: Mapping[str, Tensor], seed: Any, rows: Tensor) -> Streams:
-        """Random numbers with some rows seeded."""
+    def _seeded(self, buffers: Mapping[str, Tensor], seed: Any, mask: Tensor) -> Streams:
+        """Random numbers with the rows of a mask seeded."""
         if isinstance(seed, Tensor | np.ndarray):
             seed = seed.tolist()
         seeds = seeds_of(seed, self.num_envs)
         if isinstance(seed, Integral):
             super().reset(seed=int(seed))
-        chosen = {i: s for i in rows.tolist() if (s := seeds[i]) is not None}
-        fresh = seeded(list(chosen.values()), len(chosen), self.device)
-        chosen_rows = torch.tensor(list(chosen), dtype=torch.int64, device=self.device)
-        return self._streams(buffers).with_rows(Indexed(chosen_rows), fresh)
+        given = torch.tensor([s is not None for s in seeds], device=self.device)
+        fresh = seeded([s or 0 for s in seeds], self.num_envs, self.device)
+        return self._streams(buffers).with_rows(Masked(mask & given), fresh)
 
     def _advanced(self, actions: Tensor) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """The task's rows after a step, and the buffers."""
@@ -364,25 +366,30 @@ class ArmVectorEnv(VectorEnv):
         """Rows of a mask [N]."""
         return Indexed(mask.nonzero().squeeze(1)) if self._looks else Masked(mask)
 
-    def _begin(self, buffers: Mapping[str, Tensor], rows: SomeRows) -> None:
-        """Keep the buffers, with new episodes in some rows."""
-        self._buffers = dict(buffers)
+    def _begun(self, buffers: Mapping[str, Tensor], rows: SomeRows) -> dict[str, Tensor]:
+        """Buffers with new episodes in some rows."""
+        found = dict(buffers)
         for name, x in self._reset(rows, self._streams(buffers).rows(rows), self.dtype).items():
-            if name in _HANDED_OUT:
-                self._buffers[name] = rows.replaced(buffers[name], x)
+            if name in _HANDED_OUT or isinstance(rows, Masked):
+                found[name] = rows.replaced(buffers[name], x)
             else:
                 rows.write(buffers[name], x)
+        return found
+
+    def _keep(self, buffers: dict[str, Tensor]) -> None:
+        """Make them the buffers; on a GPU in memory that stays, so that a CUDA graph of a step can be repeated."""
+        if self._looks:
+            self._buffers = buffers
+            return
+        self._buffers = self._buffers or {name: torch.empty_like(x) for name, x in buffers.items()}
+        for name, x in self._buffers.items():
+            if buffers[name] is not x:
+                x.copy_(buffers[name])
 
     def _blank(self) -> dict[str, Tensor]:
         """Buffers before a first episode."""
-        N, n = self.num_envs, self.robot.n
-        widths = {**self.scene.spec.state, "goal": self._checked.inputs(n)["goal"], "reference": 3 * n}
-        widths["observation"] = self.single_observation_space.shape[0]  # type: ignore[index]
-        buffers = {name: torch.zeros(N, width, dtype=self.dtype, device=self.device) for name, width in widths.items()}
-        buffers["steps"] = torch.zeros(N, dtype=torch.int32, device=self.device)
-        buffers["finished"] = torch.zeros(N, dtype=torch.bool, device=self.device)
-        seed = int(self.np_random.integers(2**62))
-        return {**buffers, **seeded(seed, N, self.device)._asdict()}
+        width, seed = self.single_observation_space.shape[0], int(self.np_random.integers(2**62))  # type: ignore[index]
+        return self._reset.blank(self.num_envs, width, seed, self.dtype, self.device)
 
     def _streams(self, buffers: Mapping[str, Tensor]) -> Streams:
         return Streams(buffers["key"], buffers["counter"])
