@@ -19,6 +19,10 @@ import torchdq
 LOOSE = 1e-4  # a criterion that is never approached closer than this says little
 
 
+# it gives torch a device of its own, and would give it to every other test
+collect_ignore = ["far_device.py"]
+
+
 @pytest.fixture(autouse=True)
 def chosen_backend(request):
     with torchdq.backend(getattr(request.module, "BACKEND", "eager")):

@@ -1,4 +1,4 @@
-"""What several test files build with: tensors, the integrators of fixed steps, chains of rods, and threads."""
+"""What several test files build with: tensors, the integrators of fixed steps, a wheel, chains of rods, and threads."""
 
 from functools import cache, partial
 
@@ -16,6 +16,12 @@ from torchdq.envs.integrators import ExplicitEuler, LinearlyImplicit, RungeKutta
 DOWN = (0.0, -9.81, 0.0)  # gravity in the plane in which rods with axes along z move
 
 compiled, eager = partial(run, backend=COMPILED), partial(run, backend=EAGER)  # results of a program
+
+# a wheel about its axis: its acceleration is a hundred times its torque
+INERTIA = 0.01  # [kg m^2]
+WHEEL = torchdq.Robot.from_screws(
+    [[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], [1.0], [[0.0, 0.0, 0.0]], [np.diag([INERTIA] * 3)], name="wheel"
+)
 
 FIXED = (ExplicitEuler(), SemiImplicitEuler(), LinearlyImplicit(), RungeKutta4(), StoermerVerlet())
 

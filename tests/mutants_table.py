@@ -48,9 +48,14 @@ EXP_LOG = "exp_log.py"
 GOLDEN = "paper_golden.py"
 PROGRAMS = "programs.py"
 IDENTITIES = "identities.py"
+FLOATING = "floating.py"
+FREE_BODIES = "free_bodies.py"
+CONVERT_FREE = "convert_free.py"
 NUMBERS = "number_functions.py"
 ROBOTS = "robots.py"
 URDF = "urdf.py"
+MJCF = "mjcf.py"
+WRITERS = "writers.py"
 EFFECTS = "effects.py"
 INTEGRATORS = "integrators.py"
 PARAMETERS = "parameters.py"
@@ -71,7 +76,10 @@ UNTRUSTED = f"{TRAINING}::test_a_checkpoint_that_is_not_to_be_trusted_is_refused
 CALL = "call.py"
 CALL_BATCH = f"{CALL}::test_results_go_by_name_and_have_the_batch_axes_of_all"
 COUPLING = "coupling.py"
+COMBINED, MAPS = "combined.py", "joint_maps_in_use.py"
+STANDS_STILL = "reduced.py::test_a_locked_coordinate_is_one_that_stands_still"
 GEARS = f"{COUPLING}::test_geared_joints_are_pinocchios_mimic_joints"
+EXPORT = "export.py::test_results_are_those_of_the_program_in_pythons_arithmetic_bit_for_bit"
 COUPLED_ROTORS = f"{COUPLING}::test_accelerations_undo_forces"
 MOVING = "moving_base.py"
 MOVING_FORCES = f"{MOVING}::test_forces_and_base_wrench_equal_pinocchios_with_a_free_flyer"
@@ -502,12 +510,17 @@ MUTANTS = (
         ),
         ("rotors behind a map with twice their energy", "energy + 0.5 * J", "energy + J", COUPLED_ROTORS),
         ("rotors behind a map that help", "t + J * a for", "t - J * a for", COUPLED_ROTORS),
-        ("rotors behind a map taken off the mass matrix", "M[k][k] + J", "M[k][k] - J", COUPLED_ROTORS),
+        (
+            "rotors behind a map taken off the mass matrix",
+            "present(M[k][k]) + J",
+            "present(M[k][k]) - J",
+            COUPLED_ROTORS,
+        ),
         ("more rotors behind a map in the place of rotors", "armature=[a + b for", "armature=[b for", COUPLED_ROTORS),
         (
             "a regressor that takes accelerations for velocities",
-            "self.robot.regressor(self.coupling.rates(qd)",
-            "self.robot.regressor(self.coupling.rates(qdd)",
+            "self.robot.regressor(v, a)",
+            "self.robot.regressor(a, a)",
             f"{COUPLING}::test_forces_are_linear_in_the_inertial_parameters",
         ),
     ),
@@ -1605,7 +1618,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/functions/catalogue.py",
+        "torchdq/functions/formulas.py",
         (
             "a bias that helps",
             "t if b is None else t - b",
@@ -1653,47 +1666,68 @@ MUTANTS = (
     *within(
         "torchdq/robot/urdf.py",
         (
-            "an inertial frame placed from the wrong side",
-            "at * pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz)",
-            "pin.SE3(pin.rpy.rpyToMatrix(*rpy), xyz) * at",
-            f"{URDF}::test_a_body_described_on_a_fixed_link_is_the_body_on_its_carrier",
-        ),
-        (
-            "an inertia turned the other way",
-            "placement.rotation @ inertial.inertia.numpy() @ placement.rotation.T",
-            "placement.rotation.T @ inertial.inertia.numpy() @ placement.rotation",
-            f"{URDF}::test_a_body_described_on_a_fixed_link_is_the_body_on_its_carrier",
-        ),
-        (
-            "no parallel axes for fixed links",
-            "rotated + mass[i] * share *",
-            "rotated + 0 * share *",
-            f"{URDF}::test_a_fixed_link_adds_its_inertia_by_the_parallel_axis_theorem",
-        ),
-        (
             "slides that turn",
-            "turns, torch.cat([axes, 0 * axes], -1), torch.cat([0 * axes, axes], -1)",
-            "turns, torch.cat([axes, 0 * axes], -1), torch.cat([axes, 0 * axes], -1)",
+            "(*ZERO, *joint.axis)",
+            "(*joint.axis, *ZERO)",
             f"{URDF}::test_a_prismatic_joint_lifts_its_weight",
         ),
         (
             "damping for friction",
-            "[joint.friction for joint in joints]",
-            "[joint.damping for joint in joints]",
+            "friction=double([joint.friction",
+            "friction=double([joint.damping",
             f"{URDF}::test_damping_and_friction_are_read",
         ),
     ),
     *within(
-        "torchdq/robot/urdf_document.py",
+        "torchdq/robot/urdf_tree.py",
+        (
+            "an inertial frame placed from the wrong side",
+            "dual_quaternion.mul(X, pose(inertial.origin))",
+            "dual_quaternion.mul(pose(inertial.origin), X)",
+            f"{URDF}::test_a_body_described_on_a_fixed_link_is_the_body_on_its_carrier",
+        ),
+        (
+            "an inertia turned the other way",
+            "quat.rotation_columns(r), square",
+            "quat.rotation_columns(quat.conj(r)), square",
+            f"{URDF}::test_a_body_described_on_a_fixed_link_is_the_body_on_its_carrier",
+        ),
+        (
+            "no parallel axes for fixed links",
+            "merged((mass, com, inertia), body)",
+            "merged((mass, com, inertia), body)[:2] + (quat.add(inertia, turned),)",
+            f"{URDF}::test_a_fixed_link_adds_its_inertia_by_the_parallel_axis_theorem",
+        ),
+        (
+            "roll, pitch and yaw about the moving axes",
+            "r = quat.mul(_turn(axis, angle), r)",
+            "r = quat.mul(r, _turn(axis, angle))",
+            "urdf_tree.py::test_links_and_joints_are_placed_as_by_pinocchio",
+        ),
+        (
+            "joints in the order of the file",
+            "for name in sorted(document.joints, reverse=True):",
+            "for name in reversed(document.joints):",
+            "urdf_tree.py::test_links_and_joints_are_placed_as_by_pinocchio",
+        ),
+        (
+            "a locked joint at zero",
+            "_motion(joint, locked[name])",
+            "_motion(joint, 0.0)",
+            f"{URDF}::test_a_locked_joint_is_a_fixed_joint_at_that_position",
+        ),
+    ),
+    *within(
+        "torchdq/robot/urdf_elements.py",
         (
             "a default axis along z",
-            '"xyz", "1 0 0", 3',
-            '"xyz", "0 0 1", 3',
+            "else (1.0, 0.0, 0.0)\n    length",
+            "else (0.0, 0.0, 1.0)\n    length",
             f"{URDF}::test_an_axis_that_is_not_given_is_x",
         ),
     ),
     *within(
-        "torchdq/robot/urdf_document.py",
+        "torchdq/robot/urdf_elements.py",
         (
             "a number read to its end before it is refused",
             "text.split(None, count + 1)[: count + 1]",
@@ -1708,6 +1742,78 @@ MUTANTS = (
         ),
     ),
     *within(
+        "torchdq/robot/urdf_mimic.py",
+        (
+            "offsets of drivers forgotten",
+            "multiplier * driver.offset + offset",
+            "offset",
+            "urdf_mimic.py::test_displacements_are_the_map_of_the_coordinates",
+        ),
+        (
+            "homes of followers at their offsets",
+            "tuple(0.0 - follows.offset for follows in rows)",
+            "tuple(follows.offset for follows in rows)",
+            "urdf_mimic.py::test_displacements_are_the_map_of_the_coordinates",
+        ),
+        (
+            "damping of followers times their factor",
+            "factor * factor * joint.damping",
+            "abs(factor) * joint.damping",
+            "urdf_mimic.py::test_friction_of_followers_is_that_of_the_coordinate",
+        ),
+        (
+            "limits that leave no room",
+            "if _room(own.limits) and not _room(limits):",
+            "if False:",
+            "urdf_mimic.py::test_limits_of_a_coordinate_keep_its_followers_within_theirs",
+        ),
+    ),
+    *within(
+        "torchdq/robot/urdf.py",
+        (
+            "the body of a free base not judged",
+            "if inertial and (free or name in moving)",
+            "if inertial and name in moving",
+            "urdf_mimic.py::test_a_free_base_has_its_body",
+        ),
+        (
+            "a free base without mass",
+            "if free and not any((base_mass, *base_inertia)):",
+            "if False:",
+            "urdf_mimic.py::test_a_free_base_without_mass_is_told",
+        ),
+        (
+            "inertia without mass is a fault",
+            "[fault for fault in found if consistency.MASSLESS not in fault]",
+            "found",
+            "urdf_tolerance.py::test_leftover_inertia_of_a_massless_link_counts_and_is_told",
+        ),
+    ),
+    *within(
+        "torchdq/robot/urdf_document.py",
+        (
+            "unreadable bodies of a free base excused",
+            "set() if free or beyond else",
+            "set() if beyond else",
+            "urdf_tolerance.py::test_an_inertial_of_a_link_that_never_moves_may_be_unreadable",
+        ),
+        (
+            "a second base with a body left out",
+            "if link in children or _massive(links[link])",
+            "if link in children",
+            "urdf_tolerance.py::test_a_second_base_with_a_body_or_a_joint_is_refused",
+        ),
+    ),
+    *within(
+        "torchdq/robot/urdf_planar.py",
+        (
+            "slides that are not in the plane",
+            "(b, s + y * y * a, -y)",
+            "(b, s + y * y * a, y)",
+            "urdf_tolerance.py::test_a_planar_joint_is_two_slides_and_a_turn",
+        ),
+    ),
+    *within(
         "torchdq/robot/urdf_xml.py",
         (
             "xacro read as a description",
@@ -1717,7 +1823,112 @@ MUTANTS = (
         ),
     ),
     *within(
+        "torchdq/robot/mjcf_links.py",
+        (
+            "the second joint of a body carried by the parent of the first",
+            "link, X = len(links) - 1, dual_quaternion.ONE",
+            "X = dual_quaternion.ONE",
+            f"{MJCF}::test_dynamics_agree_with_mujoco",
+        ),
+        (
+            "a locked joint of MJCF at home",
+            "joint.displaced(moves[joint.row].offset)",
+            "joint.displaced(0.0)",
+            f"{MJCF}::test_a_locked_joint_stands_where_it_is_put",
+        ),
+    ),
+    *within(
+        "torchdq/robot/mjcf_joints.py",
+        (
+            "the hinge through the origin of its body",
+            "(axis, quat.cross(point, axis)) if",
+            "(axis, quat.ZERO) if",
+            f"{MJCF}::test_dynamics_agree_with_mujoco",
+        ),
+        (
+            "the rotor before its gear",
+            "gear * gear * float(numbers[k])",
+            "gear * float(numbers[k])",
+            f"{MJCF}::test_dynamics_agree_with_mujoco",
+        ),
+    ),
+    *within(
+        "torchdq/robot/couplings.py",
+        (
+            "the offset of a coupling forgotten",
+            "factor * b.offset + offset - a.offset",
+            "factor * b.offset - a.offset",
+            f"{MJCF}::test_linear_couplings_of_joints_are_a_map_of_coordinates",
+        ),
+        (
+            "couplings that contradict each other",
+            "elif abs(rest) > SLACK:",
+            "elif False:",
+            f"{MJCF}::test_couplings_that_contradict_each_other_are_refused",
+        ),
+    ),
+    *within(
+        "torchdq/robot/lumps.py",
+        (
+            "the centre of mass of the whole left to its part",
+            "com = quat.add(whole[1], quat.scale(part[0] / mass, quat.sub(whole[1], part[1])))",
+            "com = whole[1]",
+            f"{WRITERS}::test_a_urdf_robot_is_read_back_as_it_was_written",
+        ),
+    ),
+    *within(
+        "torchdq/robot/urdf_writer.py",
+        (
+            "an inertia in the axes of the link, not of its origin",
+            "turned = new[2] if r == quat.ONE else",
+            "turned = new[2] if True else",
+            f"{WRITERS}::test_all_numbers_are_written_where_some_are_missing",
+        ),
+        (
+            "links on fixed joints counted twice",
+            "new = body if alone else without(body, rest)",
+            "new = body",
+            f"{WRITERS}::test_a_link_takes_on_what_changed_of_the_links_fixed_to_it",
+        ),
+    ),
+    *within(
+        "torchdq/robot/changed.py",
+        (
+            "a robot that was cut written into the file",
+            "if name not in (*WRITTEN, *BESIDE) and not _equal(own, theirs[name]):",
+            "if False:",
+            f"{WRITERS}::test_a_robot_that_has_no_place_in_the_file_is_refused",
+        ),
+        (
+            "a robot that reads back with other numbers",
+            "if a is None or _close(a.detach(), b.to(a)):",
+            "if True:",
+            f"{WRITERS}::test_numbers_that_others_overrule_are_refused",
+        ),
+    ),
+    *within(
+        "torchdq/robot/xacro_file.py",
+        (
+            "arguments that the file does not have",
+            "if name not in given.asked:",
+            "if False:",
+            "xacro.py::test_arguments_are_those_of_the_file",
+        ),
+        (
+            "packages remembered for the next file",
+            "        packages.get_path = before\n",
+            "        pass\n",
+            "xacro.py::test_packages_are_searched_where_they_are_said_to_be",
+        ),
+    ),
+    *within(
         "torchdq/robot/urdf_lock.py",
+        (
+            "locks beyond the limits only noted",
+            "{name: limits[name] for name in asked}",
+            "{}",
+            "reduced.py::test_a_lock_beyond_the_limits_of_a_loaded_robot_is_told",
+        ),
         (
             "the offset of a follower forgotten",
             "mimic.multiplier * at[driver] + mimic.offset",
@@ -1741,15 +1952,106 @@ MUTANTS = (
         "torchdq/robot/reduced.py",
         (
             "a joint locked from zero, not from home",
-            "0.5 * (at[name] - home[i]) * robot.screw[i]",
-            "0.5 * at[name] * robot.screw[i]",
+            "placed[i] if robot.home is None else placed[i] - robot.home[i]",
+            "placed[i]",
             "reduced.py::test_a_locked_joint_is_one_that_stands_still",
         ),
+        (
+            "joints that follow a locked coordinate too, as if it were at zero",
+            "if moved.any():",
+            "if False:",
+            f"{STANDS_STILL}[dense-False]",
+        ),
+        (
+            "links fixed to a free base left out of it",
+            "whole = lumped(body(robot, BASE), [(X_CB[i], body(robot, i)) for i in parts[BASE]])",
+            "whole = body(robot, BASE)",
+            f"{STANDS_STILL}[root-True]",
+        ),
+        (
+            "a chain whose base moves with it",
+            "        if ahead:",
+            "        if False:",
+            "reduced.py::test_a_chain_whose_coordinates_move_other_joints_is_refused",
+        ),
+    ),
+    *within(
+        "torchdq/export/c99.py",
+        ("negated outputs with the sign of before", '- {at(index)}" if negative', '+ {at(index)}" if negative', EXPORT),
+        (
+            "sine and cosine exchanged in odd quadrants",
+            "a = (q & 1) ? cr : sr, b = (q & 1) ? sr : cr",
+            "a = (q & 1) ? sr : cr, b = (q & 1) ? cr : sr",
+            "export.py::test_own_sine_and_cosine_are_within_an_ulp_and_undefined_far_away",
+        ),
+        (
+            "a status that is always good",
+            "<= {literal(limit, single)}) ? 0 : 1",
+            "<= {literal(limit, single)}) ? 0 : 0",
+            "export.py::test_a_mass_matrix_that_is_not_positive_is_told_by_the_status",
+        ),
+    ),
+    *within(
+        "torchdq/robot/lumped.py",
         (
             "no parallel axes for locked links",
             "(mass * share).unsqueeze(-1) * steiner",
             "0 * steiner",
             "reduced.py::test_locking_a_loaded_robot_is_locking_its_file",
+        ),
+    ),
+    *within(
+        "torchdq/robot/coupled.py",
+        (
+            "damping by the ratio, not by its square",
+            'alone.abs() if name == "friction" else alone.square()',
+            "alone.abs()",
+            f"{MAPS}::test_coordinates_inherit_from_the_joints_that_follow_them",
+        ),
+        (
+            "limits of a joint that runs backwards the wrong way round",
+            "low, high = ends if s > 0 else ends[::-1]",
+            "low, high = ends",
+            f"{MAPS}::test_coordinates_inherit_from_the_joints_that_follow_them",
+        ),
+        (
+            "damping of a joint of several coordinates lost in silence",
+            "        if bool(there[..., robot.joint_index(name)].any()):",
+            "        if False:",
+            f"{MAPS}::test_a_joint_of_several_coordinates_has_nothing_to_give",
+        ),
+        (
+            "a map of a map in the place of both",
+            "JointMap(robot.every_joint, (before @ factors)",
+            "JointMap(robot.every_joint, factors",
+            f"{MAPS}::test_coordinates_of_coordinates_are_coordinates",
+        ),
+    ),
+    *within(
+        "torchdq/robot/combined.py",
+        (
+            "a payload at the origin of its link",
+            "whole = lumped(body(robot, link), [(X_BF, held)])",
+            "whole = lumped(body(robot, link), [(torch.eye(1, 8).to(X_BF)[0], held)])",
+            f"{COMBINED}::test_a_payload_is_pinocchios_body",
+        ),
+        (
+            "an attached robot on the link, not on the frame",
+            "        dq.mul(X, x) if p == BASE else x for x, p in",
+            "        x for x, p in",
+            f"{COMBINED}::test_an_attached_robot_is_pinocchios_joined_model",
+        ),
+        (
+            "the free base of an attached robot left out",
+            "        carrier |= changed",
+            "        pass",
+            f"{COMBINED}::test_the_free_base_of_an_attached_robot_becomes_part_of_its_carrier",
+        ),
+        (
+            "two joints of one name",
+            "        if both:",
+            "        if False:",
+            f"{COMBINED}::test_names_of_both_robots_differ",
         ),
     ),
     *within(
@@ -1788,6 +2090,12 @@ MUTANTS = (
             f"{PROGRAMS}::test_aligned_frames_put_the_links_where_they_are_and_the_axes_along_z",
         ),
         (
+            "a common normal that is not perpendicular",
+            "x = _across(x, z)",
+            "x = _unit(x)",
+            f"{PROGRAMS}::test_axes_that_are_nearly_one_line_lose_no_accuracy",
+        ),
+        (
             "an origin in the wrong axes",
             "R_WB[i].T @ (origin - p_WB[i])",
             "R_WB[i] @ (origin - p_WB[i])",
@@ -1819,6 +2127,21 @@ MUTANTS = (
             "reduce(minimum, inverses)",
             "reduce(minimum, factors)",
             f"{GROWTH}::test_a_mass_matrix_that_is_negative_has_no_accelerations",
+        ),
+    ),
+    *within(
+        "torchdq/robot/changes.py",
+        (
+            "units of replaced numbers undoubted",
+            "if faults or not {*MEASURED} & {*changes}",
+            "if True or not {*MEASURED} & {*changes}",
+            "units.py::test_replaced_numbers_in_other_units_are_named_once",
+        ),
+        (
+            "stacks of several dtypes",
+            "(mine.dtype, mine.device) != (x.dtype, x.device)",
+            "mine.device != x.device",
+            f"{ROBOTS}::test_what_keeps_robots_from_one_stack_is_named",
         ),
     ),
     *within(
@@ -1872,6 +2195,12 @@ MUTANTS = (
             f"{URDF}::test_numbers_printed_with_six_digits_are_believed",
         ),
         (
+            "moments of inertia repaired in place of second moments",
+            "E = inertia[i].trace() / 2 * one - inertia[i]",
+            "E = inertia[i]",
+            "urdf_tolerance.py::test_a_repaired_inertia_is_the_nearest_that_a_body_has",
+        ),
+        (
             "rounding is inertia",
             "inertia > max(1e-14 * size, square)",
             "inertia > 0",
@@ -1890,7 +2219,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/functions/catalogue.py",
+        "torchdq/functions/formulas.py",
         (
             "73: the wrench left out of the feed-forward",
             'at.torques(given["qd"], a, x.exerted(at))',
@@ -2008,6 +2337,18 @@ MUTANTS = (
     ),
     *within(
         "torchdq/learning/layouts.py",
+        (
+            "a column named twice",
+            "in counts.items() if count > 1",
+            "in counts.items() if count > 9",
+            "logs.py::test_names_of_columns_are_checked",
+        ),
+        (
+            "a column read twice",
+            "readers.items() if count > 1",
+            "readers.items() if count > 9",
+            "logs.py::test_a_column_is_read_for_one_signal",
+        ),
         (
             "columns that are read for two signals",
             "< max(3, len(self.blocks))",
@@ -2133,6 +2474,12 @@ MUTANTS = (
     *within(
         "torchdq/effects/actuator.py",
         (
+            "a lag whose torque at the end of the step acts from its start",
+            "mean.append(x + share * (before - x))",
+            "mean.append(x + kept * (before - x))",
+            f"{EFFECTS}::test_the_impulse_of_a_lag_is_exact_at_any_step",
+        ),
+        (
             "saturation on one side",
             "clip(x, -limit, limit)",
             "clip(x, -1e9 * limit, limit)",
@@ -2144,7 +2491,12 @@ MUTANTS = (
             "stall + maximum(lost, 0.0)",
             f"{EFFECTS}::test_a_motor_loses_torque_with_speed",
         ),
-        ("a lag of the inverse time", "dt / T", "T / dt", f"{EFFECTS}::test_a_lag_is_the_exponential_of_its_time"),
+        (
+            "a lag of the inverse time",
+            "exp(-(dt / T))",
+            "exp(-(T / dt))",
+            f"{EFFECTS}::test_a_lag_is_the_mean_of_the_exponential_of_its_time",
+        ),
         ("rounded down", "x / step + 0.5", "x / step", f"{EFFECTS}::test_commands_are_rounded_to_steps"),
     ),
     *within(
@@ -2177,6 +2529,12 @@ MUTANTS = (
     *within(
         "torchdq/effects/model.py",
         (
+            "payloads scaled with the links",
+            "    LATE = True\n",
+            "    LATE = False\n",
+            f"{EFFECTS}::test_payloads_are_not_scaled_with_the_links_wherever_they_stand",
+        ),
+        (
             "denser links of the same inertia",
             "[k * x for k, row",
             "[x for k, row",
@@ -2202,14 +2560,14 @@ MUTANTS = (
         "envs/integrators.py",
         (
             "semi-implicit Euler, explicit",
-            "return _plus(x, h, v), v\n\n\n@dataclass(frozen=True)\nclass LinearlyImplicit",
-            "return _plus(x, h, v), _plus(v, -h, v)\n\n\n@dataclass(frozen=True)\nclass LinearlyImplicit",
+            "return system.moved(x, h, v), v\n\n\n@dataclass(frozen=True)\nclass LinearlyImplicit",
+            "return system.moved(x, h, v), _plus(v, -h, v)\n\n\n@dataclass(frozen=True)\nclass LinearlyImplicit",
             f"{INTEGRATORS}::test_the_error_falls_with_the_stated_order",
         ),
         (
             "a stage of Runge-Kutta from the wrong place",
-            "a(_plus(x, 0.5 * h, v2), v3)",
-            "a(_plus(x, 0.5 * h, v), v3)",
+            "a(system.moved(x, half, k2), v3)",
+            "a(system.moved(x, half, v), v3)",
             f"{INTEGRATORS}::test_the_error_falls_with_the_stated_order",
         ),
         (
@@ -2229,6 +2587,60 @@ MUTANTS = (
             "good = going & (error <= 1)",
             "good = going",
             INTEGRATORS + "::test_dormand_prince_meets_its_tolerance_with_steps_of_its_order",
+        ),
+    ),
+    *within(
+        "envs/free_base.py",
+        (
+            "displacements of a free base that add up like vectors",
+            "screw.add(screw.scale(0.5, once), more)",
+            "screw.scale(0.0, once)",
+            f"{FREE_BODIES}::test_momentum_and_energy_are_conserved_at_the_order_of_the_integrator",
+        ),
+        (
+            "the series of rotations alone",
+            "slope = dual * slope",
+            "slope = 0.0 * slope",
+            f"{FREE_BODIES}::test_the_rate_of_a_displacement_is_the_derivative_of_its_logarithm",
+        ),
+        (
+            "a pose that keeps its rounding errors",
+            "scale = 1.5 - 0.5 * quat.norm2(r)",
+            "scale = 1.0",
+            f"{FREE_BODIES}::test_poses_stay_unit_dual_quaternions",
+        ),
+    ),
+    *within(
+        "torchdq/functions/floating.py",
+        (
+            "a wrench on the base in the order of a twist",
+            "[*row[3:BASE], *row[:3]]",
+            "[*row[:BASE]]",
+            f"{FLOATING}::test_inverse_dynamics",
+        ),
+        (
+            "momentum about the origin of the base",
+            "quat.sub(angular, quat.cross(c, linear))",
+            "angular",
+            f"{FLOATING}::test_centre_of_mass_and_momentum",
+        ),
+    ),
+    *within(
+        "torchdq/functions/recipe.py",
+        (
+            "no wrench on the base",
+            "[None if f_base is None else as_screw(f_base)]",
+            "[None]",
+            f"{FLOATING}::test_inverse_dynamics_under_wrenches",
+        ),
+    ),
+    *within(
+        "torchdq/convert.py",
+        (
+            "an acceleration in world axes of a base that does not turn",
+            "vd + _cross(w, v)), wd, qdd)",
+            "vd), wd, qdd)",
+            f"{CONVERT_FREE}::test_mujoco_computes_our_forces_and_accelerations",
         ),
     ),
     *within(
@@ -2395,6 +2807,18 @@ MUTANTS = (
             "commanded, q, q, *desired",
             f"{SCENE}::test_computed_torque_makes_any_arm_a_double_integrator",
         ),
+        (
+            "the model of a controller not copied",
+            "return replace(self, model=recorded(constants(believed.bake())))",
+            "return self",
+            f"{SCENE}::test_a_model_is_copied_when_a_scene_is_made",
+        ),
+        (
+            "the gradient of a controller's model dropped",
+            "if getattr(believed, name).requires_grad:",
+            "if False:",
+            f"{SCENE}::test_a_model_that_requires_grad_is_refused",
+        ),
     ),
     *within(
         "envs/reference.py",
@@ -2470,6 +2894,18 @@ MUTANTS = (
             'if lost == "never" and read and (unusable',
             "starts.py::test_rows_that_are_not_finite_at_the_start_are_named",
         ),
+        (
+            "a policy that remembers recomputed with another memory",
+            "if changed or other:",
+            "if changed:",
+            "stability.py::test_a_policy_that_remembers_is_refused_where_it_is_called_again",
+        ),
+        (
+            "a policy that counts called twice for every step",
+            "if changed or other:",
+            "if other:",
+            "stability.py::test_a_policy_that_counts_is_refused_where_it_is_called_again",
+        ),
     ),
     *within(
         "envs/stability.py",
@@ -2500,6 +2936,12 @@ MUTANTS = (
     ),
     *within(
         "torchdq/learning/plausibility.py",
+        (
+            "dry friction of another shape untold",
+            "after < SHAPED * before",
+            "after < 0 * before",
+            "friction_of_logs.py::test_dry_friction_of_filtered_torques_is_told_without_directions",
+        ),
         (
             "torques of the opposite sign undoubted",
             "torch.where(flipped, -plain, plain)",
@@ -2583,8 +3025,8 @@ MUTANTS = (
         ),
         (
             "rows of a GPU that nothing recomputes",
-            "self.literal(LARGEST_GROWTH.single)",
-            "self.literal(LARGEST_GROWTH.double)",
+            "literal(LARGEST_GROWTH.single)",
+            "literal(LARGEST_GROWTH.double)",
             "cuda_host.py::test_rows_over_the_limit_are_recomputed_in_float64",
         ),
         (
@@ -2628,6 +3070,15 @@ MUTANTS = (
         ),
     ),
     *within(
+        "torchdq/program/uniform.py",
+        (
+            "values that all samples share, taken for each other",
+            "payload=(len(program.arguments), j)",
+            "payload=(len(program.arguments), 0)",
+            "cuda_host.py::test_values_that_all_samples_share_are_computed_once_in_a_block",
+        ),
+    ),
+    *within(
         "torchdq/program/order.py",
         (
             "values before their operands",
@@ -2659,6 +3110,18 @@ MUTANTS = (
             "return bool(",
             "cuda_host.py::test_a_step_of_environments_asks_the_device_nothing",
         ),
+        (
+            "a step of a GPU that a graph cannot repeat",
+            "x.copy_(buffers[name])",
+            "self._buffers = {**self._buffers, name: buffers[name]}",
+            "far_device.py::test_on_a_far_device[a_step_is_repeated_by_a_graph]",
+        ),
+        (
+            "parameters that every step copies to the GPU",
+            "scene.to(self.device)",
+            "scene",
+            "far_device.py::test_on_a_far_device[steps_with_tensors_that_were_given_on_the_cpu]",
+        ),
     ),
     *within(
         "torchdq/backends/memory.py",
@@ -2683,9 +3146,54 @@ MUTANTS = (
         "torchdq/effects/effect.py",
         (
             "one number for all components of a vector",
-            'if single and axes and "n" not in axes:',
+            "if single and axes and not per_joint:",
             "if False:",
             f"{EFFECTS}::test_parameters_that_make_no_sense_are_refused",
+        ),
+    ),
+    *within(
+        "torchdq/effects/effect.py",
+        (
+            "words and truth values as parameters",
+            "if not all(map(is_number, given)):",
+            "if False:",
+            f"{EFFECTS}::test_parameters_that_are_no_numbers_are_refused",
+        ),
+    ),
+    *within(
+        "torchdq/learning/identification.py",
+        (
+            "numbers too large for least squares without a name",
+            "except torch.linalg.LinAlgError as error:",
+            "except KeyboardInterrupt as error:",
+            f"{IDENTIFY}::test_numbers_too_large_for_least_squares_are_named",
+        ),
+    ),
+    *within(
+        "torchdq/robot/changes.py",
+        (
+            "a stack of equal robots that is one robot",
+            "if not {*SHAPES} & {*changes}:",
+            "if False:",
+            f"{ROBOTS}::test_a_stack_has_an_axis_of_its_robots_even_if_they_are_equal",
+        ),
+    ),
+    *within(
+        "torchdq/call.py",
+        (
+            "parameters without values that have to be moved",
+            "elif x.is_meta and not given[first].is_meta:",
+            "elif False:",
+            f"{ROBOTS}::test_tensors_without_values_make_results_without_values_or_are_named",
+        ),
+    ),
+    *within(
+        "envs/defaults.py",
+        (
+            "the sum of several robots",
+            ".mean(0)",
+            ".sum(0)",
+            "envs.py::test_robots_of_a_stack_are_each_simulated",
         ),
     ),
     *within(
@@ -2695,6 +3203,114 @@ MUTANTS = (
             "if abs(correlation) < UNLIKE:",
             "if False:",
             "logs.py::test_positions_that_follow_the_velocity_of_another_joint_are_refused",
+        ),
+    ),
+    *within(
+        "envs/recording.py",
+        (
+            "substeps recorded without end",
+            "> MOST_OPERATIONS:",
+            "> 1e99:",
+            "notice.py::test_substeps_that_no_program_can_hold_are_refused_after_the_first",
+        ),
+    ),
+    *within(
+        "torchdq/program/program.py",
+        (
+            "programs recorded in silence",
+            'notice.at(lambda: f"{len(tape.ops)} operations")',
+            "pass",
+            "notice.py::test_programs_that_take_long_to_record_and_to_write_are_told_with_their_operations",
+        ),
+    ),
+    *within(
+        "torchdq/learning/checkpoint.py",
+        (
+            "attributes of a model left out of its identity",
+            '"the model": text, **own}',
+            '"the model": text}',
+            f"{TRAINING}::test_a_checkpoint_of_a_model_with_other_attributes_is_refused",
+        ),
+        (
+            "attributes that a run changes kept in its identity",
+            "CHANGES if now.get(name, x) != x else x for",
+            "x for",
+            f"{TRAINING}::test_attributes_that_a_run_changes_and_backends_do_not_stop_it_from_going_on",
+        ),
+        (
+            "small torques of a checkpoint not compared",
+            "largest = now.abs().amax(0)",
+            "largest = now.abs().max()",
+            f"{TRAINING}::test_a_checkpoint_of_a_model_that_computes_otherwise_is_refused",
+        ),
+    ),
+    *within(
+        "torchdq/checks.py",
+        (
+            "tensors that are not dense accepted",
+            "return x.layout == torch.strided and not x.is_nested",
+            "return True",
+            "arguments.py::test_tensors_that_are_not_dense_are_named",
+        ),
+    ),
+    *within(
+        "torchdq/call.py",
+        (
+            "sparse tensors in a layout of dense ones",
+            "if not all(map(is_dense, given)):",
+            "if False:",
+            "arguments.py::test_tensors_that_are_not_dense_are_named",
+        ),
+    ),
+    *within(
+        "torchdq/robot/arrays.py",
+        (
+            "robots on torch's default device",
+            'torch.tensor(values, dtype=torch.float64, device="cpu")',
+            "torch.tensor(values, dtype=torch.float64)",
+            "arguments.py::test_robots_effects_and_layers_are_made_on_the_cpu_whatever_the_default_device_is",
+        ),
+    ),
+    *within(
+        "torchdq/functions/compile.py",
+        (
+            "programs without their arguments",
+            "if name not in present:",
+            "if False:",
+            "backends.py::test_a_compiled_program_needs_its_arguments",
+        ),
+    ),
+    *within(
+        "torchdq/learning/logs.py",
+        (
+            "rows of a log that are no whole numbers",
+            "isinstance(x, Integral) and not isinstance(x, bool)",
+            "True",
+            "logs.py::test_a_layout_must_be_one",
+        ),
+    ),
+    *within(
+        "torchdq/learning/logs.py",
+        (
+            "positions that jump believed",
+            "if not jumps.any():",
+            "if True:",
+            "logs.py::test_positions_that_jump_farther_than_their_velocities_explain_are_told",
+        ),
+        (
+            "files cut within a number believed",
+            "if last >= min(before):",
+            "if True:",
+            "logs.py::test_a_file_that_ends_within_its_last_number_is_told",
+        ),
+    ),
+    *within(
+        "envs/actions.py",
+        (
+            "imaginary parts of actions lost",
+            "if actions.is_complex() if isinstance(actions, Tensor) else np.iscomplexobj(actions):",
+            "if False:",
+            "envs.py::test_actions_that_are_no_numbers_are_refused",
         ),
     ),
 )

@@ -407,7 +407,7 @@ SECTION_5_3 = (
     Row(
         "63",
         "tau = M qdd + c + g + J^T F_EF",
-        "dynamics.paper.closed_form:closed_form functional:closed_form functions.catalogue:forward_dynamics",
+        "dynamics.paper.closed_form:closed_form functional:closed_form functions.formulas:forward_dynamics",
         f"{IDENTITIES}_torques_are_the_sum_of_their_causes",
     ),
     Row("64", "tau = A_S (*) F", "dynamics.paper.closed_form:closed_form", f"{OURS}[57]"),
@@ -448,7 +448,7 @@ SECTION_5_3 = (
     Row(
         "72",
         "J^T = A_S (*) L^H, on the wrench of the tip carried to link n",
-        "functions.catalogue:closed_form dynamics.paper.closed_form:tip_jacobian_transpose",
+        "functions.formulas:closed_form dynamics.paper.closed_form:tip_jacobian_transpose",
         f"{IDENTITIES}_the_transposed_jacobian_is_the_transpose_of_the_jacobian",
     ),
 )
@@ -483,13 +483,13 @@ SECTION_5_4 = (
     Row(
         "73",
         "feedback linearisation, tau = M a_c + c + g + J^T F_EF: one recursion",
-        "functions.catalogue:computed_torque envs.controllers:ComputedTorque.torques",
+        "functions.formulas:computed_torque envs.controllers:ComputedTorque.torques",
         f"{CONTROL}_it_is_the_closed_form_with_the_commanded_acceleration",
     ),
     Row(
         "74",
         "which leaves qdd = a_c",
-        "functions.catalogue:computed_torque envs.controllers:ComputedTorque.torques",
+        "functions.formulas:computed_torque envs.controllers:ComputedTorque.torques",
         f"{CONTROL}_the_robot_accelerates_as_commanded",
     ),
     Row(

@@ -5,6 +5,7 @@ package's, name the argument, and say what was expected and what was found. A fu
 `FUNCTIONS`, or takes an argument that is not listed there, fails the first test.
 """
 
+import contextlib
 import inspect
 import re
 from pathlib import Path
@@ -15,6 +16,8 @@ import torch
 
 import torchdq
 from torchdq import ArgumentError, DtypeError, TorchdqError, UnknownNameError
+from torchdq.envs import Scene, effects
+from torchdq.learning import Samples, fit, identify
 
 F32, F64 = torch.float32, torch.float64
 N = 7
@@ -443,3 +446,73 @@ def test_a_module_does_not_write_to_the_robot_it_is_made_of():
         for p in module.parameters():
             p.add_(1.0)
     assert untouched({field: getattr(robot, field) for field in before}, before) == []
+
+
+# --- tensors that are not dense ---------------------------------------------------------------------------------------
+
+OTHERS = {
+    "sparse_coo": lambda x: x.to_sparse(),
+    "sparse_csr": lambda x: x.to_sparse_csr(),
+    "mkldnn": lambda x: x.float().to_mkldnn(),
+    "nested": lambda x: torch.nested.nested_tensor([x[0], x[1]]),
+}
+
+
+@pytest.mark.parametrize("layout", OTHERS)
+@pytest.mark.filterwarnings("ignore:Sparse CSR|The PyTorch API of nested|The PyTorch API of MKLDNN")
+def test_tensors_that_are_not_dense_are_named(layout):
+    """Also where a dense tensor of the same shape was seen before."""
+    robot = torchdq.robots.load("two_link")
+    plain = torch.ones(2, 2, dtype=torch.float64)
+    other = OTHERS[layout](plain)
+    plain = plain.to(other.dtype)
+    scene, tables = Scene(robot), Samples(plain, plain, plain, plain)
+    uses = {
+        "q": lambda x: torchdq.inverse_dynamics(robot, x),
+        "qd": lambda x: torchdq.inverse_dynamics(robot, plain, x, backend="eager"),
+        "q ": lambda x: torchdq.compile(robot, "mass_matrix", dtype=plain.dtype)(x),
+        "q  ": lambda x: scene.start(x),
+        "torque": lambda x: scene.step(scene.start(plain), x),
+        "mass of robot 'two_link'": lambda x: robot.replace(mass=x),
+        "coefficient of Viscous": lambda x: Scene(robot, (effects.Viscous(x),)),
+        r"train\.tau": lambda x: fit(torchdq.DQRNEA(robot, learn="mass"), tables._replace(tau=x), steps=1),
+        "tau": lambda x: identify(robot, plain, plain, plain, x),
+    }
+    for name, use in uses.items():
+        with contextlib.suppress(ArgumentError):  # of samples that are all the same
+            use(plain)
+        with pytest.raises(
+            ArgumentError, match=rf"^{name.strip()} must be a dense tensor, found a {layout} one; .* by "
+        ):
+            use(other)
+    with pytest.raises(torchdq.TorchdqError, match=r"damping of robot 'two_link' must be a tensor \[n\]"):
+        robot.replace(damping=OTHERS["mkldnn"](plain) if layout == "mkldnn" else other)
+
+
+# --- torch's default device -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.filterwarnings("ignore:.* acts on no joint")
+def test_robots_effects_and_layers_are_made_on_the_cpu_whatever_the_default_device_is():
+    q = torch.ones(2, dtype=torch.float64)
+    robot = torchdq.robots.load("two_link")
+    parts = [
+        effects.Contact("tip"),
+        effects.Payload(1.0),
+        effects.Limits(),
+        effects.Viscous(1.0),
+        effects.Elastic(9.0, inertia=1.0),
+    ]
+    with torch.device("meta"):
+        for name in torchdq.robots.names():
+            assert torchdq.robots.load(name).mass.device.type == "cpu"
+        here = torchdq.robots.load("two_link")
+        torch.testing.assert_close(torchdq.inverse_dynamics(here, q), torchdq.inverse_dynamics(robot, q))
+        assert here.lock({"joint1": 0.5}).n == 1 and here.replace(gravity=(0 * here.gravity)).bake().tip == "tip"
+        for part in parts:
+            scene = Scene(here, (part,))
+            assert scene.step(scene.start(q)).q.device.type == "cpu"
+        with pytest.raises(ArgumentError, match="Payload must be a body that can exist"):
+            Scene(here, (effects.Payload(1.0, inertia=(1.0, 0.0, 0.0, 9.0, 0.0, 1.0)),))
+        layer = torchdq.DQRNEA(here, learn=("mass", "inertia", "friction", "offset"))
+        assert layer(q).device.type == "cpu"

@@ -29,6 +29,7 @@ from torchdq.backends import precision
 from torchdq.backends import threads as pool
 from torchdq.backends.c import COMPILED, CompiledKernel
 from torchdq.errors import ArgumentError
+from torchdq.functions.catalogue import RECIPES
 from torchdq.program import autograd
 from torchdq.program.program import LARGEST_GROWTH, Argument, record
 from torchdq.robot.robot import arguments
@@ -763,6 +764,14 @@ def test_arguments_of_a_compiled_program_are_names_and_tensors():
         torchdq.compile(TWO, "inverse_dynamics", arguments=[1, 2])
     with pytest.raises(ArgumentError, match="q must be a tensor, found list"):
         torchdq.compile(TWO, "inverse_dynamics")([1.0], 2, 3)
+
+
+@pytest.mark.parametrize("function", RECIPES)
+def test_a_compiled_program_needs_its_arguments(function):
+    options = ["tip"] if function == "jacobian" else ()
+    *others, last = [name for name, _, optional in RECIPES[function].arguments if not optional]
+    with pytest.raises(ArgumentError, match=rf"arguments of '{function}' must hold '{last}', found \["):
+        torchdq.compile(TWO, function, arguments=others, options=options)
 
 
 # --- other processors ------------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ def called(monkeypatch, capsys, *arguments):
     return end.value.code, *capsys.readouterr()
 
 
-@pytest.mark.parametrize(("arguments", "found"), [((), "none"), (("report",), "'report'")])
+@pytest.mark.parametrize(("arguments", "found"), [((), "none"), (("teach",), "'teach'")])
 def test_a_wrong_command_names_those_there_are(monkeypatch, capsys, arguments, found):
     code, _, errors = called(monkeypatch, capsys, *arguments)
     assert code == 2 and f"COMMAND must be one of the following, found {found}:" in errors
@@ -33,3 +33,24 @@ def test_the_help_names_the_commands(monkeypatch, capsys):
 def test_the_version_is_given():
     found = subprocess.run([sys.executable, "-m", "torchdq", "--version"], capture_output=True, text=True, timeout=120)
     assert (found.returncode, found.stdout) == (0, f"torchdq {torchdq.__version__}\n")
+
+
+def test_a_report_is_a_page_about_a_robot(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["torchdq", "report", "panda"])
+    command_line.main()
+    page = capsys.readouterr().out
+    assert "panda_joint1" in page and "forward_dynamics" in page and "largest growth" in page
+
+
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [
+        (("report",), "report takes the FILE of a robot"),
+        (("cost", "panda"), "cost takes no FILE"),
+        (("report", "nowhere.urdf"), "nowhere.urdf"),
+        (("report", "<robot/>"), "report: "),
+    ],
+)
+def test_a_mistake_of_a_user_is_one_message(monkeypatch, capsys, arguments, found):
+    code, _, errors = called(monkeypatch, capsys, *arguments)
+    assert found in errors + str(code) and "Traceback" not in errors

@@ -20,6 +20,7 @@ from torchdq.envs import ArmVectorEnv, Scene, effects
 from torchdq.numbers.ops import OPS
 from torchdq.numbers.ops import apply as applied
 from torchdq.program.program import LARGEST_GROWTH, Argument, record
+from torchdq.program.uniform import split
 
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 
@@ -223,6 +224,31 @@ def test_torch_func_transforms_work():
     with torchdq.backend("host"):
         found = torch.func.vmap(torch.func.jacrev(lambda q: torchdq.inverse_dynamics(TWO, q)))(s.q)
     agree([found], [torchdq.dynamics_jacobian(TWO, s.q, 0 * s.q, 0 * s.q)[0]], 256)
+
+
+# --- values that all samples share ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+def test_values_that_all_samples_share_are_computed_once_in_a_block(dtype):
+    def algorithm(x, p):
+        common = [applied("sin", p[0]) * p[1] + p[k] for k in range(4)]
+        weight = common[0] * common[1] * common[2] + common[3]
+        return {"y": [weight * x[0], common[0] - x[0]], "sum": [weight * x[1]], "alone": [weight]}
+
+    program = record("common", [Argument("x", 2), Argument("p", 4, uniform=True)], algorithm, ["sum"])
+    parts = split(program)
+    assert parts.rest.arguments[-1].width == 2 and not any(op.code == "sin" for op in parts.rest.ops)
+    x, p = random(300, 2, dtype=dtype), random(4, seed=1, dtype=dtype)
+    found = run(program, [x, p], HOST)
+    agree(found, run(program, [x, p], EAGER))
+    same(run(program, [x, p], BACKWARDS), found)
+
+
+def test_programs_without_enough_to_share_stay_whole():
+    layer = torchdq.compile(PANDA, "inverse_dynamics").program
+    little = record("little", [Argument("x", 1), Argument("p", 1, True)], lambda x, p: {"y": [(p[0] + 1.0) * x[0]]})
+    assert split(layer) is None and split(little) is None
 
 
 # --- programs of any width -------------------------------------------------------------------------------------------

@@ -344,7 +344,7 @@ def made(kind, name, value):
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -1.0, 0.0])
 def test_a_parameter_that_is_a_tensor_is_checked_like_numbers(kind, name, bad):
     """One bad entry among good ones, in a batch, in both precisions."""
-    size = math.prod(2 if axis == "n" else axis for axis in kind.SHAPES[name])
+    size = math.prod(2 if isinstance(axis, str) else axis for axis in kind.SHAPES[name])
     good = double(ROOM.get(name, [1.0] * size))
     numbers = good.tolist()
     numbers[-1] = bad
@@ -531,13 +531,20 @@ def test_denser_links_have_more_mass_and_inertia_about_the_same_centres(name, fo
     assert agrees(b, effects.MassScale(factor), model=models)
 
 
-def test_effects_on_the_model_act_one_after_the_other():
-    """A payload that is there before the links are scaled is scaled with them."""
+def test_payloads_are_not_scaled_with_the_links_wherever_they_stand():
     b = bare("tree")
-    factor, payload = effects.MassScale(2.0), (0.0, 0.1, 0.2)
-    before = accelerations(b, (effects.Payload(1.0, payload), factor))
-    after = accelerations(b, (factor, effects.Payload(2.0, payload)))
-    assert close(before, after, pinocchio(b).size)
+    parts = (
+        effects.MassScale(2.0),
+        effects.Payload(1.0, (0.0, 0.1, 0.2)),
+        effects.MassScale(1.5),
+        effects.Payload(0.5),
+    )
+    heavy = b.case.robot.replace(mass=3.0 * b.case.robot.mass, inertia=3.0 * b.case.robot.inertia, armature=None)
+    q, qd, u = b.q[:2], b.qd[:2], b.u[:2]
+    expected = Scene(heavy, parts[1::2]).step(State(q, qd), u)
+    for order in itertools.permutations(parts):
+        found = Scene(b.case.robot, order).step(State(q, qd), u)
+        assert close(found.qd, expected.qd, float(expected.qd.abs().max()))
 
 
 # --- bodies ----------------------------------------------------------------------------------------------------------
@@ -760,13 +767,40 @@ def test_commands_are_rounded_to_steps(form):
 
 
 @pytest.mark.parametrize("parameter", [0.05, [0.05, 0.05], double([0.05, 0.05]), double(0.05)])
-def test_a_lag_is_the_exponential_of_its_time(parameter):
-    """T tau' = u - tau has the solution tau + (1 - exp(-dt/T)) (u - tau) while u is constant."""
+def test_a_lag_is_the_mean_of_the_exponential_of_its_time(parameter):
+    """T tau' = u - tau has the solution tau + (1 - exp(-t/T)) (u - tau) while u is constant; its mean over dt acts."""
     found, tau, expected = driven(effects.Lag(parameter), U), np.zeros(2), []
+    decay = math.exp(-0.02 / 0.05)
     for u in U.numpy():
-        tau = tau + (1 - math.exp(-0.02 / 0.05)) * (u - tau)
-        expected.append(tau)
+        expected.append(u + 0.05 / 0.02 * (1 - decay) * (tau - u))
+        tau = tau + (1 - decay) * (u - tau)
     assert np.abs(found.numpy() - np.array(expected)).max() < 1e-11
+
+
+@pytest.mark.parametrize("integrator", [LinearlyImplicit(), RungeKutta4()], ids=["implicit", "fourth order"])
+@pytest.mark.parametrize("substeps", [1, 4])
+@pytest.mark.parametrize("dt", [0.001, 0.01, 0.05])
+def test_the_impulse_of_a_lag_is_exact_at_any_step(dt, substeps, integrator):
+    """A slide of 2 kg under a torque of 2 N from rest has the velocity t - T (1 - exp(-t/T))."""
+    slide = torchdq.Robot.from_screws([(0, 0, 0, 1, 0, 0)], [2.0], [[0.0] * 3], [torch.eye(3)], gravity=None)
+    scene = Scene(slide, (effects.Lag(0.02),), integrator=integrator, dt=dt, substeps=substeps)
+    state = scene.start(double([0.0]))
+    for k in range(1, 4):
+        state = scene.step(state, double([2.0]))
+        exact = k * dt - 0.02 * (1 - math.exp(-k * dt / 0.02))
+        assert float(state.qd) == pytest.approx(exact, rel=1e-12)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("time", [1e-3, 0.39, 0.41, 10.0, 1e9])
+def test_a_lag_keeps_its_digits_whatever_its_time(time, dtype):
+    robot = CASES["two_link"].robot
+    tensor, number = (Scene(robot, (effects.Lag(x),), dt=0.02) for x in (torch.tensor(time, dtype=dtype), time))
+    q, u = torch.zeros(2, dtype=dtype), torch.ones(2, dtype=dtype)
+    found, expected = (scene.step(scene.start(q), u).qd for scene in (tensor, number))
+    free = Scene(robot, dt=0.02)
+    size = float(free.step(free.start(q), u).qd.abs().max())
+    assert (found - expected).abs().max() < 100 * torch.finfo(dtype).eps * size
 
 
 def test_a_lag_of_no_time_is_none():
@@ -1159,8 +1193,11 @@ def test_gradients_of_dry_friction_stay_finite_as_its_width_shrinks(width, qd, t
         (effects.Payload(1.0, inertia=0.1), "inertia of Payload must have 6 components"),
         (effects.Payload(1.0, inertia=(1.0, 1.0, 100.0, 0.0, 0.0, 0.0)), "must be a body that can exist, inertia in"),
         (effects.Payload(torch.ones(5), inertia=(0.01, 0.02, 0.015, 0.0, 0.0, 0.0)), "must be a body that can exist"),
-        (effects.Stribeck(2.0, 1.0), "static of Stribeck must be at least coulomb, found coulomb and static 2 and 1"),
-        (effects.Stribeck(torch.tensor([1.0, 2.0]), 1.5), "found coulomb and static 2 and 1.5 at joint 'elbow'"),
+        (effects.Stribeck(2.0, 1.0), "coulomb of Stribeck must not be above static, found 2 and 1"),
+        (
+            effects.Stribeck(torch.tensor([1.0, 2.0]), 1.5),
+            "coulomb of Stribeck must not be above static, found 2 and 1.5 at joint 'elbow'",
+        ),
         (effects.Limits(torch.tensor([1.0, 1.0]), torch.tensor([2.0, -1.0])), "found 1 and -1 at joint 'elbow'"),
         (effects.Delay(10**7), "steps of Delay must be at most 500"),
         (effects.TorqueSpeed(torch.tensor([math.inf, 5.0]), 3.0), "stall of TorqueSpeed must be finite as a tensor"),
@@ -1170,6 +1207,40 @@ def test_parameters_that_make_no_sense_are_refused(effect, message):
     robot = torchdq.robots.load("two_link").replace(joint_names=("shoulder", "elbow"))
     with pytest.raises(torchdq.ArgumentError, match=message):
         Scene(robot, (effect,))
+
+
+PARAMETERS = [(name, parameter) for name in TENSORS for parameter in getattr(effects, name).SHAPES]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    ["1", True, np.bool_(True), b"1", 1j, [True, True], ["1", "1"], (0.1, "1"), [torch.ones(())] * 2, 10**400],
+    ids=lambda x: repr(x)[:12],
+)
+@pytest.mark.parametrize(("name", "parameter"), PARAMETERS)
+def test_parameters_that_are_no_numbers_are_refused(name, parameter, wrong):
+    """Words, truth values and tensors within a list, of which float() makes numbers."""
+    own, _ = TENSORS[name]()
+    with pytest.raises(torchdq.ArgumentError, match=f"^{parameter} of {name} must be a number.* or a tensor, found "):
+        Scene(CASES["two_link"].robot, (dataclasses.replace(own, **{parameter: wrong}),))
+
+
+@pytest.mark.parametrize(("name", "parameter"), PARAMETERS)
+def test_parameters_without_values_are_named(name, parameter):
+    own, inputs = TENSORS[name]()
+    wrong = getattr(own, parameter).detach().to("meta")
+    scene = Scene(CASES["two_link"].robot, (dataclasses.replace(own, **{parameter: wrong}),))
+    with pytest.raises(torchdq.ArgumentError, match=f"^{parameter} is on the device 'meta', where tensors have no val"):
+        scene.step(scene.start(p(0.1, 0.2).detach(), noise=inputs.get("noise")), **inputs)
+
+
+def test_numbers_of_numpy_are_numbers():
+    robot, given = CASES["two_link"].robot, [np.float32(0.5), np.float64(2.0), np.int64(3)]
+    for x in given:
+        assert Scene(robot, (effects.Viscous(x),)).effects[0].coefficient == (float(x), float(x))
+    assert Scene(robot, (effects.Viscous(given[:2]),)).effects[0].coefficient == (0.5, 2.0)
+    with pytest.raises(torchdq.ArgumentError, match="acceleration of Gravity must have 3 components, found the number"):
+        Scene(robot, (effects.Gravity(np.float32(9.81)),))
 
 
 def test_a_payload_is_a_point_or_any_body():

@@ -134,8 +134,8 @@ def test_wrong_seeds_are_refused(seed):
 
 def make(randomise, num_envs=200, **arguments):
     """Vector environment of a small robot, reset."""
-    given = {"robot": BOT, "scale": 20.0, "effects": PARTS, "action": "residual", **arguments}
-    envs = ArmVectorEnv(num_envs, "track", randomise=randomise, **given)
+    given = {"task": "track", "robot": BOT, "scale": 20.0, "effects": PARTS, "action": "residual", **arguments}
+    envs = ArmVectorEnv(num_envs, randomise=randomise, **given)
     envs.reset(seed=0)
     return envs
 
@@ -221,6 +221,16 @@ def test_what_is_drawn_acts(name):
     assert not torch.equal(low.get_state()["observation"], high.get_state()["observation"])
 
 
+@pytest.mark.parametrize("task", ["reach", "track"])
+@pytest.mark.parametrize("name", ALL)
+def test_start_and_goal_are_those_of_the_robot_as_described(task, name):
+    """In every task, whatever else is drawn for an episode."""
+    envs, plain = (make(drawn, 3, task=task, backend="eager") for drawn in ({name: ALL[name]}, {}))
+    for part in ("q", "goal"):
+        assert torch.equal(envs.get_state()[part], plain.get_state()[part])
+    assert envs.step(torch.zeros(3, 2))[0].isfinite().all()
+
+
 @pytest.mark.parametrize("steps", [1, 2, 3])
 def test_a_drawn_delay_of_whole_steps_is_the_delay(steps):
     plain = make({}, 5, effects=(effects.Gravity(), effects.Delay(steps)))
@@ -249,6 +259,7 @@ def test_an_unknown_name_lists_all():
     [
         ({"mass": 1.5}, r"randomise\['mass'\] must be a fraction from 0 to 1, or a pair"),
         ({"mass": True}, "must be a number, a pair"),
+        ({"mass": (True, 2)}, "must be a number, a pair"),
         ({"mass": (1.2, 0.8)}, "must be a number, a pair"),
         ({"mass": (0.8, 1.0, 1.2)}, "must be a number, a pair"),
         ({"mass": "much"}, "must be a number, a pair"),

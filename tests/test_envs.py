@@ -34,6 +34,13 @@ def make(num_envs=5, task="reach", **arguments):
     return ArmVectorEnv(num_envs, task, **{"robot": ROBOT, "scale": 20.0, **arguments})
 
 
+def stacked(limits=False):
+    """Two robots of different masses, or of different limits."""
+    robot = torchdq.robots.load("panda")
+    changes = {"limits": robot.limits._replace(upper=0.9 * robot.limits.upper)} if limits else {"mass": 2 * robot.mass}
+    return torchdq.Robot.stack([robot, robot.replace(**changes)])
+
+
 def actions_of(envs, seed=0):
     """Random actions, within their bounds, that do not end."""
     generator = torch.Generator().manual_seed(seed)
@@ -123,6 +130,28 @@ def test_double_precision_throughout():
 @pytest.mark.parametrize("dtype", ["float64", np.float64])
 def test_a_dtype_may_have_the_name_that_numpy_gives_it(dtype):
     assert make(2, dtype=dtype).dtype == torch.float64
+
+
+@pytest.mark.parametrize(("task", "action"), [("reach", "torque"), ("track", "residual"), ("reach", "reference")])
+def test_robots_of_a_stack_are_each_simulated(task, action):
+    """A row moves as its own robot; a controller of the environment knows the mean of all."""
+    robot = torchdq.robots.load("panda")
+    robots = [robot, robot.replace(mass=1.5 * robot.mass, damping=robot.damping + 2.0)]
+    controller = None if action == "torque" else controllers.ComputedTorque(100.0, 20.0, robot)
+    given = {"task": task, "action": action, "dtype": torch.float64, "controller": controller, "backend": "eager"}
+    several = make(2, robot=torchdq.Robot.stack(robots), **given)
+    several.reset(seed=3)
+    found, *_ = several.step(torch.ones(2, 7))
+    for i, one in enumerate(robots):
+        alone = make(1, robot=one, **given)
+        alone.reset(seed=3 + i)
+        expected, *_ = alone.step(torch.ones(1, 7))
+        assert torch.allclose(found[i], expected[0], rtol=1e-9, atol=1e-9)
+    several = make(2, robot=torchdq.Robot.stack(robots), **(given | {"controller": None}))
+    several.reset(seed=3)
+    assert bool(several.step(torch.zeros(2, 7))[0].isfinite().all())
+    if action != "torque":
+        assert torch.allclose(several.scene.controller.model.mass, 1.25 * robot.mass)
 
 
 def test_gymnasium_makes_them():
@@ -373,12 +402,21 @@ def test_finished_rows_wait_to_be_reset():
     envs.step(torch.zeros(5, 2))
 
 
-@pytest.mark.parametrize("actions", [None, "x", np.array([None, {}]), {"a": 1}], ids=lambda x: type(x).__name__)
+COMPLEX = torch.ones(5, 2, dtype=torch.complex128)
+
+
+@pytest.mark.parametrize(
+    "actions",
+    [None, "x", np.array([None, {}]), {"a": 1}, [[1.0], []], COMPLEX, COMPLEX.numpy(), COMPLEX.tolist()],
+    ids=lambda x: type(x).__name__,
+)
 def test_actions_that_are_no_numbers_are_refused(actions):
     envs = make()
     envs.reset(seed=0)
     with pytest.raises(torchdq.ArgumentError, match="actions must be a tensor or an array of numbers, found"):
         envs.step(actions)
+    with pytest.raises(torchdq.ArgumentError, match="actions must be a dense tensor, found a sparse_coo one"):
+        envs.step(torch.zeros(5, 2).to_sparse())
 
 
 IN_TORCH = TorchTask("reach", reward=lambda now: -now.q.square().sum(1))
@@ -408,6 +446,14 @@ def test_rows_are_the_same_where_the_host_does_not_look(mode, task):
     assert states[0].keys() == states[1].keys()
     for name, x in states[0].items():
         torch.testing.assert_close(states[1][name], x, rtol=0, atol=0, equal_nan=True)
+
+
+def test_centres_of_mass_are_randomised():
+    envs = make(randomise={"com": 0.1})
+    envs.reset(seed=0)
+    drawn = envs.scene.robot.com - ROBOT.com.float()
+    assert drawn.shape == (5, 2, 3) and (drawn.abs() <= 0.1).all() and drawn.std(0).min() > 0.01
+    steps(envs, 3)
 
 
 def test_a_mask_resets_only_its_rows():
@@ -915,6 +961,14 @@ class Unhashable(Reach):
         ({"device": "cuda:99"}, "device must be a device that torch has on this machine, .*found 'cuda:99'"),
         ({"device": "gpu"}, "device must be a device that torch has on this machine, which are cpu.*found 'gpu'"),
         ({"robot": torchdq.robots.load("panda").with_tip(None)}, r"^tip of robot 'panda' must be chosen .*with_tip\("),
+        (
+            {"robot": stacked(limits=True)},
+            "limits of robot 'panda' have batch axes; environments need one set of",
+        ),
+        (
+            {"robot": stacked()},
+            r"mass of robot 'panda' must be one for all or have 5 rows, found .* axes \(2,\)",
+        ),
         ({"dt": 0.0}, "dt must be a positive number"),
         ({"effects": (effects.Gravity,)}, "it is a class, call it"),
         ({"num_envs": 0}, "num_envs must be a whole number from 1"),

@@ -1,6 +1,7 @@
 """Friction found from filtered logs is that of the robot, within the stated errors, at any rate of the log."""
 
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +12,10 @@ pytest.importorskip("scipy", reason="smoothing needs scipy")
 
 import torchdq
 from torchdq.errors import ArgumentError
-from torchdq.learning import Layout, Log, cut, directions, identify, samples, smooth
+from torchdq.learning import Layout, Log, LogWarning, cut, directions, identify, samples, smooth
 
 
-def log_of(robot, rate, seed):
+def log_of(robot, rate, seed, width=1e-3):
     """Log of a robot with masses off by 30 % and dry friction, noisy; and its viscous and Coulomb friction."""
     g = torch.Generator().manual_seed(seed)
     n, t = robot.n, torch.arange(0, 40, 1 / rate, dtype=torch.float64)[:, None, None]
@@ -33,7 +34,7 @@ def log_of(robot, rate, seed):
     tau = torchdq.inverse_dynamics(real, q, qd, qdd)
     coulomb = 0.3 * tau.std(0).clamp_min(0.02 * tau.std(0).max())
     viscous = 0.3 * coulomb
-    tau = tau + viscous * qd + coulomb * qd / (qd**2 + 1e-6).sqrt()
+    tau = tau + viscous * qd + coulomb * qd / (qd**2 + width**2).sqrt()
     signals = (q + 1e-5 * noise(q), qd + 1e-3 * noise(q), tau + 0.05 * tau.std(0) * noise(q))
     return Log(Path("log"), Layout(), t[:, 0, 0].numpy(), *(x.numpy() for x in signals), 0), viscous, coulomb
 
@@ -52,6 +53,45 @@ def test_friction_is_found_within_the_stated_errors(name, rate):
     assert float((found.coulomb / coulomb - 1).abs().max()) < 0.03
     sharp = identify(robot, *samples(motion))
     assert float((sharp.coulomb / coulomb).mean()) < 0.98  # what the rounded steps cost otherwise
+
+
+def errors(found, robot, *truths):
+    """Distances of viscous and Coulomb friction from the true ones, in standard errors, [2, n]."""
+    n = robot.n
+    return ((found.parameters - torch.cat([found.parameters[: -2 * n], *truths])) / found.errors)[-2 * n :].reshape(
+        2, n
+    )
+
+
+@pytest.mark.parametrize("width", [0.03, 0.1])
+def test_friction_of_another_shape_is_told_and_its_width_is_the_cure(width):
+    """Friction as simulated, which is viscous below a width, beside that of a sharp step, and the other way round."""
+    robot = torchdq.robots.load("two_link")
+    log, *truths = log_of(robot, 100, 3, width)
+    sharp, motion = smooth(log, rate=16), smooth(log, rate=16, width=width)
+    with pytest.warns(LogWarning, match=r"dry friction of joint. .* another shape .* give smooth\(log\) its width"):
+        biased = identify(robot, *samples(sharp), direction=directions(sharp))
+    assert errors(biased, robot, *truths).abs().max() > 5
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = identify(robot, *samples(motion), direction=directions(motion), width=width)
+    assert errors(found, robot, *truths).abs().max() < 3
+
+
+def test_dry_friction_of_filtered_torques_is_told_without_directions():
+    robot = torchdq.robots.load("two_link")
+    data = samples(smooth(log_of(robot, 100, 3)[0], rate=16))
+    with pytest.warns(LogWarning, match=r"dry friction of joint1 .* give direction=directions\(motion\)"):
+        identify(robot, *data)
+
+
+@pytest.mark.parametrize("name", ["two_link", "ur10e", "panda"])
+def test_dry_friction_of_the_right_shape_is_not_doubted(name):
+    robot = torchdq.robots.load(name)
+    motion = smooth(log_of(robot, 100, 5)[0], rate=16)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        identify(robot, *samples(motion), direction=directions(motion))
 
 
 def test_directions_are_those_of_the_rows():

@@ -140,6 +140,38 @@ def test_a_rollout_is_captured_in_a_graph():
     same([found], [expected])
 
 
+def test_a_training_iteration_through_a_rollout_is_captured_in_a_graph():
+    scene = Scene(PANDA, (effects.Gravity(), effects.Viscous(1.0)))
+    q = random(64, 7, dtype=F32).to(GPU)
+
+    def trainer():
+        torch.manual_seed(0)
+        net = torch.nn.Linear(14, 7).to(GPU)
+        optimiser = torch.optim.Adam(net.parameters(), 1e-3, capturable=True)
+
+        def iteration():
+            optimiser.zero_grad(set_to_none=False)
+            states = scene.rollout(scene.start(q), steps=5, policy=lambda s: net(torch.cat(s[:2], 1)), lost="keep")
+            loss = states.q.square().mean()
+            loss.backward()
+            optimiser.step()
+            return loss.detach()
+
+        stream = torch.cuda.Stream()
+        with torch.cuda.stream(stream):
+            for _ in range(3):
+                iteration()
+        torch.cuda.current_stream().wait_stream(stream)
+        return iteration
+
+    captured, plain, graph = trainer(), trainer(), torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        found = captured()
+    for _ in range(3):
+        graph.replay()
+        torch.testing.assert_close(found, plain())
+
+
 def test_calls_run_on_the_present_stream():
     s = moved(states(PANDA, 100_000), GPU)
     expected = torchdq.inverse_dynamics(PANDA, s.q, s.qd, s.qdd)
@@ -190,3 +222,28 @@ def test_environments_are_those_of_the_cpu(task):
     agree([b.cpu()], [a], 2.0**16)
     counters = [env.get_state()["counter"].cpu() for env in envs]
     same(counters[1:], counters[:1])
+
+
+@pytest.mark.parametrize("mode", ["SameStep", "NextStep", "Disabled"])
+def test_a_step_asks_the_gpu_nothing_and_is_repeated_by_a_graph(mode):
+    options = {"max_episode_steps": 5, "randomise": {"mass": 0.1, "payload": 1.0}, "autoreset_mode": mode}
+    envs, plain = (ArmVectorEnv(300, "reach", "panda", device=GPU, **options) for _ in "ab")
+    actions = torch.zeros(300, 7, device=GPU)
+    for each in (envs, plain):
+        each.reset(seed=0)
+        each.step(actions)
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        observations, rewards, terminated, truncated, _ = envs.step(actions)
+    torch.cuda.set_sync_debug_mode("error")
+    try:
+        for k in range(12):
+            graph.replay()
+            expected = plain.step(actions)
+            if k == 7:
+                for each in (envs, plain):
+                    each.reset(options={"reset_mask": expected[2] | expected[3]})
+    finally:
+        torch.cuda.set_sync_debug_mode("default")
+    same([observations, rewards, terminated, truncated], expected[:4])
+    same(envs.get_state().values(), plain.get_state().values())

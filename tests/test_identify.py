@@ -54,7 +54,7 @@ def assert_can_exist(found):
     for i, link in enumerate(found.robot.link_names):
         xx, xy, yy, xz, yz, zz = found.robot.inertia[i]
         inertia = torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz]).reshape(3, 3)
-        assert physical.body(link, float(found.robot.mass[i]), inertia) == []
+        assert physical.bodies((link,), found.robot.mass[i].reshape(1).double(), inertia.double()[None]) == []
         assert float(torch.linalg.eigvalsh(inertia.trace() / 2 * torch.eye(3) - inertia).min()) >= -1e-12
     assert all(bool((x >= 0).all()) for x in (found.viscous, found.coulomb) if x is not None)
 
@@ -397,13 +397,24 @@ def test_what_it_does_not_take():
         identify(robot, x, x, x / 0, x)
     with pytest.raises(ArgumentError, match="at least one sample"):
         identify(robot, x[:0], x[:0], x[:0], x[:0])
-    with pytest.raises(ArgumentError, match="prior"):
-        identify(robot, x, x, x, x, prior=0.0)
+    for name in ("prior", "width"):
+        for wrong in (0.0, -1, True, "1", float("inf")):
+            with pytest.raises(ArgumentError, match=f"^{name} must be a positive number, found "):
+                identify(robot, x, x, x, x, **{name: wrong})
     with pytest.raises(ArgumentError, match="batch axes"):
         identify(robot.replace(mass=robot.mass * torch.ones(3, 1).double()), x[:3], x[:3], x[:3], x[:3])
     with pytest.raises(ArgumentError, match="no mass"):
         empty = robot.replace(mass=0 * robot.mass, on_unphysical="ignore")
         identify(empty, x, x, x, x, friction=False)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(("name", "size"), [("tau", 1e300), ("qd", 1e150), ("qdd", 1e10)])
+def test_numbers_too_large_for_least_squares_are_named(name, size):
+    robot, signals = torchdq.robots.load("two_link"), [*moving(2, 100), moving(2, 100, seed=1)[0]]
+    signals[["q", "qd", "qdd", "tau"].index(name)] *= size
+    with pytest.raises(ArgumentError, match=rf"^{name} must be numbers .*, found up to \de\+"):
+        identify(robot, *signals)
 
 
 # --- the example -----------------------------------------------------------------------------------------------------

@@ -5,13 +5,12 @@ those first. Numbers in tolerances are measured ones with a margin of three to t
 """
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
 import pytest
 import torch
-from helpers import FIXED, called, double, random, thinned
+from helpers import FIXED, INERTIA, WHEEL, called, double, random, thinned
 from oracles import random_tree, shipped
 from scipy.integrate import solve_ivp
 
@@ -26,17 +25,12 @@ from torchdq.envs.integrators import (
     RungeKutta4,
     SemiImplicitEuler,
     StoermerVerlet,
+    System,
 )
 
 ARM = shipped("two_link").robot
 TREE = random_tree(3, seed=6, armature=True).robot
 PANDA = shipped("panda")
-
-# a wheel of inertia 0.01 about its axis: its acceleration is a hundred times its torque
-INERTIA = 0.01
-WHEEL = torchdq.Robot.from_screws(
-    [[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], [1.0], [[0.0, 0.0, 0.0]], [np.diag([INERTIA] * 3)], name="wheel"
-)
 
 
 @pytest.fixture
@@ -145,12 +139,23 @@ def test_dormand_prince_agrees_with_scipy_on_pinocchios_accelerations(name, comp
     assert np.abs(np.concatenate(found[:2]) - solution.y[:, -1]).max() < 1e-9
 
 
+class Pendulum(System):
+    """x'' = -x, which counts its evaluations."""
+
+    def __init__(self, calls):
+        self.calls = calls
+
+    def accelerations(self, x, v):
+        self.calls.append(1)
+        return [-x[0]]
+
+
 def test_dormand_prince_meets_its_tolerance_with_steps_of_its_order():
     """On x'' = -x, ten times the work buys five digits."""
     errors, evaluations = [], []
     for rtol in (1e-6, 1e-11):
         calls = []
-        spring = SimpleNamespace(accelerations=lambda x, v, calls=calls: calls.append(1) or [-x[0]])
+        spring = Pendulum(calls)
         x, v = DormandPrince(rtol, rtol).flow(spring, double(1.0)[None], double(0.0)[None], 5.0)
         errors.append(max(abs(float(x) - math.cos(5.0)), abs(float(v) + math.sin(5.0))) / rtol)
         evaluations.append(len(calls))
@@ -254,15 +259,24 @@ def test_an_adaptive_step_drives_and_senses_as_a_recorded_one_does(compiled):
     for k in range(4):
         torque, push = random(3, 2, seed=k) * 3, random(6, seed=k)
         a, b = adaptive.step(a, torque, push=push), recorded.step(b, torque, push=push)
-    for x, y in zip(a, b, strict=True):
+    for x, y in zip(a.rows().values(), b.rows().values(), strict=True):
         assert (x - y).abs().max() < 2e-7
     assert a.memory.abs().min(0).values.max() > 0
 
 
-@pytest.mark.parametrize("rtol, atol", [(0.0, 1e-9), (1e-9, -1.0)])
-def test_tolerances_must_be_positive(rtol, atol):
-    with pytest.raises(torchdq.ArgumentError, match="rtol and atol must be positive"):
-        DormandPrince(rtol, atol)
+@pytest.mark.parametrize(
+    "integrator, name, expected",
+    [
+        (lambda: DormandPrince(0.0, 1e-9), "rtol", "a positive number, found 0.0"),
+        (lambda: DormandPrince(1e-9, -1.0), "atol", "a positive number, found -1.0"),
+        (lambda: DormandPrince("1e-9"), "rtol", "a positive number, found '1e-9'"),
+        (lambda: DormandPrince(most=0), "most", "a whole number from 1, found 0"),
+        (lambda: StoermerVerlet(True), "iterations of StoermerVerlet", "a whole number from 1, found True"),
+    ],
+)
+def test_numbers_of_integrators_are_checked(integrator, name, expected):
+    with pytest.raises(torchdq.ArgumentError, match=f"^{name} must be {expected}"):
+        integrator()
 
 
 def test_an_adaptive_step_has_no_count_of_operations():

@@ -8,11 +8,13 @@ import contextlib
 import dataclasses
 import gzip
 import io
+import math
 import os
 import pickle
 import re
 import sys
 import time
+import warnings
 import zipfile
 from collections.abc import Callable
 from importlib import import_module
@@ -532,11 +534,34 @@ def test_a_single_joint_needs_no_number_and_an_archives_arrays_have_names_too(tm
         ),
         ({"blocks": ("q", "q", "tau")}, "blocks must be three or more different names"),
         ({"blocks": "qvt"}, "blocks must be three or more different names, .* found 'qvt'"),
+        (
+            {"columns": {"tau": ["ta", "tb", "tb", "td"]}},
+            "columns must name every column once, found 'tb' several times",
+        ),
+        ({"columns": {"q": "x{1}", "qd": "x{1}"}}, r"columns must name every column once, found 'x\{1\}'"),
+        ({"gain": 2.0}, r"gain must be numbers, one per joint, such as \(2.0, 1.5\), .*found 2.0"),
+        ({"gain": "much"}, "gain must be numbers, one per joint, .*found 'much'"),
+        ({"gain": (1.0, math.nan)}, "gain must be finite numbers"),
+        ({"joints": 2.0}, "joints must be a whole number from 0, found 2.0"),
+        ({"cutoff_qd": "8"}, "cutoff_qd must be a positive number, found '8'"),
+        ({"fastest": math.nan}, "fastest must be a positive number, found nan"),
     ],
 )
 def test_names_of_columns_are_checked(options, message):
     with pytest.raises(TorchdqError, match=message):
         learning.Layout(**options)
+
+
+def test_a_column_is_read_for_one_signal(tmp_path):
+    heads = ["time", "q1", "q2", "qd1", "qd2", "tau1", "tau2"]
+    path = written(tmp_path / "log.csv", np.ones((3, 7)), heads)
+    with pytest.raises(learning.LogError, match="'q2' would be read for several signals or joints"):
+        learning.read(path, learning.Layout(columns={"tau": ["tau1", "q2"]}))
+
+
+def test_gains_may_be_any_row_of_numbers():
+    for gain in ([2.0, 1.5], np.array([2.0, 1.5]), (2, 1.5)):
+        assert learning.Layout(gain=gain).gain == (2.0, 1.5)
 
 
 def test_a_missing_column_says_how_many_others_there_are(tmp_path):
@@ -555,11 +580,66 @@ def test_every_field_of_a_layout_is_explained():
     assert entries.count("[rad") == 5 and "[Hz]" in entries and "a list of names in the robot's order" in entries
 
 
+def warned(path: Path, **settings) -> list[str]:
+    """Warnings of a log that is read."""
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        learning.read(path, **settings)
+    assert all(one.category is learning.LogWarning and one.filename == __file__ for one in seen)
+    return [str(one.message) for one in seen]
+
+
+def test_a_file_that_ends_within_its_last_number_is_told(tmp_path):
+    path = written(tmp_path / "log.csv", table(0.5, 2), names(2))
+    assert warned(path) == []
+    whole = path.read_text().rstrip("\n")
+    path.write_text(whole)  # without the last line break, as many programs write it
+    assert warned(path) == []
+    for cut in (whole[:-8], whole[:-9]):
+        path.write_text(cut)
+        (told,) = warned(path)
+        assert re.search(r"log\.csv, row 501: the last number has fewer .* leave the row out by rows=\(0, 499\)$", told)
+        assert warned(path, rows=(0, 499)) == []
+        assert "rows=(10, 499)" in warned(path, rows=(10, 600))[0]
+        path.write_text(cut + "\n")
+        assert warned(path) == []
+
+
+def test_positions_that_jump_farther_than_their_velocities_explain_are_told(tmp_path):
+    rows = table(0.5, 2)
+
+    def told(change) -> list[str]:
+        changed = rows.copy()
+        change(changed)
+        return warned(written(tmp_path / "log.csv", changed, names(2)))
+
+    assert told(lambda x: None) == []
+    (one,) = told(lambda x: np.add.at(x, (100, 2), 1.0))
+    assert re.search(r"log\.csv, row 102, column 'q2': it changes by \S+ within 0.00\d+ s, of which its", one)
+    assert "the first of 2 such jumps; is a number wrong, or does an angle turn over at pi?" in one
+
+    def twice(x):
+        x[200, 0], x[200, 1] = x[199, 0], x[199, 1] - 0.3
+
+    (one,) = told(twice)
+    assert "row 202, column 'q1'" in one and "within 0 s" in one
+
+    def over(x):
+        x[300:, 1] -= 2 * np.pi
+
+    assert "it changes by 6.28 within" in told(over)[0]
+    assert told(lambda x: np.add.at(x, (100, 2), 0.01)) == []  # noise
+
+
 def test_a_layout_must_be_one(log):
     with pytest.raises(ArgumentError, match=r"layout must be a Layout, found dict; .*Layout\(columns="):
         learning.read(log, {"time": "stamp"})
     with pytest.raises(ArgumentError, match="rows must be a first row"):
         learning.read(log, rows=5)
+    for rows in ((1.5, 100), (0, 10.0), (True, 10), ("0", "9"), (0, None), (-1, 5)):
+        with pytest.raises(ArgumentError, match=r"rows must be a first row .* whole numbers, found"):
+            learning.read(log, rows=rows)
+    assert len(learning.read(log, rows=(np.int64(0), np.int64(10))).time) == 10
     with pytest.raises(ArgumentError, match="gain must have 7 numbers, one per joint, found 2"):
         learning.read(log, learning.Layout(gain=(1.0, 2.0)))
 
@@ -617,7 +697,12 @@ def test_frequencies_may_be_chosen(tmp_path):
     # twice through a filter of order four, a sine at the cutoff is halved
     assert abs(narrow.qd).max() == pytest.approx(RATE / 2, rel=0.05)
     np.testing.assert_allclose(narrow.tau, motion(narrow.time)[3], atol=1e-3)
+    for rate in (1e-9, 5e-324):
+        with pytest.raises(ArgumentError, match=rf"rate must leave rows of the 20.1 s of motion, found {rate:g} Hz"):
+            learning.smooth(read, rate=rate)
     for name in ("cutoff_qd", "cutoff_tau"):
+        with pytest.raises(ArgumentError, match=rf"{name} must be between 0 and .* found '8'"):
+            learning.smooth(read, **{name: "8"})
         with pytest.raises(
             ArgumentError, match=rf"{name} must be between 0 and \d+\.?\d* Hz, half the rate, found 600"
         ):

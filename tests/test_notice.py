@@ -12,7 +12,12 @@ import torch
 
 import torchdq
 from torchdq import functional, notice
+from torchdq.backends import c, c_library
+from torchdq.envs import Scene, recording
+from torchdq.envs.integrators import LinearlyImplicit, Repeated
 from torchdq.notice import Notice, warn_once
+from torchdq.program import autodiff
+from torchdq.program import program as programs
 
 
 @pytest.fixture(autouse=True)
@@ -39,6 +44,15 @@ def test_long_work_says_what_it_is_and_how_far(capfd):
     assert len(lines) >= 2 and set(lines[1:]) == {"torchdq: counting, 2 of 3, 0 s ..."}
     time.sleep(0.3)
     assert capfd.readouterr().err == ""
+
+
+def test_where_the_work_is_can_be_asked_when_a_line_is_written(capfd):
+    counted = []
+    with Notice("counting") as told:
+        told.at(lambda: f"{len(counted)} so far")
+        counted.append(1)
+        time.sleep(0.15)
+    assert capfd.readouterr().err == "torchdq: counting, 1 so far, 0 s ...\n"
 
 
 def test_the_first_line_comes_after_two_seconds_and_the_others_every_five():
@@ -91,6 +105,47 @@ def test_a_topic_is_warned_about_once_until_the_caches_are_cleared():
     torchdq.clear_caches()
     with pytest.warns(UserWarning, match="text"):
         warn_once("a topic of this test", "text")
+
+
+# --- recording of programs -------------------------------------------------------------------------------------------
+
+
+def test_programs_that_take_long_to_record_and_to_write_are_told_with_their_operations(monkeypatch):
+    torchdq.clear_caches()
+    told = {}
+
+    class Told(Notice):
+        def __exit__(self, *error):
+            super().__exit__(*error)
+            told[self.what] = self.where if isinstance(self.where, str) else self.where()
+
+    for module in (programs, c):
+        monkeypatch.setattr(module, "Notice", Told)
+    monkeypatch.setattr(c_library, "load", lambda *_: None)
+    program = Scene(torchdq.robots.load("two_link"), substeps=3).program()
+    autodiff.vjp(program, (0,))
+    autodiff.jvp(program, (0,))
+    autodiff.jacobian(program, (0,))
+    c.CompiledKernel(program, torch.float32)
+    for ending in ("", "_vjp", "_jvp", "_jacobian"):
+        number, words = told[f"recording step_two_link{ending}"].split()
+        assert int(number) > 100 and words == "operations"
+    assert told["writing step_two_link in C"] == ""
+
+
+def test_substeps_that_no_program_can_hold_are_refused_after_the_first(monkeypatch):
+    monkeypatch.setattr(recording, "MOST_OPERATIONS", 1000)
+    scene = Scene(torchdq.robots.load("two_link"), substeps=20)
+    state = scene.start(torch.ones(2))
+    with pytest.raises(torchdq.ArgumentError, match=r"substeps must be few .* found 20, .*Repeated\(Linear.*, 20\)"):
+        scene.step(state)
+    monkeypatch.undo()
+    alike = scene.replace(substeps=1, integrator=Repeated(LinearlyImplicit(), 20))
+    torch.testing.assert_close(scene.step(state).q, alike.step(state).q)
+    start = time.monotonic()
+    with pytest.raises(torchdq.ArgumentError, match="substeps must be few"):
+        scene.replace(substeps=10**6).step(state)
+    assert time.monotonic() - start < 5
 
 
 # --- programs of single frames ---------------------------------------------------------------------------------------

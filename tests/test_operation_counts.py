@@ -14,11 +14,12 @@ from functools import cache, partial
 from pathlib import Path
 
 import pytest
+import torch
 
 import torchdq
 from torchdq.envs import ArmVectorEnv, Scene, effects, integrators
 from torchdq.envs.tasks import Checked
-from torchdq.functions.catalogue import RECIPES
+from torchdq.functions.catalogue import FLOATING, RECIPES
 from torchdq.program.program import Program
 
 TABLE = Path(__file__).with_name("operation_counts.json")
@@ -42,9 +43,17 @@ def robot(name: str, arguments: tuple[str, ...] = ()) -> torchdq.Robot:
     return loaded.replace(**{field: getattr(loaded, field) for field in arguments})
 
 
+def free(on_fixed: torchdq.Robot) -> torchdq.Robot:
+    """Robot whose base is a body that moves."""
+    body = {"base_mass": 3.0, "base_com": [0.1, -0.05, 0.2], "base_inertia": [0.3, 0.02, 0.4, -0.03, 0.01, 0.5]}
+    return on_fixed.replace(**{name: torch.tensor(x, dtype=torch.float64) for name, x in body.items()}).bake()
+
+
 def recipe(name: str, function: str, present=None, options=(), fields=(), derivative=False) -> Program:
     """Program of a public function, or of the product of a cotangent with its Jacobian."""
-    compiled = torchdq.compile(robot(name, fields), function, arguments=present, options=options)
+    known = robot(name, fields)
+    known = free(known) if function.startswith(FLOATING) else known
+    compiled = torchdq.compile(known, function, arguments=present, options=options)
     return (compiled.vjp() if derivative else compiled).program
 
 
@@ -75,6 +84,21 @@ def recipes(name: str) -> dict[str, Callable[[], Program]]:
         "forward_kinematics all": {"options": robot(name).frame_names},
         "jacobian": {"options": (tip, "body")},
         "jacobian world": {"options": (tip, "world")},
+        "floating.inverse_dynamics": {},
+        "floating.inverse_dynamics vjp": {"derivative": True},
+        "floating.forward_dynamics": {},
+        "floating.forward_dynamics vjp": {"derivative": True},
+        "floating.mass_matrix": {},
+        "floating.closed_form": {},
+        "floating.error_growth": {},
+        "floating.regressor": {},
+        "floating.forward_kinematics": {"options": (tip,)},
+        "floating.jacobian": {"options": (tip,)},
+        "floating.kinetic_energy": {},
+        "floating.potential_energy": {},
+        "floating.centre_of_mass": {},
+        "floating.momentum": {},
+        "floating.momentum_rate": {},
     }
     return {f"{name}/{key}": partial(recipe, name, key.split()[0], **of) for key, of in found.items()}
 

@@ -150,8 +150,13 @@ def test_a_program_prints_its_arguments_operations_and_results():
 # --- how much is recorded --------------------------------------------------------------------------------------------
 
 
-def chain(n: int, seed: int = 0, tilt: float | None = None, meeting: bool = False) -> torchdq.Robot:
-    """Revolute chain with skew axes; or each axis `tilt` [rad] from the one before; or each meeting the one before."""
+def chain(
+    n: int, seed: int = 0, tilt: float | None = None, meeting: bool = False, apart: float | None = None, slides: int = 0
+) -> torchdq.Robot:
+    """Chain with skew axes; or each axis `tilt` [rad] from the one before; or each meeting the one before.
+
+    With `apart` [m], each axis is so far from the one before. The first `slides` joints are prismatic.
+    """
     rng = np.random.default_rng([7, n, seed])
     axes = rng.normal(size=(n, 3))
     axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
@@ -161,10 +166,14 @@ def chain(n: int, seed: int = 0, tilt: float | None = None, meeting: bool = Fals
             axes[i] = pin.exp3(tilt * np.cross(axes[i - 1], axes[i])) @ axes[i - 1]
         if meeting and i % 2:
             points[i] = points[i - 1] + 0.2 * axes[i - 1] - 0.3 * axes[i]
+        if apart is not None:
+            points[i] = points[i - 1] + 0.3 * axes[i - 1] + apart * np.cross(axes[i - 1], rng.normal(size=3))
     mass = rng.uniform(0.5, 3.0, n)
     poses = [pin.SE3(pin.exp3(rng.normal(size=3)), p + rng.normal(size=3) * 0.05) for p in points]
+    screws = np.hstack([axes, np.cross(points, axes)])
+    screws[:slides] = np.hstack([0 * axes, axes])[:slides]
     return torchdq.Robot.from_screws(
-        np.hstack([axes, np.cross(points, axes)]),
+        screws,
         mass,
         rng.normal(size=(n, 3)) * 0.1,
         np.stack([random_inertia(rng, m) for m in mass]),
@@ -432,6 +441,20 @@ def test_axes_that_are_nearly_parallel_lose_no_accuracy(tilt):
     found = stack(aligned(robot, s.q, True).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None), (5,))
     size = torch.from_numpy(size_of_torques(Case(robot, pinocchio_model(robot)), s))
     assert ((found - torques(robot, s)).abs() / size).max() <= 1e-12
+
+
+@pytest.mark.parametrize("slides", [0, 3])
+@pytest.mark.parametrize("tilt", [0.0, 1e-16, 1e-14, 1e-12, 1e-9, 3e-7, 1.1e-6, 1e-4])
+@pytest.mark.parametrize("apart", [0.0, 1e-17, 1e-16, 1e-15, 1e-14, 1e-13, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4])
+def test_axes_that_are_nearly_one_line_lose_no_accuracy(apart, tilt, slides):
+    """The common normal of such axes is a difference of almost equal points: its direction is rounding."""
+    for seed in range(3):
+        robot = chain(4, seed, tilt=tilt, apart=apart, slides=slides)
+        s = states(robot, 2, seed)
+        size = torch.from_numpy(size_of_torques(Case(robot, pinocchio_model(robot)), s))
+        for group in (False, True):
+            found = stack(aligned(robot, s.q, group).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None), (2,))
+            assert ((found - torques(robot, s)).abs() / size).max() <= 1e-12
 
 
 def test_axes_that_meet_lose_no_accuracy():

@@ -369,3 +369,11 @@ def test_inputs_that_a_scene_does_not_have_are_named():
     scene = Scene(ROBOTS["two_link"], (effects.Gravity(),))
     with pytest.raises(torchdq.UnknownNameError, match=r"input of the scene.*'foo'"):
         recommend(scene, error=1e-3, horizon=0.1, foo=torch.zeros(2))
+
+
+def test_a_free_base_is_refused_at_once():
+    body = {"base_mass": 2.0, "base_com": [0.0] * 3, "base_inertia": [0.1, 0.0, 0.1, 0.0, 0.0, 0.1]}
+    robot = torchdq.robots.load("two_link")
+    robot = robot.replace(**{name: torch.tensor(x, dtype=torch.float64) for name, x in body.items()})
+    with pytest.raises(torchdq.ArgumentError, match="must have a fixed base, found a free one"):
+        torchdq.recommend(robot, error=1e-3, horizon=0.1)

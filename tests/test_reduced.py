@@ -5,6 +5,7 @@ locked joints stand still.
 """
 
 import math
+import warnings
 
 import oracles
 import pinocchio as pin
@@ -82,8 +83,15 @@ def test_locking_a_loaded_robot_is_locking_its_file():
 
 
 def test_a_lock_beyond_the_limits_of_a_loaded_robot_is_told():
-    notes = torchdq.robots.load("panda").lock({"panda_joint4": 1.0}).notes
-    assert any(note.startswith("locked beyond their limits: panda_joint4 at 1, limits [-3.07") for note in notes)
+    panda = torchdq.robots.load("panda")
+    with pytest.warns(UserWarning, match=r"'panda' is locked beyond its limits: panda_joint1 at 90, .* in rad") as seen:
+        notes = panda.lock({"panda_joint1": 90.0, "panda_joint2": 0.1}).notes
+    assert len(seen) == 1 and seen[0].filename == __file__
+    assert any(note.startswith("locked beyond their limits: panda_joint1 at 90, limits [-2.89") for note in notes)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        notes = panda.lock(["panda_joint4"]).notes  # home was not chosen
+    assert any(note.startswith("locked beyond their limits: panda_joint4 at 0, limits [-3.07") for note in notes)
 
 
 def test_a_robot_is_not_changed_by_locking_it():
@@ -197,3 +205,133 @@ def test_a_chain_runs_outwards():
             robot.subchain(base, tip)
     with pytest.raises(UnknownNameError):
         robot.subchain("panda_link9", "tip")
+
+
+def test_robots_of_a_stack_with_different_limits_are_locked_and_cut_as_one():
+    robot = torchdq.robots.load("panda")
+    narrow = robot.replace(limits=robot.limits._replace(upper=0.5 * robot.limits.upper))
+    stack = Robot.stack([robot, narrow])
+    locked = stack.lock({"panda_joint1": 2.0, "panda_joint2": 0.1})
+    alone = narrow.lock({"panda_joint1": 2.0, "panda_joint2": 0.1})
+    assert torch.equal(locked.limits.upper[1], alone.limits.upper) and locked.mass.shape == (2, 5)
+    assert "locked beyond their limits: panda_joint1 at 2, limits [-2.8973, 1.44865]" in "; ".join(locked.notes)
+    assert stack.subchain("panda_link3", "panda_link6").limits.upper.shape == (2, 3)
+
+
+# --- joints that follow coordinates, and free bases ------------------------------------------------------------------
+
+GEARS = {"j2": {"j0": -1.5}, "j4": {"j3": 0.5}, "j5": {"j3": 2.0}}
+LOCKS = {"gears": {"j3": 0.3}, "root": {"j0": 0.2}, "dense": {"b": 0.7, "d": -0.2}}
+
+
+def mapped(kind, free=False):
+    full = oracles.random_tree(6, 5).robot
+    if kind != "dense":
+        robot = full.couple(GEARS, offset={"j2": 0.4})
+    else:
+        S = torch.randn(6, 4, dtype=F64, generator=torch.Generator().manual_seed(1))
+        robot = full.couple(S, list("abcd"), offset={"j1": -0.3})
+    return on_free_base(robot) if free else robot
+
+
+def on_free_base(robot):
+    body = {"base_mass": 3.0, "base_com": [0.1, -0.05, 0.2], "base_inertia": [0.3, 0.02, 0.4, -0.03, 0.01, 0.5]}
+    return robot.replace(**{name: torch.tensor(x, dtype=F64) for name, x in body.items()}).bake()
+
+
+@pytest.mark.parametrize("free", [False, True])
+@pytest.mark.parametrize("kind", LOCKS)
+def test_a_locked_coordinate_is_one_that_stands_still(kind, free):
+    """Joints that follow it alone are fixed, and links that become part of a free base weigh there."""
+    full, lock = mapped(kind, free), LOCKS[kind]
+    robot = full.lock(lock)
+    assert robot.joint_names == tuple(name for name in full.joint_names if name not in lock)
+    if kind == "gears":
+        assert robot.every_joint == ("j0", "j1", "j2") and robot.floating == free
+    if kind == "root" and free:
+        assert full.parents[0] == -1 and float(robot.base_mass) > float(full.base_mass)
+    kept = [full.joint_index(name) for name in robot.joint_names]
+    x = torch.randn(3, 3, robot.n, dtype=F64, generator=torch.Generator().manual_seed(2))
+    q, qd, qdd = torch.zeros(3, 3, full.n, dtype=F64).index_copy(-1, torch.tensor(kept), x)
+    for name, value in lock.items():
+        q[:, full.joint_index(name)] = value
+    X = dq.exp(x.sum((0, 2))[:, None] * torch.linspace(-1, 1, 6, dtype=F64))
+    V, A = torch.randn(2, 3, 6, dtype=F64, generator=torch.Generator().manual_seed(3))
+    if free:
+        found = torchdq.floating.inverse_dynamics(robot, X, x[0], V, x[1], A, x[2])
+        expected = torchdq.floating.inverse_dynamics(full, X, q, V, qd, A, qdd)
+        pairs = [(found.F_B, expected.F_B), (found.tau, expected.tau[:, kept])]
+    else:
+        pairs = [(torchdq.inverse_dynamics(robot, *x), torchdq.inverse_dynamics(full, q, qd, qdd)[:, kept])]
+        poses = (torchdq.forward_kinematics(r, y) for r, y in ((robot, x[0]), (full, q)))
+        pairs.append(tuple(dq.to_matrix(pose) for pose in poses))
+    assert all(float((a - b).abs().max()) < 1e-12 * float(b.abs().max()) for a, b in pairs)
+
+
+def test_a_map_that_nothing_follows_any_more_is_gone():
+    robot = mapped("gears").lock(["j3", "j0"])
+    assert robot.joint_names == ("j1",) and robot.joint_map is None
+    q = torch.ones(3, 1, 1, dtype=F64)
+    assert torchdq.inverse_dynamics(robot, *q).isfinite().all()
+
+
+def test_a_coordinate_is_locked_where_its_own_joint_is_at_home():
+    full = mapped("gears")
+    home = float(full.home[3])
+    assert home and any(f"locked: j3 at {home:g}, j4 at {home / 2:g}," in note for note in full.lock("j3").notes)
+    same = full.lock({"j3": home})
+    assert any("locked: j3 at 0.3, j4 at 0.15, j5 at 0.6" in note for note in full.lock({"j3": 0.3}).notes)
+    assert torch.equal(same.home, full.lock("j3").home) and torch.equal(same.inertia, full.lock("j3").inertia)
+
+
+def test_a_follower_is_not_locked_by_itself():
+    with pytest.raises(UnknownNameError, match="no movable joint to lock named 'j4'"):
+        mapped("gears").lock(["j4"])
+
+
+def test_gradients_reach_a_free_base_that_links_became_part_of():
+    full = mapped("gears", free=True)
+    z = torch.linspace(0.1, 0.4, 3, dtype=F64)[: full.n - 1]
+    X, V = torch.eye(8, dtype=F64)[0], torch.linspace(-1, 1, 6, dtype=F64)
+
+    def forces(mass, base):
+        robot = full.replace(mass=mass, base_mass=base).lock({"j0": 0.2})
+        return torch.cat([*torchdq.floating.inverse_dynamics(robot, X, z, V, z, V, z)])
+
+    values = (full.mass.clone().requires_grad_(), full.base_mass.clone().requires_grad_())
+    assert torch.autograd.gradcheck(forces, values)
+    batch = full.replace(base_mass=torch.tensor([3.0, 4.0], dtype=F64)).lock({"j0": 0.2})
+    assert batch.base_mass.shape == (2,) and batch.base_inertia.shape == (2, 6)
+
+
+def test_a_chain_keeps_the_map_of_its_coordinates():
+    full = torchdq.robots.load("panda").couple({"panda_joint7": {"panda_joint6": 0.5}, "panda_joint3": {"arm": 2.0}})
+    chain = full.subchain("panda_link5", "tip")
+    assert chain.joint_names == ("panda_joint6",) and chain.every_joint == ("panda_joint6", "panda_joint7")
+    x = torch.randn(3, 3, 1, dtype=F64, generator=torch.Generator().manual_seed(2))
+    k = full.joint_index("panda_joint6")
+    q = torch.zeros(3, 3, full.n, dtype=F64).index_copy(-1, torch.tensor([k]), x)
+    found, expected = torchdq.inverse_dynamics(chain, *x), torchdq.inverse_dynamics(full, *q)[:, [k]]
+    assert torch.allclose(found, expected, rtol=1e-12, atol=1e-13)
+    assert torch.equal(chain.limits.upper, full.limits.upper[[k]])
+
+
+def test_a_chain_whose_coordinates_move_other_joints_is_refused():
+    full = torchdq.robots.load("panda")
+    shared = full.couple({"panda_joint7": {"panda_joint2": 0.5}})
+    with pytest.raises(ArgumentError, match="'panda_joint2' moves both joint 'panda_joint7' of the chain and"):
+        shared.subchain("panda_link5", "tip")
+    assert shared.subchain("panda_link1", "tip").joint_names == shared.joint_names[1:]
+    hand = Robot.from_urdf(oracles.urdf_paths()["panda"])
+    hand = hand.couple({"panda_finger_joint2": {"panda_finger_joint1": 1.0}}) if hand.joint_map is None else hand
+    assert hand.subchain("panda_hand", "panda_leftfinger").joint_names == ("panda_finger_joint1",)
+    with pytest.raises(ArgumentError, match="'panda_finger_joint2' follows 'panda_finger_joint1', which would be left"):
+        hand.subchain("panda_hand", "panda_rightfinger")
+
+
+def test_a_chain_of_a_robot_on_a_free_base_stands_on_a_fixed_one():
+    fixed = torchdq.robots.load("panda")
+    chain, expected = on_free_base(fixed).subchain("base", "tip"), fixed.subchain("base", "tip")
+    assert not chain.floating and "the base, which was free, is fixed" in chain.notes
+    s = oracles.states(expected)
+    assert torch.equal(*(torchdq.inverse_dynamics(x, s.q, s.qd, s.qdd) for x in (chain, expected)))

@@ -299,6 +299,23 @@ def test_it_costs_a_sum_per_joint_and_its_program_serves_every_network():
     assert scenes[0].inputs == bare.inputs
 
 
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [
+        (trained(), "network of 130 numbers in a ResidualDynamics"),
+        (nn.Bilinear(2, 2, 2), "network of 10 numbers in a Bilinear"),
+        (torch.mul, "function"),
+    ],
+    ids=["ResidualDynamics", "module", "function"],
+)
+def test_a_description_tells_the_size_of_the_network_and_what_it_adds_to(model, words):
+    found = Scene(ARM, (effects.Viscous(0.1), effects.Residual(model))).describe(batch=1, seconds=0.0)
+    line = f"Residual: a {words}, run by torch once per step, adds to the joint torques of the rigid bodies"
+    assert found.outside == (f"{line} and other effects",)
+    assert "\ncomputed outside the program, and not among the operations:\n- Residual: a " in str(found)
+    assert Scene(ARM).describe(batch=1, seconds=0.0).outside == ()
+
+
 def test_a_description_names_it_and_times_the_network_too():
     scene = Scene(ARM, (effects.Viscous(0.1), effects.Residual(imitated(2, 0.1))))
     found = scene.describe(batch=8, seconds=5.0)
@@ -396,5 +413,9 @@ def test_a_network_without_a_solution_is_told():
 
     model = torchdq.ResidualDynamics(torchdq.DQRNEA(ARM), Falling())
     scene = Scene(ARM, (effects.Residual(model),))
-    with pytest.warns(UserWarning, match="rows of Residual still changed in the last of 3 iterations"):
+    with pytest.warns(
+        UserWarning,
+        match=r"rows of Residual still changed in the last of 3 iterations, most at joint 'joint\d'; "
+        r"give Residual\(model, iterations=6\), learn 'armature' in the model",
+    ):
         scene.step(scene.start(random(20, 2)), random(20, 2, seed=1))

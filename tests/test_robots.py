@@ -194,9 +194,11 @@ def test_names_must_differ():
 
 
 @pytest.mark.case("I1")
-def test_a_link_without_a_body_is_unphysical():
+def test_a_link_without_a_body_is_noted():
+    robot = one_joint(LINE, mass=[0.0], inertia=[(0,) * 6])
+    assert robot.notes[0].startswith("joint 'joint1': it moves no inertia")
     with pytest.raises(UnphysicalError, match="joint 'joint1': it moves no inertia"):
-        one_joint(LINE, mass=[0.0], inertia=[(0,) * 6])
+        robot.check()
 
 
 def test_an_inertia_may_be_a_matrix():
@@ -623,9 +625,22 @@ def test_a_robot_can_be_cast():
 def test_a_robot_without_values_takes_no_arguments_with_values():
     robot = two().to("meta")
     for function in (torchdq.inverse_dynamics, torchdq.forward_kinematics, torchdq.mass_matrix):
-        with pytest.raises(torchdq.ArgumentError, match="is on the device 'meta', where tensors have no values"):
+        with pytest.raises(torchdq.ArgumentError, match="is on the device 'meta', where tensors have no"):
             function(robot, torch.zeros(2))
         assert function(robot, torch.zeros(2, device="meta")).is_meta
+
+
+@pytest.mark.parametrize("field", ["mass", "com", "gravity"])
+def test_tensors_without_values_make_results_without_values_or_are_named(field):
+    robot = two()
+    robot = robot.replace(**{field: getattr(robot, field).to("meta")})
+    for function in (torchdq.inverse_dynamics, torchdq.mass_matrix):
+        with pytest.raises(
+            ArgumentError, match=f"^robot.{field} is on the device 'meta', where tensors have no values"
+        ):
+            function(robot, torch.zeros(2))
+        assert function(robot, torch.zeros(2, device="meta")).is_meta
+    assert "2 joints" in repr(robot)
 
 
 def test_a_robot_is_converted_as_tensors_of_torch_are():
@@ -921,6 +936,39 @@ def test_a_replaced_tensor_may_be_changed_in_place():
         torchdq.inverse_dynamics(robot, q)
 
 
+@pytest.mark.parametrize("field", ["damping", "friction", "limits", "frames"])
+def test_other_replaced_tensors_are_copied(field):
+    """Writing into the given tensor changes neither the robot nor a scene; into the robot's own it is refused."""
+    robot = torchdq.robots.load("two_link")
+    mine = getattr(copy.deepcopy(robot), field)
+    changed = robot.replace(**{field: mine})
+    pick = {"limits": lambda x: x.effort, "frames": lambda x: x[0].X_BF}.get(field, lambda x: x)
+    pick(mine).fill_(7.0)
+    assert torch.equal(pick(getattr(changed, field)), pick(getattr(robot, field)))
+    Scene(changed)
+    pick(getattr(changed, field)).fill_(7.0)
+    with pytest.raises(ArgumentError, match=f"{field} of robot 'two_link' was changed in place"):
+        Scene(changed)
+
+
+def test_what_keeps_robots_from_one_stack_is_named():
+    robot = torchdq.robots.load("two_link")
+    frames = list(robot.frames)
+    frames[-1] = frames[-1]._replace(X_BF=frames[-1].X_BF * torch.tensor([1.0, 1, 1, 1, 1, 2, 1, 1]))
+    longer, tip = robot.replace(frames=tuple(frames)), frames[-1].name
+    with pytest.raises(
+        ArgumentError, match=rf"the same frames, found frame '{tip}' with X_BF \[1.0[^F]*\] and [^F]*\]$"
+    ):
+        Robot.stack([robot, longer])
+    frames[-1] = robot.frames[-1]._replace(link=0)
+    with pytest.raises(ArgumentError, match=f"the same frames, found frame '{tip}' with link 1 and 0"):
+        Robot.stack([robot, robot.replace(frames=tuple(frames))])
+    with pytest.raises(ArgumentError, match=r"one dtype and device, found .*float64 on cpu and with torch.float32 on"):
+        Robot.stack([robot, robot.to(torch.float32)])
+    with pytest.raises(ArgumentError, match=r"one dtype and device, found mass .*; convert them by robot.to"):
+        Robot.stack([robot, robot.replace(mass=robot.mass.float())])
+
+
 def test_robots_of_inference_mode_are_watched():
     with torch.inference_mode():
         robot = torchdq.robots.load("two_link").replace(mass=torch.ones(2, dtype=F64)).bake()
@@ -1103,11 +1151,23 @@ def test_a_stack_of_robots_is_a_batch_of_them():
     assert same(torchdq.inverse_dynamics(batch, q, qd, qdd), expected)
 
 
+def unlimited():
+    return two().replace(limits=two().limits._replace(effort=row(math.inf, math.inf)))
+
+
 def test_a_stack_holds_frictions_and_limits_of_all():
     other = two().replace(damping=row(1, 2), limits=two().limits._replace(effort=row(3, 4)))
     batch = Robot.stack([two(), other])
     assert batch.damping[1].tolist() == [1, 2] and batch.limits.effort[1].tolist() == [3, 4]
     assert "joint2" in str(batch.report())
+
+
+@pytest.mark.parametrize("robots", [lambda: [two()] * 3, lambda: [two(), two(), unlimited()], lambda: [two()]])
+def test_a_stack_has_an_axis_of_its_robots_even_if_they_are_equal(robots):
+    robots = robots()
+    batch = Robot.stack(robots)
+    assert torchdq.mass_matrix(batch, torch.zeros(2).double()).shape == (len(robots), 2, 2)
+    assert batch.mass.shape == (len(robots), 2) and batch.com.shape == (2, 3)
 
 
 @pytest.mark.parametrize(

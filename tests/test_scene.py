@@ -148,6 +148,13 @@ def test_an_effect_costs_what_its_description_says(effect):
     assert (second.operations == 0) == isinstance(effect, free)
 
 
+def test_a_description_of_a_scene_with_limits_warns_of_nothing():
+    scene = Scene(PANDA, (effects.Gravity(), effects.Limits()))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert scene.describe(64, seconds=0.1).costs
+
+
 def test_the_cost_of_the_controller_is_described():
     scene = Scene(TREE, (effects.Gravity(),), ComputedTorque(25.0, 10.0))
     costs = scene.describe(batch=2, seconds=0.0).costs
@@ -300,7 +307,8 @@ def test_the_dtype_of_a_description_may_be_a_name(dtype):
     [
         ({"dtype": "float16"}, "dtype must be torch.float32 or torch.float64, found 'float16'"),
         ({"batch": 0}, "batch must be a whole number from 1, found 0"),
-        ({"seconds": None}, "seconds must be a finite number, found None"),
+        ({"seconds": None}, "seconds must be a finite number from 0, found None"),
+        ({"seconds": -1}, "seconds must be a finite number from 0, found -1"),
     ],
 )
 def test_wrong_arguments_of_a_description_are_named(wrong, message):
@@ -429,6 +437,36 @@ def test_a_model_that_is_no_single_robot_with_these_joints_is_refused(controller
         Scene(ARM, controller=controller(1.0, 1.0, many))
 
 
+@pytest.mark.parametrize("controller", [ComputedTorque, PD])
+def test_a_model_is_copied_when_a_scene_is_made(controller):
+    """Writing into its mass changes no scene that is there, and every later one, although the object is the same."""
+    mass = ARM.mass.clone()
+    given = controller(20.0, 5.0, ARM.replace(mass=mass))
+
+    def stepped(scene):
+        return scene.step(State(double(0.3, -0.4), double(0.0, 0.0)), reference=random(6)).qd
+
+    def made(controller):
+        return Scene(ARM, (effects.Gravity(),), controller, dt=0.05)
+
+    before = made(given)
+    found = stepped(before)
+    mass.mul_(2)
+    assert torch.equal(stepped(before), found)
+    assert torch.equal(before.controller.model.mass, ARM.mass)
+    later = dataclasses.replace(given, model=ARM.replace(mass=2 * ARM.mass))
+    assert torch.equal(stepped(made(given)), stepped(made(later)))
+    assert not torch.equal(stepped(made(given)), found)
+
+
+@pytest.mark.parametrize("controller", [ComputedTorque, PD])
+def test_a_model_that_requires_grad_is_refused(controller):
+    learned = ARM.replace(mass=ARM.mass.clone().requires_grad_())
+    with pytest.raises(ArgumentError, match=rf"model of {controller.__name__} must have constants.* mass .*model.bake"):
+        Scene(ARM, controller=controller(1.0, 1.0, learned))
+    Scene(ARM, controller=controller(1.0, 1.0, learned.bake()))
+
+
 # --- effects that take nothing ---------------------------------------------------------------------------------------
 
 # parts of a description, and what the shipped arm without friction and limits says of each
@@ -484,6 +522,9 @@ def test_effects_that_act_are_not_told():
         ({"dt": 0.0}, "dt must be a positive number"),
         ({"dt": math.inf}, "dt must be a positive number"),
         ({"dt": "fast"}, "dt must be a positive number"),
+        ({"dt": True}, "dt must be a positive number, found True"),
+        ({"substeps": True}, "substeps must be a whole number from 1, found True"),
+        ({"effects": (effects.Delay(True),)}, "steps of Delay must be a whole number from 1, found True"),
         ({"substeps": 0}, "substeps must be a whole number"),
         ({"substeps": 1.5}, "substeps must be a whole number"),
         ({"effects": (effects.Elastic(1.0, 0.0, 1.0),) * 2}, "must not hold Elastic twice"),
@@ -584,8 +625,8 @@ def test_a_start_that_does_not_fit_is_refused_by_name(q, qd, message):
     [
         ({}, "steps must be given where there is no torque"),
         ({"steps": 3, "torque": torch.zeros(4, 2)}, "steps and the first axes of the inputs must agree"),
-        ({"steps": -1}, "steps must not be negative"),
-        ({"steps": 3, "checkpoint": -1}, "checkpoint must not be negative"),
+        ({"steps": -1}, "steps must be a whole number from 0"),
+        ({"steps": 3, "checkpoint": -1}, "checkpoint must be a whole number from 0"),
     ],
 )
 def test_a_rollout_of_no_certain_length_is_refused(given, message):
@@ -633,8 +674,8 @@ def test_states_are_named_tuples_with_what_is_needed():
     after = scene.step(state, **inputs_of(scene, 4))
     for found in (state, after):
         assert isinstance(found, tuple)
-        assert found._fields == ("q", "qd", "memory", "reading")
-        assert [tuple(x.shape) for x in found] == [(4, 2), (4, 2), (4, 2 + 8), (4, 4)]
+        assert found._fields == ("q", "qd", "memory", "reading", "X_WB", "V_WB_B")
+        assert [tuple(x.shape) for x in found.rows().values()] == [(4, 2), (4, 2), (4, 2 + 8), (4, 4)]
     assert equal(after.measured, after.reading.split(2, -1))
     bare = Scene(ARM).start(random(4, 2))
     assert bare.memory is None and bare.reading is None
@@ -685,7 +726,7 @@ def test_a_batch_may_be_empty(integrator, shape):
     scene = Scene(ARM, (effects.Gravity(), effects.Lag(0.1), effects.Bias(0.1)), integrator=integrator)
     q = torch.zeros(*shape, 2, dtype=torch.float64, requires_grad=True)
     after = scene.step(scene.start(q), ZERO)
-    assert [tuple(x.shape) for x in after] == [(*shape, 2), (*shape, 2), (*shape, 2), (*shape, 4)]
+    assert [tuple(x.shape) for x in after.rows().values()] == [(*shape, 2), (*shape, 2), (*shape, 2), (*shape, 4)]
     after.q.sum().backward()
     assert q.grad.shape == q.shape
 
@@ -695,9 +736,9 @@ def test_single_precision_stays_single(robot):
     scene = rich(robot)
     state = scene.start(random(4, robot.n) * 0.3, random(4, robot.n, seed=1), uniform(scene, 4))
     exact = scene.step(state, noise=uniform(scene, 4), **inputs_of(scene, 4))
-    single = State(*(x.float() for x in state))
+    single = state.to(torch.float32)
     found = scene.step(single, noise=uniform(scene, 4).float(), **inputs_of(scene, 4, dtype=torch.float32))
-    for a, b in zip(found, exact, strict=True):
+    for a, b in zip(found.rows().values(), exact.rows().values(), strict=True):
         assert a.dtype == torch.float32
         assert (a - b).abs().max() < 1e-3 * (1 + b.abs().max())
 
@@ -713,7 +754,7 @@ def test_a_sample_that_is_lost_takes_no_other_with_it():
     scene = scene.replace(effects=(*RICH, effects.Spring(d)))
     noise, inputs = uniform(scene, 5), inputs_of(scene, 5)
     good = scene.start(random(5, 2), random(5, 2, seed=1), noise)
-    bad = State(*(x.clone() for x in good))
+    bad = State(**{name: x.clone() for name, x in good.rows().items()})
     bad.q[2] = math.nan
     bad.qd[3] = math.inf
     others = [0, 1, 4]
@@ -722,7 +763,7 @@ def test_a_sample_that_is_lost_takes_no_other_with_it():
         q = state.q.clone().requires_grad_()
         after = scene.step(state._replace(q=q), noise=noise, **inputs)
         (gradient,) = torch.autograd.grad(after.q[others].sum() + after.qd[others].sum(), q)
-        return *after, gradient
+        return *after.rows().values(), gradient
 
     for a, b in zip(end(good), end(bad), strict=True):
         assert torch.equal(a[others], b[others])
@@ -807,14 +848,14 @@ def test_a_rollout_is_its_steps():
     found = scene.rollout(start, noise=noise, **inputs)
     for k in range(6):
         state = scene.step(state, noise=noise[k], **{name: x[k] for name, x in inputs.items()})
-        assert equal([x[k] for x in found], state)
+        assert equal([x[k] for x in found.rows().values()], list(state.rows().values()))
 
 
 @pytest.mark.parametrize("checkpoint", [0, 2])
 def test_a_rollout_of_no_steps_is_empty(checkpoint):
     scene = Scene(ARM, (effects.Lag(0.1),))
     found = scene.rollout(scene.start(random(4, 2)), steps=0, checkpoint=checkpoint)
-    assert [None if x is None else tuple(x.shape) for x in found] == [(0, 4, 2), (0, 4, 2), (0, 4, 2), None]
+    assert [tuple(x.shape) for x in found.rows().values()] == [(0, 4, 2), (0, 4, 2), (0, 4, 2)]
 
 
 @pytest.mark.parametrize("checkpoint", [1, 4, 7, 100])

@@ -41,3 +41,19 @@ def test_many_arms_reach_and_are_filmed(tmp_path):
     assert distance.shape == (64,) and float(distance.median()) < 0.02
     with Image.open(tmp_path / "new" / "reach.gif") as film:
         assert film.n_frames == 30
+
+
+def test_a_satellite_moves_the_other_way(tmp_path, capsys):
+    main = import_module("12_satellite")
+    turn, linear, angular = main.main(main.Args(duration=2.0, step=1e-2, out=tmp_path))
+    assert 5 < turn < 15
+    assert linear < 1e-5 and angular < 1e-5
+    assert imread(tmp_path / "satellite.png")[..., :3].std() > 0.03
+    assert "ends 0.0" in capsys.readouterr().out
+
+
+def test_a_cat_lands_on_its_feet(tmp_path):
+    main = import_module("13_falling_cat")
+    turn, momentum = main.main(main.Args(out=tmp_path))
+    assert turn > 175 and momentum < 1e-6
+    assert imread(tmp_path / "cat.png")[..., :3].std() > 0.03

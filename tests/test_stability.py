@@ -3,10 +3,9 @@
 import math
 import warnings
 
-import numpy as np
 import pytest
 import torch
-from helpers import called, double, random
+from helpers import INERTIA, WHEEL, called, double, random
 from oracles import random_tree, shipped
 
 import torchdq
@@ -26,10 +25,6 @@ ARM = shipped("two_link").robot
 TREE = random_tree(3, seed=6, armature=True).robot
 PANDA = shipped("panda").robot
 HOME = double(0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785)
-INERTIA = 0.01
-WHEEL = torchdq.Robot.from_screws(
-    [[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], [1.0], [[0.0, 0.0, 0.0]], [np.diag([INERTIA] * 3)], name="wheel"
-)
 EXPLICIT = [ExplicitEuler(), SemiImplicitEuler(), RungeKutta4(), StoermerVerlet()]
 
 # --- the step --------------------------------------------------------------------------------------------------------
@@ -260,6 +255,65 @@ def test_policies_are_learned_through_the_steps(checkpoint):
         assert float(gradient[k]) == pytest.approx(float(ends[0] - ends[1]) / 2e-5, rel=1e-6)
 
 
+class Filter(torch.nn.Module):
+    """Policy whose torques depend on those before."""
+
+    def __init__(self):
+        super().__init__()
+        self.gain, self.last = torch.nn.Parameter(torch.tensor(2.0, dtype=torch.float64)), 0.0
+
+    def forward(self, state):
+        self.last = 0.5 * self.last - self.gain * state.q
+        return self.last
+
+
+class Normalised(torch.nn.Module):
+    """Policy whose batch norm counts the states that it has seen."""
+
+    def __init__(self):
+        super().__init__()
+        self.net = torch.nn.Sequential(torch.nn.Linear(2, 2), torch.nn.BatchNorm1d(2)).double()
+
+    def forward(self, state):
+        return self.net(state.q)
+
+
+def rolled(policy, checkpoint):
+    scene = Scene(ARM, (effects.Gravity(),))
+    return scene.rollout(scene.start(random(3, 2)), steps=7, policy=policy, checkpoint=checkpoint).q.square().sum()
+
+
+def test_a_policy_that_remembers_is_refused_where_it_is_called_again():
+    message = "policy must depend on the state alone where checkpoint is not 0.*other torques the second.*checkpoint=0"
+    rolled(Filter(), 0).backward()
+    with torch.no_grad():
+        rolled(Filter(), 3)  # nothing is called again
+    end = rolled(Filter(), 3)
+    with pytest.raises(torchdq.ArgumentError, match=message):
+        end.backward()
+
+
+def test_a_policy_that_counts_is_refused_where_it_is_called_again():
+    policy = Normalised()
+    rolled(policy, 0).backward()
+    with pytest.raises(torchdq.ArgumentError, match=r"found that it changes its buffer 'net\.1\..*policy\.eval\(\)"):
+        rolled(policy, 3)
+    policy.eval()
+    rolled(policy, 3).backward()
+
+
+@pytest.mark.parametrize("checkpoint", [0, 3])
+def test_a_random_policy_has_the_same_gradient_with_a_checkpoint(checkpoint):
+    """Random numbers of torch are drawn again as they were."""
+    gain = torch.ones((), dtype=torch.float64, requires_grad=True)
+    gradients = []
+    for stride in (0, checkpoint):
+        torch.manual_seed(0)
+        end = rolled(lambda s: -gain * s.q + gain * torch.randn_like(s.q), stride)
+        gradients.append(torch.autograd.grad(end, gain)[0])
+    assert torch.equal(*gradients)
+
+
 # --- what is refused -------------------------------------------------------------------------------------------------
 
 Q = torch.zeros(3, 2, dtype=torch.float64)
@@ -276,8 +330,8 @@ Q = torch.zeros(3, 2, dtype=torch.float64)
         (lambda s: s.linearize(Q), "state must be a torchdq.envs.State, found Tensor"),
         (lambda s: s.step(State(Q, None)), "qd of the state must be a tensor, found NoneType"),
         (lambda s: s.energy(State([0.0], Q)), "q of the state must be a tensor, found list"),
-        (lambda s: s.rollout(s.start(Q), steps=2.5), "steps must not be negative, a whole number, found 2.5"),
-        (lambda s: s.rollout(s.start(Q), steps=2, checkpoint=0.5), "checkpoint must not be negative, a whole number"),
+        (lambda s: s.rollout(s.start(Q), steps=2.5), "steps must be a whole number from 0, found 2.5"),
+        (lambda s: s.rollout(s.start(Q), steps=2, checkpoint=0.5), "checkpoint must be a whole number from 0, found"),
         (lambda s: s.rollout(s.start(Q), lambda x: x.q, 2), "torque must be a tensor, found a function; .* as policy"),
         (lambda s: s.rollout(s.start(Q), torch.tensor(1.0)), r"torque must have the shape \[steps, ...\], found \(\)"),
         (lambda s: s.rollout(s.start(Q), [[1.0, 2.0]]), "torque must be a tensor, found list"),

@@ -143,7 +143,8 @@ def test_a_function_that_fails_ends_that_row_alone(name, bad):
         (lambda: TorchTask(reward=3), "reward must be a function or None, found 3"),
         (lambda: TorchTask(observation=state), "bounds must be given with an observation"),
         (lambda: TorchTask(observation=state, bounds=[(1, -1)]), r"bounds must be pairs \(lower, upper\)"),
-        (lambda: TorchTask(draws=2), "draws must be a whole number from 0, and 0 without a start"),
+        (lambda: TorchTask(draws=2), "draws must be 0 without a start, which takes them, found 2"),
+        (lambda: TorchTask(start=lambda robot, u: {}, draws=True), "draws must be a whole number from 0, found True"),
         (lambda: TorchTask(reward=lambda now: 1.0), "reward of the task must be a tensor, found float"),
         (lambda: TorchTask(reward=lambda now: now.q), r"reward of the task must have the shape \[5\], found \(5, 2\)"),
         (

@@ -4,6 +4,8 @@ A killed run that is called again must end with the same bits as one that was no
 has torch loaded, kill the child at a random moment and call the same run again.
 """
 
+import contextlib
+import copy
 import io
 import math
 import multiprocessing
@@ -16,10 +18,13 @@ import subprocess
 import sys
 import time
 import types
+from argparse import Namespace
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import helpers
+import numpy as np
 import pytest
 import torch
 from torch import nn
@@ -29,6 +34,7 @@ from torchdq import notice
 from torchdq.errors import ArgumentError, MissingLibraryError
 from torchdq.learning import CheckpointError, Samples, TrainingError, fit, training
 from torchdq.learning import checkpoint as checkpoints
+from torchdq.learning.attributes import attributes
 from torchdq.nn import DQRNEA
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -200,11 +206,18 @@ def spoilt(value: float) -> Samples:
     [
         ({}, "one of steps and epochs must be given, found steps=None and epochs=None"),
         ({"steps": 3, "epochs": 3}, "one of steps and epochs"),
-        ({"steps": 0}, "steps must be greater than 0, found 0"),
-        ({"epochs": -1}, "epochs must be greater than 0, found -1"),
-        ({"steps": 3, "batch": 0}, "batch must be greater than 0"),
-        ({"steps": 3, "rate": math.nan}, "rate must be greater than 0, found nan"),
-        ({"steps": 3, "every": 0}, "every must be greater than 0"),
+        ({"steps": 0}, "steps must be a whole number from 1, found 0"),
+        ({"steps": 2.5}, "steps must be a whole number from 1, found 2.5"),
+        ({"steps": True}, "steps must be a whole number from 1, found True"),
+        ({"epochs": -1}, "epochs must be a whole number from 1, found -1"),
+        ({"steps": 3, "batch": 0}, "batch must be a whole number from 1"),
+        ({"steps": 3, "batch": "8"}, "batch must be a whole number from 1, found '8'"),
+        ({"steps": 3, "rate": math.nan}, "rate must be a positive number, found nan"),
+        ({"steps": 3, "rate": "fast"}, "rate must be a positive number, found 'fast'"),
+        ({"steps": 3, "prior": -1}, "prior must be a finite number from 0, found -1"),
+        ({"steps": 3, "decay": -0.1}, "decay must be a finite number from 0, found -0.1"),
+        ({"steps": 3, "seed": 0.5}, "seed must be a whole number from 0, found 0.5"),
+        ({"steps": 3, "every": 0}, "every must be a whole number from 1"),
         ({"steps": 3, "patience": 3}, "patience needs samples in valid"),
         (
             {"steps": 3, "model": nn.Identity()},
@@ -466,18 +479,110 @@ def test_a_checkpoint_of_another_run_is_refused_by_name(written, options, messag
     assert written.read_bytes() == before and torch.equal(weights(model), start)
 
 
-def test_a_checkpoint_of_another_robot_is_refused(tmp_path):
-    """The same parameters and the same name, but other constants."""
-    robot, path = torchdq.robots.load("two_link"), tmp_path / "run.pt"
-    for _ in range(2):
-        fit(DQRNEA(robot, learn=("mass",)), data(dtype=torch.float64), steps=3, checkpoint=path)
-    with pytest.raises(CheckpointError, match=r"run\.pt is of another model: .* such as the rest of the robot"):
-        fit(
-            DQRNEA(robot.replace(gravity=1.1 * robot.gravity), learn=("mass",)),
-            data(dtype=torch.float64),
-            steps=3,
-            checkpoint=path,
-        )
+ROBOT = torchdq.robots.load("two_link")
+
+
+class Held(nn.Module):
+    """Model that keeps what its torques depend on as attributes, and counts its calls."""
+
+    def __init__(self, scale, learned: nn.Module | None = None):
+        super().__init__()
+        self.network, self.scale, self.calls = learned or Network(), scale, 0
+        self.register_buffer("shift", torch.zeros(2), persistent=False)
+
+    def forward(self, q, qd, qdd):
+        self.calls += 1
+        if self.calls == 3:
+            self.found_late = self.calls
+        return self.network(q, qd, qdd) + self.shift
+
+
+def layer(robot: torchdq.Robot, **settings: float) -> nn.Module:
+    return DQRNEA(robot, learn="offset", **settings)
+
+
+def shifted(by: float) -> nn.Module:
+    model = Held(1.0)
+    model.shift += by
+    return model
+
+
+@pytest.mark.parametrize(
+    ("there", "here", "message"),
+    [
+        (layer(ROBOT), layer(ROBOT, friction_width=0.5), "'friction_width' of the model is 0.01 there and 0.5 here"),
+        (layer(ROBOT), layer(ROBOT.replace(gravity=1.1 * ROBOT.gravity)), "'_robot.gravity' of the model is"),
+        (layer(ROBOT), layer(ROBOT.replace(com=ROBOT.com + 1e-4)), "'_robot.com' of the model is"),
+        (layer(ROBOT), layer(ROBOT.replace(gravity=None)), "'_robot.gravity' of the model is"),
+        (Held(1.0), Held(2.0), "'scale' of the model is 1 there and 2 here"),
+        (
+            Held({"a": [1, (2, "x")]}),
+            Held({"a": [1, (2, "y")]}),
+            r"'scale.a.1.1' of the model is 'x' there and 'y'",
+        ),
+        (Held(torch.ones(2)), Held(torch.tensor([1.0, 1.1])), r"'scale' of the model is \[2\] numbers"),
+        (Held(np.arange(3)), Held(np.arange(4)), r"'scale' of the model is \[3\] numbers .* and \[4\] numbers"),
+        (Held(math.sin), Held(math.cos), "'scale' of the model is sin there and cos here"),
+        (Held(partial(torch.add, alpha=2)), Held(partial(torch.add, alpha=3)), "'scale.alpha' of the model is 2 there"),
+        (Held(Namespace(a=1)), Held(Namespace(a=2)), r"'scale\.a' of the model is 1 there and 2 here"),
+        (Held([Network(seed=1)]), Held([Network(seed=2)]), r"'scale.0.layers.0.weight' of the model is"),
+        (Held(1.0), shifted(0.5), r"'shift' of the model is \[2\] numbers"),
+    ],
+    ids=lambda x: None if isinstance(x, nn.Module) else re.sub(r"\W+", "-", x),
+)
+def test_a_checkpoint_of_a_model_with_other_attributes_is_refused(tmp_path, there, here, message):
+    """The same weights and the same name, but other constants."""
+    dtype = torch.float64 if isinstance(there, DQRNEA) else torch.float32
+    settings = {"train": data(dtype=dtype), "steps": 3, "checkpoint": tmp_path / "run.pt"}
+    fit(copy.deepcopy(there), **settings)
+    with pytest.raises(CheckpointError, match=r"run\.pt is of another run: attribute " + message):
+        fit(copy.deepcopy(here), **settings)
+
+
+def test_a_checkpoint_of_a_model_that_computes_otherwise_is_refused(tmp_path):
+    """Attributes do not tell, but the torques do; those of the second joint are a thousand times as small."""
+
+    class Other(Network):
+        def forward(self, q, qd, qdd):
+            return super().forward(q, qd, qdd) * torch.tensor([1.0, 1e-2]) * factor
+
+    Other.__qualname__ = "Other"
+    for factor in (torch.ones(2), torch.ones(2), torch.tensor([1.0, 1.01])):
+        expected = contextlib.nullcontext()
+        if factor[1] != 1:
+            expected = pytest.raises(CheckpointError, match=r"run\.pt is of another model: .* such as the rest")
+        with expected:
+            fit(Other(dropout=0.0), data(), steps=3, checkpoint=tmp_path / "run.pt")
+
+
+def test_attributes_that_a_run_changes_and_backends_do_not_stop_it_from_going_on(tmp_path):
+    model, path = Held(1.0), tmp_path / "run.pt"
+    fit(model, data(), steps=6, every=2, checkpoint=path)
+    calls = model.calls
+    fit(model, data(), steps=6, every=2, checkpoint=path)  # the same object, whose counter went on
+    fit(Held(1.0), data(), steps=6, every=2, checkpoint=path)
+    assert model.calls < 2 * calls
+    fit(Held(1.0, DQRNEA(ROBOT, learn=("mass",))), data(dtype=torch.float64), steps=3, checkpoint=tmp_path / "a.pt")
+    other = Held(1.0, DQRNEA(ROBOT, learn=("mass",), backend="eager"))
+    fit(other, data(dtype=torch.float64), steps=3, checkpoint=tmp_path / "a.pt")
+
+
+def test_text_of_attributes_is_the_same_on_other_processors():
+    class Module(nn.Module):
+        def __init__(self, x):
+            super().__init__()
+            self.x = x
+
+    def text(x):
+        return attributes(Module(x))["x"]
+
+    a = torch.tensor([1.0, -0.0, 300.0, math.inf], dtype=torch.float64)
+    assert text(a) == text(a * (1 + 1e-15) + torch.tensor([0.0, 1e-17, 0.0, 0.0], dtype=torch.float64))
+    assert text(a) != text(a * (1 + 1e-6))
+    assert text(0.1 + 0.2) == text(0.3) and text({"b", "a"}) == "[\"'a'\", \"'b'\"]"
+    assert text(object()) == "object" and text(torch.ones(2, device="meta")) == "torch.float32 [2] without values"
+    assert text(torch.ones(2, 2).to_sparse()) == text(torch.ones(2, 2))
+    assert text(torch.ones(2, dtype=torch.bfloat16)) == text(torch.ones(2)) and text(np.float64(2.0)) == "2"
 
 
 def test_other_files_are_refused(tmp_path, monkeypatch):
@@ -488,7 +593,7 @@ def test_other_files_are_refused(tmp_path, monkeypatch):
     with monkeypatch.context() as later:
         later.setattr(checkpoints, "VERSION", 99)
         checkpoints.write(path, {})
-    with pytest.raises(CheckpointError, match="has format 99, this version of torchdq reads format 1"):
+    with pytest.raises(CheckpointError, match="has format 99, this version of torchdq reads format 2"):
         run(path)
 
 
@@ -730,13 +835,13 @@ class Slow(Network):
 
     def __init__(self, last: int):
         super().__init__()
-        self.calls, self.last = 0, last
+        self.left = last
 
     def forward(self, q, qd, qdd):
         if self.training:
             time.sleep(0.02)
-            self.calls += 1
-            if self.calls > self.last:
+            self.left -= 1
+            if self.left < 0:
                 raise KeyboardInterrupt  # as Ctrl-C does
         return super().forward(q, qd, qdd)
 

@@ -14,11 +14,11 @@ from functools import cache
 import pytest
 import torch
 from helpers import thinned
+from torch import library as operators
 from torch._dynamo.backends.common import aot_autograd
 from torch._dynamo.testing import CompileCounterWithBackend
 from torch._functorch.aot_autograd import make_boxed_func
 from torch.func import functional_call, grad, hessian, jacfwd, jacrev, jvp, vmap
-from torch.library import opcheck
 from torch.nn.utils.parametrize import type_before_parametrizations
 
 import torchdq
@@ -523,7 +523,7 @@ def test_the_operator_of_traced_graphs_is_one_that_torch_approves_of(fresh):
     torch.compile(torchdq.DQRNEA(torchdq.robots.load("two_link"), backend="c"), backend="eager", fullgraph=True)(q)
     name = next(name for name in reversed(autograd._named) if ":" not in name)
     for requires_grad in (False, True):
-        opcheck(torch.ops.torchdq.evaluate.default, (name, [q.clone().requires_grad_(requires_grad)]))
+        operators.opcheck(torch.ops.torchdq.evaluate.default, (name, [q.clone().requires_grad_(requires_grad)]))
 
 
 @pytest.mark.case("P4")

@@ -53,6 +53,30 @@ def test_a_body_in_other_units_is_named_when_loaded_and_when_checked(scaled, fou
     assert note in str(robot.report())
 
 
+@pytest.mark.parametrize(
+    "field, factor, found",
+    [
+        ("com", 1e3, r"link 'link1': com must be in m, found it 150\.3 m"),
+        ("inertia", 1e6, r"link 'link1': inertia must be in kg m\^2"),
+        ("X_PB_home", None, r"lengths must be in m, found 300 m from one joint to the next"),
+    ],
+)
+def test_replaced_numbers_in_other_units_are_named_once(field, factor, found):
+    robot = arm()
+    value = getattr(robot, field).clone()
+    value = value * factor if factor else torch.cat([value[:, :4], 1e3 * value[:, 4:]], 1)
+    with pytest.warns(UserWarning, match=f"may have numbers in other units:\n  {found}") as seen:
+        changed = robot.replace(**{field: value})
+    assert len(seen) == 1 and seen[0].filename == __file__
+    assert any(found.split(",")[0].replace("\\", "") in note for note in changed.notes)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        changed.replace(mass=2 * robot.mass)  # known by the notes
+        robot.replace(**{field: value}, on_unphysical="ignore")
+        robot.replace(**{field: value.clone().requires_grad_()})  # read by `check` alone, as are batches
+        robot.replace(**{field: torch.stack([value, value])})
+
+
 def test_a_table_of_lengths_in_mm_is_named():
     robot = torchdq.robots.load("two_link")
     bodies = {"mass": robot.mass, "com": robot.com, "inertia": robot.inertia}

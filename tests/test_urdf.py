@@ -24,6 +24,7 @@ from torchdq import (
     DescriptionError,
     MissingFileError,
     Robot,
+    SingularInertiaError,
     TorchdqError,
     UnknownNameError,
     UnphysicalError,
@@ -131,11 +132,11 @@ def position(robot, q, frame):
 
 
 def refusal(text, error=DescriptionError, **arguments):
-    """What the loader says about a file that it must refuse, within two seconds on any machine."""
-    begin = time.perf_counter()
+    """What the loader says about a file that it must refuse, within two seconds of this thread on any machine."""
+    begin = time.thread_time()
     with pytest.raises(error) as caught:
         Robot.from_urdf(text, **arguments)
-    assert time.perf_counter() - begin < 2.0
+    assert time.thread_time() - begin < 2.0
     return str(caught.value)
 
 
@@ -562,14 +563,14 @@ def test_the_followers_of_a_locked_joint_are_locked_where_the_file_puts_them():
 
 
 def test_a_follower_that_is_named_itself_does_not_follow():
-    robot = Robot.from_urdf(beside(FOLLOWING), lock={"thumb": 0.5, "index": 0.0})
+    robot = Robot.from_urdf(beside(FOLLOWING), lock={"thumb": 0.5, "index": 0.0}, mimic="independent")
     assert lock_of(robot) == "locked: thumb at 0.5, index at 0, ring at 0, little at 0.5"
-    robot = Robot.from_urdf(FOLLOWING, joints="index", lock={"thumb": 0.5})
+    robot = Robot.from_urdf(FOLLOWING, joints="index", lock={"thumb": 0.5}, mimic="independent")
     assert robot.joint_names == ("index",) and lock_of(robot) == "locked: thumb at 0.5, ring at 0, little at 0.5"
 
 
 def test_a_follower_that_is_locked_alone_is_told():
-    robot = Robot.from_urdf(FOLLOWING, joints="thumb")
+    robot = Robot.from_urdf(FOLLOWING, joints="thumb", mimic="independent")
     assert lock_of(robot) == "locked: index at 0, ring at 0, little at 0"
     assert "locked although the joints that they mimic move: index, little" in robot.notes
 
@@ -582,8 +583,8 @@ def test_followers_of_unnamed_joints_are_locked_at_their_offset():
 @pytest.mark.parametrize("circle", [["index", "thumb"], ["thumb"], ["index", "ring", "thumb"]], ids=repr)
 def test_joints_that_mimic_each_other_are_locked_once(circle):
     text = beside(hand(*(f'<mimic joint="{name}" offset="1"/>' for name in circle)))
-    assert len(Robot.from_urdf(text, lock=["thumb"]).joint_names) == 5 - len(circle)
-    assert Robot.from_urdf(text, joints="other").n == 1
+    assert len(Robot.from_urdf(text, lock=["thumb"], mimic="independent").joint_names) == 5 - len(circle)
+    assert Robot.from_urdf(text, joints="other", mimic="independent").n == 1
 
 
 @pytest.mark.parametrize("number", ["multiplier", "offset"])
@@ -600,7 +601,10 @@ def test_a_follower_must_not_be_carried_beyond_all_numbers():
 
 @pytest.mark.parametrize("value, told", [(2.0, False), (2.0000001, False), (2.1, True), (-400.0, True)])
 def test_a_lock_beyond_the_limits_is_told(value, told):
-    notes = Robot.from_urdf(arm(), lock={"elbow": value}).notes
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        notes = Robot.from_urdf(arm(), lock={"elbow": value}).notes
+    assert [x.filename for x in seen if "locked beyond its limits: elbow" in str(x.message)] == [__file__] * told
     assert (f"locked beyond their limits: elbow at {value:g}, limits [-1, 2]" in notes) == told
 
 
@@ -650,9 +654,10 @@ def test_gravity_is_three_finite_numbers(gravity):
         Robot.from_urdf(arm(), gravity=gravity)
 
 
-def test_a_floating_base_is_not_offered_yet():
-    with pytest.raises(ArgumentError, match="base must be 'fixed', found 'floating'"):
-        Robot.from_urdf(arm(), base="floating")
+@pytest.mark.parametrize("name, value", [("base", "free"), ("base", None), ("mimic", "geared"), ("mimic", True)])
+def test_choices_are_named(name, value):
+    with pytest.raises(ArgumentError, match=f"{name} must be one of '.*', found {value!r}"):
+        Robot.from_urdf(arm(), **{name: value})
 
 
 def test_limits_are_read():
@@ -697,7 +702,8 @@ def test_damping_and_friction_are_reported():
 @pytest.mark.case("U4")
 @pytest.mark.parametrize("mimic", ['<mimic joint="shoulder" multiplier="2"/>', '<mimic joint="nobody"/>', "<mimic/>"])
 def test_a_mimic_joint_is_independent_and_reported(mimic):
-    robot = Robot.from_urdf(arm().replace(LIMIT + "</joint></robot>", LIMIT + mimic + "</joint></robot>"))
+    text = arm().replace(LIMIT + "</joint></robot>", LIMIT + mimic + "</joint></robot>")
+    robot = Robot.from_urdf(text, mimic="independent")
     assert robot.n == 2 and "mimic joints treated as independent: elbow" in robot.notes
 
 
@@ -942,11 +948,6 @@ def test_limits_must_not_be_reversed():
     assert "joint 'shoulder': lower limit -1 is above upper limit -2" in message
 
 
-def test_an_inertial_has_mass():
-    message = refusal(arm().replace('<mass value="1.0"/>', "", 1))
-    assert "link 'upper': <inertial> must hold <mass>, found only ['origin', 'inertia']" in message
-
-
 WITHOUT_INERTIA = re.sub(r"<inertia .*?/>", "", arm(), count=1)
 
 
@@ -958,11 +959,11 @@ def test_a_mass_without_inertia_is_a_point():
     assert note in robot.notes and note not in Robot.from_urdf(arm(inertia=(0,) * 6)).notes
 
 
-def test_a_point_on_the_axis_of_its_joint_must_have_inertia():
+def test_a_point_on_the_axis_of_its_joint_has_no_inertia():
     text = re.sub(r'<origin xyz="0.02[^>]*>', "", WITHOUT_INERTIA).replace("upper", "hub")
     text = text.replace('<joint name="elbow" type="revolute">', '<joint name="elbow" type="fixed">')
     text = re.sub(r'(<link name="lower">).*?</link>', r"\1</link>", text)
-    assert "joint 'shoulder': it moves no inertia" in refusal(text, UnphysicalError)
+    assert any(note.startswith("joint 'shoulder': it moves no inertia") for note in Robot.from_urdf(text).notes)
 
 
 # --- malformed: links and joints -------------------------------------------------------------------------------------
@@ -998,20 +999,12 @@ MALFORMED = {
     "no child": ('<joint name="j" type="fixed"><parent link="base"/></joint>', "joint 'j': it names no child link"),
     "a link without a name": ("<link/>", "a <link> has no name"),
     "a joint without a name": (link("x") + fixed("", "base", "x"), "a <joint> has no name"),
-    "no limit": (
-        link("x") + joint("j", "base", "x", more=""),
-        "joint 'j': a revolute joint must have <limit>; a revolute joint without limits is 'continuous'",
-    ),
-    "no limit of a slide": (
-        link("x") + joint("j", "base", "x", "prismatic", more=""),
-        "joint 'j': a prismatic joint must have <limit>",
-    ),
     **{
         f"a joint of type {kind!r}": (
             link("x") + joint("j", "base", "x", kind),
-            f"joint 'j': type must be revolute, continuous, prismatic or fixed, found {kind!r}",
+            f"joint 'j': type must be revolute, continuous, prismatic, planar or fixed, found {kind!r}",
         )
-        for kind in ("planar", "floating", "ball", "Revolute", "")
+        for kind in ("floating", "ball", "Revolute", "")
     },
 }
 
@@ -1046,7 +1039,7 @@ def test_all_faults_are_told_at_once():
         "mass value",
         "inertial origin xyz",
         "carried by two joints",
-        "found 'planar'",
+        "found 'ball'",
         "'nobody'",
         "loop",
     ):
@@ -1107,7 +1100,10 @@ UNEXPANDED = {
 @pytest.mark.parametrize("head", [f'<robot name="a" {XACRO}>', '<robot name="a">'], ids=["declared", "undeclared"])
 def test_unexpanded_xacro_is_refused_with_the_command_that_expands_it(case, head):
     message = refusal(head + UNEXPANDED[case] + "</robot>")
-    assert "this is xacro, which must be expanded first: run `xacro" in message and len(message.splitlines()) == 1
+    assert (
+        "this is xacro, which must be expanded first: use Robot.from_xacro" in message
+        and len(message.splitlines()) == 1
+    )
 
 
 def test_a_root_of_xacro_is_refused_as_xacro():
@@ -1229,9 +1225,9 @@ def test_a_long_chain_is_read_in_time_that_grows_with_its_length():
     def seconds(n):
         links = [link("l0", None), *(link(f"l{i + 1}", 1.0) for i in range(n))]
         text = urdf(*links, *(joint(f"j{i}", f"l{i}", f"l{i + 1}", axis=(0, 1, 0)) for i in range(n)))
-        begin = time.perf_counter()
+        begin = time.thread_time()
         assert Robot.from_urdf(text).n == n
-        return time.perf_counter() - begin
+        return time.thread_time() - begin
 
     seconds(50)
     assert seconds(800) < 5.0
@@ -1328,9 +1324,9 @@ UNPHYSICAL = {
         "found 0.1, 0.1, 0.25 kg m^2",
     ),
     "triangle by a little": ({"inertia": (0.1, 0, 0.1, 0, 0, 0.2001)}, "found 0.1, 0.1, 0.2001 kg m^2"),
-    "inertia without mass": (
-        {"mass": 0.0},
-        "link 'upper': it has no mass, so its inertia must be zero, found principal moments",
+    "negative inertia without mass": (
+        {"mass": 0.0, "inertia": (0.1, 0, 0.2, 0, 0, -0.05)},
+        "link 'upper': inertia must be positive definite, found principal moments -0.05, 0.1, 0.2 kg m^2",
     ),
 }
 
@@ -1446,12 +1442,17 @@ NO_INERTIA = {
 @pytest.mark.case("I1")
 @pytest.mark.case("U1")
 @pytest.mark.parametrize("case", NO_INERTIA)
-def test_a_joint_that_moves_nothing_is_refused_by_name(case):
+def test_a_joint_that_moves_nothing_has_torques_and_poses_but_no_accelerations(case):
     finger, how = NO_INERTIA[case]
     more = finger + joint("knuckle", "lower", "finger", **how)
-    message = refusal(arm().replace("</robot>", more + "</robot>"), UnphysicalError)
-    assert "joint 'knuckle': it moves no inertia" in message
-    assert "shoulder" not in message and "elbow" not in message
+    robot = Robot.from_urdf(arm().replace("</robot>", more + "</robot>"))
+    assert [note.partition(":")[0] for note in robot.notes if "moves no inertia" in note] == ["joint 'knuckle'"]
+    q, qd, qdd = states(3)
+    tau = torchdq.inverse_dynamics(robot, q, qd, qdd, backend="eager")
+    assert bool(tau.isfinite().all())
+    assert bool(torchdq.forward_kinematics(robot, q, "finger", backend="eager").isfinite().all())
+    with pytest.raises(SingularInertiaError, match="knuckle"):
+        torchdq.forward_dynamics(robot, q, qd, tau, backend="eager")
 
 
 @pytest.mark.case("U1")

@@ -14,7 +14,7 @@ from oracles import EPS, pinocchio_model, random_tree, states
 import torchdq
 from torchdq import dq
 from torchdq.backends import c_library as build
-from torchdq.errors import SingularInertiaError, UnphysicalError
+from torchdq.errors import SingularInertiaError
 
 F32, F64 = torch.float32, torch.float64
 
@@ -304,10 +304,9 @@ def on_its_axis(seed, **more):
 
 
 @pytest.mark.case("I6")
-def test_a_heavy_point_on_its_axis_is_refused_when_the_robot_is_read():
+def test_a_heavy_point_on_its_axis_is_noted_when_the_robot_is_read():
     for seed in range(0, 200, 10):
-        with pytest.raises(UnphysicalError, match="joint 'joint2': it moves no inertia"):
-            on_its_axis(seed)
+        assert on_its_axis(seed).notes[0].startswith("joint 'joint2': it moves no inertia")
 
 
 @pytest.mark.case("I6")

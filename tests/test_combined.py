@@ -1,0 +1,290 @@
+"""Payloads, tools and other robots on a robot, against Pinocchio's bodies and joined models."""
+
+import numpy as np
+import oracles
+import pinocchio as pin
+import pytest
+import torch
+from oracles import random_tree
+
+import torchdq
+from torchdq import ArgumentError, UnknownNameError, dq, floating
+
+F64 = torch.float64
+WORST = 1e-12
+MASS, COM = 1.7, [0.1, -0.2, 0.3]
+INERTIA = [0.3, 0.02, 0.4, -0.03, 0.01, 0.5]  # xx xy yy xz yz zz
+BASE = {"base_mass": 3.0, "base_com": [0.2, 0.0, -0.1], "base_inertia": [0.2, 0.01, 0.25, 0.0, -0.02, 0.3]}
+
+
+def double(x):
+    return torch.as_tensor(x, dtype=F64)
+
+
+def body(mass=MASS, com=COM, inertia=INERTIA):
+    xx, xy, yy, xz, yz, zz = inertia
+    return pin.Inertia(mass, np.array(com), np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]))
+
+
+def on_free_base(robot):
+    return robot.replace(**{name: double(x) for name, x in BASE.items()}).bake()
+
+
+def rows(n, seed=0, count=3):
+    return torch.randn(count, 3, n, dtype=F64, generator=torch.Generator().manual_seed(seed))
+
+
+def pose(seed=0):
+    return dq.exp(torch.randn(6, dtype=F64, generator=torch.Generator().manual_seed(seed)))
+
+
+def torques_of(model, names, x):
+    """Pinocchio's torques of joints by their names."""
+    data, joints = model.createData(), [model.joints[model.getJointId(name)] for name in names]
+    order, found = [joint.idx_v for joint in joints], []
+    for q, qd, qdd in x.movedim(1, 0).numpy():
+        configuration, v, a = np.zeros(model.nq), np.zeros(model.nv), np.zeros(model.nv)
+        for joint, value in zip(joints, q, strict=True):
+            numbers = [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
+            configuration[joint.idx_q : joint.idx_q + joint.nq] = numbers
+        v[order], a[order] = qd, qdd
+        found.append(pin.rnea(model, data, configuration, v, a)[order])
+    return double(np.array(found))
+
+
+def close(found, expected):
+    return found.shape == expected.shape and float((found - expected).abs().max()) <= WORST * float(
+        expected.abs().max()
+    )
+
+
+# --- payloads and tools ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", [2, 9])
+def test_a_payload_is_pinocchios_body(seed):
+    case = random_tree(5, seed, armature=True)
+    frame = case.robot.frame("tip")
+    held = case.robot.with_payload(MASS, COM, INERTIA)
+    model = pin.Model(case.model)
+    placement = case.link_placements()[frame.link] * oracles.se3(frame.X_BF)
+    model.appendBodyToJoint(case.joints[frame.link].id, body(), placement)
+    x = rows(5)
+    assert close(torchdq.inverse_dynamics(held, *x), torques_of(model, case.robot.joint_names, x))
+    assert close(torchdq.inverse_dynamics(held.bake(), *x), torques_of(model, case.robot.joint_names, x))
+    assert close(torchdq.inverse_dynamics(case.robot, *x), torques_of(case.model, case.robot.joint_names, x))
+
+
+def test_a_payload_on_a_free_base_is_part_of_it():
+    robot = on_free_base(random_tree(4, 3).robot)
+    tipped = robot.replace(frames=(*robot.frames, torchdq.robot.description.Frame("hook", -1, pose())))
+    held = tipped.with_payload(MASS, COM, INERTIA, frame="hook")
+    whole = body(BASE["base_mass"], BASE["base_com"], BASE["base_inertia"]) + oracles.se3(pose()).act(body())
+    assert float(held.base_mass) == pytest.approx(whole.mass, rel=1e-14)
+    assert torch.allclose(held.base_com, double(whole.lever), rtol=1e-13, atol=1e-15)
+    assert torch.allclose(held.base_inertia, double(whole.inertia[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]), rtol=1e-12)
+    X, V = pose(3), rows(6, 4)[0, 0]
+    x = rows(4)[:, 0]
+    forces = floating.inverse_dynamics(held, X, x[0], V, x[1], V, x[2])
+    without = floating.inverse_dynamics(tipped, X, x[0], V, x[1], V, x[2])
+    alone = tipped.replace(mass=0 * robot.mass, inertia=0 * robot.inertia, base_mass=double(MASS), base_com=double(COM))
+    local = alone.replace(base_inertia=double(INERTIA), frames=robot.frames)
+    # the payload alone, its frame the base: its wrench is moved to the base by Pinocchio
+    at = oracles.se3(pose())
+    turned = pin.Motion(V[3:].numpy(), V[:3].numpy())
+    moved = dq.mul(X, pose())
+    seen = at.actInv(turned)
+    own = double(np.r_[seen.angular, seen.linear])
+    wrench = floating.inverse_dynamics(local, moved, x[0], own, None, own).F_B
+    back = at.act(pin.Force(wrench[:3].numpy(), wrench[3:].numpy()))
+    assert torch.allclose(forces.F_B - without.F_B, double(np.r_[back.linear, back.angular]), rtol=1e-11, atol=1e-11)
+
+
+def test_payloads_of_a_batch_and_their_gradients():
+    robot = random_tree(4, 2).robot
+    masses = double([0.5, 1.0, 2.0])
+    together = robot.with_payload(masses, COM, INERTIA)
+    assert together.mass.shape == (3, 4) and together.inertia.shape == (3, 4, 6)
+    x = rows(4)
+    found = torchdq.inverse_dynamics(together, *x)
+    for i, mass in enumerate(masses):
+        alone = robot.with_payload(mass, COM, INERTIA).bake()
+        assert close(found[i], torchdq.inverse_dynamics(alone, *x[:, i]))
+
+    def torques(own, mass, com, inertia):
+        held = robot.replace(mass=own).with_payload(mass, com, inertia)
+        return torchdq.inverse_dynamics(held, *x[:, 0])
+
+    inputs = [robot.mass.clone(), double(MASS), double(COM), double(INERTIA)]
+    assert torch.autograd.gradcheck(torques, [value.requires_grad_() for value in inputs])
+    learned = double(COM).requires_grad_()
+    assert robot.with_payload(MASS, learned).com.requires_grad and not robot.com.requires_grad
+
+
+def test_another_payload_needs_no_new_program():
+    robot = torchdq.robots.load("two_link")
+    q = torch.zeros(2, dtype=F64)
+    torchdq.inverse_dynamics(robot.with_payload(0.5), q)
+    before = torchdq.functions.catalogue.recordings()
+    torchdq.inverse_dynamics(robot.with_payload(0.7, [0.0, 0.1, 0.0]), q)
+    assert torchdq.functions.catalogue.recordings() == before
+
+
+def test_a_tool_is_a_payload_and_a_new_tip():
+    robot = torchdq.robots.load("panda")
+    tool = robot.with_tool("gun", pose(1), MASS, COM, INERTIA)
+    held = robot.with_payload(MASS, COM, INERTIA)
+    assert tool.tip == "gun" and robot.tip == "tip" and torch.equal(tool.mass, held.mass)
+    x = rows(7)
+    assert torch.equal(torchdq.inverse_dynamics(tool, *x), torchdq.inverse_dynamics(held, *x))
+    tips = torchdq.forward_kinematics(tool, x[0], ["tip", "gun"])
+    assert torch.allclose(dq.mul(tips[:, 0], pose(1)), tips[:, 1], rtol=1e-13, atol=1e-13)
+    light = robot.with_tool("pen", pose(1), frame="panda_link5")
+    assert torch.equal(light.mass, robot.mass) and light.frame("pen").link == 4
+
+
+def test_payloads_and_tools_that_cannot_be_are_refused():
+    robot = torchdq.robots.load("two_link")
+    with pytest.raises(ArgumentError, match="frame must be one that a joint of robot 'two_link' moves, found 'base'"):
+        robot.with_payload(1.0, frame="base")
+    with pytest.raises(UnknownNameError):
+        robot.with_payload(1.0, frame="hand")
+    with pytest.raises(ArgumentError, match=r"mass and inertia must be those of a body.*must not be negative"):
+        robot.with_payload(-1.0)
+    with pytest.raises(ArgumentError, match="triangle inequality"):
+        robot.with_payload(1.0, inertia=[1.0, 0, 0, 0, 0, 0])
+    with pytest.raises(ArgumentError, match=r"com must have the shape \[..., 3\], found \(2,\)"):
+        robot.with_payload(1.0, [0.0, 0.0])
+    with pytest.raises(ArgumentError, match="mass must be numbers"):
+        robot.with_payload("heavy")
+    with pytest.raises(ArgumentError, match="name must be that of a new frame of robot 'two_link', found 'tip'"):
+        robot.with_tool("tip", pose())
+    with pytest.raises(ArgumentError, match="tip of robot 'two_link' must be chosen"):
+        robot.with_tip(None).with_tool("pen", pose())
+
+
+# --- robots on robots ------------------------------------------------------------------------------------------------
+
+
+def renamed(model, prefix):
+    model = pin.Model(model)
+    for i in range(1, model.njoints):
+        model.names[i] = prefix + model.names[i]
+    for frame in model.frames:
+        frame.name = prefix + frame.name
+    return model
+
+
+def joined(first, other, frame, placement):
+    """Pinocchio's model of both, with the rotors and the gravity, which it forgets."""
+    model = pin.appendModel(first, other, first.getFrameId(frame, pin.FrameType.BODY), placement)
+    model.gravity = first.gravity
+    armature = np.zeros(model.nv)
+    for part in (first, other):
+        for name in list(part.names)[1:]:
+            armature[model.joints[model.getJointId(name)].idx_v] = part.armature[
+                part.joints[part.getJointId(name)].idx_v
+            ]
+    model.armature = armature
+    return model
+
+
+@pytest.mark.parametrize("seeds", [(2, 9), (4, 1)])
+@pytest.mark.parametrize("rotors", [(False, False), (True, False), (False, True)])
+def test_an_attached_robot_is_pinocchios_joined_model(seeds, rotors):
+    first, other = (random_tree(4, seed, armature=has) for seed, has in zip(seeds, rotors, strict=True))
+    robot = first.robot.attach(other.robot, "b2", prefix="o_", base_pose=pose(5))
+    model = joined(first.model, renamed(other.model, "o_"), "b2", oracles.se3(pose(5)))
+    x = rows(8)
+    assert close(torchdq.inverse_dynamics(robot, *x), torques_of(model, robot.joint_names, x))
+    data = model.createData()
+    X = torchdq.forward_kinematics(robot, x[0, 0])
+    configuration = np.zeros(model.nq)
+    for name, value in zip(robot.joint_names, x[0, 0].tolist(), strict=True):
+        joint = model.joints[model.getJointId(name)]
+        numbers = [value] if joint.nq == 1 else [np.cos(value), np.sin(value)]
+        configuration[joint.idx_q : joint.idx_q + joint.nq] = numbers
+    pin.framesForwardKinematics(model, data, configuration)
+    for name, found in zip(robot.frame_names, X, strict=True):
+        expected = data.oMf[model.getFrameId(name, pin.FrameType.BODY)].homogeneous
+        assert np.allclose(dq.to_matrix(found), expected, rtol=0, atol=1e-13)
+    assert robot.tip == "o_tip" and robot.joint_names == tuple(f"{p}j{i}" for p in ("", "o_") for i in range(4))
+    parts = (torch.cat(pair) for pair in zip(first.robot.limits, other.robot.limits, strict=True))
+    assert all(map(torch.equal, robot.limits, parts))
+
+
+def test_joint_maps_of_both_robots_are_kept():
+    first, other = (random_tree(4, seed).robot for seed in (2, 9))
+    plain = first.attach(other, "b3", prefix="o_")
+    maps = {"j2": {"j0": -1.5}}, {"j3": {"j1": 0.5}}
+    robot = first.couple(maps[0]).attach(other.couple(maps[1]), "b3", prefix="o_")
+    expected = plain.couple({"j2": {"j0": -1.5}, "o_j3": {"o_j1": 0.5}})
+    assert robot.joint_names == expected.joint_names and robot.every_joint == plain.joint_names
+    assert torch.equal(robot.joint_map.S, expected.joint_map.S)
+    x = rows(robot.n)
+    assert torch.equal(torchdq.inverse_dynamics(robot, *x), torchdq.inverse_dynamics(expected, *x))
+
+
+@pytest.mark.parametrize("carrier", ["link", "free base", "fixed base"])
+def test_the_free_base_of_an_attached_robot_becomes_part_of_its_carrier(carrier):
+    first, other = random_tree(3, 2).robot, on_free_base(random_tree(2, 9).robot)
+    first = on_free_base(first) if carrier == "free base" else first
+    frame = "b1" if carrier == "link" else "base"
+    robot = first.attach(other, frame, prefix="o_", base_pose=pose(5))
+    without = other.replace(base_mass=None, base_com=None, base_inertia=None)
+    expected = first.attach(without, frame, prefix="o_", base_pose=pose(5))
+    if carrier != "fixed base":
+        expected = expected.replace(frames=(*expected.frames,))
+        seat = torchdq.robot.description.Frame("seat", 1 if carrier == "link" else -1, robot.frame("o_base").X_BF)
+        expected = expected.replace(frames=(*expected.frames, seat))
+        expected = expected.with_payload(*BASE.values(), frame="seat")
+    else:
+        assert any("the mass of its base is left out" in note for note in robot.notes)
+    for name in ("mass", "com", "inertia", *BASE):
+        ours, theirs = getattr(robot, name), getattr(expected, name)
+        assert ours is theirs is None or torch.allclose(ours, theirs, rtol=1e-14), name
+
+
+def test_gradients_and_batches_of_attached_robots():
+    first, other = random_tree(3, 2).robot, on_free_base(random_tree(2, 9).robot)
+    x = rows(5)
+
+    def torques(*masses):
+        a, b = first.replace(mass=masses[0]), other.replace(mass=masses[1], base_mass=masses[2])
+        return torchdq.inverse_dynamics(a.attach(b, "tip", prefix="o_"), *x[:, 0])
+
+    values = [first.mass, other.mass, other.base_mass]
+    assert torch.autograd.gradcheck(torques, [value.clone().requires_grad_() for value in values])
+    scale = double([[1.0], [2.0], [0.5]])
+    batch = first.attach(other.replace(mass=other.mass * scale), "tip", prefix="o_")
+    assert batch.mass.shape == (3, 5)
+    found = torchdq.inverse_dynamics(batch, *x)
+    for i in range(3):
+        alone = first.attach(other.replace(mass=other.mass * scale[i]).bake(), "tip", prefix="o_").bake()
+        assert close(found[i], torchdq.inverse_dynamics(alone, *x[:, i]))
+
+
+def test_names_of_both_robots_differ():
+    robot = torchdq.robots.load("two_link")
+    with pytest.raises(ArgumentError, match=r"names of joints .* differ, found joint1, joint2 in both; pass prefix"):
+        robot.attach(robot, "tip")
+    twice = robot.attach(robot, "tip", prefix="a_")
+    with pytest.raises(ArgumentError, match="found a_joint1, a_joint2 in both; give another prefix"):
+        twice.attach(robot, "tip", prefix="a_")
+    led = robot.couple({"joint2": {"a_joint1": 1.0}})  # a coordinate that has the name of a joint of the other one
+    with pytest.raises(ArgumentError, match=r"names of joints .* differ, found a_joint1 in both"):
+        led.attach(robot.replace(joint_names=("joint1", "x")), "tip", prefix="a_")
+    assert twice.attach(robot, "a_tip", prefix="b_").joint_names[-2:] == ("b_joint1", "b_joint2")
+    with pytest.raises(ArgumentError, match=r"other must be a torchdq\.Robot, found str"):
+        robot.attach("two_link", "tip")
+
+
+def test_robots_are_put_together_as_values():
+    arm, hand = torchdq.robots.load("panda"), torchdq.robots.load("two_link").with_tip(None)
+    before = [x.clone() for robot in (arm, hand) for x in (robot.mass, robot.com, robot.inertia, robot.X_PB_home)]
+    both = arm.with_payload(1.0).with_tool("t", pose()).attach(hand, "t", prefix="h_")
+    after = [x for robot in (arm, hand) for x in (robot.mass, robot.com, robot.inertia, robot.X_PB_home)]
+    assert all(map(torch.equal, before, after)) and (arm.n, hand.n, both.n) == (7, 2, 9)
+    assert both.tip == "t" and "'two_link' attached to 't', without a mass of its base" in both.notes
+    assert both.to(torch.float32).attach(hand, "t", prefix="g_").mass.dtype == torch.float32
+    assert both.lock({"h_*": 0.1}).n == 7

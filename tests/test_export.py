@@ -1,0 +1,184 @@
+"""Exported programs are strict C99 that computes what the programs compute, bit for bit, outside of Python."""
+
+import ctypes
+import math
+import re
+import shutil
+import subprocess
+
+import pytest
+import torch
+
+import torchdq
+from torchdq.envs import Scene, effects, integrators
+from torchdq.errors import ArgumentError
+from torchdq.program.program import outputs, replay
+
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O2")
+COMPILERS = [
+    pytest.param(name, marks=pytest.mark.skipif(not shutil.which(name), reason=f"no {name}"))
+    for name in ("gcc", "clang")
+]
+F64 = torch.float64
+
+
+def scene_step():
+    parts = (effects.Gravity(), effects.Viscous(1.0), effects.Coulomb(0.5), effects.Limits(-1.0, 1.0))
+    scene = Scene(torchdq.robots.load("two_link"), parts, integrator=integrators.RungeKutta4())
+    return torchdq.compile(scene.program("torque"))
+
+
+def free():
+    body = {"base_mass": 3.0, "base_com": [0.1, -0.05, 0.2], "base_inertia": [0.3, 0.02, 0.4, -0.03, 0.01, 0.5]}
+    robot = torchdq.robots.load("two_link")
+    return robot.replace(**{name: torch.tensor(x, dtype=F64) for name, x in body.items()}).bake()
+
+
+def loaded():
+    panda = torchdq.robots.load("panda")
+    return panda.replace(mass=panda.mass, com=panda.com)
+
+
+PROGRAMS = {
+    "inverse dynamics": lambda dtype: torchdq.compile(torchdq.robots.load("panda"), "inverse_dynamics", dtype),
+    "forward dynamics": lambda dtype: torchdq.compile(torchdq.robots.load("panda"), "forward_dynamics", dtype),
+    "computed torque": lambda dtype: torchdq.compile(torchdq.robots.load("panda"), "computed_torque", dtype),
+    "closed form": lambda dtype: torchdq.compile(torchdq.robots.load("two_link"), "closed_form", dtype),
+    "gradient": lambda dtype: torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics", dtype).vjp(),
+    "jacobian": lambda dtype: torchdq.compile(torchdq.robots.load("two_link"), "forward_dynamics", dtype).jacobian(),
+    "parameters": lambda dtype: torchdq.compile(loaded(), "inverse_dynamics", dtype),
+    "free base": lambda dtype: torchdq.compile(free(), "floating.forward_dynamics", dtype),
+}
+
+
+def run(*command: str) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_files_are_strict_c99_and_their_test_passes(name, dtype, compiler, tmp_path):
+    made = PROGRAMS[name](dtype).export(tmp_path, "exported")
+    test = str(tmp_path / "test")
+    run(compiler, *STRICT, "-I", str(tmp_path), str(made.source), str(made.test), "-o", test, "-lm")
+    assert "largest relative difference" in run(test)
+
+
+@pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
+@pytest.mark.parametrize("library", ["math.h", "own"])
+@pytest.mark.parametrize("name", ["inverse dynamics", "computed torque", "gradient"])
+def test_nothing_is_read_or_written_out_of_bounds(name, library, tmp_path):
+    made = PROGRAMS[name]("float64").export(tmp_path, "exported", library)
+    test = str(tmp_path / "test")
+    sanitized = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g")
+    run("gcc", *STRICT, *sanitized, "-I", str(tmp_path), str(made.source), str(made.test), "-o", test, "-lm")
+    run(test)
+
+
+def called(made, program, rows, tmp_path):
+    """Status and outputs of an exported function on one sample."""
+    library = str(tmp_path / "exported.so")
+    run("gcc", "-std=c99", "-O2", "-shared", "-fPIC", "-I", str(tmp_path), str(made.source), "-o", library, "-lm")
+    function = getattr(ctypes.CDLL(library), made.function)
+    given = [(ctypes.c_double * len(row))(*row) for row in rows]
+    found = [(ctypes.c_double * len(r.values))() for r in outputs(program) if r.values]
+    return function(*given, *found), [list(x) for x in found]
+
+
+@pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
+@pytest.mark.parametrize("name", [*PROGRAMS, "scene"])
+def test_results_are_those_of_the_program_in_pythons_arithmetic_bit_for_bit(name, tmp_path):
+    compiled = scene_step() if name == "scene" else PROGRAMS[name]("float64")
+    made = compiled.export(tmp_path, "exported")
+    program = compiled.program
+    generator = torch.Generator().manual_seed(1)
+    rows = [(torch.rand(a.width, generator=generator, dtype=F64) + 0.1).tolist() for a in program.arguments]
+    values = replay(program, rows)
+    expected = [
+        [v if isinstance(v, float) else 0.0 - values[v[0]] if v[1] else values[v[0]] for v in result.values]
+        for result in outputs(program)
+        if result.values
+    ]
+    status, found = called(made, program, rows, tmp_path)
+    assert status == 0 and found == expected
+
+
+@pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
+def test_own_sine_and_cosine_are_within_an_ulp_and_undefined_far_away(tmp_path):
+    compiled = torchdq.compile(torchdq.robots.load("two_link"), "forward_kinematics", options=("tip",))
+    made = compiled.export(tmp_path, "exported", "own")
+    for q in ([0.3, -0.7], [1e4, -9e4], [3.0, math.pi]):
+        _, (found,) = called(made, compiled.program, [q], tmp_path)
+        expected = replay(compiled.program, [q])
+        row = [
+            values if isinstance(values, float) else expected[values[0]] * (-1) ** values[1]
+            for values in compiled.program.results[0].values
+        ]
+        assert max(abs(a - b) for a, b in zip(found, row, strict=True)) <= 4 * 2.0**-52 * max(map(abs, row))
+    assert all(math.isnan(x) for x in called(made, compiled.program, [[1e6, 1e6]], tmp_path)[1][0][:1])
+
+
+def test_a_function_has_no_memory_loops_or_branches(tmp_path):
+    text = PROGRAMS["inverse dynamics"]("float64").export(tmp_path, "exported").source.read_text()
+    assert not re.search(r"\b(static|for|while|if|goto|malloc|switch)\b", text.split("*/", 1)[1])
+
+
+def test_the_panda_fits_in_sixty_kilobytes(tmp_path):
+    sizes = [
+        PROGRAMS[name]("float64").export(tmp_path / name, "f").source.stat().st_size
+        for name in ("inverse dynamics", "computed torque")
+    ]
+    assert sum(sizes) <= 60_000
+
+
+@pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
+def test_a_mass_matrix_that_is_not_positive_is_told_by_the_status(tmp_path):
+    robot = torchdq.robots.load("two_link")
+    compiled = torchdq.compile(robot.replace(mass=robot.mass, inertia=robot.inertia), "forward_dynamics")
+    made = compiled.export(tmp_path, "exported")
+    rows = {"q": [0.1, 0.2], "qd": [0.0, 0.0], "tau": [1.0, 1.0], "mass": [1.0, -1.0], "inertia": [0.0] * 12}
+    status, _ = called(made, compiled.program, [rows[a.name] for a in compiled.program.arguments], tmp_path)
+    assert status == 1
+
+
+@pytest.mark.parametrize("name", ["two words", "double", "1st", "größe", "class", ""])
+def test_names_are_those_that_c_and_cpp_accept(name, tmp_path):
+    compiled = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
+    if not name:
+        assert compiled.export(tmp_path).function == "inverse_dynamics_two_link"
+        return
+    with pytest.raises(ArgumentError, match="must be a name that C accepts"):
+        compiled.export(tmp_path, name)
+
+
+def test_functions_that_the_own_library_lacks_are_named(tmp_path):
+    with pytest.raises(ArgumentError, match=r"library must be 'math\.h' for step_two_link, which takes sqrt"):
+        scene_step().export(tmp_path, "step", "own")
+
+
+def test_the_header_says_order_shapes_and_units(tmp_path):
+    text = PROGRAMS["inverse dynamics"]("float64").export(tmp_path, "exported").header.read_text()
+    assert "panda_joint1, panda_joint2" in text and "qdd[7]  joint accelerations [rad/s^2 or m/s^2]" in text
+    assert 'extern "C"' in text and "int exported(const double q[7]," in text
+
+
+@pytest.mark.skipif(not shutil.which("g++"), reason="no g++")
+def test_spans_of_cpp_call_the_function(tmp_path):
+    made = PROGRAMS["closed form"]("float64").export(tmp_path, "exported")
+    main = tmp_path / "main.cpp"
+    arrays = re.findall(r"std::span<(?:const )?double, (\d+)>", made.spans.read_text())
+    declared = "".join(f"double x{k}[{size}]={{}};" for k, size in enumerate(arrays))
+    passed = ",".join(f"std::span<double,{size}>(x{k})" for k, size in enumerate(arrays))
+    main.write_text(f'#include "{made.spans.name}"\nint main(){{{declared} return torchdq::exported({passed});}}\n')
+    run("gcc", *STRICT, "-c", "-I", str(tmp_path), str(made.source), "-o", str(tmp_path / "f.o"))
+    strict = ("-std=c++20", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+    run("g++", *strict, "-I", str(tmp_path), str(main), str(tmp_path / "f.o"), "-o", str(tmp_path / "main"), "-lm")
+    run(str(tmp_path / "main"))
+
+
+def test_a_recorded_program_takes_no_function():
+    with pytest.raises(ArgumentError, match="is recorded already"):
+        torchdq.compile(scene_step().program, "inverse_dynamics")

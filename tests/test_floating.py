@@ -1,0 +1,646 @@
+"""Functions of robots with a free base agree with Pinocchio's with a free-flyer.
+
+Errors are relative to the size of what is added up: of generalised forces, the sum of the magnitudes |Y| |pi| of their
+terms; of accelerations, 64 eps times the condition number of the mass matrix scaled to a unit diagonal.
+"""
+
+import numpy as np
+import oracles
+import pinocchio as pin
+import pytest
+import torch
+from free_flyers import ANGULAR_FIRST, MORE_ROBOTS, ROBOTS, TREES, FreeFlyer, Motion, body, case, motion, over
+from helpers import thinned
+from oracles import EPS
+
+import torchdq
+from torchdq import dq, floating
+
+F64, F32 = torch.float64, torch.float32
+TOLERANCE = {F64: 1e-12, F32: 5e-6}
+NAMES = (*TREES, *ROBOTS, *MORE_ROBOTS)
+KEPT = ("tree1", "tree2", "tree3", "tree7", "tree12", *ROBOTS)
+EVERY = pytest.mark.parametrize("name", thinned(NAMES, KEPT))
+SOME = pytest.mark.parametrize("name", ("tree1", "tree3", "tree7", "quadrotor_base", "solo12"))
+PLACE, TWIST, CHANGE = ("X_WB", "q"), ("X_WB", "q", "V_WB_B", "qd"), ("X_WB", "q", "V_WB_B", "qd", "A_WB_B", "qdd")
+WRENCHES = ("f_tip", "f_ext", "f_base")
+
+
+def near(found, expected, size=1.0, tolerance=TOLERANCE[F64]):
+    found, expected = (np.asarray(x.detach() if isinstance(x, torch.Tensor) else x, float) for x in (found, expected))
+    assert found.shape == expected.shape
+    error = np.max(np.abs(found - expected) / size, initial=0.0)
+    assert error <= tolerance, f"{error:.3g} > {tolerance:.3g}"
+
+
+def generalised(F: floating.Forces | floating.Accelerations) -> torch.Tensor:
+    """(moment, force, tau), or (angular, linear, qdd)."""
+    base, joints = F
+    base = dq.swap(base) if isinstance(F, floating.Forces) else base
+    return torch.cat([base, joints], -1)
+
+
+def forces_of(c: FreeFlyer, m: Motion, *wrenches: str) -> np.ndarray:
+    """Pinocchio's forces, in our order."""
+
+    def forces(model, data, q, v, a, row):
+        return pin.rnea(model, data, q, v, a, c.wrenches(**{name: row[name] for name in wrenches}))
+
+    return over(forces, c, m)[:, c.order]
+
+
+def size_of(c: FreeFlyer, m: Motion) -> float:
+    """Size of the terms of the forces, the largest."""
+    pi = np.abs(np.concatenate([i.toDynamicParameters() for i in list(c.model.inertias)[1:]]))
+
+    def size(model, data, q, v, a, row):
+        return np.abs(pin.computeJointTorqueRegressor(model, data, q, v, a)) @ pi + model.armature * np.abs(a)
+
+    moments = np.abs(over(lambda model, data, q, v, a, row: pin.rnea(model, data, q, v, a), c, m))
+    return float(max(over(size, c, m).max(), moments.max()))
+
+
+def still(m: Motion, *names: str) -> Motion:
+    """The motion with some of its parts zero."""
+    return Motion({**m, **{name: 0 * m[name] for name in names}})
+
+
+def mass_matrices(c: FreeFlyer, m: Motion) -> np.ndarray:
+    M = over(lambda model, data, q, v, a, row: pin.crba(model, data, q).copy(), c, m)
+    M = np.triu(M) + np.triu(M, 1).swapaxes(-1, -2)
+    return M[:, c.order][..., c.order]
+
+
+def condition(M: np.ndarray) -> float:
+    d = np.sqrt(np.diagonal(M, axis1=-2, axis2=-1))
+    return float(np.linalg.cond(M / d[..., None] / d[..., None, :]).max())
+
+
+# --- forces ----------------------------------------------------------------------------------------------------------
+
+
+@EVERY
+def test_inverse_dynamics(name):
+    c, m = case(name), motion(case(name))
+    near(generalised(floating.inverse_dynamics(c.robot, **m.pick(*CHANGE))), forces_of(c, m), size_of(c, m))
+
+
+@SOME
+@pytest.mark.parametrize("absent", [("V_WB_B",), ("qd",), ("A_WB_B",), ("qdd",), ("V_WB_B", "qd"), ("A_WB_B", "qdd"),
+                                    ("V_WB_B", "A_WB_B"), ("qd", "qdd"), CHANGE[2:]], ids=str)  # fmt: skip
+def test_absent_velocities_and_accelerations_are_zero(name, absent):
+    c, m = case(name), motion(case(name))
+    found = floating.inverse_dynamics(c.robot, **m.pick(*(x for x in CHANGE if x not in absent)))
+    near(generalised(found), forces_of(c, still(m, *absent)), size_of(c, m))
+
+
+@EVERY
+@pytest.mark.parametrize("wrench", [*WRENCHES, "all"])
+def test_inverse_dynamics_under_wrenches(name, wrench):
+    c, m = case(name), motion(case(name))
+    if not c.robot.n and wrench in ("f_tip", "all"):
+        pytest.skip("a single body has no tip")
+    wrenches = WRENCHES if wrench == "all" else (wrench,)
+    found = generalised(floating.inverse_dynamics(c.robot, **m.pick(*CHANGE, *wrenches)))
+    near(found, forces_of(c, m, *wrenches), size_of(c, m) + 1e3)
+
+
+@EVERY
+def test_forward_dynamics(name):
+    c, m = case(name), motion(case(name))
+    wrenches = WRENCHES if c.robot.n else ("f_base",)
+
+    def accelerations(model, data, q, v, a, row):
+        tau = c.velocity(np.zeros(6), row["tau"])
+        return pin.aba(model, data, q, v, tau, c.wrenches(**{w: row[w] for w in wrenches}))
+
+    expected = over(accelerations, c, m)[:, c.order]
+    found = generalised(floating.forward_dynamics(c.robot, **m.pick(*TWIST, "tau", *wrenches)))
+    M = mass_matrices(c, m)
+    near(found, expected, np.abs(expected).max(), 64 * EPS[F64] * condition(M))
+    at_rest = floating.forward_dynamics(c.robot, **m.pick(*PLACE))  # free fall
+    expected = over(lambda model, data, q, v, a, row: pin.aba(model, data, q, 0 * v, 0 * v), c, m)[:, c.order]
+    near(generalised(at_rest), expected, np.abs(expected).max(), 64 * EPS[F64] * condition(M))
+
+
+@EVERY
+def test_mass_matrix_and_its_blocks(name):
+    c, m = case(name), motion(case(name))
+    found, expected = floating.mass_matrix(c.robot, **m.pick(*PLACE)), mass_matrices(c, m)
+    size = np.sqrt(np.diagonal(expected, axis1=-2, axis2=-1).max(0))
+    near(found.M, expected, (size[:, None] * size)[None])
+    assert found.M.equal(found.M.mT)
+    assert found.base.equal(found.M[..., :6, :6]) and found.coupling.equal(found.M[..., :6, 6:])
+    assert found.joints.equal(found.M[..., 6:, 6:])
+    torch.linalg.cholesky(found.M)  # positive definite
+
+
+@EVERY
+def test_closed_form_is_the_bias_and_its_parts(name):
+    c, m = case(name), motion(case(name))
+    M, g_and_c, size = mass_matrices(c, m), forces_of(c, still(m, "A_WB_B", "qdd")), size_of(c, m)
+    found = floating.closed_form(c.robot, **m.pick(*TWIST))
+    near(found.M, M, np.abs(M).max())
+    near(found.c + found.g, g_and_c, size)
+    gravity = over(lambda model, data, q, v, a, row: pin.computeGeneralizedGravity(model, data, q), c, m)[:, c.order]
+    near(found.g, gravity, size)
+    nle = over(lambda model, data, q, v, a, row: pin.nonLinearEffects(model, data, q, v), c, m)[:, c.order]
+    near(found.c + found.g, nle, size)
+
+
+@EVERY
+def test_regressor(name):
+    c, m = case(name), motion(case(name))
+    expected = over(lambda model, data, q, v, a, row: pin.computeJointTorqueRegressor(model, data, q, v, a), c, m)
+    found = floating.regressor(c.robot, **m.pick(*CHANGE))
+    tau = found @ c.robot.inertial_parameters
+    bare = c.robot if c.robot.armature is None else c.robot.replace(armature=None)
+    near(tau, generalised(floating.inverse_dynamics(bare, **m.pick(*CHANGE))), size_of(c, m))
+    # Pinocchio's parameters are about its joint frames: moved to the link frames, they are ours
+    bodies = [np.eye(10)]
+    for link in c.robot.link_names:
+        bodies.append(oracles.moved_parameters(c.model.frames[c.frame_id(link)].placement))
+    ids = [1, *(joint.id for joint in c.joints)]
+    blocks = [expected[:, c.order, 10 * (i - 1) : 10 * i] @ moved for i, moved in zip(ids, bodies, strict=True)]
+    near(found, np.concatenate(blocks, -1), np.abs(expected).max())
+
+
+# --- energy, momentum, kinematics ------------------------------------------------------------------------------------
+
+
+@EVERY
+def test_energies(name):
+    c, m = case(name), motion(case(name))
+
+    def energies(model, data, q, v, a, row):
+        rotors = 0.5 * model.armature @ v**2
+        return pin.computeKineticEnergy(model, data, q, v) + rotors, pin.computePotentialEnergy(model, data, q)
+
+    (T, U), mass = over(energies, c, m).T, pin.computeTotalMass(c.model)
+    found = floating.kinetic_energy(c.robot, **m.pick(*TWIST))
+    M, v = mass_matrices(c, m), torch.cat([m["V_WB_B"], m["qd"]], -1).numpy()
+    near(found, 0.5 * np.einsum("bi,bij,bj->b", v, M, v), T.max())
+    near(floating.potential_energy(c.robot, **m.pick(*PLACE)), U, np.abs(U).max() + 30 * mass)
+
+
+@EVERY
+def test_centre_of_mass_and_momentum(name):
+    c, m = case(name), motion(case(name))
+
+    def expected(model, data, q, v, a, row):
+        pin.computeCentroidalMomentumTimeVariation(model, data, q, v, a)
+        h, dh = data.hg.vector.copy(), data.dhg.vector.copy()
+        return np.concatenate([pin.centerOfMass(model, data, q), h, dh])
+
+    found = over(expected, c, m)
+    near(floating.centre_of_mass(c.robot, **m.pick(*PLACE)), found[:, :3], 10.0)
+    h, dh = floating.momentum(c.robot, **m.pick(*TWIST)), floating.momentum_rate(c.robot, **m.pick(*CHANGE))
+    near(torch.cat(h, -1), found[:, 3:9], np.abs(found[:, 3:9]).max(), 4e-12)
+    near(torch.cat(dh, -1), found[:, 9:], max(np.abs(found[:, 9:]).max(), size_of(c, m)), 4e-12)
+
+
+@EVERY
+def test_poses_of_all_frames(name):
+    c, m = case(name), motion(case(name))
+    known = [f for f in c.robot.frame_names if c.model.existFrame(f, pin.FrameType.BODY)]
+    assert known
+
+    def placements(model, data, q, v, a, row):
+        pin.framesForwardKinematics(model, data, q)
+        return [data.oMf[c.frame_id(f)].homogeneous for f in known]
+
+    found = floating.forward_kinematics(c.robot, **m.pick(*PLACE), frame=known)
+    near(dq.to_matrix(found), over(placements, c, m), 10.0)
+    assert floating.forward_kinematics(c.robot, **m.pick(*PLACE)).shape == (3, len(c.robot.frames), 8)
+    one = floating.forward_kinematics(c.robot, **m.pick(*PLACE), frame=known[-1])
+    near(dq.to_matrix(one), dq.to_matrix(found[:, -1]), 10.0)
+
+
+@EVERY
+@pytest.mark.parametrize("expressed", ["body", "world"])
+def test_jacobians_of_frames(name, expressed):
+    c, m = case(name), motion(case(name))
+    known = [f for f in c.robot.frame_names if c.model.existFrame(f, pin.FrameType.BODY)]
+    reference = pin.LOCAL if expressed == "body" else pin.LOCAL_WORLD_ALIGNED
+    for f in {known[0], known[len(known) // 2], known[-1]}:
+
+        def jacobian(model, data, q, v, a, row, frame=f):
+            return pin.computeFrameJacobian(model, data, q, c.frame_id(frame), reference)
+
+        found = floating.jacobian(c.robot, **m.pick(*PLACE), frame=f, expressed=expressed)
+        near(found, over(jacobian, c, m)[:, ANGULAR_FIRST][..., c.order], 10.0)
+
+
+# --- derivatives -----------------------------------------------------------------------------------------------------
+
+
+def displaced(X: torch.Tensor) -> torch.Tensor:
+    """Derivative [..., 8, 6] of X exp(xi/2) in a displacement xi at 0: X xi / 2."""
+    xi = torch.zeros(6, 8, dtype=X.dtype)
+    xi[:3, 1:4], xi[3:, 5:] = torch.eye(3), torch.eye(3)
+    return 0.5 * dq.mul(X[..., None, :], xi).mT
+
+
+def tangent(f, *at: torch.Tensor) -> list[torch.Tensor]:
+    """Derivatives of f(X_WB, q, base, joints, ...) in a displacement of the place and in its pairs, [rows, 6 + n]."""
+    J = torch.autograd.functional.jacobian(lambda *x: generalised(f(*x)), at, vectorize=False)
+    return [torch.cat([J[0] @ displaced(at[0]), J[1]], -1), *(torch.cat(J[k : k + 2], -1) for k in range(2, len(J), 2))]
+
+
+@pytest.mark.parametrize("backend", ["eager", "c"])
+@pytest.mark.parametrize("name", ["tree1", "tree4", "tree7", "quadrotor_base", *thinned(["tree12", "solo12"], ())])
+def test_derivatives_of_forces(name, backend):
+    c, m = case(name), motion(case(name), batch=1)
+
+    def expected(model, data, q, v, a, row):
+        pin.computeRNEADerivatives(model, data, q, v, a)
+        M = np.triu(data.M) + np.triu(data.M, 1).T
+        return [data.dtau_dq, data.dtau_dv, M]
+
+    def forces(X_WB, q, V, qd, A, qdd):
+        return floating.inverse_dynamics(c.robot, X_WB, q, V, qd, A, qdd, backend=backend)
+
+    found = tangent(forces, *(x[0] for x in m.pick(*CHANGE).values()))
+    reference = over(expected, c, m)[0][:, c.order][..., c.order]
+    for ours, theirs in zip(found, reference, strict=True):
+        near(ours, theirs, np.abs(reference).max())
+
+
+@pytest.mark.parametrize("name", ["tree1", "tree4", "quadrotor_base", *thinned(["tree7", "tree12", "solo12"], ())])
+def test_derivatives_of_accelerations(name):
+    c, m = case(name), motion(case(name), batch=1)
+
+    def expected(model, data, q, v, a, row):
+        pin.computeABADerivatives(model, data, q, v, c.velocity(row["A_WB_B"], row["tau"]))
+        Minv = np.triu(data.Minv) + np.triu(data.Minv, 1).T
+        return [data.ddq_dq, data.ddq_dv, Minv]
+
+    def accelerations(X_WB, q, V, qd, moment_and_force, tau):
+        f_base = dq.swap(moment_and_force)
+        return floating.forward_dynamics(c.robot, X_WB, q, V, qd, tau, f_base=f_base)
+
+    found = tangent(accelerations, *(x[0] for x in m.pick(*CHANGE[:5], "tau").values()))
+    reference = over(expected, c, m)[0][:, c.order][..., c.order]
+    for ours, theirs in zip(found, reference, strict=True):
+        near(
+            ours,
+            theirs,
+            np.abs(reference).max(),
+            max(TOLERANCE[F64], 64 * EPS[F64] * condition(mass_matrices(c, m)) ** 2),
+        )
+
+
+def test_derivatives_of_all_orders_are_those_of_differences():
+    c, m = case("tree2"), motion(case("tree2"), batch=2)
+    bodies = ("base_mass", "base_com", "base_inertia", "mass", "gravity")
+    given = [m[name].clone().requires_grad_() for name in (*TWIST, "tau", "f_base")]
+    tensors = [getattr(c.robot, name).clone().requires_grad_() for name in bodies]
+
+    def accelerations(X_WB, q, V, qd, tau, f_base, *fields):
+        robot = c.robot.replace(**dict(zip(bodies, fields, strict=True)))
+        return generalised(floating.forward_dynamics(robot, X_WB, q, V, qd, tau, f_base=f_base))
+
+    torch.autograd.gradcheck(accelerations, (*given, *tensors))
+    torch.autograd.gradgradcheck(accelerations, (*given, *tensors), atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "function",
+    ["kinetic_energy", "potential_energy", "momentum", "momentum_rate", "centre_of_mass", "regressor", "mass_matrix"],
+)
+def test_the_other_functions_are_differentiable(function):
+    c, m = case("tree2"), motion(case("tree2"), batch=1)
+    names = {"kinetic_energy": TWIST, "momentum": TWIST, "momentum_rate": CHANGE, "regressor": CHANGE}
+    given = [x.clone().requires_grad_() for x in m.pick(*names.get(function, PLACE)).values()]
+
+    def f(*x):
+        found = getattr(floating, function)(c.robot, *x)
+        return found if isinstance(found, torch.Tensor) else found[0]
+
+    torch.autograd.gradcheck(f, given)
+    torch.autograd.gradgradcheck(f, given)
+
+
+def test_poses_and_jacobians_are_differentiable():
+    c, m = case("tree2"), motion(case("tree2"), batch=1)
+    given = [x.clone().requires_grad_() for x in m.pick(*PLACE).values()]
+    torch.autograd.gradcheck(lambda *x: floating.forward_kinematics(c.robot, *x), given)
+    torch.autograd.gradcheck(lambda *x: floating.jacobian(c.robot, *x, frame="b1", expressed="world"), given)
+
+
+def test_the_jacobian_is_the_derivative_of_the_pose():
+    c, m = case("tree5"), motion(case("tree5"), batch=1)
+    X_WB, q = m["X_WB"][0], m["q"][0]
+
+    def pose(X_WB, q):
+        return floating.forward_kinematics(c.robot, X_WB, q, frame="b4")
+
+    dX_dX, dX_dq = torch.autograd.functional.jacobian(pose, (X_WB, q))
+    dX = torch.cat([dX_dX @ displaced(X_WB), dX_dq], -1).mT  # [6 + n, 8]
+    twists = 2 * dq.mul(dq.conj(pose(X_WB, q)), dX)
+    J = floating.jacobian(c.robot, X_WB, q, frame="b4")
+    near(twists[:, [1, 2, 3, 5, 6, 7]].mT, J, 10.0)
+    near(twists[:, [0, 4]], torch.zeros(11, 2), 10.0)
+
+
+# --- ways to call ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("backend", ["eager", "c"])
+def test_batches_broadcast(backend):
+    c, m = case("tree5"), motion(case("tree5"), batch=12)
+    at = {name: x.unflatten(0, (3, 4)) for name, x in m.items()}
+    given = at | {"X_WB": at["X_WB"][:, :1], "qd": m["qd"][5], "tau": at["tau"][:1], "f_base": m["f_base"][2]}
+    full = {name: x.expand(3, 4, *x.shape[x.ndim - m[name].ndim + 1 :]) for name, x in given.items()}
+    for f, names in (
+        (floating.forward_dynamics, (*TWIST, "tau", *WRENCHES)),
+        (floating.inverse_dynamics, (*CHANGE, "f_ext")),
+    ):
+        found = generalised(f(c.robot, **{x: given[x] for x in names}, backend=backend))
+        rows = [f(c.robot, **{x: full[x][i, j] for x in names}, backend=backend) for i in range(3) for j in range(4)]
+        near(found, torch.stack([*map(generalised, rows)]).view(3, 4, -1), found.abs().max().item())
+
+
+@pytest.mark.parametrize("backend", ["eager", "c"])
+def test_base_bodies_can_differ_from_sample_to_sample(backend):
+    c, m = case("tree3"), motion(case("tree3"))
+    bodies = [body(pin.Inertia(2.0 + k, np.array([0.1 * k, -0.2, 0.3]), oracles.random_inertia(
+        np.random.default_rng(k), 2.0 + k))) for k in range(3)]  # fmt: skip
+    batch = c.robot.replace(**{name: torch.stack([x[name] for x in bodies]) for name in bodies[0]})
+    for f, names in ((floating.forward_dynamics, (*TWIST, "tau")), (floating.inverse_dynamics, CHANGE)):
+        found = generalised(f(batch, **m.pick(*names), backend=backend))
+        for k in range(3):
+            one = c.robot.replace(**bodies[k])
+            solo = generalised(f(one, **{x: m[x][k] for x in names}, backend=backend))
+            near(found[k], solo, found.abs().max().item())
+            near(solo, generalised(f(one.bake(), **{x: m[x][k] for x in names}, backend=backend)), 100.0)
+
+
+@pytest.mark.parametrize("function", ["inverse_dynamics", "forward_dynamics", "momentum", "jacobian", "regressor"])
+@pytest.mark.parametrize("name", ["tree6", "quadrotor_base"])
+def test_single_precision_and_compiled_programs(name, function):
+    c, m = case(name), motion(case(name))
+    names = {"forward_dynamics": (*TWIST, "tau"), "momentum": TWIST, "jacobian": PLACE}.get(function, CHANGE)
+    more = {"frame": c.robot.frame_names[-1]} if function == "jacobian" else {}
+
+    def found(dtype, backend):
+        given = {x: m[x].to(dtype) for x in names}
+        y = getattr(floating, function)(c.robot, **given, **more, backend=backend)
+        return y if isinstance(y, torch.Tensor) else torch.cat(y, -1)
+
+    expected = found(F64, "eager")
+    near(found(F64, "c"), expected, expected.abs().max().item())
+    for backend in ("eager", "c"):
+        single = found(F32, backend)
+        assert single.dtype == F32
+        near(single, expected, expected.abs().max().item(), 64 * EPS[F32] * condition(mass_matrices(c, m)))
+
+
+def test_functional_transforms():
+    c, m = case("tree3"), motion(case("tree3"))
+    given = tuple(m.pick(*TWIST, "tau").values())
+
+    def accelerations(*x):
+        return generalised(floating.forward_dynamics(c.robot, *x))
+
+    expected = accelerations(*given)
+    near(torch.func.vmap(accelerations)(*given), expected, 100.0)
+    J = torch.func.vmap(torch.func.jacrev(accelerations, argnums=(0, 2)))(*given)
+    rows = [torch.autograd.functional.jacobian(accelerations, tuple(x[k] for x in given)) for k in range(3)]
+    for ours, argument in zip(J, (0, 2), strict=True):
+        near(ours, torch.stack([row[argument] for row in rows]), ours.abs().max().item())
+    forward = torch.func.vmap(torch.func.jacfwd(accelerations, argnums=(0, 2)))(*given)
+    near(forward[0], J[0], J[0].abs().max().item())
+
+
+def test_a_traced_graph():
+    c, m = case("tree3"), motion(case("tree3"))
+    given = [x.clone().requires_grad_() for x in m.pick(*TWIST, "tau").values()]
+
+    def loss(*x):
+        return generalised(floating.forward_dynamics(c.robot, *x, backend="auto")).square().sum()
+
+    compiled = torch.compile(loss, fullgraph=True, backend="aot_eager")
+    near(compiled(*given), loss(*given), 1e4)
+    for a, b in zip(
+        torch.autograd.grad(compiled(*given), given), torch.autograd.grad(loss(*given), given), strict=True
+    ):
+        near(a, b, b.abs().max().item(), 1e-11)
+
+
+# --- identities ------------------------------------------------------------------------------------------------------
+
+
+@EVERY
+def test_forward_undoes_inverse_dynamics(name):
+    c, m = case(name), motion(case(name))
+    F_B, tau = floating.inverse_dynamics(c.robot, **m.pick(*CHANGE))
+    found = floating.forward_dynamics(c.robot, **m.pick(*TWIST), tau=tau, f_base=F_B)
+    tolerance = 64 * EPS[F64] * condition(mass_matrices(c, m))
+    near(generalised(found), torch.cat([m["A_WB_B"], m["qdd"]], -1), 10.0, tolerance)
+
+
+@SOME
+def test_momentum_changes_by_external_forces_alone(name):
+    """Gravity and the wrench on the base, whatever the joint torques are."""
+    c, m = case(name), motion(case(name))
+    A, qdd = floating.forward_dynamics(c.robot, **m.pick(*TWIST, "tau", "f_base"))
+    rate = floating.momentum_rate(c.robot, **m.pick(*TWIST), A_WB_B=A, qdd=qdd)
+    X, mass = m["X_WB"], pin.computeTotalMass(c.model)
+    force, moment = (dq.rotate(dq.rotation(X), f) for f in m["f_base"].split(3, -1))
+    lever = dq.translation(X) - floating.centre_of_mass(c.robot, X, m["q"])
+    tolerance = 64 * EPS[F64] * condition(mass_matrices(c, m))
+    near(rate.linear, force + mass * c.robot.gravity, size_of(c, m), tolerance)
+    near(rate.angular, moment + torch.linalg.cross(lever, force), size_of(c, m), tolerance)
+
+
+@SOME
+def test_power_is_the_rate_of_energy(name):
+    """The derivative of T + U along the motion is the power of wrench and torques."""
+    c, m = case(name), motion(case(name))
+    A, qdd = floating.forward_dynamics(c.robot, **m.pick(*TWIST, "tau", "f_base"))
+
+    def energy(X, q, V, qd):
+        return floating.kinetic_energy(c.robot, X, q, V, qd) + floating.potential_energy(c.robot, X, q)
+
+    at = tuple(m.pick(*TWIST).values())
+    along = ((displaced(at[0]) @ at[2][..., None])[..., 0], at[3], A, qdd)
+    leaves = [x.clone().requires_grad_() for x in at]
+    grads = torch.autograd.grad(energy(*leaves).sum(), leaves, materialize_grads=True)
+    found = sum((g * d).sum(-1) for g, d in zip(grads, along, strict=True))
+    power = dq.power(m["f_base"], at[2]) + (m["tau"] * at[3]).sum(-1)
+    size = sum((g * d).abs().sum(-1) for g, d in zip(grads, along, strict=True)).max().item()
+    near(found, power, size, 64 * EPS[F64] * condition(mass_matrices(c, m)))
+
+
+@SOME
+def test_the_axes_of_the_world_do_not_matter(name):
+    """Turn and shift the world, and its gravity with it: forces and accelerations in the robot's axes stay."""
+    c, m = case(name), motion(case(name))
+    X_NW = dq.from_pose(
+        dq.normalize(torch.tensor([0.3, -0.5, 0.7, 0.2], dtype=F64)), torch.tensor([3.0, -2, 5]).double()
+    )
+    turned = c.robot.replace(gravity=dq.rotate(dq.rotation(X_NW), c.robot.gravity))
+    there = Motion({**m, "X_WB": dq.mul(X_NW, m["X_WB"])})
+    tolerance = 64 * EPS[F64] * condition(mass_matrices(c, m))
+    for f, names in ((floating.inverse_dynamics, CHANGE), (floating.forward_dynamics, (*TWIST, "tau"))):
+        found, expected = generalised(f(turned, **there.pick(*names))), generalised(f(c.robot, **m.pick(*names)))
+        near(found, expected, expected.abs().max().item(), tolerance)
+    h, before = floating.momentum(turned, **there.pick(*TWIST)), floating.momentum(c.robot, **m.pick(*TWIST))
+    near(h.angular, dq.rotate(dq.rotation(X_NW), before.angular), 100.0)
+
+
+@pytest.mark.parametrize("name", ["tree3", "tree7", "solo12"])
+def test_a_very_heavy_base_does_not_move(name):
+    """The limit of a fixed base, whose gravity is that of the world in its axes."""
+    c, m = case(name), motion(case(name))
+    heavy = c.robot.replace(base_mass=torch.tensor(1e9).double(), base_com=torch.zeros(3).double(),
+                            base_inertia=torch.tensor([1e9, 0, 1e9, 0, 0, 1e9]).double())  # fmt: skip
+    weight = 1e9 * dq.rotate(dq.conj(m["X_WB"])[..., :4], c.robot.gravity)
+    f_base = torch.cat([-weight, torch.zeros(3, 3)], -1)
+    X, q, _, qd = m.pick(*TWIST).values()
+    A, qdd = floating.forward_dynamics(heavy, X, q, 0 * m["V_WB_B"], qd, m["tau"], f_base=f_base)
+    gravity = dq.rotate(dq.conj(X)[..., :4], c.robot.gravity)
+    fixed = c.robot.replace(base_mass=None, base_com=None, base_inertia=None, gravity=gravity)
+    expected = torchdq.forward_dynamics(fixed, q, qd, m["tau"])
+    near(A, 0 * A, expected.abs().max().item(), 1e-6)
+    near(qdd, expected, expected.abs().max().item(), 1e-5)
+    assert torchdq.forward_dynamics(fixed, q, qd, m["tau"]).shape == q.shape
+
+
+# --- hard cases ------------------------------------------------------------------------------------------------------
+
+
+def turned(m: Motion, rotation, position=(0.0, 0.0, 0.0)) -> Motion:
+    r, p = (torch.tensor(x, dtype=F64) for x in (rotation, position))
+    return Motion({**m, "X_WB": dq.from_pose(dq.normalize(r), p).expand(len(m["q"]), 8)})
+
+
+@pytest.mark.parametrize(
+    "rotation", [(1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1), (0, 1, 1, 0), (0, 1, -2, 3), (1e-9, 1, 0, 0),
+                 (1, 1e-9, 0, 0), (1, 1, 0, 0), (1, 0, -1, 0), (-1, 0, 0, 0)], ids=str)  # fmt: skip
+@pytest.mark.parametrize("name", ["tree3", "solo12"])
+def test_no_orientation_is_special(name, rotation):
+    c = case(name)
+    m = turned(motion(c), [float(x) for x in rotation])
+    near(generalised(floating.inverse_dynamics(c.robot, **m.pick(*CHANGE))), forces_of(c, m), size_of(c, m))
+
+    def energies(model, data, q, v, a, row):
+        return pin.computePotentialEnergy(model, data, q)
+
+    U = over(energies, c, m)
+    near(floating.potential_energy(c.robot, **m.pick(*PLACE)), U, np.abs(U).max() + 300)
+    found = tangent(lambda *x: floating.inverse_dynamics(c.robot, *x), *(m[x][0] for x in CHANGE))[0]
+    assert found.isfinite().all()
+
+
+@SOME
+def test_both_signs_of_a_pose_are_the_same_pose(name):
+    c, m = case(name), motion(case(name))
+    other = Motion({**m, "X_WB": -m["X_WB"]})
+    for f, names in (
+        (floating.inverse_dynamics, CHANGE),
+        (floating.forward_dynamics, (*TWIST, "tau")),
+        (floating.momentum, TWIST),
+        (floating.momentum_rate, CHANGE),
+        (floating.closed_form, TWIST),
+    ):
+        for a, b in zip(f(c.robot, **m.pick(*names)), f(c.robot, **other.pick(*names)), strict=True):
+            assert a.equal(b)
+    for f in (floating.potential_energy, floating.centre_of_mass):
+        assert f(c.robot, **m.pick(*PLACE)).equal(f(c.robot, **other.pick(*PLACE)))
+    assert floating.forward_kinematics(c.robot, **m.pick(*PLACE)).equal(
+        -floating.forward_kinematics(c.robot, **other.pick(*PLACE))
+    )
+
+
+@pytest.mark.parametrize("distance", [1e3, 1e6])
+@SOME
+def test_the_distance_from_the_origin_costs_no_digits(name, distance):
+    """Forces and accelerations do not depend on the place at all; momentum is about the centre of mass."""
+    c, m = case(name), motion(case(name))
+    far = Motion({**m, "X_WB": dq.from_pose(m["X_WB"][:, :4], torch.full((3, 3), distance, dtype=F64))})
+    here = Motion({**m, "X_WB": dq.from_pose(m["X_WB"][:, :4], torch.zeros(3, 3, dtype=F64))})
+    for f, names in (
+        (floating.inverse_dynamics, CHANGE),
+        (floating.forward_dynamics, (*TWIST, "tau")),
+        (floating.momentum, TWIST),
+        (floating.momentum_rate, CHANGE),
+    ):
+        for a, b in zip(f(c.robot, **far.pick(*names)), f(c.robot, **here.pick(*names)), strict=True):
+            assert a.equal(b)
+
+
+@pytest.mark.parametrize("ratio", [1e-9, 1e-6, 1e6, 1e9])
+@pytest.mark.parametrize("name", ["tree2", "tree7"])
+def test_light_and_heavy_bases(name, ratio):
+    c, m = case(name), motion(case(name))
+    inertia = c.model.inertias[1]
+    inertia = pin.Inertia(ratio * inertia.mass, inertia.lever, ratio * inertia.inertia)
+    model = pin.Model(c.model)
+    model.inertias[1] = inertia
+    light = FreeFlyer(c.robot.replace(**body(inertia)).bake(), model)
+    near(generalised(floating.inverse_dynamics(light.robot, **m.pick(*CHANGE))), forces_of(light, m), size_of(light, m))
+    M = mass_matrices(light, m)
+    A, qdd = floating.forward_dynamics(light.robot, **m.pick(*TWIST, "tau"))
+    force = floating.inverse_dynamics(light.robot, **m.pick(*TWIST), A_WB_B=A, qdd=qdd)
+    size = (np.abs(M) @ torch.cat([A, qdd], -1).abs().numpy()[..., None]).max() + size_of(light, m)
+    near(force.F_B, torch.zeros(3, 6), size, 256 * EPS[F64])
+    near(force.tau, m["tau"], size, 256 * EPS[F64])
+
+
+@pytest.mark.parametrize("backend", ["eager", "c"])
+def test_a_row_that_is_not_a_number_stays_alone(backend):
+    c, m = case("tree3"), motion(case("tree3"))
+    for argument in (*TWIST, "tau"):
+        given = {x: m[x].clone() for x in (*TWIST, "tau")}
+        given[argument][1, 0] = torch.nan
+        found = generalised(floating.forward_dynamics(c.robot, **given, backend=backend))
+        expected = generalised(floating.forward_dynamics(c.robot, **m.pick(*TWIST, "tau"), backend=backend))
+        assert found[[0, 2]].equal(expected[[0, 2]])
+        assert found[1].isnan().all()
+
+
+# --- errors ----------------------------------------------------------------------------------------------------------
+
+
+def test_functions_of_the_other_kind_of_base_are_named():
+    c, m = case("tree3"), motion(case("tree3"))
+    with pytest.raises(torchdq.ArgumentError, match=r"has a free base: use torchdq\.floating\.inverse_dynamics"):
+        torchdq.inverse_dynamics(c.robot, m["q"])
+    fixed = c.robot.replace(base_mass=None, base_com=None, base_inertia=None)
+    with pytest.raises(torchdq.ArgumentError, match=r"has a fixed base: use torchdq\.mass_matrix"):
+        floating.mass_matrix(fixed, m["X_WB"], m["q"])
+    with pytest.raises(torchdq.ArgumentError, match=r"base_com, base_inertia are None"):
+        fixed.replace(base_mass=torch.tensor(1.0))
+    with pytest.raises(torchdq.ArgumentError, match=r"X_WB must have the shape \[..., 8\]"):
+        floating.mass_matrix(c.robot, m["X_WB"][:, :7], m["q"])
+
+
+def test_the_tip_of_a_free_robot_may_be_fixed_to_its_base():
+    c, m = case("tree3"), motion(case("tree3"))
+    robot, f = c.robot.with_tip("base"), m["f_tip"]
+    found = generalised(floating.inverse_dynamics(robot, **m.pick(*CHANGE), f_tip=f))
+    expected = generalised(floating.inverse_dynamics(robot, **m.pick(*CHANGE), f_base=-f))
+    near(found, expected, expected.abs().max().item())
+
+
+def test_a_base_needs_a_body_that_can_exist():
+    c = case("tree3")
+    with pytest.raises(torchdq.UnphysicalError, match="the base"):
+        c.robot.replace(base_mass=torch.tensor(-1.0))
+    with pytest.raises(torchdq.UnphysicalError, match="the base"):
+        c.robot.replace(base_inertia=torch.tensor([1.0, 0, 1, 0, 0, 9]))
+
+
+def test_a_fixed_robot_is_freed_by_the_body_of_its_base():
+    """Given to `replace`, which makes arguments of the programs, or baked into constants."""
+    c, m = case("tree3"), motion(case("tree3"))
+    fixed = c.robot.replace(base_mass=None, base_com=None, base_inertia=None)
+    assert not fixed.floating and torchdq.inverse_dynamics(fixed, m["q"]).shape == (3, 3)
+    freed = fixed.replace(**body(c.model.inertias[1]))
+    expected = generalised(floating.inverse_dynamics(c.robot, **m.pick(*CHANGE)))
+    for robot in (freed, freed.bake(), torchdq.Robot.stack([freed, freed])):
+        given = {name: x[:, None] if robot.mass.ndim > 1 else x for name, x in m.pick(*CHANGE).items()}
+        found = generalised(floating.inverse_dynamics(robot, **given))
+        near(found, expected[:, None].expand_as(found) if found.ndim > 2 else expected, 100.0)

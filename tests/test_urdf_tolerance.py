@@ -1,0 +1,287 @@
+"""Files that other readers open are opened, and notes say what was wrong; what gives wrong numbers raises."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from test_urdf import (
+    LIMIT,
+    ORDINARY,
+    arm,
+    fixed,
+    joint,
+    link,
+    position,
+    refusal,
+    same,
+    states,
+    tensor,
+    torques,
+    tree,
+    urdf,
+)
+
+import torchdq
+from torchdq import ArgumentError, Robot, UnphysicalError
+from torchdq.robot.arrays import matrices, second_moments
+
+F64 = torch.float64
+
+
+def also(more, text=None):
+    """An arm with more elements at the end of its file."""
+    return (text or arm()).replace("</robot>", more + "</robot>")
+
+
+def noted(text, *notes, **options):
+    """Robot of a text whose notes hold these, and otherwise only those of every arm."""
+    robot = Robot.from_urdf(text, **options)
+    ordinary = ("limits given", "no tip chosen", "1 fixed joints", "2 fixed joints", "locked", "links without mass")
+    assert [note for note in robot.notes if not note.startswith(ordinary)] == [*notes]
+    return robot
+
+
+def as_arm(robot):
+    return torch.equal(torques(robot), torques(Robot.from_urdf(arm())))
+
+
+# --- XML -------------------------------------------------------------------------------------------------------------
+
+
+def test_undeclared_prefixes_are_told():
+    text = also('<drake:x gz:y="1"/>').replace("<robot", '<robot xmlns:gz="http://gz" xml:lang="en"')
+    assert as_arm(noted(text, "XML prefixes that are not declared: drake"))
+
+
+def test_tags_that_may_be_misspelt_are_told():
+    text = also("<Joint/><mesh/>").replace("<axis", "<orign/><axis", 1)
+    assert as_arm(noted(text, "tags that are not of URDF, not read: Joint, mesh, orign"))
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        "<transmission><joint name='x'><hardwareInterface/></joint><actuator/></transmission>",
+        "<gazebo reference='x'><link><inertial><mass value='x'/></inertial></link></gazebo>",
+        "<ros2_control><joint name='elbow'/></ros2_control>",
+        "<material name='m'/>",
+    ],
+)
+def test_what_others_read_is_nothing_to_tell(more):
+    assert as_arm(noted(also(more)))
+
+
+def test_a_link_of_meshes_alone_has_no_mass():
+    mesh = "<visual><geometry><mesh filename='x.stl'/></geometry></visual>"
+    text = also(f'<link name="cover">{mesh}<mesh/></link>' + fixed("glue", "lower", "cover"))
+    assert as_arm(noted(text, "tags that are not of URDF, not read: mesh"))
+
+
+# --- inertials -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("inertial", ["<inertial/>", '<inertial><origin xyz="1 2 3"/><inertia ixx="1"/></inertial>'])
+def test_an_inertial_without_mass_is_none(inertial):
+    text = also(f'<link name="tool">{inertial}</link>' + fixed("mount", "lower", "tool"))
+    assert as_arm(noted(text, "links whose <inertial> gives no <mass>, taken as massless: tool"))
+
+
+def test_an_inertia_without_numbers_is_that_of_a_point():
+    text = arm()[: arm().index("<inertia ")] + "<inertia/>" + arm()[arm().index("</inertial>") :]
+    note = "links with mass but without <inertia>, taken as points at their centres of mass: upper"
+    assert torch.equal(torques(noted(text, note)), torques(Robot.from_urdf(arm(inertia=(0,) * 6))))
+
+
+@pytest.mark.parametrize("broken", ["mass", "inertia", "origin"])
+def test_an_inertial_of_a_link_that_never_moves_may_be_unreadable(broken):
+    bad = {"mass": {"mass": "x"}, "inertia": {"inertia": ("nan", 0, 0, 0, 0, 0)}, "origin": {"xyz": "a b c"}}[broken]
+    text = arm().replace(link("base", None), link("base", **bad) + link("stand", **bad))
+    text = also(fixed("bolt", "base", "stand"), text)
+    assert as_arm(noted(text, "<inertial> cannot be read in links that never move: base, stand"))
+    message = refusal(text, base="floating")
+    assert "link 'base': " in message and "link 'stand': " in message
+    assert "link 'tool': " in refusal(also(link("tool", **bad) + fixed("mount", "lower", "tool")))
+
+
+def test_leftover_inertia_of_a_massless_link_counts_and_is_told():
+    text = also(link("tool", 0.0, ORDINARY, (0, 0, 0)) + fixed("mount", "lower", "tool"))
+    robot = Robot.from_urdf(text)
+    assert robot.notes[0].startswith(
+        "link 'tool': it has no mass, so its inertia must be zero, found principal moments"
+    )
+    assert same(robot.inertia[1], 2 * np.array(ORDINARY))  # as other readers have it
+
+
+@pytest.mark.parametrize("mass", [1.0, 0.0])
+@pytest.mark.parametrize("tiny", [(0, 0, -2e-35, 0, 0, 0), (0, 2e-35, 0, 0, 0, 1e-35)])
+def test_inertia_that_is_rounding_is_zero(mass, tiny):
+    text = also(link("tool", mass, tiny) + fixed("mount", "lower", "tool"))
+    robot = noted(text, "inertia that is rounding taken as zero: tool")
+    assert torch.equal(torques(robot), torques(Robot.from_urdf(text.replace("2e-35", "0").replace("1e-35", "0"))))
+
+
+def test_the_inertia_of_dust_is_no_rounding():
+    text = also(link("tool", 1e-18, np.array(ORDINARY) * 1e-30) + fixed("mount", "lower", "tool"))
+    noted(text)
+    assert "positive definite" in refusal(text.replace('ixx="', 'ixx="-'), UnphysicalError)
+
+
+# --- trees and joints ------------------------------------------------------------------------------------------------
+
+
+def test_links_without_bodies_that_hang_on_nothing_are_left_out():
+    note = "links that nothing carries and that have neither bodies nor joints, left out: map, odom"
+    robot = noted(also(link("map", None) + link("odom", 0.0, (0,) * 6)), note)
+    assert as_arm(robot) and robot.frame_names == ("base", "upper", "lower")
+
+
+@pytest.mark.parametrize("more", [link("map"), link("map", None) + link("x", None) + fixed("j", "map", "x")])
+def test_a_second_base_with_a_body_or_a_joint_is_refused(more):
+    assert "exactly one link must be the base, carried by no joint; found 2: ['base', 'map']" in refusal(also(more))
+
+
+def test_several_frames_and_nothing_else_are_refused():
+    assert "exactly one link must be the base" in refusal(urdf(link("a", None), link("b", None)))
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_joint_without_limits_is_unlimited(kind):
+    text = also(link("x") + joint("j", "lower", "x", kind, more=""))
+    robot = noted(text, "revolute and prismatic joints without <limit>, taken as unlimited: j")
+    assert robot.limits.lower[2] == -math.inf and robot.limits.effort[2] == math.inf
+
+
+def test_a_planar_joint_is_two_slides_and_a_turn():
+    axis = np.array([2.0, -3.0, 6.0]) / 7.0
+    text = also(link("cart") + joint("drive", "lower", "cart", "planar", (1, 2, 3), (0.1, 0.2, 0.3), axis=2 * axis))
+    robot = noted(
+        text,
+        "planar joints taken as two slides, x and y, and a turn: drive",
+        "axes scaled to unit length: " + ("drive_x, drive_y, drive_angle"),
+    )
+    assert robot.joint_names[2:] == ("drive_x", "drive_y", "drive_angle")
+    assert robot.kinds[2:] == ("prismatic", "prismatic", "revolute")
+    assert robot.link_names[2:] == ("drive_x", "drive_y", "cart")
+    x, y, z = robot.screw[2, 3:], robot.screw[3, 3:], robot.screw[4, :3]
+    frame = torch.stack([x, y, z], -1)
+    assert same(frame.T @ frame, torch.eye(3)) and float(torch.linalg.det(frame)) > 0 and same(z, axis)
+    assert bool(robot.limits.upper[2:].isinf().all())
+
+
+@pytest.mark.parametrize("axis, x, y", [((0, 0, 1), (1, 0, 0), (0, 1, 0)), ((0, 0, -1), (1, 0, 0), (0, -1, 0))])
+def test_a_planar_joint_about_z_slides_along_x_and_y(axis, x, y):
+    robot = Robot.from_urdf(urdf(link("base", None), link("cart"), joint("d", "base", "cart", "planar", axis=axis)))
+    assert same(robot.screw[:2, 3:], [x, y])
+    at = position(robot, [0.3, -0.4, 0.7], "cart")
+    assert same(at, 0.3 * np.array(x) - 0.4 * np.array(y))
+
+
+def test_parts_of_a_planar_joint_have_names_of_their_own():
+    text = also(
+        link("drive_x") + link("cart") + fixed("f", "lower", "drive_x") + joint("drive", "lower", "cart", "planar")
+    )
+    assert "joint 'drive': its parts are named drive_x, drive_y, drive_angle, but the file has ['drive_x']" in refusal(
+        text
+    )
+
+
+def test_a_floating_joint_is_refused_with_the_way_to_have_one():
+    text = urdf(link("world", None), link("pelvis"), joint("free", "world", "pelvis", "floating"))
+    assert "found 'floating'; leave it out and pass base='floating'" in refusal(text)
+
+
+# --- repair ----------------------------------------------------------------------------------------------------------
+
+BROKEN = {
+    "triangle": (0.1, 0, 0.1, 0, 0, 0.25),
+    "negative moment": (0.1, 0, 0.2, 0, 0, -0.05),
+    "large product": (0.1, 0.3, 0.1, 0, 0, 0.1),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_repaired_inertia_is_the_nearest_that_a_body_has(case):
+    robot = Robot.from_urdf(arm(inertia=BROKEN[case]), on_unphysical="repair")
+    E = second_moments(torch.tensor(BROKEN[case], dtype=F64))
+    found = second_moments(robot.inertia[0])
+    values, axes = np.linalg.eigh(E.numpy())
+    assert values[0] < 0 and same(found, axes @ np.diag(values.clip(min=0)) @ axes.T, 1e-12)
+    # no second moments nearby are nearer: the distance only grows in random directions that keep them positive
+    g = torch.Generator().manual_seed(0)
+    for _ in range(200):
+        A = torch.randn(3, 3, generator=g, dtype=F64)
+        other = 0.9 * found + 0.1 * A @ A.T * float(torch.rand((), generator=g))
+        assert float((other - E).norm()) >= float((found - E).norm())
+    (note,) = [note for note in robot.notes if "repaired" in note]
+    assert note.startswith("link 'upper': inertia repaired by ") and " %, principal moments " in note
+    robot.check()
+
+
+def test_a_repair_says_by_how_much():
+    notes = Robot.from_urdf(arm(inertia=BROKEN["triangle"]), on_unphysical="repair").notes
+    # E = diag(0.125, 0.125, -0.025) without the last: I = diag(0.125, 0.125, 0.25)
+    part = 100 * math.sqrt(2 * 0.025**2) / math.sqrt(2 * 0.1**2 + 0.25**2)
+    expected = f"link 'upper': inertia repaired by {part:.3g} %, principal moments 0.1, 0.1, 0.25 to 0.125, 0.125, 0.25"
+    assert expected + " kg m^2" in notes
+
+
+def test_a_repair_leaves_what_is_physical_to_the_bit():
+    plain, repaired = (Robot.from_urdf(tree(), on_unphysical=how) for how in ("error", "repair"))
+    assert torch.equal(plain.inertia, repaired.inertia) and plain.notes == repaired.notes
+
+
+def test_every_repaired_link_is_told_by_its_own_name():
+    tool = link("tool", 1.0, BROKEN["triangle"]) + fixed("mount", "lower", "tool")
+    robot = Robot.from_urdf(also(tool, arm(inertia=BROKEN["triangle"])), on_unphysical="repair")
+    assert [note.partition(":")[0] for note in robot.notes if "repaired" in note] == ["link 'upper'", "link 'tool'"]
+    assert bool(torch.linalg.eigvalsh(second_moments(robot.inertia)).min() > -1e-15)
+
+
+@pytest.mark.parametrize("mass", [-1.0, 0.0])
+def test_only_inertias_of_masses_are_repaired(mass):
+    message = refusal(arm(mass=mass, inertia=BROKEN["negative moment"]), UnphysicalError, on_unphysical="repair")
+    assert "link 'upper': " in message and "only inertias can be repaired" in message
+
+
+def test_robots_from_tables_are_repaired_as_well():
+    arguments = [[[0, 0, 1, 0, 0, 0]], [1.0], [[0.1, 0, 0]]]
+    with pytest.raises(UnphysicalError, match="triangle"):
+        Robot.from_screws(*arguments, [BROKEN["triangle"]])
+    robot = Robot.from_screws(*arguments, [BROKEN["triangle"]], on_unphysical="repair")
+    assert same(robot.inertia[0], [0.125, 0, 0.125, 0, 0, 0.25]) and "link 'link1': inertia repaired" in robot.notes[0]
+    robot = Robot.from_dh(
+        [0.1], [0], [0], [0], [1.0], [[0, 0, 0]], [tensor(BROKEN["triangle"])], on_unphysical="repair"
+    )
+    assert same(matrices(robot.inertia[0]), np.diag([0.125, 0.125, 0.25]))
+
+
+def test_the_error_names_the_ways_out():
+    message = refusal(arm(inertia=BROKEN["triangle"]), UnphysicalError)
+    assert "on_unphysical='repair'" in message and "'warn'" in message
+    with pytest.raises(ArgumentError, match="on_unphysical must be one of 'error', 'warn', 'repair', 'ignore'"):
+        Robot.from_urdf(arm(), on_unphysical="mend")
+
+
+# --- reports ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_report_says_all_that_was_wrong():
+    text = also('<drake:x/><y/><link name="map"/>').replace(LIMIT, "", 1)
+    report = str(Robot.from_urdf(text).report())
+    for note in ("not declared: drake", "not read: y", "left out: map", "taken as unlimited: shoulder"):
+        assert note in report
+
+
+def test_torques_need_no_inertia_and_accelerations_do():
+    text = also(link("finger", None) + joint("knuckle", "lower", "finger"))
+    robot = Robot.from_urdf(text)
+    q, qd, qdd = states(3)
+    tau = torchdq.inverse_dynamics(robot, q, qd, qdd, backend="eager")
+    for needs in (
+        lambda: torchdq.forward_dynamics(robot, q, qd, tau, backend="eager"),
+        lambda: torchdq.error_growth(robot, q),
+        lambda: torchdq.nn.ForwardDynamics(robot)(q, qd, tau),
+    ):
+        with pytest.raises(torchdq.SingularInertiaError, match="knuckle"):
+            needs()

@@ -1,0 +1,168 @@
+"""Robots from xacro files, and from names of descriptions that are kept elsewhere."""
+
+import sys
+import types
+
+import pytest
+import torch
+
+import torchdq
+
+pytest.importorskip("xacrodoc")
+
+PARTS = """
+<robot xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <xacro:macro name="body" params="name mass">
+    <link name="${name}"><inertial><mass value="${mass}"/><origin xyz="0 0 ${length / 2}"/>
+      <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.01" iyz="0" izz="0.01"/></inertial></link>
+  </xacro:macro>
+</robot>
+"""
+ROBOT = """
+<robot name="rod" xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <xacro:arg name="mass" default="2"/>
+  <xacro:arg name="hand" default="false"/>
+  <xacro:property name="length" value="0.4"/>
+  <xacro:include filename="{parts}"/>
+  <link name="base"/>
+  <xacro:body name="upper" mass="$(arg mass)"/>
+  <joint name="shoulder" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/></joint>
+  <xacro:if value="$(arg hand)">
+    <xacro:body name="hand" mass="0.5"/>
+    <joint name="wrist" type="continuous"><parent link="upper"/><child link="hand"/><axis xyz="0 1 0"/></joint>
+  </xacro:if>
+</robot>
+"""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Package of ROS with a robot that includes a file beside it, and one that includes it from the package."""
+    urdf = tmp_path / "rod_description" / "urdf"
+    urdf.mkdir(parents=True)
+    (urdf.parent / "package.xml").write_text("<package><name>rod_description</name></package>")
+    (urdf / "parts.xacro").write_text(PARTS)
+    (urdf / "rod.xacro").write_text(ROBOT.format(parts="parts.xacro"))
+    (urdf / "found.xacro").write_text(ROBOT.format(parts="$(find rod_description)/urdf/parts.xacro"))
+    (tmp_path / "elsewhere.xacro").write_text(ROBOT.format(parts="$(find rod_description)/urdf/parts.xacro"))
+    return urdf
+
+
+@pytest.mark.parametrize("file", ["rod.xacro", "found.xacro"])
+def test_a_xacro_file_is_expanded_with_its_includes(folder, file):
+    robot = torchdq.Robot.from_xacro(folder / file)
+    assert (robot.name, robot.joint_names) == ("rod", ("shoulder",))
+    assert robot.mass.tolist() == [2.0]
+    assert robot.com.tolist() == [[0, 0, 0.2]]
+
+
+def test_arguments_are_those_of_the_file(folder):
+    robot = torchdq.Robot.from_xacro(folder / "rod.xacro", {"hand": True, "mass": 3}, lock=["shoulder"])
+    assert robot.joint_names == ("wrist",)
+    robot = torchdq.Robot.from_xacro(str(folder / "rod.xacro"), arguments={"mass": 3})
+    assert robot.mass.tolist() == [3.0]
+    with pytest.raises(
+        torchdq.UnknownNameError, match=r"no argument of .*rod.xacro' named 'hnad'; did you mean 'hand'"
+    ):
+        torchdq.Robot.from_xacro(folder / "rod.xacro", {"hnad": True})
+    with pytest.raises(torchdq.ArgumentError, match="arguments must be a mapping"):
+        torchdq.Robot.from_xacro(folder / "rod.xacro", ["hand"])
+
+
+def test_packages_are_searched_where_they_are_said_to_be(folder, monkeypatch):
+    elsewhere = folder.parents[1] / "elsewhere.xacro"
+    with pytest.raises(torchdq.DescriptionError, match=r"cannot expand .*rod_description; say where it is"):
+        torchdq.Robot.from_xacro(elsewhere)
+    robot = torchdq.Robot.from_xacro(elsewhere, packages={"rod_description": folder.parent})
+    assert robot.joint_names == ("shoulder",)
+    with pytest.raises(torchdq.DescriptionError, match=r"cannot expand .*rod_description"):
+        torchdq.Robot.from_xacro(elsewhere)  # nothing is remembered
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("<robot", "xacro cannot expand .*ExpatError"),
+        ('<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:nothing/></robot>', "unknown macro"),
+        ('<robot name="${1 / 0}" xmlns:xacro="http://www.ros.org/wiki/xacro"/>', "xacro cannot expand"),
+        ("<robot name='r'/>", "the robot has no links"),
+    ],
+)
+def test_files_that_expand_to_no_robot_are_refused(tmp_path, text, message):
+    (tmp_path / "robot.xacro").write_text(text)
+    with pytest.raises(torchdq.DescriptionError, match=message):
+        torchdq.Robot.from_xacro(tmp_path / "robot.xacro")
+
+
+def test_a_path_is_needed(tmp_path):
+    with pytest.raises(torchdq.ArgumentError, match="path must be the path of a xacro file"):
+        torchdq.Robot.from_xacro("<robot/>")
+    with pytest.raises(torchdq.errors.MissingFileError, match="there is no file"):
+        torchdq.Robot.from_xacro(tmp_path / "none.xacro")
+
+
+def test_without_xacrodoc_a_message_says_what_to_install(monkeypatch, folder):
+    monkeypatch.setitem(sys.modules, "xacrodoc", None)
+    with pytest.raises(torchdq.MissingLibraryError, match=r"needs xacrodoc, .*pip install 'torchdq\[xacro\]'"):
+        torchdq.Robot.from_xacro(folder / "rod.xacro")
+
+
+# --- names -----------------------------------------------------------------------------------------------------------
+
+URDF = "<robot name='plain'><link name='base'/></robot>"
+MJCF = "<mujoco model='other'><worldbody><body><joint name='j'/><geom size='1'/></body></worldbody></mujoco>"
+
+
+@pytest.fixture
+def names(monkeypatch, folder):
+    """Package robot_descriptions with some names; the real one clones repositories."""
+    path = folder.parent / "robot_descriptions"
+    path.mkdir()
+    (path / "__init__.py").write_text("")
+    files = {"urdf": path / "plain.urdf", "mjcf": path / "other.xml", "xacro": folder.parents[1] / "elsewhere.xacro"}
+    files["urdf"].write_text(URDF)
+    files["mjcf"].write_text(MJCF)
+    modules = {
+        "plain_description": f"URDF_PATH = {str(files['urdf'])!r}",
+        "other_mj_description": f"MJCF_PATH, URDF_PATH = {str(files['mjcf'])!r}, {str(files['urdf'])!r}",
+        "both_description": f"MJCF_PATH, URDF_PATH = {str(files['mjcf'])!r}, {str(files['urdf'])!r}",
+        "rod_description": f"XACRO_PATH = {str(files['xacro'])!r}\n"
+        "XACRO_ARGS = {'mass': '7', 'hand': 'true', 'old': '1'}\n"
+        f"XACRO_PACKAGE_PATHS = {{'rod_description': {str(folder.parent)!r}}}",
+        "empty_description": "SRDF_PATH = ''",
+        "broken_description": "raise OSError('no network')",
+    }
+    for name, text in modules.items():
+        (path / f"{name}.py").write_text(text)
+    package = types.ModuleType("robot_descriptions")
+    package.__path__ = [str(path)]
+    for name in [x for x in sys.modules if x.partition(".")[0] == "robot_descriptions"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "robot_descriptions", package)
+    yield
+    for name in modules:
+        sys.modules.pop(f"robot_descriptions.{name}", None)
+
+
+def test_a_name_finds_a_file_of_any_format(names):
+    assert torchdq.Robot.from_name("plain_description").name == "plain"
+    assert torchdq.Robot.from_name("both_description").name == "plain"
+    rod = torchdq.Robot.from_name("rod_description", arguments={"hand": False})
+    assert rod.joint_names == ("shoulder",)
+    assert rod.mass.equal(torch.tensor([7.0], dtype=torch.float64))
+    pytest.importorskip("mujoco")
+    assert torchdq.Robot.from_name("other_mj_description", gravity=None).name == "other"
+
+
+def test_names_without_a_file_are_refused(names, monkeypatch):
+    with pytest.raises(torchdq.UnknownNameError, match="named 'plane_description'; did you mean 'plain_description'"):
+        torchdq.Robot.from_name("plane_description")
+    with pytest.raises(torchdq.ArgumentError, match="name must be a string"):
+        torchdq.Robot.from_name(3)
+    with pytest.raises(torchdq.DescriptionError, match="must have a URDF, xacro or MJCF file, found none"):
+        torchdq.Robot.from_name("empty_description")
+    with pytest.raises(torchdq.DescriptionError, match="cannot fetch 'broken_description': no network"):
+        torchdq.Robot.from_name("broken_description")
+    monkeypatch.setitem(sys.modules, "robot_descriptions", None)
+    with pytest.raises(torchdq.MissingLibraryError, match=r"robot_descriptions, .*pip install 'torchdq\[names\]'"):
+        torchdq.Robot.from_name("plain_description")
