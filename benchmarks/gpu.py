@@ -2,10 +2,11 @@
 
     python benchmarks/gpu.py [--quick] [--json FILE] [--readme] [--device cuda]
 
-With a GPU: measured times over batch sizes, of compiled programs and of torch operations, against the bound that
-follows from a copy measured in the same run. Without one: bounds computed from the compiled kernels, for an H200. The
-bound is the least of two: memory that must be moved over the speed of a copy, and machine instructions over the speed
-at which they are issued. Instructions are counted in the disassembly (`pip install nvidia-cuda-nvdisasm`).
+With a GPU: measured times over batch sizes, of compiled programs, of torch operations, of CUDA graphs and of other
+packages (`gpu_peers`), against the bound that follows from a copy measured in the same run. Without one: bounds
+computed from the compiled kernels, for an H200. The bound is the least of two: memory that must be moved over the speed
+of a copy, and machine instructions over the speed at which they are issued. Instructions are counted in the disassembly
+(`pip install nvidia-cuda-nvdisasm`).
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import gpu_peers
 import report
 import torch
 from accuracy.scenes import chain
@@ -210,7 +212,21 @@ def calls(batch: int, dtype: torch.dtype, device: torch.device, backend: str) ->
         with torchdq.backend(backend):  # type: ignore[arg-type]
             return envs.step(actions)
 
-    return {**found, "Reach environment step": step}
+    found["Reach environment step"] = step
+    if device.type == "cuda" and backend != "eager":
+        for task in ("inverse dynamics", "Reach environment step"):
+            found[task + ", in a graph"] = in_a_graph(found[task])
+    return found
+
+
+def in_a_graph(call: Callable[[], object]) -> Callable[[], object]:
+    """Call as a CUDA graph that repeats it."""
+    call()  # compiles
+    torch.cuda.synchronize()
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        call()
+    return graph.replay
 
 
 def measured(device: torch.device, quick: bool) -> list[Measured]:
@@ -227,6 +243,19 @@ def measured(device: torch.device, quick: bool) -> list[Measured]:
                     middle, low, high = report.spread(times)
                     rows.append(Measured(task, str(dtype), batch, backend, middle, low, high))
                     print(rows[-1], flush=True)
+    return rows
+
+
+def measured_peers(device: torch.device, quick: bool) -> list[Measured]:
+    """Times of other packages, in float32."""
+    rows = []
+    for batch in (4096, 65536) if quick else (4096, 65536, 1_000_000):
+        for package, tasks in gpu_peers.calls(batch, device).items():
+            for task, call in tasks.items():
+                # an own stream of theirs, so the whole device is waited for
+                times = measure({task: waited(call, device, 20)}, batch * 20, 0.2)[task]
+                rows.append(Measured(task, "torch.float32", batch, package, *report.spread(times)))
+                print(rows[-1], flush=True)
     return rows
 
 
@@ -268,6 +297,11 @@ def main() -> None:
         facts = {"device": name, **facts}
         rows = measured(device, arguments.quick)  # type: ignore[assignment]
         text = measured_table(rows, copy_speed(device), name)  # type: ignore[arg-type]
+        if device.type == "cuda":
+            peers = measured_peers(device, arguments.quick)
+            rows += peers  # type: ignore[arg-type]
+            best = (f"{p.backend}, {p.task}, batch {p.batch}: {1 / p.nanoseconds:.3g}e9/s" for p in peers)
+            text = "\n\n".join([text, "\n".join([*map(gpu_peers.present, gpu_peers.PACKAGES), *best])])
         print(text)
     report.finish(arguments, __file__, text, facts, how, rows=[asdict(row) for row in rows])
 

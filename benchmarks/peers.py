@@ -72,7 +72,7 @@ class Task:
 
     def __init__(self, path: Path, batch: int, dtype: torch.dtype, threads: int):
         self.path, self.batch, self.threads = path, batch, threads
-        self.robot = torchdq.Robot.from_urdf(path, on_unphysical="ignore")
+        self.robot = torchdq.Robot.from_urdf(path, on_unphysical="ignore", mimic="independent")
         self.model = pin.buildModelFromUrdf(str(path))
         n = self.robot.n
         rng = np.random.default_rng(0)

@@ -15,6 +15,7 @@ from pathlib import Path
 import gymnasium
 import torch
 import tyro
+from devices import OnDevice
 
 import torchdq
 import torchdq.envs  # registers the environments
@@ -22,15 +23,13 @@ from torchdq.envs.render import Painter, save_gif
 
 
 @dataclass
-class Args:
+class Args(OnDevice):
     arms: int = 4096
     """Number of environments."""
     steps: int = 120
     """Steps of 20 ms."""
     damping: float = 0.05
     """Damping of the inverse of the Jacobian [m]."""
-    device: str = "cpu"
-    """Device of the environments and of the policy."""
     out: Path = Path("out")
     """Folder of the film."""
 

@@ -1,7 +1,7 @@
 """Learning what a model gets wrong: nine controllers of one arm, from no model to the true one.
 
     python examples/06_residual_learning.py
-    python examples/06_residual_learning.py --quick
+    python examples/06_residual_learning.py --quick [--device cuda]
 
 The arm is simulated by MuJoCo, not by torchdq. Both read the xArm7's URDF, but MuJoCo's arm has other masses (each by
 10 to 20 %), a payload of 1.5 kg, rotor inertia, damping and dry friction, and two things that no model here has a term
@@ -33,6 +33,7 @@ import mujoco
 import numpy as np
 import torch
 import tyro
+from devices import OnDevice, fit_on
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from pictures import BLUE, GREY, ORANGE, prepare, save
@@ -44,7 +45,7 @@ from scipy.stats import bootstrap
 from torch import Tensor, nn
 
 import torchdq
-from torchdq.learning import Samples, fit
+from torchdq.learning import Samples
 from torchdq.residual import ResidualDynamics
 
 STEP, LAG = 2e-3, 5e-3  # [s] of the control loop, of the motors
@@ -62,7 +63,7 @@ PAYLOAD = """<held>
 
 
 @dataclass
-class Args:
+class Args(OnDevice):
     seeds: int = 5
     """Number of arms."""
     samples: tuple[int, ...] = (100, 300, 1000, 3000, 10000)
@@ -327,13 +328,12 @@ def residual(model: torchdq.DQRNEA, data: Samples, inputs: str) -> ResidualDynam
     return layer
 
 
-def learned(choices: Sequence[Candidate], train: Samples, valid: Samples, steps: int, seed: int) -> nn.Module:
+def learned(choices: Sequence[Candidate], train: Samples, valid: Samples, args: Args, seed: int) -> nn.Module:
     """The best of several models by their validation error, trained."""
     errors = []
     for model, rate, decay, prior in choices:
-        history = fit(
-            model, train, valid, steps=steps, every=100, rate=rate, decay=decay, prior=prior, seed=seed, progress=False
-        )
+        options = {"rate": rate, "decay": decay, "prior": prior, "seed": seed, "progress": False}
+        history = fit_on(args.place, model, train, valid, steps=args.steps, every=100, **options)
         errors.append(min(history.valid))
     return choices[int(np.argmin(errors))].model
 
@@ -383,7 +383,7 @@ def study(seed: int, size: int, data: Data, args: Args) -> tuple[int, int, dict[
         FRICTION: with_friction(nominal, train),
     }
     for name, choices in candidates(nominal, train, args.quick):
-        models[name] = learned(choices, train, data.valid, args.steps, seed)
+        models[name] = learned(choices, train, data.valid, args, seed)
     models[TRUE] = truth(plant)
     results = {}
     for name, model in models.items():

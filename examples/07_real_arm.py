@@ -1,7 +1,7 @@
 """Share of a real arm's torque that each model explains, on any log, trained and tested by trajectory.
 
     python examples/07_real_arm.py --format ur10e --robot ur10e.urdf --train A.csv B.csv --test C.csv --json out.json
-    python examples/07_real_arm.py --format panda --robot panda.urdf --train LOG.csv --split 0.6
+    python examples/07_real_arm.py --format panda --robot panda.urdf --train LOG.csv --split 0.6 --device cuda
 
 The number is RMSE over standard deviation of the measured torque, per joint, on test motions that nothing was chosen
 by: sizes and weights of the networks are chosen on one training motion that is held out for that, then everything is
@@ -27,6 +27,7 @@ from typing import Literal
 import numpy as np
 import torch
 import tyro
+from devices import OnDevice, fit_on
 from pictures import BLUE, ORANGE, label, panels, prepare, save
 from recordings import LAYOUTS
 from rich.console import Console
@@ -34,7 +35,7 @@ from rich.table import Table
 from torch import Tensor, nn
 
 import torchdq
-from torchdq.learning import LogError, Samples, cut, fit, identify, read, samples, smooth
+from torchdq.learning import LogError, Samples, cut, identify, read, samples, smooth
 from torchdq.residual import ResidualDynamics
 
 LEARNED = ("mass", "com", "inertia", "friction", "armature", "offset")
@@ -43,7 +44,7 @@ WIDTH = 0.02  # speed over which Coulomb friction changes sign [rad/s]: about th
 
 
 @dataclass
-class Args:
+class Args(OnDevice):
     format: Literal["panda", "ur10e", "double_pendulum", "csv"]
     """Layout of the logs; see `recordings.LAYOUTS`."""
     robot: Path
@@ -190,14 +191,14 @@ def main(args: Args) -> dict[str, dict[str, list[float]]]:
         torch.manual_seed(seed)
         width, decay = candidate
         box = BlackBox(data, width)
-        fit(box, data, epochs=epochs, batch=BATCH, rate=3e-3, decay=decay, seed=seed)
+        fit_on(args.place, box, data, epochs=epochs, batch=BATCH, rate=3e-3, decay=decay, seed=seed)
         return box
 
     def corrected(candidate: tuple[int, float], data: Samples, seed: int = 0, learned: bool = True) -> nn.Module:
         torch.manual_seed(seed)
         width, decay = candidate
         model = residual(identified(robot, data) if learned else with_friction(robot, data), data, (width, width))
-        fit(model, data, epochs=epochs, batch=BATCH, rate=3e-3, decay=decay, prior=1e-4, seed=seed)
+        fit_on(args.place, model, data, epochs=epochs, batch=BATCH, rate=3e-3, decay=decay, prior=1e-4, seed=seed)
         return model
 
     add("description", torchdq.DQRNEA(robot))
@@ -209,7 +210,7 @@ def main(args: Args) -> dict[str, dict[str, list[float]]]:
         add("black box", network(box, data, seed))
         add("+ friction + residual", corrected(small, data, seed, learned=False))
         learned = identified(robot, data)
-        fit(learned, data, epochs=epochs, batch=BATCH, rate=1e-3, prior=1e-4, seed=seed)
+        fit_on(args.place, learned, data, epochs=epochs, batch=BATCH, rate=1e-3, prior=1e-4, seed=seed)
         add("physics", learned)
         start = time.perf_counter()
         add("physics + residual", corrected(small, data, seed))

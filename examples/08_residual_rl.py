@@ -1,6 +1,6 @@
 """Reinforcement learning on top of computed torque: a policy adds what the controller does not know.
 
-    python examples/08_residual_rl.py [--quick] [--steps N] [--seeds N] [--json FILE]
+    python examples/08_residual_rl.py [--quick] [--steps N] [--seeds N] [--device cuda] [--json FILE]
 
 A Panda follows sums of two sinusoids (`torchdq/Track-v0`, 2 s per episode) under a computed-torque controller that
 knows the rigid bodies as described, their gravity and their rotors. It does not know: 2 kg in the hand, link masses
@@ -35,6 +35,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 import torch
 import tyro
+from devices import OnDevice
 from gymnasium.vector import AutoresetMode
 from matplotlib import pyplot as plt
 from pictures import prepare, save
@@ -76,7 +77,7 @@ Policy = Callable[[Tensor], Tensor]
 
 
 @dataclass
-class Args:
+class Args(OnDevice):
     steps: int = 1_000_000
     """Environment steps of training."""
     seeds: int = 5
@@ -109,6 +110,7 @@ class Base:
     kp: float = KP  # [1/s^2]
     kd: float = KD  # [1/s]
     true: bool = False  # True: it knows payload and masses of every episode
+    device: str = "cpu"  # device of the environments
 
     def environments(self, number: int, mode: AutoresetMode = AutoresetMode.SAME_STEP) -> ArmVectorEnv:
         """Environments under it; gains are tensors, so that all of them share one program."""
@@ -126,6 +128,7 @@ class Base:
             max_episode_steps=EPISODE,
             randomise={"mass": 0.1, "friction": 0.2},
             autoreset_mode=mode,
+            device=self.device,
         )
 
 
@@ -170,38 +173,39 @@ def evaluate(base: Base, policy: Policy, episodes: int = TESTED, seed: int = TES
     """Result of a policy on top of a controller, by default on the episodes that are kept for it."""
     envs = base.environments(episodes, AutoresetMode.DISABLED)  # the last observation is that of the last step
     observation, _ = envs.reset(seed=seed)
-    returns, squared, trace = torch.zeros(episodes), torch.zeros(episodes), []
+    returns, squared = torch.zeros(2, episodes, device=base.device)
+    trace = []
     for _ in range(EPISODE):
         observation, reward, _, _, info = envs.step(policy(observation))
         returns += reward
         squared += info["error"] ** 2
         trace.append(observation[0, JOINT])
-    return Result(returns, 1e3 * (squared / EPISODE).sqrt(), 1e3 * torch.stack(trace))
+    return Result(*(x.cpu() for x in (returns, 1e3 * (squared / EPISODE).sqrt(), 1e3 * torch.stack(trace))))
 
 
 def nothing(observation: Tensor) -> Tensor:
     """No residual: the controller alone."""
-    return torch.zeros(len(observation), N)
+    return observation.new_zeros(len(observation), N)
 
 
 def friction(observation: Tensor) -> Tensor:
     """The mean friction at the wanted velocity, as an action; the environments clip it as they do any other."""
-    qd = observation[:, 3 * N : 4 * N] * ROBOT.limits.velocity.float()
+    qd = observation[:, 3 * N : 4 * N] * ROBOT.limits.velocity.to(observation)
     columns = qd.unbind(1)
     found = [effect.resolved(ROBOT).impedances(columns, columns, {}) for effect in FRICTION]
-    damping = [torch.stack([torch.as_tensor(x.damping).expand(len(qd)) for x in row], 1) for row in found]
-    return sum(damping) * qd / (SHARE * ROBOT.limits.effort.float())
+    damping = [torch.stack([torch.as_tensor(x.damping).to(qd).expand(len(qd)) for x in row], 1) for row in found]
+    return sum(damping) * qd / (SHARE * ROBOT.limits.effort.to(observation))
 
 
-def best(true: bool, policy: Policy) -> Base:
+def best(true: bool, policy: Policy, device: str = "cpu") -> Base:
     """Controller with the best gains, by return on episodes that are used for nothing else."""
-    bases = [Base(*gains, true) for gains in GAINS]
+    bases = [Base(*gains, true, device) for gains in GAINS]
     return max(bases, key=lambda base: evaluate(base, policy, 256, CHOICE).means[0])
 
 
 def greedy(model: BaseAlgorithm) -> Policy:
     """The policy without exploration."""
-    return lambda observation: torch.as_tensor(model.predict(observation.numpy(), deterministic=True)[0])
+    return lambda observation: torch.as_tensor(model.predict(observation.cpu().numpy(), deterministic=True)[0])
 
 
 def learner(base: Base, seed: int) -> PPO:
@@ -220,7 +224,7 @@ def learner(base: Base, seed: int) -> PPO:
         learning_rate=lambda left: 1e-3 * left,
         seed=seed,
         policy_kwargs=network,
-        device="cpu",
+        device=base.device,
         **rates,
     )
     nn.init.zeros_(model.policy.action_net.weight)
@@ -285,8 +289,8 @@ def main(args: Args) -> dict[str, list[Result]]:
     torch.set_num_threads(1)
     seeds, steps = (1, min(args.steps, 100_000)) if args.quick else (args.seeds, args.steps)
     start = time.process_time()
-    usual_gains, high = Base(), best(False, nothing)
-    compensated, informed = best(False, friction), best(True, friction)
+    usual_gains, high = Base(device=args.device), best(False, nothing, args.device)
+    compensated, informed = best(False, friction, args.device), best(True, friction, args.device)
 
     def named(base: Base) -> str:
         return f"{base.kp:.0f} / {base.kd:.0f}"
@@ -296,7 +300,7 @@ def main(args: Args) -> dict[str, list[Result]]:
     everything = f"true friction and bodies known, best gains {named(informed)}"
     results = {
         alone: [evaluate(usual_gains, nothing)],
-        f"true bodies known, gains {named(usual_gains)}": [evaluate(Base(true=True), nothing)],
+        f"true bodies known, gains {named(usual_gains)}": [evaluate(Base(true=True, device=args.device), nothing)],
         tuned: [evaluate(high, nothing)],
         known: [evaluate(compensated, friction)],
         everything: [evaluate(informed, friction)],
@@ -310,7 +314,7 @@ def main(args: Args) -> dict[str, list[Result]]:
             results[name].append(result)
             curves[name].append(curve)
             print(f"{name}, seed {seed}: return {curve[0][1]:.1f} -> {curve[-1][1]:.1f}", flush=True)
-    spent = time.process_time() - start
+    spent, where = time.process_time() - start, "one thread" if args.device == "cpu" else args.device
 
     print("\n| method | return of an episode | tracking error [mrad] |\n|---|---|---|")
     summaries = {name: summary(found) for name, found in results.items()}
@@ -321,7 +325,7 @@ def main(args: Args) -> dict[str, list[Result]]:
         added = "{:.2f} [{:.2f}, {:.2f}]".format(*gain(results[name], results[before][0]))
         share = np.mean([float((r.errors < results[before][0].errors).float().mean()) for r in results[name]])
         print(f"{name}: PPO adds {added} to the return, and lowers the error in {share:.1%} of the episodes")
-    print(f"{seeds} seeds of {steps / 1e6:g} million steps, {spent:.0f} s of processor time in all, on one thread")
+    print(f"{seeds} seeds of {steps / 1e6:g} million steps, {spent:.0f} s of processor time in all, on {where}")
     draw(args.out / "residual_rl.png", curves, results, {alone: ":", tuned: "--", everything: "-."})
     if args.json:
         content = {

@@ -24,7 +24,7 @@ from accuracy.scenes import chain, single
 from accuracy.textbook import Textbook, solved
 from torchdq.errors import SingularInertiaError
 from torchdq.functions import catalogue as recipes
-from torchdq.functions.catalogue import RecipeInputs
+from torchdq.functions.recipe import RecipeInputs
 from torchdq.program.program import Argument, Program, record
 
 Array = np.ndarray

@@ -24,7 +24,7 @@ from torchdq.envs import integrators
 from torchdq.envs.integrators import Integrator, System
 from torchdq.envs.spec import recorded as recorded_scene
 from torchdq.envs.system import with_growths
-from torchdq.functions.catalogue import worth_recording
+from torchdq.functions.recipe import worth_recording
 from torchdq.program.program import Argument, Program, record
 
 Runner = Callable[[Program, Sequence[Tensor]], Sequence[Tensor]]

@@ -1,0 +1,102 @@
+"""A policy learned by gradients through the simulation, on one device or on several.
+
+    python examples/11_through_the_simulation.py [--device cuda]
+    torchrun --nproc-per-node 4 examples/11_through_the_simulation.py --device cuda
+
+Arms with friction and gravity start at rest in random postures, and a network that knows nothing of them learns to
+bring them to a wanted one within a second. Its gradient is that of the whole simulated second. Every process simulates
+its share of the arms, and gradients are summed over all of them, so the policy is that of a single process, but for
+rounding.
+"""
+
+import sys
+import time
+from dataclasses import dataclass
+
+import torch
+import tyro
+from devices import OnDevice
+from torch import Tensor, nn
+
+import torchdq
+from torchdq.envs import Scene, State, effects
+from torchdq.learning.distributed import Team, team
+
+ROBOT = torchdq.robots.load("panda")
+WANTED = (0.0, -0.5, 0.0, -2.0, 0.0, 1.5, 0.8)  # [rad]
+SPREAD = 0.4  # spread of the starts about it [rad]
+
+
+@dataclass
+class Args(OnDevice):
+    arms: int = 256
+    """Number of arms, over all processes."""
+    steps: int = 50
+    """Steps of 20 ms."""
+    iterations: int = 150
+    """Optimiser steps."""
+    rate: float = 5e-3
+    """First learning rate; it falls to zero along half a cosine."""
+
+
+class Policy(nn.Module):
+    """Torques from a state, as fractions of the limits."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(nn.Linear(14, 64), nn.Tanh(), nn.Linear(64, 7))
+        self.register_buffer("wanted", torch.tensor(WANTED))
+        self.register_buffer("largest", ROBOT.limits.effort.float())
+
+    def forward(self, state: State) -> Tensor:
+        """Torques [..., 7] [N m]."""
+        return self.largest * self.layers(torch.cat([state.q - self.wanted, 0.2 * state.qd], -1)).tanh()
+
+
+def loss(policy: Policy, q: Tensor, args: Args, share: Team) -> Tensor:
+    """Part of this process in the mean squared distance from the wanted posture and from rest, over arms and time."""
+    scene = Scene(ROBOT, (effects.Gravity(), effects.Viscous(2.0), effects.RotorInertia(0.1)), dt=0.02)
+    mine = share.share(q)
+    states = scene.rollout(scene.start(mine), steps=args.steps, policy=policy, lost="keep")
+    off = (states.q - policy.wanted).square().sum(-1) + 0.01 * states.qd.square().sum(-1)
+    return off.mean(0).sum() / len(q)
+
+
+def gradients(policy: Policy, q: Tensor, args: Args, share: Team) -> tuple[Tensor, list[Tensor]]:
+    """Loss and its gradients, of all processes."""
+    own = loss(policy, q, args, share)
+    found = torch.autograd.grad(own, list(policy.parameters()))
+    total, *found = share.summed([own.detach(), *found])
+    return total, found
+
+
+def main(args: Args) -> list[float]:
+    """Losses of all iterations."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    with team(args.place) as share:
+        torch.manual_seed(0)  # the same network and the same arms in every process
+        policy = Policy().to(args.place)
+        optimiser = torch.optim.Adam(policy.parameters(), args.rate)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, args.iterations)
+        losses, start = [], time.perf_counter()
+        for k in range(args.iterations):
+            q = torch.tensor(WANTED) + SPREAD * (2 * torch.rand(args.arms, 7) - 1)
+            total, found = gradients(policy, q.to(args.place), args, share)
+            for parameter, gradient in zip(policy.parameters(), found, strict=True):
+                parameter.grad = gradient
+            optimiser.step()
+            schedule.step()
+            losses.append(total)
+            if share.leads and (k % 25 == 0 or k == args.iterations - 1):
+                print(f"iteration {k}: loss {float(total):.4f}", flush=True)
+        if share.leads:
+            rate = args.arms * args.steps * args.iterations / (time.perf_counter() - start)
+            print(f"{share.size} processes on {args.device}: {rate:.3g} steps of an arm per second, gradients included")
+    torch.set_num_threads(threads)
+    return torch.stack(losses).tolist()
+
+
+if __name__ == "__main__":
+    losses = main(tyro.cli(Args))
+    sys.exit(0 if losses[-1] < 0.2 * losses[0] else 1)
