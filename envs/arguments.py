@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
 from torchdq.checks import require_tensor
-from torchdq.envs.rng import SEEDS
 from torchdq.envs.scene import Scene
 from torchdq.envs.tasks import EpisodeTask, Reach, Track
 from torchdq.errors import ArgumentError, UnknownNameError
@@ -34,18 +32,6 @@ def autoreset_of(mode: AutoresetMode | str) -> AutoresetMode:
             return member
     known = ", ".join(f"{member.name!r} or {member.value!r}" for member in AutoresetMode)
     raise ArgumentError(f"autoreset_mode must be one of {known}, or a gymnasium.vector.AutoresetMode, found {mode!r}")
-
-
-def seeds_of(seed: Any, rows: int) -> list[int | None]:
-    """Seed of every row, from one number s, which is s + i in row i, or from one or None for each row."""
-    each = isinstance(seed, Sequence) and not isinstance(seed, str | bytes)
-    if each and len(seed) != rows:
-        raise ArgumentError(f"seed must be one number or {rows}, one for each environment, found {len(seed)}")
-    for x in seed if each else (seed,):
-        whole = isinstance(x, Integral) and not isinstance(x, bool) and 0 <= int(x) < SEEDS
-        if not whole and not (each and x is None):
-            raise ArgumentError(f"seed must be a whole number from 0 and below {SEEDS}, or {rows} of them, found {x!r}")
-    return list(seed) if each else [int(seed) + i for i in range(rows)]
 
 
 def task_of(task: str | EpisodeTask) -> EpisodeTask:

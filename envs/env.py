@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
-from torchdq.envs.arguments import seeds_of
+from torchdq.envs.rng import seeds_of
 from torchdq.envs.vector_env import ArmVectorEnv
 from torchdq.errors import ArgumentError
 

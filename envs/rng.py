@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from numbers import Integral
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -54,6 +54,20 @@ class Streams(NamedTuple):
         return Streams(*(rows.replaced(own, new) for own, new in zip(self, streams, strict=True)))
 
 
+def seeds_of(seed: Any, rows: int) -> list[int | None]:
+    """Seed of every row, from one number s, which is s + i in row i, or from one or None for each row."""
+    each = isinstance(seed, Sequence) and not isinstance(seed, str | bytes)
+    if each and len(seed) != rows:
+        raise ArgumentError(f"seed must be one number or {rows}, one for each row, found {len(seed)}")
+    most = SEEDS - (1 if each else rows)
+    for x in seed if each else (seed,):
+        whole = isinstance(x, Integral) and not isinstance(x, bool)
+        if not (whole and 0 <= int(x) <= most) and not (each and x is None):
+            why = "" if each or rows == 1 else f", since row i of {rows} has the seed + i"
+            raise ArgumentError(f"seed must be a whole number from 0 to {most}{why}, found {x!r}")
+    return list(seed) if each else [int(seed) + i for i in range(rows)]
+
+
 def seeded(seed: int | Sequence[int], size: int, device: torch.device | str = "cpu") -> Streams:
     """New streams.
 
@@ -64,14 +78,9 @@ def seeded(seed: int | Sequence[int], size: int, device: torch.device | str = "c
         size: number of rows.
         device: device of the streams.
     """
-    if isinstance(seed, str) or not isinstance(seed, Integral | Sequence):
-        raise ArgumentError(f"seed must be a whole number or a sequence of them, found {seed!r}")
-    seeds = list(seed) if isinstance(seed, Sequence) else [int(seed) + i for i in range(size)]
-    if len(seeds) != size:
-        raise ArgumentError(f"seed must be one number or one for each of the {size} rows, found {len(seeds)}")
-    for s in seeds:
-        if not isinstance(s, Integral) or not 0 <= int(s) < SEEDS:
-            raise ArgumentError(f"seed must be a whole number from 0 and below {SEEDS}, found {s!r}")
+    seeds = seeds_of(seed, size)
+    if None in seeds:
+        raise ArgumentError(f"seed must be given for every row, found {seed!r}")
     key = torch.tensor(seeds, dtype=torch.int64, device=device_of("device", device))
     # twice, so that keys of neighbouring seeds are not neighbours in any stream
     key = _mixed(_mixed(key.mul_(_signed(_STEP)).add_(_signed(_FIRST))).add_(_signed(_STEP)))

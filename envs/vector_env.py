@@ -33,13 +33,13 @@ from torchdq.backends.choice import BackendName
 from torchdq.checks import device_of, dtype_of, require_choice, require_count
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, full
-from torchdq.envs.arguments import autoreset_of, check_scene, check_state, reset_mask_of, robot_of, seeds_of, task_of
+from torchdq.envs.arguments import autoreset_of, check_scene, check_state, reset_mask_of, robot_of, task_of
 from torchdq.envs.controllers import ComputedTorque, Controller
 from torchdq.envs.defaults import nominal, usual
 from torchdq.envs.integrators import Integrator, LinearlyImplicit
 from torchdq.envs.randomization import Randomise, randomised
 from torchdq.envs.reset import Reset, task_inputs
-from torchdq.envs.rng import Streams, seeded
+from torchdq.envs.rng import Streams, seeded, seeds_of
 from torchdq.envs.scene import Scene
 from torchdq.envs.some_rows import Indexed, Masked, SomeRows, column
 from torchdq.envs.state import State

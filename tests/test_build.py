@@ -253,6 +253,26 @@ def test_a_process_killed_while_it_compiles_leaves_nothing_that_is_loaded(tmp_pa
     assert right(torques(cache, ", backend='c'")[0]) and len(libraries(cache)) == 1
 
 
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
+def test_a_compiler_ends_with_the_process_that_started_it(how, tmp_path):
+    begun = tmp_path / "begun"
+    slow = script(
+        tmp_path / "slow",
+        f'case "$*" in *--version*) exec {REAL} "$@";; esac\nsleep 600 & echo $! > {begun}.new\n'
+        f"mv {begun}.new {begun}\nwait\n",
+    )
+    process = start(TORQUES.format(options=", backend='c'"), tmp_path / "cache", CC=slow)
+    deadline = time.monotonic() + 60
+    while not begun.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.send_signal(how)  # to it alone
+    process.communicate(timeout=60)  # its output ends when nobody is left who holds it
+    left = Path("/proc", begun.read_text().strip())
+    while left.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not left.exists()
+
+
 def test_without_a_compiler_one_warning_is_given_and_torch_computes(tmp_path):
     twice = """
 import torch, torchdq

@@ -21,7 +21,7 @@ F64 = torch.float64
 
 def read(text, joints=None, lock=None, **options):
     """Description of a robot without faults."""
-    description, faults = reader.read(text, joints, lock, **options)
+    description, faults, _ = reader.read(text, joints, lock, **options)
     assert not faults
     return description
 
@@ -283,7 +283,7 @@ def test_a_joint_that_is_locked_to_a_free_base_adds_its_link():
 
 
 def test_a_free_base_without_mass_is_told():
-    _, faults = reader.read(tree(), None, None, base="floating")
+    _, faults, _ = reader.read(tree(), None, None, base="floating")
     assert len(faults) == 1 and faults[0].startswith("link 'base': a free base must have mass, found none")
 
 
@@ -296,7 +296,7 @@ def test_a_free_base_with_inertia_alone_is_no_fault():
 def test_a_free_base_is_judged():
     text = FLYING.replace(link("base", 5.0), link("base", -5.0))
     assert read(text).base_mass is None
-    _, faults = reader.read(text, None, None, base="floating")
+    _, faults, _ = reader.read(text, None, None, base="floating")
     assert faults == ["link 'base': mass must not be negative, found -5 kg"]
 
 
@@ -308,7 +308,7 @@ def test_a_flying_body_needs_no_joints():
 @pytest.mark.parametrize("name", ["talos_full_v2", "solo12", "romeo", "quadrotor_base"])
 def test_free_bases_of_real_robots_are_those_of_pinocchio(name):
     path = oracles.urdf_paths()[name]
-    found, _ = reader.read(path, None, None, base="floating", mimic="independent")
+    found, *_ = reader.read(path, None, None, base="floating", mimic="independent")
     body = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer()).inertias[1]
     I = body.inertia
     assert math.isclose(found.base_mass, body.mass, rel_tol=1e-14)

@@ -25,7 +25,7 @@ def matrix(X):
 @pytest.mark.parametrize("name", NAMES)
 def test_links_and_joints_are_placed_as_by_pinocchio(name):
     path = oracles.urdf_paths()[name]
-    found, _ = urdf.read(path, None, None, mimic="independent")
+    found, *_ = urdf.read(path, None, None, mimic="independent")
     model = pin.buildModelFromUrdf(str(path))
     assert found.joint_names == tuple(model.names)[1:]
     assert found.parents == tuple(int(parent) - 1 for parent in model.parents)[1:]
@@ -70,14 +70,14 @@ def comb(n):
 
 def test_a_tree_may_be_deep():
     begin = time.thread_time()
-    description, faults = urdf.read(comb(2000), None, None)
+    description, faults, _ = urdf.read(comb(2000), None, None)
     assert time.thread_time() - begin < 2.0 and not faults
     assert len(description.joint_names) == 999 and len(description.frames) == 2000
 
 
 def test_poses_of_a_deep_tree_stay_unit():
     text = comb(2000).replace('type="continuous"', 'type="fixed"')
-    description, _ = urdf.read(text, None, None)
+    description, *_ = urdf.read(text, None, None)
     X = torch.stack([frame.X_BF for frame in description.frames])
     assert float((X[:, :4].norm(dim=-1) - 1).abs().max()) < 1e-15
     assert float((X[:, :4] * X[:, 4:]).sum(-1).abs().max()) < 1e-12 * float(X[:, 4:].abs().max())

@@ -1,5 +1,10 @@
 """Computed torque control: feedback linearisation by the inverse dynamics, equations (73)-(78)."""
 
+from contextlib import suppress
+from numbers import Real
+from typing import Any
+
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -48,11 +53,25 @@ def computed_torque(
 
 def _gain(name: str, gain: Tensor | float, q: Tensor) -> Tensor:
     """Gain as a tensor, a single number in the dtype of q."""
+    if isinstance(gain, Tensor) and gain.ndim:
+        return gain
     if isinstance(gain, Tensor):
-        return gain if gain.ndim else gain.to(q)
-    if not isinstance(gain, float | int):
+        if gain.is_complex() or gain.dtype == torch.bool:
+            raise ArgumentError(f"{name} must be a real number, found {gain}")
+        return gain.to(q)
+    if not isinstance(gain, Real):
         raise ArgumentError(f"{name} must be a number or a tensor, found {type(gain).__name__}")
     require_number(name, gain)
     if gain < 0:
         raise ArgumentError(f"{name} must not be negative, found {gain!r}")
     return torch.tensor(gain, dtype=q.dtype, device=q.device)
+
+
+def constant_gain(name: str, gain: Any, n: int) -> Tensor:
+    """Gain as float64 numbers, one or n; raises unless they are real, finite and not negative."""
+    with suppress(TypeError, ValueError):  # words, and rows of different lengths
+        x = gain if isinstance(gain, Tensor) else torch.from_numpy(np.array(gain))
+        real = x.dtype != torch.bool and not x.is_complex()
+        if real and x.shape in ((), (n,)) and bool((x.isfinite() & (x >= 0)).all()):
+            return x.double()
+    raise ArgumentError(f"{name} must be a number or {n} numbers, real, finite and not negative, found {gain!r}")

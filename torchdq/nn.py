@@ -11,7 +11,7 @@ from torch.nn.utils import parametrize
 
 from torchdq.backends.choice import BackendName
 from torchdq.checks import require_choice, require_number
-from torchdq.control import computed_torque
+from torchdq.control import computed_torque, constant_gain
 from torchdq.dynamics.tracking import commanded
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, check_precision, forward_dynamics, inverse_dynamics
@@ -362,9 +362,7 @@ class ComputedTorque(RobotModule):
         described = friction and rigid is not None and "friction" not in rigid.learn
         self.friction = described and bool((robot.damping != 0).any() or (robot.friction != 0).any())
         for name, gain in (("kp", kp), ("kd", kd)):
-            value = _gain(name, gain)
-            if value.shape not in ((), (robot.n,)) or not bool((value >= 0).all()):
-                raise ArgumentError(f"{name} must be a number or [{robot.n}] numbers, not negative, found {gain}")
+            value = constant_gain(name, gain, robot.n)
             if name in learn:
                 self.register_parameter(name, nn.Parameter(value.clone()))
             else:
@@ -384,13 +382,6 @@ class ComputedTorque(RobotModule):
             tau = tau + friction_torque(qd, self._robot.damping, self._robot.friction, self.friction_width)
         learned = self._learned_torque(q, qd)
         return tau if learned is None else tau + learned
-
-
-def _gain(name: str, gain: Any) -> Tensor:
-    try:
-        return torch.as_tensor(gain, dtype=torch.float64, device=getattr(gain, "device", "cpu"))
-    except (TypeError, ValueError) as error:
-        raise ArgumentError(f"{name} must be a number or one per joint, found {gain!r}") from error
 
 
 # plain name beside that of the paper's algorithm

@@ -20,6 +20,8 @@ from torchdq.notice import warn_once
 
 ASKED = 5.0  # time in which a compiler must state its version [s]
 MOST = 2**22  # bytes that a compiler prints at most
+# Ends groups of processes when its input ends, as it does when this process is killed, in whatever way.
+GUARD = ("/bin/sh", "-c", 'read _; kill -s KILL -- "$@"', "guard")
 
 
 class BuildError(TorchdqError, RuntimeError):
@@ -63,7 +65,7 @@ def _asked(name: str) -> Compiler:
 def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = None) -> str:
     """Output of commands that run at the same time.
 
-    None of their processes outlives the call if one fails, takes too long or is interrupted.
+    None of their processes outlives the call if one fails, takes too long or is interrupted, nor this process.
 
     Args:
         limit: time in which all of them must end [s].
@@ -74,6 +76,7 @@ def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = N
     program, deadline = commands[0][0], time.monotonic() + limit
     environment = {**os.environ, "TMPDIR": str(folder)} if folder else None
     running: list[subprocess.Popen[bytes]] = []
+    guards: list[subprocess.Popen[bytes]] = []
     output = b""
     try:
         for command in commands:
@@ -87,6 +90,8 @@ def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = N
                     process_group=0,
                 )
             )
+        groups = [f"-{process.pid}" for process in running]
+        guards.append(subprocess.Popen([*GUARD, *groups], stdin=subprocess.PIPE, process_group=0))
         for process in running:
             output += _output(process, deadline)
             if process.returncode != 0:
@@ -97,7 +102,7 @@ def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = N
     except subprocess.TimeoutExpired as error:
         raise BuildError(f"{program} did not end within {limit:.0f} s") from error
     finally:
-        for process in running:
+        for process in (*guards, *running):
             _end(process)
     return output.decode(errors="replace")
 
@@ -128,5 +133,6 @@ def _end(process: subprocess.Popen[bytes]) -> None:
     with suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    if process.stdout is not None:
-        process.stdout.close()
+    for stream in (process.stdin, process.stdout):
+        if stream is not None:
+            stream.close()

@@ -12,7 +12,7 @@ from torch.compiler import is_compiling
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import consistency, fields, units
 from torchdq.robot.constants import version
-from torchdq.robot.description import Frame, Limits
+from torchdq.robot.description import Frame, JointMap, Limits
 from torchdq.robot.fields import SHAPES, batches
 from torchdq.robot.tree import inert_joints
 
@@ -121,7 +121,7 @@ def stacked(kind: type[Robot], robots: Sequence[Robot]) -> Robot:
             continue
         if name not in STACKED:
             other = next(x for x in found if not _equal(value, x))
-            raise ArgumentError(f"robots of a stack must have the same {name}, found {_difference(value, other)}")
+            raise ArgumentError(f"robots of a stack must have the same {name}, found {_difference(first, value, other)}")
         changes[name] = Limits(*map(_together, zip(*found, strict=True))) if name == "limits" else _together(found)
     if not {*SHAPES} & {*changes}:  # equal robots are several, too
         changes["mass"] = _together([robot.mass for robot in robots])
@@ -134,8 +134,13 @@ def _together(found: Sequence[Tensor | None]) -> Tensor:
     return torch.stack(torch.broadcast_tensors(*(zero if x is None else x for x in found)))
 
 
-def _difference(a: Any, b: Any) -> str:
-    """Two different values of a field, in words; of frames with the same names, the first that differs."""
+def _difference(robot: Robot, a: Any, b: Any) -> str:
+    """Two different values of a field, in words; of frames or joints with the same names, those that differ."""
+    if isinstance(a, JointMap) and isinstance(b, JointMap) and a.joint_names == b.joint_names:
+        told = [(name, *(x.followed(name, robot.joint_names) for x in (a, b))) for name in a.joint_names]
+        return "; ".join(f"joint {name!r} that follows {x} in one and {y} in another" for name, x, y in told if x != y)
+    if isinstance(a, JointMap) or isinstance(b, JointMap):
+        return " and ".join("none" if x is None else f"one of the joints {', '.join(x.joint_names)}" for x in (a, b))
     pairs = [*zip(a, b, strict=False)] if isinstance(a, tuple) and isinstance(b, tuple) else []
     if not pairs or len(a) != len(b) or not all(isinstance(x, Frame) and x.name == y.name for x, y in pairs):
         return f"{a} and {b}"

@@ -52,6 +52,8 @@ def with_payload(
         )
     given = {"mass": (mass, ()), "com": (com, (3,)), "inertia": (inertia, (6,))}
     held = RigidBody(*(_numbers(robot, name, x, shape) for name, (x, shape) in given.items()))
+    for (name, (_, shape)), x in zip(given.items(), held, strict=True):
+        _require_batch(robot, name, tuple(x.shape[: x.ndim - len(shape)]))
     if all(fields.readable(x, False) for x in held):
         faults = consistency.bodies(("payload",), held.mass.unsqueeze(-1), matrices(held.inertia).unsqueeze(-3))
         if faults:
@@ -182,6 +184,17 @@ def _numbers(robot: Robot, name: str, x: Any, shape: tuple[int, ...]) -> Tensor:
         expected = ", ".join(["...", *map(str, shape)])
         raise ArgumentError(f"{name} must have the shape [{expected}], found {tuple(found.shape)}")
     return found
+
+
+def _require_batch(robot: Robot, name: str, axes: tuple[int, ...]) -> None:
+    """Raise unless batch axes of a payload fit those of a robot."""
+    for field, own in fields.batches(robot).items():
+        try:
+            torch.broadcast_shapes(own, axes)
+        except RuntimeError as error:
+            raise ArgumentError(
+                f"{name} must have batch axes that fit those of {field} of robot {robot.name!r}, {own}, found {axes}"
+            ) from error
 
 
 def _held(robot: Robot, link: int, X_BF: Tensor, held: RigidBody) -> dict[str, Tensor]:

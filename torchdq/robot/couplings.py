@@ -43,21 +43,29 @@ def solved(joints: int, held: Mapping[int, float], couplings: Sequence[JointCoup
     [Follows(root=0, factor=1.0, offset=0.0), Follows(root=0, factor=-1.0, offset=0.0)]
     """
     found = [Follows(None, 0.0, held[i]) if i in held else Follows(i, 1.0, 0.0) for i in range(joints)]
+    causes: list[tuple[str, ...]] = [("`lock`",) if i in held else () for i in range(joints)]  # in words
     for name, follower, leader, factor, offset in couplings:
         if follower in held and (leader is None or leader in held):
             continue
         a, b = found[follower], Follows(None, 0.0, 0.0) if leader is None else found[leader]
+        behind = (*causes[follower], *(() if leader is None else causes[leader]))
         # a.factor r_a = slope r_b + rest, with the displacements r_a and r_b of the free joints
         slope, rest = factor * b.factor, factor * b.offset + offset - a.offset
         if a.root is not None and a.root != b.root:
-            found = _with(found, a.root, Follows(b.root, slope / a.factor, rest / a.factor))
+            joint, by = a.root, Follows(b.root, slope / a.factor, rest / a.factor)
         elif b.root is not None and abs(a.factor - slope) > SLACK * max(abs(a.factor), abs(slope)):
-            found = _with(found, b.root, Follows(None, 0.0, rest / (a.factor - slope)))
+            joint, by = b.root, Follows(None, 0.0, rest / (a.factor - slope))
         elif abs(rest) > SLACK:
+            others = " and ".join(dict.fromkeys(behind)) or "itself"
             raise DescriptionError(
-                f"the coupling {name!r} must agree with the others and with `lock`, found that it "
-                f"is {rest:g} rad or m off wherever the joints are; leave one of them out"
+                f"the coupling {name!r} must agree with {others}, found that it is {rest:g} rad or m off wherever the "
+                "joints are; leave one of them out"
             )
+        else:
+            continue
+        told = (*behind, f"the coupling {name!r}")
+        causes = [tuple(dict.fromkeys((*cause, *told))) if x.root == joint else cause for cause, x in zip(causes, found, strict=True)]
+        found = _with(found, joint, by)
     return found
 
 

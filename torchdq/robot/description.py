@@ -13,6 +13,9 @@ from torchdq.robot import consistency
 from torchdq.robot.arrays import IDENTITY, SIX, distinct, inertias, matrices, table
 
 
+NO_TIP = "no tip chosen among the leaves"  # beginning of a note that goes when a tip is chosen
+
+
 class Limits(NamedTuple):
     """Limits of the joints as the description gives them, each [n]; infinite where it gives none."""
 
@@ -35,6 +38,11 @@ class JointMap(NamedTuple):
 
     joint_names: tuple[str, ...]  # names of all joints, one per link
     S: Tensor  # [links, n] positions of the joints per coordinate
+
+    def followed(self, joint: str, coordinates: Sequence[str]) -> str:
+        """Words for the coordinates, named in their order, that a joint follows."""
+        row = self.S[self.joint_names.index(joint)].tolist()
+        return " + ".join(f"{x:g} {name}" for name, x in zip(coordinates, row, strict=True) if x) or "nothing"
 
 
 @dataclass(frozen=True)

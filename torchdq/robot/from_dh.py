@@ -13,8 +13,7 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, distinct, double, numbers, poses, table, words
 from torchdq.robot.description import RobotDescription, assemble
-
-TURN = 2 * math.pi + 1e-5  # largest angle of a table; degrees are larger
+from torchdq.robot.units import TURN
 
 
 def _about(axis: int, angle: float, shift: float) -> Tensor:

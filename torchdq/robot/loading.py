@@ -63,8 +63,8 @@ def from_urdf(
     """
     require_choice("base", base, get_args(Base))
     require_choice("mimic", mimic, get_args(MimicJoints))
-    found = urdf.read(source, joints, lock, base, mimic, on_unphysical == "repair")
-    return _finish(cls, *found, tip, gravity, on_unphysical)
+    description, faults, doubts = urdf.read(source, joints, lock, base, mimic, on_unphysical == "repair")
+    return _finish(cls, description, faults, tip, gravity, on_unphysical, doubts)
 
 
 def from_mjcf(
@@ -105,7 +105,7 @@ def from_mjcf(
     """
     found = mjcf.read(source, base, joints, lock)
     given = found.gravity if isinstance(gravity, str) and gravity == "file" else gravity
-    return _finish(cls, found.description, found.faults, tip, given, on_unphysical)
+    return _finish(cls, found.description, found.faults, tip, given, on_unphysical, found.doubts)
 
 
 def from_xacro(
@@ -241,6 +241,7 @@ def _finish(
     tip: str | None,
     gravity: Sequence[float] | None,
     on_unphysical: OnUnphysical,
+    said: Sequence[str] = (),
 ) -> Robot:
     g = None if gravity is None else finite("gravity", gravity)
     robot = cls(**vars(description), gravity=g)
@@ -249,5 +250,5 @@ def _finish(
     consistency.complain(robot.name, faults, on_unphysical)
     # torques and poses need no inertia; accelerations raise
     inert = inert_joints(robot)
-    doubts = units.doubts(robot, quiet=on_unphysical == "ignore")
+    doubts = units.doubts(robot, quiet=on_unphysical == "ignore", said=said)
     return dataclasses.replace(robot, notes=(*faults, *inert, *doubts, *robot.notes))

@@ -20,7 +20,7 @@ from torchdq.errors import ArgumentError, DescriptionError
 from torchdq.robot import consistency, mjcf_notes
 from torchdq.robot.arrays import MOST, double, matrices
 from torchdq.robot.couplings import Follows, solved
-from torchdq.robot.description import JointMap, Limits, RobotDescription
+from torchdq.robot.description import NO_TIP, JointMap, Limits, RobotDescription
 from torchdq.robot.lumps import NOTHING
 from torchdq.robot.mjcf_joints import BALL, FREE, MjcfJoint, equalities, joints_of
 from torchdq.robot.mjcf_links import Links, links_of
@@ -39,6 +39,7 @@ class Mjcf(NamedTuple):
     of: MjcfModel
     joints: list[MjcfJoint]
     links: Links
+    doubts: list[str]  # about units
 
 
 def read(source: Any, base: MjcfBase, kept: Any, lock: Any) -> Mjcf:
@@ -48,21 +49,25 @@ def read(source: Any, base: MjcfBase, kept: Any, lock: Any) -> Mjcf:
     joints = joints_of(of)
     found = equalities(of, joints)
     given = _given(joints, base, lock)
-    moves = solved(len(joints), given, found.couplings)
+    moves, freely = (solved(len(joints), held, found.couplings) for held in (given, {}))
     if kept is not None:
         moves = _kept(joints, moves, kept, lock)
     at = {j.name: j.home + moves[j.row].offset for j in joints if j.single and moves[j.row].root is None}
     require_free([joint.name for joint in joints if joint.single], at)
     free = _free_base(joints, moves, base)
     links = links_of(of, joints, moves, free)
-    told_of = told(at, {j.name: (j.lower, j.upper) for j in joints if j.name in at})
+    still = {j.name: at[j.name] for j in joints if j.name in at and freely[j.row].root is None and j.row not in given}
+    locked = {name: x for name, x in at.items() if name not in still}
+    told_of = told(locked, {j.name: (j.lower, j.upper) for j in joints if j.name in locked})
     notes = [*mjcf_notes.notes(of, joints, moves, links, found.others), *_held(joints, moves), *told_of]
+    notes += ["held by equality constraints: " + ", ".join(f"{name} at {x:g}" for name, x in still.items())] * any(still)
     if len(links.leaves) > 1:
-        notes.append(f"no tip chosen among the leaves {', '.join(links.leaves)}; name one with tip=")
+        notes.append(f"{NO_TIP} {', '.join(links.leaves)}; name one with tip=")
     description = _description(of.name, joints, moves, links, free is not None, tuple(notes))
     _require_numbers(joints, description)
     faults = consistency.bodies(description.link_names, description.mass, matrices(description.inertia))
-    return Mjcf(description, faults, mjcf_notes.gravity(of), of, joints, links)
+    doubts = mjcf_notes.doubts(of, joints)
+    return Mjcf(description, faults, mjcf_notes.gravity(of), of, joints, links, doubts)
 
 
 # --- joints that move ------------------------------------------------------------------------------------------------

@@ -135,12 +135,14 @@ class Equalities(NamedTuple):
     """Equality constraints of a model that are active from the start."""
 
     couplings: list[JointCoupling]
-    others: list[str]  # kind and name of those that are no linear couplings of joints
+    others: list[str]  # kind and name of those that are no linear couplings of joints, or are disabled by a flag
 
 
 def equalities(of: MjcfModel, joints: list[MjcfJoint]) -> Equalities:
     """Equality constraints between joints that are linear, and the names of the others."""
     m, found, others = of.model, [], []
+    flags = of.mujoco.mjtDisableBit
+    off = bool(m.opt.disableflags & int(flags.mjDSBL_EQUALITY | flags.mjDSBL_CONSTRAINT))
     for i, name in enumerate(names_of(of, "EQUALITY", m.neq)):
         if not m.eq_active0[i]:
             continue
@@ -148,7 +150,7 @@ def equalities(of: MjcfModel, joints: list[MjcfJoint]) -> Equalities:
         first, second = int(m.eq_obj1id[i]), int(m.eq_obj2id[i])
         kind = of.mujoco.mjtEq(m.eq_type[i])
         linear = kind == of.mujoco.mjtEq.mjEQ_JOINT and (second < 0 or not any(more))
-        if linear and joints[first].single and (second < 0 or joints[second].single):
+        if linear and not off and joints[first].single and (second < 0 or joints[second].single):
             leader, factor = (None, 0.0) if second < 0 else (second, a1)
             found.append(JointCoupling(name, first, leader, factor, a0))
         else:

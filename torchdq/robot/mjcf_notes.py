@@ -9,6 +9,7 @@ from torchdq.robot.couplings import Follows
 from torchdq.robot.mjcf_joints import FREE, MjcfJoint, actuators_at, names_of
 from torchdq.robot.mjcf_links import Links
 from torchdq.robot.mjcf_source import MjcfModel
+from torchdq.robot.units import TURN
 
 
 def gravity(of: MjcfModel) -> tuple[float, ...] | None:
@@ -49,7 +50,10 @@ def notes(
     free = [joint for joint in joints if joint.kind == FREE and moves[joint.row].root is not None]
     fluid = m.opt.density or m.opt.viscosity
     acting = {k for joint in joints for k in actuators_at(of, joint.row)}
-    remote = [name for k, name in enumerate(names_of(of, "ACTUATOR", m.nactuator)) if k not in acting]
+    actuators = [*enumerate(names_of(of, "ACTUATOR", m.nactuator))]
+    remote = [name for k, name in actuators if k not in acting]
+    gears = {k: float(m.actuator_gear[m.actuator_outadr[k], 0]) for k in acting}
+    read = [name if gears[k] == 1 else f"{name} (gear {gears[k]:g})" for k, name in actuators if k in acting]
     given = (
         ("viscous damping given but not simulated", listed(lambda j: j.damping)),
         ("damping that is no multiple of the velocity, not used", listed(lambda j: m.dof_dampingpoly[dof(j)].any())),
@@ -58,9 +62,12 @@ def notes(
         ("springs given but not simulated", listed(lambda j: _spring(of, j.row), [*moving, *free])),
         ("damping or armature of the free base, not used", listed(lambda j: _resists(of, dof(j)), free)),
         ("joints without actuators", listed(lambda j: j.effort is None) if m.nactuator else ""),
+        ("actuators not simulated, but their greatest efforts, damping and rotor inertia are read", ", ".join(read)),
         ("actuators that act on no joint, not used", ", ".join(remote)),
         ("tendons not used", ", ".join(names_of(of, "TENDON", m.ntendon))),
         ("equality constraints not used", ", ".join(others)),
+        ("flexible bodies not used", ", ".join(names_of(of, "FLEX", m.nflex))),
+        ("plugins not used", ", ".join(names_of(of, "PLUGIN", m.nplugin))),
         ("contacts given but not simulated", "between geoms" if of.collides else ""),
         ("resistance of air or water, not used", "yes" if fluid else ""),
         ("left out, because it stands still beside the free base", ", ".join(links.left_out)),
@@ -72,6 +79,18 @@ def notes(
     found += ["no gravity, because every moving body is compensated for it (gravcomp)"] if relieved else []
     found += ["bodies moved by hand (mocap) stand still"] if m.nmocap else []
     return tuple(found)
+
+
+def doubts(of: MjcfModel, joints: Sequence[MjcfJoint]) -> list[str]:
+    """Doubt about the ranges of all hinges: that they are in radians where the file has degrees."""
+    bounds = [abs(x) for joint in joints if joint.kind == "revolute" for x in (joint.lower, joint.upper)]
+    most = max((math.degrees(x) for x in bounds if math.isfinite(x)), default=0.0)
+    if not of.degrees or not 0 < most <= TURN:
+        return []
+    return [
+        f"ranges of hinges must be in degrees in a file without <compiler angle='radian'/>, found none beyond "
+        f"{most:.4g}; are they in radians?"
+    ]
 
 
 def _spring(of: MjcfModel, joint: int) -> bool:

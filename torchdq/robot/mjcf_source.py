@@ -54,7 +54,7 @@ def compiled(source: Any) -> MjcfModel:
         )
     text = source if isinstance(source, MjcfText) else _text(source)
     spec = _attempt(lambda: _parsed(mujoco, text))
-    name, collides = spec.modelname, any(geom.contype or geom.conaffinity for geom in spec.geoms)
+    name, collides = spec.modelname, any(x.contype or x.conaffinity for x in spec.geoms) or bool(spec.pairs)
     needed = _without_meshes(mujoco, spec)
     try:
         model = spec.compile()

@@ -6,7 +6,7 @@ Masses, centres of mass and inertias keep their batch axes and gradients, so a b
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -17,6 +17,7 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import IDENTITY
 from torchdq.robot.description import Frame, JointMap, Limits
+from torchdq.robot.fields import batches
 from torchdq.robot.lumped import RigidBody, lumped
 from torchdq.robot.urdf_lock import positions, require_free, tell_if_beyond, told
 
@@ -45,6 +46,7 @@ def lock(robot: Robot, lock: Mapping[str, float] | Sequence[str] | str) -> Robot
     ('joint1',)
     """
     _require_constant_geometry(robot)
+    _require_coordinates(robot, lock)
     given = positions(lock, robot.joint_names)
     require_free(robot.joint_names, given)
     S = factors(robot)
@@ -179,7 +181,21 @@ def _coordinates_of(robot: Robot, chain: Sequence[int], before: Sequence[int]) -
 def _require_constant_geometry(robot: Robot) -> None:
     for name in ("X_PB_home", "screw", "home"):
         if name in robot._arguments:
-            raise ArgumentError(f"{name} of robot {robot.name!r} must be constant, as its frames are; use bake() first")
+            several = name in batches(robot)
+            way = "change the robots one by one and stack them afterwards" if several else "use bake() first"
+            raise ArgumentError(f"{name} of robot {robot.name!r} must be constant, as its frames are; {way}")
+
+
+def _require_coordinates(robot: Robot, lock: Any) -> None:
+    """Raise if joints to lock are named that follow coordinates."""
+    for name in (lock,) if isinstance(lock, str) else lock if isinstance(lock, Iterable) else ():
+        if robot.joint_map is not None and name in robot.every_joint and name not in robot.joint_names:
+            leaders = [x for x, factor in zip(robot.joint_names, factors(robot)[robot.every_joint.index(name)]) if factor]
+            raise ArgumentError(
+                f"lock must not name joint {name!r}, which is no coordinate: it follows "
+                f"{robot.joint_map.followed(name, robot.joint_names)}; lock {' and '.join(map(repr, leaders))}, which "
+                "holds it too"
+            )
 
 
 def _made(robot: Robot, links: Sequence[int], coordinates: Sequence[int], **changes: Any) -> Robot:

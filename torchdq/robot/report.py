@@ -44,11 +44,8 @@ class Report(NamedTuple):
 
 def _range(robot: Robot, joint: str) -> str:
     """Limits of a joint that is a coordinate; of another one, the coordinates that it follows."""
-    factors = {joint: 1.0}
-    if robot.joint_map is not None:
-        row = robot.joint_map.S[robot.every_joint.index(joint)].tolist()
-        factors = {name: x for name, x in zip(robot.joint_names, row, strict=True) if x}
-    if factors != {joint: 1.0}:
-        return "follows " + (" + ".join(f"{x:g} {name}" for name, x in factors.items()) or "nothing")
+    followed = f"1 {joint}" if robot.joint_map is None else robot.joint_map.followed(joint, robot.joint_names)
+    if followed != f"1 {joint}":
+        return f"follows {followed}"
     i = robot.joint_index(joint)
     return f"[{float(robot.limits.lower[..., i].min()):.4g}, {float(robot.limits.upper[..., i].max()):.4g}]"

@@ -24,7 +24,7 @@ from torchdq.robot import combined, coupled, loading, mjcf_writer, reduced, urdf
 from torchdq.robot.changes import check, complaints, require_fields, require_unchanged, stacked, values
 from torchdq.robot.consistency import OnUnphysical
 from torchdq.robot.constants import Constants, hold, stored
-from torchdq.robot.description import Frame, JointMap, Limits
+from torchdq.robot.description import NO_TIP, Frame, JointMap, Limits
 from torchdq.robot.fields import DESCRIBED, SHAPES, batches, present, require_shapes
 from torchdq.robot.report import Report
 from torchdq.robot.tree import general_tree, unbound
@@ -89,6 +89,8 @@ class Robot:
         if self._constants is None:
             own = {name: x for name, x in values(self).items() if name != "notes"}
             made["_constants"] = Constants.of(own, {name: len(SHAPES[name]) for name in names})
+        if self.tip is not None:
+            made["notes"] = tuple([note for note in self.notes if NO_TIP not in note])
         for name, value in made.items():
             object.__setattr__(self, name, value)
 

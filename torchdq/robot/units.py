@@ -1,4 +1,4 @@
-"""Doubts about the units of a robot: bodies that lie, or reach, far beyond everything else about it, and its length.
+"""Doubts about the units of a robot: bodies that lie, or reach, far beyond all else about it, its length, its angles.
 
 A centre of mass in mm lies a thousand times too far from its frame, and an inertia in kg mm^2 is that of a body a
 thousand times too large. Such a robot can exist, so these are doubts and not faults. Masses and inertias that are all
@@ -7,8 +7,9 @@ too large by one factor look like those of another material, and a mass in g lik
 
 from __future__ import annotations
 
+import math
 import warnings
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -26,6 +27,8 @@ LONG = 50.0  # length of a robot that is doubted [m], where one of its steps is 
 STEP = 5.0  # this [m]: chains of hundreds of short links exist
 FAR = 10.0  # distance of a centre of mass from its frame that is doubted, in lengths of the robot
 LARGE = 16.0  # radius of gyration that is doubted, likewise
+TURN = 2 * math.pi + 1e-5  # largest angle [rad] of a placement; degrees are larger
+TURNS = (20.0, 720.0)  # limits of a turning joint that are doubted [rad]; those of 1000 and more stand for none
 SLENDER = 200.0  # distance of a centre of mass that is believed, in radii of gyration: a bob on a long string
 
 
@@ -34,14 +37,17 @@ def without_numbers(fault: str) -> str:
     return fault.partition(", found")[0]
 
 
-def doubts(robot: Robot, quiet: bool = False, stacklevel: int = 4, known: Collection[str] = ()) -> list[str]:
-    """Links and lengths whose numbers seem to be in other units than m, kg and kg m^2, and why; warns unless `quiet`.
+def doubts(
+    robot: Robot, quiet: bool = False, stacklevel: int = 4, known: Collection[str] = (), said: Sequence[str] = ()
+) -> list[str]:
+    """Numbers that seem to be in other units than m, rad, kg and kg m^2, and why; warns unless `quiet`.
 
     `stacklevel` is as in `warnings.warn`. Numbers that cannot be read, inside a transform, are not doubted, nor is what
-    is `known`: doubts without their numbers.
+    is `known`: doubts without their numbers. Doubts that a reader of files `said` come first.
     """
     needed = (robot.X_PB_home, robot.screw, robot.mass, robot.com, robot.inertia, *robot.limits)
-    found = [] if without_values(needed) else [x for x in _doubts(robot) if without_numbers(x) not in known]
+    own = [] if without_values(needed) else [x for x in _doubts(robot) if without_numbers(x) not in known]
+    found = [*said, *own]
     if found and not quiet:
         lines = "\n  ".join(found)
         warnings.warn(f"robot {robot.name!r} may have numbers in other units:\n  {lines}", stacklevel=stacklevel)
@@ -69,6 +75,13 @@ def _doubts(robot: Robot) -> Iterator[str]:
             )
 
 
+    kinds = dict(zip(robot.every_joint, robot.kinds, strict=True))
+    for name, *ends in zip(robot.joint_names, *map(_first, robot.limits[:2]), strict=True):
+        # a coordinate that is no joint of its own moves several
+        if name in kinds and KINDS[kinds[name]].turns and any(TURNS[0] < abs(x) <= TURNS[1] for x in ends):
+            yield f"joint {name!r}: limits must be in rad, found {ends[0]:g} to {ends[1]:g}; are they in degrees?"
+
+
 def _length(robot: Robot) -> float:
     """Longest way [m] from the base along the joints to a frame, with sliding joints at their ends."""
     steps = _steps(robot)
@@ -85,6 +98,12 @@ def _length(robot: Robot) -> float:
 def _steps(robot: Robot) -> list[float]:
     """Distances [m] of the links' frames from those of their parents, at home, [n]."""
     return _largest(2 * robot.X_PB_home[..., 4:].norm(dim=-1))  # |translation| is twice the norm of the dual part
+
+
+def _first(x: Tensor) -> list[float]:
+    """Number of every coordinate, [n], of the first of all robots."""
+    x = x.detach().double()
+    return (x.flatten(0, -2)[0] if x.ndim > 1 else x).tolist()
 
 
 def _largest(x: Tensor) -> list[float]:

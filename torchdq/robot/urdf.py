@@ -13,7 +13,7 @@ from torchdq.algebra.quaternion import ZERO
 from torchdq.dynamics.tree import BASE
 from torchdq.robot import consistency
 from torchdq.robot.arrays import SIX, double, matrices
-from torchdq.robot.description import Frame, Limits, RobotDescription
+from torchdq.robot.description import NO_TIP, Frame, Limits, RobotDescription
 from torchdq.robot.urdf_document import Document, parse, text_of
 from torchdq.robot.urdf_elements import MOVING, Inertial, UrdfJoint
 from torchdq.robot.urdf_lock import locked, notes_of
@@ -23,8 +23,8 @@ from torchdq.robot.urdf_tree import lumped, tree_of
 
 def read(
     source: Any, kept: Any, lock: Any, base: str = "fixed", mimic: str = "coupled", repair: bool = False
-) -> tuple[RobotDescription, list[str]]:
-    """Description and its faults; `Robot.from_urdf` says what is expected."""
+) -> tuple[RobotDescription, list[str], tuple[str, ...]]:
+    """Description, its faults, and doubts about units; `Robot.from_urdf` says what is expected."""
     free = base == "floating"
     document = parse(text_of(source), free, mimic == "coupled")
     at = locked(document, kept, lock)
@@ -67,7 +67,7 @@ def read(
         joint_map=joint_map,
         notes=(*notes, *_notes(document, tree.joints, moving, leaves, at, coupled, mimic == "independent")),
     )
-    return description, faults
+    return description, faults, document.doubts
 
 
 def _screw(joint: UrdfJoint) -> tuple[float, ...]:
@@ -128,6 +128,6 @@ def _notes(
         (f"links without mass: {massless}", massless),
         (f"links with mass but without <inertia>, taken as points at their centres of mass: {points}", points),
         *((f"{what}: {listed(wanted)}", listed(wanted)) for what, wanted in given),
-        (f"no tip chosen among the leaves {', '.join(leaves)}; name one with tip=", len(leaves) > 1),
+        (f"{NO_TIP} {', '.join(leaves)}; name one with tip=", len(leaves) > 1),
     ]
     return tuple(note for note, applies in notes if applies)

@@ -13,7 +13,8 @@ from torchdq.errors import DescriptionError, MissingFileError
 from torchdq.robot.urdf_elements import MOVING, Inertial, UrdfJoint, inertial_of, joint_of, listed, name_in
 from torchdq.robot.urdf_mimic import Driven, followers, orphans, stuck
 from torchdq.robot.urdf_planar import taken_apart
-from torchdq.robot.urdf_xml import root_of, unread
+from torchdq.robot.urdf_slips import in_degrees, slips
+from torchdq.robot.urdf_xml import root_of
 from torchdq.sources import content
 
 MOST_BYTES = 10_000_000
@@ -30,6 +31,7 @@ class Document(NamedTuple):
     followers: dict[str, Driven]  # moving joints that follow others by <mimic>, unless all are independent
     stuck: dict[str, float]  # positions [rad or m] of mimic joints that never move
     notes: tuple[str, ...]  # parts of the file that are wrong and not needed
+    doubts: tuple[str, ...]  # angles that seem to be in degrees
 
 
 def text_of(source: Any) -> str:
@@ -81,7 +83,7 @@ def parse(text: str, free: bool, coupled: bool) -> Document:
     fixed = stuck(joints, follow)
     lost = orphans(joints) if coupled else []
     notes = {
-        **{note: True for note in unread(root)},
+        **{note: True for note in slips(root, links, elements)},
         f"links that nothing carries and that have neither bodies nor joints, left out: {', '.join(others)}": others,
         f"<inertial> cannot be read in links that never move: {', '.join(excused)}": excused,
         **_gaps(links, elements),
@@ -97,6 +99,7 @@ def parse(text: str, free: bool, coupled: bool) -> Document:
         {name: follows for name, follows in follow.items() if name not in fixed},
         fixed,
         tuple(note for note, applies in notes.items() if applies),
+        tuple(in_degrees(bodies, joints)),
     )
 
 

@@ -34,7 +34,8 @@ def to_urdf(robot: Robot, original: Any) -> str:
     Only masses, centres of mass, inertias, damping, friction and limits that differ from the file's are written, with
     all their digits; everything else stays byte for byte. If nothing differs, the text is the original. A link that
     carries others on fixed joints takes on all that changed of their common body, so that the others stay as they are:
-    read again, the text gives the robot. Gravity and the tip are no part of a URDF file.
+    read again, the text gives the robot, with mimic="independent" if it was read so: <mimic> stays in the text. Gravity
+    and the tip are no part of a URDF file.
 
     Args:
         robot: the robot, with all joints of the file.
@@ -52,8 +53,11 @@ def to_urdf(robot: Robot, original: Any) -> str:
     <link name='b'><inertial><mass value="3.0"/></inertial>
     """
     text = text_of(original)
-    floating: dict[str, Any] = {} if robot.base_mass is None else {"base": "floating"}
-    first = type(robot).from_urdf(text, on_unphysical="ignore", **floating)
+    options: dict[str, Any] = {"on_unphysical": "ignore", "base": "fixed" if robot.base_mass is None else "floating"}
+    first = type(robot).from_urdf(text, **options)
+    if first.joint_map is not None and robot.joint_map is None:
+        options["mimic"] = "independent"
+        first = type(robot).from_urdf(text, **options)
     require_same_tree(robot, first)
     xml = XmlText(text)
     links = {element.attributes.get("name", ""): element for element in xml.root.children if element.tag == "link"}
@@ -65,7 +69,7 @@ def to_urdf(robot: Robot, original: Any) -> str:
         _write_joint(xml, joints[joint], changes, joint in coupled)
     written = str(xml)
     if written != text:
-        require_read_back(robot, type(robot).from_urdf(written, on_unphysical="ignore", **floating))
+        require_read_back(robot, type(robot).from_urdf(written, **options))
     return written
 
 

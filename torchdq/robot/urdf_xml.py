@@ -13,11 +13,6 @@ MOST_TAGS = 200_000
 MOST_ATTRIBUTES = 200_000
 # children of <robot>, besides links and joints, that say nothing of a tree of bodies
 BESIDES = {"material", "gazebo", "transmission", "ros2_control", "sensor", "mujoco"}
-KNOWN = {
-    "robot": {"link", "joint"} | BESIDES,
-    "link": {"inertial", "visual", "collision", "sensor", "contact"},
-    "joint": {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "calibration", "safety_controller"},
-}
 SEMANTIC = {
     "group",
     "group_state",
@@ -82,23 +77,3 @@ def _xacro(root: ET.Element) -> Iterator[str]:
             if name.startswith("xacro:") or "${" in value or "$(" in value:
                 yield f'{name}="{value}"'
         elements += reversed(element)
-
-
-def unread(root: ET.Element) -> list[str]:
-    """Notes about tags that no URDF has, which may be misspelt, and about prefixes that are not declared."""
-    found = {
-        child.tag
-        for element in (root, *root.findall("link"), *root.findall("joint"))
-        for child in element
-        if ":" not in child.tag and child.tag not in KNOWN[element.tag]
-    }
-    names = {name for element in root.iter() for name in (element.tag, *element.attrib) if ":" in name}
-    declared = {"xml", "xmlns"} | {name.removeprefix("xmlns:") for name in names if name.startswith("xmlns:")}
-    prefixes = {name.partition(":")[0] for name in names} - declared
-    notes = {"tags that are not of URDF, not read": found, "XML prefixes that are not declared": prefixes}
-    return [f"{note}: {', '.join(_some(names))}" for note, names in notes.items() if names]
-
-
-def _some(names: set[str]) -> list[str]:
-    """Names in their order, the first twenty, shortened."""
-    return [reprlib.repr(name)[1:-1] for name in sorted(names)[:20]]
