@@ -20,6 +20,7 @@ from torchdq.robot.posed import GEOMETRY
 from torchdq.robot.robot import SHAPES, batches
 from torchdq.robot.shipped import ROBOTS, load
 
+MEMORY = "memory"  # name of the rows that effects remember
 COUNTS = ("steps", "counter")  # entries of a saved state that count from 0
 METHODS = ("inputs", "draws", "start", "bounds", "rows")  # every task has them
 TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track()}
@@ -108,12 +109,22 @@ def check_scene(scene: Scene, num_envs: int) -> None:
                 )
 
 
-def check_state(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) -> None:
-    """Raise unless a saved state has the entries of an environment's own, in their dtypes and shapes, and is finite."""
+def saved(rows: Mapping[str, Tensor], scene: Scene) -> dict[str, Tensor]:
+    """Rows as they are saved: what effects remember is named after them, so that no others take it for theirs."""
+    owners = ", ".join(type(effect).__name__ for effect in scene.effects if effect.memory(scene.n))
+    return {f"{MEMORY} of {owners}" if name == MEMORY else name: x for name, x in rows.items()}
+
+
+def state_of(state: Mapping[str, Tensor], blank: Mapping[str, Tensor], scene: Scene) -> dict[str, Tensor]:
+    """Rows of a saved state; raises unless it has the names, dtypes and shapes of a blank one, and is finite."""
+    own = saved(blank, scene)
     if not isinstance(state, Mapping):
         raise ArgumentError(f"state must be a dict of tensors, from get_state(), found {type(state).__name__}")
     if set(state) != set(own):
-        raise ArgumentError(f"state must have the entries {sorted(own)}, found {sorted(map(str, state))}")
+        raise ArgumentError(
+            f"state must have the entries {sorted(own)}, found {sorted(map(str, state))}; was it saved by an "
+            "environment with other effects?"
+        )
     for name, x in state.items():
         label, like = f"state[{name!r}]", own[name]
         require_tensor(label, x)
@@ -128,6 +139,7 @@ def check_state(state: Mapping[str, Tensor], own: Mapping[str, Tensor]) -> None:
             raise ArgumentError(f"{label} must be finite, found {found} in row {bad[0, 0].item()}")
         if name in COUNTS and bool((x < 0).any()):
             raise ArgumentError(f"{label} must not be negative, found {x.min().item()}")
+    return {name: state[key] for name, key in zip(blank, own, strict=True)}
 
 
 def reset_mask_of(mask: Any, num_envs: int, device: torch.device, looks: bool) -> Tensor | None:

@@ -33,7 +33,7 @@ from torchdq.backends.choice import BackendName
 from torchdq.checks import device_of, dtype_of, require_choice, require_count
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, full
-from torchdq.envs.arguments import autoreset_of, check_scene, check_state, reset_mask_of, robot_of, task_of
+from torchdq.envs.arguments import autoreset_of, check_scene, reset_mask_of, robot_of, saved, state_of, task_of
 from torchdq.envs.controllers import ComputedTorque, Controller
 from torchdq.envs.defaults import nominal, usual
 from torchdq.envs.integrators import Integrator, LinearlyImplicit
@@ -293,7 +293,7 @@ class ArmVectorEnv(VectorEnv):
     def get_state(self) -> dict[str, Tensor]:
         """Copy of all that steps change: states, goals, random numbers, parameters; for `set_state`."""
         self._started("get_state")
-        return {name: x.clone() for name, x in (*self._buffers.items(), *self._drawn().items())}
+        return {name: x.clone() for name, x in saved({**self._buffers, **self._drawn()}, self.scene).items()}
 
     def set_state(self, state: Mapping[str, Tensor]) -> None:
         """Continue from a state of an environment that was constructed alike.
@@ -302,8 +302,7 @@ class ArmVectorEnv(VectorEnv):
             state: from `get_state`, or from `torch.load` of such.
         """
         self._open()
-        own = {**self._blank(), **self._drawn()}
-        check_state(state, own)
+        state = state_of(state, {**self._blank(), **self._drawn()}, self.scene)
         for name, x in self._drawn().items():
             x.copy_(state[name])
         self._keep({name: x.to(self.device, copy=True) for name, x in state.items() if "." not in name})

@@ -121,6 +121,15 @@ def test_payloads_of_a_batch_and_their_gradients():
     assert robot.with_payload(MASS, learned).com.requires_grad and not robot.com.requires_grad
 
 
+@pytest.mark.parametrize("name, axes", [("mass", ()), ("com", (3,)), ("inertia", (6,))])
+def test_a_batch_of_payloads_that_does_not_fit_that_of_the_robot_is_refused_by_name(name, axes):
+    robot = torchdq.robots.load("two_link")
+    several = torchdq.Robot.stack([robot, robot.replace(mass=2 * robot.mass)])
+    wrong = {"mass": 1.0, name: torch.ones(3, *axes, dtype=F64)}
+    with pytest.raises(torchdq.ArgumentError, match=rf"^{name} must have batch axes .* mass .*, \(2,\), found \(3,\)"):
+        several.with_payload(**wrong)
+
+
 def test_another_payload_needs_no_new_program():
     robot = torchdq.robots.load("two_link")
     q = torch.zeros(2, dtype=F64)

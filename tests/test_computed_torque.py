@@ -13,6 +13,7 @@ import torch
 from oracles import random_tree, shipped, states
 
 import torchdq
+from torchdq.envs import controllers
 
 BACKEND = "auto"
 
@@ -153,6 +154,47 @@ def test_learning_finds_the_gains_behind_recorded_torques():
 def test_bad_gains_are_refused_by_name(gain, bad):
     with pytest.raises(torchdq.ArgumentError, match=rf"{gain} must be .* not negative"):
         torchdq.ComputedTorque(ARMS["two_link"], **{"kp": 25.0, "kd": 10.0, gain: bad})
+
+
+NO_GAINS = {
+    "complex": 1j,
+    "truth": True,
+    "infinite": math.inf,
+    "beyond floats": 10**400,
+    "word": "1",
+    "none": None,
+    "truths": [True, False],
+    "complex numbers": [1j, 1.0],
+    "complex array": np.array([1j, 1.0]),
+    "complex tensor": torch.tensor([1j, 1.0]),
+    "complex tensor of one number": torch.tensor(1j),
+    "words": ["1", "2"],
+    "too many": [1.0, 2.0, 3.0],
+    "too few": [1.0],
+    "rows": [[1.0, 2.0], [3.0, 4.0]],
+    "uneven rows": [[1.0], [3.0, 4.0]],
+    "by name": {"joint1": 1.0},
+}
+
+
+@pytest.mark.parametrize("bad", NO_GAINS)
+@pytest.mark.parametrize("gain", ["kp", "kd"])
+def test_what_is_no_gain_is_refused_by_name_everywhere(gain, bad):
+    robot, gains = ARMS["two_link"], {"kp": 25.0, "kd": 10.0, gain: NO_GAINS[bad]}
+    state = torch.zeros(5, 2, dtype=torch.float64)
+    for made in (
+        lambda: torchdq.ComputedTorque(robot, **gains),
+        lambda: torchdq.computed_torque(robot, *state, **gains),
+        lambda: torchdq.envs.Scene(robot, controller=controllers.ComputedTorque(**gains)),
+        lambda: torchdq.envs.Scene(robot, controller=controllers.PD(**gains)),
+    ):
+        with pytest.raises((torchdq.ArgumentError, torchdq.DtypeError), match=rf"^{gain} (of \w+ )?must"):
+            made()
+
+
+@pytest.mark.parametrize("gain", [[25, 16], (25.0, 16.0), np.array([25.0, 16.0], np.float32), torch.tensor([25, 16])])
+def test_gains_may_be_any_row_of_real_numbers(gain):
+    assert torchdq.ComputedTorque(ARMS["two_link"], gain, np.float32(10)).kp.tolist() == [25.0, 16.0]
 
 
 @pytest.mark.parametrize("wrong", ["q", "qd", "q_des", "qd_des", "qdd_des"])

@@ -490,6 +490,16 @@ def test_a_seed_that_is_none_is_refused_by_name(seed, single):
         envs.reset(seed=seed)
 
 
+def test_the_largest_seed_is_named_and_taken():
+    envs, most = make(), 2**63 - 5  # row 4 has the seed + 4
+    with pytest.raises(torchdq.ArgumentError, match=rf"from 0 to {most}, .* row i of 5 .*, found {most + 1}$"):
+        envs.reset(seed=most + 1)
+    envs.reset(seed=most)
+    with pytest.raises(torchdq.ArgumentError, match=rf"from 0 to {2**63 - 1}, found {2**63}$"):
+        envs.reset(seed=[0, 1, 2, 3, 2**63])
+    envs.reset(seed=[0, 1, 2, 3, 2**63 - 1])
+
+
 def test_calls_in_the_wrong_order_are_refused():
     envs = make()
     for call in (lambda: envs.step(torch.zeros(5, 2)), envs.get_state,
@@ -631,6 +641,16 @@ def test_wrong_states_are_refused():
         with pytest.raises(torchdq.ArgumentError, match=rf"state\['{name}'\] must be finite, found nan in row 3"):
             envs.set_state({**state, name: x})
     assert same(envs.get_state(), state)
+
+
+def test_a_state_that_other_effects_remember_is_refused():
+    lagging, late = (make(effects=(*usual(ROBOT), effect)) for effect in (effects.Lag(0.05), effects.Delay(1)))
+    for envs in (lagging, late):
+        envs.reset(seed=0)
+    state = lagging.get_state()
+    assert state["memory of Lag"].shape == late.get_state()["memory of Delay"].shape
+    with pytest.raises(torchdq.ArgumentError, match=r"'memory of Delay'.*, found .*'memory of Lag'.*other effects"):
+        late.set_state(state)
 
 
 def test_a_state_whose_counters_or_masks_were_changed_is_refused():

@@ -246,6 +246,7 @@ def test_parts_that_are_not_used_are_noted():
         "Coulomb friction given but not simulated: tilt",
         "limits given but not enforced: turn",
         "joints without actuators: tilt, joint3, yaw",
+        "actuators not simulated, but their greatest efforts, damping and rotor inertia are read: ",
         "contacts given but not simulated",
         "2 bodies without moving joints lumped",
         "no tip chosen among the leaves hand, tower",
@@ -354,8 +355,25 @@ def test_a_coupling_that_is_said_twice_holds_no_joint():
 
 def test_couplings_that_contradict_each_other_are_refused():
     text = COUPLED.replace("0.025 -0.5", "0.1 -0.5")
-    with pytest.raises(torchdq.DescriptionError, match="coupling 'again' must agree with the others"):
+    with pytest.raises(torchdq.DescriptionError, match="coupling 'again' must agree with the coupling 'both'"):
         torchdq.Robot.from_mjcf(text)
+    with pytest.raises(torchdq.DescriptionError, match="'follow' must agree with `lock` and the coupling 'both'"):
+        torchdq.Robot.from_mjcf(COUPLED, lock={"left": 0.4, "tip": 1.0})
+
+
+def test_joints_that_couplings_hold_are_told_from_locked_ones():
+    text = COUPLED.replace('joint2="left" polycoef="0.05 -2', 'polycoef="0.05 0')
+    notes = torchdq.Robot.from_mjcf(text).notes
+    assert "held by equality constraints: left at 0.3, tip at -0.025, right at -0.05" in notes
+    assert not any(note.startswith("locked") for note in notes)
+
+
+@pytest.mark.parametrize("flag", ["equality", "constraint"])
+def test_couplings_that_a_flag_disables_are_noted_and_not_used(flag):
+    text = COUPLED.replace("<worldbody>", f"<option><flag {flag}='disable'/></option><worldbody>", 1)
+    robot = torchdq.Robot.from_mjcf(text)
+    assert robot.joint_map is None and "right" in robot.joint_names
+    assert any(note.startswith("equality constraints not used: ") and "joint 'both'" in note for note in robot.notes)
 
 
 # --- free bases ------------------------------------------------------------------------------------------------------

@@ -285,8 +285,22 @@ def test_a_coordinate_is_locked_where_its_own_joint_is_at_home():
 
 
 def test_a_follower_is_not_locked_by_itself():
-    with pytest.raises(UnknownNameError, match="no movable joint to lock named 'j4'"):
-        mapped("gears").lock(["j4"])
+    told = "lock must not name joint 'j4', which is no coordinate: it follows 0.5 j3; lock 'j3', which holds it too"
+    for lock in (["j4"], {"j4": 0.1}, "j4"):
+        with pytest.raises(ArgumentError, match=told):
+            mapped("gears").lock(lock)
+    with pytest.raises(UnknownNameError, match="no movable joint to lock named 'j9'"):
+        mapped("gears").lock(["j9"])
+
+
+def test_a_batch_of_geometries_is_not_locked_and_the_message_says_how_it_can_be():
+    panda = torchdq.robots.load("panda")
+    several = Robot.stack([panda, panda.replace(home=torch.full((7,), 0.1, dtype=F64))])
+    for cut in (lambda: several.lock(["panda_joint1"]), lambda: several.subchain("panda_link1", "panda_link4")):
+        with pytest.raises(
+            ArgumentError, match="home of robot 'panda' .*; change the robots one by one and stack them"
+        ):
+            cut()
 
 
 def test_gradients_reach_a_free_base_that_links_became_part_of():

@@ -86,6 +86,70 @@ def test_a_table_of_lengths_in_mm_is_named():
         torchdq.Robot.from_dh([300, 300], [0.0, 0.0], [200, 0.0], [0.0, 0.0], **bodies)
 
 
+def hinge(lower, upper, kind="revolute", rpy="0 0 0"):
+    """Text of an arm of one joint."""
+    return (
+        f'<robot name="r"><link name="base"/><link name="rod"><inertial><mass value="1"/><origin xyz="0.3 0 0"/>'
+        f'<inertia ixx="1e-4" iyy="0.03" izz="0.03" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="j" '
+        f'type="{kind}"><parent link="base"/><child link="rod"/><axis xyz="0 0 1"/><origin rpy="{rpy}"/>'
+        f'<limit lower="{lower}" upper="{upper}" velocity="1" effort="1"/></joint></robot>'
+    )
+
+
+@pytest.mark.parametrize("lower, upper", [(-170, 170), (-45, 0.0), (0.0, 360), (-1e16, 90)])
+def test_limits_in_degrees_are_doubted(lower, upper):
+    with pytest.warns(UserWarning, match=r"joint 'j': limits must be in rad, found .* are they in degrees\?") as seen:
+        robot = torchdq.Robot.from_urdf(hinge(lower, upper))
+    assert len(seen) == 1 and "are they in degrees?" in str(robot.report())
+
+
+@pytest.mark.parametrize(
+    "lower, upper, kind",
+    [(-6.3, 6.3, "revolute"), (-10, 10, "revolute"), (-1e16, 1e16, "revolute"), (-170, 170, "continuous")],
+)
+def test_limits_of_some_turns_and_those_that_stand_for_none_are_not_doubted(lower, upper, kind):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        torchdq.Robot.from_urdf(hinge(lower, upper, kind))
+
+
+def test_replaced_limits_in_degrees_are_doubted_and_those_of_a_slide_are_not():
+    robot = torchdq.Robot.from_urdf(hinge(-1, 1))
+    with pytest.warns(UserWarning, match="are they in degrees"):
+        robot.replace(limits=robot.limits._replace(upper=double([180.0])))
+    slide = torchdq.Robot.from_urdf(hinge(-1, 1, "prismatic"))
+    assert units.doubts(slide.replace(limits=slide.limits._replace(upper=double([25.0]))), quiet=True) == []
+
+
+def test_placements_in_degrees_are_doubted():
+    told = r"joint 'j': rpy must be in rad, found 0 0 90; is it in degrees\?"
+    with pytest.warns(UserWarning, match=told) as seen:
+        robot = torchdq.Robot.from_urdf(hinge(-1, 1, rpy="0 0 90"))
+    assert len(seen) == 1 and seen[0].filename == __file__ and "is it in degrees?" in str(robot.report())
+    with pytest.warns(UserWarning, match="link 'rod': rpy of its inertial must be in rad, found -180 0 0"):
+        torchdq.Robot.from_urdf(hinge(-1, 1).replace('xyz="0.3 0 0"', 'rpy="-180 0 0"'))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        torchdq.Robot.from_urdf(hinge(-1, 1, rpy="0 0 6.28318"))
+        torchdq.Robot.from_urdf(hinge(-1, 1, rpy="0 0 90"), on_unphysical="ignore")
+
+
+def test_ranges_in_radians_in_a_file_in_degrees_are_doubted():
+    pytest.importorskip("mujoco")
+    text = (
+        "<mujoco>{}<worldbody><body name='a'><joint name='j' range='-1.57 {}'/><geom size='0.1'/></body></worldbody>"
+        "</mujoco>"
+    )
+    told = r"ranges of hinges must be in degrees .*, found none beyond 3\.14; are they in radians\?"
+    with pytest.warns(UserWarning, match=told):
+        robot = torchdq.Robot.from_mjcf(text.format("", "3.14"))
+    assert "are they in radians?" in str(robot.report())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        torchdq.Robot.from_mjcf(text.format("", "90"))
+        torchdq.Robot.from_mjcf(text.format("<compiler angle='radian'/>", "3.14"))
+
+
 def test_a_long_chain_of_short_links_is_not_doubted():
     n = 400
     bodies = {"mass": [1.0] * n, "com": [[0.1, 0.0, 0.0]] * n, "inertia": [[0.01, 0.0, 0.01, 0.0, 0.0, 0.01]] * n}
@@ -125,6 +189,7 @@ def test_every_file_in_mm_of_an_arm_of_one_link_is_doubted():
 def silent(robot):
     """Whether a robot stays undoubted with limits that are lower by a clear factor."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(units, "TURNS", (0.55 * units.TURNS[0], 1.3 * units.TURNS[1]))  # some legs turn 10 rad
         for limit in ("LONG", "STEP", "FAR", "LARGE", "SLENDER"):
             patch.setattr(units, limit, getattr(units, limit) / CLEAR)
         return units.doubts(robot, quiet=True) == []

@@ -624,7 +624,12 @@ def test_a_leaf_on_the_base_is_no_tip():
 def test_among_several_leaves_none_is_the_tip():
     robot = Robot.from_urdf(tree())
     assert robot.tip is None
-    assert "no tip chosen among the leaves left2, right1; name one with tip=" in robot.notes
+    note = "no tip chosen among the leaves left2, right1; name one with tip="
+    assert note in robot.notes
+    chosen = (Robot.from_urdf(tree(), tip="left2"), robot.with_tip("left2"), robot.replace(tip="left2"))
+    assert not any(note in str(x.report()) for x in chosen)
+    other = Robot.from_urdf(arm()).attach(robot, "lower", prefix="b_")
+    assert other.tip == "lower" and not any("no tip chosen" in x for x in other.notes)
 
 
 def test_the_tip_can_be_named():

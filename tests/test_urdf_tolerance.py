@@ -59,6 +59,65 @@ def test_tags_that_may_be_misspelt_are_told():
     assert as_arm(noted(text, "tags that are not of URDF, not read: Joint, mesh, orign"))
 
 
+SLIPS = {
+    "multiplyer": ("<mimic multiplyer='2' joint='{}'/>", "multiplyer of <mimic> in joint '{}' (is multiplier meant?)"),
+    "factor": ("<mimic factor='2' joint='{}'/>", "factor of <mimic> in joint '{}' (is multiplier meant?)"),
+    "Damping": ("<dynamics Damping='2'/>", "Damping of <dynamics> in joint '{}' (is damping meant?)"),
+    "stiffness": ("<dynamics stiffness='2'/>", "stiffness of <dynamics> in joint '{}'"),
+    "angles": ("<origin xyz='0 0 0' rotation='0 0 1'/>", "rotation of <origin> in joint '{}' (is rpy meant?)"),
+}
+
+
+@pytest.mark.parametrize("slip", SLIPS)
+def test_an_attribute_that_may_be_misspelt_is_told(slip):
+    text, told = SLIPS[slip]
+    wheel = joint("wheel", "lower", "x", "continuous", more=text.format("gone"))
+    if slip == "angles":
+        wheel = wheel.replace('<origin xyz="0.0 0.0 0.0" rpy="0.0 0.0 0.0"/>', "")
+    notes = Robot.from_urdf(also(link("x") + wheel)).notes
+    assert "attributes that are not of URDF, not read: " + told.format("wheel") in notes
+
+
+def test_limits_that_are_misspelt_are_told_and_so_is_what_is_taken_instead():
+    wrong = '<limit low="-1" max="2" velocity="3" effort="4"/>'
+    robot = Robot.from_urdf(also(link("x") + joint("j", "lower", "x", more=wrong)))
+    assert float(robot.limits.upper[2]) == 0.0
+    words = "low of <limit> in joint 'j' (is lower meant?), max of <limit> in joint 'j' (is upper meant?)"
+    assert f"attributes that are not of URDF, not read: {words}" in robot.notes
+    assert "limits left out of <limit>, taken as 0, as the format has it: j (lower and upper)" in robot.notes
+    one = Robot.from_urdf(also(link("x") + joint("j", "lower", "x", more='<limit upper="2"/>'))).notes
+    assert "limits left out of <limit>, taken as 0, as the format has it: j (lower)" in one
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        LIMIT.replace("<limit", "<limit acceleration='3' soft:lower='1'"),
+        "<dynamics damping='0' friction='0' spring_stiffness='1'/>",
+        "<mimic joint='shoulder' multiplier='1' offset='0' of='x'/>",
+    ],
+)
+def test_attributes_beside_all_of_urdf_are_extensions_and_silent(text):
+    notes = Robot.from_urdf(also(link("x") + joint("j", "lower", "x", more=text))).notes
+    assert [note for note in notes if note.startswith("attributes")] == []
+
+
+def test_elements_that_are_given_twice_are_told():
+    double = {
+        "link": link("x", 1.0).replace("<inertial>", "<inertial><mass value='7'/></inertial><inertial>"),
+        "joint": joint("j", "lower", "x", more=LIMIT + LIMIT.replace("2", "9") + '<axis xyz="1 0 0"/>'),
+    }
+    robot = Robot.from_urdf(also("".join(double.values())))
+    assert float(robot.mass[2]) == 7.0 and float(robot.limits.upper[2]) == 2.0 and same(robot.screw[2, :3], [0, 0, 1])
+    words = "2 <axis> in joint 'j', 2 <inertial> in link 'x', 2 <limit> in joint 'j'"
+    assert f"elements given more than once, of which the first is read: {words}" in robot.notes
+
+
+def test_tags_of_inertials_that_may_be_misspelt_are_told():
+    text = arm().replace("<mass ", "<Mass value='1'/><mass ", 1)
+    assert as_arm(noted(text, "tags that are not of URDF, not read: Mass"))
+
+
 @pytest.mark.parametrize(
     "more",
     [
@@ -111,6 +170,14 @@ def test_leftover_inertia_of_a_massless_link_counts_and_is_told():
         "link 'tool': it has no mass, so its inertia must be zero, found principal moments"
     )
     assert same(robot.inertia[1], 2 * np.array(ORDINARY))  # as other readers have it
+
+
+@pytest.mark.parametrize("size, told", [(0.9e-7, True), (1.1e-7, False)])
+def test_inertia_of_too_small_a_radius_of_gyration_is_in_the_report(size, told):
+    text = urdf(link("base", None), link("bead", 1.0, (size**2, 0, size**2, 0, 0, size**2)), joint("j", "base", "bead"))
+    robot = Robot.from_urdf(text, on_unphysical="ignore")
+    assert ("inertia that is rounding taken as zero: bead" in str(robot.report())) == told
+    assert bool((robot.inertia == 0).all()) == told
 
 
 @pytest.mark.parametrize("mass", [1.0, 0.0])

@@ -102,6 +102,19 @@ def test_an_unchanged_robot_is_the_original_byte_for_byte(tmp_path):
     assert robot.to_urdf(path).encode() == path.read_bytes()
 
 
+MIMIC = TEXT.replace('<dynamics damping="0.1">', '<mimic joint="shoulder" multiplier="2"/><dynamics damping="0.1">')
+
+
+def test_a_robot_of_independent_mimic_joints_is_written_and_read_back_so():
+    robot = read_urdf(MIMIC, mimic="independent")
+    assert robot.to_urdf(MIMIC) == MIMIC and read_urdf(MIMIC).to_urdf(MIMIC) == MIMIC
+    other = robot.replace(damping=torch.tensor([0.5, 0.25, 0.75], dtype=torch.float64), mass=2 * robot.mass)
+    text = other.to_urdf(MIMIC)
+    again = read_urdf(text, mimic="independent")
+    assert again.damping.tolist() == [0.5, 0.25, 0.75] and torch.allclose(again.mass, other.mass, rtol=TOLERANCE)
+    assert '<mimic joint="shoulder" multiplier="2"/>' in text
+
+
 def test_single_precision_writes_only_what_was_changed():
     robot = read_urdf(TEXT).to(torch.float32)
     damping = robot.damping.clone()

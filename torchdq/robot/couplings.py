@@ -64,7 +64,10 @@ def solved(joints: int, held: Mapping[int, float], couplings: Sequence[JointCoup
         else:
             continue
         told = (*behind, f"the coupling {name!r}")
-        causes = [tuple(dict.fromkeys((*cause, *told))) if x.root == joint else cause for cause, x in zip(causes, found, strict=True)]
+        causes = [
+            tuple(dict.fromkeys((*cause, *told))) if x.root == joint else cause
+            for cause, x in zip(causes, found, strict=True)
+        ]
         found = _with(found, joint, by)
     return found
 

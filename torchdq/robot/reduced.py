@@ -190,7 +190,9 @@ def _require_coordinates(robot: Robot, lock: Any) -> None:
     """Raise if joints to lock are named that follow coordinates."""
     for name in (lock,) if isinstance(lock, str) else lock if isinstance(lock, Iterable) else ():
         if robot.joint_map is not None and name in robot.every_joint and name not in robot.joint_names:
-            leaders = [x for x, factor in zip(robot.joint_names, factors(robot)[robot.every_joint.index(name)]) if factor]
+            leaders = [
+                x for x, factor in zip(robot.joint_names, factors(robot)[robot.every_joint.index(name)]) if factor
+            ]
             raise ArgumentError(
                 f"lock must not name joint {name!r}, which is no coordinate: it follows "
                 f"{robot.joint_map.followed(name, robot.joint_names)}; lock {' and '.join(map(repr, leaders))}, which "

@@ -74,7 +74,6 @@ def _doubts(robot: Robot) -> Iterator[str]:
                 f"sqrt(inertia / mass) of {radius:.4g} m, {among}; is the inertia in kg mm^2?"
             )
 
-
     kinds = dict(zip(robot.every_joint, robot.kinds, strict=True))
     for name, *ends in zip(robot.joint_names, *map(_first, robot.limits[:2]), strict=True):
         # a coordinate that is no joint of its own moves several
