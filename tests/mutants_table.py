@@ -2260,6 +2260,12 @@ MUTANTS = (
             "units.py::test_a_table_of_lengths_in_mm_is_named",
         ),
         (
+            "limits in degrees believed",
+            "TURNS[0] < abs(x) <= TURNS[1]",
+            "abs(x) < 0",
+            "units.py::test_limits_in_degrees_are_doubted",
+        ),
+        (
             "centres of mass in mm believed",
             "far > max(FAR * length, SLENDER * radius)",
             "far > 1e9",
@@ -2749,12 +2755,75 @@ MUTANTS = (
         ),
     ),
     *within(
-        "envs/arguments.py",
+        "envs/rng.py",
         (
             "seeds of any kind",
-            "if not whole and not (each and x is None):",
+            "if not (whole and 0 <= int(x) <= most) and not (each and x is None):",
             "if False:",
             "envs.py::test_a_seed_that_is_none_is_refused_by_name",
+        ),
+    ),
+    *within(
+        "torchdq/robot/urdf_slips.py",
+        (
+            "misspelt attributes not told",
+            "if meant or len(missing)",
+            "if len(missing)",
+            "urdf_tolerance.py::test_limits_that_are_misspelt_are_told_and_so_is_what_is_taken_instead",
+        ),
+        (
+            "extensions told",
+            "len(missing) == len(ATTRIBUTES[part.tag])",
+            "True",
+            "urdf_tolerance.py::test_attributes_beside_all_of_urdf_are_extensions_and_silent",
+        ),
+        (
+            "elements given twice not told",
+            "if count > 1",
+            "if count > 2",
+            "urdf_tolerance.py::test_elements_that_are_given_twice_are_told",
+        ),
+        (
+            "placements in degrees believed",
+            "abs(angle) > TURN",
+            "abs(angle) > 1e9",
+            "units.py::test_placements_in_degrees_are_doubted",
+        ),
+    ),
+    *within(
+        "torchdq/backends/compiler.py",
+        (
+            "compilers that outlive their process",
+            "guards.append(subprocess.Popen([*GUARD, *groups]",
+            'guards.append(subprocess.Popen(["/bin/cat"]',
+            f"{BUILD}::test_a_compiler_ends_with_the_process_that_started_it",
+        ),
+    ),
+    *within(
+        "torchdq/control.py",
+        (
+            "complex gains cut",
+            "x.dtype != torch.bool and not x.is_complex()",
+            "True",
+            "computed_torque.py::test_what_is_no_gain_is_refused_by_name_everywhere",
+        ),
+    ),
+    *within(
+        "torchdq/robot/mjcf_joints.py",
+        (
+            "disabled couplings used",
+            "if linear and not off and",
+            "if linear and",
+            f"{MJCF}::test_couplings_that_a_flag_disables_are_noted_and_not_used",
+        ),
+    ),
+    *within(
+        "envs/arguments.py",
+        (
+            "memory of any effects restored",
+            'f"{MEMORY} of {owners}" if name == MEMORY else name',
+            "name",
+            "envs.py::test_a_state_that_other_effects_remember_is_refused",
         ),
         (
             "saved states that are not finite",

@@ -120,10 +120,8 @@ def stacked(kind: type[Robot], robots: Sequence[Robot]) -> Robot:
         if name in ("name", "notes") or all(_equal(value, other) for other in found):
             continue
         if name not in STACKED:
-            other = next(x for x in found if not _equal(value, x))
-            raise ArgumentError(
-                f"robots of a stack must have the same {name}, found {_difference(first, value, other)}"
-            )
+            two = _difference(first, value, next(x for x in found if not _equal(value, x)))
+            raise ArgumentError(f"robots of a stack must have the same {name}, found {two}")
         changes[name] = Limits(*map(_together, zip(*found, strict=True))) if name == "limits" else _together(found)
     if not {*SHAPES} & {*changes}:  # equal robots are several, too
         changes["mass"] = _together([robot.mass for robot in robots])

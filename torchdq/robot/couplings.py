@@ -64,10 +64,8 @@ def solved(joints: int, held: Mapping[int, float], couplings: Sequence[JointCoup
         else:
             continue
         told = (*behind, f"the coupling {name!r}")
-        causes = [
-            tuple(dict.fromkeys((*cause, *told))) if x.root == joint else cause
-            for cause, x in zip(causes, found, strict=True)
-        ]
+        moved = [x.root == joint for x in found]
+        causes = [(*dict.fromkeys((*x, *told)),) if moves else x for x, moves in zip(causes, moved, strict=True)]
         found = _with(found, joint, by)
     return found
 

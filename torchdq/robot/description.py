@@ -12,7 +12,6 @@ from torchdq.errors import DescriptionError
 from torchdq.robot import consistency
 from torchdq.robot.arrays import IDENTITY, SIX, distinct, inertias, matrices, table
 
-
 NO_TIP = "no tip chosen among the leaves"  # beginning of a note that goes when a tip is chosen
 
 

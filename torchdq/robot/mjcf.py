@@ -60,9 +60,8 @@ def read(source: Any, base: MjcfBase, kept: Any, lock: Any) -> Mjcf:
     locked = {name: x for name, x in at.items() if name not in still}
     told_of = told(locked, {j.name: (j.lower, j.upper) for j in joints if j.name in locked})
     notes = [*mjcf_notes.notes(of, joints, moves, links, found.others), *_held(joints, moves), *told_of]
-    notes += ["held by equality constraints: " + ", ".join(f"{name} at {x:g}" for name, x in still.items())] * any(
-        still
-    )
+    standing = ", ".join(f"{name} at {x:g}" for name, x in still.items())
+    notes += [f"held by equality constraints: {standing}"] if standing else []
     if len(links.leaves) > 1:
         notes.append(f"{NO_TIP} {', '.join(links.leaves)}; name one with tip=")
     description = _description(of.name, joints, moves, links, free is not None, tuple(notes))

@@ -6,7 +6,7 @@ Masses, centres of mass and inertias keep their batch axes and gradients, so a b
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -188,15 +188,15 @@ def _require_constant_geometry(robot: Robot) -> None:
 
 def _require_coordinates(robot: Robot, lock: Any) -> None:
     """Raise if joints to lock are named that follow coordinates."""
-    for name in (lock,) if isinstance(lock, str) else lock if isinstance(lock, Iterable) else ():
-        if robot.joint_map is not None and name in robot.every_joint and name not in robot.joint_names:
-            leaders = [
-                x for x, factor in zip(robot.joint_names, factors(robot)[robot.every_joint.index(name)]) if factor
-            ]
+    if robot.joint_map is None or not isinstance(lock, Collection):
+        return
+    for name in (lock,) if isinstance(lock, str) else lock:
+        if name in robot.every_joint and name not in robot.joint_names:
+            row = robot.joint_map.S[robot.every_joint.index(name)].tolist()
+            leaders = [repr(leader) for leader, factor in zip(robot.joint_names, row, strict=True) if factor]
             raise ArgumentError(
                 f"lock must not name joint {name!r}, which is no coordinate: it follows "
-                f"{robot.joint_map.followed(name, robot.joint_names)}; lock {' and '.join(map(repr, leaders))}, which "
-                "holds it too"
+                f"{robot.joint_map.followed(name, robot.joint_names)}; lock {' and '.join(leaders)}, which holds it too"
             )
 
 
