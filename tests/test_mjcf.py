@@ -361,6 +361,31 @@ def test_couplings_that_contradict_each_other_are_refused():
         torchdq.Robot.from_mjcf(COUPLED, lock={"left": 0.4, "tip": 1.0})
 
 
+def test_couplings_that_hold_every_joint_are_refused_by_name():
+    twice = "".join(f"<joint name='{x}' joint1='j' joint2='k' polycoef='0 {x} 0 0 0'/>" for x in "12")
+    links = (
+        "<body name='a'><joint name='j'/><geom size='1'/><body name='b'><joint name='k'/><geom size='1'/></body></body>"
+    )
+    text = f"<mujoco><worldbody>{links}</worldbody><equality>{twice}</equality></mujoco>"
+    with pytest.raises(
+        torchdq.DescriptionError, match="found that '1' and '2' hold all joints still; leave one of them"
+    ):
+        torchdq.Robot.from_mjcf(text)
+
+
+def test_a_position_beyond_the_range_is_warned_of():
+    with pytest.warns(
+        UserWarning, match="locked beyond its limits: turn at 90, .* in rad or m, not in degrees"
+    ) as seen:
+        torchdq.Robot.from_mjcf(ARM, lock={"turn": 90})
+    assert seen[0].filename == __file__
+
+
+def test_a_range_that_ends_before_it_begins_is_noted():
+    robot = torchdq.Robot.from_mjcf(ARM.replace('range="-90 120"', 'range="120 -90"'))
+    assert "ranges that end before they begin, taken as none: turn" in robot.notes
+
+
 def test_joints_that_couplings_hold_are_told_from_locked_ones():
     text = COUPLED.replace('joint2="left" polycoef="0.05 -2', 'polycoef="0.05 0')
     notes = torchdq.Robot.from_mjcf(text).notes

@@ -113,6 +113,32 @@ def test_elements_that_are_given_twice_are_told():
     assert f"elements given more than once, of which the first is read: {words}" in robot.notes
 
 
+def test_tags_in_the_wrong_place_are_told():
+    body = link("x", 1.0)
+    text = also(body.replace("<inertial>", "").replace("</inertial>", "") + fixed("f", "lower", "x") + LIMIT)
+    words = "<inertia> in link 'x', <limit> in <robot>, <mass> in link 'x', <origin> in link 'x'"
+    assert as_arm(noted(text, f"tags in the wrong place, not read: {words}"))
+
+
+def test_attributes_of_joints_that_belong_to_their_elements_are_told():
+    text = arm().replace('<joint name="elbow"', '<joint name="elbow" damping="1" dont_collapse="1"')
+    assert as_arm(noted(text, "attributes that are not of URDF, not read: damping in joint 'elbow'"))
+
+
+@pytest.mark.parametrize("zero", ["effort", "velocity", "lower and upper"])
+def test_limits_of_zero_are_told(zero):
+    limits = {"lower": -1, "upper": 2, "effort": 3, "velocity": 4} | dict.fromkeys(zero.split(" and "), 0)
+    more = "<limit " + " ".join(f'{key}="{x}"' for key, x in limits.items()) + "/>"
+    noted(also(link("x") + joint("j", "lower", "x", more=more)), "limits of zero, which leave no room: j")
+
+
+def test_an_attribute_that_is_absent_is_told_from_an_empty_one():
+    assert "link 'upper': mass value must be a finite number, found none beside 'val'" in refusal(
+        arm().replace("<mass value", "<mass val", 1)
+    )
+    assert "mass value must be a finite number, found ''" in refusal(arm(mass=""))
+
+
 def test_tags_of_inertials_that_may_be_misspelt_are_told():
     text = arm().replace("<mass ", "<Mass value='1'/><mass ", 1)
     assert as_arm(noted(text, "tags that are not of URDF, not read: Mass"))

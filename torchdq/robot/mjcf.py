@@ -19,13 +19,13 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, DescriptionError
 from torchdq.robot import consistency, mjcf_notes
 from torchdq.robot.arrays import MOST, double, matrices
-from torchdq.robot.couplings import Follows, solved
+from torchdq.robot.couplings import Follows, JointCoupling, solved
 from torchdq.robot.description import NO_TIP, JointMap, Limits, RobotDescription
 from torchdq.robot.lumps import NOTHING
 from torchdq.robot.mjcf_joints import BALL, FREE, MjcfJoint, equalities, joints_of
 from torchdq.robot.mjcf_links import Links, links_of
 from torchdq.robot.mjcf_source import MjcfModel, compiled
-from torchdq.robot.urdf_lock import KIND, positions, require_free, told
+from torchdq.robot.urdf_lock import KIND, positions, require_free, tell_if_beyond, told
 
 MjcfBase = Literal["file", "fixed", "floating"]
 
@@ -48,8 +48,9 @@ def read(source: Any, base: MjcfBase, kept: Any, lock: Any) -> Mjcf:
     of = compiled(source)
     joints = joints_of(of)
     found = equalities(of, joints)
-    given = _given(joints, base, lock)
+    given = _given(of, joints, base, lock)
     moves, freely = (solved(len(joints), held, found.couplings) for held in (given, {}))
+    _require_motion(joints, freely, found.couplings)
     if kept is not None:
         moves = _kept(joints, moves, kept, lock)
     at = {j.name: j.home + moves[j.row].offset for j in joints if j.single and moves[j.row].root is None}
@@ -74,11 +75,13 @@ def read(source: Any, base: MjcfBase, kept: Any, lock: Any) -> Mjcf:
 # --- joints that move ------------------------------------------------------------------------------------------------
 
 
-def _given(joints: Sequence[MjcfJoint], base: MjcfBase, lock: Any) -> dict[int, float]:
+def _given(of: MjcfModel, joints: Sequence[MjcfJoint], base: MjcfBase, lock: Any) -> dict[int, float]:
     """Displacements [rad or m] of the joints that arguments hold."""
     by_name = {joint.name: joint for joint in joints}
     held = {joint.row: 0.0 for joint in joints if joint.kind == FREE and base == "fixed"}
-    for name, value in positions(() if lock is None else lock, by_name).items():
+    asked = positions(() if lock is None else lock, by_name)
+    tell_if_beyond(of.name, asked, {joint.name: (joint.lower, joint.upper) for joint in joints}, stacklevel=4)
+    for name, value in asked.items():
         joint = by_name[name]
         if value is not None and not joint.single:
             raise ArgumentError(
@@ -87,6 +90,16 @@ def _given(joints: Sequence[MjcfJoint], base: MjcfBase, lock: Any) -> dict[int, 
             )
         held[joint.row] = 0.0 if value is None else value - joint.home
     return held
+
+
+def _require_motion(joints: Sequence[MjcfJoint], freely: Sequence[Follows], couplings: Sequence[JointCoupling]) -> None:
+    """Raise if couplings alone hold every joint."""
+    if couplings and all(freely[joint.row].root is None for joint in joints):
+        names = " and ".join(repr(coupling.name) for coupling in couplings)
+        raise DescriptionError(
+            f"equality constraints must leave a joint free, found that {names} hold all joints still; leave one of "
+            "them out"
+        )
 
 
 def _kept(joints: Sequence[MjcfJoint], moves: Sequence[Follows], kept: Any, lock: Any) -> list[Follows]:

@@ -59,6 +59,7 @@ def notes(
         ("damping that is no multiple of the velocity, not used", listed(lambda j: m.dof_dampingpoly[dof(j)].any())),
         ("Coulomb friction given but not simulated", listed(lambda j: j.friction)),
         ("limits given but not enforced", listed(lambda j: math.isfinite(j.lower) or math.isfinite(j.upper))),
+        ("ranges that end before they begin, taken as none", listed(lambda j: _reversed(of, j.row))),
         ("springs given but not simulated", listed(lambda j: _spring(of, j.row), [*moving, *free])),
         ("damping or armature of the free base, not used", listed(lambda j: _resists(of, dof(j)), free)),
         ("joints without actuators", listed(lambda j: j.effort is None) if m.nactuator else ""),
@@ -91,6 +92,11 @@ def doubts(of: MjcfModel, joints: Sequence[MjcfJoint]) -> list[str]:
         f"ranges of hinges must be in degrees in a file without <compiler angle='radian'/>, found none beyond "
         f"{most:.4g}; are they in radians?"
     ]
+
+
+def _reversed(of: MjcfModel, joint: int) -> bool:
+    low, high = of.model.jnt_range[joint].tolist()
+    return not of.model.jnt_limited[joint] and low > high
 
 
 def _spring(of: MjcfModel, joint: int) -> bool:

@@ -97,6 +97,11 @@ def _physical(links: dict[str, Inertial], repair: bool) -> tuple[dict[str, Inert
     return new, faults, notes
 
 
+def _stuck(joint: UrdfJoint) -> bool:
+    lower, upper, velocity, effort = (joint.limits[key] for key in Limits._fields)
+    return lower == upper or velocity == 0 or effort == 0
+
+
 def _notes(
     document: Document,
     names: tuple[str, ...],
@@ -120,6 +125,7 @@ def _notes(
         ("Coulomb friction given but not simulated", lambda j: j.friction),
         ("mimic joints treated as independent", lambda j: j.mimics is not None and independent),
         ("limits given but not enforced", lambda j: any(map(math.isfinite, j.limits.values()))),
+        ("limits of zero, which leave no room", _stuck),
         ("axes scaled to unit length", lambda j: j.scaled),
     )
     notes = [

@@ -77,6 +77,7 @@ def _numbers(
     An attribute that is absent has `default` in place of each number; None: it must not be absent.
     """
     text = None if element is None else element.get(attribute)
+    found = _absent(element) if text is None else reprlib.repr(text)
     if text is None and default is not None:
         return (default,) * count
     text = text or ""
@@ -84,7 +85,7 @@ def _numbers(
     values = tuple(float(word) for word in words if _NUMBER.fullmatch(word))
     expected = "a finite number" if count == 1 else f"{count} finite numbers"
     if len(words) != count or len(values) != count or not all(map(math.isfinite, values)):
-        faults.append(f"{what} {attribute} must be {expected}, found {reprlib.repr(text)}")
+        faults.append(f"{what} {attribute} must be {expected}, found {found}")
     elif not signed and min(values) < 0:
         faults.append(f"{what} {attribute} must not be negative, found {reprlib.repr(text)}")
     elif any(abs(value) > most for value in values):
@@ -92,6 +93,12 @@ def _numbers(
     else:
         return values
     return (0.0,) * count
+
+
+def _absent(element: ET.Element | None) -> str:
+    """Words for an attribute that is not there, with those that are."""
+    others = ", ".join(map(reprlib.repr, () if element is None else element.attrib))
+    return f"none beside {others}" if others else "none"
 
 
 def _origin(what: str, element: ET.Element, faults: list[str]) -> Origin:
@@ -133,7 +140,7 @@ def joint_of(name: str, joint: ET.Element, faults: list[str]) -> UrdfJoint:
         element = joint.find(end)
         ends[end] = name_in(f"{what} {end}", element, "link", faults)
         if not ends[end]:
-            faults.append(f"{what} it names no {end} link")
+            faults.append(f"{what} it names no {end} link; a file has it as <{end} link=...>")
     origin = _origin(what, joint, faults)
     before = len(faults)
     axis = joint.find("axis")

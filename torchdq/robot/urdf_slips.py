@@ -21,6 +21,7 @@ TAGS = {
     "joint": {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "calibration", "safety_controller"},
     "inertial": {"origin", "mass", "inertia"},
 }
+PLACED = {"link", "joint"} | TAGS["joint"] | TAGS["inertial"] | {"inertial"}  # tags that have a place in a URDF
 MANY = {"visual", "collision", "sensor", "contact"}  # elements that a link may have several of
 ATTRIBUTES = {
     "origin": ("xyz", "rpy"),
@@ -61,16 +62,17 @@ def slips(root: ET.Element, links: Mapping[str, ET.Element], joints: Mapping[str
     named += [(f"joint {name!r}", joint) for name, joint in joints.items()]
     inside = [(name, part) for name, element in named for part in element.findall("inertial")[:1]]
     holders = [*named, *inside]
-    tags = {
-        reprlib.repr(child.tag)[1:-1]
-        for element in (root, *(element for _, element in holders))
+    unread = [
+        (child.tag, where)
+        for where, element in (("<robot>", root), *holders)
         for child in element
         if ":" not in child.tag and child.tag not in TAGS[element.tag]
-    }
+    ]
     names = {name for element in root.iter() for name in (element.tag, *element.attrib) if ":" in name}
     declared = {"xml", "xmlns"} | {name.removeprefix("xmlns:") for name in names if name.startswith("xmlns:")}
     notes = {
-        "tags that are not of URDF, not read": tags,
+        "tags that are not of URDF, not read": {reprlib.repr(tag)[1:-1] for tag, _ in unread if tag not in PLACED},
+        "tags in the wrong place, not read": {f"<{tag}> in {where}" for tag, where in unread if tag in PLACED},
         "attributes that are not of URDF, not read": {x for at, element in holders for x in _misspelt(at, element)},
         "elements given more than once, of which the first is read": {x for at, y in holders for x in _doubled(at, y)},
         "limits left out of <limit>, taken as 0, as the format has it": {
@@ -95,7 +97,8 @@ def in_degrees(bodies: Mapping[str, Inertial | None], joints: Mapping[str, UrdfJ
 
 
 def _misspelt(at: str, element: ET.Element) -> Iterator[str]:
-    """Attributes that seem to stand for one that is missing, or that stand where there is none of URDF's own."""
+    """Attributes that seem to stand for one that is missing, and those where there is none of URDF's own."""
+    yield from (f"{name} in {at}" for name in element.attrib if any(name in known for known in ATTRIBUTES.values()))
     for part in element:
         if part.tag not in ATTRIBUTES or part.tag not in TAGS[element.tag]:
             continue
