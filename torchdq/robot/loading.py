@@ -82,8 +82,8 @@ def from_mjcf(
     Positions are MuJoCo's `qpos`, which is `ref` at home. Bodies without joints are merged with their parents and stay
     as frames, as sites do. Rotor inertia (`armature`) is part of the mass matrix; linear equality constraints between
     joints are part of the robot. Damping, friction loss and limits are read but are not part of the rigid-body
-    dynamics; tendons, contacts, springs and other equality constraints are only noted. `report()` lists them. Meshes
-    are opened only where a body's mass comes from them.
+    dynamics; actuators, tendons, contacts, springs and other equality constraints are noted. `report()` lists them.
+    Meshes are opened only where a body's mass comes from them.
 
     Args:
         source: path of the file, a file:// or package:// address, an open file, or the XML text itself, whose includes
