@@ -114,6 +114,11 @@ def literal(x: float, single: bool) -> str:
     return f"{text}f" if single else text
 
 
+def comment(lines: Iterable[str]) -> str:
+    """Comment of several lines."""
+    return "/*\n" + "\n".join(f" * {line}".rstrip().replace("*/", "* /") for line in lines) + "\n */\n"
+
+
 def preamble(program: Program, single: bool, library: Library) -> str:
     """Text in front of the functions of programs: what it includes, and its own sine and cosine if it has them."""
     codes = {op.code for op in program.ops}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,7 +12,7 @@ from torch import Tensor
 from torchdq.backends.choice import choose
 from torchdq.export import c99
 from torchdq.export.c99 import Array, Library
-from torchdq.export.meaning import words
+from torchdq.export.meaning import described
 from torchdq.program.program import Program, outputs
 
 CASES = 8  # golden vectors of a test
@@ -20,14 +20,14 @@ CPU = torch.device("cpu")
 
 
 class Exported(NamedTuple):
-    """Files of an exported program, and the name of its function."""
+    """Files of an exported program, and the name of its function; None: the language has no such file."""
 
     function: str
     source: Path
-    header: Path
-    spans: Path
-    test: Path
-    cmake: Path
+    header: Path | None = None
+    spans: Path | None = None
+    test: Path | None = None
+    cmake: Path | None = None
 
 
 class Export(NamedTuple):
@@ -44,7 +44,7 @@ class Export(NamedTuple):
         about = [*self.about, "", "Strict C99. Without fused multiplication and addition, results have the same bits."]
         before = c99.preamble(self.program, self.single, self.functions)
         function = c99.function(self.program, self.name, self.single, self.functions)
-        return f'{_comment(about)}#include "{self.name}.h"\n{before}\n{function}'
+        return f'{c99.comment(about)}#include "{self.name}.h"\n{before}\n{function}'
 
     def header(self) -> str:
         """Header in C99, which C++ can include."""
@@ -55,8 +55,8 @@ class Export(NamedTuple):
         about = [
             *self.about,
             "",
-            *_described(taken, names[0], "in "),
-            *_described(given, names[1], "out"),
+            *described([f"{a.name}[{a.size}]" for a in taken], names[0], "in "),
+            *described([f"{a.name}[{a.size}]" for a in given], names[1], "out"),
             "",
             f"{', '.join(f'{number} {kind}' for kind, number in count.items() if number) or 'no operations'}.",
             "Outputs may be the arrays of inputs.",
@@ -65,7 +65,7 @@ class Export(NamedTuple):
         guard = f"{self.name.upper()}_H"
         declared = c99.declaration(self.program, self.name, self.single)
         return (
-            f"{_comment(about)}#ifndef {guard}\n#define {guard}\n\n"
+            f"{c99.comment(about)}#ifndef {guard}\n#define {guard}\n\n"
             f'#ifdef __cplusplus\nextern "C" {{\n#endif\n\n{declared};\n\n#ifdef __cplusplus\n}}\n#endif\n\n#endif\n'
         )
 
@@ -149,16 +149,6 @@ class Export(NamedTuple):
 
 def _bound(single: bool) -> str:
     return "1e-5f" if single else "1e-12"
-
-
-def _comment(lines: Sequence[str]) -> str:
-    return "/*\n" + "\n".join(f" * {line}".rstrip().replace("*/", "* /") for line in lines) + "\n */\n"
-
-
-def _described(arrays: Sequence[Array], names: Sequence[str], way: str) -> list[str]:
-    width = max([len(f"{a.name}[{a.size}]") for a in arrays], default=0)
-    known = [(f"{a.name}[{a.size}]", words(name)) for a, name in zip(arrays, names, strict=True)]
-    return [f"{way}  {shape:<{width}}  {text}".rstrip() for shape, text in known]
 
 
 def _example(name: str, width: int, examples: Mapping[str, Tensor], seed: int) -> Tensor:

@@ -52,6 +52,7 @@ def words(name: str) -> str:
     return WORDS.get(plain, "")
 
 
-def listed(title: str, names: Sequence[str]) -> str:
-    """Line that lists names in the order of an array."""
-    return f"{title}: {', '.join(names)}" if names else ""
+def described(shown: Sequence[str], names: Sequence[str], way: str) -> list[str]:
+    """Lines about arguments or results: each as it is shown in the language, and the words for its name."""
+    width = max(map(len, shown), default=0)
+    return [f"{way}  {text:<{width}}  {words(name)}".rstrip() for text, name in zip(shown, names, strict=True)]

@@ -17,8 +17,9 @@ from torchdq.backends.choice import choose
 from torchdq.call import Computation, evaluate
 from torchdq.checks import dtype_of, names_of, require_choice, require_tensor
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.export import c99
+from torchdq.export import c99, casadi
 from torchdq.export.c99 import Library
+from torchdq.export.casadi import CasadiExport
 from torchdq.export.files import Export, Exported
 from torchdq.functions.catalogue import RECIPES, Function
 from torchdq.functions.options import options_of
@@ -32,6 +33,7 @@ from torchdq.robot.robot import arguments as tensors_of
 
 CPU = torch.device("cpu")
 Language = Literal["c", "cuda"]
+ExportLanguage = Literal["c", "casadi"]
 
 
 class _RecordedFields(NamedTuple):
@@ -73,6 +75,7 @@ class CompiledProgram:
 
     program: Program
     dtype: torch.dtype
+    axes: tuple[tuple[int, ...], ...]  # trailing axes of the results
     about: tuple[str, ...] = ()  # lines about the robot, for exported files
     examples: Mapping[str, Tensor] = field(default_factory=dict, repr=False)  # values of arguments that are parameters
 
@@ -92,7 +95,7 @@ class CompiledProgram:
         Args:
             wrt: names of the arguments to differentiate with respect to; None: all of them.
         """
-        return self._derived(vjp(self.program, self._positions(wrt)))
+        return self._derived(_ready(vjp(self.program, self._positions(wrt)), self.dtype))
 
     def jacobian(self, wrt: Sequence[str] | None = None) -> CompiledProgram:
         """Compiled Jacobians of all results, row by row: takes the arguments, returns one for each result and argument.
@@ -100,7 +103,10 @@ class CompiledProgram:
         Args:
             wrt: names of the arguments to differentiate with respect to; None: all of them.
         """
-        return self._derived(jacobian(self.program, self._positions(wrt)))
+        positions = self._positions(wrt)
+        widths = [self.program.arguments[k].width for k in positions]
+        shapes = tuple((len(r.values), width) for width in widths for r in self.program.results)
+        return self._derived(_ready(jacobian(self.program, positions), self.dtype, shapes))
 
     def _positions(self, wrt: Sequence[str] | None) -> tuple[int, ...]:
         names = [a.name for a in self.program.arguments]
@@ -109,22 +115,39 @@ class CompiledProgram:
                 raise UnknownNameError(f"argument of {self.program.name}", name, names)
         return tuple(k for k, name in enumerate(names) if wrt is None or name in wrt)
 
-    def _derived(self, derivative: Program) -> CompiledProgram:
-        return replace(_ready(derivative, self.dtype), about=self.about, examples=self.examples)
+    def _derived(self, derivative: CompiledProgram) -> CompiledProgram:
+        return replace(derivative, about=self.about, examples=self.examples)
 
-    def export(self, folder: str | PathLike[str], name: str = "", library: Library = "math.h") -> Exported:
-        """Files that need neither Python nor torch: a function in strict C99, with headers, a test and a CMake file.
+    def export(
+        self,
+        folder: str | PathLike[str],
+        name: str = "",
+        library: Library = "math.h",
+        language: ExportLanguage = "c",
+    ) -> Exported:
+        """Files that need neither Python nor torch: a function in strict C99, and what its language wants beside it.
 
         The function takes one sample. It has no memory of its own, no loops and no heap, and may be called by several
         threads. Its arguments and outputs are those of the program, in its order, described in the header.
+
+        "c" writes source, headers, a test and a CMake file. "casadi" writes one source with the function and its
+        Jacobian, for `casadi.external`, once it is built:
+
+            cc -shared -fPIC -O2 arm_torques.c -o arm_torques.so -lm
+            f = casadi.external("arm_torques", "./arm_torques.so")
+
+        Arguments are columns in CasADi, results columns or matrices; a Jacobian has no place that is always zero. Where
+        rounding errors are too large the function fails: a call in CasADi raises, a solver takes a shorter step.
 
         Args:
             folder: path of the folder, which is made if it is not there; files of the same names are replaced.
             name: name of the function; "": that of the program.
             library: source of sine, cosine and roots: "math.h", or "own", the polynomials of compiled programs, with
                 sine and cosine up to 1e5 rad (4e3 in float32) and no roots or exponentials.
+            language: "c", or "casadi", which takes programs in float64.
         Raises:
-            ArgumentError: the name is none that C accepts, or the library lacks a function.
+            ArgumentError: the name is none that the language accepts, the library lacks a function, or a program in
+                float32 is exported to CasADi.
 
         >>> import tempfile, torchdq
         >>> tau = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
@@ -132,7 +155,16 @@ class CompiledProgram:
         'arm_torques.h'
         """
         require_choice("library", library, get_args(Library))
+        require_choice("language", language, get_args(ExportLanguage))
         named = c99.identifier(name or c99.distinct([self.program.name])[0], "name")
+        if language == "casadi":
+            if self.dtype != torch.float64:
+                raise ArgumentError(
+                    f"language 'casadi' takes programs in float64, found {self.dtype}; leave out dtype in "
+                    "torchdq.compile"
+                )
+            exported = CasadiExport(self.program, self.axes, casadi.identifier(named), library, self.about)
+            return exported.write(Path(folder))
         whole = Export(self.program, named, self.dtype == torch.float32, library, self.about)
         return whole.write(Path(folder), self.examples)
 
@@ -154,9 +186,10 @@ class CompiledProgram:
         return str(self.program)
 
 
-def _ready(recorded: Program, dtype: torch.dtype) -> CompiledProgram:
+def _ready(recorded: Program, dtype: torch.dtype, axes: tuple[tuple[int, ...], ...] = ()) -> CompiledProgram:
+    """Compiled program; its results are rows unless their trailing axes are given."""
     choose(None, CPU).kernel(recorded, dtype, CPU)
-    return CompiledProgram(recorded, dtype)
+    return CompiledProgram(recorded, dtype, axes or tuple((len(r.values),) for r in recorded.results))
 
 
 def compile(
@@ -205,6 +238,7 @@ def compile(
     taken += [
         Argument(name, widths[name], getattr(robot, name).ndim == len(SHAPES[name])) for name in tensors_of(robot)
     ]
-    found = _ready(what.program(tuple(taken)), dtype_of("dtype", dtype))
+    recorded = what.program(tuple(taken))
+    found = _ready(recorded, dtype_of("dtype", dtype), what.results(recorded))
     about = (f"{function} of robot {robot.name}", f"joints in the order of q: {', '.join(robot.joint_names)}")
     return replace(found, about=about, examples={name: getattr(robot, name) for name in tensors_of(robot)})
