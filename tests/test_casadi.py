@@ -1,0 +1,301 @@
+"""Programs in CasADi: values, Jacobians and their places are those of the robot, and a failure is told."""
+
+import ctypes
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+import torch
+
+import torchdq
+from torchdq.envs import Scene, effects, integrators
+from torchdq.errors import ArgumentError
+
+ca = pytest.importorskip("casadi", reason="programs in CasADi need casadi")
+pytestmark = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
+
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
+COMPILERS = [
+    pytest.param(name, marks=pytest.mark.skipif(not shutil.which(name), reason=f"no {name}"))
+    for name in ("gcc", "clang")
+]
+F64 = torch.float64
+EPS = 2.0**-52
+
+
+def of(robot, function, **options):
+    return lambda: torchdq.compile(torchdq.robots.load(robot), function, **options)
+
+
+def loaded():
+    """Two-link arm whose masses and inertias are arguments."""
+    robot = torchdq.robots.load("two_link")
+    return torchdq.compile(robot.replace(mass=robot.mass, inertia=robot.inertia), "forward_dynamics")
+
+
+def step():
+    """Step of a scene with friction, which has roots and comparisons and remembers nothing."""
+    parts = (effects.Gravity(), effects.Viscous(1.0), effects.Coulomb(0.5))
+    scene = Scene(torchdq.robots.load("two_link"), parts, integrator=integrators.RungeKutta4())
+    return torchdq.compile(scene.program("torque"))
+
+
+def free():
+    body = {"base_mass": 3.0, "base_com": [0.1, -0.05, 0.2], "base_inertia": [0.3, 0.02, 0.4, -0.03, 0.01, 0.5]}
+    robot = torchdq.robots.load("two_link")
+    robot = robot.replace(**{name: torch.tensor(x, dtype=F64) for name, x in body.items()}).bake()
+    return torchdq.compile(robot, "floating.inverse_dynamics")
+
+
+PROGRAMS = {
+    "inverse dynamics": of("panda", "inverse_dynamics"),
+    "forward dynamics": of("two_link", "forward_dynamics"),
+    "mass matrix": of("two_link", "mass_matrix"),
+    "closed form": of("two_link", "closed_form"),
+    "jacobian": of("panda", "jacobian", options=("tip", "world")),
+    "kinematics": of("two_link", "forward_kinematics"),
+    "energy": of("two_link", "kinetic_energy"),
+    "regressor": of("two_link", "regressor"),
+    "computed torque": of("two_link", "computed_torque"),
+    "gradient": lambda: of("two_link", "inverse_dynamics")().vjp(),
+    "derivatives": lambda: of("two_link", "inverse_dynamics")().jacobian(["q", "qdd"]),
+    "parameters": loaded,
+    "free base": free,
+    "scene": step,
+}
+EACH = pytest.mark.parametrize("name", PROGRAMS)
+
+
+def built(compiled, folder, name="f", library="math.h"):
+    """Function in CasADi, built by the command in the file, but quickly."""
+    made = compiled.export(folder, name, library, language="casadi")
+    command = re.search(r"cc -shared .*", made.source.read_text()).group().replace("-O2", "-O0").split()
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return ca.external(name, str(folder / f"{name}.so"))
+
+
+@pytest.fixture(scope="module")
+def ready(tmp_path_factory):
+    """Program and its function in CasADi by the name of the program, built once."""
+    known = {}
+
+    def find(name):
+        if name not in known:
+            compiled = PROGRAMS[name]()
+            known[name] = compiled, built(compiled, tmp_path_factory.mktemp("casadi"))
+        return known[name]
+
+    return find
+
+
+def rows(compiled, seed=0):
+    """Arguments near 1, where masses and inertias are positive."""
+    generator = torch.Generator().manual_seed(seed)
+    return [1 + 0.5 * torch.rand(a.width, generator=generator, dtype=F64) for a in compiled.program.arguments]
+
+
+def wide(x):
+    """Arguments that CasADi has: those with a width."""
+    return [v.numpy() for v in x if v.numel()]
+
+
+def listed(found):
+    return list(found) if isinstance(found, tuple | list) else [found]
+
+
+def jacobians(function, x):
+    """Jacobians in CasADi at a state, result by result and argument by argument."""
+    return listed(function.jacobian()(*x, *[0] * function.n_out()))
+
+
+# --- values ----------------------------------------------------------------------------------------------------------
+
+
+@EACH
+def test_values_are_those_of_the_program_in_the_shape_of_the_function(name, ready):
+    compiled, function = ready(name)
+    x = rows(compiled)
+    expected = [y for y in listed(compiled(*x)) if y.numel()]
+    axes = [axes for axes, y in zip(compiled.axes, listed(compiled(*x)), strict=True) if y.numel()]
+    found = [y.full() for y in listed(function(*wide(x)))]
+    assert len(found) == len(expected)
+    for y, at, shape in zip(found, expected, axes, strict=True):
+        table = at.reshape(shape if len(shape) == 2 else (-1, 1)).numpy()
+        assert y.shape == table.shape
+        assert np.abs(y - table).max() <= 64 * EPS * (1 + np.abs(table).max())
+
+
+def test_matrices_are_those_of_the_functions_of_torchdq(ready):
+    compiled, function = ready("closed form")
+    q, qd = rows(compiled)
+    expected = torchdq.closed_form(torchdq.robots.load("two_link"), q, qd)
+    for y, at in zip(function(q.numpy(), qd.numpy()), expected, strict=True):
+        assert np.abs(y.full() - at.reshape(len(at), -1).numpy()).max() <= 64 * EPS * (1 + float(at.abs().max()))
+    assert function.name_in() == ["q", "qd"] and function.name_out() == ["M", "c", "g", "Jt"]
+
+
+@pytest.mark.parametrize("library", ["math.h", "own"])
+def test_sine_and_cosine_may_be_its_own(library, tmp_path):
+    compiled = PROGRAMS["computed torque"]()
+    function = built(compiled, tmp_path, "f", library)
+    x = rows(compiled)
+    assert np.abs(function(*wide(x)).full()[:, 0] - compiled(*x).numpy()).max() <= 1e-12
+
+
+def test_missing_arguments_are_zero_and_missing_results_are_left_out(ready, tmp_path):
+    compiled, _ = ready("closed form")
+    built(compiled, tmp_path)
+    library = ctypes.CDLL(str(tmp_path / "f.so"))
+    sizes = [ctypes.c_longlong() for _ in range(4)]
+    assert library.f_work(*map(ctypes.byref, sizes)) == 0
+    arg, res, _, work = (size.value for size in sizes)
+    guard = 17.0
+    w = (ctypes.c_double * (work + 1))(*[guard] * (work + 1))
+    c = (ctypes.c_double * 2)(guard, guard)
+    q = (ctypes.c_double * 2)(0.3, -0.4)
+    pointers = ctypes.POINTER(ctypes.c_double)
+    given, wanted = (pointers * arg)(q, None), (pointers * res)(None, None, c, None)
+    assert library.f(given, wanted, None, w, 0) == 0
+    at_rest = torch.tensor([0.3, -0.4], dtype=F64), torch.zeros(2, dtype=F64)
+    g = torchdq.closed_form(torchdq.robots.load("two_link"), *at_rest)[2]
+    assert np.allclose(list(c), g.numpy(), rtol=1e-14) and w[work] == guard
+
+
+# --- Jacobians -------------------------------------------------------------------------------------------------------
+
+
+@EACH
+def test_jacobians_are_the_limits_of_differences(name, ready):
+    compiled, function = ready(name)
+    x, h = wide(rows(compiled)), 1e-5
+    found = iter(jacobians(function, x))
+    for i in range(function.n_out()):
+        for j, at in enumerate(x):
+            exact = next(found).full()
+            for k in range(len(at)):
+                ends = []
+                for way in (-2, -1, 1, 2):
+                    moved = [v.copy() for v in x]
+                    moved[j][k] += way * h
+                    ends.append(listed(function(*moved))[i].full().reshape(-1, order="F"))
+                difference = (ends[0] - 8 * ends[1] + 8 * ends[2] - ends[3]) / (12 * h)
+                scale = 1 + max(np.abs(e).max() for e in ends)
+                assert np.abs(exact[:, k] - difference).max() <= 1e-9 * scale
+
+
+@EACH
+def test_jacobians_store_the_places_that_are_not_always_zero(name, ready):
+    """All of them, and no other: at four states every stored place is different from zero in one."""
+    compiled, function = ready(name)
+    derivative = function.jacobian()
+    largest = [np.zeros(derivative.size_out(k)) for k in range(derivative.n_out())]
+    for seed in range(4):
+        x = wide(rows(compiled, seed))
+        for k, y in enumerate(jacobians(function, x)):
+            largest[k] = np.maximum(largest[k], np.abs(y.full()))
+    for k, seen in enumerate(largest):
+        pattern = np.zeros(seen.shape, bool)
+        pattern[tuple(map(list, derivative.sparsity_out(k).get_triplet()))] = True
+        assert (pattern == (seen > 0)).all(), derivative.name_out(k)
+
+
+def test_places_of_known_zeros_are_left_out(ready):
+    _, function = ready("inverse dynamics")
+    assert function.jacobian().size_out(0) == (7, 7)
+    stored = function.jacobian().sparsity_out(0)
+    assert stored.nnz() == 42 and stored.colind()[:2] == [0, 0]  # gravity is along the first axis
+    _, function = ready("closed form")
+    assert [function.jacobian().nnz_out(k) for k in (1, 5, 7)] == [0, 0, 0]  # M, g and Jt do not depend on qd
+
+
+def test_a_gradient_in_casadi_is_that_of_torchdq(ready):
+    compiled, function = ready("forward dynamics")
+    x = [v.requires_grad_() for v in rows(compiled)]
+    symbols = [ca.MX.sym(a.name, a.width) for a in compiled.program.arguments]
+    weighted = ca.dot(ca.DM([1.0, -2.0]), function(*symbols))
+    gradient = ca.Function("gradient", symbols, [ca.gradient(weighted, s) for s in symbols])
+    (compiled(*x) * torch.tensor([1.0, -2.0], dtype=F64)).sum().backward()
+    for found, at in zip(gradient(*[v.detach().numpy() for v in x]), x, strict=True):
+        assert np.abs(found.full()[:, 0] - at.grad.numpy()).max() <= 1e-12 * (1 + float(at.grad.abs().max()))
+
+
+# --- use in CasADi ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("way", [("serial",), ("thread", 2), ("unroll",)], ids=lambda way: way[0])
+def test_a_map_over_samples_is_the_function_on_each(way, ready):
+    compiled, function = ready("inverse dynamics")
+    samples = 9
+    x = [np.stack(columns, 1) for columns in zip(*[wide(rows(compiled, k)) for k in range(samples)], strict=True)]
+    mapped = function.map(samples, *way)
+    for k, y in enumerate(ca.horzsplit(mapped(*x))):
+        assert (y.full() == function(*[v[:, k] for v in x]).full()).all()
+    exact = mapped.jacobian()(*x, 0)[0].full()
+    alone = jacobians(function, [v[:, 3] for v in x])[0].full()
+    assert (exact[21:28, 21:28] == alone).all() and not exact[21:28, :21].any()
+
+
+def test_a_function_fails_where_rounding_errors_are_too_large(ready):
+    """As the C function returns 1: the mass matrix is not positive definite."""
+    _, function = ready("parameters")
+    arguments = {"q": [0.1, 0.2], "qd": [0, 0], "tau": [1, 1], "mass": [1, -1], "inertia": [0] * 12}
+    with pytest.raises(RuntimeError, match="Evaluation failed"):
+        function(**arguments)
+    given = [arguments[name] for name in function.name_in()]
+    with pytest.raises(RuntimeError, match="Evaluation failed"):
+        jacobians(function, given)
+
+
+def test_a_solver_steps_back_from_where_a_function_fails(ready):
+    """The first step of the solver makes a mass negative; it ends at the mass that was sought."""
+    _, function = ready("parameters")
+    robot = torchdq.robots.load("two_link")
+    mass = ca.MX.sym("mass", 2)
+    inertia = robot.inertia.reshape(-1).numpy()
+    acceleration = function(q=[0.1, 0.2], qd=[0, 0], tau=[40, 3], mass=mass, inertia=inertia)["qdd"]
+    sought = function(q=[0.1, 0.2], qd=[0, 0], tau=[40, 3], mass=[1, 0.5], inertia=inertia)["qdd"]
+    quiet = {"ipopt.print_level": 0, "print_time": False, "ipopt.hessian_approximation": "limited-memory"}
+    solver = ca.nlpsol("solver", "ipopt", {"x": mass, "f": ca.sumsqr(acceleration - sought)}, quiet)
+    found = solver(x0=[20.0, 20.0])["x"].full()[:, 0]
+    assert solver.stats()["success"] and np.abs(found - [1, 0.5]).max() < 1e-4
+
+
+# --- the file --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+@EACH
+def test_the_file_is_strict_c99(name, compiler, ready, tmp_path):
+    compiled, _ = ready(name)
+    source = compiled.export(tmp_path, "f", language="casadi").source
+    done = subprocess.run([compiler, *STRICT, "-fsyntax-only", str(source)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_the_file_has_no_memory_loops_or_branches_and_says_how_it_is_built(tmp_path):
+    made = PROGRAMS["mass matrix"]().export(tmp_path, "arm_masses", language="casadi")
+    about, text = made.source.read_text().split("*/", 1)
+    assert not re.search(r"\b(for|while|goto|malloc|switch)\b", text)
+    assert all(line.split()[1] in ("const", "int") for line in re.findall(r"static .*", text))  # no state
+    assert 'casadi.external("arm_masses", "./arm_masses.so")' in about
+    assert "in   q[2]  joint positions [rad or m]" in about and "out  M[2, 2]  mass matrix [kg m^2" in about
+    assert made.header is None and [file.name for file in tmp_path.iterdir()] == ["arm_masses.c"]
+
+
+@pytest.mark.parametrize("name", ["arm__torques", "_arm", "jac", "null", "two words", "double"])
+def test_names_are_those_that_casadi_accepts(name, tmp_path):
+    with pytest.raises(ArgumentError, match="name must be"):
+        PROGRAMS["energy"]().export(tmp_path, name, language="casadi")
+
+
+def test_numbers_are_of_double_precision(tmp_path):
+    with pytest.raises(ArgumentError, match=r"language 'casadi' takes programs in float64, found torch\.float32"):
+        of("two_link", "mass_matrix", dtype="float32")().export(tmp_path, language="casadi")
+
+
+def test_a_language_is_c_or_casadi(tmp_path):
+    with pytest.raises(ArgumentError, match="language must be one of 'c', 'casadi'"):
+        PROGRAMS["energy"]().export(tmp_path, language="fortran")
