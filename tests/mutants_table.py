@@ -80,6 +80,7 @@ COMBINED, MAPS = "combined.py", "joint_maps_in_use.py"
 STANDS_STILL = "reduced.py::test_a_locked_coordinate_is_one_that_stands_still"
 GEARS = f"{COUPLING}::test_geared_joints_are_pinocchios_mimic_joints"
 EXPORT = "export.py::test_results_are_those_of_the_program_in_pythons_arithmetic_bit_for_bit"
+CASADI = "casadi.py"
 COUPLED_ROTORS = f"{COUPLING}::test_accelerations_undo_forces"
 MOVING = "moving_base.py"
 MOVING_FORCES = f"{MOVING}::test_forces_and_base_wrench_equal_pinocchios_with_a_free_flyer"
@@ -1989,6 +1990,33 @@ MUTANTS = (
             "<= {literal(limit, single)}) ? 0 : 1",
             "<= {literal(limit, single)}) ? 0 : 0",
             "export.py::test_a_mass_matrix_that_is_not_positive_is_told_by_the_status",
+        ),
+    ),
+    *within(
+        "torchdq/export/casadi.py",
+        (
+            "matrices of CasADi row by row",
+            "for j in range(columns) for i in range(rows)",
+            "for i in range(rows) for j in range(columns)",
+            f"{CASADI}::test_values_are_those_of_the_program_in_the_shape_of_the_function",
+        ),
+        (
+            "Jacobians of CasADi argument by argument",
+            "derived.results[j * len(values.outputs) + i]",
+            "derived.results[i * len(values.inputs) + j]",
+            f"{CASADI}::test_jacobians_are_the_limits_of_differences",
+        ),
+        (
+            "Jacobians of CasADi with places that are always zero",
+            "if v != 0.0]",
+            "]",
+            f"{CASADI}::test_jacobians_store_the_places_that_are_not_always_zero",
+        ),
+        (
+            "missing arguments of CasADi believed",
+            "arg[{k}] ? arg[{k}] : zeros",
+            "arg[{k}]",
+            f"{CASADI}::test_missing_arguments_are_zero_and_missing_results_are_left_out",
         ),
     ),
     *within(
