@@ -25,7 +25,7 @@ from torchdq.program.autodiff import jacobian
 from torchdq.program.program import Program, Result, outputs
 
 
-class Matrix(NamedTuple):
+class Stored(NamedTuple):
     """Argument or result of a function in CasADi."""
 
     name: str
@@ -46,8 +46,8 @@ class Interface(NamedTuple):
 
     name: str
     program: Program  # its results hold the stored numbers
-    inputs: tuple[Matrix, ...]  # those beyond the arguments of the program are not read
-    outputs: tuple[Matrix, ...]
+    inputs: tuple[Stored, ...]  # those beyond the arguments of the program are not read
+    outputs: tuple[Stored, ...]
 
     def text(self, library: Library) -> str:
         """Functions in C that CasADi asks for."""
@@ -137,9 +137,9 @@ class CasadiExport(NamedTuple):
                 rows, columns = len(result.stored), argument.rows
                 whole = _by_columns(derived.results[j * len(values.outputs) + i], rows, columns)
                 kept = [k for k, v in enumerate(whole.values) if v != 0.0]
-                matrices.append(Matrix(f"jac_{result.name}_{argument.name}", rows, columns, tuple(kept)))
+                matrices.append(Stored(f"jac_{result.name}_{argument.name}", rows, columns, tuple(kept)))
                 results.append(whole._replace(values=tuple(whole.values[k] for k in kept)))
-        unread = [Matrix(f"out_{m.name}", m.rows, m.columns, ()) for m in values.outputs]
+        unread = [Stored(f"out_{m.name}", m.rows, m.columns, ()) for m in values.outputs]
         program = replace(derived, results=tuple(results))
         return Interface(f"jac_{values.name}", program, (*values.inputs, *unread), tuple(matrices))
 
@@ -161,8 +161,8 @@ def identifier(name: str) -> str:
     return name
 
 
-def _dense(name: str, rows: int, columns: int) -> Matrix:
-    return Matrix(name, rows, columns, tuple(range(rows * columns)))
+def _dense(name: str, rows: int, columns: int) -> Stored:
+    return Stored(name, rows, columns, tuple(range(rows * columns)))
 
 
 def _by_columns(result: Result, rows: int, columns: int) -> Result:
@@ -170,10 +170,10 @@ def _by_columns(result: Result, rows: int, columns: int) -> Result:
     return result._replace(values=tuple(result.values[i * columns + j] for j in range(columns) for i in range(rows)))
 
 
-def _quoted(matrices: Sequence[Matrix]) -> str:
+def _quoted(matrices: Sequence[Stored]) -> str:
     return ", ".join(f'"{m.name}"' for m in matrices)
 
 
-def _patterns(matrices: Sequence[Matrix]) -> str:
+def _patterns(matrices: Sequence[Stored]) -> str:
     codes = [", ".join(map(str, matrix.sparsity())) for matrix in matrices]
     return "".join(f"    static const long long s{k}[] = {{{code}}};\n" for k, code in enumerate(codes))

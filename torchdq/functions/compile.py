@@ -137,7 +137,8 @@ class CompiledProgram:
             f = casadi.external("arm_torques", "./arm_torques.so")
 
         Arguments are columns in CasADi, results columns or matrices; a Jacobian has no place that is always zero. Where
-        rounding errors are too large the function fails: a call in CasADi raises, a solver takes a shorter step.
+        rounding errors are too large the function fails: a call in CasADi raises, a solver takes a shorter step. There
+        are no second derivatives; Ipopt wants "hess_lag" or "ipopt.hessian_approximation": "limited-memory".
 
         Args:
             folder: path of the folder, which is made if it is not there; files of the same names are replaced.
