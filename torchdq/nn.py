@@ -17,6 +17,7 @@ from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, check_precision, forward_dynamics, inverse_dynamics
 from torchdq.functional import check as require_alike
 from torchdq.parametrizations import PhysicalInertia, Positive
+from torchdq.program.transforms import number
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import SHAPES
@@ -34,7 +35,7 @@ SMALLEST_SIZE = 1e-2  # least size of a body, against which `prior` measures the
 
 def smooth_sign(qd: Tensor, width: float) -> Tensor:
     """Smooth sign qd / sqrt(qd^2 + width^2) of velocities, the direction of Coulomb friction."""
-    return qd / (qd * qd + width * width).sqrt()
+    return qd / (qd * qd + number(width * width, qd)).sqrt()
 
 
 def friction_torque(qd: Tensor, viscous: Tensor, coulomb: Tensor, width: float) -> Tensor:
