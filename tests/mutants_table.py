@@ -63,6 +63,7 @@ SCENE = "scene.py"
 RECOMMEND = "recommend.py"
 BACKENDS = "backends.py"
 BUILD = "build.py"
+FILES = "torch_files.py"
 NVRTC = "nvrtc.py"
 DRIVER = "cuda_driver.py"
 CONTROL = "computed_torque.py"
@@ -1221,14 +1222,32 @@ MUTANTS = (
             "",
             f"{BACKENDS}::test_a_trace_recomputes_the_rows_of_other_values_in_float64",
         ),
+        (
+            "constants of ONNX files rounded to float32",
+            "if not torch.compiler.is_exporting() or transforming():",
+            "if True:",
+            f"{FILES}::test_an_onnx_file_has_the_same_values_to_rounding",
+        ),
     ),
     *within(
         "torchdq/backends/choice.py",
         (
-            "exported graphs of compiled programs",
+            "transforms of torch.func by the compiled programs",
             'and (name or present()) == "auto"',
             "and False",
-            f"{BACKENDS}::test_an_exported_module_runs_in_another_process",
+            f"{BACKENDS}::test_make_fx_records_what_a_function_computes_and_not_its_result",
+        ),
+        (
+            "exported graphs of compiled programs",
+            'if name not in ("auto", "eager"):',
+            "if False:",
+            f"{FILES}::test_programs_of_this_process_are_not_exported",
+        ),
+        (
+            "reverse mode in exported graphs",
+            "if reversing():",
+            "if False:",
+            f"{FILES}::test_reverse_mode_in_an_exported_function_is_refused",
         ),
     ),
     *within(
