@@ -36,7 +36,7 @@ empty_on_cpu: Callable[..., Tensor] = _private(
     "_dynamo.guards._empty_strided_cpu",
     lambda size, strides, dtype: torch.empty_strided(size, strides, dtype=dtype, device="cpu"),
 )
-_levels = getattr(pyfunctorch, "retrieve_all_functorch_interpreters", lambda: [])
+_levels: Callable[[], list[Any]] = getattr(pyfunctorch, "retrieve_all_functorch_interpreters", lambda: [])
 _unseen = _private("DisableTorchFunction", nullcontext)
 _jit_state = _private("_get_tracing_state", lambda: None)
 _modes = _private("_len_torch_dispatch_stack", lambda: 1)
