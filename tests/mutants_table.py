@@ -2097,9 +2097,15 @@ MUTANTS = (
         ),
         (
             "an origin in the wrong axes",
-            "R_WB[i].T @ (origin - p_WB[i])",
-            "R_WB[i] @ (origin - p_WB[i])",
+            "clean(R), clean(origin, size)",
+            "clean(R), clean(R @ origin, size)",
             f"{PROGRAMS}::test_aligned_frames_put_the_links_where_they_are_and_the_axes_along_z",
+        ),
+        (
+            "a size that counts the distance of the robot from its base",
+            "        if link.parent:\n",
+            "        if link.parent >= 0:\n",
+            "tests/test_far_from_the_base.py::test_far_robots_move_as_near_ones",
         ),
         (
             "a shift along the axis the other way",
