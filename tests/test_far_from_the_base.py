@@ -93,7 +93,9 @@ def test_a_tower_of_27_km_that_turns_about_its_axis_changes_no_inertia():
 
 # --- small pitches ---------------------------------------------------------------------------------------------------
 
-screwed = partial(Robot.from_screws, on_unphysical="ignore", mass=[1.0], com=[[0.1, 0, 0]], inertia=[[0.2, 0, 0.3, 0, 0, 0.25]])
+screwed = partial(
+    Robot.from_screws, on_unphysical="ignore", mass=[1.0], com=[[0.1, 0, 0]], inertia=[[0.2, 0, 0.3, 0, 0, 0.25]]
+)
 
 
 @pytest.mark.parametrize("pitch", [1e-6, 1e-9, -3e-11, 1e-12])

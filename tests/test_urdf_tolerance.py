@@ -355,7 +355,7 @@ def test_robots_in_hand_are_repaired_as_well():
 
 def test_a_batch_of_robots_is_not_repaired():
     robot = Robot.from_urdf(arm())
-    with pytest.raises(ArgumentError, match="inertia of robot .* must be that of one robot to be repaired"):
+    with pytest.raises(ArgumentError, match=r"inertia of robot .* must be that of one robot to be repaired"):
         robot.replace(mass=robot.mass * torch.ones(3, 1, dtype=F64), on_unphysical="repair")
 
 

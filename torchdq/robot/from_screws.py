@@ -66,8 +66,8 @@ def read(
     a = dq.ad(dq.conj(X_WB), s)  # a_i = Ad(delta_0^i) s_i
     found, faults = assemble(names, tree, kinds, X_PB_home, a, dq.mul(dq.conj(X_WB[-1]), X_WE), **bodies)
     doubts = [
-        f"joint {name!r}: read as helical, with a pitch of {pitch:.3g} m/rad; if it is revolute, make l . m zero in its "
-        "screw (l | m), to all digits"
+        f"joint {name!r}: read as helical, with a pitch of {pitch:.3g} m/rad; if it is revolute, make l . m zero in "
+        "its screw (l | m), to all digits"
         for name, kind, pitch in zip(names, kinds, (s[:, :3] * s[:, 3:]).sum(-1).tolist(), strict=True)
         if kind == HELICAL and abs(pitch) < UNIT
     ]

@@ -167,14 +167,14 @@ class Robot:
 
         A replaced physical tensor becomes an argument of the programs, so new values, batches and gradients need no new
         program; `bake` makes it a constant again. New values are checked as a file's are, with `on_unphysical` as in
-        `from_urdf`, where "repair" repairs all links of a single robot; batches, and tensors that require grad or are inside a transform, only by `check`. Writing in place
-        into a replaced physical tensor changes the robot. Damping, friction, limits and frames are copied: writing into
+        `from_urdf`, where "repair" repairs all links of a single robot; batches, and tensors that require grad or are
+        inside a transform, only by `check`. Writing in place into a replaced physical tensor changes the robot. Damping, friction, limits and frames are copied: writing into
         the given tensor changes nothing. Writing into a copy or a constant is refused at the next call; not so through
         `x.data[...]` or `x.numpy()[...]`, which torch does not count: programs keep the numbers of before.
 
         Raises:
             UnknownNameError, ArgumentError, DtypeError: there is no such field, or a value does not fit the robot.
-            UnphysicalError: a body cannot exist, or a friction or a limit is negative.
+            UnphysicalError: a body would give wrong numbers, or a friction or a limit is negative.
 
         >>> import torchdq
         >>> robot = torchdq.robots.load("two_link")
@@ -202,7 +202,9 @@ class Robot:
         return dataclasses.replace(self, **changes, _arguments=names)
 
     def check(self) -> None:
-        """Raise unless the robot can exist, triangle inequalities included, and warn of other units: a file's checks on all values, batches included.
+        """Raise unless the robot can exist, and warn of other units: a file's checks on all values, batches included.
+
+        It is strict: inertias that break the triangle inequality, of which files are only warned, are refused, too.
 
         >>> import torchdq
         >>> torchdq.robots.load("two_link").check()  # raises nothing: this robot can exist
