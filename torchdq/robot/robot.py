@@ -168,9 +168,10 @@ class Robot:
         A replaced physical tensor becomes an argument of the programs, so new values, batches and gradients need no new
         program; `bake` makes it a constant again. New values are checked as a file's are, with `on_unphysical` as in
         `from_urdf`, where "repair" repairs all links of a single robot; batches, and tensors that require grad or are
-        inside a transform, only by `check`. Writing in place into a replaced physical tensor changes the robot. Damping, friction, limits and frames are copied: writing into
-        the given tensor changes nothing. Writing into a copy or a constant is refused at the next call; not so through
-        `x.data[...]` or `x.numpy()[...]`, which torch does not count: programs keep the numbers of before.
+        inside a transform, only by `check`. Writing in place into a replaced physical tensor changes the robot.
+        Damping, friction, limits and frames are copied: writing into the given tensor changes nothing. Writing into a
+        copy or a constant is refused at the next call; not so through `x.data[...]` or `x.numpy()[...]`, which torch
+        does not count: programs keep the numbers of before.
 
         Raises:
             UnknownNameError, ArgumentError, DtypeError: there is no such field, or a value does not fit the robot.
