@@ -35,7 +35,7 @@ class Axis(NamedTuple):
     direction: np.ndarray
 
 
-class Frame(NamedTuple):
+class HomeFrame(NamedTuple):
     """Frame at home, in another frame."""
 
     R: np.ndarray  # its axes are the columns
@@ -64,11 +64,11 @@ def align(tree: Tree) -> tuple[Alignment, ...]:
         tree: in the link frames of the description, with floats as numbers.
     """
     X_WB = kinematics.link_poses(tree, [link.placement for link in tree.links])
-    X_PB = [Frame(np.eye(3), np.zeros(3)), *(_frame_of(link.placement) for link in tree.links[1:])]
+    X_PB = [HomeFrame(np.eye(3), np.zeros(3)), *(_frame_of(link.placement) for link in tree.links[1:])]
     lines = [Axis(np.zeros(3), np.array([0.0, 0.0, 1.0]))]  # the base keeps its frame
     lines += [Axis(np.array(link.joint.point), _unit(np.array(link.joint.direction))) for link in tree.links[1:]]
     size, main = _size(tree, X_PB), _main_children(tree)
-    X_BL, result = [Frame(np.eye(3), np.zeros(3))], []
+    X_BL, result = [HomeFrame(np.eye(3), np.zeros(3))], []
     for i, link in enumerate(tree.links[1:], 1):
         at, above = X_PB[i], X_BL[link.parent]
         from_above = at.p - above.p  # from the origin of the parent's aligned frame to that of the link frame
@@ -79,7 +79,7 @@ def align(tree: Tree) -> tuple[Alignment, ...]:
         z = lines[i].direction
         x = _across(x, z)
         R = np.stack([x, np.cross(z, x), z], axis=1)
-        X_BL.append(Frame(R, origin))
+        X_BL.append(HomeFrame(R, origin))
         gamma, alpha, theta = _euler(above.R.T @ at.R @ R)
         p, shift = _along_axes(clean(above.R.T @ (from_above + at.R @ origin), far), gamma, alpha, size)
         R_BL, p_BL = clean(R), clean(origin, size)
@@ -99,26 +99,26 @@ def align(tree: Tree) -> tuple[Alignment, ...]:
     return tuple(result)
 
 
-def _frame_of(x: DualQuaternion) -> Frame:
+def _frame_of(x: DualQuaternion) -> HomeFrame:
     r = tuple(_unit(np.array(x[0])).tolist())
-    return Frame(np.array(quat.rotation_columns(r)).T, np.array(dq.translation(x)))
+    return HomeFrame(np.array(quat.rotation_columns(r)).T, np.array(dq.translation(x)))
 
 
-def _in_parent(at: Frame, line: Axis) -> Axis:
+def _in_parent(at: HomeFrame, line: Axis) -> Axis:
     """Axis in a frame A, given in a frame B whose pose in A is `at`."""
     return Axis(at.p + at.R @ line.point, at.R @ line.direction)
 
 
-def _size(tree: Tree, X_PB: list[Frame]) -> float:
+def _size(tree: Tree, X_PB: list[HomeFrame]) -> float:
     """Largest distance of a link frame from that of the first link of its branch; a metre if there is none.
 
     The distance of the first links from the base is no part of the robot's size.
     """
-    own = [Frame(np.eye(3), np.zeros(3))] * len(X_PB)
+    own = [HomeFrame(np.eye(3), np.zeros(3))] * len(X_PB)
     for i, link in enumerate(tree.links[1:], 1):
         if link.parent:
             above = own[link.parent]
-            own[i] = Frame(above.R @ X_PB[i].R, above.p + above.R @ X_PB[i].p)
+            own[i] = HomeFrame(above.R @ X_PB[i].R, above.p + above.R @ X_PB[i].p)
     size = max(float(np.linalg.norm(frame.p)) for frame in own)
     return size if size > SMALLEST else 1.0
 
