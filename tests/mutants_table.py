@@ -828,16 +828,16 @@ MUTANTS = (
             MOVING_JACOBIANS,
         ),
         (
-            "origins in the axes of their parents",
-            "tuple(quat.dot(e, step.placement.p) for e in axes[parent])",
+            "offsets in the axes of their parents",
+            "tuple(quat.dot(e, step.placement.p) for e in axes[link.parent])",
             "step.placement.p",
             MOVING_JACOBIANS,
         ),
         ("origins that do not slide", "e[2] * step.theta.shift", "0.0 * e[2]", MOVING_JACOBIANS),
         (
             "the arm from the point to the joint",
-            "quat.sub(point, origins[j])",
-            "quat.sub(origins[j], point)",
+            "quat.cross(w_W, arm)",
+            "quat.cross(arm, w_W)",
             MOVING_JACOBIANS,
         ),
         ("poses of the aligned frames for those of the links", "dq.mul(X[-1], at.X_LB)", "X[-1]", MOVING_JACOBIANS),
@@ -2144,9 +2144,15 @@ MUTANTS = (
         ),
         (
             "an origin in the wrong axes",
-            "R_WB[i].T @ (origin - p_WB[i])",
-            "R_WB[i] @ (origin - p_WB[i])",
+            "clean(R), clean(origin, size)",
+            "clean(R), clean(R @ origin, size)",
             f"{PROGRAMS}::test_aligned_frames_put_the_links_where_they_are_and_the_axes_along_z",
+        ),
+        (
+            "a size that counts the distance of the robot from its base",
+            "        if link.parent:\n",
+            "        if link.parent >= 0:\n",
+            "tests/test_far_from_the_base.py::test_far_robots_move_as_near_ones",
         ),
         (
             "a shift along the axis the other way",
@@ -2233,7 +2239,7 @@ MUTANTS = (
             "no triangle inequality",
             "moments[..., 2] > moments[..., 0] + moments[..., 1] + slack",
             "moments[..., 2] > 2 * (moments[..., 0] + moments[..., 1]) + slack",
-            f"{URDF}::test_a_body_that_cannot_exist_is_refused_by_name_and_number",
+            f"{URDF}::test_an_inertia_that_only_breaks_the_triangle_inequality_is_read_with_a_warning",
         ),
         (
             "rods and plates cannot exist",

@@ -19,7 +19,7 @@ from torchdq.functional import check as require_alike
 from torchdq.parametrizations import PhysicalInertia, Positive
 from torchdq.program.transforms import number
 from torchdq.robot import Robot
-from torchdq.robot.argument import require_robot
+from torchdq.robot.argument import require_bodies, require_robot
 from torchdq.robot.robot import SHAPES
 
 # parametrisation of each constrained quantity
@@ -218,6 +218,8 @@ def _learnable(robot: Robot, learn: Any) -> tuple[str, ...]:
     wrong = [name for name in names if name not in known] if isinstance(names, Sequence) else [learn]
     if wrong:
         raise ArgumentError(f"learn must name what robot {robot.name!r} has among {known}, found {wrong[0]!r}")
+    if "inertia" in names:
+        require_bodies(robot, "learning inertias")
     return tuple(dict.fromkeys(names))
 
 
