@@ -15,7 +15,8 @@ from torchdq.envs.controllers import Controller
 from torchdq.envs.free_base import POSE, TWIST, unit
 from torchdq.envs.integrators import Integrator
 from torchdq.robot import Robot
-from torchdq.robot.posed import BODIES, Overrides, posed
+from torchdq.robot.fields import BODIES
+from torchdq.robot.posed import Overrides, posed
 from torchdq.robot.robot import SHAPES
 
 Rows = dict[str, Row]

@@ -14,6 +14,7 @@ from torchdq.envs.recording import Stage
 from torchdq.envs.state import State
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
+from torchdq.robot.arrays import unit
 
 if TYPE_CHECKING:
     from torchdq.envs.scene import Scene
@@ -40,8 +41,7 @@ def _require_unit(X_WB: Tensor) -> None:
     """Raise unless poses, those with NaN apart, are unit dual quaternions up to their rounding."""
     if without_values((X_WB,)) or not X_WB.numel():
         return
-    r, d = X_WB.detach().double().split(4, -1)
-    wrong = ((r.norm(dim=-1) - 1).abs() > UNIT) | ((r * d).sum(-1).abs() > UNIT * (1 + d.norm(dim=-1)))
+    wrong = ~(unit(X_WB.detach(), UNIT) | X_WB.isnan().any(-1))
     if bool(wrong.any()):
         found = X_WB[tuple(wrong.nonzero()[0].tolist())].tolist()
         raise ArgumentError(f"X_WB must be unit dual quaternions (see torchdq.dq.normalize), found {found}")

@@ -410,14 +410,14 @@ MUTANTS = (
         ("second moments turned half, by quarter turns", "(c * a - s * b,", "(c * a + s * b,", ALIGNED_MASSES),
         (
             "a payload by its mass, not the reduced one",
-            "m * mass / both",
+            "m * share",
             "mass",
             f"{EFFECTS}::test_a_payload_is_a_body_more",
         ),
         (
             "a payload that draws the centre of mass by the link's share",
-            "quat.scale(mass / both, apart)",
-            "quat.scale(m / both, apart)",
+            "quat.scale(share, apart)",
+            "quat.scale(1.0 - share, apart)",
             f"{EFFECTS}::test_a_payload_is_a_body_more",
         ),
     ),
@@ -503,7 +503,12 @@ MUTANTS = (
     ),
     *within(
         "torchdq/dynamics/coupling.py",
-        ("the offset of a map taken off", "[x + s for x, s in", "[x - s for x, s in", GEARS),
+        (
+            "a free base that moves the joints of a map",
+            "*((None,) * count + tuple(row) for",
+            "*(tuple(row) + (None,) * count for",
+            "joint_maps.py::test_dynamics_on_a_free_base_are_those_of_the_reduced_system",
+        ),
         (
             "torques through a gear by its ratio's inverse",
             "matrix.matvec(matrix.transpose(self.S), tau",
@@ -1708,15 +1713,9 @@ MUTANTS = (
         ),
         (
             "an inertia turned the other way",
-            "quat.rotation_columns(r), square",
-            "quat.rotation_columns(quat.conj(r)), square",
+            "(inertial.mass, quat.ZERO, inertial.inertia)",
+            "(inertial.mass, quat.ZERO, moved(dual_quaternion.conj(X), (0.0, quat.ZERO, inertial.inertia))[2])",
             f"{URDF}::test_a_body_described_on_a_fixed_link_is_the_body_on_its_carrier",
-        ),
-        (
-            "no parallel axes for fixed links",
-            "merged((mass, com, inertia), body)",
-            "merged((mass, com, inertia), body)[:2] + (quat.add(inertia, turned),)",
-            f"{URDF}::test_a_fixed_link_adds_its_inertia_by_the_parallel_axis_theorem",
         ),
         (
             "roll, pitch and yaw about the moving axes",
@@ -1895,6 +1894,18 @@ MUTANTS = (
             "com = whole[1]",
             f"{WRITERS}::test_a_urdf_robot_is_read_back_as_it_was_written",
         ),
+        (
+            "no parallel axes for fixed links",
+            "return merged(a, b, _share(b[0], a[0] + b[0]))",
+            "return (*merged(a, b, _share(b[0], a[0] + b[0]))[:2], quat.add(a[2], b[2]))",
+            f"{URDF}::test_a_fixed_link_adds_its_inertia_by_the_parallel_axis_theorem",
+        ),
+        (
+            "gradients of a division by no mass",
+            "part / torch.where(whole == 0, 1.0, whole)",
+            "part / whole",
+            "reduced.py::test_links_without_mass_have_gradients",
+        ),
     ),
     *within(
         "torchdq/robot/urdf_writer.py",
@@ -1984,8 +1995,8 @@ MUTANTS = (
         ),
         (
             "links fixed to a free base left out of it",
-            "whole = lumped(body(robot, BASE), [(X_CB[i], body(robot, i)) for i in parts[BASE]])",
-            "whole = body(robot, BASE)",
+            "zip(BASE_BODY, whole(BASE), strict=True)",
+            "zip(BASE_BODY, RigidBody.at(robot, BASE), strict=True)",
             f"{STANDS_STILL}[root-True]",
         ),
         (
@@ -2039,11 +2050,11 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/robot/lumped.py",
+        "torchdq/robot/bodies.py",
         (
-            "no parallel axes for locked links",
-            "(mass * share).unsqueeze(-1) * steiner",
-            "0 * steiner",
+            "the inertia of a locked link not turned",
+            "lumps.moved((x[:4], x[4:]), _numbers(other))",
+            "(*lumps.moved((x[:4], x[4:]), _numbers(other))[:2], other.inertia.unbind(-1))",
             "reduced.py::test_locking_a_loaded_robot_is_locking_its_file",
         ),
     ),
@@ -2078,8 +2089,8 @@ MUTANTS = (
         "torchdq/robot/combined.py",
         (
             "a payload at the origin of its link",
-            "whole = lumped(body(robot, link), [(X_BF, held)])",
-            "whole = lumped(body(robot, link), [(torch.eye(1, 8).to(X_BF)[0], held)])",
+            "whole = lumped(RigidBody.at(robot, link), [(X_BF, held)])",
+            "whole = lumped(RigidBody.at(robot, link), [(torch.eye(1, 8).to(X_BF)[0], held)])",
             f"{COMBINED}::test_a_payload_is_pinocchios_body",
         ),
         (

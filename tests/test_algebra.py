@@ -560,7 +560,7 @@ def everything(r, p, v, w, mass, inertia):
         *(screw.ad(columns, v), screw.compose(columns, columns), body.momentum(v), moments.momentum(v)),
         *(body.carried(columns, p), body.plus(Inertia.from_com(mass, p, about_com)), moments.plus(moments)),
         *(moments.shifted(p), *moments.split(2), *(moments.turned(k, angle) for k in range(3))),
-        merged((mass, p, about_com), (mass, r[1:], about_com)),
+        merged((mass, p, about_com), (mass, r[1:], about_com), mass),
         *(elementary.ad(k, elementary.DualAngle(angle, mass), v) for k in range(3)),
         *(elementary.times(x, k, angle, mass) for k in range(3)),
         *(screw.exp_revolute(v, mass, mass), screw.exp_prismatic(p, mass), screw.exp_helical(v, mass, mass, mass)),

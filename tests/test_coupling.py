@@ -19,22 +19,21 @@ GEARS = {2: (0, -1.5, 0.3), 4: (3, 0.5, 0.0)}  # joint: the joint it follows, ra
 def gears(n: int) -> tuple[Coupling, list[int]]:
     """Map of the free joints to all, and the free joints."""
     free = [j for j in range(n) if j not in GEARS]
-    rows, offset = [], []
+    rows = []
     for j in range(n):
-        leader, ratio, shift = GEARS.get(j, (j, 1.0, 0.0))
+        leader, ratio, _ = GEARS.get(j, (j, 1.0, 0.0))
         rows.append(tuple(ratio if i == leader else None for i in free))
-        offset.append(shift)
-    return Coupling(tuple(rows), offset), free
+    return Coupling(tuple(rows)), free
 
 
 def dense(n: int, k: int, seed: int) -> Coupling:
     """Full map of k coordinates to n joints, such as that of a differential."""
     rng = np.random.default_rng([3, n, k, seed])
-    return Coupling(tuple(tuple(map(float, row)) for row in rng.normal(size=(n, k))), tuple(rng.normal(size=n)))
+    return Coupling(tuple(tuple(map(float, row)) for row in rng.normal(size=(n, k))))
 
 
-def coupled(robot, coupling: Coupling, z: torch.Tensor, form: str) -> Coupled:
-    q = coupling.positions(z.unbind(-1))
+def coupled(robot, coupling: Coupling, z: torch.Tensor, form: str, offset=0.0) -> Coupled:
+    q = (stack(coupling.joints(z.unbind(-1)), (B,)) + offset).unbind(-1)
     at = posed.paper(robot, q, {}) if form == "paper" else posed.aligned(robot, q, {}, group=form == "grouped")
     return Coupled(at, coupling)
 
@@ -52,7 +51,7 @@ def test_geared_joints_are_pinocchios_mimic_joints(form):
     case = random_tree(6, 11)
     robot, coupling, free = case.robot.bake(), *gears(6)
     z, zd, zdd = coordinates(len(free))
-    at = coupled(robot, coupling, z, form)
+    at = coupled(robot, coupling, z, form, torch.tensor([GEARS.get(j, (j, 1.0, 0.0))[2] for j in range(6)], dtype=F64))
     tau, M = stack(at.torques(zd.unbind(-1), zdd.unbind(-1), None), (B,)), stack(at.mass_matrix(), (B,))
     model = case.model
     for follower, (leader, ratio, offset) in GEARS.items():
@@ -84,7 +83,7 @@ def test_power_is_that_of_the_joints_and_energy_that_of_the_mass_matrix(form, se
     z, zd, zdd = coordinates(3, seed)
     at = coupled(robot, coupling, z, form)
     tau = stack(at.torques(zd.unbind(-1), zdd.unbind(-1), None), (B,))
-    qd, qdd = (stack(coupling.rates(x.unbind(-1)), (B,)) for x in (zd, zdd))
+    qd, qdd = (stack(coupling.joints(x.unbind(-1)), (B,)) for x in (zd, zdd))
     joints = stack(at.robot.torques(qd.unbind(-1), qdd.unbind(-1), None), (B,))
     power, size = (joints * qd).sum(-1), (joints * qd).abs().sum(-1)
     assert ((tau * zd).sum(-1) - power).abs().max() <= 64 * EPS[F64] * size.max()
@@ -133,7 +132,7 @@ def test_forces_are_linear_in_the_inertial_parameters(form):
 def test_a_point_does_not_move_with_the_map_but_with_its_joints():
     robot, coupling = random_tree(5, 7).robot.bake(), dense(5, 3, 0)
     z = coordinates(3)[0]
-    at, q = coupled(robot, coupling, z, "aligned"), coupling.positions(z.unbind(-1))
+    at, q = coupled(robot, coupling, z, "aligned"), coupling.joints(z.unbind(-1))
     alone = posed.aligned(robot, q, {}, group=False)
     r = (0.1, 0.2, 0.3)
     assert torch.equal(stack(at.position(5, r), (B,)), stack(alone.position(5, r), (B,)))

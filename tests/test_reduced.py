@@ -132,6 +132,13 @@ def test_gradients_reach_the_masses_of_locked_links():
     assert torch.autograd.gradcheck(torques, full.mass.clone().requires_grad_())
 
 
+def test_links_without_mass_have_gradients():
+    robot = torchdq.robots.load("two_link")
+    mass = torch.zeros_like(robot.mass).requires_grad_()
+    empty = robot.replace(mass=mass).lock("joint2")
+    assert torch.autograd.grad(empty.com.sum() + empty.mass.sum(), mass)[0].tolist() == [1.0, 1.0]
+
+
 @pytest.mark.parametrize("name", ["X_PB_home", "screw"])
 def test_the_geometry_must_be_constant(name):
     full = torchdq.robots.load("panda")

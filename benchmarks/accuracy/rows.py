@@ -12,7 +12,7 @@ from accuracy.scenes import Case
 from torchdq.envs import spec
 from torchdq.envs.system import with_growths
 from torchdq.program.program import Argument, record, replay, results
-from torchdq.robot.posed import INERTIAL
+from torchdq.robot.fields import LINK_BODY
 
 LONG = np.longdouble  # 64 bits of mantissa on x86, 53 on machines that have no more: agreements tell
 
@@ -65,7 +65,7 @@ def unit(x: np.ndarray) -> np.ndarray:
 
 def exact(robot: torchdq.Robot) -> dict[str, np.ndarray]:
     """Numbers of a robot of revolute joints in extended precision; poses and axes are made unit to that."""
-    found = {name: getattr(robot, name).numpy().astype(LONG) for name in ("X_PB_home", "screw", *INERTIAL)}
+    found = {name: getattr(robot, name).numpy().astype(LONG) for name in ("X_PB_home", "screw", *LINK_BODY)}
     return {**found, "X_PB_home": unit(found["X_PB_home"]), "screw": unit(found["screw"])}
 
 

@@ -179,13 +179,16 @@ def turn_symmetric(axis: int, angle: Angle, m: Six) -> Six:
     return tuple(result)
 
 
-def merged(a: tuple[Number, Pure, Six], b: tuple[Number, Pure, Six]) -> tuple[Number, Pure, Six]:
-    """Two bodies as one, each as mass, centre of mass, and rotational inertia about that, all in the same frame."""
+def merged(a: tuple[Number, Pure, Six], b: tuple[Number, Pure, Six], share: Number) -> tuple[Number, Pure, Six]:
+    """Two bodies as one, each as mass, centre of mass, and rotational inertia about that, all in the same frame.
+
+    Args:
+        share: fraction of both masses that b has.
+    """
     (m, c, inertia), (mass, com, other) = a, b
-    both = m + mass
     apart = quat.sub(com, c)
     x, y, z = apart
-    reduced = m * mass / both  # reduced mass
+    reduced = m * share  # reduced mass
     parallel = (y * y + z * z, -(x * y), x * x + z * z, -(x * z), -(y * z), x * x + y * y)
     about_com = tuple(i + o + reduced * s for i, o, s in zip(inertia, other, parallel, strict=True))
-    return both, quat.add(c, quat.scale(mass / both, apart)), about_com
+    return m + mass, quat.add(c, quat.scale(share, apart)), about_com

@@ -2,7 +2,7 @@
 
     q = S z + s0,   qd = S zd,   qdd = S zdd
 
-z are the independent coordinates and q the joint coordinates. Generalised forces are mapped by S^T, the mass matrix is
+z are the independent coordinates and q the joint coordinates; s0 is part of the joints' home. Generalised forces are mapped by S^T, the mass matrix is
 S^T M S. The map wraps a posed robot, so no algorithm depends on it.
 """
 
@@ -24,18 +24,18 @@ from torchdq.dynamics.posed import Exerted, Factors, Point, Posed, Row, factors_
 
 
 class Coupling(NamedTuple):
-    """Affine map q = S z + s0."""
+    """Linear map from coordinates to joints."""
 
     S: Matrix  # joints by coordinates; None: a joint does not depend on a coordinate
-    offset: Row  # s0, one per joint
 
-    def positions(self, z: Row) -> list[Number]:
-        """Joint coordinates q of the coordinates z."""
-        return [x + s for x, s in zip(self.rates(z), self.offset, strict=True)]
+    def after(self, count: int) -> Coupling:
+        """Map of further coordinates, each of which is a joint of its own, and then of those of this one."""
+        own = (tuple(1.0 if i == k else None for i in range(count + len(self.S[0]))) for k in range(count))
+        return Coupling((*own, *((None,) * count + tuple(row) for row in self.S)))
 
-    def rates(self, zd: Row) -> list[Number]:
-        """Joint velocities qd of zd, or accelerations qdd of zdd."""
-        return [present(x) for x in matrix.matvec(self.S, zd, mul, add)]
+    def joints(self, z: Row) -> list[Number]:
+        """Displacements S z of the joints; velocities qd of zd, accelerations qdd of zdd."""
+        return [present(x) for x in matrix.matvec(self.S, z, mul, add)]
 
     def forces(self, tau: Sequence[Number | None]) -> list[Number]:
         """Generalised forces on the coordinates from those on the joints."""
@@ -95,11 +95,11 @@ class Coupled(NamedTuple):
 
     def twists(self, qd: Row) -> Sequence[Screw]:
         """Twist of every link."""
-        return self.robot.twists(self.coupling.rates(qd))
+        return self.robot.twists(self.coupling.joints(qd))
 
     def kinetic_energy(self, qd: Row) -> Number:
         """Kinetic energy."""
-        energy = self.robot.kinetic_energy(self.coupling.rates(qd))
+        energy = self.robot.kinetic_energy(self.coupling.joints(qd))
         for J, v in zip(self.armature or (), qd, strict=False):
             energy = energy + 0.5 * J * (v * v)
         return energy
@@ -114,7 +114,7 @@ class Coupled(NamedTuple):
 
     def torques(self, qd: Row | None, qdd: Row | None, exerted: Exerted | None) -> list[Number]:
         """Generalised forces S^T tau(S zd, S zdd)."""
-        v, a = (None if x is None else self.coupling.rates(x) for x in (qd, qdd))
+        v, a = (None if x is None else self.coupling.joints(x) for x in (qd, qdd))
         tau = self.coupling.forces(self.robot.torques(v, a, exerted))
         if self.armature is None or qdd is None:
             return tau
@@ -142,7 +142,7 @@ class Coupled(NamedTuple):
 
     def regressor(self, qd: Row | None, qdd: Row | None) -> list[list[Row | None]]:
         """Factors of the inertial parameters, [coordinate][body]."""
-        v, a = (None if x is None else self.coupling.rates(x) for x in (qd, qdd))
+        v, a = (None if x is None else self.coupling.joints(x) for x in (qd, qdd))
         Y = tuple(map(tuple, self.robot.regressor(v, a)))
         found = matrix.matmul(matrix.transpose(self.coupling.S), Y, quat.scale, quat.add)
         return [list(row) for row in found]

@@ -8,9 +8,7 @@ from typing import ClassVar, Self
 
 import torch
 
-from torchdq.algebra import dual_quaternion, screw
-from torchdq.algebra import quaternion as quat
-from torchdq.algebra.inertia import merged, rotated, six, square
+from torchdq.algebra.inertia import merged
 from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.tree import BASE
 from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link
@@ -20,6 +18,7 @@ from torchdq.robot import Robot
 from torchdq.robot.arrays import matrices
 from torchdq.robot.consistency import bodies
 from torchdq.robot.loading import GRAVITY
+from torchdq.robot.lumps import moved
 from torchdq.robot.posed import Overrides, constant_pose, field
 
 
@@ -124,12 +123,10 @@ class Payload(ModelEffect):
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
         """Inertial parameters, those of one link merged with the payload."""
         frame = robot.frame(str(self.frame))
-        X_BF = constant_pose(frame.X_BF)
-        R_BF, i = quat.rotation_columns(X_BF[0]), frame.link
+        i, held = frame.link, moved(constant_pose(frame.X_BF), (self.mass, self.com, self.inertia))
         masses, coms, inertias = (list(field(robot, name, overrides)) for name in ("mass", "com", "inertia"))
-        com = quat.add(dual_quaternion.translation(X_BF), screw.columns_times(R_BF, self.com))
-        held = (self.mass, com, six(rotated(R_BF, square(self.inertia))))
-        masses[i], coms[i], inertias[i] = merged((masses[i], coms[i], inertias[i]), held)
+        share = self.mass / (masses[i] + self.mass)
+        masses[i], coms[i], inertias[i] = merged((masses[i], coms[i], inertias[i]), held, share)
         return {"mass": masses, "com": flat(coms), "inertia": flat(inertias)}
 
 

@@ -70,6 +70,12 @@ def poses(name: str, value: Any, *shape: int) -> Tensor:
     return x
 
 
+def unit(x: Tensor, slack: float) -> Tensor:
+    """Mask of unit dual quaternions among dual quaternions [..., 8], whose errors are at most the slack."""
+    r, d = x.double().split(4, -1)
+    return ((r.norm(dim=-1) - 1).abs() <= slack) & ((r * d).sum(-1).abs() <= slack * (1 + d.norm(dim=-1)))
+
+
 def inertias(value: Any, n: int) -> Tensor:
     """Inertias [n, 6] in the order xx xy yy xz yz zz, from those or from matrices [n, 3, 3]."""
     x = numbers("inertia", value)

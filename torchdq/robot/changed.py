@@ -12,6 +12,7 @@ from torch import Tensor
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot import fields
+from torchdq.robot.bodies import RigidBody
 from torchdq.robot.changes import require_unchanged, values
 from torchdq.robot.lumps import Lump
 
@@ -19,8 +20,7 @@ if TYPE_CHECKING:
     from torchdq.robot.robot import Robot
 
 # fields that a writer writes; gravity, tip, name and notes are no part of a file's bodies and joints
-BODIES = ("mass", "com", "inertia", "base_mass", "base_com", "base_inertia")
-WRITTEN = (*BODIES, "limits", "damping", "friction", "armature")
+WRITTEN = (*fields.BODIES, "limits", "damping", "friction", "armature")
 BESIDE = ("name", "gravity", "tip", "notes")
 CLOSE = {torch.float64: 1e-12, torch.float32: 1e-6}  # as parts of the largest number of a field
 
@@ -63,20 +63,13 @@ def _equal(a: Any, b: Any) -> bool:
 
 def changed_bodies(robot: Robot, original: Robot) -> Iterator[tuple[int, Lump, tuple[bool, bool, bool]]]:
     """Links whose bodies were changed: the link or BASE, the new body, and whether each of its parts was changed."""
-    pairs = [(i, _row(robot, i), _row(original, i)) for i in range(len(robot.link_names))]
-    if robot.base_mass is not None:
-        pairs.append((BASE, _row(robot, BASE), _row(original, BASE)))
-    for link, own, theirs in pairs:
+    links = [*range(len(robot.link_names)), *([BASE] if robot.floating else [])]
+    for link in links:
+        own, theirs = RigidBody.at(robot, link), RigidBody.at(original, link)
         changed = tuple(not _equal(a, b.to(a)) for a, b in zip(own, theirs, strict=True))
         if any(changed):
             mass, com, inertia = (x.detach().double().tolist() for x in own)
             yield link, (mass, tuple(com), tuple(inertia)), changed  # type: ignore[misc]
-
-
-def _row(robot: Robot, link: int) -> tuple[Tensor, Tensor, Tensor]:
-    if link == BASE:
-        return robot.base_mass, robot.base_com, robot.base_inertia  # type: ignore[return-value]
-    return robot.mass[link], robot.com[link], robot.inertia[link]
 
 
 def changed_joints(robot: Robot, original: Robot) -> Iterator[ChangedJoint]:

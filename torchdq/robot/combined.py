@@ -13,9 +13,10 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot import consistency, fields
 from torchdq.robot.arrays import matrices, poses
+from torchdq.robot.bodies import RigidBody, lumped
 from torchdq.robot.description import Frame, JointMap, Limits
-from torchdq.robot.lumped import RigidBody, lumped
-from torchdq.robot.reduced import BASE_BODY, LINK_BODIES, body, factors
+from torchdq.robot.fields import BASE_BODY, LINK_BODY
+from torchdq.robot.reduced import factors
 
 if TYPE_CHECKING:
     from torchdq.robot.robot import Robot
@@ -125,9 +126,9 @@ def attach(robot: Robot, other: Robot, frame: str, prefix: str | None = None, ba
     frames = (
         Frame(start + x.name, link[x.link], dq.mul(X, x.X_BF) if x.link == BASE else x.X_BF) for x in other.frames
     )
-    carrier, known = {name: getattr(robot, name) for name in (*LINK_BODIES, *BASE_BODY)}, set(robot._arguments)
+    carrier, known = {name: getattr(robot, name) for name in (*LINK_BODY, *BASE_BODY)}, set(robot._arguments)
     if lumps := other.floating and (at.link != BASE or robot.floating):
-        changed = _held(robot, at.link, X, body(other, BASE))
+        changed = _held(robot, at.link, X, RigidBody.at(other, BASE))
         carrier |= changed
         known |= set(changed) if known & set(changed) or set(other._arguments) & set(BASE_BODY) else set()
     told = f"{other.name!r} attached to {at.name!r}"
@@ -136,7 +137,7 @@ def attach(robot: Robot, other: Robot, frame: str, prefix: str | None = None, ba
         **names,
         **{name: _both(robot, other, name, axes) for name, axes in JOINED.items()},
         **{name: carrier[name] for name in BASE_BODY},
-        **{name: _cat((carrier[name], getattr(other, name)), len(fields.SHAPES[name])) for name in LINK_BODIES},
+        **{name: _cat((carrier[name], getattr(other, name)), len(fields.SHAPES[name])) for name in LINK_BODY},
         "kinds": (*robot.kinds, *other.kinds),
         "parents": (*robot.parents, *(link[parent] for parent in other.parents)),
         "X_PB_home": _cat((robot.X_PB_home, _together(X_PB_home, 2)), 2) if X_PB_home else robot.X_PB_home,
@@ -199,11 +200,11 @@ def _require_batch(robot: Robot, name: str, axes: tuple[int, ...]) -> None:
 
 def _held(robot: Robot, link: int, X_BF: Tensor, held: RigidBody) -> dict[str, Tensor]:
     """Inertial parameters of a robot one of whose links, or free base, holds a body at a pose."""
-    whole = lumped(body(robot, link), [(X_BF, held)])
+    whole = lumped(RigidBody.at(robot, link), [(X_BF, held)])
     if link == BASE:
         return dict(zip(BASE_BODY, whole, strict=True))
     found = {}
-    for name, row in zip(LINK_BODIES, whole, strict=True):
+    for name, row in zip(LINK_BODY, whole, strict=True):
         rows = list(getattr(robot, name).unbind(-len(fields.SHAPES[name])))
         rows[link] = row
         found[name] = _together(rows, len(fields.SHAPES[name]))

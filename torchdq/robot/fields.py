@@ -18,7 +18,7 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program.transforms import without_values
 from torchdq.robot import consistency
-from torchdq.robot.arrays import UNIT, matrices
+from torchdq.robot.arrays import UNIT, matrices, unit
 from torchdq.robot.description import Frame, JointMap, Limits
 
 if TYPE_CHECKING:
@@ -40,7 +40,10 @@ SHAPES: dict[str, Axes] = {
     "base_com": (3,),
     "base_inertia": (6,),
 }
-OPTIONAL = ("gravity", "home", "armature", "base_mass", "base_com", "base_inertia")
+LINK_BODY = ("mass", "com", "inertia")
+BASE_BODY = ("base_mass", "base_com", "base_inertia")
+BODIES = (*LINK_BODY, *BASE_BODY)
+OPTIONAL = ("gravity", "home", "armature", *BASE_BODY)
 DESCRIBED = ("limits", "damping", "friction", "frames", "joint_map")  # other fields that hold tensors
 UNIT_SINGLE = 1e-5  # as UNIT, of numbers in single precision
 SCREWS = {
@@ -70,7 +73,7 @@ def batches(robot: Robot) -> dict[str, tuple[int, ...]]:
 def require_shapes(robot: Robot) -> None:
     """Raise unless the physical tensors of a robot are tensors of their shapes and of a dtype of the package."""
     n = len(robot.joint_names)
-    absent = [name for name in ("base_mass", "base_com", "base_inertia") if getattr(robot, name) is None]
+    absent = [name for name in BASE_BODY if getattr(robot, name) is None]
     if 0 < len(absent) < 3:
         raise ArgumentError(
             f"base_mass, base_com and base_inertia of robot {robot.name!r} must be given together, for a free base, or "
@@ -178,16 +181,13 @@ def _bad(x: Tensor, mask: Tensor) -> tuple[tuple[int, ...], Any]:
     return at, x.detach()[at].tolist()
 
 
-def _unit(x: Tensor) -> Tensor:
-    """Mask of unit dual quaternions [..., 8]."""
-    slack = UNIT if x.dtype == torch.float64 else UNIT_SINGLE
-    r, d = x[..., :4].double(), x[..., 4:].double()
-    return ((r.norm(dim=-1) - 1).abs() <= slack) & ((r * d).sum(-1).abs() <= slack * (1 + d.norm(dim=-1)))
+def _slack(x: Tensor) -> float:
+    return UNIT if x.dtype == torch.float64 else UNIT_SINGLE
 
 
 def _of_kind(screw: Tensor, kinds: tuple[str, ...]) -> Tensor:
     """Mask of screws [..., n, 6] of joints of these kinds."""
-    slack = UNIT if screw.dtype == torch.float64 else UNIT_SINGLE
+    slack = _slack(screw)
     axis, moment = screw[..., :3].double(), screw[..., 3:].double()
     length, size, pitch = axis.norm(dim=-1), moment.norm(dim=-1), (axis * moment).sum(-1)
     line = (length - 1).abs() <= slack
@@ -204,8 +204,8 @@ def _geometry(robot: Robot, names: Collection[str], everything: bool) -> Iterato
     poses = {"X_PB_home": robot.X_PB_home} if "X_PB_home" in names else {}
     poses |= {f"pose X_BF of frame {f.name!r}": f.X_BF for f in robot.frames if "frames" in names}
     for name, x in poses.items():
-        if readable(x, everything) and not bool(_unit(x.detach()).all()):
-            at, found = _bad(x, ~_unit(x.detach()))
+        if readable(x, everything) and not bool((fits := unit(x.detach(), _slack(x))).all()):
+            at, found = _bad(x, ~fits)
             yield f"{name} must be unit dual quaternions (see torchdq.dq.normalize), found {found} at {at}"
     if {"screw", "kinds"} & set(names) and readable(robot.screw, everything):
         fits = _of_kind(robot.screw.detach(), robot.kinds)

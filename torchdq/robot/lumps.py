@@ -1,29 +1,31 @@
-"""Bodies that are fixed to each other, as one, and what is left of one without another."""
+"""Bodies that are fixed to each other, as one, and what is left of one without another; numbers may be tensors."""
 
 from __future__ import annotations
 
-from torchdq.algebra import dual_quaternion
+import torch
+from torch import Tensor
+
+from torchdq.algebra import dual_quaternion, screw
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import Six, merged, rotated, six, square
-from torchdq.algebra.quaternion import Pure
+from torchdq.algebra.quaternion import Number, Pure
 
-Lump = tuple[float, Pure, Six]  # mass [kg], centre of mass [m], inertia about it: xx xy yy xz yz zz [kg m^2]
+Lump = tuple[Number, Pure, Six]  # mass [kg], centre of mass [m], inertia about it: xx xy yy xz yz zz [kg m^2]
 NOTHING: Lump = (0.0, quat.ZERO, (0.0,) * 6)
 
 
 def moved(X: DualQuaternion, body: Lump) -> Lump:
     """Body in frame A of one in frame B, where X = X_AB."""
     mass, com, inertia = body
-    turned = six(rotated(quat.rotation_columns(X[0]), square(inertia)))
-    return mass, quat.add(quat.rotate(X[0], com), dual_quaternion.translation(X)), turned
+    R = quat.rotation_columns(X[0])
+    placed = quat.add(dual_quaternion.translation(X), screw.columns_times(R, com))
+    return mass, placed, six(rotated(R, square(inertia)))
 
 
 def together(a: Lump, b: Lump) -> Lump:
-    """Two bodies as one; one without mass may have a rotational inertia."""
-    if a[0] and b[0]:
-        return merged(a, b)
-    return a[0] + b[0], a[1] if a[0] else b[1], quat.add(a[2], b[2])
+    """Two bodies as one; those without mass may have a rotational inertia."""
+    return merged(a, b, _share(b[0], a[0] + b[0]))
 
 
 def without(whole: Lump, part: Lump) -> Lump:
@@ -32,5 +34,12 @@ def without(whole: Lump, part: Lump) -> Lump:
     if not mass or not part[0]:
         return mass, whole[1] if mass else quat.ZERO, quat.sub(whole[2], part[2])
     com = quat.add(whole[1], quat.scale(part[0] / mass, quat.sub(whole[1], part[1])))
-    between = merged((mass, com, (0.0,) * 6), (part[0], part[1], part[2]))
+    between = together((mass, com, (0.0,) * 6), part)
     return mass, com, quat.sub(whole[2], between[2])
+
+
+def _share(part: Number, whole: Number) -> Number:
+    """Part of the whole as a fraction, zero if there is no whole."""
+    if isinstance(whole, Tensor):  # a division by zero would leave NaN in the gradients even where it is masked
+        return torch.where(whole == 0, 0.0, part / torch.where(whole == 0, 1.0, whole))
+    return part / whole if whole else 0.0

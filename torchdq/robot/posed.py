@@ -21,7 +21,7 @@ from torchdq.errors import SingularInertiaError
 from torchdq.numbers.functions import cos, sin
 from torchdq.robot import mdh
 from torchdq.robot.description import JointMap
-from torchdq.robot.fields import SHAPES
+from torchdq.robot.fields import BASE_BODY, BODIES, SHAPES
 from torchdq.robot.robot import Robot
 from torchdq.robot.tree import general_tree, plain
 
@@ -30,8 +30,6 @@ Overrides = Mapping[str, Sequence[Number] | None]
 
 GEOMETRY = ("X_PB_home", "screw")
 BASE = 6  # degrees of freedom of a free base, which come first
-INERTIAL = ("mass", "com", "inertia")  # tensors of the links
-BODIES = (*INERTIAL, "base_mass", "base_com", "base_inertia")
 
 
 def field(robot: Robot, name: str, overrides: Overrides):
@@ -55,19 +53,16 @@ def tree(robot: Robot, overrides: Overrides, free: bool = False) -> Tree:
     return general_tree(robot, lambda name: field(robot, name, overrides), free)
 
 
-def coupling(joint_map: JointMap, before: int = 0) -> Coupling:
-    """Map from coordinates to all joints, after some degrees of freedom of the base that stay as they are."""
-    rows = [[x or None for x in row] for row in joint_map.S.tolist()]
-    own = [[1.0 if i == k else None for k in range(before + len(rows[0]))] for i in range(before)]
-    S = (*own, *([None] * before + row for row in rows))
-    return Coupling(tuple(map(tuple, S)), (0.0,) * len(S))
+def coupling(joint_map: JointMap) -> Coupling:
+    """Map from coordinates to all joints, in numbers."""
+    return Coupling(tuple(tuple(x or None for x in row) for row in joint_map.S.tolist()))
 
 
 def displacements(robot: Robot, q: Sequence[Number], overrides: Overrides) -> list[Number]:
     """Positions of all joints relative to home."""
     home = field(robot, "home", overrides)
     if robot.joint_map is not None:
-        q = coupling(robot.joint_map).rates(q)
+        q = coupling(robot.joint_map).joints(q)
     return list(q) if home is None else [x - h for x, h in zip(q, home, strict=True)]
 
 
@@ -106,7 +101,7 @@ def aligned(
 
 
 def _base_body(robot: Robot, overrides: Overrides) -> Moments:
-    return Moments.from_com(*(field(robot, name, overrides) for name in ("base_mass", "base_com", "base_inertia")))
+    return Moments.from_com(*(field(robot, name, overrides) for name in BASE_BODY))
 
 
 def paper(robot: Robot, q: Sequence[Number], overrides: Overrides, X_WB: DualQuaternion | None = None) -> Paper:
@@ -136,7 +131,7 @@ def posed(
     if robot.joint_map is None:
         return at
     before, rotors = 0 if X_WB is None else BASE, field(robot, "armature", overrides)
-    return Coupled(at, coupling(robot.joint_map, before), rotors and (0.0,) * before + tuple(rotors))
+    return Coupled(at, coupling(robot.joint_map).after(before), rotors and (0.0,) * before + tuple(rotors))
 
 
 def factors(robot: Robot, at: Posed, linear: bool) -> Factors:

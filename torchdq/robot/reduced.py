@@ -16,9 +16,9 @@ from torchdq import dq
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import IDENTITY
+from torchdq.robot.bodies import RigidBody, lumped, mixed
 from torchdq.robot.description import Frame, JointMap, Limits
-from torchdq.robot.fields import batches
-from torchdq.robot.lumped import RigidBody, lumped
+from torchdq.robot.fields import BASE_BODY, batches
 from torchdq.robot.urdf_lock import positions, require_free, tell_if_beyond, told
 
 if TYPE_CHECKING:
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 
 PER_LINK = {"screw": -2, "home": -1}  # fields by the axis of the links
 PER_COORDINATE = {"armature": -1, "damping": -1, "friction": -1}  # fields by the axis of the coordinates
-LINK_BODIES = ("mass", "com", "inertia")
-BASE_BODY = ("base_mass", "base_com", "base_inertia")
 
 
 def lock(robot: Robot, lock: Mapping[str, float] | Sequence[str] | str) -> Robot:
@@ -69,12 +67,15 @@ def lock(robot: Robot, lock: Mapping[str, float] | Sequence[str] | str) -> Robot
             carrier[i], X_CB[i] = carrier[parent], dq.mul(X, dq.exp(0.5 * displacement * robot.screw[i]))
     new = {BASE: BASE} | {old: i for i, old in enumerate(links)}
     parts = {link: [i for i in X_CB if carrier[i] == link and i != link] for link in carrier.values()}
-    bodies = [lumped(body(robot, link), [(X_CB[i], body(robot, i)) for i in parts[link]]) for link in links]
+
+    def whole(link: int) -> RigidBody:
+        return lumped(RigidBody.at(robot, link), [(X_CB[i], RigidBody.at(robot, i)) for i in parts[link]])
+
+    bodies = [whole(link) for link in links]
     masses, coms, inertias = zip(*bodies, strict=True) if bodies else ((), (), ())
     changes: dict[str, Any] = {}
     if robot.floating:
-        whole = lumped(body(robot, BASE), [(X_CB[i], body(robot, i)) for i in parts[BASE]])
-        changes |= zip(BASE_BODY, whole, strict=True)
+        changes |= zip(BASE_BODY, whole(BASE), strict=True)
     stand = {name: float(placed[i]) for i, name in enumerate(robot.every_joint) if i not in links} | at
     moved = placed[links]
     if moved.any():
@@ -237,17 +238,3 @@ def home_of(robot: Robot, name: str) -> float:
     i = robot.every_joint.index(name)
     unit = [float(known == name) for known in robot.joint_names]
     return float(robot.home[i]) if factors(robot)[i].tolist() == unit else 0.0
-
-
-def body(robot: Robot, link: int) -> RigidBody:
-    """RigidBody of a link, or of a free base."""
-    if link == BASE:
-        return RigidBody(*(getattr(robot, name) for name in BASE_BODY))
-    return RigidBody(robot.mass[..., link], robot.com[..., link, :], robot.inertia[..., link, :])
-
-
-def mixed(arguments: Sequence[str]) -> tuple[str, ...]:
-    """Arguments of programs of a robot some of whose bodies are lumped: a sum depends on all that it is made of."""
-    known = set(arguments)
-    links = LINK_BODIES if known & set(LINK_BODIES) else ()
-    return (*arguments, *links, *(BASE_BODY if links or known & set(BASE_BODY) else ()))

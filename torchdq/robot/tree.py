@@ -10,7 +10,7 @@ from torchdq.algebra.inertia import Inertia
 from torchdq.dynamics.joints import KINDS, Free
 from torchdq.dynamics.tree import Tree, on_base
 from torchdq.robot import consistency
-from torchdq.robot.fields import SHAPES
+from torchdq.robot.fields import BASE_BODY, SHAPES
 
 if TYPE_CHECKING:
     from torchdq.robot.robot import Robot
@@ -32,7 +32,7 @@ def general_tree(robot: Robot, values: Callable[[str], Any], free: bool = False)
         [Inertia.from_com(*body) for body in bodies],
         None if robot.joint_map else values("armature"),
         values("gravity"),
-        *((Free(), Inertia.from_com(*map(values, ("base_mass", "base_com", "base_inertia")))) if free else ()),
+        *((Free(), Inertia.from_com(*map(values, BASE_BODY))) if free else ()),
     )
 
 

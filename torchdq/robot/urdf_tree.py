@@ -12,15 +12,13 @@ from typing import NamedTuple
 from torchdq.algebra import dual_quaternion, screw
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
-from torchdq.algebra.inertia import Six, merged, rotated, six, square
 from torchdq.algebra.quaternion import Pure, Quaternion
 from torchdq.dynamics.tree import BASE
+from torchdq.robot.lumps import NOTHING, Lump, moved, together
 from torchdq.robot.urdf_document import Document
 from torchdq.robot.urdf_elements import MOVING, Inertial, Origin, UrdfJoint
 
-Lump = tuple[float, Pure, Six]  # mass, centre of mass, and rotational inertia about it
 AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-NO_BODY: Lump = (0.0, quat.ZERO, (0.0,) * 6)
 
 
 class Place(NamedTuple):
@@ -92,16 +90,9 @@ def _unit(X: DualQuaternion) -> DualQuaternion:
 
 def lumped(places: Mapping[str, Place], bodies: Mapping[str, Inertial], n: int) -> list[Lump]:
     """Bodies of the n moving links and, last, of the base, with all bodies that are fixed to them."""
-    found = [NO_BODY] * (n + 1)
+    found = [NOTHING] * (n + 1)
     for name, (link, X) in places.items():
-        if (inertial := bodies.get(name)) is None:
-            continue
-        r, _ = X = dual_quaternion.mul(X, pose(inertial.origin))
-        turned = six(rotated(quat.rotation_columns(r), square(inertial.inertia)))
-        body = (inertial.mass, dual_quaternion.translation(X), turned)
-        mass, com, inertia = found[link]
-        if mass + inertial.mass:
-            found[link] = merged((mass, com, inertia), body)
-        else:
-            found[link] = (0.0, com, quat.add(inertia, turned))
+        if (inertial := bodies.get(name)) is not None:
+            X = dual_quaternion.mul(X, pose(inertial.origin))
+            found[link] = together(found[link], moved(X, (inertial.mass, quat.ZERO, inertial.inertia)))
     return found
