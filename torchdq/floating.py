@@ -70,10 +70,10 @@ def _of(
     robot: Robot,
     given: dict[str, Tensor | None],
     backend: BackendName | None,
-    options: Sequence[str] = (),
+    options: tuple[str, ...] = (),
     double: bool = False,
 ) -> list[Tensor]:
-    return function_of(FLOATING + name, require_robot(robot), given, backend, tuple(options), double)
+    return function_of(FLOATING + name, robot, given, backend, options, double)
 
 
 def inverse_dynamics(

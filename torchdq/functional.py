@@ -111,8 +111,7 @@ def function_of(
 ) -> list[Tensor]:
     """Results of a function of the catalogue, with the broadcast batch axes of all tensors."""
     what = Function(constants(require_robot(robot)), name, options)
-    tensors = _with_tensors(robot, given) if arguments(robot) else given
-    return list(evaluate(what, tensors, backend, double).values())
+    return list(evaluate(what, _with_tensors(robot, given), backend, double).values())
 
 
 # --- dynamics --------------------------------------------------------------------------------------------------------

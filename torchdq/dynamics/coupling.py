@@ -2,8 +2,8 @@
 
     q = S z + s0,   qd = S zd,   qdd = S zdd
 
-z are the independent coordinates and q the joint coordinates; s0 is part of the joints' home. Generalised forces are mapped by S^T, the mass matrix is
-S^T M S. The map wraps a posed robot, so no algorithm depends on it.
+z are the independent coordinates and q the joint coordinates; s0 is part of the joints' home. Generalised forces are
+mapped by S^T, the mass matrix is S^T M S. The map wraps a posed robot, so no algorithm depends on it.
 """
 
 from __future__ import annotations

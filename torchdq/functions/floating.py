@@ -13,9 +13,10 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics import posed as mechanics
+from torchdq.functions.formulas import accelerations
 from torchdq.functions.recipe import RecipeInputs, Results
 from torchdq.program.program import GROWTH
-from torchdq.robot.posed import BASE, as_screw, solve
+from torchdq.robot.posed import BASE, as_screw
 
 
 def _wrench(row: Sequence[Number | None]) -> list[Number | None]:
@@ -32,12 +33,8 @@ def inverse_dynamics(x: RecipeInputs) -> Results:
 
 def forward_dynamics(x: RecipeInputs, linear: bool = False) -> Results:
     """Rate of the twist of the base, and accelerations, with no other wrench on the base than that of `f_base`."""
-    x.require_inertia()
-    at = x.posed()
     forces = (*[0.0] * BASE, *x.arguments.get("tau", [0.0] * x.robot.n))
-    bias = at.torques(x.velocities(), None, x.exerted(at))
-    net = [t if b is None else t - b for t, b in zip(forces, bias, strict=True)]
-    a, growth = solve(x.robot, at, net, linear)
+    a, growth = accelerations(x, forces, linear)
     return {"A_WB_B": a[:BASE], "qdd": a[BASE:], GROWTH: [growth]}
 
 

@@ -37,13 +37,18 @@ def mass_matrix(x: RecipeInputs) -> Results:
     return {"M": [entry for row in x.posed().mass_matrix() for entry in row]}
 
 
-def forward_dynamics(x: RecipeInputs, linear: bool = False) -> Results:
-    """Accelerations qdd, by the factors of the mass matrix or, if `linear`, by articulated bodies."""
+def accelerations(x: RecipeInputs, forces: Sequence[Number], linear: bool) -> tuple[Sequence[Number], Number]:
+    """Accelerations that generalised forces produce, and the factor by which rounding errors grow in them."""
     x.require_inertia()
     at = x.posed()
     bias = at.torques(x.velocities(), None, x.exerted(at))
-    net = [t if b is None else t - b for t, b in zip(x.arguments["tau"], bias, strict=True)]
-    qdd, growth = solve(x.robot, at, net, linear)  # (63) solved for qdd
+    net = [f if b is None else f - b for f, b in zip(forces, bias, strict=True)]
+    return solve(x.robot, at, net, linear)  # (63) solved for qdd
+
+
+def forward_dynamics(x: RecipeInputs, linear: bool = False) -> Results:
+    """Accelerations qdd, by the factors of the mass matrix or, if `linear`, by articulated bodies."""
+    qdd, growth = accelerations(x, x.arguments["tau"], linear)
     return {"qdd": qdd, GROWTH: [growth]}
 
 

@@ -14,7 +14,7 @@ from torchdq.errors import ArgumentError
 from torchdq.robot import fields
 from torchdq.robot.bodies import RigidBody
 from torchdq.robot.changes import require_unchanged, values
-from torchdq.robot.lumps import Lump
+from torchdq.robot.lumps import NOTHING, Lump, without
 
 if TYPE_CHECKING:
     from torchdq.robot.robot import Robot
@@ -70,6 +70,39 @@ def changed_bodies(robot: Robot, original: Robot) -> Iterator[tuple[int, Lump, t
         if any(changed):
             mass, com, inertia = (x.detach().double().tolist() for x in own)
             yield link, (mass, tuple(com), tuple(inertia)), changed  # type: ignore[misc]
+
+
+def own_body(
+    own: Lump, carried: Lump, new: Lump, changed: tuple[bool, bool, bool], name: str, parts: str
+) -> tuple[Lump, bool]:
+    """Body that an element of a file must have, and whether it carries no others.
+
+    Args:
+        own: body of the element in the file.
+        carried: all others that are fixed to it.
+        new: the common body to be written.
+        changed: whether the mass, the centre of mass and the inertia differ from the file's.
+        name: the element, in words.
+        parts: those that it carries, in words.
+
+    Raises:
+        ArgumentError: the element would have less than no mass.
+    """
+    alone = carried == NOTHING
+    left = new if alone else without(new, carried)
+    # what did not change stays without the rounding of a sum and a difference
+    mass = left[0] if changed[0] else own[0]
+    if mass < 0:
+        raise ArgumentError(
+            f"mass of {name} must be at least that of the {parts} that it carries, {carried[0]:g} kg, found "
+            f"{new[0]:g} kg; change their masses in the file"
+        )
+    return (mass, left[1] if any(changed[:2]) else own[1], left[2]), alone
+
+
+def digits(numbers: Iterable[float]) -> str:
+    """Numbers with all their digits, with spaces between them."""
+    return " ".join(map(repr, numbers))
 
 
 def changed_joints(robot: Robot, original: Robot) -> Iterator[ChangedJoint]:

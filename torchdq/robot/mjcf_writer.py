@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,11 +17,13 @@ from torchdq.robot.changed import (
     ChangedJoint,
     changed_bodies,
     changed_joints,
+    digits,
     grouped,
+    own_body,
     require_read_back,
     require_same_tree,
 )
-from torchdq.robot.lumps import NOTHING, Lump, moved, together, without
+from torchdq.robot.lumps import NOTHING, Lump, moved, together
 from torchdq.robot.mjcf import Mjcf
 from torchdq.robot.mjcf_joints import actuators_at
 from torchdq.robot.mjcf_links import body_of
@@ -33,13 +35,7 @@ if TYPE_CHECKING:
 
 JOINTS = ("joint", "freejoint")
 ATTRIBUTES = {"damping": "damping", "friction": "frictionloss", "armature": "armature"}
-OTHER_AXES = (
-    "fullinertia",
-    "axisangle",
-    "xyaxes",
-    "zaxis",
-    "euler",
-)  # other ways to say quat and diaginertia
+OTHER_AXES = ("fullinertia", "axisangle", "xyaxes", "zaxis", "euler")  # other ways to say quat and diaginertia
 
 
 def to_mjcf(robot: Robot, original: Any) -> str:
@@ -114,7 +110,7 @@ def _carrier(element: Element) -> Any:
 
 
 def _write_body(
-    xml: XmlText, first: Mjcf, elements: Sequence[Element], link: int, body: Lump, changed: Sequence[bool]
+    xml: XmlText, first: Mjcf, elements: Sequence[Element], link: int, body: Lump, changed: tuple[bool, bool, bool]
 ) -> None:
     """Write the body of a link, less the bodies without joints that are part of it."""
     placed = first.links.placed
@@ -134,24 +130,16 @@ def _write_body(
     carrying, rest = parts[0], NOTHING
     for i in parts[1:]:
         rest = together(rest, moved(placed[i][1], body_of(first.of, i)))
-    mass, com, _ = body_of(first.of, carrying)
-    alone = rest == NOTHING
-    new = body if alone else without(body, rest)
-    # what did not change stays without the rounding of a sum and a difference
-    new = (new[0] if changed[0] else mass, new[1] if any(changed[:2]) else com, new[2])
-    if new[0] < 0:
-        raise ArgumentError(
-            f"mass of body {name!r} must be at least that of the bodies without joints that it carries, "
-            f"{rest[0]:g} kg, found {body[0]:g} kg; change their masses in the file"
-        )
-    words: dict[str, str | None] = {"pos": _words(new[1])} if changed[1] or (changed[0] and not alone) else {}
+    own = body_of(first.of, carrying)
+    new, alone = own_body(own, rest, body, changed, f"body {name!r}", "bodies without joints")
+    words: dict[str, str | None] = {"pos": digits(new[1])} if changed[1] or (changed[0] and not alone) else {}
     words |= {"mass": repr(new[0])} if changed[0] else {}
     words |= _principal(new[2]) if changed[2] or not alone else {}
     inertial = elements[carrying].find("inertial")
     if inertial is not None:
         xml.set(inertial, {key: x for key, x in words.items() if x is not None or key in inertial.attributes})
         return
-    words = {"pos": _words(new[1]), "mass": repr(new[0]), **_principal(new[2])}
+    words = {"pos": digits(new[1]), "mass": repr(new[0]), **_principal(new[2])}
     xml.add(elements[carrying], "<inertial " + " ".join(f'{key}="{x}"' for key, x in words.items() if x) + "/>")
 
 
@@ -162,11 +150,7 @@ def _principal(inertia: Sequence[float]) -> dict[str, str | None]:
     rows = quat.from_rotation_rows(tuple(map(tuple, axes.tolist())))
     r = max(rows, key=quat.norm2)
     r = quat.scale(1.0 / math.sqrt(quat.norm2(r)), r)
-    return {"quat": _words(r), "diaginertia": _words(moments.tolist()), **dict.fromkeys(OTHER_AXES)}
-
-
-def _words(numbers: Iterable[float]) -> str:
-    return " ".join(map(repr, numbers))
+    return {"quat": digits(r), "diaginertia": digits(moments.tolist()), **dict.fromkeys(OTHER_AXES)}
 
 
 # --- joints ----------------------------------------------------------------------------------------------------------
@@ -200,9 +184,9 @@ def _write_joint(
         if not math.isfinite(high - low):
             raise ArgumentError(f"limits of joint {name!r} must both be finite, found {low:g} and {high:g}")
         scale = 180 / math.pi if first.of.degrees and joint.kind == "revolute" else 1.0
-        words["range"] = _words((low * scale, high * scale))
+        words["range"] = digits((low * scale, high * scale))
         if not m.jnt_limited[joint.row]:
             words["limited"] = "true"
     if "damping" in words and m.dof_dampingpoly[dof].any():
-        words["damping"] = f"{words['damping']} {_words(m.dof_dampingpoly[dof].tolist())}"
+        words["damping"] = f"{words['damping']} {digits(m.dof_dampingpoly[dof].tolist())}"
     xml.set(element, words)

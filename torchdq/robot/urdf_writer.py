@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from torchdq.algebra import quaternion as quat
@@ -13,12 +12,15 @@ from torchdq.robot.changed import (
     ChangedJoint,
     changed_bodies,
     changed_joints,
+    digits,
     grouped,
+    own_body,
     require_read_back,
     require_same_tree,
 )
-from torchdq.robot.lumps import NOTHING, Lump, moved, together, without
+from torchdq.robot.lumps import NOTHING, Lump, moved, together
 from torchdq.robot.urdf_document import text_of
+from torchdq.robot.urdf_tree import pose
 from torchdq.robot.xml_text import Element, XmlText
 
 if TYPE_CHECKING:
@@ -77,7 +79,7 @@ def to_urdf(robot: Robot, original: Any) -> str:
 
 
 def _write_body(
-    xml: XmlText, first: Robot, links: dict[str, Element], link: int, body: Lump, changed: Sequence[bool]
+    xml: XmlText, first: Robot, links: dict[str, Element], link: int, body: Lump, changed: tuple[bool, bool, bool]
 ) -> None:
     """Write the body of a link, less the links on fixed joints that are part of it."""
     poses = {f.name: (tuple(f.X_BF[:4].tolist()), tuple(f.X_BF[4:].tolist())) for f in first.frames if f.link == link}
@@ -87,19 +89,11 @@ def _write_body(
         if name != carrying and name in links:
             rest = together(rest, moved(X, _read(links[name].find("inertial"))[0]))
     inertial = links[carrying].find("inertial")
-    (mass, com, _), r = _read(inertial)
-    alone = rest == NOTHING
-    new = body if alone else without(body, rest)
-    # what did not change stays without the rounding of a sum and a difference
-    new = (new[0] if changed[0] else mass, new[1] if any(changed[:2]) else com, new[2])
-    if new[0] < 0:
-        raise ArgumentError(
-            f"mass of link {carrying!r} must be at least that of the links on fixed joints that it carries, "
-            f"{rest[0]:g} kg, found {body[0]:g} kg; change their masses in the file"
-        )
+    own, r = _read(inertial)
+    new, alone = own_body(own, rest, body, changed, f"link {carrying!r}", "links on fixed joints")
     turned = new[2] if r == quat.ONE else moved((quat.conj(r), (0.0,) * 4), (0.0, quat.ZERO, new[2]))[2]
     words = {
-        "origin": {"xyz": _words(new[1])} if changed[1] or (changed[0] and not alone) else {},
+        "origin": {"xyz": digits(new[1])} if changed[1] or (changed[0] and not alone) else {},
         "mass": {"value": repr(new[0])} if changed[0] or inertial is None else {},
         "inertia": dict(zip(SIX, map(repr, turned), strict=True)) if changed[2] or not alone else {},
     }
@@ -136,31 +130,15 @@ def _tag(tag: str, attributes: dict[str, str]) -> str:
     return f"<{tag} " + " ".join(f'{key}="{x}"' for key, x in attributes.items()) + "/>"
 
 
-def _words(numbers: Iterable[float]) -> str:
-    return " ".join(map(repr, numbers))
-
-
 def _read(inertial: Element | None) -> tuple[Lump, quat.Quaternion]:
     """Body of an <inertial> element in the frame of its link, and the rotation of the axes of its inertia there."""
     if inertial is None:
         return NOTHING, quat.ONE
     mass, origin, inertia = (inertial.find(tag) for tag in ("mass", "origin", "inertia"))
     values = {} if origin is None else origin.attributes
-    x, y, z = map(float, values.get("xyz", "0 0 0").split())
-    r = _rotation(*map(float, values.get("rpy", "0 0 0").split()))
+    X = pose({key: tuple(map(float, values.get(key, "0 0 0").split())) for key in ("xyz", "rpy")})
     moments = tuple(0.0 if inertia is None else float(inertia.attributes[key]) for key in SIX)
-    turned = moved((r, (0.0,) * 4), (0.0, quat.ZERO, moments))[2]
-    return (0.0 if mass is None else float(mass.attributes["value"]), (x, y, z), turned), r
-
-
-def _rotation(roll: float, pitch: float, yaw: float) -> quat.Quaternion:
-    """Rotation about x, then y, then z of the fixed axes."""
-    r = quat.ONE
-    for axis, angle in enumerate((roll, pitch, yaw)):
-        turn = [math.cos(0.5 * angle), 0.0, 0.0, 0.0]
-        turn[1 + axis] = math.sin(0.5 * angle)
-        r = quat.mul(tuple(turn), r)
-    return r
+    return moved(X, (0.0 if mass is None else float(mass.attributes["value"]), quat.ZERO, moments)), X[0]
 
 
 # --- joints ----------------------------------------------------------------------------------------------------------
