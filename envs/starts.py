@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchdq.call import batch_of
+from torchdq.checks import tensor_of
 from torchdq.envs.free_base import POSE
 from torchdq.envs.recording import Stage
 from torchdq.envs.state import State
@@ -69,7 +70,7 @@ def outside_limits(scene: Scene, q: Tensor) -> str:
         return ""
     limits = [found for effect in scene.effects if (found := effect.free_range()) is not None]
     for bounds in limits:
-        low, high = (torch.as_tensor(x, device=getattr(x, "device", "cpu")).detach() for x in bounds)
+        low, high = (tensor_of(x).detach() for x in bounds)
         if without_values((low,)) or without_values((high,)):
             continue
         low, high = low.to(q), high.to(q)

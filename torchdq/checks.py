@@ -127,6 +127,11 @@ def _words(name: str, x: Any, known: tuple[str, ...], expected: str) -> tuple[st
     return tuple(words)
 
 
+def tensor_of(x: Any) -> Tensor:
+    """Tensor of a number or of numbers; one that is a tensor, as it is."""
+    return x if isinstance(x, Tensor) else torch.as_tensor(x, dtype=torch.float64, device="cpu")
+
+
 def device_of(name: str, x: Any) -> torch.device:
     """Device, by itself or by its name; raises unless torch can hold a tensor there."""
     try:

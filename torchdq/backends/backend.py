@@ -40,10 +40,6 @@ class Backend:
         """Error that says why programs cannot run on a device; None: they can."""
         raise NotImplementedError
 
-    def available(self, device: torch.device) -> bool:
-        """Whether programs can run on a device."""
-        return self.refusal(device) is None
-
     def kernel(self, program: Program, dtype: torch.dtype, device: torch.device) -> Kernel:
         """Function that computes all outputs of a program in one precision."""
         raise NotImplementedError

@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal, NamedTuple, Self
 
-import torch
-
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Pure
 from torchdq.algebra.screw import Screw
+from torchdq.checks import tensor_of
 from torchdq.dynamics.posed import Point, Posed
 from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, on_a_link
 from torchdq.errors import ArgumentError
@@ -168,7 +167,7 @@ class Contact(BodyEffect):
     def resolved(self, robot: Robot) -> Self:
         """Copy for a robot; raises unless the normal has the length 1, but for rounding."""
         whole = super().resolved(robot)
-        normal = torch.as_tensor(whole.normal, dtype=torch.float64, device=getattr(whole.normal, "device", "cpu"))
+        normal = tensor_of(whole.normal).double()
         if not without_values((normal,)) and bool(((normal.square().sum(-1) - 1).abs() > 1e-5).any()):
             raise ArgumentError(f"normal of Contact must be a unit vector, found {self.normal}")
         return whole

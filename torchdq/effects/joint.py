@@ -15,6 +15,7 @@ from typing import ClassVar, NamedTuple, Self
 import torch
 
 from torchdq.algebra.quaternion import Number
+from torchdq.checks import tensor_of
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, unbounded
 from torchdq.errors import ArgumentError
@@ -240,7 +241,7 @@ def crossed(lower: Parameter, upper: Parameter, robot: Robot) -> str:
     if isinstance(lower, tuple) and isinstance(upper, tuple):
         pairs = zip(robot.joint_names, lower, upper, strict=True)
         return next((f"{a:g} and {b:g} at joint {joint!r}" for joint, a, b in pairs if a > b), "")
-    low, high = (torch.as_tensor(x, device=getattr(x, "device", "cpu")).detach() for x in (lower, upper))
+    low, high = (tensor_of(x).detach() for x in (lower, upper))
     if without_values((low,)) or without_values((high,)):
         return ""
     low, high = torch.broadcast_tensors(*(x.to("cpu", torch.float64) for x in (low, high)))

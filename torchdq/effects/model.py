@@ -6,10 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
-import torch
-
 from torchdq.algebra.inertia import merged
 from torchdq.algebra.quaternion import Number
+from torchdq.checks import tensor_of
 from torchdq.dynamics.tree import BASE
 from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link
 from torchdq.errors import ArgumentError
@@ -110,7 +109,7 @@ class Payload(ModelEffect):
     def resolved(self, robot: Robot) -> Self:
         """Copy for a robot; raises unless a body of that mass and inertia, if they are not learned, can exist."""
         whole = super().resolved(robot)
-        parts = [torch.as_tensor(x, device=getattr(x, "device", "cpu")) for x in (whole.mass, whole.inertia)]
+        parts = [tensor_of(x) for x in (whole.mass, whole.inertia)]
         if all(x.numel() and not (x.requires_grad or without_values((x,))) for x in parts):
             mass, inertia = (x.double() for x in parts)
             faults = bodies(("payload",), mass.unsqueeze(-1), matrices(inertia).unsqueeze(-3))

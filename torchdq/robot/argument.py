@@ -10,7 +10,7 @@ from torchdq.robot.fields import readable
 from torchdq.robot.robot import Robot
 
 
-def require_robot(x: Any, name: str = "robot") -> Robot:
+def require_robot(x: Any) -> Robot:
     """Robot x; raises, with a way to make one, if it is something else."""
     if isinstance(x, Robot):
         return x
@@ -19,7 +19,7 @@ def require_robot(x: Any, name: str = "robot") -> Robot:
         way = "load it with Robot.from_urdf(...), or a shipped robot with torchdq.robots.load(...)"
     elif isinstance(getattr(x, "robot", None), Robot):
         way = f"{type(x).__name__} holds one as its attribute `robot`"
-    raise ArgumentError(f"{name} must be a torchdq.Robot, found {type(x).__name__}; {way}")
+    raise ArgumentError(f"robot must be a torchdq.Robot, found {type(x).__name__}; {way}")
 
 
 def require_bodies(robot: Robot, what: str) -> None:

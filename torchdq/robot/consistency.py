@@ -135,8 +135,8 @@ def inert_joints(names: Sequence[str], tree: Tree) -> dict[str, str]:
     }
 
 
-def complain(robot: str, faults: Sequence[str], on_unphysical: OnUnphysical, stacklevel: int = 4) -> None:
-    """Raise, warn or do nothing about faults, those left by a repair; `stacklevel` as in `warnings.warn`.
+def complain(robot: str, faults: Sequence[str], on_unphysical: OnUnphysical) -> None:
+    """Raise, warn or do nothing about faults, those left by a repair.
 
     "error" and "repair" raise for those that give wrong numbers, and warn of the others.
     """
@@ -147,7 +147,7 @@ def complain(robot: str, faults: Sequence[str], on_unphysical: OnUnphysical, sta
         refuse(robot, faults, repaired=on_unphysical == "repair")
     advice = f"\nNumbers are those of the inertias as they are; {NEAREST}."
     said = advice if any(TRIANGLE in fault for fault in faults) else ""
-    warnings.warn(_listed(robot, faults) + said, stacklevel=stacklevel)
+    warnings.warn(_listed(robot, faults) + said, stacklevel=4)  # where a public function was called
 
 
 def refuse(robot: str, faults: Sequence[str], repaired: bool = False) -> NoReturn:

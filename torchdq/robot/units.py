@@ -37,20 +37,18 @@ def without_numbers(fault: str) -> str:
     return fault.partition(", found")[0]
 
 
-def doubts(
-    robot: Robot, quiet: bool = False, stacklevel: int = 4, known: Collection[str] = (), said: Sequence[str] = ()
-) -> list[str]:
+def doubts(robot: Robot, quiet: bool = False, known: Collection[str] = (), said: Sequence[str] = ()) -> list[str]:
     """Numbers that seem to be in other units than m, rad, kg and kg m^2, and why; warns unless `quiet`.
 
-    `stacklevel` is as in `warnings.warn`. Numbers that cannot be read, inside a transform, are not doubted, nor is what
-    is `known`: doubts without their numbers. Doubts that a reader of files `said` come first.
+    Numbers that cannot be read, inside a transform, are not doubted, nor is what is `known`: doubts without their
+    numbers. Doubts that a reader of files `said` come first.
     """
     needed = (robot.X_PB_home, robot.screw, robot.mass, robot.com, robot.inertia, *robot.limits)
     own = [] if without_values(needed) else [x for x in _doubts(robot) if without_numbers(x) not in known]
     found = [*said, *own]
     if found and not quiet:
         lines = "\n  ".join(found)
-        warnings.warn(f"robot {robot.name!r} may have numbers in other units:\n  {lines}", stacklevel=stacklevel)
+        warnings.warn(f"robot {robot.name!r} may have numbers in other units:\n  {lines}", stacklevel=4)
     return found
 
 
