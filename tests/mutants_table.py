@@ -1956,18 +1956,12 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/robot/urdf_lock.py",
+        "torchdq/robot/locking.py",
         (
             "locks beyond the limits only noted",
             "{name: limits[name] for name in asked}",
             "{}",
             "reduced.py::test_a_lock_beyond_the_limits_of_a_loaded_robot_is_told",
-        ),
-        (
-            "the offset of a follower forgotten",
-            "mimic.multiplier * at[driver] + mimic.offset",
-            "mimic.multiplier * at[driver]",
-            f"{URDF}::test_the_followers_of_a_locked_joint_are_locked_where_the_file_puts_them",
         ),
         (
             "a robot without joints when all are locked",
@@ -1977,9 +1971,18 @@ MUTANTS = (
         ),
         (
             "no joint to keep",
-            "if movable and joints is not None and not kept:",
+            "if movable and not found:",
             "if False:",
             f"{URDF}::test_joints_to_keep_are_one_at_least",
+        ),
+    ),
+    *within(
+        "torchdq/robot/urdf_lock.py",
+        (
+            "the offset of a follower forgotten",
+            "mimic.multiplier * at[driver] + mimic.offset",
+            "mimic.multiplier * at[driver]",
+            f"{URDF}::test_the_followers_of_a_locked_joint_are_locked_where_the_file_puts_them",
         ),
     ),
     *within(

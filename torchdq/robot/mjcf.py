@@ -14,18 +14,18 @@ from typing import Any, Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.checks import matching, require_choice
+from torchdq.checks import require_choice
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, DescriptionError
 from torchdq.robot import consistency, mjcf_notes
 from torchdq.robot.arrays import MOST, double, matrices
 from torchdq.robot.couplings import Follows, JointCoupling, solved
 from torchdq.robot.description import NO_TIP, JointMap, Limits, RobotDescription
+from torchdq.robot.locking import positions, require_free, tell_if_beyond, to_keep, told
 from torchdq.robot.lumps import NOTHING
 from torchdq.robot.mjcf_joints import BALL, FREE, MjcfJoint, equalities, joints_of
 from torchdq.robot.mjcf_links import Links, links_of
 from torchdq.robot.mjcf_source import MjcfModel, compiled
-from torchdq.robot.urdf_lock import KIND, positions, require_free, tell_if_beyond, told
 
 MjcfBase = Literal["file", "fixed", "floating"]
 
@@ -102,15 +102,10 @@ def _require_motion(joints: Sequence[MjcfJoint], freely: Sequence[Follows], coup
         )
 
 
-def _kept(joints: Sequence[MjcfJoint], moves: Sequence[Follows], kept: Any, lock: Any) -> list[Follows]:
+def _kept(joints: Sequence[MjcfJoint], moves: Sequence[Follows], names: Any, lock: Any) -> list[Follows]:
     """Displacements of the joints when only those that are named, and those that follow them, move."""
-    names = [joint.name for joint in joints if joint.single]
-    chosen = matching("joints", kept, names, KIND)
-    if not chosen:
-        raise ArgumentError(f"joints must name at least one joint to keep, found none; known: {', '.join(names)}")
     locked = positions(() if lock is None else lock, [joint.name for joint in joints])
-    if both := [name for name in chosen if name in locked]:
-        raise ArgumentError(f"joints and lock must not name the same joint, found {', '.join(both)} in both")
+    chosen = to_keep(names, [joint.name for joint in joints if joint.single], locked)
     roots = {moves[joint.row].root for joint in joints if joint.name in chosen or joint.kind == FREE}
     return [x if x.root in roots else Follows(None, 0.0, x.offset) for x in moves]
 

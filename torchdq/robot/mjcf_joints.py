@@ -34,7 +34,7 @@ class MjcfJoint(NamedTuple):
 
     @property
     def single(self) -> bool:
-        """Truth of having one coordinate."""
+        """Whether it has one coordinate."""
         return self.kind in KINDS
 
     def displaced(self, x: float) -> DualQuaternion:

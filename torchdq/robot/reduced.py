@@ -19,7 +19,7 @@ from torchdq.robot.arrays import IDENTITY
 from torchdq.robot.bodies import RigidBody, lumped, mixed
 from torchdq.robot.description import Frame, JointMap, Limits
 from torchdq.robot.fields import BASE_BODY, batches
-from torchdq.robot.urdf_lock import positions, require_free, tell_if_beyond, told
+from torchdq.robot.locking import positions, require_free, tell_if_beyond, told
 
 if TYPE_CHECKING:
     from torchdq.robot.robot import Robot
