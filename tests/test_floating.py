@@ -4,6 +4,8 @@ Errors are relative to the size of what is added up: of generalised forces, the 
 terms; of accelerations, 64 eps times the condition number of the mass matrix scaled to a unit diagonal.
 """
 
+import itertools
+
 import numpy as np
 import oracles
 import pinocchio as pin
@@ -247,8 +249,13 @@ def tangent(f, *at: torch.Tensor) -> list[torch.Tensor]:
     return [torch.cat([J[0] @ displaced(at[0]), J[1]], -1), *(torch.cat(J[k : k + 2], -1) for k in range(2, len(J), 2))]
 
 
-@pytest.mark.parametrize("backend", ["eager", "c"])
-@pytest.mark.parametrize("name", ["tree1", "tree4", "tree7", "quadrotor_base", *thinned(["tree12", "solo12"], ())])
+@pytest.mark.parametrize(
+    "name, backend",
+    thinned(
+        [*itertools.product(["tree1", "tree4", "tree7", "quadrotor_base", "tree12", "solo12"], ["eager", "c"])],
+        (("tree1", "eager"), ("tree4", "c"), ("tree7", "eager"), ("quadrotor_base", "eager")),
+    ),
+)
 def test_derivatives_of_forces(name, backend):
     c, m = case(name), motion(case(name), batch=1)
 
@@ -300,8 +307,8 @@ def test_derivatives_of_all_orders_are_those_of_differences():
         robot = c.robot.replace(**dict(zip(bodies, fields, strict=True)))
         return generalised(floating.forward_dynamics(robot, X_WB, q, V, qd, tau, f_base=f_base))
 
-    torch.autograd.gradcheck(accelerations, (*given, *tensors))
-    torch.autograd.gradgradcheck(accelerations, (*given, *tensors), atol=1e-4)
+    torch.autograd.gradcheck(accelerations, (*given, *tensors), fast_mode=True)
+    torch.autograd.gradgradcheck(accelerations, (*given, *tensors), atol=1e-4, fast_mode=True)
 
 
 @pytest.mark.parametrize(
@@ -317,8 +324,8 @@ def test_the_other_functions_are_differentiable(function):
         found = getattr(floating, function)(c.robot, *x)
         return found if isinstance(found, torch.Tensor) else found[0]
 
-    torch.autograd.gradcheck(f, given)
-    torch.autograd.gradgradcheck(f, given)
+    torch.autograd.gradcheck(f, given, fast_mode=True)
+    torch.autograd.gradgradcheck(f, given, fast_mode=True)
 
 
 def test_poses_and_jacobians_are_differentiable():
@@ -348,7 +355,7 @@ def test_the_jacobian_is_the_derivative_of_the_pose():
 
 @pytest.mark.parametrize("backend", ["eager", "c"])
 def test_batches_broadcast(backend):
-    c, m = case("tree5"), motion(case("tree5"), batch=12)
+    c, m = case("tree3"), motion(case("tree3"), batch=12)
     at = {name: x.unflatten(0, (3, 4)) for name, x in m.items()}
     given = at | {"X_WB": at["X_WB"][:, :1], "qd": m["qd"][5], "tau": at["tau"][:1], "f_base": m["f_base"][2]}
     full = {name: x.expand(3, 4, *x.shape[x.ndim - m[name].ndim + 1 :]) for name, x in given.items()}
@@ -373,11 +380,12 @@ def test_base_bodies_can_differ_from_sample_to_sample(backend):
             one = c.robot.replace(**bodies[k])
             solo = generalised(f(one, **{x: m[x][k] for x in names}, backend=backend))
             near(found[k], solo, found.abs().max().item())
-            near(solo, generalised(f(one.bake(), **{x: m[x][k] for x in names}, backend=backend)), 100.0)
+            # every body has a program of its own there, which is not compiled
+            near(solo, generalised(f(one.bake(), **{x: m[x][k] for x in names}, backend="eager")), 100.0)
 
 
 @pytest.mark.parametrize("function", ["inverse_dynamics", "forward_dynamics", "momentum", "jacobian", "regressor"])
-@pytest.mark.parametrize("name", ["tree6", "quadrotor_base"])
+@pytest.mark.parametrize("name", ["tree3", "quadrotor_base"])
 def test_single_precision_and_compiled_programs(name, function):
     c, m = case(name), motion(case(name))
     names = {"forward_dynamics": (*TWIST, "tau"), "momentum": TWIST, "jacobian": PLACE}.get(function, CHANGE)

@@ -291,7 +291,7 @@ def test_gradients_through_a_rollout_are_those_of_differences():
         path = scene_of.rollout(scene_of.start(q, qd, X_WB=X, V_WB_B=V), tau.expand(5, 2))
         return torch.cat([path.X_WB[-1], path.q[-1], path.V_WB_B[-1], path.qd[-1]], -1)
 
-    torch.autograd.gradcheck(end, (*at, mass), atol=1e-6)
+    torch.autograd.gradcheck(end, (*at, mass), atol=1e-6, fast_mode=True)
 
 
 @pytest.mark.parametrize("rotation", [(0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 0.6, 0.8), (-1.0, 0.0, 0.0, 0.0)], ids=str)
