@@ -1131,18 +1131,18 @@ def differentiable(effect, inputs, integrator, steps):
 @pytest.mark.parametrize("integrator", [SemiImplicitEuler(), LinearlyImplicit()], ids=["semi-implicit", "implicit"])
 @pytest.mark.parametrize("kind", sorted(set(TENSORS) - set(STEPPED)))
 def test_gradients_of_a_step_are_right(kind, integrator):
-    assert torch.autograd.gradcheck(*differentiable(*TENSORS[kind](), integrator, 1), atol=1e-7)
+    assert torch.autograd.gradcheck(*differentiable(*TENSORS[kind](), integrator, 1), atol=1e-7, fast_mode=True)
 
 
 @pytest.mark.parametrize("kind", sorted(set(TENSORS) - set(STEPPED)))
 def test_gradients_of_a_rollout_are_right(kind):
     integrator = LinearlyImplicit() if kind in ("Elastic", "Limits") else SemiImplicitEuler()
-    assert torch.autograd.gradcheck(*differentiable(*TENSORS[kind](), integrator, 4), atol=1e-7)
+    assert torch.autograd.gradcheck(*differentiable(*TENSORS[kind](), integrator, 4), atol=1e-7, fast_mode=True)
 
 
 @pytest.mark.parametrize("kind", ["Coulomb", "Elastic", "Contact"])
 def test_gradients_through_runge_kutta_are_right(kind):
-    assert torch.autograd.gradcheck(*differentiable(*TENSORS[kind](), RungeKutta4(), 2), atol=1e-7)
+    assert torch.autograd.gradcheck(*differentiable(*TENSORS[kind](), RungeKutta4(), 2), atol=1e-7, fast_mode=True)
 
 
 @pytest.mark.parametrize("kind", STEPPED)

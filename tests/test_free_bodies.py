@@ -69,7 +69,7 @@ def drift(integrator, dt, steps, name="tree3"):
 @pytest.mark.parametrize("name", ["tree3", "quadrotor_base"])
 def test_momentum_and_energy_are_conserved_at_the_order_of_the_integrator(name, integrator):
     dt = 0.01 if isinstance(integrator, RungeKutta4) else 1e-3
-    coarse, fine = drift(integrator, dt, 100, name), drift(integrator, dt / 2, 200, name)
+    coarse, fine = drift(integrator, dt, 50, name), drift(integrator, dt / 2, 100, name)
     order = math.log2(coarse / fine)
     assert order >= integrator.order - 0.25, order
 
@@ -91,6 +91,9 @@ def test_integrators_that_are_not_recorded_serve_free_bases_too(integrator, part
     tolerance = 1e-8 if isinstance(integrator, DormandPrince) else 1e-5
     for name, x in found.rows().items():
         assert (x - expected.rows()[name]).abs().max() <= tolerance
+
+
+def test_an_adaptive_integrator_keeps_momentum_and_energy():
     assert drift(DormandPrince(1e-11, 1e-13), 0.1, 2, "tree2") <= 1e-9
 
 
@@ -181,7 +184,7 @@ def test_a_spinning_t_handle_flips():
     robot = rigid_body(inertia=(0.3, 0.0, 0.2, 0.0, 0.0, 0.1))
     state = {"q": torch.zeros(0, dtype=F64), "X_WB": UPRIGHT}
     V = torch.tensor([*w0, 0.0, 0.0, 0.0], dtype=F64)
-    scene = Scene(robot, integrator=RungeKutta4(), dt=5e-4)
+    scene = Scene(robot, integrator=RungeKutta4(), dt=5e-4, backend="auto")
     path = scene.rollout(scene.start(**state, V_WB_B=V), steps=round(T / scene.dt))
     assert (path.V_WB_B[:, 1] < -5.9).any()  # it has turned over
     assert (path.V_WB_B[-1, :3] - w).abs().max() <= 1e-8 * 6
@@ -192,9 +195,10 @@ def test_a_spinning_t_handle_flips():
 
 
 def test_poses_stay_unit_dual_quaternions():
-    c, m = case("tree3"), motion(case("tree3"))
+    c, m = case("tree1"), motion(case("tree1"))
     for integrator in STEPPED:
-        scene = Scene(c.robot, (effects.Gravity(), effects.Viscous(0.5)), integrator=integrator, dt=2e-3)
+        parts = (effects.Gravity(), effects.Viscous(0.5))
+        scene = Scene(c.robot, parts, integrator=integrator, dt=2e-3, backend="auto")
         r, d = scene.rollout(begun(scene, m), steps=1000).X_WB.split(4, -1)
         assert (r.norm(dim=-1) - 1).abs().max() <= 1e-15
         assert ((r * d).sum(-1).abs() / (1 + d.norm(dim=-1))).max() <= 1e-15
@@ -325,7 +329,7 @@ def test_a_start_at_a_pose_that_is_not_unit_is_refused(scale):
 
 
 def test_elastic_joints_on_a_free_base_move_alike_with_every_integrator():
-    robot, found = case("tree3").robot, []
+    robot, found = case("tree2").robot, []
     for integrator in (LinearlyImplicit(), RungeKutta4()):
         scene = Scene(robot, (effects.Elastic(10.0, 0.1, 0.1),), integrator=integrator, dt=1e-4)
         q = torch.linspace(0.1, 0.2, robot.n, dtype=torch.float64)

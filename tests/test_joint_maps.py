@@ -175,13 +175,14 @@ def joined(forces: floating.Forces) -> torch.Tensor:
 
 KINDS = pytest.mark.parametrize("kind", ["gears", "dense"])
 SEEDS = pytest.mark.parametrize("seed", [0, 5])
-RUNS = pytest.mark.parametrize("seed, backend", [(0, "eager"), (5, "c")])
+RUNS = pytest.mark.parametrize(
+    "kind, seed, backend", [("gears", 0, "eager"), ("dense", 0, "eager"), ("gears", 5, "eager"), ("dense", 5, "c")]
+)
 
 
 # --- fixed base ------------------------------------------------------------------------------------------------------
 
 
-@KINDS
 @RUNS
 def test_dynamics_are_those_of_the_reduced_system(kind, seed, backend):
     case = reduced(seed, kind)
@@ -207,7 +208,6 @@ def test_dynamics_are_those_of_the_reduced_system(kind, seed, backend):
     assert bool((torchdq.error_growth(case.robot, s.z, **with_backend) >= 1).all())
 
 
-@KINDS
 @RUNS
 def test_kinematics_and_energies_are_those_of_the_full_robot(kind, seed, backend):
     case = reduced(seed, kind)
@@ -294,7 +294,6 @@ def test_gradients_are_right_to_the_second_order(kind, backend):
 # --- free base -------------------------------------------------------------------------------------------------------
 
 
-@KINDS
 @RUNS
 def test_dynamics_on_a_free_base_are_those_of_the_reduced_system(kind, seed, backend):
     case = reduced(seed, kind, free=True)
