@@ -34,7 +34,7 @@ class MjcfJoint(NamedTuple):
 
     @property
     def single(self) -> bool:
-        """Whether it has one coordinate."""
+        """Truth of having one coordinate."""
         return self.kind in KINDS
 
     def displaced(self, x: float) -> DualQuaternion:
