@@ -7,13 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from torchdq.backends import c_source, cuda_source
 from torchdq.backends.choice import choose
+from torchdq.backends.one_sample import one_sample
 from torchdq.call import Computation, evaluate
 from torchdq.checks import dtype_of, names_of, require_choice, require_tensor
 from torchdq.errors import ArgumentError, UnknownNameError
@@ -169,8 +171,46 @@ class CompiledProgram:
         whole = Export(self.program, named, self.dtype == torch.float32, library, self.about)
         return whole.write(Path(folder), self.examples)
 
-    def __call__(self, *inputs: Tensor) -> Tensor | tuple[Tensor, ...]:
-        """Results [..., width] of arguments [..., width]; uniform arguments are [width]."""
+    def __call__(self, *inputs: Tensor, out: Tensor | Sequence[Tensor] | None = None) -> Tensor | tuple[Tensor, ...]:
+        """Results [..., width] of arguments [..., width]; uniform arguments are [width].
+
+        One sample, rows [width] without batch axes on the CPU, takes a few microseconds.
+
+        Args:
+            inputs: the arguments of the program, in its order, tensors or arrays of NumPy; results are alike.
+            out: tensor for the result, or one for each result, contiguous and apart from the memory of the arguments.
+                They are written to and returned, and no memory is allocated for them. Not where gradients are recorded.
+
+        >>> import torchdq
+        >>> gravity = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics", arguments=("q",))
+        >>> tau = torch.empty(2, dtype=torch.float64)
+        >>> gravity(torch.zeros(2, dtype=torch.float64), out=tau) is tau
+        True
+        """
+        if inputs and isinstance(inputs[0], np.ndarray):
+            return self._on_arrays(inputs, out)
+        room = out if out is None or isinstance(out, list | tuple) else (out,)
+        if not torch.compiler.is_compiling():
+            single = one_sample(self.program, self.dtype)
+            found = None if single is None else single(inputs, room)
+            if found is not None:
+                return found[0] if len(found) == 1 else tuple(found)
+        results = self._on_any_batch(inputs, () if room is None else room)
+        return results[0] if len(results) == 1 else results
+
+    def _on_arrays(self, inputs: Sequence[Any], out: Any) -> Any:
+        """Results as arrays of NumPy, which share the memory of the tensors."""
+        names = [a.name for a in self.program.arguments]
+        rows = [_tensor(name, x) for name, x in zip(names, inputs, strict=False)]
+        if out is not None:
+            several = isinstance(out, list | tuple)
+            self(*rows, out=[_tensor("out", y) for y in (out if several else [out])])
+            return tuple(out) if several else out
+        found = self(*rows)
+        return found.numpy() if isinstance(found, Tensor) else tuple([y.numpy() for y in found])
+
+    def _on_any_batch(self, inputs: Sequence[Tensor], out: Sequence[Tensor]) -> tuple[Tensor, ...]:
+        """Results for any batch axes, on any device, with gradients."""
         arguments = self.program.arguments
         if len(inputs) != len(arguments):
             raise ArgumentError(f"{self.program.name} takes {[a.name for a in arguments]}, found {len(inputs)} tensors")
@@ -180,11 +220,17 @@ class CompiledProgram:
                 expected = f"{self.dtype} tensor [{'' if a.uniform else '..., '}{a.width}]"
                 raise ArgumentError(f"{a.name} must be a {expected}, found {x.dtype} {tuple(x.shape)}")
         given = {a.name: x for a, x in zip(arguments, inputs, strict=True)}
-        results = tuple(evaluate(RecordedComputation(self.program), given).values())
-        return results[0] if len(results) == 1 else results
+        return tuple(evaluate(RecordedComputation(self.program), given, out=out).values())
 
     def __str__(self) -> str:
         return str(self.program)
+
+
+def _tensor(name: str, x: Any) -> Tensor:
+    """Tensor that shares the memory of an array."""
+    if not isinstance(x, np.ndarray):
+        raise ArgumentError(f"{name} must be an array of NumPy as the first argument is, found {type(x).__name__}")
+    return torch.from_numpy(x)
 
 
 def _ready(recorded: Program, dtype: torch.dtype, axes: tuple[tuple[int, ...], ...] = ()) -> CompiledProgram:
