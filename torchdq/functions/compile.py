@@ -126,6 +126,7 @@ class CompiledProgram:
         name: str = "",
         library: Library = "math.h",
         language: ExportLanguage = "c",
+        batch: bool = False,
     ) -> Exported:
         """Files that need neither Python nor torch: a function in strict C99, and what its language wants beside it.
 
@@ -148,9 +149,11 @@ class CompiledProgram:
             library: source of sine, cosine and roots: "math.h", or "own", the polynomials of compiled programs, with
                 sine and cosine up to 1e5 rad (4e3 in float32) and no roots or exponentials.
             language: "c", or "casadi", which takes programs in float64.
+            batch: whether there is a function NAME_batch beside it, which takes the rows of many samples and which
+                compilers turn into vector instructions. Its sine and cosine are those of "own".
         Raises:
             ArgumentError: the name is none that the language accepts, the library lacks a function, or a program in
-                float32 is exported to CasADi.
+                float32, or for batches, is exported to CasADi.
 
         >>> import tempfile, torchdq
         >>> tau = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
@@ -161,6 +164,8 @@ class CompiledProgram:
         require_choice("language", language, get_args(ExportLanguage))
         named = c99.identifier(name or c99.distinct([self.program.name])[0], "name")
         if language == "casadi":
+            if batch:
+                raise ArgumentError("batch must be False for language 'casadi', which maps functions itself: f.map(n)")
             if self.dtype != torch.float64:
                 raise ArgumentError(
                     f"language 'casadi' takes programs in float64, found {self.dtype}; leave out dtype in "
@@ -168,7 +173,7 @@ class CompiledProgram:
                 )
             exported = CasadiExport(self.program, self.axes, casadi.identifier(named), library, self.about)
             return exported.write(Path(folder))
-        whole = Export(self.program, named, self.dtype == torch.float32, library, self.about)
+        whole = Export(self.program, named, self.dtype == torch.float32, library, self.about, batch)
         return whole.write(Path(folder), self.examples)
 
     def __call__(self, *inputs: Tensor, out: Tensor | Sequence[Tensor] | None = None) -> Tensor | tuple[Tensor, ...]:
