@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NoReturn, get_args
 
 import torch
 from torch import Tensor, nn
 
 from torchdq.checks import require_count
+from torchdq.dynamics.friction import smooth_sign
 from torchdq.effects import Coulomb, Effect, Gravity, Residual, RotorInertia, Viscous
 from torchdq.errors import ArgumentError
 from torchdq.functional import mass_matrix
-from torchdq.nn import DQRNEA, smooth_sign
+from torchdq.nn import DQRNEA
 from torchdq.program.transforms import load_forward_mode
 from torchdq.robot import Robot
 
@@ -126,6 +127,14 @@ class ResidualDynamics(nn.Module):
     def robot(self) -> Robot:
         """Robot with the model's present parameters."""
         return self.model.robot
+
+    def program(self, *wrenches: str, parameters: str = "constants") -> NoReturn:
+        """No program, since the network has none; raises `ArgumentError`, which says what has."""
+        raise ArgumentError(
+            "a ResidualDynamics has no program, because its network is none; export its model by "
+            "torchdq.compile(layer.model.program()).export(folder), the network by torch.export or torch.onnx, and add "
+            "their torques"
+        )
 
     def prior(self) -> Tensor:
         """Prior of the model, which concerns its physical parameters; see `torchdq.nn.RobotModule.prior`."""
