@@ -11,6 +11,7 @@ from torchdq.dynamics.posed import Posed, Row
 from torchdq.dynamics.tracking import commanded
 from torchdq.effects.effect import Parameter, Parametric, Shapes
 from torchdq.errors import ArgumentError
+from torchdq.export.meaning import heading
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
 from torchdq.robot.posed import posed
@@ -47,7 +48,9 @@ class Controller(Parametric):
             bound = whole.bound(dict(zip(tensors, gains, strict=True)))
             return {"tau": bound.torques(posed(constant, q, {}, ()), reference, q, qd)}
 
-        return record(f"{type(self).__name__}_{robot.name}", taken, algorithm)
+        kind = type(self).__name__
+        about = heading(f"controller {kind}", robot.name, robot.joint_names)
+        return replace(record(f"{kind}_{robot.name}", taken, algorithm), about=about)
 
 
 @dataclass(frozen=True)

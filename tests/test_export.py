@@ -10,7 +10,7 @@ import pytest
 import torch
 
 import torchdq
-from torchdq.envs import Scene, effects, integrators
+from torchdq.envs import Scene, controllers, effects, integrators
 from torchdq.errors import ArgumentError
 from torchdq.program.program import outputs, replay
 
@@ -44,6 +44,10 @@ def two_links():
     return robot.replace(mass=robot.mass)
 
 
+def trained():
+    return torchdq.ForwardDynamics(torchdq.robots.load("two_link"), ("mass", "inertia", "armature", "friction"))
+
+
 PROGRAMS = {
     "inverse dynamics": lambda dtype: torchdq.compile(torchdq.robots.load("panda"), "inverse_dynamics", dtype),
     "forward dynamics": lambda dtype: torchdq.compile(torchdq.robots.load("panda"), "forward_dynamics", dtype),
@@ -55,6 +59,8 @@ PROGRAMS = {
     "gradient in parameters": lambda dtype: torchdq.compile(two_links(), "inverse_dynamics", dtype).vjp(),
     "free base": lambda dtype: torchdq.compile(free(), "floating.forward_dynamics", dtype),
     "scene": scene_step,
+    "a trained layer": lambda dtype: torchdq.compile(trained().program(parameters="arguments"), dtype=dtype),
+    "a controller": lambda dtype: torchdq.compile(controllers.PD(9.0, 3.0).program(trained().robot), dtype=dtype),
 }
 
 
@@ -149,6 +155,34 @@ def test_the_panda_fits_in_sixty_kilobytes(tmp_path):
         for name in ("inverse dynamics", "computed torque")
     ]
     assert sum(sizes) <= 60_000
+
+
+def test_everything_in_a_header_has_words_and_the_joints_have_an_order(tmp_path):
+    for name, make in PROGRAMS.items():
+        for k, compiled in enumerate((make("float64"), make("float64").vjp())):
+            text = compiled.export(tmp_path / f"{name}{k}", "exported", batch=True).header.read_text()
+            described = re.findall(r"^ \* (?:in |out)  (\S+)(.*)$", text, re.MULTILINE)
+            assert described and all(words.strip() for _, words in described), (name, described)
+            assert "joints in the order of q: " in text and "of robot " in text
+
+
+ARM = ("arm-none-eabi-gcc", "-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard", "-Wdouble-promotion")
+
+
+@pytest.mark.skipif(not shutil.which(ARM[0]), reason=f"no {ARM[0]}")
+@pytest.mark.parametrize("library", ["math.h", "own"])
+def test_torques_and_controller_of_the_panda_fit_into_a_cortex_m7(library, tmp_path):
+    total = 0
+    for name in ("inverse dynamics", "computed torque"):
+        made = PROGRAMS[name]("float32").export(tmp_path / name, "f", library)
+        built = str(tmp_path / "f.o")
+        run(*ARM, *STRICT, "-I", str(tmp_path / name), "-c", str(made.source), "-o", built)
+        text, data, bss = map(int, run("arm-none-eabi-size", built).splitlines()[1].split()[:3])
+        assert data == bss == 0  # no memory of its own
+        total += text
+        wanted = set(run("arm-none-eabi-nm", "-u", built).split()) - {"U"}
+        assert wanted == ({"sinf", "cosf"} if library == "math.h" else set())
+    assert total <= 32 * 1024
 
 
 @pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Literal
 
 from torch import Tensor
@@ -12,6 +13,7 @@ from torchdq.algebra.quaternion import Number
 from torchdq.checks import names_of, require_choice
 from torchdq.dynamics.friction import friction_torque
 from torchdq.errors import ArgumentError
+from torchdq.export.meaning import heading
 from torchdq.functions.catalogue import RECIPES, Function
 from torchdq.program.program import GROWTH, Argument, Program, growths, record, replay, results
 from torchdq.robot import Robot
@@ -19,7 +21,7 @@ from torchdq.robot.robot import SHAPES, arguments, constants
 
 Parameters = Literal["constants", "arguments"]
 MOTORS = ("viscous", "coulomb", "offset")  # quantities that are no part of the rigid bodies
-GAINS = ("kp", "kd")  # of computed torque control
+GAINS = ("kp", "kd")  # those of computed torque control
 WRENCHES = ("f_tip", "f_ext")
 
 
@@ -75,7 +77,12 @@ def program(
             found["tau"] = [tau + t for tau, t in zip(found["tau"], beyond, strict=True)]
         return {**found, GROWTH: growths(rigid, values)}
 
-    return record(rigid.name, taken, algorithm)
+    about = heading(
+        f"{function} with the motors' torques" if beside.keys() & set(MOTORS) else function,
+        robot.name,
+        robot.joint_names,
+    )
+    return replace(record(rigid.name, taken, algorithm), about=about)
 
 
 def _beyond(named: Mapping[str, Sequence[Number]], width: float) -> list[Number]:

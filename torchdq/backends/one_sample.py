@@ -28,7 +28,7 @@ class OneSample(NamedTuple):
 
     function: Callable[..., None]
     fits: Callable[..., bool]  # whether torch has no more to do with rows than to hold their numbers
-    forms: tuple[Form, ...]  # of the results
+    forms: tuple[Form, ...]  # those of the results
     ends: tuple[int, ...]  # sizes of arguments and results [bytes]
     growth: Any  # C type of the error growth; None: the program has no such output
     limit: float  # largest accepted error growth

@@ -14,8 +14,10 @@ from torchdq.program.autograd import per_sample
 from torchdq.program.program import Program
 
 CASES = 8  # golden vectors
-SAMPLES = 37  # of a batch, which are no whole number of blocks
+SAMPLES = 37  # in a batch; they are no whole number of blocks
 CPU = torch.device("cpu")
+# names of arguments that cannot be negative
+POSITIVE = ("mass", "base_mass", "armature", "viscous", "coulomb", "kp", "kd")
 
 _COMPARE = """
 static void compare(const {0} *found, const {0} *expected, int size, {0} *worst)
@@ -110,8 +112,14 @@ def _example(name: str, width: int, uniform: bool, examples: Mapping[str, Tensor
     x = torch.rand(1 if uniform else CASES, width, generator=generator, dtype=torch.float64).expand(CASES, width)
     if name == "noise":
         return x.contiguous()
+    if name in POSITIVE:
+        return 0.5 + x
     x = 2 * x - 1
-    if name == "X_WB":  # a unit dual quaternion
-        r = x[:, :4] / x[:, :4].norm(dim=-1, keepdim=True)
-        return torch.cat([r, x[:, 4:] - (x[:, 4:] * r).sum(-1, keepdim=True) * r], -1)
-    return x
+    if name in ("inertia", "base_inertia"):
+        round_body = torch.tensor([1.0, 0.0, 1.0, 0.0, 0.0, 1.0], dtype=torch.float64)
+        return 0.1 * x + round_body.repeat(width // 6)
+    if name in ("X_WB", "X_PB_home"):  # unit dual quaternions
+        r, d = x.reshape(CASES, -1, 2, 4).unbind(-2)
+        r = r / r.norm(dim=-1, keepdim=True)
+        return torch.stack([r, d - (d * r).sum(-1, keepdim=True) * r], -2).reshape(CASES, width)
+    return x.contiguous()

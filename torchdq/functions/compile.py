@@ -23,6 +23,7 @@ from torchdq.export import c99, casadi
 from torchdq.export.c99 import Library
 from torchdq.export.casadi import CasadiExport
 from torchdq.export.files import Export, Exported
+from torchdq.export.meaning import heading
 from torchdq.functions.catalogue import RECIPES, Function
 from torchdq.functions.options import options_of
 from torchdq.program.autodiff import jacobian
@@ -274,7 +275,7 @@ def compile(
             raise ArgumentError(
                 f"program {robot.name!r} is recorded already; leave out function, arguments and options"
             )
-        return _ready(robot, dtype_of("dtype", dtype))
+        return replace(_ready(robot, dtype_of("dtype", dtype)), about=robot.about)
     require_robot(robot)
     names_of("function", function, RECIPES, "function that is compiled")
     known = [name for name, _, _ in RECIPES[function].arguments]
@@ -292,5 +293,5 @@ def compile(
     ]
     recorded = what.program(tuple(taken))
     found = _ready(recorded, dtype_of("dtype", dtype), what.results(recorded))
-    about = (f"{function} of robot {robot.name}", f"joints in the order of q: {', '.join(robot.joint_names)}")
+    about = heading(function, robot.name, robot.joint_names)
     return replace(found, about=about, examples={name: getattr(robot, name) for name in tensors_of(robot)})
