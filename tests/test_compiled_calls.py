@@ -126,6 +126,7 @@ def test_memory_that_cannot_be_written_to_is_refused_with_the_reason(batch):
     own = torch.empty(*batch, 7, dtype=F64)
     for error, words, room in (
         (ArgumentError, "must have memory of its own", inputs[2]),
+        (ArgumentError, "must have memory of its own", inputs[2][:]),
         (ArgumentError, "must be contiguous", own.new_empty(*batch, 14)[..., ::2]),
         (ArgumentError, "must be contiguous", own.new_empty(*batch, 6)),
         (DtypeError, "out for tau is torch.float32", own.float()),

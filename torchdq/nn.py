@@ -360,15 +360,15 @@ class ComputedTorque(RobotModule):
         else:
             tau = computed_torque(self.robot, q, qd, q_des, qd_des, qdd_des, kp, kd, f_tip, self.backend)
         if self.friction:
-            described = [x.to(qd) for x in (self._robot.damping, self._robot.friction)]
-            tau = tau + friction_torque(qd, *described, self.friction_width)
+            viscous, coulomb = self._robot.damping.to(qd), self._robot.friction.to(qd)
+            tau = tau + friction_torque(qd, viscous, coulomb, self.friction_width)
         learned = self._learned_torque(q, qd)
         return tau if learned is None else tau + learned
 
     @property
     def robot(self) -> Robot:
         """Robot with the present parameters of the module or of its model."""
-        return super().robot if self.model is None else self.model.robot
+        return super().robot if self.model is None else self.model.robot  # type: ignore[return-value]
 
     def _beside(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         """Quantities of its program that are no tensors of the robot, fixed and learned, by its model or itself."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from ctypes import addressof, c_double, c_float
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import torch
 from torch import Tensor
@@ -73,7 +73,7 @@ def one_sample(program: Program, dtype: torch.dtype) -> OneSample | None:
     if COMPILED.refusal(torch.device("cpu")) is not None:
         return None
     try:
-        kernel: CompiledKernel = COMPILED.kernel(program, dtype, torch.device("cpu"))
+        kernel = cast(CompiledKernel, COMPILED.kernel(program, dtype, torch.device("cpu")))
     except BuildError:
         return None
     widths = [*(a.width for a in program.arguments), *(len(r.values) for r in program.results)]

@@ -51,7 +51,7 @@ static void added(const S *lanes, size_t width, size_t here, S *sums)
 """
 
 
-class Row(NamedTuple):
+class BatchRow(NamedTuple):
     """Argument or output of the function for batches."""
 
     name: str
@@ -64,14 +64,14 @@ class Row(NamedTuple):
         return f"lanes_of_{self.name}"
 
 
-def rows(program: Program) -> tuple[list[Row], list[Row]]:
+def rows(program: Program) -> tuple[list[BatchRow], list[BatchRow]]:
     """Arguments and outputs of the function for batches, in their order."""
     taken, given = c99.arrays(program)
     uniform = [a.uniform for a in program.arguments if a.width]
     summed = [r.summed for r in outputs(program) if r.values]
     return (
-        [Row(*a, shared) for a, shared in zip(taken, uniform, strict=True)],
-        [Row(*a, shared) for a, shared in zip(given, summed, strict=True)],
+        [BatchRow(*a, shared) for a, shared in zip(taken, uniform, strict=True)],
+        [BatchRow(*a, shared) for a, shared in zip(given, summed, strict=True)],
     )
 
 

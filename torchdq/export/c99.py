@@ -151,10 +151,10 @@ def preamble(program: Program, single: bool, library: Library, batch: bool = Fal
 
 
 # which values of a program stand where: array, component, and whether it is the same for all samples
-Place = Callable[[Array, int, bool], str]
+Placed = Callable[[Array, int, bool], str]
 
 
-def statements(program: Program, single: bool, library: Library, place: Place) -> list[str]:
+def statements(program: Program, single: bool, library: Library, place: Placed) -> list[str]:
     """Statements that compute the outputs of one sample."""
     scalar, suffix = ("float", "f") if single else ("double", "")
     taken, given = arrays(program)

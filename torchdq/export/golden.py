@@ -9,7 +9,7 @@ from torch import Tensor
 
 from torchdq.backends.choice import choose
 from torchdq.export import batch, c99
-from torchdq.export.batch import Row
+from torchdq.export.batch import BatchRow
 from torchdq.program.autograd import per_sample
 from torchdq.program.program import Program
 
@@ -63,7 +63,7 @@ def test(program: Program, name: str, single: bool, batches: bool, examples: Map
     )
 
 
-def _batch(name: str, scalar: str, taken: Sequence[Row], given: Sequence[Row]) -> str:
+def _batch(name: str, scalar: str, taken: Sequence[BatchRow], given: Sequence[BatchRow]) -> str:
     """Function that compares a batch, in which the golden vectors come again and again, with these."""
     arrays = [f"static {scalar} {a.name}[{1 if a.shared else SAMPLES}][{a.size}];" for a in (*taken, *given)]
     arrays += [f"{scalar} sum_of_{a.name}[{a.size}] = {{0}};" for a in given if a.shared]

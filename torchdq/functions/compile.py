@@ -180,7 +180,7 @@ class CompiledProgram:
     def __call__(self, *inputs: Tensor, out: Tensor | Sequence[Tensor] | None = None) -> Tensor | tuple[Tensor, ...]:
         """Results [..., width] of arguments [..., width]; uniform arguments are [width].
 
-        One sample, rows [width] without batch axes on the CPU, takes a few microseconds.
+        One sample, rows [width] without batch axes on the CPU, each a tensor of its own, takes a few microseconds.
 
         Args:
             inputs: the arguments of the program, in its order, tensors or arrays of NumPy; results are alike.
