@@ -71,8 +71,9 @@ def load_forward_mode() -> None:
 def alike(forms: Sequence[tuple[tuple[int, ...], tuple[int, ...], torch.dtype]]) -> Callable[..., bool]:
     """Function that is true for plain tensors on the CPU of these sizes, strides and dtypes, as many as there are.
 
-    It is false if one tensor comes twice, for tensors that require grad where torch records gradients, for views that torch negates later, for
-    tensors in inference mode, and inside of all transforms and modes but forward-mode differentiation.
+    It is false if one tensor comes twice, for tensors that require grad where torch records gradients, for views that
+    torch negates later, for tensors in inference mode, and inside of all transforms and modes but forward-mode
+    differentiation.
     """
     if _guards is None:
         return lambda *tensors: False
