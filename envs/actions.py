@@ -50,6 +50,11 @@ class Actions:
                 f"actions must have the shape {shape}, one row for each environment and one number for each joint of "
                 f"robot {self.robot.name!r}, found {tuple(found.shape)}"
             )
+        if looks and torch.compiler.is_compiling():
+            raise ArgumentError(
+                "a step of an environment cannot be in a graph of torch.compile or torch.export: it depends on values, "
+                "of which a graph has none; trace the policy, or scene.step"
+            )
         inside = found.clamp(-1.0, 1.0)
         if looks and torch.equal(inside, found):  # false if one is NaN
             return inside, torch.zeros(num_envs, dtype=torch.int64, device=found.device)

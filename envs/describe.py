@@ -165,7 +165,7 @@ def left_out(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
     simulated = {source for effect in effects for source in effect.DESCRIBED.values()}
     lines = []
     for source, there, words, effect in parts:
-        there = there.reshape(-1, there.shape[-1]).any(0)  # in one of several robots
+        there = there.reshape(there.shape[:-1].numel(), there.shape[-1]).any(0)  # in one of several robots
         if bool(there.any()) and source not in simulated:
             joints = ", ".join(name for name, has in zip(robot.joint_names, there.tolist(), strict=False) if has)
             lines.append(f"{words.format(joints)}: effects.{effect}")

@@ -246,6 +246,11 @@ class DormandPrince(Unrecorded):
 
     def flow(self, system: System, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
         """State after the time T, of rows [..., n]; rows that have arrived wait for the others."""
+        if torch.compiler.is_compiling():
+            raise ArgumentError(
+                "integrator must not be DormandPrince in a graph of torch.compile or torch.export: its steps depend on "
+                "values, of which a graph has none; RungeKutta4 has steps of one size"
+            )
         floor = 100 * torch.finfo(x.dtype).eps
         rtol = max(self.rtol, floor)
         if rtol > self.rtol:

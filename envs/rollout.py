@@ -40,7 +40,8 @@ def rollout(
     require_choice("lost", lost, get_args(Lost))
     total = _length(series, steps, policy)
     require_count("checkpoint", checkpoint, least=0)
-    read = lost != "keep" and not without_values((state.q,))
+    unseen = without_values((state.q,))
+    read = lost != "keep" and not unseen
     if lost == "stop" and not read:
         raise ArgumentError(
             "lost='stop' reads values, which tensors have none of inside a transform, a trace or a graph"
@@ -54,7 +55,7 @@ def rollout(
         """Rows that were finite at the start, and are not."""
         return start & ~scene.finite(state)
 
-    recomputed = bool(checkpoint) and torch.is_grad_enabled() and not without_values((state.q,))
+    recomputed = bool(checkpoint) and torch.is_grad_enabled() and not unseen
     commands: dict[int, Tensor] = {}  # torques of the policy by step, if they are computed again
 
     def part(first: int, last: int, state: State) -> list[State]:
@@ -75,7 +76,7 @@ def rollout(
 
     stride = checkpoint or max(total, 1)
     found: list[State] = []
-    with notice if total >= LONG else nullcontext():
+    with notice if total >= LONG and not unseen else nullcontext():
         for first in range(0, total, stride):
             last = min(first + stride, total)
             if checkpoint:

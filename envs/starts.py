@@ -65,9 +65,9 @@ def not_finite(scene: Scene, state: State) -> str:
 
 def outside_limits(scene: Scene, q: Tensor) -> str:
     """Words for a position far outside the limits that a scene simulates; "" if there is none."""
-    limits = [found for effect in scene.effects if (found := effect.free_range()) is not None]
-    if not limits or not q.numel() or without_values((q,)):
+    if without_values((q,)) or not q.numel():
         return ""
+    limits = [found for effect in scene.effects if (found := effect.free_range()) is not None]
     for bounds in limits:
         low, high = (torch.as_tensor(x, device=getattr(x, "device", "cpu")).detach() for x in bounds)
         if without_values((low,)) or without_values((high,)):

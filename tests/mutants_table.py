@@ -63,6 +63,7 @@ SCENE = "scene.py"
 RECOMMEND = "recommend.py"
 BACKENDS = "backends.py"
 BUILD = "build.py"
+FILES = "torch_files.py"
 NVRTC = "nvrtc.py"
 DRIVER = "cuda_driver.py"
 CONTROL = "computed_torque.py"
@@ -829,16 +830,16 @@ MUTANTS = (
             MOVING_JACOBIANS,
         ),
         (
-            "origins in the axes of their parents",
-            "tuple(quat.dot(e, step.placement.p) for e in axes[parent])",
+            "offsets in the axes of their parents",
+            "tuple(quat.dot(e, step.placement.p) for e in axes[link.parent])",
             "step.placement.p",
             MOVING_JACOBIANS,
         ),
         ("origins that do not slide", "e[2] * step.theta.shift", "0.0 * e[2]", MOVING_JACOBIANS),
         (
             "the arm from the point to the joint",
-            "quat.sub(point, origins[j])",
-            "quat.sub(origins[j], point)",
+            "quat.cross(w_W, arm)",
+            "quat.cross(arm, w_W)",
             MOVING_JACOBIANS,
         ),
         ("poses of the aligned frames for those of the links", "dq.mul(X[-1], at.X_LB)", "X[-1]", MOVING_JACOBIANS),
@@ -1223,14 +1224,32 @@ MUTANTS = (
             "",
             f"{BACKENDS}::test_a_trace_recomputes_the_rows_of_other_values_in_float64",
         ),
+        (
+            "constants of ONNX files rounded to float32",
+            "if not torch.compiler.is_exporting() or transforming():",
+            "if True:",
+            f"{FILES}::test_an_onnx_file_has_the_same_values_to_rounding",
+        ),
     ),
     *within(
         "torchdq/backends/choice.py",
         (
-            "exported graphs of compiled programs",
+            "transforms of torch.func by the compiled programs",
             'and (name or present()) == "auto"',
             "and False",
-            f"{BACKENDS}::test_an_exported_module_runs_in_another_process",
+            f"{BACKENDS}::test_make_fx_records_what_a_function_computes_and_not_its_result",
+        ),
+        (
+            "exported graphs of compiled programs",
+            'if name not in ("auto", "eager"):',
+            "if False:",
+            f"{FILES}::test_programs_of_this_process_are_not_exported",
+        ),
+        (
+            "reverse mode in exported graphs",
+            "if reversing():",
+            "if False:",
+            f"{FILES}::test_reverse_mode_in_an_exported_function_is_refused",
         ),
     ),
     *within(
@@ -2202,9 +2221,15 @@ MUTANTS = (
         ),
         (
             "an origin in the wrong axes",
-            "R_WB[i].T @ (origin - p_WB[i])",
-            "R_WB[i] @ (origin - p_WB[i])",
+            "clean(R), clean(origin, size)",
+            "clean(R), clean(R @ origin, size)",
             f"{PROGRAMS}::test_aligned_frames_put_the_links_where_they_are_and_the_axes_along_z",
+        ),
+        (
+            "a size that counts the distance of the robot from its base",
+            "        if link.parent:\n",
+            "        if link.parent >= 0:\n",
+            "tests/test_far_from_the_base.py::test_far_robots_move_as_near_ones",
         ),
         (
             "a shift along the axis the other way",
@@ -2291,7 +2316,7 @@ MUTANTS = (
             "no triangle inequality",
             "moments[..., 2] > moments[..., 0] + moments[..., 1] + slack",
             "moments[..., 2] > 2 * (moments[..., 0] + moments[..., 1]) + slack",
-            f"{URDF}::test_a_body_that_cannot_exist_is_refused_by_name_and_number",
+            f"{URDF}::test_an_inertia_that_only_breaks_the_triangle_inequality_is_read_with_a_warning",
         ),
         (
             "rods and plates cannot exist",

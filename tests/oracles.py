@@ -313,16 +313,17 @@ UNREADABLE = {"ur3": "exactly one link must be the base, carried by no joint; fo
 
 JOINTLESS = ("quadrotor_base", "iris_simple")  # flying bodies: nothing moves when the base is fixed
 
-# what the loader says unless it is told to ignore what is unphysical
-UNPHYSICAL = {
+# what the loader warns of unless it is told to ignore what is unphysical
+ODD = {
     "alex_psyonic_hands": "'LeftPsyonicAbilityBaseLink': the largest principal moment",
     "allegro_left_hand": "'link_11.0': the largest principal moment",
     "allegro_right_hand": "'link_3.0': the largest principal moment",
     "hyq_no_sensors": "'lf_foot': the largest principal moment",
     "pr2": "'sensor_mount_link': the largest principal moment",
-    "romeo_laas_small": "'LShoulderYaw_link': the largest principal moment",
     "romeo_small": "'RShoulderYawLink': the largest principal moment",
 }
+# what it refuses
+UNPHYSICAL = {"romeo_laas_small": "'LHipPitch_link': inertia must be positive definite"}
 
 SINGULAR = ("romeo", "romeo_laas_small")  # fingers without mass: accelerations are undefined
 

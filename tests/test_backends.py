@@ -6,8 +6,6 @@ kernels write nowhere but into their results; and that their sine and cosine are
 
 import ctypes
 import platform
-import subprocess
-import sys
 import warnings
 
 import helpers
@@ -480,19 +478,6 @@ def test_a_graph_of_a_program_that_was_never_recorded_says_so():
         autograd.operator("0" * 64, [random(1, 1)])
 
 
-@pytest.mark.case("P4")
-def test_an_exported_graph_takes_any_batch():
-    class Inverse(torch.nn.Module):
-        def forward(self, q, qd):
-            return torchdq.inverse_dynamics(RPH, q, qd, backend="c")
-
-    axis = {0: torch.export.Dim("batch", min=2, max=4096)}
-    graph = torch.export.export(Inverse(), (random(9, 3), random(9, 3)), dynamic_shapes=(axis, axis)).module()
-    for batch in (2, 33):
-        x = random(batch, 3), random(batch, 3, seed=1)
-        agree([graph(*x)], [torchdq.inverse_dynamics(RPH, *x, backend="eager")])
-
-
 TRACED = {
     "a layer": lambda backend: torchdq.DQRNEA(RPH, backend=backend),
     "a layer that learns": lambda backend: torchdq.DQRNEA(RPH, learn=("mass",), backend=backend),
@@ -551,50 +536,6 @@ def test_a_trace_recomputes_the_rows_of_other_values_in_float64(trace):
     assert growth[0] < LARGEST_GROWTH.single < growth[1]
     f = lambda q: torchdq.forward_dynamics(light, q, q + 1, q, backend="eager")  # noqa: E731
     agree([trace(f)(bent)(stretched)], [f(stretched)], factor=1.0)
-
-
-def in_another_process(code: str, cwd) -> None:
-    done = subprocess.run([sys.executable, "-c", code], cwd=cwd, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-
-
-@pytest.mark.parametrize(("kind", "strict"), [("DQRNEA", False), ("ForwardDynamics", True)])
-def test_an_exported_module_runs_in_another_process(kind, strict, tmp_path):
-    """Without torchdq, and with another batch than the one it was exported with."""
-    layer, batch = getattr(torchdq, kind)(RPH), {0: torch.export.Dim("batch")}
-    given = tuple(random(9, 3, seed=k) for k in range(3))
-    graph = torch.export.export(layer, given, dynamic_shapes=(batch,) * 3, strict=strict)
-    torch.export.save(graph, tmp_path / "layer.pt2")
-    later = tuple(random(4, 3, seed=k) for k in range(5, 8))
-    torch.save(later, tmp_path / "given.pt")
-    in_another_process(
-        "import torch; layer = torch.export.load('layer.pt2').module(); "
-        "torch.save(layer(*torch.load('given.pt')), 'found.pt')",
-        tmp_path,
-    )
-    agree([torch.load(tmp_path / "found.pt")], [layer(*later)])
-
-
-@pytest.mark.exhaustive
-def test_an_exported_module_is_compiled_to_a_file_that_another_process_loads(tmp_path):
-    layer, given = torchdq.DQRNEA(TWO), (random(9, 2),)
-    graph = torch.export.export(layer, given)
-    torch._inductor.aoti_compile_and_package(graph, package_path=str(tmp_path / "layer.pt2"))
-    torch.save(given[0], tmp_path / "given.pt")
-    in_another_process(
-        "import torch; layer = torch._inductor.aoti_load_package('layer.pt2'); "
-        "torch.save(layer(torch.load('given.pt')), 'found.pt')",
-        tmp_path,
-    )
-    agree([torch.load(tmp_path / "found.pt")], [layer(*given)])
-
-
-def test_exporting_programs_of_a_named_backend_warns_that_the_graph_stays_in_this_process():
-    given = (random(9, 3),)
-    with pytest.warns(UserWarning, match="runs only here; export without a named backend"):
-        torch.export.export(torchdq.DQRNEA(RPH, backend="c"), given)
-    with pytest.warns(UserWarning, match="runs only here"), torchdq.backend("c"):
-        torch.export.export(torchdq.DQRNEA(RPH), given)
 
 
 # --- choosing a backend, and recording no more than needed -----------------------------------------------------------

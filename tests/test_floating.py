@@ -630,6 +630,8 @@ def test_a_base_needs_a_body_that_can_exist():
     with pytest.raises(torchdq.UnphysicalError, match="the base"):
         c.robot.replace(base_mass=torch.tensor(-1.0))
     with pytest.raises(torchdq.UnphysicalError, match="the base"):
+        c.robot.replace(base_inertia=torch.tensor([1.0, 0, 1, 0, 0, -9]))
+    with pytest.warns(UserWarning, match="link 'the base': the largest principal moment"):
         c.robot.replace(base_inertia=torch.tensor([1.0, 0, 1, 0, 0, 9]))
 
 

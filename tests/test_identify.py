@@ -234,6 +234,9 @@ def test_links_without_mass_points_and_impossible_ones():
     inertia[4] = double([1.0, 0.0, 0.1, 0.0, 0.0, 0.1]) * 1e-2  # no body: 1 > 0.1 + 0.1
     robot = panda.replace(mass=mass, inertia=inertia, on_unphysical="ignore")
     q, qd, qdd = moving(7, 500)
+    with pytest.raises(torchdq.UnphysicalError, match=r"identification needs .*\n  link 'panda_link5': .*triangle"):
+        identify(robot, q, qd, qdd, 0 * q)
+    robot = robot.replace(on_unphysical="repair")
     found = identify(robot, q, qd, qdd, torchdq.inverse_dynamics(panda, q, qd, qdd), friction=False)
     assert_can_exist(found)
     assert float(found.robot.mass[2]) == 0 and not found.robot.inertia[2].any()

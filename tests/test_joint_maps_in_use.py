@@ -104,6 +104,12 @@ def test_couplings_that_cannot_be_are_refused():
         robot.couple({"joint2": {"joint1": torch.nan}})
     with pytest.raises(ArgumentError, match="S must have a factor for every coordinate, found none for a"):
         robot.couple({"joint2": {"a": 0.0}})
+    for S in ([[1.0, 2.0], [-0.5, -1.0]], [[1e-9, 3e3], [1e-9, 3e3]]):
+        with pytest.raises(ArgumentError, match=r"independent columns, .* motion of a, b together moves no"):
+            robot.couple(S, ["a", "b"])
+    with pytest.raises(ArgumentError, match="a motion of b, c together moves no joint"):
+        torchdq.robots.load("panda").couple({"panda_joint2": {"b": 1.0, "c": 0.5}}, limits=torch.nan)
+    assert robot.couple([[1e-9, 0.0], [0.0, 1e9]], ["a", "b"]).joint_names == ("a", "b")
     for names in (None, ["a", "b"], "a"):
         with pytest.raises(DescriptionError, match="names must be 1 different names, one for each column of S"):
             robot.couple([[1.0], [2.0]], names)

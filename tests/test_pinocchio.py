@@ -380,7 +380,15 @@ def test_an_unphysical_robot_is_refused_by_default(name):
         torchdq.Robot.from_urdf(oracles.urdf_paths()[name])
 
 
-@pytest.mark.parametrize("name", [name for name in oracles.example_robots() if name not in oracles.UNPHYSICAL])
+@pytest.mark.parametrize("name", oracles.ODD)
+def test_a_robot_whose_inertias_break_the_triangle_inequality_is_read_with_a_warning(name):
+    with pytest.warns(UserWarning, match=oracles.ODD[name]):
+        assert len(torchdq.Robot.from_urdf(oracles.urdf_paths()[name]).link_names) == oracles.case(name).model.nv
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in oracles.example_robots() if name not in (*oracles.UNPHYSICAL, *oracles.ODD)]
+)
 def test_a_physical_robot_is_read_by_default(name):
     assert len(torchdq.Robot.from_urdf(oracles.urdf_paths()[name]).link_names) == oracles.case(name).model.nv
 

@@ -14,7 +14,6 @@ from functools import cache
 import pytest
 import torch
 from helpers import thinned
-from torch import library as operators
 from torch._dynamo.backends.common import aot_autograd
 from torch._dynamo.testing import CompileCounterWithBackend
 from torch._functorch.aot_autograd import make_boxed_func
@@ -23,7 +22,6 @@ from torch.nn.utils.parametrize import type_before_parametrizations
 
 import torchdq
 from torchdq.backends.compiler import compiler
-from torchdq.program import autograd
 
 F32, F64 = torch.float32, torch.float64
 EPS = {F32: 2.0**-23, F64: 2.0**-52}
@@ -514,16 +512,6 @@ def test_a_transform_inside_a_compiled_function_has_the_values_of_the_transform_
     with torchdq.backend(backend):
         compiled = torch.compile(lambda q: transform(f)(q), backend="aot_eager", fullgraph=True)
         assert relative([compiled(args[0])], [transform(f)(args[0])]) < 1e-12
-
-
-@pytest.mark.case("P4")
-@C_COMPILER
-def test_the_operator_of_traced_graphs_is_one_that_torch_approves_of(fresh):
-    q = inputs("q", 2, (3,))[0]
-    torch.compile(torchdq.DQRNEA(torchdq.robots.load("two_link"), backend="c"), backend="eager", fullgraph=True)(q)
-    name = next(name for name in reversed(autograd._named) if ":" not in name)
-    for requires_grad in (False, True):
-        operators.opcheck(torch.ops.torchdq.evaluate.default, (name, [q.clone().requires_grad_(requires_grad)]))
 
 
 @pytest.mark.case("P4")

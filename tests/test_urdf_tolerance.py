@@ -334,13 +334,37 @@ def test_every_repaired_link_is_told_by_its_own_name():
 @pytest.mark.parametrize("mass", [-1.0, 0.0])
 def test_only_inertias_of_masses_are_repaired(mass):
     message = refusal(arm(mass=mass, inertia=BROKEN["negative moment"]), UnphysicalError, on_unphysical="repair")
-    assert "link 'upper': " in message and "only inertias can be repaired" in message
+    assert "link 'upper': " in message and "only inertias of bodies with mass can be repaired" in message
+
+
+def test_a_cure_that_cannot_help_is_not_named():
+    """No repair gives a mass to a free base that has none, or another sign to a mass."""
+    weightless = arm().replace('<link name="base">', '<link name="base"><!--').replace("</link>", "--></link>", 1)
+    for message in (refusal(arm(mass=-1.0), UnphysicalError), refusal(weightless, UnphysicalError, base="floating")):
+        assert "repair" not in message and "Correct the description" in message
+
+
+def test_robots_in_hand_are_repaired_as_well():
+    robot = Robot.from_urdf(arm(inertia=BROKEN["large product"]), on_unphysical="ignore")
+    found = robot.replace(on_unphysical="repair")
+    expected = Robot.from_urdf(arm(inertia=BROKEN["large product"]), on_unphysical="repair")
+    assert same(found.inertia, expected.inertia, 1e-15) and found.notes == expected.notes
+    found.check()
+    assert robot.check is not None and same(robot.inertia[0], BROKEN["large product"])
+
+
+def test_a_batch_of_robots_is_not_repaired():
+    robot = Robot.from_urdf(arm())
+    with pytest.raises(ArgumentError, match=r"inertia of robot .* must be that of one robot to be repaired"):
+        robot.replace(mass=robot.mass * torch.ones(3, 1, dtype=F64), on_unphysical="repair")
 
 
 def test_robots_from_tables_are_repaired_as_well():
     arguments = [[[0, 0, 1, 0, 0, 0]], [1.0], [[0.1, 0, 0]]]
-    with pytest.raises(UnphysicalError, match="triangle"):
+    with pytest.warns(UserWarning, match="triangle"):
         Robot.from_screws(*arguments, [BROKEN["triangle"]])
+    with pytest.raises(UnphysicalError, match="positive definite"):
+        Robot.from_screws(*arguments, [BROKEN["large product"]])
     robot = Robot.from_screws(*arguments, [BROKEN["triangle"]], on_unphysical="repair")
     assert same(robot.inertia[0], [0.125, 0, 0.125, 0, 0, 0.25]) and "link 'link1': inertia repaired" in robot.notes[0]
     robot = Robot.from_dh(
@@ -350,7 +374,7 @@ def test_robots_from_tables_are_repaired_as_well():
 
 
 def test_the_error_names_the_ways_out():
-    message = refusal(arm(inertia=BROKEN["triangle"]), UnphysicalError)
+    message = refusal(arm(inertia=BROKEN["large product"]), UnphysicalError)
     assert "on_unphysical='repair'" in message and "'warn'" in message
     with pytest.raises(ArgumentError, match="on_unphysical must be one of 'error', 'warn', 'repair', 'ignore'"):
         Robot.from_urdf(arm(), on_unphysical="mend")

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
+from torchdq.robot.argument import require_bodies
 from torchdq.robot.robot import SHAPES
 
 # initial value of what the description does not give [SI]
@@ -25,6 +26,8 @@ def learnable(robot: Robot, learn: Any) -> tuple[str, ...]:
     wrong = [name for name in names if name not in known] if isinstance(names, Sequence) else [learn]
     if wrong:
         raise ArgumentError(f"learn must name what robot {robot.name!r} has among {known}, found {wrong[0]!r}")
+    if "inertia" in names:
+        require_bodies(robot, "learning inertias")
     return tuple(dict.fromkeys(names))
 
 

@@ -21,6 +21,7 @@ from torchdq.learnable import initial_values, learnable
 from torchdq.motors import GAINS, MOTORS, Parameters, program
 from torchdq.parametrizations import PhysicalInertia, Positive, restored
 from torchdq.program.program import Program
+from torchdq.program.transforms import number
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import SHAPES
@@ -134,7 +135,7 @@ class RobotModule(nn.Module):
         """
         if "friction" not in self.learn:
             return torch.zeros_like(qd)
-        return friction_torque(qd, self.viscous.to(qd), self.coulomb.to(qd), self.friction_width)
+        return friction_torque(qd, self.viscous.to(qd), self.coulomb.to(qd), number(self.friction_width, qd))
 
     def _learned_torque(self, q: Tensor, qd: Tensor | None) -> Tensor | None:
         """Learned friction and offset, the torque of the motors beyond that of the rigid bodies; None: neither."""
@@ -361,7 +362,7 @@ class ComputedTorque(RobotModule):
             tau = computed_torque(self.robot, q, qd, q_des, qd_des, qdd_des, kp, kd, f_tip, self.backend)
         if self.friction:
             viscous, coulomb = self._robot.damping.to(qd), self._robot.friction.to(qd)
-            tau = tau + friction_torque(qd, viscous, coulomb, self.friction_width)
+            tau = tau + friction_torque(qd, viscous, coulomb, number(self.friction_width, qd))
         learned = self._learned_torque(q, qd)
         return tau if learned is None else tau + learned
 

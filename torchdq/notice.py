@@ -44,8 +44,6 @@ class Notice:
     def __init__(self, what: str):
         self.what = what
         self.where: str | Callable[[], str] = ""
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._write, daemon=True)
 
     def at(self, where: str | Callable[[], str]) -> None:
         """State how far the work is, for the next line; a function is called when the line is written."""
@@ -62,7 +60,8 @@ class Notice:
                 sys.stderr.flush()
 
     def __enter__(self) -> Self:
-        self._thread.start()
+        self._ended = threading.Event()  # here, since torch.compile cannot trace locks
+        threading.Thread(target=self._write, daemon=True).start()
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:

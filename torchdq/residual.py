@@ -16,7 +16,7 @@ from torchdq.effects import Coulomb, Effect, Gravity, Residual, RotorInertia, Vi
 from torchdq.errors import ArgumentError
 from torchdq.functional import mass_matrix
 from torchdq.nn import DQRNEA
-from torchdq.program.transforms import load_forward_mode
+from torchdq.program.transforms import load_forward_mode, number
 from torchdq.robot import Robot
 
 Grouping = Literal["joint", "all"]
@@ -201,7 +201,7 @@ class ResidualDynamics(nn.Module):
         return self._columns(q, qd, qdd, tau.detach())
 
     def _columns(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> Tensor:
-        direction = smooth_sign(qd, self.model.friction_width)
+        direction = smooth_sign(qd, number(self.model.friction_width, qd))
         columns = (q.sin(), q.cos(), qd, torch.zeros_like(qd) if qdd is None else qdd, direction, tau)
         return torch.stack(torch.broadcast_tensors(*columns), -1)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -18,7 +17,7 @@ from torchdq.backends.torch import EAGER
 from torchdq.checks import require_choice
 from torchdq.errors import ArgumentError
 from torchdq.notice import warn_once
-from torchdq.program.transforms import proxy_tracing, transforming
+from torchdq.program.transforms import proxy_tracing, reversing, transforming
 
 BackendName = Literal["auto", "eager", "c", "cuda"]
 # by name: the first that can run on the device
@@ -60,24 +59,29 @@ def present() -> BackendName:
 def choose_for_graph(name: BackendName | None, device: torch.device) -> Backend:
     """Backend that runs programs in a traced graph.
 
-    A graph of torch.export is saved and loaded elsewhere, one of make_fx may be transformed, and one that is traced in
-    a transform of `torch.func` is, so without a named backend they consist of torch's own operations.
+    A graph of torch.export is saved and loaded elsewhere, so it consists of torch's own operations. One of make_fx may
+    be transformed, and one that is traced in a transform of `torch.func` is, so without a named backend they do too.
     """
-    exporting = torch.compiler.is_exporting()
-    if (exporting or proxy_tracing() or transforming()) and (name or present()) == "auto":
+    if torch.compiler.is_exporting():
+        return _exportable(present() if name is None else _valid(name))
+    if (proxy_tracing() or transforming()) and (name or present()) == "auto":
         return EAGER
-    chosen = choose(name, device)
-    if exporting and not chosen.differentiable:
-        _warn_about_export(chosen.name)
-    return chosen
+    return choose(name, device)
 
 
-def _warn_about_export(name: str) -> None:
-    warnings.warn(
-        f"the exported graph calls programs that backend {name!r} compiled in this process, so it runs only here; "
-        "export without a named backend, or with 'eager', to save it and to load it elsewhere",
-        stacklevel=2,
-    )
+def _exportable(name: BackendName) -> Backend:
+    """Backend of an exported graph; raises if the graph cannot be exported."""
+    if name not in ("auto", "eager"):
+        raise ArgumentError(
+            f"backend must be 'auto' or 'eager' for torch.export, found {name!r}, whose programs are compiled for this "
+            "process; torch.compile takes them, and torchdq.compile(...).export writes them as C"
+        )
+    if reversing():
+        raise ArgumentError(
+            "torch.export cannot trace torch.func.grad, vjp, jacrev or hessian; use jvp, or a derivative that is a "
+            "program: torchdq.dynamics_jacobian, torchdq.compile(...).vjp()"
+        )
+    return EAGER
 
 
 @torch.compiler.assume_constant_result  # a traced graph keeps the backend it was traced with

@@ -12,6 +12,7 @@ from torchdq.backends.backend import Backend, Kernel
 from torchdq.errors import TorchdqError
 from torchdq.numbers.ops import OPS
 from torchdq.program.program import Output, Program, outputs
+from torchdq.program.transforms import number
 
 
 class Torch(Backend):
@@ -66,7 +67,7 @@ def interpreted(program: Program, inputs: Sequence[Tensor], samples: int) -> lis
             argument, component = payload
             values.append(rows[argument][component])
         elif code == "const":
-            values.append(payload)
+            values.append(number(payload, inputs[0]))
         else:
             row = OPS[code]
             if row.infix:
@@ -80,7 +81,7 @@ def interpreted(program: Program, inputs: Sequence[Tensor], samples: int) -> lis
 
     def column(v: Output) -> Tensor:
         x = v if isinstance(v, float) else 0.0 - values[v[0]] if v[1] else values[v[0]]
-        x = nothing.sum(-1) + x if isinstance(x, float) else x
+        x = nothing.sum(-1) + number(x, inputs[0]) if isinstance(x, float) else x
         return x.expand(samples)
 
     found = [

@@ -29,6 +29,7 @@ from torchdq.learning.plausibility import LogWarning, doubts, misshapen, sampled
 from torchdq.learning.regression import Information, base_parameters, chunks, columns, gram, information
 from torchdq.notice import Notice
 from torchdq.robot import Robot
+from torchdq.robot.argument import require_bodies
 from torchdq.robot.robot import batches
 from torchdq.tables import summary, table
 
@@ -223,6 +224,7 @@ def identify(
     require_number("prior", prior, positive=True)
     require_number("width", width, positive=True)
     require_finite(**signals)
+    require_bodies(robot, "identification")
 
     coefficients = ["rotor"] * armature + ["viscous", "coulomb"] * friction + ["offset"] * offset
     with torch.no_grad(), _solvable(signals), Notice(f"identifying {robot.name}") as notice:

@@ -37,6 +37,7 @@ empty_on_cpu: Callable[..., Tensor] = _private(
     lambda size, strides, dtype: torch.empty_strided(size, strides, dtype=dtype, device="cpu"),
 )
 _guards = _private("_dynamo.guards.TensorGuards", None)
+_levels: Callable[[], list[Any]] = getattr(pyfunctorch, "retrieve_all_functorch_interpreters", lambda: [])
 _unseen = _private("DisableTorchFunction", nullcontext)
 _jit_state = _private("_get_tracing_state", lambda: None)
 _modes = _private("_len_torch_dispatch_stack", lambda: 1)
@@ -87,6 +88,11 @@ def transforming() -> bool:
     return _functional() or getattr(forward_ad, "_current_level", 0) >= 0
 
 
+def reversing() -> bool:
+    """Whether a transform of `torch.func` that differentiates in reverse mode is active: grad, vjp, jacrev, hessian."""
+    return any(level.key() == pyfunctorch.TransformType.Grad for level in _levels())
+
+
 def jit_tracing() -> bool:
     """Whether torch.jit.trace records torch's operations; it cannot record a compiled program."""
     return _jit_state() is not None
@@ -100,6 +106,23 @@ def dispatching() -> bool:
 def proxy_tracing() -> bool:
     """Whether make_fx records the operators that tensors go through."""
     return _modes() > 0 and _proxy_mode() is not None
+
+
+def number(value: float, like: Tensor) -> Tensor | float:
+    """Number beside a tensor; in an exported graph a tensor of its dtype.
+
+    In a graph of float64, torch's ONNX exporter rounds numbers to float32, and leaves tensors as they are. Inside of a
+    transform of `torch.func`, torch.export loses track of such tensors.
+    """
+    if not torch.compiler.is_exporting() or transforming():
+        return value
+    return _constant(value, like.dtype, like.device)
+
+
+@torch.compiler.assume_constant_result
+def _constant(value: float, dtype: torch.dtype, device: torch.device) -> Tensor:
+    with with_values():
+        return torch.tensor(value, dtype=dtype, device=device)
 
 
 def in_a_batch_of_gradients(inputs: Sequence[Tensor]) -> bool:

@@ -1,9 +1,12 @@
-"""Check of the argument `robot`, which every public function shares."""
+"""Checks of the argument `robot`, which public functions share."""
 
 from pathlib import Path
 from typing import Any
 
-from torchdq.errors import ArgumentError
+from torchdq.errors import ArgumentError, UnphysicalError
+from torchdq.robot import consistency
+from torchdq.robot.arrays import matrices
+from torchdq.robot.fields import readable
 from torchdq.robot.robot import Robot
 
 
@@ -17,3 +20,17 @@ def require_robot(x: Any, name: str = "robot") -> Robot:
     elif isinstance(getattr(x, "robot", None), Robot):
         way = f"{type(x).__name__} holds one as its attribute `robot`"
     raise ArgumentError(f"{name} must be a torchdq.Robot, found {type(x).__name__}; {way}")
+
+
+def require_bodies(robot: Robot, what: str) -> None:
+    """Raise unless the inertias of a robot's links are those of bodies, which `what` needs."""
+    if not all(readable(x, True) for x in (robot.mass, robot.inertia)):
+        return
+    mass, inertia = robot.mass.detach(), matrices(robot.inertia.detach())
+    faults = [fault for fault in consistency.bodies(robot.link_names, mass, inertia) if consistency.of_inertia(fault)]
+    if faults:
+        raise UnphysicalError(
+            f"{what} needs inertias that bodies can have, found in robot {robot.name!r}\n  "
+            + "\n  ".join(faults)
+            + f"\nCorrect them; {consistency.NEAREST}, where a robot is loaded and in robot.replace."
+        )

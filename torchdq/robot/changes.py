@@ -11,6 +11,7 @@ from torch.compiler import is_compiling
 
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import consistency, fields, units
+from torchdq.robot.arrays import SIX, matrices
 from torchdq.robot.constants import version
 from torchdq.robot.description import Frame, JointMap, Limits
 from torchdq.robot.fields import SHAPES, batches
@@ -80,6 +81,28 @@ def complaints(robot: Robot, changes: Collection[str], on_unphysical: consistenc
     return units.doubts(robot, quiet=on_unphysical == "ignore", known=known)
 
 
+def repaired(robot: Robot) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Inertias of a robot that no body has, as fields with the nearest that one has, and the robot's notes then."""
+    links = {"inertia": (robot.link_names, robot.mass, robot.inertia)}
+    if robot.base_mass is not None and robot.base_inertia is not None:
+        links["base_inertia"] = (("the base",), robot.base_mass[..., None], robot.base_inertia[..., None, :])
+    new: dict[str, Any] = {}
+    told: list[str] = []
+    for name, (bodies, mass, inertia) in links.items():
+        if mass.ndim > 1 or inertia.ndim > 2 or not fields.readable(mass, True) or not fields.readable(inertia, True):
+            raise ArgumentError(
+                f"{name} of robot {robot.name!r} must be that of one robot to be repaired, found mass "
+                f"{tuple(mass.shape)} and inertia {tuple(inertia.shape)}; repair the robots one by one"
+            )
+        I, notes = consistency.repaired(bodies, mass.detach().double().cpu(), matrices(inertia.detach().double().cpu()))
+        if notes:
+            told += notes
+            new[name] = I[..., *SIX].reshape(getattr(robot, name).shape).to(getattr(robot, name))
+    better = {note.partition(": ")[0] for note in told}
+    kept = (x for x in robot.notes if not consistency.of_inertia(x) or x.partition(": ")[0] not in better)
+    return new, (*told, *kept)
+
+
 def check(robot: Robot) -> None:
     """Raise unless a robot can exist; see `Robot.check`."""
     require_unchanged(robot)
@@ -88,7 +111,8 @@ def check(robot: Robot) -> None:
     faults = fields.faults(robot, names, everything=True)
     if not faults and not fields.batches(robot):
         faults = inert_joints(robot)
-    consistency.complain(robot.name, faults, "error")
+    if faults:
+        consistency.refuse(robot.name, faults)
     units.doubts(robot)
 
 

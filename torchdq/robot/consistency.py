@@ -3,7 +3,7 @@
 import math
 import warnings
 from collections.abc import Sequence
-from typing import Literal, get_args
+from typing import Literal, NoReturn, get_args
 
 import torch
 from torch import Tensor
@@ -23,6 +23,10 @@ TOLERANCE = 1e-6  # relative to the trace: descriptions are printed with about s
 POINT = 1e-14
 NOTHING = 1e-30  # the same without mass [kg m^2]: a bacterium has a hundred times more
 MASSLESS = "it has no mass, so its inertia must be zero"
+DEFINITE = "inertia must be positive definite"
+# Of the faults only this one gives right numbers: torques and accelerations are those of the inertia as it is.
+TRIANGLE = "the largest principal moment must not exceed the sum of the others (triangle inequality)"
+NEAREST = "on_unphysical='repair' takes the nearest inertias that bodies have"
 
 
 def bodies(links: Sequence[str], mass: Tensor, inertia: Tensor) -> list[str]:
@@ -40,10 +44,9 @@ def bodies(links: Sequence[str], mass: Tensor, inertia: Tensor) -> list[str]:
     wrong = {
         "mass and inertia must be finite, found mass {mass} and inertia {inertia}": ~finite,
         "mass must not be negative, found {mass:g} kg": mass < 0,
-        "inertia must be positive definite, found principal moments {shown} kg m^2": moments[..., 0] < -slack,
+        f"{DEFINITE}, found principal moments {{shown}} kg m^2": moments[..., 0] < -slack,
         f"{MASSLESS}, found principal moments {{shown}} kg m^2": (mass == 0) & (moments.abs().amax(-1) > NOTHING),
-        "the largest principal moment must not exceed the sum of the others (triangle inequality), "
-        "found {shown} kg m^2": moments[..., 2] > moments[..., 0] + moments[..., 1] + slack,
+        f"{TRIANGLE}, found {{shown}} kg m^2": moments[..., 2] > moments[..., 0] + moments[..., 1] + slack,
     }
     if not bool(torch.stack([*wrong.values()]).any()):
         return []
@@ -58,6 +61,11 @@ def bodies(links: Sequence[str], mass: Tensor, inertia: Tensor) -> list[str]:
                 faults.append(f"link {link!r}{f' of robot {list(at)}' if at else ''}: {found}")
                 break
     return faults
+
+
+def of_inertia(fault: str) -> bool:
+    """Whether a fault is one of an inertia, which can be repaired if the body has mass."""
+    return DEFINITE in fault or TRIANGLE in fault
 
 
 def rounding(mass: Tensor) -> Tensor:
@@ -128,14 +136,29 @@ def inert_joints(names: Sequence[str], tree: Tree) -> dict[str, str]:
 
 
 def complain(robot: str, faults: Sequence[str], on_unphysical: OnUnphysical, stacklevel: int = 4) -> None:
-    """Raise, warn or do nothing about faults, those left by a repair; `stacklevel` as in `warnings.warn`."""
+    """Raise, warn or do nothing about faults, those left by a repair; `stacklevel` as in `warnings.warn`.
+
+    "error" and "repair" raise for those that give wrong numbers, and warn of the others.
+    """
     require_choice("on_unphysical", on_unphysical, get_args(OnUnphysical))
     if not faults or on_unphysical == "ignore":
         return
-    message = f"robot {robot!r} is unphysical:\n  " + "\n  ".join(faults)
-    if on_unphysical == "error":
-        ways = "'repair' for the nearest inertias that bodies have, or 'warn' for these"
-        raise UnphysicalError(f"{message}\nCorrect the description, or pass on_unphysical={ways}.")
-    if on_unphysical == "repair":
-        raise UnphysicalError(f"{message}\nCorrect the description: only inertias can be repaired.")
-    warnings.warn(message, stacklevel=stacklevel)
+    if on_unphysical != "warn" and any(TRIANGLE not in fault for fault in faults):
+        refuse(robot, faults, repaired=on_unphysical == "repair")
+    advice = f"\nNumbers are those of the inertias as they are; {NEAREST}."
+    said = advice if any(TRIANGLE in fault for fault in faults) else ""
+    warnings.warn(_listed(robot, faults) + said, stacklevel=stacklevel)
+
+
+def refuse(robot: str, faults: Sequence[str], repaired: bool = False) -> NoReturn:
+    """Raise for faults, with what can be done about them; `repaired`: whether inertias have been repaired."""
+    if repaired:
+        cure = "only inertias of bodies with mass can be repaired"
+    else:
+        cure = "on_unphysical='warn' computes with these numbers all the same"
+        cure += f", and {NEAREST}" if any(map(of_inertia, faults)) else ""
+    raise UnphysicalError(f"{_listed(robot, faults)}\nCorrect the description; {cure}.")
+
+
+def _listed(robot: str, faults: Sequence[str]) -> str:
+    return f"robot {robot!r} is unphysical:\n  " + "\n  ".join(faults)

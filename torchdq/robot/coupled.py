@@ -18,6 +18,8 @@ from torchdq.robot.description import JointMap, Limits
 if TYPE_CHECKING:
     from torchdq.robot.robot import Robot
 
+SAME = 1e-12  # part of the largest number below which a number of S is rounding
+
 
 def couple(
     robot: Robot,
@@ -63,6 +65,7 @@ def couple(
     inert = [name for name, column in zip(names, factors.T, strict=True) if not bool(column.any())]
     if inert:
         raise ArgumentError(f"S must have a factor for every coordinate, found none for {', '.join(inert)}")
+    _require_independent(factors, names)
     several = [name for name, row in zip(known, factors, strict=True) if int(row.count_nonzero()) > 1]
     alone = factors * (factors.count_nonzero(-1) == 1).unsqueeze(-1)
     given: dict[str, Any] = {"damping": damping, "friction": friction, "armature": armature}
@@ -87,6 +90,23 @@ def couple(
     fields.require_structure(made, {name: getattr(made, name) for name in ("joint_names", *new)})
     consistency.complain(robot.name, fields.faults(made, new), "error")
     return made
+
+
+def _require_independent(factors: Tensor, names: Sequence[str]) -> None:
+    """Raise if some of the coordinates together move no joint: accelerations would be undefined everywhere."""
+    if not factors.numel() or not bool(factors.isfinite().all()):
+        return
+    # neither the units nor the sizes of the coordinates matter
+    scaled = factors / torch.linalg.vector_norm(factors, dim=0)
+    _, sizes, directions = torch.linalg.svd(scaled)
+    rank = int((sizes > SAME * sizes[0]).sum())
+    if rank < len(names):
+        still = directions[-1]
+        moved = [(name, x) for name, x in zip(names, still.tolist(), strict=True) if abs(x) > SAME * still.abs().max()]
+        raise ArgumentError(
+            f"S must have independent columns, found that a motion of {', '.join(name for name, _ in moved)} together "
+            "moves no joint; leave out one of these coordinates"
+        )
 
 
 def _by_name(robot: Robot, S: Mapping[str, Mapping[str, float]]) -> tuple[Tensor, tuple[str, ...]]:

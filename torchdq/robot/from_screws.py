@@ -1,5 +1,7 @@
 """Robots from joint screws in the base frame: the paper's own description, section 5.1."""
 
+import dataclasses
+import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,10 +10,14 @@ from torch import Tensor
 
 from torchdq import dq
 from torchdq.backends.choice import backend
+from torchdq.dynamics.joints import HELICAL, PRISMATIC, REVOLUTE
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, UNIT, distinct, indices, numbers, poses, table
 from torchdq.robot.description import RobotDescription, assemble
+
+# Pitches [m/rad] that are rounding: a thousandth of an atom, and what the products of a moment leave of l . m = 0.
+ATOM, PRODUCTS = 1e-13, 32 * sys.float_info.epsilon
 
 
 def joint(name: str, screw: Tensor) -> tuple[str, Tensor]:
@@ -21,11 +27,11 @@ def joint(name: str, screw: Tensor) -> tuple[str, Tensor]:
     if abs(length - 1.0) < UNIT:
         axis = axis / length
         pitch = axis @ moment
-        if abs(float(pitch)) > UNIT:
-            return "helical", torch.cat([axis, moment])
-        return "revolute", torch.cat([axis, moment - pitch * axis])
+        if abs(float(pitch)) > ATOM + PRODUCTS * float(moment.norm()):
+            return HELICAL, torch.cat([axis, moment])
+        return REVOLUTE, torch.cat([axis, moment - pitch * axis])
     if length < UNIT and abs(float(moment.norm()) - 1.0) < UNIT:
-        return "prismatic", torch.cat([torch.zeros_like(axis), moment / moment.norm()])
+        return PRISMATIC, torch.cat([torch.zeros_like(axis), moment / moment.norm()])
     raise DescriptionError(
         f"joint {name!r}: its screw must be a unit line (l | p x l), a line with pitch (l | p x l + h l), or a "
         f"translation (0 | l) with |l| = 1, found {screw.tolist()}"
@@ -58,4 +64,11 @@ def read(
     X_WP = torch.stack([IDENTITY if p == BASE else X_WB[p] for p in tree])
     X_PB_home = dq.mul(dq.conj(X_WP), X_WB)  # delta_i^{i-1}, (37)
     a = dq.ad(dq.conj(X_WB), s)  # a_i = Ad(delta_0^i) s_i
-    return assemble(names, tree, kinds, X_PB_home, a, dq.mul(dq.conj(X_WB[-1]), X_WE), **bodies)
+    found, faults = assemble(names, tree, kinds, X_PB_home, a, dq.mul(dq.conj(X_WB[-1]), X_WE), **bodies)
+    doubts = [
+        f"joint {name!r}: read as helical, with a pitch of {pitch:.3g} m/rad; if it is revolute, make l . m zero in "
+        "its screw (l | m), to all digits"
+        for name, kind, pitch in zip(names, kinds, (s[:, :3] * s[:, 3:]).sum(-1).tolist(), strict=True)
+        if kind == HELICAL and abs(pitch) < UNIT
+    ]
+    return dataclasses.replace(found, notes=(*found.notes, *doubts)), faults

@@ -49,16 +49,19 @@ def from_urdf(
             that mimic a locked one are locked too; one is not locked alone, unless they are independent.
         tip: name of the frame of the end effector; None: the leaf of the tree, if there is only one.
         gravity: acceleration in the base frame [m/s^2]; None: none.
-        on_unphysical: treatment of a body that cannot exist: "error" raises, "warn" warns, "ignore" only notes it, and
+        on_unphysical: treatment of a body that cannot exist. A negative mass and an inertia that is not positive
+            definite give wrong numbers: "error" raises, "warn" warns. An inertia that only breaks the triangle
+            inequality gives the numbers of the file, as from every other reader: both warn. "ignore" only notes either.
             "repair" takes the nearest inertia that a body has: that of the second moments without negative principal
-            values. One far too large for the robot, as of numbers in mm, can exist: "ignore" notes it, the others warn.
+            values. Learning and identification need inertias that bodies have. `Robot.check` refuses all others. A body
+            far too large for the robot, as of numbers in mm, can exist: "ignore" notes it, the others warn.
         joints: names or patterns of the joints to keep, at least one; the others are locked, at 0 or as in `lock`.
         mimic: treatment of joints that follow others by <mimic>: "coupled", they follow and have no coordinates of
             their own, or "independent".
 
     Raises:
         DescriptionError: the text is not a usable URDF; every fault found is named.
-        UnphysicalError: a link cannot exist.
+        UnphysicalError: the mass or the inertia of a link would give wrong numbers.
         UnknownNameError: a name in `lock`, `joints` or `tip` is not in the file.
     """
     require_choice("base", base, get_args(Base))

@@ -22,16 +22,24 @@ from torchdq.dynamics.joints import Along
 from torchdq.dynamics.paper import kinematics
 from torchdq.dynamics.tree import Tree
 
-NEAR = 16 * np.finfo(float).eps  # direction cosines this close to 0 or 1 are set to 0 or 1
+NEAR = 32 * np.finfo(float).eps  # direction cosines this close to 0 or 1 are set to 0 or 1
 PARALLEL = 1e-6  # sine of the angle between axes below which their common normal is not used
+SMALLEST = 1e-9  # size of a robot in m below which all of its link frames are at one point
 FAR = 10.0  # distance of a common normal, in sizes of the robot, above which it is not used
 
 
 class Axis(NamedTuple):
-    """Joint axis in the base frame, at home."""
+    """Axis at home, in the link frame of the description."""
 
     point: np.ndarray
     direction: np.ndarray
+
+
+class HomeFrame(NamedTuple):
+    """Frame at home, in another frame."""
+
+    R: np.ndarray  # its axes are the columns
+    p: np.ndarray  # its origin
 
 
 def clean(x: np.ndarray | float, scale: float = 1.0):
@@ -49,30 +57,32 @@ def cos_sin(angle: float) -> Angle:
 def align(tree: Tree) -> tuple[Alignment, ...]:
     """Constants of the moving links of a constant tree in aligned frames.
 
+    Every frame is found in the axes of its link, from the parent and the main child alone: positions in the base frame
+    of a robot far from it have fewer digits than those of its links relative to each other.
+
     Args:
         tree: in the link frames of the description, with floats as numbers.
     """
     X_WB = kinematics.link_poses(tree, [link.placement for link in tree.links])
-    R_WB, p_WB = zip(*map(_rotation_and_position, X_WB), strict=True)
+    X_PB = [HomeFrame(np.eye(3), np.zeros(3)), *(_frame_of(link.placement) for link in tree.links[1:])]
     lines = [Axis(np.zeros(3), np.array([0.0, 0.0, 1.0]))]  # the base keeps its frame
-    for link, R, p in zip(tree.links[1:], R_WB[1:], p_WB[1:], strict=True):
-        lines.append(Axis(p + R @ np.array(link.joint.point), _unit(R @ np.array(link.joint.direction))))
-    size = max([float(np.linalg.norm(p)) for p in p_WB] + [1e-3])
-    main = _main_children(tree)
-    R_WL, p_WL, result = [np.eye(3)], [np.zeros(3)], []
+    lines += [Axis(np.array(link.joint.point), _unit(np.array(link.joint.direction))) for link in tree.links[1:]]
+    size, main = _size(tree, X_PB), _main_children(tree)
+    X_BL, result = [HomeFrame(np.eye(3), np.zeros(3))], []
     for i, link in enumerate(tree.links[1:], 1):
-        R_P, p_P = R_WL[link.parent], p_WL[link.parent]
-        beyond = lines[main[i]] if i in main else None
-        x, origin = _frame(lines[i], beyond, Axis(p_P, R_P[:, 0]), p_WB[i], size)
+        at, above = X_PB[i], X_BL[link.parent]
+        from_above = at.p - above.p  # from the origin of the parent's aligned frame to that of the link frame
+        far = max(size, float(np.linalg.norm(from_above)))
+        beyond = _in_parent(X_PB[main[i]], lines[main[i]]) if i in main else None
+        x_above = Axis(-at.R.T @ from_above, at.R.T @ above.R[:, 0])
+        x, origin = _frame(lines[i], beyond, x_above, _frame_of(X_WB[i]).R, size)
         z = lines[i].direction
         x = _across(x, z)
         R = np.stack([x, np.cross(z, x), z], axis=1)
-        R_WL.append(R)
-        p_WL.append(origin)
-        gamma, alpha, theta = _euler(R_P.T @ R)
-        p, shift = _along_axes(clean(R_P.T @ (origin - p_P), size), gamma, alpha, size)
-        R_BL = clean(R_WB[i].T @ R)
-        p_BL = clean(R_WB[i].T @ (origin - p_WB[i]), size)
+        X_BL.append(HomeFrame(R, origin))
+        gamma, alpha, theta = _euler(above.R.T @ at.R @ R)
+        p, shift = _along_axes(clean(above.R.T @ (from_above + at.R @ origin), far), gamma, alpha, size)
+        R_BL, p_BL = clean(R), clean(origin, size)
         result.append(
             Alignment(
                 Placement(p, cos_sin(gamma), cos_sin(alpha), shift),
@@ -89,8 +99,28 @@ def align(tree: Tree) -> tuple[Alignment, ...]:
     return tuple(result)
 
 
-def _rotation_and_position(x: DualQuaternion) -> tuple[np.ndarray, np.ndarray]:
-    return np.array(quat.rotation_columns(x[0])).T, np.array(dq.translation(x))
+def _frame_of(x: DualQuaternion) -> HomeFrame:
+    r = tuple(_unit(np.array(x[0])).tolist())
+    return HomeFrame(np.array(quat.rotation_columns(r)).T, np.array(dq.translation(x)))
+
+
+def _in_parent(at: HomeFrame, line: Axis) -> Axis:
+    """Axis in a frame A, given in a frame B whose pose in A is `at`."""
+    return Axis(at.p + at.R @ line.point, at.R @ line.direction)
+
+
+def _size(tree: Tree, X_PB: list[HomeFrame]) -> float:
+    """Largest distance of a link frame from that of the first link of its branch; a metre if there is none.
+
+    The distance of the first links from the base is no part of the robot's size.
+    """
+    own = [HomeFrame(np.eye(3), np.zeros(3))] * len(X_PB)
+    for i, link in enumerate(tree.links[1:], 1):
+        if link.parent:
+            above = own[link.parent]
+            own[i] = HomeFrame(above.R @ X_PB[i].R, above.p + above.R @ X_PB[i].p)
+    size = max(float(np.linalg.norm(frame.p)) for frame in own)
+    return size if size > SMALLEST else 1.0
 
 
 def _in_base(joint: Along, X_WB: DualQuaternion) -> Along:
@@ -150,35 +180,35 @@ def _main_children(tree: Tree) -> dict[int, int]:
 
 
 def _frame(
-    line: Axis, beyond: Axis | None, x_axis: Axis, p_B: np.ndarray, size: float
+    line: Axis, beyond: Axis | None, x_above: Axis, base: np.ndarray, size: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Direction of the x axis and origin of a link's aligned frame, in the base frame.
+    """Direction of the x axis and origin of a link's aligned frame, in its link frame.
 
     Args:
         line: axis of its joint.
         beyond: axis of its main child's joint; None: it has no child.
-        x_axis: x axis of its parent's aligned frame.
-        p_B: origin of its frame in the description.
+        x_above: x axis of its parent's aligned frame.
+        base: axes of the base in the link frame, as rows.
         size: size of the robot.
     """
-    z, x_P = line.direction, x_axis.direction
+    z, x_P = line.direction, x_above.direction
     # without a common normal to the child's axis: the parent's x axis if it is perpendicular, and no shift along z
-    fallback = x_P if abs(x_P @ z) < NEAR else min(np.eye(3), key=lambda e: abs(float(e @ z)))
+    fallback = x_P if abs(x_P @ z) < NEAR else min(base, key=lambda e: abs(float(e @ z)))
     x = _unit(fallback - (fallback @ z) * z)
-    origin = _foot(line, x_axis)
+    origin = _foot(line, x_above)
     if beyond is not None:
         normal = np.cross(z, beyond.direction)
         if np.linalg.norm(normal) > PARALLEL:
             foot = _foot(line, beyond)
-            if foot is not None and np.linalg.norm(foot - p_B) < FAR * size:
+            if foot is not None and np.linalg.norm(foot) < FAR * size:
                 return _unit(normal), foot
         else:
             between = beyond.point - line.point
             between = between - (between @ z) * z
             if np.linalg.norm(between) > NEAR * size:
                 x = _unit(between)
-    if origin is None or np.linalg.norm(origin - p_B) > FAR * size:
-        origin = line.point + ((p_B - line.point) @ z) * z
+    if origin is None or np.linalg.norm(origin) > FAR * size:
+        origin = line.point - (line.point @ z) * z
     return x, origin
 
 

@@ -21,7 +21,7 @@ from torchdq.dynamics.tree import BASE, Tree
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.program.transforms import any_requires_grad
 from torchdq.robot import combined, coupled, loading, mjcf_writer, reduced, urdf_writer
-from torchdq.robot.changes import check, complaints, require_fields, require_unchanged, stacked, values
+from torchdq.robot.changes import check, complaints, repaired, require_fields, require_unchanged, stacked, values
 from torchdq.robot.consistency import OnUnphysical
 from torchdq.robot.constants import Constants, hold, stored
 from torchdq.robot.description import NO_TIP, Frame, JointMap, Limits
@@ -167,14 +167,15 @@ class Robot:
 
         A replaced physical tensor becomes an argument of the programs, so new values, batches and gradients need no new
         program; `bake` makes it a constant again. New values are checked as a file's are, with `on_unphysical` as in
-        `from_urdf`; batches, and tensors that require grad or are inside a transform, only by `check`. Writing in place
-        into a replaced physical tensor changes the robot. Damping, friction, limits and frames are copied: writing into
-        the given tensor changes nothing. Writing into a copy or a constant is refused at the next call; not so through
-        `x.data[...]` or `x.numpy()[...]`, which torch does not count: programs keep the numbers of before.
+        `from_urdf`, where "repair" repairs all links of a single robot; batches, and tensors that require grad or are
+        inside a transform, only by `check`. Writing in place into a replaced physical tensor changes the robot.
+        Damping, friction, limits and frames are copied: writing into the given tensor changes nothing. Writing into a
+        copy or a constant is refused at the next call; not so through `x.data[...]` or `x.numpy()[...]`, which torch
+        does not count: programs keep the numbers of before.
 
         Raises:
             UnknownNameError, ArgumentError, DtypeError: there is no such field, or a value does not fit the robot.
-            UnphysicalError: a body cannot exist, or a friction or a limit is negative.
+            UnphysicalError: a body would give wrong numbers, or a friction or a limit is negative.
 
         >>> import torchdq
         >>> robot = torchdq.robots.load("two_link")
@@ -183,9 +184,10 @@ class Robot:
         torch.Size([3, 2])
         """
         require_fields(self, changes)
-        if on_unphysical == "repair":
-            raise ArgumentError("on_unphysical must be 'error', 'warn' or 'ignore', found 'repair', which is for files")
         robot = self._with(**changes)
+        if on_unphysical == "repair":
+            changed, notes = repaired(robot)
+            robot = robot._with(**changed, notes=notes) if changed else robot
         if any(hold(self._storages, x) for x in changes.values()):  # whose changes in place are not the robot's
             robot = dataclasses.replace(robot, _storages=())
         faults = complaints(robot, changes, on_unphysical)
@@ -202,6 +204,8 @@ class Robot:
 
     def check(self) -> None:
         """Raise unless the robot can exist, and warn of other units: a file's checks on all values, batches included.
+
+        It is strict: inertias that break the triangle inequality, of which files are only warned, are refused, too.
 
         >>> import torchdq
         >>> torchdq.robots.load("two_link").check()  # raises nothing: this robot can exist

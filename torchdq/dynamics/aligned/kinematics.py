@@ -59,24 +59,21 @@ def joint_screws(tree: Tree, steps: Steps, i: int, frame: Point) -> dict[int, Sc
 
 def joint_screws_in_base(tree: Tree, steps: Steps, i: int, r: Pure) -> dict[int, Screw]:
     """Screws of the degrees of freedom that move link i, about its point r and in the axes of the base."""
-    origins: dict[int, Pure] = {}
     axes: dict[int, Sequence[Pure]] = {}  # axes of the base, in the link's frame
     for j in reversed(list(path(tree.links, i))):
-        step, parent = steps[j], tree.links[j].parent
-        if step is None:
-            origins[j], axes[j] = quat.ZERO, UNITS
-            continue
-        axes[j] = tuple(step.vector_to_link(e) for e in axes[parent])
-        at = tuple(quat.dot(e, step.placement.p) for e in axes[parent])
-        along = tuple(e[2] * step.theta.shift for e in axes[j])
-        origins[j] = quat.add(quat.add(origins[parent], at), along)
-    point = quat.add(origins[i], tuple(quat.dot(e, r) for e in axes[i]))
+        step = steps[j]
+        axes[j] = UNITS if step is None else tuple(step.vector_to_link(e) for e in axes[tree.links[j].parent])
+    # from the origin of the link to the point: no difference of positions, which are large far from the base
+    arm = tuple(quat.dot(e, r) for e in axes[i])
     found: dict[int, Screw] = {}
     for j in path(tree.links, i):
-        arm = quat.sub(point, origins[j])
-        for k, (w, v) in freedoms(tree.links[j]):
+        link, step = tree.links[j], steps[j]
+        for k, (w, v) in freedoms(link):
             w_W, v_W = (tuple(quat.dot(e, x) for e in axes[j]) for x in (w, v))
             found[k] = (w_W, quat.add(v_W, quat.cross(w_W, arm)))
+        if step is not None:
+            along = tuple(e[2] * step.theta.shift for e in axes[j])
+            arm = quat.add(quat.add(arm, along), tuple(quat.dot(e, step.placement.p) for e in axes[link.parent]))
     return found
 
 
