@@ -11,6 +11,8 @@ from torchdq.dynamics.posed import Posed, Row
 from torchdq.dynamics.tracking import commanded
 from torchdq.effects.effect import Parameter, Parametric, Shapes
 from torchdq.errors import ArgumentError
+from torchdq.export.meaning import heading
+from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
 from torchdq.robot.posed import posed
 from torchdq.robot.robot import SHAPES, arguments, constants, recorded
@@ -23,6 +25,32 @@ class Controller(Parametric):
     def torques(self, at: Posed, reference: Row, q: Row, qd: Row) -> Sequence[Number]:
         """Torques at the measured positions and velocities; `at` is the scene's robot at these positions."""
         raise NotImplementedError
+
+    def program(self, robot: Robot) -> Program:
+        """Program of the controller by itself, which takes reference, q and qd, for `torchdq.compile` and its `export`.
+
+        Gains that are tensors are arguments after these; the robot's numbers are constants.
+
+        Args:
+            robot: the robot as it is in the scene.
+
+        >>> import torchdq
+        >>> program = PD(kp=30.0, kd=9.0).program(torchdq.robots.load("two_link"))
+        >>> torchdq.compile(program).count().multiplications
+        4
+        """
+        n, whole, constant = robot.n, self.resolved(robot), robot.bake()
+        tensors = whole.tensors()
+        taken = [Argument("reference", 3 * n), Argument("q", n), Argument("qd", n)]
+        taken += [Argument(name, x.shape[-1], x.ndim == 1) for name, x in tensors.items()]
+
+        def algorithm(reference: Row, q: Row, qd: Row, *gains: Row) -> dict[str, Sequence[Number]]:
+            bound = whole.bound(dict(zip(tensors, gains, strict=True)))
+            return {"tau": bound.torques(posed(constant, q, {}, ()), reference, q, qd)}
+
+        kind = type(self).__name__
+        about = heading(f"controller {kind}", robot.name, robot.joint_names)
+        return replace(record(f"{kind}_{robot.name}", taken, algorithm), about=about)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from torchdq.envs.integrators import Integrator
 from torchdq.envs.spec import Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
 from torchdq.envs.system import SceneSystem, motion, with_growths
 from torchdq.errors import ArgumentError
+from torchdq.export.meaning import heading
 from torchdq.functions.recipe import worth_recording
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot.fields import trailing
@@ -244,7 +245,10 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
 
         return record(f"{what.stage}_{spec.robot.name}", arguments, algorithm)
 
-    return min(map(by, worth_recording(spec.robot.n, (False, True))), key=lambda p: p.count().total)
+    best = min(map(by, worth_recording(spec.robot.n, (False, True))), key=lambda p: p.count().total)
+    steps = f"{what.stage} of {spec.dt:g} s" if what.stage == "step" else what.stage
+    effects = [f"effect {k}: {type(effect).__name__}" for k, effect in enumerate(spec.effects)]
+    return replace(best, about=(*heading(steps, spec.robot.name, spec.robot.joint_names), *effects))
 
 
 def owner_of(name: str) -> tuple[int, str] | None:

@@ -82,6 +82,8 @@ STANDS_STILL = "reduced.py::test_a_locked_coordinate_is_one_that_stands_still"
 GEARS = f"{COUPLING}::test_geared_joints_are_pinocchios_mimic_joints"
 EXPORT = "export.py::test_results_are_those_of_the_program_in_pythons_arithmetic_bit_for_bit"
 CASADI = "casadi.py"
+EXPORT_BATCH = "export.py::test_files_are_strict_c99_and_their_test_of_a_sample_and_of_a_batch_passes"
+CALLS = "compiled_calls.py"
 COUPLED_ROTORS = f"{COUPLING}::test_accelerations_undo_forces"
 MOVING = "moving_base.py"
 MOVING_FORCES = f"{MOVING}::test_forces_and_base_wrench_equal_pinocchios_with_a_free_flyer"
@@ -1118,8 +1120,8 @@ MUTANTS = (
         ),
         (
             "a growth that is NaN passed over",
-            "over = ~(growth[:, 0].detach() <= _limit(dtype))",
-            "over = growth[:, 0].detach() > _limit(dtype)",
+            "over = ~(growth[:, 0].detach() <= largest_growth(dtype))",
+            "over = growth[:, 0].detach() > largest_growth(dtype)",
             f"{GROWTH}::test_a_sample_whose_growth_is_no_number_is_recomputed_too",
         ),
     ),
@@ -2023,8 +2025,8 @@ MUTANTS = (
         ),
         (
             "a status that is always good",
-            "<= {literal(limit, single)}) ? 0 : 1",
-            "<= {literal(limit, single)}) ? 0 : 0",
+            "<= {largest(program, single)}) ? 0 : 1",
+            "<= {largest(program, single)}) ? 0 : 0",
             "export.py::test_a_mass_matrix_that_is_not_positive_is_told_by_the_status",
         ),
     ),
@@ -2053,6 +2055,81 @@ MUTANTS = (
             "largest = max(len(r.values)",
             "largest = min(len(r.values)",
             f"{CASADI}::test_missing_arguments_are_zero_and_missing_results_are_left_out",
+        ),
+    ),
+    *within(
+        "torchdq/export/batch.py",
+        (
+            "exported batches whose last block reads on",
+            "rows[(i < here ? i : here - 1) * width + j]",
+            "rows[i * width + j]",
+            "export.py::test_nothing_is_read_or_written_out_of_bounds[closed form]",
+        ),
+        (
+            "exported sums that count the idle lanes",
+            "for (i = 0; i < here; i++) sums",
+            "for (i = 0; i < LANES; i++) sums",
+            f"{EXPORT_BATCH}[gradient in parameters-float64-gcc]",
+        ),
+        (
+            "exported batches whose block forgets its rows",
+            "if a.shared and a in taken else",
+            "if a.shared else",
+            f"{EXPORT_BATCH}[gradient in parameters-float64-gcc]",
+        ),
+    ),
+    *within(
+        "torchdq/backends/one_sample.py",
+        (
+            "one sample whose errors grow as they like",
+            "return found if growth.value <= self.limit else None",
+            "return found",
+            f"{CALLS}::test_rows_whose_errors_grow_too_much_are_recomputed_into_the_given_memory",
+        ),
+        (
+            "one sample without a look at transforms",
+            'not in ("auto", "c") or transforming()',
+            'not in ("auto", "c")',
+            f"{CALLS}::test_one_sample_takes_no_detour_unless_torch_or_the_user_asks_for_one",
+        ),
+        (
+            "one sample into memory that is read",
+            "if -ends[i] < pointers[i] - begin < size:",
+            "if False:",
+            f"{CALLS}::test_memory_that_cannot_be_written_to_is_refused_with_the_reason",
+        ),
+    ),
+    *within(
+        "torchdq/backends/memory.py",
+        (
+            "given memory that overlaps from behind",
+            "return x.data_ptr() < _end(y) and y.data_ptr() < _end(x)",
+            "return x.data_ptr() == y.data_ptr()",
+            f"{CALLS}::test_memory_that_cannot_be_written_to_is_refused_with_the_reason",
+        ),
+    ),
+    *within(
+        "torchdq/dynamics/friction.py",
+        (
+            "learned friction that pushes",
+            "viscous * qd + coulomb",
+            "viscous * qd - coulomb",
+            "parameters.py::test_friction_is_its_formula",
+        ),
+    ),
+    *within(
+        "torchdq/motors.py",
+        (
+            "programs of forward dynamics whose friction drives",
+            "[tau - t for tau",
+            "[tau + t for tau",
+            "layer_programs.py::test_the_program_of_a_layer_computes_what_the_layer_does[forward-constants]",
+        ),
+        (
+            "programs of layers without offsets",
+            "[f + c for f, c in",
+            "[f for f, c in",
+            "layer_programs.py::test_the_program_of_a_layer_computes_what_the_layer_does[inverse-constants]",
         ),
     ),
     *within(

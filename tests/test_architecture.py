@@ -53,6 +53,8 @@ FLOORS = {
     "torchdq.overview": 9,
     "torchdq.control": 8,
     "torchdq.parametrizations": 8,
+    "torchdq.learnable": 8,
+    "torchdq.motors": 8,
     "torchdq.nn": 9,
     "torchdq.residual": 10,
     "torchdq.learning": 11,

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 import torchdq
-from torchdq.envs import Scene, effects, integrators
+from torchdq.envs import Scene, controllers, effects, integrators
 from torchdq.errors import ArgumentError
 from torchdq.program.program import outputs, replay
 
@@ -22,10 +22,10 @@ COMPILERS = [
 F64 = torch.float64
 
 
-def scene_step():
+def scene_step(dtype="float64"):
     parts = (effects.Gravity(), effects.Viscous(1.0), effects.Coulomb(0.5), effects.Limits(-1.0, 1.0))
     scene = Scene(torchdq.robots.load("two_link"), parts, integrator=integrators.RungeKutta4())
-    return torchdq.compile(scene.program("torque"))
+    return torchdq.compile(scene.program("torque"), dtype=dtype)
 
 
 def free():
@@ -39,6 +39,15 @@ def loaded():
     return panda.replace(mass=panda.mass, com=panda.com)
 
 
+def two_links():
+    robot = torchdq.robots.load("two_link")
+    return robot.replace(mass=robot.mass)
+
+
+def trained():
+    return torchdq.ForwardDynamics(torchdq.robots.load("two_link"), ("mass", "inertia", "armature", "friction"))
+
+
 PROGRAMS = {
     "inverse dynamics": lambda dtype: torchdq.compile(torchdq.robots.load("panda"), "inverse_dynamics", dtype),
     "forward dynamics": lambda dtype: torchdq.compile(torchdq.robots.load("panda"), "forward_dynamics", dtype),
@@ -47,7 +56,11 @@ PROGRAMS = {
     "gradient": lambda dtype: torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics", dtype).vjp(),
     "jacobian": lambda dtype: torchdq.compile(torchdq.robots.load("two_link"), "forward_dynamics", dtype).jacobian(),
     "parameters": lambda dtype: torchdq.compile(loaded(), "inverse_dynamics", dtype),
+    "gradient in parameters": lambda dtype: torchdq.compile(two_links(), "inverse_dynamics", dtype).vjp(),
     "free base": lambda dtype: torchdq.compile(free(), "floating.forward_dynamics", dtype),
+    "scene": scene_step,
+    "a trained layer": lambda dtype: torchdq.compile(trained().program(parameters="arguments"), dtype=dtype),
+    "a controller": lambda dtype: torchdq.compile(controllers.PD(9.0, 3.0).program(trained().robot), dtype=dtype),
 }
 
 
@@ -60,21 +73,31 @@ def run(*command: str) -> str:
 @pytest.mark.parametrize("compiler", COMPILERS)
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 @pytest.mark.parametrize("name", PROGRAMS)
-def test_files_are_strict_c99_and_their_test_passes(name, dtype, compiler, tmp_path):
-    made = PROGRAMS[name](dtype).export(tmp_path, "exported")
+def test_files_are_strict_c99_and_their_test_of_a_sample_and_of_a_batch_passes(name, dtype, compiler, tmp_path):
+    made = PROGRAMS[name](dtype).export(tmp_path, "exported", batch=True)
     test = str(tmp_path / "test")
     run(compiler, *STRICT, "-I", str(tmp_path), str(made.source), str(made.test), "-o", test, "-lm")
     assert "largest relative difference" in run(test)
 
 
+@pytest.mark.parametrize("compiler", COMPILERS)
+def test_the_loop_over_samples_becomes_vector_instructions(compiler, tmp_path):
+    made = PROGRAMS["computed torque"]("float64").export(tmp_path, "exported", batch=True)
+    said = {"gcc": "-fopt-info-vec-optimized", "clang": "-Rpass=loop-vectorize"}[compiler]
+    flags = ("-std=c99", "-O3", "-march=native", said, "-I", str(tmp_path), "-c", "-o", str(tmp_path / "f.o"))
+    done = subprocess.run([compiler, *flags, str(made.source)], capture_output=True, text=True, timeout=300)
+    line = 1 + made.source.read_text().split("\n").index("    for (lane = 0; lane < LANES; lane++) {")
+    assert re.search(rf"exported\.c:{line}:.*vectorized", done.stderr), done.stderr
+
+
 @pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
-@pytest.mark.parametrize("library", ["math.h", "own"])
-@pytest.mark.parametrize("name", ["inverse dynamics", "computed torque", "gradient"])
-def test_nothing_is_read_or_written_out_of_bounds(name, library, tmp_path):
-    made = PROGRAMS[name]("float64").export(tmp_path, "exported", library)
+@pytest.mark.parametrize("name", PROGRAMS)
+def test_nothing_is_read_or_written_out_of_bounds(name, tmp_path):
+    compiled = PROGRAMS[name]("float64")
+    made = compiled.export(tmp_path, "exported", "math.h" if compiled.program.count().roots else "own", batch=True)
     test = str(tmp_path / "test")
     sanitized = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g")
-    run("gcc", *STRICT, *sanitized, "-I", str(tmp_path), str(made.source), str(made.test), "-o", test, "-lm")
+    run("gcc", *STRICT, "-O1", *sanitized, "-I", str(tmp_path), str(made.source), str(made.test), "-o", test, "-lm")
     run(test)
 
 
@@ -89,9 +112,9 @@ def called(made, program, rows, tmp_path):
 
 
 @pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
-@pytest.mark.parametrize("name", [*PROGRAMS, "scene"])
+@pytest.mark.parametrize("name", PROGRAMS)
 def test_results_are_those_of_the_program_in_pythons_arithmetic_bit_for_bit(name, tmp_path):
-    compiled = scene_step() if name == "scene" else PROGRAMS[name]("float64")
+    compiled = PROGRAMS[name]("float64")
     made = compiled.export(tmp_path, "exported")
     program = compiled.program
     generator = torch.Generator().manual_seed(1)
@@ -132,6 +155,34 @@ def test_the_panda_fits_in_sixty_kilobytes(tmp_path):
         for name in ("inverse dynamics", "computed torque")
     ]
     assert sum(sizes) <= 60_000
+
+
+def test_everything_in_a_header_has_words_and_the_joints_have_an_order(tmp_path):
+    for name, make in PROGRAMS.items():
+        for k, compiled in enumerate((make("float64"), make("float64").vjp())):
+            text = compiled.export(tmp_path / f"{name}{k}", "exported", batch=True).header.read_text()
+            described = re.findall(r"^ \* (?:in |out)  (\S+)(.*)$", text, re.MULTILINE)
+            assert described and all(words.strip() for _, words in described), (name, described)
+            assert "joints in the order of q: " in text and "of robot " in text
+
+
+ARM = ("arm-none-eabi-gcc", "-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard", "-Wdouble-promotion")
+
+
+@pytest.mark.skipif(not shutil.which(ARM[0]), reason=f"no {ARM[0]}")
+@pytest.mark.parametrize("library", ["math.h", "own"])
+def test_torques_and_controller_of_the_panda_fit_into_a_cortex_m7(library, tmp_path):
+    total = 0
+    for name in ("inverse dynamics", "computed torque"):
+        made = PROGRAMS[name]("float32").export(tmp_path / name, "f", library)
+        built = str(tmp_path / "f.o")
+        run(*ARM, *STRICT, "-I", str(tmp_path / name), "-c", str(made.source), "-o", built)
+        text, data, bss = map(int, run("arm-none-eabi-size", built).splitlines()[1].split()[:3])
+        assert data == bss == 0  # no memory of its own
+        total += text
+        wanted = set(run("arm-none-eabi-nm", "-u", built).split()) - {"U"}
+        assert wanted == ({"sinf", "cosf"} if library == "math.h" else set())
+    assert total <= 32 * 1024
 
 
 @pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")

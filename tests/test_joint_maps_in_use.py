@@ -105,9 +105,7 @@ def test_couplings_that_cannot_be_are_refused():
     with pytest.raises(ArgumentError, match="S must have a factor for every coordinate, found none for a"):
         robot.couple({"joint2": {"a": 0.0}})
     for S in ([[1.0, 2.0], [-0.5, -1.0]], [[1e-9, 3e3], [1e-9, 3e3]]):
-        with pytest.raises(
-            ArgumentError, match=r"independent columns, .* motion of a, b together moves no"
-        ):
+        with pytest.raises(ArgumentError, match=r"independent columns, .* motion of a, b together moves no"):
             robot.couple(S, ["a", "b"])
     with pytest.raises(ArgumentError, match="a motion of b, c together moves no joint"):
         torchdq.robots.load("panda").couple({"panda_joint2": {"b": 1.0, "c": 0.5}}, limits=torch.nan)

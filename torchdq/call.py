@@ -31,7 +31,7 @@ from torch import Tensor
 
 from torchdq.backends.backend import Backend
 from torchdq.backends.choice import BackendName, choose, choose_for_graph, present
-from torchdq.backends.memory import dense
+from torchdq.backends.memory import dense, share_memory
 from torchdq.backends.precision import Form, Guarded, contiguous, unguarded
 from torchdq.backends.run import run
 from torchdq.backends.torch import EAGER
@@ -102,7 +102,11 @@ _layouts: Bounded[tuple, CallLayout] = Bounded(LAYOUTS)
 
 
 def evaluate(
-    what: Computation, tensors: Tensors, backend: BackendName | None = None, double: bool = False
+    what: Computation,
+    tensors: Tensors,
+    backend: BackendName | None = None,
+    double: bool = False,
+    out: Sequence[Tensor] = (),
 ) -> dict[str, Tensor]:
     """Results of a computation by name, with the broadcast batch axes of all tensors.
 
@@ -111,8 +115,11 @@ def evaluate(
         tensors: its arguments by name; None: absent. The first is an input.
         backend: as in `torchdq.functional`.
         double: whether float32 inputs are computed in float64, and the results rounded.
+        out: tensors that the results are written to, one for each; (): new ones.
     """
     if torch.compiler.is_compiling() or dispatching():
+        if out:
+            raise ArgumentError("out cannot be given in a traced graph; leave it out, and torch reuses memory itself")
         return _traced(what, tensors, backend, double)
     try:
         looks = [None if x is None else (x.shape, x.dtype, x.device) for x in tensors.values()]
@@ -121,7 +128,9 @@ def evaluate(
         if layout is None:
             layout = _layouts[key] = _layout(what, tensors, backend, double)
         given = [x for x in tensors.values() if x is not None]
-        found = _direct(layout, given)
+        if out:
+            _require_room(layout, given, out)
+        found = _direct(layout, given, out)
         if found is not None:
             return dict(zip(layout.names, found, strict=True))
         if not all(map(is_dense, given)):  # torch multiplies some of them in silence
@@ -135,17 +144,19 @@ def evaluate(
     if narrow != layout.dtype:
         found = [y.to(narrow) for y in found]
     shaped = [y if y.shape == shape else y.view(shape) for y, shape in zip(found, layout.shapes, strict=True)]
-    return dict(zip(layout.names, shaped, strict=True))
+    for room, y in zip(out, shaped, strict=False):
+        room.copy_(y)
+    return dict(zip(layout.names, out or shaped, strict=True))
 
 
-def _direct(layout: CallLayout, given: Sequence[Tensor]) -> Sequence[Tensor] | None:
+def _direct(layout: CallLayout, given: Sequence[Tensor], out: Sequence[Tensor]) -> Sequence[Tensor] | None:
     """Results of a call without views of its tensors; None: some are needed, or torch records its operations.
 
     A view takes a microsecond, which counts where a call has one sample.
     """
     if layout.direct is None or in_a_graph(given):
         return None
-    return unguarded(layout.backend, layout.program, dense(given), layout.direct, layout.samples)
+    return unguarded(layout.backend, layout.program, dense(given), layout.direct, layout.samples, out)
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------
@@ -196,6 +207,26 @@ def _require_alike(name: str, x: Tensor, other: str, like: Tensor) -> None:
         raise DtypeError(f"{name} is {x.dtype} but {other} is {like.dtype}; convert one of them")
     if x.device != like.device:
         raise ArgumentError(f"{name} is on {x.device} but {other} is on {like.device}; move one of them")
+
+
+def _require_room(layout: CallLayout, given: Sequence[Tensor], out: Sequence[Tensor]) -> None:
+    """Raise unless the results can be written to these tensors, and nothing else is changed by it."""
+    if len(out) != len(layout.names):
+        raise ArgumentError(f"out must have a tensor for each of {', '.join(layout.names)}, found {len(out)}")
+    for k, (name, shape, room) in enumerate(zip(layout.names, layout.shapes, out, strict=True)):
+        label = f"out for {name}"
+        require_tensor(label, room)
+        _require_alike(label, room, "the first argument", given[0])
+        if room.shape != shape or not room.is_contiguous():
+            expected, held = ", ".join(map(str, shape)), "" if room.is_contiguous() else " that is not contiguous"
+            raise ArgumentError(f"{label} must be contiguous [{expected}], found {tuple(room.shape)}{held}")
+        if any([share_memory(room, x) for x in (*given, *out[:k])]):
+            raise ArgumentError(f"{label} must have memory of its own, found that of an argument or of another result")
+    if in_a_graph([*given, *out]):
+        raise ArgumentError(
+            "out cannot be given where torch records gradients or transforms, found an argument or an out that "
+            "requires grad, or a transform; leave it out, or call under torch.no_grad()"
+        )
 
 
 # --- layout ----------------------------------------------------------------------------------------------------------

@@ -12,14 +12,18 @@ from torch.nn.utils import parametrize
 from torchdq.backends.choice import BackendName
 from torchdq.checks import require_choice, require_number
 from torchdq.control import computed_torque, constant_gain
+from torchdq.dynamics.friction import friction_torque
 from torchdq.dynamics.tracking import commanded
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, check_precision, forward_dynamics, inverse_dynamics
 from torchdq.functional import check as require_alike
-from torchdq.parametrizations import PhysicalInertia, Positive
+from torchdq.learnable import initial_values, learnable
+from torchdq.motors import GAINS, MOTORS, Parameters, program
+from torchdq.parametrizations import PhysicalInertia, Positive, restored
+from torchdq.program.program import Program
 from torchdq.program.transforms import number
 from torchdq.robot import Robot
-from torchdq.robot.argument import require_bodies, require_robot
+from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import SHAPES
 
 # parametrisation of each constrained quantity
@@ -27,20 +31,7 @@ CONSTRAINED: dict[str, type[Positive | PhysicalInertia]] = {
     **dict.fromkeys(("mass", "armature", "viscous", "coulomb"), Positive),
     "inertia": PhysicalInertia,
 }
-# initial value of what the description does not give [SI]
-INITIAL = {"armature": 1e-3, "viscous": 1e-2, "coulomb": 1e-2}
-BESIDE_THE_ROBOT = ("friction", "offset")  # learned torques that are not those of rigid bodies
 SMALLEST_SIZE = 1e-2  # least size of a body, against which `prior` measures the shift of its centre of mass [m]
-
-
-def smooth_sign(qd: Tensor, width: float) -> Tensor:
-    """Smooth sign qd / sqrt(qd^2 + width^2) of velocities, the direction of Coulomb friction."""
-    return qd / (qd * qd + number(width * width, qd)).sqrt()
-
-
-def friction_torque(qd: Tensor, viscous: Tensor, coulomb: Tensor, width: float) -> Tensor:
-    """Torque viscous qd + coulomb qd / sqrt(qd^2 + width^2) that overcomes friction, in the dtype of qd."""
-    return viscous.to(qd) * qd + coulomb.to(qd) * smooth_sign(qd, width)
 
 
 class RobotModule(nn.Module):
@@ -71,6 +62,7 @@ class RobotModule(nn.Module):
     viscous: Tensor  # [n], if friction is learned
     coulomb: Tensor  # [n], if friction is learned
     offset: Tensor  # [n], if it is learned
+    _function: str  # name of the function without friction and offset
 
     def __init__(
         self, robot: Robot, learn: Sequence[str] = (), backend: BackendName | None = None, friction_width: float = 1e-2
@@ -84,12 +76,12 @@ class RobotModule(nn.Module):
                 "torchdq.floating has functions for it"
             )
         self._robot = robot
-        self.learn = _learnable(robot, learn)
+        self.learn = learnable(robot, learn)
         self.backend = backend
         self.friction_width = float(friction_width)
         self._initial: dict[str, Tensor] = {}  # unconstrained numbers by quantity, from which `prior` measures
         for name in self.learn:
-            for quantity, value in _initial_values(robot, name).items():
+            for quantity, value in initial_values(robot, name).items():
                 self.register_parameter(quantity, nn.Parameter(value))
                 if quantity in CONSTRAINED:
                     parametrize.register_parametrization(self, quantity, CONSTRAINED[quantity](quantity))
@@ -143,7 +135,7 @@ class RobotModule(nn.Module):
         """
         if "friction" not in self.learn:
             return torch.zeros_like(qd)
-        return friction_torque(qd, self.viscous, self.coulomb, self.friction_width)
+        return friction_torque(qd, self.viscous.to(qd), self.coulomb.to(qd), number(self.friction_width, qd))
 
     def _learned_torque(self, q: Tensor, qd: Tensor | None) -> Tensor | None:
         """Learned friction and offset, the torque of the motors beyond that of the rigid bodies; None: neither."""
@@ -152,6 +144,28 @@ class RobotModule(nn.Module):
             return friction
         offset = self.offset.to(dtype=q.dtype, device=q.device)
         return offset if friction is None else friction + offset
+
+    def program(self, *wrenches: str, parameters: Parameters = "constants") -> Program:
+        """Program of the layer, with learned friction and offset, for `torchdq.compile` and its `export`.
+
+        Its arguments are those of `forward`; "f_tip" and "f_ext" are there if they are named.
+
+        Args:
+            wrenches: their names.
+            parameters: "constants": all quantities have their present values. "arguments": those that are learned, and
+                those that were replaced in the robot, are arguments, in SI units.
+
+        >>> import torchdq
+        >>> layer = DQRNEA(torchdq.robots.load("two_link"), learn=("mass", "friction"))
+        >>> [a.name for a in layer.program(parameters="arguments").arguments]
+        ['q', 'qd', 'qdd', 'mass', 'viscous', 'coulomb']
+        """
+        fixed, learned = self._beside()
+        return program(self.robot, self._function, wrenches, parameters, fixed, learned, self.friction_width)
+
+    def _beside(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """Quantities of its program that are no tensors of the robot: those that are fixed, and those it learns."""
+        return {}, {name: getattr(self, name) for name in MOTORS if name in self._learned_quantities()}
 
     def prior(self) -> Tensor:
         """Distance of the learned quantities from their initial values: a number >= 0 without units.
@@ -207,47 +221,7 @@ class RobotModule(nn.Module):
         modules = dict(self._modules)
         lists = dict(modules.pop("parametrizations").items())  # type: ignore[union-attr,operator]
         state = {**self.__dict__, "_modules": modules}
-        return _restored, (parametrize.type_before_parametrizations(self), state, lists)
-
-
-def _learnable(robot: Robot, learn: Any) -> tuple[str, ...]:
-    """Names in `learn`, each once; raises unless all are quantities that the robot has."""
-    known = [field for field in SHAPES if getattr(robot, field) is not None or field == "armature"]
-    known += BESIDE_THE_ROBOT
-    names = (learn,) if isinstance(learn, str) else learn
-    wrong = [name for name in names if name not in known] if isinstance(names, Sequence) else [learn]
-    if wrong:
-        raise ArgumentError(f"learn must name what robot {robot.name!r} has among {known}, found {wrong[0]!r}")
-    if "inertia" in names:
-        require_bodies(robot, "learning inertias")
-    return tuple(dict.fromkeys(names))
-
-
-def _initial_values(robot: Robot, name: str) -> dict[str, Tensor]:
-    """Quantities that a name in `learn` stands for, with their initial values."""
-    zeros = torch.zeros_like(robot.damping)
-    if name == "friction":
-        described = {"viscous": robot.damping, "coulomb": robot.friction}
-        return {quantity: x.detach().where(x != 0, INITIAL[quantity]) for quantity, x in described.items()}
-    if name == "offset":
-        return {name: zeros}
-    if name == "armature" and robot.armature is None:
-        return {name: zeros + INITIAL[name]}
-    return {name: getattr(robot, name).detach().clone()}
-
-
-def _restored(
-    kind: type[nn.Module], state: dict[str, Any], lists: dict[str, parametrize.ParametrizationList]
-) -> nn.Module:
-    """Module of that kind with its parametrizations, to the last bit."""
-    module = kind.__new__(kind)
-    module.__setstate__(state)
-    for name, forms in lists.items():
-        module.register_parameter(name, nn.Parameter(forms().detach()))
-        for form in forms:
-            parametrize.register_parametrization(module, name, form, unsafe=forms.unsafe)
-        module.parametrizations[name] = forms  # type: ignore[index,operator,assignment]
-    return module
+        return restored, (parametrize.type_before_parametrizations(self), state, lists)
 
 
 class DQRNEA(RobotModule):
@@ -261,6 +235,8 @@ class DQRNEA(RobotModule):
     >>> layer(torch.zeros(5, 2), torch.zeros(5, 2), torch.zeros(5, 2)).shape
     torch.Size([5, 2])
     """
+
+    _function = "inverse_dynamics"
 
     def forward(
         self,
@@ -286,6 +262,8 @@ class ForwardDynamics(RobotModule):
         precision: as in `torchdq.forward_dynamics`.
         robot, learn, backend, friction_width: as in `RobotModule`.
     """
+
+    _function = "forward_dynamics"
 
     def __init__(
         self,
@@ -334,6 +312,7 @@ class ComputedTorque(RobotModule):
 
     kp: Tensor
     kd: Tensor
+    _function = "computed_torque"
 
     def __init__(
         self,
@@ -382,9 +361,30 @@ class ComputedTorque(RobotModule):
         else:
             tau = computed_torque(self.robot, q, qd, q_des, qd_des, qdd_des, kp, kd, f_tip, self.backend)
         if self.friction:
-            tau = tau + friction_torque(qd, self._robot.damping, self._robot.friction, self.friction_width)
+            viscous, coulomb = self._robot.damping.to(qd), self._robot.friction.to(qd)
+            tau = tau + friction_torque(qd, viscous, coulomb, number(self.friction_width, qd))
         learned = self._learned_torque(q, qd)
         return tau if learned is None else tau + learned
+
+    @property
+    def robot(self) -> Robot:
+        """Robot with the present parameters of the module or of its model."""
+        return super().robot if self.model is None else self.model.robot  # type: ignore[return-value]
+
+    def _beside(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """Quantities of its program that are no tensors of the robot, fixed and learned, by its model or itself."""
+        if not (self.model is None or isinstance(self.model, DQRNEA)):
+            raise ArgumentError(
+                f"model of a ComputedTorque must be a robot or a DQRNEA for a program, found a "
+                f"{type(self.model).__name__}, whose network is no program; export the controller of its `robot`, and "
+                "the network by torch.export or torch.onnx"
+            )
+        fixed, learned = super()._beside() if self.model is None else self.model._beside()
+        if self.friction:
+            fixed |= {"viscous": self._robot.damping, "coulomb": self._robot.friction}
+        for name in GAINS:
+            (learned if name in self._parameters else fixed)[name] = getattr(self, name)
+        return fixed, learned
 
 
 # plain name beside that of the paper's algorithm

@@ -5,8 +5,11 @@ optimiser did to them, and `right_inverse` finds the numbers of given quantities
 one step width suits a crane and a finger: a change by 0.01 is one percent of a mass or of a body's size.
 """
 
+from typing import Any
+
 import torch
 from torch import Tensor, nn
+from torch.nn.utils import parametrize
 
 from torchdq.errors import ArgumentError
 from torchdq.functional import require_finite
@@ -130,3 +133,17 @@ class PhysicalInertia(_Quantity):
 
 def _exponential(x: Tensor) -> Tensor:
     return x.clamp(-LARGEST_LOGARITHM, LARGEST_LOGARITHM).exp()
+
+
+def restored(
+    kind: type[nn.Module], state: dict[str, Any], lists: dict[str, parametrize.ParametrizationList]
+) -> nn.Module:
+    """Module of that kind with its parametrizations, to the last bit."""
+    module = kind.__new__(kind)
+    module.__setstate__(state)
+    for name, forms in lists.items():
+        module.register_parameter(name, nn.Parameter(forms().detach()))
+        for form in forms:
+            parametrize.register_parametrization(module, name, form, unsafe=forms.unsafe)
+        module.parametrizations[name] = forms  # type: ignore[index,operator,assignment]
+    return module

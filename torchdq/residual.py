@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NoReturn, get_args
 
 import torch
 from torch import Tensor, nn
 
 from torchdq.checks import require_count
+from torchdq.dynamics.friction import smooth_sign
 from torchdq.effects import Coulomb, Effect, Gravity, Residual, RotorInertia, Viscous
 from torchdq.errors import ArgumentError
 from torchdq.functional import mass_matrix
-from torchdq.nn import DQRNEA, smooth_sign
-from torchdq.program.transforms import load_forward_mode
+from torchdq.nn import DQRNEA
+from torchdq.program.transforms import load_forward_mode, number
 from torchdq.robot import Robot
 
 Grouping = Literal["joint", "all"]
@@ -127,6 +128,14 @@ class ResidualDynamics(nn.Module):
         """Robot with the model's present parameters."""
         return self.model.robot
 
+    def program(self, *wrenches: str, parameters: str = "constants") -> NoReturn:
+        """No program, since the network has none; raises `ArgumentError`, which says what has."""
+        raise ArgumentError(
+            "a ResidualDynamics has no program, because its network is none; export its model by "
+            "torchdq.compile(layer.model.program()).export(folder), the network by torch.export or torch.onnx, and add "
+            "their torques"
+        )
+
     def prior(self) -> Tensor:
         """Prior of the model, which concerns its physical parameters; see `torchdq.nn.RobotModule.prior`."""
         return self.model.prior()
@@ -192,7 +201,7 @@ class ResidualDynamics(nn.Module):
         return self._columns(q, qd, qdd, tau.detach())
 
     def _columns(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> Tensor:
-        direction = smooth_sign(qd, self.model.friction_width)
+        direction = smooth_sign(qd, number(self.model.friction_width, qd))
         columns = (q.sin(), q.cos(), qd, torch.zeros_like(qd) if qdd is None else qdd, direction, tau)
         return torch.stack(torch.broadcast_tensors(*columns), -1)
 

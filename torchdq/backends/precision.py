@@ -50,16 +50,21 @@ def guarded(backend: Backend, program: Program, inputs: Sequence[Tensor]) -> lis
         # values cannot be read here, so all rows are computed in float64
         return [y.to(dtype) for y in guarded(backend, program, [x.double() for x in inputs])]
     *results, growth = _outputs(backend, program, inputs, samples)
-    if readable and _within_limit(growth, samples):
+    if readable and _withinlargest_growth(growth, samples):
         return results
-    over = ~(growth[:, 0].detach() <= _limit(dtype))
+    over = ~(growth[:, 0].detach() <= largest_growth(dtype))
     if dtype == torch.float64:
         return _or_nan(program, results, over)
     return _recomputed(backend, program, inputs, results, over)
 
 
 def unguarded(
-    backend: Backend, program: Program, inputs: Sequence[Tensor], forms: Sequence[Form], samples: int
+    backend: Backend,
+    program: Program,
+    inputs: Sequence[Tensor],
+    forms: Sequence[Form],
+    samples: int,
+    out: Sequence[Tensor] = (),
 ) -> list[Tensor] | None:
     """Results in final shapes, without views on the way; None: a row is over the limit, and `guarded` must be called.
 
@@ -69,14 +74,15 @@ def unguarded(
         inputs: contiguous tensors of one dtype, in any shapes with the elements of [samples, width].
         forms: size, strides and dtype of every output, contiguous.
         samples: number of samples, at least one.
+        out: tensors of these forms for the results, apart from the memory of the inputs; (): new ones.
     """
     like = inputs[0]
-    found = [empty_on_cpu(*form) for form in forms]
+    found = [*out, *(empty_on_cpu(*form) for form in forms[len(out) :])]
     direct = cast(DirectKernel, backend.kernel(program, like.dtype, like.device))
     direct.into(inputs, found, samples)
     if program.growth is None or backend.guards:
         return found
-    return found if _within_limit(found.pop(), samples) else None
+    return found if _withinlargest_growth(found.pop(), samples) else None
 
 
 def contiguous(shape: tuple[int, ...], dtype: torch.dtype) -> Form:
@@ -84,12 +90,13 @@ def contiguous(shape: tuple[int, ...], dtype: torch.dtype) -> Form:
     return shape, tuple([math.prod(shape[k + 1 :]) for k in range(len(shape))]), dtype
 
 
-def _within_limit(growth: Tensor, samples: int) -> bool:
+def _withinlargest_growth(growth: Tensor, samples: int) -> bool:
     """Whether the errors of all rows grow less than the limit; False if one of them is NaN."""
-    return (growth if samples == 1 else growth.amax()).item() <= _limit(growth.dtype)
+    return (growth if samples == 1 else growth.amax()).item() <= largest_growth(growth.dtype)
 
 
-def _limit(dtype: torch.dtype) -> float:
+def largest_growth(dtype: torch.dtype) -> float:
+    """Largest accepted error growth in a precision."""
     return LARGEST_GROWTH.double if dtype == torch.float64 else LARGEST_GROWTH.single
 
 

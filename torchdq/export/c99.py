@@ -7,7 +7,7 @@ is read before anything is written, so an output may be the array of an input.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -23,9 +23,13 @@ _WORDS = (
     "auto break case char const continue default do double else enum extern float for goto if inline int long register "
     "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while "
     "bool catch class delete explicit export false friend mutable namespace new operator private protected public "
-    "template this throw true try typename using virtual main S"
+    "template this throw true try typename using virtual main "
 )
-KEYWORDS = frozenset(_WORDS.split())  # words of C and C++, which cannot be names
+_USED = (
+    "S LANES samples first here lane status sqrt sqrtf exp expf log logf floor floorf sin sinf cos cosf "
+    "sine_and_cosine rows_to_lanes lanes_to_rows added"
+)
+KEYWORDS = frozenset((_WORDS + _USED).split())  # words of C, of C++ and of the text here, which cannot be names
 _IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 
 # operations in C; those with an infix need no entry
@@ -41,6 +45,12 @@ _CALLS = {
 }
 _OF_MATH = ("sqrt", "exp", "log", "floor")
 
+# rounding by adding and subtracting a large number is what compilers are told they may leave out
+_EXACT = """#ifdef __FAST_MATH__
+#error "sine and cosine are wrong with -ffast-math; compile this file without it"
+#endif
+"""
+
 # sine and cosine by the polynomials of the compiled programs, to the last bit; NaN beyond LARGEST
 _SINE_AND_COSINE = """
 static void sine_and_cosine(S x, S *s, S *c)
@@ -48,9 +58,10 @@ static void sine_and_cosine(S x, S *s, S *c)
     const S t = x * TWO_OVER_PI + ROUND, k = t - ROUND;
     const S r = ((x - k * HALF_PI_1) - k * HALF_PI_2) - k * HALF_PI_3, z = r * r;
     const S sr = r + r * z * SIN(z), h = z * (S)0.5, w = 1 - h, cr = w + (((1 - w) - h) + z * z * COS(z));
+    const S zero = 0, none = zero / zero;
     const int inside = x <= LARGEST && x >= -LARGEST;
     const int q = inside ? (int)k : 0;
-    const S a = (q & 1) ? cr : sr, b = (q & 1) ? sr : cr, none = inside ? x : (x - x) / (x - x);
+    const S a = (q & 1) ? cr : sr, b = (q & 1) ? sr : cr;
     *s = inside ? ((q & 2) ? -a : a) : none;
     *c = inside ? (((q + 1) & 2) ? -b : b) : none;
 }
@@ -119,23 +130,32 @@ def comment(lines: Iterable[str]) -> str:
     return "/*\n" + "\n".join(f" * {line}".rstrip().replace("*/", "* /") for line in lines) + "\n */\n"
 
 
-def preamble(program: Program, single: bool, library: Library) -> str:
-    """Text in front of the functions of programs: what it includes, and its own sine and cosine if it has them."""
+def preamble(program: Program, single: bool, library: Library, batch: bool = False) -> str:
+    """Text in front of the functions of programs: what it includes, and its own sine and cosine if it has them.
+
+    `batch`: whether one of them is that of `torchdq.export.batch`.
+    """
     codes = {op.code for op in program.ops}
-    if library == "math.h":
-        return "#include <math.h>\n" if codes & {*TOGETHER, *_OF_MATH} else ""
-    if found := sorted(codes & set(_OF_MATH)):
+    wanted, angles = sorted(codes & set(_OF_MATH)), bool(codes & set(TOGETHER))
+    if library == "own" and wanted:
         raise ArgumentError(
-            f"library must be 'math.h' for {program.name}, which takes {', '.join(found)}; 'own' has sine and cosine"
+            f"library must be 'math.h' for {program.name}, which takes {', '.join(wanted)}; 'own' has sine and cosine"
         )
-    if not codes & set(TOGETHER):
-        return ""
+    included = "#include <math.h>\n" if library == "math.h" and (wanted or angles) else ""
     scalar, constants = ("float", SINES_FLOAT) if single else ("double", SINES_DOUBLE)
-    return f"typedef {scalar} S;\n{constants.strip()}\n{_SINE_AND_COSINE}"
+    own = angles and (library == "own" or batch)
+    kind = f"typedef {scalar} S;\n" if own or batch else ""
+    # gcc makes vectors of a loop only if nothing in it is called
+    function = _SINE_AND_COSINE.replace("static", "static inline") if batch else _SINE_AND_COSINE
+    return f"{included}{_EXACT}{kind}{constants.strip()}\n{function}" if own else f"{included}{kind}"
 
 
-def function(program: Program, name: str, single: bool, library: Library = "math.h") -> str:
-    """Text of the function of a program, without `preamble`."""
+# which values of a program stand where: array, component, and whether it is the same for all samples
+Placed = Callable[[Array, int, bool], str]
+
+
+def statements(program: Program, single: bool, library: Library, place: Placed) -> list[str]:
+    """Statements that compute the outputs of one sample."""
     scalar, suffix = ("float", "f") if single else ("double", "")
     taken, given = arrays(program)
     by_position = dict(zip((k for k, a in enumerate(program.arguments) if a.width), taken, strict=True))
@@ -153,13 +173,13 @@ def function(program: Program, name: str, single: bool, library: Library = "math
         return f"{words['zero']} - {at(index)}" if negative else at(index)
 
     read = {program.arguments[op.payload[0]].name for op in program.ops if op.code == "in"}
-    unread = [array.name for k, array in by_position.items() if program.arguments[k].name not in read]
-    lines = [f"(void){name};" for name in unread]
+    lines = [f"(void){array.name};" for k, array in by_position.items() if program.arguments[k].name not in read]
     for i in recorded(program, {i for i, op in enumerate(program.ops) if op.code == "const"}):
         op = program.ops[i]
         if op.code == "in":
             argument, component = op.payload
-            lines.append(f"const {scalar} x{i} = {by_position[argument].name}[{component}];")
+            where = place(by_position[argument], component, program.arguments[argument].uniform)
+            lines.append(f"const {scalar} x{i} = {where};")
         elif op.code in TOGETHER and library == "own":
             if i == together[i][0]:
                 known = {program.ops[k].code: f"x{k}" for k in together[i]}
@@ -173,15 +193,24 @@ def function(program: Program, name: str, single: bool, library: Library = "math
             lines.append(f"const {scalar} x{i} = {text};")
     rows = [r for r in outputs(program) if r.values]
     for array, result in zip(given, rows, strict=True):
-        lines += [f"{array.name}[{j}] = {shown(v)};" for j, v in enumerate(result.values)]
+        lines += [f"{place(array, j, False)} = {shown(v)};" for j, v in enumerate(result.values)]
+    return lines
+
+
+def function(program: Program, name: str, single: bool, library: Library = "math.h") -> str:
+    """Text of the function of a program, without `preamble`."""
+    _, given = arrays(program)
+    lines = statements(program, single, library, lambda array, component, uniform: f"{array.name}[{component}]")
     lines.append(f"return {_status(program, given, single)};")
     body = "\n".join(f"    {line}" for line in lines)
     return f"{declaration(program, name, single)}\n{{\n{body}\n}}\n"
 
 
+def largest(program: Program, single: bool) -> str:
+    """Literal of the largest error growth that is accepted."""
+    return literal(LARGEST_GROWTH.single if single else LARGEST_GROWTH.double, single)
+
+
 def _status(program: Program, given: Sequence[Array], single: bool) -> str:
     """Expression for what the function returns: 1 where rounding errors grow too much, otherwise 0."""
-    if program.growth is None:
-        return "0"
-    limit = LARGEST_GROWTH.single if single else LARGEST_GROWTH.double
-    return f"({given[-1].name}[0] <= {literal(limit, single)}) ? 0 : 1"
+    return "0" if program.growth is None else f"({given[-1].name}[0] <= {largest(program, single)}) ? 0 : 1"

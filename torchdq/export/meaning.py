@@ -38,18 +38,45 @@ WORDS = {
     "com": "centres of mass of the links, xyz, in the link frames [m]",
     "inertia": "inertias of the links about their centres of mass, xx xy yy xz yz zz [kg m^2]",
     "armature": "rotor inertias at the joints [kg m^2 or kg]",
+    "X_PB_home": "poses of the links in their parents' frames at home: unit dual quaternions, link by link [-, m]",
+    "screw": "joint screws in the link frames, (direction, moment), link by link [-, m]",
+    "home": "joint positions at home [rad or m]",
+    "base_mass": "mass of the base [kg]",
+    "base_com": "centre of mass of the base, xyz, in its frame [m]",
+    "base_inertia": "inertia of the base about its centre of mass, xx xy yy xz yz zz [kg m^2]",
+    "p_WC": "centre of mass of all bodies in the world [m]",
+    "linear": "linear momentum [kg m/s], or its rate [N]",
+    "angular": "angular momentum about the centre of mass [kg m^2/s], or its rate [N m]",
+    "push": "wrench (force, moment) of the environment on the pushed frame [N, N m]",
+    "target": "positions that the servos hold [rad or m]",
     "gravity": "gravitational acceleration in the base frame [m/s^2]",
     "viscous": "viscous friction of the joints [N m s/rad or N s/m]",
     "coulomb": "Coulomb friction of the joints [N m or N]",
+    "offset": "constant torques of the motors [N m or N]",
 }
 
 
 def words(name: str) -> str:
-    """Words and units for an argument or a result of a program; "" if nothing is known of its name."""
-    plain = name.rpartition(".")[2]
-    if plain.startswith("d/d"):
-        return f"derivative with respect to {plain.removeprefix('d/d')}"
-    return WORDS.get(plain, "")
+    """Words and units for an argument or a result of a program; "" if nothing is known of its name.
+
+    >>> words("dtau/dq")
+    'derivatives of tau (rows) with respect to q (columns), row by row'
+    """
+    if name.endswith("'"):
+        return f"derivatives of a scalar with respect to {name.removesuffix(chr(39))}, in its order"
+    if name.startswith("d") and "/d" in name:
+        of, by = name.removeprefix("d").rsplit("/d", 1)
+        return f"derivatives of {of} (rows) with respect to {by} (columns), row by row"
+    part, dot, parameter = name.rpartition(".")
+    if dot:
+        owner = {"-2": "the robot", "-1": "the controller"}.get(part, f"effect {part}")
+        return f"{parameter} of {owner}{f': {WORDS[parameter]}' if parameter in WORDS else ', in SI units'}"
+    return WORDS.get(name, "")
+
+
+def heading(what: str, robot: str, joints: Sequence[str]) -> tuple[str, ...]:
+    """Lines above a program of a robot: what it is, and the order of its joints."""
+    return f"{what} of robot {robot}", f"joints in the order of q: {', '.join(joints)}"
 
 
 def described(shown: Sequence[str], names: Sequence[str], way: str) -> list[str]:

@@ -7,13 +7,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from os import PathLike
 from pathlib import Path
-from typing import Literal, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple, get_args
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from torchdq.backends import c_source, cuda_source
 from torchdq.backends.choice import choose
+from torchdq.backends.one_sample import one_sample
 from torchdq.call import Computation, evaluate
 from torchdq.checks import dtype_of, names_of, require_choice, require_tensor
 from torchdq.errors import ArgumentError, UnknownNameError
@@ -21,6 +23,7 @@ from torchdq.export import c99, casadi
 from torchdq.export.c99 import Library
 from torchdq.export.casadi import CasadiExport
 from torchdq.export.files import Export, Exported
+from torchdq.export.meaning import heading
 from torchdq.functions.catalogue import RECIPES, Function
 from torchdq.functions.options import options_of
 from torchdq.program.autodiff import jacobian
@@ -124,6 +127,7 @@ class CompiledProgram:
         name: str = "",
         library: Library = "math.h",
         language: ExportLanguage = "c",
+        batch: bool = False,
     ) -> Exported:
         """Files that need neither Python nor torch: a function in strict C99, and what its language wants beside it.
 
@@ -146,9 +150,11 @@ class CompiledProgram:
             library: source of sine, cosine and roots: "math.h", or "own", the polynomials of compiled programs, with
                 sine and cosine up to 1e5 rad (4e3 in float32) and no roots or exponentials.
             language: "c", or "casadi", which takes programs in float64.
+            batch: whether there is a function NAME_batch beside it, which takes the rows of many samples and which
+                compilers turn into vector instructions. Its sine and cosine are those of "own".
         Raises:
             ArgumentError: the name is none that the language accepts, the library lacks a function, or a program in
-                float32 is exported to CasADi.
+                float32, or for batches, is exported to CasADi.
 
         >>> import tempfile, torchdq
         >>> tau = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
@@ -159,6 +165,8 @@ class CompiledProgram:
         require_choice("language", language, get_args(ExportLanguage))
         named = c99.identifier(name or c99.distinct([self.program.name])[0], "name")
         if language == "casadi":
+            if batch:
+                raise ArgumentError("batch must be False for language 'casadi', which maps functions itself: f.map(n)")
             if self.dtype != torch.float64:
                 raise ArgumentError(
                     f"language 'casadi' takes programs in float64, found {self.dtype}; leave out dtype in "
@@ -166,11 +174,49 @@ class CompiledProgram:
                 )
             exported = CasadiExport(self.program, self.axes, casadi.identifier(named), library, self.about)
             return exported.write(Path(folder))
-        whole = Export(self.program, named, self.dtype == torch.float32, library, self.about)
+        whole = Export(self.program, named, self.dtype == torch.float32, library, self.about, batch)
         return whole.write(Path(folder), self.examples)
 
-    def __call__(self, *inputs: Tensor) -> Tensor | tuple[Tensor, ...]:
-        """Results [..., width] of arguments [..., width]; uniform arguments are [width]."""
+    def __call__(self, *inputs: Tensor, out: Tensor | Sequence[Tensor] | None = None) -> Tensor | tuple[Tensor, ...]:
+        """Results [..., width] of arguments [..., width]; uniform arguments are [width].
+
+        One sample, rows [width] without batch axes on the CPU, each a tensor of its own, takes a few microseconds.
+
+        Args:
+            inputs: the arguments of the program, in its order, tensors or arrays of NumPy; results are alike.
+            out: tensor for the result, or one for each result, contiguous and apart from the memory of the arguments.
+                They are written to and returned, and no memory is allocated for them. Not where gradients are recorded.
+
+        >>> import torchdq
+        >>> gravity = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics", arguments=("q",))
+        >>> tau = torch.empty(2, dtype=torch.float64)
+        >>> gravity(torch.zeros(2, dtype=torch.float64), out=tau) is tau
+        True
+        """
+        if inputs and isinstance(inputs[0], np.ndarray):
+            return self._on_arrays(inputs, out)
+        room = out if out is None or isinstance(out, list | tuple) else (out,)
+        if not torch.compiler.is_compiling():
+            single = one_sample(self.program, self.dtype)
+            found = None if single is None else single(inputs, room)
+            if found is not None:
+                return found[0] if len(found) == 1 else tuple(found)
+        results = self._on_any_batch(inputs, () if room is None else room)
+        return results[0] if len(results) == 1 else results
+
+    def _on_arrays(self, inputs: Sequence[Any], out: Any) -> Any:
+        """Results as arrays of NumPy, which share the memory of the tensors."""
+        names = [a.name for a in self.program.arguments]
+        rows = [_tensor(name, x) for name, x in zip(names, inputs, strict=False)]
+        if out is not None:
+            several = isinstance(out, list | tuple)
+            self(*rows, out=[_tensor("out", y) for y in (out if several else [out])])
+            return tuple(out) if several else out
+        found = self(*rows)
+        return found.numpy() if isinstance(found, Tensor) else tuple([y.numpy() for y in found])
+
+    def _on_any_batch(self, inputs: Sequence[Tensor], out: Sequence[Tensor]) -> tuple[Tensor, ...]:
+        """Results for any batch axes, on any device, with gradients."""
         arguments = self.program.arguments
         if len(inputs) != len(arguments):
             raise ArgumentError(f"{self.program.name} takes {[a.name for a in arguments]}, found {len(inputs)} tensors")
@@ -180,11 +226,17 @@ class CompiledProgram:
                 expected = f"{self.dtype} tensor [{'' if a.uniform else '..., '}{a.width}]"
                 raise ArgumentError(f"{a.name} must be a {expected}, found {x.dtype} {tuple(x.shape)}")
         given = {a.name: x for a, x in zip(arguments, inputs, strict=True)}
-        results = tuple(evaluate(RecordedComputation(self.program), given).values())
-        return results[0] if len(results) == 1 else results
+        return tuple(evaluate(RecordedComputation(self.program), given, out=out).values())
 
     def __str__(self) -> str:
         return str(self.program)
+
+
+def _tensor(name: str, x: Any) -> Tensor:
+    """Tensor that shares the memory of an array."""
+    if not isinstance(x, np.ndarray):
+        raise ArgumentError(f"{name} must be an array of NumPy as the first argument is, found {type(x).__name__}")
+    return torch.from_numpy(x)
 
 
 def _ready(recorded: Program, dtype: torch.dtype, axes: tuple[tuple[int, ...], ...] = ()) -> CompiledProgram:
@@ -223,7 +275,7 @@ def compile(
             raise ArgumentError(
                 f"program {robot.name!r} is recorded already; leave out function, arguments and options"
             )
-        return _ready(robot, dtype_of("dtype", dtype))
+        return replace(_ready(robot, dtype_of("dtype", dtype)), about=robot.about)
     require_robot(robot)
     names_of("function", function, RECIPES, "function that is compiled")
     known = [name for name, _, _ in RECIPES[function].arguments]
@@ -241,5 +293,5 @@ def compile(
     ]
     recorded = what.program(tuple(taken))
     found = _ready(recorded, dtype_of("dtype", dtype), what.results(recorded))
-    about = (f"{function} of robot {robot.name}", f"joints in the order of q: {', '.join(robot.joint_names)}")
+    about = heading(function, robot.name, robot.joint_names)
     return replace(found, about=about, examples={name: getattr(robot, name) for name in tensors_of(robot)})

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.nn import smooth_sign
+from torchdq.dynamics.friction import smooth_sign
 
 ROWS = 400  # rows that are looked at
 FACTOR = 45.0  # ratio of measured to described torques beyond which the unit is doubted; a payload makes one of 31

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchdq.dynamics.friction import smooth_sign
 from torchdq.functional import regressor
-from torchdq.nn import smooth_sign
 from torchdq.robot import Robot
 
 COARSE = 1e-2  # least noise relative to the joint's torques, where there are too few samples to estimate it

@@ -76,6 +76,7 @@ class Program:
     ops: tuple[Op, ...]
     results: tuple[Result, ...]
     growth: Result | None = None  # factor by which rounding errors are magnified; None: always below the limits
+    about: tuple[str, ...] = ()  # lines for a reader of exported files
 
     def count(self) -> Count:
         """Operations per sample; negations are free.

@@ -36,6 +36,7 @@ empty_on_cpu: Callable[..., Tensor] = _private(
     "_dynamo.guards._empty_strided_cpu",
     lambda size, strides, dtype: torch.empty_strided(size, strides, dtype=dtype, device="cpu"),
 )
+_guards = _private("_dynamo.guards.TensorGuards", None)
 _levels: Callable[[], list[Any]] = getattr(pyfunctorch, "retrieve_all_functorch_interpreters", lambda: [])
 _unseen = _private("DisableTorchFunction", nullcontext)
 _jit_state = _private("_get_tracing_state", lambda: None)
@@ -66,6 +67,20 @@ def load_forward_mode() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         from torch._decomp import decompositions_for_jvp  # noqa: F401
+
+
+def alike(forms: Sequence[tuple[tuple[int, ...], tuple[int, ...], torch.dtype]]) -> Callable[..., bool]:
+    """Function that is true for plain tensors on the CPU of these sizes, strides and dtypes, as many as there are.
+
+    It is false if one tensor comes twice, for tensors that require grad where torch records gradients, for views that
+    torch negates later, for tensors in inference mode, and inside of all transforms and modes but forward-mode
+    differentiation.
+    """
+    if _guards is None:
+        return lambda *tensors: False
+    with torch.inference_mode(False), with_values():
+        examples = [empty_on_cpu(*form) for form in forms]
+        return _guards(*examples, dynamic_dims_sizes=None, dynamic_dims_strides=None).check
 
 
 def transforming() -> bool:

@@ -1,0 +1,162 @@
+"""Calls of `torchdq.compile` objects: results in given memory, arrays of NumPy, one sample without detours."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+import torch
+
+import torchdq
+from torchdq.backends.one_sample import one_sample
+from torchdq.errors import ArgumentError, DtypeError
+from torchdq.program.transforms import load_forward_mode
+
+BACKEND = "auto"
+F64 = torch.float64
+TWO = ("inverse_dynamics", "forward_dynamics", "closed_form")
+
+
+def compiled(function="inverse_dynamics", dtype="float64", robot="panda"):
+    return torchdq.compile(torchdq.robots.load(robot), function, dtype)
+
+
+def rows(program, *batch, dtype=F64, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    return [torch.rand(*batch, a.width, generator=generator, dtype=F64).to(dtype) for a in program.program.arguments]
+
+
+def listed(found):
+    return [found] if isinstance(found, torch.Tensor | np.ndarray) else list(found)
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("function", TWO)
+@pytest.mark.parametrize("batch", [(), (1,), (5,), (2, 3), (200,)])
+def test_results_in_given_memory_are_those_of_the_function(function, dtype, batch):
+    call = compiled(function, dtype)
+    inputs = rows(call, *batch, dtype=call.dtype)
+    with torchdq.backend("eager"):
+        expected = listed(call(*inputs))
+    room = [torch.full_like(y, torch.nan) for y in expected]
+    found = call(*inputs, out=room if len(room) > 1 else room[0])
+    assert all(a is b for a, b in zip(listed(found), room, strict=True))
+    tolerance = 2e-4 if dtype == "float32" else 1e-12
+    for y, e, new in zip(room, expected, listed(call(*inputs)), strict=True):
+        torch.testing.assert_close(y, e, rtol=tolerance, atol=tolerance * float(e.abs().max()))
+        assert torch.equal(y, new)
+
+
+@pytest.mark.parametrize("batch", [(), (3,)])
+@pytest.mark.parametrize("function", TWO)
+def test_arrays_of_numpy_give_arrays_and_may_be_the_memory(function, batch):
+    call = compiled(function)
+    inputs = rows(call, *batch)
+    expected = listed(call(*inputs))
+    arrays = [x.numpy() for x in inputs]
+    for y, e in zip(listed(call(*arrays)), expected, strict=True):
+        assert isinstance(y, np.ndarray) and np.array_equal(y, e.numpy())
+    room = [np.empty_like(e.numpy()) for e in expected]
+    call(*arrays, out=room if len(room) > 1 else room[0])
+    assert all(np.array_equal(y, e.numpy()) for y, e in zip(room, expected, strict=True))
+    with pytest.raises(ArgumentError, match="qd must be an array of NumPy as the first argument is, found Tensor"):
+        call(arrays[0], inputs[1], *arrays[2:])
+
+
+def test_rows_whose_errors_grow_too_much_are_recomputed_into_the_given_memory():
+    robot = torchdq.robots.load("two_link")
+    # a straight arm of which only the end has mass hardly resists in one direction
+    values = {"q": [0.1, 1e-3], "qd": [0.3, -0.1], "tau": [1.0, 0.5], "mass": [1e-6, 1.0], "inertia": [0.0] * 12}
+    call = torchdq.compile(robot.replace(mass=robot.mass, inertia=robot.inertia), "forward_dynamics", "float32")
+    inputs = [torch.tensor(values[a.name]) for a in call.program.arguments]
+    single = one_sample(call.program, call.dtype)
+    assert single is not None and single(inputs, None) is None
+    wide = torchdq.compile(robot.replace(mass=robot.mass, inertia=robot.inertia), "forward_dynamics")
+    room = torch.empty(2)
+    assert call(*inputs, out=room) is room
+    torch.testing.assert_close(room, wide(*[x.double() for x in inputs]).float(), rtol=1e-6, atol=0)
+
+
+def test_one_sample_takes_no_detour_unless_torch_or_the_user_asks_for_one():
+    call = compiled()
+    inputs = rows(call)
+    single = one_sample(call.program, call.dtype)
+    assert single(inputs, None) is not None and single(inputs, [torch.empty(7, dtype=F64)]) is not None
+    refused = {
+        "a batch": [x[None] for x in inputs],
+        "another dtype": [x.float() for x in inputs],
+        "gradients": [inputs[0].clone().requires_grad_(), *inputs[1:]],
+        "gaps": [torch.rand(14, dtype=F64)[::2], *inputs[1:]],
+        "a negative view": [torch._neg_view(inputs[0]), *inputs[1:]],
+        "too few": inputs[:2],
+        "no tensor": [[0.0] * 7, *inputs[1:]],
+    }
+    for why, rows_ in refused.items():
+        assert single(rows_, None) is None, why
+    with torchdq.backend("eager"):
+        assert single(inputs, None) is None
+    seen = []
+    torch.func.vmap(lambda q: (seen.append(single([q, *inputs[1:]], None)), q)[1])(torch.rand(2, 7, dtype=F64))
+    load_forward_mode()
+    with torch.autograd.forward_ad.dual_level():
+        dual = torch.autograd.forward_ad.make_dual(inputs[0], inputs[1])
+        seen.append(single([dual, *inputs[1:]], None))
+    assert seen == [None, None]
+
+
+@pytest.mark.parametrize("batch", [(), (4,)])
+def test_gradients_pass_and_are_refused_with_given_memory(batch):
+    call = compiled()
+    q, qd, qdd = rows(call, *batch)
+    q.requires_grad_()
+    call(q, qd, qdd).sum().backward()
+    assert q.grad is not None and q.grad.shape == q.shape
+    with pytest.raises(ArgumentError, match="out cannot be given where torch records gradients"):
+        call(q, qd, qdd, out=torch.empty_like(qd))
+    with pytest.raises(ArgumentError, match="out cannot be given where torch records gradients"):
+        call(q.detach(), qd, qdd, out=torch.empty_like(qd).requires_grad_())
+    with torch.no_grad():
+        assert torch.equal(call(q, qd, qdd, out=torch.empty_like(qd)), call(q.detach(), qd, qdd))
+
+
+@pytest.mark.parametrize("batch", [(), (4,)])
+def test_memory_that_cannot_be_written_to_is_refused_with_the_reason(batch):
+    call = compiled()
+    inputs = rows(call, *batch)
+    own = torch.empty(*batch, 7, dtype=F64)
+    for error, words, room in (
+        (ArgumentError, "must have memory of its own", inputs[2]),
+        (ArgumentError, "must have memory of its own", inputs[2][:]),
+        (ArgumentError, "must be contiguous", own.new_empty(*batch, 14)[..., ::2]),
+        (ArgumentError, "must be contiguous", own.new_empty(*batch, 6)),
+        (DtypeError, "out for tau is torch.float32", own.float()),
+        (ArgumentError, "out for tau must be a tensor", "tau"),
+        (ArgumentError, "a tensor for each of tau, found 2", [own, own.clone()]),
+    ):
+        with pytest.raises(error, match=words):
+            call(*inputs, out=room)
+    both = torch.empty(40, dtype=F64)
+    closed = compiled("closed_form", robot="two_link")
+    at = rows(closed, *batch)
+    room = [torch.empty_like(y) for y in closed(*at)]
+    room[2] = room[1]
+    with pytest.raises(ArgumentError, match="out for g must have memory of its own"):
+        closed(*at, out=room)
+    buffer = torch.zeros(4, 10, dtype=F64)
+    with pytest.raises(ArgumentError, match="must have memory of its own"):
+        call(*[x[..., :7] for x in (buffer, buffer, buffer)], out=buffer.view(-1)[5:33].view(4, 7))
+    assert call(both[:7], both[7:14], both[14:21], out=both[21:28]).data_ptr() == both[21:].data_ptr()
+
+
+def test_a_compiled_program_in_a_traced_graph_takes_no_memory():
+    call = compiled(robot="two_link")
+    inputs = rows(call, 3)
+    traced = torch.compile(lambda q, qd, qdd: call(q, qd, qdd), backend="eager", fullgraph=True)
+    torch.testing.assert_close(traced(*inputs), call(*inputs))
+
+
+def test_compiled_programs_are_copied_and_pickled():
+    call = compiled(robot="two_link")
+    inputs = rows(call)
+    for other in (copy.deepcopy(call), pickle.loads(pickle.dumps(call))):
+        assert torch.equal(other(*inputs), call(*inputs))

@@ -1,0 +1,139 @@
+"""C99 text of a program for a batch: blocks of samples, in loops that compilers turn into vector instructions.
+
+A block is copied from rows to lanes, q[component][lane]; one loop over its lanes computes all outputs, in which every
+operation takes neighbouring numbers; and the outputs are copied back. Sine and cosine are the polynomials of
+`c99`, because compilers have no vectors of those of math.h. The last block repeats its last sample, so that the result
+of a sample does not depend on its place.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from torchdq.export import c99
+from torchdq.program.program import Program, outputs
+
+LANES = 16  # two of the widest vectors of doubles, one of floats
+
+_ROWS_TO_LANES = """
+static void rows_to_lanes(const S *rows, size_t width, size_t here, S *lanes)
+{
+    size_t i, j;
+    if (here == LANES) {
+        for (i = 0; i < LANES; i++)
+            for (j = 0; j < width; j++) lanes[j * LANES + i] = rows[i * width + j];
+    } else {
+        for (i = 0; i < LANES; i++)
+            for (j = 0; j < width; j++) lanes[j * LANES + i] = rows[(i < here ? i : here - 1) * width + j];
+    }
+}
+"""
+_LANES_TO_ROWS = """
+static void lanes_to_rows(const S *lanes, size_t width, size_t here, S *rows)
+{
+    size_t i, j;
+    if (here == LANES) {
+        for (i = 0; i < LANES; i++)
+            for (j = 0; j < width; j++) rows[i * width + j] = lanes[j * LANES + i];
+    } else {
+        for (i = 0; i < here; i++)
+            for (j = 0; j < width; j++) rows[i * width + j] = lanes[j * LANES + i];
+    }
+}
+"""
+_ADDED = """
+static void added(const S *lanes, size_t width, size_t here, S *sums)
+{
+    size_t i, j;
+    for (j = 0; j < width; j++)
+        for (i = 0; i < here; i++) sums[j * LANES + i] += lanes[j * LANES + i];
+}
+"""
+
+
+class BatchRow(NamedTuple):
+    """Argument or output of the function for batches."""
+
+    name: str
+    size: int
+    shared: bool  # whether it is one row for all samples: a uniform argument, or a sum
+
+    @property
+    def lanes(self) -> str:
+        """Array of a block."""
+        return f"lanes_of_{self.name}"
+
+
+def rows(program: Program) -> tuple[list[BatchRow], list[BatchRow]]:
+    """Arguments and outputs of the function for batches, in their order."""
+    taken, given = c99.arrays(program)
+    uniform = [a.uniform for a in program.arguments if a.width]
+    summed = [r.summed for r in outputs(program) if r.values]
+    return (
+        [BatchRow(*a, shared) for a, shared in zip(taken, uniform, strict=True)],
+        [BatchRow(*a, shared) for a, shared in zip(given, summed, strict=True)],
+    )
+
+
+def declaration(program: Program, name: str, single: bool) -> str:
+    """Declaration of the function for batches, without the semicolon."""
+    scalar = "float" if single else "double"
+    taken, given = rows(program)
+    parameters = [f"const {scalar} *{a.name}" for a in taken] + [f"{scalar} *{a.name}" for a in given]
+    return f"int {name}_batch({', '.join(['size_t samples', *parameters])})"
+
+
+def stack(program: Program, single: bool) -> int:
+    """Memory of the blocks [bytes]."""
+    taken, given = rows(program)
+    numbers = sum(a.size for a in taken if not a.shared) + sum(a.size * (2 if a.shared else 1) for a in given)
+    return numbers * LANES * (4 if single else 8)
+
+
+def function(program: Program, name: str, single: bool) -> str:
+    """Text of the function for batches, and of the functions that it calls, without `c99.preamble`."""
+    taken, given = rows(program)
+    several = [a for a in taken if not a.shared]
+    parameters = [f"const S *{a.name}" if a.shared else f"S {a.name}[restrict {a.size}][LANES]" for a in taken]
+    parameters += [f"S {a.name}[restrict {a.size}][LANES]" for a in given]
+    lines = c99.statements(
+        program, single, "own", lambda a, component, shared: f"{a.name}[{component}]{'' if shared else '[lane]'}"
+    )
+    block = "\n".join(f"        {line}" for line in lines)
+    passed = ", ".join(a.name if a.shared and a in taken else a.lanes for a in (*taken, *given))
+    sums = [a for a in given if a.shared]
+    local = [f"S {a.lanes}[{a.size}][LANES];" for a in (*several, *given)]
+    local += [f"S sum_of_{a.name}[{a.size}][LANES] = {{{{0}}}};" for a in sums]
+    steps = [f"rows_to_lanes({a.name} + {a.size} * first, {a.size}, here, {a.lanes}[0]);" for a in several]
+    steps.append(f"{name}_block({passed});")
+    for a in given:
+        steps.append(
+            f"added({a.lanes}[0], {a.size}, here, sum_of_{a.name}[0]);"
+            if a.shared
+            else f"lanes_to_rows({a.lanes}[0], {a.size}, here, {a.name} + {a.size} * first);"
+        )
+    if program.growth is not None:
+        limit = f"{given[-1].lanes}[0][lane] <= {c99.largest(program, single)}"
+        steps.append(f"for (lane = 0; lane < here; lane++) status |= ({limit}) ? 0 : 1;")
+    end = [
+        f"for (first = 0; first < {a.size}; first++)\n"
+        f"        for ({a.name}[first] = 0, lane = 0; lane < LANES; lane++)\n"
+        f"            {a.name}[first] += sum_of_{a.name}[first][lane];"
+        for a in sums
+    ]
+    copies = [_ROWS_TO_LANES, _LANES_TO_ROWS if len(sums) < len(given) else "", _ADDED if sums else ""]
+    uses_lane = program.growth is not None or bool(sums)
+    return (
+        f"enum {{ LANES = {LANES} }};\n{''.join(copies)}\n"
+        f"static void {name}_block({', '.join(parameters)})\n{{\n    int lane;\n"
+        f"    for (lane = 0; lane < LANES; lane++) {{\n{block}\n    }}\n}}\n\n"
+        f"{declaration(program, name, single)}\n{{\n    size_t first{', lane' if uses_lane else ''};\n"
+        f"    int status = 0;\n{_indented(local, 4)}"
+        f"    for (first = 0; first < samples; first += LANES) {{\n"
+        f"        const size_t here = samples - first < LANES ? samples - first : LANES;\n{_indented(steps, 8)}    }}\n"
+        f"{_indented(end, 4)}    return status;\n}}\n"
+    )
+
+
+def _indented(lines: list[str], by: int) -> str:
+    return "".join(f"{' ' * by}{line}\n" for line in lines)

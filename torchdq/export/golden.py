@@ -1,0 +1,125 @@
+"""Test of an exported program: a program in C99 that compares its functions with golden vectors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import Tensor
+
+from torchdq.backends.choice import choose
+from torchdq.export import batch, c99
+from torchdq.export.batch import BatchRow
+from torchdq.program.autograd import per_sample
+from torchdq.program.program import Program
+
+CASES = 8  # golden vectors
+SAMPLES = 37  # in a batch; they are no whole number of blocks
+CPU = torch.device("cpu")
+# names of arguments that cannot be negative
+POSITIVE = ("mass", "base_mass", "armature", "viscous", "coulomb", "kp", "kd")
+
+_COMPARE = """
+static void compare(const {0} *found, const {0} *expected, int size, {0} *worst)
+{{
+    {0} largest = 0;
+    int j;
+    for (j = 0; j < size; j++) largest = fmax{1}(largest, fabs{1}(expected[j]));
+    for (j = 0; j < size; j++) {{
+        const {0} difference = fabs{1}(found[j] - expected[j]) / (largest > 0 ? largest : 1);
+        if (!(difference <= *worst)) *worst = difference;
+    }}
+}}
+"""
+
+
+def test(program: Program, name: str, single: bool, batches: bool, examples: Mapping[str, Tensor]) -> str:
+    """Program in C99 that returns 1 if the functions do not agree with the results of this machine.
+
+    Args:
+        program: the program, exported under a name, in single or double precision.
+        batches: whether it is exported for batches, too.
+        examples: values of some of the arguments; the others are random.
+    """
+    taken, given = batch.rows(program)
+    scalar, f = ("float", "f") if single else ("double", "")
+    bound = "1e-5f" if single else "1e-12"
+    inputs, found = _vectors(program, single, examples)
+    tables = [_table(f"in_{a.name}", scalar, x) for a, x in zip(taken, inputs, strict=True)]
+    tables += [_table(f"out_{a.name}", scalar, y) for a, y in zip(given, found, strict=True)]
+    locals_ = " ".join(f"{scalar} {a.name}[{a.size}];" for a in given)
+    passed = ", ".join([*(f"in_{a.name}[k]" for a in taken), *(a.name for a in given)])
+    called = "    batch(&worst);\n" if batches else ""
+    checks = "\n".join(f"        compare({a.name}, out_{a.name}[k], {a.size}, &worst);" for a in given)
+    return (
+        f"/* {name} against golden vectors; returns 0 if they agree to {bound} */\n"
+        f'#include <math.h>\n#include <stdio.h>\n#include "{name}.h"\n\n{"".join(tables)}{_COMPARE.format(scalar, f)}'
+        f"{_batch(name, scalar, taken, given) if batches else ''}\n"
+        f"int main(void)\n{{\n    {scalar} worst = 0;\n    int k;\n    for (k = 0; k < {CASES}; k++) {{\n"
+        f"        {locals_}\n        (void){name}({passed});\n{checks}\n    }}\n"
+        f"{called}"
+        f'    printf("{name}: largest relative difference %g\\n", (double)worst);\n'
+        f"    return worst <= {bound} ? 0 : 1;\n}}\n"
+    )
+
+
+def _batch(name: str, scalar: str, taken: Sequence[BatchRow], given: Sequence[BatchRow]) -> str:
+    """Function that compares a batch, in which the golden vectors come again and again, with these."""
+    arrays = [f"static {scalar} {a.name}[{1 if a.shared else SAMPLES}][{a.size}];" for a in (*taken, *given)]
+    arrays += [f"{scalar} sum_of_{a.name}[{a.size}] = {{0}};" for a in given if a.shared]
+    filled = [
+        f"for (j = 0; j < {a.size}; j++) {a.name}[{0 if a.shared else 'k'}][j] = in_{a.name}[k % {CASES}][j];"
+        for a in taken
+    ]
+    filled += [
+        f"for (j = 0; j < {a.size}; j++) sum_of_{a.name}[j] += out_{a.name}[k % {CASES}][j];" for a in given if a.shared
+    ]
+    compared = [f"compare({a.name}[k], out_{a.name}[k % {CASES}], {a.size}, worst);" for a in given if not a.shared]
+    sums = [f"compare({a.name}[0], sum_of_{a.name}, {a.size}, worst);" for a in given if a.shared]
+    several = f"    for (k = 0; k < {SAMPLES}; k++) {{\n{_lines(compared, 8)}    }}\n" if compared else ""
+    return (
+        f"\nstatic void batch({scalar} *worst)\n{{\n{_lines(arrays, 4)}    int j, k;\n"
+        f"    for (k = 0; k < {SAMPLES}; k++) {{\n{_lines(filled, 8)}    }}\n"
+        f"    (void){name}_batch({', '.join([str(SAMPLES), *(f'{a.name}[0]' for a in (*taken, *given))])});\n"
+        f"{several}{_lines(sums, 4)}}}\n"
+    )
+
+
+def _lines(lines: Sequence[str], by: int) -> str:
+    return "".join(f"{' ' * by}{line}\n" for line in lines)
+
+
+def _table(name: str, scalar: str, rows: Tensor) -> str:
+    lines = [", ".join(c99.literal(x, scalar == "float") for x in row) for row in rows.tolist()]
+    listed = ",\n".join(f"    {{{line}}}" for line in lines)
+    return f"static const {scalar} {name}[{CASES}][{rows.shape[1]}] = {{\n{listed}\n}};\n"
+
+
+def _vectors(program: Program, single: bool, examples: Mapping[str, Tensor]) -> tuple[list[Tensor], list[Tensor]]:
+    """Rows [cases, width] of all arguments and outputs that have numbers; each sample has its own sums."""
+    dtype = torch.float32 if single else torch.float64
+    inputs = [_example(a.name, a.width, a.uniform, examples, k).to(dtype) for k, a in enumerate(program.arguments)]
+    apart = any(a.uniform for a in program.arguments) or any(r.summed for r in program.results)
+    found = choose(None, CPU).kernel(per_sample(program) if apart else program, dtype, CPU)(inputs, CASES)
+    return [x for x in inputs if x.shape[1]], [y for y in found if y.shape[1]]
+
+
+def _example(name: str, width: int, uniform: bool, examples: Mapping[str, Tensor], seed: int) -> Tensor:
+    """Rows for an argument: given ones, or random numbers."""
+    if name in examples:
+        return examples[name].detach().double().cpu().reshape(-1, width).expand(CASES, width).clone()
+    generator = torch.Generator().manual_seed(seed)
+    x = torch.rand(1 if uniform else CASES, width, generator=generator, dtype=torch.float64).expand(CASES, width)
+    if name == "noise":
+        return x.contiguous()
+    if name in POSITIVE:
+        return 0.5 + x
+    x = 2 * x - 1
+    if name in ("inertia", "base_inertia"):
+        round_body = torch.tensor([1.0, 0.0, 1.0, 0.0, 0.0, 1.0], dtype=torch.float64)
+        return 0.1 * x + round_body.repeat(width // 6)
+    if name in ("X_WB", "X_PB_home"):  # unit dual quaternions
+        r, d = x.reshape(CASES, -1, 2, 4).unbind(-2)
+        r = r / r.norm(dim=-1, keepdim=True)
+        return torch.stack([r, d - (d * r).sum(-1, keepdim=True) * r], -2).reshape(CASES, width)
+    return x.contiguous()

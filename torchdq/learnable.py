@@ -1,0 +1,44 @@
+"""Quantities that layers may learn: their names, and their values before."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchdq.errors import ArgumentError
+from torchdq.robot import Robot
+from torchdq.robot.argument import require_bodies
+from torchdq.robot.robot import SHAPES
+
+# initial value of what the description does not give [SI]
+INITIAL = {"armature": 1e-3, "viscous": 1e-2, "coulomb": 1e-2}
+BESIDE_THE_ROBOT = ("friction", "offset")  # learned torques that are not those of rigid bodies
+
+
+def learnable(robot: Robot, learn: Any) -> tuple[str, ...]:
+    """Names in `learn`, each once; raises unless all are quantities that the robot has."""
+    known = [field for field in SHAPES if getattr(robot, field) is not None or field == "armature"]
+    known += BESIDE_THE_ROBOT
+    names = (learn,) if isinstance(learn, str) else learn
+    wrong = [name for name in names if name not in known] if isinstance(names, Sequence) else [learn]
+    if wrong:
+        raise ArgumentError(f"learn must name what robot {robot.name!r} has among {known}, found {wrong[0]!r}")
+    if "inertia" in names:
+        require_bodies(robot, "learning inertias")
+    return tuple(dict.fromkeys(names))
+
+
+def initial_values(robot: Robot, name: str) -> dict[str, Tensor]:
+    """Quantities that a name in `learn` stands for, with their initial values."""
+    zeros = torch.zeros_like(robot.damping)
+    if name == "friction":
+        described = {"viscous": robot.damping, "coulomb": robot.friction}
+        return {quantity: x.detach().where(x != 0, INITIAL[quantity]) for quantity, x in described.items()}
+    if name == "offset":
+        return {name: zeros}
+    if name == "armature" and robot.armature is None:
+        return {name: zeros + INITIAL[name]}
+    return {name: getattr(robot, name).detach().clone()}

@@ -1,0 +1,101 @@
+"""Programs of layers: functions of rigid bodies, with the friction and the offset of the motors in the same program."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Literal
+
+from torch import Tensor
+
+from torchdq.algebra.quaternion import Number
+from torchdq.checks import names_of, require_choice
+from torchdq.dynamics.friction import friction_torque
+from torchdq.errors import ArgumentError
+from torchdq.export.meaning import heading
+from torchdq.functions.catalogue import RECIPES, Function
+from torchdq.program.program import GROWTH, Argument, Program, growths, record, replay, results
+from torchdq.robot import Robot
+from torchdq.robot.robot import SHAPES, arguments, constants
+
+Parameters = Literal["constants", "arguments"]
+MOTORS = ("viscous", "coulomb", "offset")  # quantities that are no part of the rigid bodies
+GAINS = ("kp", "kd")  # those of computed torque control
+WRENCHES = ("f_tip", "f_ext")
+
+
+def program(
+    robot: Robot,
+    function: str,
+    wrenches: Sequence[str],
+    parameters: Parameters,
+    fixed: Mapping[str, Tensor],
+    learned: Mapping[str, Tensor],
+    width: float,
+) -> Program:
+    """Program of a layer.
+
+    Args:
+        robot: the robot with the layer's present parameters.
+        function: "inverse_dynamics", "forward_dynamics" or "computed_torque".
+        wrenches: names of those that are arguments.
+        parameters: whether what is learned, and what was replaced in the robot, is constant or an argument.
+        fixed, learned: values of `MOTORS` and `GAINS`, those that there are, [n]; the gains also [].
+        width: velocity below which friction is viscous [rad/s or m/s].
+    """
+    require_choice("parameters", parameters, ("constants", "arguments"))
+    known = [name for name, _, optional in RECIPES[function].arguments if optional and name in WRENCHES]
+    wanted = names_of("wrenches", wrenches, known, f"wrench of {function}")
+    beside = {**fixed, **learned}
+    if parameters == "constants":
+        robot, fixed, learned = robot.bake(), beside, {}
+    single = tuple([name for name in GAINS if name in beside and not beside[name].ndim])
+    what = Function(constants(robot), function, single)
+    inputs = [
+        Argument(name, math.prod(what.axes(name)))
+        for name, _, _ in RECIPES[function].arguments
+        if name in wanted or name not in (*GAINS, *WRENCHES)
+    ]
+    replaced = [
+        Argument(name, math.prod(what.axes(name)), getattr(robot, name).ndim == len(SHAPES[name]))
+        for name in arguments(robot)
+    ]
+    present = {name: Argument(name, x.shape[-1] if x.ndim else 1, x.ndim < 2) for name, x in beside.items()}
+    rigid = what.program((*inputs, *[present[name] for name in GAINS if name in beside], *replaced))
+    numbers = {name: _numbers(name, x) for name, x in fixed.items()}
+    taken = [*inputs, *replaced, *[present[name] for name in learned]]
+
+    def algorithm(*rows: Sequence[Number]) -> Mapping[str, Sequence[Number]]:
+        named = {**numbers, **{a.name: row for a, row in zip(taken, rows, strict=True)}}
+        beyond = _beyond(named, width)
+        if function == "forward_dynamics":
+            named["tau"] = [tau - t for tau, t in zip(named["tau"], beyond, strict=True)]
+        values = replay(rigid, [named[a.name] for a in rigid.arguments])
+        found = results(rigid, values)
+        if function != "forward_dynamics":
+            found["tau"] = [tau + t for tau, t in zip(found["tau"], beyond, strict=True)]
+        return {**found, GROWTH: growths(rigid, values)}
+
+    about = heading(
+        f"{function} with the motors' torques" if beside.keys() & set(MOTORS) else function,
+        robot.name,
+        robot.joint_names,
+    )
+    return replace(record(rigid.name, taken, algorithm), about=about)
+
+
+def _beyond(named: Mapping[str, Sequence[Number]], width: float) -> list[Number]:
+    """Torques of the motors beyond those of the rigid bodies."""
+    qd = named["qd"]
+    friction: list[Number] = [0.0] * len(qd)
+    if "viscous" in named:
+        rows = zip(qd, named["viscous"], named["coulomb"], strict=True)
+        friction = [friction_torque(v, viscous, coulomb, width) for v, viscous, coulomb in rows]
+    return [f + c for f, c in zip(friction, named.get("offset", [0.0] * len(qd)), strict=True)]
+
+
+def _numbers(name: str, x: Tensor) -> tuple[float, ...]:
+    if x.ndim > 1:
+        raise ArgumentError(f"{name} has batch axes {tuple(x.shape[:-1])} and cannot be constant; name one row of it")
+    return tuple(x.detach().double().reshape(-1).tolist())
