@@ -6,6 +6,7 @@ checkout, and are skipped where there are none.
 
 import os
 import runpy
+import shutil
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -79,6 +80,18 @@ def test_computed_torque(tmp_path):
     assert abs(right - analytic) < 1e-6
     assert wrong > 5 * right
     assert_drawn(tmp_path / "computed_torque.png")
+
+
+def test_real_time(tmp_path, capsys):
+    module = import_module("15_real_time")
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler cc")
+    found = module.main(module.Args(seconds=0.5, out=tmp_path))
+    assert found.deviation < 1e-7
+    assert found.error < found.error_described / 30
+    assert len(found.late) == len(found.computed) == 500 and (found.late >= 0).all() and (found.computed > 0).all()
+    assert "controller took [us]: median" in capsys.readouterr().out
+    assert_drawn(tmp_path / "real_time.png")
 
 
 # --- recordings of real arms -----------------------------------------------------------------------------------------
