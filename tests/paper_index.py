@@ -407,7 +407,7 @@ SECTION_5_3 = (
     Row(
         "63",
         "tau = M qdd + c + g + J^T F_EF",
-        "dynamics.paper.closed_form:closed_form functional:closed_form functions.formulas:forward_dynamics",
+        "dynamics.paper.closed_form:closed_form functional:closed_form functions.formulas:accelerations",
         f"{IDENTITIES}_torques_are_the_sum_of_their_causes",
     ),
     Row("64", "tau = A_S (*) F", "dynamics.paper.closed_form:closed_form", f"{OURS}[57]"),

@@ -1,13 +1,13 @@
 """Dynamics agree with MuJoCo, which reads the same URDF files with a parser of its own.
 
-torchdq loads files through pinocchio; an error of that reading would show in no comparison with pinocchio. MuJoCo also
+Two readers that misunderstand a file alike would not show in a comparison with Pinocchio; a third may. MuJoCo also
 turns every inertia to its principal axes and computes in other frames. It wants meshes, so those elements are removed
 from the text, and so is what torchdq does not simulate but MuJoCo would: limits, friction, damping and coupled (mimic)
 joints. Joints and bodies are mapped by name.
 
 An error is a largest difference relative to the magnitudes of a joint torque's terms (`size_of_torques`), for the mass
 matrix to sqrt(M_ii M_jj). MuJoCo stops looking for principal axes at 1e-12, so that is what its inertias are good for.
-The tolerance is 1e-12 for torques, whose size counts more than inertia, 2e-12 for the mass matrix, 1e-14 for frames.
+The tolerance is 1e-12 for torques, whose size counts more than inertia, 2e-12 for the mass matrix, 2e-14 for frames.
 """
 
 from functools import cache
@@ -23,7 +23,7 @@ import torchdq
 
 TOLERANCE = 1e-12
 AXES = 2e-12
-EXACT = 1e-14
+EXACT = 2e-14
 
 EIGENVALUES, TRIANGLE, MASSLESS = (
     "inertia must have positive eigenvalues",

@@ -16,8 +16,8 @@ pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C 
 BACKEND = "auto"
 
 
-SOME = ("Gravity", "Viscous", "Noise")
-ALL = (*SOME, "Coulomb", "Contact", "RotorInertia", "Payload", "Limits", "Drag", "Saturation", "Lag")
+SOME = ("Gravity", "Viscous", "Coulomb", "Contact", "Noise")  # those in the picture, and a sensor
+ALL = (*SOME, "RotorInertia", "Payload", "Limits", "Drag", "Saturation", "Lag")
 
 
 @pytest.mark.parametrize("kept", [SOME, pytest.param(ALL, marks=pytest.mark.exhaustive)], ids=len)

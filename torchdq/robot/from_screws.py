@@ -16,7 +16,7 @@ from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, UNIT, distinct, indices, numbers, poses, table
 from torchdq.robot.description import RobotDescription, assemble
 
-# Pitches [m/rad] that are rounding: a thousandth of an atom, and what the products of a moment leave of l . m = 0.
+# Pitches [m/rad] that are not worth a note: a thousandth of an atom, and what rounding leaves of l . m per size of m.
 ATOM, PRODUCTS = 1e-13, 32 * sys.float_info.epsilon
 
 
@@ -27,7 +27,7 @@ def joint(name: str, screw: Tensor) -> tuple[str, Tensor]:
     if abs(length - 1.0) < UNIT:
         axis = axis / length
         pitch = axis @ moment
-        if abs(float(pitch)) > ATOM + PRODUCTS * float(moment.norm()):
+        if abs(float(pitch)) > UNIT + PRODUCTS * float(moment.norm()):
             return HELICAL, torch.cat([axis, moment])
         return REVOLUTE, torch.cat([axis, moment - pitch * axis])
     if length < UNIT and abs(float(moment.norm()) - 1.0) < UNIT:
@@ -60,15 +60,15 @@ def read(
     X_WE = X_WB[-1] if tip_pose is None else poses("tip_pose", tip_pose, 8)
     names = distinct("joint", joint_names, n)
     kinds, exact = zip(*map(joint, names, s), strict=True)
+    pitches, sizes = (s[:, :3] * s[:, 3:]).sum(-1), s[:, 3:].norm(dim=-1)
     s = torch.stack(exact)
     X_WP = torch.stack([IDENTITY if p == BASE else X_WB[p] for p in tree])
     X_PB_home = dq.mul(dq.conj(X_WP), X_WB)  # delta_i^{i-1}, (37)
     a = dq.ad(dq.conj(X_WB), s)  # a_i = Ad(delta_0^i) s_i
     found, faults = assemble(names, tree, kinds, X_PB_home, a, dq.mul(dq.conj(X_WB[-1]), X_WE), **bodies)
-    doubts = [
-        f"joint {name!r}: read as helical, with a pitch of {pitch:.3g} m/rad; if it is revolute, make l . m zero in "
-        "its screw (l | m), to all digits"
-        for name, kind, pitch in zip(names, kinds, (s[:, :3] * s[:, 3:]).sum(-1).tolist(), strict=True)
-        if kind == HELICAL and abs(pitch) < UNIT
+    dropped = [
+        f"joint {name!r}: its pitch of {pitch:.3g} m/rad is taken for rounding, and the joint for revolute"
+        for name, kind, pitch, size in zip(names, kinds, pitches.tolist(), sizes.tolist(), strict=True)
+        if kind == REVOLUTE and abs(pitch) > ATOM + PRODUCTS * size
     ]
-    return dataclasses.replace(found, notes=(*found.notes, *doubts)), faults
+    return dataclasses.replace(found, notes=(*found.notes, *dropped)), faults
