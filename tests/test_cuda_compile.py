@@ -32,7 +32,7 @@ FEW = (
     "Reach/panda",
     "Track/ur10e",
 )
-SPILLED = 64  # most bytes that a program of an arm spills in float32
+SPILLED = 64  # most bytes that a program of an arm spills in float32; one that flies has six degrees of freedom more
 
 compiler = nvrtc.found()
 needs_nvrtc = pytest.mark.skipif(isinstance(compiler, str), reason="no NVRTC: pip install nvidia-cuda-nvrtc")
@@ -53,7 +53,7 @@ def figures(key: str, architecture: int = 90) -> dict[str, list[int]]:
 @pytest.mark.parametrize("key", thinned(PROGRAMS, FEW))
 def test_programs_compile_and_those_of_arms_stay_in_registers(key, architecture):
     found = figures(key, architecture)
-    if not key.startswith("study"):
+    if not key.startswith("study") and "/floating." not in key:
         assert found["float32"][1] <= SPILLED
     table = json.loads(TABLE.read_text())
     if architecture == 90 and key in FEW and table["version"] == list(compiler.version):
