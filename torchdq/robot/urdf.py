@@ -23,8 +23,11 @@ from torchdq.robot.urdf_tree import lumped, tree_of
 
 def read(
     source: Any, kept: Any, lock: Any, base: str = "fixed", mimic: str = "coupled", repair: bool = False
-) -> tuple[RobotDescription, list[str], tuple[str, ...]]:
-    """Description, its faults, and doubts about units; `Robot.from_urdf` says what is expected."""
+) -> tuple[RobotDescription, list[str], tuple[str, ...], tuple[str, ...]]:
+    """Description, its faults, doubts about units, and notes on what is ignored though it may change the dynamics.
+
+    `Robot.from_urdf` says what is expected.
+    """
     free = base == "floating"
     document = parse(text_of(source), free, mimic == "coupled")
     at = locked(document, kept, lock)
@@ -67,7 +70,7 @@ def read(
         joint_map=joint_map,
         notes=(*notes, *_notes(document, tree.joints, moving, leaves, at, coupled, mimic == "independent")),
     )
-    return description, faults, document.doubts
+    return description, faults, document.doubts, document.ignored
 
 
 def _screw(joint: UrdfJoint) -> tuple[float, ...]:
