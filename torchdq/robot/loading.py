@@ -90,6 +90,7 @@ def from_mjcf(
     as frames, as sites do. Rotor inertia (`armature`) is part of the mass matrix; linear equality constraints between
     joints are part of the robot. Damping, friction loss and limits are read but are not part of the rigid-body
     dynamics; actuators, tendons, contacts, springs and other equality constraints are noted. `report()` lists them.
+    Armature of a free joint, and `gravcomp` of some bodies only or in part, are not used: a warning says so.
     Meshes are opened only where a body's mass comes from them.
 
     Args:
@@ -110,9 +111,9 @@ def from_mjcf(
         UnphysicalError: a joint moves no inertia.
         UnknownNameError: a name in `lock`, `joints` or `tip` is not in the file.
     """
-    found = mjcf.read(source, base, joints, lock)
-    given = found.gravity if isinstance(gravity, str) and gravity == "file" else gravity
-    return _finish(cls, found.description, found.faults, tip, given, on_unphysical, found.doubts)
+    found = mjcf.read(source, base, joints, lock, gravity)
+    told = (found.doubts, found.ignored)
+    return _finish(cls, found.description, found.faults, tip, found.gravity, on_unphysical, *told)
 
 
 def from_xacro(
@@ -251,7 +252,7 @@ def _finish(
     said: Sequence[str] = (),
     ignored: Sequence[str] = (),
 ) -> Robot:
-    """Robot of a description; warns of doubts about units that were `said`, and of what was `ignored`, already noted."""
+    """Robot of a description; warns of doubts about units that were `said`, and of notes on what was `ignored`."""
     g = None if gravity is None else finite("gravity", gravity)
     robot = cls(**vars(description), gravity=g)
     if tip is not None:
