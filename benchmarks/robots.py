@@ -15,6 +15,7 @@ import statistics
 import sys
 import tempfile
 import time
+import warnings
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ import torch
 
 import torchdq
 from torchdq import floating
-from torchdq.errors import TorchdqError
+from torchdq.errors import TorchdqError, UnphysicalError
 from torchdq.timing import measure
 
 STATES = 20
@@ -54,7 +55,7 @@ class Row:
     seconds: float  # to record and compile inverse dynamics, without the cache
     nanoseconds: float  # per sample of inverse dynamics
     pinocchio: float  # nanoseconds of one of its calls
-    remarks: str
+    remarks: list[str]
 
 
 def files() -> list[Path]:
@@ -154,9 +155,20 @@ def examined(path: Path, base: str, seconds: float) -> Row:
         followers=len(robot.link_names) - n,
         multiplications=count.multiplications,
         additions=count.additions,
-        remarks="; ".join(note for note in robot.notes if not any(word in note for word in USUAL)),
+        remarks=[*_refusal(path, base), *(note for note in robot.notes if not any(word in note for word in USUAL))],
         **numbers,
     )
+
+
+def _refusal(path: Path, base: str) -> list[str]:
+    """Words for a file that is loaded on request only, because its bodies give wrong numbers."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            torchdq.Robot.from_urdf(path, base=base)
+        except UnphysicalError:
+            return ["from_urdf raises UnphysicalError unless on_unphysical is 'warn', 'ignore' or 'repair'"]
+    return []
 
 
 def _accelerations(robot, X, q, V, qd, forces, A, qdd) -> float:
@@ -183,15 +195,18 @@ def page(rows: list[Row], refused: list[tuple[str, str]], facts: dict[str, str])
         "# Robots that were tried",
         "",
         "Made by `python benchmarks/robots.py --page`: " + " ".join((__doc__ or "").split("ROBOTS.md. ")[1].split()),
-        "A dash stands for undefined accelerations: a joint moves no inertia, or the file's bodies cannot exist.",
+        "A dash stands for undefined accelerations: a joint moves no inertia, or the file's bodies cannot exist. The "
+        "last column of a free base has only what that of the fixed one has not.",
         "",
         "| file | base | joints | followers | error of torques | of accelerations | mul + add | compile [s] | "
         "ns | Pinocchio [ns] | what the file got wrong |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
+    told = {r.file: r.remarks for r in rows if r.base == "fixed"}
     for r in rows:
         acceleration = "-" if r.accelerations != r.accelerations else f"{r.accelerations:.0e}"
-        remarks = r.remarks.replace("|", "\\|") if r.base == "fixed" else ""
+        new = r.remarks if r.base == "fixed" else [x for x in r.remarks if x not in told.get(r.file, ())]
+        remarks = "; ".join(new).replace("|", "\\|")
         lines.append(
             f"| {r.file} | {r.base} | {r.joints} | {r.followers or ''} | {r.torques:.0e} | {acceleration} | "
             f"{r.multiplications} + {r.additions} | {r.seconds:.1f} | {r.nanoseconds:.0f} | {r.pinocchio:.0f} | "

@@ -18,6 +18,7 @@ from torchdq.envs.starts import motion_at_start
 from torchdq.envs.state import State
 from torchdq.notice import Notice
 from torchdq.robot import Robot
+from torchdq.robot.description import Unsimulated
 from torchdq.timing import measure
 
 if TYPE_CHECKING:
@@ -173,4 +174,4 @@ def left_out(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
         if idle := acting.idle():
             values = ", ".join(f"{name} is {getattr(acting, name)[0]:g}" for name in idle)
             lines.append(f"{type(acting).__name__} acts on no joint: {values}")
-    return (*lines, *[note for note in robot.notes if note.startswith("mimic joints treated as independent")])
+    return (*lines, *[note for note in robot.notes if isinstance(note, Unsimulated)])

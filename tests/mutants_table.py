@@ -2911,6 +2911,27 @@ MUTANTS = (
         ),
     ),
     *within(
+        "torchdq/robot/mjcf_notes.py",
+        (
+            "gravcomp warned of without gravity",
+            "if falls and relieved and",
+            "if relieved and",
+            "mjcf.py::test_gravity_that_is_compensated_in_part_is_warned_of",
+        ),
+        (
+            "armature of a free joint believed",
+            "if m.dof_armature[(dof",
+            "if not m.dof_armature[(dof",
+            "mjcf.py::test_armature_of_a_free_joint_is_warned_of",
+        ),
+        (
+            "springs only noted",
+            'Unsimulated(f"{what}: {names}")',
+            'str(f"{what}: {names}")',
+            "scene.py::test_what_a_robot_has_no_field_for_is_listed",
+        ),
+    ),
+    *within(
         "torchdq/robot/urdf_slips.py",
         (
             "misspelt attributes not told",
@@ -2929,6 +2950,24 @@ MUTANTS = (
             "if count > 1",
             "if count > 2",
             "urdf_tolerance.py::test_elements_that_are_given_twice_are_told",
+        ),
+        (
+            "misspelt tags only noted",
+            '"tags that seem misspelt, not read", found, True)',
+            '"tags that seem misspelt, not read", found, False)',
+            "urdf_tolerance.py::test_a_slip_that_may_change_the_dynamics_is_one_warning",
+        ),
+        (
+            "slips of fixed joints warned of",
+            'element.tag == "joint" and element.get("type") == "fixed"',
+            "False",
+            "urdf_tolerance.py::test_what_changes_no_dynamics_is_no_warning",
+        ),
+        (
+            "missing drivers only noted",
+            '{reprlib.repr(driver)}{meant}", True)',
+            '{reprlib.repr(driver)}{meant}", False)',
+            "urdf_tolerance.py::test_robots_of_others_have_no_slips_but_one",
         ),
         (
             "placements in degrees believed",

@@ -3,6 +3,7 @@
 An error of torques and of the mass matrix is relative to the largest number of its kind.
 """
 
+import warnings
 from pathlib import Path
 
 import mujoco
@@ -259,14 +260,15 @@ def test_parts_that_are_not_used_are_noted():
       <equality><connect name="loop" body1="c" body2="b" anchor="0 0 0"/>
       <joint name="curve" joint1="k" joint2="j" polycoef="0 1 2 0 0"/></equality>
       <actuator><general name="pull" tendon="t"/></actuator></mujoco>"""
-    notes = "\n".join(torchdq.Robot.from_mjcf(extras).notes)
+    with pytest.warns(UserWarning, match="gravcomp ignored: b"):
+        notes = "\n".join(torchdq.Robot.from_mjcf(extras).notes)
     for words in (
         "springs given but not simulated: j",
         "actuators that act on no joint, not used: pull",
         "tendons not used: t",
         "equality constraints not used: connect 'loop', joint 'curve'",
         "resistance of air or water",
-        "compensation of gravity, used for none of the bodies: b",
+        "gravcomp ignored: b: gravity acts on them in full",
         "moved by hand (mocap)",
     ):
         assert words in notes
@@ -287,7 +289,37 @@ def test_bodies_that_are_all_compensated_for_gravity_feel_none():
     assert robot.gravity is None
     assert any("gravcomp" in note for note in robot.notes)
     heavy = "<body name='heavy' pos='1 0 0'><joint/><geom size='1'/></body>"
-    assert torchdq.Robot.from_mjcf(text.format(heavy)).gravity is not None
+    with pytest.warns(UserWarning, match="gravcomp ignored: body1: gravity acts on them in full"):
+        assert torchdq.Robot.from_mjcf(text.format(heavy)).gravity is not None
+
+
+def warned(load, *arguments, **options):
+    """Result of loading, and the lines of its warnings but their headings."""
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        found = load(*arguments, **options)
+    return found, [line.strip() for warning in seen for line in str(warning.message).splitlines()[1:]]
+
+
+@pytest.mark.parametrize("a, b, told", [("0", "1", "b"), ("0.5", "0.5", "a, b"), ("1", "1", ""), ("0", "0", "")])
+def test_gravity_that_is_compensated_in_part_is_warned_of(a, b, told):
+    """MuJoCo relieves these bodies, and a robot has one gravity for all."""
+    geom = "<geom size='1' contype='0' conaffinity='0'/>"
+    ball = f"<joint type='slide'/>{geom}"
+    bodies = f"<body name='a' gravcomp='{a}'>{ball}<body name='b' gravcomp='{b}'>{ball}</body></body>"
+    stand = f"<body name='stand' gravcomp='1'>{geom}{bodies}</body>"
+    text = f"<mujoco><worldbody>{stand}</worldbody></mujoco>"
+    robot, lines = warned(torchdq.Robot.from_mjcf, text)
+    assert lines == [f"gravcomp ignored: {told}: gravity acts on them in full"] * bool(told)
+    assert set(lines) <= {*robot.notes}
+    for quiet in ({"gravity": None}, {"on_unphysical": "ignore"}):
+        assert warned(torchdq.Robot.from_mjcf, text, **quiet)[1] == []
+    model = model_of(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    zero = torch.zeros(2, dtype=torch.float64)
+    rises = torchdq.forward_dynamics(robot, zero, zero, zero, backend="eager").numpy()
+    assert np.allclose(rises, data.qacc, atol=1e-9) == (not told)
 
 
 # --- joints that are locked or coupled -------------------------------------------------------------------------------
@@ -433,6 +465,21 @@ def test_a_free_base_is_held_on_request():
     near(transform(torchdq.forward_kinematics(robot, torch.zeros(1).double(), "head")), xpose(data.body("head")))
     assert any(note == "held where the file puts them: root" for note in robot.notes)
     assert torchdq.Robot.from_mjcf(FREE, lock=["root"]).base_mass is None
+
+
+def test_armature_of_a_free_joint_is_warned_of():
+    """MuJoCo adds it to the mass matrix of the base where a joint of type "free" inherits it; <freejoint/> does not."""
+    default = '<default><joint armature="0.7" damping="0.1"/></default><worldbody>'
+    freed = FREE.replace("<worldbody>", default)
+    joint = freed.replace('<freejoint name="root"/>', '<joint name="root" type="free"/>')
+    for text, armature in ((FREE, 0.0), (freed, 0.0), (joint, 0.7)):
+        assert model_of(text).dof_armature[:6].tolist() == [armature] * 6
+        robot, lines = warned(torchdq.Robot.from_mjcf, text)
+        assert [line.split(" ignored")[0] for line in lines] == ["armature of the free joint 'root'"] * bool(armature)
+        assert all("write <freejoint/>" in line and line in robot.notes for line in lines)
+        near(robot.base_mass, float(torchdq.Robot.from_mjcf(FREE).base_mass))
+    assert warned(torchdq.Robot.from_mjcf, joint, base="fixed")[1] == []
+    assert "damping or friction of the free base, not used: root" in robot.notes
 
 
 BALL = "<body name='x' pos='1 0 0'><joint name='knob' type='ball'/><geom size='1'/></body>"

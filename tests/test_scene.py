@@ -7,6 +7,7 @@ import dataclasses
 import importlib
 import itertools
 import math
+import pickle
 import types
 import warnings
 
@@ -212,6 +213,27 @@ def test_what_is_simulated_is_not_left_out(what):
         lines = Scene(torchdq.Robot.from_urdf(FILE), (effect,)).describe(batch=1, seconds=0.0).left_out
         assert what not in [line.split(":")[0] for line in lines]
         assert len(lines) >= len(ASKED) - 2
+
+
+def test_what_a_robot_has_no_field_for_is_listed():
+    text = """<mujoco><option density="1.2"/><worldbody>
+      <body name="b" gravcomp="0.5"><joint name="j" stiffness="2"/><geom size="1"/>
+      <body name="c" pos="1 0 0"><joint name="k"/><geom size="1"/></body></body></worldbody>
+      <equality><connect name="loop" body1="c" body2="b" anchor="0 0 0"/></equality>
+      <actuator><motor name="m" joint="j"/></actuator></mujoco>"""
+    with pytest.warns(UserWarning, match="gravcomp"):
+        robot = torchdq.Robot.from_mjcf(text)
+    carried = pickle.loads(pickle.dumps(torchdq.robots.load("two_link").attach(robot, "link2")))
+    for form, start in ((robot, ""), (robot.lock("k"), ""), (carried, f"{robot.name}: ")):
+        lines = Scene(form, (effects.Gravity(),)).describe(batch=1, seconds=0.0).left_out
+        assert [line.removeprefix(start).split(":")[0] for line in lines] == [
+            "gravcomp ignored",
+            "springs given but not simulated",
+            "actuators not simulated, but their greatest efforts, damping and rotor inertia are read",
+            "equality constraints not used",
+            "contacts given but not simulated",
+            "resistance of air or water, not used",
+        ]
 
 
 def test_rotors_are_listed_until_they_are_simulated():

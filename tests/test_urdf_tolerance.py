@@ -1,8 +1,10 @@
 """Files that other readers open are opened, and notes say what was wrong; what gives wrong numbers raises."""
 
 import math
+import warnings
 
 import numpy as np
+import oracles
 import pytest
 import torch
 from test_urdf import (
@@ -27,6 +29,7 @@ from torchdq import ArgumentError, Robot, UnphysicalError
 from torchdq.robot.arrays import matrices, second_moments
 
 F64 = torch.float64
+SLIP = pytest.mark.filterwarnings("ignore:.*may change the dynamics")
 
 
 def also(more, text=None):
@@ -56,7 +59,10 @@ def test_undeclared_prefixes_are_told():
 
 def test_tags_that_may_be_misspelt_are_told():
     text = also("<Joint/><mesh/>").replace("<axis", "<orign/><axis", 1)
-    assert as_arm(noted(text, "tags that are not of URDF, not read: Joint, mesh, orign"))
+    misspelt = "tags that seem misspelt, not read: <Joint> in <robot> (is <joint> meant?)"
+    with pytest.warns(UserWarning, match="not used and may change the dynamics") as seen:
+        robot = noted(text, misspelt, "tags that are not of URDF, not read: mesh, orign")  # there is an origin as well
+    assert as_arm(robot) and len(seen) == 1 and misspelt in str(seen[0].message) and "mesh" not in str(seen[0].message)
 
 
 SLIPS = {
@@ -68,6 +74,7 @@ SLIPS = {
 }
 
 
+@SLIP
 @pytest.mark.parametrize("slip", SLIPS)
 def test_an_attribute_that_may_be_misspelt_is_told(slip):
     text, told = SLIPS[slip]
@@ -78,6 +85,7 @@ def test_an_attribute_that_may_be_misspelt_is_told(slip):
     assert "attributes that are not of URDF, not read: " + told.format("wheel") in notes
 
 
+@SLIP
 def test_limits_that_are_misspelt_are_told_and_so_is_what_is_taken_instead():
     wrong = '<limit low="-1" max="2" velocity="3" effort="4"/>'
     robot = Robot.from_urdf(also(link("x") + joint("j", "lower", "x", more=wrong)))
@@ -102,6 +110,7 @@ def test_attributes_beside_all_of_urdf_are_extensions_and_silent(text):
     assert [note for note in notes if note.startswith("attributes")] == []
 
 
+@SLIP
 def test_elements_that_are_given_twice_are_told():
     double = {
         "link": link("x", 1.0).replace("<inertial>", "<inertial><mass value='7'/></inertial><inertial>"),
@@ -113,6 +122,7 @@ def test_elements_that_are_given_twice_are_told():
     assert f"elements given more than once, of which the first is read: {words}" in robot.notes
 
 
+@SLIP
 def test_tags_in_the_wrong_place_are_told():
     body = link("x", 1.0)
     text = also(body.replace("<inertial>", "").replace("</inertial>", "") + fixed("f", "lower", "x") + LIMIT)
@@ -120,6 +130,7 @@ def test_tags_in_the_wrong_place_are_told():
     assert as_arm(noted(text, f"tags in the wrong place, not read: {words}"))
 
 
+@SLIP
 def test_attributes_of_joints_that_belong_to_their_elements_are_told():
     text = arm().replace('<joint name="elbow"', '<joint name="elbow" damping="1" dont_collapse="1"')
     assert as_arm(noted(text, "attributes that are not of URDF, not read: damping in joint 'elbow'"))
@@ -378,6 +389,95 @@ def test_the_error_names_the_ways_out():
     assert "on_unphysical='repair'" in message and "'warn'" in message
     with pytest.raises(ArgumentError, match="on_unphysical must be one of 'error', 'warn', 'repair', 'ignore'"):
         Robot.from_urdf(arm(), on_unphysical="mend")
+
+
+# --- slips that change the dynamics ----------------------------------------------------------------------------------
+
+ORIGIN, BODY = '<origin xyz="0.1 0.2 0.3" rpy="0 0 1"/>', '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
+MATTER = {  # content of a link "x" and of a joint "j" that carries it, and the words of the warning
+    "multiplyer": (
+        "",
+        "<mimic joint='elbow' multiplyer='-1'/>",
+        "multiplyer of <mimic> in joint 'j' (is multiplier me",
+    ),
+    "mas": (f"<inertial><mas value='2'/>{BODY}</inertial>", "", "<mas> in link 'x' (is <mass> meant?)"),
+    "orign of a body": (f"<inertial><orign xyz='1 0 0'/><mass value='2'/>{BODY}</inertial>", "", "<orign> in link 'x'"),
+    "orign of a joint": ("", "<orign xyz='1 0 0'/>", "<orign> in joint 'j' (is <origin> meant?)"),
+    "ryp": ("", "<origin xyz='1 0 0' ryp='0 0 1'/>", "ryp of <origin> in joint 'j' (is rpy meant?)"),
+    "xzy": ("", "<axis xzy='0 1 0'/>", "xzy of <axis> in joint 'j' (is xyz meant?)"),
+    "vector": ("", "<axis vector='0 1 0'/>", "vector of <axis> in joint 'j'"),
+    "axes": ("", "<axes xyz='0 1 0'/>", "<axes> in joint 'j' (is <axis> meant?)"),
+    "Inertial": (f"<Inertial><mass value='2'/>{BODY}</Inertial>", "", "<Inertial> in link 'x' (is <inertial> meant?)"),
+    "uper": (
+        "",
+        "<limit lower='0' uper='1' effort='1' velocity='1'/>",
+        "uper of <limit> in joint 'j' (is upper meant?)",
+    ),
+    "no driver": ("", "<mimic joint='elbo'/>", "j mimics 'elbo' (is 'elbow' meant?)"),
+    "two bodies": (f"<inertial><mass value='2'/>{BODY}</inertial>" * 2, "", "2 <inertial> in link 'x'"),
+    "two origins": ("", ORIGIN * 2, "2 <origin> in joint 'j'"),
+    "two axes": ("", "<axis xyz='0 1 0'/><axis xyz='0 0 1'/>", "2 <axis> in joint 'j'"),
+    "body outside": (f"<mass value='2'/>{BODY}", "", "<mass> in link 'x'"),
+    "place outside": (f"{ORIGIN}<inertial><mass value='2'/>{BODY}</inertial>", "", "<origin> in link 'x'"),
+    "xyz of a joint": ("", "' xyz='1 0 0", "xyz in joint 'j'"),
+}
+HARMLESS = {
+    "misspelt mesh": ("<visul/><visual><orign/></visual><collision><orign/></collision>", "", "revolute"),
+    "vendors' tags": ("<self_collision/>", "<hardware/><gear ratio='2'/><x:axes/>", "revolute"),
+    "springs": ("", "<dynamics stiffness='2'/>", "revolute"),
+    "place of an empty link": (ORIGIN, "", "revolute"),
+    "place of a link and of its body": (
+        f"{ORIGIN}<inertial>{ORIGIN}<mass value='1'/></inertial>",
+        "",
+        "revolute",
+    ),
+    "axes of a fixed joint": ("", "<axis xyz='0 0 1'/><axis xzy='0 1 0'/><axes/>", "fixed"),
+    "two of what is not read": ("", "<calibration/><calibration/>", "revolute"),
+    "limits left out": ("", "<limit effort='1' velocity='1'/>", "revolute"),
+}
+
+
+def with_link(body, more, kind="revolute"):
+    """An arm with a link "x" of this content, on a joint "j" of that."""
+    attribute, more = (more, "") if more.startswith("'") else ("", more)
+    ends = "<parent link='lower'/><child link='x'/>"
+    return also(f"<link name='x'>{body}</link><joint name='j' type='{kind}{attribute}'>{ends}{more}</joint>")
+
+
+@pytest.mark.parametrize("slip", MATTER)
+def test_a_slip_that_may_change_the_dynamics_is_one_warning(slip):
+    body, more, words = MATTER[slip]
+    with pytest.warns(UserWarning) as seen:
+        robot = Robot.from_urdf(with_link(body, more))
+    (message,) = [str(warning.message) for warning in seen]
+    assert message.startswith("robot 'arm': its file has what is not used and may change the dynamics:\n  ")
+    assert words in message and words in "\n".join(robot.notes) and seen[0].filename == __file__
+
+
+@pytest.mark.parametrize("what", HARMLESS)
+def test_what_changes_no_dynamics_is_no_warning(what):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Robot.from_urdf(with_link(*HARMLESS[what]))
+        for slip in MATTER:  # and asked for, none is
+            Robot.from_urdf(with_link(*MATTER[slip][:2]), on_unphysical="ignore")
+
+
+def test_a_driver_that_is_missing_is_none_for_independent_joints():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Robot.from_urdf(with_link("", "<mimic joint='elbo'/>"), mimic="independent")
+
+
+SLIPPED = {"alex_psyonic_hands"}  # its fingers mimic 'index_q1', and the joint is 'Left_index_q1'
+
+
+@pytest.mark.parametrize("name", oracles.example_robots())
+def test_robots_of_others_have_no_slips_but_one(name):
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        Robot.from_urdf(oracles.example_robots()[name], on_unphysical="warn")
+    assert any("may change the dynamics" in str(warning.message) for warning in seen) == (name in SLIPPED)
 
 
 # --- reports ---------------------------------------------------------------------------------------------------------

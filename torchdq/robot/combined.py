@@ -144,7 +144,7 @@ def attach(robot: Robot, other: Robot, frame: str, prefix: str | None = None, ba
         "limits": Limits(*(_cat(pair, 1) for pair in zip(robot.limits, other.limits, strict=True))),
         "frames": (*robot.frames, *frames),
         "tip": robot.tip if other.tip is None else start + other.tip,
-        "notes": (*robot.notes, *(f"{other.name}: {note}" for note in other.notes), told),
+        "notes": (*robot.notes, *(type(note)(f"{other.name}: {note}") for note in other.notes), told),
         "_arguments": (*known, *(name for name in other._arguments if name not in (*BASE_BODY, "gravity"))),
     }
     made = type(robot)(**{"name": robot.name, "gravity": robot.gravity, **changes})

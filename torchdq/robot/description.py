@@ -15,6 +15,12 @@ from torchdq.robot.arrays import IDENTITY, SIX, distinct, inertias, matrices, ta
 NO_TIP = "no tip chosen among the leaves"  # beginning of a note that goes when a tip is chosen
 
 
+class Unsimulated(str):
+    """Note on a part of a description that would act on the motion, and that a robot has no field for."""
+
+    __slots__ = ()
+
+
 class Limits(NamedTuple):
     """Limits of the joints as the description gives them, each [n]; infinite where it gives none."""
 

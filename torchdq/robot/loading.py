@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Mapping, Sequence
 from os import PathLike
 from typing import IO, TYPE_CHECKING, Any, Literal, get_args
@@ -40,7 +41,9 @@ def from_urdf(
 
     Links on fixed joints are merged with their parents and stay as frames; the coordinate of a continuous joint is
     its angle. Meshes are never opened. Joint friction, damping and limits are read but are not part of the rigid-body
-    dynamics. What is wrong in the file and changes no number of the dynamics is noted; `report()` lists it.
+    dynamics. What is wrong in the file, but stops no reader,
+    is noted; `report()` lists it. Words that seem misspelt, elements given twice and mimic joints whose drivers are not
+    in the file may change the dynamics: a warning names them.
 
     Args:
         source: path of the file, a file:// or package:// address, an open file, or the XML text itself.
@@ -54,7 +57,8 @@ def from_urdf(
             inequality gives the numbers of the file, as from every other reader: both warn. "ignore" only notes either.
             "repair" takes the nearest inertia that a body has: that of the second moments without negative principal
             values. Learning and identification need inertias that bodies have. `Robot.check` refuses all others. A body
-            far too large for the robot, as of numbers in mm, can exist: "ignore" notes it, the others warn.
+            far too large for the robot, as of numbers in mm, can exist, and words that seem misspelt can be meant:
+            "ignore" notes either, the others warn.
         joints: names or patterns of the joints to keep, at least one; the others are locked, at 0 or as in `lock`.
         mimic: treatment of joints that follow others by <mimic>: "coupled", they follow and have no coordinates of
             their own, or "independent".
@@ -66,8 +70,8 @@ def from_urdf(
     """
     require_choice("base", base, get_args(Base))
     require_choice("mimic", mimic, get_args(MimicJoints))
-    description, faults, doubts = urdf.read(source, joints, lock, base, mimic, on_unphysical == "repair")
-    return _finish(cls, description, faults, tip, gravity, on_unphysical, doubts)
+    description, faults, *told = urdf.read(source, joints, lock, base, mimic, on_unphysical == "repair")
+    return _finish(cls, description, faults, tip, gravity, on_unphysical, *told)
 
 
 def from_mjcf(
@@ -86,6 +90,7 @@ def from_mjcf(
     as frames, as sites do. Rotor inertia (`armature`) is part of the mass matrix; linear equality constraints between
     joints are part of the robot. Damping, friction loss and limits are read but are not part of the rigid-body
     dynamics; actuators, tendons, contacts, springs and other equality constraints are noted. `report()` lists them.
+    Armature of a free joint, and `gravcomp` of some bodies only or in part, are not used: a warning says so.
     Meshes are opened only where a body's mass comes from them.
 
     Args:
@@ -106,9 +111,9 @@ def from_mjcf(
         UnphysicalError: a joint moves no inertia.
         UnknownNameError: a name in `lock`, `joints` or `tip` is not in the file.
     """
-    found = mjcf.read(source, base, joints, lock)
-    given = found.gravity if isinstance(gravity, str) and gravity == "file" else gravity
-    return _finish(cls, found.description, found.faults, tip, given, on_unphysical, found.doubts)
+    found = mjcf.read(source, base, joints, lock, gravity)
+    told = (found.doubts, found.ignored)
+    return _finish(cls, found.description, found.faults, tip, found.gravity, on_unphysical, *told)
 
 
 def from_xacro(
@@ -245,7 +250,9 @@ def _finish(
     gravity: Sequence[float] | None,
     on_unphysical: OnUnphysical,
     said: Sequence[str] = (),
+    ignored: Sequence[str] = (),
 ) -> Robot:
+    """Robot of a description; warns of doubts about units that were `said`, and of notes on what was `ignored`."""
     g = None if gravity is None else finite("gravity", gravity)
     robot = cls(**vars(description), gravity=g)
     if tip is not None:
@@ -254,4 +261,9 @@ def _finish(
     # torques and poses need no inertia; accelerations raise
     inert = inert_joints(robot)
     doubts = units.doubts(robot, quiet=on_unphysical == "ignore", said=said)
+    if ignored and on_unphysical != "ignore":
+        lines = "\n  ".join(ignored)
+        warnings.warn(
+            f"robot {robot.name!r}: its file has what is not used and may change the dynamics:\n  {lines}", stacklevel=3
+        )
     return dataclasses.replace(robot, notes=(*faults, *inert, *doubts, *robot.notes))

@@ -20,7 +20,7 @@ from torchdq.errors import ArgumentError, DescriptionError
 from torchdq.robot import consistency, mjcf_notes
 from torchdq.robot.arrays import MOST, double, matrices
 from torchdq.robot.couplings import Follows, JointCoupling, solved
-from torchdq.robot.description import NO_TIP, JointMap, Limits, RobotDescription
+from torchdq.robot.description import NO_TIP, JointMap, Limits, RobotDescription, Unsimulated
 from torchdq.robot.locking import positions, require_free, tell_if_beyond, to_keep, told
 from torchdq.robot.lumps import NOTHING
 from torchdq.robot.mjcf_joints import BALL, FREE, MjcfJoint, equalities, joints_of
@@ -35,21 +35,22 @@ class Mjcf(NamedTuple):
 
     description: RobotDescription
     faults: list[str]
-    gravity: tuple[float, ...] | None  # [m/s^2]; None: there is none, or every moving body is relieved of it
+    gravity: Any  # [m/s^2], as it was given or as the file has it; None: none
     of: MjcfModel
     joints: list[MjcfJoint]
     links: Links
     doubts: list[str]  # about units
+    ignored: list[Unsimulated]  # notes on what changes the accelerations in MuJoCo and not here
 
 
-def read(source: Any, base: MjcfBase, kept: Any, lock: Any) -> Mjcf:
+def read(source: Any, base: MjcfBase, kept: Any, lock: Any, gravity: Any = "file") -> Mjcf:
     """Contents of a file; `Robot.from_mjcf` says what is expected."""
     require_choice("base", base, ("file", "fixed", "floating"))
     of = compiled(source)
     joints = joints_of(of)
     found = equalities(of, joints)
-    given = _given(of, joints, base, lock)
-    moves, freely = (solved(len(joints), held, found.couplings) for held in (given, {}))
+    held = _given(of, joints, base, lock)
+    moves, freely = (solved(len(joints), at, found.couplings) for at in (held, {}))
     _require_motion(joints, freely, found.couplings)
     if kept is not None:
         moves = _kept(joints, moves, kept, lock)
@@ -57,7 +58,7 @@ def read(source: Any, base: MjcfBase, kept: Any, lock: Any) -> Mjcf:
     require_free([joint.name for joint in joints if joint.single], at)
     free = _free_base(joints, moves, base)
     links = links_of(of, joints, moves, free)
-    still = {j.name: at[j.name] for j in joints if j.name in at and freely[j.row].root is None and j.row not in given}
+    still = {j.name: at[j.name] for j in joints if j.name in at and freely[j.row].root is None and j.row not in held}
     locked = {name: x for name, x in at.items() if name not in still}
     told_of = told(locked, {j.name: (j.lower, j.upper) for j in joints if j.name in locked})
     notes = [*mjcf_notes.notes(of, joints, moves, links, found.others), *_held(joints, moves), *told_of]
@@ -65,11 +66,13 @@ def read(source: Any, base: MjcfBase, kept: Any, lock: Any) -> Mjcf:
     notes += [f"held by equality constraints: {standing}"] if standing else []
     if len(links.leaves) > 1:
         notes.append(f"{NO_TIP} {', '.join(links.leaves)}; name one with tip=")
-    description = _description(of.name, joints, moves, links, free is not None, tuple(notes))
+    given = mjcf_notes.gravity(of) if isinstance(gravity, str) and gravity == "file" else gravity
+    ignored = mjcf_notes.ignored(of, joints, moves, links, given is not None)
+    description = _description(of.name, joints, moves, links, free is not None, (*ignored, *notes))
     _require_numbers(joints, description)
     faults = consistency.bodies(description.link_names, description.mass, matrices(description.inertia))
     doubts = mjcf_notes.doubts(of, joints)
-    return Mjcf(description, faults, mjcf_notes.gravity(of), of, joints, links, doubts)
+    return Mjcf(description, faults, given, of, joints, links, doubts, ignored)
 
 
 # --- joints that move ------------------------------------------------------------------------------------------------

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+from torchdq.dynamics.tree import BASE
 from torchdq.robot.couplings import Follows
+from torchdq.robot.description import Unsimulated
 from torchdq.robot.mjcf_joints import FREE, MjcfJoint, actuators_at, names_of
-from torchdq.robot.mjcf_links import Links
+from torchdq.robot.mjcf_links import WORLD, Links
 from torchdq.robot.mjcf_source import MjcfModel
 from torchdq.robot.units import TURN
 
@@ -29,7 +31,7 @@ def _relieved(of: MjcfModel) -> set[float]:
 def notes(
     of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], links: Links, others: Sequence[str]
 ) -> tuple[str, ...]:
-    """Notes on a model.
+    """Notes on a model; those on parts that would act on its motion are `Unsimulated`.
 
     Args:
         of: the model.
@@ -54,15 +56,18 @@ def notes(
     remote = [name for k, name in actuators if k not in acting]
     gears = {k: float(m.actuator_gear[m.actuator_outadr[k], 0]) for k in acting}
     read = [name if gears[k] == 1 else f"{name} (gear {gears[k]:g})" for k, name in actuators if k in acting]
-    given = (
+    read_by_robot = (
         ("viscous damping given but not simulated", listed(lambda j: j.damping)),
-        ("damping that is no multiple of the velocity, not used", listed(lambda j: m.dof_dampingpoly[dof(j)].any())),
         ("Coulomb friction given but not simulated", listed(lambda j: j.friction)),
         ("limits given but not enforced", listed(lambda j: math.isfinite(j.lower) or math.isfinite(j.upper))),
         ("ranges that end before they begin, taken as none", listed(lambda j: _reversed(of, j.row))),
-        ("springs given but not simulated", listed(lambda j: _spring(of, j.row), [*moving, *free])),
-        ("damping or armature of the free base, not used", listed(lambda j: _resists(of, dof(j)), free)),
         ("joints without actuators", listed(lambda j: j.effort is None) if m.nactuator else ""),
+        ("left out, because it stands still beside the free base", ", ".join(links.left_out)),
+    )
+    no_field = (
+        ("damping that is no multiple of the velocity, not used", listed(lambda j: m.dof_dampingpoly[dof(j)].any())),
+        ("springs given but not simulated", listed(lambda j: _spring(of, j.row), [*moving, *free])),
+        ("damping or friction of the free base, not used", listed(lambda j: _resists(of, dof(j)), free)),
         ("actuators not simulated, but their greatest efforts, damping and rotor inertia are read", ", ".join(read)),
         ("actuators that act on no joint, not used", ", ".join(remote)),
         ("tendons not used", ", ".join(names_of(of, "TENDON", m.ntendon))),
@@ -71,15 +76,42 @@ def notes(
         ("plugins not used", ", ".join(names_of(of, "PLUGIN", m.nplugin))),
         ("contacts given but not simulated", "between geoms" if of.collides else ""),
         ("resistance of air or water, not used", "yes" if fluid else ""),
-        ("left out, because it stands still beside the free base", ", ".join(links.left_out)),
-        ("compensation of gravity, used for none of the bodies", _compensation(of)),
     )
     relieved = _relieved(of) == {1.0}
-    found = [f"{what}: {names}" for what, names in given if names]
+    found = [f"{what}: {names}" for what, names in read_by_robot if names]
+    found += [Unsimulated(f"{what}: {names}") for what, names in no_field if names]
     found += [f"{links.lumped} bodies without moving joints lumped; they are frames"] if links.lumped else []
     found += ["no gravity, because every moving body is compensated for it (gravcomp)"] if relieved else []
     found += ["bodies moved by hand (mocap) stand still"] if m.nmocap else []
     return tuple(found)
+
+
+def ignored(
+    of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], links: Links, falls: bool
+) -> list[Unsimulated]:
+    """Notes on what changes the accelerations in MuJoCo and not here.
+
+    Args:
+        of, joints, moves, links: as in `notes`.
+        falls: whether gravity acts.
+    """
+    m = of.model
+    free = [joint for joint in joints if joint.kind == FREE and moves[joint.row].root is not None]
+    found = [
+        Unsimulated(
+            f"armature of the free joint {joint.name!r} ignored: MuJoCo adds it to the mass matrix of the base, also "
+            "where the joint inherits it from a default class; write <freejoint/>, which has and inherits none"
+        )
+        for joint in free
+        if m.dof_armature[(dof := int(m.jnt_dofadr[joint.row])) : dof + 6].any()
+    ]
+    names, still = names_of(of, "BODY", m.nbody), WORLD if free else BASE
+    relieved = [
+        names[i] for i, (link, _) in enumerate(links.placed) if link != still and m.body_gravcomp[i] * m.body_mass[i]
+    ]
+    if falls and relieved and _relieved(of) != {1.0}:
+        found.append(Unsimulated(f"gravcomp ignored: {', '.join(relieved)}: gravity acts on them in full"))
+    return found
 
 
 def doubts(of: MjcfModel, joints: Sequence[MjcfJoint]) -> list[str]:
@@ -104,11 +136,4 @@ def _spring(of: MjcfModel, joint: int) -> bool:
 
 
 def _resists(of: MjcfModel, dof: int) -> bool:
-    return bool(of.model.dof_damping[dof : dof + 6].any() or of.model.dof_armature[dof : dof + 6].any())
-
-
-def _compensation(of: MjcfModel) -> str:
-    """Names of the bodies that are relieved of gravity, where some moving ones are not."""
-    names = names_of(of, "BODY", of.model.nbody)
-    relieved = [name for name, part in zip(names, of.model.body_gravcomp, strict=True) if part]
-    return "" if _relieved(of) == {1.0} else ", ".join(relieved)
+    return bool(of.model.dof_damping[dof : dof + 6].any() or of.model.dof_frictionloss[dof : dof + 6].any())

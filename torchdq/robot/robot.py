@@ -175,7 +175,9 @@ class Robot:
 
         Raises:
             UnknownNameError, ArgumentError, DtypeError: there is no such field, or a value does not fit the robot.
-            UnphysicalError: a body would give wrong numbers, or a friction or a limit is negative.
+            UnphysicalError: a body would give wrong numbers, a friction or a limit is negative, or a link is left with
+                inertia and no mass. A file's link may have that, which is noted; a new mass of zero needs an inertia
+                of zero.
 
         >>> import torchdq
         >>> robot = torchdq.robots.load("two_link")

@@ -13,7 +13,7 @@ from torchdq.algebra.quaternion import ZERO
 from torchdq.dynamics.tree import BASE
 from torchdq.robot import consistency
 from torchdq.robot.arrays import SIX, double, matrices
-from torchdq.robot.description import NO_TIP, Frame, Limits, RobotDescription
+from torchdq.robot.description import NO_TIP, Frame, Limits, RobotDescription, Unsimulated
 from torchdq.robot.urdf_document import Document, parse, text_of
 from torchdq.robot.urdf_elements import MOVING, Inertial, UrdfJoint
 from torchdq.robot.urdf_lock import locked, notes_of
@@ -23,8 +23,11 @@ from torchdq.robot.urdf_tree import lumped, tree_of
 
 def read(
     source: Any, kept: Any, lock: Any, base: str = "fixed", mimic: str = "coupled", repair: bool = False
-) -> tuple[RobotDescription, list[str], tuple[str, ...]]:
-    """Description, its faults, and doubts about units; `Robot.from_urdf` says what is expected."""
+) -> tuple[RobotDescription, list[str], tuple[str, ...], tuple[str, ...]]:
+    """Description, its faults, doubts about units, and notes on what is ignored though it may change the dynamics.
+
+    `Robot.from_urdf` says what is expected.
+    """
     free = base == "floating"
     document = parse(text_of(source), free, mimic == "coupled")
     at = locked(document, kept, lock)
@@ -67,7 +70,7 @@ def read(
         joint_map=joint_map,
         notes=(*notes, *_notes(document, tree.joints, moving, leaves, at, coupled, mimic == "independent")),
     )
-    return description, faults, document.doubts
+    return description, faults, document.doubts, document.ignored
 
 
 def _screw(joint: UrdfJoint) -> tuple[float, ...]:
@@ -123,17 +126,18 @@ def _notes(
     given = (
         ("viscous damping given but not simulated", lambda j: j.damping),
         ("Coulomb friction given but not simulated", lambda j: j.friction),
-        ("mimic joints treated as independent", lambda j: j.mimics is not None and independent),
         ("limits given but not enforced", lambda j: any(map(math.isfinite, j.limits.values()))),
         ("limits of zero, which leave no room", _stuck),
         ("axes scaled to unit length", lambda j: j.scaled),
     )
+    apart = listed(lambda j: j.mimics is not None and independent)
     notes = [
         (f"{fixed} fixed joints lumped; their links are frames", fixed),
         *((note, True) for note in (*document.notes, *notes_of(document, lock), *coupled)),
         (f"links without mass: {massless}", massless),
         (f"links with mass but without <inertia>, taken as points at their centres of mass: {points}", points),
         *((f"{what}: {listed(wanted)}", listed(wanted)) for what, wanted in given),
+        (Unsimulated(f"mimic joints treated as independent: {apart}"), apart),
         (f"{NO_TIP} {', '.join(leaves)}; name one with tip=", len(leaves) > 1),
     ]
     return tuple(note for note, applies in notes if applies)

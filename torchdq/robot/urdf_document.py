@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 from torchdq.errors import DescriptionError, MissingFileError
 from torchdq.robot.urdf_elements import MOVING, Inertial, UrdfJoint, inertial_of, joint_of, listed, name_in
-from torchdq.robot.urdf_mimic import Driven, followers, orphans, stuck
+from torchdq.robot.urdf_mimic import Driven, followers, stuck
 from torchdq.robot.urdf_planar import taken_apart
-from torchdq.robot.urdf_slips import in_degrees, slips
+from torchdq.robot.urdf_slips import in_degrees, lines, orphans, slips
 from torchdq.robot.urdf_xml import root_of
 from torchdq.sources import content
 
@@ -32,6 +32,7 @@ class Document(NamedTuple):
     stuck: dict[str, float]  # positions [rad or m] of mimic joints that never move
     notes: tuple[str, ...]  # parts of the file that are wrong and not needed
     doubts: tuple[str, ...]  # angles that seem to be in degrees
+    ignored: tuple[str, ...]  # notes on slips of the pen that may change numbers of the dynamics
 
 
 def text_of(source: Any) -> str:
@@ -81,14 +82,13 @@ def parse(text: str, free: bool, coupled: bool) -> Document:
     excused = [name for name in links if wrong[name]]
     bodies = {name: body for name, body in bodies.items() if name not in others}
     fixed = stuck(joints, follow)
-    lost = orphans(joints) if coupled else []
+    found = [*slips(root, links, elements), *(orphans(joints) if coupled else ())]
     notes = {
-        **{note: True for note in slips(root, links, elements)},
+        **{note: True for note in lines(found)},
         f"links that nothing carries and that have neither bodies nor joints, left out: {', '.join(others)}": others,
         f"<inertial> cannot be read in links that never move: {', '.join(excused)}": excused,
         **_gaps(links, elements),
         f"planar joints taken as two slides, x and y, and a turn: {', '.join(planar)}": planar,
-        f"mimic joints whose drivers are not in the file, taken as independent: {', '.join(lost)}": lost,
         f"mimic joints that stay where they are: {', '.join(f'{name} at {x:g}' for name, x in fixed.items())}": fixed,
     }
     return Document(
@@ -100,6 +100,7 @@ def parse(text: str, free: bool, coupled: bool) -> Document:
         fixed,
         tuple(note for note, applies in notes.items() if applies),
         tuple(in_degrees(bodies, joints)),
+        tuple(lines(slip for slip in found if slip.matters)),
     )
 
 

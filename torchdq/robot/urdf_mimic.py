@@ -55,11 +55,6 @@ def _follows(joint: UrdfJoint, joints: Mapping[str, UrdfJoint]) -> bool:
     return joint.kind in MOVING and joint.mimics is not None and joint.mimics.joint in joints
 
 
-def orphans(joints: Mapping[str, UrdfJoint]) -> list[str]:
-    """Moving joints that mimic a joint that is not in the file."""
-    return [name for name, x in joints.items() if x.kind in MOVING and x.mimics and x.mimics.joint not in joints]
-
-
 def stuck(joints: Mapping[str, UrdfJoint], follow: Mapping[str, Driven]) -> dict[str, float]:
     """Positions [rad or m] of followers that never move: their factor is zero, or their driver is a fixed joint."""
     return {
