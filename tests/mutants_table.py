@@ -1672,6 +1672,12 @@ MUTANTS = (
     *within(
         "torchdq/robot/arrays.py",
         (
+            "poses that are not unit normalised in silence",
+            "if fault := not_unit(name, x.detach(), slack(value)):",
+            'if fault := "":',
+            f"{ROBOTS}::test_a_pose_that_is_not_unit_is_refused_not_normalised",
+        ),
+        (
             "xz and yy exchanged",
             "[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]",
             "[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]",
@@ -2316,7 +2322,7 @@ MUTANTS = (
         "torchdq/robot/fields.py",
         (
             "screws of any kind of joint",
-            "(pitch.abs() <= slack * (1 + size))",
+            "(pitch.abs() <= near * (1 + size))",
             "(pitch.abs() <= torch.inf)",
             f"{ROBOTS}::test_replace_checks_values_as_a_file_is_checked",
         ),

@@ -9,7 +9,7 @@ import torch
 from oracles import random_tree
 
 import torchdq
-from torchdq import ArgumentError, DescriptionError, Robot, UnknownNameError, dq
+from torchdq import ArgumentError, Robot, UnknownNameError, dq
 from torchdq.envs import ArmVectorEnv, Scene, effects, integrators
 from torchdq.envs.recommend import recommend
 from torchdq.envs.render import Skeleton
@@ -111,11 +111,11 @@ def test_couplings_that_cannot_be_are_refused():
         torchdq.robots.load("panda").couple({"panda_joint2": {"b": 1.0, "c": 0.5}}, limits=torch.nan)
     assert robot.couple([[1e-9, 0.0], [0.0, 1e9]], ["a", "b"]).joint_names == ("a", "b")
     for names in (None, ["a", "b"], "a"):
-        with pytest.raises(DescriptionError, match="names must be 1 different names, one for each column of S"):
+        with pytest.raises(ArgumentError, match="names must be 1 different names, one for each column of S"):
             robot.couple([[1.0], [2.0]], names)
     with pytest.raises(ArgumentError, match="names must be 2 different names"):
         robot.couple([[1.0, 0.0], [2.0, 1.0]], ["a", "a"])
-    with pytest.raises(DescriptionError, match=r"S must have the shape \(2, 1\)"):
+    with pytest.raises(ArgumentError, match=r"S must have the shape \(2, 1\)"):
         robot.couple([[1.0]], ["a"])
     limited = robot.replace(limits=robot.limits._replace(lower=double([0.1, 0.1]), upper=double([1.0, 1.0])))
     with pytest.raises(ArgumentError, match="limits of the joints joint1, joint2 leave no position to coordinate"):

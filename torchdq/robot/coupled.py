@@ -73,7 +73,7 @@ def couple(
     for name, value in given.items():
         before, weights = getattr(robot, name), alone.abs() if name == "friction" else alone.square()
         if value is not None:
-            new[name] = table(name, value, len(names)).to(robot.mass)
+            new[name] = table(name, value, len(names), error=ArgumentError).to(robot.mass)
         elif before is not None:
             _require_absent(robot, name, before != 0, several)
             new[name] = before @ weights.to(before)
@@ -130,10 +130,10 @@ def _by_name(robot: Robot, S: Mapping[str, Mapping[str, float]]) -> tuple[Tensor
 
 def _matrix(robot: Robot, S: Any, names: Sequence[str] | None) -> tuple[Tensor, tuple[str, ...]]:
     """Factors [n, coordinates], and names of the coordinates."""
-    factors = numbers("S", S)
-    factors = table("S", factors, robot.n, factors.shape[-1] if factors.ndim else 1)
+    factors = numbers("S", S, ArgumentError)
+    factors = table("S", factors, robot.n, factors.shape[-1] if factors.ndim else 1, error=ArgumentError)
     count, expected = factors.shape[1], "different names, one for each column of S"
-    found = words("names", names, count, expected)
+    found = words("names", names, count, expected, ArgumentError)
     if len(set(found)) != count:
         raise ArgumentError(f"names must be {count} {expected}, found {found}")
     return factors, found
