@@ -1,6 +1,7 @@
 """Payloads, tools and other robots on a robot, against Pinocchio's bodies and joined models."""
 
 import warnings
+from functools import partial
 
 import numpy as np
 import oracles
@@ -175,6 +176,25 @@ def test_payloads_and_tools_that_cannot_be_are_refused():
         robot.with_tool("tip", pose())
     with pytest.raises(ArgumentError, match="tip of robot 'two_link' must be chosen"):
         robot.with_tip(None).with_tool("pen", pose())
+
+
+@pytest.mark.parametrize("name", ["panda", "two_link", "ur10e"])
+def test_a_payload_in_other_units_is_named_once(name):
+    robot = torchdq.robots.load(name)
+    given = {"com": (0, 0, 100.0)}, {"com": (0, 0, 0.1), "inertia": (5e3, 0, 5e3, 0, 0, 5e3)}
+    doubts = r"payload: com must be in m, found it 100 m from frame 'tip', .*; is it in mm\?$", r"kg mm\^2\?$"
+    for wrong, doubt in zip(given, doubts, strict=True):
+        for hold in (robot.with_payload, partial(robot.with_tool, "pen", pose())):
+            with pytest.warns(UserWarning, match=doubt) as seen:
+                hold(mass=1.0, **wrong)
+            assert len(seen) == 1 and seen[0].filename == __file__
+            assert str(seen[0].message).startswith(f"a payload of robot '{name}' may have numbers in other units:")
+    several = torchdq.Robot.stack([robot, robot.replace(mass=2 * robot.mass)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        robot.with_payload(1.0, (0, 0, 1.0), (1.0, 0, 1.0, 0, 0, 1.0))
+        robot.with_payload(1.0, double((0, 0, 100.0)).requires_grad_())  # read by `check` alone, as in `replace`
+        several.with_payload(1.0, (0, 0, 100.0))
 
 
 # --- robots on robots ------------------------------------------------------------------------------------------------

@@ -12,9 +12,10 @@ from torch import Tensor
 from torchdq import dq
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
-from torchdq.robot import consistency, fields
+from torchdq.robot import consistency, fields, units
 from torchdq.robot.arrays import matrices, poses
 from torchdq.robot.bodies import RigidBody, lumped
+from torchdq.robot.changes import doubted
 from torchdq.robot.description import Frame, JointMap, Limits
 from torchdq.robot.fields import BASE_BODY, LINK_BODY
 from torchdq.robot.reduced import factors
@@ -33,7 +34,7 @@ def with_payload(
     """Robot that holds a body, which becomes part of the link, or of the free base, that carries a frame.
 
     The inertial parameters become arguments of the programs, as by `replace`: another payload, a batch of them and
-    gradients in their tensors need no new program.
+    gradients in their tensors need no new program. Numbers that seem to be in mm or kg mm^2 are warned of.
 
     Args:
         robot: the robot.
@@ -46,7 +47,11 @@ def with_payload(
     >>> torchdq.robots.load("two_link").with_payload(0.5).mass.tolist()
     [1.0, 1.5]
     """
-    at = robot.end_effector() if frame is None else robot.frame(frame)
+    return _holding(robot, mass, com, inertia, robot.end_effector() if frame is None else robot.frame(frame))
+
+
+def _holding(robot: Robot, mass: Any, com: Any, inertia: Any, at: Frame) -> Robot:
+    """Robot with a payload in a frame, for the functions that users call."""
     if at.link == BASE and not robot.floating:
         raise ArgumentError(
             f"frame must be one that a joint of robot {robot.name!r} moves, found {at.name!r} on the fixed base, where "
@@ -61,7 +66,9 @@ def with_payload(
         if faults:
             raise ArgumentError(f"mass and inertia must be those of a body, xx xy yy xz yz zz: {faults[0]}")
     changes: dict[str, Any] = {**_held(robot, at.link, at.X_BF, held)}
-    return robot.replace(**changes)
+    told = doubted(robot, *held) and units.doubts_of_payload(robot, at.name, held, stacklevel=3)
+    # a doubtful payload is not told of again as a doubtful link
+    return robot.replace(**changes, on_unphysical="ignore" if told else "error")
 
 
 def with_tool(
@@ -92,7 +99,7 @@ def with_tool(
     at = robot.end_effector() if frame is None else robot.frame(frame)
     tip = Frame(name, at.link, dq.mul(at.X_BF, poses("pose", pose, 8, error=ArgumentError).to(at.X_BF)))
     weightless = not isinstance(mass, Tensor) and mass == 0 and inertia is ABSENT
-    carrier = robot if weightless else with_payload(robot, mass, com, inertia, at.name)
+    carrier = robot if weightless else _holding(robot, mass, com, inertia, at)
     return carrier.replace(frames=(*carrier.frames, tip), tip=name)
 
 
@@ -112,7 +119,7 @@ def attach(robot: Robot, other: Robot, frame: str, prefix: str | None = None, ba
 
     >>> import torchdq
     >>> arm, hand = torchdq.robots.load("panda"), torchdq.robots.load("two_link")
-    >>> palm = {"base_mass": torch.tensor(0.5), "base_com": torch.zeros(3), "base_inertia": torch.full((6,), 0.0)}
+    >>> palm = {"base_mass": torch.tensor(0.5), "base_com": torch.zeros(3), "base_inertia": torch.zeros(6)}
     >>> both = arm.attach(hand.replace(**palm), "tip", prefix="hand_")
     >>> both.joint_names[-2:], (both.mass[6] - arm.mass[6]).item()
     (('hand_joint1', 'hand_joint2'), 0.5)
