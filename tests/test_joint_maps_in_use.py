@@ -90,6 +90,18 @@ def test_a_joint_of_several_coordinates_has_nothing_to_give():
         limited.couple(S, names)
     chosen = Limits(-bound, bound, bound, bound)
     assert torch.equal(limited.couple(S, names, limits=chosen).limits.upper, bound)
+    rows = ([-1.0, -torch.inf], [1.0, torch.inf], [1.0, torch.inf], [1.0, torch.inf])  # four rows without a name
+    given = limited.couple(S, names, limits=rows).limits
+    assert isinstance(given, Limits) and all(map(torch.equal, given, chosen))
+    for wrong, told in (
+        (rows[:3], r"limits must be four rows \(lower, upper, velocity, effort\), each of 2 numbers, found \(\["),
+        (1.0, "limits must be four rows .* found 1.0"),
+        ((rows[0][:1], *rows[1:]), r"limits.lower must have the shape \[..., 2\], found \(1,\)"),
+        (("low", *rows[1:]), "limits.lower must be an array of numbers"),
+        ((rows[1], rows[0], *rows[2:]), "lower limit must be a number that is not above the upper limit"),
+    ):
+        with pytest.raises(ValueError, match=told):
+            limited.couple(S, names, limits=wrong)
 
 
 def test_couplings_that_cannot_be_are_refused():

@@ -46,7 +46,8 @@ def from_urdf(
         source: path of the file, a file:// or package:// address, an open file, or the XML text itself.
         base: "fixed", or "floating": the link that no joint carries moves freely.
         lock: positions [rad or m] of joints to fix, by name or pattern ("finger*"), or names alone: at zero. Joints
-            that mimic a locked one are locked too; one is not locked alone, unless they are independent.
+            that mimic a locked one are locked too. A joint that mimics another one cannot be locked alone, unless
+            `mimic` is "independent".
         tip: name of the frame of the end effector; None: the leaf of the tree, if there is only one.
         gravity: acceleration in the base frame [m/s^2]; None: none.
         on_unphysical: treatment of a body that cannot exist. A negative mass and an inertia that is not positive
