@@ -2150,6 +2150,12 @@ MUTANTS = (
     *within(
         "torchdq/robot/coupled.py",
         (
+            "limits of coordinates in another order",
+            "return Limits(*found.values())",
+            "return Limits(*reversed(found.values()))",
+            f"{MAPS}::test_a_joint_of_several_coordinates_has_nothing_to_give",
+        ),
+        (
             "damping by the ratio, not by its square",
             'alone.abs() if name == "friction" else alone.square()',
             "alone.abs()",
@@ -2176,6 +2182,12 @@ MUTANTS = (
     ),
     *within(
         "torchdq/robot/combined.py",
+        (
+            "a palm without mass attached in silence",
+            "if not other.floating and (at.link != BASE or robot.floating):",
+            "if False:",
+            "combined.py::test_a_palm_whose_mass_is_missing_is_warned_of",
+        ),
         (
             "a payload at the origin of its link",
             "whole = lumped(RigidBody.at(robot, link), [(X_BF, held)])",
@@ -2406,6 +2418,12 @@ MUTANTS = (
     ),
     *within(
         "torchdq/robot/units.py",
+        (
+            "payloads in mm believed",
+            "found = [*_of_bodies(bodies, mass, com, inertia, _length(robot))]",
+            "found: list[str] = []",
+            "combined.py::test_a_payload_in_other_units_is_named_once",
+        ),
         (
             "robots of hundreds of metres believed",
             "LONG = 50.0",
@@ -2795,6 +2813,12 @@ MUTANTS = (
     ),
     *within(
         "torchdq/convert.py",
+        (
+            "quaternions of any length taken for rotations",
+            "if bool(wrong.any()):",
+            "if False:",
+            "convert_free.py::test_quaternions_that_are_not_unit_are_named",
+        ),
         (
             "an acceleration in world axes of a base that does not turn",
             "vd + _cross(w, v)), wd, qdd)",
