@@ -30,8 +30,9 @@ def linearize(scene: Scene, state: State, given: Mapping[str, Tensor | None]) ->
     require_state(state)
     if scene.robot.floating:
         raise ArgumentError(
-            f"robot {scene.robot.name!r} must have a fixed base to be linearized, found a free one, whose pose is "
-            "no vector"
+            f"robot {scene.robot.name!r} must have a fixed base to be linearized, found a free one, whose pose has 8 "
+            "components for 6 directions; differentiate scene.step with torch.func.jacrev, which gives the derivatives "
+            "in these components, or take finite differences of it"
         )
     inputs = {name: x for name, x in given.items() if x is not None}
     torque = inputs.pop("torque", state.q.new_zeros(scene.n))

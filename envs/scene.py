@@ -284,6 +284,9 @@ class Scene:
     ) -> Linearization:
         """Derivatives of the state after a step, with respect to the state before it and the torques: `A, B`.
 
+        A free base is refused, since its pose has 8 components for 6 directions. There `torch.func.jacrev` of `step`
+        gives the derivatives in these components.
+
         Args:
             state: states, shape [..., n]; derivatives are those of every row by itself.
             torque, noise, inputs: as in `step`.

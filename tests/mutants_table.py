@@ -1672,6 +1672,12 @@ MUTANTS = (
     *within(
         "torchdq/robot/arrays.py",
         (
+            "poses that are not unit normalised in silence",
+            "if fault := not_unit(name, x.detach(), slack(value)):",
+            'if fault := "":',
+            f"{ROBOTS}::test_a_pose_that_is_not_unit_is_refused_not_normalised",
+        ),
+        (
             "xz and yy exchanged",
             "[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]",
             "[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]",
@@ -2144,6 +2150,12 @@ MUTANTS = (
     *within(
         "torchdq/robot/coupled.py",
         (
+            "limits of coordinates in another order",
+            "return Limits(*found.values())",
+            "return Limits(*reversed(found.values()))",
+            f"{MAPS}::test_a_joint_of_several_coordinates_has_nothing_to_give",
+        ),
+        (
             "damping by the ratio, not by its square",
             'alone.abs() if name == "friction" else alone.square()',
             "alone.abs()",
@@ -2170,6 +2182,12 @@ MUTANTS = (
     ),
     *within(
         "torchdq/robot/combined.py",
+        (
+            "a palm without mass attached in silence",
+            "if not other.floating and (at.link != BASE or robot.floating):",
+            "if False:",
+            "combined.py::test_a_palm_whose_mass_is_missing_is_warned_of",
+        ),
         (
             "a payload at the origin of its link",
             "whole = lumped(RigidBody.at(robot, link), [(X_BF, held)])",
@@ -2316,7 +2334,7 @@ MUTANTS = (
         "torchdq/robot/fields.py",
         (
             "screws of any kind of joint",
-            "(pitch.abs() <= slack * (1 + size))",
+            "(pitch.abs() <= near * (1 + size))",
             "(pitch.abs() <= torch.inf)",
             f"{ROBOTS}::test_replace_checks_values_as_a_file_is_checked",
         ),
@@ -2400,6 +2418,12 @@ MUTANTS = (
     ),
     *within(
         "torchdq/robot/units.py",
+        (
+            "payloads in mm believed",
+            "found = [*_of_bodies(bodies, mass, com, inertia, _length(robot))]",
+            "found: list[str] = []",
+            "combined.py::test_a_payload_in_other_units_is_named_once",
+        ),
         (
             "robots of hundreds of metres believed",
             "LONG = 50.0",
@@ -2789,6 +2813,12 @@ MUTANTS = (
     ),
     *within(
         "torchdq/convert.py",
+        (
+            "quaternions of any length taken for rotations",
+            "if bool(wrong.any()):",
+            "if False:",
+            "convert_free.py::test_quaternions_that_are_not_unit_are_named",
+        ),
         (
             "an acceleration in world axes of a base that does not turn",
             "vd + _cross(w, v)), wd, qdd)",

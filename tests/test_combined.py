@@ -1,5 +1,8 @@
 """Payloads, tools and other robots on a robot, against Pinocchio's bodies and joined models."""
 
+import warnings
+from functools import partial
+
 import numpy as np
 import oracles
 import pinocchio as pin
@@ -50,6 +53,9 @@ def torques_of(model, names, x):
         v[order], a[order] = qd, qdd
         found.append(pin.rnea(model, data, configuration, v, a)[order])
     return double(np.array(found))
+
+
+NO_PALM = "ignore:robot '.*' has no body of its base"  # said of robots whose base bodies these tests do without
 
 
 def close(found, expected):
@@ -172,6 +178,25 @@ def test_payloads_and_tools_that_cannot_be_are_refused():
         robot.with_tip(None).with_tool("pen", pose())
 
 
+@pytest.mark.parametrize("name", ["panda", "two_link", "ur10e"])
+def test_a_payload_in_other_units_is_named_once(name):
+    robot = torchdq.robots.load(name)
+    given = {"com": (0, 0, 100.0)}, {"com": (0, 0, 0.1), "inertia": (5e3, 0, 5e3, 0, 0, 5e3)}
+    doubts = r"payload: com must be in m, found it 100 m from frame 'tip', .*; is it in mm\?$", r"kg mm\^2\?$"
+    for wrong, doubt in zip(given, doubts, strict=True):
+        for hold in (robot.with_payload, partial(robot.with_tool, "pen", pose())):
+            with pytest.warns(UserWarning, match=doubt) as seen:
+                hold(mass=1.0, **wrong)
+            assert len(seen) == 1 and seen[0].filename == __file__
+            assert str(seen[0].message).startswith(f"a payload of robot '{name}' may have numbers in other units:")
+    several = torchdq.Robot.stack([robot, robot.replace(mass=2 * robot.mass)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        robot.with_payload(1.0, (0, 0, 1.0), (1.0, 0, 1.0, 0, 0, 1.0))
+        robot.with_payload(1.0, double((0, 0, 100.0)).requires_grad_())  # read by `check` alone, as in `replace`
+        several.with_payload(1.0, (0, 0, 100.0))
+
+
 # --- robots on robots ------------------------------------------------------------------------------------------------
 
 
@@ -198,6 +223,7 @@ def joined(first, other, frame, placement):
     return model
 
 
+@pytest.mark.filterwarnings(NO_PALM)
 @pytest.mark.parametrize("seeds", [(2, 9), (4, 1)])
 @pytest.mark.parametrize("rotors", [(False, False), (True, False), (False, True)])
 def test_an_attached_robot_is_pinocchios_joined_model(seeds, rotors):
@@ -222,6 +248,7 @@ def test_an_attached_robot_is_pinocchios_joined_model(seeds, rotors):
     assert all(map(torch.equal, robot.limits, parts))
 
 
+@pytest.mark.filterwarnings(NO_PALM)
 def test_joint_maps_of_both_robots_are_kept():
     first, other = (random_tree(4, seed).robot for seed in (2, 9))
     plain = first.attach(other, "b3", prefix="o_")
@@ -234,6 +261,7 @@ def test_joint_maps_of_both_robots_are_kept():
     assert torch.equal(torchdq.inverse_dynamics(robot, *x), torchdq.inverse_dynamics(expected, *x))
 
 
+@pytest.mark.filterwarnings(NO_PALM)
 @pytest.mark.parametrize("carrier", ["link", "free base", "fixed base"])
 def test_the_free_base_of_an_attached_robot_becomes_part_of_its_carrier(carrier):
     first, other = random_tree(3, 2).robot, on_free_base(random_tree(2, 9).robot)
@@ -252,6 +280,31 @@ def test_the_free_base_of_an_attached_robot_becomes_part_of_its_carrier(carrier)
     for name in ("mass", "com", "inertia", *BASE):
         ours, theirs = getattr(robot, name), getattr(expected, name)
         assert ours is theirs is None or torch.allclose(ours, theirs, rtol=1e-14), name
+
+
+PALM = """<robot name="hand"><link name="palm"><inertial><mass value="0.4"/><origin xyz="0 0 0.05"/>
+<inertia ixx="1e-3" iyy="1e-3" izz="1e-3" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="finger"><inertial><mass value="0.1"/><origin xyz="0 0 0.02"/>
+<inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="j" type="prismatic"><parent link="palm"/><child link="finger"/><axis xyz="0 1 0"/>
+<limit lower="0" upper="0.04" velocity="1" effort="1"/></joint></robot>"""
+
+
+def test_a_palm_whose_mass_is_missing_is_warned_of():
+    arm = torchdq.robots.load("panda")
+    fixed, free = (torchdq.Robot.from_urdf(PALM, base=base) for base in ("fixed", "floating"))
+    with pytest.warns(
+        UserWarning, match=r"^robot 'hand' has no body of its base, .*'tip'.* base=\"floating\"$"
+    ) as seen:
+        light = arm.attach(fixed, "tip", prefix="h_")
+    assert len(seen) == 1 and seen[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        whole = arm.attach(free, "tip", prefix="h_")
+        arm.attach(fixed, "base", prefix="h_")  # nothing is lost on a fixed base
+    assert float((whole.mass - light.mass).sum()) == pytest.approx(0.4, rel=1e-14)
+    with pytest.warns(UserWarning, match="no body of its base"):
+        on_free_base(arm).attach(fixed, "base", prefix="h_")
 
 
 def test_gradients_and_batches_of_attached_robots():
@@ -273,6 +326,7 @@ def test_gradients_and_batches_of_attached_robots():
         assert close(found[i], torchdq.inverse_dynamics(alone, *x[:, i]))
 
 
+@pytest.mark.filterwarnings(NO_PALM)
 def test_names_of_both_robots_differ():
     robot = torchdq.robots.load("two_link")
     with pytest.raises(ArgumentError, match=r"names of joints .* differ, found joint1, joint2 in both; pass prefix"):
@@ -288,6 +342,7 @@ def test_names_of_both_robots_differ():
         robot.attach("two_link", "tip")
 
 
+@pytest.mark.filterwarnings(NO_PALM)
 def test_robots_are_put_together_as_values():
     arm, hand = torchdq.robots.load("panda"), torchdq.robots.load("two_link").with_tip(None)
     before = [x.clone() for robot in (arm, hand) for x in (robot.mass, robot.com, robot.inertia, robot.X_PB_home)]

@@ -189,6 +189,38 @@ def test_rows_that_are_too_short_are_named():
         convert.root_to_isaac(X, V, "zyxw")
 
 
+QUATERNIONS = {
+    "configuration": (convert.configuration_from_pinocchio, 9),
+    "qpos": (convert.configuration_from_mujoco, 9),
+    "state": (convert.root_from_isaac, 13),
+}
+
+
+@pytest.mark.parametrize("name", QUATERNIONS)
+def test_quaternions_that_are_not_unit_are_named(name):
+    convert_row, width = QUATERNIONS[name]
+    rows = torch.zeros(3, width, dtype=torch.float64)
+    rows[:, 3:7] = torch.tensor([0.5, -0.5, 0.5, 0.5])
+    good = convert_row(rows)[0]
+    wrong = rows.clone()
+    wrong[1, 3:7] = torch.tensor([1.0, 1.0, 0.0, 0.0])
+    for bad in (wrong, wrong[1], wrong.float(), 0 * rows, rows * torch.inf):
+        with pytest.raises(
+            torchdq.ArgumentError, match=rf"^{name} must hold unit quaternions, found \[.*torchdq.dq.normalize$"
+        ):
+            convert_row(bad)
+    with pytest.raises(torchdq.ArgumentError, match=r"found \[1\.0, 1\.0, 0\.0, 0\.0\]"):
+        convert_row(wrong)
+    assert torch.equal(torch.func.vmap(convert_row)(wrong)[0][::2], good[::2])  # values cannot be read there
+    missing = rows.clone()
+    missing[1] = torch.nan
+    found = convert_row(missing)[0]
+    assert torch.equal(found[::2], good[::2]) and bool(found[1].isnan().all())
+    printed = torch.tensor([0.182574, 0.365148, 0.547723, 0.730297])  # six digits
+    convert_row(torch.cat([rows[0, :3], printed.double(), rows[0, 7:]]))
+    assert convert_row(rows[:0])[0].shape == (0, 8)
+
+
 def test_arrays_of_mujoco_are_copied():
     row = np.zeros(9)
     row[3] = 1.0

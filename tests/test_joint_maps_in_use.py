@@ -9,7 +9,7 @@ import torch
 from oracles import random_tree
 
 import torchdq
-from torchdq import ArgumentError, DescriptionError, Robot, UnknownNameError, dq
+from torchdq import ArgumentError, Robot, UnknownNameError, dq
 from torchdq.envs import ArmVectorEnv, Scene, effects, integrators
 from torchdq.envs.recommend import recommend
 from torchdq.envs.render import Skeleton
@@ -90,6 +90,18 @@ def test_a_joint_of_several_coordinates_has_nothing_to_give():
         limited.couple(S, names)
     chosen = Limits(-bound, bound, bound, bound)
     assert torch.equal(limited.couple(S, names, limits=chosen).limits.upper, bound)
+    rows = ([-1.0, -torch.inf], [1.0, torch.inf], [1.0, torch.inf], [1.0, torch.inf])  # four rows without a name
+    given = limited.couple(S, names, limits=rows).limits
+    assert isinstance(given, Limits) and all(map(torch.equal, given, chosen))
+    for wrong, told in (
+        (rows[:3], r"limits must be four rows \(lower, upper, velocity, effort\), each of 2 numbers, found \(\["),
+        (1.0, "limits must be four rows .* found 1.0"),
+        ((rows[0][:1], *rows[1:]), r"limits.lower must have the shape \[..., 2\], found \(1,\)"),
+        (("low", *rows[1:]), "limits.lower must be an array of numbers"),
+        ((rows[1], rows[0], *rows[2:]), "lower limit must be a number that is not above the upper limit"),
+    ):
+        with pytest.raises(ValueError, match=told):
+            limited.couple(S, names, limits=wrong)
 
 
 def test_couplings_that_cannot_be_are_refused():
@@ -111,11 +123,11 @@ def test_couplings_that_cannot_be_are_refused():
         torchdq.robots.load("panda").couple({"panda_joint2": {"b": 1.0, "c": 0.5}}, limits=torch.nan)
     assert robot.couple([[1e-9, 0.0], [0.0, 1e9]], ["a", "b"]).joint_names == ("a", "b")
     for names in (None, ["a", "b"], "a"):
-        with pytest.raises(DescriptionError, match="names must be 1 different names, one for each column of S"):
+        with pytest.raises(ArgumentError, match="names must be 1 different names, one for each column of S"):
             robot.couple([[1.0], [2.0]], names)
     with pytest.raises(ArgumentError, match="names must be 2 different names"):
         robot.couple([[1.0, 0.0], [2.0, 1.0]], ["a", "a"])
-    with pytest.raises(DescriptionError, match=r"S must have the shape \(2, 1\)"):
+    with pytest.raises(ArgumentError, match=r"S must have the shape \(2, 1\)"):
         robot.couple([[1.0]], ["a"])
     limited = robot.replace(limits=robot.limits._replace(lower=double([0.1, 0.1]), upper=double([1.0, 1.0])))
     with pytest.raises(ArgumentError, match="limits of the joints joint1, joint2 leave no position to coordinate"):

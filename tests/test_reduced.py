@@ -298,6 +298,9 @@ def test_a_follower_is_not_locked_by_itself():
             mapped("gears").lock(lock)
     with pytest.raises(UnknownNameError, match="no movable joint to lock named 'j9'"):
         mapped("gears").lock(["j9"])
+    differential = torchdq.robots.load("two_link").couple([[0.5, 0.5], [0.5, -0.5]], ["left", "right"])
+    with pytest.raises(ArgumentError, match=r"; lock 'left' and 'right', which hold it too$"):
+        differential.lock("joint1")
 
 
 def test_a_batch_of_geometries_is_not_locked_and_the_message_says_how_it_can_be():

@@ -136,9 +136,9 @@ def test_what_is_no_screw_is_refused_by_name(screw):
         ({"com": [[0, 0, 0], [0]]}, "com must be an array of numbers"),
         ({"inertia": [[1, 2, 3]]}, r"inertia must have the shape \(1, 6\)"),
         ({"inertia": [[[1, 0, 0], [0.1, 1, 0], [0, 0, 1]]]}, "inertia matrices must be symmetric"),
-        ({"link_poses": [[0.0] * 8]}, "link_poses must be dual quaternions with a rotation"),
+        ({"link_poses": [[0.0] * 8]}, "link_poses must be unit dual quaternions"),
         ({"link_poses": [[1.0] * 7]}, r"link_poses must have the shape \(1, 8\)"),
-        ({"tip_pose": [0.0] * 8}, "tip_pose must be dual quaternions with a rotation"),
+        ({"tip_pose": [0.0] * 8}, "tip_pose must be unit dual quaternions"),
         ({"parents": [0]}, r"parents must hold, for each of 1 links, an earlier link or -1, found \(0,\)"),
         ({"parents": [-1, 0]}, "parents must hold, for each of 1 links"),
         ({"parents": [None]}, "parents must be an array of numbers"),
@@ -396,7 +396,7 @@ def test_quarter_and_half_turns_of_a_table_are_not_blurred():
         ({"convention": ["standard"]}, "convention must be 'standard' or 'modified', found"),
         ({"kinds": ["helical"] * 5}, "kinds must be 5 times 'revolute' or 'prismatic'"),
         ({"convention": "craig"}, "convention must be 'standard' or 'modified', found 'craig'"),
-        ({"tip_pose": [0.0] * 8}, "tip_pose must be dual quaternions with a rotation"),
+        ({"tip_pose": [0.0] * 8}, "tip_pose must be unit dual quaternions"),
         ({"joint_names": ["a"]}, "joint_names must be 5 different names"),
         ({"alpha": [0, 90, 0, 0, 0]}, "alpha must be in radians, found 90 in row 2, more than a whole turn; multiply"),
         ({"theta": [0, 0, 0, 0, -45.0]}, "theta must be in radians, found -45 in row 5, .* degrees by pi/180"),
@@ -1054,6 +1054,36 @@ def test_replace_checks_values_as_a_file_is_checked(case):
     assert re.search(named, "; ".join(robot.report().notes))
     with pytest.raises(UnphysicalError, match=named):
         two().replace(**changes, on_unphysical="ignore").check()
+
+
+LONG, BENT = row(2, 0, 0, 0, 0, 0.2, 0, 0), row(1, 0, 0, 0, 0.5, 0, 0, 0)  # |r| = 2, and a dual part that is no pose's
+BODIES = {"mass": [1.0], "com": [[0.1, 0.0, 0.0]], "inertia": [[0.01, 0, 0.01, 0, 0, 0.01]]}
+GIVEN_POSES = {
+    "pose": lambda x: two().with_tool("pen", x),
+    "base_pose": lambda x: two().attach(two(), "tip", prefix="o_", base_pose=x),
+    "tip_pose": lambda x: Robot.from_screws([[0, 0, 1, 0, 0, 0]], **BODIES, tip_pose=x),
+    "link_poses": lambda x: Robot.from_screws([[0, 0, 1, 0, 0, 0]], **BODIES, link_poses=x.unsqueeze(0)),
+    "tip_pose of dh": lambda x: Robot.from_dh([0.1], [0.0], [0.0], [0.0], **BODIES, tip_pose=x),
+}
+
+
+@pytest.mark.filterwarnings("ignore:robot 'two_link' has no body of its base")
+@pytest.mark.parametrize("argument", GIVEN_POSES)
+def test_a_pose_that_is_not_unit_is_refused_not_normalised(argument):
+    make, name = GIVEN_POSES[argument], argument.partition(" ")[0]
+    error = ArgumentError if name in ("pose", "base_pose") else DescriptionError
+    for wrong in (LONG, BENT, LONG.to(torch.float32), 0 * LONG):
+        found = re.escape(str(wrong.double().tolist()))
+        with pytest.raises(error, match=rf"^{name} must be unit dual quaternions .*dq\.normalize\), found {found}"):
+            make(wrong)
+    with pytest.raises(error, match=rf"^{name} must have the shape \("):
+        make(LONG[:7])
+    # a pose in single precision is unit up to its rounding, which goes
+    turned = dq.exp(row(0.3, -0.2, 0.5, 0.1, 0.7, -0.4))
+    for robot in (make(turned), make(turned.float())):
+        assert all(abs(float(frame.X_BF[:4].norm()) - 1) < 1e-15 for frame in robot.frames)
+    for exact, rounded in zip(make(turned).frames, make(turned.float()).frames, strict=True):
+        assert torch.allclose(exact.X_BF, rounded.X_BF, rtol=0, atol=2**-23)
 
 
 BROKEN = {

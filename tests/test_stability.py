@@ -414,3 +414,37 @@ def test_a_linearization_of_one_state_is_a_pair_of_matrices():
     assert torch.equal(A, scene.linearize(state, double(0.0, 0.0)).A)
     whole = scene.linearize(scene.start(double(0.3, -0.4).expand(3, 2)), double((0.0, 0.0), (1.0, 0.0), (0.0, 1.0)))
     assert torch.equal(whole.A[0], A)
+
+
+def test_a_step_of_a_free_base_is_differentiated_by_torch_in_place_of_linearize():
+    body = {"base_mass": double(2.0)[0], "base_com": double(0.1, 0, 0), "base_inertia": double(0.2, 0, 0.3, 0, 0, 0.4)}
+    scene = Scene(torchdq.robots.load("two_link").replace(**body), (effects.Gravity(),), dt=0.01)
+    X_WB = torchdq.dq.exp(random(6, seed=5))
+    state = scene.start(random(2), random(2, seed=1), X_WB=X_WB, V_WB_B=random(6, seed=2))
+    with pytest.raises(
+        torchdq.ArgumentError, match=r"must have a fixed base .*torch\.func\.jacrev.*finite differences"
+    ):
+        scene.linearize(state)
+    rows, torque = state.rows(), random(2, seed=3)
+    names, widths = tuple(rows), [x.shape[-1] for x in rows.values()]
+
+    def after(z):
+        stepped = scene.step(State(**dict(zip(names, z.split(widths), strict=True))), torque)
+        return torch.cat(list(stepped.rows().values()))
+
+    z, pose = torch.cat(list(rows.values())), sum(widths[: names.index("X_WB")])
+    found, h = torch.func.jacrev(after)(z), 1e-5
+    assert found.shape == (18, 18)
+    for k in range(16):  # 6 directions of the pose, and the other components
+        way, ahead, behind = torch.zeros(18, dtype=z.dtype), z.clone(), z.clone()
+        if k < 6:
+            unit = torch.eye(6, dtype=z.dtype)[k]
+            at = slice(pose, pose + 8)
+            ahead[at], behind[at] = (torchdq.dq.mul(X_WB, torchdq.dq.exp(s * h * unit)) for s in (1, -1))
+            way[at] = torchdq.dq.mul(X_WB, torch.cat([z.new_zeros(1), unit[:3], z.new_zeros(1), unit[3:]]))
+        else:
+            j = [i for i in range(18) if not pose <= i < pose + 8][k - 6]
+            way[j] = 1.0
+            ahead[j], behind[j] = z[j] + h, z[j] - h
+        expected = (after(ahead) - after(behind)) / (2 * h)
+        assert (found @ way - expected).abs().max() <= 1e-7 * (1 + expected.abs().max())

@@ -28,10 +28,13 @@ from torchdq.checks import device_of, require_choice
 from torchdq.dq.components import checked
 from torchdq.errors import ArgumentError
 from torchdq.optional import imported
+from torchdq.program.transforms import without_values
 
 if TYPE_CHECKING:
     import pinocchio
     from scipy.spatial.transform import RigidTransform
+
+UNIT = 1e-4  # error of a norm that is taken for 1: finite differences, and logs printed with six digits, stay below
 
 
 # --- quaternion order ------------------------------------------------------------------------------------------------
@@ -166,9 +169,12 @@ def configuration_to_pinocchio(X_WB: Tensor, q: Tensor) -> Tensor:
 
 
 def configuration_from_pinocchio(configuration: Tensor) -> tuple[Tensor, Tensor]:
-    """Pose X_WB [..., 8] of the base and joint positions q [..., n], from Pinocchio's configuration [..., 7 + n]."""
+    """Pose X_WB [..., 8] of the base and joint positions q [..., n], from Pinocchio's configuration [..., 7 + n].
+
+    Its quaternion must be unit; `torchdq.dq.normalize` makes it so.
+    """
     position, rotation, q = _parts("configuration", configuration, 3, 4)
-    return dq.from_pose(from_xyzw(rotation), position), q
+    return dq.from_pose(from_xyzw(_unit("configuration", rotation)), position), q
 
 
 def velocity_to_pinocchio(V_WB_B: Tensor, qd: Tensor) -> Tensor:
@@ -205,9 +211,12 @@ def configuration_to_mujoco(X_WB: Tensor, q: Tensor) -> Tensor:
 
 
 def configuration_from_mujoco(qpos: Tensor) -> tuple[Tensor, Tensor]:
-    """Pose X_WB [..., 8] of the base and joint positions q [..., n], from `qpos` [..., 7 + n]."""
+    """Pose X_WB [..., 8] of the base and joint positions q [..., n], from `qpos` [..., 7 + n].
+
+    Its quaternion must be unit; `torchdq.dq.normalize` makes it so.
+    """
     position, rotation, q = _parts("qpos", qpos, 3, 4)
-    return from_mujoco(position, rotation), q
+    return from_mujoco(position, _unit("qpos", rotation)), q
 
 
 def velocity_to_mujoco(X_WB: Tensor, V_WB_B: Tensor, qd: Tensor) -> Tensor:
@@ -275,9 +284,13 @@ def root_to_isaac(X_WB: Tensor, V_WB_B: Tensor, order: QuaternionOrder = "wxyz",
 
 
 def root_from_isaac(state: Tensor, order: QuaternionOrder = "wxyz", com: Tensor | None = None) -> tuple[Tensor, Tensor]:
-    """Pose X_WB [..., 8] and twist V_WB_B [..., 6] of the base, from a root state [..., 13]; see `root_to_isaac`."""
+    """Pose X_WB [..., 8] and twist V_WB_B [..., 6] of the base, from a root state [..., 13]; see `root_to_isaac`.
+
+    Its quaternion must be unit; `torchdq.dq.normalize` makes it so.
+    """
     require_choice("order", order, ("wxyz", "xyzw"))
     position, r, v, w, _ = _parts("state", state, 3, 4, 3, 3)
+    r = _unit("state", r)
     X_WB = dq.from_pose(r if order == "wxyz" else from_xyzw(r), position)
     w, v = _to_base(X_WB, w), _to_base(X_WB, v)
     return X_WB, _row(w, v if com is None else v - _cross(w, com))
@@ -326,6 +339,18 @@ def _parts(name: str, x: Tensor, *sizes: int) -> Sequence[Tensor]:
     if x.ndim == 0 or x.shape[-1] < sum(sizes):
         raise ArgumentError(f"{name} must end with an axis of {sum(sizes)} components or more, found {tuple(x.shape)}")
     return x.split([*sizes, x.shape[-1] - sum(sizes)], -1)
+
+
+def _unit(name: str, r: Tensor) -> Tensor:
+    """Quaternions [..., 4] of a row; raises unless they are unit ones, those with NaN apart."""
+    if r.numel() and not without_values((r,)):
+        wrong = (r.detach().norm(dim=-1) - 1).abs() > UNIT
+        if bool(wrong.any()):
+            found = r[tuple(wrong.nonzero()[0].tolist())].tolist()
+            raise ArgumentError(
+                f"{name} must hold unit quaternions, found {found}; normalize that part by torchdq.dq.normalize"
+            )
+    return r
 
 
 def _row(*parts: Tensor) -> Tensor:

@@ -93,8 +93,8 @@ def inverse_dynamics(
 
     Args:
         robot: the robot, with a free base.
-        X_WB: pose of the base in the world, a unit dual quaternion, shape [..., 8]. It is not looked at: another one
-            scales gravity; `torchdq.dq.normalize` makes it unit.
+        X_WB: pose of the base in the world, a unit dual quaternion, shape [..., 8] (see `torchdq.dq.normalize`).
+            This is not checked: with a pose that is not unit, gravity has a wrong size.
         q: joint positions [rad or m], shape [..., n].
         V_WB_B: twist (angular, linear) of the base in its own axes [rad/s, m/s], shape [..., 6]; None: at rest.
         qd: joint velocities [rad/s or m/s], shape [..., n]; None: zero.

@@ -86,9 +86,13 @@ class Program:
         """
         return Count(**Counter(OPS[op.code].cost for op in self.ops if op.code in OPS))
 
-    def __str__(self) -> str:
+    def heading(self) -> str:
+        """Name and arguments with their widths, as in "f(x[2], m[1] uniform)"."""
         shown = [f"{a.name}[{a.width}]{' uniform' if a.uniform else ''}" for a in self.arguments]
-        lines = [f"{self.name}({', '.join(shown)})"]
+        return f"{self.name}({', '.join(shown)})"
+
+    def __str__(self) -> str:
+        lines = [self.heading()]
         for i, op in enumerate(self.ops):
             if op.code == "in":
                 argument, component = op.payload

@@ -9,11 +9,15 @@ import torch
 from torch import Tensor
 
 from torchdq import dq
-from torchdq.errors import DescriptionError
+from torchdq.errors import ArgumentError, DescriptionError
 
 UNIT = 1e-9  # largest distance from 0 or 1 of a number that is taken as 0 or 1
+UNIT_SINGLE = 1e-5  # the same for numbers in single precision
 MOST = 1e50  # largest number of a description: the products of three that dynamics form still do not overflow
 SIX = [0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]  # rows and columns of xx xy yy xz yz zz in a symmetric matrix
+
+# error of a value: that of a description that is read, or of an argument to a method of a robot that exists
+Fault = type[DescriptionError] | type[ArgumentError]
 
 
 def double(values: Any) -> Tensor:
@@ -24,33 +28,33 @@ def double(values: Any) -> Tensor:
 IDENTITY = double([1.0, 0, 0, 0, 0, 0, 0, 0])  # pose
 
 
-def numbers(name: str, value: Any) -> Tensor:
+def numbers(name: str, value: Any, error: Fault = DescriptionError) -> Tensor:
     """Value as a float64 tensor."""
     try:
         x = value if isinstance(value, Tensor) else torch.as_tensor(np.array(value), device="cpu")
         if x.is_complex():
             raise TypeError("found complex numbers")
         return x.to(torch.float64)
-    except (TypeError, ValueError, RuntimeError) as error:  # words, or rows of different lengths
-        raise DescriptionError(f"{name} must be an array of numbers: {error}") from error
+    except (TypeError, ValueError, RuntimeError) as cause:  # words, or rows of different lengths
+        raise error(f"{name} must be an array of numbers: {cause}") from cause
 
 
-def finite(name: str, value: Any) -> Tensor:
+def finite(name: str, value: Any, error: Fault = DescriptionError) -> Tensor:
     """Value as a finite float64 tensor."""
-    x = numbers(name, value)
+    x = numbers(name, value, error)
     if not bool(x.isfinite().all()):
-        raise DescriptionError(f"{name} must be finite, found {x.tolist()}")
+        raise error(f"{name} must be finite, found {x.tolist()}")
     return x
 
 
-def table(name: str, value: Any, *shape: int) -> Tensor:
+def table(name: str, value: Any, *shape: int, error: Fault = DescriptionError) -> Tensor:
     """Value as a finite float64 tensor of that shape."""
-    x = numbers(name, value)
+    x = numbers(name, value, error)
     if tuple(x.shape) != shape:
-        raise DescriptionError(f"{name} must have the shape {shape}, found {tuple(x.shape)}")
-    x = finite(name, x)
+        raise error(f"{name} must have the shape {shape}, found {tuple(x.shape)}")
+    x = finite(name, x, error)
     if bool((x.abs() > MOST).any()):
-        raise DescriptionError(f"{name} must not exceed {MOST:g} in size, found {float(x.abs().max()):g}")
+        raise error(f"{name} must not exceed {MOST:g} in size, found {float(x.abs().max()):g}")
     return x
 
 
@@ -62,18 +66,39 @@ def indices(name: str, value: Any) -> tuple[int, ...]:
     return tuple(map(int, x.tolist()))
 
 
-def poses(name: str, value: Any, *shape: int) -> Tensor:
-    """Value as unit dual quaternions of that shape."""
-    x = dq.normalize(table(name, value, *shape))
-    if not bool(x.isfinite().all()):
-        raise DescriptionError(f"{name} must be dual quaternions with a rotation, found {value}")
-    return x
+def poses(name: str, value: Any, *shape: int, error: Fault = DescriptionError) -> Tensor:
+    """Value, which must be unit dual quaternions of that shape, with the rounding of its dtype removed."""
+    x = table(name, value, *shape, error=error)
+    if fault := not_unit(name, x.detach(), slack(value)):
+        raise error(fault)
+    return dq.normalize(x)
+
+
+def slack(x: Any) -> float:
+    """Largest distance from 0 or 1 of a number that is taken as 0 or 1, in the dtype of an array."""
+    return UNIT if "float" not in (dtype := str(getattr(x, "dtype", ""))) or "float64" in dtype else UNIT_SINGLE
 
 
 def unit(x: Tensor, slack: float) -> Tensor:
     """Mask of unit dual quaternions among dual quaternions [..., 8], whose errors are at most the slack."""
     r, d = x.double().split(4, -1)
     return ((r.norm(dim=-1) - 1).abs() <= slack) & ((r * d).sum(-1).abs() <= slack * (1 + d.norm(dim=-1)))
+
+
+def not_unit(name: str, x: Tensor, slack: float) -> str:
+    """Fault of poses [..., 8] that are not unit dual quaternions; "": there is none."""
+    fits = unit(x, slack)
+    if bool(fits.all()):
+        return ""
+    at, found = first(x, ~fits)
+    where = f" at {at}" if at else ""
+    return f"{name} must be unit dual quaternions (see torchdq.dq.normalize), found {found}{where}"
+
+
+def first(x: Tensor, mask: Tensor) -> tuple[tuple[int, ...], Any]:
+    """Place and value of the first row of x where a mask is true."""
+    at = tuple(mask.nonzero()[0].tolist())
+    return at, x.detach()[at].tolist()
 
 
 def inertias(value: Any, n: int) -> Tensor:
@@ -99,11 +124,11 @@ def second_moments(inertia: Tensor) -> Tensor:
     return torch.diag_embed(half.unsqueeze(-1).expand(*half.shape, 3)) - I
 
 
-def words(name: str, value: Any, n: int, expected: str) -> tuple[str, ...]:
+def words(name: str, value: Any, n: int, expected: str, error: Fault = DescriptionError) -> tuple[str, ...]:
     """Value as n strings."""
     found = tuple(value) if isinstance(value, Sequence) and not isinstance(value, str | bytes) else ()
     if len(found) != n or not all(isinstance(word, str) for word in found):
-        raise DescriptionError(f"{name} must be {n} {expected}, found {reprlib.repr(value)}")
+        raise error(f"{name} must be {n} {expected}, found {reprlib.repr(value)}")
     return found
 
 

@@ -74,11 +74,15 @@ def complaints(robot: Robot, changes: Collection[str], on_unphysical: consistenc
     known = {units.without_numbers(note) for note in robot.notes}
     faults = [fault for fault in fields.faults(robot, changes) if units.without_numbers(fault) not in known]
     consistency.complain(robot.name, faults, on_unphysical)
-    read = [x for x in (*fields.present(robot, SHAPES).values(), *robot.limits)]
-    here = all(x.device.type == "cpu" and fields.readable(x, False) for x in read)
-    if faults or not {*MEASURED} & {*changes} or batches(robot) or not here:
+    if faults or not {*MEASURED} & {*changes} or not doubted(robot):
         return faults
     return units.doubts(robot, quiet=on_unphysical == "ignore", known=known)
+
+
+def doubted(robot: Robot, *others: Tensor) -> bool:
+    """Whether units are doubted: the robot is one on the CPU whose numbers, and others, are not learned."""
+    read = (*fields.present(robot, SHAPES).values(), *robot.limits, *others)
+    return not batches(robot) and all(x.device.type == "cpu" and fields.readable(x, False) for x in read)
 
 
 def repaired(robot: Robot) -> tuple[dict[str, Any], tuple[str, ...]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -11,9 +12,10 @@ from torch import Tensor
 from torchdq import dq
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
-from torchdq.robot import consistency, fields
+from torchdq.robot import consistency, fields, units
 from torchdq.robot.arrays import matrices, poses
 from torchdq.robot.bodies import RigidBody, lumped
+from torchdq.robot.changes import doubted
 from torchdq.robot.description import Frame, JointMap, Limits
 from torchdq.robot.fields import BASE_BODY, LINK_BODY
 from torchdq.robot.reduced import factors
@@ -32,7 +34,7 @@ def with_payload(
     """Robot that holds a body, which becomes part of the link, or of the free base, that carries a frame.
 
     The inertial parameters become arguments of the programs, as by `replace`: another payload, a batch of them and
-    gradients in their tensors need no new program.
+    gradients in their tensors need no new program. Numbers that seem to be in mm or kg mm^2 are warned of.
 
     Args:
         robot: the robot.
@@ -45,7 +47,11 @@ def with_payload(
     >>> torchdq.robots.load("two_link").with_payload(0.5).mass.tolist()
     [1.0, 1.5]
     """
-    at = robot.end_effector() if frame is None else robot.frame(frame)
+    return _holding(robot, mass, com, inertia, robot.end_effector() if frame is None else robot.frame(frame))
+
+
+def _holding(robot: Robot, mass: Any, com: Any, inertia: Any, at: Frame) -> Robot:
+    """Robot with a payload in a frame, for the functions that users call."""
     if at.link == BASE and not robot.floating:
         raise ArgumentError(
             f"frame must be one that a joint of robot {robot.name!r} moves, found {at.name!r} on the fixed base, where "
@@ -60,7 +66,9 @@ def with_payload(
         if faults:
             raise ArgumentError(f"mass and inertia must be those of a body, xx xy yy xz yz zz: {faults[0]}")
     changes: dict[str, Any] = {**_held(robot, at.link, at.X_BF, held)}
-    return robot.replace(**changes)
+    told = doubted(robot, *held) and units.doubts_of_payload(robot, at.name, held, stacklevel=3)
+    # a doubtful payload is not told of again as a doubtful link
+    return robot.replace(**changes, on_unphysical="ignore" if told else "error")
 
 
 def with_tool(
@@ -77,7 +85,7 @@ def with_tool(
     Args:
         robot: the robot.
         name: name of the new frame.
-        pose: its pose in the frame that holds the tool, a dual quaternion [8].
+        pose: its pose in the frame that holds the tool, a unit dual quaternion [8].
         mass, com, inertia: body of the tool, in the frame that holds it, as in `with_payload`.
         frame: name of the frame that holds the tool; None: the end effector.
 
@@ -89,34 +97,39 @@ def with_tool(
     if not isinstance(name, str) or name in robot.frame_names:
         raise ArgumentError(f"name must be that of a new frame of robot {robot.name!r}, found {name!r}")
     at = robot.end_effector() if frame is None else robot.frame(frame)
-    tip = Frame(name, at.link, dq.mul(at.X_BF, poses("pose", pose, 8).to(at.X_BF)))
+    tip = Frame(name, at.link, dq.mul(at.X_BF, poses("pose", pose, 8, error=ArgumentError).to(at.X_BF)))
     weightless = not isinstance(mass, Tensor) and mass == 0 and inertia is ABSENT
-    carrier = robot if weightless else with_payload(robot, mass, com, inertia, at.name)
+    carrier = robot if weightless else _holding(robot, mass, com, inertia, at)
     return carrier.replace(frames=(*carrier.frames, tip), tip=name)
 
 
 def attach(robot: Robot, other: Robot, frame: str, prefix: str | None = None, base_pose: Any = None) -> Robot:
     """Robot with the base of another one fixed to a frame: all links, joints, limits and frames of both.
 
-    Gravity is that of the first; the end effector is that of the other if it has one. The body of the other's base is
-    known if that was free (`base="floating"`); it becomes part of what carries the frame.
+    Gravity is that of the first; the end effector is that of the other if it has one. The body of the other's base,
+    such as the palm of a hand, becomes part of what carries the frame. It is known only if the other one was read with
+    `base="floating"`; without it there is a warning, as its mass may be missing.
 
     Args:
         robot: the robot that carries the other.
         other: the robot that is attached.
         frame: name of the frame of `robot` that carries it.
         prefix: beginning of the names of the other's joints, links and frames, such as "left_"; None: as they are.
-        base_pose: pose of the other's base in the frame, a dual quaternion [8]; None: they coincide.
+        base_pose: pose of the other's base in the frame, a unit dual quaternion [8]; None: they coincide.
 
     >>> import torchdq
     >>> arm, hand = torchdq.robots.load("panda"), torchdq.robots.load("two_link")
-    >>> arm.attach(hand, "tip", prefix="hand_").joint_names[-2:]
-    ('hand_joint1', 'hand_joint2')
+    >>> palm = {"base_mass": torch.tensor(0.5), "base_com": torch.zeros(3), "base_inertia": torch.zeros(6)}
+    >>> both = arm.attach(hand.replace(**palm), "tip", prefix="hand_")
+    >>> both.joint_names[-2:], (both.mass[6] - arm.mass[6]).item()
+    (('hand_joint1', 'hand_joint2'), 0.5)
     """
     if not isinstance(other, type(robot)):
         raise ArgumentError(f"other must be a torchdq.Robot, found {type(other).__name__}")
     at, start = robot.frame(frame), "" if prefix is None else prefix
-    X = at.X_BF if base_pose is None else dq.mul(at.X_BF, poses("base_pose", base_pose, 8).to(at.X_BF))
+    X = at.X_BF
+    if base_pose is not None:
+        X = dq.mul(X, poses("base_pose", base_pose, 8, error=ArgumentError).to(X))
     names = _joined_names(robot, other, start)
     other, count = other.to(robot.mass.dtype, robot.mass.device), len(robot.link_names)
     link = {BASE: at.link} | {i: i + count for i in range(len(other.link_names))}
@@ -131,6 +144,12 @@ def attach(robot: Robot, other: Robot, frame: str, prefix: str | None = None, ba
         changed = _held(robot, at.link, X, RigidBody.at(other, BASE))
         carrier |= changed
         known |= set(changed) if known & set(changed) or set(other._arguments) & set(BASE_BODY) else set()
+    if not other.floating and (at.link != BASE or robot.floating):
+        warnings.warn(
+            f"robot {other.name!r} has no body of its base, so {at.name!r} carries no mass of it; the base link of a "
+            'file has mass only if the file is read with base="floating"',
+            stacklevel=2,
+        )
     told = f"{other.name!r} attached to {at.name!r}"
     told += "" if lumps else "; the mass of its base is left out" if other.floating else ", without a mass of its base"
     changes: dict[str, Any] = {

@@ -27,7 +27,7 @@ def couple(
     names: Sequence[str] | None = None,
     offset: Mapping[str, float] | None = None,
     *,
-    limits: Limits | None = None,
+    limits: Sequence[Any] | None = None,
     damping: Any = None,
     friction: Any = None,
     armature: Any = None,
@@ -46,8 +46,9 @@ def couple(
             matrix [n, coordinates] with `names`.
         names: names of the coordinates of a matrix.
         offset: positions [rad or m] of joints where the coordinates are zero, by name; None: zero.
-        limits, damping, friction, armature: those of the new coordinates, as in `Robot`; None: those that are handed
-            on.
+        limits: those of the new coordinates, four rows (lower, upper, velocity, effort) as in `Robot.limits`, each
+            [coordinates], infinite where there is none; None: those that are handed on.
+        damping, friction, armature: those of the new coordinates, [coordinates]; None: those that are handed on.
 
     >>> import torchdq
     >>> robot = torchdq.robots.load("two_link")
@@ -73,19 +74,21 @@ def couple(
     for name, value in given.items():
         before, weights = getattr(robot, name), alone.abs() if name == "friction" else alone.square()
         if value is not None:
-            new[name] = table(name, value, len(names)).to(robot.mass)
+            new[name] = table(name, value, len(names), error=ArgumentError).to(robot.mass)
         elif before is not None:
             _require_absent(robot, name, before != 0, several)
             new[name] = before @ weights.to(before)
     if limits is None:
         for bound in Limits._fields:
             _require_absent(robot, f"limits.{bound}", getattr(robot.limits, bound).isfinite(), several, "limits")
-        limits = _limits(robot, alone, shift, names)
+        new["limits"] = _limits(robot, alone, shift, names)
+    else:
+        new["limits"] = _given_limits(robot, limits, len(names))
     before = torch.eye(robot.n, dtype=factors.dtype) if robot.joint_map is None else robot.joint_map.S.to(factors)
     if bool(shift.any()):
         home, moved = robot.home, (before @ shift).to(robot.mass)
         new["home"] = (0.0 if home is None else home) - moved
-    new |= {"limits": limits, "joint_map": JointMap(robot.every_joint, (before @ factors).to(robot.mass))}
+    new["joint_map"] = JointMap(robot.every_joint, (before @ factors).to(robot.mass))
     made = dataclasses.replace(robot, joint_names=names, **new, _constants=None, _storages=())
     fields.require_structure(made, {name: getattr(made, name) for name in ("joint_names", *new)})
     consistency.complain(robot.name, fields.faults(made, new), "error")
@@ -130,10 +133,10 @@ def _by_name(robot: Robot, S: Mapping[str, Mapping[str, float]]) -> tuple[Tensor
 
 def _matrix(robot: Robot, S: Any, names: Sequence[str] | None) -> tuple[Tensor, tuple[str, ...]]:
     """Factors [n, coordinates], and names of the coordinates."""
-    factors = numbers("S", S)
-    factors = table("S", factors, robot.n, factors.shape[-1] if factors.ndim else 1)
+    factors = numbers("S", S, ArgumentError)
+    factors = table("S", factors, robot.n, factors.shape[-1] if factors.ndim else 1, error=ArgumentError)
     count, expected = factors.shape[1], "different names, one for each column of S"
-    found = words("names", names, count, expected)
+    found = words("names", names, count, expected, ArgumentError)
     if len(set(found)) != count:
         raise ArgumentError(f"names must be {count} {expected}, found {found}")
     return factors, found
@@ -149,6 +152,21 @@ def _require_absent(
                 f"{what} of joint {name!r} of robot {robot.name!r} must be absent, since the joint follows several "
                 f"coordinates and none of them would have it alone; pass {argument or what}= for the new coordinates"
             )
+
+
+def _given_limits(robot: Robot, given: Sequence[Any], count: int) -> Limits:
+    """Limits of coordinates from four rows."""
+    rows = tuple(given) if isinstance(given, list | tuple) else ()
+    if len(rows) != len(Limits._fields):
+        raise ArgumentError(
+            f"limits must be four rows (lower, upper, velocity, effort), each of {count} numbers, found {given!r}"
+        )
+    named = {f"limits.{name}": row for name, row in zip(Limits._fields, rows, strict=True)}
+    found = {name: numbers(name, row, ArgumentError).to(robot.mass) for name, row in named.items()}
+    for name, x in found.items():
+        if x.shape[-1:] != (count,):
+            raise ArgumentError(f"{name} must have the shape [..., {count}], found {tuple(x.shape)}")
+    return Limits(*found.values())
 
 
 def _limits(robot: Robot, alone: Tensor, shift: Tensor, names: Sequence[str]) -> Limits:

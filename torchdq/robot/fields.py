@@ -18,7 +18,7 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program.transforms import without_values
 from torchdq.robot import consistency
-from torchdq.robot.arrays import UNIT, matrices, unit
+from torchdq.robot.arrays import first, matrices, not_unit, slack
 from torchdq.robot.description import Frame, JointMap, Limits
 
 if TYPE_CHECKING:
@@ -45,7 +45,6 @@ BASE_BODY = ("base_mass", "base_com", "base_inertia")
 BODIES = (*LINK_BODY, *BASE_BODY)
 OPTIONAL = ("gravity", "home", "armature", *BASE_BODY)
 DESCRIBED = ("limits", "damping", "friction", "frames", "joint_map")  # other fields that hold tensors
-UNIT_SINGLE = 1e-5  # as UNIT, of numbers in single precision
 SCREWS = {
     "revolute": "a unit line (l | p x l)",
     "helical": "a unit line with pitch (l | p x l + h l)",
@@ -175,26 +174,16 @@ def readable(x: Tensor, everything: bool) -> bool:
     return not without_values([x]) and (everything or not x.requires_grad)
 
 
-def _bad(x: Tensor, mask: Tensor) -> tuple[tuple[int, ...], Any]:
-    """Place and value of the first row of x where a mask is true."""
-    at = tuple(mask.nonzero()[0].tolist())
-    return at, x.detach()[at].tolist()
-
-
-def _slack(x: Tensor) -> float:
-    return UNIT if x.dtype == torch.float64 else UNIT_SINGLE
-
-
 def _of_kind(screw: Tensor, kinds: tuple[str, ...]) -> Tensor:
     """Mask of screws [..., n, 6] of joints of these kinds."""
-    slack = _slack(screw)
+    near = slack(screw)
     axis, moment = screw[..., :3].double(), screw[..., 3:].double()
     length, size, pitch = axis.norm(dim=-1), moment.norm(dim=-1), (axis * moment).sum(-1)
-    line = (length - 1).abs() <= slack
+    line = (length - 1).abs() <= near
     fits = {
-        "revolute": line & (pitch.abs() <= slack * (1 + size)),
+        "revolute": line & (pitch.abs() <= near * (1 + size)),
         "helical": line & size.isfinite(),
-        "prismatic": (length <= slack) & ((size - 1).abs() <= slack),
+        "prismatic": (length <= near) & ((size - 1).abs() <= near),
     }
     return torch.stack([fits[kind][..., i] for i, kind in enumerate(kinds)], -1) if kinds else line
 
@@ -204,13 +193,12 @@ def _geometry(robot: Robot, names: Collection[str], everything: bool) -> Iterato
     poses = {"X_PB_home": robot.X_PB_home} if "X_PB_home" in names else {}
     poses |= {f"pose X_BF of frame {f.name!r}": f.X_BF for f in robot.frames if "frames" in names}
     for name, x in poses.items():
-        if readable(x, everything) and not bool((fits := unit(x.detach(), _slack(x))).all()):
-            at, found = _bad(x, ~fits)
-            yield f"{name} must be unit dual quaternions (see torchdq.dq.normalize), found {found} at {at}"
+        if readable(x, everything) and (fault := not_unit(name, x.detach(), slack(x))):
+            yield fault
     if {"screw", "kinds"} & set(names) and readable(robot.screw, everything):
         fits = _of_kind(robot.screw.detach(), robot.kinds)
         if not bool(fits.all()):
-            at, found = _bad(robot.screw, ~fits)
+            at, found = first(robot.screw, ~fits)
             name, kind = robot.every_joint[at[-1]], robot.kinds[at[-1]]
             yield f"screw of the {kind} joint {name!r} must be {SCREWS[kind]} with |l| = 1, found {found} at {at}"
 
@@ -236,7 +224,7 @@ def faults(robot: Robot, names: Collection[str], everything: bool = False) -> li
             found += consistency.bodies(("the base",), *(x.detach() for x in shaped))
     for name, expected, x, fits in _rules(robot, names):
         if readable(x, everything) and (everything or x.ndim <= len(SHAPES.get(name, "n"))) and not bool(fits(x).all()):
-            at, value = _bad(x, ~fits(x))
+            at, value = first(x, ~fits(x))
             found.append(f"{name} must be {expected}, found {value} at {at}")
     return found
 

@@ -49,7 +49,8 @@ def from_urdf(
         source: path of the file, a file:// or package:// address, an open file, or the XML text itself.
         base: "fixed", or "floating": the link that no joint carries moves freely.
         lock: positions [rad or m] of joints to fix, by name or pattern ("finger*"), or names alone: at zero. Joints
-            that mimic a locked one are locked too; one is not locked alone, unless they are independent.
+            that mimic a locked one are locked too. A joint that mimics another one cannot be locked alone, unless
+            `mimic` is "independent".
         tip: name of the frame of the end effector; None: the leaf of the tree, if there is only one.
         gravity: acceleration in the base frame [m/s^2]; None: none.
         on_unphysical: treatment of a body that cannot exist. A negative mass and an inertia that is not positive
@@ -190,9 +191,10 @@ def from_screws(
         mass: [kg], shape [n].
         com: centres of mass [m], shape [n, 3], in the link frames.
         inertia: about the centres of mass [kg m^2], shape [n, 3, 3] or [n, 6] (xx xy yy xz yz zz), link axes.
-        link_poses: delta_i^0, pose of each link frame in the base frame at home, shape [n, 8]; None: all link
-            frames coincide with the base frame at home.
-        tip_pose: delta_{n+1}^0, pose of the end effector in the base frame at home, shape [8], on the last link.
+        link_poses: delta_i^0, pose of each link frame in the base frame at home, unit dual quaternions, shape [n, 8];
+            None: all link frames coincide with the base frame at home.
+        tip_pose: delta_{n+1}^0, pose of the end effector in the base frame at home, a unit dual quaternion [8], on the
+            last link; None: the frame of that link.
         parents: index of the parent of each link, -1 for the base, shape [n]; None: a serial chain.
         home: joint positions at home [rad or m], shape [n]; None: zero.
         joint_names, link_names, name: names; None: joint1, link1, ...
@@ -233,7 +235,7 @@ def from_dh(
             at q = 0. The coordinate of a prismatic joint is added to d.
         mass, com, inertia: as in `from_screws`, in the DH frames.
         kinds: "revolute" or "prismatic" per joint; None: all revolute.
-        tip_pose: pose of the end effector in the last DH frame, shape [8]; None: that frame.
+        tip_pose: pose of the end effector in the last DH frame, a unit dual quaternion [8]; None: that frame.
         joint_names, link_names, name, gravity, on_unphysical: as in `from_screws`.
     """
     bodies = dict(mass=mass, com=com, inertia=inertia, link_names=link_names, name=name)

@@ -195,9 +195,10 @@ def _require_coordinates(robot: Robot, lock: Any) -> None:
         if name in robot.every_joint and name not in robot.joint_names:
             row = robot.joint_map.S[robot.every_joint.index(name)].tolist()
             leaders = [repr(leader) for leader, factor in zip(robot.joint_names, row, strict=True) if factor]
+            hold = "which hold it too" if len(leaders) > 1 else "which holds it too"
             raise ArgumentError(
                 f"lock must not name joint {name!r}, which is no coordinate: it follows "
-                f"{robot.joint_map.followed(name, robot.joint_names)}; lock {' and '.join(leaders)}, which holds it too"
+                f"{robot.joint_map.followed(name, robot.joint_names)}; lock {' and '.join(leaders)}, {hold}"
             )
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -19,6 +19,7 @@ from torchdq.dynamics.joints import KINDS
 from torchdq.program.transforms import without_values
 
 if TYPE_CHECKING:
+    from torchdq.robot.bodies import RigidBody
     from torchdq.robot.robot import Robot
 
 # None of the 70 robots of example-robot-data and of this package has a centre of mass farther than 0.8 lengths of the
@@ -58,25 +59,46 @@ def _doubts(robot: Robot) -> Iterator[str]:
     if length > LONG and step > STEP:
         found = f"found {step:.4g} m from one joint to the next, and frames up to {length:.4g} m from the base"
         yield f"lengths must be in m, {found}; are they in mm?"
-    among = f"although its joints and frames reach at most {length:.3g} m from the base"
-    mass = robot.mass.detach().double()
-    spread = robot.inertia.detach().double()[..., (0, 2, 5)].sum(-1) / 2
-    radii = _largest((spread / mass.where(mass > 0, torch.inf)).clamp(min=0).sqrt())
-    away = _largest(robot.com.norm(dim=-1) * (robot.mass > 0))
-    for link, far, radius in zip(robot.link_names, away, radii, strict=True):
-        if max(length, radius) > 0 and far > max(FAR * length, SLENDER * radius):
-            yield f"link {link!r}: com must be in m, found it {far:.4g} m from the link's frame, {among}; is it in mm?"
-        if length > 0 and radius > LARGE * length:
-            yield (
-                f"link {link!r}: inertia must be in kg m^2 and mass in kg, found a radius of gyration "
-                f"sqrt(inertia / mass) of {radius:.4g} m, {among}; is the inertia in kg mm^2?"
-            )
-
+    bodies = {f"link {link!r}": "the link's frame" for link in robot.link_names}
+    yield from _of_bodies(bodies, robot.mass, robot.com, robot.inertia, length)
     kinds = dict(zip(robot.every_joint, robot.kinds, strict=True))
     for name, *ends in zip(robot.joint_names, *map(_first, robot.limits[:2]), strict=True):
         # a coordinate that is no joint of its own moves several
         if name in kinds and KINDS[kinds[name]].turns and any(TURNS[0] < abs(x) <= TURNS[1] for x in ends):
             yield f"joint {name!r}: limits must be in rad, found {ends[0]:g} to {ends[1]:g}; are they in degrees?"
+
+
+def doubts_of_payload(robot: Robot, frame: str, body: RigidBody, stacklevel: int) -> list[str]:
+    """Numbers of a payload in a frame, [...], that seem to be in other units than m, kg and kg m^2; warns."""
+    bodies = {"payload": f"frame {frame!r}"}
+    mass, com, inertia = body.mass.unsqueeze(-1), body.com.unsqueeze(-2), body.inertia.unsqueeze(-2)
+    found = [*_of_bodies(bodies, mass, com, inertia, _length(robot))]
+    if found:
+        lines = "\n  ".join(found)
+        warnings.warn(
+            f"a payload of robot {robot.name!r} may have numbers in other units:\n  {lines}", stacklevel=stacklevel + 1
+        )
+    return found
+
+
+def _of_bodies(bodies: Mapping[str, str], mass: Tensor, com: Tensor, inertia: Tensor, length: float) -> Iterator[str]:
+    """Doubts about bodies, in words with the words for their frames, on a robot of a length [m].
+
+    Their masses are [..., k], their centres of mass [..., k, 3] and their inertias [..., k, 6].
+    """
+    among = f"although its joints and frames reach at most {length:.3g} m from the base"
+    heavy = mass.detach().double()
+    spread = inertia.detach().double()[..., (0, 2, 5)].sum(-1) / 2
+    radii = _largest((spread / heavy.where(heavy > 0, torch.inf)).clamp(min=0).sqrt())
+    away = _largest(com.norm(dim=-1) * (mass > 0))
+    for (body, frame), far, radius in zip(bodies.items(), away, radii, strict=True):
+        if max(length, radius) > 0 and far > max(FAR * length, SLENDER * radius):
+            yield f"{body}: com must be in m, found it {far:.4g} m from {frame}, {among}; is it in mm?"
+        if length > 0 and radius > LARGE * length:
+            yield (
+                f"{body}: inertia must be in kg m^2 and mass in kg, found a radius of gyration "
+                f"sqrt(inertia / mass) of {radius:.4g} m, {among}; is the inertia in kg mm^2?"
+            )
 
 
 def _length(robot: Robot) -> float:
