@@ -24,6 +24,7 @@ from torchdq.export.c99 import Library
 from torchdq.export.casadi import CasadiExport
 from torchdq.export.files import Export, Exported
 from torchdq.export.meaning import heading
+from torchdq.functions import arrays
 from torchdq.functions.catalogue import RECIPES, Function
 from torchdq.functions.options import options_of
 from torchdq.program.autodiff import jacobian
@@ -178,14 +179,18 @@ class CompiledProgram:
         return whole.write(Path(folder), self.examples)
 
     def __call__(self, *inputs: Tensor, out: Tensor | Sequence[Tensor] | None = None) -> Tensor | tuple[Tensor, ...]:
-        """Results [..., width] of arguments [..., width]; uniform arguments are [width].
+        """Results [..., width] of arguments [..., width]; uniform arguments are [width]; matrices are flat, row by row.
 
         One sample, rows [width] without batch axes on the CPU, each a tensor of its own, takes a few microseconds.
 
         Args:
-            inputs: the arguments of the program, in its order, tensors or arrays of NumPy; results are alike.
-            out: tensor for the result, or one for each result, contiguous and apart from the memory of the arguments.
-                They are written to and returned, and no memory is allocated for them. Not where gradients are recorded.
+            inputs: the arguments of the program, in its order, tensors or arrays of NumPy; results are alike. Arrays
+                that are read-only or have negative strides are copied.
+            out: tensor for the result, or one for each result, writable, contiguous and apart from the memory of the
+                arguments. They are written to and returned, and no memory is allocated for them. Not where gradients
+                are recorded.
+        Raises:
+            ArgumentError: too few or too many arguments, or one of another shape or dtype; or `out` is not as above.
 
         >>> import torchdq
         >>> gravity = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics", arguments=("q",))
@@ -205,21 +210,28 @@ class CompiledProgram:
         return results[0] if len(results) == 1 else results
 
     def _on_arrays(self, inputs: Sequence[Any], out: Any) -> Any:
-        """Results as arrays of NumPy, which share the memory of the tensors."""
-        names = [a.name for a in self.program.arguments]
-        rows = [_tensor(name, x) for name, x in zip(names, inputs, strict=False)]
+        """Results as arrays of NumPy."""
+        self._require_as_many(inputs)
+        rows = [arrays.argument(a.name, x, self.dtype) for a, x in zip(self.program.arguments, inputs, strict=True)]
         if out is not None:
             several = isinstance(out, list | tuple)
-            self(*rows, out=[_tensor("out", y) for y in (out if several else [out])])
+            given, results = out if several else (out,), self.program.results
+            names = [f"out for {r.name}" for r in results] if len(given) == len(results) else ["out"] * len(given)
+            self(*rows, out=[arrays.room(name, y, self.dtype) for name, y in zip(names, given, strict=True)])
             return tuple(out) if several else out
         found = self(*rows)
         return found.numpy() if isinstance(found, Tensor) else tuple([y.numpy() for y in found])
 
+    def _require_as_many(self, inputs: Sequence[Any]) -> None:
+        """Raise unless there is an input for every argument, and no other."""
+        names = [a.name for a in self.program.arguments]
+        if len(inputs) != len(names):
+            raise ArgumentError(f"{self.program.name} takes {names}, found {len(inputs)} arguments")
+
     def _on_any_batch(self, inputs: Sequence[Tensor], out: Sequence[Tensor]) -> tuple[Tensor, ...]:
         """Results for any batch axes, on any device, with gradients."""
         arguments = self.program.arguments
-        if len(inputs) != len(arguments):
-            raise ArgumentError(f"{self.program.name} takes {[a.name for a in arguments]}, found {len(inputs)} tensors")
+        self._require_as_many(inputs)
         for a, x in zip(arguments, inputs, strict=True):
             require_tensor(a.name, x)
             if x.dtype != self.dtype or x.shape[-1:] != (a.width,) or (a.uniform and x.ndim > 1):
@@ -230,13 +242,6 @@ class CompiledProgram:
 
     def __str__(self) -> str:
         return str(self.program)
-
-
-def _tensor(name: str, x: Any) -> Tensor:
-    """Tensor that shares the memory of an array."""
-    if not isinstance(x, np.ndarray):
-        raise ArgumentError(f"{name} must be an array of NumPy as the first argument is, found {type(x).__name__}")
-    return torch.from_numpy(x)
 
 
 def _ready(recorded: Program, dtype: torch.dtype, axes: tuple[tuple[int, ...], ...] = ()) -> CompiledProgram:
