@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from torchdq.errors import ArgumentError
-from torchdq.export import c99
+from torchdq.export import c99, names
 from torchdq.export.c99 import Library
 from torchdq.export.files import Exported
 from torchdq.export.meaning import described
@@ -153,7 +153,7 @@ class CasadiExport(NamedTuple):
 
 def identifier(name: str) -> str:
     """Name that CasADi accepts for a function; raises if it is none."""
-    if "__" in c99.identifier(name, "name") or not re.match("[A-Za-z]", name) or name in ("null", "jac", "hess"):
+    if "__" in names.identifier(name, "name") or not re.match("[A-Za-z]", name) or name in ("null", "jac", "hess"):
         raise ArgumentError(
             f"name must be one that CasADi accepts, found {name!r}: a letter first, no two underscores in a row, and "
             "none of null, jac and hess"

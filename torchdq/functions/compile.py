@@ -19,11 +19,12 @@ from torchdq.backends.one_sample import one_sample
 from torchdq.call import Computation, evaluate
 from torchdq.checks import dtype_of, names_of, require_choice, require_tensor
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.export import c99, casadi
+from torchdq.export import casadi, golden
 from torchdq.export.c99 import Library
 from torchdq.export.casadi import CasadiExport
 from torchdq.export.files import Export, Exported
 from torchdq.export.meaning import heading
+from torchdq.export.names import distinct, identifier
 from torchdq.functions import arrays
 from torchdq.functions.catalogue import RECIPES, Function
 from torchdq.functions.options import options_of
@@ -164,7 +165,7 @@ class CompiledProgram:
         """
         require_choice("library", library, get_args(Library))
         require_choice("language", language, get_args(ExportLanguage))
-        named = c99.identifier(name or c99.distinct([self.program.name])[0], "name")
+        named = identifier(name or distinct([self.program.name])[0], "name", golden.variables(self.program))
         if language == "casadi":
             if batch:
                 raise ArgumentError("batch must be False for language 'casadi', which maps functions itself: f.map(n)")
