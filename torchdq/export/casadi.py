@@ -107,8 +107,10 @@ class CasadiExport(NamedTuple):
             "",
             f"jac_{self.name} is its Jacobian, which CasADi finds by itself. No heap, no state: threads may share it.",
         ]
-        if self.program.growth:
-            about.append("Fails where rounding errors are too large: a call raises, a solver takes a shorter step.")
+        causes = ["rounding errors are too large"] if self.program.growth else []
+        causes += ["an angle is NaN or beyond 1e5 rad"] if c99.angles(values.program, self.functions) else []
+        if causes:
+            about.append(f"Fails where {' or '.join(causes)}: a call raises, a solver takes a shorter step.")
         widest = max(m.rows for m in taken)
         # both have the same preamble, or one has none
         before = max([c99.preamble(f.program, False, self.functions) for f in (values, derivatives)], key=len)

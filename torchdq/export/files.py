@@ -99,8 +99,8 @@ class Export(NamedTuple):
             *([f"Sums over the samples: {', '.join(sums)}."] if sums else []),
             "Compilers make vector instructions of it at -O3 with -march=native and -fno-math-errno; it is faster with",
             f"-ffp-contract=fast. It takes {batch.stack(self.program, self.single)} bytes of stack. Its sine and",
-            f"cosine are its own, and NaN where an angle is beyond {self._reach()}. An output may be the whole array of",
-            "an input whose rows have the same size.",
+            f"cosine are its own, and NaN where an angle is beyond {self._reach()}. An output may be the whole array",
+            "of an input whose rows have the same size.",
             self._returned("own").replace(" where ", " where, in any sample, "),
         ]
 

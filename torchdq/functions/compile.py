@@ -136,7 +136,8 @@ class CompiledProgram:
         The function takes one sample. It has no memory of its own, no loops and no heap, and may be called by several
         threads. Its arguments and outputs are those of the program, in its order, described in the header.
 
-        "c" writes source, headers, a test and a CMake file. "casadi" writes one source with the function and its
+        "c" writes source, headers, a test and CMake files, which build all functions that are exported into a folder.
+        "casadi" writes one source with the function and its
         Jacobian, for `casadi.external`, once it is built:
 
             cc -shared -fPIC -O2 arm_torques.c -o arm_torques.so -lm
@@ -150,13 +151,14 @@ class CompiledProgram:
             folder: path of the folder, which is made if it is not there; files of the same names are replaced.
             name: name of the function; "": that of the program.
             library: source of sine, cosine and roots: "math.h", or "own", the polynomials of compiled programs, with
-                sine and cosine up to 1e5 rad (4e3 in float32) and no roots or exponentials.
+                sine and cosine up to 1e5 rad (4e3 in float32), beyond which the function returns 1 and NaN, and no
+                roots or exponentials.
             language: "c", or "casadi", which takes programs in float64.
             batch: whether there is a function NAME_batch beside it, which takes the rows of many samples and which
                 compilers turn into vector instructions. Its sine and cosine are those of "own".
         Raises:
-            ArgumentError: the name is none that the language accepts, the library lacks a function, or a program in
-                float32, or for batches, is exported to CasADi.
+            ArgumentError: the name is none that the language accepts or the files use it, the library lacks a function,
+                or a program in float32, or for batches, is exported to CasADi.
 
         >>> import tempfile, torchdq
         >>> tau = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
