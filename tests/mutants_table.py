@@ -82,6 +82,7 @@ STANDS_STILL = "reduced.py::test_a_locked_coordinate_is_one_that_stands_still"
 GEARS = f"{COUPLING}::test_geared_joints_are_pinocchios_mimic_joints"
 EXPORT = "export.py::test_results_are_those_of_the_program_in_pythons_arithmetic_bit_for_bit"
 CASADI = "casadi.py"
+EXPORT_FLAGS = "export.py::test_flags_that_break_sine_and_cosine_are_refused_or_harmless"
 EXPORT_BATCH = "export.py::test_files_are_strict_c99_and_their_test_of_a_sample_and_of_a_batch_passes"
 CALLS = "compiled_calls.py"
 COUPLED_ROTORS = f"{COUPLING}::test_accelerations_undo_forces"
@@ -2031,9 +2032,56 @@ MUTANTS = (
         ),
         (
             "a status that is always good",
-            "<= {largest(program, single)}) ? 0 : 1",
-            "<= {largest(program, single)}) ? 0 : 0",
+            "({' && '.join(good)}) ? 0 : 1",
+            "({' && '.join(good)}) ? 0 : 0",
             "export.py::test_a_mass_matrix_that_is_not_positive_is_told_by_the_status",
+        ),
+        (
+            "a status that is good beyond the reach of the own sine",
+            '[f"{angles} == {angles}"] if angles else []',
+            "[]",
+            "export.py::test_own_sine_and_cosine_are_within_an_ulp_and_undefined_far_away",
+        ),
+        (
+            "own sine and cosine in another order of sums with gcc",
+            " || defined(__ASSOCIATIVE_MATH__)",
+            "",
+            EXPORT_FLAGS,
+        ),
+        (
+            "own sine and cosine in another order of sums with clang",
+            "reassociate(off)",
+            "reassociate(on)",
+            EXPORT_FLAGS,
+        ),
+        ("own sine and cosine in wider numbers", "FLT_EVAL_METHOD != 0", "FLT_EVAL_METHOD < 0", EXPORT_FLAGS),
+    ),
+    *within(
+        "torchdq/export/names.py",
+        (
+            "exported names of the standard library",
+            "if name in _LIBRARY_NAMES:",
+            "if name in ():",
+            "export.py::test_names_that_the_exported_files_use_are_refused",
+        ),
+    ),
+    *within(
+        "torchdq/export/files.py",
+        (
+            "spans of a batch that are one row too short",
+            "/ {a.size} < samples",
+            "/ {a.size} + 1 < samples",
+            "export.py::test_spans_of_a_batch_that_are_too_short_are_refused",
+        ),
+    ),
+    *within(
+        "torchdq/functions/arrays.py",
+        (
+            "read-only arrays as memory of results",
+            "if not x.flags.writeable:",
+            "if False:",
+            "compiled_calls.py::test_arrays_that_torch_cannot_share_are_read_and_never_written_to",
+            True,
         ),
     ),
     *within(

@@ -63,6 +63,61 @@ def test_arrays_of_numpy_give_arrays_and_may_be_the_memory(function, batch):
         call(arrays[0], inputs[1], *arrays[2:])
 
 
+@pytest.mark.parametrize("given", ["tensors", "arrays"])
+@pytest.mark.parametrize("batch", [(), (3,)])
+@pytest.mark.parametrize("room", [False, True])
+def test_too_many_or_too_few_arguments_are_refused(given, batch, room):
+    call = compiled()
+    inputs = [*rows(call, *batch), torch.ones(*batch, 6, dtype=F64)]
+    own = torch.empty(*batch, 7, dtype=F64)
+    if given == "arrays":
+        inputs, own = [x.numpy() for x in inputs], own.numpy()
+    for number in (2, 4):
+        with pytest.raises(ArgumentError, match=rf"takes \['q', 'qd', 'qdd'\], found {number} arguments"):
+            call(*inputs[:number], **({"out": own} if room else {}))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("batch", [(), (3,)])
+def test_arrays_that_torch_cannot_share_are_read_and_never_written_to(batch, tmp_path):
+    call = compiled()
+    q, qd, qdd = (x.numpy() for x in rows(call, *batch))
+    expected = call(q, qd, qdd)
+    np.save(tmp_path / "q.npy", q)
+    mapped = np.load(tmp_path / "q.npy", mmap_mode="r")
+    assert np.array_equal(call(mapped, qd[..., ::-1].copy()[..., ::-1], qdd), expected)
+    assert np.array_equal(call(mapped, qd, qdd, out=np.empty_like(q)), expected)
+    backwards = np.empty_like(q)[..., ::-1]
+    for words, room in (("writable, found a read-only", mapped), ("contiguous, found strides", backwards)):
+        with pytest.raises(ArgumentError, match=f"out for tau must be {words}"):
+            call(q, qd, qdd, out=room)
+
+
+@pytest.mark.parametrize("batch", [(), (3,)])
+def test_arrays_of_other_numbers_are_refused_by_name(batch):
+    call = compiled()
+    q, qd, qdd = (x.numpy() for x in rows(call, *batch))
+    for words, other in (
+        ("float64 in the byte order of this machine, found >f8", q.astype(">f8")),
+        ("float64 in the byte order of this machine, found <f4", q.astype(np.float32)),
+        ("float64 in the byte order of this machine, found <i8", q.astype(int)),
+        (r"float64 in the byte order of this machine, found \|O", q.astype(object)),
+        ("array without a mask", np.ma.masked_array(q, mask=q > 0.5)),
+    ):
+        with pytest.raises(ArgumentError, match=f"qd must be an .*{words.removeprefix('array ')}"):
+            call(q, other, qdd)
+        with pytest.raises(ArgumentError, match="out for tau must be an array"):
+            call(q, qd, qdd, out=other)
+
+
+def test_room_for_a_matrix_that_is_not_flat_is_refused_with_its_order():
+    call = compiled("closed_form", robot="two_link")
+    at = rows(call)
+    room = [torch.empty_like(y) for y in call(*at)]
+    with pytest.raises(ArgumentError, match=r"contiguous \[4\], found \(2, 2\); it is flat, row by row"):
+        call(*at, out=[room[0].view(2, 2), *room[1:]])
+
+
 def test_rows_whose_errors_grow_too_much_are_recomputed_into_the_given_memory():
     robot = torchdq.robots.load("two_link")
     # a straight arm of which only the end has mass hardly resists in one direction

@@ -1,6 +1,7 @@
 """Exported programs are strict C99 that computes what the programs compute, bit for bit, outside of Python."""
 
 import ctypes
+import dataclasses
 import math
 import re
 import shutil
@@ -12,6 +13,7 @@ import torch
 import torchdq
 from torchdq.envs import Scene, controllers, effects, integrators
 from torchdq.errors import ArgumentError
+from torchdq.export import c99
 from torchdq.program.program import outputs, replay
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O2")
@@ -141,7 +143,62 @@ def test_own_sine_and_cosine_are_within_an_ulp_and_undefined_far_away(tmp_path):
             for values in compiled.program.results[0].values
         ]
         assert max(abs(a - b) for a, b in zip(found, row, strict=True)) <= 4 * 2.0**-52 * max(map(abs, row))
-    assert all(math.isnan(x) for x in called(made, compiled.program, [[1e6, 1e6]], tmp_path)[1][0][:1])
+    for far in ([1e6, 1e6], [0.1, -1e6], [math.nan, 0.0], [0.0, math.inf]):
+        status, (found,) = called(made, compiled.program, [far], tmp_path)
+        assert status == 1 and math.isnan(found[0])
+    assert called(made, compiled.program, [[1e5, -1e5]], tmp_path)[0] == 0
+    assert "Returns 1 where an angle is NaN or beyond 1e5 rad, else 0." in made.header.read_text()
+
+
+@pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
+def test_a_batch_with_an_angle_out_of_reach_is_told_by_the_status(tmp_path):
+    made = PROGRAMS["inverse dynamics"]("float64").export(tmp_path, "exported", batch=True)
+    library = str(tmp_path / "exported.so")
+    run("gcc", "-std=c99", "-O2", "-shared", "-fPIC", "-I", str(tmp_path), str(made.source), "-o", library, "-lm")
+    function = ctypes.CDLL(library).exported_batch
+    for samples in (1, 16, 37):
+        rows = [(ctypes.c_double * (7 * samples))() for _ in range(4)]
+        assert function(ctypes.c_size_t(samples), *rows) == 0
+        rows[0][7 * samples - 6] = 2e5
+        assert function(ctypes.c_size_t(samples), *rows) == 1
+
+
+FLAGS = (
+    "-O3 -ffast-math",
+    "-O3 -funsafe-math-optimizations",
+    "-O2 -fassociative-math -fno-signed-zeros -fno-trapping-math",
+    "-O2 -ffinite-math-only",
+    "-O2 -mfpmath=387",
+    "-O2 -freciprocal-math",
+    "-O3 -ffp-contract=fast -march=native",
+)
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("flags", FLAGS)
+def test_flags_that_break_sine_and_cosine_are_refused_or_harmless(flags, dtype, compiler, tmp_path):
+    compiled = torchdq.compile(torchdq.robots.load("two_link"), "forward_kinematics", dtype, options=("tip",))
+    made = compiled.export(tmp_path, "exported", "own", batch=True)
+    library = str(tmp_path / "exported.so")
+    build = (compiler, *flags.split(), "-shared", "-fPIC", "-I", str(tmp_path), str(made.source), "-o", library, "-lm")
+    done = subprocess.run(build, capture_output=True, text=True, timeout=300)
+    if done.returncode:
+        assert "compile this file" in done.stderr or "387" in done.stderr, done.stderr
+        return
+    loaded, real = ctypes.CDLL(library), ctypes.c_double if dtype == "float64" else ctypes.c_float
+    eps = 2.0**-52 if dtype == "float64" else 2.0**-23
+    angles = [0.3, -0.7, 3.0, 1234.5, 3999.0, -2000.25]
+    for far in (False, True):
+        q = (real * 6)(*angles[:5], 1e6 if far else angles[5])
+        X, status = (real * 24)(), loaded.exported_batch
+        assert status(ctypes.c_size_t(3), q, X) == far
+    for k in (0, 2, 4):
+        q, X = (real * 2)(*angles[k : k + 2]), (real * 8)()
+        assert loaded.exported(q, X) == 0
+        # the arm turns about z: the pose is a turn by the sum of the angles
+        half = (q[0] + q[1]) / 2
+        assert abs(abs(X[0]) - abs(math.cos(half))) <= 16 * eps and abs(abs(X[3]) - abs(math.sin(half))) <= 16 * eps
 
 
 def test_a_function_has_no_memory_loops_or_branches(tmp_path):
@@ -205,6 +262,52 @@ def test_names_are_those_that_c_and_cpp_accept(name, tmp_path):
         compiled.export(tmp_path, name)
 
 
+@pytest.mark.parametrize("name", ["tgamma", "printf", "fmaxf", "SIN", "ROUND", "math", "in_q", "worst", "found_tau"])
+def test_names_that_the_exported_files_use_are_refused(name, tmp_path):
+    compiled = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
+    with pytest.raises(ArgumentError, match="name must"):
+        compiled.export(tmp_path, name)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
+@pytest.mark.parametrize("name", ["tau", "q", "expected", "first_", "largest", "x1"])
+def test_a_function_may_have_the_name_of_an_argument_or_a_result(name, tmp_path):
+    compiled = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
+    made = compiled.export(tmp_path, name, "own", batch=True)
+    test = str(tmp_path / "test")
+    run("gcc", *STRICT, "-I", str(tmp_path), str(made.source), str(made.test), "-o", test, "-lm")
+    run(test)
+
+
+ODD = ("größe", "Δ*/int", "/* x", "line\nbreak", "x??/", "end\\", "\u202eabc", "%s%n")
+
+
+@pytest.mark.parametrize("compiler", COMPILERS)
+@pytest.mark.parametrize("language", ["c", "casadi"])
+def test_any_names_of_joints_and_robots_make_files_in_ascii_that_build(language, compiler, tmp_path):
+    for name in ODD:
+        compiled = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
+        lines = (f"robot {name}", f"joints in the order of q: {name}, {name}")
+        made = dataclasses.replace(compiled, about=lines).export(tmp_path, "exported", language=language)
+        assert made.source.read_bytes().isascii()
+        run(compiler, *STRICT, "-I", str(tmp_path), "-c", str(made.source), "-o", str(tmp_path / "f.o"))
+    assert r"robot gr\xf6\xdfe" in c99.comment(["robot größe"])
+
+
+@pytest.mark.skipif(not shutil.which("cmake"), reason="no cmake")
+def test_two_functions_in_one_folder_are_built_and_tested_together(tmp_path):
+    compiled = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
+    for name, library in (("torques", "own"), ("control", "math.h")):
+        made = compiled.export(tmp_path, name, library, batch=True)
+    assert made.cmake == tmp_path / "CMakeLists.txt"
+    for build in (tmp_path / "build", tmp_path):  # the second in the folder itself
+        run("cmake", "-S", str(tmp_path), "-B", str(build))
+        run("cmake", "--build", str(build))
+        said = run("ctest", "--test-dir", str(build))
+        assert "100% tests passed" in said and "out of 2" in said
+
+
 def test_functions_that_the_own_library_lacks_are_named(tmp_path):
     with pytest.raises(ArgumentError, match=r"library must be 'math\.h' for step_two_link, which takes sqrt"):
         scene_step().export(tmp_path, "step", "own")
@@ -228,6 +331,24 @@ def test_spans_of_cpp_call_the_function(tmp_path):
     strict = ("-std=c++20", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
     run("g++", *strict, "-I", str(tmp_path), str(main), str(tmp_path / "f.o"), "-o", str(tmp_path / "main"), "-lm")
     run(str(tmp_path / "main"))
+
+
+@pytest.mark.skipif(not shutil.which("g++"), reason="no g++")
+def test_spans_of_a_batch_that_are_too_short_are_refused(tmp_path):
+    made = PROGRAMS["inverse dynamics"]("float64").export(tmp_path, "exported", batch=True)
+    main = tmp_path / "main.cpp"
+    main.write_text(
+        f'#include "{made.spans.name}"\n#include "{made.spans.name}"\n#include <cassert>\n#include <vector>\n'
+        "int main(){std::vector<double> q(21),v(21),a(21),t(21),s(20);using torchdq::exported_batch;\n"
+        "assert(exported_batch(3,q,v,a,t)==0);assert(exported_batch(3,s,v,a,t)==2);assert(exported_batch(3,q,v,a,s)==2);\n"
+        "assert(exported_batch(static_cast<std::size_t>(-1),q,v,a,t)==2);return 0;}\n"
+    )
+    run("gcc", *STRICT, "-c", "-I", str(tmp_path), str(made.source), "-o", str(tmp_path / "f.o"))
+    strict = ("-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I", str(tmp_path), str(main))
+    run("g++", "-std=c++20", *strict, str(tmp_path / "f.o"), "-o", str(tmp_path / "main"), "-lm")
+    run(str(tmp_path / "main"))
+    old = subprocess.run(["g++", "-std=c++17", *strict, "-fsyntax-only"], capture_output=True, text=True, timeout=60)
+    assert old.returncode and "exported.hpp needs C++20" in old.stderr
 
 
 def test_a_recorded_program_takes_no_function():

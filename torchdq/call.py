@@ -219,6 +219,8 @@ def _require_room(layout: CallLayout, given: Sequence[Tensor], out: Sequence[Ten
         _require_alike(label, room, "the first argument", given[0])
         if room.shape != shape or not room.is_contiguous():
             expected, held = ", ".join(map(str, shape)), "" if room.is_contiguous() else " that is not contiguous"
+            if room.ndim > len(shape) and room.numel() == math.prod(shape):
+                held += "; it is flat, row by row"
             raise ArgumentError(f"{label} must be contiguous [{expected}], found {tuple(room.shape)}{held}")
         if any([share_memory(room, x) for x in (*given, *out[:k])]):
             raise ArgumentError(f"{label} must have memory of its own, found that of an argument or of another result")

@@ -2,8 +2,8 @@
 
 A block is copied from rows to lanes, q[component][lane]; one loop over its lanes computes all outputs, in which every
 operation takes neighbouring numbers; and the outputs are copied back. Sine and cosine are the polynomials of
-`c99`, because compilers have no vectors of those of math.h. The last block repeats its last sample, so that the result
-of a sample does not depend on its place.
+`c99`, because compilers have no vectors of those of math.h; the status is 1 where an angle is out of their reach. The
+last block repeats its last sample, so that the result of a sample does not depend on its place.
 """
 
 from __future__ import annotations
@@ -87,6 +87,7 @@ def stack(program: Program, single: bool) -> int:
     """Memory of the blocks [bytes]."""
     taken, given = rows(program)
     numbers = sum(a.size for a in taken if not a.shared) + sum(a.size * (2 if a.shared else 1) for a in given)
+    numbers += 1 if c99.angles(program, "own") else 0
     return numbers * LANES * (4 if single else 8)
 
 
@@ -99,11 +100,17 @@ def function(program: Program, name: str, single: bool) -> str:
     lines = c99.statements(
         program, single, "own", lambda a, component, shared: f"{a.name}[{component}]{'' if shared else '[lane]'}"
     )
+    sines = c99.angles(program, "own")
+    if sines:
+        parameters.append("S angles[restrict LANES]")
+        lines.append(f"angles[lane] = {sines};")
     block = "\n".join(f"        {line}" for line in lines)
     passed = ", ".join(a.name if a.shared and a in taken else a.lanes for a in (*taken, *given))
+    passed += ", angles" if sines else ""
     sums = [a for a in given if a.shared]
     local = [f"S {a.lanes}[{a.size}][LANES];" for a in (*several, *given)]
     local += [f"S sum_of_{a.name}[{a.size}][LANES] = {{{{0}}}};" for a in sums]
+    local += ["S angles[LANES];"] if sines else []
     steps = [f"rows_to_lanes({a.name} + {a.size} * first, {a.size}, here, {a.lanes}[0]);" for a in several]
     steps.append(f"{name}_block({passed});")
     for a in given:
@@ -112,9 +119,10 @@ def function(program: Program, name: str, single: bool) -> str:
             if a.shared
             else f"lanes_to_rows({a.lanes}[0], {a.size}, here, {a.name} + {a.size} * first);"
         )
-    if program.growth is not None:
-        limit = f"{given[-1].lanes}[0][lane] <= {c99.largest(program, single)}"
-        steps.append(f"for (lane = 0; lane < here; lane++) status |= ({limit}) ? 0 : 1;")
+    growth = f"{given[-1].lanes}[0][lane]" if program.growth is not None else ""
+    if growth or sines:
+        good = c99.status(program, single, growth, "angles[lane]" if sines else "")
+        steps.append(f"for (lane = 0; lane < here; lane++) status |= {good};")
     end = [
         f"for (first = 0; first < {a.size}; first++)\n"
         f"        for ({a.name}[first] = 0, lane = 0; lane < LANES; lane++)\n"
@@ -122,7 +130,7 @@ def function(program: Program, name: str, single: bool) -> str:
         for a in sums
     ]
     copies = [_ROWS_TO_LANES, _LANES_TO_ROWS if len(sums) < len(given) else "", _ADDED if sums else ""]
-    uses_lane = program.growth is not None or bool(sums)
+    uses_lane = growth or sines or sums
     return (
         f"enum {{ LANES = {LANES} }};\n{''.join(copies)}\n"
         f"static void {name}_block({', '.join(parameters)})\n{{\n    int lane;\n"

@@ -6,31 +6,19 @@ is read before anything is written, so an output may be the array of an input.
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from torchdq.backends.c_constants import SINES_DOUBLE, SINES_FLOAT
 from torchdq.errors import ArgumentError
+from torchdq.export.names import distinct
 from torchdq.numbers.ops import OPS
 from torchdq.program.order import TOGETHER, pairs, recorded
 from torchdq.program.program import LARGEST_GROWTH, Output, Program, outputs
 
 Library = Literal["math.h", "own"]
-_WORDS = (
-    "auto break case char const continue default do double else enum extern float for goto if inline int long register "
-    "restrict return short signed sizeof static struct switch typedef union unsigned void volatile while "
-    "bool catch class delete explicit export false friend mutable namespace new operator private protected public "
-    "template this throw true try typename using virtual main "
-)
-_USED = (
-    "S LANES samples first here lane status sqrt sqrtf exp expf log logf floor floorf sin sinf cos cosf "
-    "sine_and_cosine rows_to_lanes lanes_to_rows added"
-)
-KEYWORDS = frozenset((_WORDS + _USED).split())  # words of C, of C++ and of the text here, which cannot be names
-_IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*", re.ASCII)
 
 # operations in C; those with an infix need no entry
 _CALLS = {
@@ -45,9 +33,23 @@ _CALLS = {
 }
 _OF_MATH = ("sqrt", "exp", "log", "floor")
 
-# rounding by adding and subtracting a large number is what compilers are told they may leave out
-_EXACT = """#ifdef __FAST_MATH__
-#error "sine and cosine are wrong with -ffast-math; compile this file without it"
+# what compilers may do to NaN by which results are left out
+_WITH_NAN = """#if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__
+#error "NaN is not noticed with -ffinite-math-only or -ffast-math; compile this file without it"
+#endif
+"""
+
+# rounding by adding and subtracting a large number, and pi/2 in parts, are what compilers are told they may leave out;
+# clang has no macro for that, but is told here not to
+_EXACT = """#include <float.h>
+#if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) || defined(_M_FP_FAST)
+#error "sine and cosine are wrong with -ffast-math or -fassociative-math; compile this file without it"
+#endif
+#if FLT_EVAL_METHOD != 0
+#error "sine and cosine are wrong if numbers are kept in a wider type; compile this file for SSE2: -mfpmath=sse -msse2"
+#endif
+#if defined(__clang__) && __clang_major__ >= 13
+#pragma clang fp reassociate(off)
 #endif
 """
 
@@ -73,27 +75,6 @@ class Array(NamedTuple):
 
     name: str
     size: int
-
-
-def identifier(name: str, what: str) -> str:
-    """Name that C accepts; raises if it is none."""
-    if not isinstance(name, str) or not _IDENTIFIER.fullmatch(name) or name in KEYWORDS:
-        raise ArgumentError(f"{what} must be a name that C accepts, such as arm_torques, found {name!r}")
-    return name
-
-
-def distinct(names: Iterable[str]) -> list[str]:
-    """Names that C accepts, in the place of names of a program, all different."""
-    found: list[str] = []
-    for name in names:
-        last = name.rpartition(".")[2].replace("'", "_bar")
-        plain = re.sub(r"\W", "_", last, flags=re.ASCII).strip("_") or "x"
-        plain = f"{plain}_" if plain in KEYWORDS or plain[0].isdigit() or re.fullmatch(r"x\d+", plain) else plain
-        number, unique = 2, plain
-        while unique in found:
-            unique, number = f"{plain}_{number}", number + 1
-        found.append(unique)
-    return found
 
 
 def arrays(program: Program) -> tuple[list[Array], list[Array]]:
@@ -126,8 +107,11 @@ def literal(x: float, single: bool) -> str:
 
 
 def comment(lines: Iterable[str]) -> str:
-    """Comment of several lines."""
-    return "/*\n" + "\n".join(f" * {line}".rstrip().replace("*/", "* /") for line in lines) + "\n */\n"
+    """Comment of several lines, in ASCII, whatever the names in it are."""
+    plain = [line.encode("unicode_escape").decode("ascii") for line in lines]
+    for mark in ("*/", "/*", "??"):  # ends of comments, and trigraphs
+        plain = [line.replace(mark, " ".join(mark)) for line in plain]
+    return "/*\n" + "\n".join(f" * {line}".rstrip() for line in plain) + "\n */\n"
 
 
 def preamble(program: Program, single: bool, library: Library, batch: bool = False) -> str:
@@ -145,6 +129,7 @@ def preamble(program: Program, single: bool, library: Library, batch: bool = Fal
     scalar, constants = ("float", SINES_FLOAT) if single else ("double", SINES_DOUBLE)
     own = angles and (library == "own" or batch)
     kind = f"typedef {scalar} S;\n" if own or batch else ""
+    included += _WITH_NAN if own or program.growth is not None or codes & {"max", "min"} else ""
     # gcc makes vectors of a loop only if nothing in it is called
     function = _SINE_AND_COSINE.replace("static", "static inline") if batch else _SINE_AND_COSINE
     return f"{included}{_EXACT}{kind}{constants.strip()}\n{function}" if own else f"{included}{kind}"
@@ -197,20 +182,35 @@ def statements(program: Program, single: bool, library: Library, place: Placed) 
     return lines
 
 
+def angles(program: Program, library: Library) -> str:
+    """Sum of all sines, which is NaN if an angle is out of reach of the own sine and cosine; "": none can be."""
+    if library != "own":
+        return ""
+    first = [k for k, same in pairs(program).items() if k == same[0]]
+    return " + ".join(f"x{k}" if program.ops[k].code == "sin" else f"x{k}_" for k in first)
+
+
 def function(program: Program, name: str, single: bool, library: Library = "math.h") -> str:
     """Text of the function of a program, without `preamble`."""
     _, given = arrays(program)
     lines = statements(program, single, library, lambda array, component, uniform: f"{array.name}[{component}]")
-    lines.append(f"return {_status(program, given, single)};")
+    if sines := angles(program, library):
+        lines.append(f"const {'float' if single else 'double'} angles = {sines};")
+    growth = f"{given[-1].name}[0]" if program.growth is not None else ""
+    lines.append(f"return {status(program, single, growth, 'angles' if sines else '')};")
     body = "\n".join(f"    {line}" for line in lines)
     return f"{declaration(program, name, single)}\n{{\n{body}\n}}\n"
 
 
-def largest(program: Program, single: bool) -> str:
-    """Literal of the largest error growth that is accepted."""
-    return literal(LARGEST_GROWTH.single if single else LARGEST_GROWTH.double, single)
+def status(program: Program, single: bool, growth: str, angles: str) -> str:
+    """Expression for what a function returns: 1 where rounding errors grow too much or an angle is out of reach, or 0.
 
-
-def _status(program: Program, given: Sequence[Array], single: bool) -> str:
-    """Expression for what the function returns: 1 where rounding errors grow too much, otherwise 0."""
-    return "0" if program.growth is None else f"({given[-1].name}[0] <= {largest(program, single)}) ? 0 : 1"
+    Args:
+        program: the program.
+        single: whether it is in single precision.
+        growth: name of the error growth; "": there is none.
+        angles: name of the sum of `angles`; "": there is none.
+    """
+    limit = literal(LARGEST_GROWTH.single if single else LARGEST_GROWTH.double, single)
+    good = [*([f"{growth} <= {limit}"] if growth else []), *([f"{angles} == {angles}"] if angles else [])]
+    return f"({' && '.join(good)}) ? 0 : 1" if good else "0"

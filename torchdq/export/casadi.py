@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from torchdq.errors import ArgumentError
-from torchdq.export import c99
+from torchdq.export import c99, names
 from torchdq.export.c99 import Library
 from torchdq.export.files import Exported
 from torchdq.export.meaning import described
@@ -107,8 +107,10 @@ class CasadiExport(NamedTuple):
             "",
             f"jac_{self.name} is its Jacobian, which CasADi finds by itself. No heap, no state: threads may share it.",
         ]
-        if self.program.growth:
-            about.append("Fails where rounding errors are too large: a call raises, a solver takes a shorter step.")
+        causes = ["rounding errors are too large"] if self.program.growth else []
+        causes += ["an angle is NaN or beyond 1e5 rad"] if c99.angles(values.program, self.functions) else []
+        if causes:
+            about.append(f"Fails where {' or '.join(causes)}: a call raises, a solver takes a shorter step.")
         widest = max(m.rows for m in taken)
         # both have the same preamble, or one has none
         before = max([c99.preamble(f.program, False, self.functions) for f in (values, derivatives)], key=len)
@@ -153,7 +155,7 @@ class CasadiExport(NamedTuple):
 
 def identifier(name: str) -> str:
     """Name that CasADi accepts for a function; raises if it is none."""
-    if "__" in c99.identifier(name, "name") or not re.match("[A-Za-z]", name) or name in ("null", "jac", "hess"):
+    if "__" in names.identifier(name, "name") or not re.match("[A-Za-z]", name) or name in ("null", "jac", "hess"):
         raise ArgumentError(
             f"name must be one that CasADi accepts, found {name!r}: a letter first, no two underscores in a row, and "
             "none of null, jac and hess"

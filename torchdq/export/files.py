@@ -1,4 +1,4 @@
-"""Folder with a program in C: source, header, a test with golden vectors, and a CMake file."""
+"""Folder with programs in C: each has source, headers, a test with golden vectors, and its part of a CMake project."""
 
 from __future__ import annotations
 
@@ -12,6 +12,16 @@ from torchdq.export import batch, c99, golden
 from torchdq.export.c99 import Library
 from torchdq.export.meaning import described
 from torchdq.program.program import Program, outputs
+
+# one for all functions that are exported into a folder
+_CMAKE = """cmake_minimum_required(VERSION 3.13)
+project(exported C)
+enable_testing()
+file(GLOB functions ${CMAKE_CURRENT_SOURCE_DIR}/exported_*.cmake)
+foreach(function ${functions})
+  include(${function})
+endforeach()
+"""
 
 
 class Exported(NamedTuple):
@@ -37,7 +47,13 @@ class Export(NamedTuple):
 
     def source(self) -> str:
         """Source file in C99."""
-        about = [*self.about, "", "Strict C99. Without fused multiplication and addition, results have the same bits."]
+        about = [
+            *self.about,
+            "",
+            "Strict C99. Every operation is rounded as IEEE 754 says, so the results have the same bits everywhere",
+            "if the compiler fuses no multiplication with an addition (-ffp-contract=off). Calls from Python fuse them",
+            "and differ in the last bits.",
+        ]
         before = c99.preamble(self.program, self.single, self.functions, self.batch)
         functions = [c99.function(self.program, self.name, self.single, self.functions)]
         if self.batch:
@@ -50,7 +66,6 @@ class Export(NamedTuple):
         taken, given = c99.arrays(self.program)
         names = [a.name for a in self.program.arguments if a.width], [r.name for r in outputs(self.program) if r.values]
         count = self.program.count()._asdict()
-        growth = self.program.growth is not None
         about = [
             *self.about,
             "",
@@ -58,8 +73,8 @@ class Export(NamedTuple):
             *described([f"{a.name}[{a.size}]" for a in given], names[1], "out"),
             "",
             f"{', '.join(f'{number} {kind}' for kind, number in count.items() if number) or 'no operations'}.",
-            "Outputs may be the arrays of inputs.",
-            "Returns 1 where the rounding errors are too large, else 0." if growth else "Returns 0.",
+            "An output may be the same array as an input.",
+            self._returned(self.functions),
             *(self._about_batches() if self.batch else ()),
         ]
         guard = f"{self.name.upper()}_H"
@@ -77,18 +92,27 @@ class Export(NamedTuple):
         taken, given = batch.rows(self.program)
         shared = [a.name for a in taken if a.shared]
         sums = [a.name for a in given if a.shared]
-        growth = self.program.growth is not None
-        reach = "4e3 rad" if self.single else "1e5 rad"
         return [
             "",
             f"{self.name}_batch takes the rows of all samples one after the other, q[samples][n], and writes likewise.",
             *([f"One row for all samples: {', '.join(shared)}."] if shared else []),
             *([f"Sums over the samples: {', '.join(sums)}."] if sums else []),
             "Compilers make vector instructions of it at -O3 with -march=native and -fno-math-errno; it is faster with",
-            f"-ffp-contract=fast. It has sine and cosine of its own, which are NaN beyond {reach}, and takes",
-            f"{batch.stack(self.program, self.single)} bytes of stack. An output may be the array of an input of its",
-            f"size.{' Returns 1 if any sample would.' if growth else ''}",
+            f"-ffp-contract=fast. It takes {batch.stack(self.program, self.single)} bytes of stack. Its sine and",
+            f"cosine are its own, and NaN where an angle is beyond {self._reach()}. An output may be the whole array",
+            "of an input whose rows have the same size.",
+            self._returned("own").replace(" where ", " where, in any sample, "),
         ]
+
+    def _reach(self) -> str:
+        """Largest angle that the own sine and cosine take."""
+        return "4e3 rad" if self.single else "1e5 rad"
+
+    def _returned(self, functions: Library) -> str:
+        """Sentence on the status that the function returns."""
+        causes = ["the rounding errors are too large"] if self.program.growth is not None else []
+        causes += [f"an angle is NaN or beyond {self._reach()}"] if c99.angles(self.program, functions) else []
+        return f"Returns 1 where {' or '.join(causes)}, else 0." if causes else "Returns 0."
 
     def spans(self) -> str:
         """Header in C++20 whose functions take spans."""
@@ -106,34 +130,40 @@ class Export(NamedTuple):
         fixed = [f", {a.size}" for a in every]
         text = f"inline int {self.name}({spans(fixed)})\n{{\n    return ::{self.name}({passed});\n}}\n\n"
         if self.batch:
+            short = " || ".join(f"{a.name}.size() / {a.size} < samples" for a in every if not a.shared)
             text += (
+                "/* Returns 2, and does nothing, if a span is shorter than the rows of all samples. */\n"
                 f"inline int {self.name}_batch(std::size_t samples, "
                 f"{spans([x if a.shared else '' for x, a in zip(fixed, every, strict=True)])})\n{{\n"
+                f"{f'    if ({short}) return 2;{chr(10)}' if short else ''}"
                 f"    return ::{self.name}_batch(samples, {passed});\n}}\n\n"
             )
+        guard = f"{self.name.upper()}_HPP"
         return (
-            f"/* {self.name}.h with spans in the place of pointers */\n#include <cstddef>\n#include <span>\n"
-            f'#include "{self.name}.h"\n\nnamespace torchdq {{\n\n{text}}}\n'
+            f"/* {self.name}.h with spans in the place of pointers */\n#ifndef {guard}\n#define {guard}\n\n"
+            "#include <cstddef>\n#include <span>\n#ifndef __cpp_lib_span\n"
+            f'#error "{self.name}.hpp needs C++20; compile with -std=c++20"\n#endif\n'
+            f'#include "{self.name}.h"\n\nnamespace torchdq {{\n\n{text}}}\n\n#endif\n'
         )
 
     def cmake(self) -> str:
         """CMake file with the function as a library, and its test."""
-        math = "\nif(UNIX)\n  target_link_libraries({0} PUBLIC m)\nendif()" if self.functions == "math.h" else ""
+        name, math = self.name, " m" if self.functions == "math.h" else ""
         vectors = (
             'if(CMAKE_C_COMPILER_ID MATCHES "GNU|Clang")\n'
-            f"  target_compile_options({self.name} PRIVATE -O3 -fno-math-errno)\nendif()\n"
+            f"  target_compile_options({name} PRIVATE -O3 -fno-math-errno)\nendif()\n"
             if self.batch
             else ""
         )
         return (
-            f"cmake_minimum_required(VERSION 3.13)\nproject({self.name} C)\n"
-            "set(CMAKE_C_STANDARD 99)\nset(CMAKE_C_EXTENSIONS OFF)\nset(CMAKE_C_STANDARD_REQUIRED ON)\n"
-            f"add_library({self.name} {self.name}.c)\n"
-            f"target_include_directories({self.name} PUBLIC ${{CMAKE_CURRENT_SOURCE_DIR}}){math.format(self.name)}\n"
-            f"{vectors}"
-            f"enable_testing()\nadd_executable(test_{self.name} test_{self.name}.c)\n"
-            f"target_link_libraries(test_{self.name} {self.name} m)\n"
-            f"add_test(NAME {self.name} COMMAND test_{self.name})\n"
+            f"add_library({name} ${{CMAKE_CURRENT_LIST_DIR}}/{name}.c)\n"
+            f"add_executable(test_{name} ${{CMAKE_CURRENT_LIST_DIR}}/test_{name}.c)\n"
+            f"set_target_properties({name} test_{name} PROPERTIES\n"
+            "  C_STANDARD 99 C_EXTENSIONS OFF C_STANDARD_REQUIRED ON)\n"
+            f"target_include_directories({name} PUBLIC ${{CMAKE_CURRENT_LIST_DIR}})\n"
+            f"target_link_libraries(test_{name} {name})\n"
+            f"if(UNIX)\n  target_link_libraries({name} PUBLIC{math})\n  target_link_libraries(test_{name} m)\nendif()\n"
+            f"{vectors}add_test(NAME {name} COMMAND test_{name})\n"
         )
 
     def write(self, folder: Path, examples: Mapping[str, Tensor]) -> Exported:
@@ -143,9 +173,10 @@ class Export(NamedTuple):
             f"{self.name}.h": self.header(),
             f"{self.name}.hpp": self.spans(),
             f"test_{self.name}.c": golden.test(self.program, self.name, self.single, self.batch, examples),
-            "CMakeLists.txt": self.cmake(),
+            "CMakeLists.txt": _CMAKE,
+            f"exported_{self.name}.cmake": self.cmake(),
         }
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
             (folder / name).write_text(text, encoding="ascii")
-        return Exported(self.name, *[folder / name for name in texts])
+        return Exported(self.name, *[folder / name for name in list(texts)[:-1]])

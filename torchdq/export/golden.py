@@ -33,6 +33,13 @@ static void compare(const {0} *found, const {0} *expected, int size, {0} *worst)
 """
 
 
+def variables(program: Program) -> frozenset[str]:
+    """Names that the test has for itself, so that no function can have them."""
+    taken, given = c99.arrays(program)
+    derived = (f"{part}_{a.name}" for a in (*taken, *given) for part in ("in", "out", "found", "sum_of"))
+    return frozenset(["batch", "compare", "worst", "j", "k", *derived])
+
+
 def test(program: Program, name: str, single: bool, batches: bool, examples: Mapping[str, Tensor]) -> str:
     """Program in C99 that returns 1 if the functions do not agree with the results of this machine.
 
@@ -47,10 +54,10 @@ def test(program: Program, name: str, single: bool, batches: bool, examples: Map
     inputs, found = _vectors(program, single, examples)
     tables = [_table(f"in_{a.name}", scalar, x) for a, x in zip(taken, inputs, strict=True)]
     tables += [_table(f"out_{a.name}", scalar, y) for a, y in zip(given, found, strict=True)]
-    locals_ = " ".join(f"{scalar} {a.name}[{a.size}];" for a in given)
-    passed = ", ".join([*(f"in_{a.name}[k]" for a in taken), *(a.name for a in given)])
+    locals_ = " ".join(f"{scalar} found_{a.name}[{a.size}];" for a in given)
+    passed = ", ".join([*(f"in_{a.name}[k]" for a in taken), *(f"found_{a.name}" for a in given)])
     called = "    batch(&worst);\n" if batches else ""
-    checks = "\n".join(f"        compare({a.name}, out_{a.name}[k], {a.size}, &worst);" for a in given)
+    checks = "\n".join(f"        compare(found_{a.name}, out_{a.name}[k], {a.size}, &worst);" for a in given)
     return (
         f"/* {name} against golden vectors; returns 0 if they agree to {bound} */\n"
         f'#include <math.h>\n#include <stdio.h>\n#include "{name}.h"\n\n{"".join(tables)}{_COMPARE.format(scalar, f)}'
@@ -65,22 +72,24 @@ def test(program: Program, name: str, single: bool, batches: bool, examples: Map
 
 def _batch(name: str, scalar: str, taken: Sequence[BatchRow], given: Sequence[BatchRow]) -> str:
     """Function that compares a batch, in which the golden vectors come again and again, with these."""
-    arrays = [f"static {scalar} {a.name}[{1 if a.shared else SAMPLES}][{a.size}];" for a in (*taken, *given)]
+    arrays = [f"static {scalar} found_{a.name}[{1 if a.shared else SAMPLES}][{a.size}];" for a in (*taken, *given)]
     arrays += [f"{scalar} sum_of_{a.name}[{a.size}] = {{0}};" for a in given if a.shared]
     filled = [
-        f"for (j = 0; j < {a.size}; j++) {a.name}[{0 if a.shared else 'k'}][j] = in_{a.name}[k % {CASES}][j];"
+        f"for (j = 0; j < {a.size}; j++) found_{a.name}[{0 if a.shared else 'k'}][j] = in_{a.name}[k % {CASES}][j];"
         for a in taken
     ]
     filled += [
         f"for (j = 0; j < {a.size}; j++) sum_of_{a.name}[j] += out_{a.name}[k % {CASES}][j];" for a in given if a.shared
     ]
-    compared = [f"compare({a.name}[k], out_{a.name}[k % {CASES}], {a.size}, worst);" for a in given if not a.shared]
-    sums = [f"compare({a.name}[0], sum_of_{a.name}, {a.size}, worst);" for a in given if a.shared]
+    compared = [
+        f"compare(found_{a.name}[k], out_{a.name}[k % {CASES}], {a.size}, worst);" for a in given if not a.shared
+    ]
+    sums = [f"compare(found_{a.name}[0], sum_of_{a.name}, {a.size}, worst);" for a in given if a.shared]
     several = f"    for (k = 0; k < {SAMPLES}; k++) {{\n{_lines(compared, 8)}    }}\n" if compared else ""
     return (
         f"\nstatic void batch({scalar} *worst)\n{{\n{_lines(arrays, 4)}    int j, k;\n"
         f"    for (k = 0; k < {SAMPLES}; k++) {{\n{_lines(filled, 8)}    }}\n"
-        f"    (void){name}_batch({', '.join([str(SAMPLES), *(f'{a.name}[0]' for a in (*taken, *given))])});\n"
+        f"    (void){name}_batch({', '.join([str(SAMPLES), *(f'found_{a.name}[0]' for a in (*taken, *given))])});\n"
         f"{several}{_lines(sums, 4)}}}\n"
     )
 

@@ -19,11 +19,13 @@ from torchdq.backends.one_sample import one_sample
 from torchdq.call import Computation, evaluate
 from torchdq.checks import dtype_of, names_of, require_choice, require_tensor
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.export import c99, casadi
+from torchdq.export import casadi, golden
 from torchdq.export.c99 import Library
 from torchdq.export.casadi import CasadiExport
 from torchdq.export.files import Export, Exported
 from torchdq.export.meaning import heading
+from torchdq.export.names import distinct, identifier
+from torchdq.functions import arrays
 from torchdq.functions.catalogue import RECIPES, Function
 from torchdq.functions.options import options_of
 from torchdq.program.autodiff import jacobian
@@ -138,7 +140,8 @@ class CompiledProgram:
         The function takes one sample. It has no memory of its own, no loops and no heap, and may be called by several
         threads. Its arguments and outputs are those of the program, in its order, described in the header.
 
-        "c" writes source, headers, a test and a CMake file. "casadi" writes one source with the function and its
+        "c" writes source, headers, a test and CMake files, which build all functions that are exported into a folder.
+        "casadi" writes one source with the function and its
         Jacobian, for `casadi.external`, once it is built:
 
             cc -shared -fPIC -O2 arm_torques.c -o arm_torques.so -lm
@@ -152,13 +155,14 @@ class CompiledProgram:
             folder: path of the folder, which is made if it is not there; files of the same names are replaced.
             name: name of the function; "": that of the program.
             library: source of sine, cosine and roots: "math.h", or "own", the polynomials of compiled programs, with
-                sine and cosine up to 1e5 rad (4e3 in float32) and no roots or exponentials.
+                sine and cosine up to 1e5 rad (4e3 in float32), beyond which the function returns 1 and NaN, and no
+                roots or exponentials.
             language: "c", or "casadi", which takes programs in float64.
             batch: whether there is a function NAME_batch beside it, which takes the rows of many samples and which
                 compilers turn into vector instructions. Its sine and cosine are those of "own".
         Raises:
-            ArgumentError: the name is none that the language accepts, the library lacks a function, or a program in
-                float32, or for batches, is exported to CasADi.
+            ArgumentError: the name is none that the language accepts or the files use it, the library lacks a function,
+                or a program in float32, or for batches, is exported to CasADi.
 
         >>> import tempfile, torchdq
         >>> tau = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
@@ -167,7 +171,7 @@ class CompiledProgram:
         """
         require_choice("library", library, get_args(Library))
         require_choice("language", language, get_args(ExportLanguage))
-        named = c99.identifier(name or c99.distinct([self.program.name])[0], "name")
+        named = identifier(name or distinct([self.program.name])[0], "name", golden.variables(self.program))
         if language == "casadi":
             if batch:
                 raise ArgumentError("batch must be False for language 'casadi', which maps functions itself: f.map(n)")
@@ -182,14 +186,18 @@ class CompiledProgram:
         return whole.write(Path(folder), self.examples)
 
     def __call__(self, *inputs: Tensor, out: Tensor | Sequence[Tensor] | None = None) -> Tensor | tuple[Tensor, ...]:
-        """Results [..., width] of arguments [..., width]; uniform arguments are [width].
+        """Results [..., width] of arguments [..., width]; uniform arguments are [width]; matrices are flat, row by row.
 
         One sample, rows [width] without batch axes on the CPU, each a tensor of its own, takes a few microseconds.
 
         Args:
-            inputs: the arguments of the program, in its order, tensors or arrays of NumPy; results are alike.
-            out: tensor for the result, or one for each result, contiguous and apart from the memory of the arguments.
-                They are written to and returned, and no memory is allocated for them. Not where gradients are recorded.
+            inputs: the arguments of the program, in its order, tensors or arrays of NumPy; results are alike. Arrays
+                that are read-only or have negative strides are copied.
+            out: tensor for the result, or one for each result, writable, contiguous and apart from the memory of the
+                arguments. They are written to and returned, and no memory is allocated for them. Not where gradients
+                are recorded.
+        Raises:
+            ArgumentError: too few or too many arguments, or one of another shape or dtype; or `out` is not as above.
 
         >>> import torchdq
         >>> gravity = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics", arguments=("q",))
@@ -209,21 +217,28 @@ class CompiledProgram:
         return results[0] if len(results) == 1 else results
 
     def _on_arrays(self, inputs: Sequence[Any], out: Any) -> Any:
-        """Results as arrays of NumPy, which share the memory of the tensors."""
-        names = [a.name for a in self.program.arguments]
-        rows = [_tensor(name, x) for name, x in zip(names, inputs, strict=False)]
+        """Results as arrays of NumPy."""
+        self._require_as_many(inputs)
+        rows = [arrays.argument(a.name, x, self.dtype) for a, x in zip(self.program.arguments, inputs, strict=True)]
         if out is not None:
             several = isinstance(out, list | tuple)
-            self(*rows, out=[_tensor("out", y) for y in (out if several else [out])])
+            given, results = out if several else (out,), self.program.results
+            names = [f"out for {r.name}" for r in results] if len(given) == len(results) else ["out"] * len(given)
+            self(*rows, out=[arrays.room(name, y, self.dtype) for name, y in zip(names, given, strict=True)])
             return tuple(out) if several else out
         found = self(*rows)
         return found.numpy() if isinstance(found, Tensor) else tuple([y.numpy() for y in found])
 
+    def _require_as_many(self, inputs: Sequence[Any]) -> None:
+        """Raise unless there is an input for every argument, and no other."""
+        names = [a.name for a in self.program.arguments]
+        if len(inputs) != len(names):
+            raise ArgumentError(f"{self.program.name} takes {names}, found {len(inputs)} arguments")
+
     def _on_any_batch(self, inputs: Sequence[Tensor], out: Sequence[Tensor]) -> tuple[Tensor, ...]:
         """Results for any batch axes, on any device, with gradients."""
         arguments = self.program.arguments
-        if len(inputs) != len(arguments):
-            raise ArgumentError(f"{self.program.name} takes {[a.name for a in arguments]}, found {len(inputs)} tensors")
+        self._require_as_many(inputs)
         for a, x in zip(arguments, inputs, strict=True):
             require_tensor(a.name, x)
             if x.dtype != self.dtype or x.shape[-1:] != (a.width,) or (a.uniform and x.ndim > 1):
@@ -242,13 +257,6 @@ class CompiledProgram:
                 "  print its attribute `program` for the list of all operations",
             )
         )
-
-
-def _tensor(name: str, x: Any) -> Tensor:
-    """Tensor that shares the memory of an array."""
-    if not isinstance(x, np.ndarray):
-        raise ArgumentError(f"{name} must be an array of NumPy as the first argument is, found {type(x).__name__}")
-    return torch.from_numpy(x)
 
 
 def _ready(recorded: Program, dtype: torch.dtype, axes: tuple[tuple[int, ...], ...] = ()) -> CompiledProgram:
