@@ -2043,13 +2043,13 @@ MUTANTS = (
             "export.py::test_own_sine_and_cosine_are_within_an_ulp_and_undefined_far_away",
         ),
         (
-            "own sine and cosine in another order of sums with gcc",
+            "own sines in another order of sums with gcc",
             " || defined(__ASSOCIATIVE_MATH__)",
             "",
             EXPORT_FLAGS,
         ),
         (
-            "own sine and cosine in another order of sums with clang",
+            "own sines in another order of sums with clang",
             "reassociate(off)",
             "reassociate(on)",
             EXPORT_FLAGS,
