@@ -323,11 +323,13 @@ def test_a_killed_run_loses_nothing(tmp_path, undisturbed):
     """Thirty trials, each killed once or twice at random moments, from before the first step to after the last."""
     fork = multiprocessing.get_context("fork")
     rng, reached = random.Random(0), []
-    start = time.monotonic()  # moments are parts of what a whole run takes on this machine
-    child = fork.Process(target=run, args=(tmp_path / "whole.pt",))
-    child.start()
-    child.join()
-    whole = time.monotonic() - start
+    whole = math.inf  # moments are parts of what a whole run takes on this machine, at best
+    for k in range(3):
+        start = time.monotonic()
+        child = fork.Process(target=run, args=(tmp_path / f"whole{k}.pt",))
+        child.start()
+        child.join()
+        whole = min(whole, time.monotonic() - start)
     for trial in range(30):
         path = tmp_path / f"run{trial}.pt"
         for _ in range(1 + trial % 2):
