@@ -29,7 +29,7 @@ import report
 import torchdq
 
 PEER = "pinocchio.casadi"
-SAMPLES = 100  # of a map, so that a turn is short
+SAMPLES = 100  # few samples per map, so that a turn is short
 TASKS = {"inverse_dynamics": "rnea", "forward_dynamics": "aba"}  # names of Pinocchio's
 # Pinocchio has more kinds of joints than boost's lists hold by default
 LISTS = (

@@ -266,7 +266,7 @@ class Outcome(NamedTuple):
     """Outcome of reading a file."""
 
     kind: str  # "Robot" or the name of an error
-    seconds: float  # of this thread
+    seconds: float  # processor time that the thread spent
     megabytes: float  # more than before, at most; zero where it cannot be known
 
 

@@ -1,4 +1,4 @@
-"""What several test files build with: tensors, the integrators of fixed steps, a wheel, chains of rods, and threads."""
+"""Tensors, integrators of fixed steps, a wheel, chains of rods, and threads, for several test files."""
 
 from functools import cache, partial
 

@@ -479,7 +479,7 @@ def test_tensors_that_are_not_dense_are_named(layout):
         "tau": lambda x: identify(robot, plain, plain, plain, x),
     }
     for name, use in uses.items():
-        with contextlib.suppress(ArgumentError):  # of samples that are all the same
+        with contextlib.suppress(ArgumentError):  # samples that are all the same may be refused
             use(plain)
         with pytest.raises(
             ArgumentError, match=rf"^{name.strip()} must be a dense tensor, found a {layout} one; .* by "

@@ -143,7 +143,7 @@ SATELLITE = """
 
 
 def satellite() -> torchdq.Robot:
-    """The same robot."""
+    """Free-flying two-link arm, whose base has a mass and an inertia."""
     point, axis = np.array([0.2, 0.1, 0.3]), np.array([0.0, 0.6, 0.8])
     robot = torchdq.Robot.from_screws(
         np.array([[*axis, *np.cross(point, axis)], [0, 0, 0, 1, 0, 0]]),

@@ -300,7 +300,7 @@ def test_gradients_through_a_rollout_are_those_of_differences():
 
 @pytest.mark.parametrize("rotation", [(0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 0.6, 0.8), (-1.0, 0.0, 0.0, 0.0)], ids=str)
 def test_no_orientation_is_special_in_time(rotation):
-    """The same motion in a turned world, through half turns."""
+    """A motion is the same in a turned world, through half turns."""
     c, m = case("tree2"), motion(case("tree2"))
     scene = Scene(c.robot, integrator=RungeKutta4(), dt=5e-3)
     X_NW = dq.from_pose(torch.tensor(rotation, dtype=F64), torch.zeros(3, dtype=F64))

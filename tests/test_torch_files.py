@@ -11,8 +11,8 @@ import sys
 import pytest
 import torch
 from helpers import random
+from torch import library as operators
 from torch import nn
-from torch.library import opcheck
 
 import torchdq
 from torchdq.backends import c_library as build
@@ -132,9 +132,9 @@ def test_torch_approves_of_every_operator_of_the_package():
     assert any(":" in name for name in programs)  # gradients, those of the masses summed over the samples
     for name, program in programs.items():
         given = [random(*(() if a.uniform else (3,)), a.width, seed=k) for k, a in enumerate(program.arguments)]
-        opcheck(torch.ops.torchdq.run.default, (name, given))
+        operators.opcheck(torch.ops.torchdq.run.default, (name, given))
         for requires_grad in (False, True):
-            opcheck(
+            operators.opcheck(
                 torch.ops.torchdq.evaluate.default, (name, [y.clone().requires_grad_(requires_grad) for y in given])
             )
 
