@@ -90,7 +90,11 @@ def gather(
         folds[k] -= sums[first : first + len(block.beside)].sum(0)
         first += len(block.beside)
     tau = recording.measured.cpu()
-    variance = torch.stack([tau[block.motion].var(0) for block in blocks]) if blocks else tau.var(0)[None]
+    variance = (
+        torch.stack([tau[block.motion].var(0, correction=0) for block in blocks])
+        if blocks
+        else tau.var(0, correction=0)[None]
+    )
     variance = variance.maximum(STILL * variance.amax(0))
     counts = torch.tensor([part.stop - part.start for part in rows], dtype=torch.float64)
     sizes = counts[:, None] * torch.where(variance > 0, variance, 1.0)

@@ -91,13 +91,14 @@ class Neighbourhood:
     def distance(self, y: Tensor) -> float:
         """Distance to the description; infinite where no robot can exist."""
         B, x = self._split(y)
-        L, info = torch.linalg.cholesky_ex(B)
-        if bool((info != 0).any()) or not bool((self.signed | (x > 0)).all()):
+        if not bool((self.signed | (x > 0)).all()):
             return math.inf
-        diagonal = L.diagonal(dim1=1, dim2=2)
-        bodies = (B.diagonal(dim1=1, dim2=2) - 1 - 2 * diagonal.log()).sum()
         coefficients = torch.where(self.signed, (x - 1).square(), 2 * (x - 1 - x.abs().log())).sum()
-        return float(2 * self.strength * bodies + coefficients)
+        return self.strength * _apart(B) + float(coefficients)
+
+    def apart(self, y: Tensor) -> float:
+        """Distance of the bodies alone, were the strength one."""
+        return _apart(self._split(y)[0])
 
     def slopes(self, y: Tensor) -> tuple[Tensor, Tensor]:
         """Gradient [t] and Hessian [t, t] of the distance."""
@@ -119,6 +120,14 @@ class Neighbourhood:
         com[self.links] = L[:, 1:, 0] / L[:, :1, 0]
         inertia[self.links] = _inertia(L[:, 1:, 1:] @ L[:, 1:, 1:].mT)  # a square, so it can exist, rounded or not
         return mass, com, inertia
+
+
+def _apart(B: Tensor) -> float:
+    """Sum of 2 (tr B - log det B - 4) over bodies B [links, 4, 4]; infinite where one cannot exist."""
+    L, info = torch.linalg.cholesky_ex(B)
+    if bool((info != 0).any()):
+        return math.inf
+    return float(2 * (B.diagonal(dim1=1, dim2=2) - 1 - 2 * L.diagonal(dim1=1, dim2=2).log()).sum())
 
 
 def _entries() -> Tensor:

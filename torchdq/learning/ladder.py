@@ -24,7 +24,7 @@ from torchdq.learning.terms import ROTOR, Term
 from torchdq.robot import Robot
 from torchdq.tables import table
 
-STRENGTHS = tuple(10.0**k for k in range(5, -3, -1))  # of the prior of the bodies, the strongest first
+STRENGTHS = tuple(10.0**k for k in range(5, -1, -1))  # of the prior of the bodies, the strongest first
 
 
 class Rung(NamedTuple):
@@ -171,8 +171,8 @@ def climb(
 def _rung(
     name: str, evidence: Evidence, strengths: Sequence[float], sought: Tensor, variance: Tensor, gains: Sequence[Gain]
 ) -> Rung:
-    """Rung with the strength of the prior that does best on the blocks, or a stronger one as good."""
-    scores: list[list[Tensor]] = []
+    """Rung with the strength of the prior that does best on the blocks."""
+    scores: list[Tensor] = []
     starts: list[Tensor | None] = [None] * len(evidence.folds)
     before = 1.0
     for strength in strengths:
@@ -186,7 +186,7 @@ def _rung(
             found.append(change)
         before = strength
         scores.append(evidence.scores(found))
-    best = _simplest(scores)
+    best = min(range(len(scores)), key=lambda i: float(scores[i].mean()))
     return Rung(name, scores[best], sought, strengths[best], tuple(gains))
 
 

@@ -37,6 +37,15 @@ class Solution(NamedTuple):
         """Parameters less the described bodies, at places in phi [n, p]."""
         return self.near.start_of(at) + (self.near.S @ self.y)[at]
 
+    def likely(self, prior: float) -> float:
+        """Strength of the prior of the bodies that the changes found in them leave likely, at most the one used.
+
+        A strength is an expectation of changes of the size 1 / sqrt(strength); errors must not be narrower than those.
+        """
+        told = float((self.facts.e / (self.facts.e + prior)).sum()) - len(self.near.effects)
+        apart = self.near.apart(self.y)
+        return min(self.near.strength, max(told, 1.0) / (prior * apart)) if apart > 0 else self.near.strength
+
     def spread(self, prior: float) -> Tensor:
         """F [k, t], the covariance being F F^T, of the least squares with the prior, linearised at the description."""
         return self.near.S @ self.facts.V * (self.facts.e + prior).rsqrt()
