@@ -130,7 +130,7 @@ def _evaluation(method: Callable[..., Row], *names: str) -> Callable[[RecordedSc
 
 def _frozen(scene: RecordedScene, task: Task | None) -> Rows:
     x, v = scene.inputs["x"], scene.inputs["v"]
-    return with_growths(scene, (), lambda system: system.frozen(x, v))
+    return with_growths(scene, scene.inputs["u"], lambda system: system.frozen(x, v))
 
 
 EVALUATIONS = {
