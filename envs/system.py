@@ -46,9 +46,10 @@ class SceneSystem(System):
 
     def moved(self, x: Row, h: Number, rate: Row) -> list[Number]:
         """Positions at a displacement: joints and rotors along straight lines, a free base along a screw."""
+        n = self._moving
+        joints = super().moved(x[:n], h, rate[:n])
         if not self.scene.spec.robot.floating:
-            return super().moved(x, h, rate)
-        joints = super().moved(x[: -free_base.POSE], h, rate[: -free_base.TWIST])
+            return joints
         return [*joints, *free_base.moved(x[-free_base.POSE :], h, rate[-free_base.TWIST :])]
 
     def rates(self, h: Number, rate: Row, v: Row) -> Row:
@@ -91,6 +92,11 @@ class SceneSystem(System):
         return self.scene.spec.robot.n
 
     @property
+    def _moving(self) -> int:
+        """Number of joints and of rotors behind them."""
+        return self._n + self._transmission.memory(self._n) // 2
+
+    @property
     def _free(self) -> Row:
         """Zeros for the twist of a free base; none if the base is fixed."""
         return (0.0,) * free_base.TWIST if self.scene.spec.robot.floating else ()
@@ -99,20 +105,38 @@ class SceneSystem(System):
     def _transmission(self) -> Transmission:
         return self.scene.spec.transmission[1]
 
-    def _impedances(self, q: Row, qd: Row) -> list[list[Impedance]]:
-        """Impedances of every joint."""
-        found = [effect.impedances(q, qd, self.scene.inputs) for _, effect in self.scene.spec.of(JointEffect)]
-        for (_, effect), row in zip(self.scene.spec.of(JointEffect), found, strict=True):
+    def _inner(self, v: Row) -> list[tuple[JointEffect, Row]]:
+        """Effects at the joints, each with what it remembers."""
+        result, at = [], self._moving
+        for _, effect in self.scene.spec.of(JointEffect):
+            size = effect.memory(self._n)
+            result.append((effect, v[at : at + size]))
+            at += size
+        return result
+
+    def _impedances(self, q: Row, v: Row, h: Number = 0.0) -> list[list[Impedance]]:
+        """Impedances of every joint, at the end of a step."""
+        qd, found = v[: self._n], []
+        for effect, memory in self._inner(v):
+            row = effect.impedances_at_end(q, qd, self.scene.inputs, memory, h)
             if len(row) != len(q):
                 raise ArgumentError(
                     f"impedances of {type(effect).__name__} must return one Impedance for each of {len(q)} joints, "
                     f"found {len(row)}"
                 )
+            found.append(row)
         return [list(joint) for joint in zip(*found, strict=True)] if found else [[] for _ in q]
+
+    def _inner_rates(self, q: Row, v: Row, ends: Row, h: Number = 0.0) -> list[Number]:
+        """Mean rates, over a step, of what effects at the joints remember; `ends` are the velocities at its end."""
+        qd, inputs = v[: self._n], self.scene.inputs
+        return [
+            rate for effect, memory in self._inner(v) for rate in effect.memory_rates(q, qd, inputs, memory, ends, h)
+        ]
 
     def frozen(self, x: Row, v: Row) -> Rows:
         """Mass matrix M, damping D and stiffness K of the joints in a state, and the rotors behind them."""
-        impedances = self._impedances(x[: self._n], v[: self._n])
+        impedances = self._impedances(x[: self._n], v)
         rows: Rows = {
             "M": [0.0 if a is None else a for row in self._at(x).mass_matrix() for a in row],
             "D": self._explicit(x, v).damping,
@@ -135,7 +159,7 @@ class SceneSystem(System):
     def _explicit(self, x: Row, v: Row) -> _Forces:
         """Forces of the joints in a state."""
         q, qd = x[: self._n], v[: self._n]
-        return self._forces(self._transmission.torques(self.u, x, v), self._impedances(q, qd), qd)
+        return self._forces(self._transmission.torques(self.u, x, v), self._impedances(q, v), qd)
 
     # --- evaluations of integrators ---
 
@@ -144,17 +168,19 @@ class SceneSystem(System):
         at = self._at(x)
         forces = self._explicit(x, v)
         qdd, base = self._solved(at, self._net(at, forces.torques, x, v))
-        return [*qdd, *self._transmission.accelerations(self.u, forces.passed), *base]
+        rotors = self._transmission.accelerations(self.u, forces.passed)
+        return [*qdd, *rotors, *self._inner_rates(x[: self._n], v, v[: self._n]), *base]
 
     def implicit_accelerations(self, x: Row, v: Row, h: Number) -> list[Number]:
         """Mean accelerations over a step whose impedances and transmission act on the state at its end."""
         q, qd = x[: self._n], v[: self._n]
         at = self._at(x)
-        joints = self._transmission.eliminated(self.u, x, v[: len(v) - len(self._free)], h)
-        forces = self._forces(joints.torques, self._impedances(q, qd), qd, h)
+        joints = self._transmission.eliminated(self.u, x, v[: self._moving], h)
+        forces = self._forces(joints.torques, self._impedances(q, v, h), qd, h)
         inertia = [a + h * d for a, d in zip(joints.inertia, forces.damping, strict=True)]
         qdd, base = self._solved(at.with_armature([*self._free, *inertia]), self._net(at, forces.torques, x, v))
-        return [*qdd, *joints.rotors(qdd), *base]
+        ends = [w + h * a for w, a in zip(qd, qdd, strict=True)]
+        return [*qdd, *joints.rotors(qdd), *self._inner_rates(q, v, ends, h), *base]
 
     def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations M(q)^-1 (dL/dq + forces), and those of the rotors."""
@@ -166,7 +192,8 @@ class SceneSystem(System):
             # inverse dynamics at rest without gravity: the wrenches alone
             forces = difference(forces, at.without_gravity().torques(None, None, exerted))
         rate = [f + g for f, g in zip(forces, lagrangian_gradient(self.scene, q, qd), strict=True)]
-        return [*self._solved(at, rate)[0], *self._transmission.accelerations(self.u, explicit.passed)]
+        rotors = self._transmission.accelerations(self.u, explicit.passed)
+        return [*self._solved(at, rate)[0], *rotors, *self._inner_rates(q, v, qd)]
 
     def velocities_at(self, x: Row, v: Row, to: Row) -> list[Number]:
         """Velocities at the positions `to` that have the momentum of (x, v); rotors keep theirs."""

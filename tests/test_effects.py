@@ -319,7 +319,7 @@ def test_a_robot_whose_gravity_or_rotors_vary_keeps_its_tensors(name, batched):
 
 # --- what parameters may be ------------------------------------------------------------------------------------------
 
-ROOM = {"normal": (0.0, 0.0, 1.0)}  # values of parameters that a number alone cannot be
+ROOM = {"normal": (0.0, 0.0, 1.0), "ratio": (1.5, 1.5)}  # values of parameters that a number alone cannot be
 NEEDED = {
     "Stribeck": {"coulomb": 0.0, "static": 1.0},
     "Quadratic": {"coefficient": 1.0},
@@ -358,7 +358,7 @@ def test_a_parameter_that_is_a_tensor_is_checked_like_numbers(kind, name, bad):
     except torchdq.ArgumentError as error:
         message = str(error)
     unbounded, signed, dividing = (name in group for group in (kind.UNBOUNDED, kind.SIGNED, kind.DIVIDING))
-    allowed = {math.nan: False, math.inf: unbounded, -1.0: signed, 0.0: not dividing and name != "normal"}
+    allowed = {math.nan: False, math.inf: unbounded, -1.0: signed, 0.0: not dividing and name not in ROOM}
     assert (message is None) == allowed[bad]
     rows = good.expand(4, 3, size).clone()
     rows[2, 1] = double(numbers)
@@ -1092,6 +1092,10 @@ TENSORS = {
         warm(),
     ),
     "LoadDependent": lambda: (effects.LoadDependent(p(0.3, 0.2), p(0.1), warming=p(0.02, 0.01)), warm()),
+    "LuGre": lambda: (
+        effects.LuGre(p(0.3, 0.5), p(0.2, 0.3), p(1.5, 1.2), p(0.7, 0.9), p(0.1, 0.05), warming=p(0.02, 0.01)),
+        warm(),
+    ),
     "Ripple": lambda: (effects.Ripple(p(0.3, 0.5), p(0.3, -0.5), p(-0.2, 0.1), warming=p(0.02, 0.01)), warm()),
     "Spring": lambda: (effects.Spring(p(3.0, 5.0), p(0.1, -0.2)), {}),
     "Servo": lambda: (effects.Servo(p(3.0, 5.0), p(0.2, 0.1)), {"target": p(0.5, 0.1)}),

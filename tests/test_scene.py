@@ -105,6 +105,7 @@ SOMETHING = (
     effects.Directional(0.1, 0.2),
     effects.LoadDependent(0.1),
     effects.Ripple(0.2, 0.1, 0.1),
+    effects.LuGre(0.1),
     effects.Spring(0.3),
     effects.Servo(3.0),
     effects.Limits(-1.0, 1.0),

@@ -6,6 +6,7 @@ from torchdq.effects.effect import Effect
 from torchdq.effects.friction import Coulomb, Directional, LoadDependent, Quadratic, Ripple, Stribeck, Viscous
 from torchdq.effects.joint import Limits, Servo, Spring
 from torchdq.effects.model import Gravity, MassScale, Payload, RotorInertia
+from torchdq.effects.presliding import LuGre
 from torchdq.effects.residual import Residual
 from torchdq.effects.sensor import Bias, Noise, QuantisedReading, ReadingDelay
 from torchdq.effects.transmission import Elastic
@@ -24,6 +25,7 @@ __all__ = [
     "Lag",
     "Limits",
     "LoadDependent",
+    "LuGre",
     "MassScale",
     "Noise",
     "Payload",

@@ -82,6 +82,14 @@ class JointEffect(Effect):
         """Impedance of every joint in a state."""
         raise NotImplementedError
 
+    def impedances_at_end(self, q: Row, qd: Row, inputs: Inputs, memory: Row, h: Number) -> Sequence[Impedance]:
+        """Impedances of an effect that remembers, at the end of an implicit step h; h = 0: now."""
+        return self.impedances(q, qd, inputs)
+
+    def memory_rates(self, q: Row, qd: Row, inputs: Inputs, memory: Row, ends: Row, h: Number) -> Row:
+        """Mean rates of the memory over such a step, at whose end the velocities are `ends`."""
+        return ()
+
 
 @dataclass(frozen=True)
 class Spring(JointEffect):
