@@ -2569,12 +2569,6 @@ MUTANTS = (
             "logs.py::test_names_of_columns_are_checked",
         ),
         (
-            "a column read twice",
-            "readers.items() if count > 1",
-            "readers.items() if count > 9",
-            "logs.py::test_a_column_is_read_for_one_signal",
-        ),
-        (
             "columns that are read for two signals",
             "< max(3, len(self.blocks))",
             "< min(2, len(self.blocks))",
@@ -2589,8 +2583,20 @@ MUTANTS = (
         ("numbers as Python writes them", '"_" not in cell and ', "", MALFORMED),
     ),
     *within(
-        "torchdq/learning/logs.py",
+        "torchdq/learning/headers.py",
+        (
+            "a column read twice",
+            "readers.items() if count > 1",
+            "readers.items() if count > 9",
+            "logs.py::test_a_column_is_read_for_one_signal",
+        ),
+    ),
+    *within(
+        "torchdq/learning/log_tables.py",
         ("bombs unpacked", "if unpacked > (most", "if unpacked < 0 and unpacked > (most", MALFORMED),
+    ),
+    *within(
+        "torchdq/learning/log_texts.py",
         ("first lines without an end", "if len(head) > LONGEST:", "if False:", MALFORMED),
     ),
     *within(
@@ -3530,7 +3536,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/logs.py",
+        "torchdq/learning/log_checks.py",
         (
             "positions that follow another joint believed",
             "if abs(correlation) < UNLIKE:",
@@ -3623,13 +3629,16 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/logs.py",
+        "torchdq/learning/log_checks.py",
         (
             "positions that jump believed",
             "if not jumps.any():",
             "if True:",
             "logs.py::test_positions_that_jump_farther_than_their_velocities_explain_are_told",
         ),
+    ),
+    *within(
+        "torchdq/learning/log_texts.py",
         (
             "files cut within a number believed",
             "if last >= min(before):",
