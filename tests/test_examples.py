@@ -143,3 +143,12 @@ def test_a_log_with_torques(tmp_path):
     made = sorted(tmp_path.glob("torques_*.csv"))
     again = module.main(module.Args(logs=made[:1], test=made[1], out=tmp_path / "again", columns=module.NAMES))
     np.testing.assert_allclose(again.after, result.after)
+
+
+def test_a_log_with_currents(tmp_path, capsys):
+    module = import_module("18_log_with_currents")
+    result = module.main(module.Args(quick=True, out=tmp_path))
+    assert result.after.mean() < 0.1 * result.before.mean() and (result.after < 0.3 * result.before).all()
+    assert_drawn(tmp_path / "log_with_currents.png")
+    printed = capsys.readouterr().out
+    assert "there is no column 'time'" in printed and "ur10e, identified" in printed
