@@ -73,9 +73,11 @@ def main(args: Args) -> Result:
     robot = torchdq.robots.load("ur10e")
     paths = made_logs(robot, args)
     try:
-        read(paths[0])
-    except LogError as fault:  # the names are not those that are expected: the message says what may be done
-        console.print(f"without a layout: {fault}\n", highlight=False)
+        read(paths[0], Layout(columns={"time": "stamp", "q": "encoder_{0}"}))
+    except (
+        LogError
+    ) as fault:  # there are neither velocities nor torques: the message says what is possible all the same
+        console.print(f"{fault}\n", highlight=False)
     logs = [read(path, DRIVES) for path in paths]
     console.print(logs[0])
     *train, test = [smooth(log, rate=20) for log in logs]
