@@ -79,7 +79,7 @@ def gather(
         blocks: blocks to leave out; none: nothing is left out.
         say: is told how far it is.
     """
-    own = unit_torques(terms, rows_of(recording, width, load))
+    own = unit_torques(terms, rows_of(robot, recording, width, load))
     at = places(len(robot.link_names), len(terms), robot.n)
     rows = [block.rows for block in blocks] or [slice(0, len(own))]
     beside = [part for block in blocks for part in block.beside]
