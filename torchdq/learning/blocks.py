@@ -86,16 +86,16 @@ def of_motions(robot: Robot, motions: Motion | Sequence[Motion]) -> Recording:
             found = f"found one with {motion.q.shape[1]}"
             raise ArgumentError(f"motions must be of {robot.name!r}, which has {robot.n} joints, {found}")
 
-    def together(name: str) -> Tensor | None:
+    def together(name: str) -> Tensor:
         parts = [getattr(motion, name) for motion in several]
-        if any(x is None for x in parts):
-            return None
         return torch.as_tensor(np.concatenate(parts), dtype=torch.float64, device=robot.mass.device)
 
-    q, qd, qdd = together("q"), together("qd"), together("qdd")
-    assert q is not None and qd is not None and qdd is not None
+    def if_all(name: str) -> Tensor | None:
+        return None if any(getattr(motion, name) is None for motion in several) else together(name)
+
     lengths = tuple(len(motion.q) for motion in several)
-    return Recording(q, qd, qdd, lengths, *(together(name) for name in ("tau", "direction", "time")))
+    q, qd, qdd = together("q"), together("qd"), together("qdd")
+    return Recording(q, qd, qdd, lengths, if_all("tau"), if_all("direction"), if_all("time"))
 
 
 def of_tensors(robot: Robot, **signals: Tensor) -> Recording:

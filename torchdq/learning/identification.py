@@ -79,7 +79,8 @@ def identify(
         prior: weight of the description, positive: a change of 1 / sqrt(prior), relative to the described value, costs
             as much as one torque that is off by the noise of its joint. What hundreds of samples identify does not
             depend on it, what they hardly identify stays near the description, the rest stays as described. None: the
-            strength that does best on blocks that were left out, for bodies, and 1 for the rest.
+            strength that does best on blocks that were left out, for bodies, and 1 for the rest. math.inf: bodies
+            stay as described.
         width: velocity below which Coulomb friction is viscous, as in `torchdq.effects.Coulomb` [rad/s or m/s].
         direction: sign of the velocities, filtered as the torques were, [..., n], beside positions: motions hold it,
             and `directions(motion)` has it. Filters round the steps of dry friction in the torques, and beside sharp
@@ -108,7 +109,7 @@ def identify(
         )
     if not isinstance(friction, bool) and friction != "choose":
         raise ArgumentError(f"friction must be True, False or 'choose', found {friction!r}")
-    if prior is not None:
+    if prior is not None and prior != math.inf:
         require_number("prior", prior, positive=True)
     require_number("width", width, positive=True)
     require_finite(**rows.signals())
@@ -120,10 +121,12 @@ def identify(
         moves = _moving(robot, rows.qd, width)
         if doubt := _doubts(robot, rows, width):
             warnings.warn(doubt, LogWarning, stacklevel=2)
-        ladder, strength, weight = None, 1.0, 1.0 if prior is None else prior
+        frozen = prior == math.inf
+        ladder, strength = None, math.inf if frozen else 1.0
+        weight = 1.0 if prior is None or frozen else prior
         if left_out:
             candidates = SHAPES if friction == "choose" else ()
-            strengths = STRENGTHS if prior is None else (1.0,)
+            strengths = STRENGTHS if prior is None else (strength,)
             ladder, evidence = climb(robot, rows, fixed, candidates, width, strengths, left_out, notice.at)
             sought, strength = ladder.rung.sought[ladder.rung.sought.any(1)], ladder.rung.strength
         else:

@@ -125,8 +125,9 @@ class Identified(NamedTuple):
 
     def friction(self) -> tuple[Friction, ...]:
         """Friction effects with the numbers found, the same for layers and scenes."""
-        rows = [(term, self.coefficients(term.name)) for term in self.terms if term.effect is not None]
-        return tuple(term.found(x.tolist(), self.width) for term, x in rows if x is not None)
+        own = self.parameters[10 * len(self.robot.link_names) :].reshape(-1, self.robot.n).tolist()
+        found = [term.found(numbers, self.width) for term, numbers in zip(self.terms, own, strict=True)]
+        return tuple(effect for some in found for effect in some)
 
     def effects(self) -> tuple[Effect, ...]:
         """Effects of a scene with the robot found: gravity, rotor inertia if there is any, and friction.

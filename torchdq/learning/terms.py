@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -62,12 +62,13 @@ class Term(NamedTuple):
         torque = columns(rows.robot, effect, rows.q, qd, load, backend="eager")[self.parameter]
         return torque / smooth_sign(qd, rows.width) * rows.sign if self.dry else torque
 
-    def found(self, numbers: Sequence[float], width: float) -> Friction:
-        """Friction with the numbers of the joints."""
-        assert self.effect is not None
+    def found(self, numbers: Sequence[float], width: float) -> tuple[Friction, ...]:
+        """Friction with the numbers of the joints, if it is friction."""
+        if self.effect is None:
+            return ()
         effect = self.effect(width)
-        others = {name: 0.0 for name in effect.LINEAR if name != self.parameter}
-        return replace(effect, **others, **{self.parameter: tuple(numbers)})
+        others: dict[str, Any] = {name: 0.0 for name in effect.LINEAR if name != self.parameter}
+        return (replace(effect, **others, **{self.parameter: tuple(numbers)}),)
 
 
 def rows_of(robot: Robot, recording: Recording, width: float, load: Tensor | None = None) -> Rows:
