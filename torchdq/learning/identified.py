@@ -152,13 +152,17 @@ class Identified(NamedTuple):
         Friction that remembers is that of steady sliding there, since a layer does not know what was before.
 
         Args:
-            learn: quantities that the layer goes on learning, as in `torchdq.DQRNEA`.
+            learn: quantities that the layer goes on learning, as in `torchdq.DQRNEA`, "friction" where no effect is
+                there twice.
         """
-        steady = [
-            effects.Coulomb(one.level, self.width) if isinstance(one, effects.LuGre) else one for one in self.friction()
-        ]
+        lasting = [one for one in self.friction() if not isinstance(one, effects.LuGre)]
+        remembered = [torch.tensor(one.level) for one in self.friction() if isinstance(one, effects.LuGre)]
+        if remembered and self.coulomb is not None:
+            level = tuple((self.coulomb + torch.stack(remembered).sum(0)).tolist())
+            dry = effects.Coulomb(tuple(self.coulomb.tolist()), self.width)
+            lasting[lasting.index(dry)] = effects.Coulomb(level, self.width)
         names = [*learn, "offset"] if self.offset is not None else list(learn)
-        layer = DQRNEA(self.robot, tuple(dict.fromkeys(names)), friction_width=self.width, friction=steady)
+        layer = DQRNEA(self.robot, tuple(dict.fromkeys(names)), friction_width=self.width, friction=lasting)
         if self.offset is not None:
             layer.offset = self.offset
         return layer
