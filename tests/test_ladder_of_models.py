@@ -17,7 +17,7 @@ import torchdq
 import torchdq.envs
 from torchdq import effects
 from torchdq.errors import ArgumentError
-from torchdq.learning import Motion, identify
+from torchdq.learning import Motion, identify, ladder
 from torchdq.learning.blocks import blocks, of_motions, of_tensors, regions
 from torchdq.learning.correlation import correlation_times
 
@@ -87,6 +87,16 @@ def test_the_rung_that_is_the_truth_is_chosen(robot, friction, rung, motions):
     assert found.report.rung.score < 2 * float(noise_alone.mean())
     if rung != "identified":
         assert torch.equal(found.robot.mass, ROBOT.mass) and torch.equal(found.robot.com, ROBOT.com)
+
+
+def test_the_simplest_as_good_as_the_best_is_chosen():
+    """By the standard error of paired differences, not by those of the scores."""
+    blocks = torch.tensor([1.0, 3.0, 9.0, 2.0])
+    off = torch.tensor([0.3, -0.1, 0.2, -0.2])
+    best = blocks[:, None]
+    assert ladder._simplest([best + 0.5, best + off[:, None], best]) == 1
+    assert ladder._simplest([best + 0.05 + 0.01 * off[:, None], best, best + 0.1]) == 1
+    assert ladder._simplest([best, best + 1]) == 0
 
 
 SHAPES = {

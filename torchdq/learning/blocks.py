@@ -108,7 +108,7 @@ def of_tensors(robot: Robot, **signals: Tensor) -> Recording:
         for name, x in signals.items()
     }
     lengths = (batch[-1],) * math.prod(batch[:-1]) if batch else (1,)
-    return Recording(**rows, lengths=lengths)
+    return Recording(rows["q"], rows["qd"], rows["qdd"], lengths, tau=rows.get("tau"), direction=rows.get("direction"))
 
 
 def blocks(recording: Recording) -> list[Block]:

@@ -27,7 +27,7 @@ SPREAD = 0.3  # standard deviation of a gain that is given, relative to it, befo
 WIDE = 1.0  # the same of one that is not given, relative to a first guess
 ITERATIONS = 30
 ENOUGH = 1e-4  # relative change of a gain at which the iteration ends
-STRENGTH = 100.0  # of the prior of the bodies, whose described masses set the factor of all gains
+STRENGTH = 100.0  # prior of the bodies, whose described masses set the factor of all gains
 TRUST = 0.1  # relative standard error of the described masses together
 FLAT = 0.5  # relative standard error of a first guess above which it is that of the other joints
 

@@ -198,8 +198,8 @@ class Identified(NamedTuple):
         residuals = summary("residual", {"rms": (self.rms, "N m or N"), "noise": (self.noise, "N m or N")})
         if self.gains is not None:
             drives = zip(self.robot.joint_names, *(x.tolist() for x in self.gains), strict=True)
-            rows = [(joint, f"{x:.4g}", f"{error:.2g}") for joint, x, error in drives]
-            residuals += "\n\n" + table(("joint", "torque per unit of effort", "standard error"), rows)
+            cells = [(joint, f"{x:.4g}", f"{error:.2g}") for joint, x, error in drives]
+            residuals += "\n\n" + table(("joint", "torque per unit of effort", "standard error"), cells)
         report = "" if self.report is None else f"\n\n{self.report}"
         return f"{title}\n\n{parameters}\n\n{residuals}{report}"
 

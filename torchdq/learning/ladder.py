@@ -24,7 +24,7 @@ from torchdq.learning.terms import ROTOR, Term
 from torchdq.robot import Robot
 from torchdq.tables import table
 
-STRENGTHS = tuple(10.0**k for k in range(5, -1, -1))  # of the prior of the bodies, the strongest first
+STRENGTHS = tuple(10.0**k for k in range(5, -1, -1))  # prior of the bodies, the strongest first
 
 
 class Rung(NamedTuple):
@@ -33,7 +33,7 @@ class Rung(NamedTuple):
     name: str
     scores: Tensor  # [blocks, n] mean squared residual over the variance of the joint's torque
     sought: Tensor  # [terms, n] coefficients that it has
-    strength: float  # of the prior of the bodies; infinite: they stay as described
+    strength: float  # weight of the bodies' prior; infinite: they stay as described
     gains: tuple[Gain, ...] = ()  # friction of other shapes that it has
 
     @property

@@ -32,7 +32,7 @@ class Rows(NamedTuple):
     q: Tensor
     qd: Tensor
     qdd: Tensor
-    sign: Tensor  # of the velocity, smooth
+    sign: Tensor  # smooth sign of the velocity
     load: Tensor | None  # torque of the bodies and the rotor; None: unknown
     starts: Tensor  # rows at which motions begin
     width: float  # velocity below which dry friction is viscous
@@ -42,7 +42,7 @@ class Term(NamedTuple):
     """Torque of every joint in proportion to one number."""
 
     name: str
-    units: tuple[str, str]  # of the number at a joint that turns, and at one that slides
+    units: tuple[str, str]  # unit of the number at a joint that turns, and at one that slides
     effect: Callable[[float], Friction] | None = None  # friction that dry friction of a width makes; None: no friction
     parameter: str = ""  # linear parameter of the friction that the number is
     described: str = ""  # attribute of the robot that holds the number
