@@ -2163,12 +2163,24 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/dynamics/friction.py",
+        "torchdq/effects/resistance.py",
         (
-            "learned friction that pushes",
-            "viscous * qd + coulomb",
-            "viscous * qd - coulomb",
+            "friction of layers that pushes",
+            "result.append(D * qd[i] + f)",
+            "result.append(f - D * qd[i])",
             "parameters.py::test_friction_is_its_formula",
+        ),
+        (
+            "loads of layers with the friction of all of the torque",
+            "free - g * load_size(free, g, v) * v",
+            "free - g * absolute(free) * v",
+            "friction_effects.py::test_inverse_and_forward_dynamics_of_a_layer_agree",
+        ),
+        (
+            "memory along a log that forgets its bend",
+            "memory.append(kept * memory[-1] + added)",
+            "memory.append(added)",
+            "friction_effects.py::test_bristles_along_a_log_are_those_of_the_simulation",
         ),
     ),
     *within(
@@ -2181,8 +2193,8 @@ MUTANTS = (
         ),
         (
             "programs of layers without offsets",
-            "[f + c for f, c in",
-            "[f for f, c in",
+            "tau + (t + c) for tau",
+            "tau + t for tau",
             "layer_programs.py::test_the_program_of_a_layer_computes_what_the_layer_does[inverse-constants]",
         ),
     ),
@@ -2512,16 +2524,19 @@ MUTANTS = (
             f"{CONTROL}::test_a_model_that_learned_no_friction_is_compensated_as_its_robot",
         ),
         (
+            "described friction on top of the learned one",
+            "rigid is not None and not rigid._friction.effects",
+            "rigid is not None",
+            f"{CONTROL}::test_a_model_that_learned_no_friction_is_compensated_as_its_robot",
+        ),
+    ),
+    *within(
+        "torchdq/robot_module.py",
+        (
             "TorchScript that says nothing",
             "def __prepare_scriptable__(self)",
             "def _prepare_scriptable_(self)",
             f"{PARAMETERS}::test_a_layer_says_what_takes_the_place_of_torchscript",
-        ),
-        (
-            "described friction on top of the learned one",
-            'rigid is not None and "friction" not in rigid.learn',
-            "rigid is not None",
-            f"{CONTROL}::test_a_model_that_learned_no_friction_is_compensated_as_its_robot",
         ),
     ),
     *within(
@@ -2637,7 +2652,46 @@ MUTANTS = (
     ),
     # --- scenes -------------------------------------------------------------------------------------------------------
     *within(
+        "torchdq/effects/presliding.py",
+        (
+            "bristles that bend without end",
+            "sliding = speed / (self.deflection * g)",
+            "sliding = 0.5 * speed / (self.deflection * g)",
+            "friction_effects.py::test_bristles_reach_the_stationary_deflection_at_any_stiffness",
+        ),
+        (
+            "bristles that lose the start of a step",
+            "one.level * (z - (h + T) * b * z)",
+            "one.level * (z - T * b * z)",
+            "friction_effects.py::test_bristles_reach_the_stationary_deflection_at_any_stiffness",
+        ),
+        (
+            "constant damping of bristles",
+            "one.settling / (1.0 + fast * fast)",
+            "one.settling",
+            "friction_effects.py::test_bristles_take_power_but_for_what_they_store",
+        ),
+    ),
+    *within(
         "torchdq/effects/friction.py",
+        (
+            "levels of the other direction",
+            "0.5 * (self.forward - self.backward)",
+            "0.5 * (self.backward - self.forward)",
+            "friction_effects.py::test_the_torque_of_a_joint_is_its_law",
+        ),
+        (
+            "a ripple that is pushed to its peaks",
+            "self.sine * c - self.cosine * s",
+            "self.cosine * s - self.sine * c",
+            "friction_effects.py::test_the_stiffness_of_a_ripple_is_its_slope_where_it_holds",
+        ),
+        (
+            "temperature that counts twice",
+            "factors = [maximum(1.0 + a * T, 0.0)",
+            "factors = [maximum(1.0 + 2.0 * a * T, 0.0)",
+            "friction_effects.py::test_coefficients_change_with_the_temperature",
+        ),
         (
             "friction that pushes",
             "return Impedance(self.coefficient)",
@@ -2653,6 +2707,12 @@ MUTANTS = (
     ),
     *within(
         "torchdq/effects/joint.py",
+        (
+            "load of the other direction",
+            "absolute(torque) - m * torque",
+            "absolute(torque) + m * torque",
+            "friction_effects.py::test_a_simulated_motion_takes_the_torques_of_the_layer",
+        ),
         (
             "stiffness that is not implicit",
             "z.damping_at_end(h) for z",
@@ -2812,8 +2872,8 @@ MUTANTS = (
         ),
         (
             "Verlet without its symmetry",
-            "_plus(_plus(x, 0.5 * h, v1), 0.5 * h, v2)",
-            "_plus(x, h, v1)",
+            "system.moved(system.moved(x, 0.5 * h, v1), 0.5 * h, v2)",
+            "system.moved(x, h, v1)",
             f"{INTEGRATORS}::test_the_error_falls_with_the_stated_order",
         ),
         (
