@@ -398,6 +398,27 @@ def test_bristles_are_rows_of_a_batch_and_are_remembered():
     assert torch.allclose(state.memory[:, n : 2 * n], q, atol=0.05)
 
 
+@pytest.mark.parametrize("integrator", [RungeKutta4(), LinearlyImplicit(), DormandPrince(1e-9)], ids=called)
+def test_bristles_move_with_a_free_base(integrator):
+    """A base of a million tons is a fixed one."""
+    body = '<inertia ixx="{0}" iyy="{0}" izz="{0}" ixy="0" ixz="0" iyz="0"/></inertial></link>'
+    link = '<link name="l{0}"><inertial><origin xyz="0.2 0 0"/><mass value="1"/>' + body.format(0.1)
+    joint = '<joint name="j{0}" type="continuous"><parent link="l{1}"/><child link="l{0}"/><axis xyz="0 1 1"/></joint>'
+    links = "".join(link.format(i) for i in (1, 2)) + joint.format(1, 0) + joint.format(2, 1)
+    urdf = f'<robot name="heavy"><link name="l0"><inertial><mass value="1e9"/>{body.format(1e9)}{links}</robot>'
+    parts, u = (effects.LuGre(0.5, 0.01, settling=0.01), effects.LoadDependent(0.2)), double(2.0, -1.0)
+    found = []
+    for base in ("fixed", "floating"):
+        scene = Scene(torchdq.Robot.from_urdf(urdf, base=base), parts, integrator=integrator, dt=1e-3)
+        state = scene.start(double(0.3, -0.5))
+        for _ in range(40):
+            state = scene.step(state, u)
+        found.append(state)
+    assert found[0].memory.abs().min() > 0.1
+    for name in ("q", "qd", "memory"):
+        assert torch.allclose(getattr(found[1], name), getattr(found[0], name), rtol=1e-6, atol=1e-8)
+
+
 # --- layers ----------------------------------------------------------------------------------------------------------
 
 
