@@ -56,6 +56,8 @@ def test_tensors_lists_and_other_names_are_arrays_too():
     tensors = {name: torch.tensor(part, requires_grad=True) for name, part in x.items()}
     np.testing.assert_array_equal(read(tensors).tau, x["tau"])
     np.testing.assert_array_equal(read({name: part.tolist() for name, part in x.items()}).q, x["q"])
+    with pytest.raises(ArgumentError, match="columns must name every array once, found 'q' for several signals"):
+        read(x, Layout(columns={"tau": "q"}))
     other = {"t": x["time"], "position": x["q"], "qd": x["qd"], "tau": x["tau"], "temperature": "hot"}
     np.testing.assert_array_equal(read(other, Layout(columns={"time": "t", "q": "position"})).q, x["q"])
 
@@ -225,6 +227,7 @@ def test_motors_are_taken_to_the_joints(transmission):
         ({"transmission": ((1.0, np.nan), (0.0, 1.0))}, "transmission must be finite numbers"),
         ({"transmission": COUPLED, "gain": None}, "gain must be known where a transmission couples joints"),
         ({"zero": (1.0,)}, "zero needs a transmission"),
+        ({"gain": (1.0, 0.0)}, "gain must be numbers, .* none of them zero"),
         ({"zero": (np.inf,), "transmission": (1.0,)}, "zero must be finite numbers"),
         ({"at_motors": ("time",)}, "there is no signal named 'time'"),
         ({"columns": {"q": None}}, r"columns\['q'\] must be a name"),

@@ -131,6 +131,8 @@ class Layout:
         if self.gain is not None:
             expected = "numbers, one per joint, such as (2.0, 1.5), () for torques, or None where they are unknown"
             object.__setattr__(self, "gain", _floats("gain", self.gain, expected))
+            if not all(self.gain):
+                raise ArgumentError(f"gain must be {expected}, none of them zero, found {self.gain}")
         object.__setattr__(self, "zero", _floats("zero", self.zero, "numbers, one per joint, or ()"))
 
     def _require_transmission(self) -> None:

@@ -165,9 +165,11 @@ def cut(motion: Motion, share: float) -> tuple[Motion, Motion]:
     require_number("share", share)
     first = np.arange(rows) < share * rows
     cutoffs = [cutoff for cutoff in (motion.cutoff_qd, motion.cutoff_tau) if cutoff is not None]
-    second = motion.time > motion.time[first].max(initial=-np.inf) + _reach(min(cutoffs, default=None))
+    gap = _reach(min(cutoffs, default=None))
+    second = motion.time > motion.time[first].max(initial=-np.inf) + gap
     if not (0 < share < 1 and first.any() and second.any()):
-        raise ArgumentError(f"share must leave rows on both sides of the cut of {rows} rows, found {share}")
+        expected = f"leave rows on both sides of the cut of {rows} rows, and of {gap:.3g} s after it"
+        raise ArgumentError(f"share must {expected}, found {share}")
     return _rows(motion, first), _rows(motion, second)
 
 
