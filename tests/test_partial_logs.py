@@ -4,6 +4,7 @@ Signals of motors are made from those of the joints by a mechanism written out h
 """
 
 import contextlib
+import json
 import warnings
 
 import numpy as np
@@ -236,6 +237,15 @@ def test_motors_are_taken_to_the_joints(transmission):
 def test_transmissions_are_checked(options, message):
     with pytest.raises(TorchdqError, match=message):
         Layout(**options)
+
+
+def test_a_layout_may_come_from_a_file_of_plain_data():
+    given = {"joints": 2, "blocks": ["p", "v", "i"], "gain": [2, 3], "columns": {"qd": None, "q": "p_{0}"}}
+    given |= {"transmission": [[0.01, 0], [0.01, 0.02]], "zero": [0.1, 0.2], "at_motors": ["q", "tau"], "cutoff_qd": 5}
+    found = Layout(**json.loads(json.dumps(given)))
+    expected = {name: tuple(x) if isinstance(x, list) else x for name, x in given.items()}
+    assert found == Layout(**expected | {"transmission": ((0.01, 0.0), (0.01, 0.02))})
+    assert hash(found) == hash(Layout(**given))
 
 
 def test_what_is_given_per_joint_is_given_for_all():

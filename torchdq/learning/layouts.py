@@ -86,6 +86,7 @@ class Layout:
             expected = "three or more different names, the first of positions, velocities and torques"
             cure = "where velocities were not recorded, keep the name and give columns={'qd': None}"
             raise ArgumentError(f"blocks must be {expected}, found {self.blocks!r}; {cure}")
+        object.__setattr__(self, "blocks", tuple(self.blocks))
         if not isinstance(self.columns, Mapping):
             expected = "a mapping such as {'q': 'position_{0}'}"
             raise ArgumentError(f"columns must be {expected}, found {self.columns!r}")
