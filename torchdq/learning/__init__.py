@@ -2,6 +2,7 @@
 
     motion = smooth(read("log.csv"))                    # `logs`: checked, filtered without delay, with accelerations
     # columns of other names: Layout(columns={"time": "stamp", "q": "position_{0}", "tau": ["shoulder", "elbow"]})
+    # arrays: read({"time": t, "q": q, "qd": None, "tau": tau}); None: not recorded, smooth differentiates the positions
     train, test = (samples(part) for part in cut(motion, 0.6))
     fit(model, train, epochs=100, checkpoint="run.pt")  # `training`: a plain loop that survives being killed
 
