@@ -163,7 +163,7 @@ class CasadiExport(NamedTuple):
         shown = [f"{m.name}[{m.rows}{f', {m.columns}' if several else ''}]" for m in taken]
         lines = described(shown, names[0], "in ")
         lines += described([f"{m.name}[{m.rows}, {m.columns}]" for m in given], names[1], "out")
-        flags = "-O3 -march=native -fno-math-errno" if several else "-O2"
+        flags = "-O2 -ftree-vectorize -march=native -fno-math-errno" if several else "-O2"
         derived = f"jac_{self.name} has its Jacobians" + (
             f", adj1_{self.name} and jac_adj1_{self.name} its second derivatives" if self.second else ""
         )
