@@ -18,7 +18,7 @@ from torchdq.program.schedule import schedule
 LONGEST = 250  # operations of a function in C
 
 
-class Layout(NamedTuple):
+class SampleText(NamedTuple):
     """Text around the statements of one sample, and the places of its numbers."""
 
     place: Placed
@@ -34,10 +34,10 @@ class Parts(NamedTuple):
     own: list[Array]  # slots, if there is more than one function; and the sum of all sines: see `c99.angles`
 
 
-def parts(program: Program, name: str, single: bool, library: Library, layout: Layout) -> Parts:
+def parts(program: Program, name: str, single: bool, library: Library, written_as: SampleText) -> Parts:
     """Functions of a program, which are named after it."""
     plan = schedule(per_sample(program), LONGEST)
-    printer = c99.Printer(program, single, library, layout.place)
+    printer = c99.Printer(program, single, library, written_as.place)
     taken, given = c99.arrays(program)
     arguments = dict(zip((k for k, a in enumerate(program.arguments) if a.width), taken, strict=True))
     results = list(zip(given, [r.values for r in outputs(program) if r.values], strict=True))
@@ -47,23 +47,23 @@ def parts(program: Program, name: str, single: bool, library: Library, layout: L
     for k, part in enumerate(plan.parts):
         values = set(part.values)
         read = sorted({program.ops[i].payload[0] for i in values if program.ops[i].code == "in"})
-        lines = [f"const {printer.scalar} x{i} = {layout.place(slots, slot, False)};" for i, slot in part.loaded]
+        lines = [f"const {printer.scalar} x{i} = {written_as.place(slots, slot, False)};" for i, slot in part.loaded]
         lines += printer.computed(part.values)
         written = []
         for array, numbers in results:
             here = {j: v for j, v in enumerate(numbers) if (k == 0 if isinstance(v, float) else v[0] in values)}
             lines += printer.written(array, here)
             written += [array] if here else []
-        lines += [f"{layout.place(slots, slot, False)} = x{i};" for i, slot in part.stored]
+        lines += [f"{written_as.place(slots, slot, False)} = x{i};" for i, slot in part.stored]
         passes = [slots] if part.loaded or part.stored else []
         if sines := c99.angles(program, library, values):
             begun = any(angles in arrays for _, arrays in calls)
-            lines.append(f"{layout.place(angles, 0, False)} {'+' if begun else ''}= {sines};")
+            lines.append(f"{written_as.place(angles, 0, False)} {'+' if begun else ''}= {sines};")
             passes.append(angles)
-        parameters = [layout.parameter(arguments[i], True, program.arguments[i].uniform) for i in read]
-        parameters += [layout.parameter(array, False, False) for array in (*written, *passes)]
+        parameters = [written_as.parameter(arguments[i], True, program.arguments[i].uniform) for i in read]
+        parameters += [written_as.parameter(array, False, False) for array in (*written, *passes)]
         called = name if len(plan.parts) == 1 else f"{name}{k}"
-        texts.append(f"static void {called}({', '.join(parameters) or 'void'})\n{{\n{layout.body(lines)}}}\n")
+        texts.append(f"static void {called}({', '.join(parameters) or 'void'})\n{{\n{written_as.body(lines)}}}\n")
         calls.append((called, [*(arguments[i] for i in read), *written, *passes]))
     own = [array for array in (slots, angles) if any(array in arrays for _, arrays in calls)]
     return Parts("\n".join(texts), calls, own)
@@ -79,7 +79,7 @@ def _parameter(array: Array, read: bool, shared: bool) -> str:
 
 def function(program: Program, name: str, library: Library) -> str:
     """Text of the function of a program in double precision, in parts, without `c99.preamble`."""
-    whole = parts(program, f"{name}_part", False, library, Layout(_place, _parameter, c99.indented))
+    whole = parts(program, f"{name}_part", False, library, SampleText(_place, _parameter, c99.indented))
     if len(whole.calls) == 1:
         return f"static {c99.function(program, name, False, library)}"
     taken, given = c99.arrays(program)
