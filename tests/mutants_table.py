@@ -2063,6 +2063,21 @@ MUTANTS = (
         ("own sine and cosine in wider numbers", "FLT_EVAL_METHOD != 0", "FLT_EVAL_METHOD < 0", EXPORT_FLAGS),
     ),
     *within(
+        "torchdq/export/roots.py",
+        (
+            "own roots without the last step",
+            "2 * upper.number * lower) - lower * lower",
+            "2 * upper.number * lower)",
+            "export.py::test_own_roots_are_within_an_ulp_and_correctly_rounded_but_close_to_midpoints",
+        ),
+        (
+            "own roots of subnormal numbers without scaling",
+            "x * (tiny ? (S)0x1p+{scale} :",
+            "x * (tiny ? 1 :",
+            "export.py::test_own_roots_are_within_an_ulp_and_correctly_rounded_but_close_to_midpoints",
+        ),
+    ),
+    *within(
         "torchdq/export/names.py",
         (
             "exported names of the standard library",

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from torchdq.export import c99, parts
-from torchdq.export.c99 import Array
+from torchdq.export.c99 import Array, Library
 from torchdq.export.parts import SampleText
 from torchdq.program.program import Program, outputs
 
@@ -93,7 +93,7 @@ def stack(program: Program, single: bool) -> int:
     """Memory of the blocks [bytes]."""
     taken, given = rows(program)
     numbers = sum(a.size for a in taken if not a.shared) + sum(a.size * (2 if a.shared else 1) for a in given)
-    numbers += sum(a.size for a in parts.parts(program, "", single, "own", _LANES).own)
+    numbers += sum(a.size for a in parts.parts(program, "", single, "own", _in_lanes(single, "own")).own)
     return numbers * lanes(single) * (4 if single else 8)
 
 
@@ -109,7 +109,8 @@ def _body(lines: Sequence[str]) -> str:
     return f"    int lane;\n    for (lane = 0; lane < LANES; lane++) {{\n{c99.indented(lines, 8)}    }}\n"
 
 
-_LANES = SampleText(_place, _parameter, _body)
+def _in_lanes(single: bool, library: Library) -> SampleText:
+    return SampleText(_place, _parameter, _body, c99.root(single, library))
 
 
 def copies(programs: Sequence[Program], single: bool) -> str:
@@ -120,11 +121,14 @@ def copies(programs: Sequence[Program], single: bool) -> str:
     return f"enum {{ LANES = {lanes(single)} }};\n{''.join(texts)}\n"
 
 
-def function(program: Program, name: str, single: bool, linkage: str = "") -> str:
-    """Text of the function for batches, and of its parts, without `c99.preamble` and `copies`."""
+def function(program: Program, name: str, single: bool, library: Library, linkage: str = "") -> str:
+    """Text of the function for batches, and of its parts, without `c99.preamble` and `copies`.
+
+    `library`: source of square roots.
+    """
     taken, given = rows(program)
     several = [a for a in taken if not a.shared]
-    block = parts.parts(program, f"{name}_block", single, "own", _LANES)
+    block = parts.parts(program, f"{name}_block", single, "own", _in_lanes(single, library))
     local = {a.name: a.lanes for a in (*several, *given)}  # names in the function for batches
     sums = [a for a in given if a.shared]
     declared = [f"S {a.lanes}[{a.size}][LANES];" for a in (*several, *given)]

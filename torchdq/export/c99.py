@@ -13,6 +13,7 @@ import numpy as np
 
 from torchdq.backends.c_constants import SINES_DOUBLE, SINES_FLOAT
 from torchdq.errors import ArgumentError
+from torchdq.export import roots
 from torchdq.export.names import distinct
 from torchdq.numbers.ops import OPS
 from torchdq.program.order import TOGETHER, pairs, recorded
@@ -22,7 +23,7 @@ Library = Literal["math.h", "own"]
 
 # operations in C; those with an infix need no entry
 _CALLS = {
-    "sqrt": "sqrt{f}({0})",
+    "sqrt": "{root}({0})",
     "exp": "exp{f}({0})",
     "log": "log{f}({0})",
     "floor": "floor{f}({0})",
@@ -43,10 +44,10 @@ _WITH_NAN = """#if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__
 # clang has no macro for that, but is told here not to
 _EXACT = """#include <float.h>
 #if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) || defined(_M_FP_FAST)
-#error "sine and cosine are wrong with -ffast-math or -fassociative-math; compile this file without it"
+#error "sines and roots are wrong with -ffast-math or -fassociative-math; compile this file without it"
 #endif
 #if FLT_EVAL_METHOD != 0
-#error "sine and cosine are wrong if numbers are kept in a wider type; compile this file for SSE2: -mfpmath=sse -msse2"
+#error "sines and roots are wrong if numbers are kept in a wider type; compile this file for SSE2: -mfpmath=sse -msse2"
 #endif
 #if defined(__clang__) && __clang_major__ >= 13
 #pragma clang fp reassociate(off)
@@ -120,24 +121,29 @@ def indented(lines: Iterable[str], by: int = 4) -> str:
 
 
 def preamble(program: Program, single: bool, library: Library, batch: bool = False) -> str:
-    """Text in front of the functions of programs: what it includes, and its own sine and cosine if it has them.
+    """Text in front of the functions of programs: what it includes, and its own sine, cosine and root if it has them.
 
     `batch`: whether one of them is that of `torchdq.export.batch`.
     """
     codes = {op.code for op in program.ops}
     wanted, angles = sorted(codes & set(_OF_MATH)), bool(codes & set(TOGETHER))
-    if library == "own" and wanted:
+    lacks = [code for code in wanted if code != "sqrt"]
+    if library == "own" and lacks:
         raise ArgumentError(
-            f"library must be 'math.h' for {program.name}, which takes {', '.join(wanted)}; 'own' has sine and cosine"
+            f"library must be 'math.h' for {program.name}, which takes {', '.join(lacks)}; 'own' has sine, cosine and "
+            "square root"
         )
     included = "#include <math.h>\n" if library == "math.h" and (wanted or angles) else ""
     scalar, constants = ("float", SINES_FLOAT) if single else ("double", SINES_DOUBLE)
-    own = angles and (library == "own" or batch)
-    kind = f"typedef {scalar} S;\n" if own or batch else ""
-    included += _WITH_NAN if own or program.growth is not None or codes & {"max", "min"} else ""
+    sines, root = angles and (library == "own" or batch), library == "own" and "sqrt" in codes
+    kind = f"typedef {scalar} S;\n" if sines or root or batch else ""
+    included += "#include <stdint.h>\n" if root else ""
+    included += _WITH_NAN if sines or root or program.growth is not None or codes & {"max", "min"} else ""
+    included += _EXACT if sines or root else ""
     # gcc makes vectors of a loop only if nothing in it is called
     function = _SINE_AND_COSINE.replace("static", "static inline") if batch else _SINE_AND_COSINE
-    return f"{included}{_EXACT}{kind}{constants.strip()}\n{function}" if own else f"{included}{kind}"
+    functions = f"{constants.strip()}\n{function}" if sines else ""
+    return f"{included}{kind}{functions}{roots.text(single, batch) if root else ''}"
 
 
 # which values of a program stand where: array, component, and whether it is the same for all samples
@@ -151,6 +157,7 @@ class Printer(NamedTuple):
     single: bool
     library: Library
     place: Placed
+    root: str  # name of the function for square roots
 
     @property
     def scalar(self) -> str:
@@ -164,7 +171,12 @@ class Printer(NamedTuple):
         taken, _ = arrays(program)
         by_position = dict(zip((k for k, a in enumerate(program.arguments) if a.width), taken, strict=True))
         together = pairs(program)
-        words: Mapping[str, str] = {"f": suffix, "one": literal(1.0, single), "zero": literal(0.0, single)}
+        words: Mapping[str, str] = {
+            "f": suffix,
+            "root": self.root,
+            "one": literal(1.0, single),
+            "zero": literal(0.0, single),
+        }
         lines = []
         for i in values:
             op = program.ops[i]
@@ -200,6 +212,11 @@ class Printer(NamedTuple):
         return f"{literal(0.0, self.single)} - {self._at(index)}" if negative else self._at(index)
 
 
+def root(single: bool, library: Library) -> str:
+    """Name of the function for square roots."""
+    return "root" if library == "own" else "sqrtf" if single else "sqrt"
+
+
 def angles(program: Program, library: Library, among: Container[int] | None = None) -> str:
     """Sum of the sines among some values, which is NaN if an angle is out of reach; "": there are none, or none can be.
 
@@ -211,10 +228,15 @@ def angles(program: Program, library: Library, among: Container[int] | None = No
     return " + ".join(f"x{k}" if program.ops[k].code == "sin" else f"x{k}_" for k in first)
 
 
+def in_rows(array: Array, component: int, uniform: bool) -> str:
+    """Place of a number of one sample."""
+    return f"{array.name}[{component}]"
+
+
 def function(program: Program, name: str, single: bool, library: Library = "math.h") -> str:
     """Text of the function of a program, without `preamble`."""
     taken, given = arrays(program)
-    printer = Printer(program, single, library, lambda array, component, uniform: f"{array.name}[{component}]")
+    printer = Printer(program, single, library, in_rows, root(single, library))
     read = {op.payload[0] for op in program.ops if op.code == "in"}
     wide = [k for k, a in enumerate(program.arguments) if a.width]
     lines = [f"(void){array.name};" for k, array in zip(wide, taken, strict=True) if k not in read]

@@ -86,7 +86,7 @@ class Interface(NamedTuple):
         name = self.name
         inputs, results = self.of_knots(max(knots, 1))
         if knots:
-            numbers = batch.function(self.program, f"{name}_numbers", False, "static ")
+            numbers = batch.function(self.program, f"{name}_numbers", False, library, "static ")
         else:
             numbers = parts.function(self.program, f"{name}_numbers", library)
         called = f"{name}_numbers_batch({knots}, " if knots else f"{name}_numbers("

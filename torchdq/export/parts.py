@@ -24,6 +24,7 @@ class SampleText(NamedTuple):
     place: Placed
     parameter: Callable[[Array, bool, bool], str]  # array, whether it is only read, whether samples share it
     body: Callable[[Sequence[str]], str]  # statements of a function
+    root: str  # name of the function for square roots
 
 
 class Parts(NamedTuple):
@@ -37,7 +38,7 @@ class Parts(NamedTuple):
 def parts(program: Program, name: str, single: bool, library: Library, written_as: SampleText) -> Parts:
     """Functions of a program, which are named after it."""
     plan = schedule(per_sample(program), LONGEST)
-    printer = c99.Printer(program, single, library, written_as.place)
+    printer = c99.Printer(program, single, library, written_as.place, written_as.root)
     taken, given = c99.arrays(program)
     arguments = dict(zip((k for k, a in enumerate(program.arguments) if a.width), taken, strict=True))
     results = list(zip(given, [r.values for r in outputs(program) if r.values], strict=True))
@@ -69,17 +70,19 @@ def parts(program: Program, name: str, single: bool, library: Library, written_a
     return Parts("\n".join(texts), calls, own)
 
 
-def _place(array: Array, component: int, shared: bool) -> str:
-    return f"{array.name}[{component}]"
-
-
 def _parameter(array: Array, read: bool, shared: bool) -> str:
     return f"{'const ' if read else ''}double {array.name}[{array.size}]"
 
 
 def function(program: Program, name: str, library: Library) -> str:
     """Text of the function of a program in double precision, in parts, without `c99.preamble`."""
-    whole = parts(program, f"{name}_part", False, library, SampleText(_place, _parameter, c99.indented))
+    whole = parts(
+        program,
+        f"{name}_part",
+        False,
+        library,
+        SampleText(c99.in_rows, _parameter, c99.indented, c99.root(False, library)),
+    )
     if len(whole.calls) == 1:
         return f"static {c99.function(program, name, False, library)}"
     taken, given = c99.arrays(program)

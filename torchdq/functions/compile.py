@@ -159,8 +159,8 @@ class CompiledProgram:
             folder: path of the folder, which is made if it is not there; files of the same names are replaced.
             name: name of the function; "": that of the program.
             library: source of sine, cosine and roots: "math.h", or "own", the polynomials of compiled programs, with
-                sine and cosine up to 1e5 rad (4e3 in float32), beyond which the function returns 1 and NaN, and no
-                roots or exponentials.
+                sine and cosine up to 1e5 rad (4e3 in float32), beyond which the function returns 1 and NaN, and
+                square roots to 1 ulp, but no exponentials and logarithms.
             language: "c", or "casadi", which takes programs in float64.
             batch: whether there is a function NAME_batch beside it, which takes the rows of many samples and which
                 compilers turn into vector instructions. Its sine and cosine are those of "own".
