@@ -1556,6 +1556,12 @@ MUTANTS = (
             "t.append(total if True else",
             f"{PROGRAMS}::test_forward_mode_equals_autograd",
         ),
+        (
+            "second derivatives from the wrong side of the diagonal",
+            "second[min(p)][max(p) - min(p)]",
+            "second[min(p)][min(p) - max(p)]",
+            f"{CASADI}::test_second_derivatives_are_the_limits_of_differences[inverse dynamics]",
+        ),
     ),
     *within(
         "torchdq/backends/c_prelude.py",
@@ -2023,7 +2029,7 @@ MUTANTS = (
     ),
     *within(
         "torchdq/export/c99.py",
-        ("negated outputs with the sign of before", '- {at(index)}" if negative', '+ {at(index)}" if negative', EXPORT),
+        ("negated outputs with the sign of before", '- {self._at(index)}"', '+ {self._at(index)}"', EXPORT),
         (
             "sine and cosine exchanged in odd quadrants",
             "a = (q & 1) ? cr : sr, b = (q & 1) ? sr : cr",
@@ -2055,6 +2061,21 @@ MUTANTS = (
             EXPORT_FLAGS,
         ),
         ("own sine and cosine in wider numbers", "FLT_EVAL_METHOD != 0", "FLT_EVAL_METHOD < 0", EXPORT_FLAGS),
+    ),
+    *within(
+        "torchdq/export/roots.py",
+        (
+            "own roots without the last step",
+            "2 * upper.number * lower) - lower * lower",
+            "2 * upper.number * lower)",
+            "export.py::test_own_roots_are_within_an_ulp_and_correctly_rounded_but_close_to_midpoints",
+        ),
+        (
+            "own roots of subnormal numbers without scaling",
+            "x * (tiny ? (S)0x1p+{scale} :",
+            "x * (tiny ? 1 :",
+            "export.py::test_own_roots_are_within_an_ulp_and_correctly_rounded_but_close_to_midpoints",
+        ),
     ),
     *within(
         "torchdq/export/names.py",
@@ -2094,8 +2115,8 @@ MUTANTS = (
         ),
         (
             "Jacobians of CasADi argument by argument",
-            "derived.results[j * len(values.outputs) + i]",
-            "derived.results[i * len(values.inputs) + j]",
+            "derived.results[read.index(j) * len(function.outputs) + i]",
+            "derived.results[i * len(read) + read.index(j)]",
             f"{CASADI}::test_jacobians_are_the_limits_of_differences",
         ),
         (
@@ -2106,9 +2127,21 @@ MUTANTS = (
         ),
         (
             "a short work array in CasADi",
-            "largest = max(len(r.values)",
-            "largest = min(len(r.values)",
+            "room = max(knots, 1) * (max(len(r.values)",
+            "room = max(knots, 1) * (min(len(r.values)",
             f"{CASADI}::test_missing_arguments_are_zero_and_missing_results_are_left_out",
+        ),
+        (
+            "blocks of Jacobians of CasADi in the rows of the first knot",
+            "* rows + k * self.rows + i for k",
+            "* rows + i for k",
+            f"{CASADI}::test_functions_of_all_knots_are_maps[inverse dynamics]",
+        ),
+        (
+            "a growth of errors in CasADi where results that are not wanted are written",
+            '[f"w + {knots * widest}"]',
+            '["w"]',
+            f"{CASADI}::test_a_failure_is_told_whatever_is_wanted",
         ),
     ),
     *within(
@@ -2127,8 +2160,8 @@ MUTANTS = (
         ),
         (
             "exported batches whose block forgets its rows",
-            "if a.shared and a in taken else",
-            "if a.shared else",
+            "local = {a.name: a.lanes for a in (*several, *given)}",
+            "local = {a.name: a.lanes for a in (*several, *(a for a in given if not a.shared))}",
             f"{EXPORT_BATCH}[gradient in parameters-float64-gcc]",
         ),
     ),
