@@ -17,6 +17,7 @@ from torchdq.learning.logs import Log, read
 from torchdq.learning.motion_limits import Box, HalfSpace, MotionLimits
 from torchdq.learning.motions import Motion, cut, directions, hold_out, samples, smooth
 from torchdq.learning.plausibility import LogWarning
+from torchdq.learning.posterior import Sampled, sample
 from torchdq.learning.training import History, TrainingError, fit
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "MissingLogError",
     "Motion",
     "MotionLimits",
+    "Sampled",
     "Samples",
     "TrainingError",
     "cut",
@@ -42,6 +44,7 @@ __all__ = [
     "hold_out",
     "identify",
     "read",
+    "sample",
     "samples",
     "smooth",
 ]
