@@ -16,6 +16,7 @@ from torchdq.learning.layouts import Layout, LogError, MissingLogError
 from torchdq.learning.logs import Log, read
 from torchdq.learning.motion_limits import Box, HalfSpace, MotionLimits
 from torchdq.learning.motions import Motion, cut, directions, hold_out, samples, smooth
+from torchdq.learning.payload import Payload, identify_payload
 from torchdq.learning.plausibility import LogWarning
 from torchdq.learning.posterior import Sampled, sample
 from torchdq.learning.training import History, TrainingError, fit
@@ -34,6 +35,7 @@ __all__ = [
     "MissingLogError",
     "Motion",
     "MotionLimits",
+    "Payload",
     "Sampled",
     "Samples",
     "TrainingError",
@@ -43,6 +45,7 @@ __all__ = [
     "fit",
     "hold_out",
     "identify",
+    "identify_payload",
     "read",
     "sample",
     "samples",
