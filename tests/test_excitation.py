@@ -15,7 +15,7 @@ import torch
 
 import torchdq
 from torchdq.errors import ArgumentError, MissingLibraryError
-from torchdq.learning import Box, HalfSpace, MotionLimits, excitation, excite, identify, read
+from torchdq.learning import Box, HalfSpace, Motion, MotionLimits, excitation, excite, identify, plot_torques, read
 from torchdq.learning.base import BaseParameters
 from torchdq.learning.fourier import Family, grid
 
@@ -295,6 +295,23 @@ def test_a_plot_shows_every_joint(exciting, tmp_path):
     assert len(figure.axes) == 21
     figure.savefig(tmp_path / "motion.png")
     assert (tmp_path / "motion.png").stat().st_size > 10_000
+
+
+def test_predicted_torques_are_drawn_beside_measured_ones(panda, exciting, tmp_path):
+    pytest.importorskip("matplotlib")
+    motion = exciting[0].sampled(50.0)
+    found = identify(panda, *(torch.as_tensor(x) for x in motion[1:5]))
+    apart = motion._replace(time=np.where(motion.time > 4, motion.time + 2, motion.time))  # a line is broken there
+    figure = plot_torques(found, [motion, apart])
+    assert [axes.get_title().split(":")[0] for axes in figure.axes] == list(panda.joint_names)
+    measured, predicted = (line.get_ydata() for line in figure.axes[1].lines)
+    assert np.isnan(measured).sum() == 2 and len(measured) == 2 * 501 + 2
+    assert np.nanmax(abs(measured - predicted)) < 0.02 * np.nanmax(abs(measured))
+    figure.savefig(tmp_path / "torques.png")
+    with pytest.raises(ArgumentError, match="motions must be of the 7 joints of 'panda', found 2"):
+        plot_torques(found, Motion(motion.time, *(x[:, :2] for x in motion[1:5])))
+    with pytest.raises(ArgumentError, match="identified must be what identify returns, found Robot"):
+        plot_torques(panda, motion)
 
 
 def test_a_plot_without_matplotlib_says_what_to_install(exciting, monkeypatch):

@@ -17,6 +17,7 @@ from torchdq.learning.logs import Log, read
 from torchdq.learning.motion_limits import Box, HalfSpace, MotionLimits
 from torchdq.learning.motions import Motion, cut, directions, hold_out, samples, smooth
 from torchdq.learning.payload import Payload, identify_payload
+from torchdq.learning.pictures import plot_torques
 from torchdq.learning.plausibility import LogWarning
 from torchdq.learning.posterior import Sampled, sample
 from torchdq.learning.training import History, TrainingError, fit
@@ -46,6 +47,7 @@ __all__ = [
     "hold_out",
     "identify",
     "identify_payload",
+    "plot_torques",
     "read",
     "sample",
     "samples",
