@@ -14,6 +14,7 @@ from torchdq.optional import imported
 from torchdq.robot import Robot
 
 BLUE, GREY = "#0072B2", "#8A8A8A"
+TURNS, SLIDES = ("q [rad]", "qd [rad/s]", "tau [N m]"), ("q [m]", "qd [m/s]", "tau [N]")
 WIDE = 1.96  # standard deviations on either side that hold 95 % of normal numbers
 APART = 0.1  # [s] between rows, from which a line is broken: rows at rest are not in a motion
 PAUSE = 1.0  # [s] between motions in a picture
@@ -43,16 +44,16 @@ def picture_of_motion(robot: Robot, time: Tensor, q: Tensor, qd: Tensor, tau: Te
     most = (bounds.upper, bounds.velocity, bounds.effort)
     least = (bounds.lower, -bounds.velocity, -bounds.effort)
     for j, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_types, strict=True)):
-        units = ("rad", "rad/s", "N m") if kind.turns else ("m", "m/s", "N")
+        names = TURNS if kind.turns else SLIDES
         for k, x in enumerate((q, qd, tau)):
             panel = panels[j, k]
             panel.plot(time, x[:, j], color=BLUE)
             for limit in (least[k][j], most[k][j]):
                 panel.axhline(float(limit), color=GREY, linestyle="--")
-            panel.set_ylabel(f"[{units[k]}]")
+            panel.set_ylabel(names[k])
         panels[j, 0].set_title(name)
-    for panel, title in zip(panels[-1], ("position", "velocity", "torque"), strict=True):
-        panel.set_xlabel(f"time [s]: {title}")
+    for panel in panels[-1]:
+        panel.set_xlabel("time [s]")
     return figure
 
 
