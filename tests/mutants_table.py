@@ -3700,7 +3700,13 @@ MUTANTS = (
             "curvature of the distance between bodies halved",
             "blocks = 2 * torch.einsum",
             "blocks = torch.einsum",
-            "payload.py::test_errors_are_those_that_noise_makes",
+            "posterior.py::test_slopes_of_the_distance_are_those_of_autograd",
+        ),
+        (
+            "bodies nearest to others that cannot exist",
+            "inside = (info == 0).all(1) & (x > 0).all(1)",
+            "inside = torch.ones(len(y), dtype=torch.bool)",
+            "posterior.py::test_the_nearest_robot_is_a_minimum_where_bodies_can_exist",
         ),
     ),
     *within(

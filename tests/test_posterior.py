@@ -15,6 +15,7 @@ from torchdq.envs import Scene, effects, integrators
 from torchdq.errors import ArgumentError
 from torchdq.learning import identify, sample
 from torchdq.learning.bodies import pseudo_inertia
+from torchdq.learning.nearest import curvature, nearest, relative
 
 WIDTH = 0.02
 
@@ -37,6 +38,32 @@ def told():
 @pytest.fixture(scope="module")
 def drawn(told):
     return sample(told, 600)
+
+
+def distance(y, links, positive):
+    """Distance of one robot, as its formula reads."""
+    total = 0
+    for i in range(links):
+        B = relative(y[None], links)[0, i]
+        total = total + 2 * (B.trace() - torch.logdet(B) - 4)
+    x, rest = 1 + y[10 * links : 10 * links + positive], y[10 * links + positive :]
+    return total + 2 * (x - x.log() - 1).sum() + rest.square().sum()
+
+
+def test_slopes_of_the_distance_are_those_of_autograd():
+    y = 0.1 * torch.randn(24, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    gradient, H = curvature(y[None], 2, 3)
+    assert torch.allclose(gradient[0], torch.autograd.functional.jacobian(lambda y: distance(y, 2, 3), y))
+    assert torch.allclose(H[0], torch.autograd.functional.hessian(lambda y: distance(y, 2, 3), y))
+
+
+def test_the_nearest_robot_is_a_minimum_where_bodies_can_exist():
+    generator = torch.Generator().manual_seed(1)
+    A, offset = (torch.randn(*shape, dtype=torch.float64, generator=generator) for shape in ((40, 9, 24), (40, 9)))
+    y = nearest(30 * A, 100 * offset, 2, 3)  # such offsets would take most bodies where none can exist
+    assert bool((torch.linalg.eigvalsh(relative(y, 2)) > 0).all()) and bool((y[:, 20:23] > -1).all())
+    gradient = curvature(y, 2, 3)[0] + 2 * ((100 * offset + (30 * A @ y[..., None])[..., 0])[:, None] @ (30 * A))[:, 0]
+    assert float(gradient.abs().max()) < 1e-3 * float((3000 * A.mT @ offset[..., None]).abs().max())
 
 
 def test_base_parameters_have_the_mean_and_the_covariance_found(told, drawn):
@@ -105,6 +132,15 @@ def test_links_without_mass_stay_without():
     drawn = sample(found, 20)
     assert bool((drawn.robot.mass[:, 0] == 0).all()) and bool((drawn.robot.inertia[:, 0] == 0).all())
     assert float(drawn.robot.mass[:, 1].std()) > 0
+
+
+def test_robots_of_which_only_friction_was_sought_share_their_bodies(told):
+    spread = told.spread.clone()
+    spread[: 10 * told.robot.n] = 0
+    rows = told.base[:, : 10 * told.robot.n].abs().sum(1) == 0
+    drawn = sample(told._replace(spread=spread, base=told.base[rows]), 50)
+    assert bool((drawn.robot.mass == told.robot.mass).all())
+    assert torch.allclose(drawn.coefficients("viscous").std(0), told.errors[-6:-4], rtol=0.4)
 
 
 def test_seeds_reproduce_robots(told):

@@ -16,7 +16,7 @@ from torchdq.learning.layouts import Layout, LogError, MissingLogError
 from torchdq.learning.logs import Log, read
 from torchdq.learning.motion_limits import Box, HalfSpace, MotionLimits
 from torchdq.learning.motions import Motion, cut, directions, hold_out, samples, smooth
-from torchdq.learning.payload import Payload, identify_payload
+from torchdq.learning.payload import IdentifiedPayload, identify_payload
 from torchdq.learning.pictures import plot_torques
 from torchdq.learning.plausibility import LogWarning
 from torchdq.learning.posterior import Sampled, sample
@@ -29,6 +29,7 @@ __all__ = [
     "HalfSpace",
     "History",
     "Identified",
+    "IdentifiedPayload",
     "Layout",
     "Log",
     "LogError",
@@ -36,7 +37,6 @@ __all__ = [
     "MissingLogError",
     "Motion",
     "MotionLimits",
-    "Payload",
     "Sampled",
     "Samples",
     "TrainingError",

@@ -34,7 +34,7 @@ PARTS = ("x", "y", "z"), ("xx", "xy", "yy", "xz", "yz", "zz")
 DTYPE = torch.float64
 
 
-class Payload(NamedTuple):
+class IdentifiedPayload(NamedTuple):
     """Payload found at a frame, with standard errors that count so many rows as one as their residuals are correlated.
 
     Printed, it is a table. `robot` is the identified robot with the payload in its hand.
@@ -52,7 +52,7 @@ class Payload(NamedTuple):
     before: Tensor  # [n] the same without payload, with those changes of friction and offset that are sought [N m or N]
 
     def __repr__(self) -> str:
-        return f"Payload({float(self.mass):.4g} +- {float(self.mass_error):.2g} kg at {self.frame!r})"
+        return f"IdentifiedPayload({float(self.mass):.4g} +- {float(self.mass_error):.2g} kg at {self.frame!r})"
 
     def __str__(self) -> str:
         rows = [("mass", f"{float(self.mass):.4g}", f"{float(self.mass_error):.2g}", "kg")]
@@ -76,8 +76,8 @@ def identify_payload(
     size: float = 0.1,
     prior: float = 1.0,
     reference: Sequence[Tensor] | None = None,
-) -> Payload:
-    """Body that an arm holds, from a few seconds of motion with it, as `Payload`.
+) -> IdentifiedPayload:
+    """Body that an arm holds, from a few seconds of motion with it, as `IdentifiedPayload`.
 
     Identify the empty arm first, from motions like this one: what both have wrong, such as a drive's offset, is then
     no payload. A gain of the torques that is off by some part makes mass and inertia wrong by the same part.
@@ -142,8 +142,9 @@ def identify_payload(
         lambda x: torch.cat([y.reshape(-1) for y in central(pseudo_inertia(x))]), pi
     )
     errors = (slopes @ covariance @ slopes.T).diagonal().sqrt()
-    held = robot.with_payload(*(x.to(robot.mass) for x in quantities), frame=at.name)
-    return Payload(held, at.name, *quantities, errors[0], errors[1:4], errors[4:], *least)
+    mass, com, inertia = (x.to(robot.mass) for x in quantities)
+    held = robot.with_payload(mass, com, inertia, at.name)
+    return IdentifiedPayload(held, at.name, *quantities, errors[0], errors[1:4], errors[4:], *least)
 
 
 def _quantities(pi: Tensor) -> Tensor:

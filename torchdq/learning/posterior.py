@@ -9,7 +9,7 @@ and is nearest to these bodies (`nearest`).
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -102,7 +102,7 @@ def sample(identified: Identified, n: int, most: float = 1.0, seed: int = 0) -> 
     mass, com, inertia = central(torch.cat([part[1] for part in parts]))
     robot = identified.robot
     at = space.links
-    changes = {
+    changes: dict[str, Any] = {
         name: torch.index_copy(getattr(robot, name).double().expand(n, *getattr(robot, name).shape), 1, at, x)
         for name, x in (("mass", mass), ("com", com), ("inertia", inertia))
     }
@@ -159,7 +159,7 @@ class _Space:
         )  # [samples, links, entries, 10]
         count, links = len(draws), len(self.links)
         A = self.white.new_zeros(count, len(self.white), 10 * links + len(self.positive) + len(self.signed))
-        white = self.white[:, self.bodies].reshape(-1, links, 10)
+        white = self.white[:, self.bodies].reshape(len(self.white), links, 10)
         A[..., : 10 * links] = torch.einsum("rlp,nlep->nrle", white, blocks).flatten(2)
         at = torch.cat([self.positive, self.signed])
         scale = torch.cat([phi[:, self.positive], self.F[self.signed].norm(dim=1).expand(count, -1)], 1)
