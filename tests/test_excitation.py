@@ -235,7 +235,8 @@ def test_identification_from_the_motion_errs_as_predicted():
     squares = []
     for _ in range(30):
         noise = double(rng.normal(size=rigid.shape)) * found.parameters.noise
-        again = identify(robot, found.q, found.qd, found.qdd, rigid + friction + noise, prior=1e-6)
+        tau = rigid + friction + noise
+        again = identify(robot, found.q, found.qd, found.qdd, tau, friction=True, prior=1e-6)
         assert again.rank == len(base)
         squares.append(((base @ (again.parameters - truth)) / found.errors) ** 2)
     mean = float(torch.stack(squares).mean())
@@ -300,7 +301,7 @@ def test_a_plot_shows_every_joint(exciting, tmp_path):
 def test_predicted_torques_are_drawn_beside_measured_ones(panda, exciting, tmp_path):
     pytest.importorskip("matplotlib")
     motion = exciting[0].sampled(50.0)
-    found = identify(panda, *(torch.as_tensor(x) for x in motion[1:5]))
+    found = identify(panda, *(torch.as_tensor(x) for x in motion[1:5]), friction=True, prior=1.0)
     apart = motion._replace(time=np.where(motion.time > 4, motion.time + 2, motion.time))  # a line is broken there
     figure = plot_torques(found, [motion, apart])
     assert [axes.get_title().split(":")[0] for axes in figure.axes] == list(panda.joint_names)

@@ -43,7 +43,7 @@ def empty(arm):
     q, qd, qdd = moving(2000)
     tau = torchdq.inverse_dynamics(arm, q, qd, qdd) + 3 * qd + 5 * qd / (qd**2 + 1e-4).sqrt()
     noise = torch.randn(tau.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
-    return identify(arm, q, qd, qdd, tau + 0.2 * noise)
+    return identify(arm, q, qd, qdd, tau + 0.2 * noise, friction=True, prior=1.0)
 
 
 def test_moved_parameters_are_those_of_a_body_held_in_a_frame(arm):
@@ -58,7 +58,7 @@ def test_moved_parameters_are_those_of_a_body_held_in_a_frame(arm):
 @pytest.mark.parametrize("frame", [None, "wrist_2_link"])
 def test_exact_torques_give_the_exact_payload(arm, frame):
     q, qd, qdd = moving(300)
-    empty = identify(arm, q, qd, qdd, torchdq.inverse_dynamics(arm, q, qd, qdd), friction=False)
+    empty = identify(arm, q, qd, qdd, torchdq.inverse_dynamics(arm, q, qd, qdd), friction=False, prior=1.0)
     tau = torchdq.inverse_dynamics(arm.with_payload(MASS, COM, INERTIA, frame=frame), q, qd, qdd)
     found = identify_payload(empty, q, qd, qdd, tau, frame=frame, prior=1e-4)
     assert found.frame == frame or frame is None

@@ -20,14 +20,14 @@ from torchdq.learning.nearest import curvature, nearest, relative
 WIDTH = 0.02
 
 
-def found_on(name, rows, noise, seed=0, **options):
+def found_on(name, rows, noise, seed=0, prior=1.0, **options):
     """Identification of a shipped robot with friction, from random states."""
     robot, generator = torchdq.robots.load(name), torch.Generator().manual_seed(seed)
     q, qd, qdd = torch.randn(3, rows, robot.n, dtype=torch.float64, generator=generator)
     tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + qd + 2 * qd / (qd**2 + WIDTH**2).sqrt()
     size = noise * tau.std(0)
     measured = tau + size * torch.randn(tau.shape, dtype=torch.float64, generator=generator)
-    return identify(robot, q, qd, qdd, measured, width=WIDTH, **options)
+    return identify(robot, q, qd, qdd, measured, friction=True, prior=prior, width=WIDTH, **options)
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +128,8 @@ def test_links_without_mass_stay_without():
     keep = torch.tensor([0.0, 1.0])
     described = robot.replace(mass=robot.mass * keep, inertia=robot.inertia * keep[:, None])
     q, qd, qdd, noise = torch.randn(4, 300, 2, dtype=torch.float64)
-    found = identify(described, q, qd, qdd, torchdq.inverse_dynamics(described, q, qd, qdd) + 0.1 * noise)
+    tau = torchdq.inverse_dynamics(described, q, qd, qdd) + 0.1 * noise
+    found = identify(described, q, qd, qdd, tau, friction=True, prior=1.0)
     drawn = sample(found, 20)
     assert bool((drawn.robot.mass[:, 0] == 0).all()) and bool((drawn.robot.inertia[:, 0] == 0).all())
     assert float(drawn.robot.mass[:, 1].std()) > 0

@@ -103,7 +103,8 @@ def identify_payload(
     >>> from torchdq.learning import identify
     >>> robot = torchdq.robots.load("ur10e")
     >>> q, qd, qdd = torch.randn(3, 500, 6, dtype=torch.float64)
-    >>> empty = identify(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd))
+    >>> tau = torchdq.inverse_dynamics(robot, q, qd, qdd)
+    >>> empty = identify(robot, q, qd, qdd, tau, friction=False, prior=1.0)
     >>> tau = torchdq.inverse_dynamics(robot.with_payload(2.0, (0.0, 0.0, 0.1)), q, qd, qdd)
     >>> found = identify_payload(empty, q[:100], qd[:100], qdd[:100], tau[:100])
     >>> bool((found.mass - 2).abs() < 0.01), bool((found.com[2] - 0.1).abs() < 0.01)
@@ -138,9 +139,7 @@ def identify_payload(
         pi, covariance = _found(own, rest, residual, weight, J, prior, Y @ empty.spread[: Y.shape[-1]])
         least = [_left(Z, residual, weight) for Z in (torch.cat([own, rest], -1), rest)]
     quantities = central(pseudo_inertia(pi))
-    slopes = torch.autograd.functional.jacobian(
-        lambda x: torch.cat([y.reshape(-1) for y in central(pseudo_inertia(x))]), pi
-    )
+    slopes = torch.autograd.functional.jacobian(_quantities, pi)
     errors = (slopes @ covariance @ slopes.T).diagonal().sqrt()
     mass, com, inertia = (x.to(robot.mass) for x in quantities)
     held = robot.with_payload(mass, com, inertia, at.name)

@@ -81,7 +81,7 @@ def sample(identified: Identified, n: int, most: float = 1.0, seed: int = 0) -> 
     >>> robot = torchdq.robots.load("two_link")
     >>> q, qd, qdd = torch.randn(3, 200, 2, dtype=torch.float64)
     >>> tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.1 * torch.randn(200, 2, dtype=torch.float64)
-    >>> drawn = sample(identify(robot, q, qd, qdd, tau), 16)
+    >>> drawn = sample(identify(robot, q, qd, qdd, tau, friction=True, prior=1.0), 16)
     >>> drawn.robot.mass.shape, bool((drawn.robot.mass > 0).all()), len(drawn.effects())
     (torch.Size([16, 2]), True, 3)
     """
@@ -120,7 +120,7 @@ class _Space:
         F, phi = identified.spread.double(), identified.parameters.double()
         bodies = 10 * len(identified.robot.link_names)
         self.phi, self.F, self.base = phi, F, identified.base.double()
-        pi, own = phi[:bodies].reshape(-1, 10), F[:bodies].reshape(-1, 10, F.shape[1])
+        pi, own = phi[:bodies].reshape(-1, 10), F[:bodies].unflatten(0, (-1, 10))
         self.links = ((pi[:, 0] > 0) & (own != 0).any(-1).any(-1)).nonzero()[:, 0]
         self.C = torch.linalg.cholesky(pseudo_inertia(pi[self.links]))
         # change of each link in its own axes per draw [links, 4, 4, t], whose greatest width is bounded
