@@ -25,6 +25,7 @@ from torchdq.notice import Notice
 from torchdq.robot import Robot
 from torchdq.tables import summary
 
+KINDS = ("rotor", "viscous", "coulomb", "offset")
 SIGNED = ("offset",)  # coefficients of the joints that may be negative
 KAPPA = 100.0  # weight of the base parameters: so many times that of the bodies that are drawn
 TOGETHER = 256  # robots at a time
@@ -49,7 +50,14 @@ class Sampled(NamedTuple):
         return self.parameters[:, at] if at else None
 
     def effects(self) -> tuple[Effect, ...]:
-        """Gravity, rotor inertia and friction of a scene, a row per robot; constant offsets are not among them."""
+        """Gravity, rotor inertia and friction of a scene, a row per robot; constant offsets are not among them.
+
+        Raises `ArgumentError` for friction of another kind than viscous and Coulomb.
+        """
+        others = sorted({name.rpartition(" ")[2] for name in self.names[10 * len(self.robot.link_names) :]} - {*KINDS})
+        if others:
+            cure = "identify with friction=True, or make the effects from coefficients(kind)"
+            raise ArgumentError(f"friction must be viscous and Coulomb, found {', '.join(others)}; {cure}")
         found: list[Effect] = [Gravity()]
         if self.robot.armature is not None:
             found.append(RotorInertia())
