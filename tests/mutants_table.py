@@ -3833,4 +3833,97 @@ MUTANTS = (
             "envs.py::test_actions_that_are_no_numbers_are_refused",
         ),
     ),
+    *within(
+        "torchdq/learning/fourier.py",
+        (
+            "peaks between the points of a motion missed",
+            "missed = math.cos(math.pi * H / len(self.phases))",
+            "missed = 1.0",
+            "excitation.py::test_series_keep_their_limits_between_the_points_and_rest_at_their_ends",
+        ),
+        (
+            "motions that do not start at rest",
+            "self._sines, self._cosines = _orthogonal(k), _orthogonal(k * k)",
+            "self._sines, self._cosines = _orthogonal(k * k), _orthogonal(k * k)",
+            "excitation.py::test_series_keep_their_limits_between_the_points_and_rest_at_their_ends",
+        ),
+    ),
+    *within(
+        "torchdq/learning/excitation.py",
+        (
+            "torques of a motion that may exceed their limits",
+            "return (used <= 1).all(-1) & (clearance >= 0).all(-1)",
+            "return (clearance >= 0).all(-1)",
+            "excitation.py::test_limits_that_are_missing_or_cannot_be_kept_are_named",
+        ),
+        (
+            "described dry friction left out of the torques of a motion",
+            "most = torque.abs().amax(-2) + between(torque) + robot.friction",
+            "most = torque.abs().amax(-2) + between(torque) - 5 * robot.friction",
+            "excitation.py::test_torques_that_bind_are_kept_between_the_rows",
+        ),
+    ),
+    *within(
+        "torchdq/learning/base.py",
+        (
+            "errors of base parameters without the noise",
+            "return Z.index_select(-1, self.leading) / self.noise[:, None]",
+            "return Z.index_select(-1, self.leading)",
+            "excitation.py::test_errors_are_those_of_least_squares_on_pinocchios_regressor",
+        ),
+    ),
+    *within(
+        "torchdq/learning/bodies.py",
+        (
+            "bodies moved without turning",
+            "T[1:, 0], T[1:, 1:] = matrix[:3, 3], matrix[:3, :3]",
+            "T[1:, 0] = matrix[:3, 3]",
+            "payload.py::test_moved_parameters_are_those_of_a_body_held_in_a_frame",
+        ),
+    ),
+    *within(
+        "torchdq/learning/nearest.py",
+        (
+            "curvature of the distance between bodies halved",
+            "blocks = 2 * torch.einsum",
+            "blocks = torch.einsum",
+            "posterior.py::test_slopes_of_the_distance_are_those_of_autograd",
+        ),
+        (
+            "bodies nearest to others that cannot exist",
+            "inside = (info == 0).all(1) & (x > 0).all(1)",
+            "inside = torch.ones(len(y), dtype=torch.bool)",
+            "posterior.py::test_the_nearest_robot_is_a_minimum_where_bodies_can_exist",
+        ),
+    ),
+    *within(
+        "torchdq/learning/posterior.py",
+        (
+            "drawn robots whose base parameters do not spread",
+            "offset = (phi - self.phi - gaussian) @ self.white.T",
+            "offset = (phi - self.phi) @ self.white.T",
+            "posterior.py::test_base_parameters_have_the_mean_and_the_covariance_found",
+        ),
+        (
+            "drawn bodies twice as wide as the prior",
+            "torch.linalg.matrix_exp((s + s.mT) / 2)",
+            "torch.linalg.matrix_exp(s + s.mT)",
+            "posterior.py::test_bodies_that_torques_do_not_tell_have_the_width_of_the_prior",
+        ),
+    ),
+    *within(
+        "torchdq/learning/payload.py",
+        (
+            "the expected payload taken for none",
+            "off = own @ inertial_parameters(J) - residual",
+            "off = -residual",
+            "payload.py::test_exact_torques_give_the_exact_payload",
+        ),
+        (
+            "correlation of what an arm's model has wrong left out",
+            "_correlation(left).maximum(correlation)",
+            "torch.ones_like(correlation)",
+            "payload.py::test_correlated_faults_of_the_empty_arm_widen_the_errors",
+        ),
+    ),
 )
