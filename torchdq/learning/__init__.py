@@ -12,7 +12,9 @@ Nothing here is imported by `import torchdq`; scipy, rich and tensorboard are im
 from torchdq.learning.checkpoint import CheckpointError
 from torchdq.learning.data import Samples
 from torchdq.learning.excitation import Excitation, excite
-from torchdq.learning.identification import Identified, identify
+from torchdq.learning.identification import identify
+from torchdq.learning.identified import Identified, Prediction
+from torchdq.learning.ladder import Ladder, Rung
 from torchdq.learning.layouts import Layout, LogError, MissingLogError
 from torchdq.learning.logs import Log, read
 from torchdq.learning.motion_limits import Box, HalfSpace, MotionLimits
@@ -31,6 +33,7 @@ __all__ = [
     "History",
     "Identified",
     "IdentifiedPayload",
+    "Ladder",
     "Layout",
     "Log",
     "LogError",
@@ -39,6 +42,8 @@ __all__ = [
     "Motion",
     "MotionLimits",
     "Sampled",
+    "Prediction",
+    "Rung",
     "Samples",
     "TrainingError",
     "cut",
