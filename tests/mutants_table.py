@@ -2725,23 +2725,32 @@ MUTANTS = (
     ),
     # --- scenes -------------------------------------------------------------------------------------------------------
     *within(
-        "torchdq/effects/joint.py",
+        "torchdq/effects/friction.py",
         (
             "friction that pushes",
-            "return [Impedance(d) for d in self.coefficient]",
-            "return [Impedance(-d) for d in self.coefficient]",
-            f"{EFFECTS}::test_an_effect_at_the_joints_adds_the_torques_of_its_formula",
-        ),
-        (
-            "springs about the other side",
-            "spring(k, x - r) for",
-            "spring(k, x + r) for",
+            "return Impedance(self.coefficient)",
+            "return Impedance(-self.coefficient)",
             f"{EFFECTS}::test_an_effect_at_the_joints_adds_the_torques_of_its_formula",
         ),
         (
             "static friction of the speed's own sign",
             "1.0 + ratio * ratio",
             "1.0 + ratio",
+            f"{EFFECTS}::test_an_effect_at_the_joints_adds_the_torques_of_its_formula",
+        ),
+    ),
+    *within(
+        "torchdq/effects/joint.py",
+        (
+            "stiffness that is not implicit",
+            "z.damping_at_end(h) for z",
+            "z.damping for z",
+            f"{INTEGRATORS}::test_a_bounce_off_stiff_limits_gains_no_energy",
+        ),
+        (
+            "springs about the other side",
+            "spring(k, x - r) for",
+            "spring(k, x + r) for",
             f"{EFFECTS}::test_an_effect_at_the_joints_adds_the_torques_of_its_formula",
         ),
         (
@@ -2965,15 +2974,9 @@ MUTANTS = (
     *within(
         "envs/system.py",
         (
-            "stiffness that is not implicit",
-            "z.damping_at_end(h) for z",
-            "z.damping for z",
-            f"{INTEGRATORS}::test_a_bounce_off_stiff_limits_gains_no_energy",
-        ),
-        (
             "a spring that sees the state at its beginning",
-            "self._forces(joints.torques, impedances, damping, qd)",
-            "self._explicit(x, v)[1]",
+            "inertia]), self._net(at, forces.torques,",
+            "inertia]), self._net(at, self._explicit(x, v).torques,",
             f"{EFFECTS}::test_the_implicit_integrator_takes_the_state_at_the_end_of_the_step",
         ),
         (

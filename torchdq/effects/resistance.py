@@ -1,0 +1,228 @@
+"""Torques of friction effects on tensors: those that motors add to overcome them, along a motion or a log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.algebra.quaternion import Number
+from torchdq.backends.choice import BackendName
+from torchdq.caches import PROGRAMS, remembered
+from torchdq.call import Computation, evaluate
+from torchdq.dynamics.posed import Row
+from torchdq.effects.effect import Inputs
+from torchdq.effects.friction import TEMPERATURE, Friction
+from torchdq.effects.joint import load_size, total
+from torchdq.errors import ArgumentError
+from torchdq.numbers.functions import absolute
+from torchdq.program.program import Argument, Program, record
+from torchdq.robot import Robot
+from torchdq.robot.fields import trailing
+
+What = Literal["columns", "rates", "friction", "load"]  # what a program returns
+
+
+def torques(
+    effects: Sequence[Friction], q: Row, qd: Row, load: Row | None, inputs: Inputs, memory: Row = ()
+) -> list[Number]:
+    """Torques that overcome friction, (D + g |load|) qd + f of every joint, on any kind of number."""
+    result = []
+    found = [effect.impedances_at_end(q, qd, inputs, memory, 0.0) for effect in effects]
+    for i in range(len(qd)):
+        joint = [row[i] for row in found]
+        D, f, g = total(joint)
+        if not (isinstance(g, float) and g == 0.0):
+            if load is None:
+                names = " and ".join(type(effect).__name__ for effect in effects)
+                raise ArgumentError(f"load must be given for {names}, whose friction depends on it")
+            D = D + g * absolute(load[i])
+        result.append(D * qd[i] + f)
+    return result
+
+
+def loads(effects: Sequence[Friction], q: Row, qd: Row, tau: Row) -> list[Number]:
+    """Torques that move the bodies and rotors, of the motors' torques tau less friction, on any kind of number."""
+    result = []
+    found = [effect.impedances(q, qd, {}) for effect in effects]
+    for i, (v, t) in enumerate(zip(qd, tau, strict=True)):
+        D, f, g = total([row[i] for row in found])
+        free = t - (D * v + f)
+        result.append(free - g * load_size(free, g, v) * v)
+    return result
+
+
+@dataclass(frozen=True)
+class Templates:
+    """Effects of n joints as programs know them; a graph of torch.compile can hold this object, and cannot make one."""
+
+    effects: tuple[Friction, ...]
+    n: int
+
+
+class Parts(NamedTuple):
+    """Effects for programs: without their tensors, and these by position and name."""
+
+    templates: Templates
+    tensors: Mapping[str, Tensor]
+
+
+def parts(effects: Sequence[Friction], n: int) -> Parts:
+    """Parts of resolved effects of n joints."""
+    tensors = {f"{k}.{name}": x for k, effect in enumerate(effects) for name, x in effect.tensors().items()}
+    return Parts(Templates(tuple([effect.template() for effect in effects]), n), tensors)
+
+
+def friction(of: Parts, q: Tensor, qd: Tensor, load: Tensor, backend: BackendName | None = None) -> Tensor:
+    """Torque [..., n] that overcomes all of some effects, which neither remember nor warm up.
+
+    Args:
+        of: the effects.
+        q, qd: positions and velocities [rad or m, rad/s or m/s], shape [..., n].
+        load: torques of the rigid bodies and rotors [N m or N], shape [..., n].
+        backend: as in `torchdq.functional`.
+    """
+    return _evaluated("friction", of, {"q": q, "qd": qd, "load": load}, backend)["tau"]
+
+
+def load_under(of: Parts, q: Tensor, qd: Tensor, tau: Tensor, backend: BackendName | None = None) -> Tensor:
+    """Torque [..., n] that moves the bodies and rotors, of the motors' torques tau; arguments as in `friction`."""
+    return _evaluated("load", of, {"q": q, "qd": qd, "tau": tau}, backend)["load"]
+
+
+def columns(
+    robot: Robot,
+    effect: Friction,
+    q: Tensor,
+    qd: Tensor,
+    load: Tensor | None = None,
+    temperature: Tensor | None = None,
+    time: Tensor | None = None,
+    backend: BackendName | None = None,
+) -> dict[str, Tensor]:
+    """Torque [..., n] that overcomes friction per unit of each parameter in `effect.LINEAR`, by its name.
+
+    The torque of the effect is their sum, each times its parameter; the values that the effect has for these do not
+    matter, and may be None.
+
+    Args:
+        robot: the robot, for its joints.
+        effect: the friction.
+        q, qd: positions and velocities [rad or m, rad/s or m/s], shape [..., n].
+        load: torques of the rigid bodies and rotors in that motion, `torchdq.inverse_dynamics` [N m or N], shape
+            [..., n]; None: for an effect that does not depend on them.
+        temperature: as in `torchdq.effects.friction.Friction`, shape [..., n].
+        time: for friction that remembers, increasing times of q [rows, n], one motion from its start [s], shape [rows];
+            None: for friction that does not.
+        backend: as in `torchdq.functional`.
+
+    >>> import torch, torchdq
+    >>> from torchdq import effects
+    >>> robot, qd = torchdq.robots.load("two_link"), torch.tensor([[-2.0, 0.0]])
+    >>> columns(robot, effects.Quadratic(), torch.zeros(1, 2), qd)
+    {'coefficient': tensor([[-4.,  0.]])}
+    """
+    zeros: dict[str, Any] = dict.fromkeys(effect.LINEAR, 0.0)
+    known = replace(effect, **zeros).resolved(robot)
+    units = parts([replace(known, **{name: (1.0,) * robot.n}) for name in effect.LINEAR], robot.n)
+    given = {"q": q, "qd": qd, "load": load, TEMPERATURE: temperature if known.inputs(robot.n) else None}
+    if known.memory(robot.n):
+        if time is None:
+            raise ArgumentError(f"time must be given for {type(effect).__name__}, which remembers where it has been")
+        given["memory"] = _followed(known, q, time, backend)
+    rows = _evaluated("columns", units, given, backend)
+    return dict(zip(effect.LINEAR, rows.values(), strict=True))
+
+
+def _followed(effect: Friction, q: Tensor, time: Tensor, backend: BackendName | None) -> Tensor:
+    """Memory [rows, m] of friction along the positions of one motion q [rows, n], its rates being linear in it."""
+    if q.ndim != 2 or time.shape != q.shape[:1]:
+        raise ArgumentError(
+            f"q must be [rows, n] and time [rows] for {type(effect).__name__}, one motion, found {tuple(q.shape)} and "
+            f"{tuple(time.shape)}"
+        )
+    h = time.to(q).diff().unsqueeze(-1)
+    if not bool((h > 0).all()):
+        raise ArgumentError("time must increase from row to row of one motion")
+    qd = q.diff(dim=0) / h
+    given = {"q": q[:-1], "qd": qd, "h": h, "memory": q.new_zeros(len(h), effect.memory(q.shape[-1]))}
+    (bent,) = _evaluated("rates", parts([effect], q.shape[-1]), given, backend).values()
+    (slope,) = _evaluated(
+        "rates", parts([effect], q.shape[-1]), {**given, "memory": given["memory"] + 1.0}, backend
+    ).values()
+    memory = [given["memory"].new_zeros(given["memory"].shape[-1])]
+    for kept, added in zip((1.0 + h * (slope - bent)).unbind(), (h * bent).unbind(), strict=True):
+        memory.append(kept * memory[-1] + added)
+    return torch.stack(memory)
+
+
+# --- programs --------------------------------------------------------------------------------------------------------
+
+
+def _evaluated(
+    what: What, of: Parts, given: Mapping[str, Tensor | None], backend: BackendName | None
+) -> dict[str, Tensor]:
+    """Results of a program by name; those that are of one effect each have its position for a name."""
+    return evaluate(_Along(what, of.templates), {**given, **of.tensors}, backend)
+
+
+class _AlongFields(NamedTuple):
+    """Fields of `_Along`."""
+
+    what: What
+    of: Templates
+
+
+class _Along(_AlongFields, Computation):
+    """Torques of effects along a motion, or the rates of their memory, as a computation of `torchdq.call`."""
+
+    def axes(self, name: str) -> tuple[int, ...]:
+        """Trailing axes of an input or a parameter."""
+        owner, dot, parameter = name.partition(".")
+        if dot:
+            return trailing(self.of.effects[int(owner)].SHAPES[parameter], {"n": self.of.n})
+        return {"h": (1,), "memory": (self.of.effects[0].memory(self.of.n),)}.get(name, (self.of.n,))
+
+    def shared(self, name: str) -> bool:
+        """True for a parameter."""
+        return "." in name
+
+    def label(self, name: str) -> str:
+        """Name without its owner."""
+        return name.rpartition(".")[2]
+
+    def check(self, tensors: Mapping[str, Any]) -> None:
+        """Raise unless the inputs of the effects are there."""
+        for effect in self.of.effects:
+            for name in effect.needs(self.of.n) if self.what == "columns" else ():
+                if name not in tensors:
+                    raise ArgumentError(f"{name} must be given, shape [..., {self.of.n}], for {type(effect).__name__}")
+
+    def program(self, arguments: tuple[Argument, ...]) -> Program:
+        """Program, recorded once."""
+        return _program(self, arguments)
+
+
+@remembered(PROGRAMS)
+def _program(what: _Along, arguments: tuple[Argument, ...]) -> Program:
+    def algorithm(*rows: Row) -> dict[str, Row]:
+        given = {a.name: row for a, row in zip(arguments, rows, strict=True)}
+        q, qd, load, memory = given["q"], given["qd"], given.get("load"), given.get("memory", ())
+        effects = []
+        for k, template in enumerate(what.of.effects):
+            own = {name.partition(".")[2]: row for name, row in given.items() if name.startswith(f"{k}.")}
+            effects.append(template.bound(own))
+        match what.what:
+            case "columns":
+                return {str(k): torques([effect], q, qd, load, given, memory) for k, effect in enumerate(effects)}
+            case "rates":
+                h = given["h"][0]
+                return {str(k): effect.memory_rates(q, qd, given, memory, qd, h) for k, effect in enumerate(effects)}
+            case "friction":
+                return {"tau": torques(effects, q, qd, load, {})}
+        return {"load": loads(effects, q, qd, given["tau"])}
+
+    return record(f"friction_{what.what}", arguments, algorithm)
