@@ -22,7 +22,7 @@ from rich.console import Console
 from simulated_logs import real_arm, recorded, write
 
 import torchdq
-from torchdq.learning import Identified, Layout, LogError, directions, identify, read, samples, smooth
+from torchdq.learning import Identified, Layout, LogError, identify, read, samples, smooth
 
 RATIOS = (101.0, -101.0, 101.0, 101.0)  # of the gears of the arm, negative where the joint turns against the motor
 WRIST = (
@@ -58,7 +58,7 @@ class Result(NamedTuple):
 
 def made_logs(robot: torchdq.Robot, args: Args) -> list[Path]:
     """Logs of the drives of an arm that is not as described."""
-    arm, paths = real_arm(robot, args.seed), []
+    arm, paths = real_arm(robot, args.seed, rotors=True), []
     for k in range(2 if args.quick else 4):
         log = recorded(arm, 12.0 if args.quick else 25.0, 200.0, 100 * args.seed + k)
         encoders = log.q @ np.linalg.inv(TRANSMISSION).T
@@ -83,15 +83,12 @@ def main(args: Args) -> Result:
     *train, test = [smooth(log, rate=20) for log in logs]
     console.print(test)
 
-    found = identify(robot, *samples(train), direction=directions(train))
+    found = identify(robot, train, armature=True)  # currents drive the rotors, too
     console.print(str(found))
 
-    unseen = samples(test)
     with torch.no_grad():
-        torques = {
-            "as described": torchdq.inverse_dynamics(robot, *unseen[:3]).numpy(),
-            "as found": found.predict(*unseen[:3]).tau.numpy(),
-        }
+        described = torchdq.inverse_dynamics(robot, *samples(test)[:3])
+    torques = {"as described": described.numpy(), "as found": found.predict(test).tau.numpy()}
     errors = shares(test, torques)
     console.print(errors_table(errors))
     draw(robot.joint_names, test, torques, args.out / "log_with_currents.png", 12.0)
