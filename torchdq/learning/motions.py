@@ -211,7 +211,18 @@ def samples(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.float
             of unknown gains.
     """
     several = _several(motions)
-    for motion in several:
+    require_torques(several)
+    parts = ([getattr(motion, name) for motion in several] for name in Samples._fields)
+    return Samples(*(torch.as_tensor(np.concatenate(part), dtype=dtype) for part in parts))
+
+
+def require_torques(motions: Sequence[Motion]) -> None:
+    """Raise unless motions hold torques, in N m.
+
+    Raises:
+        ArgumentError: a motion has none, or efforts in units of unknown gains.
+    """
+    for motion in motions:
         name = motion.name and f" of {motion.name}"
         if motion.tau is None:
             cure = "without torques, fit_rollout fits a simulation to positions and commands"
@@ -219,8 +230,6 @@ def samples(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.float
         if not motion.known_gains:
             cure = "give Layout(gain=...), or identify(robot, motions, gains=True), which finds them"
             raise ArgumentError(f"motions must have torques, found efforts of unknown gains in that{name}; {cure}")
-    parts = ([getattr(motion, name) for motion in several] for name in Samples._fields)
-    return Samples(*(torch.as_tensor(np.concatenate(part), dtype=dtype) for part in parts))
 
 
 def directions(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.float64) -> torch.Tensor:
