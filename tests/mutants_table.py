@@ -3398,12 +3398,72 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/regression.py",
+        "torchdq/learning/terms.py",
         (
             "sharp signs of velocity beside filtered torques",
-            'units["coulomb"] = direction',
-            "pass",
+            "if recording.direction is None else recording.direction",
+            "if True else recording.direction",
             "friction_of_logs.py::test_friction_is_found_within_the_stated_errors",
+        ),
+        (
+            "bristles that never slide",
+            "step.sign() * (1 - keep)",
+            "step / distance",
+            "ladder_of_models.py::test_friction_of_each_shape_is_found_with_its_size",
+        ),
+    ),
+    *within(
+        "torchdq/learning/evidence.py",
+        (
+            "rows beside a block that is left out",
+            "folds[k] -= sums[first",
+            "folds[k] -= 0 * sums[first",
+            "ladder_of_models.py::test_a_fold_holds_nothing_of_its_block",
+        ),
+    ),
+    *within(
+        "torchdq/learning/blocks.py",
+        (
+            "gaps without times",
+            "after = int((time[last : motion.stop] < time[last - 1] + ENDS).sum())",
+            "after = 0",
+            "ladder_of_models.py::test_blocks_are_whole_motions_or_parts_with_gaps",
+        ),
+    ),
+    *within(
+        "torchdq/learning/correlation.py",
+        (
+            "correlation counted on one side",
+            "1 + 2 * (correlation * clear)",
+            "1 + (correlation * clear)",
+            "ladder_of_models.py::test_correlation_times_are_those_of_the_process",
+        ),
+    ),
+    *within(
+        "torchdq/learning/ladder.py",
+        (
+            "the best rung instead of the simplest as good",
+            "if float(off.mean()) <= float(off.std() / len(off) ** 0.5):",
+            "if i == best:",
+            "ladder_of_models.py::test_the_rung_that_is_the_truth_is_chosen",
+        ),
+    ),
+    *within(
+        "torchdq/learning/shapes.py",
+        (
+            "friction beside bodies that stay as they were",
+            "H - fits[j].H + more.H, h - fits[j].h + more.h",
+            "H, h",
+            "ladder_of_models.py::test_friction_of_each_shape_is_found_with_its_size",
+        ),
+    ),
+    *within(
+        "torchdq/learning/gains.py",
+        (
+            "gains about one alone",
+            "(1 - h)[:, None] * start + (h - centre)[:, None] * phi",
+            "(1 - h)[:, None] * start",
+            "ladder_of_models.py::test_gains_of_drives_are_found_within_their_errors",
         ),
     ),
     *within(

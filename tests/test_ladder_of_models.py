@@ -326,6 +326,39 @@ def test_the_report_is_a_table_with_reasons():
     assert str(found).endswith(str(found.report)) and "\n" not in repr(found.report)
 
 
+# --- drive gains -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_gains_of_drives_are_found_within_their_errors(known):
+    """Efforts by gains that are off by tens of percent, or in other units; the description has the right masses."""
+    robot = torchdq.robots.load("ur10e")
+    g = torch.Generator().manual_seed(0)
+    q, qd, qdd = states(4, 500, joints=6)
+    rub = (0.1 * torchdq.inverse_dynamics(robot, q, qd, qdd).std((0, 1))).clamp_min(0.2)
+    clean = torchdq.inverse_dynamics(robot, q, qd, qdd) + rub * (qd + sign(qd))
+    tau = clean * (1 + 0.01 * noise(q.shape, 0.0)) + 0.02 * clean.std((0, 1)) * noise(q.shape, 0.5, seed=1)
+    gains = 0.8 + 0.4 * torch.rand(6, generator=g, dtype=torch.float64)
+    gains = gains if known else 10 * gains
+    time = np.arange(500) * STEP
+    motions = [
+        Motion(time, *(x[k].numpy() for x in (q, qd, qdd, tau / gains)), sign(qd[k]).numpy(), known_gains=known)
+        for k in range(4)
+    ]
+    if not known:
+        with pytest.raises(ArgumentError, match="give gains=True"):
+            identify(robot, motions)
+    found = identify(robot, motions, friction=True, prior=1.0, gains=True, width=WIDTH)
+    assert found.gains is not None
+    off = (found.gains.value / gains)[:5]  # the last joint's torque is nearly all friction, which any gain explains
+    assert float((off / off.mean() - 1).abs().max()) < 0.03  # between joints that share a load
+    assert float((off.mean() - 1).abs()) < 0.2  # all together: masses would have to be known
+    assert float(((found.gains.value - gains) / found.gains.error).abs().max()) < 3
+    assert "torque per unit of effort" in str(found)
+    predicted = found.predict(motions).tau.reshape(q.shape) / found.gains.value
+    assert float(((predicted - clean / gains).std((0, 1)) / (clean / gains).std((0, 1))).max()) < 0.02
+
+
 # --- recordings ------------------------------------------------------------------------------------------------------
 
 

@@ -41,6 +41,7 @@ class Recording(NamedTuple):
     tau: Tensor | None = None  # [rows, n] [N m or N]
     direction: Tensor | None = None  # [rows, n] sign of the velocity, filtered as the torques
     time: Tensor | None = None  # [rows] [s]
+    known_gains: bool = True  # whether tau is in these units
 
     @property
     def measured(self) -> Tensor:
@@ -95,7 +96,8 @@ def of_motions(robot: Robot, motions: Motion | Sequence[Motion]) -> Recording:
 
     lengths = tuple(len(motion.q) for motion in several)
     q, qd, qdd = together("q"), together("qd"), together("qdd")
-    return Recording(q, qd, qdd, lengths, if_all("tau"), if_all("direction"), if_all("time"))
+    known = all(motion.known_gains for motion in several)
+    return Recording(q, qd, qdd, lengths, if_all("tau"), if_all("direction"), if_all("time"), known)
 
 
 def of_tensors(robot: Robot, **signals: Tensor) -> Recording:

@@ -26,6 +26,7 @@ from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics, require_finite
 from torchdq.learning.blocks import Recording, blocks
 from torchdq.learning.evidence import Evidence, gather
+from torchdq.learning.gains import drive_gains
 from torchdq.learning.identified import INERTIAL, Identified, recorded
 from torchdq.learning.ladder import STRENGTHS, Ladder, climb
 from torchdq.learning.motions import Motion, require_torques
@@ -53,6 +54,7 @@ def identify(
     prior: float | None = None,
     width: float = 1e-2,
     direction: Tensor | None = None,
+    gains: bool = False,
 ) -> Identified:
     """Physically consistent robot that explains measured torques best, as `Identified`.
 
@@ -88,6 +90,10 @@ def identify(
             one here then only serves predictions and simulation. None: qd / sqrt(qd^2 + width^2), for torques that are
             not filtered. A `LogWarning` names joints whose friction has another shape than was sought, for which the
             numbers are biased beyond their errors.
+        gains: seek the torque per unit of effort of every joint, where `tau` is a current, or a torque by gains that
+            are not trusted: 1 with a standard deviation of 0.3 before the samples, or anything where the layout of the
+            log has no gains. One factor of them all, with masses, comes from the description. They are
+            found with viscous and Coulomb friction first, and the rest follows with the torques that they make.
 
     Raises:
         ArgumentError: a shape, a device, a value that is not finite, no samples, or a robot with batch axes.
@@ -118,8 +124,15 @@ def identify(
     require_bodies(robot, "identification")
 
     fixed = [ROTOR] * armature + [VISCOUS, COULOMB] * bool(friction) + [OFFSET] * offset
+    if not (rows.known_gains or gains):
+        raise ArgumentError("tau of the motions must be torques, found efforts of unknown gains; give gains=True")
     left_out = blocks(rows) if friction == "choose" or prior is None else []
     with torch.no_grad(), _solvable(rows.signals()), Notice(f"identifying {robot.name}") as notice:
+        drives = None
+        if gains:
+            motors = [ROTOR] * (armature or robot.armature is not None) + [term for term in fixed if term is not ROTOR]
+            drives = drive_gains(gather(robot, rows, motors, width, None, (), notice.at), rows.known_gains)
+            rows = rows._replace(tau=rows.measured * drives.value.to(rows.q))
         moves = _moving(robot, rows.qd, width)
         if doubt := _doubts(robot, rows, width):
             warnings.warn(doubt, LogWarning, stacklevel=2)
@@ -139,7 +152,7 @@ def identify(
             warnings.warn(f"the least squares have not settled after {ITERATIONS} iterations", stacklevel=2)
         if (late := _late(evidence, found, width)) and not doubt:
             warnings.warn(late, LogWarning, stacklevel=2)
-        return _identified(evidence, found, correlation, weight, width, moves, ladder)
+        return _identified(evidence, found, correlation, weight, width, moves, ladder)._replace(gains=drives)
 
 
 def _fitted(
@@ -190,6 +203,7 @@ def _identified(
         width=width,
         excited=excited,
         report=ladder,
+        gains=None,
     )
 
 

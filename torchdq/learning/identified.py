@@ -14,6 +14,7 @@ from torchdq.effects.effect import Effect
 from torchdq.effects.friction import Friction
 from torchdq.errors import ArgumentError
 from torchdq.learning.blocks import Recording, of_motions, of_tensors
+from torchdq.learning.gains import Gains
 from torchdq.learning.ladder import Ladder
 from torchdq.learning.motions import Motion
 from torchdq.learning.regression import chunks, columns, places, rigid
@@ -65,6 +66,7 @@ class Identified(NamedTuple):
     width: float  # width of the Coulomb friction [rad/s or m/s]
     excited: Tensor  # [k] bool: parameters that the samples decide, not the prior; false if the joint hardly moves
     report: Ladder | None  # how the model was chosen; None: it was given
+    gains: Gains | None  # torque per unit of `tau`, by which it was multiplied; None: not sought
 
     def coefficients(self, name: str) -> Tensor | None:
         """Parameters [n] of the joints of one kind: "rotor", "viscous", "coulomb", "offset"; None: not sought."""
@@ -190,6 +192,10 @@ class Identified(NamedTuple):
         ]
         parameters = table(("parameter", "estimate", "standard error", "unit", "excited"), rows)
         residuals = summary("residual", {"rms": (self.rms, "N m or N"), "noise": (self.noise, "N m or N")})
+        if self.gains is not None:
+            drives = zip(self.robot.joint_names, *(x.tolist() for x in self.gains), strict=True)
+            rows = [(joint, f"{x:.4g}", f"{error:.2g}") for joint, x, error in drives]
+            residuals += "\n\n" + table(("joint", "torque per unit of effort", "standard error"), rows)
         report = "" if self.report is None else f"\n\n{self.report}"
         return f"{title}\n\n{parameters}\n\n{residuals}{report}"
 
