@@ -29,7 +29,7 @@ from torchdq.learning.evidence import Evidence, gather
 from torchdq.learning.gains import drive_gains
 from torchdq.learning.identified import INERTIAL, Identified, recorded
 from torchdq.learning.ladder import STRENGTHS, Ladder, climb
-from torchdq.learning.motions import Motion, require_torques
+from torchdq.learning.motions import Motion
 from torchdq.learning.plausibility import LogWarning, doubts, misshapen, sampled, unexplained
 from torchdq.learning.regression import base_parameters, rigid
 from torchdq.learning.solution import ITERATIONS, Solution, solve
@@ -108,8 +108,6 @@ def identify(
     """
     for name, axes in batches(robot).items():
         raise ArgumentError(f"{name} of robot {robot.name!r} has batch axes {axes}; identify one at a time")
-    if not isinstance(motions, Tensor):
-        require_torques([motions] if isinstance(motions, Motion) else motions)
     _, rows = recorded(robot, motions, qd, qdd, tau=tau, direction=direction)
     if not len(rows.q) or not robot.n:
         raise ArgumentError(
