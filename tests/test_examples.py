@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from torchdq.learning import read
+
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
 DATA = Path(os.environ.get("TORCHDQ_DATA", ROOT.parent / "shared" / "data"))
@@ -94,6 +96,18 @@ def test_real_time(tmp_path, capsys):
     assert_drawn(tmp_path / "real_time.png")
 
 
+def test_what_to_record(tmp_path, capsys):
+    module = import_module("19_what_to_record")
+    found = module.main(module.Args(seconds=10.0, quick=True, out=tmp_path))
+    assert 0.3 < found.chi_square < 1.6  # a prior at the description makes it less than one
+    assert found.gain > 1.5
+    assert len(found.drawn.parameters) == 10 and float(found.spread[-1].max()) > 1e-3
+    assert read(tmp_path / "motion.csv").q.shape == (10_001, 7)
+    assert "panda_joint7 coulomb" in capsys.readouterr().out
+    assert_drawn(tmp_path / "motion.png")
+    assert_drawn(tmp_path / "possible_arms.png")
+
+
 # --- recordings of real arms -----------------------------------------------------------------------------------------
 
 
@@ -149,6 +163,8 @@ def test_a_log_with_currents(tmp_path, capsys):
     module = import_module("18_log_with_currents")
     result = module.main(module.Args(quick=True, out=tmp_path))
     assert result.after.mean() < 0.1 * result.before.mean() and (result.after < 0.3 * result.before).all()
+    np.testing.assert_allclose(result.gains[:4], 1, atol=0.02)  # the wrist carries too little to tell its own
+    np.testing.assert_allclose(result.gains, 1, atol=0.2)
     assert_drawn(tmp_path / "log_with_currents.png")
     printed = " ".join(capsys.readouterr().out.split())
     assert "if 'current_0' is a motor current" in printed and "ur10e, identified" in printed
