@@ -119,7 +119,7 @@ def with_friction(robot: torchdq.Robot, data: Samples) -> torchdq.DQRNEA:
 
 def identified(robot: torchdq.Robot, data: Samples) -> torchdq.DQRNEA:
     """The model whose inertial parameters and friction least squares find, as a layer that can learn on."""
-    found = identify(robot, *data, friction=True, offset=True, armature=True, width=WIDTH)
+    found = identify(robot, *data, friction=True, offset=True, armature=True, prior=1.0, width=WIDTH)
     layer = torchdq.DQRNEA(found.robot, learn=LEARNED, friction_width=WIDTH)
     layer.viscous, layer.coulomb, layer.offset = found.viscous, found.coulomb, nn.Parameter(found.offset)
     return layer

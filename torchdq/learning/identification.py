@@ -183,9 +183,10 @@ def _identified(
     ladder: Ladder | None,
 ) -> Identified:
     robot, terms, near, facts = evidence.robot, evidence.terms, found.near, found.facts
-    spread = found.spread(prior)
+    doubt = 1.0 if ladder is None else found.doubt(prior)  # a strength that was chosen is no knowledge
+    spread = found.spread(prior, doubt)
     names = [f"{link} {name}" for link in robot.link_names for name in INERTIAL]
-    excited = _excited(spread, near.S.norm(dim=1) * math.sqrt(found.doubt(prior) / prior), moves, terms)
+    excited = _excited(spread, near.S.norm(dim=1) * math.sqrt(doubt / prior), moves, terms)
     if ladder is not None:
         ladder = ladder._replace(untold=_untold(robot, excited))
     return Identified(
