@@ -1,0 +1,158 @@
+"""Problem that a fit of rollouts solves: its unknowns, its measurements, and the steps towards its solution."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.learning import shooting
+from torchdq.learning.recordings import Checked
+from torchdq.learning.shooting import Linear, Motions, Segments
+from torchdq.learning.unknowns import Unknowns
+
+if TYPE_CHECKING:
+    from torchdq.envs.sensitivity import StepMap
+
+PRIOR = 10.0  # standard deviation of a parameter around its start, relative to its size: for what nothing tells
+EXACT = 1e-9  # least deviation of a measurement, relative to its motion
+UNEVEN = 1e-3  # motion of a joint that hardly moves, relative to that of the one that moves most
+
+
+class Iterate(NamedTuple):
+    """Parameters, and motions at them."""
+
+    values: Tensor  # [p] numbers of the unknowns
+    motions: Motions
+    gap: float  # root mean square of the gaps between nodes, relative to the motion
+    cost: float  # negative logarithm of the likelihood and the prior
+    spread: Tensor  # [c] root mean square of the residuals
+
+
+class Step(NamedTuple):
+    """Change of an iterate."""
+
+    values: Tensor  # [p] in the coordinates of the unknowns
+    nodes: Tensor  # [K, T, s]
+    length: float  # of the change of all predicted measurements, in their standard deviations
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Greatest likelihood of recordings: independent errors, whose deviation every signal has of its own."""
+
+    step_map: StepMap
+    unknowns: Unknowns
+    logs: Sequence[Checked]
+    pieces: Segments
+
+    # --- iterates ---
+
+    def first(self) -> Iterate:
+        """Start: the parameters of the scene, the nodes where the measurements are."""
+        q, qd = shooting.first_guess(self.pieces, self.logs)
+        state = self.step_map.scene.begin({"q": q, "qd": qd}, {})[0]
+        return self.at(self.unknowns.start, torch.cat([q, qd, *([] if state.memory is None else [state.memory])], -1))
+
+    def at(self, values: Tensor, nodes: Tensor) -> Iterate:
+        """Iterate at parameters and nodes."""
+        moved = shooting.motions(
+            self.step_map, self.pieces, nodes, self._inputs(values), self.unknowns.parameters(values)
+        )
+        gap = float((moved.gaps / self._motion(nodes)).square().mean().sqrt())
+        spread = (moved.residual.square().sum((0, 1)) / self.rows).sqrt()
+        prior = (self.unknowns.offset(values) / (PRIOR * self.unknowns.sizes(values))).square().sum()
+        cost = self.rows * self._least(spread).log().sum() + 0.5 * prior
+        return Iterate(values, moved, gap, float(cost), spread)
+
+    def moved(self, at: Iterate, step: Step, share: float) -> Iterate:
+        """Iterate after a share of a step."""
+        return self.at(self.unknowns.moved(at.values, share * step.values), at.motions.nodes + share * step.nodes)
+
+    @cached_property
+    def rows(self) -> float:
+        """Number of measured rows."""
+        return float(self.pieces.evidence.used.sum())
+
+    @cached_property
+    def scale(self) -> Tensor:
+        """Standard deviations [c] of the measured signals: how large the motion is."""
+        e = self.pieces.evidence
+        found = e.y[e.used > 0].std(0)
+        return torch.where(found.amax() > 0, found.clamp_min(UNEVEN * found.amax()), 1.0)
+
+    def _least(self, spread: Tensor) -> Tensor:
+        return (spread.square() + (EXACT * self.scale).square()).sqrt()
+
+    @staticmethod
+    def _motion(nodes: Tensor) -> Tensor:
+        size = nodes.flatten(0, 1).square().mean(0).sqrt()
+        return torch.where(size > 0, size, 1.0)
+
+    def _inputs(self, values: Tensor) -> dict[str, Tensor]:
+        delay = self.unknowns.delay(values)
+        return shooting.commands(self.pieces, self.logs, delay) if delay else self._prompt
+
+    @cached_property
+    def _prompt(self) -> dict[str, Tensor]:
+        """Commands of all steps without a delay."""
+        return shooting.commands(self.pieces, self.logs, 0.0)
+
+    # --- steps ---
+
+    def noise(self, at: Iterate) -> Tensor:
+        """Standard deviations [c] of the measurements, those of the residuals for as many as there are beside states.
+
+        Nodes that start where the measurements are have none; then the signals count by how large their motion is.
+        """
+        if not bool((at.spread > 0).any()):
+            return self.scale
+        states = at.motions.nodes.shape[-1] * len(at.motions.nodes) / at.spread.numel()
+        spent = states + len(at.values) / at.spread.numel()
+        return self._least(at.spread) * math.sqrt(self.rows / max(self.rows - spent, 1.0))
+
+    def linearised(self, at: Iterate) -> Linear:
+        """Linearised motions at an iterate."""
+        nodes, values, sought = at.motions.nodes[:, :-1], at.values, self.unknowns
+        inputs = {name: x.flatten(0, 1) for name, x in self._inputs(values).items()}
+        parameters = sought.parameters(values)
+        wrt = (*parameters, *(inputs if sought.delayed else ()))
+        J = self.step_map.jacobian(nodes.flatten(0, 1), inputs, parameters, wrt).unflatten(0, nodes.shape[:2])
+        s, columns = nodes.shape[-1], []
+        widths = [parameters[name].numel() if name in parameters else inputs[name].shape[-1] for name in wrt]
+        blocks = dict(zip(wrt, J[..., s:].split(widths, -1), strict=True))
+        for part in sought.parts:
+            if part.key:
+                whole = len(part.at) == part.whole.numel()
+                columns.append(blocks[part.key] if whole else blocks[part.key][..., part.at])
+            else:
+                slopes = shooting.commands(self.pieces, self.logs, sought.delay(values), slope=True)
+                columns.append(torch.stack([blocks[name] @ u[..., None] for name, u in slopes.items()]).sum(0))
+        B = torch.cat(columns, -1) if len(columns) > 1 else columns[0]
+        if not sought.straight:
+            B = B @ sought.slopes(values)
+        return shooting.linearised(self.pieces, at.motions, J[..., :s], B, 1 / self.noise(at))
+
+    def information(self, at: Iterate, linear: Linear) -> Tensor:
+        """Triangular factor [p + 1, p + 1] of the measurements and the prior: a step, and what is left."""
+        p, s = len(at.values), at.motions.nodes.shape[-1]
+        sizes = PRIOR * self.unknowns.sizes(at.values)
+        prior = torch.cat([torch.diag(1 / sizes), (-self.unknowns.offset(at.values) / sizes)[:, None]], 1)
+        rows = torch.cat([linear.factor[:, s : s + p + 1, s:].flatten(0, 1), prior])
+        return torch.linalg.qr(rows, mode="r").R
+
+    def step(self, at: Iterate, linear: Linear, damping: float) -> Step:
+        """Step to the solution of the linearised problem; damping shortens it, relative to the information."""
+        R, p = self.information(at, linear), len(at.values)
+        if damping:
+            held = torch.diag(math.sqrt(damping) * R[:, :p].norm(dim=0))
+            R = torch.linalg.qr(torch.cat([R, torch.cat([held, held.new_zeros(p, 1)], 1)]), mode="r").R
+        values = torch.linalg.solve_triangular(R[:p, :p], R[:p, p:], upper=True)[:, 0]
+        nodes = shooting.changes(linear, values)
+        length = float((shooting.seen(self.pieces, nodes) / self.noise(at)).square().sum().sqrt())
+        return Step(values, nodes, length)
