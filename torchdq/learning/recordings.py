@@ -68,6 +68,7 @@ class Commands(NamedTuple):
 class Checked(NamedTuple):
     """Recording as arrays of finite numbers."""
 
+    name: str
     time: np.ndarray
     q: np.ndarray
     qd: np.ndarray | None
@@ -108,7 +109,7 @@ def _checked(log: Recording, name: str, joints: int, widths: Mapping[str, int]) 
     signals |= {key: (x, widths[key]) for key, x in log.inputs.items()}
     arrays = {key: _array(f"{key} of {name}", x, 2, len(time), width) for key, (x, width) in signals.items()}
     inputs = {key: Commands(time, arrays[key]) for key in sorted(log.inputs)}
-    return Checked(time, arrays["q"], arrays.get("qd"), inputs)
+    return Checked(name, time, arrays["q"], arrays.get("qd"), inputs)
 
 
 def _array(name: str, x: Any, axes: int, rows: int = 0, width: int = 0) -> np.ndarray:

@@ -33,7 +33,8 @@ MARGIN = 1e-3  # part of a gap by which an accepted step must be better
 TRIALS = 16  # most trials of a step, each half as long as the last and more damped
 DAMPED = 1e-6  # damping of the second trial, relative to the information
 SETTLED = 1e-2  # length of a step that ends the search, in standard deviations of all measurements together
-STILL = 1e-10  # length of a step that does so too, relative to the parameters: for measurements without noise
+STILL = 1e-6  # length of a step that does so too, relative to the parameters: for measurements without noise
+NEARLY = 1e-5  # gaps before a last step
 
 
 def fit_rollout(
@@ -95,30 +96,31 @@ def fit_rollout(
 
 def _search(problem: Problem, iterations: int, notice: Notice) -> tuple[Iterate, Linear, int, str]:
     """Best iterate, its linearised motions, the number of steps to it, and why the search ended early if it did."""
-    at = problem.first()
+    at = problem.prepared(problem.first())
     linear, tried, count = problem.linearised(at), [at], 0
     try:
         while True:
             notice.at(f"iteration {count + 1}, residuals {at.spread.norm():.3g}, gaps {at.gap:.2g}")
             step = problem.step(at, linear, 0.0)
-            if _settled(problem, at, step):
-                return at, linear, count, ""
+            last = _last(problem, at, step)
             if count == iterations:
-                return at, linear, count, f"{iterations} iterations were not enough"
+                return at, linear, count, "" if last else f"{iterations} iterations were not enough"
             after = _accepted(problem, at, linear, step, tried)
             if after is None:
                 return at, linear, count, "" if at.gap <= CLOSED else "no step closes the gaps between the states"
             at, count = after, count + 1
+            if last:
+                return at, linear, count, ""
             tried = [other for other in tried if other.gap < at.gap or other.cost < at.cost] + [at]
             linear = problem.linearised(at)
     except KeyboardInterrupt:
         return at, linear, count, f"interrupted after {count} iterations"
 
 
-def _settled(problem: Problem, at: Iterate, step: Step) -> bool:
-    """Whether a step is too short to matter."""
-    relative = float((step.values / problem.unknowns.sizes(at.values)).abs().max())
-    return at.gap <= CLOSED and (step.length < SETTLED or relative < STILL)
+def _last(problem: Problem, at: Iterate, step: Step) -> bool:
+    """Whether a step is so short that the next one, about its square, does not matter."""
+    relative = float((step.values / problem.unknowns.sizes(at.values)).abs().amax())
+    return at.gap <= NEARLY and (step.length < SETTLED or relative < STILL)
 
 
 def _accepted(problem: Problem, at: Iterate, linear: Linear, step: Step, tried: Sequence[Iterate]) -> Iterate | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 PRIOR = 10.0  # standard deviation of a parameter around its start, relative to its size: for what nothing tells
 EXACT = 1e-9  # least deviation of a measurement, relative to its motion
 UNEVEN = 1e-3  # motion of a joint that hardly moves, relative to that of the one that moves most
+SINGLE = 100  # single steps, at most about so many, that the search starts with
+SINGLE_STEPS = 20  # most iterations on them
+ALMOST = 0.1  # last step of those, relative to the sizes
 
 
 class Iterate(NamedTuple):
@@ -77,13 +80,12 @@ class Problem:
     @cached_property
     def rows(self) -> float:
         """Number of measured rows."""
-        return float(self.pieces.evidence.used.sum())
+        return float(self.pieces.used.sum())
 
     @cached_property
     def scale(self) -> Tensor:
         """Standard deviations [c] of the measured signals: how large the motion is."""
-        e = self.pieces.evidence
-        found = e.y[e.used > 0].std(0)
+        found = self.pieces.y[self.pieces.used[..., 0] > 0].std(0)
         return torch.where(found.amax() > 0, found.clamp_min(UNEVEN * found.amax()), 1.0)
 
     def _least(self, spread: Tensor) -> Tensor:
@@ -103,6 +105,44 @@ class Problem:
         """Commands of all steps without a delay."""
         return shooting.commands(self.pieces, self.logs, 0.0)
 
+    # --- single steps ---
+
+    def prepared(self, at: Iterate) -> Iterate:
+        """Iterate with the parameters by which single steps between its nodes have the velocities of the nodes.
+
+        That is least squares of accelerations, cheap and in few iterations from far away; its errors are those of
+        numerical derivatives. States with a memory, which nothing measures, are left alone.
+        """
+        n, nodes, sought = self.pieces.n, at.motions.nodes, self.unknowns
+        if nodes.shape[-1] > 2 * n:
+            return at
+        steps = self.pieces.follows[:, :-1, 0].flatten().nonzero()[:, 0]
+        chosen = steps[:: max(1, len(steps) // SINGLE)]
+        before, after = nodes[:, :-1].flatten(0, 1)[chosen], nodes[:, 1:, n:].flatten(0, 1)[chosen]
+
+        def missing(values: Tensor) -> tuple[dict[str, Tensor], Tensor, float]:
+            inputs = {name: x[:, :-1].flatten(0, 1)[chosen] for name, x in self._inputs(values).items()}
+            gaps = after - self.step_map.after(before, inputs, sought.parameters(values))[:, n:]
+            return inputs, gaps, float(torch.linalg.vector_norm(gaps, dim=0).log().sum())
+
+        values = at.values
+        inputs, gaps, least = missing(values)
+        for _ in range(SINGLE_STEPS):
+            B = self._derivatives(values, before, inputs)[1][:, n:]
+            weight = 1 / torch.linalg.vector_norm(gaps, dim=0).clamp_min(1e-300)
+            sizes, rows = sought.sizes(values), math.sqrt(len(gaps)) * weight
+            Z = (B * rows[:, None] * sizes).flatten(0, 1)
+            right = Z.T @ (gaps * rows).flatten() - sought.offset(values) / sizes
+            change = sizes * torch.linalg.solve(Z.T @ Z + torch.eye(len(sizes), dtype=Z.dtype), right)
+            trial = sought.moved(values, change)
+            inputs, gaps, cost = missing(trial)
+            if not cost < least:
+                break
+            values, least = trial, cost
+            if float((change / sizes).abs().amax()) < ALMOST:
+                break
+        return self.at(values, nodes)
+
     # --- steps ---
 
     def noise(self, at: Iterate) -> Tensor:
@@ -118,25 +158,26 @@ class Problem:
 
     def linearised(self, at: Iterate) -> Linear:
         """Linearised motions at an iterate."""
-        nodes, values, sought = at.motions.nodes[:, :-1], at.values, self.unknowns
-        inputs = {name: x.flatten(0, 1) for name, x in self._inputs(values).items()}
+        A, B = self._derivatives(at.values, at.motions.nodes, self._inputs(at.values))
+        return shooting.linearised(self.pieces, at.motions, A, B, 1 / self.noise(at))
+
+    def _derivatives(self, values: Tensor, nodes: Tensor, inputs: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+        """Derivatives of the steps in the states [..., s, s], and in the unknowns [..., s, p]."""
+        sought, s = self.unknowns, nodes.shape[-1]
         parameters = sought.parameters(values)
         wrt = (*parameters, *(inputs if sought.delayed else ()))
-        J = self.step_map.jacobian(nodes.flatten(0, 1), inputs, parameters, wrt).unflatten(0, nodes.shape[:2])
-        s, columns = nodes.shape[-1], []
+        A, B = self.step_map.jacobian(nodes, inputs, parameters, wrt).tensor_split((s,), -1)
+        if sought.direct:
+            return A, B
         widths = [parameters[name].numel() if name in parameters else inputs[name].shape[-1] for name in wrt]
-        blocks = dict(zip(wrt, J[..., s:].split(widths, -1), strict=True))
+        blocks, columns = dict(zip(wrt, B.split(widths, -1), strict=True)), []
         for part in sought.parts:
             if part.key:
-                whole = len(part.at) == part.whole.numel()
-                columns.append(blocks[part.key] if whole else blocks[part.key][..., part.at])
+                columns.append(blocks[part.key][..., part.at])
             else:
                 slopes = shooting.commands(self.pieces, self.logs, sought.delay(values), slope=True)
                 columns.append(torch.stack([blocks[name] @ u[..., None] for name, u in slopes.items()]).sum(0))
-        B = torch.cat(columns, -1) if len(columns) > 1 else columns[0]
-        if not sought.straight:
-            B = B @ sought.slopes(values)
-        return shooting.linearised(self.pieces, at.motions, J[..., :s], B, 1 / self.noise(at))
+        return A, torch.cat(columns, -1) @ sought.slopes(values)
 
     def information(self, at: Iterate, linear: Linear) -> Tensor:
         """Triangular factor [p + 1, p + 1] of the measurements and the prior: a step, and what is left."""

@@ -81,12 +81,10 @@ def result(problem: Problem, at: Iterate, linear: Linear, iterations: int, ended
     known = hidden.square().sum(0) < PART**2
     errors = torch.where(known, covariance.diagonal().sqrt(), torch.nan)
     values = torch.where(known, at.values, torch.nan)
-    evidence, n = problem.pieces.evidence, problem.pieces.n
+    n, pieces = problem.pieces.n, problem.pieces
     residuals = tuple(np.zeros(log.q.shape) for log in problem.logs)
-    used = evidence.used > 0
-    for k, found in enumerate(residuals):
-        own = used & (evidence.log == k)
-        found[evidence.row[own].numpy()] = at.motions.residual[own][:, :n].numpy()
+    for k, rows, found in zip(pieces.log, pieces.row, at.motions.residual.numpy(), strict=True):
+        residuals[k][rows[rows >= 0]] = found[rows >= 0, :n]
     named = [part.name for part in sought.parts]
     return RolloutFit(
         changed(problem.step_map.scene, sought.parameters(at.values)),

@@ -1,14 +1,15 @@
-"""Multiple shooting: motions of a scene through measured positions, every state between two steps a node of its own.
+"""Multiple shooting: motions of a scene through measured positions, the state before every step a node of its own.
 
 The nodes of a segment need not follow from each other while they are sought. A step of Gauss-Newton moves them, the
 starts of the segments and the parameters at once, to where the linearised steps of the scene follow from each other
 and come closest to the measurements:
 
-    minimise |W (y - H s)|^2   over parameters and starts, with s' = A ds + B dp + F(s) linear in both.
+    minimise |W (y - H x)|^2   over parameters p and starts, with x' = A x + B p + gap.
 
-All steps are rows of one batch, for the program of a step and for that of its Jacobian matrix. The chain of a segment
-is condensed to its start and the parameters, and the start is eliminated segment by segment (H. G. Bock, K. J. Plitt,
-"A multiple shooting algorithm for direct solution of optimal control problems", IFAC 1984).
+All steps are rows of one batch, for the program of a step and for that of its Jacobian matrix. A segment is blocks of
+nodes side by side. The measurements of a block are condensed to the state at which it starts and the parameters, then
+those of a segment to its start, which is eliminated (H. G. Bock, K. J. Plitt, "A multiple shooting algorithm for direct
+solution of optimal control problems", IFAC 1984).
 """
 
 from __future__ import annotations
@@ -21,87 +22,93 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchdq.errors import ArgumentError
 from torchdq.learning.recordings import Checked
 from torchdq.optional import imported
 
 if TYPE_CHECKING:
     from torchdq.envs.sensitivity import StepMap
 
-SMOOTHED = 0.02  # time to both sides of a node over which the velocities at the start are those of a cubic [s]
+SMOOTHED = 0.02  # time to both sides of a node over which its first velocity is that of a cubic [s]
 HELD = 1e-7  # weight of a start where it is, relative to what the measurements say of it: for what they do not see
 
 
-class Evidence(NamedTuple):
-    """Measurements of the segments, row by row; segments with fewer rows than others are filled."""
-
-    log: Tensor  # [K, R] log of the row
-    row: Tensor  # [K, R] its number there
-    node: Tensor  # [K, R] nearest node of the segment
-    late: Tensor  # [K, R] time from the node to the row [s]
-    used: Tensor  # [K, R] 1, or 0 where there is none
-    y: Tensor  # [K, R, c] measured positions, then velocities if there are any
-
-
 class Segments(NamedTuple):
-    """Pieces of all logs as rows of a batch, each with the same number of nodes; those beyond its end are not used."""
+    """Pieces of all logs as rows of a batch, with as many nodes each; those beyond an end stay without measurements."""
 
     dt: float  # [s]
     n: int  # number of joints
-    time: np.ndarray  # [K, T] times of the nodes [s]
+    block: int  # nodes of a block
     log: np.ndarray  # [K] logs that the pieces are of
-    steps: Tensor  # [K, T - 1] whether a step is between nodes of a piece
-    evidence: Evidence
-    every: bool  # whether the rows are the nodes, in their order
-    late: bool  # whether there are rows between nodes
+    time: np.ndarray  # [K, T] times of the nodes [s]
+    row: np.ndarray  # [K, T] rows of the log that were measured at the nodes; -1: none
+    follows: Tensor  # [K, T, 1] 1 where the next node belongs to the same piece, else 0
+    used: Tensor  # [K, T, 1] 1 where there is a measurement, else 0
+    y: Tensor  # [K, T, c] measured positions, then velocities if there are any
+    late: Tensor | None  # [K, T, 1] time from a node to its measurement [s]; None: there is none
 
 
-class Chain(NamedTuple):
-    """States that follow from each other by x' = A x + B p + gap, as changes [s, s + p + 1] of a start, p and gaps.
+class Motions(NamedTuple):
+    """Nodes at some parameters, and what they lack."""
 
-    Blocks of about sqrt(T) steps side by side, and the states at which the blocks start.
-    """
-
-    inner: Tensor  # [size, K blocks, s, s + p + 1] states of the blocks, from those at which they start
-    starts: Tensor  # [blocks, K, s, s + p + 1] from those at which the segments start
-    nodes: int  # T, not all states of the last block are
+    nodes: Tensor  # [K, T, s]
+    gaps: Tensor  # [K, T, s] from the next node to the state that follows
+    residual: Tensor  # [K, T, c] measured less predicted, zero where nothing was measured
 
 
 class Linear(NamedTuple):
-    """Linearised motions, and the triangular factors of their weighted measurements."""
+    """Linearised motions: changes, of columns s + p + 1, by those of a start, of the parameters, and by the gaps."""
 
-    chain: Chain
-    factor: Tensor  # [K, s + p + 1, s + p + 1] triangular: starts, parameters, residuals
+    inner: Tensor  # [size, K blocks, s, s + p + 1] of the nodes of blocks, by the states at which the blocks start
+    starts: Tensor  # [blocks, K, s + p + 1, s + p + 1] of those, by the states at which the segments start
+    factor: Tensor  # [K, s + p + 1, s + p + 1] triangular: weighted measurements by starts, parameters, and their rest
+
+
+# --- segments --------------------------------------------------------------------------------------------------------
 
 
 def segments(logs: Sequence[Checked], dt: float, seconds: float | None) -> Segments:
     """Pieces of logs, as long as `seconds` if possible; None: every log is one."""
     pieces = []
     for k, log in enumerate(logs):
-        last = max(1, round((log.time[-1] - log.time[0]) / dt))
+        node = np.rint((log.time - log.time[0]) / dt).astype(int)
+        if (same := np.flatnonzero(np.diff(node) == 0)).size:
+            raise ArgumentError(
+                f"dt of the scene must not be longer than the time between two rows of a log, found {dt:g} s, and less "
+                f"between rows {same[0]} and {same[0] + 1} of {log.name}; take a smaller dt, or fewer rows"
+            )
+        last = max(1, int(node[-1]))
         count = 1 if seconds is None else max(1, round(last * dt / seconds))
         ends = np.rint(np.linspace(0, last, count + 1)).astype(int)
-        node = np.rint((log.time - log.time[0]) / dt).astype(int)
-        for a, b in zip(ends[:-1], ends[1:], strict=True):
-            end = b + 1 if b == last else b
-            rows = np.flatnonzero((node >= a) & (node < end))
-            pieces.append((k, a, end - a, rows, node[rows] - a))
-    T, R = max(piece[2] for piece in pieces), max(len(piece[3]) for piece in pieces)
-    time = np.stack([logs[k].time[0] + (a + np.arange(T)) * dt for k, a, *_ in pieces])
-    y = [np.concatenate([x for x in (log.q, log.qd) if x is not None], axis=1) for log in logs]
-    index = np.zeros((len(pieces), R, 4), dtype=np.int64)
-    late, values = np.zeros((len(pieces), R)), np.zeros((len(pieces), R, y[0].shape[1]))
-    for i, (k, _, _, rows, nodes) in enumerate(pieces):
-        r = len(rows)
-        index[i, :r] = np.stack([np.full(r, k), rows, nodes, np.ones(r, dtype=int)], axis=1)
-        late[i, :r], values[i, :r] = logs[k].time[rows] - time[i, nodes], y[k][rows]
-    late[abs(late) < 1e-6 * dt] = 0.0
-    of, row, node, used = torch.from_numpy(index).unbind(-1)
-    evidence = Evidence(of, row, node, torch.from_numpy(late), used.double(), torch.from_numpy(values))
-    length = torch.tensor([piece[2] for piece in pieces])
-    steps = torch.arange(T - 1) < (length - 1)[:, None]
-    every = R == T and all(np.array_equal(piece[4], np.arange(len(piece[4]))) for piece in pieces)
-    which = np.array([piece[0] for piece in pieces])
-    return Segments(dt, logs[0].q.shape[1], time, which, steps, evidence, every, bool(late.any()))
+        ends[-1] += 1
+        rows = np.full(last + 1, -1)
+        rows[node] = np.arange(len(node))
+        pieces += [(k, a, rows[a:b]) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    most = max(len(rows) for *_, rows in pieces)
+    block = max(1, math.isqrt(most))
+    T = -(-most // block) * block
+    time = np.stack([logs[k].time[0] + (a + np.arange(T)) * dt for k, a, _ in pieces])
+    row = np.stack([np.concatenate([rows, np.full(T - len(rows), -1)]) for *_, rows in pieces])
+    which = np.array([k for k, *_ in pieces])
+    signals = [np.concatenate([x for x in (log.q, log.qd) if x is not None], axis=1) for log in logs]
+    used = row[..., None] >= 0
+    y = np.stack([signals[k][rows] for k, rows in zip(which, row, strict=True)]) * used
+    late = np.stack([logs[k].time[rows] for k, rows in zip(which, row, strict=True)]) - time
+    late = np.where(used[..., 0] & (abs(late) > 1e-6 * dt), late, 0.0)[..., None]
+    lengths = np.array([len(rows) for *_, rows in pieces])
+    follows = np.arange(T) < lengths[:, None] - 1
+    return Segments(
+        dt,
+        logs[0].q.shape[1],
+        block,
+        which,
+        time,
+        row,
+        torch.from_numpy(follows[..., None].astype(float)),
+        torch.from_numpy(used.astype(float)),
+        torch.from_numpy(y),
+        torch.from_numpy(late) if late.any() else None,
+    )
 
 
 def first_guess(pieces: Segments, logs: Sequence[Checked]) -> tuple[Tensor, Tensor]:
@@ -129,89 +136,39 @@ def _interpolated(at: np.ndarray, time: np.ndarray, x: np.ndarray) -> np.ndarray
 
 
 def commands(pieces: Segments, logs: Sequence[Checked], delay: float, slope: bool = False) -> dict[str, Tensor]:
-    """Commands [K, T - 1, width] of all steps, or their derivatives by the delay [s]."""
+    """Commands [K, T, width] of all steps, or their derivatives by the delay [s]."""
     found = {}
     for name, first in logs[0].inputs.items():
-        rows = np.zeros((*pieces.time[:, 1:].shape, first.values.shape[1]))
+        rows = np.zeros((*pieces.time.shape, first.values.shape[1]))
         for k, log in enumerate(logs):
             own, given = pieces.log == k, log.inputs[name]
-            at = pieces.time[own, :-1] - delay
+            at = pieces.time[own] - delay
             rows[own] = -given.slope(at, pieces.dt) if slope else given.mean(at, pieces.dt)
         found[name] = torch.from_numpy(rows)
     return found
 
 
-class Motions(NamedTuple):
-    """Steps of the nodes at some parameters, and how far they are from the measurements."""
-
-    nodes: Tensor  # [K, T, s]
-    gaps: Tensor  # [K, T - 1, s] from the next node to the state that follows from one
-    residual: Tensor  # [K, R, c] measured less predicted
+# --- motions ---------------------------------------------------------------------------------------------------------
 
 
 def motions(
     step: StepMap, pieces: Segments, nodes: Tensor, inputs: Mapping[str, Tensor], parameters: Mapping[str, Tensor]
 ) -> Motions:
-    """Steps of nodes [K, T, s]."""
-    rows = {name: x.flatten(0, 1) for name, x in inputs.items()}
-    after = step.after(nodes[:, :-1].flatten(0, 1), rows, parameters).reshape(nodes[:, 1:].shape)
-    gaps = torch.where(pieces.steps[..., None], after - nodes[:, 1:], 0.0)
-    evidence = pieces.evidence
-    return Motions(nodes, gaps, evidence.y * evidence.used[..., None] - seen(pieces, nodes))
+    """Nodes [K, T, s] and what they lack at some parameters."""
+    after = step.after(nodes, inputs, parameters)
+    gaps = torch.zeros_like(nodes)
+    torch.sub(after[:, :-1], nodes[:, 1:], out=gaps[:, :-1])
+    gaps.mul_(pieces.follows)
+    return Motions(nodes, gaps.masked_fill_(pieces.follows == 0, 0.0), pieces.y - seen(pieces, nodes))
 
 
 def seen(pieces: Segments, nodes: Tensor) -> Tensor:
-    """Rows [K, R, c] of what is measured, of nodes [K, T, s]; zero where there is no measurement."""
-    return _measured(pieces, nodes[:, :, : 2 * pieces.n, None]).squeeze(-1) * pieces.evidence.used[..., None]
-
-
-def _measured(pieces: Segments, x: Tensor) -> Tensor:
-    """Rows [K, R, c, w] of what is measured, of those [K, T, 2 n, w] of the nodes; velocities carry to late rows."""
-    e, n = pieces.evidence, pieces.n
-    if not pieces.every:
-        x = x[torch.arange(len(x))[:, None], e.node]
-    if not pieces.late:
-        return x[:, :, : e.y.shape[-1]]
-    q = x[:, :, :n] + e.late[..., None, None] * x[:, :, n:]
-    return torch.cat([q, x[:, :, n : e.y.shape[-1]]], 2)
-
-
-# --- linearised motions ----------------------------------------------------------------------------------------------
-
-
-def condensed(A: Tensor, B: Tensor) -> Chain:
-    """Chain of steps A [K, T - 1, s, s] and B [K, T - 1, s, p + 1], the last column of which are the gaps."""
-    K, steps, s, _ = A.shape
-    size = max(1, math.isqrt(steps))
-    blocks = -(-(steps + 1) // size)
-    width = s + B.shape[-1]
-    a = torch.eye(s, dtype=A.dtype).repeat(K, blocks * size, 1, 1)
-    b = A.new_zeros(K, blocks * size, s, width)
-    a[:, :steps], b[:, :steps, :, s:] = A, B
-    a, b = a.reshape(K * blocks, size, s, s), b.reshape(K * blocks, size, s, width)
-    inner = A.new_zeros(size + 1, K * blocks, s, width)
-    inner[0, ..., :s] = torch.eye(s, dtype=A.dtype)
-    for j in range(size):
-        torch.baddbmm(b[:, j], a[:, j], inner[j], out=inner[j + 1])
-    last = inner[size].reshape(K, blocks, s, width)
-    through = last[..., :s]
-    added = torch.cat([torch.zeros_like(through), last[..., s:]], -1)
-    starts = A.new_zeros(blocks, K, s, width)
-    starts[0] = inner[0, :K]
-    for i in range(1, blocks):
-        torch.baddbmm(added[:, i - 1], through[:, i - 1], starts[i - 1], out=starts[i])
-    return Chain(inner[:size], starts, steps + 1)
-
-
-def _rows(chain: Chain, first: int) -> Tensor:
-    """Changes [K, T, first, s + p + 1] of the first numbers of all states."""
-    blocks, K, s, width = chain.starts.shape
-    size = len(chain.inner)
-    inner = chain.inner[:, :, :first].reshape(size, K, blocks, first, width).permute(1, 2, 0, 3, 4)
-    found = inner[..., :s].reshape(K, blocks, size * first, s) @ chain.starts.transpose(0, 1)
-    found = found.reshape(K, blocks, size, first, width)
-    found[..., s:] += inner[..., s:]
-    return found.reshape(K, blocks * size, first, width)[:, : chain.nodes]
+    """Rows [K, T, c] of what is measured at nodes [K, T, s]; zero where there is no measurement."""
+    n, c = pieces.n, pieces.y.shape[-1]
+    x = nodes[..., :c]
+    if pieces.late is not None:
+        x = torch.cat([x[..., :n] + pieces.late * nodes[..., n : 2 * n], x[..., n:]], -1)
+    return x * pieces.used
 
 
 def linearised(pieces: Segments, moved: Motions, A: Tensor, B: Tensor, weight: Tensor) -> Linear:
@@ -220,33 +177,64 @@ def linearised(pieces: Segments, moved: Motions, A: Tensor, B: Tensor, weight: T
     Args:
         pieces: the segments.
         moved: steps of the nodes.
-        A: derivatives [K, T - 1, s, s] of the steps in the states.
-        B: derivatives [K, T - 1, s, p] of the steps in the parameters.
+        A: derivatives [K, T, s, s] of the steps in the states.
+        B: derivatives [K, T, s, p] of the steps in the parameters.
         weight: [c] of a measurement: one over its standard deviation.
     """
-    s, e = A.shape[-1], pieces.evidence
-    chain = condensed(A, torch.cat([B, moved.gaps[..., None]], -1))
-    both = pieces.late or e.y.shape[-1] > pieces.n
-    rows = _measured(pieces, _rows(chain, 2 * pieces.n if both else pieces.n))
-    scale = weight * e.used[..., None]
-    rows = rows * scale[..., None]
-    rows[..., -1] = scale * moved.residual - rows[..., -1]
-    rows = rows.flatten(1, 2)
+    (K, T, s, _), size, n, c = A.shape, pieces.block, pieces.n, pieces.y.shape[-1]
+    width, blocks = s + B.shape[-1] + 1, T // pieces.block
+    added = A.new_zeros(K * blocks, size, s, width)
+    added[..., s:-1], added[..., -1] = B.reshape(*added.shape[:3], -1), moved.gaps.reshape(added.shape[:3])
+    through = A.reshape(K * blocks, size, s, s)
+    inner = A.new_empty(size + 1, K * blocks, s, width)
+    inner[0] = torch.eye(s, width, dtype=A.dtype)
+    states = inner.unbind(0)
+    for j, (b, a) in enumerate(zip(added.unbind(1), through.unbind(1), strict=True)):
+        torch.baddbmm(b, a, states[j], out=states[j + 1])
+    starts = _chained(inner[size].reshape(K, blocks, s, width))
+
+    scale = (pieces.used * weight).reshape(K * blocks, size, c)
+    rows = A.new_empty(K * blocks, size, c, width)
+    torch.mul(inner[:size, :, :c].transpose(0, 1), scale[..., None], out=rows)
+    if pieces.late is not None:
+        late = scale[..., :n] * pieces.late.reshape(K * blocks, size, 1)
+        rows[:, :, :n] += inner[:size, :, n : 2 * n].transpose(0, 1) * late[..., None]
+    rows[..., -1] = scale * moved.residual.reshape(scale.shape) - rows[..., -1]
+    factors = _triangular(rows.flatten(1, 2)).reshape(K, blocks, width, width)
+    # the column of the rest has the other sign: what is measured less what is predicted
+    sign = A.new_ones(width)
+    sign[-1] = -1.0
+    rows = (factors @ (sign[:, None] * starts.transpose(0, 1) * sign)).flatten(1, 2)
     held = HELD * rows[..., :s].square().sum(1).amax(-1).sqrt()
-    count = max(s, rows.shape[2] - rows.shape[1])  # at least as many rows as columns
-    more = rows.new_zeros(len(rows), count, rows.shape[2])
-    more[:, :s, :s] = held[:, None, None] * torch.eye(s, dtype=rows.dtype)
-    return Linear(chain, torch.linalg.qr(torch.cat([rows, more], 1), mode="r").R)
+    more = held[:, None, None] * torch.eye(s, width, dtype=A.dtype)
+    return Linear(inner[:size], starts, _triangular(torch.cat([rows, more], 1)))
+
+
+def _chained(last: Tensor) -> Tensor:
+    """Starts of all blocks, of the states [K, blocks, s, w] at which the next ones start; parameters stay."""
+    K, blocks, s, width = last.shape
+    through = last.new_zeros(blocks, K, width, width)
+    through[:, :, :s], through[:, :, s:, s:] = last.transpose(0, 1), torch.eye(width - s, dtype=last.dtype)
+    starts = torch.eye(width, dtype=last.dtype).repeat(blocks, K, 1, 1)
+    states = starts.unbind(0)
+    for i, a in enumerate(through.unbind(0)[:-1]):
+        torch.bmm(a, states[i], out=states[i + 1])
+    return starts
+
+
+def _triangular(rows: Tensor) -> Tensor:
+    """Triangular factors [K, w, w] of rows [K, r, w], which may be fewer than columns."""
+    K, r, w = rows.shape
+    whole = rows if r >= w else torch.cat([rows, rows.new_zeros(K, w - r, w)], 1)
+    return torch.linalg.qr(whole, mode="r").R
 
 
 def changes(linear: Linear, step: Tensor) -> Tensor:
     """Changes of the nodes [K, T, s] for a step [p] of the parameters, with the best starts for it."""
-    R, (inner, starts, nodes) = linear.factor, linear.chain
-    size, (blocks, K, s, _) = len(inner), starts.shape
+    R, s, K = linear.factor, linear.inner.shape[2], len(linear.factor)
     right = R[:, :s, -1] - R[:, :s, s:-1] @ step
     start = torch.linalg.solve_triangular(R[:, :s, :s], right[..., None], upper=True)[..., 0]
-    rest = torch.cat([step, step.new_ones(1)]).expand(K, -1)
-    first = starts @ torch.cat([start, rest], 1)[..., None]
-    at = torch.cat([first[..., 0].transpose(0, 1), rest[:, None].expand(K, blocks, -1)], -1).flatten(0, 1)
-    found = (inner * at[:, None]).sum(-1).reshape(size, K, blocks, s)
-    return found.permute(1, 2, 0, 3).reshape(K, blocks * size, s)[:, :nodes]
+    by = torch.cat([start, torch.cat([step, step.new_ones(1)]).expand(K, -1)], 1)
+    at = (linear.starts @ by[..., None])[..., 0].transpose(0, 1).flatten(0, 1)  # [K blocks, s + p + 1]
+    found = torch.linalg.vecdot(linear.inner, at[:, None])  # [size, K blocks, s]
+    return found.transpose(0, 1).reshape(K, -1, s)

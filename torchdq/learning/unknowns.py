@@ -124,9 +124,10 @@ class Unknowns:
         return any(not part.key for part in self.parts)
 
     @property
-    def straight(self) -> bool:
-        """Whether steps add to the numbers, to first order."""
-        return not any(isinstance(part.coordinates, Inertias) for part in self.parts)
+    def direct(self) -> bool:
+        """Whether the unknowns are parameters of the scene with all their numbers, to which steps add."""
+        whole = all(part.key and len(part.at) == part.whole.numel() for part in self.parts)
+        return whole and not any(isinstance(part.coordinates, Inertias) for part in self.parts)
 
     def split(self, values: Tensor) -> list[Tensor]:
         """Numbers of every unknown."""
