@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 
@@ -87,16 +87,25 @@ def fit_rollout(
     pieces = shooting.segments(data, scene.dt, segment)
     problem = Problem(StepMap(whole, tuple(data[0].inputs)), sought, data, pieces)
     with torch.no_grad(), Notice(f"fitting {', '.join(part.name for part in sought.parts)}") as notice:
-        at, linear, count, ended = _search(problem, iterations, notice)
-        found = result(problem, at, linear, count, ended)
-    if ended:
-        warnings.warn(f"the parameters may not be the best: {ended}", LogWarning, stacklevel=2)
+        end = _search(problem, problem.prepared(problem.first()), iterations, notice)
+        doubt = end.ended or problem.uneven(end.at)
+        found = result(problem, end.at, end.linear, end.count, doubt)
+    if doubt:
+        warnings.warn(f"the parameters may not be the best: {doubt}", LogWarning, stacklevel=2)
     return found
 
 
-def _search(problem: Problem, iterations: int, notice: Notice) -> tuple[Iterate, Linear, int, str]:
-    """Best iterate, its linearised motions, the number of steps to it, and why the search ended early if it did."""
-    at = problem.prepared(problem.first())
+class _Found(NamedTuple):
+    """End of a search."""
+
+    at: Iterate
+    linear: Linear
+    count: int  # steps to it
+    ended: str  # reason why it ended early; "": it did not
+
+
+def _search(problem: Problem, at: Iterate, iterations: int, notice: Notice) -> _Found:
+    """Best iterate near one."""
     linear, tried, count = problem.linearised(at), [at], 0
     try:
         while True:
@@ -104,17 +113,17 @@ def _search(problem: Problem, iterations: int, notice: Notice) -> tuple[Iterate,
             step = problem.step(at, linear, 0.0)
             last = _last(problem, at, step)
             if count == iterations:
-                return at, linear, count, "" if last else f"{iterations} iterations were not enough"
+                return _Found(at, linear, count, "" if last else f"{iterations} iterations were not enough")
             after = _accepted(problem, at, linear, step, tried)
             if after is None:
-                return at, linear, count, "" if at.gap <= CLOSED else "no step closes the gaps between the states"
+                return _Found(at, linear, count, "" if at.gap <= CLOSED else "no step closes the gaps between the states")
             at, count = after, count + 1
             if last:
-                return at, linear, count, ""
+                return _Found(at, linear, count, "")
             tried = [other for other in tried if other.gap < at.gap or other.cost < at.cost] + [at]
             linear = problem.linearised(at)
     except KeyboardInterrupt:
-        return at, linear, count, f"interrupted after {count} iterations"
+        return _Found(at, linear, count, f"interrupted after {count} iterations")
 
 
 def _last(problem: Problem, at: Iterate, step: Step) -> bool:
@@ -124,11 +133,17 @@ def _last(problem: Problem, at: Iterate, step: Step) -> bool:
 
 
 def _accepted(problem: Problem, at: Iterate, linear: Linear, step: Step, tried: Sequence[Iterate]) -> Iterate | None:
-    """Iterate after the longest trial that is better than all before in one of the two ways; None: none is."""
+    """Iterate after the longest trial that is better than all before in one of the two ways; None: none is.
+
+    Where friction is stiff, linearised steps do not close the gaps, but simulation from the starts does.
+    """
     for k in range(TRIALS):
         if k:
             step = problem.step(at, linear, DAMPED * 10.0 ** (k - 1))
         after = problem.moved(at, step, 0.5**k)
+        if all(_better(after, other) for other in tried):
+            return after
+        after = problem.simulated(after)
         if all(_better(after, other) for other in tried):
             return after
     return None

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 PRIOR = 10.0  # standard deviation of a parameter around its start, relative to its size: for what nothing tells
 EXACT = 1e-9  # least deviation of a measurement, relative to its motion
 UNEVEN = 1e-3  # motion of a joint that hardly moves, relative to that of the one that moves most
+FAR = 5.0  # times the usual residuals from which those of a block are far larger
 SINGLE = 100  # single steps, at most about so many, that the search starts with
 SINGLE_STEPS = 20  # most iterations on them
 ALMOST = 0.1  # last step of those, relative to the sizes
@@ -77,6 +78,16 @@ class Problem:
         """Iterate after a share of a step."""
         return self.at(self.unknowns.moved(at.values, share * step.values), at.motions.nodes + share * step.nodes)
 
+    def simulated(self, at: Iterate) -> Iterate:
+        """Iterate whose nodes follow from each other within a block; there are gaps between blocks only."""
+        nodes, size = at.motions.nodes, self.pieces.block
+        inputs, parameters = self._inputs(at.values), self.unknowns.parameters(at.values)
+        given = {name: x.reshape(-1, size, x.shape[-1]) for name, x in inputs.items()}
+        states = [nodes.reshape(-1, size, nodes.shape[-1])[:, 0]]
+        for t in range(size - 1):
+            states.append(self.step_map.after(states[-1], {name: x[:, t] for name, x in given.items()}, parameters))
+        return self.at(at.values, torch.stack(states, 1).reshape(nodes.shape))
+
     @cached_property
     def rows(self) -> float:
         """Number of measured rows."""
@@ -100,10 +111,34 @@ class Problem:
         delay = self.unknowns.delay(values)
         return shooting.commands(self.pieces, self.logs, delay) if delay else self._prompt
 
+    def _slopes(self, values: Tensor) -> dict[str, Tensor]:
+        """Derivatives of the commands of all steps by their delay, if it is unknown."""
+        sought = self.unknowns
+        return shooting.commands(self.pieces, self.logs, sought.delay(values), slope=True) if sought.delayed else {}
+
     @cached_property
     def _prompt(self) -> dict[str, Tensor]:
         """Commands of all steps without a delay."""
         return shooting.commands(self.pieces, self.logs, 0.0)
+
+    def uneven(self, at: Iterate) -> str:
+        """Words for the part of a log whose residuals are far larger than most; "": there is none."""
+        size, c = self.pieces.block, at.spread.numel()
+        count = self.pieces.used.reshape(-1, size, 1).sum(1)
+        squares = at.motions.residual.reshape(-1, size, c).square().sum(1) / count.clamp_min(1.0)
+        rms = (squares + (EXACT * self.scale).square()).sqrt()
+        usual = rms[count[:, 0] > 0].median(0).values
+        worst, signal = divmod(int((rms / usual).argmax()), c)
+        if rms[worst, signal] <= FAR * usual[signal]:
+            return ""
+        piece, block = divmod(worst, self.pieces.time.shape[1] // size)
+        time, log = self.pieces.time[piece, block * size], self.logs[self.pieces.log[piece]]
+        joint = self.step_map.scene.robot.joint_names[signal % self.pieces.n]
+        return (
+            f"at {time:.3g} s of {log.name} the scene is {rms[worst, signal] / usual[signal]:.0f} times farther from "
+            f"the measurements of joint {joint!r} than usual: it lacks an effect, or sticks where the robot moved; "
+            "shorter segments or other starting values may help"
+        )
 
     # --- single steps ---
 
@@ -120,15 +155,18 @@ class Problem:
         chosen = steps[:: max(1, len(steps) // SINGLE)]
         before, after = nodes[:, :-1].flatten(0, 1)[chosen], nodes[:, 1:, n:].flatten(0, 1)[chosen]
 
+        def picked(commands: Mapping[str, Tensor]) -> dict[str, Tensor]:
+            return {name: x[:, :-1].flatten(0, 1)[chosen] for name, x in commands.items()}
+
         def missing(values: Tensor) -> tuple[dict[str, Tensor], Tensor, float]:
-            inputs = {name: x[:, :-1].flatten(0, 1)[chosen] for name, x in self._inputs(values).items()}
+            inputs = picked(self._inputs(values))
             gaps = after - self.step_map.after(before, inputs, sought.parameters(values))[:, n:]
             return inputs, gaps, float(torch.linalg.vector_norm(gaps, dim=0).log().sum())
 
         values = at.values
         inputs, gaps, least = missing(values)
         for _ in range(SINGLE_STEPS):
-            B = self._derivatives(values, before, inputs)[1][:, n:]
+            B = self._derivatives(values, before, inputs, picked(self._slopes(values)))[1][:, n:]
             weight = 1 / torch.linalg.vector_norm(gaps, dim=0).clamp_min(1e-300)
             sizes, rows = sought.sizes(values), math.sqrt(len(gaps)) * weight
             Z = (B * rows[:, None] * sizes).flatten(0, 1)
@@ -158,10 +196,13 @@ class Problem:
 
     def linearised(self, at: Iterate) -> Linear:
         """Linearised motions at an iterate."""
-        A, B = self._derivatives(at.values, at.motions.nodes, self._inputs(at.values))
+        inputs, slopes = self._inputs(at.values), self._slopes(at.values)
+        A, B = self._derivatives(at.values, at.motions.nodes, inputs, slopes)
         return shooting.linearised(self.pieces, at.motions, A, B, 1 / self.noise(at))
 
-    def _derivatives(self, values: Tensor, nodes: Tensor, inputs: Mapping[str, Tensor]) -> tuple[Tensor, Tensor]:
+    def _derivatives(
+        self, values: Tensor, nodes: Tensor, inputs: Mapping[str, Tensor], slopes: Mapping[str, Tensor]
+    ) -> tuple[Tensor, Tensor]:
         """Derivatives of the steps in the states [..., s, s], and in the unknowns [..., s, p]."""
         sought, s = self.unknowns, nodes.shape[-1]
         parameters = sought.parameters(values)
@@ -175,7 +216,6 @@ class Problem:
             if part.key:
                 columns.append(blocks[part.key][..., part.at])
             else:
-                slopes = shooting.commands(self.pieces, self.logs, sought.delay(values), slope=True)
                 columns.append(torch.stack([blocks[name] @ u[..., None] for name, u in slopes.items()]).sum(0))
         return A, torch.cat(columns, -1) @ sought.slopes(values)
 

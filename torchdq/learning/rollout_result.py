@@ -77,7 +77,7 @@ def result(problem: Problem, at: Iterate, linear: Linear, iterations: int, ended
     spread = sizes[:, None] * V[told].T / e[told]
     slopes = sought.slopes(at.values)
     covariance = slopes @ spread @ spread.T @ slopes.T
-    hidden = V[~told]
+    hidden = (V[~told] * sizes) @ slopes.T / sought.scales(at.values)
     known = hidden.square().sum(0) < PART**2
     errors = torch.where(known, covariance.diagonal().sqrt(), torch.nan)
     values = torch.where(known, at.values, torch.nan)
@@ -106,9 +106,11 @@ def _combinations(V: Tensor, labels: tuple[str, ...]) -> tuple[str, ...]:
     """Changes that span the rows of V [k, p], each of few parameters, in percent of their sizes."""
     rows, found = V.clone(), []
     for k in range(len(rows)):
-        lead = int(rows[k:].abs().max(0).values.argmax())
-        best = k + int(rows[k:, lead].abs().argmax())
-        rows[[k, best]] = rows[[best, k]]
+        best, lead = divmod(int(rows[k:].abs().argmax()), rows.shape[1])
+        if float(rows[k + best, lead].abs()) < PART:  # what is left changes nothing
+            rows = rows[:k]
+            break
+        rows[[k, k + best]] = rows[[k + best, k]]
         rows[k] = rows[k] / rows[k, lead]
         others = [i for i in range(len(rows)) if i != k]
         rows[others] -= rows[others, lead][:, None] * rows[k]

@@ -20,7 +20,7 @@ from torch import Tensor
 from torchdq.checks import tensor_of
 from torchdq.effects.effect import Parametric
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.parametrizations import SMALLEST, PhysicalInertia
+from torchdq.parametrizations import PhysicalInertia
 from torchdq.robot.fields import trailing
 
 if TYPE_CHECKING:
@@ -28,11 +28,15 @@ if TYPE_CHECKING:
 
 DELAY = "delay"
 BODIES = ("mass", "com", "inertia")  # parameters of the links
+LENGTH = 0.1  # least size of a change of a centre of mass [m]
 INERTIA = PhysicalInertia()
 
 
+@dataclass(frozen=True)
 class Coordinates:
     """Coordinates of parameters of any sign: the parameters."""
+
+    unit: float = 1.0  # least size of a step [SI]
 
     def moved(self, value: Tensor, step: Tensor) -> Tensor:
         """Values [w] after a step [w]."""
@@ -43,15 +47,19 @@ class Coordinates:
         return torch.eye(len(value), dtype=value.dtype)
 
     def sizes(self, value: Tensor, start: Tensor) -> Tensor:
-        """Sizes of steps [w] that change the values by as much as they are."""
-        largest = torch.maximum(value.abs().max(), start.abs().max())
-        return torch.where(largest > 0, largest, 1.0).expand(len(value))
+        """Sizes of steps [w] that change the values by as much as they are, or as they were at the start."""
+        return torch.maximum(value.abs().max(), start.abs().max()).clamp_min(self.unit).expand(len(value))
+
+    def scales(self, value: Tensor, start: Tensor) -> Tensor:
+        """Sizes [w] of the values."""
+        return self.sizes(value, start)
 
     def offset(self, value: Tensor, start: Tensor) -> Tensor:
         """Step [w] from the start to the values."""
         return value - start
 
 
+@dataclass(frozen=True)
 class Positive(Coordinates):
     """Coordinates of parameters that are positive."""
 
@@ -62,6 +70,7 @@ class Positive(Coordinates):
         return torch.maximum(value, start)
 
 
+@dataclass(frozen=True)
 class Inertias(Coordinates):
     """Coordinates of inertias about centres of mass, six numbers each."""
 
@@ -74,6 +83,10 @@ class Inertias(Coordinates):
 
     def sizes(self, value: Tensor, start: Tensor) -> Tensor:
         return torch.ones_like(value)
+
+    def scales(self, value: Tensor, start: Tensor) -> Tensor:
+        x, y, z = torch.maximum(value, start).reshape(-1, 6)[:, [0, 2, 5]].sqrt().unbind(1)
+        return torch.stack([x * x, x * y, y * y, x * z, y * z, z * z], 1).flatten()
 
     def offset(self, value: Tensor, start: Tensor) -> Tensor:
         return (INERTIA.right_inverse(value.reshape(-1, 6)) - INERTIA.right_inverse(start.reshape(-1, 6))).flatten()
@@ -156,6 +169,11 @@ class Unknowns:
         pairs = zip(self.parts, self.split(values), strict=True)
         return torch.cat([part.coordinates.sizes(v, part.start) for part, v in pairs])
 
+    def scales(self, values: Tensor) -> Tensor:
+        """Sizes [p] of the numbers."""
+        pairs = zip(self.parts, self.split(values), strict=True)
+        return torch.cat([part.coordinates.scales(v, part.start) for part, v in pairs])
+
     def offset(self, values: Tensor) -> Tensor:
         """Step [p] from the start to the numbers."""
         pairs = zip(self.parts, self.split(values), strict=True)
@@ -174,12 +192,20 @@ def unknowns(scene: Scene, learn: str | Sequence[str]) -> Unknowns:
         if not found:
             raise UnknownNameError("parameter to learn", word, known, every=True)
         chosen += found
-    return Unknowns(tuple(known[name] for name in dict.fromkeys(chosen)))
+    parts = tuple(known[name] for name in dict.fromkeys(chosen))
+    for part in parts:
+        zero = [k for k, x in enumerate(part.start.tolist()) if x <= 0 and isinstance(part.coordinates, Positive)]
+        if zero:
+            raise ArgumentError(
+                f"{part.labels[zero[0]]} must start from a positive number, which says how large it may be, found 0; "
+                "give the scene one"
+            )
+    return Unknowns(parts)
 
 
 def _candidates(scene: Scene) -> dict[str, Unknown]:
     """Everything of a scene that can be learned, by name."""
-    found = {DELAY: Unknown(DELAY, "", (DELAY,), Coordinates(), torch.zeros(1, dtype=torch.float64), torch.arange(1))}
+    found = {DELAY: Unknown(DELAY, "", (DELAY,), Coordinates(scene.dt), torch.zeros(1, dtype=torch.float64), torch.arange(1))}
     kinds = [type(effect).__name__ for effect in scene.effects]
     count, numbers = Counter(kinds), {kind: itertools.count(1) for kind in kinds}
     for owner, (kind, effect) in enumerate(zip(kinds, scene.effects, strict=True)):
@@ -202,7 +228,8 @@ def _parameters(scene: Scene, title: str, owner: int, part: Parametric) -> dict[
     for name, axes in part.SHAPES.items():
         value = tensor_of(getattr(part, name)).detach().double()
         if tuple(value.shape) == trailing(axes, scene.robot.sizes) and bool(value.isfinite().all()):
-            kind = name if name == "inertia" and axes == (6,) else "" if name in part.SIGNED else "mass"
+            body = (name, axes) in (("inertia", (6,)), ("com", (3,)))
+            kind = name if body else "" if name in part.SIGNED else "mass"
             labels = scene.robot.joint_names if axes == ("n",) else scene.robot.link_names if axes == ("links",) else ()
             at = torch.arange(value.numel())
             found[f"{title}.{name}"] = _unknown(f"{title}.{name}", f"{owner}.{name}", value, kind, at, labels)
@@ -210,11 +237,9 @@ def _parameters(scene: Scene, title: str, owner: int, part: Parametric) -> dict[
 
 
 def _unknown(name: str, key: str, value: Tensor, kind: str, at: Tensor, owners: Sequence[str]) -> Unknown:
-    """Unknown whose numbers are positive if its kind is "mass", and inertias if it is "inertia"."""
-    coordinates = {"mass": Positive(), "inertia": Inertias()}.get(kind, Coordinates())
+    """Unknown of a kind: "mass" for positive numbers, "com", "inertia", or "" for numbers of any sign."""
+    coordinates = {"mass": Positive(), "inertia": Inertias(), "com": Coordinates(LENGTH)}.get(kind, Coordinates())
     flat = value.flatten().clone()
-    if kind == "mass":
-        flat[at] = flat[at].where(flat[at] > 0, SMALLEST)
     if kind == "inertia":
         rows = flat[at].reshape(-1, 6)
         flat[at] = INERTIA(INERTIA.right_inverse(rows)).flatten()
