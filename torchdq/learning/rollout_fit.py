@@ -34,6 +34,7 @@ TRIALS = 16  # most trials of a step, each half as long as the last and more dam
 DAMPED = 1e-6  # damping of the second trial, relative to the information
 SETTLED = 1e-2  # length of a step that ends the search, in standard deviations of all measurements together
 STILL = 1e-6  # length of a step that does so too, relative to the parameters: for measurements without noise
+GAIN = 0.02  # gain of a step that ends the search, in the logarithm of the likelihood
 NEARLY = 1e-5  # gaps before a last step
 
 
@@ -117,8 +118,9 @@ def _search(problem: Problem, at: Iterate, iterations: int, notice: Notice) -> _
             after = _accepted(problem, at, linear, step, tried)
             if after is None:
                 return _Found(at, linear, count, "" if at.gap <= CLOSED else "no step closes the gaps between the states")
+            settled = after.gap <= NEARLY and 0 <= at.cost - after.cost < GAIN
             at, count = after, count + 1
-            if last:
+            if last or settled:
                 return _Found(at, linear, count, "")
             tried = [other for other in tried if other.gap < at.gap or other.cost < at.cost] + [at]
             linear = problem.linearised(at)

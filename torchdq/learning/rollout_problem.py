@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 PRIOR = 10.0  # standard deviation of a parameter around its start, relative to its size: for what nothing tells
 EXACT = 1e-9  # least deviation of a measurement, relative to its motion
 UNEVEN = 1e-3  # motion of a joint that hardly moves, relative to that of the one that moves most
-FAR = 5.0  # times the usual residuals from which those of a block are far larger
+FAR = 6.0  # times the usual residuals from which those of a block are far larger
 SINGLE = 100  # single steps, at most about so many, that the search starts with
 SINGLE_STEPS = 20  # most iterations on them
 ALMOST = 0.1  # last step of those, relative to the sizes

@@ -42,7 +42,7 @@ class RolloutFit(NamedTuple):
     residuals: tuple[np.ndarray, ...]  # of every recording, measured less predicted positions [rows, n] [rad or m]
     noise: Tensor  # [n] standard deviation of the measured positions [rad or m]
     iterations: int
-    ended: str  # reason why the search ended early; "": it did not
+    doubt: str  # reason why the parameters may not be the best; "": there is none
 
     @property
     def rms(self) -> Tensor:
@@ -67,7 +67,7 @@ class RolloutFit(NamedTuple):
         return "\n\n".join(parts)
 
 
-def result(problem: Problem, at: Iterate, linear: Linear, iterations: int, ended: str) -> RolloutFit:
+def result(problem: Problem, at: Iterate, linear: Linear, iterations: int, doubt: str) -> RolloutFit:
     """Result of a fit that ended at an iterate."""
     sought, p = problem.unknowns, len(at.values)
     sizes = sought.sizes(at.values)
@@ -98,7 +98,7 @@ def result(problem: Problem, at: Iterate, linear: Linear, iterations: int, ended
         residuals,
         problem.noise(at)[:n],
         iterations,
-        ended,
+        doubt,
     )
 
 
