@@ -117,7 +117,9 @@ def _search(problem: Problem, at: Iterate, iterations: int, notice: Notice) -> _
                 return _Found(at, linear, count, "" if last else f"{iterations} iterations were not enough")
             after = _accepted(problem, at, linear, step, tried)
             if after is None:
-                return _Found(at, linear, count, "" if at.gap <= CLOSED else "no step closes the gaps between the states")
+                return _Found(
+                    at, linear, count, "" if at.gap <= CLOSED else "no step closes the gaps between the states"
+                )
             settled = after.gap <= NEARLY and 0 <= at.cost - after.cost < GAIN
             at, count = after, count + 1
             if last or settled:

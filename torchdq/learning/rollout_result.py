@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq.learning.rollout_problem import PRIOR, Iterate, Problem
+from torchdq.learning.rollout_problem import Iterate, Problem
 from torchdq.learning.shooting import Linear
 from torchdq.learning.unknowns import changed
 from torchdq.tables import summary, table

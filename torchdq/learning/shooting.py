@@ -14,6 +14,7 @@ solution of optimal control problems", IFAC 1984).
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -83,7 +84,7 @@ def segments(logs: Sequence[Checked], dt: float, seconds: float | None) -> Segme
         ends[-1] += 1
         rows = np.full(last + 1, -1)
         rows[node] = np.arange(len(node))
-        pieces += [(k, a, rows[a:b]) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+        pieces += [(k, a, rows[a:b]) for a, b in itertools.pairwise(ends)]
     most = max(len(rows) for *_, rows in pieces)
     block = max(1, math.isqrt(most))
     T = -(-most // block) * block

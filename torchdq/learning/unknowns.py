@@ -205,7 +205,9 @@ def unknowns(scene: Scene, learn: str | Sequence[str]) -> Unknowns:
 
 def _candidates(scene: Scene) -> dict[str, Unknown]:
     """Everything of a scene that can be learned, by name."""
-    found = {DELAY: Unknown(DELAY, "", (DELAY,), Coordinates(scene.dt), torch.zeros(1, dtype=torch.float64), torch.arange(1))}
+    found = {
+        DELAY: Unknown(DELAY, "", (DELAY,), Coordinates(scene.dt), torch.zeros(1, dtype=torch.float64), torch.arange(1))
+    }
     kinds = [type(effect).__name__ for effect in scene.effects]
     count, numbers = Counter(kinds), {kind: itertools.count(1) for kind in kinds}
     for owner, (kind, effect) in enumerate(zip(kinds, scene.effects, strict=True)):
