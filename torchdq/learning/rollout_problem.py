@@ -59,17 +59,15 @@ class Problem:
 
     def first(self) -> Iterate:
         """Start: the parameters of the scene, the nodes where the measurements are."""
-        q, qd = shooting.first_guess(self.pieces, self.logs)
-        state = self.step_map.scene.begin({"q": q, "qd": qd}, {})[0]
-        return self.at(self.unknowns.start, torch.cat([q, qd, *([] if state.memory is None else [state.memory])], -1))
+        return self.at(self.unknowns.start, self._measured)
 
     def at(self, values: Tensor, nodes: Tensor) -> Iterate:
         """Iterate at parameters and nodes."""
         moved = shooting.motions(
             self.step_map, self.pieces, nodes, self._inputs(values), self.unknowns.parameters(values)
         )
-        gap = float((moved.gaps / self._motion(nodes)).square().mean().sqrt())
-        spread = (moved.residual.square().sum((0, 1)) / self.rows).sqrt()
+        gap = float(torch.linalg.vector_norm(moved.gaps / self._motion)) / math.sqrt(nodes.numel())
+        spread = torch.linalg.vector_norm(moved.residual, dim=(0, 1)) / math.sqrt(self.rows)
         prior = (self.unknowns.offset(values) / (PRIOR * self.unknowns.sizes(values))).square().sum()
         cost = self.rows * self._least(spread).log().sum() + 0.5 * prior
         return Iterate(values, moved, gap, float(cost), spread)
@@ -102,9 +100,17 @@ class Problem:
     def _least(self, spread: Tensor) -> Tensor:
         return (spread.square() + (EXACT * self.scale).square()).sqrt()
 
-    @staticmethod
-    def _motion(nodes: Tensor) -> Tensor:
-        size = nodes.flatten(0, 1).square().mean(0).sqrt()
+    @cached_property
+    def _measured(self) -> Tensor:
+        """Nodes where the measurements are."""
+        q, qd = shooting.first_guess(self.pieces, self.logs)
+        memory = self.step_map.scene.begin({"q": q, "qd": qd}, {})[0].memory
+        return torch.cat([q, qd] if memory is None else [q, qd, memory], -1)
+
+    @cached_property
+    def _motion(self) -> Tensor:
+        """Sizes [s] of the states."""
+        size = self._measured.square().mean((0, 1)).sqrt()
         return torch.where(size > 0, size, 1.0)
 
     def _inputs(self, values: Tensor) -> dict[str, Tensor]:
@@ -158,8 +164,10 @@ class Problem:
         def picked(commands: Mapping[str, Tensor]) -> dict[str, Tensor]:
             return {name: x[:, :-1].flatten(0, 1)[chosen] for name, x in commands.items()}
 
+        prompt = picked(self._prompt)
+
         def missing(values: Tensor) -> tuple[dict[str, Tensor], Tensor, float]:
-            inputs = picked(self._inputs(values))
+            inputs = picked(self._inputs(values)) if sought.delayed else prompt
             gaps = after - self.step_map.after(before, inputs, sought.parameters(values))[:, n:]
             return inputs, gaps, float(torch.linalg.vector_norm(gaps, dim=0).log().sum())
 

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -21,6 +22,7 @@ from torchdq.checks import tensor_of
 from torchdq.effects.effect import Parametric
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.parametrizations import PhysicalInertia
+from torchdq.robot import Robot
 from torchdq.robot.fields import trailing
 
 if TYPE_CHECKING:
@@ -192,7 +194,7 @@ def unknowns(scene: Scene, learn: str | Sequence[str]) -> Unknowns:
         if not found:
             raise UnknownNameError("parameter to learn", word, known, every=True)
         chosen += found
-    parts = tuple(known[name] for name in dict.fromkeys(chosen))
+    parts = tuple(known[name]() for name in dict.fromkeys(chosen))
     for part in parts:
         zero = [k for k, x in enumerate(part.start.tolist()) if x <= 0 and isinstance(part.coordinates, Positive)]
         if zero:
@@ -203,11 +205,10 @@ def unknowns(scene: Scene, learn: str | Sequence[str]) -> Unknowns:
     return Unknowns(parts)
 
 
-def _candidates(scene: Scene) -> dict[str, Unknown]:
-    """Everything of a scene that can be learned, by name."""
-    found = {
-        DELAY: Unknown(DELAY, "", (DELAY,), Coordinates(scene.dt), torch.zeros(1, dtype=torch.float64), torch.arange(1))
-    }
+def _candidates(scene: Scene) -> dict[str, Callable[[], Unknown]]:
+    """Everything of a scene that can be learned, by name, as functions that return it."""
+    zero = torch.zeros(1, dtype=torch.float64)
+    found = {DELAY: lambda: Unknown(DELAY, "", (DELAY,), Coordinates(scene.dt), zero, torch.arange(1))}
     kinds = [type(effect).__name__ for effect in scene.effects]
     count, numbers = Counter(kinds), {kind: itertools.count(1) for kind in kinds}
     for owner, (kind, effect) in enumerate(zip(kinds, scene.effects, strict=True)):
@@ -215,26 +216,31 @@ def _candidates(scene: Scene) -> dict[str, Unknown]:
         found.update(_parameters(scene, title, owner, effect))
     if scene.controller is not None:
         found.update(_parameters(scene, type(scene.controller).__name__, -1, scene.controller))
-    heavy = scene.robot.mass > 0
+    robot = scene.robot
     for name in BODIES:
-        x = getattr(scene.robot, name).detach().double()
-        if x.ndim == heavy.ndim + (name != "mass"):
-            at = torch.arange(x.numel()).reshape(x.shape)[heavy].flatten()
-            found[name] = _unknown(name, f"-2.{name}", x, name, at, scene.robot.link_names)
+        if getattr(robot, name).ndim == 1 + (name != "mass") and robot.mass.ndim == 1:
+            found[name] = partial(_of_links, robot, name)
     return found
 
 
-def _parameters(scene: Scene, title: str, owner: int, part: Parametric) -> dict[str, Unknown]:
+def _of_links(robot: Robot, name: str) -> Unknown:
+    """Parameter of the links that have a mass."""
+    x = getattr(robot, name).detach().double()
+    at = torch.arange(x.numel()).reshape(x.shape)[robot.mass > 0].flatten()
+    return _unknown(name, f"-2.{name}", x, name, at, robot.link_names)
+
+
+def _parameters(scene: Scene, title: str, owner: int, part: Parametric) -> dict[str, Callable[[], Unknown]]:
     """Parameters of an effect or a controller that can be learned: finite numbers without batch axes."""
-    found = {}
+    found: dict[str, Callable[[], Unknown]] = {}
     for name, axes in part.SHAPES.items():
         value = tensor_of(getattr(part, name)).detach().double()
         if tuple(value.shape) == trailing(axes, scene.robot.sizes) and bool(value.isfinite().all()):
             body = (name, axes) in (("inertia", (6,)), ("com", (3,)))
             kind = name if body else "" if name in part.SIGNED else "mass"
             labels = scene.robot.joint_names if axes == ("n",) else scene.robot.link_names if axes == ("links",) else ()
-            at = torch.arange(value.numel())
-            found[f"{title}.{name}"] = _unknown(f"{title}.{name}", f"{owner}.{name}", value, kind, at, labels)
+            called, at = f"{title}.{name}", torch.arange(value.numel())
+            found[called] = partial(_unknown, called, f"{owner}.{name}", value, kind, at, labels)
     return found
 
 
