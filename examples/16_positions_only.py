@@ -15,7 +15,6 @@ from typing import NamedTuple
 import numpy as np
 import torch
 import tyro
-from matplotlib import pyplot as plt
 from pictures import BLUE, ORANGE, panels, prepare, save
 from torch import Tensor
 
@@ -110,9 +109,8 @@ def main(args: Args) -> Result:
         "as found from positions and commands": test.q - simulated(found.scene, target, found.delay, start),
     }
     before, after = (x.square().mean(0).sqrt() for x in errors.values())
-    print(
-        f"\nposition errors in another motion [mrad]: {1e3 * before.mean():.3g} as guessed, {1e3 * after.mean():.3g} now"
-    )
+    sizes = f"{1e3 * before.mean():.3g} as guessed, {1e3 * after.mean():.3g} as found"
+    print(f"\nposition errors in another motion [mrad]: {sizes}")
     draw(torch.as_tensor(test.time), errors, args.out / "positions_only.png")
     true = torch.tensor([*KP, *KD, *RUBBING, PAYLOAD, DELAY], dtype=torch.float64)
     return Result(found, true, before, after)

@@ -110,6 +110,7 @@ def test_what_to_record(tmp_path, capsys):
 
 def test_positions_only(tmp_path, capsys):
     module = import_module("16_positions_only")
+    module.prepare()
     found, true, before, after = module.main(module.Args(quick=True, out=tmp_path))
     z = (found.estimate - true) / found.covariance.diagonal().sqrt()
     assert float(z.abs().max()) < 4 and float(z.square().mean()) < 2

@@ -90,7 +90,7 @@ def fit_rollout(
     with torch.no_grad(), Notice(f"fitting {', '.join(part.name for part in sought.parts)}") as notice:
         end = _search(problem, problem.prepared(problem.first()), iterations, notice)
         doubt = end.ended or problem.uneven(end.at)
-        found = result(problem, end.at, end.linear, end.count, doubt)
+        found = result(problem, end.at, end.linear, end.steps, doubt)
     if doubt:
         warnings.warn(f"the parameters may not be the best: {doubt}", LogWarning, stacklevel=2)
     return found
@@ -101,7 +101,7 @@ class _Found(NamedTuple):
 
     at: Iterate
     linear: Linear
-    count: int  # steps to it
+    steps: int  # to it
     ended: str  # reason why it ended early; "": it did not
 
 

@@ -62,13 +62,15 @@ class Coordinates:
 
 
 @dataclass(frozen=True)
-class Positive(Coordinates):
+class PositiveNumbers(Coordinates):
     """Coordinates of parameters that are positive."""
 
     def moved(self, value: Tensor, step: Tensor) -> Tensor:
+        """Values after a step, along a line up and along the exponential of the same slope down."""
         return torch.where(step >= 0, value + step, value * torch.exp(step.clamp(max=0) / value))
 
     def sizes(self, value: Tensor, start: Tensor) -> Tensor:
+        """The values, or those at the start where they were larger."""
         return torch.maximum(value, start)
 
 
@@ -77,20 +79,25 @@ class Inertias(Coordinates):
     """Coordinates of inertias about centres of mass, six numbers each."""
 
     def moved(self, value: Tensor, step: Tensor) -> Tensor:
+        """Inertias after a step in the coordinates in which all bodies can exist."""
         return INERTIA(INERTIA.right_inverse(value.reshape(-1, 6)) + step.reshape(-1, 6)).flatten()
 
     def slopes(self, value: Tensor) -> Tensor:
+        """Derivatives of the inertias in those coordinates."""
         x = INERTIA.right_inverse(value.reshape(-1, 6))
         return torch.block_diag(*torch.func.vmap(torch.func.jacfwd(INERTIA))(x))
 
     def sizes(self, value: Tensor, start: Tensor) -> Tensor:
+        """Ones, as those coordinates are logarithms and ratios."""
         return torch.ones_like(value)
 
     def scales(self, value: Tensor, start: Tensor) -> Tensor:
+        """Principal entries, and the roots of the products of two for those beside the diagonal."""
         x, y, z = torch.maximum(value, start).reshape(-1, 6)[:, [0, 2, 5]].sqrt().unbind(1)
         return torch.stack([x * x, x * y, y * y, x * z, y * z, z * z], 1).flatten()
 
     def offset(self, value: Tensor, start: Tensor) -> Tensor:
+        """Step from the start to the inertias."""
         return (INERTIA.right_inverse(value.reshape(-1, 6)) - INERTIA.right_inverse(start.reshape(-1, 6))).flatten()
 
 
@@ -196,7 +203,9 @@ def unknowns(scene: Scene, learn: str | Sequence[str]) -> Unknowns:
         chosen += found
     parts = tuple(known[name]() for name in dict.fromkeys(chosen))
     for part in parts:
-        zero = [k for k, x in enumerate(part.start.tolist()) if x <= 0 and isinstance(part.coordinates, Positive)]
+        zero = [
+            k for k, x in enumerate(part.start.tolist()) if x <= 0 and isinstance(part.coordinates, PositiveNumbers)
+        ]
         if zero:
             raise ArgumentError(
                 f"{part.labels[zero[0]]} must start from a positive number, which says how large it may be, found 0; "
@@ -246,7 +255,9 @@ def _parameters(scene: Scene, title: str, owner: int, part: Parametric) -> dict[
 
 def _unknown(name: str, key: str, value: Tensor, kind: str, at: Tensor, owners: Sequence[str]) -> Unknown:
     """Unknown of a kind: "mass" for positive numbers, "com", "inertia", or "" for numbers of any sign."""
-    coordinates = {"mass": Positive(), "inertia": Inertias(), "com": Coordinates(LENGTH)}.get(kind, Coordinates())
+    coordinates = {"mass": PositiveNumbers(), "inertia": Inertias(), "com": Coordinates(LENGTH)}.get(
+        kind, Coordinates()
+    )
     flat = value.flatten().clone()
     if kind == "inertia":
         rows = flat[at].reshape(-1, 6)
