@@ -65,7 +65,7 @@ class Commands(NamedTuple):
         return np.concatenate([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)])
 
 
-class Checked(NamedTuple):
+class CheckedRecording(NamedTuple):
     """Recording as arrays of finite numbers."""
 
     name: str
@@ -75,7 +75,7 @@ class Checked(NamedTuple):
     inputs: dict[str, Commands]
 
 
-def checked(logs: Recording | Sequence[Recording], joints: int, widths: Mapping[str, int]) -> list[Checked]:
+def checked(logs: Recording | Sequence[Recording], joints: int, widths: Mapping[str, int]) -> list[CheckedRecording]:
     """Recordings as arrays; raises, naming log and row, unless they fit a scene and each other.
 
     Args:
@@ -93,7 +93,7 @@ def checked(logs: Recording | Sequence[Recording], joints: int, widths: Mapping[
     return found
 
 
-def _checked(log: Recording, name: str, joints: int, widths: Mapping[str, int]) -> Checked:
+def _checked(log: Recording, name: str, joints: int, widths: Mapping[str, int]) -> CheckedRecording:
     if not isinstance(log.inputs, Mapping):
         raise ArgumentError(f"inputs of {name} must be arrays by name, found {type(log.inputs).__name__}")
     for key in log.inputs:
@@ -109,7 +109,7 @@ def _checked(log: Recording, name: str, joints: int, widths: Mapping[str, int]) 
     signals |= {key: (x, widths[key]) for key, x in log.inputs.items()}
     arrays = {key: _array(f"{key} of {name}", x, 2, len(time), width) for key, (x, width) in signals.items()}
     inputs = {key: Commands(time, arrays[key]) for key in sorted(log.inputs)}
-    return Checked(name, time, arrays["q"], arrays.get("qd"), inputs)
+    return CheckedRecording(name, time, arrays["q"], arrays.get("qd"), inputs)
 
 
 def _array(name: str, x: Any, axes: int, rows: int = 0, width: int = 0) -> np.ndarray:

@@ -19,7 +19,7 @@ from torchdq.checks import require_count, require_number
 from torchdq.learning import shooting
 from torchdq.learning.plausibility import LogWarning
 from torchdq.learning.recordings import Recording, checked
-from torchdq.learning.rollout_problem import Iterate, Problem, Step
+from torchdq.learning.rollout_problem import Change, Iterate, Problem
 from torchdq.learning.rollout_result import RolloutFit, result
 from torchdq.learning.shooting import Linear
 from torchdq.learning.unknowns import changed, unknowns
@@ -130,13 +130,13 @@ def _search(problem: Problem, at: Iterate, iterations: int, notice: Notice) -> _
         return _Found(at, linear, count, f"interrupted after {count} iterations")
 
 
-def _last(problem: Problem, at: Iterate, step: Step) -> bool:
+def _last(problem: Problem, at: Iterate, step: Change) -> bool:
     """Whether a step is so short that the next one, about its square, does not matter."""
     relative = float((step.values / problem.unknowns.sizes(at.values)).abs().amax())
     return at.gap <= NEARLY and (step.length < SETTLED or relative < STILL)
 
 
-def _accepted(problem: Problem, at: Iterate, linear: Linear, step: Step, tried: Sequence[Iterate]) -> Iterate | None:
+def _accepted(problem: Problem, at: Iterate, linear: Linear, step: Change, tried: Sequence[Iterate]) -> Iterate | None:
     """Iterate after the longest trial that is better than all before in one of the two ways; None: none is.
 
     Where friction is stiff, linearised steps do not close the gaps, but simulation from the starts does.

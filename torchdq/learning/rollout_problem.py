@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchdq.learning import shooting
-from torchdq.learning.recordings import Checked
+from torchdq.learning.recordings import CheckedRecording
 from torchdq.learning.shooting import Linear, Motions, Segments
 from torchdq.learning.unknowns import Unknowns
 
@@ -38,7 +38,7 @@ class Iterate(NamedTuple):
     spread: Tensor  # [c] root mean square of the residuals
 
 
-class Step(NamedTuple):
+class Change(NamedTuple):
     """Change of an iterate."""
 
     values: Tensor  # [p] in the coordinates of the unknowns
@@ -52,7 +52,7 @@ class Problem:
 
     step_map: StepMap
     unknowns: Unknowns
-    logs: Sequence[Checked]
+    logs: Sequence[CheckedRecording]
     pieces: Segments
 
     # --- iterates ---
@@ -72,7 +72,7 @@ class Problem:
         cost = self.rows * self._least(spread).log().sum() + 0.5 * prior
         return Iterate(values, moved, gap, float(cost), spread)
 
-    def moved(self, at: Iterate, step: Step, share: float) -> Iterate:
+    def moved(self, at: Iterate, step: Change, share: float) -> Iterate:
         """Iterate after a share of a step."""
         return self.at(self.unknowns.moved(at.values, share * step.values), at.motions.nodes + share * step.nodes)
 
@@ -235,8 +235,8 @@ class Problem:
         rows = torch.cat([linear.factor[:, s : s + p + 1, s:].flatten(0, 1), prior])
         return torch.linalg.qr(rows, mode="r").R
 
-    def step(self, at: Iterate, linear: Linear, damping: float) -> Step:
-        """Step to the solution of the linearised problem; damping shortens it, relative to the information."""
+    def step(self, at: Iterate, linear: Linear, damping: float) -> Change:
+        """Change to the solution of the linearised problem; damping shortens it, relative to the information."""
         R, p = self.information(at, linear), len(at.values)
         if damping:
             held = torch.diag(math.sqrt(damping) * R[:, :p].norm(dim=0))
@@ -244,4 +244,4 @@ class Problem:
         values = torch.linalg.solve_triangular(R[:p, :p], R[:p, p:], upper=True)[:, 0]
         nodes = shooting.changes(linear, values)
         length = float((shooting.seen(self.pieces, nodes) / self.noise(at)).square().sum().sqrt())
-        return Step(values, nodes, length)
+        return Change(values, nodes, length)

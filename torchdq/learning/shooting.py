@@ -24,7 +24,7 @@ import torch
 from torch import Tensor
 
 from torchdq.errors import ArgumentError
-from torchdq.learning.recordings import Checked
+from torchdq.learning.recordings import CheckedRecording
 from torchdq.optional import imported
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ class Linear(NamedTuple):
 # --- segments --------------------------------------------------------------------------------------------------------
 
 
-def segments(logs: Sequence[Checked], dt: float, seconds: float | None) -> Segments:
+def segments(logs: Sequence[CheckedRecording], dt: float, seconds: float | None) -> Segments:
     """Pieces of logs, as long as `seconds` if possible; None: every log is one."""
     pieces = []
     for k, log in enumerate(logs):
@@ -112,7 +112,7 @@ def segments(logs: Sequence[Checked], dt: float, seconds: float | None) -> Segme
     )
 
 
-def first_guess(pieces: Segments, logs: Sequence[Checked]) -> tuple[Tensor, Tensor]:
+def first_guess(pieces: Segments, logs: Sequence[CheckedRecording]) -> tuple[Tensor, Tensor]:
     """Positions and velocities [K, T, n] of the nodes: those measured, or slopes of cubics through measured ones."""
     signal = imported("scipy.signal", "scipy", "fit_rollout")
     found = np.zeros((2, *pieces.time.shape, pieces.n))
@@ -136,7 +136,9 @@ def _interpolated(at: np.ndarray, time: np.ndarray, x: np.ndarray) -> np.ndarray
     return np.stack([np.interp(at, time, column) for column in x.T], axis=-1)
 
 
-def commands(pieces: Segments, logs: Sequence[Checked], delay: float, slope: bool = False) -> dict[str, Tensor]:
+def commands(
+    pieces: Segments, logs: Sequence[CheckedRecording], delay: float, slope: bool = False
+) -> dict[str, Tensor]:
     """Commands [K, T, width] of all steps, or their derivatives by the delay [s]."""
     found = {}
     for name, first in logs[0].inputs.items():

@@ -35,8 +35,8 @@ INERTIA = PhysicalInertia()
 
 
 @dataclass(frozen=True)
-class Coordinates:
-    """Coordinates of parameters of any sign: the parameters."""
+class SignedNumbers:
+    """SignedNumbers of parameters of any sign: the parameters."""
 
     unit: float = 1.0  # least size of a step [SI]
 
@@ -62,8 +62,8 @@ class Coordinates:
 
 
 @dataclass(frozen=True)
-class PositiveNumbers(Coordinates):
-    """Coordinates of parameters that are positive."""
+class PositiveNumbers(SignedNumbers):
+    """SignedNumbers of parameters that are positive."""
 
     def moved(self, value: Tensor, step: Tensor) -> Tensor:
         """Values after a step, along a line up and along the exponential of the same slope down."""
@@ -75,8 +75,8 @@ class PositiveNumbers(Coordinates):
 
 
 @dataclass(frozen=True)
-class Inertias(Coordinates):
-    """Coordinates of inertias about centres of mass, six numbers each."""
+class Inertias(SignedNumbers):
+    """SignedNumbers of inertias about centres of mass, six numbers each."""
 
     def moved(self, value: Tensor, step: Tensor) -> Tensor:
         """Inertias after a step in the coordinates in which all bodies can exist."""
@@ -108,7 +108,7 @@ class Unknown:
     name: str  # "Viscous.coefficient"
     key: str  # its name in the programs of the scene, "1.coefficient"; "": the delay of the inputs
     labels: tuple[str, ...]  # one for each number, "Viscous.coefficient[elbow]"
-    coordinates: Coordinates
+    coordinates: SignedNumbers
     whole: Tensor  # the parameter with all its numbers, at the start
     at: Tensor  # [w] places of the sought numbers among them
 
@@ -217,7 +217,7 @@ def unknowns(scene: Scene, learn: str | Sequence[str]) -> Unknowns:
 def _candidates(scene: Scene) -> dict[str, Callable[[], Unknown]]:
     """Everything of a scene that can be learned, by name, as functions that return it."""
     zero = torch.zeros(1, dtype=torch.float64)
-    found = {DELAY: lambda: Unknown(DELAY, "", (DELAY,), Coordinates(scene.dt), zero, torch.arange(1))}
+    found = {DELAY: lambda: Unknown(DELAY, "", (DELAY,), SignedNumbers(scene.dt), zero, torch.arange(1))}
     kinds = [type(effect).__name__ for effect in scene.effects]
     count, numbers = Counter(kinds), {kind: itertools.count(1) for kind in kinds}
     for owner, (kind, effect) in enumerate(zip(kinds, scene.effects, strict=True)):
@@ -255,8 +255,8 @@ def _parameters(scene: Scene, title: str, owner: int, part: Parametric) -> dict[
 
 def _unknown(name: str, key: str, value: Tensor, kind: str, at: Tensor, owners: Sequence[str]) -> Unknown:
     """Unknown of a kind: "mass" for positive numbers, "com", "inertia", or "" for numbers of any sign."""
-    coordinates = {"mass": PositiveNumbers(), "inertia": Inertias(), "com": Coordinates(LENGTH)}.get(
-        kind, Coordinates()
+    coordinates = {"mass": PositiveNumbers(), "inertia": Inertias(), "com": SignedNumbers(LENGTH)}.get(
+        kind, SignedNumbers()
     )
     flat = value.flatten().clone()
     if kind == "inertia":
