@@ -3885,6 +3885,33 @@ MUTANTS = (
         ),
     ),
     *within(
+        "torchdq/learning/shooting.py",
+        (
+            "gaps between steps forgotten",
+            "added[..., s:-1], added[..., -1] = B.reshape(*added.shape[:3], -1), moved.gaps.reshape(added.shape[:3])",
+            "added[..., s:-1] = B.reshape(*added.shape[:3], -1)",
+            "rollout_fit.py::test_exact_logs_give_the_exact_parameters",
+        ),
+    ),
+    *within(
+        "torchdq/learning/rollout_problem.py",
+        (
+            "states not counted among what the measurements are spent on",
+            "spent = states + len(at.values) / at.spread.numel()",
+            "spent = -40 * states",
+            "rollout_fit.py::test_it_is_the_least_squares_over_simulated_motions",
+        ),
+    ),
+    *within(
+        "torchdq/learning/recordings.py",
+        (
+            "commands not delayed within a step",
+            "return np.where((last > first)[..., None], (early + between + late) / span, u[first])",
+            "return u[first]",
+            "rollout_fit.py::test_means_and_slopes_of_commands_are_those_of_a_fine_sum",
+        ),
+    ),
+    *within(
         "envs/actions.py",
         (
             "imaginary parts of actions lost",

@@ -43,7 +43,7 @@ class Change(NamedTuple):
 
     values: Tensor  # [p] in the coordinates of the unknowns
     nodes: Tensor  # [K, T, s]
-    length: float  # of the change of all predicted measurements, in their standard deviations
+    length: float  # change of all predicted measurements, in their standard deviations
 
 
 @dataclass(frozen=True)

@@ -38,8 +38,8 @@ class RolloutFit(NamedTuple):
     estimate: Tensor  # [p] single numbers, those of the scene
     covariance: Tensor  # [p, p] of the numbers, as far as they are told
     untold: tuple[str, ...]  # combinations that nothing tells
-    delay: float  # of the inputs [s]; it is not part of the scene
-    residuals: tuple[np.ndarray, ...]  # of every recording, measured less predicted positions [rows, n] [rad or m]
+    delay: float  # by which the inputs come late [s]; it is not part of the scene
+    residuals: tuple[np.ndarray, ...]  # [rows, n] of each log, measured less predicted positions [rad or m]
     noise: Tensor  # [n] standard deviation of the measured positions [rad or m]
     iterations: int
     doubt: str  # reason why the parameters may not be the best; "": there is none

@@ -36,7 +36,7 @@ INERTIA = PhysicalInertia()
 
 @dataclass(frozen=True)
 class SignedNumbers:
-    """SignedNumbers of parameters of any sign: the parameters."""
+    """Parameters of any sign, to which steps add."""
 
     unit: float = 1.0  # least size of a step [SI]
 
@@ -63,7 +63,7 @@ class SignedNumbers:
 
 @dataclass(frozen=True)
 class PositiveNumbers(SignedNumbers):
-    """SignedNumbers of parameters that are positive."""
+    """Parameters that are positive, and stay so."""
 
     def moved(self, value: Tensor, step: Tensor) -> Tensor:
         """Values after a step, along a line up and along the exponential of the same slope down."""
@@ -76,7 +76,7 @@ class PositiveNumbers(SignedNumbers):
 
 @dataclass(frozen=True)
 class Inertias(SignedNumbers):
-    """SignedNumbers of inertias about centres of mass, six numbers each."""
+    """Inertias about centres of mass, six numbers each, of bodies that can exist."""
 
     def moved(self, value: Tensor, step: Tensor) -> Tensor:
         """Inertias after a step in the coordinates in which all bodies can exist."""
@@ -203,10 +203,8 @@ def unknowns(scene: Scene, learn: str | Sequence[str]) -> Unknowns:
         chosen += found
     parts = tuple(known[name]() for name in dict.fromkeys(chosen))
     for part in parts:
-        zero = [
-            k for k, x in enumerate(part.start.tolist()) if x <= 0 and isinstance(part.coordinates, PositiveNumbers)
-        ]
-        if zero:
+        zero = [k for k, x in enumerate(part.start.tolist()) if x <= 0]
+        if zero and isinstance(part.coordinates, PositiveNumbers):
             raise ArgumentError(
                 f"{part.labels[zero[0]]} must start from a positive number, which says how large it may be, found 0; "
                 "give the scene one"
