@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchdq.checks import tensor_of
-from torchdq.effects.effect import Parametric
+from torchdq.effects.effect import Effect, Parametric
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.parametrizations import PhysicalInertia
 from torchdq.robot import Robot
@@ -238,17 +238,27 @@ def _of_links(robot: Robot, name: str) -> Unknown:
 
 
 def _parameters(scene: Scene, title: str, owner: int, part: Parametric) -> dict[str, Callable[[], Unknown]]:
-    """Parameters of an effect or a controller that can be learned: finite numbers without batch axes."""
+    """Parameters of an effect or a controller that can be learned: finite numbers without batch axes.
+
+    One that is absent, and with which the scene would ask for a further input, cannot.
+    """
     found: dict[str, Callable[[], Unknown]] = {}
     for name, axes in part.SHAPES.items():
         value = tensor_of(getattr(part, name)).detach().double()
-        if tuple(value.shape) == trailing(axes, scene.robot.sizes) and bool(value.isfinite().all()):
+        if tuple(value.shape) != trailing(axes, scene.robot.sizes) or not bool(value.isfinite().all()):
+            continue
+        if _asked(part, scene.n) == _asked(replace(part, **{name: value}), scene.n):
             body = (name, axes) in (("inertia", (6,)), ("com", (3,)))
             kind = name if body else "" if name in part.SIGNED else "mass"
             labels = scene.robot.joint_names if axes == ("n",) else scene.robot.link_names if axes == ("links",) else ()
             called, at = f"{title}.{name}", torch.arange(value.numel())
             found[called] = partial(_unknown, called, f"{owner}.{name}", value, kind, at, labels)
     return found
+
+
+def _asked(part: Parametric, n: int) -> dict[str, int]:
+    """Inputs that an effect asks for."""
+    return part.inputs(n) if isinstance(part, Effect) else {}
 
 
 def _unknown(name: str, key: str, value: Tensor, kind: str, at: Tensor, owners: Sequence[str]) -> Unknown:
