@@ -3894,15 +3894,6 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/rollout_problem.py",
-        (
-            "states not counted among what the measurements are spent on",
-            "spent = states + len(at.values) / at.spread.numel()",
-            "spent = -40 * states",
-            "rollout_fit.py::test_it_is_the_least_squares_over_simulated_motions",
-        ),
-    ),
-    *within(
         "torchdq/learning/recordings.py",
         (
             "commands not delayed within a step",
