@@ -1,0 +1,133 @@
+"""Rows of recorded motions, and the blocks of them that are left out to measure a model.
+
+A block is a whole motion, or a contiguous part of one where there are fewer than three: rows of one moment resemble
+each other, so that rows left out at random would measure nothing. A filter mixes neighbours, so the rows beside a part
+that is left out are left out of the fit, too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchdq.errors import ArgumentError
+from torchdq.functional import check
+from torchdq.learning.motions import ENDS, Motion
+from torchdq.robot import Robot
+
+MOST = 10  # most blocks; further motions share one
+PARTS = 6  # blocks, at least, that fewer than three motions are cut into
+LEAST = 20  # fewest rows of a block
+BESIDE = 0.02  # part of a motion without times that is left out on either side of a block
+
+
+class Recording(NamedTuple):
+    """Rows of motions, one after the other, as float64."""
+
+    q: Tensor  # [rows, n] [rad or m]
+    qd: Tensor  # [rows, n] [rad/s or m/s]
+    qdd: Tensor  # [rows, n] [rad/s^2 or m/s^2]
+    lengths: tuple[int, ...]  # rows of each motion
+    tau: Tensor | None = None  # [rows, n] [N m or N]
+    direction: Tensor | None = None  # [rows, n] sign of the velocity, filtered as the torques
+    time: Tensor | None = None  # [rows] [s]
+
+    @property
+    def measured(self) -> Tensor:
+        """Torques [rows, n]; raises if there are none."""
+        if self.tau is None:
+            raise ArgumentError("motions must have torques to identify a robot, found motions without")
+        return self.tau
+
+    def signals(self) -> dict[str, Tensor]:
+        """Rows of the signals that there are, by name."""
+        names = ("q", "qd", "qdd", "tau", "direction")
+        return {name: x for name in names if (x := getattr(self, name)) is not None}
+
+    def starts(self) -> Tensor:
+        """Rows at which motions begin [motions]."""
+        return torch.tensor([0, *self.lengths[:-1]], device=self.q.device).cumsum(0)
+
+
+class Block(NamedTuple):
+    """Rows that are left out together."""
+
+    rows: slice
+    beside: tuple[slice, ...]  # rows that neither measure nor are fitted meanwhile
+    motion: slice  # rows of the motions that it belongs to
+
+
+def of_motions(robot: Robot, motions: Motion | Sequence[Motion]) -> Recording:
+    """Rows of motions from `smooth`.
+
+    Raises:
+        ArgumentError: there is no motion, or one is of another arm or has no torques.
+    """
+    several = [motions] if isinstance(motions, Motion) else list(motions)
+    if not several:
+        raise ArgumentError("motions must be at least one, found none")
+    for motion in several:
+        if motion.q.shape[1:] != (robot.n,):
+            found = f"found one with {motion.q.shape[1]}"
+            raise ArgumentError(f"motions must be of {robot.name!r}, which has {robot.n} joints, {found}")
+
+    def together(name: str) -> Tensor | None:
+        parts = [getattr(motion, name) for motion in several]
+        if any(x is None for x in parts):
+            return None
+        return torch.as_tensor(np.concatenate(parts), dtype=torch.float64, device=robot.mass.device)
+
+    q, qd, qdd = together("q"), together("qd"), together("qdd")
+    assert q is not None and qd is not None and qdd is not None
+    lengths = tuple(len(motion.q) for motion in several)
+    return Recording(q, qd, qdd, lengths, *(together(name) for name in ("tau", "direction", "time")))
+
+
+def of_tensors(robot: Robot, **signals: Tensor) -> Recording:
+    """Rows of signals q, qd, qdd, tau and perhaps direction [..., rows, n]; leading axes are those of motions."""
+    batch = check(robot, (), **signals)
+    rows = {
+        name: x.detach().to(torch.float64).expand(*batch, robot.n).reshape(math.prod(batch), robot.n)
+        for name, x in signals.items()
+    }
+    lengths = (batch[-1],) * math.prod(batch[:-1]) if batch else (1,)
+    return Recording(**rows, lengths=lengths)
+
+
+def blocks(recording: Recording) -> list[Block]:
+    """Blocks of the rows, none if there are too few rows: every row is in exactly one."""
+    ends = np.cumsum(recording.lengths).tolist()
+    motions = [slice(end - rows, end) for end, rows in zip(ends, recording.lengths, strict=True)]
+    if len(motions) >= 3:
+        groups = np.array_split(np.arange(len(motions)), min(MOST, len(motions)))
+        found = [slice(motions[group[0]].start, motions[group[-1]].stop) for group in groups]
+        whole = [Block(rows, (), rows) for rows in found]
+    else:
+        whole = [block for motion in motions for block in _parts(recording, motion, -(-PARTS // len(motions)))]
+    return whole if min(_length(block.rows) for block in whole) >= LEAST else []
+
+
+def _parts(recording: Recording, motion: slice, count: int) -> list[Block]:
+    """Contiguous parts of a motion, with the rows beside them."""
+    cuts = np.linspace(motion.start, motion.stop, count + 1).round().astype(int).tolist()
+    time = recording.time
+    found = []
+    for first, last in pairwise(cuts):
+        if time is None or last == first:
+            before = after = round(BESIDE * _length(motion))
+        else:
+            before = int((time[motion.start : first] > time[first] - ENDS).sum())
+            after = int((time[last : motion.stop] < time[last - 1] + ENDS).sum())
+        beside = (slice(max(motion.start, first - before), first), slice(last, min(motion.stop, last + after)))
+        found.append(Block(slice(first, last), beside, motion))
+    return found
+
+
+def _length(rows: slice) -> int:
+    return rows.stop - rows.start
