@@ -2600,7 +2600,7 @@ MUTANTS = (
         ("models with other weights", "x.keys() != model.keys()", "False", UNTRUSTED),
     ),
     *within(
-        "torchdq/learning/training.py",
+        "torchdq/learning/run.py",
         (
             "an optimiser steered by a checkpoint",
             'self.optimiser.state_dict()["param_groups"]',
@@ -3331,11 +3331,11 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/residual.py",
+        "torchdq/residual/line.py",
         (
             "derivative of the perceptrons by the wrong features",
-            "[..., 3::2].flatten(-2)",
-            "[..., 2::2][..., :2].flatten(-2)",
+            "self.first, self.weights, self.biases = self._last(weights[0])",
+            "self.first, self.weights, self.biases = -self._last(weights[0])",
             "residual_effect.py::test_the_closed_form_is_what_forward_mode_finds_of_any_network",
         ),
     ),

@@ -15,7 +15,8 @@ from torchdq.learning.layouts import Layout, LogError, MissingLogError
 from torchdq.learning.logs import Log, read
 from torchdq.learning.motions import Motion, cut, directions, hold_out, samples, smooth
 from torchdq.learning.plausibility import LogWarning
-from torchdq.learning.training import History, TrainingError, fit
+from torchdq.learning.run import History, TrainingError
+from torchdq.learning.training import fit
 
 __all__ = [
     "CheckpointError",

@@ -15,7 +15,7 @@ from torchdq.errors import ArgumentError
 from torchdq.functional import mass_matrix
 from torchdq.nn import DQRNEA
 from torchdq.program.transforms import number
-from torchdq.residual.domain import Domain
+from torchdq.residual.domain import OPEN, Domain
 from torchdq.residual.line import Learned, Prepared
 from torchdq.residual.networks import Joined, Perceptrons, perceptrons
 from torchdq.residual.posterior import Posterior, PredictedTorques
@@ -318,6 +318,12 @@ class ResidualDynamics(nn.Module):
         self.feature_middle.copy_((least + most) / 2)
         self.feature_range.copy_(((most - least) / 2).clamp_min(1e-3))  # a feature that is constant has some room
         self.cover(self.scaled(features), torques - described.reshape(torques.shape))
+
+    @torch.no_grad()
+    def open(self) -> None:
+        """Let the network act everywhere with weight one, as while it is trained, until it is measured again."""
+        self.domain.reach.fill_(OPEN)
+        self.weight.fill_(1.0)
 
     @torch.no_grad()
     def cover(self, x: Tensor, residuals: Tensor) -> None:
