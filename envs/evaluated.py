@@ -36,26 +36,32 @@ class _Evaluated(System):
     def _evaluated(self, stage: str, **given: Tensor) -> list[Tensor]:
         return [self.scene.evaluate(stage, {**given, **self.inputs})["a"]]
 
+    @property
+    def _free(self) -> int:
+        """Numbers of the twist of a free base."""
+        return TWIST if self.scene.robot.floating else 0
+
+    def _joints(self, x: Tensor) -> Tensor:
+        """Positions of joints and rotors."""
+        return x[..., :-POSE] if self._free else x
+
     def moved(self, x: Row, h: Number, rate: Row) -> list[Number]:
-        if not self.scene.robot.floating:
-            return super().moved(x, h, rate)
-        displacement = h * rate[0]
-        joints = x[0][..., :-POSE] + displacement[..., :-TWIST]
-        base = dq.mul(x[0][..., -POSE:], dq.exp(0.5 * displacement[..., -TWIST:]))
-        return [torch.cat([joints, base], -1)]
+        displacement, joints = h * rate[0], self._joints(x[0])
+        joints = joints + displacement[..., : joints.shape[-1]]
+        if not self._free:
+            return [joints]
+        return [torch.cat([joints, dq.mul(x[0][..., -POSE:], dq.exp(0.5 * displacement[..., -TWIST:]))], -1)]
 
     def rates(self, h: Number, rate: Row, v: Row) -> Row:
-        if not self.scene.robot.floating:
+        if not self._free:
             return v
         displacement, twist = (y[..., -TWIST:].unbind(-1) for y in (h * rate[0], v[0]))
         base = torch.stack(free_base.rate(displacement, twist, free_base.EXACT), -1)
         return [torch.cat([v[0][..., :-TWIST].expand(*base.shape[:-1], -1), base], -1)]
 
     def sizes(self, x: Row) -> Row:
-        if not self.scene.robot.floating:
-            return super().sizes(x)
-        joints = x[0][..., :-POSE].abs()
-        return [torch.cat([joints, joints.new_ones(*joints.shape[:-1], TWIST)], -1)]
+        joints = self._joints(x[0]).abs()
+        return [torch.cat([joints, joints.new_ones(*joints.shape[:-1], self.scene.spec.inner + self._free)], -1)]
 
     def accelerations(self, x: Row, v: Row) -> list[Tensor]:
         return self._evaluated("accelerations", x=x[0], v=v[0])

@@ -36,7 +36,8 @@ from torchdq.notice import Notice
 class System(Protocol):
     """Equations of motion, as integrators evaluate them.
 
-    Positions need not have as many numbers as velocities: the pose of a free base has eight, its twist six.
+    Positions need not have as many numbers as velocities: the pose of a free base has eight, its twist six, and what
+    friction remembers is among the velocities alone.
     """
 
     def moved(self, x: Row, h: Number, rate: Row) -> list[Number]:
@@ -178,7 +179,7 @@ class StoermerVerlet(Integrator):
             v1 = _plus(v, 0.5 * h, system.momentum_accelerations(x, v1))
         v2, to = v1, x
         for _ in range(self.iterations):
-            to = _plus(_plus(x, 0.5 * h, v1), 0.5 * h, v2)
+            to = system.moved(system.moved(x, 0.5 * h, v1), 0.5 * h, v2)
             v2 = system.velocities_at(x, v1, to)
         return to, _plus(v2, 0.5 * h, system.momentum_accelerations(to, v2))
 

@@ -43,7 +43,7 @@ def drive(scene: RecordedScene) -> tuple[Row, Row, Row, Memory]:
     x, v = scene.packed(q, qd, memory)
     for i, actuator in spec.of(Actuator):
         u, memory[i] = actuator.driven(u, v[-n:], memory[i], spec.dt)  # motors turn with the rotors
-    return u, *scene.with_base(x, v), memory
+    return u, *scene.with_base(x, scene.with_inner(v, memory)), memory
 
 
 def flow(system: SceneSystem, x: Row, v: Row) -> tuple[Row, Row]:
@@ -109,7 +109,8 @@ def _begin(scene: RecordedScene, task: Task | None) -> Rows:
     q, qd = scene.inputs["q"], scene.inputs["qd"]
     sensors = {i for i, _ in scene.spec.of(Sensor)}
     memory = {i: e.start(q, qd) for i, e in enumerate(scene.spec.effects) if i not in sensors}
-    return sense(scene, task, [0.0] * len(q), *scene.with_base(*scene.packed(q, qd, memory)), memory)
+    x, v = scene.packed(q, qd, memory)
+    return sense(scene, task, [0.0] * len(q), *scene.with_base(x, scene.with_inner(v, memory)), memory)
 
 
 def _energy(scene: RecordedScene, task: Task | None) -> Rows:
@@ -130,7 +131,7 @@ def _evaluation(method: Callable[..., Row], *names: str) -> Callable[[RecordedSc
 
 def _frozen(scene: RecordedScene, task: Task | None) -> Rows:
     x, v = scene.inputs["x"], scene.inputs["v"]
-    return with_growths(scene, (), lambda system: system.frozen(x, v))
+    return with_growths(scene, scene.inputs["u"], lambda system: system.frozen(x, v))
 
 
 EVALUATIONS = {
@@ -174,7 +175,7 @@ class Stage(_StageFields, Computation):
         moving = n + spec.transmission[1].memory(n) // 2
         asked = {} if self.task is None else self.task.inputs(n)
         poses, twists = (POSE, TWIST) if spec.robot.floating else (0, 0)
-        evaluated = {"u": n, "x": moving + poses, "v": moving + twists, "to": moving + poses, "h": 1}
+        evaluated = {"u": n, "x": moving + poses, "v": moving + spec.inner + twists, "to": moving + poses, "h": 1}
         return {**spec.state, "noise": spec.noises, **spec.inputs(), **spec.computed(), **asked, **evaluated}
 
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:

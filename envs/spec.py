@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar
 
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.effect import Effect, Shapes
+from torchdq.effects.joint import JointEffect
 from torchdq.effects.model import ModelEffect
 from torchdq.effects.sensor import Sensor
 from torchdq.effects.transmission import Transmission
@@ -101,6 +102,11 @@ class SceneSpec:
         """Number of values that effects remember."""
         return sum(effect.memory(self.robot.n) for effect in self.effects)
 
+    @property
+    def inner(self) -> int:
+        """Number of values that effects at the joints remember, which are integrated with the velocities."""
+        return sum(effect.memory(self.robot.n) for _, effect in self.of(JointEffect))
+
     def shapes(self, owner: int) -> Shapes:
         """Trailing axes of the parameters of the robot, the controller, or the effect at a position."""
         if owner == ROBOT:
@@ -138,6 +144,10 @@ class RecordedScene:
         at, transmission = self.spec.transmission
         return transmission.extended(q, qd, () if at is None else memory[at])
 
+    def with_inner(self, v: Row, memory: Memory) -> Row:
+        """Velocities, and then what effects at the joints remember."""
+        return (*v, *[value for i, _ in self.spec.of(JointEffect) for value in memory[i]])
+
     def with_base(self, x: Row, v: Row) -> tuple[Row, Row]:
         """Integrated positions x and velocities v: `packed` ones, then those of a free base."""
         if not self.spec.robot.floating:
@@ -155,7 +165,12 @@ class RecordedScene:
         if self.spec.robot.floating:
             rows |= {"X_WB": unit(x[-POSE:]), "V_WB_B": v[-TWIST:]}
             x, v = x[:-POSE], v[:-TWIST]
-        return rows, memory if at is None else {**memory, at: (*x[n:], *v[n:])}
+        inner, v = v[len(x) :], v[: len(x)]
+        memory = {**memory} if at is None else {**memory, at: (*x[n:], *v[n:])}
+        for i, effect in self.spec.of(JointEffect):
+            size = effect.memory(n)
+            memory[i], inner = inner[:size], inner[size:]
+        return rows, memory
 
 
 class View(NamedTuple):

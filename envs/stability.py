@@ -177,8 +177,7 @@ class _Trial:
         inputs = {name: x for name, x in self._inputs().items() if name != "noise"}
         with torch.no_grad():
             system, x, v, _ = driven(self.scene, states, inputs)
-            acting = {name: x for name, x in system.inputs.items() if name != "u"}
-            rows = self.scene.evaluate("frozen", {"x": x, "v": v, **acting})
+            rows = self.scene.evaluate("frozen", {"x": x, "v": v, **system.inputs})
         there = self.scene.finite(states).expand(rows["D"].shape[:-1])
         if not bool(there.any()):
             return 0.0, ""

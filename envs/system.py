@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import add as plus
 from operator import mul
-from typing import Any
+from typing import Any, NamedTuple
 
 from torchdq.algebra import matrix
 from torchdq.algebra.quaternion import Number
@@ -14,7 +14,7 @@ from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import add, difference, neg
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.body import Bodies, BodyEffect
-from torchdq.effects.joint import Impedance, JointEffect
+from torchdq.effects.joint import Impedance, JointEffect, load_size, total
 from torchdq.effects.transmission import Transmission
 from torchdq.envs import free_base
 from torchdq.envs.integrators import System
@@ -24,6 +24,14 @@ from torchdq.numbers.record import Recorded
 from torchdq.program import autodiff as derive
 from torchdq.program.program import GROWTH, Argument, record, replay
 from torchdq.robot.posed import posed, solve
+
+
+class _Forces(NamedTuple):
+    """Forces of the joints."""
+
+    passed: Row  # torques that the transmission passes on [N m or N]
+    damping: list[Number]  # [N m s/rad or N s/m]
+    torques: list[Number]  # all that acts on the joints [N m or N]
 
 
 @dataclass(frozen=True)
@@ -38,9 +46,10 @@ class SceneSystem(System):
 
     def moved(self, x: Row, h: Number, rate: Row) -> list[Number]:
         """Positions at a displacement: joints and rotors along straight lines, a free base along a screw."""
+        n = self._moving
+        joints = super().moved(x[:n], h, rate[:n])
         if not self.scene.spec.robot.floating:
-            return super().moved(x, h, rate)
-        joints = super().moved(x[: -free_base.POSE], h, rate[: -free_base.TWIST])
+            return joints
         return [*joints, *free_base.moved(x[-free_base.POSE :], h, rate[-free_base.TWIST :])]
 
     def rates(self, h: Number, rate: Row, v: Row) -> Row:
@@ -83,6 +92,11 @@ class SceneSystem(System):
         return self.scene.spec.robot.n
 
     @property
+    def _moving(self) -> int:
+        """Number of joints and of rotors behind them."""
+        return self._n + self._transmission.memory(self._n) // 2
+
+    @property
     def _free(self) -> Row:
         """Zeros for the twist of a free base; none if the base is fixed."""
         return (0.0,) * free_base.TWIST if self.scene.spec.robot.floating else ()
@@ -91,73 +105,95 @@ class SceneSystem(System):
     def _transmission(self) -> Transmission:
         return self.scene.spec.transmission[1]
 
-    def _impedances(self, q: Row, qd: Row) -> list[list[Impedance]]:
-        """Impedances of every joint."""
-        found = [effect.impedances(q, qd, self.scene.inputs) for _, effect in self.scene.spec.of(JointEffect)]
-        for (_, effect), row in zip(self.scene.spec.of(JointEffect), found, strict=True):
+    def _inner(self, v: Row) -> list[tuple[JointEffect, Row]]:
+        """Effects at the joints, each with what it remembers."""
+        result, at = [], self._moving
+        for _, effect in self.scene.spec.of(JointEffect):
+            size = effect.memory(self._n)
+            result.append((effect, v[at : at + size]))
+            at += size
+        return result
+
+    def _impedances(self, q: Row, v: Row, h: Number = 0.0) -> list[list[Impedance]]:
+        """Impedances of every joint, at the end of a step."""
+        qd, found = v[: self._n], []
+        for effect, memory in self._inner(v):
+            row = effect.impedances_at_end(q, qd, self.scene.inputs, memory, h)
             if len(row) != len(q):
                 raise ArgumentError(
                     f"impedances of {type(effect).__name__} must return one Impedance for each of {len(q)} joints, "
                     f"found {len(row)}"
                 )
+            found.append(row)
         return [list(joint) for joint in zip(*found, strict=True)] if found else [[] for _ in q]
+
+    def _inner_rates(self, q: Row, v: Row, ends: Row, h: Number = 0.0) -> list[Number]:
+        """Mean rates, over a step, of what effects at the joints remember; `ends` are the velocities at its end."""
+        qd, inputs = v[: self._n], self.scene.inputs
+        return [
+            rate for effect, memory in self._inner(v) for rate in effect.memory_rates(q, qd, inputs, memory, ends, h)
+        ]
 
     def frozen(self, x: Row, v: Row) -> Rows:
         """Mass matrix M, damping D and stiffness K of the joints in a state, and the rotors behind them."""
-        q = x[: self._n]
-        impedances = self._impedances(q, v[: self._n])
+        impedances = self._impedances(x[: self._n], v)
         rows: Rows = {
             "M": [0.0 if a is None else a for row in self._at(x).mass_matrix() for a in row],
-            "D": [sum((z.damping for z in joint), 0.0) for joint in impedances],
+            "D": self._explicit(x, v).damping,
             "K": [sum((z.stiffness * z.active for z in joint), 0.0) for joint in impedances],
         }
         rotors = self._transmission.rotors()
         return {**rows, **rotors._asdict()} if rotors.inertia else rows
 
-    def _forces(self, passed: Row, impedances: Sequence[Sequence[Impedance]], damping: Row, qd: Row) -> list[Number]:
-        """Torques on the joints: those that the transmission passes on, less those of the impedances."""
-        forces = [sum((z.force for z in joint), 0.0) for joint in impedances]
-        return [t - (d * v + f) for t, d, v, f in zip(passed, damping, qd, forces, strict=True)]
+    def _forces(self, passed: Row, impedances: Sequence[Sequence[Impedance]], qd: Row, h: Number = 0.0) -> _Forces:
+        """Forces of the joints, of torques that the transmission passes on, damping being that at the end of a step."""
+        damping, torques = [], []
+        for t, joint, v in zip(passed, impedances, qd, strict=True):
+            D, f, g = total(joint, h)
+            free = t - (D * v + f)
+            grip = g * load_size(free, g, v)
+            damping.append(D + grip)
+            torques.append(free - grip * v)
+        return _Forces(passed, damping, torques)
 
-    def _explicit(self, x: Row, v: Row) -> tuple[Row, list[Number]]:
-        """Torques passed on by the transmission, and all torques on the joints, in a state."""
+    def _explicit(self, x: Row, v: Row) -> _Forces:
+        """Forces of the joints in a state."""
         q, qd = x[: self._n], v[: self._n]
-        passed, impedances = self._transmission.torques(self.u, x, v), self._impedances(q, qd)
-        damping = [sum((z.damping for z in joint), 0.0) for joint in impedances]
-        return passed, self._forces(passed, impedances, damping, qd)
+        return self._forces(self._transmission.torques(self.u, x, v), self._impedances(q, v), qd)
 
     # --- evaluations of integrators ---
 
     def accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations in a state."""
         at = self._at(x)
-        passed, forces = self._explicit(x, v)
-        qdd, base = self._solved(at, self._net(at, forces, x, v))
-        return [*qdd, *self._transmission.accelerations(self.u, passed), *base]
+        forces = self._explicit(x, v)
+        qdd, base = self._solved(at, self._net(at, forces.torques, x, v))
+        rotors = self._transmission.accelerations(self.u, forces.passed)
+        return [*qdd, *rotors, *self._inner_rates(x[: self._n], v, v[: self._n]), *base]
 
     def implicit_accelerations(self, x: Row, v: Row, h: Number) -> list[Number]:
         """Mean accelerations over a step whose impedances and transmission act on the state at its end."""
         q, qd = x[: self._n], v[: self._n]
         at = self._at(x)
-        joints = self._transmission.eliminated(self.u, x, v[: len(v) - len(self._free)], h)
-        impedances = self._impedances(q, qd)
-        damping = [sum((z.damping_at_end(h) for z in joint), 0.0) for joint in impedances]
-        forces = self._forces(joints.torques, impedances, damping, qd)
-        inertia = [a + h * d for a, d in zip(joints.inertia, damping, strict=True)]
-        qdd, base = self._solved(at.with_armature([*self._free, *inertia]), self._net(at, forces, x, v))
-        return [*qdd, *joints.rotors(qdd), *base]
+        joints = self._transmission.eliminated(self.u, x, v[: self._moving], h)
+        forces = self._forces(joints.torques, self._impedances(q, v, h), qd, h)
+        inertia = [a + h * d for a, d in zip(joints.inertia, forces.damping, strict=True)]
+        qdd, base = self._solved(at.with_armature([*self._free, *inertia]), self._net(at, forces.torques, x, v))
+        ends = [w + h * a for w, a in zip(qd, qdd, strict=True)]
+        return [*qdd, *joints.rotors(qdd), *self._inner_rates(q, v, ends, h), *base]
 
     def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
         """Accelerations M(q)^-1 (dL/dq + forces), and those of the rotors."""
         q, qd = x[: self._n], v[: self._n]
-        passed, forces = self._explicit(x, v)
-        at = self.scene.posed(q)
+        explicit = self._explicit(x, v)
+        at, forces = self.scene.posed(q), explicit.torques
         exerted = self._exerted(at, v)
         if exerted is not None:
             # inverse dynamics at rest without gravity: the wrenches alone
             forces = difference(forces, at.without_gravity().torques(None, None, exerted))
         rate = [f + g for f, g in zip(forces, lagrangian_gradient(self.scene, q, qd), strict=True)]
-        return [*self._solved(at, rate)[0], *self._transmission.accelerations(self.u, passed)]
+        rotors = self._transmission.accelerations(self.u, explicit.passed)
+        return [*self._solved(at, rate)[0], *rotors, *self._inner_rates(q, v, qd)]
 
     def velocities_at(self, x: Row, v: Row, to: Row) -> list[Number]:
         """Velocities at the positions `to` that have the momentum of (x, v); rotors keep theirs."""

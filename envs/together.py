@@ -31,7 +31,12 @@ def together(effects: Sequence[Effect], robot: Robot) -> tuple[Effect, ...]:
     resolved = tuple(effect.resolved(robot) for effect in effects)
     for asked, effect in zip(effects, resolved, strict=True):
         _tell_if_idle(asked, effect, robot)
-    names = Counter(name for effect in resolved for name in (*effect.inputs(robot.n), *effect.computed(robot.n)))
+    names = Counter(
+        name
+        for effect in resolved
+        for name in (*effect.inputs(robot.n), *effect.computed(robot.n))
+        if name not in effect.SHARED
+    )
     for name, number in names.items():
         if number > 1:
             raise ArgumentError(f"the input {name!r} belongs to {number} effects; give them names of their own")

@@ -319,9 +319,13 @@ def test_a_robot_whose_gravity_or_rotors_vary_keeps_its_tensors(name, batched):
 
 # --- what parameters may be ------------------------------------------------------------------------------------------
 
-ROOM = {"normal": (0.0, 0.0, 1.0)}  # values of parameters that a number alone cannot be
+ROOM = {"normal": (0.0, 0.0, 1.0), "ratio": (1.5, 1.5)}  # values of parameters that a number alone cannot be
 NEEDED = {
     "Stribeck": {"coulomb": 0.0, "static": 1.0},
+    "Quadratic": {"coefficient": 1.0},
+    "Directional": {"forward": 1.0, "backward": 1.0},
+    "LoadDependent": {"coefficient": 0.5},
+    "Ripple": {"period": 1.0, "sine": 1.0, "cosine": 1.0},
     "Limits": {"lower": -math.inf, "upper": math.inf},
     "Payload": {"mass": 1.0},
     "Elastic": {"stiffness": 1.0, "inertia": 1.0},
@@ -345,7 +349,7 @@ def made(kind, name, value):
 def test_a_parameter_that_is_a_tensor_is_checked_like_numbers(kind, name, bad):
     """One bad entry among good ones, in a batch, in both precisions."""
     size = math.prod(2 if isinstance(axis, str) else axis for axis in kind.SHAPES[name])
-    good = double(ROOM.get(name, [1.0] * size))
+    good = double(ROOM.get(name, [0.5] * size))
     numbers = good.tolist()
     numbers[-1] = bad
     try:
@@ -354,7 +358,7 @@ def test_a_parameter_that_is_a_tensor_is_checked_like_numbers(kind, name, bad):
     except torchdq.ArgumentError as error:
         message = str(error)
     unbounded, signed, dividing = (name in group for group in (kind.UNBOUNDED, kind.SIGNED, kind.DIVIDING))
-    allowed = {math.nan: False, math.inf: unbounded, -1.0: signed, 0.0: not dividing and name != "normal"}
+    allowed = {math.nan: False, math.inf: unbounded, -1.0: signed, 0.0: not dividing and name not in ROOM}
     assert (message is None) == allowed[bad]
     rows = good.expand(4, 3, size).clone()
     rows[2, 1] = double(numbers)
@@ -1069,15 +1073,30 @@ def p(*x):
     return double(x if len(x) > 1 else x[0]).requires_grad_()
 
 
+def warm():
+    return {"temperature": p(12.0, -7.0)}
+
+
 # every effect with every parameter a tensor that requires gradients, and the inputs it needs
 TENSORS = {
     "Gravity": lambda: (effects.Gravity(p(1.0, -9.0, 2.0)), {}),
     "RotorInertia": lambda: (effects.RotorInertia(p(0.1, 0.2)), {}),
     "Payload": lambda: (effects.Payload(p(0.7), p(0.1, 0.2, 0.0), p(0.02, 0.0, 0.02, 0.0, 0.0, 0.03)), {}),
     "MassScale": lambda: (effects.MassScale(p(0.8, 1.3)), {}),
-    "Viscous": lambda: (effects.Viscous(p(0.3, 0.5)), {}),
-    "Coulomb": lambda: (effects.Coulomb(p(0.3, 0.5), p(0.1)), {}),
-    "Stribeck": lambda: (effects.Stribeck(p(0.3, 0.5), p(0.6, 0.8), p(0.1, 0.2), p(0.1)), {}),
+    "Viscous": lambda: (effects.Viscous(p(0.3, 0.5), warming=p(0.02, 0.01)), warm()),
+    "Quadratic": lambda: (effects.Quadratic(p(0.3, 0.5), warming=p(0.02, 0.01)), warm()),
+    "Coulomb": lambda: (effects.Coulomb(p(0.3, 0.5), p(0.1), warming=p(0.02, 0.01)), warm()),
+    "Directional": lambda: (effects.Directional(p(0.3, 0.5), p(0.6, 0.2), p(0.1), warming=p(0.02, 0.01)), warm()),
+    "Stribeck": lambda: (
+        effects.Stribeck(p(0.3, 0.5), p(0.6, 0.8), p(0.1, 0.2), p(0.1), warming=p(0.02, 0.01)),
+        warm(),
+    ),
+    "LoadDependent": lambda: (effects.LoadDependent(p(0.3, 0.2), p(0.1), warming=p(0.02, 0.01)), warm()),
+    "LuGre": lambda: (
+        effects.LuGre(p(0.3, 0.5), p(0.2, 0.3), p(1.5, 1.2), p(0.7, 0.9), p(0.1, 0.05), warming=p(0.02, 0.01)),
+        warm(),
+    ),
+    "Ripple": lambda: (effects.Ripple(p(0.3, 0.5), p(0.3, -0.5), p(-0.2, 0.1), warming=p(0.02, 0.01)), warm()),
     "Spring": lambda: (effects.Spring(p(3.0, 5.0), p(0.1, -0.2)), {}),
     "Servo": lambda: (effects.Servo(p(3.0, 5.0), p(0.2, 0.1)), {"target": p(0.5, 0.1)}),
     "Limits": lambda: (effects.Limits(p(-0.5, -0.6), p(0.2, 0.5), p(30.0, 50.0), p(1.0, 2.0)), {}),

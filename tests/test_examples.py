@@ -133,3 +133,22 @@ def test_ur10e_recordings(tmp_path):
 def test_a_single_ur10e_recording(tmp_path):
     _, full = explained(tmp_path, ("ur10e_innopolis/ur-20_02_19_14harm50sec.csv",), test_last=False)
     assert (full > 0.97).all()
+
+
+def test_a_log_with_torques(tmp_path):
+    module = import_module("17_log_with_torques")
+    result = module.main(module.Args(quick=True, out=tmp_path))
+    assert result.after.mean() < 0.1 * result.before.mean() and (result.after < 0.3 * result.before).all()
+    assert_drawn(tmp_path / "log_with_torques.png")
+    made = sorted(tmp_path.glob("torques_*.csv"))
+    again = module.main(module.Args(logs=made[:1], test=made[1], out=tmp_path / "again", columns=module.NAMES))
+    np.testing.assert_allclose(again.after, result.after)
+
+
+def test_a_log_with_currents(tmp_path, capsys):
+    module = import_module("18_log_with_currents")
+    result = module.main(module.Args(quick=True, out=tmp_path))
+    assert result.after.mean() < 0.1 * result.before.mean() and (result.after < 0.3 * result.before).all()
+    assert_drawn(tmp_path / "log_with_currents.png")
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "if 'current_0' is a motor current" in printed and "ur10e, identified" in printed

@@ -530,7 +530,7 @@ def test_a_single_joint_needs_no_number_and_an_archives_arrays_have_names_too(tm
         (
             {"blocks": ("q", "tau")},
             r"blocks must be three or more different names, .* positions, velocities and torques, "
-            r"found \('q', 'tau'\); .* add qd = numpy.gradient\(q, time, axis=0\); `smooth` filters it",
+            r"found \('q', 'tau'\); .* keep the name and give columns=\{'qd': None\}",
         ),
         ({"blocks": ("q", "q", "tau")}, "blocks must be three or more different names"),
         ({"blocks": "qvt"}, "blocks must be three or more different names, .* found 'qvt'"),
@@ -577,7 +577,7 @@ def test_every_field_of_a_layout_is_explained():
     entries = text[text.index("Args:") : text.index(">>>")]
     for field in dataclasses.fields(learning.Layout):
         assert re.search(rf"^ +(\w+, )?{field.name}(, \w+)?: ", entries, re.MULTILINE), field.name
-    assert entries.count("[rad") == 5 and "[Hz]" in entries and "a list of names in the robot's order" in entries
+    assert entries.count("[rad") == 6 and "[Hz]" in entries and "a list of names in the robot's order" in entries
 
 
 def warned(path: Path, **settings) -> list[str]:

@@ -10,7 +10,7 @@ import sys
 
 import pytest
 import torch
-from helpers import random
+from helpers import random, thinned
 from torch import library as operators
 from torch import nn
 
@@ -96,11 +96,6 @@ SUBJECTS = {  # module of a robot, and how many inputs [..., n] it takes
     "rollout": (lambda robot: rolled(Scene(robot, FELT)), 2),
 }
 QUICK = ("learned inverse dynamics", "residual network", "step")
-
-
-def thinned(names, quick):
-    """Names as parameters, of which only some are not exhaustive."""
-    return [pytest.param(name, marks=() if name in quick else pytest.mark.exhaustive) for name in names]
 
 
 every_subject = pytest.mark.parametrize("name", thinned(SUBJECTS, (*QUICK, "rollout")))
@@ -232,8 +227,8 @@ def test_a_package_of_machine_code_runs_in_a_process_without_the_package(name, t
 @pytest.mark.parametrize(
     ("name", "robot"),
     [
-        *(pytest.param(*given.values, "two_link", marks=given.marks) for given in thinned(SUBJECTS, QUICK)),
-        *(pytest.param(name, "panda", marks=pytest.mark.exhaustive) for name in SUBJECTS if name != "rollout"),
+        *thinned([(name, "two_link") for name in SUBJECTS], [(name, "two_link") for name in QUICK]),
+        *thinned([(name, "panda") for name in SUBJECTS if name != "rollout"], ()),
     ],
 )
 def test_an_onnx_file_has_the_same_values_to_rounding(name, robot, tmp_path):

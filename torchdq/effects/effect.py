@@ -152,6 +152,7 @@ class Effect(Parametric):
     SLOT: ClassVar[str]  # "model", "joint", "body", "actuator" or "sensor"
     ONCE: ClassVar[str] = ""  # reason why a scene holds it at most once; "": it may be repeated
     SOLE: ClassVar[Mapping[str, str]] = {}  # described attributes that no other effect may take, and why
+    SHARED: ClassVar[frozenset[str]] = frozenset()  # inputs that it shares with others
     SCALES: ClassVar[tuple[str, ...]] = ()  # parameters that friction randomisation scales together
 
     def inputs(self, n: int) -> dict[str, int]:

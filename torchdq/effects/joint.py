@@ -1,4 +1,4 @@
-"""Effects at the joints: friction, springs, servos, limits.
+"""Effects at the joints: springs, servos, limits; friction is in `friction`.
 
 A joint effect is an impedance: the torque -D qd - f(q) with a damping D >= 0 that may depend on the state, and a force
 f of stiffness K = df/dq >= 0. In this form a linearly implicit integrator can use velocity and position at the end of
@@ -19,7 +19,7 @@ from torchdq.checks import tensor_of
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, unbounded
 from torchdq.errors import ArgumentError
-from torchdq.numbers.functions import absolute, at_least, maximum, minimum, sqrt
+from torchdq.numbers.functions import absolute, at_least, maximum, minimum
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 
@@ -27,12 +27,16 @@ TOUCHING = 2.0**-126  # smallest normal number of float32: a limit acts from thi
 
 
 class Impedance(NamedTuple):
-    """Torque -D qd - f of one joint, whose force f has the stiffness K = df/dq."""
+    """Torque -(D + g |load|) qd - f of one joint, whose force f has the stiffness K = df/dq.
+
+    The load is the torque that moves the bodies and the rotor: all torques on the joint together, this one included.
+    """
 
     damping: Number = 0.0  # D >= 0 [N m s/rad or N s/m]
     force: Number = 0.0  # f [N m or N]
     stiffness: Number = 0.0  # K >= 0 where active [N m/rad or N/m]
     active: Number = 1.0  # 1, or 0 where there is no stiffness
+    per_load: Number = 0.0  # g >= 0, with g |qd| < 1 [s/rad or s/m]
 
     def damping_at_end(self, h: Number) -> Number:
         """D + h K: damping of an implicit step h, at whose end the force is f + h K qd."""
@@ -42,6 +46,20 @@ class Impedance(NamedTuple):
 def spring(k: Number, stretch: Number, damping: Number = 0.0) -> Impedance:
     """Impedance of a linear spring k with a stretch, and of a damper in parallel."""
     return Impedance(damping, k * stretch, k)
+
+
+def total(impedances: Sequence[Impedance], h: Number = 0.0) -> tuple[Number, Number, Number]:
+    """Sums of D + h K, f and g of the impedances of one joint."""
+    D = sum((z.damping_at_end(h) for z in impedances), 0.0)
+    return D, sum((z.force for z in impedances), 0.0), sum((z.per_load for z in impedances), 0.0)
+
+
+def load_size(torque: Number, g: Number, qd: Number) -> Number:
+    """Size of the load of a joint, of load = torque - g |load| qd; `torque` is that of all but this friction."""
+    if isinstance(g, float) and g == 0.0:
+        return 0.0  # nobody asks for it
+    m = g * qd
+    return (absolute(torque) - m * torque) / (1.0 - m * m)
 
 
 @dataclass(frozen=True)
@@ -64,88 +82,13 @@ class JointEffect(Effect):
         """Impedance of every joint in a state."""
         raise NotImplementedError
 
+    def impedances_at_end(self, q: Row, qd: Row, inputs: Inputs, memory: Row, h: Number) -> Sequence[Impedance]:
+        """Impedances of an effect that remembers, at the end of an implicit step h; h = 0: now."""
+        return self.impedances(q, qd, inputs)
 
-@dataclass(frozen=True)
-class Viscous(JointEffect):
-    """Viscous friction: tau = -d qd.
-
-    Args:
-        coefficient: d [N m s/rad or N s/m], shape [..., n]; None: the damping of the robot's description.
-    """
-
-    SHAPES: ClassVar[Shapes] = {"coefficient": ("n",)}
-    SCALES = ("coefficient",)
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"coefficient": "damping"}
-    coefficient: Parameter = None
-
-    def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
-        """Impedances with D = d."""
-        return [Impedance(d) for d in self.coefficient]
-
-
-@dataclass(frozen=True)
-class Coulomb(JointEffect):
-    """Dry friction, regularised: tau = -level qd / sqrt(qd^2 + width^2).
-
-    Below the width the joint creeps, at width tau / sqrt(level^2 - tau^2) under a torque tau smaller than the level; it
-    never sticks for good. An explicit integrator chatters once dt level / (inertia width) exceeds 2; the linearly
-    implicit one does not at any width, but a joint at rest under a torque tau above the level leaves the width only by
-    a factor tau/level per step.
-
-    Args:
-        level: Coulomb friction [N m or N], shape [..., n]; None: the friction of the robot's description.
-        width: velocity below which it is viscous [rad/s or m/s], a number or [...].
-    """
-
-    SHAPES: ClassVar[Shapes] = {"level": ("n",), "width": ()}
-    SCALES = ("level",)
-    DIVIDING = frozenset({"width"})
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"level": "friction"}
-    level: Parameter = None
-    width: Parameter = 1e-2
-
-    def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
-        """Impedances with D = level / sqrt(qd^2 + width^2)."""
-        return [Impedance(_over_speed(level, v, self.width)) for level, v in zip(self.level, qd, strict=True)]
-
-
-@dataclass(frozen=True)
-class Stribeck(JointEffect):
-    """Dry friction that is higher at rest: tau = -(c + (s - c) / (1 + (qd/v)^2)) qd / sqrt(qd^2 + width^2).
-
-    Source: D. P. Hess, A. Soom, "Friction at a lubricated line contact operating at oscillating sliding velocities",
-    Journal of Tribology 112 (1990), without its viscous term, which is `Viscous`.
-
-    Args:
-        coulomb: c, friction of a moving joint [N m or N], shape [..., n]; None: the friction of the description.
-        static: s, friction at rest [N m or N], shape [..., n], at least c.
-        velocity: v at which the excess has halved [rad/s or m/s], shape [..., n].
-        width: velocity below which it is viscous [rad/s or m/s], a number or [...].
-    """
-
-    SHAPES: ClassVar[Shapes] = {"coulomb": ("n",), "static": ("n",), "velocity": ("n",), "width": ()}
-    ORDERED = ("coulomb", "static")
-    SCALES = ("coulomb", "static")
-    DIVIDING = frozenset({"velocity", "width"})
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"coulomb": "friction"}
-    coulomb: Parameter = None
-    static: Parameter = None
-    velocity: Parameter = 0.1
-    width: Parameter = 1e-2
-
-    def idle(self) -> tuple[str, ...]:
-        """Friction parameters, if both are zero."""
-        both = super().idle() and isinstance(self.static, tuple) and not any(self.static)
-        return ("coulomb", "static") if both else ()
-
-    def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
-        """Impedances with D = level(qd) / sqrt(qd^2 + width^2)."""
-        result = []
-        for c, s, v_s, v in zip(self.coulomb, self.static, self.velocity, qd, strict=True):
-            ratio = v / v_s
-            level = c + (s - c) / (1.0 + ratio * ratio)
-            result.append(Impedance(_over_speed(level, v, self.width)))
-        return result
+    def memory_rates(self, q: Row, qd: Row, inputs: Inputs, memory: Row, ends: Row, h: Number) -> Row:
+        """Mean rates of the memory over such a step, at whose end the velocities are `ends`."""
+        return ()
 
 
 @dataclass(frozen=True)
@@ -249,8 +192,3 @@ def crossed(lower: Parameter, upper: Parameter, robot: Robot) -> str:
         return ""
     at = tuple((low > high).nonzero()[0].tolist())
     return f"{float(low[at]):g} and {float(high[at]):g} at joint {robot.joint_names[at[-1]]!r}"
-
-
-def _over_speed(level: Number, v: Number, width: Number) -> Number:
-    """Quotient level / sqrt(v^2 + width^2)."""
-    return level / sqrt(v * v + width * width)

@@ -2,6 +2,7 @@
 
     motion = smooth(read("log.csv"))                    # `logs`: checked, filtered without delay, with accelerations
     # columns of other names: Layout(columns={"time": "stamp", "q": "position_{0}", "tau": ["shoulder", "elbow"]})
+    # arrays: read({"time": t, "q": q, "qd": None, "tau": tau}); None: not recorded, smooth differentiates the positions
     train, test = (samples(part) for part in cut(motion, 0.6))
     fit(model, train, epochs=100, checkpoint="run.pt")  # `training`: a plain loop that survives being killed
 
@@ -10,7 +11,9 @@ Nothing here is imported by `import torchdq`; scipy, rich and tensorboard are im
 
 from torchdq.learning.checkpoint import CheckpointError
 from torchdq.learning.data import Samples
-from torchdq.learning.identification import Identified, identify
+from torchdq.learning.identification import identify
+from torchdq.learning.identified import Identified, Prediction
+from torchdq.learning.ladder import Ladder, Rung
 from torchdq.learning.layouts import Layout, LogError, MissingLogError
 from torchdq.learning.logs import Log, read
 from torchdq.learning.motions import Motion, cut, directions, hold_out, samples, smooth
@@ -22,12 +25,15 @@ __all__ = [
     "CheckpointError",
     "History",
     "Identified",
+    "Ladder",
     "Layout",
     "Log",
     "LogError",
     "LogWarning",
     "MissingLogError",
     "Motion",
+    "Prediction",
+    "Rung",
     "Samples",
     "TrainingError",
     "cut",

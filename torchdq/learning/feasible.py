@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchdq.errors import ArgumentError
-from torchdq.learning.regression import unit_torque
+from torchdq.learning.terms import Term
 from torchdq.robot import Robot
 from torchdq.robot.arrays import second_moments
 
@@ -29,57 +29,84 @@ SMALL = 0.1  # prior scale of an undescribed effect, relative to the joint's RMS
 class Neighbourhood:
     """Parameters phi = phi_0 + S y around those of a described robot, and the distance of y [t] from it.
 
-    Ten numbers of y are the entries of B - 1 of a link with mass, one the change of a coefficient over its size.
+    Ten numbers of y are the entries of (B - 1) sqrt(strength) of a link with mass, one the change of a coefficient over
+    its size.
+
+    Args:
+        robot: the robot as described.
+        terms: terms that have coefficients.
+        sought: coefficients that are sought [terms, n], the others being zero.
+        torque: root mean squares of the torques [n].
+        unit: those of the torques per unit of the coefficients [terms, n].
+        strength: weight of the distance of bodies; infinite: they stay as described.
     """
 
-    def __init__(self, robot: Robot, coefficients: Sequence[str], rows: Sequence[Tensor], width: float):
+    def __init__(
+        self, robot: Robot, terms: Sequence[Term], sought: Tensor, torque: Tensor, unit: Tensor, strength: float = 1.0
+    ):
         mass, com, inertia = (getattr(robot, name).detach().double().cpu() for name in ("mass", "com", "inertia"))
         if not bool((mass >= 0).all()):
             raise ArgumentError(f"mass of robot {robot.name!r} must not be negative, found {mass.tolist()}")
-        self.com, self.links = com, mass.nonzero()[:, 0]
-        self.factor = _factor(mass[self.links], com[self.links], inertia[self.links])
-        self.start, signed = _scales(robot, coefficients, rows, width)
+        massive = mass.nonzero()[:, 0]
+        factor = _factor(mass[massive], com[massive], inertia[massive])
+        free = strength < math.inf
+        self.strength = strength if free else 1.0
+        self.links, self.factor = (massive, factor) if free else (massive[:0], factor[:0])
+        self.mass, self.com, self.inertia = mass, com, inertia
+        self.start = _scales(robot, terms, torque, unit) * sought.reshape(-1)
+        signed = torch.tensor([term.signed for term in terms for _ in range(robot.n)], dtype=torch.bool)
         self.effects = self.start.nonzero()[:, 0]
         self.signed = signed[self.effects]
-        if not len(self.links) + len(self.effects):
+        if free and not len(self.links) + len(self.effects):
             raise ArgumentError(f"robot {robot.name!r} has no mass, and there is nothing else to identify")
 
-        C, k = self.factor[:, None], 10 * len(mass) + len(self.start)
-        blocks = _parameters(C @ ENTRIES @ C.mT).mT  # [links, 10 parameters, 10 entries]
+        k = 10 * len(mass) + len(self.start)
         self.described = torch.zeros(k, dtype=torch.float64)
         pi = self.described[: 10 * len(mass)].reshape(-1, 10)
-        pi[self.links] = _parameters(self.factor @ self.factor.mT)
+        pi[massive] = _parameters(factor @ factor.mT)
         self.described[10 * len(mass) :] = torch.where(signed, 0.0, self.start)
         self.S = torch.zeros(k, 10 * len(self.links) + len(self.effects), dtype=torch.float64)
         self.inverse = torch.zeros_like(self.S).T  # y of a change of phi
+        C = self.factor[:, None]
+        blocks = _parameters(C @ ENTRIES @ C.mT).mT / math.sqrt(self.strength)  # [links, 10 parameters, 10 entries]
         for i, link in enumerate(self.links.tolist()):
             own, columns = slice(10 * i, 10 * i + 10), slice(10 * link, 10 * link + 10)
             self.S[columns, own], self.inverse[own, columns] = blocks[i], torch.linalg.inv(blocks[i])
         at, to = 10 * len(self.links) + torch.arange(len(self.effects)), 10 * len(mass) + self.effects
         self.S[to, at], self.inverse[at, to] = self.start[self.effects], 1 / self.start[self.effects]
 
+    def start_of(self, at: Tensor) -> Tensor:
+        """Coefficients at the start, beside inertial parameters of zero, at places in phi [n, p]."""
+        start = self.described.clone()
+        start[: len(start) - len(self.start)] = 0
+        return start[at]
+
     def _split(self, y: Tensor) -> tuple[Tensor, Tensor]:
         """B [links, 4, 4] and the ratio of every coefficient to its size."""
         bodies = 10 * len(self.links)
-        B = torch.eye(4, dtype=y.dtype) + torch.einsum("li,ijk->ljk", y[:bodies].reshape(-1, 10), ENTRIES)
+        change = y[:bodies].reshape(-1, 10) / math.sqrt(self.strength)
+        B = torch.eye(4, dtype=y.dtype) + torch.einsum("li,ijk->ljk", change, ENTRIES)
         return B, 1 + y[bodies:]
 
     def distance(self, y: Tensor) -> float:
         """Distance to the description; infinite where no robot can exist."""
         B, x = self._split(y)
-        L, info = torch.linalg.cholesky_ex(B)
-        if bool((info != 0).any()) or not bool((self.signed | (x > 0)).all()):
+        if not bool((self.signed | (x > 0)).all()):
             return math.inf
-        diagonal = L.diagonal(dim1=1, dim2=2)
-        bodies = (B.diagonal(dim1=1, dim2=2) - 1 - 2 * diagonal.log()).sum()
-        return float(2 * bodies + torch.where(self.signed, (x - 1).square(), 2 * (x - 1 - x.abs().log())).sum())
+        coefficients = torch.where(self.signed, (x - 1).square(), 2 * (x - 1 - x.abs().log())).sum()
+        return self.strength * _apart(B) + float(coefficients)
+
+    def apart(self, y: Tensor) -> float:
+        """Distance of the bodies alone, were the strength one."""
+        return _apart(self._split(y)[0])
 
     def slopes(self, y: Tensor) -> tuple[Tensor, Tensor]:
         """Gradient [t] and Hessian [t, t] of the distance."""
         B, x = self._split(y)
         inverse = torch.cholesky_inverse(torch.linalg.cholesky(B))
         products = inverse[:, None] @ ENTRIES
-        gradient = 2 * torch.einsum("ljk,ijk->li", torch.eye(4, dtype=y.dtype) - inverse, ENTRIES).flatten()
+        slopes = torch.einsum("ljk,ijk->li", torch.eye(4, dtype=y.dtype) - inverse, ENTRIES).flatten()
+        gradient = 2 * math.sqrt(self.strength) * slopes
         H = 2 * torch.einsum("lijk,lmkj->lim", products, products)
         x = torch.where(self.signed, 1.0, x)
         rest = torch.where(self.signed, 2 * y[len(gradient) :], 2 - 2 / x)
@@ -88,11 +115,19 @@ class Neighbourhood:
     def bodies(self, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Mass [n], centre of mass [n, 3] and inertia about it [n, 6] of the links."""
         L = self.factor @ torch.linalg.cholesky(self._split(y)[0])
-        mass, com, inertia = self.com.new_zeros(len(self.com)), self.com.clone(), self.com.new_zeros(len(self.com), 6)
+        mass, com, inertia = self.mass.clone(), self.com.clone(), self.inertia.clone()
         mass[self.links] = L[:, 0, 0] ** 2
         com[self.links] = L[:, 1:, 0] / L[:, :1, 0]
         inertia[self.links] = _inertia(L[:, 1:, 1:] @ L[:, 1:, 1:].mT)  # a square, so it can exist, rounded or not
         return mass, com, inertia
+
+
+def _apart(B: Tensor) -> float:
+    """Sum of 2 (tr B - log det B - 4) over bodies B [links, 4, 4]; infinite where one cannot exist."""
+    L, info = torch.linalg.cholesky_ex(B)
+    if bool((info != 0).any()):
+        return math.inf
+    return float(2 * (B.diagonal(dim1=1, dim2=2) - 1 - 2 * L.diagonal(dim1=1, dim2=2).log()).sum())
 
 
 def _entries() -> Tensor:
@@ -123,19 +158,15 @@ def _factor(mass: Tensor, com: Tensor, inertia: Tensor) -> Tensor:
     return C
 
 
-def _scales(robot: Robot, coefficients: Sequence[str], rows: Sequence[Tensor], width: float) -> tuple[Tensor, Tensor]:
-    """Scale of every coefficient, zero where the samples do not move it, and whether it may have either sign."""
-    _, qd, qdd, tau = rows
-    described = {"rotor": robot.armature, "viscous": robot.damping, "coulomb": robot.friction}
+def _scales(robot: Robot, terms: Sequence[Term], torque: Tensor, unit: Tensor) -> Tensor:
+    """Scale of every coefficient [terms * n], zero where the samples do not move it."""
     scales = [torch.zeros(0, dtype=torch.float64)]
-    for name in coefficients:
-        torque, unit = (x.square().mean(0).sqrt().cpu() for x in (tau, unit_torque(name, qd, qdd, width)))
-        large = torch.where(unit > 0, torque / torch.where(unit > 0, unit, 1.0), 0.0)  # as large as the torques
-        x = described.get(name)
+    for term, size in zip(terms, unit, strict=True):
+        large = torch.where(size > 0, torque / torch.where(size > 0, size, 1.0), 0.0)  # as large as the torques
+        x = getattr(robot, term.described) if term.described else None
         known = torch.zeros_like(large) if x is None else x.detach().double().cpu()
-        scales.append(large if name == "offset" else torch.where(known > 0, known, SMALL * large))
-    signed = torch.tensor([name == "offset" for name in coefficients for _ in range(robot.n)], dtype=torch.bool)
-    return torch.cat(scales), signed
+        scales.append(large if term.signed else torch.where(known > 0, known, SMALL * large))
+    return torch.cat(scales)
 
 
 def _parameters(J: Tensor) -> Tensor:

@@ -1,19 +1,24 @@
-"""Layouts of logs: names of the columns, units and filters; and the search for the columns in a header."""
+"""Layouts of logs: names of the columns, units, the side of the gears that was measured, and filters."""
 
 import math
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from numbers import Real
+from typing import Any
+
+import numpy as np
 
 from torchdq.checks import names_of
 from torchdq.errors import ArgumentError, TorchdqError
 
-SIGNALS = ("time", "q", "qd", "tau", "qdd")
+SIGNALS = ("time", "q", "qd", "tau", "qdd", "command")
+NEEDED = SIGNALS[:4]  # unless a layout says that they were not recorded
+BLOCKS = NEEDED[1:]  # what the first three of a layout's blocks hold
+SPARE = SIGNALS[2:]  # signals that a layout may say were not recorded
 SHOWN = 8  # most names of columns that a message holds
 NUMBER = re.compile(r"\{(\d+)\}")  # place of a joint's number in a pattern, and the number of the first joint
-SEPARATORS = {";": "semicolons", "\t": "tabs", " ": "spaces", "|": "bars"}  # where commas are needed
 
 
 class LogError(TorchdqError, ValueError):
@@ -35,40 +40,56 @@ class Layout:
             and are read; more are named only where there is no header.
         header: whether the first line holds the names; if not, the columns are time and all `blocks`, in order.
         gain: torque per unit of effort, one number per joint [N m or N per unit], e.g. of motor currents [N m/A];
-            empty: the effort is the torque.
-        cutoff_qd, cutoff_tau: frequencies of the low-pass filters of velocities and torques [Hz], for `smooth`.
+            empty: the effort is the torque; None: unknown, `tau` of the log is the effort in its own unit.
+        cutoff_qd, cutoff_tau: frequencies of the low-pass filters of velocities and torques [Hz], for `smooth`; None:
+            8 Hz, or a quarter of the rate of the rows where that is less.
         farthest: position beyond which a column is refused as one in degrees or millimetres [rad or m].
         fastest: speed beyond which it is refused [rad/s or m/s].
-        columns: names that `blocks` does not fit, of "time", "q", "qd", "tau" (the effort) and "qdd" [rad/s^2 or
-            m/s^2]: a pattern, in which {0} is the number of the joint if the first joint has 0, {1} if it has 1, {7}
-            if it has 7; or, where columns carry the names of joints, a list of names in the robot's order of joints.
-            In NPZ archives these are names of arrays.
+        columns: names that `blocks` does not fit, of "time", "q", "qd", "tau" (the effort), "qdd" [rad/s^2 or m/s^2]
+            and "command" (what the drives were asked for, kept as it is): a pattern, in which {0} is the number of the
+            joint if the first joint has 0, {1} if it has 1, {7} if it has 7; or, where columns carry the names of
+            joints, a list of names in the robot's order of joints. None: "qd" or "tau" was not recorded. In NPZ
+            archives these are names of arrays.
+        transmission: change of the joints' positions per change of the motors', where motors were measured: a number
+            per joint, 1/100 for a gear of 100:1, negative where it reverses; or, for coupled wrists, the rows of a
+            matrix S, joints = S motors. Torques at the joints are then S^-T times those at the motors, which `gain`
+            belongs to. Empty: joints were measured.
+        zero: positions of the joints where the motors' are zero, a number per joint [rad or m]; empty: zero.
+        at_motors: signals that `transmission` takes to the joints.
 
     >>> ros = Layout(columns={"time": "stamp", "q": "position_{0}", "qd": "velocity_{0}", "tau": ["base", "elbow"]})
     >>> ros.names("q", 2), ros.names("tau", 2)
     (['position_0', 'position_1'], ['base', 'elbow'])
+
+    Positions of motors behind gears and their currents, whose gains are not known, without velocities:
+
+    >>> drives = Layout(columns={"qd": None, "tau": "current{1}"}, gain=None, transmission=(1 / 100, -1 / 80))
     """
 
     joints: int = 0
     blocks: tuple[str, ...] = ("q", "qd", "tau")
     header: bool = True
-    gain: tuple[float, ...] = ()
-    cutoff_qd: float = 8.0  # [Hz]
-    cutoff_tau: float = 8.0  # [Hz]
+    gain: tuple[float, ...] | None = ()
+    cutoff_qd: float | None = None  # [Hz]
+    cutoff_tau: float | None = None  # [Hz]
     farthest: float = 8 * math.pi  # [rad]
     fastest: float = 50.0  # [rad/s]
-    columns: Mapping[str, str | Sequence[str]] = field(default_factory=dict, hash=False)
+    columns: Mapping[str, str | Sequence[str] | None] = field(default_factory=dict, hash=False)
+    transmission: tuple[float, ...] | tuple[tuple[float, ...], ...] = ()
+    zero: tuple[float, ...] = ()
+    at_motors: tuple[str, ...] = ("q", "qd", "qdd", "tau")
 
     def __post_init__(self) -> None:
         self._require_numbers()
+        self._require_transmission()
         if isinstance(self.blocks, str) or len({*self.blocks}) < max(3, len(self.blocks)):
             expected = "three or more different names, the first of positions, velocities and torques"
-            cure = "where velocities were not recorded, add qd = numpy.gradient(q, time, axis=0); `smooth` filters it"
+            cure = "where velocities were not recorded, keep the name and give columns={'qd': None}"
             raise ArgumentError(f"blocks must be {expected}, found {self.blocks!r}; {cure}")
         if not isinstance(self.columns, Mapping):
             expected = "a mapping such as {'q': 'position_{0}'}"
             raise ArgumentError(f"columns must be {expected}, found {self.columns!r}")
-        if self.columns and not self.header:
+        if any(given is not None for given in self.columns.values()) and not self.header:
             raise ArgumentError("columns needs a header to find the names in; found header=False")
         if not self.header and not self.joints:
             raise ArgumentError("joints must be given for a file without a header; found joints=0, header=False")
@@ -76,6 +97,8 @@ class Layout:
         lists: dict[str, int] = {}
         for signal, given in self.columns.items():
             name = f"columns[{signal!r}]"
+            if given is None and signal in SPARE:
+                continue
             if not given or not isinstance(given, str | Sequence) or not all(isinstance(one, str) for one in given):
                 expected = "a name, a pattern such as 'position_{0}' or a list of names"
                 raise ArgumentError(f"{name} must be {expected}, found {given!r}")
@@ -89,7 +112,7 @@ class Layout:
                 raise ArgumentError(f"{name} has {count} names, expected {self.joints}, the number of joints")
             if count != most:
                 raise ArgumentError(f"{name} has {count} names, {first} {most}")
-        counts = Counter(one for x in self.columns.values() for one in ([x] if isinstance(x, str) else x))
+        counts = Counter(one for x in self.columns.values() for one in ([x] if isinstance(x, str) else x or ()))
         if twice := [name for name, count in counts.items() if count > 1]:
             raise ArgumentError(
                 f"columns must name every column once, found {', '.join(map(repr, twice))} several times"
@@ -101,20 +124,42 @@ class Layout:
             raise ArgumentError(f"joints must be a whole number from 0, found {self.joints!r}")
         for name in ("cutoff_qd", "cutoff_tau", "farthest", "fastest"):
             x = getattr(self, name)
+            if x is None and name.startswith("cutoff"):
+                continue
             if not isinstance(x, Real) or isinstance(x, bool) or not float(x) > 0:
                 raise ArgumentError(f"{name} must be a positive number, found {x!r}")
-        try:
-            gain = tuple(map(float, [self.gain] if isinstance(self.gain, str) else self.gain))
-        except (TypeError, ValueError) as error:
-            expected = "numbers, one per joint, such as (2.0, 1.5), or () for torques"
-            raise ArgumentError(f"gain must be {expected}, found {self.gain!r}") from error
-        if not all(map(math.isfinite, gain)):
-            raise ArgumentError(f"gain must be finite numbers, found {self.gain!r}")
-        object.__setattr__(self, "gain", gain)
+        if self.gain is not None:
+            expected = "numbers, one per joint, such as (2.0, 1.5), () for torques, or None where they are unknown"
+            object.__setattr__(self, "gain", _floats("gain", self.gain, expected))
+        object.__setattr__(self, "zero", _floats("zero", self.zero, "numbers, one per joint, or ()"))
+
+    def _require_transmission(self) -> None:
+        """Raise unless motors can be told from joints; `transmission` becomes a tuple."""
+        object.__setattr__(self, "at_motors", names_of("at_motors", self.at_motors, SIGNALS[1:5], "signal"))
+        expected = "numbers, one per joint, such as (0.01, -0.0125), or the rows of a square matrix"
+        rows = list(self.transmission) if isinstance(self.transmission, Iterable) else [None]
+        if any(isinstance(row, Iterable) and not isinstance(row, str) for row in rows):
+            matrix = tuple(_floats("transmission", row, expected) for row in rows)
+            if any(len(row) != len(matrix) for row in matrix) or np.linalg.matrix_rank(matrix) < len(matrix):
+                raise ArgumentError(f"transmission must be {expected}, which has an inverse, found {matrix}")
+            coupled = sum(x != 0 for row in matrix for x in row) > len(matrix)
+            object.__setattr__(self, "transmission", matrix)
+        else:
+            found, coupled = _floats("transmission", self.transmission, expected), False
+            if not all(found):
+                raise ArgumentError(f"transmission must be {expected}, none of them zero, found {found}")
+            object.__setattr__(self, "transmission", found)
+        if coupled and self.gain is None and "tau" in self.at_motors:
+            cure = "give gains of data sheets; identify(..., gains=True) then finds a factor for each joint"
+            raise ArgumentError(f"gain must be known where a transmission couples joints, found None; {cure}")
+        if self.zero and not self.transmission:
+            raise ArgumentError(f"zero needs a transmission, e.g. ones, found zero={self.zero} and transmission=()")
 
     def names(self, signal: str, joints: int) -> list[str]:
-        """Names of a signal's columns."""
+        """Names of a signal's columns; none of one that was not recorded."""
         given = self._given(signal)
+        if given is None:
+            return []
         if not isinstance(given, str):
             return list(given)
         if not NUMBER.search(given):
@@ -124,77 +169,37 @@ class Layout:
 
     def count(self, heads: Sequence[str]) -> int:
         """Number of joints whose positions a header names."""
-        given = self._given("q")
+        given = self._given("q") or ()
         if not isinstance(given, str):
             return len(given)
         pattern = re.compile(r"\d+".join(map(re.escape, NUMBER.split(given)[::2])))
         return sum(pattern.fullmatch(head) is not None for head in heads)
 
+    def has(self, signal: str) -> bool:
+        """Whether a signal was recorded, as far as the layout says."""
+        return self.columns.get(signal, signal) is not None
+
     @property
     def order(self) -> list[str]:
         """Columns of a file without a header: the time and all columns of the blocks."""
-        return ["time", *(f"{block}{joint}" for block in self.blocks for joint in range(1, self.joints + 1))]
+        lost = [block for signal, block in zip(BLOCKS, self.blocks, strict=False) if not self.has(signal)]
+        blocks = [block for block in self.blocks if block not in lost]
+        return ["time", *(f"{block}{joint}" for block in blocks for joint in range(1, self.joints + 1))]
 
-    def _given(self, signal: str) -> str | Sequence[str]:
-        block = dict(zip(("q", "qd", "tau"), self.blocks, strict=False)).get(signal, signal)
+    def _given(self, signal: str) -> str | Sequence[str] | None:
+        block = dict(zip(BLOCKS, self.blocks, strict=False)).get(signal, signal)
         return self.columns.get(signal, "time" if signal == "time" else f"{block}{{1}}")
 
 
-def find_columns(where: str, layout: Layout, heads: list[str]) -> tuple[Layout, list[str]]:
-    """Layout with its number of joints, and names of the columns to read: time, q, qd, tau and, if they are known, qdd.
-
-    Args:
-        where: file and row, for the message.
-        layout: the layout.
-        heads: names in the header.
-    Raises:
-        LogError: a column is missing or there twice, or the joints are not as many as the layout has.
-    """
-    joints = layout.count(heads)
-    n = layout.joints or max(joints, 1)
-    counts = Counter(heads)
-    columns = {signal: layout.names(signal, n) for signal in SIGNALS}
-    if "qdd" not in layout.columns and not any(re.fullmatch(r"qdd\d+", head) for head in heads):
-        del columns["qdd"]
-    readers = Counter(name for names in columns.values() for name in names)
-    if twice := [name for name, count in readers.items() if count > 1]:
-        raise LogError(
-            f"{where}: {', '.join(map(repr, twice))} would be read for several signals or joints; see columns"
-        )
-    needed = ", ".join(_range(columns[signal]) for signal in SIGNALS[:4])
-    for name in (name for names in columns.values() for name in names):
-        if counts[name] != 1:
-            found = f"there are several columns {name!r}" if name in counts else f"there is no column {name!r}"
-            raise LogError(f"{where}: {found}; needed are columns {needed}; {_cure(name, heads)}")
-    if joints != n:
-        raise LogError(f"{where}: {joints} joints, expected {n}")
-    for signal, names in columns.items():
-        if signal != "time" and len(names) != n:
-            raise LogError(f"{where}: {len(names)} columns of {signal}, expected {n}, one for each joint")
-    return replace(layout, joints=n) if not layout.joints else layout, [x for names in columns.values() for x in names]
-
-
-def _range(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"
-
-
-def _cure(name: str, heads: list[str]) -> str:
-    """Probable reason why a column is not there, and what to do."""
-    if heads[0].startswith("#"):
-        return f"the line is {heads[0][:40]!r} ...; remove the lines before the header"
-    if '"' in heads[0]:
-        return "quotation marks must be removed"
-    if len(heads) == 1:
-        for separator, word in SEPARATORS.items():
-            if separator in heads[0]:
-                return f"columns are separated by {word}; commas are needed"
-    if all(is_number(head) for head in heads):
-        return "the line holds numbers; a file without a header needs a Layout(header=False, joints=...)"
-    for head in heads:
-        if head.lower() == name.lower() and head != name:
-            return f"there is {head!r}; capitals count"
-    example = "{'q': 'position_{0}'}"
-    return f"other names are given by Layout(columns=...), e.g. {example}; found {listed(heads)}"
+def _floats(name: str, x: Any, expected: str) -> tuple[float, ...]:
+    """Finite numbers as a tuple of floats."""
+    try:
+        found = tuple(map(float, [x] if isinstance(x, str) else x))
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"{name} must be {expected}, found {x!r}") from error
+    if not all(map(math.isfinite, found)):
+        raise ArgumentError(f"{name} must be finite numbers, found {x!r}")
+    return found
 
 
 def listed(names: Sequence[str]) -> str:

@@ -16,28 +16,40 @@ import torch
 from torchdq.checks import is_number, require_count, require_number
 from torchdq.errors import ArgumentError
 from torchdq.learning.data import UNITS, Samples
+from torchdq.learning.filters import derivative, even, low_pass
 from torchdq.learning.layouts import LogError
 from torchdq.learning.logs import Log
-from torchdq.optional import imported
 from torchdq.tables import summary
 
 ENDS = 0.5  # [s] least time left out at either end, where a filter of a few Hz has neighbours on one side only
 SIGN_WIDTH = 1e-3  # velocity below which its sign is rounded, small beside what the filter rounds [rad/s or m/s]
+CUTOFF = 8.0  # [Hz] usual for the filters: arms of a metre hardly move faster
+SETTLED = 1.5  # periods of the cutoff at rest after which the filter has forgotten that the log begins or ends there
+FEWEST = 15  # rows that the filter needs
 AT_REST = 0.02  # [rad/s] speed of every joint below which a row is left out: static friction may be anything there
 
 
 class Motion(NamedTuple):
-    """Motion in even steps, `[rows, n]` each, as float64."""
+    """Motion in even steps, `[rows, n]` each, as float64, and what was done to its signals."""
 
     time: np.ndarray  # [rows] [s]
     q: np.ndarray  # [rad]
     qd: np.ndarray  # [rad/s]
     qdd: np.ndarray  # [rad/s^2]
-    tau: np.ndarray  # [N m]
+    tau: np.ndarray | None  # [N m]; None: not recorded
     direction: np.ndarray | None = None  # sign of the velocity, filtered as the torques; None: unknown
+    width: float = SIGN_WIDTH  # velocity below which that sign is rounded [rad/s]
+    cutoff_qd: float | None = None  # filter of positions, velocities and accelerations [Hz]; None: unfiltered
+    cutoff_tau: float | None = None  # filter of torques and directions [Hz]; None: unfiltered
+    known_gains: bool = True  # whether `tau` is in N m; if not, in a unit of its own for every joint, e.g. amperes
+    name: str = ""  # its log, for messages
 
     def __repr__(self) -> str:
-        return summary("Motion", {name: (x, UNITS[name]) for name, x in self._asdict().items() if name in UNITS})
+        units = UNITS if self.known_gains else UNITS | {"tau": "unknown gains"}
+        signals = {name: (x, units[name]) for name, x in self._asdict().items() if name in units and x is not None}
+        cutoffs = {"velocities": self.cutoff_qd, "torques": self.cutoff_tau}
+        filters = [f"{name} at {cutoff:.4g} Hz" for name, cutoff in cutoffs.items() if cutoff is not None]
+        return summary("Motion", signals) + (f"\nlow-pass filters: {', '.join(filters)}" if filters else "")
 
 
 def smooth(
@@ -47,18 +59,20 @@ def smooth(
     rate: float | None = None,
     width: float = SIGN_WIDTH,
 ) -> Motion:
-    """Motion of a log in even steps of its median step, without its ends and the rows at rest.
+    """Motion of a log in even steps of its median step, without the rows at rest and ends that the filter spoils.
 
-    Velocities and torques pass a Butterworth filter of fourth order forwards and backwards, so that neither lags behind
-    the other; accelerations are central differences of the filtered velocities, or those of the log, filtered alike.
+    All signals pass a Butterworth filter of fourth order forwards and backwards, so that none lags behind another.
+    Velocities that were not recorded are derivatives of the filtered positions, accelerations of the filtered
+    velocities. An end at rest goes on at rest, so that nothing of the motion is lost there.
 
     The filter rounds the step that dry friction makes in the torque where a velocity changes its sign. `direction` is
     that sign, rounded alike: with it `identify` finds the friction without bias, if its shape is right (`directions`).
 
     Args:
         log: from `read`.
-        cutoff_qd: low-pass frequency of velocities and accelerations [Hz]; None: the layout's.
-        cutoff_tau: low-pass frequency of torques [Hz]; None: the layout's.
+        cutoff_qd: low-pass frequency of positions, velocities and accelerations [Hz]; None: the layout's, or 8 Hz, or a
+            quarter of the rate of the rows where that is less. The motion tells which.
+        cutoff_tau: low-pass frequency of torques [Hz]; None: likewise.
         rate: rows per second that are kept [Hz], rounded to every so many of the log; None: all. Twice the cutoff are
             independent, as `identify` takes them to be for its standard errors.
         width: velocity below which dry friction is viscous [rad/s or m/s], as in `torchdq.effects.Coulomb`, whose
@@ -70,49 +84,76 @@ def smooth(
     """
     if not isinstance(log, Log):
         raise ArgumentError(f"log must be a Log, found {type(log).__name__}; read(path) reads one")
-    signal = imported("scipy.signal", "scipy", "smooth")
-    cutoff_qd = log.layout.cutoff_qd if cutoff_qd is None else cutoff_qd
-    cutoff_tau = log.layout.cutoff_tau if cutoff_tau is None else cutoff_tau
     step = float(np.median(np.diff(log.time)))
-    for name, cutoff in (("cutoff_qd", cutoff_qd), ("cutoff_tau", cutoff_tau)):
-        if not is_number(cutoff) or not 0 < cutoff < 0.5 / step:
-            raise ArgumentError(f"{name} must be between 0 and {0.5 / step:.4g} Hz, half the rate, found {cutoff!r}")
+    cutoff_qd = _cutoff("cutoff_qd", cutoff_qd, log.layout.cutoff_qd, step)
+    cutoff_tau = _cutoff("cutoff_tau", cutoff_tau, log.layout.cutoff_tau, step)
     if rate is not None:
         require_number("rate", rate, positive=True)
     every = 1.0 if rate is None else max(1.0, np.rint(1 / rate / step))
     require_number("width", width, positive=True)
     time = np.arange(log.time[0], log.time[-1], step)
-    ends = max(ENDS, 3 / min(cutoff_qd, cutoff_tau))
-    if time[-1] - time[0] <= 3 * ends:
-        raise LogError(
-            f"{log.path}: {log.time[-1] - log.time[0]:.3g} s of motion, more than {3 * ends:.3g} s are needed"
-        )
+    lowest = cutoff_qd if log.tau is None else min(cutoff_qd, cutoff_tau)
+    reach, seconds = _reach(lowest), time[-1] - time[0]
+    if seconds <= reach or len(time) <= FEWEST:
+        raise _too_short(log, 3 * reach)
 
-    def even(x: np.ndarray) -> np.ndarray:
-        return np.stack([np.interp(time, log.time, column) for column in x.T], axis=-1)
+    def filtered(x: np.ndarray, cutoff: float) -> np.ndarray:
+        return low_pass(x, cutoff, step, "smooth")
 
-    def low_pass(x: np.ndarray, cutoff: float) -> np.ndarray:
-        return signal.sosfiltfilt(signal.butter(4, cutoff, fs=1 / step, output="sos"), x, axis=0)
+    def drawn(x: np.ndarray) -> np.ndarray:
+        return even(time, log.time, x, "smooth")
 
-    qd = low_pass(even(log.qd), cutoff_qd)
-    qdd = np.gradient(qd, step, axis=0) if log.qdd is None else low_pass(even(log.qdd), cutoff_qd)
-    tau = low_pass(even(log.tau), cutoff_tau)
-    direction = low_pass(qd / np.hypot(qd, width), cutoff_tau)
-    used = (abs(qd) > AT_REST).any(axis=-1) & (time - time[0] >= ends) & (time[-1] - time >= ends)
+    q = filtered(drawn(log.q), cutoff_qd)
+    qd = derivative(time, q, "smooth") if log.qd is None else filtered(drawn(log.qd), cutoff_qd)
+    qdd = derivative(time, qd, "smooth") if log.qdd is None else filtered(drawn(log.qdd), cutoff_qd)
+    tau = None if log.tau is None else filtered(drawn(log.tau), cutoff_tau)
+    direction = None if log.tau is None else filtered(qd / np.hypot(qd, width), cutoff_tau)
+
+    moves = abs(qd).max(axis=-1) > AT_REST
+    since, left = time - time[0], time[-1] - time
+    first, last = (reach if moves[at <= SETTLED / lowest].any() else 0.0 for at in (since, left))
+    if seconds <= first + reach + last:
+        raise _too_short(log, first + reach + last)
+    used = moves & (since >= first) & (left >= last)
     if not used.any():
         raise LogError(f"{log.path}: no joint ever moves faster than {AT_REST} rad/s")
     used &= np.arange(len(time)) % every == 0
     if not used.any():
         raise ArgumentError(
-            f"rate must leave rows of the {time[-1] - time[0]:.3g} s of motion, found {rate:g} Hz, which leaves none"
+            f"rate must leave rows of the {seconds:.3g} s of motion, found {rate:g} Hz, which leaves none"
         )
-    return Motion(*(x[used] for x in (time, even(log.q), qd, qdd, tau, direction)))
+    whole = Motion(
+        *(time, q, qd, qdd, tau, direction, width, cutoff_qd),
+        cutoff_tau=None if tau is None else cutoff_tau,
+        known_gains=log.layout.gain is not None,
+        name=str(log.path),
+    )
+    return _rows(whole, used)
+
+
+def _cutoff(name: str, asked: float | None, usual: float | None, step: float) -> float:
+    """Frequency of a filter: what is asked for, or usual for the log, or fits its rate."""
+    cutoff = usual if asked is None else asked
+    if cutoff is None:
+        return min(CUTOFF, 0.25 / step)
+    if not is_number(cutoff) or not 0 < cutoff < 0.5 / step:
+        raise ArgumentError(f"{name} must be between 0 and {0.5 / step:.4g} Hz, half the rate, found {cutoff!r}")
+    return float(cutoff)
+
+
+def _reach(cutoff: float | None) -> float:
+    """Time over which a filter mixes what comes before with what comes after [s]."""
+    return ENDS if cutoff is None else max(ENDS, 3 / cutoff)
+
+
+def _too_short(log: Log, needed: float) -> LogError:
+    return LogError(f"{log.path}: {log.time[-1] - log.time[0]:.3g} s of motion, more than {needed:.3g} s are needed")
 
 
 def cut(motion: Motion, share: float) -> tuple[Motion, Motion]:
     """First part of a motion, with a share of the rows, and the rest.
 
-    The `ENDS` seconds after the first part belong to neither: the filter has mixed them with it.
+    What the filter has mixed with the first part belongs to neither: `ENDS` seconds, or three periods of its cutoff.
 
     Args:
         motion: from `smooth`.
@@ -123,14 +164,15 @@ def cut(motion: Motion, share: float) -> tuple[Motion, Motion]:
     rows = len(motion.time)
     require_number("share", share)
     first = np.arange(rows) < share * rows
-    second = motion.time > (motion.time[first].max(initial=-np.inf) + ENDS)
+    cutoffs = [cutoff for cutoff in (motion.cutoff_qd, motion.cutoff_tau) if cutoff is not None]
+    second = motion.time > motion.time[first].max(initial=-np.inf) + _reach(min(cutoffs, default=None))
     if not (0 < share < 1 and first.any() and second.any()):
         raise ArgumentError(f"share must leave rows on both sides of the cut of {rows} rows, found {share}")
     return _rows(motion, first), _rows(motion, second)
 
 
 def _rows(motion: Motion, rows: np.ndarray) -> Motion:
-    return Motion._make(None if x is None else x[rows] for x in motion)
+    return Motion._make(x[rows] if isinstance(x, np.ndarray) else x for x in motion)
 
 
 def hold_out(motions: Sequence[Motion], share: float, seed: int = 0) -> tuple[list[Motion], list[Motion]]:
@@ -163,9 +205,18 @@ def samples(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.float
         motions: one motion, or several of the same arm.
         dtype: dtype of the tensors.
     Raises:
-        ArgumentError: there is no motion, or they have different numbers of joints.
+        ArgumentError: there is no motion, they have different numbers of joints, or torques are missing or in units
+            of unknown gains.
     """
     several = _several(motions)
+    for motion in several:
+        name = motion.name and f" of {motion.name}"
+        if motion.tau is None:
+            cure = "without torques, fit_rollout fits a simulation to positions and commands"
+            raise ArgumentError(f"motions must have torques, found none in that{name}; {cure}")
+        if not motion.known_gains:
+            cure = "give Layout(gain=...), or identify(robot, motions, gains=True), which finds them"
+            raise ArgumentError(f"motions must have torques, found efforts of unknown gains in that{name}; {cure}")
     parts = ([getattr(motion, name) for motion in several] for name in Samples._fields)
     return Samples(*(torch.as_tensor(np.concatenate(part), dtype=dtype) for part in parts))
 
@@ -182,7 +233,7 @@ def directions(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.fl
     parts = [motion.direction for motion in _several(motions)]
     known = [x for x in parts if x is not None]
     if len(known) < len(parts):
-        raise ArgumentError("motions must have the field direction; smooth(log) makes it")
+        raise ArgumentError("motions must have the field direction; smooth(log) makes it where there are torques")
     return torch.as_tensor(np.concatenate(known), dtype=dtype)
 
 

@@ -27,8 +27,8 @@ def require_bodies(robot: Robot, what: str) -> None:
     if not all(readable(x, True) for x in (robot.mass, robot.inertia)):
         return
     mass, inertia = robot.mass.detach(), matrices(robot.inertia.detach())
-    faults = [fault for fault in consistency.bodies(robot.link_names, mass, inertia) if consistency.of_inertia(fault)]
-    if faults:
+    faults = consistency.bodies(robot.link_names, mass, inertia)
+    if faults := [fault for fault in faults if isinstance(fault, consistency.Misshapen)]:
         raise UnphysicalError(
             f"{what} needs inertias that bodies can have, found in robot {robot.name!r}\n  "
             + "\n  ".join(faults)

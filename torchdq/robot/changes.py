@@ -103,7 +103,7 @@ def repaired(robot: Robot) -> tuple[dict[str, Any], tuple[str, ...]]:
             told += notes
             new[name] = I[..., *SIX].reshape(getattr(robot, name).shape).to(getattr(robot, name))
     better = {note.partition(": ")[0] for note in told}
-    kept = (x for x in robot.notes if not consistency.of_inertia(x) or x.partition(": ")[0] not in better)
+    kept = (x for x in robot.notes if not isinstance(x, consistency.Misshapen) or x.partition(": ")[0] not in better)
     return new, (*told, *kept)
 
 

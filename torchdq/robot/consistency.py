@@ -22,11 +22,25 @@ TOLERANCE = 1e-6  # relative to the trace: descriptions are printed with about s
 # Moments of inertia that are rounding, of a mass m: a ball as dense as osmium has 1e-3 m^(5/3).
 POINT = 1e-14
 NOTHING = 1e-30  # the same without mass [kg m^2]: a bacterium has a hundred times more
-MASSLESS = "it has no mass, so its inertia must be zero"
-DEFINITE = "inertia must be positive definite"
-# Of the faults only this one gives right numbers: torques and accelerations are those of the inertia as it is.
-TRIANGLE = "the largest principal moment must not exceed the sum of the others (triangle inequality)"
 NEAREST = "on_unphysical='repair' takes the nearest inertias that bodies have"
+
+
+class Massless(str):
+    """Fault of a body that has an inertia and no mass."""
+
+    __slots__ = ()
+
+
+class Misshapen(str):
+    """Fault of an inertia that no body has; a repair takes the nearest that one has, if the body has mass."""
+
+    __slots__ = ()
+
+
+class Lopsided(Misshapen):
+    """Fault of an inertia that only breaks the triangle inequality: torques and accelerations are right."""
+
+    __slots__ = ()
 
 
 def bodies(links: Sequence[str], mass: Tensor, inertia: Tensor) -> list[str]:
@@ -41,31 +55,31 @@ def bodies(links: Sequence[str], mass: Tensor, inertia: Tensor) -> list[str]:
     finite = mass.isfinite() & inertia.isfinite().all(-1).all(-1)
     moments = torch.linalg.eigvalsh(inertia.where(finite[..., None, None], 0.0))
     slack = (TOLERANCE * moments.abs().sum(-1)).maximum(rounding(mass))
-    wrong = {
-        "mass and inertia must be finite, found mass {mass} and inertia {inertia}": ~finite,
-        "mass must not be negative, found {mass:g} kg": mass < 0,
-        f"{DEFINITE}, found principal moments {{shown}} kg m^2": moments[..., 0] < -slack,
-        f"{MASSLESS}, found principal moments {{shown}} kg m^2": (mass == 0) & (moments.abs().amax(-1) > NOTHING),
-        f"{TRIANGLE}, found {{shown}} kg m^2": moments[..., 2] > moments[..., 0] + moments[..., 1] + slack,
+    shown = "found principal moments {shown} kg m^2"
+    triangle = "the largest principal moment must not exceed the sum of the others (triangle inequality)"
+    wrong: dict[str, tuple[type[str], Tensor]] = {
+        "mass and inertia must be finite, found mass {mass} and inertia {inertia}": (str, ~finite),
+        "mass must not be negative, found {mass:g} kg": (str, mass < 0),
+        f"inertia must be positive definite, {shown}": (Misshapen, moments[..., 0] < -slack),
+        f"it has no mass, so its inertia must be zero, {shown}": (
+            Massless,
+            (mass == 0) & (moments.abs().amax(-1) > NOTHING),
+        ),
+        f"{triangle}, {shown}": (Lopsided, moments[..., 2] > moments[..., 0] + moments[..., 1] + slack),
     }
-    if not bool(torch.stack([*wrong.values()]).any()):
+    if not bool(torch.stack([mask for _, mask in wrong.values()]).any()):
         return []
-    faults = []
+    faults: list[str] = []
     for i, link in enumerate(links):
-        for words, mask in wrong.items():
+        for words, (kind, mask) in wrong.items():
             rows = mask[..., i].nonzero().tolist()
             if rows:
                 at = tuple(rows[0])
-                shown = ", ".join(f"{x:.6g}" for x in moments[at][i].tolist())
-                found = words.format(mass=float(mass[at][i]), inertia=inertia[at][i].tolist(), shown=shown)
-                faults.append(f"link {link!r}{f' of robot {list(at)}' if at else ''}: {found}")
+                values = ", ".join(f"{x:.6g}" for x in moments[at][i].tolist())
+                found = words.format(mass=float(mass[at][i]), inertia=inertia[at][i].tolist(), shown=values)
+                faults.append(kind(f"link {link!r}{f' of robot {list(at)}' if at else ''}: {found}"))
                 break
     return faults
-
-
-def of_inertia(fault: str) -> bool:
-    """Whether a fault is one of an inertia, which can be repaired if the body has mass."""
-    return DEFINITE in fault or TRIANGLE in fault
 
 
 def rounding(mass: Tensor) -> Tensor:
@@ -143,10 +157,10 @@ def complain(robot: str, faults: Sequence[str], on_unphysical: OnUnphysical) -> 
     require_choice("on_unphysical", on_unphysical, get_args(OnUnphysical))
     if not faults or on_unphysical == "ignore":
         return
-    if on_unphysical != "warn" and any(TRIANGLE not in fault for fault in faults):
+    if on_unphysical != "warn" and not all(isinstance(fault, Lopsided) for fault in faults):
         refuse(robot, faults, repaired=on_unphysical == "repair")
     advice = f"\nNumbers are those of the inertias as they are; {NEAREST}."
-    said = advice if any(TRIANGLE in fault for fault in faults) else ""
+    said = advice if any(isinstance(fault, Lopsided) for fault in faults) else ""
     warnings.warn(_listed(robot, faults) + said, stacklevel=4)  # where a public function was called
 
 
@@ -156,7 +170,7 @@ def refuse(robot: str, faults: Sequence[str], repaired: bool = False) -> NoRetur
         cure = "only inertias of bodies with mass can be repaired"
     else:
         cure = "on_unphysical='warn' computes with these numbers all the same"
-        cure += f", and {NEAREST}" if any(map(of_inertia, faults)) else ""
+        cure += f", and {NEAREST}" if any(isinstance(fault, Misshapen) for fault in faults) else ""
     raise UnphysicalError(f"{_listed(robot, faults)}\nCorrect the description; {cure}.")
 
 

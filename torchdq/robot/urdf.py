@@ -90,9 +90,9 @@ def _physical(links: dict[str, Inertial], repair: bool) -> tuple[dict[str, Inert
         I, more = consistency.repaired(names, mass, I)
         notes += more
     found = consistency.bodies(names, mass, I)
-    faults = [fault for fault in found if consistency.MASSLESS not in fault]
+    faults = [fault for fault in found if not isinstance(fault, consistency.Massless)]
     # the numbers are well defined, and other readers use them as well
-    notes += [fault for fault in found if consistency.MASSLESS in fault]
+    notes += [fault for fault in found if isinstance(fault, consistency.Massless)]
     new = {
         name: body._replace(inertia=tuple(row))
         for (name, body), row in zip(links.items(), I[:, *SIX].tolist(), strict=True)

@@ -1,0 +1,267 @@
+"""Friction of the joints, each law stated once, for scenes, layers and identification.
+
+The law of an effect is the impedance of one joint, on any kind of number: the motor must add the torque
+(D + g |load|) qd + f to overcome it. That torque is linear in the parameters that `LINEAR` names. A scene exerts the
+opposite on its joints (`torchdq.envs`); `torchdq.effects.resistance` has it on tensors, for layers and for logs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Self
+
+from torchdq.algebra.quaternion import Number
+from torchdq.checks import is_number
+from torchdq.dynamics.friction import smooth_speed
+from torchdq.dynamics.posed import Row
+from torchdq.effects.effect import Inputs, Parameter, Shapes
+from torchdq.effects.joint import Impedance, JointEffect
+from torchdq.errors import ArgumentError
+from torchdq.numbers.functions import absolute, cos, maximum, sin
+
+TEMPERATURE = "temperature"  # input of friction that depends on it
+
+
+@dataclass(frozen=True)
+class Friction(JointEffect):
+    """Base of friction, whose coefficients may change with temperature: c (1 + warming temperature), at least zero.
+
+    The input `temperature` [..., n] is that of the joints above the one at which the coefficients hold [K]. All
+    friction of a scene shares it; where nothing is warming it is no input.
+
+    Args:
+        warming: relative change of the coefficients [1/K], shape [..., n]; negative where friction falls with warmth.
+    """
+
+    SHAPES: ClassVar[Shapes] = {"warming": ("n",)}
+    SIGNED: ClassVar[frozenset[str]] = frozenset({"warming"})
+    SHARED: ClassVar[frozenset[str]] = frozenset({TEMPERATURE})
+    LINEAR: ClassVar[tuple[str, ...]] = ()  # parameters in which the torque is linear, zero where all of them are
+    warming: Parameter = field(default=0.0, kw_only=True)
+
+    def law(self, q: Number, qd: Number) -> Impedance:
+        """Impedance of one joint, whose numbers the parameters are."""
+        raise NotImplementedError
+
+    def inputs(self, n: int) -> dict[str, int]:
+        """The temperature [n], if the coefficients change with it."""
+        return {} if _zero(self.warming) else {TEMPERATURE: n}
+
+    def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
+        """Impedances of all joints, by the law."""
+        return [one.law(x, v) for one, x, v in zip(self.joints(len(q), inputs), q, qd, strict=True)]
+
+    def joints(self, n: int, inputs: Inputs) -> list[Self]:
+        """Friction of each joint at its temperature: copies whose parameters are numbers."""
+        rows = {name: getattr(self, name) for name in self.SHAPES if name != "warming"}
+        if not _zero(self.warming):
+            pairs = zip(self.warming, inputs[TEMPERATURE], strict=True)
+            factors = [maximum(1.0 + a * T, 0.0) for a, T in pairs]
+            rows |= {name: [k * c for k, c in zip(factors, rows[name], strict=True)] for name in self.LINEAR}
+        each = [{name: row[i] if self.SHAPES[name] else row for name, row in rows.items()} for i in range(n)]
+        return [replace(self, warming=0.0, **numbers) for numbers in each]
+
+
+@dataclass(frozen=True)
+class Viscous(Friction):
+    """Viscous friction: tau = -d qd.
+
+    Args:
+        coefficient: d [N m s/rad or N s/m], shape [..., n]; None: the damping of the robot's description.
+        warming: as in `Friction`.
+    """
+
+    SHAPES: ClassVar[Shapes] = {"coefficient": ("n",), **Friction.SHAPES}
+    LINEAR = SCALES = ("coefficient",)
+    DESCRIBED: ClassVar[Mapping[str, str]] = {"coefficient": "damping"}
+    coefficient: Parameter = None
+
+    def law(self, q: Number, qd: Number) -> Impedance:
+        """D = d."""
+        return Impedance(self.coefficient)
+
+
+@dataclass(frozen=True)
+class Quadratic(Friction):
+    """Friction that grows with the square of the speed, as in fluids: tau = -c |qd| qd.
+
+    Args:
+        coefficient: c [N m s^2/rad^2 or N s^2/m^2], shape [..., n].
+        warming: as in `Friction`.
+    """
+
+    SHAPES: ClassVar[Shapes] = {"coefficient": ("n",), **Friction.SHAPES}
+    LINEAR = SCALES = ("coefficient",)
+    coefficient: Parameter = None
+
+    def law(self, q: Number, qd: Number) -> Impedance:
+        """D = c |qd|."""
+        return Impedance(self.coefficient * absolute(qd))
+
+
+@dataclass(frozen=True)
+class Coulomb(Friction):
+    """Dry friction, regularised: tau = -level qd / sqrt(qd^2 + width^2).
+
+    Below the width the joint creeps, at width tau / sqrt(level^2 - tau^2) under a torque tau smaller than the level; it
+    never sticks for good. An explicit integrator chatters once dt level / (inertia width) exceeds 2; the linearly
+    implicit one does not at any width, but a joint at rest under a torque tau above the level leaves the width only by
+    a factor tau/level per step.
+
+    Args:
+        level: Coulomb friction [N m or N], shape [..., n]; None: the friction of the robot's description.
+        width: velocity below which it is viscous [rad/s or m/s], a number or [...].
+        warming: as in `Friction`.
+    """
+
+    SHAPES: ClassVar[Shapes] = {"level": ("n",), "width": (), **Friction.SHAPES}
+    LINEAR = SCALES = ("level",)
+    DIVIDING = frozenset({"width"})
+    DESCRIBED: ClassVar[Mapping[str, str]] = {"level": "friction"}
+    level: Parameter = None
+    width: Parameter = 1e-2
+
+    def law(self, q: Number, qd: Number) -> Impedance:
+        """D = level / sqrt(qd^2 + width^2)."""
+        return Impedance(self.level / smooth_speed(qd, self.width))
+
+
+@dataclass(frozen=True)
+class Directional(Friction):
+    """Dry friction with a level for each direction, regularised by the smooth sign s = qd / sqrt(qd^2 + width^2).
+
+        tau = -(forward (1 + s)/2 + backward (1 - s)/2) s
+
+    Args:
+        forward: level where qd > 0 [N m or N], shape [..., n].
+        backward: level where qd < 0 [N m or N], shape [..., n].
+        width: velocity below which it is viscous [rad/s or m/s], a number or [...].
+        warming: as in `Friction`.
+    """
+
+    SHAPES: ClassVar[Shapes] = {"forward": ("n",), "backward": ("n",), "width": (), **Friction.SHAPES}
+    LINEAR = SCALES = ("forward", "backward")
+    DIVIDING = frozenset({"width"})
+    forward: Parameter = None
+    backward: Parameter = None
+    width: Parameter = 1e-2
+
+    def law(self, q: Number, qd: Number) -> Impedance:
+        """D = (forward (1 + s) + backward (1 - s)) / (2 sqrt(qd^2 + width^2))."""
+        speed = smooth_speed(qd, self.width)
+        mean, half = 0.5 * (self.forward + self.backward), 0.5 * (self.forward - self.backward)
+        return Impedance((mean + half * (qd / speed)) / speed)
+
+
+@dataclass(frozen=True)
+class Stribeck(Friction):
+    """Dry friction that is higher at rest: tau = -(c + (s - c) / (1 + (qd/v)^2)) qd / sqrt(qd^2 + width^2).
+
+    Source: D. P. Hess, A. Soom, "Friction at a lubricated line contact operating at oscillating sliding velocities",
+    Journal of Tribology 112 (1990), without its viscous term, which is `Viscous`.
+
+    Args:
+        coulomb: c, friction of a moving joint [N m or N], shape [..., n]; None: the friction of the description.
+        static: s, friction at rest [N m or N], shape [..., n], at least c.
+        velocity: v at which the excess has halved [rad/s or m/s], shape [..., n].
+        width: velocity below which it is viscous [rad/s or m/s], a number or [...].
+        warming: as in `Friction`.
+    """
+
+    SHAPES: ClassVar[Shapes] = {
+        "coulomb": ("n",),
+        "static": ("n",),
+        "velocity": ("n",),
+        "width": (),
+        **Friction.SHAPES,
+    }
+    ORDERED = ("coulomb", "static")
+    LINEAR = SCALES = ("coulomb", "static")
+    DIVIDING = frozenset({"velocity", "width"})
+    DESCRIBED: ClassVar[Mapping[str, str]] = {"coulomb": "friction"}
+    coulomb: Parameter = None
+    static: Parameter = None
+    velocity: Parameter = 0.1
+    width: Parameter = 1e-2
+
+    def idle(self) -> tuple[str, ...]:
+        """Friction parameters, if both are zero."""
+        both = super().idle() and isinstance(self.static, tuple) and not any(self.static)
+        return ("coulomb", "static") if both else ()
+
+    def law(self, q: Number, qd: Number) -> Impedance:
+        """D = level(qd) / sqrt(qd^2 + width^2)."""
+        ratio = qd / self.velocity
+        level = self.coulomb + (self.static - self.coulomb) / (1.0 + ratio * ratio)
+        return Impedance(level / smooth_speed(qd, self.width))
+
+
+@dataclass(frozen=True)
+class LoadDependent(Friction):
+    """Dry friction in proportion to the load, as in gears: tau = -coefficient |load| qd / sqrt(qd^2 + width^2).
+
+    The load is the torque that moves the bodies and the rotor, inverse dynamics without friction. In a scene it follows
+    from all other torques u' at the joint: load = u' / (1 + m sign(u')), m being coefficient times the smooth sign.
+    The coefficient is below 1, so that a load can always turn the joint backwards.
+
+    Args:
+        coefficient: friction over load, below 1, shape [..., n].
+        width: velocity below which it is viscous [rad/s or m/s], a number or [...].
+        warming: as in `Friction`.
+    """
+
+    SHAPES: ClassVar[Shapes] = {"coefficient": ("n",), "width": (), **Friction.SHAPES}
+    LINEAR = SCALES = ("coefficient",)
+    DIVIDING = frozenset({"width"})
+    ONCE = "their coefficients add up to one"
+    coefficient: Parameter = None
+    width: Parameter = 1e-2
+
+    def law(self, q: Number, qd: Number) -> Impedance:
+        """g = coefficient / sqrt(qd^2 + width^2)."""
+        return Impedance(per_load=self.coefficient / smooth_speed(qd, self.width))
+
+    def _check_values(self, name: str, numbers: Sequence[float]) -> None:
+        super()._check_values(name, numbers)
+        if name == "coefficient" and max(numbers) >= 1:
+            raise ArgumentError(
+                f"coefficient of LoadDependent must be below 1, found {max(numbers):g}: such a joint would lock"
+            )
+
+
+@dataclass(frozen=True)
+class Ripple(Friction):
+    """Torque that repeats with the position, as of cogging or of gear teeth, the same in both directions.
+
+        tau = -(sine sin(2 pi q / period) + cosine cos(2 pi q / period))
+
+    It takes no energy out; friction in the direction of motion is that of other effects.
+
+    Args:
+        period: of the position [rad or m], shape [..., n].
+        sine, cosine: [N m or N], shape [..., n].
+        warming: as in `Friction`.
+    """
+
+    SHAPES: ClassVar[Shapes] = {"period": ("n",), "sine": ("n",), "cosine": ("n",), **Friction.SHAPES}
+    SIGNED = Friction.SIGNED | {"sine", "cosine"}
+    LINEAR = SCALES = ("sine", "cosine")
+    DIVIDING = frozenset({"period"})
+    period: Parameter
+    sine: Parameter = None
+    cosine: Parameter = None
+
+    def law(self, q: Number, qd: Number) -> Impedance:
+        """Force f, and K = df/dq where that is positive."""
+        k = 2.0 * math.pi / self.period
+        c, s = cos(k * q), sin(k * q)
+        return Impedance(
+            force=self.sine * s + self.cosine * c, stiffness=maximum(k * (self.sine * c - self.cosine * s), 0.0)
+        )
+
+
+def _zero(x: Any) -> bool:
+    """True for a constant parameter that is zero at every joint."""
+    return all(is_number(value) and value == 0 for value in (x if isinstance(x, tuple) else (x,)))

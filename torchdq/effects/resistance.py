@@ -1,0 +1,170 @@
+"""Torques of friction effects on tensors: those that motors add to overcome them, along a motion or a log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.backends.choice import BackendName
+from torchdq.caches import PROGRAMS, remembered
+from torchdq.call import Computation, evaluate
+from torchdq.dynamics.posed import Row
+from torchdq.effects.effect import Inputs
+from torchdq.effects.friction import TEMPERATURE, Friction
+from torchdq.effects.joint import total
+from torchdq.errors import ArgumentError
+from torchdq.numbers.functions import absolute
+from torchdq.program.program import Argument, Program, record
+from torchdq.robot import Robot
+from torchdq.robot.fields import trailing
+
+
+def torques(effect: Friction, q: Row, qd: Row, load: Row | None, inputs: Inputs, memory: Row = ()) -> Row:
+    """Torques that overcome the friction of one effect, (D + g |load|) qd + f of every joint, on any kind of number."""
+    result = []
+    for i, impedance in enumerate(effect.impedances_at_end(q, qd, inputs, memory, 0.0)):
+        D, f, g = total([impedance])
+        if not (isinstance(g, float) and g == 0.0):
+            if load is None:
+                raise ArgumentError(f"load must be given for {type(effect).__name__}, whose friction depends on it")
+            D = D + g * absolute(load[i])
+        result.append(D * qd[i] + f)
+    return result
+
+
+def columns(
+    robot: Robot,
+    effect: Friction,
+    q: Tensor,
+    qd: Tensor,
+    load: Tensor | None = None,
+    temperature: Tensor | None = None,
+    time: Tensor | None = None,
+    backend: BackendName | None = None,
+) -> dict[str, Tensor]:
+    """Torque [..., n] that overcomes friction per unit of each parameter in `effect.LINEAR`, by its name.
+
+    The torque of the effect is their sum, each times its parameter; the values that the effect has for these do not
+    matter, and may be None.
+
+    Args:
+        robot: the robot, for its joints.
+        effect: the friction.
+        q, qd: positions and velocities [rad or m, rad/s or m/s], shape [..., n].
+        load: torques of the rigid bodies and rotors in that motion, `torchdq.inverse_dynamics` [N m or N], shape
+            [..., n]; None: for an effect that does not depend on them.
+        temperature: as in `torchdq.effects.friction.Friction`, shape [..., n].
+        time: for friction that remembers, increasing times of q [rows, n], one motion from its start [s], shape [rows];
+            None: for friction that does not.
+        backend: as in `torchdq.functional`.
+
+    >>> import torch, torchdq
+    >>> from torchdq import effects
+    >>> robot, qd = torchdq.robots.load("two_link"), torch.tensor([[-2.0, 0.0]])
+    >>> columns(robot, effects.Quadratic(), torch.zeros(1, 2), qd)
+    {'coefficient': tensor([[-4.,  0.]])}
+    """
+    zeros: dict[str, Any] = dict.fromkeys(effect.LINEAR, 0.0)
+    known = replace(effect, **zeros).resolved(robot)
+    units = tuple([replace(known, **{name: (1.0,) * robot.n}) for name in effect.LINEAR])
+    given = {"q": q, "qd": qd, "load": load, TEMPERATURE: temperature if known.inputs(robot.n) else None}
+    if known.memory(robot.n):
+        if time is None:
+            raise ArgumentError(f"time must be given for {type(effect).__name__}, which remembers where it has been")
+        given["memory"] = _followed(known, q, time, backend)
+    rows = _evaluated("torques", units, given, backend)
+    return dict(zip(effect.LINEAR, rows.values(), strict=True))
+
+
+def _followed(effect: Friction, q: Tensor, time: Tensor, backend: BackendName | None) -> Tensor:
+    """Memory [rows, m] of friction along the positions of one motion q [rows, n], its rates being linear in it."""
+    if q.ndim != 2 or time.shape != q.shape[:1]:
+        raise ArgumentError(
+            f"q must be [rows, n] and time [rows] for {type(effect).__name__}, one motion, found {tuple(q.shape)} and "
+            f"{tuple(time.shape)}"
+        )
+    h = time.to(q).diff().unsqueeze(-1)
+    if not bool((h > 0).all()):
+        raise ArgumentError("time must increase from row to row of one motion")
+    qd = q.diff(dim=0) / h
+    given = {"q": q[:-1], "qd": qd, "h": h, "memory": q.new_zeros(len(h), effect.memory(q.shape[-1]))}
+    (bent,) = _evaluated("rates", (effect,), given, backend).values()
+    (slope,) = _evaluated("rates", (effect,), {**given, "memory": given["memory"] + 1.0}, backend).values()
+    memory = [given["memory"].new_zeros(given["memory"].shape[-1])]
+    for kept, added in zip((1.0 + h * (slope - bent)).unbind(), (h * bent).unbind(), strict=True):
+        memory.append(kept * memory[-1] + added)
+    return torch.stack(memory)
+
+
+# --- programs --------------------------------------------------------------------------------------------------------
+
+
+def _evaluated(
+    what: Literal["torques", "rates"],
+    effects: Sequence[Friction],
+    given: Mapping[str, Tensor | None],
+    backend: BackendName | None,
+) -> dict[str, Tensor]:
+    """Torques, or rates of the memory, of each of some effects, by position."""
+    own = {f"{k}.{name}": x for k, effect in enumerate(effects) for name, x in effect.tensors().items()}
+    n = next(x.shape[-1] for x in given.values() if x is not None)
+    return evaluate(_Along(what, tuple([effect.template() for effect in effects]), n), {**given, **own}, backend)
+
+
+class _AlongFields(NamedTuple):
+    """Fields of `_Along`."""
+
+    what: Literal["torques", "rates"]
+    effects: tuple[Friction, ...]
+    n: int
+
+
+class _Along(_AlongFields, Computation):
+    """Torques of each of some effects along a motion, or rates of their memory, as a computation of `torchdq.call`."""
+
+    def axes(self, name: str) -> tuple[int, ...]:
+        """Trailing axes of an input or a parameter."""
+        owner, dot, parameter = name.partition(".")
+        if dot:
+            return trailing(self.effects[int(owner)].SHAPES[parameter], {"n": self.n})
+        return {"h": (1,), "memory": (self.effects[0].memory(self.n),)}.get(name, (self.n,))
+
+    def shared(self, name: str) -> bool:
+        """True for a parameter."""
+        return "." in name
+
+    def label(self, name: str) -> str:
+        """Name without its owner."""
+        return name.rpartition(".")[2]
+
+    def check(self, tensors: Mapping[str, Any]) -> None:
+        """Raise unless the inputs of the effects are there."""
+        for effect in self.effects:
+            for name in effect.needs(self.n) if self.what == "torques" else ():
+                if name not in tensors:
+                    raise ArgumentError(f"{name} must be given, shape [..., {self.n}], for {type(effect).__name__}")
+
+    def program(self, arguments: tuple[Argument, ...]) -> Program:
+        """Program of the torques or the rates, recorded once."""
+        return _program(self, arguments)
+
+
+@remembered(PROGRAMS)
+def _program(what: _Along, arguments: tuple[Argument, ...]) -> Program:
+    def algorithm(*rows: Row) -> dict[str, Row]:
+        given = {a.name: row for a, row in zip(arguments, rows, strict=True)}
+        q, qd, memory, result = given["q"], given["qd"], given.get("memory", ()), {}
+        for k, template in enumerate(what.effects):
+            own = {name.partition(".")[2]: row for name, row in given.items() if name.startswith(f"{k}.")}
+            effect = template.bound(own)
+            if what.what == "torques":
+                result[str(k)] = torques(effect, q, qd, given.get("load"), given, memory)
+            else:
+                result[str(k)] = effect.memory_rates(q, qd, given, memory, qd, given["h"][0])
+        return result
+
+    return record(f"friction_{what.what}", arguments, algorithm)
