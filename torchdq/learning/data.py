@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -60,11 +60,12 @@ def validated(name: str, samples: Samples) -> Samples:
     return Samples(*(x.detach() for x in samples))
 
 
-def of_motions(name: str, motions: Samples | Sequence[Samples]) -> tuple[Samples, tuple[int, ...]]:
+def of_motions(name: str, motions: Any) -> tuple[Samples, tuple[int, ...]]:
     """Rows of one or several motions as one, after checking them, and the number of rows of each."""
     several = isinstance(motions, Sequence) and not isinstance(motions, Samples) and len(motions) > 0
     if not several or not all(isinstance(motion, Samples) for motion in motions):
-        return (rows := validated(name, motions)), (len(rows.q),)
+        rows = validated(name, motions)
+        return rows, (len(rows.q),)
     parts = [validated(f"{name}[{k}]", motion) for k, motion in enumerate(motions)]
     for k, part in enumerate(parts):
         if part.q.shape[1] != parts[0].q.shape[1] or part.q.dtype != parts[0].q.dtype:

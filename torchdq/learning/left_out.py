@@ -1,4 +1,4 @@
-"""What a residual network is worth on rows that it was not trained on, and where it may act.
+"""Worth of a residual network on rows that it was not trained on, and where it may act.
 
 The rows are left out in blocks (`blocks`), and the blocks in a few groups; for each group a copy of the network, with
 new weights, is trained on the other rows for as many steps. The physical model stays as it is. What the copies say
@@ -59,7 +59,7 @@ class Worth(NamedTuple):
     covered: Tensor  # [n] share of torques in the 95 % intervals
     independent: Tensor  # [n] rows that say as much as all do, being correlated
     gain: float  # how much the mean squared error of all joints falls
-    standard_error: float  # of the gain, over the blocks; infinite if there are fewer than two
+    standard_error: float  # standard error of the gain over the blocks; infinite if there are fewer than two
 
     @property
     def kept(self) -> bool:
@@ -78,7 +78,7 @@ class Worth(NamedTuple):
 
 
 class LeftOut(NamedTuple):
-    """What networks say about rows that they were not trained on."""
+    """Torques of networks for rows that they were not trained on."""
 
     torque: Tensor  # [rows, n] of the networks, with an open gate and weight one [N m or N]
     residual: Tensor  # [rows, n] measured torque less the model's [N m or N]
@@ -174,7 +174,7 @@ def learn_posterior(
 def _seen_by(
     model: ResidualDynamics, network: nn.Module, domain: Domain, posterior: Posterior, x: Tensor, residual: Tensor
 ) -> LeftOut:
-    """What a network says about rows that it was not trained on."""
+    """`LeftOut` of a network and rows that it was not trained on, in one block."""
     inner = perceptrons(network)
     with torch.no_grad():
         torque = _by_parts(lambda x: model.ungated(x, network), x)
@@ -204,7 +204,7 @@ def _by_copies(
     correlation: Tensor,
     how: Training,
 ) -> LeftOut:
-    """What copies of the network, each trained without some blocks, say about those."""
+    """`LeftOut` of copies of the network, each trained without some blocks, and those blocks."""
     found, parts = _blocks(train, lengths), []
     x, residual = rows
     scale = torque_variance(train.tau).to(x)
@@ -230,8 +230,9 @@ def _by_copies(
         none = residual[:0]
         return LeftOut(none, none, none, none, none, [])
     parts.sort(key=lambda part: part.blocks[0].start)
-    columns = [torch.cat([part[i] for part in parts]) for i in range(5)]
-    return LeftOut(*columns, [part.blocks[0] for part in parts])
+    torque, residual, distance, past, leverage, found = zip(*parts, strict=True)
+    columns = map(torch.cat, (torque, residual, distance, past, leverage))
+    return LeftOut(*columns, blocks=[block for some in found for block in some])
 
 
 def _trained(

@@ -162,7 +162,8 @@ class ResidualDynamics(nn.Module):
         scaled = self.scaled(self.features(q, qd, qdd, tau))
         parts = (self.leverage(scaled), self.gate(scaled), self.distance(scaled))
         found = tau + self.of_scaled(scaled).to(tau)
-        error = self.posterior.errors(*(x.double().expand(tau.shape) for x in parts), weight=self.weight).to(tau)
+        leverage, gate, distance = (x.double().expand(tau.shape) for x in parts)
+        error = self.posterior.errors(leverage, gate, distance, self.weight).to(tau)
         margin = self.posterior.quantile.to(tau) * error
         return PredictedTorques(found, error, found - margin, found + margin)
 
@@ -182,8 +183,8 @@ class ResidualDynamics(nn.Module):
         tau = self.model(q, qd, qdd)
         M = mass_matrix(self.robot, q, self.model.backend)  # the model's torque is linear in qdd
         directions = torch.stack(torch.broadcast_tensors(W, M @ W), -2)
-        line = Learned if perceptrons(self.network) is None else Prepared
-        return line(self, self._columns(q, qd, qdd, tau), directions)
+        features, inner = self._columns(q, qd, qdd, tau), perceptrons(self.network)
+        return Learned(self, features, directions) if inner is None else Prepared(self, features, directions, inner)
 
     def effects(self) -> tuple[Effect, ...]:
         """Effects that simulate all that was learned, with `robot`: `Scene(model.robot, model.effects())`.
@@ -253,7 +254,7 @@ class ResidualDynamics(nn.Module):
         return self.feature_range[:, -1].maximum(SLOWLY * BEYOND * self.largest / self.feature_spread[:, -1])
 
     def of_state(self, x: Tensor) -> Tensor:
-        """Those of the scaled features [..., groups, features] that the acceleration does not change."""
+        """Scaled features [..., groups, features] that the acceleration does not change."""
         return x.unflatten(-1, (-1, self.features_of_a_joint))[..., :-CHANGED].flatten(-2)
 
     def of_torque(self, x: Tensor) -> Tensor:

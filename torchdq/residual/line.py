@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchdq.program.transforms import load_forward_mode
-from torchdq.residual.networks import perceptrons
+from torchdq.residual.networks import Perceptrons
 from torchdq.residual.smooth import limit_slope, limited, smooth_step, step_slope
 
 if TYPE_CHECKING:
@@ -112,10 +112,8 @@ class Learned:
 class Prepared(Learned):
     """`Learned` of `Perceptrons`: all that r does not change is computed before, derivatives are products backwards."""
 
-    def __init__(self, dynamics: ResidualDynamics, features: Tensor, directions: Tensor):
+    def __init__(self, dynamics: ResidualDynamics, features: Tensor, directions: Tensor, network: Perceptrons):
         super().__init__(dynamics, features, directions)
-        network = perceptrons(dynamics.network)
-        assert network is not None
         weights, biases = list(network.weights), list(network.biases)
         self.groups, self.n = weights[0].shape[0], features.shape[-2]
         scale = dynamics.torque_scale.to(weights[0]).reshape(self.groups, -1, 1)

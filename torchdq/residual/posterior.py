@@ -1,4 +1,4 @@
-"""What is not known about torques: noise, and weights of a last layer that few samples decide."""
+"""Errors of torques: noise, and weights of a last layer that few samples decide."""
 
 from __future__ import annotations
 
