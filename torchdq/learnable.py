@@ -14,7 +14,7 @@ from torchdq.robot.argument import require_bodies
 from torchdq.robot.robot import SHAPES
 
 # initial value of what the description does not give [SI]
-INITIAL = {"armature": 1e-3, "viscous": 1e-2, "coulomb": 1e-2}
+INITIAL = {"armature": 1e-3}
 BESIDE_THE_ROBOT = ("friction", "offset")  # learned torques that are not those of rigid bodies
 
 
@@ -32,11 +32,8 @@ def learnable(robot: Robot, learn: Any) -> tuple[str, ...]:
 
 
 def initial_values(robot: Robot, name: str) -> dict[str, Tensor]:
-    """Quantities that a name in `learn` stands for, with their initial values."""
+    """Quantities that a name in `learn` stands for, without friction, with their initial values."""
     zeros = torch.zeros_like(robot.damping)
-    if name == "friction":
-        described = {"viscous": robot.damping, "coulomb": robot.friction}
-        return {quantity: x.detach().where(x != 0, INITIAL[quantity]) for quantity, x in described.items()}
     if name == "offset":
         return {name: zeros}
     if name == "armature" and robot.armature is None:

@@ -11,16 +11,17 @@ from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
 from torchdq.checks import names_of, require_choice
-from torchdq.dynamics.friction import friction_torque
+from torchdq.effects.friction import Friction
+from torchdq.effects.resistance import loads, torques
 from torchdq.errors import ArgumentError
 from torchdq.export.meaning import heading
 from torchdq.functions.catalogue import RECIPES, Function
+from torchdq.layer_friction import LayerFriction
 from torchdq.program.program import GROWTH, Argument, Program, growths, record, replay, results
 from torchdq.robot import Robot
 from torchdq.robot.robot import SHAPES, arguments, constants
 
 Parameters = Literal["constants", "arguments"]
-MOTORS = ("viscous", "coulomb", "offset")  # quantities that are no part of the rigid bodies
 GAINS = ("kp", "kd")  # those of computed torque control
 WRENCHES = ("f_tip", "f_ext")
 
@@ -32,7 +33,7 @@ def program(
     parameters: Parameters,
     fixed: Mapping[str, Tensor],
     learned: Mapping[str, Tensor],
-    width: float,
+    friction: LayerFriction,
 ) -> Program:
     """Program of a layer.
 
@@ -41,8 +42,9 @@ def program(
         function: "inverse_dynamics", "forward_dynamics" or "computed_torque".
         wrenches: names of those that are arguments.
         parameters: whether what is learned, and what was replaced in the robot, is constant or an argument.
-        fixed, learned: values of `MOTORS` and `GAINS`, those that there are, [n]; the gains also [].
-        width: velocity below which friction is viscous [rad/s or m/s].
+        fixed, learned: values of the offset, of `GAINS`, and of what friction learns, those that there are, [n]; the
+            gains also [].
+        friction: the layer's.
     """
     require_choice("parameters", parameters, ("constants", "arguments"))
     known = [name for name, _, optional in RECIPES[function].arguments if optional and name in WRENCHES]
@@ -68,31 +70,32 @@ def program(
 
     def algorithm(*rows: Sequence[Number]) -> Mapping[str, Sequence[Number]]:
         named = {**numbers, **{a.name: row for a, row in zip(taken, rows, strict=True)}}
-        beyond = _beyond(named, width)
+        q, qd = named["q"], named["qd"]
+        effects = [_of_numbers(effect) for effect in friction.present(named)]
+        offset = named.get("offset", [0.0] * len(qd))
         if function == "forward_dynamics":
-            named["tau"] = [tau - t for tau, t in zip(named["tau"], beyond, strict=True)]
+            named["tau"] = [tau - t for tau, t in zip(named["tau"], offset, strict=True)]
+            named["tau"] = loads(effects, q, qd, named["tau"])
         values = replay(rigid, [named[a.name] for a in rigid.arguments])
         found = results(rigid, values)
         if function != "forward_dynamics":
-            found["tau"] = [tau + t for tau, t in zip(found["tau"], beyond, strict=True)]
+            rubbing = torques(effects, q, qd, found["tau"], {})
+            found["tau"] = [tau + (t + c) for tau, t, c in zip(found["tau"], rubbing, offset, strict=True)]
         return {**found, GROWTH: growths(rigid, values)}
 
     about = heading(
-        f"{function} with the motors' torques" if beside.keys() & set(MOTORS) else function,
+        f"{function} with the motors' torques" if friction.effects or "offset" in beside else function,
         robot.name,
         robot.joint_names,
     )
     return replace(record(rigid.name, taken, algorithm), about=about)
 
 
-def _beyond(named: Mapping[str, Sequence[Number]], width: float) -> list[Number]:
-    """Torques of the motors beyond those of the rigid bodies."""
-    qd = named["qd"]
-    friction: list[Number] = [0.0] * len(qd)
-    if "viscous" in named:
-        rows = zip(qd, named["viscous"], named["coulomb"], strict=True)
-        friction = [friction_torque(v, viscous, coulomb, width) for v, viscous, coulomb in rows]
-    return [f + c for f, c in zip(friction, named.get("offset", [0.0] * len(qd)), strict=True)]
+def _of_numbers(effect: Friction) -> Friction:
+    """Effect whose tensors are constants of a program."""
+    found = {f"{name} of {type(effect).__name__}": (name, x) for name, x in effect.tensors().items()}
+    rows = {name: _numbers(words, x) for words, (name, x) in found.items()}
+    return effect.bound(rows)
 
 
 def _numbers(name: str, x: Tensor) -> tuple[float, ...]:

@@ -64,6 +64,30 @@ class Positive(_Quantity):
         return value.where(value > 0, SMALLEST).log()
 
 
+class Fraction(_Quantity):
+    """Numbers between 0 and 1 as logistic functions of unconstrained ones.
+
+    Zero and one are none, and become 1e-6 and 1 - 1e-6. Errors call the numbers by `name`.
+
+    >>> form = Fraction()
+    >>> form(torch.tensor([0.0])), form(form.right_inverse(torch.tensor([0.0, 0.25])))
+    (tensor([0.5000]), tensor([1.0000e-06, 2.5000e-01]))
+    """
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Fractions of the shape of `x`."""
+        return x.sigmoid()
+
+    def right_inverse(self, value: Tensor) -> Tensor:
+        """Unconstrained numbers of given fractions; raises `ArgumentError` unless they are from 0 to 1."""
+        require_finite(**{self.name: value})
+        if bool(((value < 0) | (value > 1)).any()):
+            raise ArgumentError(
+                f"{self.name} must be from 0 to 1, found {value[(value < 0) | (value > 1)][0].item():g}"
+            )
+        return value.clamp(SMALLEST, 1 - SMALLEST).logit()
+
+
 class PhysicalInertia(_Quantity):
     """Inertias [..., 6] about the centre of mass (xx xy yy xz yz zz) of bodies that can exist.
 

@@ -20,6 +20,7 @@ from torchdq.effects.effect import Inputs, Parameter, Shapes
 from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import absolute, cos, maximum, sin
+from torchdq.robot import Robot
 
 TEMPERATURE = "temperature"  # input of friction that depends on it
 
@@ -39,11 +40,20 @@ class Friction(JointEffect):
     SIGNED: ClassVar[frozenset[str]] = frozenset({"warming"})
     SHARED: ClassVar[frozenset[str]] = frozenset({TEMPERATURE})
     LINEAR: ClassVar[tuple[str, ...]] = ()  # parameters in which the torque is linear, zero where all of them are
+    FRACTIONS: ClassVar[frozenset[str]] = frozenset()  # parameters that are below 1
+    LEARNED_AS: ClassVar[Mapping[str, str]] = {}  # names of parameters that a layer learns
     warming: Parameter = field(default=0.0, kw_only=True)
 
     def law(self, q: Number, qd: Number) -> Impedance:
         """Impedance of one joint, whose numbers the parameters are."""
         raise NotImplementedError
+
+    def _check_values(self, name: str, numbers: Sequence[float]) -> None:
+        super()._check_values(name, numbers)
+        if name in self.FRACTIONS and max(numbers) >= 1:
+            raise ArgumentError(
+                f"{name} of {type(self).__name__} must be below 1, found {max(numbers):g}: such a joint would lock"
+            )
 
     def inputs(self, n: int) -> dict[str, int]:
         """The temperature [n], if the coefficients change with it."""
@@ -75,6 +85,7 @@ class Viscous(Friction):
 
     SHAPES: ClassVar[Shapes] = {"coefficient": ("n",), **Friction.SHAPES}
     LINEAR = SCALES = ("coefficient",)
+    LEARNED_AS: ClassVar[Mapping[str, str]] = {"coefficient": "viscous"}
     DESCRIBED: ClassVar[Mapping[str, str]] = {"coefficient": "damping"}
     coefficient: Parameter = None
 
@@ -118,6 +129,7 @@ class Coulomb(Friction):
 
     SHAPES: ClassVar[Shapes] = {"level": ("n",), "width": (), **Friction.SHAPES}
     LINEAR = SCALES = ("level",)
+    LEARNED_AS: ClassVar[Mapping[str, str]] = {"level": "coulomb"}
     DIVIDING = frozenset({"width"})
     DESCRIBED: ClassVar[Mapping[str, str]] = {"level": "friction"}
     level: Parameter = None
@@ -215,6 +227,7 @@ class LoadDependent(Friction):
     SHAPES: ClassVar[Shapes] = {"coefficient": ("n",), "width": (), **Friction.SHAPES}
     LINEAR = SCALES = ("coefficient",)
     DIVIDING = frozenset({"width"})
+    FRACTIONS = frozenset({"coefficient"})
     ONCE = "their coefficients add up to one"
     coefficient: Parameter = None
     width: Parameter = 1e-2
@@ -222,13 +235,6 @@ class LoadDependent(Friction):
     def law(self, q: Number, qd: Number) -> Impedance:
         """g = coefficient / sqrt(qd^2 + width^2)."""
         return Impedance(per_load=self.coefficient / smooth_speed(qd, self.width))
-
-    def _check_values(self, name: str, numbers: Sequence[float]) -> None:
-        super()._check_values(name, numbers)
-        if name == "coefficient" and max(numbers) >= 1:
-            raise ArgumentError(
-                f"coefficient of LoadDependent must be below 1, found {max(numbers):g}: such a joint would lock"
-            )
 
 
 @dataclass(frozen=True)
@@ -265,3 +271,36 @@ class Ripple(Friction):
 def _zero(x: Any) -> bool:
     """True for a constant parameter that is zero at every joint."""
     return all(is_number(value) and value == 0 for value in (x if isinstance(x, tuple) else (x,)))
+
+
+def of_layers(effects: Any, robot: Robot, learn: bool = False) -> tuple[Friction, ...]:
+    """Friction effects for a layer of a robot, resolved; raises unless the layer's inputs are all that they need.
+
+    Args:
+        effects: a sequence of them.
+        robot: the robot.
+        learn: whether linear parameters that neither are given nor described start at zero.
+    """
+    found: list[Friction] = []
+    for effect in effects if isinstance(effects, Sequence) else (effects,):
+        name = type(effect).__name__
+        if not isinstance(effect, Friction):
+            raise ArgumentError(
+                f"friction must be a sequence of friction effects, such as (effects.Coulomb(),), found {effect!r}"
+            )
+        if effect.memory(robot.n):
+            raise ArgumentError(
+                f"friction of a layer must not be {name}, whose torque depends on the motion before, of which a layer "
+                "sees one moment; it acts in a Scene, and Coulomb or Stribeck is its friction while sliding"
+            )
+        absent = {p: 0.0 for p in effect.LINEAR if learn and getattr(effect, p) is None and p not in effect.DESCRIBED}
+        resolved = replace(effect, **absent).resolved(robot)
+        if resolved.inputs(robot.n):
+            raise ArgumentError(
+                f"friction of a layer must not be warming, since a layer has no temperature, found warming of {name}; "
+                "give its coefficients at the temperature of the motion"
+            )
+        if effect.ONCE and any(other.ONCE == effect.ONCE for other in found):
+            raise ArgumentError(f"friction must not hold {name} twice: {effect.ONCE}")
+        found.append(resolved)
+    return tuple(found)

@@ -3,37 +3,94 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchdq.algebra.quaternion import Number
 from torchdq.backends.choice import BackendName
 from torchdq.caches import PROGRAMS, remembered
 from torchdq.call import Computation, evaluate
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Inputs
 from torchdq.effects.friction import TEMPERATURE, Friction
-from torchdq.effects.joint import total
+from torchdq.effects.joint import load_size, total
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import absolute
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
 from torchdq.robot.fields import trailing
 
+What = Literal["columns", "rates", "friction", "load"]  # what a program returns
 
-def torques(effect: Friction, q: Row, qd: Row, load: Row | None, inputs: Inputs, memory: Row = ()) -> Row:
-    """Torques that overcome the friction of one effect, (D + g |load|) qd + f of every joint, on any kind of number."""
+
+def torques(
+    effects: Sequence[Friction], q: Row, qd: Row, load: Row | None, inputs: Inputs, memory: Row = ()
+) -> list[Number]:
+    """Torques that overcome friction, (D + g |load|) qd + f of every joint, on any kind of number."""
     result = []
-    for i, impedance in enumerate(effect.impedances_at_end(q, qd, inputs, memory, 0.0)):
-        D, f, g = total([impedance])
+    found = [effect.impedances_at_end(q, qd, inputs, memory, 0.0) for effect in effects]
+    for i in range(len(qd)):
+        joint = [row[i] for row in found]
+        D, f, g = total(joint)
         if not (isinstance(g, float) and g == 0.0):
             if load is None:
-                raise ArgumentError(f"load must be given for {type(effect).__name__}, whose friction depends on it")
+                names = " and ".join(type(effect).__name__ for effect in effects)
+                raise ArgumentError(f"load must be given for {names}, whose friction depends on it")
             D = D + g * absolute(load[i])
         result.append(D * qd[i] + f)
     return result
+
+
+def loads(effects: Sequence[Friction], q: Row, qd: Row, tau: Row) -> list[Number]:
+    """Torques that move the bodies and rotors, of the motors' torques tau less friction, on any kind of number."""
+    result = []
+    found = [effect.impedances(q, qd, {}) for effect in effects]
+    for i, (v, t) in enumerate(zip(qd, tau, strict=True)):
+        D, f, g = total([row[i] for row in found])
+        free = t - (D * v + f)
+        result.append(free - g * load_size(free, g, v) * v)
+    return result
+
+
+@dataclass(frozen=True)
+class Templates:
+    """Effects of n joints as programs know them; a graph of torch.compile can hold this object, and cannot make one."""
+
+    effects: tuple[Friction, ...]
+    n: int
+
+
+class Parts(NamedTuple):
+    """Effects for programs: without their tensors, and these by position and name."""
+
+    templates: Templates
+    tensors: Mapping[str, Tensor]
+
+
+def parts(effects: Sequence[Friction], n: int) -> Parts:
+    """Parts of resolved effects of n joints."""
+    tensors = {f"{k}.{name}": x for k, effect in enumerate(effects) for name, x in effect.tensors().items()}
+    return Parts(Templates(tuple([effect.template() for effect in effects]), n), tensors)
+
+
+def friction(of: Parts, q: Tensor, qd: Tensor, load: Tensor, backend: BackendName | None = None) -> Tensor:
+    """Torque [..., n] that overcomes all of some effects, which neither remember nor warm up.
+
+    Args:
+        of: the effects.
+        q, qd: positions and velocities [rad or m, rad/s or m/s], shape [..., n].
+        load: torques of the rigid bodies and rotors [N m or N], shape [..., n].
+        backend: as in `torchdq.functional`.
+    """
+    return _evaluated("friction", of, {"q": q, "qd": qd, "load": load}, backend)["tau"]
+
+
+def load_under(of: Parts, q: Tensor, qd: Tensor, tau: Tensor, backend: BackendName | None = None) -> Tensor:
+    """Torque [..., n] that moves the bodies and rotors, of the motors' torques tau; arguments as in `friction`."""
+    return _evaluated("load", of, {"q": q, "qd": qd, "tau": tau}, backend)["load"]
 
 
 def columns(
@@ -70,13 +127,13 @@ def columns(
     """
     zeros: dict[str, Any] = dict.fromkeys(effect.LINEAR, 0.0)
     known = replace(effect, **zeros).resolved(robot)
-    units = tuple([replace(known, **{name: (1.0,) * robot.n}) for name in effect.LINEAR])
+    units = parts([replace(known, **{name: (1.0,) * robot.n}) for name in effect.LINEAR], robot.n)
     given = {"q": q, "qd": qd, "load": load, TEMPERATURE: temperature if known.inputs(robot.n) else None}
     if known.memory(robot.n):
         if time is None:
             raise ArgumentError(f"time must be given for {type(effect).__name__}, which remembers where it has been")
         given["memory"] = _followed(known, q, time, backend)
-    rows = _evaluated("torques", units, given, backend)
+    rows = _evaluated("columns", units, given, backend)
     return dict(zip(effect.LINEAR, rows.values(), strict=True))
 
 
@@ -92,8 +149,10 @@ def _followed(effect: Friction, q: Tensor, time: Tensor, backend: BackendName | 
         raise ArgumentError("time must increase from row to row of one motion")
     qd = q.diff(dim=0) / h
     given = {"q": q[:-1], "qd": qd, "h": h, "memory": q.new_zeros(len(h), effect.memory(q.shape[-1]))}
-    (bent,) = _evaluated("rates", (effect,), given, backend).values()
-    (slope,) = _evaluated("rates", (effect,), {**given, "memory": given["memory"] + 1.0}, backend).values()
+    (bent,) = _evaluated("rates", parts([effect], q.shape[-1]), given, backend).values()
+    (slope,) = _evaluated(
+        "rates", parts([effect], q.shape[-1]), {**given, "memory": given["memory"] + 1.0}, backend
+    ).values()
     memory = [given["memory"].new_zeros(given["memory"].shape[-1])]
     for kept, added in zip((1.0 + h * (slope - bent)).unbind(), (h * bent).unbind(), strict=True):
         memory.append(kept * memory[-1] + added)
@@ -104,34 +163,28 @@ def _followed(effect: Friction, q: Tensor, time: Tensor, backend: BackendName | 
 
 
 def _evaluated(
-    what: Literal["torques", "rates"],
-    effects: Sequence[Friction],
-    given: Mapping[str, Tensor | None],
-    backend: BackendName | None,
+    what: What, of: Parts, given: Mapping[str, Tensor | None], backend: BackendName | None
 ) -> dict[str, Tensor]:
-    """Torques, or rates of the memory, of each of some effects, by position."""
-    own = {f"{k}.{name}": x for k, effect in enumerate(effects) for name, x in effect.tensors().items()}
-    n = next(x.shape[-1] for x in given.values() if x is not None)
-    return evaluate(_Along(what, tuple([effect.template() for effect in effects]), n), {**given, **own}, backend)
+    """Results of a program by name; those that are of one effect each have its position for a name."""
+    return evaluate(_Along(what, of.templates), {**given, **of.tensors}, backend)
 
 
 class _AlongFields(NamedTuple):
     """Fields of `_Along`."""
 
-    what: Literal["torques", "rates"]
-    effects: tuple[Friction, ...]
-    n: int
+    what: What
+    of: Templates
 
 
 class _Along(_AlongFields, Computation):
-    """Torques of each of some effects along a motion, or rates of their memory, as a computation of `torchdq.call`."""
+    """Torques of effects along a motion, or the rates of their memory, as a computation of `torchdq.call`."""
 
     def axes(self, name: str) -> tuple[int, ...]:
         """Trailing axes of an input or a parameter."""
         owner, dot, parameter = name.partition(".")
         if dot:
-            return trailing(self.effects[int(owner)].SHAPES[parameter], {"n": self.n})
-        return {"h": (1,), "memory": (self.effects[0].memory(self.n),)}.get(name, (self.n,))
+            return trailing(self.of.effects[int(owner)].SHAPES[parameter], {"n": self.of.n})
+        return {"h": (1,), "memory": (self.of.effects[0].memory(self.of.n),)}.get(name, (self.of.n,))
 
     def shared(self, name: str) -> bool:
         """True for a parameter."""
@@ -143,13 +196,13 @@ class _Along(_AlongFields, Computation):
 
     def check(self, tensors: Mapping[str, Any]) -> None:
         """Raise unless the inputs of the effects are there."""
-        for effect in self.effects:
-            for name in effect.needs(self.n) if self.what == "torques" else ():
+        for effect in self.of.effects:
+            for name in effect.needs(self.of.n) if self.what == "columns" else ():
                 if name not in tensors:
-                    raise ArgumentError(f"{name} must be given, shape [..., {self.n}], for {type(effect).__name__}")
+                    raise ArgumentError(f"{name} must be given, shape [..., {self.of.n}], for {type(effect).__name__}")
 
     def program(self, arguments: tuple[Argument, ...]) -> Program:
-        """Program of the torques or the rates, recorded once."""
+        """Program, recorded once."""
         return _program(self, arguments)
 
 
@@ -157,14 +210,19 @@ class _Along(_AlongFields, Computation):
 def _program(what: _Along, arguments: tuple[Argument, ...]) -> Program:
     def algorithm(*rows: Row) -> dict[str, Row]:
         given = {a.name: row for a, row in zip(arguments, rows, strict=True)}
-        q, qd, memory, result = given["q"], given["qd"], given.get("memory", ()), {}
-        for k, template in enumerate(what.effects):
+        q, qd, load, memory = given["q"], given["qd"], given.get("load"), given.get("memory", ())
+        effects = []
+        for k, template in enumerate(what.of.effects):
             own = {name.partition(".")[2]: row for name, row in given.items() if name.startswith(f"{k}.")}
-            effect = template.bound(own)
-            if what.what == "torques":
-                result[str(k)] = torques(effect, q, qd, given.get("load"), given, memory)
-            else:
-                result[str(k)] = effect.memory_rates(q, qd, given, memory, qd, given["h"][0])
-        return result
+            effects.append(template.bound(own))
+        match what.what:
+            case "columns":
+                return {str(k): torques([effect], q, qd, load, given, memory) for k, effect in enumerate(effects)}
+            case "rates":
+                h = given["h"][0]
+                return {str(k): effect.memory_rates(q, qd, given, memory, qd, h) for k, effect in enumerate(effects)}
+            case "friction":
+                return {"tau": torques(effects, q, qd, load, {})}
+        return {"load": loads(effects, q, qd, given["tau"])}
 
     return record(f"friction_{what.what}", arguments, algorithm)

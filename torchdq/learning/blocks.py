@@ -3,6 +3,10 @@
 A block is a whole motion, or a contiguous part of one where there are fewer than three: rows of one moment resemble
 each other, so that rows left out at random would measure nothing. A filter mixes neighbours, so the rows beside a part
 that is left out are left out of the fit, too.
+
+A motion that repeats itself shows the same states in all its parts, and a model that is right in these alone would pass
+for a good one. So where there are fewer than three motions, regions of the states are left out, too: slow and fast
+rows, and those on either side along the direction in which the positions vary most.
 """
 
 from __future__ import annotations
@@ -49,6 +53,11 @@ class Recording(NamedTuple):
         """Rows of the signals that there are, by name."""
         names = ("q", "qd", "qdd", "tau", "direction")
         return {name: x for name in names if (x := getattr(self, name)) is not None}
+
+    def some(self, rows: Tensor) -> Recording:
+        """Rows with these numbers, as one motion, without times."""
+        tau = None if self.tau is None else self.tau[rows]
+        return Recording(self.q[rows], self.qd[rows], self.qdd[rows], (len(rows),), tau)
 
     def starts(self) -> Tensor:
         """Rows at which motions begin [motions]."""
@@ -111,6 +120,18 @@ def blocks(recording: Recording) -> list[Block]:
     else:
         whole = [block for motion in motions for block in _parts(recording, motion, -(-PARTS // len(motions)))]
     return whole if min(_length(block.rows) for block in whole) >= LEAST else []
+
+
+def regions(recording: Recording) -> list[tuple[Tensor, Tensor]]:
+    """Pairs of regions of the states, each the rows of one and of the other; none for three motions and more."""
+    if len(recording.lengths) >= 3:
+        return []
+    still = torch.finfo(torch.float64).tiny
+    speed = (recording.qd / recording.qd.std(0).clamp_min(still)).norm(dim=1)
+    middle = recording.q - recording.q.mean(0)
+    spread = torch.linalg.eigh(middle.T @ middle).eigenvectors[:, -1]
+    half = len(speed) // 2
+    return [(order[:half], order[half:]) for order in (speed.argsort(), (middle @ spread).argsort())]
 
 
 def _parts(recording: Recording, motion: slice, count: int) -> list[Block]:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.learning.blocks import Block, Recording
+from torchdq.learning.blocks import Block, Recording, regions
 from torchdq.learning.correlation import correlation_times
 from torchdq.learning.feasible import Neighbourhood
 from torchdq.learning.regression import gram, places, squared, torques
@@ -27,9 +27,9 @@ class Evidence(NamedTuple):
     terms: tuple[Term, ...]
     own: Tensor  # [rows, n, terms] torques per unit of the terms
     total: Tensor  # [n, p + 1, p + 1] of all rows
-    left: Tensor  # [blocks, n, p + 1, p + 1] of the rows of each block
+    left: Tensor  # [blocks, n, p + 1, p + 1] of the rows of each block, and region
     folds: Tensor  # [blocks, n, p + 1, p + 1] of all rows but those, and but those beside
-    sizes: Tensor  # [blocks, n] squares of a block's torques about their mean, of its motion's variance
+    sizes: Tensor  # [blocks, n] squares of its torques about their mean, of its motion's variance
     squares: Tensor  # [n] mean squares of the torques
     unit: Tensor  # [terms, n] root mean squares of `own`
     at: Tensor  # [n, p] places of the parameters of each joint
@@ -79,7 +79,7 @@ def gather(
         blocks: blocks to leave out; none: nothing is left out.
         say: is told how far it is.
     """
-    own = unit_torques(terms, rows_of(recording, width, load))
+    own = unit_torques(terms, rows_of(robot, recording, width, load))
     at = places(len(robot.link_names), len(terms), robot.n)
     rows = [block.rows for block in blocks] or [slice(0, len(own))]
     beside = [part for block in blocks for part in block.beside]
@@ -90,14 +90,17 @@ def gather(
         folds[k] -= sums[first : first + len(block.beside)].sum(0)
         first += len(block.beside)
     tau = recording.measured.cpu()
-    variance = (
-        torch.stack([tau[block.motion].var(0, correction=0) for block in blocks])
-        if blocks
-        else tau.var(0, correction=0)[None]
-    )
+    motions = [block.motion for block in blocks] or rows
+    variance = torch.stack([tau[motion].var(0, correction=0) for motion in motions])
     variance = variance.maximum(STILL * variance.amax(0))
-    counts = torch.tensor([part.stop - part.start for part in rows], dtype=torch.float64)
-    sizes = counts[:, None] * torch.where(variance > 0, variance, 1.0)
+    counts = [part.stop - part.start for part in rows]
+    for pair in regions(recording) if blocks else ():
+        some, whole = recording.some(pair[0]), slice(0, len(pair[0]))
+        half = gram(robot, some, own[pair[0]], _bodies(robot, at.shape[1]), ROTOR not in terms, [whole], say)
+        left, folds = torch.cat([left, half, total - half]), torch.cat([folds, total - half, half])
+        variance = torch.cat([variance, tau.var(0, correction=0).expand(2, -1)])
+        counts += [len(part) for part in pair]
+    sizes = torch.tensor(counts)[:, None] * torch.where(variance > 0, variance, 1.0)
     squares, unit = tau.square().mean(0), own.square().mean(0).sqrt().T.cpu()
     return Evidence(robot, recording, tuple(terms), own, total, left, folds, sizes, squares, unit, at)
 

@@ -130,14 +130,11 @@ def identify(
             evidence = gather(robot, rows, fixed, width, None, (), notice.at)
             sought = torch.ones(len(fixed), robot.n, dtype=torch.bool)
         evidence, found, correlation = _fitted(evidence, sought, strength, weight, width, notice.at)
-        told = found
-        if ladder is not None and strength < math.inf and (likely := found.likely(weight)) < strength:
-            told = _fitted(evidence, sought, likely, weight, width, notice.at)[1]
         if not found.settled:
             warnings.warn(f"the least squares have not settled after {ITERATIONS} iterations", stacklevel=2)
         if (late := _late(evidence, found, width)) and not doubt:
             warnings.warn(late, LogWarning, stacklevel=2)
-        return _identified(evidence, found, told, correlation, weight, width, moves, ladder)
+        return _identified(evidence, found, correlation, weight, width, moves, ladder)
 
 
 def _fitted(
@@ -163,17 +160,16 @@ def _fitted(
 def _identified(
     evidence: Evidence,
     found: Solution,
-    told: Solution,
     correlation: Tensor,
     prior: float,
     width: float,
     moves: Tensor,
     ladder: Ladder | None,
 ) -> Identified:
-    robot, terms, near, facts = evidence.robot, evidence.terms, told.near, told.facts
-    spread = told.spread(prior)
+    robot, terms, near, facts = evidence.robot, evidence.terms, found.near, found.facts
+    spread = found.spread(prior)
     names = [f"{link} {name}" for link in robot.link_names for name in INERTIAL]
-    excited = _excited(spread, near.S.norm(dim=1) / math.sqrt(prior), moves, terms)
+    excited = _excited(spread, near.S.norm(dim=1) * math.sqrt(found.doubt(prior) / prior), moves, terms)
     if ladder is not None:
         ladder = ladder._replace(untold=_untold(robot, excited))
     return Identified(

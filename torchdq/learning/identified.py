@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchdq import effects
+from torchdq.effects.effect import Effect
+from torchdq.effects.friction import Friction
 from torchdq.errors import ArgumentError
 from torchdq.learning.blocks import Recording, of_motions, of_tensors
 from torchdq.learning.ladder import Ladder
 from torchdq.learning.motions import Motion
 from torchdq.learning.regression import chunks, columns, places, rigid
 from torchdq.learning.terms import COULOMB, OFFSET, ROTOR, VISCOUS, Term, rows_of, unit_torques
+from torchdq.nn import DQRNEA
 from torchdq.robot import Robot
 from torchdq.tables import summary, table
 
@@ -118,6 +123,57 @@ class Identified(NamedTuple):
         """Standard errors of the base parameters [rank]."""
         return (self.base @ self.spread).norm(dim=1)
 
+    def friction(self) -> tuple[Friction, ...]:
+        """Friction effects with the numbers found, the same for layers and scenes."""
+        rows = [(term, self.coefficients(term.name)) for term in self.terms if term.effect is not None]
+        return tuple(term.found(x.tolist(), self.width) for term, x in rows if x is not None)
+
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects of a scene with the robot found: gravity, rotor inertia if there is any, and friction.
+
+        A constant torque is not among them: `offset` is added to the torques of the scene.
+
+        >>> import torch, torchdq, torchdq.envs
+        >>> from torchdq.learning import identify
+        >>> robot, (q, qd, qdd) = torchdq.robots.load("two_link"), torch.randn(3, 100, 2, dtype=torch.float64)
+        >>> found = identify(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.5 * qd)
+        >>> torchdq.envs.Scene(found.robot, found.effects()).robot.name
+        'two_link'
+        """
+        rotors = () if self.robot.armature is None else (effects.RotorInertia(),)
+        return (effects.Gravity(), *rotors, *self.friction())
+
+    def layer(self, learn: Sequence[str] = ()) -> DQRNEA:
+        """Torques as a module: the robot found, with its friction, the width of it, and the offset.
+
+        Friction that remembers is that of steady sliding there, since a layer does not know what was before.
+
+        Args:
+            learn: quantities that the layer goes on learning, as in `torchdq.DQRNEA`.
+        """
+        steady = [
+            effects.Coulomb(one.level, self.width) if isinstance(one, effects.LuGre) else one for one in self.friction()
+        ]
+        names = [*learn, "offset"] if self.offset is not None else list(learn)
+        layer = DQRNEA(self.robot, tuple(dict.fromkeys(names)), friction_width=self.width, friction=steady)
+        if self.offset is not None:
+            layer.offset = self.offset
+        return layer
+
+    def to_urdf(self, original: Any) -> str:
+        """URDF text of the robot found: the original with other numbers, as `Robot.to_urdf`.
+
+        A `UserWarning` names what has no place in a URDF file: rotor inertia, offsets, friction of other shapes than
+        viscous and Coulomb friction.
+
+        Args:
+            original: the file that the robot was read from, as in `Robot.from_urdf`.
+        """
+        lost = [term.name for term in self.terms if term not in (VISCOUS, COULOMB)]
+        if lost:
+            warnings.warn(f"a URDF file has no place for {', '.join(lost)}, which are left out", stacklevel=2)
+        return self.robot.replace(armature=None).to_urdf(original)
+
     def __repr__(self) -> str:
         return f"Identified({self.robot.name}: {len(self.names)} parameters, {self.rank} combinations of them told)"
 
@@ -162,7 +218,7 @@ class Identified(NamedTuple):
             load = None
             if any(term.loaded for term in self.terms):
                 load = rigid(self.robot, recording, pi, self.robot.armature)
-            own = unit_torques(self.terms, rows_of(recording, self.width, load))
+            own = unit_torques(self.terms, rows_of(self.robot, recording, self.width, load))
             for part in chunks(slice(0, len(tau)), n * spread.shape[1] + spread.numel()):
                 q, qd, qdd = recording.q[part], recording.qd[part], recording.qdd[part]
                 Z = columns(self.robot, q, qd, qdd, own[part])

@@ -130,7 +130,7 @@ def climb(
 
     load = rigid(robot, recording, described(robot), robot.armature) if loaded else None
     evidence = gather(robot, recording, terms, width, load, blocks, say)
-    rungs = [Rung("description", evidence.scores([none] * len(blocks)), torch.zeros_like(sought), math.inf)]
+    rungs = [Rung("description", evidence.scores([none] * len(evidence.left)), torch.zeros_like(sought), math.inf)]
 
     def add(name: str, evidence: Evidence, strengths: Sequence[float], mask: Tensor, gains: Sequence[Gain]) -> None:
         say(name)
@@ -162,8 +162,9 @@ def climb(
     chosen = _simplest([rung.scores for rung in rungs])
     used = rungs[chosen].sought.any(1)
     useless = [terms[k].name for k in others if not any(bool(rung.sought[k].any()) for rung in rungs)]
-    whole = all(not block.beside for block in blocks)
-    parts = f"{len(blocks)} {'motions' if whole else 'parts of motions'} that were left out in turn"
+    regions = len(evidence.left) - len(blocks)
+    what = f"parts of motions and {regions} regions of the states" if regions else "motions"
+    parts = f"{len(blocks)} {what} that were left out in turn"
     ladder = Ladder(tuple(rungs), chosen, parts, tuple(useless))
     return ladder, _only(identified if math.isfinite(rungs[chosen].strength) else evidence, used)
 
@@ -171,7 +172,7 @@ def climb(
 def _rung(
     name: str, evidence: Evidence, strengths: Sequence[float], sought: Tensor, variance: Tensor, gains: Sequence[Gain]
 ) -> Rung:
-    """Rung with the strength of the prior that does best on the blocks."""
+    """Rung with the strength of the prior that does best on the blocks, or a stronger one as good."""
     scores: list[Tensor] = []
     starts: list[Tensor | None] = [None] * len(evidence.folds)
     before = 1.0
@@ -186,7 +187,7 @@ def _rung(
             found.append(change)
         before = strength
         scores.append(evidence.scores(found))
-    best = min(range(len(scores)), key=lambda i: float(scores[i].mean()))
+    best = _simplest(scores)
     return Rung(name, scores[best], sought, strengths[best], tuple(gains))
 
 

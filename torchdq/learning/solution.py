@@ -16,6 +16,7 @@ from torchdq.learning.feasible import Neighbourhood
 from torchdq.learning.regression import Information, information, known, shifted, squared
 
 ITERATIONS = 200  # most Newton steps of a minimum
+EXACT, ROUGH = 1e-12, 1e-6  # part of the prior's weight by which a minimum may be missed; a score needs less
 ROUNDS = 10  # most times that the joints are weighted anew
 
 
@@ -37,18 +38,22 @@ class Solution(NamedTuple):
         """Parameters less the described bodies, at places in phi [n, p]."""
         return self.near.start_of(at) + (self.near.S @ self.y)[at]
 
-    def likely(self, prior: float) -> float:
-        """Strength of the prior of the bodies that the changes found in them leave likely, at most the one used.
+    def doubt(self, prior: float) -> float:
+        """Times that the prior is stronger than the changes found in the bodies leave likely, at least one.
 
-        A strength is an expectation of changes of the size 1 / sqrt(strength); errors must not be narrower than those.
+        A strength is an expectation of changes of the size 1 / sqrt(strength).
         """
         told = float((self.facts.e / (self.facts.e + prior)).sum()) - len(self.near.effects)
-        apart = self.near.apart(self.y)
-        return min(self.near.strength, max(told, 1.0) / (prior * apart)) if apart > 0 else self.near.strength
+        return max(1.0, prior * self.near.strength * self.near.apart(self.y) / max(told, 1.0))
 
     def spread(self, prior: float) -> Tensor:
-        """F [k, t], the covariance being F F^T, of the least squares with the prior, linearised at the description."""
-        return self.near.S @ self.facts.V * (self.facts.e + prior).rsqrt()
+        """F [k, t], the covariance of the errors being F F^T, linearised at the description.
+
+        It is that of the noise, and of what the prior hides where it is stronger than likely: with e the information
+        in a combination of parameters, (e + doubt prior) / (e + prior)^2.
+        """
+        e = self.facts.e
+        return self.near.S @ self.facts.V * ((e + self.doubt(prior) * prior).sqrt() / (e + prior))
 
 
 def solve(
@@ -94,11 +99,13 @@ def changes(
 ) -> tuple[Tensor, Tensor]:
     """Minimum y [t] where the variance of the joints [n] is known, and the parameters [n, p] there less the zero."""
     zero = near.start_of(at)
-    y, _ = minimum(near, known(shifted(sums, zero), near.S[at], variance), 1.0, start)
+    y, _ = minimum(near, known(shifted(sums, zero), near.S[at], variance), 1.0, start, ROUGH)
     return y, zero + near.S[at] @ y
 
 
-def minimum(near: Neighbourhood, facts: Information, prior: float, start: Tensor | None = None) -> tuple[Tensor, bool]:
+def minimum(
+    near: Neighbourhood, facts: Information, prior: float, start: Tensor | None = None, tolerance: float = EXACT
+) -> tuple[Tensor, bool]:
     """Minimum y [t] of the sum of e (w - w_0)^2 and prior * distance, with y = V w, and whether it was reached.
 
     Newton's method from the description, the weight of the distance falling tenfold at a time; or from a y near by.
@@ -120,7 +127,7 @@ def minimum(near: Neighbourhood, facts: Information, prior: float, start: Tensor
         factor = torch.linalg.cholesky(scale[:, None] * H * scale)
         step = -scale * torch.cholesky_solve((scale * gradient)[:, None], factor)[:, 0]
         before, expected = cost(w), float(-gradient @ step)
-        settled = expected <= (0.1 if weight > prior else 1e-12) * weight + 1e-14 * before
+        settled = expected <= (0.1 if weight > prior else tolerance) * weight + 1e-14 * before
         length = 1.0
         while not settled and cost(w + length * step) > before - 1e-4 * length * expected:
             length /= 2

@@ -1,94 +1,99 @@
 """Terms of a joint's torque that are linear in one number per joint: rotor inertia, friction, offset.
 
-Each states its torque per unit, which is a column of the least squares of `regression`.
+Each states its torque per unit, which is a column of the least squares of `regression`. Friction is that of the effects
+in `torchdq.effects`, with one of its linear parameters one and the others zero.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchdq import effects
 from torchdq.dynamics.friction import smooth_sign
+from torchdq.effects.friction import Friction
+from torchdq.effects.resistance import columns
 from torchdq.learning.blocks import Recording
+from torchdq.robot import Robot
 
 FORCE = ("N m", "N")  # units of joints that turn, and that slide
+STILL = 1e-9  # least speed by which the sign of friction is divided [rad/s or m/s]
 
 
 class Rows(NamedTuple):
-    """What torques per unit depend on, [rows, n] each."""
+    """Quantities that torques per unit depend on, [rows, n] each."""
 
+    robot: Robot
     q: Tensor
     qd: Tensor
     qdd: Tensor
     sign: Tensor  # of the velocity, smooth
     load: Tensor | None  # torque of the bodies and the rotor; None: unknown
     starts: Tensor  # rows at which motions begin
+    width: float  # velocity below which dry friction is viscous
 
 
 class Term(NamedTuple):
     """Torque of every joint in proportion to one number."""
 
     name: str
-    unit: Callable[[Rows], Tensor]  # torque per unit [rows, n]
-    units: tuple[str, str]  # units of the number at a joint that turns, and at one that slides
-    described: str = ""  # attribute of the robot that holds it
-    signed: bool = False  # whether it may be negative
+    units: tuple[str, str]  # of the number at a joint that turns, and at one that slides
+    effect: Callable[[float], Friction] | None = None  # friction that dry friction of a width makes; None: no friction
+    parameter: str = ""  # linear parameter of the friction that the number is
+    described: str = ""  # attribute of the robot that holds the number
+    signed: bool = False  # whether the number may be negative
+    dry: bool = False  # whether the torque has the sign of the velocity, sharp but for the width
     loaded: bool = False  # whether the torque per unit depends on the load
-    effect: Callable[..., object] | None = None
+
+    def unit(self, rows: Rows) -> Tensor:
+        """Torque per unit [rows, n]."""
+        if self.effect is None:
+            return rows.qdd if self.name == "rotor" else torch.ones_like(rows.qd)
+        effect = self.effect(rows.width)
+        if isinstance(effect, effects.LuGre):
+            return deflection(rows.q, rows.starts, effect.deflection)
+        qd = rows.qd.where(rows.qd.abs() > STILL, STILL) if self.dry else rows.qd
+        load = rows.load if self.loaded else None
+        torque = columns(rows.robot, effect, rows.q, qd, load, backend="eager")[self.parameter]
+        return torque / smooth_sign(qd, rows.width) * rows.sign if self.dry else torque
+
+    def found(self, numbers: Sequence[float], width: float) -> Friction:
+        """Friction with the numbers of the joints."""
+        assert self.effect is not None
+        effect = self.effect(width)
+        others = {name: 0.0 for name in effect.LINEAR if name != self.parameter}
+        return replace(effect, **others, **{self.parameter: tuple(numbers)})
 
 
-ROTOR = Term("rotor", lambda x: x.qdd, ("kg m^2", "kg"), "armature")
-VISCOUS = Term("viscous", lambda x: x.qd, ("N m s/rad", "N s/m"), "damping")
-COULOMB = Term("coulomb", lambda x: x.sign, FORCE, "friction")
-OFFSET = Term("offset", lambda x: torch.ones_like(x.qd), FORCE, signed=True)
-
-
-def rows_of(recording: Recording, width: float, load: Tensor | None = None) -> Rows:
+def rows_of(robot: Robot, recording: Recording, width: float, load: Tensor | None = None) -> Rows:
     """Rows of a recording; the sign is that of qd / sqrt(qd^2 + width^2), unless it was filtered."""
     sign = smooth_sign(recording.qd, width) if recording.direction is None else recording.direction
-    return Rows(recording.q, recording.qd, recording.qdd, sign, load, recording.starts())
+    return Rows(robot, recording.q, recording.qd, recording.qdd, sign, load, recording.starts(), width)
 
 
 def unit_torques(terms: Sequence[Term], rows: Rows) -> Tensor:
     """Torques per unit of every term [rows, n, terms]."""
     if not terms:
         return rows.q.new_zeros(*rows.q.shape, 0)
-    return torch.stack([term.unit(rows) for term in terms], -1)
+    return torch.stack([term.unit(rows).expand_as(rows.q) for term in terms], -1)
 
 
-# --- friction of other shapes ----------------------------------------------------------------------------------------
+def deflection(q: Tensor, starts: Tensor, distance: float) -> Tensor:
+    """Deflection of the bristles of `effects.LuGre` in units of that at which they slide, from zero [rows, n].
 
-
-def _load(x: Rows) -> Tensor:
-    assert x.load is not None
-    return x.load.abs() * x.sign
-
-
-def _stribeck(velocity: float) -> Term:
-    def unit(x: Rows) -> Tensor:
-        return x.sign / (1 + (x.qd / velocity) ** 2)
-
-    return Term(f"stribeck {velocity:g}", unit, FORCE)
-
-
-def _saturating(width: float) -> Term:
-    def unit(x: Rows) -> Tensor:
-        return smooth_sign(x.qd, width)
-
-    return Term(f"saturating {width:g}", unit, FORCE)
-
-
-def presliding(q: Tensor, starts: Tensor, distance: float) -> Tensor:
-    """Direction of friction that turns over a distance: ds/dq = (sign(dq) - s) / distance, from s = 0 [rows, n]."""
+    Where positions run evenly from row to row, dz/dq = (sign(dq) - z) / distance has a closed form, however long the
+    steps are.
+    """
     step = torch.diff(q, dim=0, prepend=q[:1])
     step[starts] = 0
     keep = torch.exp(-step.abs() / distance)
     keep[starts] = 0
     found = step.sign() * (1 - keep)
-    found[starts] = 0
     shift = 1
     while shift < len(q):  # a linear recurrence, by doubling
         before = torch.cat([found.new_zeros(shift, found.shape[1]), found[:-shift]])
@@ -98,14 +103,39 @@ def presliding(q: Tensor, starts: Tensor, distance: float) -> Tensor:
     return found
 
 
-def _presliding(distance: float) -> Term:
-    return Term(f"presliding {distance:g}", lambda x: presliding(x.q, x.starts, distance), FORCE)
+def _dry(name: str, effect: Callable[[float], Friction], parameter: str) -> Term:
+    return Term(name, FORCE, effect, parameter, dry=True)
 
 
-SHAPES = (
-    Term("load", _load, ("1", "1"), loaded=True),
+def _stribeck(velocity: float) -> Term:
+    return _dry(f"stribeck {velocity:g}", lambda w: effects.Stribeck(velocity=velocity, width=w), "static")
+
+
+def _saturating(width: float) -> Term:
+    return Term(f"saturating {width:g}", FORCE, lambda _: effects.Coulomb(width=width), "level")
+
+
+def _bristles(distance: float) -> Term:
+    return Term(f"lugre {distance:g}", FORCE, lambda _: effects.LuGre(deflection=distance), "level")
+
+
+def _ripple(parameter: str) -> Term:
+    return Term(f"ripple {parameter}", FORCE, lambda _: effects.Ripple(2 * math.pi), parameter, signed=True)
+
+
+ROTOR = Term("rotor", ("kg m^2", "kg"), described="armature")
+VISCOUS = Term("viscous", ("N m s/rad", "N s/m"), lambda _: effects.Viscous(), "coefficient", "damping")
+COULOMB = Term("coulomb", FORCE, lambda w: effects.Coulomb(width=w), "level", "friction", dry=True)
+OFFSET = Term("offset", FORCE, signed=True)
+
+SHAPES = (  # friction of other shapes
+    Term("load", ("1", "1"), lambda w: effects.LoadDependent(width=w), "coefficient", dry=True, loaded=True),
     *(_stribeck(v) for v in (0.03, 0.1, 0.3, 1.0)),
     *(_saturating(v) for v in (0.03, 0.1, 0.3, 1.0)),
-    Term("quadratic", lambda x: x.qd * x.qd.abs(), ("N m s^2/rad^2", "N s^2/m^2")),
-    *(_presliding(x) for x in (5e-4, 2e-3, 1e-2)),
+    Term("quadratic", ("N m s^2/rad^2", "N s^2/m^2"), lambda _: effects.Quadratic(), "coefficient"),
+    _dry("forward", lambda w: effects.Directional(width=w), "forward"),
+    _dry("backward", lambda w: effects.Directional(width=w), "backward"),
+    *(_bristles(x) for x in (5e-4, 2e-3, 1e-2)),
+    _ripple("sine"),
+    _ripple("cosine"),
 )

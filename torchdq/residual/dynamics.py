@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from torchdq.checks import require_choice, require_count
 from torchdq.dynamics.friction import smooth_sign
-from torchdq.effects import Coulomb, Effect, Gravity, Residual, RotorInertia, Viscous
+from torchdq.effects import Effect, Gravity, Residual, RotorInertia
 from torchdq.errors import ArgumentError
 from torchdq.functional import mass_matrix
 from torchdq.nn import DQRNEA
@@ -181,7 +181,8 @@ class ResidualDynamics(nn.Module):
         Without gradients, and for little: the model itself is computed once. See `torchdq.effects.Residual`.
         """
         tau = self.model(q, qd, qdd)
-        M = mass_matrix(self.robot, q, self.model.backend)  # the model's torque is linear in qdd
+        # the model's torque is linear in qdd, but for friction that depends on the load, whose share is small
+        M = mass_matrix(self.robot, q, self.model.backend)
         directions = torch.stack(torch.broadcast_tensors(W, M @ W), -2)
         features, inner = self._columns(q, qd, qdd, tau), perceptrons(self.network)
         return Learned(self, features, directions) if inner is None else Prepared(self, features, directions, inner)
@@ -189,7 +190,7 @@ class ResidualDynamics(nn.Module):
     def effects(self) -> tuple[Effect, ...]:
         """Effects that simulate all that was learned, with `robot`: `Scene(model.robot, model.effects())`.
 
-        Gravity and rotor inertia if the robot has them, friction if it is learned, and `torchdq.effects.Residual`.
+        Gravity and rotor inertia if the robot has them, the friction of its model, and `torchdq.effects.Residual`.
         Learned masses, friction and so on are as they are now: after an update of the parameters, make the scene anew.
         The network itself is always the present one.
 
@@ -201,9 +202,7 @@ class ResidualDynamics(nn.Module):
         robot, inner = self.robot, self.model
         found: list[Effect] = [] if robot.gravity is None else [Gravity()]
         found += [] if robot.armature is None else [RotorInertia()]
-        if "friction" in inner.learn:
-            found += [Viscous(inner.viscous), Coulomb(inner.coulomb, inner.friction_width)]
-        return (*found, Residual(self))
+        return (*found, *inner.friction, Residual(self))
 
     def _parts(self, q: Tensor, qd: Tensor, qdd: Tensor | None, *wrenches: Tensor | None) -> tuple[Tensor, Tensor]:
         """Torques of the model, and those of the network."""
