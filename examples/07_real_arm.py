@@ -54,7 +54,7 @@ class Args(OnDevice):
     """Logs to test on; none: the last part of every log in `train`."""
     split: float = 0.6
     """Part of every log that is learned from if there are no test logs."""
-    steps: int = 1500
+    steps: int = 2500
     """Steps of every training."""
     seeds: int = 3
     """Trainings of every network; the table has their mean."""

@@ -3422,6 +3422,54 @@ MUTANTS = (
         ),
     ),
     *within(
+        "torchdq/residual/smooth.py",
+        (
+            "a limit whose slope jumps at its end",
+            "2.5 * ROOM + ROOM * t * (t - 3)",
+            "2.0 * ROOM + ROOM * t * (t - 2.5)",
+            "residual_domain.py::test_slopes_are_those_of_finite_differences_and_have_no_jump",
+        ),
+    ),
+    *within(
+        "torchdq/residual/dynamics.py",
+        (
+            "a residual that acts outside of the trained states",
+            "return self.domain(self.of_state(x)) * (1",
+            "return (1",
+            "residual_domain.py::test_a_joint_that_is_far_away_leaves_the_others_their_residual",
+        ),
+        (
+            "a gate that falls faster with the torque than the torque rises",
+            "SLOWLY = 4.0",
+            "SLOWLY = 1.0",
+            "residual_domain.py::test_the_whole_torque_rises_with_the_models_where_the_gate_falls",
+        ),
+        (
+            "a residual without a bound",
+            "return limited(self.raw(self.within_range(x), network), self.largest.to(x))",
+            "return self.raw(self.within_range(x), network)",
+            "residual_domain.py::test_no_weights_take_a_residual_beyond_its_bound",
+        ),
+    ),
+    *within(
+        "torchdq/residual/posterior.py",
+        (
+            "errors that do not grow outside of the trained states",
+            "of_weights + outside",
+            "of_weights + 0 * outside",
+            "residual_fit.py::test_intervals_widen_away_from_what_was_trained",
+        ),
+    ),
+    *within(
+        "torchdq/learning/left_out.py",
+        (
+            "a residual that is kept where it helps no more than by chance",
+            "weight = weight if gain > error else torch.zeros_like(weight)",
+            "weight = weight.clamp_min(0.2)",
+            "residual_fit.py::test_a_residual_that_finds_nothing_is_silent",
+        ),
+    ),
+    *within(
         "torchdq/residual/line.py",
         (
             "derivative of the perceptrons by the wrong features",

@@ -276,10 +276,8 @@ def test_the_closed_form_is_what_forward_mode_finds_of_any_network(inputs, learn
         W = random(30, 2, 2, seed=1)
         tau = model.model(q, qd, qdd)
         directions = torch.stack((W, torchdq.mass_matrix(model.robot, q) @ W), -2)
-        general, closed = (
-            line(model, model._columns(q, qd, qdd, tau), directions)
-            for line in (Learned, type(model.line(q, qd, qdd, W)))
-        )
+        closed, features = model.line(q, qd, qdd, W), model._columns(q, qd, qdd, tau)
+        general = Learned(model, features, directions)
         assert type(closed) is Prepared
         moved = qdd - (W @ r[..., None])[..., 0]
         expected = model.unmodelled(q, qd, moved)

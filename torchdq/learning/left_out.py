@@ -121,6 +121,13 @@ def measure(
         model.train(was_training)
 
 
+def beside_fixed_physics(model: ResidualDynamics, train: Samples) -> Callable[[Tensor], Tensor]:
+    """Torques of rows of `train` as a function of the rows, with those of the physical model computed here."""
+    x, residual = _rows(model, train)
+    described = train.tau - residual.to(train.tau)
+    return lambda rows: described[rows] + model.of_scaled(x[rows]).to(described)
+
+
 def tell(worth: Worth) -> None:
     """Warn where the residual does not help, or the rows are too few to say so."""
     if math.isinf(worth.standard_error):

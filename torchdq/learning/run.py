@@ -75,6 +75,8 @@ class Run:
         self.best_error = math.inf
         self.waited = 0
         self.history = History()
+        # torques of rows of `train`, for a model of which a part was computed once and for all; None: as it is called
+        self.known: Callable[[Tensor], Tensor] | None = None
 
     def resume(self, identity: dict[str, Any], last: int) -> None:
         """Load the checkpoint, if there is one, of a run of `last` steps; the same weights in all processes."""
@@ -187,7 +189,8 @@ class Run:
         q, qd, qdd, tau = (x[mine] for x in samples)
         if not len(tau):
             return tau.sum()  # zero
-        predicted = self.model(q, qd, qdd)
+        known = self.known is not None and samples is self.train
+        predicted = self.known(mine) if known else self.model(q, qd, qdd)
         if predicted.shape != tau.shape:
             raise ArgumentError(f"model must return torques {list(tau.shape)}, found {list(predicted.shape)}")
         if torch.is_grad_enabled() and not predicted.requires_grad:

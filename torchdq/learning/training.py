@@ -139,6 +139,8 @@ def fit(
             if ours.leads and (doubt := _doubts(model, train)):
                 warnings.warn(doubt, LogWarning, stacklevel=2)
             run.resume(identity, last)
+            if residual is not None and not any(p.requires_grad for p in residual.model.parameters()):
+                run.known = left_out.beside_fixed_physics(residual, train)
             bar = progress if ours.leads else False
             with Progress(last, run.step, tensorboard if ours.leads else None, bar) as shown:
                 while run.step < last and not run.history.stopped_early:
