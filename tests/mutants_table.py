@@ -1556,6 +1556,12 @@ MUTANTS = (
             "t.append(total if True else",
             f"{PROGRAMS}::test_forward_mode_equals_autograd",
         ),
+        (
+            "second derivatives from the wrong side of the diagonal",
+            "second[min(p)][max(p) - min(p)]",
+            "second[min(p)][min(p) - max(p)]",
+            f"{CASADI}::test_second_derivatives_are_the_limits_of_differences[inverse dynamics]",
+        ),
     ),
     *within(
         "torchdq/backends/c_prelude.py",
@@ -2023,7 +2029,7 @@ MUTANTS = (
     ),
     *within(
         "torchdq/export/c99.py",
-        ("negated outputs with the sign of before", '- {at(index)}" if negative', '+ {at(index)}" if negative', EXPORT),
+        ("negated outputs with the sign of before", '- {self._at(index)}"', '+ {self._at(index)}"', EXPORT),
         (
             "sine and cosine exchanged in odd quadrants",
             "a = (q & 1) ? cr : sr, b = (q & 1) ? sr : cr",
@@ -2055,6 +2061,21 @@ MUTANTS = (
             EXPORT_FLAGS,
         ),
         ("own sine and cosine in wider numbers", "FLT_EVAL_METHOD != 0", "FLT_EVAL_METHOD < 0", EXPORT_FLAGS),
+    ),
+    *within(
+        "torchdq/export/roots.py",
+        (
+            "own roots without the last step",
+            "2 * upper.number * lower) - lower * lower",
+            "2 * upper.number * lower)",
+            "export.py::test_own_roots_are_within_an_ulp_and_correctly_rounded_but_close_to_midpoints",
+        ),
+        (
+            "own roots of subnormal numbers without scaling",
+            "x * (tiny ? (S)0x1p+{scale} :",
+            "x * (tiny ? 1 :",
+            "export.py::test_own_roots_are_within_an_ulp_and_correctly_rounded_but_close_to_midpoints",
+        ),
     ),
     *within(
         "torchdq/export/names.py",
@@ -2094,8 +2115,8 @@ MUTANTS = (
         ),
         (
             "Jacobians of CasADi argument by argument",
-            "derived.results[j * len(values.outputs) + i]",
-            "derived.results[i * len(values.inputs) + j]",
+            "derived.results[read.index(j) * len(function.outputs) + i]",
+            "derived.results[i * len(read) + read.index(j)]",
             f"{CASADI}::test_jacobians_are_the_limits_of_differences",
         ),
         (
@@ -2106,9 +2127,21 @@ MUTANTS = (
         ),
         (
             "a short work array in CasADi",
-            "largest = max(len(r.values)",
-            "largest = min(len(r.values)",
+            "room = max(knots, 1) * (max(len(r.values)",
+            "room = max(knots, 1) * (min(len(r.values)",
             f"{CASADI}::test_missing_arguments_are_zero_and_missing_results_are_left_out",
+        ),
+        (
+            "blocks of Jacobians of CasADi in the rows of the first knot",
+            "* rows + k * self.rows + i for k",
+            "* rows + i for k",
+            f"{CASADI}::test_functions_of_all_knots_are_maps[inverse dynamics]",
+        ),
+        (
+            "a growth of errors in CasADi where results that are not wanted are written",
+            '[f"w + {knots * widest}"]',
+            '["w"]',
+            f"{CASADI}::test_a_failure_is_told_whatever_is_wanted",
         ),
     ),
     *within(
@@ -2127,8 +2160,8 @@ MUTANTS = (
         ),
         (
             "exported batches whose block forgets its rows",
-            "if a.shared and a in taken else",
-            "if a.shared else",
+            "local = {a.name: a.lanes for a in (*several, *given)}",
+            "local = {a.name: a.lanes for a in (*several, *(a for a in given if not a.shared))}",
             f"{EXPORT_BATCH}[gradient in parameters-float64-gcc]",
         ),
     ),
@@ -2163,12 +2196,24 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/dynamics/friction.py",
+        "torchdq/effects/resistance.py",
         (
-            "learned friction that pushes",
-            "viscous * qd + coulomb",
-            "viscous * qd - coulomb",
+            "friction of layers that pushes",
+            "result.append(D * qd[i] + f)",
+            "result.append(f - D * qd[i])",
             "parameters.py::test_friction_is_its_formula",
+        ),
+        (
+            "loads of layers with the friction of all of the torque",
+            "free - g * load_size(free, g, v) * v",
+            "free - g * absolute(free) * v",
+            "friction_effects.py::test_inverse_and_forward_dynamics_of_a_layer_agree",
+        ),
+        (
+            "memory along a log that forgets its bend",
+            "memory.append(kept * memory[-1] + added)",
+            "memory.append(added)",
+            "friction_effects.py::test_bristles_along_a_log_are_those_of_the_simulation",
         ),
     ),
     *within(
@@ -2181,8 +2226,8 @@ MUTANTS = (
         ),
         (
             "programs of layers without offsets",
-            "[f + c for f, c in",
-            "[f for f, c in",
+            "tau + (t + c) for tau",
+            "tau + t for tau",
             "layer_programs.py::test_the_program_of_a_layer_computes_what_the_layer_does[inverse-constants]",
         ),
     ),
@@ -2512,16 +2557,19 @@ MUTANTS = (
             f"{CONTROL}::test_a_model_that_learned_no_friction_is_compensated_as_its_robot",
         ),
         (
+            "described friction on top of the learned one",
+            "rigid is not None and not rigid._friction.effects",
+            "rigid is not None",
+            f"{CONTROL}::test_a_model_that_learned_no_friction_is_compensated_as_its_robot",
+        ),
+    ),
+    *within(
+        "torchdq/robot_module.py",
+        (
             "TorchScript that says nothing",
             "def __prepare_scriptable__(self)",
             "def _prepare_scriptable_(self)",
             f"{PARAMETERS}::test_a_layer_says_what_takes_the_place_of_torchscript",
-        ),
-        (
-            "described friction on top of the learned one",
-            'rigid is not None and "friction" not in rigid.learn',
-            "rigid is not None",
-            f"{CONTROL}::test_a_model_that_learned_no_friction_is_compensated_as_its_robot",
         ),
     ),
     *within(
@@ -2725,7 +2773,46 @@ MUTANTS = (
     ),
     # --- scenes -------------------------------------------------------------------------------------------------------
     *within(
+        "torchdq/effects/presliding.py",
+        (
+            "bristles that bend without end",
+            "sliding = speed / (self.deflection * g)",
+            "sliding = 0.5 * speed / (self.deflection * g)",
+            "friction_effects.py::test_bristles_reach_the_stationary_deflection_at_any_stiffness",
+        ),
+        (
+            "bristles that lose the start of a step",
+            "one.level * (z - (h + T) * b * z)",
+            "one.level * (z - T * b * z)",
+            "friction_effects.py::test_bristles_reach_the_stationary_deflection_at_any_stiffness",
+        ),
+        (
+            "constant damping of bristles",
+            "one.settling / (1.0 + fast * fast)",
+            "one.settling",
+            "friction_effects.py::test_bristles_take_power_but_for_what_they_store",
+        ),
+    ),
+    *within(
         "torchdq/effects/friction.py",
+        (
+            "levels of the other direction",
+            "0.5 * (self.forward - self.backward)",
+            "0.5 * (self.backward - self.forward)",
+            "friction_effects.py::test_the_torque_of_a_joint_is_its_law",
+        ),
+        (
+            "a ripple that is pushed to its peaks",
+            "self.sine * c - self.cosine * s",
+            "self.cosine * s - self.sine * c",
+            "friction_effects.py::test_the_stiffness_of_a_ripple_is_its_slope_where_it_holds",
+        ),
+        (
+            "temperature that counts twice",
+            "factors = [maximum(1.0 + a * T, 0.0)",
+            "factors = [maximum(1.0 + 2.0 * a * T, 0.0)",
+            "friction_effects.py::test_coefficients_change_with_the_temperature",
+        ),
         (
             "friction that pushes",
             "return Impedance(self.coefficient)",
@@ -2741,6 +2828,12 @@ MUTANTS = (
     ),
     *within(
         "torchdq/effects/joint.py",
+        (
+            "load of the other direction",
+            "absolute(torque) - m * torque",
+            "absolute(torque) + m * torque",
+            "friction_effects.py::test_a_simulated_motion_takes_the_torques_of_the_layer",
+        ),
         (
             "stiffness that is not implicit",
             "z.damping_at_end(h) for z",
@@ -2900,8 +2993,8 @@ MUTANTS = (
         ),
         (
             "Verlet without its symmetry",
-            "_plus(_plus(x, 0.5 * h, v1), 0.5 * h, v2)",
-            "_plus(x, h, v1)",
+            "system.moved(system.moved(x, 0.5 * h, v1), 0.5 * h, v2)",
+            "system.moved(x, h, v1)",
             f"{INTEGRATORS}::test_the_error_falls_with_the_stated_order",
         ),
         (
@@ -3786,6 +3879,99 @@ MUTANTS = (
             "if actions.is_complex() if isinstance(actions, Tensor) else np.iscomplexobj(actions):",
             "if False:",
             "envs.py::test_actions_that_are_no_numbers_are_refused",
+        ),
+    ),
+    *within(
+        "torchdq/learning/fourier.py",
+        (
+            "peaks between the points of a motion missed",
+            "missed = math.cos(math.pi * H / len(self.phases))",
+            "missed = 1.0",
+            "excitation.py::test_series_keep_their_limits_between_the_points_and_rest_at_their_ends",
+        ),
+        (
+            "motions that do not start at rest",
+            "self._sines, self._cosines = _orthogonal(k), _orthogonal(k * k)",
+            "self._sines, self._cosines = _orthogonal(k * k), _orthogonal(k * k)",
+            "excitation.py::test_series_keep_their_limits_between_the_points_and_rest_at_their_ends",
+        ),
+    ),
+    *within(
+        "torchdq/learning/excitation.py",
+        (
+            "torques of a motion that may exceed their limits",
+            "return (used <= 1).all(-1) & (clearance >= 0).all(-1)",
+            "return (clearance >= 0).all(-1)",
+            "excitation.py::test_limits_that_are_missing_or_cannot_be_kept_are_named",
+        ),
+        (
+            "described dry friction left out of the torques of a motion",
+            "most = torque.abs().amax(-2) + between(torque) + robot.friction",
+            "most = torque.abs().amax(-2) + between(torque) - 5 * robot.friction",
+            "excitation.py::test_torques_that_bind_are_kept_between_the_rows",
+        ),
+    ),
+    *within(
+        "torchdq/learning/base.py",
+        (
+            "errors of base parameters without the noise",
+            "return Z.index_select(-1, self.leading) / self.noise[:, None]",
+            "return Z.index_select(-1, self.leading)",
+            "excitation.py::test_errors_are_those_of_least_squares_on_pinocchios_regressor",
+        ),
+    ),
+    *within(
+        "torchdq/learning/bodies.py",
+        (
+            "bodies moved without turning",
+            "T[1:, 0], T[1:, 1:] = matrix[:3, 3], matrix[:3, :3]",
+            "T[1:, 0] = matrix[:3, 3]",
+            "payload.py::test_moved_parameters_are_those_of_a_body_held_in_a_frame",
+        ),
+    ),
+    *within(
+        "torchdq/learning/nearest.py",
+        (
+            "curvature of the distance between bodies halved",
+            "blocks = 2 * torch.einsum",
+            "blocks = torch.einsum",
+            "posterior.py::test_slopes_of_the_distance_are_those_of_autograd",
+        ),
+        (
+            "bodies nearest to others that cannot exist",
+            "inside = (info == 0).all(1) & (x > 0).all(1)",
+            "inside = torch.ones(len(y), dtype=torch.bool)",
+            "posterior.py::test_the_nearest_robot_is_a_minimum_where_bodies_can_exist",
+        ),
+    ),
+    *within(
+        "torchdq/learning/posterior.py",
+        (
+            "drawn robots whose base parameters do not spread",
+            "offset = (phi - self.phi - gaussian) @ self.white.T",
+            "offset = (phi - self.phi) @ self.white.T",
+            "posterior.py::test_base_parameters_have_the_mean_and_the_covariance_found",
+        ),
+        (
+            "drawn bodies twice as wide as the prior",
+            "torch.linalg.matrix_exp((s + s.mT) / 2)",
+            "torch.linalg.matrix_exp(s + s.mT)",
+            "posterior.py::test_bodies_that_torques_do_not_tell_have_the_width_of_the_prior",
+        ),
+    ),
+    *within(
+        "torchdq/learning/payload.py",
+        (
+            "the expected payload taken for none",
+            "off = own @ inertial_parameters(J) - residual",
+            "off = -residual",
+            "payload.py::test_exact_torques_give_the_exact_payload",
+        ),
+        (
+            "correlation of what an arm's model has wrong left out",
+            "_correlation(left).maximum(correlation)",
+            "torch.ones_like(correlation)",
+            "payload.py::test_correlated_faults_of_the_empty_arm_widen_the_errors",
         ),
     ),
 )

@@ -47,6 +47,8 @@ def test_every_block_of_a_document_runs_after_the_ones_before_it(path, whole):
         if "onnxruntime" in code:
             pytest.importorskip("onnxruntime")
             pytest.importorskip("onnxscript")
+        if "import casadi" in code:
+            pytest.importorskip("casadi")
         assert language == "python", f"{path.name}: a block of {language or 'no language'} cannot be run"
         first = text.count("\n", 0, match.start()) + 1
         exec(compile("\n" * first + code, str(path), "exec"), known)  # line numbers are those of the document

@@ -173,6 +173,15 @@ JOINT = {
         {"level": (0.1, 2.0), "width": (0.1, 1.0)},
         lambda q, qd, level, width: (level * over_width(qd, width), 0 * q, 0 * q),
     ),
+    "Quadratic": ({"coefficient": (0.1, 2.0)}, lambda q, qd, coefficient: (coefficient * np.abs(qd), 0 * q, 0 * q)),
+    "Directional": (
+        {"forward": (0.5, 1.0), "backward": (1.0, 2.0), "width": (0.1, 1.0)},
+        lambda q, qd, forward, backward, width: (
+            0.5 * (forward + backward + (forward - backward) * qd * over_width(qd, width)) * over_width(qd, width),
+            0 * q,
+            0 * q,
+        ),
+    ),
     "Stribeck": (
         {"coulomb": (0.5, 1.0), "static": (1.0, 2.0), "velocity": (0.5, 2.0), "width": (0.1, 1.0)},
         lambda q, qd, coulomb, static, velocity, width: (

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from torchdq.learning import read
+
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
 DATA = Path(os.environ.get("TORCHDQ_DATA", ROOT.parent / "shared" / "data"))
@@ -92,6 +94,18 @@ def test_real_time(tmp_path, capsys):
     assert len(found.late) == len(found.computed) == 500 and (found.late >= 0).all() and (found.computed > 0).all()
     assert "controller took [us]: median" in capsys.readouterr().out
     assert_drawn(tmp_path / "real_time.png")
+
+
+def test_what_to_record(tmp_path, capsys):
+    module = import_module("19_what_to_record")
+    found = module.main(module.Args(seconds=10.0, quick=True, out=tmp_path))
+    assert 0.3 < found.chi_square < 1.6  # a prior at the description makes it less than one
+    assert found.gain > 1.5
+    assert len(found.drawn.parameters) == 10 and float(found.spread[-1].max()) > 1e-3
+    assert read(tmp_path / "motion.csv").q.shape == (10_001, 7)
+    assert "panda_joint7 coulomb" in capsys.readouterr().out
+    assert_drawn(tmp_path / "motion.png")
+    assert_drawn(tmp_path / "possible_arms.png")
 
 
 # --- recordings of real arms -----------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 
+import numpy as np
 import pytest
 import torch
 
@@ -14,7 +15,9 @@ import torchdq
 from torchdq.envs import Scene, controllers, effects, integrators
 from torchdq.errors import ArgumentError
 from torchdq.export import c99
-from torchdq.program.program import outputs, replay
+from torchdq.functions.compile import CompiledProgram
+from torchdq.numbers.functions import exp, sqrt
+from torchdq.program.program import Argument, outputs, record, replay
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O2")
 COMPILERS = [
@@ -96,7 +99,7 @@ def test_the_loop_over_samples_becomes_vector_instructions(compiler, tmp_path):
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_nothing_is_read_or_written_out_of_bounds(name, tmp_path):
     compiled = PROGRAMS[name]("float64")
-    made = compiled.export(tmp_path, "exported", "math.h" if compiled.program.count().roots else "own", batch=True)
+    made = compiled.export(tmp_path, "exported", "own", batch=True)
     test = str(tmp_path / "test")
     sanitized = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g")
     run("gcc", *STRICT, "-O1", *sanitized, "-I", str(tmp_path), str(made.source), str(made.test), "-o", test, "-lm")
@@ -148,6 +151,70 @@ def test_own_sine_and_cosine_are_within_an_ulp_and_undefined_far_away(tmp_path):
         assert status == 1 and math.isnan(found[0])
     assert called(made, compiled.program, [[1e5, -1e5]], tmp_path)[0] == 0
     assert "Returns 1 where an angle is NaN or beyond 1e5 rad, else 0." in made.header.read_text()
+
+
+def hard_roots(single):
+    """Squares, neighbours of squares, of powers of two and of midpoints, the largest and smallest, and random ones."""
+    real, digits = (np.float32, 24) if single else (np.float64, 53)
+    info, rng = np.finfo(real), np.random.default_rng(0)
+    roots = rng.integers(2 ** (digits // 2 - 1), 2 ** (digits // 2), 2000).astype(real)
+    powers = real(2.0) ** np.arange(info.minexp, info.maxexp, dtype=real)
+    # near a midpoint between two numbers y and y + u: squares of (y + u/2)
+    halves = ((1 + rng.random(2000)).astype(real).astype(np.longdouble) + info.eps / np.longdouble(2)) ** 2
+    x = np.concatenate([roots**2, powers, halves.astype(real), (1 + 3 * rng.random(4000)).astype(real)])
+    with np.errstate(over="ignore"):
+        x = np.concatenate([x, x * real(2.0) ** rng.integers(-60, 60, x.size).astype(real)])
+        x = np.concatenate([np.nextafter(x, real(0)), x, np.nextafter(x, real(np.inf))])
+    ends = [info.max, np.nextafter(info.max, real(0)), info.tiny, info.smallest_subnormal, 0.0, 1e-40]
+    return np.concatenate([x[np.isfinite(x)], np.array(ends, real)])
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+@pytest.mark.parametrize("flags", ["-std=c99 -O2 -ffp-contract=off", "-O3 -march=native -ffp-contract=fast"])
+@pytest.mark.parametrize("compiler", COMPILERS)
+def test_own_roots_are_within_an_ulp_and_correctly_rounded_but_close_to_midpoints(flags, compiler, dtype, tmp_path):
+    single = dtype == "float32"
+    program = record("roots", [Argument("x", 1)], lambda x: {"y": (sqrt(x[0]),)})
+    made = CompiledProgram(program, getattr(torch, dtype), ((1,),)).export(tmp_path, "exported", "own", batch=True)
+    assert "math.h" not in made.source.read_text()
+    library = str(tmp_path / "exported.so")
+    warnings = ["-Wall", "-Wextra", "-Wpedantic", "-Werror"]
+    run(compiler, *flags.split(), *warnings, "-shared", "-fPIC", str(made.source), "-o", library)
+    loaded, real = ctypes.CDLL(library), ctypes.c_float if single else ctypes.c_double
+    x = hard_roots(single)
+    for batch in (True, False):
+        y = np.zeros_like(x)
+        given = [v.ctypes.data_as(ctypes.POINTER(real)) for v in (x, y)]
+        if batch:
+            assert loaded.exported_batch(ctypes.c_size_t(len(x)), *given) == 0
+        else:
+            for k in range(0, len(x), 17):
+                assert (
+                    loaded.exported(*[ctypes.cast(ctypes.byref(p.contents, k * x.itemsize), type(p)) for p in given])
+                    == 0
+                )
+        expected = np.sqrt(x)
+        off = np.abs(y - expected)[:: 1 if batch else 17] / np.spacing(expected)[:: 1 if batch else 17]
+        assert off.max() <= 1 and (off == 0).mean() > 0.95
+    for odd, root in ((math.inf, math.inf), (0.0, 0.0), (-0.0, -0.0), (-1.0, math.nan), (math.nan, math.nan)):
+        x, y = real(odd), real(5.0)
+        loaded.exported(ctypes.byref(x), ctypes.byref(y))
+        assert str(y.value) == str(root)
+
+
+@pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
+def test_a_step_with_friction_needs_no_library(tmp_path):
+    compiled = scene_step()
+    rows = [[0.3, -0.2], [0.1, 0.0], [1.0, -2.0]][: len(compiled.program.arguments)]
+    rows = [row for row, a in zip(rows, compiled.program.arguments, strict=False) if a.width]
+    found = []
+    for library in ("math.h", "own"):
+        made = compiled.export(tmp_path / library, "exported", library)
+        assert ("#include <math.h>" in made.source.read_text()) == (library == "math.h")
+        status, values = called(made, compiled.program, rows, tmp_path / library)
+        assert status == 0
+        found.append([v for row in values for v in row])
+    assert max(abs(a - b) for a, b in zip(*found, strict=True)) <= 16 * 2.0**-52 * max(map(abs, found[0]))
 
 
 @pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
@@ -311,8 +378,9 @@ def test_two_functions_in_one_folder_are_built_and_tested_together(tmp_path):
 
 
 def test_functions_that_the_own_library_lacks_are_named(tmp_path):
-    with pytest.raises(ArgumentError, match=r"library must be 'math\.h' for step_two_link, which takes sqrt"):
-        scene_step().export(tmp_path, "step", "own")
+    program = record("growing", [Argument("x", 1)], lambda x: {"y": (exp(x[0]),)})
+    with pytest.raises(ArgumentError, match=r"library must be 'math\.h' for growing, which takes exp"):
+        CompiledProgram(program, F64, ((1,),)).export(tmp_path, "growing", "own")
 
 
 def test_the_header_says_order_shapes_and_units(tmp_path):

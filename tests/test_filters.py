@@ -1,5 +1,7 @@
 """Signals on even stamps, low-passed, differentiated and thinned, held against sines and noise in closed form."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -35,6 +37,16 @@ def test_noise_at_stamps_that_nearly_agree_does_not_grow():
     noise = np.random.default_rng(1).uniform(-1, 1, (len(stamps), 2))
     found = even(np.arange(stamps[0], stamps[-1], 1e-3), stamps, noise, "test")
     assert abs(found).max() <= 1 + 1e-12
+
+
+def test_signals_that_hardly_change_are_evened_without_a_word():
+    stamps = uneven(100, 2)
+    found = even(stamps[:-1] + 1e-3, stamps, np.full((200, 1), 0.3) + 5e-324 * np.arange(200)[:, None], "test")
+    np.testing.assert_array_equal(found, 0.3)
+    tiny = np.cumsum(np.random.default_rng(3).uniform(0, 1e-310, (200, 1)), 0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        even(stamps[:-1] + 1e-3, stamps, tiny, "test")
 
 
 @pytest.mark.parametrize(("rows", "error"), [(5, 1.5e-3), (10, 2e-5), (20, 5e-7)])
@@ -90,6 +102,8 @@ def test_logs_are_read_at_a_rate():
 def test_rates_are_checked(rate):
     with pytest.raises(ArgumentError, match="rate must be"):
         read(arrays(uneven(1000, 5)), rate=rate)
+    with pytest.raises(LogError, match="25 rows, more than 30 are needed to read it at a rate"):
+        read(arrays(uneven(1000, 0.025)), rate=100.0)
 
 
 # --- smoothing -------------------------------------------------------------------------------------------------------

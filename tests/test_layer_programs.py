@@ -4,7 +4,7 @@ import pytest
 import torch
 
 import torchdq
-from torchdq.envs import controllers
+from torchdq.envs import controllers, effects
 from torchdq.errors import ArgumentError, UnknownNameError
 
 BACKEND = "auto"
@@ -49,6 +49,23 @@ LAYERS = {
     ),
     "controller of a layer": (
         lambda: torchdq.ComputedTorque(shifted(torchdq.DQRNEA(described(), LEARN)), 30.0, 9.0, learn="kd"),
+        TRACKED,
+    ),
+}
+
+
+RUBBING = (effects.Directional(0.3, 0.2), effects.LoadDependent(0.1), effects.Ripple(0.5, 0.1, -0.2))
+LAYERS |= {
+    "friction": (
+        lambda: torchdq.DQRNEA(torchdq.robots.load("panda"), friction=(effects.Stribeck(0.3, 0.4), *RUBBING)),
+        ("q", "qd", "qdd"),
+    ),
+    "friction forward": (
+        lambda: torchdq.ForwardDynamics(torchdq.robots.load("panda"), ("friction", "offset"), friction=RUBBING),
+        ("q", "qd", "tau"),
+    ),
+    "friction controlled": (
+        lambda: torchdq.ComputedTorque(described(), 30.0, 9.0, learn="friction", friction=RUBBING),
         TRACKED,
     ),
 }

@@ -4,6 +4,7 @@ Signals of motors are made from those of the joints by a mechanism written out h
 """
 
 import contextlib
+import json
 import warnings
 
 import numpy as np
@@ -56,6 +57,8 @@ def test_tensors_lists_and_other_names_are_arrays_too():
     tensors = {name: torch.tensor(part, requires_grad=True) for name, part in x.items()}
     np.testing.assert_array_equal(read(tensors).tau, x["tau"])
     np.testing.assert_array_equal(read({name: part.tolist() for name, part in x.items()}).q, x["q"])
+    with pytest.raises(ArgumentError, match="columns must name every array once, found 'q' for several signals"):
+        read(x, Layout(columns={"tau": "q"}))
     other = {"t": x["time"], "position": x["q"], "qd": x["qd"], "tau": x["tau"], "temperature": "hot"}
     np.testing.assert_array_equal(read(other, Layout(columns={"time": "t", "q": "position"})).q, x["q"])
 
@@ -225,6 +228,7 @@ def test_motors_are_taken_to_the_joints(transmission):
         ({"transmission": ((1.0, np.nan), (0.0, 1.0))}, "transmission must be finite numbers"),
         ({"transmission": COUPLED, "gain": None}, "gain must be known where a transmission couples joints"),
         ({"zero": (1.0,)}, "zero needs a transmission"),
+        ({"gain": (1.0, 0.0)}, "gain must be numbers, .* none of them zero"),
         ({"zero": (np.inf,), "transmission": (1.0,)}, "zero must be finite numbers"),
         ({"at_motors": ("time",)}, "there is no signal named 'time'"),
         ({"columns": {"q": None}}, r"columns\['q'\] must be a name"),
@@ -233,6 +237,15 @@ def test_motors_are_taken_to_the_joints(transmission):
 def test_transmissions_are_checked(options, message):
     with pytest.raises(TorchdqError, match=message):
         Layout(**options)
+
+
+def test_a_layout_may_come_from_a_file_of_plain_data():
+    given = {"joints": 2, "blocks": ["p", "v", "i"], "gain": [2, 3], "columns": {"qd": None, "q": "p_{0}"}}
+    given |= {"transmission": [[0.01, 0], [0.01, 0.02]], "zero": [0.1, 0.2], "at_motors": ["q", "tau"], "cutoff_qd": 5}
+    found = Layout(**json.loads(json.dumps(given)))
+    expected = {name: tuple(x) if isinstance(x, list) else x for name, x in given.items()}
+    assert found == Layout(**expected | {"transmission": ((0.01, 0.0), (0.01, 0.02))})
+    assert hash(found) == hash(Layout(**given))
 
 
 def test_what_is_given_per_joint_is_given_for_all():

@@ -1,6 +1,8 @@
 """Programs as source code that needs neither Python nor torch.
 
 c99      text of a function in C
+parts    text of a long function in several short ones
+roots    text of a square root without a library
 batch    text of the function for batches, in loops that become vector instructions
 golden   text of the test, with golden vectors
 files    what is written to a folder: source, headers, test, CMake file

@@ -8,12 +8,13 @@ last block repeats its last sample, so that the result of a sample does not depe
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
-from torchdq.export import c99
+from torchdq.export import c99, parts
+from torchdq.export.c99 import Array, Library
+from torchdq.export.parts import SampleText
 from torchdq.program.program import Program, outputs
-
-LANES = 16  # two of the widest vectors of doubles, one of floats
 
 _ROWS_TO_LANES = """
 static void rows_to_lanes(const S *rows, size_t width, size_t here, S *lanes)
@@ -83,45 +84,68 @@ def declaration(program: Program, name: str, single: bool) -> str:
     return f"int {name}_batch({', '.join(['size_t samples', *parameters])})"
 
 
+def lanes(single: bool) -> int:
+    """Samples of a block: the numbers of the widest vector."""
+    return 16 if single else 8
+
+
 def stack(program: Program, single: bool) -> int:
     """Memory of the blocks [bytes]."""
     taken, given = rows(program)
     numbers = sum(a.size for a in taken if not a.shared) + sum(a.size * (2 if a.shared else 1) for a in given)
-    numbers += 1 if c99.angles(program, "own") else 0
-    return numbers * LANES * (4 if single else 8)
+    numbers += sum(a.size for a in parts.parts(program, "", single, "own", _in_lanes(single, "own")).own)
+    return numbers * lanes(single) * (4 if single else 8)
 
 
-def function(program: Program, name: str, single: bool) -> str:
-    """Text of the function for batches, and of the functions that it calls, without `c99.preamble`."""
+def _place(array: Array, component: int, shared: bool) -> str:
+    return f"{array.name}[{component}]{'' if shared else '[lane]'}"
+
+
+def _parameter(array: Array, read: bool, shared: bool) -> str:
+    return f"const S *{array.name}" if read and shared else f"S {array.name}[restrict {array.size}][LANES]"
+
+
+def _body(lines: Sequence[str]) -> str:
+    return f"    int lane;\n    for (lane = 0; lane < LANES; lane++) {{\n{c99.indented(lines, 8)}    }}\n"
+
+
+def _in_lanes(single: bool, library: Library) -> SampleText:
+    return SampleText(_place, _parameter, _body, c99.root(single, library))
+
+
+def copies(programs: Sequence[Program], single: bool) -> str:
+    """Text of the functions that copy blocks, for the functions of programs."""
+    results = [r for program in programs for r in outputs(program) if r.values]
+    several, summed = any(not r.summed for r in results), any(r.summed for r in results)
+    texts = [_ROWS_TO_LANES, _LANES_TO_ROWS if several else "", _ADDED if summed else ""]
+    return f"enum {{ LANES = {lanes(single)} }};\n{''.join(texts)}\n"
+
+
+def function(program: Program, name: str, single: bool, library: Library, linkage: str = "") -> str:
+    """Text of the function for batches, and of its parts, without `c99.preamble` and `copies`.
+
+    `library`: source of square roots.
+    """
     taken, given = rows(program)
     several = [a for a in taken if not a.shared]
-    parameters = [f"const S *{a.name}" if a.shared else f"S {a.name}[restrict {a.size}][LANES]" for a in taken]
-    parameters += [f"S {a.name}[restrict {a.size}][LANES]" for a in given]
-    lines = c99.statements(
-        program, single, "own", lambda a, component, shared: f"{a.name}[{component}]{'' if shared else '[lane]'}"
-    )
-    sines = c99.angles(program, "own")
-    if sines:
-        parameters.append("S angles[restrict LANES]")
-        lines.append(f"angles[lane] = {sines};")
-    block = "\n".join(f"        {line}" for line in lines)
-    passed = ", ".join(a.name if a.shared and a in taken else a.lanes for a in (*taken, *given))
-    passed += ", angles" if sines else ""
+    block = parts.parts(program, f"{name}_block", single, "own", _in_lanes(single, library))
+    local = {a.name: a.lanes for a in (*several, *given)}  # names in the function for batches
     sums = [a for a in given if a.shared]
-    local = [f"S {a.lanes}[{a.size}][LANES];" for a in (*several, *given)]
-    local += [f"S sum_of_{a.name}[{a.size}][LANES] = {{{{0}}}};" for a in sums]
-    local += ["S angles[LANES];"] if sines else []
+    declared = [f"S {a.lanes}[{a.size}][LANES];" for a in (*several, *given)]
+    declared += [f"S {a.name}[{a.size}][LANES];" for a in block.own]
+    declared += [f"S sum_of_{a.name}[{a.size}][LANES] = {{{{0}}}};" for a in sums]
     steps = [f"rows_to_lanes({a.name} + {a.size} * first, {a.size}, here, {a.lanes}[0]);" for a in several]
-    steps.append(f"{name}_block({passed});")
+    steps += [f"{part}({', '.join(local.get(a.name, a.name) for a in arrays)});" for part, arrays in block.calls]
     for a in given:
         steps.append(
             f"added({a.lanes}[0], {a.size}, here, sum_of_{a.name}[0]);"
             if a.shared
             else f"lanes_to_rows({a.lanes}[0], {a.size}, here, {a.name} + {a.size} * first);"
         )
+    sines = any(a.name == "angles" for a in block.own)
     growth = f"{given[-1].lanes}[0][lane]" if program.growth is not None else ""
     if growth or sines:
-        good = c99.status(program, single, growth, "angles[lane]" if sines else "")
+        good = c99.status(program, single, growth, "angles[0][lane]" if sines else "")
         steps.append(f"for (lane = 0; lane < here; lane++) status |= {good};")
     end = [
         f"for (first = 0; first < {a.size}; first++)\n"
@@ -129,19 +153,13 @@ def function(program: Program, name: str, single: bool) -> str:
         f"            {a.name}[first] += sum_of_{a.name}[first][lane];"
         for a in sums
     ]
-    copies = [_ROWS_TO_LANES, _LANES_TO_ROWS if len(sums) < len(given) else "", _ADDED if sums else ""]
     uses_lane = growth or sines or sums
     return (
-        f"enum {{ LANES = {LANES} }};\n{''.join(copies)}\n"
-        f"static void {name}_block({', '.join(parameters)})\n{{\n    int lane;\n"
-        f"    for (lane = 0; lane < LANES; lane++) {{\n{block}\n    }}\n}}\n\n"
-        f"{declaration(program, name, single)}\n{{\n    size_t first{', lane' if uses_lane else ''};\n"
-        f"    int status = 0;\n{_indented(local, 4)}"
+        f"{block.text}\n"
+        f"{linkage}{declaration(program, name, single)}\n{{\n    size_t first{', lane' if uses_lane else ''};\n"
+        f"    int status = 0;\n{c99.indented(declared, 4)}"
         f"    for (first = 0; first < samples; first += LANES) {{\n"
-        f"        const size_t here = samples - first < LANES ? samples - first : LANES;\n{_indented(steps, 8)}    }}\n"
-        f"{_indented(end, 4)}    return status;\n}}\n"
+        f"        const size_t here = samples - first < LANES ? samples - first : LANES;\n"
+        f"{c99.indented(steps, 8)}    }}\n"
+        f"{c99.indented(end, 4)}    return status;\n}}\n"
     )
-
-
-def _indented(lines: list[str], by: int) -> str:
-    return "".join(f"{' ' * by}{line}\n" for line in lines)

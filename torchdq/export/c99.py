@@ -6,13 +6,14 @@ is read before anything is written, so an output may be the array of an input.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from torchdq.backends.c_constants import SINES_DOUBLE, SINES_FLOAT
 from torchdq.errors import ArgumentError
+from torchdq.export import roots
 from torchdq.export.names import distinct
 from torchdq.numbers.ops import OPS
 from torchdq.program.order import TOGETHER, pairs, recorded
@@ -22,7 +23,7 @@ Library = Literal["math.h", "own"]
 
 # operations in C; those with an infix need no entry
 _CALLS = {
-    "sqrt": "sqrt{f}({0})",
+    "sqrt": "{root}({0})",
     "exp": "exp{f}({0})",
     "log": "log{f}({0})",
     "floor": "floor{f}({0})",
@@ -43,10 +44,10 @@ _WITH_NAN = """#if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__
 # clang has no macro for that, but is told here not to
 _EXACT = """#include <float.h>
 #if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) || defined(_M_FP_FAST)
-#error "sine and cosine are wrong with -ffast-math or -fassociative-math; compile this file without it"
+#error "sines and roots are wrong with -ffast-math or -fassociative-math; compile this file without it"
 #endif
 #if FLT_EVAL_METHOD != 0
-#error "sine and cosine are wrong if numbers are kept in a wider type; compile this file for SSE2: -mfpmath=sse -msse2"
+#error "sines and roots are wrong if numbers are kept in a wider type; compile this file for SSE2: -mfpmath=sse -msse2"
 #endif
 #if defined(__clang__) && __clang_major__ >= 13
 #pragma clang fp reassociate(off)
@@ -114,92 +115,139 @@ def comment(lines: Iterable[str]) -> str:
     return "/*\n" + "\n".join(f" * {line}".rstrip() for line in plain) + "\n */\n"
 
 
+def indented(lines: Iterable[str], by: int = 4) -> str:
+    """Text of lines."""
+    return "".join(f"{' ' * by}{line}\n" for line in lines)
+
+
 def preamble(program: Program, single: bool, library: Library, batch: bool = False) -> str:
-    """Text in front of the functions of programs: what it includes, and its own sine and cosine if it has them.
+    """Text in front of the functions of programs: what it includes, and its own sine, cosine and root if it has them.
 
     `batch`: whether one of them is that of `torchdq.export.batch`.
     """
     codes = {op.code for op in program.ops}
     wanted, angles = sorted(codes & set(_OF_MATH)), bool(codes & set(TOGETHER))
-    if library == "own" and wanted:
+    lacks = [code for code in wanted if code != "sqrt"]
+    if library == "own" and lacks:
         raise ArgumentError(
-            f"library must be 'math.h' for {program.name}, which takes {', '.join(wanted)}; 'own' has sine and cosine"
+            f"library must be 'math.h' for {program.name}, which takes {', '.join(lacks)}; 'own' has sine, cosine and "
+            "square root"
         )
     included = "#include <math.h>\n" if library == "math.h" and (wanted or angles) else ""
     scalar, constants = ("float", SINES_FLOAT) if single else ("double", SINES_DOUBLE)
-    own = angles and (library == "own" or batch)
-    kind = f"typedef {scalar} S;\n" if own or batch else ""
-    included += _WITH_NAN if own or program.growth is not None or codes & {"max", "min"} else ""
+    sines, root = angles and (library == "own" or batch), library == "own" and "sqrt" in codes
+    kind = f"typedef {scalar} S;\n" if sines or root or batch else ""
+    included += "#include <stdint.h>\n" if root else ""
+    included += _WITH_NAN if sines or root or program.growth is not None or codes & {"max", "min"} else ""
+    included += _EXACT if sines or root else ""
     # gcc makes vectors of a loop only if nothing in it is called
     function = _SINE_AND_COSINE.replace("static", "static inline") if batch else _SINE_AND_COSINE
-    return f"{included}{_EXACT}{kind}{constants.strip()}\n{function}" if own else f"{included}{kind}"
+    functions = f"{constants.strip()}\n{function}" if sines else ""
+    return f"{included}{kind}{functions}{roots.text(single, batch) if root else ''}"
 
 
 # which values of a program stand where: array, component, and whether it is the same for all samples
 Placed = Callable[[Array, int, bool], str]
 
 
-def statements(program: Program, single: bool, library: Library, place: Placed) -> list[str]:
-    """Statements that compute the outputs of one sample."""
-    scalar, suffix = ("float", "f") if single else ("double", "")
-    taken, given = arrays(program)
-    by_position = dict(zip((k for k, a in enumerate(program.arguments) if a.width), taken, strict=True))
-    together = pairs(program)
-    words: Mapping[str, str] = {"f": suffix, "one": literal(1.0, single), "zero": literal(0.0, single)}
+class Printer(NamedTuple):
+    """Statements in C of one sample of a program."""
 
-    def at(i: int) -> str:
-        op = program.ops[i]
-        return literal(op.payload, single) if op.code == "const" else f"x{i}"
+    program: Program
+    single: bool
+    library: Library
+    place: Placed
+    root: str  # name of the function for square roots
 
-    def shown(v: Output) -> str:
+    @property
+    def scalar(self) -> str:
+        """Type of a number."""
+        return "float" if self.single else "double"
+
+    def computed(self, values: Iterable[int]) -> list[str]:
+        """Statements that compute values of the program, each from those before it."""
+        program, single, scalar = self.program, self.single, self.scalar
+        suffix = "f" if single else ""
+        taken, _ = arrays(program)
+        by_position = dict(zip((k for k, a in enumerate(program.arguments) if a.width), taken, strict=True))
+        together = pairs(program)
+        words: Mapping[str, str] = {
+            "f": suffix,
+            "root": self.root,
+            "one": literal(1.0, single),
+            "zero": literal(0.0, single),
+        }
+        lines = []
+        for i in values:
+            op = program.ops[i]
+            if op.code == "in":
+                argument, component = op.payload
+                where = self.place(by_position[argument], component, program.arguments[argument].uniform)
+                lines.append(f"const {scalar} x{i} = {where};")
+            elif op.code in TOGETHER and self.library == "own":
+                if i == together[i][0]:
+                    known = {program.ops[k].code: f"x{k}" for k in together[i]}
+                    s, c = known.get("sin", f"x{i}_"), known.get("cos", f"x{i}_")
+                    lines.append(f"{scalar} {s}, {c}; sine_and_cosine({self._at(op.operands[0])}, &{s}, &{c});")
+            elif op.code in TOGETHER:
+                lines.append(f"const {scalar} x{i} = {op.code}{suffix}({self._at(op.operands[0])});")
+            else:
+                sign, operands = OPS[op.code].infix, [self._at(k) for k in op.operands]
+                text = f" {sign} ".join(operands) if sign else _CALLS[op.code].format(*operands, **words)
+                lines.append(f"const {scalar} x{i} = {text};")
+        return lines
+
+    def written(self, array: Array, numbers: Mapping[int, Output]) -> list[str]:
+        """Statements that write numbers of an output, by their place in it."""
+        return [f"{self.place(array, j, False)} = {self._shown(v)};" for j, v in numbers.items()]
+
+    def _at(self, i: int) -> str:
+        op = self.program.ops[i]
+        return literal(op.payload, self.single) if op.code == "const" else f"x{i}"
+
+    def _shown(self, v: Output) -> str:
         if isinstance(v, float):
-            return literal(v, single)
+            return literal(v, self.single)
         index, negative = v
-        return f"{words['zero']} - {at(index)}" if negative else at(index)
-
-    read = {program.arguments[op.payload[0]].name for op in program.ops if op.code == "in"}
-    lines = [f"(void){array.name};" for k, array in by_position.items() if program.arguments[k].name not in read]
-    for i in recorded(program, {i for i, op in enumerate(program.ops) if op.code == "const"}):
-        op = program.ops[i]
-        if op.code == "in":
-            argument, component = op.payload
-            where = place(by_position[argument], component, program.arguments[argument].uniform)
-            lines.append(f"const {scalar} x{i} = {where};")
-        elif op.code in TOGETHER and library == "own":
-            if i == together[i][0]:
-                known = {program.ops[k].code: f"x{k}" for k in together[i]}
-                s, c = known.get("sin", f"x{i}_"), known.get("cos", f"x{i}_")
-                lines.append(f"{scalar} {s}, {c}; sine_and_cosine({at(op.operands[0])}, &{s}, &{c});")
-        elif op.code in TOGETHER:
-            lines.append(f"const {scalar} x{i} = {op.code}{suffix}({at(op.operands[0])});")
-        else:
-            sign, operands = OPS[op.code].infix, [at(k) for k in op.operands]
-            text = f" {sign} ".join(operands) if sign else _CALLS[op.code].format(*operands, **words)
-            lines.append(f"const {scalar} x{i} = {text};")
-    rows = [r for r in outputs(program) if r.values]
-    for array, result in zip(given, rows, strict=True):
-        lines += [f"{place(array, j, False)} = {shown(v)};" for j, v in enumerate(result.values)]
-    return lines
+        return f"{literal(0.0, self.single)} - {self._at(index)}" if negative else self._at(index)
 
 
-def angles(program: Program, library: Library) -> str:
-    """Sum of all sines, which is NaN if an angle is out of reach of the own sine and cosine; "": none can be."""
+def root(single: bool, library: Library) -> str:
+    """Name of the function for square roots."""
+    return "root" if library == "own" else "sqrtf" if single else "sqrt"
+
+
+def angles(program: Program, library: Library, among: Container[int] | None = None) -> str:
+    """Sum of the sines among some values, which is NaN if an angle is out of reach; "": there are none, or none can be.
+
+    `among`: the values; None: all of the program.
+    """
     if library != "own":
         return ""
-    first = [k for k, same in pairs(program).items() if k == same[0]]
+    first = [k for k, same in pairs(program).items() if k == same[0] and (among is None or k in among)]
     return " + ".join(f"x{k}" if program.ops[k].code == "sin" else f"x{k}_" for k in first)
+
+
+def in_rows(array: Array, component: int, uniform: bool) -> str:
+    """Place of a number of one sample."""
+    return f"{array.name}[{component}]"
 
 
 def function(program: Program, name: str, single: bool, library: Library = "math.h") -> str:
     """Text of the function of a program, without `preamble`."""
-    _, given = arrays(program)
-    lines = statements(program, single, library, lambda array, component, uniform: f"{array.name}[{component}]")
+    taken, given = arrays(program)
+    printer = Printer(program, single, library, in_rows, root(single, library))
+    read = {op.payload[0] for op in program.ops if op.code == "in"}
+    wide = [k for k, a in enumerate(program.arguments) if a.width]
+    lines = [f"(void){array.name};" for k, array in zip(wide, taken, strict=True) if k not in read]
+    lines += printer.computed(recorded(program, {i for i, op in enumerate(program.ops) if op.code == "const"}))
+    for array, result in zip(given, [r for r in outputs(program) if r.values], strict=True):
+        lines += printer.written(array, dict(enumerate(result.values)))
     if sines := angles(program, library):
-        lines.append(f"const {'float' if single else 'double'} angles = {sines};")
+        lines.append(f"const {printer.scalar} angles = {sines};")
     growth = f"{given[-1].name}[0]" if program.growth is not None else ""
     lines.append(f"return {status(program, single, growth, 'angles' if sines else '')};")
-    body = "\n".join(f"    {line}" for line in lines)
-    return f"{declaration(program, name, single)}\n{{\n{body}\n}}\n"
+    return f"{declaration(program, name, single)}\n{{\n{indented(lines)}}}\n"
 
 
 def status(program: Program, single: bool, growth: str, angles: str) -> str:

@@ -57,7 +57,8 @@ class Export(NamedTuple):
         before = c99.preamble(self.program, self.single, self.functions, self.batch)
         functions = [c99.function(self.program, self.name, self.single, self.functions)]
         if self.batch:
-            functions.append(batch.function(self.program, self.name, self.single))
+            text = batch.function(self.program, self.name, self.single, self.functions)
+            functions.append(batch.copies([self.program], self.single) + text)
         text = "\n".join(functions)
         return f'{c99.comment(about)}#include "{self.name}.h"\n{before}\n{text}'
 

@@ -48,6 +48,7 @@ WORDS = {
     "linear": "linear momentum [kg m/s], or its rate [N]",
     "angular": "angular momentum about the centre of mass [kg m^2/s], or its rate [N m]",
     "push": "wrench (force, moment) of the environment on the pushed frame [N, N m]",
+    "temperature": "temperatures of the joints above the one at which friction coefficients hold [K]",
     "target": "positions that the servos hold [rad or m]",
     "gravity": "gravitational acceleration in the base frame [m/s^2]",
     "viscous": "viscous friction of the joints [N m s/rad or N s/m]",

@@ -17,7 +17,7 @@ from torchdq.backends import c_source, cuda_source
 from torchdq.backends.choice import choose
 from torchdq.backends.one_sample import one_sample
 from torchdq.call import Computation, evaluate
-from torchdq.checks import dtype_of, names_of, require_choice, require_tensor
+from torchdq.checks import dtype_of, names_of, require_choice, require_count, require_tensor
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.export import casadi, golden
 from torchdq.export.c99 import Library
@@ -134,6 +134,8 @@ class CompiledProgram:
         library: Library = "math.h",
         language: ExportLanguage = "c",
         batch: bool = False,
+        knots: int = 0,
+        derivatives: int = 2,
     ) -> Exported:
         """Files that need neither Python nor torch: a function in strict C99, and what its language wants beside it.
 
@@ -141,28 +143,33 @@ class CompiledProgram:
         threads. Its arguments and outputs are those of the program, in its order, described in the header.
 
         "c" writes source, headers, a test and CMake files, which build all functions that are exported into a folder.
-        "casadi" writes one source with the function and its
-        Jacobian, for `casadi.external`, once it is built:
+        "casadi" writes one source with the function, its Jacobians and
+        second derivatives, for `casadi.external`, once it is built:
 
             cc -shared -fPIC -O2 arm_torques.c -o arm_torques.so -lm
             f = casadi.external("arm_torques", "./arm_torques.so")
 
         Arguments are columns in CasADi, results columns or matrices; a Jacobian has no place that is always zero. Where
-        rounding errors are too large the function fails: a call in CasADi raises, a solver takes a shorter step. There
-        are no second derivatives; Ipopt wants "hess_lag" or "ipopt.hessian_approximation": "limited-memory".
+        rounding errors are too large the function fails: a call in CasADi raises, a solver takes a shorter step. With
+        `knots` it is what `f.map(knots)` is, a column per knot and matrices side by side, in vector instructions:
+
+            cc -shared -fPIC -O2 -ftree-vectorize -march=native -fno-math-errno arm_torques.c -o arm_torques.so -lm
 
         Args:
             folder: path of the folder, which is made if it is not there; files of the same names are replaced.
             name: name of the function; "": that of the program.
             library: source of sine, cosine and roots: "math.h", or "own", the polynomials of compiled programs, with
-                sine and cosine up to 1e5 rad (4e3 in float32), beyond which the function returns 1 and NaN, and no
-                roots or exponentials.
+                sine and cosine up to 1e5 rad (4e3 in float32), beyond which the function returns 1 and NaN, and
+                square roots to 1 ulp, but no exponentials and logarithms.
             language: "c", or "casadi", which takes programs in float64.
             batch: whether there is a function NAME_batch beside it, which takes the rows of many samples and which
                 compilers turn into vector instructions. Its sine and cosine are those of "own".
+            knots: for "casadi": number of knots of every call, with sine and cosine of "own"; 0: one column.
+            derivatives: for "casadi": 2, or 1 without second derivatives, which is quicker to build; Ipopt then wants
+                "ipopt.hessian_approximation": "limited-memory".
         Raises:
             ArgumentError: the name is none that the language accepts or the files use it, the library lacks a function,
-                or a program in float32, or for batches, is exported to CasADi.
+                a program in float32, or for batches, is exported to CasADi, or `knots` to C.
 
         >>> import tempfile, torchdq
         >>> tau = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
@@ -174,14 +181,22 @@ class CompiledProgram:
         named = identifier(name or distinct([self.program.name])[0], "name", golden.variables(self.program))
         if language == "casadi":
             if batch:
-                raise ArgumentError("batch must be False for language 'casadi', which maps functions itself: f.map(n)")
+                raise ArgumentError("batch must be False for language 'casadi', which has knots, or f.map(n)")
             if self.dtype != torch.float64:
                 raise ArgumentError(
                     f"language 'casadi' takes programs in float64, found {self.dtype}; leave out dtype in "
                     "torchdq.compile"
                 )
-            exported = CasadiExport(self.program, self.axes, casadi.identifier(named), library, self.about)
+            require_count("knots", knots, 0)
+            require_choice("derivatives", derivatives, (1, 2))
+            exported = CasadiExport(
+                self.program, self.axes, casadi.identifier(named), library, self.about, knots, derivatives == 2
+            )
             return exported.write(Path(folder))
+        if knots:
+            raise ArgumentError(
+                f"knots are for language 'casadi', found {knots!r}; in 'c', batch=True takes any number"
+            )
         whole = Export(self.program, named, self.dtype == torch.float32, library, self.about, batch)
         return whole.write(Path(folder), self.examples)
 

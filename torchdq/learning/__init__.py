@@ -11,20 +11,29 @@ Nothing here is imported by `import torchdq`; scipy, rich and tensorboard are im
 
 from torchdq.learning.checkpoint import CheckpointError
 from torchdq.learning.data import Samples
+from torchdq.learning.excitation import Excitation, excite
 from torchdq.learning.identification import identify
 from torchdq.learning.identified import Identified, Prediction
 from torchdq.learning.ladder import Ladder, Rung
 from torchdq.learning.layouts import Layout, LogError, MissingLogError
 from torchdq.learning.logs import Log, read
+from torchdq.learning.motion_limits import Box, HalfSpace, MotionLimits
 from torchdq.learning.motions import Motion, cut, directions, hold_out, samples, smooth
+from torchdq.learning.payload import IdentifiedPayload, identify_payload
+from torchdq.learning.pictures import plot_torques
 from torchdq.learning.plausibility import LogWarning
+from torchdq.learning.posterior import Sampled, sample
 from torchdq.learning.run import History, TrainingError
 from torchdq.learning.training import fit
 
 __all__ = [
+    "Box",
     "CheckpointError",
+    "Excitation",
+    "HalfSpace",
     "History",
     "Identified",
+    "IdentifiedPayload",
     "Ladder",
     "Layout",
     "Log",
@@ -32,16 +41,22 @@ __all__ = [
     "LogWarning",
     "MissingLogError",
     "Motion",
+    "MotionLimits",
     "Prediction",
     "Rung",
+    "Sampled",
     "Samples",
     "TrainingError",
     "cut",
     "directions",
+    "excite",
     "fit",
     "hold_out",
     "identify",
+    "identify_payload",
+    "plot_torques",
     "read",
+    "sample",
     "samples",
     "smooth",
 ]

@@ -86,6 +86,7 @@ class Layout:
             expected = "three or more different names, the first of positions, velocities and torques"
             cure = "where velocities were not recorded, keep the name and give columns={'qd': None}"
             raise ArgumentError(f"blocks must be {expected}, found {self.blocks!r}; {cure}")
+        object.__setattr__(self, "blocks", tuple(self.blocks))
         if not isinstance(self.columns, Mapping):
             expected = "a mapping such as {'q': 'position_{0}'}"
             raise ArgumentError(f"columns must be {expected}, found {self.columns!r}")
@@ -131,6 +132,8 @@ class Layout:
         if self.gain is not None:
             expected = "numbers, one per joint, such as (2.0, 1.5), () for torques, or None where they are unknown"
             object.__setattr__(self, "gain", _floats("gain", self.gain, expected))
+            if not all(self.gain):
+                raise ArgumentError(f"gain must be {expected}, none of them zero, found {self.gain}")
         object.__setattr__(self, "zero", _floats("zero", self.zero, "numbers, one per joint, or ()"))
 
     def _require_transmission(self) -> None:

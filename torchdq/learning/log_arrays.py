@@ -56,6 +56,8 @@ def _called(layout: Layout) -> dict[str, str]:
         name = layout.columns.get(signal, signal)
         if not isinstance(name, str):
             raise ArgumentError(f"columns of an archive must be names of its arrays, found {layout.columns}")
+        if name in called.values():
+            raise ArgumentError(f"columns must name every array once, found {name!r} for several signals")
         called[signal] = name
     return called
 

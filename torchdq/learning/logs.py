@@ -146,8 +146,12 @@ def _at_rate(
     path: Path, time: np.ndarray, blocks: dict[str, np.ndarray], rate: float
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Times and signals at a rate."""
-    most, kept = 1 / float(np.median(np.diff(time))), (time[-1] - time[0]) * rate
-    if rate > 1.01 * most or kept < FEWEST:
-        expected = f"at most {most:.4g} Hz, that of the rows, and at least {FEWEST / (time[-1] - time[0]):.3g} Hz"
+    seconds, most = time[-1] - time[0], 1 / float(np.median(np.diff(time)))
+    if seconds * most < FEWEST:
+        raise LogError(
+            f"{path}: {len(time)} rows, more than {FEWEST} are needed to read it at a rate; rate=None reads all"
+        )
+    if rate > 1.01 * most or seconds * rate < FEWEST:
+        expected = f"at most {most:.4g} Hz, that of the rows, and at least {FEWEST / seconds:.3g} Hz"
         raise ArgumentError(f"rate must be {expected}, of which {FEWEST} rows of {path} are left, found {rate!r}")
     return fewer_times(time, rate), {signal: decimated(time, x, rate, "read") for signal, x in blocks.items()}

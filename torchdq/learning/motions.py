@@ -165,9 +165,11 @@ def cut(motion: Motion, share: float) -> tuple[Motion, Motion]:
     require_number("share", share)
     first = np.arange(rows) < share * rows
     cutoffs = [cutoff for cutoff in (motion.cutoff_qd, motion.cutoff_tau) if cutoff is not None]
-    second = motion.time > motion.time[first].max(initial=-np.inf) + _reach(min(cutoffs, default=None))
+    gap = _reach(min(cutoffs, default=None))
+    second = motion.time > motion.time[first].max(initial=-np.inf) + gap
     if not (0 < share < 1 and first.any() and second.any()):
-        raise ArgumentError(f"share must leave rows on both sides of the cut of {rows} rows, found {share}")
+        expected = f"leave rows on both sides of the cut of {rows} rows, and of {gap:.3g} s after it"
+        raise ArgumentError(f"share must {expected}, found {share}")
     return _rows(motion, first), _rows(motion, second)
 
 
@@ -209,7 +211,18 @@ def samples(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.float
             of unknown gains.
     """
     several = _several(motions)
-    for motion in several:
+    require_torques(several)
+    parts = ([getattr(motion, name) for motion in several] for name in Samples._fields)
+    return Samples(*(torch.as_tensor(np.concatenate(part), dtype=dtype) for part in parts))
+
+
+def require_torques(motions: Sequence[Motion]) -> None:
+    """Raise unless motions hold torques, in N m.
+
+    Raises:
+        ArgumentError: a motion has none, or efforts in units of unknown gains.
+    """
+    for motion in motions:
         name = motion.name and f" of {motion.name}"
         if motion.tau is None:
             cure = "without torques, fit_rollout fits a simulation to positions and commands"
@@ -217,8 +230,6 @@ def samples(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.float
         if not motion.known_gains:
             cure = "give Layout(gain=...), or identify(robot, motions, gains=True), which finds them"
             raise ArgumentError(f"motions must have torques, found efforts of unknown gains in that{name}; {cure}")
-    parts = ([getattr(motion, name) for motion in several] for name in Samples._fields)
-    return Samples(*(torch.as_tensor(np.concatenate(part), dtype=dtype) for part in parts))
 
 
 def directions(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.float64) -> torch.Tensor:

@@ -56,6 +56,36 @@ def vjp(program: Program, wrt: Sequence[int]) -> Program:
         return finish(name, arguments, tape, outputs, summed, growths(program, values))
 
 
+def vjp_jacobian(program: Program, wrt: Sequence[int]) -> Program:
+    """Jacobians of the vector-Jacobian product by forward over reverse mode, without uniform arguments and sums.
+
+    They are those of `jacobian(vjp(program, wrt), ...)` in the arguments of `wrt`, which are second derivatives of the
+    results, weighted with the cotangents and summed, and then in the cotangents, which are first derivatives. A
+    symmetric pair is computed once.
+    """
+    product, name = vjp(program, wrt), f"{program.name}_vjp_jacobian"
+    with recording(name) as tape:
+        rows = inputs(tape, product.arguments)
+        values, plain = replay(product, rows), replay(program, rows[: len(program.arguments)])
+        places = [(k, j) for k in wrt for j in range(program.arguments[k].width)]
+        second: list[list[Value]] = []  # below the diagonal, column by column
+        first: dict[tuple[int, int], dict[str, list[Value]]] = {}
+        for column, place in enumerate(places):
+            rates = _tangent_results(product, tangents(product, values, {place: 1.0}))
+            second.append([x for row in rates.values() for x in row][column:])
+            first[place] = _tangent_results(program, tangents(program, plain, {place: 1.0}))
+        at = {place: k for k, place in enumerate(places)}
+        outputs: dict[str, list[Value]] = {}
+        for k in wrt:
+            for i, r in zip(wrt, product.results, strict=True):
+                pairs = [(at[i, a], at[k, b]) for a in range(len(r.values)) for b in range(program.arguments[k].width)]
+                outputs[_name(r.name, program.arguments[k])] = [second[min(p)][max(p) - min(p)] for p in pairs]
+        for result, cotangent in zip(program.results, product.arguments[len(program.arguments) :], strict=True):
+            for i, r in zip(wrt, product.results, strict=True):
+                outputs[_name(r.name, cotangent)] = [x for a in range(len(r.values)) for x in first[i, a][result.name]]
+        return finish(name, product.arguments, tape, outputs, growths=growths(product, values))
+
+
 def _unused(name: str, arguments: Sequence[Argument]) -> str:
     """Name that no argument has yet, made from the given one by adding primes."""
     while any(a.name == name for a in arguments):

@@ -1,0 +1,321 @@
+"""Motions for identification: they keep their limits at all times, tell as much as they say, and more than others.
+
+The references are the definition of a limit at random times, numpy's least squares on pinocchio's regressor, and
+`identify` on simulated torques.
+"""
+
+import math
+import re
+
+import numpy as np
+import oracles
+import pinocchio as pin
+import pytest
+import torch
+
+import torchdq
+from torchdq.errors import ArgumentError, MissingLibraryError
+from torchdq.learning import Box, HalfSpace, Motion, MotionLimits, excitation, excite, identify, plot_torques, read
+from torchdq.learning.base import BaseParameters
+from torchdq.learning.fourier import Family, grid
+
+LIMITS = MotionLimits(lower=-1.0, upper=[1.5, 0.5], velocity=[2.0, 3.0], effort=60.0)
+ROUNDING = 1 + 1e-12
+
+
+def double(x):
+    return torch.as_tensor(x, dtype=torch.float64)
+
+
+def random_times(found, count=20_000):
+    return float(found.time[-1]) * double(np.random.default_rng(1).uniform(size=count))
+
+
+def torques_at(found, robot, time):
+    """Torques with the described friction, whose dry part is taken at its greatest."""
+    q, qd, qdd = found.series.at(found.series.rate * time)
+    rigid = torchdq.inverse_dynamics(robot, q, qd, qdd) + robot.damping * qd
+    return q, qd, qdd, rigid.abs() + robot.friction
+
+
+@pytest.fixture(scope="module")
+def panda():
+    return torchdq.robots.load("panda")
+
+
+@pytest.fixture(scope="module")
+def exciting(panda):
+    limits = MotionLimits(
+        workspace=(HalfSpace("tip", (0, 0, 2), 0.3), Box("panda_link5", (-0.4,) * 3, (math.inf,) * 3))
+    )
+    return excite(panda, 10.0, limits, restarts=8), limits
+
+
+# --- series ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("harmonics", [2, 5, 12])
+def test_series_keep_their_limits_between_the_points_and_rest_at_their_ends(panda, harmonics):
+    bounds = MotionLimits(acceleration=9.0, share=1.0).bounds(panda)
+    family = Family(bounds, harmonics)
+    generator = torch.Generator().manual_seed(3)
+    x = family.start(50, generator) * 3
+    rate = 0.5 + 3 * torch.rand(50, dtype=torch.float64, generator=generator)
+    series = family.motions(x, rate)
+    q, qd, qdd = series.at(2 * math.pi * torch.rand(10_000, dtype=torch.float64, generator=generator))
+    assert bool((q <= bounds.upper + 1e-12).all()) and bool((q >= bounds.lower - 1e-12).all())
+    assert bool((qd.abs() <= bounds.velocity * ROUNDING).all())
+    assert bool((qdd.abs() <= bounds.acceleration * ROUNDING).all())
+    # and one of the three is used up, but for what the sigmoid leaves and the bound costs
+    left = torch.stack([(q.amax(1) - q.amin(1)) / (bounds.upper - bounds.lower), (qd.abs() / bounds.velocity).amax(1)])
+    used = torch.maximum(left.amax(0), (qdd.abs() / bounds.acceleration).amax(1))
+    assert torch.allclose(used, x[..., -2].sigmoid(), rtol=0.03)
+    _, *ends = series.at(double([0.0, 2 * math.pi]))
+    assert max(float(x.abs().max()) for x in ends) < 1e-12
+
+
+def test_velocities_and_accelerations_are_derivatives(panda):
+    family = Family(MotionLimits().bounds(panda), 5)
+    series = family.motions(family.start(3, torch.Generator().manual_seed(0)), double([1.0, 2.0, 0.5]))
+    step, phases = 1e-5, grid(17)
+    (before, v0, _), (_, v, a), (after, v1, _) = (series.at(phases + shift) for shift in (-step, 0.0, step))
+    w = series.rate[:, None, None]
+    assert torch.allclose((after - before) * w / (2 * step), v, atol=1e-8)
+    assert torch.allclose((v1 - v0) * w / (2 * step), a, atol=1e-8)
+
+
+def test_the_gradient_of_the_information_is_exact():
+    robot = torchdq.robots.load("two_link")
+    bounds = LIMITS.bounds(robot)
+    family, generator = Family(bounds, 3), torch.Generator().manual_seed(0)
+    states = 2 * torch.rand(3, 100, 2, dtype=torch.float64, generator=generator) - 1
+    parameters = BaseParameters.of(robot, ("viscous", "coulomb"), 0.05, bounds.effort, tuple(states))
+
+    def gain(x):
+        return torch.linalg.slogdet(parameters.information(*family.motions(x, double([1.0, 2.0])).at(grid(30))))[1]
+
+    assert torch.autograd.gradcheck(gain, family.start(2, generator).requires_grad_())
+
+
+# --- limits ----------------------------------------------------------------------------------------------------------
+
+
+def test_no_limit_is_exceeded_at_any_time(panda, exciting):
+    found, limits = exciting
+    q, qd, _, tau = torques_at(found, panda, random_times(found))
+    share, (lower, upper, velocity, effort) = 0.9, panda.limits
+    middle, reach = (upper + lower) / 2, (upper - lower) / 2
+    assert bool(((q - middle).abs() <= share * reach + 1e-12).all())
+    assert bool((qd.abs() <= share * velocity * ROUNDING).all()) and bool((tau <= share * effort).all())
+    assert bool((limits.clearance(panda, q) >= 0).all())
+    tip = torchdq.dq.translation(torchdq.forward_kinematics(panda, q, "tip"))
+    elbow = torchdq.dq.translation(torchdq.forward_kinematics(panda, q, "panda_link5"))
+    assert 0.3 <= float(tip[:, 2].min()) < 0.5  # the table is near
+    assert float(elbow.min()) >= -0.4
+
+
+def test_torques_that_bind_are_kept_between_the_rows():
+    described = torchdq.robots.load("two_link")
+    robot = described.replace(damping=double([1.0, 2.0]), friction=double([0.5, 0.2]))
+    limits = MotionLimits(lower=-1.0, upper=1.0, velocity=8.0, effort=[36.0, 10.0], share=1.0)
+    found = excite(robot, 8.0, limits, restarts=16)
+    *_, tau = torques_at(found, robot, random_times(found, 100_000))
+    used = (tau / double([36.0, 10.0])).amax(0)
+    assert bool((used <= 1).all()) and float(used.max()) > 0.93
+
+
+def test_a_motion_starts_and_ends_at_rest(exciting):
+    found, _ = exciting
+    for x in (found.qd, found.qdd):
+        assert float(x[[0, -1]].abs().max()) < 1e-9
+    assert float(found.time[-1]) == 10.0 and len(found.time) == 1001
+
+
+def test_half_spaces_and_boxes_measure_lengths():
+    robot = torchdq.robots.load("two_link")
+    q = torch.zeros(2, dtype=torch.float64)  # the tip is at (2, 0, 0)
+    assert torch.allclose(HalfSpace("tip", (-3, 0, 4), -2.0)(robot, q), double([-1.2 + 2.0]))
+    assert torch.allclose(Box("tip", (0, -1, -math.inf), (2.5, math.inf, math.inf))(robot, q), double([2.0, 1.0, 0.5]))
+    assert Box("tip", (-math.inf,) * 3, (math.inf,) * 3)(robot, q).shape == (0,)
+
+
+def test_own_functions_keep_the_arm_where_they_say():
+    robot = torchdq.robots.load("two_link")
+    limits = MotionLimits(
+        lower=-1.0, upper=1.0, velocity=2.0, effort=60.0, workspace=[lambda _, q: -0.6 - q[..., :1] - q[..., 1:]]
+    )
+    found = excite(robot, 5.0, limits, restarts=8)
+    q, *_ = found.series.at(found.series.rate * random_times(found))
+    assert -0.8 < float(q.sum(-1).max()) <= -0.6
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        (MotionLimits(velocity=1.0, effort=1.0), "position of joint 'joint1' .* lower below upper, found -inf to inf"),
+        (MotionLimits(-1.0, [1.0, -2.0], 1.0, effort=1.0), "position of joint 'joint2'.* found -1 to -2 rad; give"),
+        (MotionLimits(-1.0, 1.0, effort=50.0), r"velocity of joint 'joint1' .*inf rad/s; give MotionLimits\(velocity"),
+        (MotionLimits(-1.0, 1.0, [1.0, 2.0]), "effort of joint 'joint1' .* found inf N m"),
+        (MotionLimits(-1.0, 1.0, 1.0, -3.0, 50.0), "acceleration of joint 'joint1' .* found -3"),
+        (MotionLimits(-1.0, 1.0, [1.0, 2.0, 3.0], effort=1.0), r"velocity must be one number or 2, found .*\(3,\)"),
+        (MotionLimits(-0.1, 0.1, 1.0, effort=[60.0, 1.0]), "joint 'joint2' needs .* of 0.9 N m"),
+        (
+            MotionLimits(-1.0, 1.0, 1.0, effort=99.0, workspace=[HalfSpace("tip", (1, 0, 0), 3.0)]),
+            "workspace is left by 1 m",
+        ),
+    ],
+)
+def test_limits_that_are_missing_or_cannot_be_kept_are_named(limits, words):
+    with pytest.raises(ArgumentError, match=words):
+        excite(torchdq.robots.load("two_link"), 5.0, limits, restarts=4)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"period": 3.0}, "period must be a whole part of seconds.* give seconds=6"),
+        ({"harmonics": 1}, "harmonics must be a whole number from 2"),
+        ({"noise": [1.0, -1.0]}, "noise must be one positive number or 2"),
+        ({"limits": 3}, "limits must be MotionLimits, found int"),
+        ({"seconds": 0.0}, "seconds must be a positive number"),
+    ],
+)
+def test_other_arguments_are_checked(changes, words):
+    with pytest.raises(ArgumentError, match=words):
+        excite(torchdq.robots.load("two_link"), **{"seconds": 5.0, "limits": LIMITS, "restarts": 4} | changes)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: HalfSpace("tip", (0, 0, 0), 1.0), "normal .* must be a direction"),
+        (lambda: HalfSpace("tip", (0, 0), 1.0), "normal must be three numbers"),
+        (lambda: Box("tip", (0, 0, 0), (1, 0, 1)), "lower of the box of frame 'tip' must be below upper"),
+        (lambda: MotionLimits(share=1.2), "share must be at most 1"),
+        (lambda: MotionLimits(workspace=HalfSpace("tip", (0, 0, 1), 0.0)), "workspace must be a sequence"),
+    ],
+)
+def test_parts_of_limits_are_checked(make, words):
+    with pytest.raises(ArgumentError, match=words):
+        make()
+
+
+# --- information -----------------------------------------------------------------------------------------------------
+
+
+def test_errors_are_those_of_least_squares_on_pinocchios_regressor(panda, exciting):
+    found, _ = exciting
+    case = oracles.case("shipped-panda")
+    data = case.model.createData()
+    rows = [
+        pin.computeJointTorqueRegressor(case.model, data, *(x.numpy() for x in state)).copy()
+        for state in zip(found.q, found.qd, found.qdd, strict=True)
+    ]
+    Y, v = np.stack(rows), found.qd.numpy()
+    friction = [np.einsum("sj,jk->sjk", x, np.eye(7)) for x in (v, v / np.hypot(v, 1e-2))]
+    Z = np.concatenate([Y, *friction], -1) / found.parameters.noise.numpy()[:, None]
+    Z = Z.reshape(-1, Z.shape[-1])
+    rank = np.linalg.matrix_rank(Z, tol=1e-9 * np.linalg.norm(Z))
+    assert len(found.errors) == rank == 43 + 14
+    base, lead = found.parameters.base.numpy(), Z[:, found.parameters.leading]
+    assert np.abs(Z - lead @ base).max() < 1e-9 * np.abs(Z).max()
+    expected = np.sqrt(np.linalg.inv(lead.T @ lead).diagonal())
+    assert found.errors.numpy() == pytest.approx(expected, rel=1e-8)
+    assert found.condition == pytest.approx(np.linalg.cond(lead), rel=1e-6)
+
+
+def test_identification_from_the_motion_errs_as_predicted():
+    """Mean square over the base parameters and 30 draws of the noise, in predicted variances."""
+    robot = torchdq.robots.load("two_link")
+    found = excite(robot, 5.0, LIMITS, restarts=8, noise=[0.5, 0.2], rate=50.0)
+    friction = found.qd + 2 * found.qd / (found.qd**2 + 1e-4).sqrt()
+    rigid = torchdq.inverse_dynamics(robot, found.q, found.qd, found.qdd)
+    rng, base = np.random.default_rng(0), found.parameters.base
+    truth = torch.cat([robot.inertial_parameters, double([1.0, 1.0, 2.0, 2.0])])
+    squares = []
+    for _ in range(30):
+        noise = double(rng.normal(size=rigid.shape)) * found.parameters.noise
+        tau = rigid + friction + noise
+        again = identify(robot, found.q, found.qd, found.qdd, tau, friction=True, prior=1e-6)
+        assert again.rank == len(base)
+        squares.append(((base @ (again.parameters - truth)) / found.errors) ** 2)
+    mean = float(torch.stack(squares).mean())
+    assert abs(mean - 1) < 5 * math.sqrt(2 / (30 * len(base)))
+
+
+def test_parameters_that_a_motion_does_not_tell_have_infinite_errors(exciting):
+    found, _ = exciting
+    still = found.q[:100], 0 * found.q[:100], 0 * found.q[:100]
+    errors = found.parameters.errors(*still)
+    assert bool(errors[-14:].isinf().all()) and bool(errors.isfinite().any())
+
+
+def test_the_search_improves_on_random_motions(panda, exciting):
+    found, limits = exciting
+    family = Family(limits.bounds(panda), 5)
+    rate = torch.full((200,), float(found.series.rate)).double()
+    some = family.motions(family.start(200, torch.Generator().manual_seed(9)), rate).at(grid(60))
+    volume = torch.linalg.slogdet(found.parameters.information(*some)).logabsdet
+    own = torch.linalg.slogdet(found.parameters.information(found.q[1:], found.qd[1:], found.qdd[1:])).logabsdet
+    # a mean error 1.3 times smaller than the best random motion's, which need not keep torques and workspace
+    assert float(own - volume.max()) > 2 * len(found.errors) * math.log(1.3)
+
+
+def test_seeds_reproduce_motions(monkeypatch):
+    monkeypatch.setattr(excitation, "STAGES", ((1, 5), (2, 5)))
+    robot = torchdq.robots.load("two_link")
+    one, same, other = (excite(robot, 5.0, LIMITS, restarts=4, seed=seed) for seed in (1, 1, 2))
+    assert torch.equal(one.q, same.q) and not torch.equal(one.q, other.q)
+
+
+# --- what is done with it --------------------------------------------------------------------------------------------
+
+
+def test_a_file_is_read_back(exciting, tmp_path):
+    found, _ = exciting
+    for rate, rows in ((None, 1001), (250.0, 2501)):
+        found.to_csv(tmp_path / "motion.csv", rate)
+        log = read(tmp_path / "motion.csv")
+        motion = found.sampled(rate or 100.0)
+        assert len(log.time) == rows
+        for name in ("time", "q", "qd", "qdd", "tau"):
+            assert np.allclose(getattr(log, name), getattr(motion, name), rtol=1e-10, atol=1e-11)
+    assert np.array_equal(found.sampled(100.0).q, found.q.numpy())
+
+
+def test_printed_it_is_the_table_of_errors(exciting):
+    found, _ = exciting
+    assert repr(found) == "Excitation(panda: 10 s of 7 joints for 57 base parameters)"
+    assert re.search(r"panda_joint7 coulomb +\d", str(found)) and "velocity" in str(found)
+
+
+def test_a_plot_shows_every_joint(exciting, tmp_path):
+    pytest.importorskip("matplotlib")
+    found, _ = exciting
+    figure = found.plot()
+    assert len(figure.axes) == 21
+    figure.savefig(tmp_path / "motion.png")
+    assert (tmp_path / "motion.png").stat().st_size > 10_000
+
+
+def test_predicted_torques_are_drawn_beside_measured_ones(panda, exciting, tmp_path):
+    pytest.importorskip("matplotlib")
+    motion = exciting[0].sampled(50.0)
+    found = identify(panda, *(torch.as_tensor(x) for x in motion[1:5]), friction=True, prior=1.0)
+    apart = motion._replace(time=np.where(motion.time > 4, motion.time + 2, motion.time))  # a line is broken there
+    figure = plot_torques(found, [motion, apart])
+    assert [axes.get_title().split(":")[0] for axes in figure.axes] == list(panda.joint_names)
+    measured, predicted = (line.get_ydata() for line in figure.axes[1].lines)
+    assert np.isnan(measured).sum() == 2 and len(measured) == 2 * 501 + 2
+    assert np.nanmax(abs(measured - predicted)) < 0.02 * np.nanmax(abs(measured))
+    figure.savefig(tmp_path / "torques.png")
+    with pytest.raises(ArgumentError, match="motions must be of the 7 joints of 'panda', found 2"):
+        plot_torques(found, Motion(motion.time, *(x[:, :2] for x in motion[1:5])))
+    with pytest.raises(ArgumentError, match="identified must be what identify returns, found Robot"):
+        plot_torques(panda, motion)
+
+
+def test_a_plot_without_matplotlib_says_what_to_install(exciting, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
+    with pytest.raises(MissingLibraryError, match="matplotlib"):
+        exciting[0].plot()

@@ -1,0 +1,171 @@
+"""Limits that a motion keeps: of positions, velocities, accelerations, torques, and of the space the arm may use."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq import dq
+from torchdq.checks import is_number, require_number, tensor_of
+from torchdq.errors import ArgumentError
+from torchdq.functional import forward_kinematics
+from torchdq.robot import Robot
+
+Clearance = Callable[[Robot, Tensor], Tensor]  # (robot, q [..., n]) to numbers [..., c], not negative where q may be
+JOINT_UNITS = {"velocity": ("rad/s", "m/s"), "acceleration": ("rad/s^2", "m/s^2"), "effort": ("N m", "N")}
+
+
+@dataclass(frozen=True)
+class HalfSpace:
+    """Space on one side of a plane, for the origin of a frame: normal . p >= least, p in the base frame.
+
+    Called, it is how far the frame is inside [m].
+
+    Args:
+        frame: name of the frame.
+        normal: direction into the space, in the base frame; it need not have length one.
+        least: distance of the plane from the origin of the base along the normal [m].
+
+    >>> import torch, torchdq
+    >>> above = HalfSpace("tip", (0, 0, 1), 0.1)  # the tip stays 0.1 m above the base
+    >>> above(torchdq.robots.load("two_link"), torch.zeros(2)).shape
+    torch.Size([1])
+    """
+
+    frame: str
+    normal: tuple[float, float, float]
+    least: float
+
+    def __post_init__(self) -> None:
+        _require_three("normal", self.normal)
+        require_number("least", self.least)
+        if not any(self.normal):
+            raise ArgumentError(f"normal of the half-space of frame {self.frame!r} must be a direction, found zero")
+
+    def __call__(self, robot: Robot, q: Tensor) -> Tensor:
+        """Distance [..., 1] of the frame from the plane [m], negative outside."""
+        p = dq.translation(forward_kinematics(robot, q, self.frame))
+        normal = torch.tensor(self.normal, dtype=q.dtype) / math.hypot(*self.normal)
+        return p @ normal[:, None] - self.least
+
+
+@dataclass(frozen=True)
+class Box:
+    """Box in the axes of the base, for the origin of a frame: lower <= p <= upper; infinite where it is open.
+
+    Called, it is how far the frame is inside [m].
+
+    Args:
+        frame: name of the frame.
+        lower, upper: corners in the base frame [m]; `math.inf` where there is no wall.
+    """
+
+    frame: str
+    lower: tuple[float, float, float]
+    upper: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        for name in ("lower", "upper"):
+            _require_three(name, getattr(self, name), finite=False)
+        if not all(a < b for a, b in zip(self.lower, self.upper, strict=True)):
+            raise ArgumentError(
+                f"lower of the box of frame {self.frame!r} must be below upper, found {self.lower} and {self.upper}"
+            )
+
+    def __call__(self, robot: Robot, q: Tensor) -> Tensor:
+        """Distances [..., walls] of the frame from the walls [m], negative outside."""
+        p = dq.translation(forward_kinematics(robot, q, self.frame))
+        walls = [p[..., i] - x for i, x in enumerate(self.lower) if math.isfinite(x)]
+        walls += [x - p[..., i] for i, x in enumerate(self.upper) if math.isfinite(x)]
+        return torch.stack(walls, -1) if walls else p[..., :0]
+
+
+class Bounds(NamedTuple):
+    """Numbers of the limits, one per joint each."""
+
+    lower: Tensor  # [n] [rad or m]
+    upper: Tensor  # [n] [rad or m]
+    velocity: Tensor  # [n] [rad/s or m/s]
+    acceleration: Tensor  # [n] [rad/s^2 or m/s^2], infinite where there is none
+    effort: Tensor  # [n] [N m or N]
+
+
+@dataclass(frozen=True, eq=False)
+class MotionLimits:
+    """Limits that a motion keeps, each one number for all joints or one per joint.
+
+    Args:
+        lower, upper: least and greatest positions [rad or m]; None: the robot's.
+        velocity: greatest speed [rad/s or m/s]; None: the robot's.
+        acceleration: greatest acceleration [rad/s^2 or m/s^2]; None: none but what the torques allow.
+        effort: greatest torque, gravity and described friction included [N m or N]; None: the robot's.
+        share: part of these that is used: of velocities, accelerations and torques, and of the range about its middle.
+            The description's torques may be off, and a controller overshoots.
+        workspace: `HalfSpace`, `Box`, or functions (robot, q [..., n]) that return numbers [..., c], differentiable in
+            q and not negative where the arm may be. A half-space holds for the origin of a frame: leave room for the
+            body around it. Nothing here knows whether links collide with each other.
+
+    >>> MotionLimits(velocity=1.0, workspace=(HalfSpace("tip", (0, 0, 1), 0.05),)).share
+    0.9
+    """
+
+    lower: Any = None
+    upper: Any = None
+    velocity: Any = None
+    acceleration: Any = None
+    effort: Any = None
+    share: float = 0.9
+    workspace: Sequence[Clearance] = ()
+
+    def __post_init__(self) -> None:
+        require_number("share", self.share, positive=True)
+        if self.share > 1:
+            raise ArgumentError(f"share must be at most 1, the limits themselves, found {self.share}")
+        if not isinstance(self.workspace, Sequence) or not all(map(callable, self.workspace)):
+            expected = "a sequence of HalfSpace, Box or functions (robot, q)"
+            raise ArgumentError(f"workspace must be {expected}, found {self.workspace!r}")
+
+    def bounds(self, robot: Robot) -> Bounds:
+        """Numbers of the limits for a robot, its share taken; raises `ArgumentError` naming a joint that lacks one."""
+        described = robot.limits._asdict()
+        found = {}
+        for name in ("lower", "upper", "velocity", "acceleration", "effort"):
+            given = getattr(self, name)
+            if given is None:
+                x = described[name] if name in described else torch.full((robot.n,), math.inf)
+            else:
+                x = tensor_of(given)
+            if x.ndim > 1 or (x.ndim == 1 and len(x) != robot.n) or x.is_complex():
+                raise ArgumentError(f"{name} must be one number or {robot.n}, found the shape {tuple(x.shape)}")
+            found[name] = x.detach().double().cpu().expand(robot.n)
+        joints = zip(robot.joint_names, robot.joint_types, *(x.tolist() for x in found.values()), strict=True)
+        for joint, kind, lower, upper, *others in joints:
+            whose = f"of joint {joint!r} of robot {robot.name!r}"
+            if not (math.isfinite(lower) and math.isfinite(upper) and lower < upper):
+                unit = "rad" if kind.turns else "m"
+                what = f"position {whose} must have finite limits, lower below upper"
+                cure = "give MotionLimits(lower=..., upper=...)"
+                raise ArgumentError(f"{what}, found {lower:g} to {upper:g} {unit}; {cure}")
+            for name, x in zip(("velocity", "acceleration", "effort"), others, strict=True):
+                if not x > 0 or (math.isinf(x) and name != "acceleration"):
+                    unit = JOINT_UNITS[name][not kind.turns]
+                    cure = f"give MotionLimits({name}=...) with one number, or one per joint"
+                    raise ArgumentError(f"{name} {whose} must have a finite limit, found {x:g} {unit}; {cure}")
+        middle, reach = (found["upper"] + found["lower"]) / 2, self.share * (found["upper"] - found["lower"]) / 2
+        rates = (self.share * found[name] for name in ("velocity", "acceleration", "effort"))
+        return Bounds(middle - reach, middle + reach, *rates)
+
+    def clearance(self, robot: Robot, q: Tensor) -> Tensor:
+        """Numbers [..., c] of all parts of the workspace at positions [..., n], not negative where q may be."""
+        parts = [part(robot, q) for part in self.workspace]
+        return torch.cat(parts, -1) if parts else q[..., :0]
+
+
+def _require_three(name: str, x: Any, finite: bool = True) -> None:
+    if not isinstance(x, Sequence) or len(x) != 3 or not all(is_number(one) for one in x):
+        raise ArgumentError(f"{name} must be three numbers, found {x!r}")
+    if any(math.isnan(one) or (finite and math.isinf(one)) for one in x):
+        raise ArgumentError(f"{name} must be three finite numbers, found {x!r}")
