@@ -24,7 +24,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from torchdq.learning.blocks import Recording, blocks
+from torchdq.learning.blocks import Block, Recording, blocks
 from torchdq.learning.correlation import correlation_times
 from torchdq.learning.data import Samples, torque_variance
 from torchdq.learning.plausibility import LogWarning
@@ -198,9 +198,9 @@ def _by_parts(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
     return torch.cat([function(part).double() for part in x.split(ROWS)])
 
 
-def _blocks(samples: Samples, lengths: Sequence[int]) -> list:
-    rows = [x.double() for x in samples]
-    return blocks(Recording(*rows[:3], tuple(lengths), rows[3]))
+def _blocks(samples: Samples, lengths: Sequence[int]) -> list[Block]:
+    q, qd, qdd, tau = (x.double() for x in samples)
+    return blocks(Recording(q, qd, qdd, tuple(lengths), tau))
 
 
 def _by_copies(
@@ -212,12 +212,12 @@ def _by_copies(
     how: Training,
 ) -> LeftOut:
     """`LeftOut` of copies of the network, each trained without some blocks, and those blocks."""
-    found, parts = _blocks(train, lengths), []
+    found, parts = _blocks(train, lengths), list[LeftOut]()
     x, residual = rows
     scale = torque_variance(train.tau).to(x)
     for k in range(min(GROUPS, len(found))):
         mine = found[k::GROUPS]
-        used = torch.ones(len(x), dtype=torch.bool)
+        used = torch.ones(len(x), dtype=torch.bool)  # rows that the copy is trained on
         for block in mine:
             for some in (block.rows, *block.beside):
                 used[some] = False
@@ -237,9 +237,18 @@ def _by_copies(
         none = residual[:0]
         return LeftOut(none, none, none, none, none, [])
     parts.sort(key=lambda part: part.blocks[0].start)
-    torque, residual, distance, past, leverage, found = zip(*parts, strict=True)
-    columns = map(torch.cat, (torque, residual, distance, past, leverage))
-    return LeftOut(*columns, blocks=[block for some in found for block in some])
+
+    def together(name: str) -> Tensor:
+        return torch.cat([getattr(part, name) for part in parts])
+
+    return LeftOut(
+        together("torque"),
+        together("residual"),
+        together("squared_distance"),
+        together("past"),
+        together("leverage"),
+        [part.blocks[0] for part in parts],
+    )
 
 
 def _trained(
