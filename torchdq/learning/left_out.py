@@ -260,7 +260,7 @@ def _trained(
     with torch.random.fork_rng([x.device] if x.device.type == "cuda" else []), torch.enable_grad():
         torch.manual_seed(how.seed)
         for part in network.modules():
-            if isinstance(reset := getattr(part, "reset_parameters", None), Callable):
+            if callable(reset := getattr(part, "reset_parameters", None)):
                 reset()
         learned = [p for p in network.parameters() if p.requires_grad]
         optimiser = torch.optim.AdamW(learned, lr=how.rate, weight_decay=how.decay)
@@ -325,8 +325,8 @@ def _set(model: ResidualDynamics, left: LeftOut, train: Samples, lengths: Sequen
     correlation = correlation_times(wrong, [b.stop - b.start for b in parts]).to(wrong)
     posterior.correlation.copy_(correlation)
     distance = left.squared_distance.clamp_min(0).sqrt() / model.domain.reach + left.past.clamp_min(0)
-    known = (x.expand_as(r) for x in (left.leverage, gate, distance))
-    ratio = wrong.abs() / posterior.errors(*known, weight=weight).clamp_min(1e-300)
+    errors = posterior.errors(left.leverage.expand_as(r), gate, distance.expand_as(r), weight)
+    ratio = wrong.abs() / errors.clamp_min(1e-300)
     posterior.quantile.copy_(ratio.quantile(COVERED, 0))
     spread = variance.sqrt()
     return Worth(

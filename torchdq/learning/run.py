@@ -189,8 +189,8 @@ class Run:
         q, qd, qdd, tau = (x[mine] for x in samples)
         if not len(tau):
             return tau.sum()  # zero
-        known = self.known is not None and samples is self.train
-        predicted = self.known(mine) if known else self.model(q, qd, qdd)
+        known = self.known if samples is self.train else None
+        predicted = self.model(q, qd, qdd) if known is None else known(mine)
         if predicted.shape != tau.shape:
             raise ArgumentError(f"model must return torques {list(tau.shape)}, found {list(predicted.shape)}")
         if torch.is_grad_enabled() and not predicted.requires_grad:
