@@ -7,7 +7,9 @@
 Without logs, an arm that differs from its description (masses, centres of mass, friction) is recorded first: a CSV file
 a motion, with columns and stamps as drivers write them. The rest is what any log needs: a `Layout` that names the
 columns, `read`, `smooth`, `identify`. The last log is kept for the test, which no number was found from; of a single
-log that is its last third.
+log that is its last third. What is found is a robot, `found.robot`, with friction: `found.layer()` is a module of its
+torques, `Scene(found.robot, found.effects())` simulates it, and beside a URDF that was given, one with its numbers is
+written.
 """
 
 import sys
@@ -24,7 +26,7 @@ from rich.console import Console
 from simulated_logs import real_arm, recorded, write
 
 import torchdq
-from torchdq.learning import Identified, Layout, LogError, Motion, cut, directions, identify, read, samples, smooth
+from torchdq.learning import Identified, Layout, LogError, Motion, cut, identify, read, samples, smooth
 
 # columns of our own logs; joints are counted from 0 there
 NAMES = {"time": "stamp", "q": "position_{0}", "qd": "velocity_{0}", "tau": "effort_{0}"}
@@ -90,18 +92,17 @@ def main(args: Args) -> Result:
     train, test = (motions, motion(args.test)) if args.test else split(motions)
     console.print(test)
 
-    found = identify(robot, *samples(train), direction=directions(train))
+    found = identify(robot, train)
     console.print(str(found))
 
-    unseen = samples(test)
     with torch.no_grad():
-        torques = {
-            "as described": torchdq.inverse_dynamics(robot, *unseen[:3]).numpy(),
-            "as found": found.predict(*unseen[:3]).tau.numpy(),
-        }
+        described = torchdq.inverse_dynamics(robot, *samples(test)[:3])
+    torques = {"as described": described.numpy(), "as found": found.predict(test).tau.numpy()}
     errors = shares(test, torques)
     console.print(errors_table(errors))
     draw(robot.joint_names, test, torques, args.out / "log_with_torques.png", 12.0)
+    if not shipped:
+        args.out.joinpath("identified.urdf").write_text(found.to_urdf(args.robot), encoding="utf-8")
     return Result(found, *errors.values())
 
 

@@ -5,8 +5,9 @@
 
 The log is one of an arm that is simulated first, and differs from its description. Its drives write stamps, encoders at
 the motors and currents; velocities they do not. Gears reverse a joint, and the last two motors turn the wrist together.
-A `Layout` says all of it. Torques per ampere are those of a data sheet; a robot found from them is right as far as they
-are: masses, inertias and friction of a joint change with its gain.
+A `Layout` says all of it. Torques per ampere are those of a data sheet, from which the drives' own are off by up to a
+fifth: `identify(..., gains=True)` finds the factor of each joint. One factor of them all cannot be told from masses; it
+comes from the description.
 """
 
 import sys
@@ -19,10 +20,11 @@ import torch
 import tyro
 from identified import draw, errors_table, shares
 from rich.console import Console
+from rich.table import Table
 from simulated_logs import real_arm, recorded, write
 
 import torchdq
-from torchdq.learning import Identified, Layout, LogError, directions, identify, read, samples, smooth
+from torchdq.learning import Identified, Layout, LogError, identify, read, samples, smooth
 
 RATIOS = (101.0, -101.0, 101.0, 101.0)  # of the gears of the arm, negative where the joint turns against the motor
 WRIST = (
@@ -54,24 +56,29 @@ class Result(NamedTuple):
     found: Identified
     before: np.ndarray  # [n] error over standard deviation of the torques in the test, as described
     after: np.ndarray  # [n] the same, as found
+    gains: np.ndarray  # [n] found torque over the true one, but for one factor of all joints
 
 
-def made_logs(robot: torchdq.Robot, args: Args) -> list[Path]:
-    """Logs of the drives of an arm that is not as described."""
-    arm, paths = real_arm(robot, args.seed), []
+def made_logs(robot: torchdq.Robot, args: Args) -> tuple[list[Path], np.ndarray]:
+    """Logs of the drives of an arm that is not as described, and their torques over those of the data sheet."""
+    arm, paths = real_arm(robot, args.seed, rotors=True), []
+    off = np.random.default_rng(args.seed).uniform(0.8, 1.2, robot.n)
+    off[-1] = off[-2]  # the motors of the wrist are of one kind
     for k in range(2 if args.quick else 4):
         log = recorded(arm, 12.0 if args.quick else 25.0, 200.0, 100 * args.seed + k)
         encoders = log.q @ np.linalg.inv(TRANSMISSION).T
-        currents = log.tau @ TRANSMISSION / GAINS  # no power is lost: torques go to the motors by the transposed matrix
+        currents = (
+            log.tau @ TRANSMISSION / (off * GAINS)
+        )  # no power is lost: torques go to the motors by the transposed matrix
         paths.append(write(args.out / f"drives_{k}.csv", log.time, {"encoder": encoders, "current": currents}))
-    return paths
+    return paths, off
 
 
 def main(args: Args) -> Result:
     """Errors of the torques before and after."""
     console = Console(width=110)
     robot = torchdq.robots.load("ur10e")
-    paths = made_logs(robot, args)
+    paths, off = made_logs(robot, args)
     try:
         read(paths[0], Layout(columns={"time": "stamp", "q": "encoder_{0}"}))
     except (
@@ -83,19 +90,30 @@ def main(args: Args) -> Result:
     *train, test = [smooth(log, rate=20) for log in logs]
     console.print(test)
 
-    found = identify(robot, *samples(train), direction=directions(train))
+    found = identify(robot, train, armature=True, gains=True)  # currents drive the rotors, too
     console.print(str(found))
 
-    unseen = samples(test)
+    factors = found.gains.value.numpy()
+    common = float(np.median(factors / off))
+    rows = Table("torque over that of the data sheet", *(f"joint {j + 1}" for j in range(robot.n)))
+    shown = {
+        "true": off,
+        "found": factors,
+        "+-": found.gains.error.numpy(),
+        "found, but for one factor": factors / common,
+    }
+    for name, x in shown.items():
+        rows.add_row(name, *(f"{one:.3f}" for one in x))
+    console.print(rows)
+
+    test = test._replace(tau=test.tau * factors)
     with torch.no_grad():
-        torques = {
-            "as described": torchdq.inverse_dynamics(robot, *unseen[:3]).numpy(),
-            "as found": found.predict(*unseen[:3]).tau.numpy(),
-        }
+        described = torchdq.inverse_dynamics(robot, *samples(test)[:3])
+    torques = {"as described": described.numpy(), "as found": found.predict(test).tau.numpy()}
     errors = shares(test, torques)
     console.print(errors_table(errors))
     draw(robot.joint_names, test, torques, args.out / "log_with_currents.png", 12.0)
-    return Result(found, *errors.values())
+    return Result(found, *errors.values(), factors / common / off)
 
 
 if __name__ == "__main__":

@@ -35,8 +35,8 @@ class Recorded(NamedTuple):
     tau: np.ndarray  # [rows, n] [N m]
 
 
-def real_arm(described: torchdq.Robot, seed: int) -> Arm:
-    """Arm with masses off by up to 30 %, centres of mass by a centimetre, and friction."""
+def real_arm(described: torchdq.Robot, seed: int, rotors: bool = False) -> Arm:
+    """Arm with masses off by up to 30 %, centres of mass by a centimetre, friction, and if asked for, rotors."""
     random = torch.Generator().manual_seed(seed)
 
     def uniform(low: float, high: float) -> Tensor:
@@ -47,6 +47,9 @@ def real_arm(described: torchdq.Robot, seed: int) -> Arm:
     robot = described.replace(
         mass=factor * described.mass, com=described.com + off, inertia=factor[:, None] * described.inertia
     )
+    if rotors:
+        inertia = torchdq.mass_matrix(described, torch.zeros_like(factor)).diagonal()
+        robot = robot.replace(armature=inertia.clamp(min=0.02 * float(inertia.max())) * uniform(0.1, 0.3))
     size = torchdq.inverse_dynamics(described, *torch.randn(3, 200, described.n, generator=random).double()).std(0)
     size = size.clamp(min=0.02 * float(size.max()))
     return Arm(robot.bake(), 0.05 * size * uniform(0.5, 1.5), 0.15 * size * uniform(0.5, 1.5))

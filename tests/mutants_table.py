@@ -3491,12 +3491,72 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/regression.py",
+        "torchdq/learning/terms.py",
         (
             "sharp signs of velocity beside filtered torques",
-            'units["coulomb"] = direction',
-            "pass",
+            "if recording.direction is None else recording.direction",
+            "if True else recording.direction",
             "friction_of_logs.py::test_friction_is_found_within_the_stated_errors",
+        ),
+        (
+            "bristles that never slide",
+            "step.sign() * (1 - keep)",
+            "step / distance",
+            "ladder_of_models.py::test_friction_of_each_shape_is_found_with_its_size",
+        ),
+    ),
+    *within(
+        "torchdq/learning/evidence.py",
+        (
+            "rows beside a block that is left out",
+            "folds[k] -= sums[first",
+            "folds[k] -= 0 * sums[first",
+            "ladder_of_models.py::test_a_fold_holds_nothing_of_its_block",
+        ),
+    ),
+    *within(
+        "torchdq/learning/blocks.py",
+        (
+            "gaps without times",
+            "after = int((time[last : motion.stop] < time[last - 1] + ENDS).sum())",
+            "after = 0",
+            "ladder_of_models.py::test_blocks_are_whole_motions_or_parts_with_gaps",
+        ),
+    ),
+    *within(
+        "torchdq/learning/correlation.py",
+        (
+            "correlation counted on one side",
+            "1 + 2 * (correlation * clear)",
+            "1 + (correlation * clear)",
+            "ladder_of_models.py::test_correlation_times_are_those_of_the_process",
+        ),
+    ),
+    *within(
+        "torchdq/learning/ladder.py",
+        (
+            "the best rung instead of the simplest as good",
+            "if float(off.mean()) <= float(off.std() / len(off) ** 0.5):",
+            "if i == best:",
+            "ladder_of_models.py::test_the_simplest_as_good_as_the_best_is_chosen",
+        ),
+    ),
+    *within(
+        "torchdq/learning/shapes.py",
+        (
+            "residuals without the friction of the joint",
+            "e[:, self.own] = -self.coefficients(y)",
+            "e[:, self.own] = 0.0",
+            "ladder_of_models.py::test_friction_of_each_shape_is_found_with_its_size",
+        ),
+    ),
+    *within(
+        "torchdq/learning/gains.py",
+        (
+            "gains about one alone",
+            "(1 - h)[:, None] * start + (h - centre)[:, None] * phi",
+            "(1 - h)[:, None] * start",
+            "ladder_of_models.py::test_gains_of_drives_are_found_within_their_errors",
         ),
     ),
     *within(
@@ -3870,6 +3930,33 @@ MUTANTS = (
             "if last >= min(before):",
             "if True:",
             "logs.py::test_a_file_that_ends_within_its_last_number_is_told",
+        ),
+    ),
+    *within(
+        "torchdq/learning/shooting.py",
+        (
+            "gaps between steps forgotten",
+            "added[..., s:-1], added[..., -1] = B.reshape(*added.shape[:3], -1), moved.gaps.reshape(added.shape[:3])",
+            "added[..., s:-1] = B.reshape(*added.shape[:3], -1)",
+            "rollout_fit.py::test_exact_logs_give_the_exact_parameters",
+        ),
+    ),
+    *within(
+        "torchdq/learning/rollout_problem.py",
+        (
+            "states not counted among what the measurements are spent on",
+            "spent = states + len(at.values) / at.spread.numel()",
+            "spent = -40 * states",
+            "rollout_fit.py::test_it_is_the_least_squares_over_simulated_motions",
+        ),
+    ),
+    *within(
+        "torchdq/learning/recordings.py",
+        (
+            "commands not delayed within a step",
+            "return np.where((last > first)[..., None], (early + between + late) / span, u[first])",
+            "return u[first]",
+            "rollout_fit.py::test_means_and_slopes_of_commands_are_those_of_a_fine_sum",
         ),
     ),
     *within(

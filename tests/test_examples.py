@@ -108,6 +108,18 @@ def test_what_to_record(tmp_path, capsys):
     assert_drawn(tmp_path / "possible_arms.png")
 
 
+def test_positions_only(tmp_path, capsys):
+    module = import_module("16_positions_only")
+    module.prepare()
+    found, true, before, after = module.main(module.Args(quick=True, out=tmp_path))
+    z = (found.estimate - true) / found.covariance.diagonal().sqrt()
+    assert float(z.abs().max()) < 4 and float(z.square().mean()) < 2
+    assert not found.untold and not found.doubt
+    assert float(after.max()) < 5 * module.NOISE < 1e-3 < float(before.mean())
+    assert "Payload.mass" in capsys.readouterr().out
+    assert_drawn(tmp_path / "positions_only.png")
+
+
 # --- recordings of real arms -----------------------------------------------------------------------------------------
 
 
@@ -163,6 +175,8 @@ def test_a_log_with_currents(tmp_path, capsys):
     module = import_module("18_log_with_currents")
     result = module.main(module.Args(quick=True, out=tmp_path))
     assert result.after.mean() < 0.1 * result.before.mean() and (result.after < 0.3 * result.before).all()
+    np.testing.assert_allclose(result.gains[:4], 1, atol=0.02)  # the wrist carries too little to tell its own
+    np.testing.assert_allclose(result.gains, 1, atol=0.2)
     assert_drawn(tmp_path / "log_with_currents.png")
     printed = " ".join(capsys.readouterr().out.split())
     assert "if 'current_0' is a motor current" in printed and "ur10e, identified" in printed

@@ -406,7 +406,7 @@ def test_what_it_does_not_take():
     with pytest.raises(ArgumentError, match="at least one sample"):
         fitted(robot, x[:0], x[:0], x[:0], x[:0])
     for name in ("prior", "width"):
-        for wrong in (0.0, -1, True, "1", float("inf")):
+        for wrong in (0.0, -1, True, "1", float("nan")):
             with pytest.raises(ArgumentError, match=f"^{name} must be a positive number, found "):
                 fitted(robot, x, x, x, x, **{name: wrong})
     with pytest.raises(ArgumentError, match="batch axes"):
@@ -434,7 +434,7 @@ def test_the_example_finds_the_arm(tmp_path, capsys):
     example = import_module("09_identify")
     with torchdq.backend("auto"):
         result = example.main(example.Args(quick=True, out=tmp_path / "new"))
-    assert result.chi_square < 2.5
+    assert result.chi_square < 3
     assert bool((result.after < 0.2 * result.before).all())
     assert bool((result.after < 1.3 * result.found.noise).all())
     assert_can_exist(result.found)

@@ -13,8 +13,9 @@ import torch
 
 pytest.importorskip("scipy", reason="smoothing needs scipy")
 
+from torchdq import robots
 from torchdq.errors import ArgumentError, TorchdqError
-from torchdq.learning import Layout, LogError, LogWarning, cut, directions, read, samples, smooth
+from torchdq.learning import Layout, LogError, LogWarning, cut, directions, identify, read, samples, smooth
 
 TIME = np.linspace(0.0, 6.0, 1201)
 RATE = 2 * np.pi * np.array([0.5, 0.8, 1.1])
@@ -192,6 +193,12 @@ def test_efforts_of_unknown_gains_are_never_taken_for_torques(tmp_path):
     assert not motion.known_gains and "unknown gains" in str(motion) and not cut(motion, 0.5)[1].known_gains
     with pytest.raises(ArgumentError, match=r"efforts of unknown gains in that of .*log\.csv; .*gains=True"):
         samples([motion])
+    flat = robots.load("two_link")
+    two = motion._replace(**{name: getattr(motion, name)[:, :2] for name in ("q", "qd", "qdd", "tau", "direction")})
+    with pytest.raises(ArgumentError, match="efforts of unknown gains; give gains=True"):
+        identify(flat, two)
+    with pytest.raises(ArgumentError, match="motions must have torques"):
+        identify(flat, two._replace(tau=None, known_gains=True))
     known = smooth(read(path, Layout(columns={"tau": "current{1}"}, gain=(7, 7, 7))))
     assert known.known_gains
     np.testing.assert_allclose(samples(known).tau, 7 * motion.tau)

@@ -27,7 +27,7 @@ class SampleText(NamedTuple):
     root: str  # name of the function for square roots
 
 
-class Parts(NamedTuple):
+class ProgramParts(NamedTuple):
     """Functions of a program, which share some arrays of their own."""
 
     text: str
@@ -35,7 +35,7 @@ class Parts(NamedTuple):
     own: list[Array]  # slots, if there is more than one function; and the sum of all sines: see `c99.angles`
 
 
-def parts(program: Program, name: str, single: bool, library: Library, written_as: SampleText) -> Parts:
+def parts(program: Program, name: str, single: bool, library: Library, written_as: SampleText) -> ProgramParts:
     """Functions of a program, which are named after it."""
     plan = schedule(per_sample(program), LONGEST)
     printer = c99.Printer(program, single, library, written_as.place, written_as.root)
@@ -67,7 +67,7 @@ def parts(program: Program, name: str, single: bool, library: Library, written_a
         texts.append(f"static void {called}({', '.join(parameters) or 'void'})\n{{\n{written_as.body(lines)}}}\n")
         calls.append((called, [*(arguments[i] for i in read), *written, *passes]))
     own = [array for array in (slots, angles) if any(array in arrays for _, arrays in calls)]
-    return Parts("\n".join(texts), calls, own)
+    return ProgramParts("\n".join(texts), calls, own)
 
 
 def _parameter(array: Array, read: bool, shared: bool) -> str:

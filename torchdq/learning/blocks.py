@@ -41,6 +41,7 @@ class Recording(NamedTuple):
     tau: Tensor | None = None  # [rows, n] [N m or N]
     direction: Tensor | None = None  # [rows, n] sign of the velocity, filtered as the torques
     time: Tensor | None = None  # [rows] [s]
+    known_gains: bool = True  # whether tau is in these units
 
     @property
     def measured(self) -> Tensor:
@@ -86,16 +87,17 @@ def of_motions(robot: Robot, motions: Motion | Sequence[Motion]) -> Recording:
             found = f"found one with {motion.q.shape[1]}"
             raise ArgumentError(f"motions must be of {robot.name!r}, which has {robot.n} joints, {found}")
 
-    def together(name: str) -> Tensor | None:
+    def together(name: str) -> Tensor:
         parts = [getattr(motion, name) for motion in several]
-        if any(x is None for x in parts):
-            return None
         return torch.as_tensor(np.concatenate(parts), dtype=torch.float64, device=robot.mass.device)
 
-    q, qd, qdd = together("q"), together("qd"), together("qdd")
-    assert q is not None and qd is not None and qdd is not None
+    def if_all(name: str) -> Tensor | None:
+        return None if any(getattr(motion, name) is None for motion in several) else together(name)
+
     lengths = tuple(len(motion.q) for motion in several)
-    return Recording(q, qd, qdd, lengths, *(together(name) for name in ("tau", "direction", "time")))
+    q, qd, qdd = together("q"), together("qd"), together("qdd")
+    known = all(motion.known_gains for motion in several)
+    return Recording(q, qd, qdd, lengths, if_all("tau"), if_all("direction"), if_all("time"), known)
 
 
 def of_tensors(robot: Robot, **signals: Tensor) -> Recording:
@@ -106,7 +108,7 @@ def of_tensors(robot: Robot, **signals: Tensor) -> Recording:
         for name, x in signals.items()
     }
     lengths = (batch[-1],) * math.prod(batch[:-1]) if batch else (1,)
-    return Recording(**rows, lengths=lengths)
+    return Recording(rows["q"], rows["qd"], rows["qdd"], lengths, tau=rows.get("tau"), direction=rows.get("direction"))
 
 
 def blocks(recording: Recording) -> list[Block]:

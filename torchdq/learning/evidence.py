@@ -1,4 +1,4 @@
-"""What a recording says about a robot, as sums per block: every fit to some blocks costs no samples any more."""
+"""Evidence of a recording about a robot, as sums per block: a fit to some blocks costs no samples any more."""
 
 from __future__ import annotations
 

@@ -26,6 +26,7 @@ from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics, require_finite
 from torchdq.learning.blocks import Recording, blocks
 from torchdq.learning.evidence import Evidence, gather
+from torchdq.learning.gains import drive_gains
 from torchdq.learning.identified import INERTIAL, Identified, recorded
 from torchdq.learning.ladder import STRENGTHS, Ladder, climb
 from torchdq.learning.motions import Motion
@@ -53,6 +54,7 @@ def identify(
     prior: float | None = None,
     width: float = 1e-2,
     direction: Tensor | None = None,
+    gains: bool = False,
 ) -> Identified:
     """Physically consistent robot that explains measured torques best, as `Identified`.
 
@@ -79,7 +81,8 @@ def identify(
         prior: weight of the description, positive: a change of 1 / sqrt(prior), relative to the described value, costs
             as much as one torque that is off by the noise of its joint. What hundreds of samples identify does not
             depend on it, what they hardly identify stays near the description, the rest stays as described. None: the
-            strength that does best on blocks that were left out, for bodies, and 1 for the rest.
+            strength that does best on blocks that were left out, for bodies, and 1 for the rest. math.inf: bodies
+            stay as described.
         width: velocity below which Coulomb friction is viscous, as in `torchdq.effects.Coulomb` [rad/s or m/s].
         direction: sign of the velocities, filtered as the torques were, [..., n], beside positions: motions hold it,
             and `directions(motion)` has it. Filters round the steps of dry friction in the torques, and beside sharp
@@ -87,6 +90,10 @@ def identify(
             one here then only serves predictions and simulation. None: qd / sqrt(qd^2 + width^2), for torques that are
             not filtered. A `LogWarning` names joints whose friction has another shape than was sought, for which the
             numbers are biased beyond their errors.
+        gains: seek the torque per unit of effort of every joint, where `tau` is a current, or a torque by gains that
+            are not trusted: 1 with a standard deviation of 0.3 before the samples, or anything where the layout of the
+            log has no gains. One factor of them all, with masses, comes from the description. They are
+            found with viscous and Coulomb friction first, and the rest follows with the torques that they make.
 
     Raises:
         ArgumentError: a shape, a device, a value that is not finite, no samples, or a robot with batch axes.
@@ -108,22 +115,31 @@ def identify(
         )
     if not isinstance(friction, bool) and friction != "choose":
         raise ArgumentError(f"friction must be True, False or 'choose', found {friction!r}")
-    if prior is not None:
+    if prior is not None and prior != math.inf:
         require_number("prior", prior, positive=True)
     require_number("width", width, positive=True)
     require_finite(**rows.signals())
     require_bodies(robot, "identification")
 
     fixed = [ROTOR] * armature + [VISCOUS, COULOMB] * bool(friction) + [OFFSET] * offset
+    if not (rows.known_gains or gains):
+        raise ArgumentError("tau of the motions must be torques, found efforts of unknown gains; give gains=True")
     left_out = blocks(rows) if friction == "choose" or prior is None else []
     with torch.no_grad(), _solvable(rows.signals()), Notice(f"identifying {robot.name}") as notice:
+        drives = None
+        if gains:
+            motors = [ROTOR] * (armature or robot.armature is not None) + [term for term in fixed if term is not ROTOR]
+            drives = drive_gains(gather(robot, rows, motors, width, None, (), notice.at), rows.known_gains)
+            rows = rows._replace(tau=rows.measured * drives.value.to(rows.q))
         moves = _moving(robot, rows.qd, width)
         if doubt := _doubts(robot, rows, width):
             warnings.warn(doubt, LogWarning, stacklevel=2)
-        ladder, strength, weight = None, 1.0, 1.0 if prior is None else prior
+        frozen = prior == math.inf
+        ladder, strength = None, math.inf if frozen else 1.0
+        weight = 1.0 if prior is None or frozen else prior
         if left_out:
             candidates = SHAPES if friction == "choose" else ()
-            strengths = STRENGTHS if prior is None else (1.0,)
+            strengths = STRENGTHS if prior is None else (strength,)
             ladder, evidence = climb(robot, rows, fixed, candidates, width, strengths, left_out, notice.at)
             sought, strength = ladder.rung.sought[ladder.rung.sought.any(1)], ladder.rung.strength
         else:
@@ -134,7 +150,7 @@ def identify(
             warnings.warn(f"the least squares have not settled after {ITERATIONS} iterations", stacklevel=2)
         if (late := _late(evidence, found, width)) and not doubt:
             warnings.warn(late, LogWarning, stacklevel=2)
-        return _identified(evidence, found, correlation, weight, width, moves, ladder)
+        return _identified(evidence, found, correlation, weight, width, moves, ladder)._replace(gains=drives)
 
 
 def _fitted(
@@ -167,9 +183,10 @@ def _identified(
     ladder: Ladder | None,
 ) -> Identified:
     robot, terms, near, facts = evidence.robot, evidence.terms, found.near, found.facts
-    spread = found.spread(prior)
+    doubt = 1.0 if ladder is None else found.doubt(prior)  # a strength that was chosen is no knowledge
+    spread = found.spread(prior, doubt)
     names = [f"{link} {name}" for link in robot.link_names for name in INERTIAL]
-    excited = _excited(spread, near.S.norm(dim=1) * math.sqrt(found.doubt(prior) / prior), moves, terms)
+    excited = _excited(spread, near.S.norm(dim=1) * math.sqrt(doubt / prior), moves, terms)
     if ladder is not None:
         ladder = ladder._replace(untold=_untold(robot, excited))
     return Identified(
@@ -185,6 +202,7 @@ def _identified(
         width=width,
         excited=excited,
         report=ladder,
+        gains=None,
     )
 
 

@@ -14,6 +14,7 @@ from torchdq.effects.effect import Effect
 from torchdq.effects.friction import Friction
 from torchdq.errors import ArgumentError
 from torchdq.learning.blocks import Recording, of_motions, of_tensors
+from torchdq.learning.gains import Gains
 from torchdq.learning.ladder import Ladder
 from torchdq.learning.motions import Motion
 from torchdq.learning.regression import chunks, columns, places, rigid
@@ -65,6 +66,7 @@ class Identified(NamedTuple):
     width: float  # width of the Coulomb friction [rad/s or m/s]
     excited: Tensor  # [k] bool: parameters that the samples decide, not the prior; false if the joint hardly moves
     report: Ladder | None  # how the model was chosen; None: it was given
+    gains: Gains | None  # torque per unit of `tau`, by which it was multiplied; None: not sought
 
     def coefficients(self, name: str) -> Tensor | None:
         """Parameters [n] of the joints of one kind: "rotor", "viscous", "coulomb", "offset"; None: not sought."""
@@ -125,8 +127,9 @@ class Identified(NamedTuple):
 
     def friction(self) -> tuple[Friction, ...]:
         """Friction effects with the numbers found, the same for layers and scenes."""
-        rows = [(term, self.coefficients(term.name)) for term in self.terms if term.effect is not None]
-        return tuple(term.found(x.tolist(), self.width) for term, x in rows if x is not None)
+        own = self.parameters[10 * len(self.robot.link_names) :].reshape(-1, self.robot.n).tolist()
+        found = [term.found(numbers, self.width) for term, numbers in zip(self.terms, own, strict=True)]
+        return tuple(effect for some in found for effect in some)
 
     def effects(self) -> tuple[Effect, ...]:
         """Effects of a scene with the robot found: gravity, rotor inertia if there is any, and friction.
@@ -149,13 +152,17 @@ class Identified(NamedTuple):
         Friction that remembers is that of steady sliding there, since a layer does not know what was before.
 
         Args:
-            learn: quantities that the layer goes on learning, as in `torchdq.DQRNEA`.
+            learn: quantities that the layer goes on learning, as in `torchdq.DQRNEA`, "friction" where no effect is
+                there twice.
         """
-        steady = [
-            effects.Coulomb(one.level, self.width) if isinstance(one, effects.LuGre) else one for one in self.friction()
-        ]
+        lasting = [one for one in self.friction() if not isinstance(one, effects.LuGre)]
+        remembered = [torch.tensor(one.level) for one in self.friction() if isinstance(one, effects.LuGre)]
+        if remembered and self.coulomb is not None:
+            level = tuple((self.coulomb + torch.stack(remembered).sum(0)).tolist())
+            dry = effects.Coulomb(tuple(self.coulomb.tolist()), self.width)
+            lasting[lasting.index(dry)] = effects.Coulomb(level, self.width)
         names = [*learn, "offset"] if self.offset is not None else list(learn)
-        layer = DQRNEA(self.robot, tuple(dict.fromkeys(names)), friction_width=self.width, friction=steady)
+        layer = DQRNEA(self.robot, tuple(dict.fromkeys(names)), friction_width=self.width, friction=lasting)
         if self.offset is not None:
             layer.offset = self.offset
         return layer
@@ -189,6 +196,10 @@ class Identified(NamedTuple):
         ]
         parameters = table(("parameter", "estimate", "standard error", "unit", "excited"), rows)
         residuals = summary("residual", {"rms": (self.rms, "N m or N"), "noise": (self.noise, "N m or N")})
+        if self.gains is not None:
+            drives = zip(self.robot.joint_names, *(x.tolist() for x in self.gains), strict=True)
+            cells = [(joint, f"{x:.4g}", f"{error:.2g}") for joint, x, error in drives]
+            residuals += "\n\n" + table(("joint", "torque per unit of effort", "standard error"), cells)
         report = "" if self.report is None else f"\n\n{self.report}"
         return f"{title}\n\n{parameters}\n\n{residuals}{report}"
 

@@ -24,7 +24,7 @@ from torchdq.learning.terms import ROTOR, Term
 from torchdq.robot import Robot
 from torchdq.tables import table
 
-STRENGTHS = tuple(10.0**k for k in range(5, -1, -1))  # of the prior of the bodies, the strongest first
+STRENGTHS = tuple(10.0**k for k in range(5, -1, -1))  # prior of the bodies, the strongest first
 
 
 class Rung(NamedTuple):
@@ -33,7 +33,7 @@ class Rung(NamedTuple):
     name: str
     scores: Tensor  # [blocks, n] mean squared residual over the variance of the joint's torque
     sought: Tensor  # [terms, n] coefficients that it has
-    strength: float  # of the prior of the bodies; infinite: they stay as described
+    strength: float  # weight of the bodies' prior; infinite: they stay as described
     gains: tuple[Gain, ...] = ()  # friction of other shapes that it has
 
     @property
@@ -143,6 +143,8 @@ def climb(
         mask, gains = gainful(evidence, variance, sought, others, math.inf, say)
         if gains:
             add("+ friction of other shapes", evidence, (math.inf,), mask, gains)
+    if math.isinf(strengths[-1]):
+        return _chosen(rungs, evidence, evidence, others, blocks)
     found, variance = _noise(evidence, sought, strengths[-1], say)
     add("identified", evidence, strengths, sought, ())
     identified = evidence
@@ -159,14 +161,20 @@ def climb(
         if gains:
             add("identified, friction of other shapes", identified, strengths, mask, gains)
 
+    return _chosen(rungs, evidence, identified, others, blocks)
+
+
+def _chosen(
+    rungs: Sequence[Rung], evidence: Evidence, identified: Evidence, others: Sequence[int], blocks: Sequence[Block]
+) -> tuple[Ladder, Evidence]:
+    """Ladder of rungs, and the evidence of the chosen one, which is another where bodies are identified."""
     chosen = _simplest([rung.scores for rung in rungs])
-    used = rungs[chosen].sought.any(1)
-    useless = [terms[k].name for k in others if not any(bool(rung.sought[k].any()) for rung in rungs)]
+    useless = [evidence.terms[k].name for k in others if not any(bool(rung.sought[k].any()) for rung in rungs)]
     regions = len(evidence.left) - len(blocks)
     what = f"parts of motions and {regions} regions of the states" if regions else "motions"
-    parts = f"{len(blocks)} {what} that were left out in turn"
-    ladder = Ladder(tuple(rungs), chosen, parts, tuple(useless))
-    return ladder, _only(identified if math.isfinite(rungs[chosen].strength) else evidence, used)
+    ladder = Ladder(tuple(rungs), chosen, f"{len(blocks)} {what} that were left out in turn", tuple(useless))
+    used = rungs[chosen].sought.any(1)
+    return ladder, _only(evidence if math.isinf(rungs[chosen].strength) else identified, used)
 
 
 def _rung(

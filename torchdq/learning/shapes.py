@@ -100,11 +100,12 @@ def gainful(
     for round_ in range(ROUNDS):
         say(f"friction, round {round_ + 1} of at most {ROUNDS}")
         fits = [fit(j, sought[:, j] & (scale[:, j] > 0)) for j in range(n)]
-        H, h = sum(one.H for one in fits), sum(one.h for one in fits)
+        H, h = torch.stack([one.H for one in fits]).sum(0), torch.stack([one.h for one in fits]).sum(0)
         y = solved(H, h)
-        added = []
+        added = list[tuple[int, int, Gain]]()
         for j in sorted(open_joints):
-            before, best = score(j, fits[j], y), None
+            before = score(j, fits[j], y)
+            best: tuple[int, Gain] | None = None
             for c in candidates:
                 if sought[c, j] or not scale[c, j] > 0:
                     continue
@@ -115,8 +116,8 @@ def gainful(
                 at = more.own.index(b + c)
                 if not evidence.terms[c].signed and not more.coefficients(y_more)[-1, at] > 0:
                     continue
-                gain = before - score(j, more, y_more)
-                mean, error = float(gain.mean()), float(gain.std() / blocks**0.5)
+                less = before - score(j, more, y_more)
+                mean, error = float(less.mean()), float(less.std() / blocks**0.5)
                 if mean > max(error, GAIN * float(before.mean())) and (best is None or mean > best[1].gain):
                     best = (c, Gain(evidence.terms[c].name, names[j], mean, error))
             if best is None:

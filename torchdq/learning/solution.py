@@ -46,14 +46,14 @@ class Solution(NamedTuple):
         told = float((self.facts.e / (self.facts.e + prior)).sum()) - len(self.near.effects)
         return max(1.0, prior * self.near.strength * self.near.apart(self.y) / max(told, 1.0))
 
-    def spread(self, prior: float) -> Tensor:
+    def spread(self, prior: float, doubt: float = 1.0) -> Tensor:
         """F [k, t], the covariance of the errors being F F^T, linearised at the description.
 
         It is that of the noise, and of what the prior hides where it is stronger than likely: with e the information
         in a combination of parameters, (e + doubt prior) / (e + prior)^2.
         """
         e = self.facts.e
-        return self.near.S @ self.facts.V * ((e + self.doubt(prior) * prior).sqrt() / (e + prior))
+        return self.near.S @ self.facts.V * ((e + doubt * prior).sqrt() / (e + prior))
 
 
 def solve(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -32,7 +32,7 @@ class Rows(NamedTuple):
     q: Tensor
     qd: Tensor
     qdd: Tensor
-    sign: Tensor  # of the velocity, smooth
+    sign: Tensor  # smooth sign of the velocity
     load: Tensor | None  # torque of the bodies and the rotor; None: unknown
     starts: Tensor  # rows at which motions begin
     width: float  # velocity below which dry friction is viscous
@@ -42,7 +42,7 @@ class Term(NamedTuple):
     """Torque of every joint in proportion to one number."""
 
     name: str
-    units: tuple[str, str]  # of the number at a joint that turns, and at one that slides
+    units: tuple[str, str]  # unit of the number at a joint that turns, and at one that slides
     effect: Callable[[float], Friction] | None = None  # friction that dry friction of a width makes; None: no friction
     parameter: str = ""  # linear parameter of the friction that the number is
     described: str = ""  # attribute of the robot that holds the number
@@ -62,12 +62,13 @@ class Term(NamedTuple):
         torque = columns(rows.robot, effect, rows.q, qd, load, backend="eager")[self.parameter]
         return torque / smooth_sign(qd, rows.width) * rows.sign if self.dry else torque
 
-    def found(self, numbers: Sequence[float], width: float) -> Friction:
-        """Friction with the numbers of the joints."""
-        assert self.effect is not None
+    def found(self, numbers: Sequence[float], width: float) -> tuple[Friction, ...]:
+        """Friction with the numbers of the joints, if it is friction."""
+        if self.effect is None:
+            return ()
         effect = self.effect(width)
-        others = {name: 0.0 for name in effect.LINEAR if name != self.parameter}
-        return replace(effect, **others, **{self.parameter: tuple(numbers)})
+        others: dict[str, Any] = {name: 0.0 for name in effect.LINEAR if name != self.parameter}
+        return (replace(effect, **others, **{self.parameter: tuple(numbers)}),)
 
 
 def rows_of(robot: Robot, recording: Recording, width: float, load: Tensor | None = None) -> Rows:
