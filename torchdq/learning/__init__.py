@@ -27,7 +27,8 @@ from torchdq.learning.posterior import Sampled, sample
 from torchdq.learning.recordings import Recording
 from torchdq.learning.rollout_fit import fit_rollout
 from torchdq.learning.rollout_result import RolloutFit
-from torchdq.learning.training import History, TrainingError, fit
+from torchdq.learning.run import History, TrainingError
+from torchdq.learning.training import fit
 
 __all__ = [
     "Box",
