@@ -323,7 +323,7 @@ def candidates(nominal: torchdq.Robot, data: Samples, quick: bool) -> Iterator[t
 
 def residual(model: torchdq.DQRNEA, data: Samples, inputs: str) -> ResidualDynamics:
     """Model with a network that starts at zero."""
-    layer = ResidualDynamics(model, inputs=inputs)
+    layer = ResidualDynamics(model, inputs=inputs, position=True)  # cables pull by the position
     layer.standardise(*data)
     return layer
 

@@ -1,6 +1,7 @@
 """The option `--device`, and training on a device; for the other examples."""
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +25,7 @@ class OnDevice:
         return found
 
 
-def fit_on(device: torch.device, model: nn.Module, *data: Samples, **options: Any) -> History:
+def fit_on(device: torch.device, model: nn.Module, *data: Samples | Sequence[Samples], **options: Any) -> History:
     """History of a fit on a device, of a model that lies on the CPU before and after; see `torchdq.learning.fit`."""
     history = fit(model.to(device), *data, **options)
     model.cpu()

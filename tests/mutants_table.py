@@ -2736,7 +2736,7 @@ MUTANTS = (
         ("models with other weights", "x.keys() != model.keys()", "False", UNTRUSTED),
     ),
     *within(
-        "torchdq/learning/training.py",
+        "torchdq/learning/run.py",
         (
             "an optimiser steered by a checkpoint",
             'self.optimiser.state_dict()["param_groups"]',
@@ -3575,11 +3575,59 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/residual.py",
+        "torchdq/residual/smooth.py",
+        (
+            "a limit whose slope jumps at its end",
+            "2.5 * ROOM + ROOM * t * (t - 3)",
+            "2.0 * ROOM + ROOM * t * (t - 2.5)",
+            "residual_domain.py::test_slopes_are_those_of_finite_differences_and_have_no_jump",
+        ),
+    ),
+    *within(
+        "torchdq/residual/dynamics.py",
+        (
+            "a residual that acts outside of the trained states",
+            "return self.domain(self.of_state(x)) * (1",
+            "return (1",
+            "residual_domain.py::test_a_joint_that_is_far_away_leaves_the_others_their_residual",
+        ),
+        (
+            "a gate that falls faster with the torque than the torque rises",
+            "SLOWLY = 4.0",
+            "SLOWLY = 1.0",
+            "residual_domain.py::test_the_whole_torque_rises_with_the_models_where_the_gate_falls",
+        ),
+        (
+            "a residual without a bound",
+            "return limited(self.raw(self.within_range(x), network), self.largest.to(x))",
+            "return self.raw(self.within_range(x), network)",
+            "residual_domain.py::test_no_weights_take_a_residual_beyond_its_bound",
+        ),
+    ),
+    *within(
+        "torchdq/residual/posterior.py",
+        (
+            "errors that do not grow outside of the trained states",
+            "of_weights + outside",
+            "of_weights + 0 * outside",
+            "residual_fit.py::test_intervals_widen_away_from_what_was_trained",
+        ),
+    ),
+    *within(
+        "torchdq/learning/left_out.py",
+        (
+            "a residual that is kept where it helps no more than by chance",
+            "weight = weight if gain > error else torch.zeros_like(weight)",
+            "weight = weight.clamp_min(0.2)",
+            "residual_fit.py::test_a_residual_that_finds_nothing_is_silent",
+        ),
+    ),
+    *within(
+        "torchdq/residual/line.py",
         (
             "derivative of the perceptrons by the wrong features",
-            "[..., 3::2].flatten(-2)",
-            "[..., 2::2][..., :2].flatten(-2)",
+            "self.first, self.weights, self.biases = self._last(weights[0])",
+            "self.first, self.weights, self.biases = -self._last(weights[0])",
             "residual_effect.py::test_the_closed_form_is_what_forward_mode_finds_of_any_network",
         ),
     ),
@@ -3882,6 +3930,24 @@ MUTANTS = (
             "if last >= min(before):",
             "if True:",
             "logs.py::test_a_file_that_ends_within_its_last_number_is_told",
+        ),
+    ),
+    *within(
+        "torchdq/learning/shooting.py",
+        (
+            "gaps between steps forgotten",
+            "added[..., s:-1], added[..., -1] = B.reshape(*added.shape[:3], -1), moved.gaps.reshape(added.shape[:3])",
+            "added[..., s:-1] = B.reshape(*added.shape[:3], -1)",
+            "rollout_fit.py::test_exact_logs_give_the_exact_parameters",
+        ),
+    ),
+    *within(
+        "torchdq/learning/recordings.py",
+        (
+            "commands not delayed within a step",
+            "return np.where((last > first)[..., None], (early + between + late) / span, u[first])",
+            "return u[first]",
+            "rollout_fit.py::test_means_and_slopes_of_commands_are_those_of_a_fine_sum",
         ),
     ),
     *within(

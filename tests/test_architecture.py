@@ -59,9 +59,9 @@ FLOORS = {
     "torchdq.robot_module": 11,
     "torchdq.nn": 12,
     "torchdq.residual": 13,
-    "torchdq.learning": 14,
     "torchdq.paper": 14,
-    "torchdq.envs": 15,
+    "torchdq.envs": 14,
+    "torchdq.learning": 15,
     "torchdq": 16,
     "torchdq.__main__": 17,
 }

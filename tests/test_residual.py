@@ -18,11 +18,12 @@ every_kind = pytest.mark.parametrize("inputs", ["joint", "all"])
 one_thread = helpers.one_thread
 
 
-def trained(robot, inputs, seed=0, **options):
+def trained(robot, inputs, seed=0, position=False, **options):
     """A layer whose network is anything but zero, in double precision."""
     with torch.random.fork_rng():
         torch.manual_seed(seed)
-        layer = ResidualDynamics(torchdq.DQRNEA(robot, **options), inputs=inputs, hidden=(8, 5)).double()
+        model = torchdq.DQRNEA(robot, **options)
+        layer = ResidualDynamics(model, inputs=inputs, hidden=(8, 5), position=position).double()
     with torch.no_grad():
         for k, p in enumerate(layer.network.parameters()):
             p.copy_(0.5 * random(*p.shape, seed=100 * seed + k))
@@ -62,10 +63,13 @@ def test_the_network_learns_from_the_first_step(inputs):
 def test_features_are_what_is_written():
     model = torchdq.DQRNEA(PANDA, friction_width=0.2)
     q, qd, qdd, tau = random(4, 5, 7)
-    expected = [q.sin(), q.cos(), qd, qdd, qd / torch.sqrt(qd**2 + 0.04), tau]
+    signs = [qd / torch.sqrt(qd**2 + width**2) for width in (0.2, 1.0, 4.0)]
+    expected = [qd, *signs, qdd, tau]
     found = ResidualDynamics(model).features(q, qd, qdd, tau)
     assert found.shape == (5, 7, 6) and torch.allclose(found, torch.stack(expected, -1), rtol=1e-14, atol=1e-15)
-    assert not ResidualDynamics(model).features(q, qd, None, tau)[..., 3].any()
+    assert not ResidualDynamics(model).features(q, qd, None, tau)[..., 4].any()
+    found = ResidualDynamics(model, position=True).features(q, qd, qdd, tau)
+    assert torch.allclose(found, torch.stack([q.sin(), q.cos(), *expected], -1), rtol=1e-14, atol=1e-15)
 
 
 def seen(inputs):
@@ -85,7 +89,7 @@ def test_all_joints_see_all_joints():
 
 
 def test_no_gradient_of_the_network_reaches_other_joints_through_the_models_torque():
-    layer = trained(PANDA, "joint", learn=("mass",))
+    layer = trained(PANDA, "joint", position=True, learn=("mass",))
     x = random(3, 7, seed=5)
     for J in torch.func.jacrev(layer.residual, argnums=(0, 1, 2))(*x):
         assert torch.equal(J, J.diagonal().diag()) and bool(J.diagonal().all())
@@ -158,7 +162,7 @@ def test_standardised_features_have_no_mean_and_spread_one():
     model = torchdq.DQRNEA(PANDA)
     layer = ResidualDynamics(model)
     q, qd, qdd = (3 + 2 * random(50, 4, 7, seed=k) for k in range(3))
-    q[..., 2], qd[..., 3], qdd[..., 4] = 0.7, 0.0, 1e-9  # a joint does not move, one stands still
+    q[..., 2], qd[..., 3], qdd[..., 4] = 0.7, 0.0, 1e-9  # one joint stands still, one never accelerates
     tau = 10 * random(50, 4, 7, seed=8) + 5
     layer.standardise(q, qd, qdd, tau)
     seen = []
@@ -166,7 +170,7 @@ def test_standardised_features_have_no_mean_and_spread_one():
     layer(q, qd, qdd)
     mean, spread = seen[0].flatten(0, 1).mean(0), seen[0].flatten(0, 1).std(0, correction=0)
     constant = torch.zeros(7, 6, dtype=torch.bool)
-    constant[2, :2] = constant[3, [2, 4]] = constant[4, 3] = True
+    constant[3, :4] = constant[4, 4] = True
     assert float(mean.abs().max()) < 1e-4  # single precision
     assert torch.allclose(spread, (~constant).double(), atol=1e-4)
     assert torch.allclose(layer.torque_scale, tau.flatten(0, 1).std(0, correction=0), rtol=1e-12)
@@ -246,7 +250,7 @@ def test_it_learns_what_the_model_has_no_word_for():
     torch.manual_seed(0)
     q, qd, qdd = random(3, 2000, 2, seed=10)
     tau = torchdq.inverse_dynamics(TWO, q, qd, qdd) + gears(q, qd)
-    layer = ResidualDynamics(torchdq.DQRNEA(TWO), hidden=(16, 16))
+    layer = ResidualDynamics(torchdq.DQRNEA(TWO), hidden=(16, 16), position=True)
     layer.standardise(q, qd, qdd, tau)
     optimiser = torch.optim.Adam(layer.parameters(), lr=1e-2)
     for k in range(400):
@@ -257,7 +261,7 @@ def test_it_learns_what_the_model_has_no_word_for():
         optimiser.step()
     q, qd, qdd = 0.9 * random(3, 500, 2, seed=11)
     error = (layer.residual(q, qd, qdd) - gears(q, qd)).square().mean()
-    assert float(error) < 0.05 * float(gears(q, qd).square().mean())
+    assert error.item() < 0.05 * float(gears(q, qd).square().mean())
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from torchdq.effects.residual import BLOCK
 from torchdq.envs import ArmVectorEnv, Scene, State, controllers, effects
 from torchdq.envs.integrators import DormandPrince, ExplicitEuler, LinearlyImplicit, Repeated, RungeKutta4
 from torchdq.errors import ArgumentError
-from torchdq.residual import Learned, Prepared
+from torchdq.residual.line import Learned, Prepared
 
 ARM, PANDA = shipped("two_link").robot, shipped("panda").robot
 EVERY = (*FIXED, Repeated(RungeKutta4(), 3), DormandPrince())
@@ -68,7 +68,7 @@ def test_a_network_that_learned_viscous_friction_is_that_friction_to_first_order
     exact = Scene(ARM, (*parts, effects.Viscous(0.8)), integrator=DormandPrince(), dt=seconds)
     expected = exact.step(exact.start(q, qd)).q
     errors = []
-    learned = effects.Residual(imitated(2, 0.8))
+    learned = effects.Residual(imitated(0, 0.8))
     for steps in (50, 100, 200):
         scene = Scene(ARM, (*parts, learned), integrator=RungeKutta4(), dt=seconds / steps)
         with torch.no_grad():
@@ -80,7 +80,7 @@ def test_a_network_that_learned_viscous_friction_is_that_friction_to_first_order
 @pytest.mark.parametrize("inertia", [0.01, 1.0, 100.0])
 def test_a_network_that_learned_rotors_is_those_rotors_however_heavy(inertia):
     state, torque = State(random(5, 2), random(5, 2, seed=1)), random(5, 2, seed=2)
-    learned = accelerations(Scene(ARM, (effects.Residual(imitated(3, inertia)),)), state, torque)
+    learned = accelerations(Scene(ARM, (effects.Residual(imitated(4, inertia)),)), state, torque)
     true = accelerations(Scene(ARM, (effects.RotorInertia(inertia),)), state, torque)
     assert torch.allclose(learned, true, rtol=1e-9, atol=1e-9)
 
@@ -106,7 +106,8 @@ def test_the_simulated_arm_accelerates_as_the_model_that_was_learned_says(learn)
 def test_an_arm_that_learned_from_friction_moves_as_the_arm_with_that_friction():
     """A network trained on torques of friction that its model does not know; a motion that it was not trained on."""
     generator = torch.Generator().manual_seed(3)
-    q, qd, qdd = (2 * torch.rand(3, 2000, 2, generator=generator, dtype=torch.float64) - 1) * 2
+    ranges = double(2, 4, 10)[:, None, None]
+    q, qd, qdd = (2 * torch.rand(3, 2000, 2, generator=generator, dtype=torch.float64) - 1) * ranges
     tau = torchdq.inverse_dynamics(ARM, q, qd, qdd) + 1.5 * qd + 0.5 * qd / (qd * qd + 0.04).sqrt()
     torch.manual_seed(0)
     model = torchdq.ResidualDynamics(torchdq.DQRNEA(ARM), hidden=(16,)).double()
@@ -129,7 +130,7 @@ def test_an_arm_that_learned_from_friction_moves_as_the_arm_with_that_friction()
 
 def test_friction_that_was_learned_takes_energy_out():
     robot = ARM.replace(gravity=None)
-    scene = Scene(robot, (effects.Residual(imitated(2, 0.5, robot)),), dt=2e-3)
+    scene = Scene(robot, (effects.Residual(imitated(0, 0.5, robot)),), dt=2e-3)
     state = scene.start(random(4, 2), random(4, 2, seed=1))
     with torch.no_grad():
         energies = torch.cat([scene.energy(state)[None], scene.energy(scene.rollout(state, steps=100))])[..., 0]
@@ -151,7 +152,7 @@ def test_it_is_held_over_a_step_as_a_commanded_torque_is(integrator):
 @pytest.mark.parametrize("integrator", EVERY, ids=called)
 def test_a_model_that_sees_accelerations_works_with_every_integrator_and_behind_elastic_joints(integrator):
     for parts in ((), (effects.Elastic(50.0, 0.1, 0.2), effects.Lag(0.05), effects.Noise(0.01))):
-        scene = Scene(ARM, (*parts, effects.Residual(imitated(3, 0.2))), integrator=integrator, dt=1e-4)
+        scene = Scene(ARM, (*parts, effects.Residual(imitated(4, 0.2))), integrator=integrator, dt=1e-4)
         true = Scene(ARM, (*parts, effects.RotorInertia(0.2)), integrator=integrator, dt=1e-4)
         noise = torch.full((scene.noises,), 0.5, dtype=torch.float64)
         state = scene.start(random(3, 2), random(3, 2, seed=1), noise)
@@ -258,24 +259,43 @@ def test_steps_are_traced_whole(backend, model):
 @pytest.mark.parametrize("learn", [(), ("friction", "offset", "mass")])
 @pytest.mark.parametrize("hidden", [(), (5,), (6, 4)], ids=str)
 def test_the_closed_form_is_what_forward_mode_finds_of_any_network(inputs, learn, hidden):
+    """Inside of the trained states, where the gate fades, where features and torques are limited, and far away."""
     torch.manual_seed(1)
     model = torchdq.ResidualDynamics(torchdq.DQRNEA(ARM, learn), inputs=inputs, hidden=hidden).double()
-    q, qd, qdd, tau, r = random(5, 3, 4, 2)
-    model.standardise(q, qd, qdd, tau)
-    W = random(3, 4, 2, 2, seed=1)
     with torch.no_grad():
+        model.standardise(*(0.5 * random(4, 40, 2, seed=2)))
         for p in model.network.parameters():
             p.add_(0.3 * torch.randn_like(p))
         if learn:
             model.model.offset.add_(0.3)
-        closed = model.line(q, qd, qdd, W)
-        general = Learned(model, closed.features, closed.directions)
+        model.domain.reach.clamp_min_(2.0)
+        model.weight.copy_(double(0.7, 0.9))
+        model.largest.mul_(0.05)
+        q, qd, qdd, r = random(4, 30, 2)
+        q, qd, qdd = (x * torch.linspace(0.1, 3, 30, dtype=torch.float64)[:, None] for x in (q, qd, qdd))
+        W = random(30, 2, 2, seed=1)
+        tau = model.model(q, qd, qdd)
+        directions = torch.stack((W, torchdq.mass_matrix(model.robot, q) @ W), -2)
+        closed, features = model.line(q, qd, qdd, W), model._columns(q, qd, qdd, tau)
+        general = Learned(model, features, directions)
         assert type(closed) is Prepared
-        expected = model.unmodelled(q, qd, qdd - (W @ r[..., None])[..., 0])
+        moved = qdd - (W @ r[..., None])[..., 0]
+        expected = model.unmodelled(q, qd, moved)
+        gate = model.gate(model.scaled(model._columns(q, qd, moved, model.model(q, qd, moved))))
+        assert (gate == 0).any() and (gate == 1).any() and ((gate > 0.01) & (gate < 0.99)).any()
         for line in (closed, general):
             assert torch.allclose(line.torques(r), expected, rtol=1e-9, atol=1e-9)
         for found, other in zip(closed.linearised(r), general.linearised(r), strict=True):
             assert torch.allclose(found, other, rtol=1e-9, atol=1e-9)
+
+        def change(r):
+            return r - model.unmodelled(q, qd, qdd - (W @ r[..., None])[..., 0])
+
+    h, J = 1e-6, closed.linearised(r)[1]
+    for k in range(2):
+        d = h * torch.eye(2, dtype=torch.float64)[k]
+        with torch.no_grad():
+            assert torch.allclose(J[..., k], (change(r + d) - change(r - d)) / (2 * h), rtol=1e-6, atol=1e-6)
 
 
 def test_a_large_batch_is_solved_in_blocks_with_the_same_result():
@@ -317,14 +337,14 @@ def test_a_description_tells_the_size_of_the_network_and_what_it_adds_to(model, 
 
 
 def test_a_description_names_it_and_times_the_network_too():
-    scene = Scene(ARM, (effects.Viscous(0.1), effects.Residual(imitated(2, 0.1))))
+    scene = Scene(ARM, (effects.Viscous(0.1), effects.Residual(imitated(0, 0.1))))
     found = scene.describe(batch=8, seconds=5.0)
     assert [cost.effect for cost in found.costs] == ["bare step", "Viscous", "Residual"]
     assert found.costs[-1].nanoseconds > 0
 
 
 def test_a_check_of_the_step_counts_its_torques():
-    model = imitated(2, -400.0)  # a torque that grows with the velocity
+    model = imitated(0, -400.0)  # a torque that grows with the velocity
     assert Scene(ARM).check(Scene(ARM).start(double(0.1, 0.2)), seconds=0.2)
     scene = Scene(ARM, (effects.Residual(model),))
     assert not scene.check(scene.start(double(0.1, 0.2), double(0.1, 0.1)), seconds=0.2)
@@ -375,7 +395,7 @@ def test_a_controller_and_a_rollout_by_a_policy_see_it():
         ((effects.Residual(3.0),), "model of Residual must be a torchdq.ResidualDynamics.*found 3.0"),
         ((effects.Residual(nn.Bilinear),), "it is a class, call it"),
         ((effects.Residual(torchdq.DQRNEA(ARM)),), "found DQRNEA; its torques are those of all bodies"),
-        ((effects.Residual(imitated(2, 0.1, PANDA)),), "must have the 2 joints of robot 'two_link', found 7"),
+        ((effects.Residual(imitated(0, 0.1, PANDA)),), "must have the 2 joints of robot 'two_link', found 7"),
         ((effects.Residual(torch.add, 0),), "iterations of Residual must be"),
         ((effects.Residual(torch.add), effects.Residual(torch.mul)), "give a function that adds them"),
     ],
@@ -409,7 +429,7 @@ def test_a_network_without_a_solution_is_told():
 
     class Falling(nn.Module):
         def forward(self, x):
-            return -50 * torch.tanh(20 * x[..., 3:4])
+            return -50 * torch.tanh(20 * x[..., 4:5])
 
     model = torchdq.ResidualDynamics(torchdq.DQRNEA(ARM), Falling())
     scene = Scene(ARM, (effects.Residual(model),))

@@ -32,9 +32,10 @@ from torch import nn
 import torchdq
 from torchdq import notice
 from torchdq.errors import ArgumentError, MissingLibraryError
-from torchdq.learning import CheckpointError, Samples, TrainingError, fit, training
+from torchdq.learning import CheckpointError, History, Samples, TrainingError, fit
 from torchdq.learning import checkpoint as checkpoints
 from torchdq.learning.attributes import attributes
+from torchdq.learning.run import Run
 from torchdq.nn import DQRNEA
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -189,7 +190,7 @@ def test_a_history_prints_as_a_table():
     assert lines[-1].split() == ["90", f"{history.train[-1]:.3g}", f"{history.valid[-1]:.3g}"]
     alone = fit(Network(), data(), steps=4, batch=200)
     assert str(alone).splitlines()[2].split() == ["step", "train"] and len(str(alone).splitlines()) == 3 + 4
-    assert str(training.History()) == "no steps"
+    assert str(History()) == "no steps"
 
 
 # --- arguments -------------------------------------------------------------------------------------------------------
@@ -307,14 +308,14 @@ def test_a_validation_error_that_is_not_finite_ends_the_run(tmp_path):
 OPTIONS = {"steps": 90, "batch": 32, "rate": 0.01, "every": 3, "seed": 5, "patience": 25}
 
 
-def run(path: Path | None, model: nn.Module | None = None, **options) -> tuple[nn.Module, training.History]:
+def run(path: Path | None, model: nn.Module | None = None, **options) -> tuple[nn.Module, History]:
     """The run that is killed; 200 rows make 7 batches, so that looks fall within epochs and on their ends."""
     model = model or Network()
     return model, fit(model, data(), data(50, seed=1), checkpoint=path, **{**OPTIONS, **options})
 
 
 @pytest.fixture(scope="module")
-def undisturbed() -> tuple[torch.Tensor, training.History]:
+def undisturbed() -> tuple[torch.Tensor, History]:
     model, history = run(None)
     return weights(model), history
 
@@ -378,7 +379,7 @@ def test_a_run_goes_on_from_any_step(tmp_path, undisturbed, step):
 def test_a_finished_run_is_not_done_again(tmp_path, undisturbed, monkeypatch):
     path = tmp_path / "deep" / "run.pt"
     run(path)
-    monkeypatch.setattr(training._Run, "update", None)
+    monkeypatch.setattr(Run, "update", None)
     model, history = run(path, Network(seed=9))
     assert torch.equal(weights(model), undisturbed[0]) and history == undisturbed[1]
 

@@ -5,6 +5,7 @@
     # arrays: read({"time": t, "q": q, "qd": None, "tau": tau}); None: not recorded, smooth differentiates the positions
     train, test = (samples(part) for part in cut(motion, 0.6))
     fit(model, train, epochs=100, checkpoint="run.pt")  # `training`: a plain loop that survives being killed
+    fit_rollout(scene, Recording(time, q, {"torque": tau}), "Viscous.coefficient")  # parameters of a scene, by shooting
 
 Nothing here is imported by `import torchdq`; scipy, rich and tensorboard are imported by the functions that need them.
 """
@@ -23,7 +24,11 @@ from torchdq.learning.payload import IdentifiedPayload, identify_payload
 from torchdq.learning.pictures import plot_torques
 from torchdq.learning.plausibility import LogWarning
 from torchdq.learning.posterior import Sampled, sample
-from torchdq.learning.training import History, TrainingError, fit
+from torchdq.learning.recordings import Recording
+from torchdq.learning.rollout_fit import fit_rollout
+from torchdq.learning.rollout_result import RolloutFit
+from torchdq.learning.run import History, TrainingError
+from torchdq.learning.training import fit
 
 __all__ = [
     "Box",
@@ -42,6 +47,8 @@ __all__ = [
     "Motion",
     "MotionLimits",
     "Prediction",
+    "Recording",
+    "RolloutFit",
     "Rung",
     "Sampled",
     "Samples",
@@ -50,6 +57,7 @@ __all__ = [
     "directions",
     "excite",
     "fit",
+    "fit_rollout",
     "hold_out",
     "identify",
     "identify_payload",

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -15,7 +15,7 @@ UNITS = {"time": "s", "q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "tau": "N m"}
 
 
 class Samples(NamedTuple):
-    """States of an arm and the torques that go with them, `[N, n]` each; the order of the rows means nothing."""
+    """States of an arm and the torques that go with them, `[N, n]` each; in the order of time, if that matters."""
 
     q: Tensor  # [rad]
     qd: Tensor  # [rad/s]
@@ -58,6 +58,20 @@ def validated(name: str, samples: Samples) -> Samples:
             found = f"{float(x[row, joint])} in row {row}, joint {joint + 1}"
             raise ArgumentError(f"{name}.{field} must be finite, found {found}; leave the row out")
     return Samples(*(x.detach() for x in samples))
+
+
+def of_motions(name: str, motions: Any) -> tuple[Samples, tuple[int, ...]]:
+    """Rows of one or several motions as one, after checking them, and the number of rows of each."""
+    several = isinstance(motions, Sequence) and not isinstance(motions, Samples) and len(motions) > 0
+    if not several or not all(isinstance(motion, Samples) for motion in motions):
+        rows = validated(name, motions)
+        return rows, (len(rows.q),)
+    parts = [validated(f"{name}[{k}]", motion) for k, motion in enumerate(motions)]
+    for k, part in enumerate(parts):
+        if part.q.shape[1] != parts[0].q.shape[1] or part.q.dtype != parts[0].q.dtype:
+            expected = f"{parts[0].q.dtype} of {parts[0].q.shape[1]} joints as {name}[0]"
+            raise ArgumentError(f"{name}[{k}] must be {expected}, found {part.q.dtype} of {part.q.shape[1]}")
+    return Samples(*(torch.cat(rows) for rows in zip(*parts, strict=True))), tuple(len(part.q) for part in parts)
 
 
 def torque_variance(tau: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ with exact gradients; the worse ones are dropped on the way.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -83,7 +83,7 @@ class Excitation(NamedTuple):
     def sampled(self, rate: float) -> Motion:
         """Motion at another rate [Hz], from 0 to the end, with the torques of the description."""
         require_number("rate", rate, positive=True)
-        return Motion(*(x.numpy() for x in _rows(self.parameters.robot, self.series, float(self.time[-1]), rate)))
+        return _motion(_rows(self.parameters.robot, self.series, float(self.time[-1]), rate))
 
     def to_csv(self, path: str | PathLike[str], rate: float | None = None) -> None:
         """Write columns time, q1 ..., qd1 ..., tau1 ..., qdd1 ..., which `read` reads; torques are as described.
@@ -92,7 +92,7 @@ class Excitation(NamedTuple):
             path: path of the file.
             rate: rows per second [Hz]; None: as `time`.
         """
-        motion = Motion(*(x.numpy() for x in self[1:6])) if rate is None else self.sampled(rate)
+        motion = _motion((self.time, self.q, self.qd, self.qdd, self.tau)) if rate is None else self.sampled(rate)
         signals = {name: getattr(motion, name) for name in ("q", "qd", "tau", "qdd")}
         heads = ["time", *(f"{name}{j + 1}" for name, x in signals.items() for j in range(x.shape[1]))]
         rows = np.column_stack([motion.time, *signals.values()])
@@ -298,6 +298,11 @@ def _refuse(robot: Robot, series: Series, limits: MotionLimits, bounds: Bounds, 
         found = f"the workspace is left by {-float(clearance[0].min()):.3g} m"
     cure = "give MotionLimits with a larger effort, or a range of positions that the arm can hold in its workspace"
     raise ArgumentError(f"limits of robot {robot.name!r} let no motion be: at its middle, {found}; {cure}")
+
+
+def _motion(rows: Sequence[Tensor]) -> Motion:
+    time, q, qd, qdd, tau = (x.numpy() for x in rows)
+    return Motion(time, q, qd, qdd, tau)
 
 
 def _rows(robot: Robot, series: Series, seconds: float, rate: float) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:

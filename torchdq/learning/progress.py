@@ -7,7 +7,7 @@ from torchdq.notice import Notice
 from torchdq.optional import imported
 
 if TYPE_CHECKING:
-    from torchdq.learning.training import History
+    from torchdq.learning.run import History
 
 
 class Progress:

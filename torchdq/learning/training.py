@@ -7,64 +7,34 @@ the weights come out the same to the last bit. Started by `torchrun`, the same c
 processes.
 """
 
-import copy
 import math
 import os
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from torchdq.checks import require_choice, require_count, require_number
-from torchdq.errors import ArgumentError, TorchdqError
+from torchdq.errors import ArgumentError
 from torchdq.learning import checkpoint as checkpoints
-from torchdq.learning.data import Samples, torque_variance, validated
-from torchdq.learning.distributed import Team, team
+from torchdq.learning import left_out
+from torchdq.learning.data import Samples, of_motions, validated
+from torchdq.learning.distributed import team
 from torchdq.learning.plausibility import LogWarning, doubts, sampled
 from torchdq.learning.progress import Progress
+from torchdq.learning.run import History, Run
 from torchdq.nn import DQRNEA
+from torchdq.residual import ResidualDynamics
 from torchdq.robot.robot import batches
-from torchdq.tables import table
-
-VALIDATION_ROWS = 4096  # rows of the validation data computed at a time
-ROWS = 10  # rows of a history that are printed
-PROBE_ROWS = 64  # rows of the training data whose torques tell one model from another
-
-
-class TrainingError(TorchdqError, ArithmeticError):
-    """Loss or gradient that is not finite."""
-
-
-@dataclass
-class History:
-    """Course of a run, with an entry for every evaluation on the validation data."""
-
-    step: list[int] = field(default_factory=list)  # steps done
-    # error on the batches since the last evaluation: mean over joints of squared error / variance of the torque
-    train: list[float] = field(default_factory=list)
-    valid: list[float] = field(default_factory=list)  # error on the validation data; empty without such data
-    best_step: int = 0  # step of the weights that the model has in the end: of the least `valid`, or the last one
-    stopped_early: bool = False  # whether patience ended the run
-
-    def __str__(self) -> str:
-        if not self.step:
-            return "no steps"
-        shown = sorted({round(k * (len(self.step) - 1) / (ROWS - 1)) for k in range(ROWS)})
-        errors = {"train": self.train, **({"valid": self.valid} if self.valid else {})}
-        rows = [(str(self.step[k]), *(f"{error[k]:.3g}" for error in errors.values())) for k in shown]
-        end = ", stopped early by patience" if self.stopped_early else ""
-        title = f"{self.step[-1]} steps, weights of step {self.best_step}{end}"
-        return f"{title}\n\n{table(('step', *errors), rows)}"
 
 
 def fit(
     model: nn.Module,
-    train: Samples,
+    train: Samples | Sequence[Samples],
     valid: Samples | None = None,
     *,
     steps: int | None = None,
@@ -87,10 +57,17 @@ def fit(
     goes through all rows in a new order. Under `torchrun` every process calls this with the same arguments: each takes
     its share of every batch, and all end with the weights that one process would find, but for rounding.
 
+    The network of a `ResidualDynamics` is then measured on rows that it was not trained on: `valid`, or blocks of
+    `train` that copies of it are trained without, which takes about as long again. Where it may act, with what weight
+    at each joint, and the errors of `predict` follow from that; it gets no weight unless it is better than the model
+    alone by more than one standard error. `History.residual` tells, a `LogWarning` names joints where it
+    helps little.
+
     Args:
         model: called as model(q, qd, qdd), returns tau [N, n] [N m]; lies on the device to compute on, which under
             `torchrun` is another one for every process.
-        train: samples to fit, [N, n].
+        train: samples to fit, [N, n], or one for each motion. Their order means something for a `ResidualDynamics`
+            alone: that of time, of which contiguous blocks are left out, or whole motions if there are three.
         valid: samples to choose by: the model is left with the weights of the least error on them.
         steps, epochs: length of the run, one of the two.
         batch: rows per step, over all processes.
@@ -118,7 +95,8 @@ def fit(
     >>> bool((model.robot.mass / robot.mass - 1).abs().max() < 0.01)
     True
     """
-    train, valid = validated("train", train), None if valid is None else validated("valid", valid)
+    train, lengths = of_motions("train", train)
+    valid = None if valid is None else validated("valid", valid)
     parameters = {name: p for name, p in model.named_parameters() if p.requires_grad}
     if not parameters:
         raise ArgumentError("model has no parameters to fit; name tensors of the robot in its learn=(...)")
@@ -151,13 +129,18 @@ def fit(
         identity |= {"batch": batch, "rate": rate, "decay": decay, "prior": prior, "seed": seed}
         identity |= {"patience": patience, "every": every}
 
+    residual = model if isinstance(model, ResidualDynamics) else None
+    if residual is not None:
+        residual.open()
     was_training = model.training
     try:
         with team(device) as ours, _own_randomness(device, seed), torch.enable_grad():
-            run = _Run(model, parameters, train, ours, path, batch, prior, decay, seed)
+            run = Run(model, parameters, train, ours, path, batch, prior, decay, seed)
             if ours.leads and (doubt := _doubts(model, train)):
                 warnings.warn(doubt, LogWarning, stacklevel=2)
             run.resume(identity, last)
+            if residual is not None and not any(p.requires_grad for p in residual.model.parameters()):
+                run.known = left_out.beside_fixed_physics(residual, train)
             bar = progress if ours.leads else False
             with Progress(last, run.step, tensorboard if ours.leads else None, bar) as shown:
                 while run.step < last and not run.history.stopped_early:
@@ -171,189 +154,18 @@ def fit(
                     shown.step(run.step)
             if run.best is not None:
                 model.load_state_dict(run.best)
+            if residual is not None:
+                how = left_out.Training(run.step, batch, rate, decay, seed)
+                worth = left_out.measure(residual, train, lengths, valid, how) if ours.leads else None
+                state = residual.state_dict() if ours.size > 1 else None
+                run.history.residual, state = ours.broadcast((worth, state))
+                if state is not None:
+                    residual.load_state_dict(state)
     finally:
         model.train(was_training)
+    if run.history.residual is not None and ours.leads:
+        left_out.tell(run.history.residual)
     return run.history
-
-
-class _Run:
-    """State of a run; a checkpoint holds all that changes in it."""
-
-    def __init__(
-        self,
-        model: nn.Module,
-        parameters: dict[str, nn.Parameter],
-        train: Samples,
-        ours: Team,
-        path: Path | None,
-        batch: int,
-        prior: float,
-        decay: float,
-        seed: int,
-    ):
-        self.model, self.parameters, self.train, self.team, self.path = model, parameters, train, ours, path
-        self.batch, self.prior, self.variance = batch, prior, torque_variance(train.tau)
-        self.optimiser = torch.optim.AdamW(parameters.values(), lr=0.0, weight_decay=decay)
-        self.generator = torch.Generator().manual_seed(seed)
-        self.step = 0
-        self.errors: list[float] = []  # errors of the batches since the last evaluation
-        self.best: dict[str, Tensor] | None = None
-        self.best_error = math.inf
-        self.waited = 0
-        self.history = History()
-
-    def resume(self, identity: dict[str, Any], last: int) -> None:
-        """Load the checkpoint, if there is one, of a run of `last` steps; the same weights in all processes."""
-        saved = None
-        if self.team.leads and self.path is not None and self.path.exists():
-            saved = checkpoints.read(self.path)
-            checkpoints.require_same_run(self.path, saved, identity)
-        saved = self.team.broadcast(saved)
-        if saved is None or self.path is None:
-            if self.team.size > 1:
-                weights = {name: x.cpu() for name, x in self.model.state_dict().items()}
-                self.model.load_state_dict(self.team.broadcast(weights))
-            return
-        before = copy.deepcopy(self.model.state_dict())
-        try:
-            self._take_up(self.path, saved, before, last)
-        except checkpoints.CheckpointError:
-            self.model.load_state_dict(before)
-            raise
-
-    def _take_up(self, path: Path, saved: dict[str, Any], now: dict[str, Any], last: int) -> None:
-        """Go on from the state in a checkpoint; `now` is the state dict of the model, `last` the last step."""
-        checkpoints.require_whole(path, saved, now, list(self.parameters), last)
-        with checkpoints.loading(path):
-            self.model.load_state_dict(saved["model"])
-        if not checkpoints.same_torques(saved["probe"], self._probe().cpu(), now):
-            raise checkpoints.CheckpointError(
-                f"checkpoint {path} is of another model: given its weights, the model does not return the torques "
-                "it did; what is not a parameter, such as the rest of the robot, must be as it was; or name another "
-                "file"
-            )
-        with checkpoints.loading(path):
-            # momenta only: rates and decays are those of this call
-            settings = self.optimiser.state_dict()["param_groups"]
-            self.optimiser.load_state_dict({"state": saved["optimiser"]["state"], "param_groups": settings})
-            self.generator.set_state(saved["generator"])
-            self._shuffle()
-            _set_randomness(saved["random"], self.train.q.device)
-        self.step, self.best, self.best_error = saved["step"], saved["best"], saved["best_error"]
-        self.waited, self.history = saved["waited"], History(**saved["history"])
-
-    def state(self) -> dict[str, Any]:
-        """Content of a checkpoint, for `resume`."""
-        return {
-            "step": self.step,
-            "model": self.model.state_dict(),
-            "probe": self._probe(),
-            "optimiser": self.optimiser.state_dict(),
-            "generator": self.before_shuffle,
-            "random": _randomness(self.train.q.device),
-            "best": self.best,
-            "best_error": self.best_error,
-            "waited": self.waited,
-            "history": asdict(self.history),
-        }
-
-    def advance(self, rate: float) -> None:
-        """Do a step, on the next batch."""
-        self.model.train()
-        at = self.step % -(-len(self.train.q) // self.batch)
-        if at == 0:
-            self._shuffle()
-        rows = self.order[at * self.batch : (at + 1) * self.batch]
-        error = loss = self._error(self.train, rows)
-        prior: Callable[[], Tensor] | None = getattr(self.model, "prior", None)
-        if self.prior and prior is not None:
-            loss = loss + self.prior / self.team.size * prior()
-        learned = tuple(self.parameters.values())
-        if loss.requires_grad:
-            found = torch.autograd.grad(loss, learned, allow_unused=True, materialize_grads=True)
-        else:  # this process has no share of a small batch
-            found = tuple(map(torch.zeros_like, learned))
-        error, *gradients = self.team.summed([error.detach(), *found])
-        self._require_finite(rows, error, gradients)
-        self.update(gradients, rate)
-        self.errors.append(float(error))
-        self.step += 1
-
-    def update(self, gradients: list[Tensor], rate: float) -> None:
-        """Change the parameters by a step of AdamW."""
-        for parameter, gradient in zip(self.parameters.values(), gradients, strict=True):
-            parameter.grad = gradient
-        for group in self.optimiser.param_groups:
-            group["lr"] = rate
-        self.optimiser.step()
-        self.optimiser.zero_grad()
-
-    def evaluate(self, valid: Samples | None, patience: int | None) -> None:
-        """Note the errors, and the weights if they are the best so far."""
-        error = None if valid is None else self._validation_error(valid)
-        if error is not None and not math.isfinite(error):
-            raise TrainingError(f"step {self.step}: the error on valid is {error}; a smaller rate may help")
-        self.history.step.append(self.step)
-        self.history.train.append(sum(self.errors) / len(self.errors))
-        self.errors.clear()
-        if error is None:
-            self.history.best_step = self.step
-            return
-        self.history.valid.append(error)
-        if error < self.best_error:
-            self.history.best_step, self.best_error, self.waited = self.step, error, 0
-            self.best = {name: x.clone() for name, x in self.model.state_dict().items()}
-        else:
-            self.waited += 1
-            self.history.stopped_early = patience is not None and self.waited >= patience
-
-    def _error(self, samples: Samples, rows: Tensor) -> Tensor:
-        """Share of this process in the error of a batch of rows."""
-        mine = self.team.share(rows).to(samples.q.device)
-        q, qd, qdd, tau = (x[mine] for x in samples)
-        if not len(tau):
-            return tau.sum()  # zero
-        predicted = self.model(q, qd, qdd)
-        if predicted.shape != tau.shape:
-            raise ArgumentError(f"model must return torques {list(tau.shape)}, found {list(predicted.shape)}")
-        if torch.is_grad_enabled() and not predicted.requires_grad:
-            raise ArgumentError("the torques of the model do not depend on its parameters; nothing can be fitted")
-        return ((predicted - tau).square() / self.variance).mean(-1).sum() / len(rows)
-
-    @torch.no_grad()
-    def _validation_error(self, valid: Samples) -> float:
-        """Error on the validation data, over all processes."""
-        self.model.eval()
-        total = torch.zeros_like(valid.tau[0, 0])
-        for rows in torch.arange(len(valid.q)).split(VALIDATION_ROWS):
-            total += self._error(valid, rows) * (len(rows) / len(valid.q))
-        return float(self.team.summed([total])[0])
-
-    @torch.no_grad()
-    def _probe(self) -> Tensor:
-        """Torques of the first samples."""
-        self.model.eval()
-        return self.model(*(x[:PROBE_ROWS] for x in self.train[:3]))
-
-    def _shuffle(self) -> None:
-        """Draw a new order of all rows; the generator's state before it is kept, to draw it again."""
-        self.before_shuffle = self.generator.get_state()
-        self.order = torch.randperm(len(self.train.q), generator=self.generator)
-
-    def _require_finite(self, rows: Tensor, error: Tensor, gradients: list[Tensor]) -> None:
-        if bool(torch.stack([x.isfinite().all() for x in (error, *gradients)]).all()):
-            return
-        what = f"the error is {float(error):g}"
-        if error.isfinite():
-            broken = (name for name, x in zip(self.parameters, gradients, strict=True) if not x.isfinite().all())
-            what = f"the gradient for {next(broken)!r} is not finite"
-        some = ", ".join(map(str, rows[:5].tolist())) + (", ..." if len(rows) > 5 else "")
-        path = self.path
-        kept = "" if path is None else f"; {path} was left as it is" if path.exists() else f"; {path} was not written"
-        raise TrainingError(
-            f"step {self.step + 1}: {what}, in the batch of the {len(rows)} rows {some} of train; a smaller rate may "
-            f"help, and so may float64{kept}"
-        )
 
 
 @torch.no_grad()
@@ -381,13 +193,3 @@ def _own_randomness(device: torch.device, seed: int) -> Iterator[None]:
     with torch.random.fork_rng([device] if device.type == "cuda" else []):
         torch.manual_seed(seed)
         yield
-
-
-def _randomness(device: torch.device) -> list[Tensor]:
-    return [torch.get_rng_state(), *([torch.cuda.get_rng_state(device)] if device.type == "cuda" else [])]
-
-
-def _set_randomness(states: list[Tensor], device: torch.device) -> None:
-    torch.set_rng_state(states[0])
-    if device.type == "cuda" and len(states) > 1:
-        torch.cuda.set_rng_state(states[1], device)

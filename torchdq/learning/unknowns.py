@@ -1,0 +1,298 @@
+"""Unknown parameters of a scene, by name, and how a step of least squares changes them.
+
+A step is taken in the parameters themselves where they may have any sign. Positive ones grow along the step and fall
+along the exponential with the same slope, so that they stay positive, and friction, which enters linearly, is still
+found in few steps, however small it was. Inertias move in the coordinates of `torchdq.parametrizations`.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from torchdq.checks import tensor_of
+from torchdq.effects.effect import Effect, Parametric
+from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.parametrizations import PhysicalInertia
+from torchdq.robot import Robot
+from torchdq.robot.fields import trailing
+
+if TYPE_CHECKING:
+    from torchdq.envs import Scene
+
+DELAY = "delay"
+BODIES = ("mass", "com", "inertia")  # parameters of the links
+LENGTH = 0.1  # least size of a change of a centre of mass [m]
+INERTIA = PhysicalInertia()
+
+
+@dataclass(frozen=True)
+class SignedNumbers:
+    """Parameters of any sign, to which steps add."""
+
+    unit: float = 1.0  # least size of a step [SI]
+
+    def moved(self, value: Tensor, step: Tensor) -> Tensor:
+        """Values [w] after a step [w]."""
+        return value + step
+
+    def slopes(self, value: Tensor) -> Tensor:
+        """Derivatives [w, w] of the values by a step."""
+        return torch.eye(len(value), dtype=value.dtype)
+
+    def sizes(self, value: Tensor, start: Tensor) -> Tensor:
+        """Sizes of steps [w] that change the values by as much as they are, or as they were at the start."""
+        return torch.maximum(value.abs().max(), start.abs().max()).clamp_min(self.unit).expand(len(value))
+
+    def scales(self, value: Tensor, start: Tensor) -> Tensor:
+        """Sizes [w] of the values."""
+        return self.sizes(value, start)
+
+    def offset(self, value: Tensor, start: Tensor) -> Tensor:
+        """Step [w] from the start to the values."""
+        return value - start
+
+
+@dataclass(frozen=True)
+class PositiveNumbers(SignedNumbers):
+    """Parameters that are positive, and stay so."""
+
+    def moved(self, value: Tensor, step: Tensor) -> Tensor:
+        """Values after a step, along a line up and along the exponential of the same slope down."""
+        return torch.where(step >= 0, value + step, value * torch.exp(step.clamp(max=0) / value))
+
+    def sizes(self, value: Tensor, start: Tensor) -> Tensor:
+        """The values, or those at the start where they were larger."""
+        return torch.maximum(value, start)
+
+
+@dataclass(frozen=True)
+class Inertias(SignedNumbers):
+    """Inertias about centres of mass, six numbers each, of bodies that can exist."""
+
+    def moved(self, value: Tensor, step: Tensor) -> Tensor:
+        """Inertias after a step in the coordinates in which all bodies can exist."""
+        return INERTIA(INERTIA.right_inverse(value.reshape(-1, 6)) + step.reshape(-1, 6)).flatten()
+
+    def slopes(self, value: Tensor) -> Tensor:
+        """Derivatives of the inertias in those coordinates."""
+        x = INERTIA.right_inverse(value.reshape(-1, 6))
+        return torch.block_diag(*torch.func.vmap(torch.func.jacfwd(INERTIA))(x))
+
+    def sizes(self, value: Tensor, start: Tensor) -> Tensor:
+        """Ones, as those coordinates are logarithms and ratios."""
+        return torch.ones_like(value)
+
+    def scales(self, value: Tensor, start: Tensor) -> Tensor:
+        """Principal entries, and the roots of the products of two for those beside the diagonal."""
+        x, y, z = torch.maximum(value, start).reshape(-1, 6)[:, [0, 2, 5]].sqrt().unbind(1)
+        return torch.stack([x * x, x * y, y * y, x * z, y * z, z * z], 1).flatten()
+
+    def offset(self, value: Tensor, start: Tensor) -> Tensor:
+        """Step from the start to the inertias."""
+        return (INERTIA.right_inverse(value.reshape(-1, 6)) - INERTIA.right_inverse(start.reshape(-1, 6))).flatten()
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """Parameter of a scene that is sought."""
+
+    name: str  # "Viscous.coefficient"
+    key: str  # its name in the programs of the scene, "1.coefficient"; "": the delay of the inputs
+    labels: tuple[str, ...]  # one for each number, "Viscous.coefficient[elbow]"
+    coordinates: SignedNumbers
+    whole: Tensor  # the parameter with all its numbers, at the start
+    at: Tensor  # [w] places of the sought numbers among them
+
+    @property
+    def start(self) -> Tensor:
+        """Sought numbers [w] at the start."""
+        return self.whole.flatten()[self.at]
+
+    def filled(self, value: Tensor) -> Tensor:
+        """Parameter with the sought numbers [w] in their places."""
+        flat = self.whole.flatten().clone()
+        flat[self.at] = value
+        return flat.reshape(self.whole.shape)
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """All unknown parameters of a scene, their numbers one after the other [p]."""
+
+    parts: tuple[Unknown, ...]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names of the numbers [p]."""
+        return tuple(label for part in self.parts for label in part.labels)
+
+    @property
+    def start(self) -> Tensor:
+        """Numbers [p] at the start."""
+        return torch.cat([part.start for part in self.parts])
+
+    @property
+    def delayed(self) -> bool:
+        """Whether the delay of the inputs is unknown."""
+        return any(not part.key for part in self.parts)
+
+    @property
+    def direct(self) -> bool:
+        """Whether the unknowns are parameters of the scene with all their numbers, to which steps add."""
+        whole = all(part.key and len(part.at) == part.whole.numel() for part in self.parts)
+        return whole and not any(isinstance(part.coordinates, Inertias) for part in self.parts)
+
+    def split(self, values: Tensor) -> list[Tensor]:
+        """Numbers of every unknown."""
+        return list(values.split([len(part.at) for part in self.parts]))
+
+    def parameters(self, values: Tensor) -> dict[str, Tensor]:
+        """Parameters of the scene, by their names in its programs."""
+        return {part.key: part.filled(v) for part, v in zip(self.parts, self.split(values), strict=True) if part.key}
+
+    def delay(self, values: Tensor) -> float:
+        """Delay of the inputs [s]."""
+        return next((float(v) for part, v in zip(self.parts, self.split(values), strict=True) if not part.key), 0.0)
+
+    def moved(self, values: Tensor, step: Tensor) -> Tensor:
+        """Numbers [p] after a step [p]."""
+        pairs = zip(self.parts, self.split(values), self.split(step), strict=True)
+        return torch.cat([part.coordinates.moved(v, d) for part, v, d in pairs])
+
+    def slopes(self, values: Tensor) -> Tensor:
+        """Derivatives [p, p] of the numbers by a step."""
+        pairs = zip(self.parts, self.split(values), strict=True)
+        return torch.block_diag(*(part.coordinates.slopes(v) for part, v in pairs))
+
+    def sizes(self, values: Tensor) -> Tensor:
+        """Steps [p] as large as the numbers, or as they were at the start."""
+        pairs = zip(self.parts, self.split(values), strict=True)
+        return torch.cat([part.coordinates.sizes(v, part.start) for part, v in pairs])
+
+    def scales(self, values: Tensor) -> Tensor:
+        """Sizes [p] of the numbers."""
+        pairs = zip(self.parts, self.split(values), strict=True)
+        return torch.cat([part.coordinates.scales(v, part.start) for part, v in pairs])
+
+    def offset(self, values: Tensor) -> Tensor:
+        """Step [p] from the start to the numbers."""
+        pairs = zip(self.parts, self.split(values), strict=True)
+        return torch.cat([part.coordinates.offset(v, part.start) for part, v in pairs])
+
+
+def unknowns(scene: Scene, learn: str | Sequence[str]) -> Unknowns:
+    """Unknown parameters of a scene; raises unless every name or pattern is one that can be learned."""
+    known = _candidates(scene)
+    words = (learn,) if isinstance(learn, str) else learn
+    if not isinstance(words, Sequence) or not words or not all(isinstance(word, str) for word in words):
+        raise ArgumentError(f"learn must be a name or several, found {learn!r}; known: {', '.join(known)}")
+    chosen = []
+    for word in words:
+        found = [name for name in known if fnmatchcase(name, word)]
+        if not found:
+            raise UnknownNameError("parameter to learn", word, known, every=True)
+        chosen += found
+    parts = tuple(known[name]() for name in dict.fromkeys(chosen))
+    for part in parts:
+        zero = [k for k, x in enumerate(part.start.tolist()) if x <= 0]
+        if zero and isinstance(part.coordinates, PositiveNumbers):
+            raise ArgumentError(
+                f"{part.labels[zero[0]]} must start from a positive number, which says how large it may be, found 0; "
+                "give the scene one"
+            )
+    return Unknowns(parts)
+
+
+def _candidates(scene: Scene) -> dict[str, Callable[[], Unknown]]:
+    """Everything of a scene that can be learned, by name, as functions that return it."""
+    zero = torch.zeros(1, dtype=torch.float64)
+    found = {DELAY: lambda: Unknown(DELAY, "", (DELAY,), SignedNumbers(scene.dt), zero, torch.arange(1))}
+    kinds = [type(effect).__name__ for effect in scene.effects]
+    count, numbers = Counter(kinds), {kind: itertools.count(1) for kind in kinds}
+    for owner, (kind, effect) in enumerate(zip(kinds, scene.effects, strict=True)):
+        title = kind if count[kind] == 1 else f"{kind}{next(numbers[kind])}"
+        found.update(_parameters(scene, title, owner, effect))
+    if scene.controller is not None:
+        found.update(_parameters(scene, type(scene.controller).__name__, -1, scene.controller))
+    robot = scene.robot
+    for name in BODIES:
+        if getattr(robot, name).ndim == 1 + (name != "mass") and robot.mass.ndim == 1:
+            found[name] = partial(_of_links, robot, name)
+    return found
+
+
+def _of_links(robot: Robot, name: str) -> Unknown:
+    """Parameter of the links that have a mass."""
+    x = getattr(robot, name).detach().double()
+    at = torch.arange(x.numel()).reshape(x.shape)[robot.mass > 0].flatten()
+    return _unknown(name, f"-2.{name}", x, name, at, robot.link_names)
+
+
+def _parameters(scene: Scene, title: str, owner: int, part: Parametric) -> dict[str, Callable[[], Unknown]]:
+    """Parameters of an effect or a controller that can be learned: finite numbers without batch axes.
+
+    One that is absent, and with which the scene would ask for a further input, cannot.
+    """
+    found: dict[str, Callable[[], Unknown]] = {}
+    for name, axes in part.SHAPES.items():
+        value = tensor_of(getattr(part, name)).detach().double()
+        if tuple(value.shape) != trailing(axes, scene.robot.sizes) or not bool(value.isfinite().all()):
+            continue
+        if _asked(part, scene.n) == _asked(replace(part, **{name: value}), scene.n):
+            body = (name, axes) in (("inertia", (6,)), ("com", (3,)))
+            kind = name if body else "" if name in part.SIGNED else "mass"
+            labels = scene.robot.joint_names if axes == ("n",) else scene.robot.link_names if axes == ("links",) else ()
+            called, at = f"{title}.{name}", torch.arange(value.numel())
+            found[called] = partial(_unknown, called, f"{owner}.{name}", value, kind, at, labels)
+    return found
+
+
+def _asked(part: Parametric, n: int) -> dict[str, int]:
+    """Inputs that an effect asks for."""
+    return part.inputs(n) if isinstance(part, Effect) else {}
+
+
+def _unknown(name: str, key: str, value: Tensor, kind: str, at: Tensor, owners: Sequence[str]) -> Unknown:
+    """Unknown of a kind: "mass" for positive numbers, "com", "inertia", or "" for numbers of any sign."""
+    coordinates = {"mass": PositiveNumbers(), "inertia": Inertias(), "com": SignedNumbers(LENGTH)}.get(
+        kind, SignedNumbers()
+    )
+    flat = value.flatten().clone()
+    if kind == "inertia":
+        rows = flat[at].reshape(-1, 6)
+        flat[at] = INERTIA(INERTIA.right_inverse(rows)).flatten()
+    each = value.numel() // max(len(owners), 1)
+    parts = ("",) if each == 1 else (".x", ".y", ".z") if each == 3 else (".xx", ".xy", ".yy", ".xz", ".yz", ".zz")
+    places = [f"[{owner}]" for owner in owners] or [""]
+    labels = [f"{name}{place}{part}" for place in places for part in parts[:each]]
+    return Unknown(name, key, tuple(labels[k] for k in at.tolist()), coordinates, flat.reshape(value.shape), at)
+
+
+def changed(scene: Scene, found: Mapping[str, Tensor]) -> Scene:
+    """Scene with parameters in the place of its own, by "owner.name"; two that have an order are kept in it."""
+    parts: dict[int, dict[str, Any]] = {}
+    for key, value in found.items():
+        owner, _, name = key.partition(".")
+        parts.setdefault(int(owner), {})[name] = value
+    robot = scene.robot.replace(**parts.pop(-2)) if -2 in parts else scene.robot
+    controller = replace(scene.controller, **parts.pop(-1)) if -1 in parts else scene.controller
+    effects = [replace(effect, **_ordered(effect, parts.get(k, {}))) for k, effect in enumerate(scene.effects)]
+    return scene.replace(robot=robot, controller=controller, effects=effects)
+
+
+def _ordered(effect: Parametric, values: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Values of parameters of an effect, the higher one of two that have an order raised to the lower one."""
+    low, high = getattr(effect, "ORDERED", ()) or ("", "")
+    if not {low, high} & {*values}:
+        return values
+    lower, upper = (tensor_of(values.get(name, getattr(effect, name))) for name in (low, high))
+    return {**values, high: torch.maximum(lower, upper)}
