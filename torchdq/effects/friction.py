@@ -55,6 +55,10 @@ class Friction(JointEffect):
                 f"{name} of {type(self).__name__} must be below 1, found {max(numbers):g}: such a joint would lock"
             )
 
+    def steady(self, width: float) -> Friction:
+        """Friction without memory that resists steady motion alike; `width` is that of dry friction [rad/s or m/s]."""
+        return self
+
     def inputs(self, n: int) -> dict[str, int]:
         """The temperature [n], if the coefficients change with it."""
         return {} if _zero(self.warming) else {TEMPERATURE: n}

@@ -14,7 +14,7 @@ from typing import ClassVar, NamedTuple
 from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Inputs, Parameter, Shapes
-from torchdq.effects.friction import Friction
+from torchdq.effects.friction import Coulomb, Friction
 from torchdq.effects.joint import Impedance
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import absolute, exp
@@ -67,6 +67,10 @@ class LuGre(Friction):
         super()._check_values(name, numbers)
         if name == "ratio" and min(numbers) < 1:
             raise ArgumentError(f"ratio of LuGre must be at least 1, found {min(numbers):g}")
+
+    def steady(self, width: float) -> Friction:
+        """Coulomb friction of the same level; near rest it lacks the ratio."""
+        return Coulomb(self.level, width, warming=self.warming)
 
     def memory(self, n: int) -> int:
         """The deflection of every joint."""

@@ -31,7 +31,7 @@ LEAST = 20  # fewest rows of a block
 BESIDE = 0.02  # part of a motion without times that is left out on either side of a block
 
 
-class Recording(NamedTuple):
+class MotionRows(NamedTuple):
     """Rows of motions, one after the other, as float64."""
 
     q: Tensor  # [rows, n] [rad or m]
@@ -55,10 +55,10 @@ class Recording(NamedTuple):
         names = ("q", "qd", "qdd", "tau", "direction")
         return {name: x for name in names if (x := getattr(self, name)) is not None}
 
-    def some(self, rows: Tensor) -> Recording:
+    def some(self, rows: Tensor) -> MotionRows:
         """Rows with these numbers, as one motion, without times."""
         tau = None if self.tau is None else self.tau[rows]
-        return Recording(self.q[rows], self.qd[rows], self.qdd[rows], (len(rows),), tau)
+        return MotionRows(self.q[rows], self.qd[rows], self.qdd[rows], (len(rows),), tau)
 
     def starts(self) -> Tensor:
         """Rows at which motions begin [motions]."""
@@ -73,7 +73,7 @@ class Block(NamedTuple):
     motion: slice  # rows of the motions that it belongs to
 
 
-def of_motions(robot: Robot, motions: Motion | Sequence[Motion]) -> Recording:
+def of_motions(robot: Robot, motions: Motion | Sequence[Motion]) -> MotionRows:
     """Rows of motions from `smooth`.
 
     Raises:
@@ -97,10 +97,10 @@ def of_motions(robot: Robot, motions: Motion | Sequence[Motion]) -> Recording:
     lengths = tuple(len(motion.q) for motion in several)
     q, qd, qdd = together("q"), together("qd"), together("qdd")
     known = all(motion.known_gains for motion in several)
-    return Recording(q, qd, qdd, lengths, if_all("tau"), if_all("direction"), if_all("time"), known)
+    return MotionRows(q, qd, qdd, lengths, if_all("tau"), if_all("direction"), if_all("time"), known)
 
 
-def of_tensors(robot: Robot, **signals: Tensor) -> Recording:
+def of_tensors(robot: Robot, **signals: Tensor) -> MotionRows:
     """Rows of signals q, qd, qdd, tau and perhaps direction [..., rows, n]; leading axes are those of motions."""
     batch = check(robot, (), **signals)
     rows = {
@@ -108,10 +108,10 @@ def of_tensors(robot: Robot, **signals: Tensor) -> Recording:
         for name, x in signals.items()
     }
     lengths = (batch[-1],) * math.prod(batch[:-1]) if batch else (1,)
-    return Recording(rows["q"], rows["qd"], rows["qdd"], lengths, tau=rows.get("tau"), direction=rows.get("direction"))
+    return MotionRows(rows["q"], rows["qd"], rows["qdd"], lengths, tau=rows.get("tau"), direction=rows.get("direction"))
 
 
-def blocks(recording: Recording) -> list[Block]:
+def blocks(recording: MotionRows) -> list[Block]:
     """Blocks of the rows, none if there are too few rows: every row is in exactly one."""
     ends = np.cumsum(recording.lengths).tolist()
     motions = [slice(end - rows, end) for end, rows in zip(ends, recording.lengths, strict=True)]
@@ -124,7 +124,7 @@ def blocks(recording: Recording) -> list[Block]:
     return whole if min(_length(block.rows) for block in whole) >= LEAST else []
 
 
-def regions(recording: Recording) -> list[tuple[Tensor, Tensor]]:
+def regions(recording: MotionRows) -> list[tuple[Tensor, Tensor]]:
     """Pairs of regions of the states, each the rows of one and of the other; none for three motions and more."""
     if len(recording.lengths) >= 3:
         return []
@@ -136,7 +136,7 @@ def regions(recording: Recording) -> list[tuple[Tensor, Tensor]]:
     return [(order[:half], order[half:]) for order in (speed.argsort(), (middle @ spread).argsort())]
 
 
-def _parts(recording: Recording, motion: slice, count: int) -> list[Block]:
+def _parts(recording: MotionRows, motion: slice, count: int) -> list[Block]:
     """Contiguous parts of a motion, with the rows beside them."""
     cuts = np.linspace(motion.start, motion.stop, count + 1).round().astype(int).tolist()
     time = recording.time

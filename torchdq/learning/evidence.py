@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.learning.blocks import Block, Recording, regions
+from torchdq.learning.blocks import Block, MotionRows, regions
 from torchdq.learning.correlation import correlation_times
 from torchdq.learning.feasible import Neighbourhood
 from torchdq.learning.regression import gram, places, squared, torques
@@ -23,7 +23,7 @@ class Evidence(NamedTuple):
     """Sums of `regression.gram` about the described bodies and coefficients of zero."""
 
     robot: Robot
-    recording: Recording
+    recording: MotionRows
     terms: tuple[Term, ...]
     own: Tensor  # [rows, n, terms] torques per unit of the terms
     total: Tensor  # [n, p + 1, p + 1] of all rows
@@ -61,7 +61,7 @@ class Evidence(NamedTuple):
 
 def gather(
     robot: Robot,
-    recording: Recording,
+    recording: MotionRows,
     terms: Sequence[Term],
     width: float,
     load: Tensor | None,

@@ -24,7 +24,7 @@ from torch import Tensor
 from torchdq.checks import require_number
 from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics, require_finite
-from torchdq.learning.blocks import Recording, blocks
+from torchdq.learning.blocks import MotionRows, blocks
 from torchdq.learning.evidence import Evidence, gather
 from torchdq.learning.gains import drive_gains
 from torchdq.learning.identified import INERTIAL, Identified, recorded
@@ -55,6 +55,7 @@ def identify(
     width: float = 1e-2,
     direction: Tensor | None = None,
     gains: bool = False,
+    memory: bool = True,
 ) -> Identified:
     """Physically consistent robot that explains measured torques best, as `Identified`.
 
@@ -94,6 +95,7 @@ def identify(
             are not trusted: 1 with a standard deviation of 0.3 before the samples, or anything where the layout of the
             log has no gains. One factor of them all, with masses, comes from the description. They are
             found with viscous and Coulomb friction first, and the rest follows with the torques that they make.
+        memory: whether friction may remember, as `torchdq.effects.LuGre` does; scenes have that, layers do not.
 
     Raises:
         ArgumentError: a shape, a device, a value that is not finite, no samples, or a robot with batch axes.
@@ -138,7 +140,7 @@ def identify(
         ladder, strength = None, math.inf if frozen else 1.0
         weight = 1.0 if prior is None or frozen else prior
         if left_out:
-            candidates = SHAPES if friction == "choose" else ()
+            candidates = [term for term in SHAPES if memory or not term.bristles] if friction == "choose" else []
             strengths = STRENGTHS if prior is None else (strength,)
             ladder, evidence = climb(robot, rows, fixed, candidates, width, strengths, left_out, notice.at)
             sought, strength = ladder.rung.sought[ladder.rung.sought.any(1)], ladder.rung.strength
@@ -234,7 +236,7 @@ def _moving(robot: Robot, qd: Tensor, width: float) -> Tensor:
     return fastest > width
 
 
-def _doubts(robot: Robot, rows: Recording, width: float) -> str:
+def _doubts(robot: Robot, rows: MotionRows, width: float) -> str:
     """Words for what is wrong with samples that the description does not explain; "" for nothing."""
 
     def described(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchdq import effects
+from torchdq.checks import tensor_of
 from torchdq.effects.effect import Effect
 from torchdq.effects.friction import Friction
 from torchdq.errors import ArgumentError
-from torchdq.learning.blocks import Recording, of_motions, of_tensors
+from torchdq.learning.blocks import MotionRows, of_motions, of_tensors
 from torchdq.learning.gains import Gains
 from torchdq.learning.ladder import Ladder
 from torchdq.learning.motions import Motion
@@ -149,20 +151,16 @@ class Identified(NamedTuple):
     def layer(self, learn: Sequence[str] = ()) -> DQRNEA:
         """Torques as a module: the robot found, with its friction, the width of it, and the offset.
 
-        Friction that remembers is that of steady sliding there, since a layer does not know what was before.
+        Friction that remembers is that of steady sliding there, since a layer does not know what was before;
+        `identify(..., memory=False)` finds the best without.
 
         Args:
             learn: quantities that the layer goes on learning, as in `torchdq.DQRNEA`, "friction" where no effect is
                 there twice.
         """
-        lasting = [one for one in self.friction() if not isinstance(one, effects.LuGre)]
-        remembered = [torch.tensor(one.level) for one in self.friction() if isinstance(one, effects.LuGre)]
-        if remembered and self.coulomb is not None:
-            level = tuple((self.coulomb + torch.stack(remembered).sum(0)).tolist())
-            dry = effects.Coulomb(tuple(self.coulomb.tolist()), self.width)
-            lasting[lasting.index(dry)] = effects.Coulomb(level, self.width)
+        friction = _together([one.steady(self.width) for one in self.friction()])
         names = [*learn, "offset"] if self.offset is not None else list(learn)
-        layer = DQRNEA(self.robot, tuple(dict.fromkeys(names)), friction_width=self.width, friction=lasting)
+        layer = DQRNEA(self.robot, tuple(dict.fromkeys(names)), friction_width=self.width, friction=friction)
         if self.offset is not None:
             layer.offset = self.offset
         return layer
@@ -246,7 +244,7 @@ def recorded(
     qd: Tensor | None,
     qdd: Tensor | None,
     **others: Tensor | None,
-) -> tuple[tuple[int, ...], Recording]:
+) -> tuple[tuple[int, ...], MotionRows]:
     """Rows of motions, or of tensors, and the shape of their batch."""
     rest = {"qd": qd, "qdd": qdd, **others}
     if isinstance(motions, Tensor):
@@ -261,3 +259,16 @@ def recorded(
             raise ArgumentError(f"{name} must not be given beside motions, which hold it")
     recording = of_motions(robot, motions)
     return (len(recording.q),), recording
+
+
+def _together(effects: Sequence[Friction]) -> list[Friction]:
+    """Effects of which no two differ only in the numbers in which their torques are linear: those are added."""
+    sums: dict[Friction, Friction] = {}
+    for effect in effects:
+        law = replace(effect, **dict.fromkeys(effect.LINEAR))
+        if law in sums:
+            pairs = {name: (getattr(sums[law], name), getattr(effect, name)) for name in effect.LINEAR}
+            added = {name: tensor_of(a) + tensor_of(b) for name, (a, b) in pairs.items()}
+            effect = replace(effect, **{name: tuple(x.tolist()) if x.ndim else float(x) for name, x in added.items()})
+        sums[law] = effect
+    return list(sums.values())

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.learning.blocks import Block, Recording
+from torchdq.learning.blocks import Block, MotionRows
 from torchdq.learning.evidence import Evidence, described, gather
 from torchdq.learning.regression import places, rigid
 from torchdq.learning.shapes import Gain, gainful
@@ -102,7 +102,7 @@ class Ladder(NamedTuple):
 
 def climb(
     robot: Robot,
-    recording: Recording,
+    recording: MotionRows,
     fixed: Sequence[Term],
     candidates: Sequence[Term],
     width: float,

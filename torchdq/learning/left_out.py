@@ -24,7 +24,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from torchdq.learning.blocks import Block, Recording, blocks
+from torchdq.learning.blocks import Block, MotionRows, blocks
 from torchdq.learning.correlation import correlation_times
 from torchdq.learning.data import Samples, torque_variance
 from torchdq.learning.plausibility import LogWarning
@@ -200,7 +200,7 @@ def _by_parts(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
 
 def _blocks(samples: Samples, lengths: Sequence[int]) -> list[Block]:
     q, qd, qdd, tau = (x.double() for x in samples)
-    return blocks(Recording(q, qd, qdd, tuple(lengths), tau))
+    return blocks(MotionRows(q, qd, qdd, tuple(lengths), tau))
 
 
 def _by_copies(

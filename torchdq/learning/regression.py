@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchdq.functional import regressor
-from torchdq.learning.blocks import Recording
+from torchdq.learning.blocks import MotionRows
 from torchdq.robot import Robot
 
 COARSE = 1e-2  # least noise relative to the joint's torques, where there are too few samples to estimate it
@@ -40,7 +40,7 @@ def columns(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, own: Tensor) -> Te
     return torch.cat([regressor(robot, q, qd, qdd), own], -1)
 
 
-def torques(robot: Robot, recording: Recording, own: Tensor, phi: Tensor, rotor: bool) -> Tensor:
+def torques(robot: Robot, recording: MotionRows, own: Tensor, phi: Tensor, rotor: bool) -> Tensor:
     """Torques [rows, n] of parameters phi [n, p]; `rotor` says that those of the description are to be added."""
     tau = torch.empty_like(recording.q)
     for part in chunks(slice(0, len(tau)), phi.numel()):
@@ -51,7 +51,7 @@ def torques(robot: Robot, recording: Recording, own: Tensor, phi: Tensor, rotor:
     return tau
 
 
-def rigid(robot: Robot, recording: Recording, pi: Tensor, rotors: Tensor | None) -> Tensor:
+def rigid(robot: Robot, recording: MotionRows, pi: Tensor, rotors: Tensor | None) -> Tensor:
     """Torques [rows, n] of bodies with inertial parameters pi [10 links], and of rotors [n]."""
     none = recording.q.new_zeros(*recording.q.shape, 0)
     tau = torques(robot, recording, none, pi.expand(robot.n, -1), rotor=False)
@@ -60,7 +60,7 @@ def rigid(robot: Robot, recording: Recording, pi: Tensor, rotors: Tensor | None)
 
 def gram(
     robot: Robot,
-    recording: Recording,
+    recording: MotionRows,
     own: Tensor,
     described: Tensor,
     rotor: bool,

@@ -18,7 +18,7 @@ from torchdq import effects
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.effects.friction import Friction
 from torchdq.effects.resistance import columns
-from torchdq.learning.blocks import Recording
+from torchdq.learning.blocks import MotionRows
 from torchdq.robot import Robot
 
 FORCE = ("N m", "N")  # units of joints that turn, and that slide
@@ -49,14 +49,15 @@ class Term(NamedTuple):
     signed: bool = False  # whether the number may be negative
     dry: bool = False  # whether the torque has the sign of the velocity, sharp but for the width
     loaded: bool = False  # whether the torque per unit depends on the load
+    bristles: float = 0.0  # deflection of bristles that slide, of friction that remembers it [rad or m]
 
     def unit(self, rows: Rows) -> Tensor:
         """Torque per unit [rows, n]."""
         if self.effect is None:
             return rows.qdd if self.name == "rotor" else torch.ones_like(rows.qd)
+        if self.bristles:
+            return deflection(rows.q, rows.starts, self.bristles)
         effect = self.effect(rows.width)
-        if isinstance(effect, effects.LuGre):
-            return deflection(rows.q, rows.starts, effect.deflection)
         qd = rows.qd.where(rows.qd.abs() > STILL, STILL) if self.dry else rows.qd
         load = rows.load if self.loaded else None
         torque = columns(rows.robot, effect, rows.q, qd, load, backend="eager")[self.parameter]
@@ -71,7 +72,7 @@ class Term(NamedTuple):
         return (replace(effect, **others, **{self.parameter: tuple(numbers)}),)
 
 
-def rows_of(robot: Robot, recording: Recording, width: float, load: Tensor | None = None) -> Rows:
+def rows_of(robot: Robot, recording: MotionRows, width: float, load: Tensor | None = None) -> Rows:
     """Rows of a recording; the sign is that of qd / sqrt(qd^2 + width^2), unless it was filtered."""
     sign = smooth_sign(recording.qd, width) if recording.direction is None else recording.direction
     return Rows(robot, recording.q, recording.qd, recording.qdd, sign, load, recording.starts(), width)
@@ -117,7 +118,8 @@ def _saturating(width: float) -> Term:
 
 
 def _bristles(distance: float) -> Term:
-    return Term(f"lugre {distance:g}", FORCE, lambda _: effects.LuGre(deflection=distance), "level")
+    effect = effects.LuGre(deflection=distance)
+    return Term(f"lugre {distance:g}", FORCE, lambda _: effect, "level", bristles=distance)
 
 
 def _ripple(parameter: str) -> Term:

@@ -284,7 +284,9 @@ def changed(scene: Scene, found: Mapping[str, Tensor]) -> Scene:
         owner, _, name = key.partition(".")
         parts.setdefault(int(owner), {})[name] = value
     robot = scene.robot.replace(**parts.pop(-2)) if -2 in parts else scene.robot
-    controller = replace(scene.controller, **parts.pop(-1)) if -1 in parts else scene.controller
+    controller = scene.controller
+    if controller is not None and -1 in parts:
+        controller = replace(controller, **parts.pop(-1))
     effects = [replace(effect, **_ordered(effect, parts.get(k, {}))) for k, effect in enumerate(scene.effects)]
     return scene.replace(robot=robot, controller=controller, effects=effects)
 
