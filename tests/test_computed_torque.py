@@ -401,7 +401,7 @@ def test_a_residual_that_was_trained_on_torques_with_friction_gets_no_other():
     robot, state = rubbing(), random(5, 4, 2)
     model = torchdq.ResidualDynamics(torchdq.DQRNEA(robot))
     with torch.no_grad():  # a network that found the friction
-        model.correction = lambda features: 2.0 * features[..., 2] + 0.7 * features[..., 4]
+        model.correction = lambda features: 2.0 * features[..., 0] + 0.7 * features[..., 1]
         found = torchdq.ComputedTorque(model, 25.0, 10.0)(*state)
     torch.testing.assert_close(found, torchdq.ComputedTorque(robot, 25.0, 10.0)(*state), rtol=1e-12, atol=1e-12)
 

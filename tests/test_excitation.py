@@ -304,7 +304,8 @@ def test_predicted_torques_are_drawn_beside_measured_ones(panda, exciting, tmp_p
     found = identify(panda, *(torch.as_tensor(x) for x in motion[1:5]), friction=True, prior=1.0)
     apart = motion._replace(time=np.where(motion.time > 4, motion.time + 2, motion.time))  # a line is broken there
     figure = plot_torques(found, [motion, apart])
-    assert [axes.get_title().split(":")[0] for axes in figure.axes] == list(panda.joint_names)
+    titles = ["".join(axes.get_title(place) for place in ("left", "center")) for axes in figure.axes]
+    assert [title.split(":")[0] for title in titles] == list(panda.joint_names)
     measured, predicted = (line.get_ydata() for line in figure.axes[1].lines)
     assert np.isnan(measured).sum() == 2 and len(measured) == 2 * 501 + 2
     assert np.nanmax(abs(measured - predicted)) < 0.02 * np.nanmax(abs(measured))

@@ -440,7 +440,7 @@ def test_layers_learn_what_friction_is_linear_in():
     truth = torchdq.DQRNEA(TREE, friction=(effects.Viscous(0.7), *parts[1:3], effects.LoadDependent(0.2), parts[4]))
     tau = truth(q, qd, qdd)
     optimiser = torch.optim.LBFGS(
-        layer.parameters(), max_iter=100, line_search_fn="strong_wolfe", tolerance_change=1e-12
+        layer.parameters(), max_iter=1500, history_size=100, line_search_fn="strong_wolfe", tolerance_change=1e-15
     )
 
     def loss():
@@ -450,8 +450,8 @@ def test_layers_learn_what_friction_is_linear_in():
         return value
 
     optimiser.step(loss)
-    assert torch.allclose(layer.loaddependent_coefficient, torch.full((n,), 0.2, dtype=F64), atol=0.02)
-    assert torch.allclose(layer.viscous, torch.full((n,), 0.7, dtype=F64), atol=0.02)
+    assert torch.allclose(layer.loaddependent_coefficient, torch.full((n,), 0.2, dtype=F64), atol=1e-3)
+    assert torch.allclose(layer.viscous, torch.full((n,), 0.7, dtype=F64), atol=1e-3)
     assert [type(effect) for effect in layer.friction] == [type(effect) for effect in parts]
     assert torch.equal(layer.friction[3].coefficient, layer.loaddependent_coefficient)
 

@@ -151,7 +151,7 @@ class RobotModule(nn.Module):
             load: torques of the rigid bodies [N m or N], shape [..., n], for friction that depends on them; None: zero.
 
         >>> import torchdq
-        >>> layer = DQRNEA(torchdq.robots.load("two_link"), learn="friction")
+        >>> layer = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn="friction")
         >>> layer.viscous = torch.tensor([2.0, 3.0], dtype=torch.float64)
         >>> layer.friction_torque(torch.tensor([10.0, -10.0])).detach()
         tensor([ 20.0100, -30.0100])
@@ -179,7 +179,7 @@ class RobotModule(nn.Module):
                 those that were replaced in the robot, are arguments, in SI units.
 
         >>> import torchdq
-        >>> layer = DQRNEA(torchdq.robots.load("two_link"), learn=("mass", "friction"))
+        >>> layer = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=("mass", "friction"))
         >>> [a.name for a in layer.program(parameters="arguments").arguments]
         ['q', 'qd', 'qdd', 'mass', 'viscous', 'coulomb']
         """
@@ -204,7 +204,7 @@ class RobotModule(nn.Module):
         `torchdq.parametrizations.PhysicalInertia`. Gravity, geometry, home and offset are not part of it.
 
         >>> import torchdq
-        >>> layer = DQRNEA(torchdq.robots.load("panda"), learn=("mass", "com", "inertia"))
+        >>> layer = torchdq.DQRNEA(torchdq.robots.load("panda"), learn=("mass", "com", "inertia"))
         >>> layer.mass = 1.1 * layer.mass.detach()
         >>> f"{layer.prior().item():.6f}", f"{torch.tensor(1.1).log().square():.6f}"
         ('0.009084', '0.009084')

@@ -18,6 +18,7 @@ from torchdq.learning.regression import Information, information, known, shifted
 ITERATIONS = 200  # most Newton steps of a minimum
 EXACT, ROUGH = 1e-12, 1e-6  # part of the prior's weight by which a minimum may be missed; a score needs less
 ROUNDS = 10  # most times that the joints are weighted anew
+JITTERS = (0.0, 1e-15, 1e-13, 1e-11)  # added to a diagonal of ones, until rounding leaves a matrix positive definite
 
 
 class Solution(NamedTuple):
@@ -94,6 +95,15 @@ def solve(
     return Solution(near, y, facts, rms, settled)
 
 
+def _factor(H: Tensor) -> Tensor:
+    """Factor L of H = L L^T, H having a diagonal of ones; at the edge of what can exist rounding may need more."""
+    for more in JITTERS:
+        L, failed = torch.linalg.cholesky_ex(H + more * torch.eye(len(H), dtype=H.dtype))
+        if not int(failed):
+            return L
+    return torch.linalg.cholesky(H)
+
+
 def changes(
     near: Neighbourhood, sums: Tensor, variance: Tensor, at: Tensor, start: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
@@ -124,7 +134,7 @@ def minimum(
         slope, curvature = near.slopes(V @ w)
         gradient, H = 2 * e * (w - w_0) + weight * (slope @ V), torch.diag(2 * e) + weight * (V.T @ curvature @ V)
         scale = H.diagonal().rsqrt()  # the samples' part may be 1e20 times the prior's
-        factor = torch.linalg.cholesky(scale[:, None] * H * scale)
+        factor = _factor(scale[:, None] * H * scale)
         step = -scale * torch.cholesky_solve((scale * gradient)[:, None], factor)[:, 0]
         before, expected = cost(w), float(-gradient @ step)
         settled = expected <= (0.1 if weight > prior else tolerance) * weight + 1e-14 * before

@@ -25,7 +25,7 @@ FORCE = ("N m", "N")  # units of joints that turn, and that slide
 STILL = 1e-9  # least speed by which the sign of friction is divided [rad/s or m/s]
 
 
-class Rows(NamedTuple):
+class TermRows(NamedTuple):
     """Quantities that torques per unit depend on, [rows, n] each."""
 
     robot: Robot
@@ -51,7 +51,7 @@ class Term(NamedTuple):
     loaded: bool = False  # whether the torque per unit depends on the load
     bristles: float = 0.0  # deflection of bristles that slide, of friction that remembers it [rad or m]
 
-    def unit(self, rows: Rows) -> Tensor:
+    def unit(self, rows: TermRows) -> Tensor:
         """Torque per unit [rows, n]."""
         if self.effect is None:
             return rows.qdd if self.name == "rotor" else torch.ones_like(rows.qd)
@@ -72,13 +72,13 @@ class Term(NamedTuple):
         return (replace(effect, **others, **{self.parameter: tuple(numbers)}),)
 
 
-def rows_of(robot: Robot, recording: MotionRows, width: float, load: Tensor | None = None) -> Rows:
+def rows_of(robot: Robot, recording: MotionRows, width: float, load: Tensor | None = None) -> TermRows:
     """Rows of a recording; the sign is that of qd / sqrt(qd^2 + width^2), unless it was filtered."""
     sign = smooth_sign(recording.qd, width) if recording.direction is None else recording.direction
-    return Rows(robot, recording.q, recording.qd, recording.qdd, sign, load, recording.starts(), width)
+    return TermRows(robot, recording.q, recording.qd, recording.qdd, sign, load, recording.starts(), width)
 
 
-def unit_torques(terms: Sequence[Term], rows: Rows) -> Tensor:
+def unit_torques(terms: Sequence[Term], rows: TermRows) -> Tensor:
     """Torques per unit of every term [rows, n, terms]."""
     if not terms:
         return rows.q.new_zeros(*rows.q.shape, 0)

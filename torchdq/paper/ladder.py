@@ -33,7 +33,7 @@ from torchdq.timing import medians
 Row = Sequence[Number]
 
 
-class Rung(NamedTuple):
+class Stage(NamedTuple):
     """Step: its change, and the torques after it."""
 
     name: str
@@ -122,12 +122,12 @@ def inward(tree: Tree, steps: Steps, net: Sequence[Screw | None]) -> list[Number
 
 
 RUNGS = (
-    Rung("operators as printed", as_printed),
-    Rung("zeros known, operators shared", zeros_known),
-    Rung("aligned frames: elementary screws", aligned_frames),
-    Rung("dual part of the twists absent", without_dual_part),
-    Rung("base parameters", base_parameters),
-    Rung("shared terms: the program that runs", shared_terms),
+    Stage("operators as printed", as_printed),
+    Stage("zeros known, operators shared", zeros_known),
+    Stage("aligned frames: elementary screws", aligned_frames),
+    Stage("dual part of the twists absent", without_dual_part),
+    Stage("base parameters", base_parameters),
+    Stage("shared terms: the program that runs", shared_terms),
 )
 
 

@@ -65,7 +65,7 @@ def bodies(links: Sequence[str], mass: Tensor, inertia: Tensor) -> list[str]:
             Massless,
             (mass == 0) & (moments.abs().amax(-1) > NOTHING),
         ),
-        f"{triangle}, {shown}": (Lopsided, moments[..., 2] > moments[..., 0] + moments[..., 1] + slack),
+        f"{triangle}, found {{shown}} kg m^2": (Lopsided, moments[..., 2] > moments[..., 0] + moments[..., 1] + slack),
     }
     if not bool(torch.stack([mask for _, mask in wrong.values()]).any()):
         return []
