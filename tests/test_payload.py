@@ -8,12 +8,13 @@ import os
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
 import torchdq
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.learning import directions, identify, identify_payload, read, samples, smooth
+from torchdq.learning import Layout, Motion, directions, identify, identify_payload, read, samples, smooth
 from torchdq.learning.bodies import central, inertial_parameters, moved, pseudo_inertia
 
 MASS, COM, INERTIA = 2.0, (0.03, -0.02, 0.1), (0.01, 0.002, 0.02, 0.001, -0.001, 0.015)
@@ -192,3 +193,20 @@ def test_seconds_of_motion_tell_the_same_within_their_errors(recorded):
     assert float(squares.mean()) < 3
     assert float(mass.std()) < 0.15
     assert math.isclose(float(mass.mean()), 2.5, rel_tol=0.1)
+
+
+def test_motions_are_taken_as_their_rows_are():
+    robot = torchdq.robots.load("two_link")
+    q, qd, qdd = torch.randn(3, 200, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    empty = identify(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd), friction=False, prior=1.0)
+    tau = torchdq.inverse_dynamics(robot.with_payload(2.0, (0.0, 0.0, 0.1)), q, qd, qdd)
+    motion = Motion(np.arange(200.0), *(x.numpy() for x in (q, qd, qdd, tau)))
+    assert torch.equal(identify_payload(empty, motion).mass, identify_payload(empty, q, qd, qdd, tau).mass)
+    with pytest.raises(ArgumentError, match="tau must be given beside positions"):
+        identify_payload(empty, q, qd, qdd)
+    with pytest.raises(ArgumentError, match=r"motions must be Motion objects, found Layout; smooth\(log\) makes one"):
+        identify(robot, Layout())
+    rest = np.zeros((2, 2))
+    log = read({"time": np.array([0.0, 0.01]), "q": rest, "qd": rest, "tau": rest})
+    with pytest.raises(ArgumentError, match="found Log; smooth"):
+        identify(robot, log)

@@ -426,3 +426,24 @@ def test_the_scene_that_is_given_does_not_change(motion, guess):
         warnings.simplefilter("error")
         fit_rollout(guess, Recording(TIME, motion, {"torque": driving(TIME)}), FRICTION, segment=0.1)
     assert guess.effects == before.effects
+
+
+def test_a_scene_that_cannot_follow_tells_nothing():
+    """Commands of the wrong sign."""
+    robot, t = torchdq.robots.load("two_link"), 0.01 * torch.arange(301, dtype=torch.float64)
+    torque = 40 * torch.stack([(5 * t).sin(), (7 * t).cos()], -1)
+    scene = Scene(robot, (effects.Gravity(), effects.Viscous(0.5)), dt=0.01)
+    start = scene.start(torch.zeros(2, dtype=torch.float64))
+    q = torch.cat([start.q[None], scene.rollout(start, torque[:-1]).q])
+    guess = Scene(robot, (effects.Gravity(), effects.Viscous(0.1)), dt=0.01)
+    with pytest.warns(LogWarning, match="does not move as recorded.*check signs"):
+        found = fit_rollout(guess, Recording(t, q, {"torque": -torque}), "Viscous.coefficient", iterations=1)
+    assert all(x.isnan().all() for x in (*found.values.values(), *found.errors.values()))
+    assert "does not move" in found.doubt
+
+
+def test_a_delay_needs_inputs():
+    scene = Scene(torchdq.robots.load("two_link"), (effects.Viscous(0.5),), dt=0.01)
+    log = Recording(0.01 * np.arange(20), np.zeros((20, 2)), {})
+    with pytest.raises(ArgumentError, match="delay cannot be learned: the recordings have no inputs"):
+        fit_rollout(scene, log, "delay")

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -79,10 +79,13 @@ def of_motions(robot: Robot, motions: Motion | Sequence[Motion]) -> MotionRows:
     Raises:
         ArgumentError: there is no motion, or one is of another arm or has no torques.
     """
-    several = [motions] if isinstance(motions, Motion) else list(motions)
+    one = not isinstance(motions, Sequence) or hasattr(motions, "_fields")  # a Motion or a Log is a tuple, too
+    several: list[Any] = [motions] if one else [*motions]
     if not several:
         raise ArgumentError("motions must be at least one, found none")
     for motion in several:
+        if not isinstance(motion, Motion):
+            raise ArgumentError(f"motions must be Motion objects, found {type(motion).__name__}; smooth(log) makes one")
         if motion.q.shape[1:] != (robot.n,):
             found = f"found one with {motion.q.shape[1]}"
             raise ArgumentError(f"motions must be of {robot.name!r}, which has {robot.n} joints, {found}")

@@ -33,7 +33,7 @@ class Prediction(NamedTuple):
     """Torques with their standard errors, each [..., n]."""
 
     tau: Tensor  # [N m or N]
-    error: Tensor  # [N m or N], of the prediction; the noise of a measurement comes on top
+    error: Tensor  # [N m or N], of the parameters; noise comes on top, and what the model has no term for
 
     def __repr__(self) -> str:
         return summary("Prediction", {name: (x, "N m or N") for name, x in self._asdict().items()})

@@ -22,8 +22,10 @@ from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.functional import check, regressor, require_finite
 from torchdq.learning.bodies import central, inertial_parameters, moved, pseudo_inertia
+from torchdq.learning.data import Samples
 from torchdq.learning.feasible import ENTRIES
 from torchdq.learning.identification import Identified
+from torchdq.learning.motions import Motion, samples
 from torchdq.learning.nearest import curvature, nearest, relative
 from torchdq.robot import Robot
 from torchdq.tables import table
@@ -66,10 +68,10 @@ class IdentifiedPayload(NamedTuple):
 
 def identify_payload(
     empty: Identified,
-    q: Tensor,
-    qd: Tensor,
-    qdd: Tensor,
-    tau: Tensor,
+    motions: Motion | Sequence[Motion] | Tensor,
+    qd: Tensor | None = None,
+    qdd: Tensor | None = None,
+    tau: Tensor | None = None,
     frame: str | None = None,
     friction: bool = False,
     offset: bool = False,
@@ -84,9 +86,10 @@ def identify_payload(
 
     Args:
         empty: the arm without payload, from `identify`.
-        q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2], with
-            payload, shape [rows, n], one after the other in time: their correlation is part of the errors.
-        tau: measured joint torques [N m or N], shape [rows, n].
+        motions: motions with payload, from `smooth`; or joint positions [rows, n] [rad or m], one row after the other
+            in time: their correlation is part of the errors.
+        qd, qdd, tau: joint velocities [rad/s or m/s], accelerations [rad/s^2 or m/s^2] and measured torques [N m or N],
+            [rows, n], beside positions.
         frame: name of the frame that holds it; None: the end effector.
         friction, offset: allow viscous and Coulomb friction and the offset of every joint to have changed since, where
             the motion is long enough to tell: of less than 10 s they take some of the payload.
@@ -113,7 +116,12 @@ def identify_payload(
     if not isinstance(empty, Identified):
         raise ArgumentError(f"empty must be what identify returns, found {type(empty).__name__}")
     robot = empty.robot
-    signals = {"q": q, "qd": qd, "qdd": qdd, "tau": tau}
+    given = (motions, qd, qdd, tau) if isinstance(motions, Tensor) else samples(motions)
+    signals: dict[str, Tensor] = {}
+    for name, x in zip(Samples._fields, given, strict=True):
+        if x is None:
+            raise ArgumentError(f"{name} must be given beside positions, found None")
+        signals[name] = x
     batch = check(robot, (), **signals)
     if len(batch) != 1 or not batch[0]:
         raise ArgumentError(

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 
 from torchdq.checks import require_count, require_number
+from torchdq.errors import ArgumentError
 from torchdq.learning import shooting
 from torchdq.learning.plausibility import LogWarning
 from torchdq.learning.recordings import Recording, checked
@@ -36,6 +37,10 @@ SETTLED = 1e-2  # length of a step that ends the search, in standard deviations 
 STILL = 1e-6  # length of a step that does so too, relative to the parameters: for measurements without noise
 GAIN = 0.02  # gain of a step that ends the search, in the logarithm of the likelihood
 NEARLY = 1e-5  # gaps before a last step
+APART = (
+    "the scene does not move as recorded, so nothing is told and all values are NaN; check signs, units and order of "
+    "positions and inputs, or start from a scene that is nearer"
+)
 
 
 def fit_rollout(
@@ -84,13 +89,16 @@ def fit_rollout(
     require_count("iterations", iterations)
     sought = unknowns(scene, learn)
     data = checked(logs, scene.n, scene.inputs)
+    if sought.delayed and not data[0].inputs:
+        raise ArgumentError("delay cannot be learned: the recordings have no inputs that could come late")
     whole = changed(scene, sought.parameters(sought.start))
     pieces = shooting.segments(data, scene.dt, segment)
     problem = Problem(StepMap(whole, tuple(data[0].inputs)), sought, data, pieces)
     with torch.no_grad(), Notice(f"fitting {', '.join(part.name for part in sought.parts)}") as notice:
         end = _search(problem, problem.prepared(problem.first()), iterations, notice)
-        doubt = end.ended or problem.uneven(end.at)
-        found = result(problem, end.at, end.linear, end.steps, doubt)
+        followed = end.at.gap <= NEARLY
+        doubt = (end.ended or problem.uneven(end.at)) if followed else f"{end.ended}; {APART}"
+        found = result(problem, end.at, end.linear, end.steps, doubt, followed)
     if doubt:
         warnings.warn(f"the parameters may not be the best: {doubt}", LogWarning, stacklevel=2)
     return found

@@ -25,7 +25,8 @@ class RolloutFit(NamedTuple):
     """Scene that moves as recorded, and how well its parameters are known.
 
     A parameter that the recordings do not tell is NaN in `values` and `errors`; in `scene` it is where the others are
-    best while it stays near its start. `untold` names what can change without changing the recorded motions.
+    best while it stays near its start. `untold` names what can change without changing the recorded motions. Where the
+    scene does not come to move as recorded, all are NaN, and `doubt` says so.
 
     The standard errors are those of independent errors of the measurements. Errors of the scene itself are not among
     them: where `rms` is far above the noise of the sensors, the parameters are less certain than they say.
@@ -67,8 +68,8 @@ class RolloutFit(NamedTuple):
         return "\n\n".join(parts)
 
 
-def result(problem: Problem, at: Iterate, linear: Linear, iterations: int, doubt: str) -> RolloutFit:
-    """Result of a fit that ended at an iterate."""
+def result(problem: Problem, at: Iterate, linear: Linear, iterations: int, doubt: str, followed: bool) -> RolloutFit:
+    """Result of a fit that ended at an iterate; `followed`: whether the scene moves from state to state there."""
     sought, p = problem.unknowns, len(at.values)
     sizes = sought.sizes(at.values)
     R = problem.information(at, linear)[:p, :p] * sizes  # in changes relative to the sizes
@@ -78,7 +79,7 @@ def result(problem: Problem, at: Iterate, linear: Linear, iterations: int, doubt
     slopes = sought.slopes(at.values)
     covariance = slopes @ spread @ spread.T @ slopes.T
     hidden = (V[~told] * sizes) @ slopes.T / sought.scales(at.values)
-    known = hidden.square().sum(0) < PART**2
+    known = (hidden.square().sum(0) < PART**2) & followed
     errors = torch.where(known, covariance.diagonal().sqrt(), torch.nan)
     values = torch.where(known, at.values, torch.nan)
     n, pieces = problem.pieces.n, problem.pieces
