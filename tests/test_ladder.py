@@ -19,7 +19,7 @@ CHAIN = ladder.example(7)
 TREE = random_tree(8, 5).robot.bake()  # its frames lie beside the centres of mass, which the print does not have
 
 
-def torques(rung: ladder.Stage, robot: torchdq.Robot, s) -> torch.Tensor:
+def torques(rung: ladder.LadderForm, robot: torchdq.Robot, s) -> torch.Tensor:
     rows = [x.unbind(-1) for x in (s.q, s.qd, s.qdd)]
     program = rung.program(robot)
     return torch.stack(results(program, replay(program, rows))["tau"], -1)

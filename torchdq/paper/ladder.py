@@ -33,8 +33,8 @@ from torchdq.timing import medians
 Row = Sequence[Number]
 
 
-class Stage(NamedTuple):
-    """Step: its change, and the torques after it."""
+class LadderForm(NamedTuple):
+    """Step of the ladder: its change, and the torques after it."""
 
     name: str
     torques: Callable[[Robot, Row, Row, Row], Sequence[Number]]
@@ -122,12 +122,12 @@ def inward(tree: Tree, steps: Steps, net: Sequence[Screw | None]) -> list[Number
 
 
 RUNGS = (
-    Stage("operators as printed", as_printed),
-    Stage("zeros known, operators shared", zeros_known),
-    Stage("aligned frames: elementary screws", aligned_frames),
-    Stage("dual part of the twists absent", without_dual_part),
-    Stage("base parameters", base_parameters),
-    Stage("shared terms: the program that runs", shared_terms),
+    LadderForm("operators as printed", as_printed),
+    LadderForm("zeros known, operators shared", zeros_known),
+    LadderForm("aligned frames: elementary screws", aligned_frames),
+    LadderForm("dual part of the twists absent", without_dual_part),
+    LadderForm("base parameters", base_parameters),
+    LadderForm("shared terms: the program that runs", shared_terms),
 )
 
 
