@@ -9,7 +9,7 @@ by. What is chosen is chosen on blocks of the training motions that were left ou
     description          the URDF alone
     + friction           viscous, Coulomb, offset and rotor inertia by least squares
     identified           least squares over all inertial parameters and friction, kept physical
-    chosen               what `identify` chooses among these and friction of other shapes that a layer has
+    chosen               what `identify` chooses among these and friction of other shapes, as a layer
     chosen + residual    the same and a small network per joint, kept where it helps (`fit`)
     black box            a network from q, qd, qdd of all joints to torques, knowing nothing
 
@@ -181,7 +181,7 @@ def main(args: Args) -> dict[str, dict[str, list[float]]]:
     add("+ friction", with_friction(robot, data))
     options = {"offset": True, "armature": True, "width": WIDTH}
     add("identified", identify(robot, motions, friction=True, prior=1.0, **options).layer())
-    found = identify(robot, motions, memory=False, **options)
+    found = identify(robot, motions, **options)
     console.print(str(found.report) if found.report is not None else "too few rows to choose by", highlight=False)
     add("chosen", found.layer())
     box = chosen_box(args, parts, steps, console)
