@@ -24,7 +24,7 @@ import torch
 
 import torchdq
 from torchdq.learning import Excitation, HalfSpace, LogError, MotionLimits, excite, read, smooth
-from torchdq.learning.base import BaseParameters
+from torchdq.learning.identification.base import BaseParameters
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
 from recordings import LAYOUTS

@@ -137,7 +137,7 @@ class Call:
 class Built(NamedTuple):
     """Shared library with functions, the name of the first, and processor time of making it [s]."""
 
-    library: Path
+    file: Path
     name: str
     seconds: float
 
@@ -157,17 +157,15 @@ def exported(robot: torchdq.Robot, task: str, knots: int, folder: Path) -> Built
 
 def of_torchdq(ours: Built, calls: int, x: Sequence[np.ndarray]) -> dict[str, Call]:
     """Calls of torchdq's functions, by kind; `calls`: number of calls for all knots."""
-    function = ca.external(ours.name, str(ours.library))
+    function = ca.external(ours.name, str(ours.file))
     n, jacobian, second = function.n_in(), function.jacobian(), function.reverse(1).jacobian()
     # those with respect to seeds are not wanted, as in the Hessian of a Lagrangian
     by_seeds = [name.rpartition("_adj_")[0] not in ("", "jac") for name in second.name_out()]
     wanted = [0 if by_seeds[k] else second.nnz_out(k) * calls for k in range(second.n_out())]
     return {
-        "values": Call(ours.library, ours.name, x[:n], [function.nnz_out(0) * calls], calls),
-        "Jacobian": Call(
-            ours.library, f"jac_{ours.name}", x[:n], [jacobian.nnz_out(k) * calls for k in range(n)], calls
-        ),
-        "Hessian": Call(ours.library, f"jac_adj1_{ours.name}", [*x[:n], np.zeros(0), x[n]], wanted, calls),
+        "values": Call(ours.file, ours.name, x[:n], [function.nnz_out(0) * calls], calls),
+        "Jacobian": Call(ours.file, f"jac_{ours.name}", x[:n], [jacobian.nnz_out(k) * calls for k in range(n)], calls),
+        "Hessian": Call(ours.file, f"jac_adj1_{ours.name}", [*x[:n], np.zeros(0), x[n]], wanted, calls),
     }
 
 
@@ -193,9 +191,9 @@ def mapped(peer: Built, knots: int, x: Sequence[np.ndarray]) -> dict[str, Call]:
     names = [f"map{knots}_{kind}{peer.name}" for kind in ("", "jac_", "hessian_")]
     found = {}
     for kind, name in zip(KINDS, names, strict=True):
-        function = ca.external(name, str(peer.library))
+        function = ca.external(name, str(peer.file))
         sizes = [function.nnz_out(k) for k in range(function.n_out())]
-        found[kind] = Call(peer.library, name, x if kind == "Hessian" else x[:-1], sizes, 1)
+        found[kind] = Call(peer.file, name, x if kind == "Hessian" else x[:-1], sizes, 1)
     return found
 
 

@@ -39,7 +39,7 @@ from torchdq.envs import Scene, effects
 from torchdq.learning import Recording, RolloutFit, fit_rollout
 
 DT, ROUNDS = 0.002, 15
-DEGREES = 6  # of freedom: parameters of the noisy arm
+DEGREES = 6  # parameters of the noisy arm: degrees of freedom of the chi-square
 
 
 def their_tests() -> ModuleType:

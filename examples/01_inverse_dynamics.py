@@ -34,7 +34,7 @@ from torch.utils.benchmark import Timer
 
 import torchdq
 from torchdq.learning import Log, LogError, Motion, read, smooth
-from torchdq.learning.log_checks import GAP
+from torchdq.learning.logs.checks import GAP
 
 EPS = {torch.float64: 2.0**-52, torch.float32: 2.0**-23}
 NAME = {torch.float64: "float64", torch.float32: "float32"}

@@ -38,7 +38,7 @@ from torch import Tensor, nn
 import torchdq
 from torchdq.learning import LogError, Motion, Samples, cut, identify, read, samples, smooth
 
-BATCH, RATE, DECAY = 256, 1e-2, 1e-2  # of every training
+BATCH, RATE, DECAY = 256, 1e-2, 1e-2  # rows of a step, learning rate and weight decay of every training
 WIDTH = 0.02  # speed over which Coulomb friction changes sign [rad/s]: about the noise of the filtered velocity
 
 

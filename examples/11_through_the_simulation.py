@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 import torchdq
 from torchdq.envs import Scene, State, effects
-from torchdq.learning.distributed import Team, team
+from torchdq.learning.training.distributed import Team, team
 
 ROBOT = torchdq.robots.load("panda")
 WANTED = (0.0, -0.5, 0.0, -2.0, 0.0, 1.5, 0.8)  # [rad]

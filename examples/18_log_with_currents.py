@@ -26,7 +26,7 @@ from simulated_logs import real_arm, recorded, write
 import torchdq
 from torchdq.learning import Identified, Layout, LogError, identify, read, samples, smooth
 
-RATIOS = (101.0, -101.0, 101.0, 101.0)  # of the gears of the arm, negative where the joint turns against the motor
+RATIOS = (101.0, -101.0, 101.0, 101.0)  # gear ratios of the arm, negative where the joint turns against the motor
 WRIST = (
     (1 / 80, 0.0),
     (1 / 80, 1 / 50),

@@ -24,7 +24,7 @@ from torch import Tensor
 import torchdq
 from torchdq.envs import Scene, integrators
 from torchdq.learning import Excitation, HalfSpace, MotionLimits, Sampled, excite, identify, sample
-from torchdq.learning.fourier import Family
+from torchdq.learning.excitation.fourier import Family
 
 
 @dataclass

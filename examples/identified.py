@@ -1,4 +1,4 @@
-"""What is shown of an identified robot: its torques in a motion it has not seen, beside measured ones, by joint."""
+"""Table and picture of an identified robot: its torques in a motion it has not seen, beside the measured ones."""
 
 from collections.abc import Mapping
 from pathlib import Path

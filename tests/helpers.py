@@ -23,6 +23,19 @@ WHEEL = torchdq.Robot.from_screws(
     [[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], [1.0], [[0.0, 0.0, 0.0]], [np.diag([INERTIA] * 3)], name="wheel"
 )
 
+PAIR = """
+<robot name="pair">
+  <link name="base"/>
+  <link name="a"><inertial><origin xyz="0.3 0 0"/><mass value="2"/>
+    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.06" iyz="0" izz="0.06"/></inertial></link>
+  <link name="b"><inertial><origin xyz="0.2 0 0"/><mass value="1"/>
+    <inertia ixx="0.005" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial></link>
+  <joint name="one" type="continuous"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/></joint>
+  <joint name="two" type="continuous"><parent link="a"/><child link="b"/>
+    <origin xyz="0.6 0 0"/><axis xyz="0 1 0"/></joint>
+</robot>
+"""
+
 FIXED = (ExplicitEuler(), SemiImplicitEuler(), LinearlyImplicit(), RungeKutta4(), StoermerVerlet())
 
 

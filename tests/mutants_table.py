@@ -2609,7 +2609,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/layouts.py",
+        "torchdq/learning/logs/layouts.py",
         (
             "a column named twice",
             "in counts.items() if count > 1",
@@ -2631,7 +2631,7 @@ MUTANTS = (
         ("numbers as Python writes them", '"_" not in cell and ', "", MALFORMED),
     ),
     *within(
-        "torchdq/learning/headers.py",
+        "torchdq/learning/logs/headers.py",
         (
             "a column read twice",
             "readers.items() if count > 1",
@@ -2640,7 +2640,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/headers.py",
+        "torchdq/learning/logs/headers.py",
         (
             "half a log without a word of what it is good for",
             "(way := still_possible(lost, heads))",
@@ -2655,7 +2655,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/transmissions.py",
+        "torchdq/learning/logs/transmissions.py",
         (
             "torques of coupled motors by the matrix of their velocities",
             "x @ np.linalg.inv(S)",
@@ -2670,7 +2670,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/log_checks.py",
+        "torchdq/learning/logs/checks.py",
         (
             "jumps explained by themselves",
             "np.maximum(rate[:-4], rate[4:])",
@@ -2679,7 +2679,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/filters.py",
+        "torchdq/learning/logs/filters.py",
         (
             "aliases",
             "PASSED = 0.4",
@@ -2695,7 +2695,7 @@ MUTANTS = (
         ("derivatives of straight cubics", "k=5", "k=3", "filters.py::test_derivatives_of_sines"),
     ),
     *within(
-        "torchdq/learning/motions.py",
+        "torchdq/learning/logs/motions.py",
         (
             "currents taken for torques",
             "if not motion.known_gains:",
@@ -2722,21 +2722,21 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/log_tables.py",
+        "torchdq/learning/logs/tables.py",
         ("bombs unpacked", "if unpacked > (most", "if unpacked < 0 and unpacked > (most", MALFORMED),
     ),
     *within(
-        "torchdq/learning/log_texts.py",
+        "torchdq/learning/logs/texts.py",
         ("first lines without an end", "if len(head) > LONGEST:", "if False:", MALFORMED),
     ),
     *within(
-        "torchdq/learning/checkpoint.py",
+        "torchdq/learning/training/checkpoint.py",
         ("checkpoints of infinite numbers", " and bool(x.isfinite().all())", "", UNTRUSTED),
         ("checkpoints of steps that never were", "_is_count(x) and 0 < x <= last", "_is_count(x)", UNTRUSTED),
         ("models with other weights", "x.keys() != model.keys()", "False", UNTRUSTED),
     ),
     *within(
-        "torchdq/learning/run.py",
+        "torchdq/learning/training/run.py",
         (
             "an optimiser steered by a checkpoint",
             'self.optimiser.state_dict()["param_groups"]',
@@ -2751,7 +2751,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/identification.py",
+        "torchdq/learning/identification/identify.py",
         (
             "joints at rest that are said to be excited",
             " & torch.cat([inertial, *own])",
@@ -3452,7 +3452,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/plausibility.py",
+        "torchdq/learning/logs/plausibility.py",
         (
             "dry friction of another shape untold",
             "after < SHAPED * before",
@@ -3491,7 +3491,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/terms.py",
+        "torchdq/learning/identification/terms.py",
         (
             "sharp signs of velocity beside filtered torques",
             "if recording.direction is None else recording.direction",
@@ -3506,7 +3506,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/evidence.py",
+        "torchdq/learning/identification/evidence.py",
         (
             "rows beside a block that is left out",
             "folds[k] -= sums[first",
@@ -3515,7 +3515,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/blocks.py",
+        "torchdq/learning/logs/blocks.py",
         (
             "gaps without times",
             "after = int((time[last : motion.stop] < time[last - 1] + ENDS).sum())",
@@ -3524,7 +3524,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/correlation.py",
+        "torchdq/learning/logs/correlation.py",
         (
             "correlation counted on one side",
             "1 + 2 * (correlation * clear)",
@@ -3533,7 +3533,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/ladder.py",
+        "torchdq/learning/identification/ladder.py",
         (
             "the best rung instead of the simplest as good",
             "if float(off.mean()) <= float(off.std() / len(off) ** 0.5):",
@@ -3542,7 +3542,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/shapes.py",
+        "torchdq/learning/identification/shapes.py",
         (
             "residuals without the friction of the joint",
             "e[:, self.own] = -self.coefficients(y)",
@@ -3551,7 +3551,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/gains.py",
+        "torchdq/learning/identification/gains.py",
         (
             "gains about one alone",
             "(1 - h)[:, None] * start + (h - centre)[:, None] * phi",
@@ -3614,7 +3614,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/left_out.py",
+        "torchdq/learning/training/left_out.py",
         (
             "a residual that is kept where it helps no more than by chance",
             "weight = weight if gain > error else torch.zeros_like(weight)",
@@ -3786,7 +3786,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/identification.py",
+        "torchdq/learning/identification/identify.py",
         (
             "numbers too large for least squares without a name",
             "except torch.linalg.LinAlgError as error:",
@@ -3822,7 +3822,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/log_checks.py",
+        "torchdq/learning/logs/checks.py",
         (
             "positions that follow another joint believed",
             "if abs(correlation) < UNLIKE:",
@@ -3849,7 +3849,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/checkpoint.py",
+        "torchdq/learning/training/checkpoint.py",
         (
             "attributes of a model left out of its identity",
             '"the model": text, **own}',
@@ -3906,7 +3906,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/logs.py",
+        "torchdq/learning/logs/read.py",
         (
             "rows of a log that are no whole numbers",
             "isinstance(x, Integral) and not isinstance(x, bool)",
@@ -3915,7 +3915,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/log_checks.py",
+        "torchdq/learning/logs/checks.py",
         (
             "positions that jump believed",
             "if not jumps.any():",
@@ -3924,7 +3924,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/log_texts.py",
+        "torchdq/learning/logs/texts.py",
         (
             "files cut within a number believed",
             "if last >= min(before):",
@@ -3933,7 +3933,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/shooting.py",
+        "torchdq/learning/rollout/shooting.py",
         (
             "gaps between steps forgotten",
             "added[..., s:-1], added[..., -1] = B.reshape(*added.shape[:3], -1), moved.gaps.reshape(added.shape[:3])",
@@ -3942,7 +3942,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/recordings.py",
+        "torchdq/learning/rollout/recordings.py",
         (
             "commands not delayed within a step",
             "return np.where((last > first)[..., None], (early + between + late) / span, u[first])",
@@ -3960,7 +3960,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/fourier.py",
+        "torchdq/learning/excitation/fourier.py",
         (
             "peaks between the points of a motion missed",
             "missed = math.cos(math.pi * H / len(self.phases))",
@@ -3975,7 +3975,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/excitation.py",
+        "torchdq/learning/excitation/excite.py",
         (
             "torques of a motion that may exceed their limits",
             "return (used <= 1).all(-1) & (clearance >= 0).all(-1)",
@@ -3990,7 +3990,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/base.py",
+        "torchdq/learning/identification/base.py",
         (
             "errors of base parameters without the noise",
             "return Z.index_select(-1, self.leading) / self.noise[:, None]",
@@ -3999,7 +3999,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/bodies.py",
+        "torchdq/learning/bodies/pseudo_inertia.py",
         (
             "bodies moved without turning",
             "T[1:, 0], T[1:, 1:] = matrix[:3, 3], matrix[:3, :3]",
@@ -4008,7 +4008,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/nearest.py",
+        "torchdq/learning/bodies/nearest.py",
         (
             "curvature of the distance between bodies halved",
             "blocks = 2 * torch.einsum",
@@ -4023,7 +4023,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/posterior.py",
+        "torchdq/learning/bodies/posterior.py",
         (
             "drawn robots whose base parameters do not spread",
             "offset = (phi - self.phi - gaussian) @ self.white.T",
@@ -4038,7 +4038,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/payload.py",
+        "torchdq/learning/bodies/payload.py",
         (
             "the expected payload taken for none",
             "off = own @ inertial_parameters(J) - residual",

@@ -66,14 +66,25 @@ FLOORS = {
     "torchdq.__main__": 17,
 }
 
-# storeys of the one package that has several: the sources of a description, the robot, the shipped robots
+# storeys of the packages that have several: files that a table does not name are on the lowest
 STOREYS = {
+    # sources of a description, the robot, the shipped robots
     "torchdq.robot.robot": 1,
     "torchdq.robot.argument": 2,
     "torchdq.robot.mdh": 2,
     "torchdq.robot.posed": 3,
     "torchdq.robot": 4,
     "torchdq.robot.shipped": 5,
+    # logs, what is found from them, what is made of that, pictures of all
+    "torchdq.learning.logs": 1,
+    "torchdq.learning.identification": 2,
+    "torchdq.learning.training": 2,
+    "torchdq.learning.rollout": 2,
+    "torchdq.learning.bodies": 3,
+    "torchdq.learning.pictures": 3,
+    "torchdq.learning.excitation.limits": 1,
+    "torchdq.learning.excitation": 4,
+    "torchdq.learning": 5,
 }
 
 NUMBER_GENERIC = ("torchdq.algebra", "torchdq.dynamics", "torchdq.numbers")
@@ -122,6 +133,13 @@ def imports_of(tree):
                 yield inner if inner in FILES else node.module
 
 
+def placed(module):
+    """Entry of the table of storeys for a module, and its number; those of no entry are on the lowest."""
+    known = [name for name in STOREYS if module == name or (within(module, name) and name not in FLOORS)]
+    entry = max(known, key=len, default=None)
+    return entry, STOREYS.get(entry, 0)
+
+
 def may_import(module, other):
     """Whether a module of the package may import another."""
     ours, theirs = longest(module, FLOORS), longest(other, FLOORS)
@@ -130,10 +148,8 @@ def may_import(module, other):
     package = next(name for name, floor in FLOORS.items() if floor == ours and within(module, name))
     if not within(other, package):
         return False  # a floor's packages do not know each other
-    if package != "torchdq.robot":
-        return True
-    here, there = (longest(name, STOREYS) if name in STOREYS or "shipped" in name else 0 for name in (module, other))
-    return there <= here
+    (here, storey), (there, lower) = placed(module), placed(other)
+    return lower < storey or here == there
 
 
 # --- floors ----------------------------------------------------------------------------------------------------------

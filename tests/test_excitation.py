@@ -16,8 +16,8 @@ import torch
 import torchdq
 from torchdq.errors import ArgumentError, MissingLibraryError
 from torchdq.learning import Box, HalfSpace, Motion, MotionLimits, excitation, excite, identify, plot_torques, read
-from torchdq.learning.base import BaseParameters
-from torchdq.learning.fourier import Family, grid
+from torchdq.learning.excitation.fourier import Family, grid
+from torchdq.learning.identification.base import BaseParameters
 
 LIMITS = MotionLimits(lower=-1.0, upper=[1.5, 0.5], velocity=[2.0, 3.0], effort=60.0)
 ROUNDING = 1 + 1e-12

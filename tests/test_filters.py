@@ -9,7 +9,7 @@ pytest.importorskip("scipy", reason="filters need scipy")
 
 from torchdq.errors import ArgumentError
 from torchdq.learning import Layout, LogError, motions, read, smooth
-from torchdq.learning.filters import decimated, derivative, even, fewer_times, low_pass
+from torchdq.learning.logs.filters import decimated, derivative, even, fewer_times, low_pass
 
 
 def uneven(rate: float, seconds: float, by: float = 0.6) -> np.ndarray:

@@ -12,14 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from helpers import PAIR
 
 import torchdq
 import torchdq.envs
 from torchdq import effects
 from torchdq.errors import ArgumentError
-from torchdq.learning import Motion, identify, ladder
-from torchdq.learning.blocks import blocks, of_motions, of_tensors, regions
-from torchdq.learning.correlation import correlation_times
+from torchdq.learning import Motion, identify
+from torchdq.learning.identification import ladder
+from torchdq.learning.logs.blocks import blocks, of_motions, of_tensors, regions
+from torchdq.learning.logs.correlation import correlation_times
 
 DATA = Path(os.environ.get("TORCHDQ_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 WIDTH, STEP = 1e-2, 0.02
@@ -243,9 +245,9 @@ def test_blocks_are_whole_motions_or_parts_with_gaps():
 
 def test_a_fold_holds_nothing_of_its_block():
     """Torques that are wrong in a block and beside it do not change the fit that is measured on it."""
-    from torchdq.learning.evidence import gather
-    from torchdq.learning.terms import COULOMB as DRY
-    from torchdq.learning.terms import VISCOUS as OIL
+    from torchdq.learning.identification.evidence import gather
+    from torchdq.learning.identification.terms import COULOMB as DRY
+    from torchdq.learning.identification.terms import VISCOUS as OIL
 
     q, qd, qdd = (x[0] for x in states(1, 600))
     tau = torques(REAL, q[None], qd[None], qdd[None])[0]
@@ -265,22 +267,8 @@ def test_a_fold_holds_nothing_of_its_block():
 # --- what is done with the result ------------------------------------------------------------------------------------
 
 
-URDF = """
-<robot name="pair">
-  <link name="base"/>
-  <link name="a"><inertial><origin xyz="0.3 0 0"/><mass value="2"/>
-    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.06" iyz="0" izz="0.06"/></inertial></link>
-  <link name="b"><inertial><origin xyz="0.2 0 0"/><mass value="1"/>
-    <inertia ixx="0.005" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial></link>
-  <joint name="one" type="continuous"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/></joint>
-  <joint name="two" type="continuous"><parent link="a"/><child link="b"/>
-    <origin xyz="0.6 0 0"/><axis xyz="0 1 0"/></joint>
-</robot>
-"""
-
-
 def test_a_layer_a_scene_and_a_file_have_all_that_was_found():
-    described = torchdq.Robot.from_urdf(URDF)
+    described = torchdq.Robot.from_urdf(PAIR)
     real = described.replace(mass=described.mass * torch.tensor([1.2, 0.85], dtype=torch.float64))
     q, qd, qdd = states(4, 600)
     load = torchdq.inverse_dynamics(real, q, qd, qdd)
@@ -297,7 +285,7 @@ def test_a_layer_a_scene_and_a_file_have_all_that_was_found():
     after = scene.step(state, expected[0, ::50] - found.offset)
     assert torch.allclose((after.qd - state.qd) / 1e-4, qdd[0, ::50], atol=0.05 * float(qdd.std()))
     with pytest.warns(UserWarning, match="no place for offset, load"):
-        text = found.to_urdf(URDF)
+        text = found.to_urdf(PAIR)
     again = torchdq.Robot.from_urdf(text)
     assert torch.allclose(again.mass, found.robot.mass) and torch.allclose(again.damping, found.robot.damping)
 

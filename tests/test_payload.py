@@ -15,7 +15,7 @@ import torch
 import torchdq
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.learning import Layout, Motion, directions, identify, identify_payload, read, samples, smooth
-from torchdq.learning.bodies import central, inertial_parameters, moved, pseudo_inertia
+from torchdq.learning.bodies.pseudo_inertia import central, inertial_parameters, moved, pseudo_inertia
 
 MASS, COM, INERTIA = 2.0, (0.03, -0.02, 0.1), (0.01, 0.002, 0.02, 0.001, -0.001, 0.015)
 TRUTH = torch.tensor([MASS, *COM, *INERTIA], dtype=torch.float64)

@@ -14,8 +14,8 @@ import torchdq
 from torchdq.envs import Scene, effects, integrators
 from torchdq.errors import ArgumentError
 from torchdq.learning import identify, sample
-from torchdq.learning.bodies import pseudo_inertia
-from torchdq.learning.nearest import curvature, nearest, relative
+from torchdq.learning.bodies.nearest import curvature, nearest, relative
+from torchdq.learning.bodies.pseudo_inertia import pseudo_inertia
 
 WIDTH = 0.02
 

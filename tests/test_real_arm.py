@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from helpers import PAIR
 
 import torchdq
 
@@ -17,18 +18,6 @@ from matplotlib.image import imread  # noqa: E402
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("TORCHDQ_DATA", ROOT.parent / "shared" / "data"))
 BACKEND = "auto"
-URDF = """
-<robot name="pair">
-  <link name="base"/>
-  <link name="a"><inertial><origin xyz="0.3 0 0"/><mass value="2"/>
-    <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.06" iyz="0" izz="0.06"/></inertial></link>
-  <link name="b"><inertial><origin xyz="0.2 0 0"/><mass value="1"/>
-    <inertia ixx="0.005" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial></link>
-  <joint name="one" type="continuous"><parent link="base"/><child link="a"/><axis xyz="0 1 0"/></joint>
-  <joint name="two" type="continuous"><parent link="a"/><child link="b"/>
-    <origin xyz="0.6 0 0"/><axis xyz="0 1 0"/></joint>
-</robot>
-"""
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +43,7 @@ def record(path: Path, robot: torchdq.Robot, seed: int) -> Path:
 
 
 def test_every_model_explains_what_it_can(main, tmp_path):
-    (tmp_path / "pair.urdf").write_text(URDF)
+    (tmp_path / "pair.urdf").write_text(PAIR)
     robot = torchdq.Robot.from_urdf(tmp_path / "pair.urdf")
     logs = [record(tmp_path / f"{k}.csv", robot, k) for k in range(3)]
     result = main.main(

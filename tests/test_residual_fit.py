@@ -12,7 +12,7 @@ from oracles import shipped
 
 import torchdq
 from torchdq.learning import LogWarning, Samples, cut, fit, identify, read, samples, smooth
-from torchdq.learning.run import Run
+from torchdq.learning.training.run import Run
 
 F64 = torch.float64
 TWO = shipped("two_link").robot

@@ -18,9 +18,9 @@ from torchdq.envs import Scene, controllers, effects, integrators
 from torchdq.envs.sensitivity import StepMap
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.learning import LogError, Recording, fit_rollout
-from torchdq.learning.plausibility import LogWarning
-from torchdq.learning.recordings import Commands
-from torchdq.learning.rollout_problem import Problem
+from torchdq.learning.logs.plausibility import LogWarning
+from torchdq.learning.rollout.problem import Problem
+from torchdq.learning.rollout.recordings import Commands
 
 ROBOT = torchdq.robots.load("two_link")
 DT, ROWS = 0.01, 301

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[1]
 SHARED = """
 import sys
 from test_through_the_simulation import found
-from torchdq.learning.distributed import team
+from torchdq.learning.training.distributed import team
 import torch
 with team(torch.device("cpu")) as share:
     torch.save(found(share), f"{sys.argv[1]}/{share.rank}.pt")
@@ -53,7 +53,7 @@ def test_two_processes_have_the_gradients_of_one(tmp_path):
     started = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
     assert started.returncode == 0, started.stderr
     ranks = [torch.load(tmp_path / f"{rank}.pt") for rank in (0, 1)]
-    share = import_module("torchdq.learning.distributed").Team()
+    share = import_module("torchdq.learning.training.distributed").Team()
     for one, two, alone in zip(*ranks, found(share), strict=True):
         assert torch.equal(one, two)
         torch.testing.assert_close(one, alone, rtol=1e-10, atol=1e-12)

@@ -33,9 +33,9 @@ import torchdq
 from torchdq import notice
 from torchdq.errors import ArgumentError, MissingLibraryError
 from torchdq.learning import CheckpointError, History, Samples, TrainingError, fit
-from torchdq.learning import checkpoint as checkpoints
-from torchdq.learning.attributes import attributes
-from torchdq.learning.run import Run
+from torchdq.learning.training import checkpoint as checkpoints
+from torchdq.learning.training.attributes import attributes
+from torchdq.learning.training.run import Run
 from torchdq.nn import DQRNEA
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -10,25 +10,25 @@
 Nothing here is imported by `import torchdq`; scipy, rich and tensorboard are imported by the functions that need them.
 """
 
-from torchdq.learning.checkpoint import CheckpointError
-from torchdq.learning.data import Samples
-from torchdq.learning.excitation import Excitation, excite
-from torchdq.learning.identification import identify
-from torchdq.learning.identified import Identified, Prediction
-from torchdq.learning.ladder import Ladder, Rung
-from torchdq.learning.layouts import Layout, LogError, MissingLogError
-from torchdq.learning.logs import Log, read
-from torchdq.learning.motion_limits import Box, HalfSpace, MotionLimits
-from torchdq.learning.motions import Motion, cut, directions, hold_out, samples, smooth
-from torchdq.learning.payload import IdentifiedPayload, identify_payload
+from torchdq.learning.bodies.payload import IdentifiedPayload, identify_payload
+from torchdq.learning.bodies.posterior import Sampled, sample
+from torchdq.learning.excitation.excite import Excitation, excite
+from torchdq.learning.excitation.limits import Box, HalfSpace, MotionLimits
+from torchdq.learning.identification.identified import Identified, Prediction
+from torchdq.learning.identification.identify import identify
+from torchdq.learning.identification.ladder import Ladder, Rung
+from torchdq.learning.logs.layouts import Layout, LogError, MissingLogError
+from torchdq.learning.logs.motions import Motion, cut, directions, hold_out, samples, smooth
+from torchdq.learning.logs.plausibility import LogWarning
+from torchdq.learning.logs.read import Log, read
+from torchdq.learning.logs.samples import Samples
 from torchdq.learning.pictures import plot_torques
-from torchdq.learning.plausibility import LogWarning
-from torchdq.learning.posterior import Sampled, sample
-from torchdq.learning.recordings import Recording
-from torchdq.learning.rollout_fit import fit_rollout
-from torchdq.learning.rollout_result import RolloutFit
-from torchdq.learning.run import History, TrainingError
-from torchdq.learning.training import fit
+from torchdq.learning.rollout.fit import fit_rollout
+from torchdq.learning.rollout.recordings import Recording
+from torchdq.learning.rollout.result import RolloutFit
+from torchdq.learning.training.checkpoint import CheckpointError
+from torchdq.learning.training.fit import fit
+from torchdq.learning.training.run import History, TrainingError
 
 __all__ = [
     "Box",

@@ -7,9 +7,9 @@ import numpy as np
 from torch import Tensor
 
 from torchdq.errors import ArgumentError
-from torchdq.learning.identification import Identified
-from torchdq.learning.motion_limits import Bounds
-from torchdq.learning.motions import Motion, samples
+from torchdq.learning.excitation.limits import Bounds
+from torchdq.learning.identification.identified import Identified
+from torchdq.learning.logs.motions import Motion, samples
 from torchdq.optional import imported
 from torchdq.robot import Robot
 

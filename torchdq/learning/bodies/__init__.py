@@ -1,0 +1,1 @@
+"""Bodies that measurements allow: robots drawn around an identified one, and payloads."""

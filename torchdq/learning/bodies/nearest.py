@@ -1,0 +1,86 @@
+"""Bodies and coefficients nearest to given ones that explain measurements, for many robots at once.
+
+With B = C^-1 J C^-T, the change of a link's pseudo-inertia J from the given C C^T, and x, that of a coefficient as a
+factor, the minimum of
+
+    |offset + A y|^2 + sum over links of 2 (tr B - log det B - 4) + sum over coefficients of 2 (x - log x - 1)
+
+is sought in the coordinates y of `feasible`. It is convex, and infinite where a body cannot exist: Newton's method with
+steps that stay inside finds it.
+"""
+
+import warnings
+
+import torch
+from torch import Tensor
+
+from torchdq.learning.identification.feasible import ENTRIES
+
+STEPS = 100  # most Newton steps
+SETTLED = 1e-6  # decrease of the cost that ends the search
+SHORTEST = 1e-9  # step that changes nothing but by rounding
+
+
+def relative(y: Tensor, links: int) -> Tensor:
+    """B [rows, links, 4, 4] of coordinates [rows, t], whose first ten per link are its entries."""
+    bodies = y[:, : 10 * links].reshape(len(y), links, 10)
+    return torch.eye(4, dtype=y.dtype) + torch.einsum("nle,eij->nlij", bodies, ENTRIES)
+
+
+def curvature(y: Tensor, links: int, positive: int) -> tuple[Tensor, Tensor]:
+    """Gradient [rows, t] and Hessian [rows, t, t] of the distance."""
+    first, second = 10 * links, 10 * links + positive
+    inverse = torch.linalg.inv(relative(y, links))
+    products = inverse[:, :, None] @ ENTRIES
+    slope = 2 * torch.einsum("nlij,eji->nle", torch.eye(4, dtype=y.dtype) - inverse, ENTRIES).flatten(1)
+    blocks = 2 * torch.einsum("nleij,nlfji->nlef", products, products)
+    x = 1 + y[:, first:second]
+    H = torch.diag_embed(torch.cat([torch.zeros_like(slope), 2 / x.square(), torch.full_like(y[:, second:], 2.0)], 1))
+    for i in range(links):
+        H[:, 10 * i : 10 * i + 10, 10 * i : 10 * i + 10] += blocks[:, i]
+    return torch.cat([slope, 2 - 2 / x, 2 * y[:, second:]], 1), H
+
+
+def nearest(A: Tensor, offset: Tensor, links: int, positive: int) -> Tensor:
+    """Minimum y [rows, t] of the cost.
+
+    Args:
+        A: [rows, measurements, t].
+        offset: [rows, measurements].
+        links: number of bodies, whose ten coordinates each come first.
+        positive: number of positive coefficients, whose coordinates x - 1 come next; those that are left may have
+            either sign, and the distance y^2.
+    """
+    y, quadratic = A.new_zeros(A.shape[0], A.shape[2]), 2 * A.mT @ A
+    first, second = 10 * links, 10 * links + positive
+
+    def cost(y: Tensor) -> Tensor:
+        B = relative(y, links)
+        L, info = torch.linalg.cholesky_ex(B)
+        x = 1 + y[:, first:second]
+        inside = (info == 0).all(1) & (x > 0).all(1)
+        distance = 2 * (B.diagonal(dim1=-2, dim2=-1) - 1 - 2 * L.diagonal(dim1=-2, dim2=-1).log()).sum((1, 2))
+        distance = distance + 2 * (x - 1 - x.log()).sum(1) + y[:, second:].square().sum(1)
+        residual = offset + (A @ y[..., None])[..., 0]
+        return torch.where(inside, residual.square().sum(1) + distance, torch.inf)
+
+    moving = torch.ones(len(y), dtype=torch.bool)
+    for _ in range(STEPS):
+        gradient, H = curvature(y, links, positive)
+        gradient = gradient + 2 * ((offset + (A @ y[..., None])[..., 0])[:, None] @ A)[:, 0]
+        H = H + quadratic
+        scale = H.diagonal(dim1=1, dim2=2).rsqrt()
+        factor = torch.linalg.cholesky_ex(scale[:, :, None] * H * scale[:, None]).L
+        step = -scale * torch.cholesky_solve((scale * gradient)[..., None], factor)[..., 0]
+        expected, before = -(gradient * step).sum(1), cost(y)
+        moving = expected > SETTLED + 1e-13 * before
+        length = moving.to(y.dtype)
+        while bool((worse := moving & (cost(y + length[:, None] * step) > before - 1e-4 * length * expected)).any()):
+            length = torch.where(worse, length / 2, length)
+            moving = moving & (length > SHORTEST)
+        length = torch.where(moving, length, 0.0)
+        if not bool(moving.any()):
+            return y
+        y = y + length[:, None] * step
+    warnings.warn(f"{int(moving.sum())} of {len(y)} robots have not settled after {STEPS} steps", stacklevel=3)
+    return y

@@ -1,0 +1,180 @@
+"""Robots drawn from what recordings leave open about one: for training on all that it may be.
+
+Along directions that the recordings tell, the base parameters, a draw is one of the normal distribution with the
+covariance of `Identified`. Where they do not tell, that distribution knows nothing of bodies: a mass may come out
+negative. So each link is drawn as J' = C exp(s) C^T, with the pseudo-inertia J = C C^T found and s the symmetric matrix
+that is the drawn change of J in its own axes: to first order the same, and positive definite always. Then the robot
+is sought that has the drawn base parameters, kappa (base phi - drawn)^T covariance^-1 (base phi - drawn) being small,
+and is nearest to these bodies (`nearest`).
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.checks import require_count, require_number
+from torchdq.effects import Coulomb, Effect, Gravity, RotorInertia, Viscous
+from torchdq.errors import ArgumentError
+from torchdq.learning.bodies.nearest import nearest, relative
+from torchdq.learning.bodies.pseudo_inertia import central, inertial_parameters, pseudo_inertia
+from torchdq.learning.identification.feasible import ENTRIES
+from torchdq.learning.identification.identify import Identified
+from torchdq.notice import Notice
+from torchdq.robot import Robot
+from torchdq.tables import summary
+
+KINDS = ("rotor", "viscous", "coulomb", "offset")
+SIGNED = ("offset",)  # coefficients of the joints that may be negative
+KAPPA = 100.0  # weight of the base parameters: so many times that of the bodies that are drawn
+TOGETHER = 256  # robots at a time
+DTYPE = torch.float64
+
+
+class Sampled(NamedTuple):
+    """Robots drawn from the posterior of an identification, as one robot with a batch axis, and their friction."""
+
+    robot: Robot  # [samples] in mass, com, inertia and, if it was sought, armature
+    names: tuple[str, ...]  # [k]
+    parameters: Tensor  # [samples, k], as in `Identified`
+    width: float  # velocity below which dry friction is viscous [rad/s or m/s]
+
+    def __repr__(self) -> str:
+        return summary(f"Sampled {self.robot.name}", {"mass": (self.robot.mass, "kg")})
+
+    def coefficients(self, kind: str) -> Tensor | None:
+        """Coefficients [samples, n] of the joints: of "rotor", "viscous", "coulomb" or "offset"; None: not sought."""
+        known = dict(zip(self.names, range(len(self.names)), strict=True))
+        at = [known[name] for joint in self.robot.joint_names if (name := f"{joint} {kind}") in known]
+        return self.parameters[:, at] if at else None
+
+    def effects(self) -> tuple[Effect, ...]:
+        """Gravity, rotor inertia and friction of a scene, a row per robot; constant offsets are not among them.
+
+        Raises `ArgumentError` for friction of another kind than viscous and Coulomb.
+        """
+        others = sorted({name.rpartition(" ")[2] for name in self.names[10 * len(self.robot.link_names) :]} - {*KINDS})
+        if others:
+            cure = "identify with friction=True, or make the effects from coefficients(kind)"
+            raise ArgumentError(f"friction must be viscous and Coulomb, found {', '.join(others)}; {cure}")
+        found: list[Effect] = [Gravity()]
+        if self.robot.armature is not None:
+            found.append(RotorInertia())
+        viscous, coulomb = self.coefficients("viscous"), self.coefficients("coulomb")
+        if viscous is not None:
+            found.append(Viscous(viscous))
+        if coulomb is not None:
+            found.append(Coulomb(coulomb, self.width))
+        return tuple(found)
+
+
+def sample(identified: Identified, n: int, most: float = 1.0, seed: int = 0) -> Sampled:
+    """Robots drawn from the posterior of `identify`, each of which can exist, with their friction.
+
+    Base parameters have the mean and the covariance found. What the recordings do not tell, such as how mass is shared
+    between links, has the width that the prior leaves it, as a factor: exp(normal number).
+
+    Args:
+        identified: from `identify`.
+        n: number of robots.
+        most: greatest standard deviation of a link's relative change where the recordings do not tell: 1 is a mass that
+            is e times as large or as small; 0 leaves all as found that the base parameters allow.
+        seed: seed of the draws.
+    Raises:
+        ArgumentError: an argument is of another type or not positive.
+
+    >>> import torchdq
+    >>> from torchdq.learning import identify
+    >>> robot = torchdq.robots.load("two_link")
+    >>> q, qd, qdd = torch.randn(3, 200, 2, dtype=torch.float64)
+    >>> tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.1 * torch.randn(200, 2, dtype=torch.float64)
+    >>> drawn = sample(identify(robot, q, qd, qdd, tau, friction=True, prior=1.0), 16)
+    >>> drawn.robot.mass.shape, bool((drawn.robot.mass > 0).all()), len(drawn.effects())
+    (torch.Size([16, 2]), True, 3)
+    """
+    if not isinstance(identified, Identified):
+        raise ArgumentError(f"identified must be what identify returns, found {type(identified).__name__}")
+    require_count("n", n)
+    require_number("most", most, least=0.0)
+    require_count("seed", seed, 0)
+    generator = torch.Generator().manual_seed(seed)
+    draws = torch.randn(n, identified.spread.shape[1], dtype=DTYPE, generator=generator)
+    with torch.no_grad(), Notice(f"drawing robots from {identified.robot.name}") as notice:
+        space = _Space(identified, most)
+        parts = []
+        for i in range(0, n, TOGETHER):
+            notice.at(f"{i} of {n}")
+            parts.append(space.nearest(draws[i : i + TOGETHER]))
+    parameters = torch.cat([part[0] for part in parts])
+    mass, com, inertia = central(torch.cat([part[1] for part in parts]))
+    robot = identified.robot
+    at = space.links
+    changes: dict[str, Any] = {
+        name: torch.index_copy(getattr(robot, name).double().expand(n, *getattr(robot, name).shape), 1, at, x)
+        for name, x in (("mass", mass), ("com", com), ("inertia", inertia))
+    }
+    rotors = Sampled(robot, identified.names, parameters, identified.width).coefficients("rotor")
+    if rotors is not None:
+        changes["armature"] = rotors
+    batch = robot.replace(**{name: x.to(robot.mass) for name, x in changes.items()})
+    return Sampled(batch, identified.names, parameters, identified.width)
+
+
+class _Space:
+    """Coordinates y [samples, t] around drawn bodies and coefficients: ten per link with mass, one per coefficient."""
+
+    def __init__(self, identified: Identified, most: float):
+        F, phi = identified.spread.double(), identified.parameters.double()
+        bodies = 10 * len(identified.robot.link_names)
+        self.phi, self.F, self.base = phi, F, identified.base.double()
+        pi, own = phi[:bodies].reshape(-1, 10), F[:bodies].unflatten(0, (-1, 10))
+        self.links = ((pi[:, 0] > 0) & (own != 0).any(-1).any(-1)).nonzero()[:, 0]
+        self.C = torch.linalg.cholesky(pseudo_inertia(pi[self.links]))
+        # change of each link in its own axes per draw [links, 4, 4, t], whose greatest width is bounded
+        change = pseudo_inertia(own[self.links].mT).movedim(1, -1)
+        inverse = torch.linalg.inv(self.C)
+        change = torch.einsum("lij,ljkt,lmk->limt", inverse, change, inverse)
+        width = torch.linalg.matrix_norm(change.flatten(1, 2), 2)
+        self.change = change * (most / width.clamp_min(most))[:, None, None, None] if most else 0 * change
+        kinds = [name.rpartition(" ")[2] for name in identified.names[bodies:]]
+        rest = F[bodies:].norm(dim=1)
+        positive = torch.tensor([kind not in SIGNED for kind in kinds], dtype=torch.bool) & (phi[bodies:] > 0)
+        self.positive = (positive & (rest > 0)).nonzero()[:, 0] + bodies
+        self.signed = (~positive & (rest > 0)).nonzero()[:, 0] + bodies
+        self.bodies = (10 * self.links[:, None] + torch.arange(10)).flatten()
+        self.most = most
+        # whitening of the base parameters, whose errors may differ by many powers of ten
+        BF = self.base @ F
+        size = BF.norm(dim=1)
+        R = torch.linalg.qr((BF / size[:, None]).T).R
+        self.white = torch.linalg.solve_triangular(R.T, self.base / size[:, None], upper=False)
+
+    def nearest(self, draws: Tensor) -> tuple[Tensor, Tensor]:
+        """Parameters [samples, k] and pseudo-inertias [samples, links, 4, 4] of robots that can exist."""
+        gaussian = draws @ self.F.T
+        s = torch.einsum("limt,nt->nlim", self.change, draws)
+        C = torch.linalg.cholesky(self.C @ torch.linalg.matrix_exp((s + s.mT) / 2) @ self.C.mT)
+        phi = self.phi.repeat(len(draws), 1)
+        phi[:, self.bodies] = inertial_parameters(C @ C.mT).flatten(1)
+        ratio = gaussian[:, self.positive] / self.phi[self.positive]
+        width = self.F[self.positive].norm(dim=1) / self.phi[self.positive]
+        phi[:, self.positive] *= (ratio * (self.most / width.clamp_min(max(self.most, 1e-300)))).exp()
+        phi[:, self.signed] += gaussian[:, self.signed]
+
+        blocks = inertial_parameters(
+            torch.einsum("nlij,ejk,nlmk->nleim", C, ENTRIES, C)
+        )  # [samples, links, entries, 10]
+        count, links = len(draws), len(self.links)
+        A = self.white.new_zeros(count, len(self.white), 10 * links + len(self.positive) + len(self.signed))
+        white = self.white[:, self.bodies].reshape(len(self.white), links, 10)
+        A[..., : 10 * links] = torch.einsum("rlp,nlep->nrle", white, blocks).flatten(2)
+        at = torch.cat([self.positive, self.signed])
+        scale = torch.cat([phi[:, self.positive], self.F[self.signed].norm(dim=1).expand(count, -1)], 1)
+        A[..., 10 * links :] = self.white[:, at] * scale[:, None]
+        offset = (phi - self.phi - gaussian) @ self.white.T
+        y = nearest(math.sqrt(KAPPA) * A, math.sqrt(KAPPA) * offset, links, len(self.positive))
+        J = C @ relative(y, links) @ C.mT
+        phi[:, self.bodies] = inertial_parameters(J).flatten(1)
+        phi[:, at] += scale * y[:, 10 * links :]
+        return phi, J

@@ -1,0 +1,1 @@
+"""Excitation: motions whose torques tell most about an arm, within its limits."""

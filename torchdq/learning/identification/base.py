@@ -1,0 +1,92 @@
+"""Base parameters of a robot: combinations that its torques depend on, and what a motion tells about them."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.dynamics.friction import smooth_sign
+from torchdq.functional import regressor
+from torchdq.learning.identification.identify import INERTIAL
+from torchdq.learning.identification.regression import base_parameters
+from torchdq.robot import Robot
+
+INDEPENDENT = 1e-12  # least eigenvalue of an identifiable combination, relative to the largest: beyond rounding
+NOTHING = 1e-12  # torque of a parameter, relative to the largest, that is none
+
+
+class BaseParameters(NamedTuple):
+    """Base parameters beta = `base` @ phi of all parameters phi, those of `Identified.names`: tau = Z[:, leading] beta.
+
+    Each is one parameter, which names it, and those that torques cannot separate from it.
+    """
+
+    robot: Robot
+    coefficients: tuple[str, ...]  # kinds of the parameters beside those of bodies: rotor, viscous, coulomb, offset
+    width: float  # velocity below which dry friction is viscous [rad/s or m/s]
+    noise: Tensor  # [n] standard deviation of a torque [N m or N]
+    base: Tensor  # [rank, k]
+    leading: Tensor  # [rank] indices of the parameters that name them
+    typical: Tensor  # [rank] root mean square of a sample's torques per unit of each, over the noise
+
+    @classmethod
+    def of(
+        cls,
+        robot: Robot,
+        coefficients: Sequence[str],
+        width: float,
+        noise: Tensor,
+        states: tuple[Tensor, Tensor, Tensor],
+    ) -> "BaseParameters":
+        """Base parameters that torques in some states depend on: many random q, qd and qdd [samples, n]."""
+        Z = (_columns(robot, *states, coefficients, width) / noise[:, None]).flatten(0, 1)
+        size = Z.square().mean(0).sqrt()
+        size = torch.where(size > NOTHING * size.max(), size, 0.0)
+        Z = torch.where(size > 0, Z / torch.where(size > 0, size, 1.0), 0.0)
+        e, V = torch.linalg.eigh(Z.T @ Z)
+        base = base_parameters(V[:, e > INDEPENDENT * e[-1]].T * size, torch.where(size > 0, 1 / size, 0.0))
+        alone = (base == 1) & ((base != 0).sum(0) == 1)
+        leading = alone.int().argmax(1)
+        return cls(robot, tuple(coefficients), width, noise, base, leading, size[leading])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names [rank] of the leading parameters."""
+        robot = self.robot
+        every = [f"{link} {name}" for link in robot.link_names for name in INERTIAL]
+        every += [f"{joint} {name}" for name in self.coefficients for joint in robot.joint_names]
+        return tuple(every[i] for i in self.leading.tolist())
+
+    def columns(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
+        """Torques per unit of each, over the noise, [..., n, rank]."""
+        Z = _columns(self.robot, q, qd, qdd, self.coefficients, self.width)
+        return Z.index_select(-1, self.leading) / self.noise[:, None]
+
+    def information(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
+        """Mean information [..., rank, rank] of samples [..., samples, n] about `typical` * beta."""
+        Z = (self.columns(q, qd, qdd) / self.typical).flatten(-3, -2)
+        return Z.mT @ Z / q.shape[-2]
+
+    def errors(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
+        """Standard errors [rank] that the torques of samples [samples, n] leave; infinite where they tell nothing."""
+        A = len(q) * self.information(q, qd, qdd)
+        size = A.diagonal().sqrt()
+        size = torch.where(size > 0, size, 1.0)
+        e, V = torch.linalg.eigh(A / size / size[:, None])
+        told = e > INDEPENDENT * e[-1]
+        variance = V.square() @ torch.where(told, 1 / torch.where(told, e, 1.0), 0.0)
+        unknown = (V.square()[:, ~told] > 1e-6).any(1)
+        return torch.where(unknown, torch.inf, variance.sqrt() / size / self.typical)
+
+    def condition(self, q: Tensor, qd: Tensor, qdd: Tensor) -> float:
+        """Condition number of the matrix of all torques per unit of the base parameters, over the noise."""
+        A = self.information(q, qd, qdd) * self.typical * self.typical[:, None]
+        e = torch.linalg.eigvalsh(A)
+        return float((e[-1] / e[0]).sqrt()) if e[0] > 0 else torch.inf
+
+
+def _columns(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, coefficients: Sequence[str], width: float) -> Tensor:
+    """Torque per unit of every parameter [..., n, k]."""
+    own = {"rotor": qdd, "viscous": qd, "coulomb": smooth_sign(qd, width), "offset": torch.ones_like(qd)}
+    return torch.cat([regressor(robot, q, qd, qdd), *(torch.diag_embed(own[name]) for name in coefficients)], -1)

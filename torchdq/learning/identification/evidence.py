@@ -1,0 +1,117 @@
+"""Evidence of a recording about a robot, as sums per block: a fit to some blocks costs no samples any more."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.learning.identification.feasible import Neighbourhood
+from torchdq.learning.identification.regression import gram, places, squared, torques
+from torchdq.learning.identification.terms import ROTOR, Term, rows_of, unit_torques
+from torchdq.learning.logs.blocks import Block, MotionRows, regions
+from torchdq.learning.logs.correlation import correlation_times
+from torchdq.robot import Robot
+
+STILL = 1e-2  # least variance of a joint's torque in a motion, relative to that in the motion where it is largest
+
+
+class Evidence(NamedTuple):
+    """Sums of `regression.gram` about the described bodies and coefficients of zero."""
+
+    robot: Robot
+    recording: MotionRows
+    terms: tuple[Term, ...]
+    own: Tensor  # [rows, n, terms] torques per unit of the terms
+    total: Tensor  # [n, p + 1, p + 1] of all rows
+    left: Tensor  # [blocks, n, p + 1, p + 1] of the rows of each block, and region
+    folds: Tensor  # [blocks, n, p + 1, p + 1] of all rows but those, and but those beside
+    sizes: Tensor  # [blocks, n] squares of its torques about their mean, of its motion's variance
+    squares: Tensor  # [n] mean squares of the torques
+    unit: Tensor  # [terms, n] root mean squares of `own`
+    at: Tensor  # [n, p] places of the parameters of each joint
+
+    @property
+    def samples(self) -> int:
+        """Number of rows."""
+        return len(self.own)
+
+    def near(self, sought: Tensor, strength: float = 1.0) -> Neighbourhood:
+        """Neighbourhood of the description, with those coefficients [terms, n] that are sought."""
+        return Neighbourhood(self.robot, self.terms, sought, self.squares.sqrt(), self.unit, strength)
+
+    def scores(self, changes: Sequence[Tensor]) -> Tensor:
+        """Squared residuals over the torques' variance [blocks, n], parameters [n, p] being those found without it."""
+        found = [squared(sums, change) for sums, change in zip(self.left, changes, strict=True)]
+        return torch.stack(found) / self.sizes
+
+    def residual(self, change: Tensor) -> Tensor:
+        """Residuals of all rows [rows, n] after a change of the parameters [n, p]."""
+        phi = _bodies(self.robot, self.at.shape[1]) + change
+        tau = torques(self.robot, self.recording, self.own, phi, ROTOR not in self.terms)
+        return self.recording.measured - tau
+
+    def correlation(self, change: Tensor) -> Tensor:
+        """Correlation times of those residuals [n] in rows."""
+        return correlation_times(self.residual(change), self.recording.lengths)
+
+
+def gather(
+    robot: Robot,
+    recording: MotionRows,
+    terms: Sequence[Term],
+    width: float,
+    load: Tensor | None,
+    blocks: Sequence[Block],
+    say: Callable[[str], None],
+) -> Evidence:
+    """Evidence of a recording.
+
+    Args:
+        robot: the robot as described.
+        recording: the rows.
+        terms: all terms that may be sought.
+        width: velocity below which dry friction is viscous [rad/s or m/s].
+        load: torque of the bodies and the rotor, where terms depend on it [rows, n].
+        blocks: blocks to leave out; none: nothing is left out.
+        say: is told how far it is.
+    """
+    own = unit_torques(terms, rows_of(robot, recording, width, load))
+    at = places(len(robot.link_names), len(terms), robot.n)
+    rows = [block.rows for block in blocks] or [slice(0, len(own))]
+    beside = [part for block in blocks for part in block.beside]
+    sums = gram(robot, recording, own, _bodies(robot, at.shape[1]), ROTOR not in terms, [*rows, *beside], say)
+    left, total, first = sums[: len(rows)], sums[: len(rows)].sum(0), len(rows)
+    folds = total - left
+    for k, block in enumerate(blocks):
+        folds[k] -= sums[first : first + len(block.beside)].sum(0)
+        first += len(block.beside)
+    tau = recording.measured.cpu()
+    motions = [block.motion for block in blocks] or rows
+    variance = torch.stack([tau[motion].var(0, correction=0) for motion in motions])
+    variance = variance.maximum(STILL * variance.amax(0))
+    counts = [part.stop - part.start for part in rows]
+    for pair in regions(recording) if blocks else ():
+        some, whole = recording.some(pair[0]), slice(0, len(pair[0]))
+        half = gram(robot, some, own[pair[0]], _bodies(robot, at.shape[1]), ROTOR not in terms, [whole], say)
+        left, folds = torch.cat([left, half, total - half]), torch.cat([folds, total - half, half])
+        variance = torch.cat([variance, tau.var(0, correction=0).expand(2, -1)])
+        counts += [len(part) for part in pair]
+    sizes = torch.tensor(counts)[:, None] * torch.where(variance > 0, variance, 1.0)
+    squares, unit = tau.square().mean(0), own.square().mean(0).sqrt().T.cpu()
+    return Evidence(robot, recording, tuple(terms), own, total, left, folds, sizes, squares, unit, at)
+
+
+def described(robot: Robot) -> Tensor:
+    """Inertial parameters [10 links] of the described bodies."""
+    none = torch.zeros(0, robot.n)
+    return Neighbourhood(robot, (), none, none.new_zeros(robot.n), none, math.inf).described
+
+
+def _bodies(robot: Robot, p: int) -> Tensor:
+    """Parameters [n, p] of the described bodies, and coefficients of zero."""
+    pi = described(robot).expand(robot.n, -1)
+    return torch.cat([pi, pi.new_zeros(robot.n, p - pi.shape[1])], 1)

@@ -1,0 +1,181 @@
+"""Physically consistent robots around a described one: their parameters, and their distance to the description.
+
+A link can exist if its pseudo-inertia J = integral of (1, p) (1, p)^T dm is positive definite, which says that the mass
+is positive and the inertia obeys the triangle inequality. The distance of a link is
+
+    2 (tr B - log det B - 4),   B = J described by J_0 = C C^T:  B = C^-1 J C^-T,
+
+about |B - 1|^2 for small changes, the same in all axes and units, and infinite where a body cannot exist (T. Lee, P.
+Wensing, F. C. Park, "Geometric robot dynamic identification: a convex programming approach", T-RO 36 (2020)). The
+distance of a coefficient of friction is 2 (x - log x - 1), x being its ratio to the described one.
+"""
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torchdq.errors import ArgumentError
+from torchdq.learning.identification.terms import Term
+from torchdq.robot import Robot
+from torchdq.robot.arrays import second_moments
+
+THIN = 1e-2  # least extent of a body relative to its size: coordinates of points, rods and plates would be infinite
+SMALL = 0.1  # prior scale of an undescribed effect, relative to the joint's RMS torque
+
+
+class Neighbourhood:
+    """Parameters phi = phi_0 + S y around those of a described robot, and the distance of y [t] from it.
+
+    Ten numbers of y are the entries of (B - 1) sqrt(strength) of a link with mass, one the change of a coefficient over
+    its size.
+
+    Args:
+        robot: the robot as described.
+        terms: terms that have coefficients.
+        sought: coefficients that are sought [terms, n], the others being zero.
+        torque: root mean squares of the torques [n].
+        unit: those of the torques per unit of the coefficients [terms, n].
+        strength: weight of the distance of bodies; infinite: they stay as described.
+    """
+
+    def __init__(
+        self, robot: Robot, terms: Sequence[Term], sought: Tensor, torque: Tensor, unit: Tensor, strength: float = 1.0
+    ):
+        mass, com, inertia = (getattr(robot, name).detach().double().cpu() for name in ("mass", "com", "inertia"))
+        if not bool((mass >= 0).all()):
+            raise ArgumentError(f"mass of robot {robot.name!r} must not be negative, found {mass.tolist()}")
+        massive = mass.nonzero()[:, 0]
+        factor = _factor(mass[massive], com[massive], inertia[massive])
+        free = strength < math.inf
+        self.strength = strength if free else 1.0
+        self.links, self.factor = (massive, factor) if free else (massive[:0], factor[:0])
+        self.mass, self.com, self.inertia = mass, com, inertia
+        self.start = _scales(robot, terms, torque, unit) * sought.reshape(-1)
+        signed = torch.tensor([term.signed for term in terms for _ in range(robot.n)], dtype=torch.bool)
+        self.effects = self.start.nonzero()[:, 0]
+        self.signed = signed[self.effects]
+        if free and not len(self.links) + len(self.effects):
+            raise ArgumentError(f"robot {robot.name!r} has no mass, and there is nothing else to identify")
+
+        k = 10 * len(mass) + len(self.start)
+        self.described = torch.zeros(k, dtype=torch.float64)
+        pi = self.described[: 10 * len(mass)].reshape(-1, 10)
+        pi[massive] = _parameters(factor @ factor.mT)
+        self.described[10 * len(mass) :] = torch.where(signed, 0.0, self.start)
+        self.S = torch.zeros(k, 10 * len(self.links) + len(self.effects), dtype=torch.float64)
+        self.inverse = torch.zeros_like(self.S).T  # y of a change of phi
+        C = self.factor[:, None]
+        blocks = _parameters(C @ ENTRIES @ C.mT).mT / math.sqrt(self.strength)  # [links, 10 parameters, 10 entries]
+        for i, link in enumerate(self.links.tolist()):
+            own, columns = slice(10 * i, 10 * i + 10), slice(10 * link, 10 * link + 10)
+            self.S[columns, own], self.inverse[own, columns] = blocks[i], torch.linalg.inv(blocks[i])
+        at, to = 10 * len(self.links) + torch.arange(len(self.effects)), 10 * len(mass) + self.effects
+        self.S[to, at], self.inverse[at, to] = self.start[self.effects], 1 / self.start[self.effects]
+
+    def start_of(self, at: Tensor) -> Tensor:
+        """Coefficients at the start, beside inertial parameters of zero, at places in phi [n, p]."""
+        start = self.described.clone()
+        start[: len(start) - len(self.start)] = 0
+        return start[at]
+
+    def _split(self, y: Tensor) -> tuple[Tensor, Tensor]:
+        """B [links, 4, 4] and the ratio of every coefficient to its size."""
+        bodies = 10 * len(self.links)
+        change = y[:bodies].reshape(-1, 10) / math.sqrt(self.strength)
+        B = torch.eye(4, dtype=y.dtype) + torch.einsum("li,ijk->ljk", change, ENTRIES)
+        return B, 1 + y[bodies:]
+
+    def distance(self, y: Tensor) -> float:
+        """Distance to the description; infinite where no robot can exist."""
+        B, x = self._split(y)
+        if not bool((self.signed | (x > 0)).all()):
+            return math.inf
+        coefficients = torch.where(self.signed, (x - 1).square(), 2 * (x - 1 - x.abs().log())).sum()
+        return self.strength * _apart(B) + float(coefficients)
+
+    def apart(self, y: Tensor) -> float:
+        """Distance of the bodies alone, were the strength one."""
+        return _apart(self._split(y)[0])
+
+    def slopes(self, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Gradient [t] and Hessian [t, t] of the distance."""
+        B, x = self._split(y)
+        inverse = torch.cholesky_inverse(torch.linalg.cholesky(B))
+        products = inverse[:, None] @ ENTRIES
+        slopes = torch.einsum("ljk,ijk->li", torch.eye(4, dtype=y.dtype) - inverse, ENTRIES).flatten()
+        gradient = 2 * math.sqrt(self.strength) * slopes
+        H = 2 * torch.einsum("lijk,lmkj->lim", products, products)
+        x = torch.where(self.signed, 1.0, x)
+        rest = torch.where(self.signed, 2 * y[len(gradient) :], 2 - 2 / x)
+        return torch.cat([gradient, rest]), torch.block_diag(*H, torch.diag(2 / x**2))
+
+    def bodies(self, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Mass [n], centre of mass [n, 3] and inertia about it [n, 6] of the links."""
+        L = self.factor @ torch.linalg.cholesky(self._split(y)[0])
+        mass, com, inertia = self.mass.clone(), self.com.clone(), self.inertia.clone()
+        mass[self.links] = L[:, 0, 0] ** 2
+        com[self.links] = L[:, 1:, 0] / L[:, :1, 0]
+        inertia[self.links] = _inertia(L[:, 1:, 1:] @ L[:, 1:, 1:].mT)  # a square, so it can exist, rounded or not
+        return mass, com, inertia
+
+
+def _apart(B: Tensor) -> float:
+    """Sum of 2 (tr B - log det B - 4) over bodies B [links, 4, 4]; infinite where one cannot exist."""
+    L, info = torch.linalg.cholesky_ex(B)
+    if bool((info != 0).any()):
+        return math.inf
+    return float(2 * (B.diagonal(dim1=1, dim2=2) - 1 - 2 * L.diagonal(dim1=1, dim2=2).log()).sum())
+
+
+def _entries() -> Tensor:
+    """Orthonormal basis [10, 4, 4] of the symmetric matrices."""
+    basis = torch.zeros(10, 4, 4, dtype=torch.float64)
+    for k, (i, j) in enumerate(itertools.combinations_with_replacement(range(4), 2)):
+        basis[k, i, j] = basis[k, j, i] = 1.0 if i == j else math.sqrt(0.5)
+    return basis
+
+
+ENTRIES = _entries()
+
+
+def _factor(mass: Tensor, com: Tensor, inertia: Tensor) -> Tensor:
+    """Cholesky factors C [links, 4, 4] of the pseudo-inertias C C^T, of bodies made thick enough to have one."""
+    second = second_moments(inertia)  # about the centre of mass
+    trace = second.diagonal(dim1=1, dim2=2).sum(-1).clamp_min(0)
+    whole = float(((trace + mass * com.square().sum(-1)).sum() / mass.sum()).sqrt()) if len(mass) else 0.0
+    size = (trace / mass).sqrt().clamp_min(0.1 * (whole or 1.0))  # [m]
+    moments, axes = torch.linalg.eigh(second)
+    thick = moments.maximum((mass * (THIN * size) ** 2)[:, None])
+    changed = (thick != moments).any(-1)
+    second = torch.where(changed[:, None, None], (axes * thick[:, None]) @ axes.mT, second)
+    C = torch.zeros(len(mass), 4, 4, dtype=torch.float64)
+    C[:, 0, 0] = mass.sqrt()
+    C[:, 1:, 0] = mass.sqrt()[:, None] * com
+    C[:, 1:, 1:] = torch.linalg.cholesky(second)
+    return C
+
+
+def _scales(robot: Robot, terms: Sequence[Term], torque: Tensor, unit: Tensor) -> Tensor:
+    """Scale of every coefficient [terms * n], zero where the samples do not move it."""
+    scales = [torch.zeros(0, dtype=torch.float64)]
+    for term, size in zip(terms, unit, strict=True):
+        large = torch.where(size > 0, torque / torch.where(size > 0, size, 1.0), 0.0)  # as large as the torques
+        x = getattr(robot, term.described) if term.described else None
+        known = torch.zeros_like(large) if x is None else x.detach().double().cpu()
+        scales.append(large if term.signed else torch.where(known > 0, known, SMALL * large))
+    return torch.cat(scales)
+
+
+def _parameters(J: Tensor) -> Tensor:
+    """Inertial parameters [..., 10] of pseudo-inertias [..., 4, 4], the mass in their first entry."""
+    return torch.cat([J[..., 0], _inertia(J[..., 1:, 1:])], -1)
+
+
+def _inertia(second: Tensor) -> Tensor:
+    """Inertia [..., 6] (xx xy yy xz yz zz) of second moments [..., 3, 3]."""
+    x, y, z = second.diagonal(dim1=-2, dim2=-1).unbind(-1)
+    xy, xz, yz = second[..., 0, 1], second[..., 0, 2], second[..., 1, 2]
+    return torch.stack([y + z, -xy, x + z, -xz, -yz, x + y], -1)

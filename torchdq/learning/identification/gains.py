@@ -1,0 +1,94 @@
+"""Torques per unit of effort, where drives give currents: found with the inertial parameters.
+
+An effort e of a joint is h times its torque, h being one over the gain,
+
+    e = h Y pi + friction + noise,
+
+with friction in the unit of the effort, which is linear in the parameters for known h. Gauss and Newton's method makes
+it linear in both about the last values: the torque Y pi there is the column of h. All that a recording says is in the
+sums of `regression.gram`, so that an iteration costs no samples. A factor of all gains together is that of all masses,
+and comes from the description; between the joints, gains are told by bodies that load several of them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.learning.identification.evidence import Evidence, described
+from torchdq.learning.identification.feasible import Neighbourhood
+from torchdq.learning.identification.regression import places
+from torchdq.learning.identification.solution import solve
+from torchdq.learning.identification.terms import Term
+
+SPREAD = 0.3  # standard deviation of a gain that is given, relative to it, before the samples
+WIDE = 1.0  # the same of one that is not given, relative to a first guess
+ITERATIONS = 30
+ENOUGH = 1e-4  # relative change of a gain at which the iteration ends
+STRENGTH = 100.0  # prior of the bodies, whose described masses set the factor of all gains
+TRUST = 0.1  # relative standard error of the described masses together
+FLAT = 0.5  # relative standard error of a first guess above which it is that of the other joints
+
+GAIN = Term("gain", ("1", "1"), signed=True)
+
+
+class Gains(NamedTuple):
+    """Torque per unit of effort of every joint."""
+
+    value: Tensor  # [n]
+    error: Tensor  # [n] standard error
+
+
+def drive_gains(evidence: Evidence, known: bool) -> Gains:
+    """Gains of the drives, from the sums of their efforts.
+
+    Args:
+        evidence: of the efforts, with all terms of friction, and the rotors if the robot has any.
+        known: whether efforts are torques but for a factor near one.
+    """
+    robot, sums, n = evidence.robot, evidence.total, evidence.robot.n
+    terms, p = (*evidence.terms, GAIN), evidence.at.shape[1]
+    at = places(len(robot.link_names), len(terms), n)
+    pi = described(robot)
+    start = torch.cat([pi.expand(n, -1), torch.zeros(n, p - len(pi), dtype=pi.dtype)], 1)
+    centre = torch.ones(n, dtype=pi.dtype) if known else _guess(sums, start, len(pi), evidence.samples)
+    scale = (SPREAD if known else WIDE) * centre
+    h, phi, inertial = centre, start, torch.arange(p) < len(pi)
+    correlation = torch.ones(n, dtype=pi.dtype)
+    for _ in range(ITERATIONS):
+        T = torch.zeros(n, p + 1, p + 2, dtype=pi.dtype)
+        T[:, :p, :p] = torch.diag_embed(torch.where(inertial, h[:, None], 1.0))
+        T[:, :p, p] = phi
+        T[:, :p, -1] = (1 - h)[:, None] * start + (h - centre)[:, None] * phi
+        T[:, -1, -1] = 1
+        torque = evidence.squares.sqrt()
+        unit = torch.cat([evidence.unit, (torque / scale)[None]])
+        near = Neighbourhood(robot, terms, torch.ones(len(terms), n, dtype=torch.bool), torque, unit, STRENGTH)
+        found = solve(near, T.mT @ sums @ T, evidence.squares, evidence.samples, correlation, at)
+        change = found.change(at)
+        before, h, phi = h, (centre + change[:, -1]).maximum(h / 3), start + change[:, :-1] * inertial
+        if float((h / before - 1).abs().max()) < ENOUGH:
+            break
+        own = change[:, :-1] * ~inertial
+        correlation = evidence.correlation(h[:, None] * phi - start + own)
+    error = found.spread(1.0)[at[:, -1]].norm(dim=1)
+    return Gains(1 / h, torch.hypot(error / h, torch.full_like(h, TRUST)) / h)
+
+
+def _guess(sums: Tensor, start: Tensor, inertial: int, samples: int) -> Tensor:
+    """Efforts per described torque [n], each beside friction alone; a joint that tells none has that of the others."""
+    n, p = start.shape
+    M = torch.zeros(n, p, 1 + p - inertial, dtype=start.dtype)
+    M[:, :, 0] = start
+    M[:, inertial:, 1:] = torch.eye(p - inertial, dtype=start.dtype)
+    A, b, c = sums[:, :-1, :-1], sums[:, :-1, -1], sums[:, -1, -1]
+    right = (M.mT @ (A @ start[..., None] + b[..., None]))[..., 0]
+    total = torch.einsum("jp,jpr,jr->j", start, A, start) + 2 * (start * b).sum(1) + c
+    inverse = torch.linalg.pinv(M.mT @ A @ M, rtol=1e-10, hermitian=True)
+    x = (inverse @ right[..., None])[..., 0]
+    left = (total - (x * right).sum(1)).clamp_min(0) / samples
+    told = (x[:, 0] > 0) & ((inverse[:, 0, 0] * left).sqrt() < FLAT * x[:, 0])
+    middle = x[told, 0].log().mean().exp() if bool(told.any()) else x.new_ones(())
+    return torch.where(told, x[:, 0], middle)

@@ -1,0 +1,274 @@
+"""Identified robot: the parameters that explain recorded torques, their errors, and what to do with them."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq import effects
+from torchdq.checks import tensor_of
+from torchdq.effects.effect import Effect
+from torchdq.effects.friction import Friction
+from torchdq.errors import ArgumentError
+from torchdq.learning.identification.gains import Gains
+from torchdq.learning.identification.ladder import Ladder
+from torchdq.learning.identification.regression import chunks, columns, places, rigid
+from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, VISCOUS, Term, rows_of, unit_torques
+from torchdq.learning.logs.blocks import MotionRows, of_motions, of_tensors
+from torchdq.learning.logs.motions import Motion
+from torchdq.nn import DQRNEA
+from torchdq.robot import Robot
+from torchdq.tables import summary, table
+
+INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # parameters of a link, about its frame
+UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
+
+
+class Prediction(NamedTuple):
+    """Torques with their standard errors, each [..., n]."""
+
+    tau: Tensor  # [N m or N]
+    error: Tensor  # [N m or N], of the parameters; noise comes on top, and what the model has no term for
+
+    def __repr__(self) -> str:
+        return summary("Prediction", {name: (x, "N m or N") for name, x in self._asdict().items()})
+
+
+class Identified(NamedTuple):
+    """Identified robot with its parameters and their errors.
+
+    `parameters` are phi [k] with the names `names`: ten per link in the order of `Robot.inertial_parameters`, then
+    rotor inertias, viscous, Coulomb and offset, of all joints each, those that were sought.
+
+    `covariance` [k, k] is that of the least squares with the prior, linearised at the description: its diagonal is the
+    squared standard error that noise of the found size leaves. Smoothed signals and faults of the model are not
+    independent from row to row: so many rows as `correlation` says count as one.
+    Parameters that the samples do not identify have the width of the prior instead, the described size over
+    sqrt(prior), which is large, and right as long as the description is not off by more; that the robot must be
+    physical narrows it further and is not counted. Single masses and inertias are mostly of that kind; `excited` tells
+    them from the others. The samples identify `rank` combinations, the base parameters `base` @ `parameters`.
+
+    Printed, it is a table of the parameters.
+    """
+
+    robot: Robot  # baked; its damping, friction and rotor inertia are those found
+    terms: tuple[Term, ...]  # kinds of the parameters that are not those of bodies
+    names: tuple[str, ...]  # [k] names of the parameters
+    parameters: Tensor  # [k]
+    spread: Tensor  # [k, t] F, the covariance being F F^T: exact where huge errors cancel in a combination
+    base: Tensor  # [rank, k]: each row one parameter and those that the samples cannot separate from it
+    noise: Tensor  # [n] standard deviation of a torque's residual, by which the joints were weighted [N m or N]
+    rms: Tensor  # [n] root mean square of the residual torque [N m or N]
+    correlation: Tensor  # [n] correlation time of the residual torque, in rows
+    width: float  # width of the Coulomb friction [rad/s or m/s]
+    excited: Tensor  # [k] bool: parameters that the samples decide, not the prior; false if the joint hardly moves
+    report: Ladder | None  # how the model was chosen; None: it was given
+    gains: Gains | None  # torque per unit of `tau`, by which it was multiplied; None: not sought
+
+    def coefficients(self, name: str) -> Tensor | None:
+        """Parameters [n] of the joints of one kind: "rotor", "viscous", "coulomb", "offset"; None: not sought."""
+        kinds, n = [term.name for term in self.terms], self.robot.n
+        if name not in kinds:
+            return None
+        first = 10 * len(self.robot.link_names) + n * kinds.index(name)
+        return self.parameters[first : first + n]
+
+    @property
+    def viscous(self) -> Tensor | None:
+        """Viscous friction [n] [N m s/rad or N s/m]; None: not sought."""
+        return self.coefficients(VISCOUS.name)
+
+    @property
+    def coulomb(self) -> Tensor | None:
+        """Coulomb friction [n] [N m or N]; None: not sought."""
+        return self.coefficients(COULOMB.name)
+
+    @property
+    def offset(self) -> Tensor | None:
+        """Constant torques [n] [N m or N]; None: not sought."""
+        return self.coefficients(OFFSET.name)
+
+    @property
+    def rank(self) -> int:
+        """Number of combinations of parameters that the samples identify."""
+        return len(self.base)
+
+    @property
+    def covariance(self) -> Tensor:
+        """Covariance of the parameters [k, k]; see the class for what it means."""
+        return self.spread @ self.spread.T
+
+    @property
+    def errors(self) -> Tensor:
+        """Standard errors of the parameters [k]; see the class for what they mean."""
+        return self.spread.norm(dim=1)
+
+    @property
+    def base_names(self) -> tuple[str, ...]:
+        """Base parameters as sums, `link2 Izz + 0.0825 link3 mx`, of at most three terms."""
+        names = []
+        for row in self.base:
+            lead = int((row == 1).nonzero()[0]) if bool((row == 1).any()) else int(row.abs().argmax())
+            others = [i for i in row.nonzero()[:, 0].tolist() if i != lead]
+            terms = [self.names[lead]]
+            for i in sorted(others, key=lambda i: -abs(float(row[i] * self.errors[i])))[:2]:
+                size = f"{abs(float(row[i])):.3g} " if abs(abs(float(row[i])) - 1) > 1e-6 else ""
+                terms.append(f"{'-' if row[i] < 0 else '+'} {size}{self.names[i]}")
+            names.append(" ".join(terms) + (" ..." if len(others) > 2 else ""))
+        return tuple(names)
+
+    @property
+    def base_errors(self) -> Tensor:
+        """Standard errors of the base parameters [rank]."""
+        return (self.base @ self.spread).norm(dim=1)
+
+    def friction(self) -> tuple[Friction, ...]:
+        """Friction effects with the numbers found, the same for layers and scenes."""
+        own = self.parameters[10 * len(self.robot.link_names) :].reshape(-1, self.robot.n).tolist()
+        found = [term.found(numbers, self.width) for term, numbers in zip(self.terms, own, strict=True)]
+        return tuple(effect for some in found for effect in some)
+
+    def effects(self) -> tuple[Effect, ...]:
+        """Effects of a scene with the robot found: gravity, rotor inertia if there is any, and friction.
+
+        A constant torque is not among them: `offset` is added to the torques of the scene.
+
+        >>> import torch, torchdq, torchdq.envs
+        >>> from torchdq.learning import identify
+        >>> robot, (q, qd, qdd) = torchdq.robots.load("two_link"), torch.randn(3, 100, 2, dtype=torch.float64)
+        >>> found = identify(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.5 * qd)
+        >>> torchdq.envs.Scene(found.robot, found.effects()).robot.name
+        'two_link'
+        """
+        rotors = () if self.robot.armature is None else (effects.RotorInertia(),)
+        return (effects.Gravity(), *rotors, *self.friction())
+
+    def layer(self, learn: Sequence[str] = ()) -> DQRNEA:
+        """Torques as a module: the robot found, with its friction, the width of it, and the offset.
+
+        Friction that remembers is that of steady sliding there, since a layer does not know what was before;
+        `identify(..., memory=False)` finds the best without.
+
+        Args:
+            learn: quantities that the layer goes on learning, as in `torchdq.DQRNEA`, "friction" where no effect is
+                there twice.
+        """
+        friction = _together([one.steady(self.width) for one in self.friction()])
+        names = [*learn, "offset"] if self.offset is not None else list(learn)
+        layer = DQRNEA(self.robot, tuple(dict.fromkeys(names)), friction_width=self.width, friction=friction)
+        if self.offset is not None:
+            layer.offset = self.offset
+        return layer
+
+    def to_urdf(self, original: Any) -> str:
+        """URDF text of the robot found: the original with other numbers, as `Robot.to_urdf`.
+
+        A `UserWarning` names what has no place in a URDF file: rotor inertia, offsets, friction of other shapes than
+        viscous and Coulomb friction.
+
+        Args:
+            original: the file that the robot was read from, as in `Robot.from_urdf`.
+        """
+        lost = [term.name for term in self.terms if term not in (VISCOUS, COULOMB)]
+        if lost:
+            warnings.warn(f"a URDF file has no place for {', '.join(lost)}, which are left out", stacklevel=2)
+        return self.robot.replace(armature=None).to_urdf(original)
+
+    def __repr__(self) -> str:
+        return f"Identified({self.robot.name}: {len(self.names)} parameters, {self.rank} combinations of them told)"
+
+    def __str__(self) -> str:
+        title = f"{self.robot.name}, identified: {self.rank} combinations of {len(self.names)} parameters are told"
+        shown = (self.spread != 0).any(1) | (self.parameters != 0)
+        shown[: 10 * len(self.robot.link_names)] = True
+        numbers = zip(self.names, self._units, self.parameters, self.errors, self.excited, shown, strict=True)
+        rows = [
+            (name, f"{x:.4g}", f"{e:.2g}", unit, "yes" if told else "no")
+            for name, unit, x, e, told, so in numbers
+            if so
+        ]
+        parameters = table(("parameter", "estimate", "standard error", "unit", "excited"), rows)
+        residuals = summary("residual", {"rms": (self.rms, "N m or N"), "noise": (self.noise, "N m or N")})
+        if self.gains is not None:
+            drives = zip(self.robot.joint_names, *(x.tolist() for x in self.gains), strict=True)
+            cells = [(joint, f"{x:.4g}", f"{error:.2g}") for joint, x, error in drives]
+            residuals += "\n\n" + table(("joint", "torque per unit of effort", "standard error"), cells)
+        report = "" if self.report is None else f"\n\n{self.report}"
+        return f"{title}\n\n{parameters}\n\n{residuals}{report}"
+
+    @property
+    def _units(self) -> list[str]:
+        """Units of the parameters [k]."""
+        slides = [not joint.turns for joint in self.robot.joint_types]
+        return [*UNITS * len(self.robot.link_names), *(term.units[joint] for term in self.terms for joint in slides)]
+
+    def predict(
+        self, motions: Motion | Sequence[Motion] | Tensor, qd: Tensor | None = None, qdd: Tensor | None = None
+    ) -> Prediction:
+        """Torques of the identified robot, friction and offset included, [..., n], with standard errors.
+
+        Args:
+            motions: motions from `smooth`, whose rows follow each other in the result; or joint positions [..., n]
+                [rad or m], the last of the leading axes being time, which friction with a memory depends on.
+            qd, qdd: joint velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2], [..., n], beside positions.
+        """
+        batch, recording = recorded(self.robot, motions, qd, qdd)
+        n, at = self.robot.n, places(len(self.robot.link_names), len(self.terms), self.robot.n)
+        phi, spread = self.parameters[at], self.spread[at]
+        tau, error = torch.empty_like(recording.q), torch.empty_like(recording.q)
+        with torch.no_grad():
+            rotor = self.coefficients(ROTOR.name)
+            pi = self.parameters[: 10 * len(self.robot.link_names)]
+            load = None
+            if any(term.loaded for term in self.terms):
+                load = rigid(self.robot, recording, pi, self.robot.armature)
+            own = unit_torques(self.terms, rows_of(self.robot, recording, self.width, load))
+            for part in chunks(slice(0, len(tau)), n * spread.shape[1] + spread.numel()):
+                q, qd, qdd = recording.q[part], recording.qd[part], recording.qdd[part]
+                Z = columns(self.robot, q, qd, qdd, own[part])
+                tau[part] = torch.einsum("rjp,jp->rj", Z, phi.to(q))
+                error[part] = torch.einsum("rjp,jpt->rjt", Z, spread.to(q)).norm(dim=-1)
+                if rotor is None and self.robot.armature is not None:
+                    tau[part] += self.robot.armature.to(q) * qdd
+        return Prediction(tau.reshape(*batch, n), error.reshape(*batch, n))
+
+
+def recorded(
+    robot: Robot,
+    motions: Motion | Sequence[Motion] | Tensor,
+    qd: Tensor | None,
+    qdd: Tensor | None,
+    **others: Tensor | None,
+) -> tuple[tuple[int, ...], MotionRows]:
+    """Rows of motions, or of tensors, and the shape of their batch."""
+    rest = {"qd": qd, "qdd": qdd, **others}
+    if isinstance(motions, Tensor):
+        given = {name: x for name, x in rest.items() if x is not None}
+        for name in rest:
+            if name not in given and name != "direction":
+                raise ArgumentError(f"{name} must be given beside positions, found None")
+        recording = of_tensors(robot, q=motions, **given)
+        return torch.broadcast_shapes(motions.shape, *(x.shape for x in given.values()))[:-1], recording
+    for name, x in rest.items():
+        if x is not None:
+            raise ArgumentError(f"{name} must not be given beside motions, which hold it")
+    recording = of_motions(robot, motions)
+    return (len(recording.q),), recording
+
+
+def _together(effects: Sequence[Friction]) -> list[Friction]:
+    """Effects of which no two differ only in the numbers in which their torques are linear: those are added."""
+    sums: dict[Friction, Friction] = {}
+    for effect in effects:
+        law = replace(effect, **dict.fromkeys(effect.LINEAR))
+        if law in sums:
+            pairs = {name: (getattr(sums[law], name), getattr(effect, name)) for name in effect.LINEAR}
+            added = {name: tensor_of(a) + tensor_of(b) for name, (a, b) in pairs.items()}
+            effect = replace(effect, **{name: tuple(x.tolist()) if x.ndim else float(x) for name, x in added.items()})
+        sums[law] = effect
+    return list(sums.values())

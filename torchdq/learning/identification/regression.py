@@ -1,0 +1,197 @@
+"""Least squares for the parameters of a robot: the information in samples, gathered in one small matrix per joint.
+
+Joint torques are linear in the parameters phi, tau = Z(q, qd, qdd) phi, so that the sums of [Z tau]^T [Z tau] hold all
+that the samples say, however many there are. A joint depends on the inertial parameters of all links and on its own
+terms alone; its columns are those [p], and `places` says where they are in phi [k].
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.functional import regressor
+from torchdq.learning.logs.blocks import MotionRows
+from torchdq.robot import Robot
+
+COARSE = 1e-2  # least noise relative to the joint's torques, where there are too few samples to estimate it
+EXACT = 1e-5  # least noise relative to the joint's torques otherwise; more weight costs more digits than it gives
+FAINT = 1e-3  # weight of the description while the noise is estimated: negligible beside a few samples
+INDEPENDENT = 1e-13  # least eigenvalue, relative to the largest, of an identifiable combination: beyond rounding
+CHUNK = 2**22  # numbers of the regressor that are held at a time
+
+
+def chunks(rows: slice, numbers: int) -> list[slice]:
+    """Slices of some rows, each small enough to hold so many numbers per row."""
+    size = max(1, CHUNK // numbers)
+    return [slice(i, min(i + size, rows.stop)) for i in range(rows.start, rows.stop, size)]
+
+
+def places(links: int, terms: int, joints: int) -> Tensor:
+    """Places in phi of the parameters of each joint [n, p]."""
+    inertial = torch.arange(10 * links).expand(joints, -1)
+    own = 10 * links + joints * torch.arange(terms) + torch.arange(joints)[:, None]
+    return torch.cat([inertial, own], 1)
+
+
+def columns(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, own: Tensor) -> Tensor:
+    """Torque per unit of every parameter of each joint [rows, n, p]; `own` [rows, n, terms] is that of its terms."""
+    return torch.cat([regressor(robot, q, qd, qdd), own], -1)
+
+
+def torques(robot: Robot, recording: MotionRows, own: Tensor, phi: Tensor, rotor: bool) -> Tensor:
+    """Torques [rows, n] of parameters phi [n, p]; `rotor` says that those of the description are to be added."""
+    tau = torch.empty_like(recording.q)
+    for part in chunks(slice(0, len(tau)), phi.numel()):
+        q, qd, qdd = recording.q[part], recording.qd[part], recording.qdd[part]
+        tau[part] = torch.einsum("rjp,jp->rj", columns(robot, q, qd, qdd, own[part]), phi.to(q))
+    if rotor and robot.armature is not None:
+        tau += robot.armature.to(tau) * recording.qdd
+    return tau
+
+
+def rigid(robot: Robot, recording: MotionRows, pi: Tensor, rotors: Tensor | None) -> Tensor:
+    """Torques [rows, n] of bodies with inertial parameters pi [10 links], and of rotors [n]."""
+    none = recording.q.new_zeros(*recording.q.shape, 0)
+    tau = torques(robot, recording, none, pi.expand(robot.n, -1), rotor=False)
+    return tau if rotors is None else tau + rotors.to(tau) * recording.qdd
+
+
+def gram(
+    robot: Robot,
+    recording: MotionRows,
+    own: Tensor,
+    described: Tensor,
+    rotor: bool,
+    parts: Sequence[slice],
+    say: Callable[[str], None],
+) -> Tensor:
+    """Sums [parts, n, p + 1, p + 1] of [Z d]^T [Z d] over parts of the rows.
+
+    d is the residual of the described parameters [n, p], and of the described rotors if `rotor` is true; `say` is told
+    how many rows have been read.
+    """
+    n, p = described.shape
+    sums = recording.q.new_zeros(len(parts), n, p + 1, p + 1)
+    phi, read = described.to(recording.q), 0
+    whole = sum(part.stop - part.start for part in parts)
+    for i, rows in enumerate(parts):
+        for part in chunks(rows, n * p):
+            say(f"{read} of {whole} samples")
+            read += part.stop - part.start
+            q, qd, qdd, tau = (x[part] for x in (recording.q, recording.qd, recording.qdd, recording.measured))
+            Z = columns(robot, q, qd, qdd, own[part])
+            residual = tau - torch.einsum("rjp,jp->rj", Z, phi)
+            if rotor and robot.armature is not None:
+                residual -= robot.armature.to(q) * qdd
+            Z = torch.cat([Z, residual[..., None]], -1).transpose(0, 1)
+            sums[i] += Z.mT @ Z
+    return sums.cpu()
+
+
+def shifted(sums: Tensor, change: Tensor) -> Tensor:
+    """Sums [..., n, p + 1, p + 1] of `gram` about other parameters, which differ by a change [n, p]."""
+    n, p = change.shape
+    T = torch.eye(p + 1, dtype=sums.dtype).repeat(n, 1, 1)
+    T[:, :-1, -1] = -change
+    return T.mT @ sums @ T
+
+
+def squared(sums: Tensor, change: Tensor) -> Tensor:
+    """Sums of squared residuals [..., n] after a change of the parameters [n, p]."""
+    error = torch.cat([-change, change.new_ones(len(change), 1)], 1)
+    return torch.einsum("jp,...jpr,jr->...j", error, sums, error).clamp_min(0)
+
+
+class Information(NamedTuple):
+    """Sum of e (w - w_0)^2 that the samples add to the cost of y = V w."""
+
+    e: Tensor  # [t], zero where they hold no information
+    V: Tensor  # [t, t]
+    w: Tensor  # [t] w_0
+    noise: Tensor  # [n] standard deviation by which the joints are weighted [N m or N]
+
+
+def information(sums: Tensor, S: Tensor, squares: Tensor, floor: Tensor, samples: Tensor) -> Information:
+    """Least squares with every joint weighted by its noise.
+
+    Weights and solution follow from each other (restricted maximum likelihood): an estimate of the noise divides by
+    the samples less the parameters they were spent on. A joint's share of those is its part of the trace of the
+    matrix that takes measured torques to fitted ones.
+
+    Args:
+        sums: of `gram` [n, p + 1, p + 1], each divided by the correlation time of its joint's residuals.
+        S: changes of the parameters of each joint per unit of y [n, p, t].
+        squares: mean squares of the torques [n].
+        floor: least noise [n].
+        samples: number of independent samples [n].
+    """
+    A, b, c = projected(sums, S)
+    squares = squares.clamp_min(1e-6 * float(squares.max()))
+    squares = torch.where(squares > 0, squares, 1.0)  # torques that vanish: any weight will do
+    if not S.shape[-1]:
+        empty = S.new_zeros(0)
+        return Information(empty, S.new_zeros(0, 0), empty, (c / samples).maximum(squares * EXACT**2).sqrt())
+    # which combinations are identifiable does not depend on the weights, and is clearest where they differ least
+    e, Q = torch.linalg.eigh((A / squares[:, None, None]).sum(0))
+    identifiable = e > INDEPENDENT * e.amax()
+    P = Q[:, identifiable]
+    A, b = P.T @ A @ P, b @ P
+    least = squares * (EXACT if float(samples.sum()) >= 2 * P.shape[1] else COARSE) ** 2
+    least = least.maximum(floor**2)
+    variance = (c / samples).maximum(least)
+    for _ in range(50):
+        e, V = torch.linalg.eigh((A / variance[:, None, None]).sum(0))
+        inverse = (V / (e.clamp_min(0) + FAINT)) @ V.T
+        y = inverse @ (b / variance[:, None]).sum(0)
+        left = (c - 2 * b @ y + (A @ y) @ y).clamp_min(0)
+        spent = (A * inverse).sum((1, 2)) / variance
+        before, variance = variance, (left / (samples - spent).maximum(1e-3 * samples)).maximum(least)
+        if float((variance / before - 1).abs().max()) < 1e-3:
+            break
+    return _weighted(A, b, variance, P, Q[:, ~identifiable])
+
+
+def known(sums: Tensor, S: Tensor, variance: Tensor) -> Information:
+    """Least squares with joints weighted by known noise, in the terms of `information`."""
+    A, b, _ = projected(sums, S)
+    none = S.new_zeros(S.shape[-1], 0)
+    return _weighted(A, b, variance, torch.eye(S.shape[-1], dtype=S.dtype), none)
+
+
+def projected(sums: Tensor, S: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Matrix [n, t, t], right-hand side [n, t] and constant [n] of every joint's squares as a function of y."""
+    b = torch.einsum("jp,jpt->jt", sums[:, :-1, -1], S)
+    return S.mT @ sums[:, :-1, :-1] @ S, b, sums[:, -1, -1]
+
+
+def _weighted(A: Tensor, b: Tensor, variance: Tensor, P: Tensor, unknown: Tensor) -> Information:
+    """Information in the sums of all joints; directions P [t, s] are identifiable, those in `unknown` are not."""
+    e, V = torch.linalg.eigh((A / variance[:, None, None]).sum(0))
+    e = torch.where(e > 1e-15 * e.amax(), e, 0.0) if len(e) else e
+    w = torch.where(e > 0, V.T @ (b / variance[:, None]).sum(0) / torch.where(e > 0, e, 1.0), 0.0)
+    none = torch.zeros(unknown.shape[1], dtype=e.dtype)
+    return Information(torch.cat([none, e]), torch.cat([unknown, P @ V], 1), torch.cat([none, w]), variance.sqrt())
+
+
+def base_parameters(R: Tensor, size: Tensor) -> Tensor:
+    """Rows [rank, k] with the span of R [rank, k], the identifiable ones, each with a one where all others have a zero.
+
+    The ones are chosen from the first link on, among columns that are nearly as independent of those chosen as any.
+    """
+    rank = len(R)
+    R = R * size
+    left, chosen = R.clone(), list[int]()
+    for _ in range(rank):
+        norms = left.norm(dim=0)
+        chosen.append(int((norms > 0.1 * norms.max()).nonzero()[0]))
+        direction = left[:, chosen[-1]] / norms[chosen[-1]]
+        left -= direction[:, None] * (direction @ left)
+        left[:, chosen] = 0
+    chosen.sort()
+    base = torch.linalg.solve(R[:, chosen], R) if rank else R
+    base = size[chosen, None] * base / torch.where(size > 0, size, 1.0)
+    base = torch.where((base * size).abs() > 1e-8 * size[chosen, None], base, 0.0)
+    base[:, chosen] = torch.eye(rank, dtype=base.dtype)
+    return base

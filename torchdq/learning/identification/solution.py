@@ -1,0 +1,151 @@
+"""Minimum of the least squares and the prior: the physical robot that explains samples best.
+
+The cost is convex in the parameters, so that there is one minimum, and Newton's method finds it in the manner of
+interior-point methods.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.learning.identification.feasible import Neighbourhood
+from torchdq.learning.identification.regression import Information, information, known, shifted, squared
+
+ITERATIONS = 200  # most Newton steps of a minimum
+EXACT, ROUGH = 1e-12, 1e-6  # part of the prior's weight by which a minimum may be missed; a score needs less
+ROUNDS = 10  # most times that the joints are weighted anew
+JITTERS = (0.0, 1e-15, 1e-13, 1e-11)  # added to a diagonal of ones, until rounding leaves a matrix positive definite
+
+
+class Solution(NamedTuple):
+    """Parameters that explain samples best."""
+
+    near: Neighbourhood
+    y: Tensor  # [t]
+    facts: Information
+    rms: Tensor  # [n] root mean squares of the residual torques [N m or N]
+    settled: bool
+
+    @property
+    def parameters(self) -> Tensor:
+        """Parameters phi [k]."""
+        return self.near.described + self.near.S @ self.y
+
+    def change(self, at: Tensor) -> Tensor:
+        """Parameters less the described bodies, at places in phi [n, p]."""
+        return self.near.start_of(at) + (self.near.S @ self.y)[at]
+
+    def doubt(self, prior: float) -> float:
+        """Times that the prior is stronger than the changes found in the bodies leave likely, at least one.
+
+        A strength is an expectation of changes of the size 1 / sqrt(strength).
+        """
+        told = float((self.facts.e / (self.facts.e + prior)).sum()) - len(self.near.effects)
+        return max(1.0, prior * self.near.strength * self.near.apart(self.y) / max(told, 1.0))
+
+    def spread(self, prior: float, doubt: float = 1.0) -> Tensor:
+        """F [k, t], the covariance of the errors being F F^T, linearised at the description.
+
+        It is that of the noise, and of what the prior hides where it is stronger than likely: with e the information
+        in a combination of parameters, (e + doubt prior) / (e + prior)^2.
+        """
+        e = self.facts.e
+        return self.near.S @ self.facts.V * ((e + doubt * prior).sqrt() / (e + prior))
+
+
+def solve(
+    near: Neighbourhood,
+    sums: Tensor,
+    squares: Tensor,
+    samples: int,
+    correlation: Tensor,
+    at: Tensor,
+    prior: float = 1.0,
+    say: Callable[[str], None] = lambda _: None,
+) -> Solution:
+    """Minimum in a neighbourhood, joints being weighted by the noise that it leaves.
+
+    Args:
+        near: the neighbourhood.
+        sums: of `gram` about the described bodies and coefficients of zero [n, p + 1, p + 1].
+        squares: mean squares of the torques [n].
+        samples: number of samples.
+        correlation: correlation times of the residuals in rows [n]: so many samples say as much as one.
+        at: places of the parameters of each joint [n, p].
+        prior: weight of the distance.
+        say: is told how far it is.
+    """
+    S, independent = near.S[at], samples / correlation
+    own = shifted(sums, near.start_of(at)) / correlation[:, None, None]
+    floor = torch.zeros_like(squares)
+    for k in range(ROUNDS):
+        say(f"minimum {k + 1} of at most {ROUNDS}")
+        facts = information(own, S, squares, floor, independent)
+        y, settled = minimum(near, facts, prior)
+        rms = (squared(own, S @ y) / independent).sqrt()
+        # least squares may explain a joint by a robot that cannot exist; what a physical one cannot do is noise
+        worse = rms > 2 * facts.noise
+        floor = torch.where(worse, rms, floor)
+        if settled and not bool(worse.any()):
+            break
+    return Solution(near, y, facts, rms, settled)
+
+
+def _factor(H: Tensor) -> Tensor:
+    """Factor L of H = L L^T, H having a diagonal of ones; at the edge of what can exist rounding may need more."""
+    for more in JITTERS:
+        L, failed = torch.linalg.cholesky_ex(H + more * torch.eye(len(H), dtype=H.dtype))
+        if not int(failed):
+            return L
+    return torch.linalg.cholesky(H)
+
+
+def changes(
+    near: Neighbourhood, sums: Tensor, variance: Tensor, at: Tensor, start: Tensor | None = None
+) -> tuple[Tensor, Tensor]:
+    """Minimum y [t] where the variance of the joints [n] is known, and the parameters [n, p] there less the zero."""
+    zero = near.start_of(at)
+    y, _ = minimum(near, known(shifted(sums, zero), near.S[at], variance), 1.0, start, ROUGH)
+    return y, zero + near.S[at] @ y
+
+
+def minimum(
+    near: Neighbourhood, facts: Information, prior: float, start: Tensor | None = None, tolerance: float = EXACT
+) -> tuple[Tensor, bool]:
+    """Minimum y [t] of the sum of e (w - w_0)^2 and prior * distance, with y = V w, and whether it was reached.
+
+    Newton's method from the description, the weight of the distance falling tenfold at a time; or from a y near by.
+    """
+    e, V, w_0 = facts.e, facts.V, facts.w
+    if not len(e):
+        return e, True
+    w, weight = torch.zeros_like(w_0), max(prior, float(e.amax()))
+    if start is not None:
+        w, weight = V.T @ start, prior
+
+    def cost(w: Tensor) -> float:
+        return float((e * (w - w_0).square()).sum()) + weight * near.distance(V @ w)
+
+    for _ in range(ITERATIONS):
+        slope, curvature = near.slopes(V @ w)
+        gradient, H = 2 * e * (w - w_0) + weight * (slope @ V), torch.diag(2 * e) + weight * (V.T @ curvature @ V)
+        scale = H.diagonal().rsqrt()  # the samples' part may be 1e20 times the prior's
+        factor = _factor(scale[:, None] * H * scale)
+        step = -scale * torch.cholesky_solve((scale * gradient)[:, None], factor)[:, 0]
+        before, expected = cost(w), float(-gradient @ step)
+        settled = expected <= (0.1 if weight > prior else tolerance) * weight + 1e-14 * before
+        length = 1.0
+        while not settled and cost(w + length * step) > before - 1e-4 * length * expected:
+            length /= 2
+            settled = length < 1e-9  # by rounding
+        if not settled:
+            w = w + length * step
+        elif weight == prior:
+            return V @ w, True
+        else:
+            weight = max(prior, weight / 10)
+    return V @ w, False

@@ -1,0 +1,144 @@
+"""Terms of a joint's torque that are linear in one number per joint: rotor inertia, friction, offset.
+
+Each states its torque per unit, which is a column of the least squares of `regression`. Friction is that of the effects
+in `torchdq.effects`, with one of its linear parameters one and the others zero.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq import effects
+from torchdq.dynamics.friction import smooth_sign
+from torchdq.effects.friction import Friction
+from torchdq.effects.resistance import columns
+from torchdq.learning.logs.blocks import MotionRows
+from torchdq.robot import Robot
+
+FORCE = ("N m", "N")  # units of joints that turn, and that slide
+STILL = 1e-9  # least speed by which the sign of friction is divided [rad/s or m/s]
+
+
+class TermRows(NamedTuple):
+    """Quantities that torques per unit depend on, [rows, n] each."""
+
+    robot: Robot
+    q: Tensor
+    qd: Tensor
+    qdd: Tensor
+    sign: Tensor  # smooth sign of the velocity
+    load: Tensor | None  # torque of the bodies and the rotor; None: unknown
+    starts: Tensor  # rows at which motions begin
+    width: float  # velocity below which dry friction is viscous
+
+
+class Term(NamedTuple):
+    """Torque of every joint in proportion to one number."""
+
+    name: str
+    units: tuple[str, str]  # unit of the number at a joint that turns, and at one that slides
+    effect: Callable[[float], Friction] | None = None  # friction that dry friction of a width makes; None: no friction
+    parameter: str = ""  # linear parameter of the friction that the number is
+    described: str = ""  # attribute of the robot that holds the number
+    signed: bool = False  # whether the number may be negative
+    dry: bool = False  # whether the torque has the sign of the velocity, sharp but for the width
+    loaded: bool = False  # whether the torque per unit depends on the load
+    bristles: float = 0.0  # deflection of bristles that slide, of friction that remembers it [rad or m]
+
+    def unit(self, rows: TermRows) -> Tensor:
+        """Torque per unit [rows, n]."""
+        if self.effect is None:
+            return rows.qdd if self.name == "rotor" else torch.ones_like(rows.qd)
+        if self.bristles:
+            return deflection(rows.q, rows.starts, self.bristles)
+        effect = self.effect(rows.width)
+        qd = rows.qd.where(rows.qd.abs() > STILL, STILL) if self.dry else rows.qd
+        load = rows.load if self.loaded else None
+        torque = columns(rows.robot, effect, rows.q, qd, load, backend="eager")[self.parameter]
+        return torque / smooth_sign(qd, rows.width) * rows.sign if self.dry else torque
+
+    def found(self, numbers: Sequence[float], width: float) -> tuple[Friction, ...]:
+        """Friction with the numbers of the joints, if it is friction."""
+        if self.effect is None:
+            return ()
+        effect = self.effect(width)
+        others: dict[str, Any] = {name: 0.0 for name in effect.LINEAR if name != self.parameter}
+        return (replace(effect, **others, **{self.parameter: tuple(numbers)}),)
+
+
+def rows_of(robot: Robot, recording: MotionRows, width: float, load: Tensor | None = None) -> TermRows:
+    """Rows of a recording; the sign is that of qd / sqrt(qd^2 + width^2), unless it was filtered."""
+    sign = smooth_sign(recording.qd, width) if recording.direction is None else recording.direction
+    return TermRows(robot, recording.q, recording.qd, recording.qdd, sign, load, recording.starts(), width)
+
+
+def unit_torques(terms: Sequence[Term], rows: TermRows) -> Tensor:
+    """Torques per unit of every term [rows, n, terms]."""
+    if not terms:
+        return rows.q.new_zeros(*rows.q.shape, 0)
+    return torch.stack([term.unit(rows).expand_as(rows.q) for term in terms], -1)
+
+
+def deflection(q: Tensor, starts: Tensor, distance: float) -> Tensor:
+    """Deflection of the bristles of `effects.LuGre` in units of that at which they slide, from zero [rows, n].
+
+    Where positions run evenly from row to row, dz/dq = (sign(dq) - z) / distance has a closed form, however long the
+    steps are.
+    """
+    step = torch.diff(q, dim=0, prepend=q[:1])
+    step[starts] = 0
+    keep = torch.exp(-step.abs() / distance)
+    keep[starts] = 0
+    found = step.sign() * (1 - keep)
+    shift = 1
+    while shift < len(q):  # a linear recurrence, by doubling
+        before = torch.cat([found.new_zeros(shift, found.shape[1]), found[:-shift]])
+        kept = torch.cat([keep.new_zeros(shift, keep.shape[1]), keep[:-shift]])
+        found, keep = found + keep * before, keep * kept
+        shift *= 2
+    return found
+
+
+def _dry(name: str, effect: Callable[[float], Friction], parameter: str) -> Term:
+    return Term(name, FORCE, effect, parameter, dry=True)
+
+
+def _stribeck(velocity: float) -> Term:
+    return _dry(f"stribeck {velocity:g}", lambda w: effects.Stribeck(velocity=velocity, width=w), "static")
+
+
+def _saturating(width: float) -> Term:
+    return Term(f"saturating {width:g}", FORCE, lambda _: effects.Coulomb(width=width), "level")
+
+
+def _bristles(distance: float) -> Term:
+    effect = effects.LuGre(deflection=distance)
+    return Term(f"lugre {distance:g}", FORCE, lambda _: effect, "level", bristles=distance)
+
+
+def _ripple(parameter: str) -> Term:
+    return Term(f"ripple {parameter}", FORCE, lambda _: effects.Ripple(2 * math.pi), parameter, signed=True)
+
+
+ROTOR = Term("rotor", ("kg m^2", "kg"), described="armature")
+VISCOUS = Term("viscous", ("N m s/rad", "N s/m"), lambda _: effects.Viscous(), "coefficient", "damping")
+COULOMB = Term("coulomb", FORCE, lambda w: effects.Coulomb(width=w), "level", "friction", dry=True)
+OFFSET = Term("offset", FORCE, signed=True)
+
+SHAPES = (  # friction of other shapes
+    Term("load", ("1", "1"), lambda w: effects.LoadDependent(width=w), "coefficient", dry=True, loaded=True),
+    *(_stribeck(v) for v in (0.03, 0.1, 0.3, 1.0)),
+    *(_saturating(v) for v in (0.03, 0.1, 0.3, 1.0)),
+    Term("quadratic", ("N m s^2/rad^2", "N s^2/m^2"), lambda _: effects.Quadratic(), "coefficient"),
+    _dry("forward", lambda w: effects.Directional(width=w), "forward"),
+    _dry("backward", lambda w: effects.Directional(width=w), "backward"),
+    *(_bristles(x) for x in (5e-4, 2e-3, 1e-2)),
+    _ripple("sine"),
+    _ripple("cosine"),
+)

@@ -1,0 +1,159 @@
+"""Rows of recorded motions, and the blocks of them that are left out to measure a model.
+
+A block is a whole motion, or a contiguous part of one where there are fewer than three: rows of one moment resemble
+each other, so that rows left out at random would measure nothing. A filter mixes neighbours, so the rows beside a part
+that is left out are left out of the fit, too.
+
+A motion that repeats itself shows the same states in all its parts, and a model that is right in these alone would pass
+for a good one. So where there are fewer than three motions, regions of the states are left out, too: slow and fast
+rows, and those on either side along the direction in which the positions vary most.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchdq.errors import ArgumentError
+from torchdq.functional import check
+from torchdq.learning.logs.motions import ENDS, Motion
+from torchdq.robot import Robot
+
+MOST = 10  # most blocks; further motions share one
+PARTS = 6  # blocks, at least, that fewer than three motions are cut into
+LEAST = 20  # fewest rows of a block
+BESIDE = 0.02  # part of a motion without times that is left out on either side of a block
+
+
+class MotionRows(NamedTuple):
+    """Rows of motions, one after the other, as float64."""
+
+    q: Tensor  # [rows, n] [rad or m]
+    qd: Tensor  # [rows, n] [rad/s or m/s]
+    qdd: Tensor  # [rows, n] [rad/s^2 or m/s^2]
+    lengths: tuple[int, ...]  # rows of each motion
+    tau: Tensor | None = None  # [rows, n] [N m or N]
+    direction: Tensor | None = None  # [rows, n] sign of the velocity, filtered as the torques
+    time: Tensor | None = None  # [rows] [s]
+    known_gains: bool = True  # whether tau is in these units
+
+    @property
+    def measured(self) -> Tensor:
+        """Torques [rows, n]; raises if there are none."""
+        if self.tau is None:
+            raise ArgumentError("motions must have torques to identify a robot, found motions without")
+        return self.tau
+
+    def signals(self) -> dict[str, Tensor]:
+        """Rows of the signals that there are, by name."""
+        names = ("q", "qd", "qdd", "tau", "direction")
+        return {name: x for name in names if (x := getattr(self, name)) is not None}
+
+    def some(self, rows: Tensor) -> MotionRows:
+        """Rows with these numbers, as one motion, without times."""
+        tau = None if self.tau is None else self.tau[rows]
+        return MotionRows(self.q[rows], self.qd[rows], self.qdd[rows], (len(rows),), tau)
+
+    def starts(self) -> Tensor:
+        """Rows at which motions begin [motions]."""
+        return torch.tensor([0, *self.lengths[:-1]], device=self.q.device).cumsum(0)
+
+
+class Block(NamedTuple):
+    """Rows that are left out together."""
+
+    rows: slice
+    beside: tuple[slice, ...]  # rows that neither measure nor are fitted meanwhile
+    motion: slice  # rows of the motions that it belongs to
+
+
+def of_motions(robot: Robot, motions: Motion | Sequence[Motion]) -> MotionRows:
+    """Rows of motions from `smooth`.
+
+    Raises:
+        ArgumentError: there is no motion, or one is of another arm or has no torques.
+    """
+    one = not isinstance(motions, Sequence) or hasattr(motions, "_fields")  # a Motion or a Log is a tuple, too
+    several: list[Any] = [motions] if one else [*motions]
+    if not several:
+        raise ArgumentError("motions must be at least one, found none")
+    for motion in several:
+        if not isinstance(motion, Motion):
+            raise ArgumentError(f"motions must be Motion objects, found {type(motion).__name__}; smooth(log) makes one")
+        if motion.q.shape[1:] != (robot.n,):
+            found = f"found one with {motion.q.shape[1]}"
+            raise ArgumentError(f"motions must be of {robot.name!r}, which has {robot.n} joints, {found}")
+
+    def together(name: str) -> Tensor:
+        parts = [getattr(motion, name) for motion in several]
+        return torch.as_tensor(np.concatenate(parts), dtype=torch.float64, device=robot.mass.device)
+
+    def if_all(name: str) -> Tensor | None:
+        return None if any(getattr(motion, name) is None for motion in several) else together(name)
+
+    lengths = tuple(len(motion.q) for motion in several)
+    q, qd, qdd = together("q"), together("qd"), together("qdd")
+    known = all(motion.known_gains for motion in several)
+    return MotionRows(q, qd, qdd, lengths, if_all("tau"), if_all("direction"), if_all("time"), known)
+
+
+def of_tensors(robot: Robot, **signals: Tensor) -> MotionRows:
+    """Rows of signals q, qd, qdd, tau and perhaps direction [..., rows, n]; leading axes are those of motions."""
+    batch = check(robot, (), **signals)
+    rows = {
+        name: x.detach().to(torch.float64).expand(*batch, robot.n).reshape(math.prod(batch), robot.n)
+        for name, x in signals.items()
+    }
+    lengths = (batch[-1],) * math.prod(batch[:-1]) if batch else (1,)
+    return MotionRows(rows["q"], rows["qd"], rows["qdd"], lengths, tau=rows.get("tau"), direction=rows.get("direction"))
+
+
+def blocks(recording: MotionRows) -> list[Block]:
+    """Blocks of the rows, none if there are too few rows: every row is in exactly one."""
+    ends = np.cumsum(recording.lengths).tolist()
+    motions = [slice(end - rows, end) for end, rows in zip(ends, recording.lengths, strict=True)]
+    if len(motions) >= 3:
+        groups = np.array_split(np.arange(len(motions)), min(MOST, len(motions)))
+        found = [slice(motions[group[0]].start, motions[group[-1]].stop) for group in groups]
+        whole = [Block(rows, (), rows) for rows in found]
+    else:
+        whole = [block for motion in motions for block in _parts(recording, motion, -(-PARTS // len(motions)))]
+    return whole if min(_length(block.rows) for block in whole) >= LEAST else []
+
+
+def regions(recording: MotionRows) -> list[tuple[Tensor, Tensor]]:
+    """Pairs of regions of the states, each the rows of one and of the other; none for three motions and more."""
+    if len(recording.lengths) >= 3:
+        return []
+    still = torch.finfo(torch.float64).tiny
+    speed = (recording.qd / recording.qd.std(0).clamp_min(still)).norm(dim=1)
+    middle = recording.q - recording.q.mean(0)
+    spread = torch.linalg.eigh(middle.T @ middle).eigenvectors[:, -1]
+    half = len(speed) // 2
+    return [(order[:half], order[half:]) for order in (speed.argsort(), (middle @ spread).argsort())]
+
+
+def _parts(recording: MotionRows, motion: slice, count: int) -> list[Block]:
+    """Contiguous parts of a motion, with the rows beside them."""
+    cuts = np.linspace(motion.start, motion.stop, count + 1).round().astype(int).tolist()
+    time = recording.time
+    found = []
+    for first, last in pairwise(cuts):
+        if time is None or last == first:
+            before = after = round(BESIDE * _length(motion))
+        else:
+            before = int((time[motion.start : first] > time[first] - ENDS).sum())
+            after = int((time[last : motion.stop] < time[last - 1] + ENDS).sum())
+        beside = (slice(max(motion.start, first - before), first), slice(last, min(motion.stop, last + after)))
+        found.append(Block(slice(first, last), beside, motion))
+    return found
+
+
+def _length(rows: slice) -> int:
+    return rows.stop - rows.start

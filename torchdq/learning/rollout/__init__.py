@@ -1,0 +1,1 @@
+"""Parameters of a simulated scene from recorded motions, by multiple shooting."""

@@ -1,0 +1,167 @@
+"""Parameters of a scene from recorded motions: positions and commands, no torques and no accelerations.
+
+The scene is simulated through the recordings (`shooting`), and its parameters and the states at which the segments
+start are those of the greatest likelihood (`rollout_problem`). Iterations are steps of Gauss-Newton with exact
+derivatives of the scene's step. A step is accepted if, compared with each of the steps accepted before, it closes the
+gaps between the nodes or raises the likelihood (R. Fletcher, S. Leyffer, "Nonlinear programming without a penalty
+function", Mathematical Programming 91 (2002)).
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+
+from torchdq.checks import require_count, require_number
+from torchdq.errors import ArgumentError
+from torchdq.learning.logs.plausibility import LogWarning
+from torchdq.learning.rollout import shooting
+from torchdq.learning.rollout.problem import Change, Iterate, Problem
+from torchdq.learning.rollout.recordings import Recording, checked
+from torchdq.learning.rollout.result import RolloutFit, result
+from torchdq.learning.rollout.shooting import Linear
+from torchdq.learning.rollout.unknowns import changed, unknowns
+from torchdq.notice import Notice
+
+if TYPE_CHECKING:
+    from torchdq.envs import Scene
+
+CLOSED = 1e-9  # gaps between nodes that count as none, relative to the motion
+MARGIN = 1e-3  # part of a gap by which an accepted step must be better
+TRIALS = 16  # most trials of a step, each half as long as the last and more damped
+DAMPED = 1e-6  # damping of the second trial, relative to the information
+SETTLED = 1e-2  # length of a step that ends the search, in standard deviations of all measurements together
+STILL = 1e-6  # length of a step that does so too, relative to the parameters: for measurements without noise
+GAIN = 0.02  # gain of a step that ends the search, in the logarithm of the likelihood
+NEARLY = 1e-5  # gaps before a last step
+APART = (
+    "the scene does not move as recorded, so nothing is told and all values are NaN; check signs, units and order of "
+    "positions and inputs, or start from a scene that is nearer"
+)
+
+
+def fit_rollout(
+    scene: Scene,
+    logs: Recording | Sequence[Recording],
+    learn: str | Sequence[str],
+    segment: float | None = 1.0,
+    iterations: int = 100,
+) -> RolloutFit:
+    """Scene with the parameters under which it moves as recorded.
+
+    The search starts from the scene as it is, whose parameters are also the scale of what is large: a friction that is
+    sought must be in the scene, and may be ten times too small or too large.
+
+    Args:
+        scene: of a robot with a fixed base, without sensors; its `dt` need not be that of the recordings.
+        logs: positions and commands of one motion or several; see `Recording`.
+        learn: names or patterns: "Viscous.coefficient", "Servo.*", "RotorInertia.inertia", "Payload.mass"; "mass",
+            "com" and "inertia" of the links; "delay" [s] of all inputs. An unknown name raises an error with all.
+        segment: time after which a motion starts anew from an unknown state [s], so that errors of the scene do not
+            add up; None: the motion of every recording is one.
+        iterations: most of them.
+    Raises:
+        ArgumentError: a name cannot be learned, or recordings do not fit the scene.
+        LogError: a recording has a number that is not finite, or time that does not increase.
+    Warns:
+        LogWarning: it ended before it had found the best parameters, by too few iterations or Ctrl-C; the result has
+            those found until then.
+
+    >>> import torchdq
+    >>> from torchdq.envs import Scene, effects
+    >>> two_link, t = torchdq.robots.load("two_link"), 0.01 * torch.arange(201.0, dtype=torch.float64)
+    >>> torque = 5 * torch.stack([(5 * t).sin(), (7 * t).cos()], -1)
+    >>> scene = Scene(two_link, (effects.Gravity(), effects.Viscous(0.5)), dt=0.01)
+    >>> start = scene.start(torch.zeros(2, dtype=torch.float64))
+    >>> q = torch.cat([start.q[None], scene.rollout(start, torque[:-1]).q])
+    >>> guess = Scene(two_link, (effects.Gravity(), effects.Viscous(0.1)), dt=0.01)
+    >>> found = fit_rollout(guess, Recording(t, q, {"torque": torque}), "Viscous.coefficient")
+    >>> [round(x, 6) for x in found.values["Viscous.coefficient"].tolist()]
+    [0.5, 0.5]
+    """
+    from torchdq.envs.sensitivity import StepMap
+
+    if segment is not None:
+        require_number("segment", segment, positive=True)
+    require_count("iterations", iterations)
+    sought = unknowns(scene, learn)
+    data = checked(logs, scene.n, scene.inputs)
+    if sought.delayed and not data[0].inputs:
+        raise ArgumentError("delay cannot be learned: the recordings have no inputs that could come late")
+    whole = changed(scene, sought.parameters(sought.start))
+    pieces = shooting.segments(data, scene.dt, segment)
+    problem = Problem(StepMap(whole, tuple(data[0].inputs)), sought, data, pieces)
+    with torch.no_grad(), Notice(f"fitting {', '.join(part.name for part in sought.parts)}") as notice:
+        end = _search(problem, problem.prepared(problem.first()), iterations, notice)
+        followed = end.at.gap <= NEARLY
+        doubt = (end.ended or problem.uneven(end.at)) if followed else f"{end.ended}; {APART}"
+        found = result(problem, end.at, end.linear, end.steps, doubt, followed)
+    if doubt:
+        warnings.warn(f"the parameters may not be the best: {doubt}", LogWarning, stacklevel=2)
+    return found
+
+
+class _Found(NamedTuple):
+    """End of a search."""
+
+    at: Iterate
+    linear: Linear
+    steps: int  # to it
+    ended: str  # reason why it ended early; "": it did not
+
+
+def _search(problem: Problem, at: Iterate, iterations: int, notice: Notice) -> _Found:
+    """Best iterate near one."""
+    linear, tried, count = problem.linearised(at), [at], 0
+    try:
+        while True:
+            notice.at(f"iteration {count + 1}, residuals {at.spread.norm():.3g}, gaps {at.gap:.2g}")
+            step = problem.step(at, linear, 0.0)
+            last = _last(problem, at, step)
+            if count == iterations:
+                return _Found(at, linear, count, "" if last else f"{iterations} iterations were not enough")
+            after = _accepted(problem, at, linear, step, tried)
+            if after is None:
+                return _Found(
+                    at, linear, count, "" if at.gap <= CLOSED else "no step closes the gaps between the states"
+                )
+            settled = after.gap <= NEARLY and 0 <= at.cost - after.cost < GAIN
+            at, count = after, count + 1
+            if last or settled:
+                return _Found(at, linear, count, "")
+            tried = [other for other in tried if other.gap < at.gap or other.cost < at.cost] + [at]
+            linear = problem.linearised(at)
+    except KeyboardInterrupt:
+        return _Found(at, linear, count, f"interrupted after {count} iterations")
+
+
+def _last(problem: Problem, at: Iterate, step: Change) -> bool:
+    """Whether a step is so short that the next one, about its square, does not matter."""
+    relative = float((step.values / problem.unknowns.sizes(at.values)).abs().amax())
+    return at.gap <= NEARLY and (step.length < SETTLED or relative < STILL)
+
+
+def _accepted(problem: Problem, at: Iterate, linear: Linear, step: Change, tried: Sequence[Iterate]) -> Iterate | None:
+    """Iterate after the longest trial that is better than all before in one of the two ways; None: none is.
+
+    Where friction is stiff, linearised steps do not close the gaps, but simulation from the starts does.
+    """
+    for k in range(TRIALS):
+        if k:
+            step = problem.step(at, linear, DAMPED * 10.0 ** (k - 1))
+        after = problem.moved(at, step, 0.5**k)
+        if all(_better(after, other) for other in tried):
+            return after
+        after = problem.simulated(after)
+        if all(_better(after, other) for other in tried):
+            return after
+    return None
+
+
+def _better(one: Iterate, other: Iterate) -> bool:
+    """Whether an iterate has smaller gaps than another, or less cost."""
+    gap = max(other.gap, CLOSED)
+    return max(one.gap, CLOSED) <= (1 - MARGIN) * gap or one.cost < other.cost - MARGIN * min(one.gap, 1.0)

@@ -1,0 +1,121 @@
+"""Result of a fit of rollouts: the scene, and what the recordings tell of its parameters and what not."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchdq.learning.rollout.problem import Iterate, Problem
+from torchdq.learning.rollout.shooting import Linear
+from torchdq.learning.rollout.unknowns import changed
+from torchdq.tables import summary, table
+
+if TYPE_CHECKING:
+    from torchdq.envs import Scene
+
+TOLD = 1.0  # greatest standard error of a combination that is told, relative to the sizes of its parameters
+EXCITED = 1e-10  # least information of one, relative to the greatest: beyond rounding
+PART = 0.05  # part of a combination that is not told from which a parameter is not told either
+
+
+class RolloutFit(NamedTuple):
+    """Scene that moves as recorded, and how well its parameters are known.
+
+    A parameter that the recordings do not tell is NaN in `values` and `errors`; in `scene` it is where the others are
+    best while it stays near its start. `untold` names what can change without changing the recorded motions. Where the
+    scene does not come to move as recorded, all are NaN, and `doubt` says so.
+
+    The standard errors are those of independent errors of the measurements. Errors of the scene itself are not among
+    them: where `rms` is far above the noise of the sensors, the parameters are less certain than they say.
+    """
+
+    scene: Scene
+    values: dict[str, Tensor]  # by name in `learn`; NaN where not told
+    errors: dict[str, Tensor]  # standard errors of the values; NaN where not told
+    names: tuple[str, ...]  # [p] of single numbers, such as "Viscous.coefficient[elbow]"
+    estimate: Tensor  # [p] single numbers, those of the scene
+    covariance: Tensor  # [p, p] of the numbers, as far as they are told
+    untold: tuple[str, ...]  # combinations that nothing tells
+    delay: float  # by which the inputs come late [s]; it is not part of the scene
+    residuals: tuple[np.ndarray, ...]  # [rows, n] of each log, measured less predicted positions [rad or m]
+    noise: Tensor  # [n] standard deviation of the measured positions [rad or m]
+    iterations: int
+    doubt: str  # reason why the parameters may not be the best; "": there is none
+
+    @property
+    def rms(self) -> Tensor:
+        """Root mean square [n] of the residuals [rad or m]."""
+        return torch.from_numpy(np.sqrt(np.square(np.concatenate(self.residuals)).mean(axis=0)))
+
+    def __repr__(self) -> str:
+        known = sum(int(x.isfinite().sum()) for x in self.values.values())
+        return f"RolloutFit({self.scene.robot.name}: {known} of {len(self.names)} parameters told)"
+
+    def __str__(self) -> str:
+        values, errors = (torch.cat([x.flatten() for x in part.values()]) for part in (self.values, self.errors))
+        title = f"{self.scene.robot.name}, {int(values.isfinite().sum())} of {len(self.names)} parameters told"
+        rows = [
+            (name, f"{x:.4g}", f"{e:.2g}") if x == x else (name, "not told", "-")
+            for name, x, e in zip(self.names, values.tolist(), errors.tolist(), strict=True)
+        ]
+        parts = [title, table(("parameter", "estimate", "standard error"), rows)]
+        if self.untold:
+            parts.append("\n".join(("nothing tells these changes:", *self.untold)))
+        parts.append(summary("residual", {"rms": (self.rms, "rad or m"), "noise": (self.noise, "rad or m")}))
+        return "\n\n".join(parts)
+
+
+def result(problem: Problem, at: Iterate, linear: Linear, iterations: int, doubt: str, followed: bool) -> RolloutFit:
+    """Result of a fit that ended at an iterate; `followed`: whether the scene moves from state to state there."""
+    sought, p = problem.unknowns, len(at.values)
+    sizes = sought.sizes(at.values)
+    R = problem.information(at, linear)[:p, :p] * sizes  # in changes relative to the sizes
+    _, e, V = torch.linalg.svd(R)
+    told = (e > 1 / TOLD) & (e > EXCITED * e[0])
+    spread = sizes[:, None] * V[told].T / e[told]
+    slopes = sought.slopes(at.values)
+    covariance = slopes @ spread @ spread.T @ slopes.T
+    hidden = (V[~told] * sizes) @ slopes.T / sought.scales(at.values)
+    known = (hidden.square().sum(0) < PART**2) & followed
+    errors = torch.where(known, covariance.diagonal().sqrt(), torch.nan)
+    values = torch.where(known, at.values, torch.nan)
+    n, pieces = problem.pieces.n, problem.pieces
+    residuals = tuple(np.zeros(log.q.shape) for log in problem.logs)
+    for k, rows, found in zip(pieces.log, pieces.row, at.motions.residual.numpy(), strict=True):
+        residuals[k][rows[rows >= 0]] = found[rows >= 0, :n]
+    named = [part.name for part in sought.parts]
+    return RolloutFit(
+        changed(problem.step_map.scene, sought.parameters(at.values)),
+        dict(zip(named, sought.split(values), strict=True)),
+        dict(zip(named, sought.split(errors), strict=True)),
+        sought.labels,
+        at.values,
+        covariance,
+        _combinations(hidden, sought.labels),
+        sought.delay(at.values),
+        residuals,
+        problem.noise(at)[:n],
+        iterations,
+        doubt,
+    )
+
+
+def _combinations(V: Tensor, labels: tuple[str, ...]) -> tuple[str, ...]:
+    """Changes that span the rows of V [k, p], each of few parameters, in percent of their sizes."""
+    rows, found = V.clone(), []
+    for k in range(len(rows)):
+        best, lead = divmod(int(rows[k:].abs().argmax()), rows.shape[1])
+        if float(rows[k + best, lead].abs()) < PART:  # what is left changes nothing
+            rows = rows[:k]
+            break
+        rows[[k, k + best]] = rows[[k + best, k]]
+        rows[k] = rows[k] / rows[k, lead]
+        others = [i for i in range(len(rows)) if i != k]
+        rows[others] -= rows[others, lead][:, None] * rows[k]
+    for row in rows:
+        terms = [(label, float(x)) for label, x in zip(labels, row, strict=True) if abs(float(x)) > PART]
+        found.append(", ".join(f"{label} by {100 * x:+.3g} %" for label, x in terms))
+    return tuple(found)
