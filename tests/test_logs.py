@@ -28,7 +28,7 @@ from recordings import LAYOUTS, layout_of
 import torchdq
 from torchdq import learning
 from torchdq.errors import ArgumentError, MissingLibraryError, TorchdqError
-from torchdq.learning import motions
+from torchdq.learning.logs import motions
 
 pytest.importorskip("scipy", reason="smoothing needs scipy")
 
