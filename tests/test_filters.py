@@ -8,7 +8,8 @@ import pytest
 pytest.importorskip("scipy", reason="filters need scipy")
 
 from torchdq.errors import ArgumentError
-from torchdq.learning import Layout, LogError, motions, read, smooth
+from torchdq.learning import Layout, LogError, read, smooth
+from torchdq.learning.logs import motions
 from torchdq.learning.logs.filters import decimated, derivative, even, fewer_times, low_pass
 
 

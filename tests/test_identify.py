@@ -18,7 +18,8 @@ import torch
 import torchdq
 from torchdq import notice
 from torchdq.errors import ArgumentError, DtypeError
-from torchdq.learning import identify, regression
+from torchdq.learning import identify
+from torchdq.learning.identification import regression
 from torchdq.robot import consistency as physical
 from torchdq.robot.robot import arguments
 

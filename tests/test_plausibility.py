@@ -9,7 +9,8 @@ import torch
 from helpers import thinned
 
 import torchdq
-from torchdq.learning import LogWarning, Samples, fit, identify, plausibility
+from torchdq.learning import LogWarning, Samples, fit, identify
+from torchdq.learning.logs import plausibility
 
 ROBOTS = ("two_link", "panda", "ur10e", "puma560")
 
