@@ -88,7 +88,10 @@ STOREYS = {
 }
 
 NUMBER_GENERIC = ("torchdq.algebra", "torchdq.dynamics", "torchdq.numbers")
-NOT_AT_IMPORT = ("pinocchio", "pytorch_kinematics", "mujoco", "matplotlib", "scipy", "gymnasium")
+NOT_AT_IMPORT = (
+    *("pinocchio", "pytorch_kinematics", "mujoco", "matplotlib", "scipy", "gymnasium", "tyro", "rich"),
+    *("sympy", "torch._dynamo"),  # torch imports them in more than a second, on first use of its compiler
+)
 
 
 def name_of(path):

@@ -40,7 +40,7 @@ from torchdq.checks import DTYPES, is_dense, require_tensor
 from torchdq.errors import ArgumentError, DtypeError, TorchdqError
 from torchdq.program.autograd import in_a_graph, named, operator
 from torchdq.program.program import Argument, Program
-from torchdq.program.transforms import dispatching, with_values
+from torchdq.program.transforms import constant_in_graphs, dispatching, with_values
 
 Shape = tuple[int, ...]
 Tensors = Mapping[str, Tensor | None]  # by name; None: absent
@@ -317,7 +317,7 @@ def _traced(what: Computation, tensors: Tensors, backend: BackendName | None, do
     batch = None if known is None else _common_batch(given, known[0])
     if batch is None:
         batch = batch_of(what, tensors)  # broadcast, or raises
-    forms, dtype, name, program, results = known
+    forms, dtype, name, program, results = known  # type: ignore[misc]  # where it is None, `batch_of` has raised
     samples = math.prod(batch)
     inputs = []
     for x, (axes, width, uniform) in zip(given, forms, strict=True):
@@ -343,7 +343,7 @@ def _common_batch(given: Sequence[Tensor], forms: Sequence[tuple[Shape, int, boo
     return None if batch is None else tuple(batch)
 
 
-@torch.compiler.assume_constant_result
+@constant_in_graphs
 def _known(
     kind: type,
     looks: Sequence[tuple[str, int, torch.dtype, torch.device]],

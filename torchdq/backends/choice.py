@@ -17,7 +17,7 @@ from torchdq.backends.torch import EAGER
 from torchdq.checks import require_choice
 from torchdq.errors import ArgumentError
 from torchdq.notice import warn_once
-from torchdq.program.transforms import proxy_tracing, reversing, transforming
+from torchdq.program.transforms import constant_in_graphs, proxy_tracing, reversing, transforming
 
 BackendName = Literal["auto", "eager", "c", "cuda"]
 # by name: the first that can run on the device
@@ -84,7 +84,7 @@ def _exportable(name: BackendName) -> Backend:
     return EAGER
 
 
-@torch.compiler.assume_constant_result  # a traced graph keeps the backend it was traced with
+@constant_in_graphs  # a traced graph keeps the backend it was traced with
 def choose(name: BackendName | None, device: torch.device) -> Backend:
     """Backend that runs programs on a device; the name None is that of the innermost `backend` block."""
     name = present() if name is None else _valid(name)

@@ -4,19 +4,21 @@ They exist in torch 2.6 to 2.13. Where one is missing, a transform is taken to b
 no result.
 """
 
+import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from functools import cache
 from operator import attrgetter
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
 from torch._functorch import pyfunctorch
 from torch.autograd import forward_ad
-from torch.fx.experimental import proxy_tensor
 from torch.utils import _python_dispatch
+
+Made = TypeVar("Made", bound=Callable[..., Any])
 
 
 def _private(name: str, missing: Any) -> Any:
@@ -41,8 +43,16 @@ _levels: Callable[[], list[Any]] = getattr(pyfunctorch, "retrieve_all_functorch_
 _unseen = _private("DisableTorchFunction", nullcontext)
 _jit_state = _private("_get_tracing_state", lambda: None)
 _modes = _private("_len_torch_dispatch_stack", lambda: 1)
-_proxy_mode = getattr(proxy_tensor, "get_proxy_mode", lambda: None)
 _batched_by_autograd = _private("_functorch.is_legacy_batchedtensor", lambda x: False)
+
+
+def constant_in_graphs(function: Made) -> Made:
+    """Function whose result torch.compile keeps as a constant of the graph, as `torch.compiler.assume_constant_result`.
+
+    That one imports torch's compiler where it is called, a second's work for everyone who imports this package.
+    """
+    function._dynamo_marked_constant = True  # type: ignore[attr-defined]
+    return function
 
 
 @contextmanager
@@ -105,7 +115,9 @@ def dispatching() -> bool:
 
 def proxy_tracing() -> bool:
     """Whether make_fx records the operators that tensors go through."""
-    return _modes() > 0 and _proxy_mode() is not None
+    # importing it brings sympy, a second's work; where it was not imported, make_fx cannot run
+    tracer = sys.modules.get("torch.fx.experimental.proxy_tensor") if _modes() > 0 else None
+    return tracer is not None and tracer.get_proxy_mode() is not None
 
 
 def number(value: float, like: Tensor) -> Tensor | float:
@@ -119,7 +131,7 @@ def number(value: float, like: Tensor) -> Tensor | float:
     return _constant(value, like.dtype, like.device)
 
 
-@torch.compiler.assume_constant_result
+@constant_in_graphs
 def _constant(value: float, dtype: torch.dtype, device: torch.device) -> Tensor:
     with with_values():
         return torch.tensor(value, dtype=dtype, device=device)
