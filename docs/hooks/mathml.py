@@ -4,12 +4,12 @@ As on GitHub: a `$` opens a formula if no space follows it, and closes it if no 
 """
 
 import re
+from xml.etree import ElementTree as etree
 
 from latex2mathml.converter import convert
 from markdown import Extension
 from markdown.blockprocessors import BlockProcessor
 from markdown.inlinepatterns import InlineProcessor
-from xml.etree import ElementTree as etree
 
 INLINE = r"(?<![\\$\w])\$(?![\s$])((?:[^$\\]|\\.)+?)(?<!\s)\$(?![\d$])"
 DISPLAY = re.compile(r"\$\$(.+?)\$\$", re.DOTALL)

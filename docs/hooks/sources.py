@@ -10,6 +10,7 @@ from mkdocs.structure.files import File
 LINK = re.compile(r"(\]\()(?![a-z]+:|#|/)([^)#\s]+)((?:#[^)\s]*)?\))")
 FENCE = re.compile(r"^(```+|~~~+)[^\n]*\n.*?^\1\s*$", re.MULTILINE | re.DOTALL)
 PICTURES = {".png", ".gif", ".svg", ".jpg", ".webp"}
+LANGUAGES = {".py": "python", ".c": "c", ".h": "c", ".toml": "toml", ".urdf": "xml", ".xml": "xml", ".cff": "yaml"}
 FIRST_PAGE = "README.md"  # of the repository; that of the site says the same
 
 
@@ -75,6 +76,6 @@ def _page(path: Path, name: str) -> str:
         return path.read_text(encoding="utf-8")
     if path.is_dir():
         return f"# {name}\n\n" + "\n".join(f"* `{p.name}`" for p in sorted(path.iterdir()) if p.name[0] not in "._")
-    kind = {".py": "python", ".c": "c", ".h": "c", ".toml": "toml", ".urdf": "xml", ".xml": "xml"}.get(path.suffix, "text")
+    kind = LANGUAGES.get(path.suffix, "text")
     text = path.read_text(encoding="utf-8")
     return f"# {name}\n\n````{kind}\n{text}````\n"
