@@ -2,6 +2,7 @@
 # make test     all claims, in parallel, on representative robots where a claim is about many; prints the slowest twenty
 # make test-all all claims on all robots and random trees, chains of any length and whole examples
 # make mutants  plants faults in a copy of the sources, one at a time; the suite must notice each
+# make docs     the documentation as static pages, in out/site; open out/site/index.html
 # make clean    removes the virtual environment and everything that was built
 #
 # All but the last make their own virtual environment in .venv, once; they run again without installing anything.
@@ -19,7 +20,7 @@ PIP := $(RUN) -m pip --disable-pip-version-check install --quiet
 # a process takes neighbouring tests, which share robots, programs and fixtures
 PYTEST := OMP_NUM_THREADS=1 $(RUN) -m pytest -n $(JOBS) --dist worksteal --durations=20
 
-.PHONY: demo test test-all mutants clean
+.PHONY: demo test test-all mutants docs clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/examples.installed
@@ -33,6 +34,9 @@ test-all: $(VENV)/test.installed
 
 mutants: $(VENV)/test.installed
 	$(RUN) tests/mutants.py $(ARGS)
+
+docs: $(VENV)/docs.installed
+	NO_MKDOCS_2_WARNING=1 $(RUN) -m mkdocs build $(ARGS)
 
 clean:
 	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -1,0 +1,122 @@
+"""Docstrings of the package as Markdown, and public members that reading the sources alone does not show."""
+
+import copy
+import importlib
+import inspect
+import re
+from collections.abc import Iterable, Iterator
+
+import griffe
+
+PARTS = {
+    "Args": "Arguments",
+    "Returns": "Returns",
+    "Raises": "Errors",
+    "Warns": "Warnings",
+    "Attributes": "Attributes",
+}
+ENTRY = re.compile(r" {4}([^\s:][^:\n]*):\s+(.*)")
+
+
+def markdown(text: str) -> str:
+    """Markdown of a docstring: lists of arguments and errors; examples as code with their results as comments."""
+    found, lines = [], text.split("\n")
+    while lines:
+        line = lines.pop(0)
+        if line.removesuffix(":") in PARTS and line.endswith(":"):
+            found += ["", f"**{PARTS[line[:-1]]}**", "", *_entries(_while(lines, lambda s: s[:1] in ("", " "))), ""]
+        elif line.startswith(">>> "):
+            found += ["", *_example([line, *_while(lines, bool)]), ""]
+        else:
+            found.append(line if line.startswith("    ") else _prose(line))
+    return re.sub(r"\n{3,}", "\n\n", "\n".join(found)).strip()
+
+
+def _prose(line: str) -> str:
+    """Line whose brackets are units and shapes, not links."""
+    return "`".join(part if k % 2 else part.replace("[", "\\[") for k, part in enumerate(line.split("`")))
+
+
+def _while(lines: list[str], wanted) -> Iterator[str]:
+    while lines and wanted(lines[0]):
+        yield lines.pop(0)
+
+
+def _entries(lines: Iterable[str]) -> Iterator[str]:
+    """Items of a list: `name, name: what they are`, each with the lines below it."""
+    for line in lines:
+        if entry := ENTRY.fullmatch(line):
+            names = ", ".join(f"`{name}`" for name in entry[1].split(", "))
+            yield f"* {names}: {_prose(entry[2])}"
+        elif line.startswith("    ") and not line.startswith("     "):
+            yield f"* {_prose(line.strip())}"
+        else:
+            yield f"  {_prose(line.strip())}" if line.strip() else ""
+
+
+def _example(lines: Iterable[str]) -> list[str]:
+    """Block of code that can be copied; what it prints stands in comments."""
+    code = [line[4:] if re.match(r">>>|\.\.\.( |$)", line) else f"# {line}" for line in lines]
+    return ["```python", *code, "```"]
+
+
+class Documented(griffe.Extension):
+    """Package as the pages show it: `torchdq.envs` in its place, comments on fields as their documents."""
+
+    def on_package(self, *, pkg: griffe.Module, loader: griffe.GriffeLoader, **_) -> None:
+        """Package with everything public in it."""
+        if pkg.name != "torchdq":
+            return
+        pkg.set_member("envs", loader.load("envs"))  # the folder lies beside the package, and is installed in it
+        classes = [x for x in _objects(pkg) if x.is_class]
+        for one in classes:
+            _take_methods(one, pkg)
+            _document_fields(one)
+        overriding = [(one, name) for one in classes for name in _overriding(one)]
+        for one, name in overriding:
+            one.del_member(name)
+        for found in list(_objects(pkg)):
+            if found.docstring:
+                found.docstring.value = markdown(found.docstring.value)
+
+
+def _objects(inside: griffe.Object) -> Iterator[griffe.Object]:
+    yield inside
+    for member in list(inside.members.values()):
+        if not member.is_alias:
+            yield from _objects(member)
+
+
+def _take_methods(one: griffe.Class, package: griffe.Module) -> None:
+    """Methods of a class that are functions of other modules, as `lock` of Robot: the first argument is the object."""
+    names = [name for name, x in one.members.items() if x.is_attribute and not name.startswith("_")]
+    if not any(re.search(r"^ +[\w, ]+ = (classmethod\()?\w+\.\w+", line) for line in one.lines):
+        return
+    actual = getattr(importlib.import_module(one.module.path), one.name)
+    for name in dict.fromkeys([*names, *vars(actual)]):
+        method = inspect.unwrap(getattr(actual, name, None)) if not name.startswith("_") else None
+        function = getattr(method, "__func__", method)
+        if not inspect.isfunction(function) or function.__module__ == one.module.path:
+            continue
+        taken = copy.copy(package[f"{function.__module__}.{function.__qualname__}".removeprefix("torchdq.")])
+        taken.name = name
+        taken.parameters = griffe.Parameters(*list(taken.parameters)[1:])
+        taken.docstring = taken.docstring and griffe.Docstring(taken.docstring.value, parent=taken)
+        one.set_member(name, taken)
+
+
+def _document_fields(one: griffe.Class) -> None:
+    """Documents of fields, from the comments behind them."""
+    for field in one.members.values():
+        if field.is_attribute and not field.docstring and field.lineno:
+            line = one.module.lines[field.lineno - 1]
+            _, comment, text = line.partition("  # ")
+            if comment:
+                field.docstring = griffe.Docstring(text, parent=field)
+
+
+def _overriding(one: griffe.Class) -> list[str]:
+    """Methods that a base of the package documents."""
+    bases = [base for base in one.mro() if base.path.startswith("torchdq.")]
+    methods = [name for name, x in one.members.items() if x.is_function and not name.startswith("__")]
+    return [name for name in methods if any(name in base.members for base in bases)]

@@ -1,0 +1,30 @@
+"""Hooks of mkdocs: formulas as MathML, links to files beside docs/, pages of a folder in the nav."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent))
+import mathml
+import navigation
+import sources
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def on_config(config):
+    """The nav with the pages that are there, and formulas as an extension of Markdown."""
+    config.nav = navigation.of_pages(config.nav, Path(config.docs_dir))
+    config.markdown_extensions.append(mathml.Formulas())
+    return config
+
+
+def on_files(files, config):
+    """The pages, and a page for each file of the repository that a page links to."""
+    for file in sources.linked([file.src_uri for file in files.documentation_pages()], ROOT, config):
+        files.append(file)
+    return files
+
+
+def on_page_markdown(markdown, page, config, files):
+    """Markdown of a page whose links to files beside docs/ lead to their pages."""
+    return sources.with_links(markdown, page.file.src_uri, ROOT)
