@@ -132,7 +132,7 @@ def _pose(R: np.ndarray, p: np.ndarray) -> DualQuaternion:
     """Pose of a rotation matrix and a position, exact for rotations by quarter turns."""
     # in numpy, since robots are also aligned within transforms of torch
     candidates: np.ndarray = np.array(quat.from_rotation_rows(R.tolist()))
-    r = _unit(candidates[candidates.diagonal().argmax()])
+    r = _unit(candidates[np.argmax(np.diagonal(candidates))])
     return dq.from_pose(tuple(map(float, clean(r))), tuple(map(float, p)))
 
 
