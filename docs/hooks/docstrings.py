@@ -14,6 +14,7 @@ PARTS = {
     "Raises": "Errors",
     "Warns": "Warnings",
     "Attributes": "Attributes",
+    "Fields": "Fields",
 }
 ENTRY = re.compile(r" {4}([^\s:][^:\n]*):\s+(.*)")
 
@@ -106,13 +107,19 @@ def _take_methods(one: griffe.Class, package: griffe.Module) -> None:
 
 
 def _document_fields(one: griffe.Class) -> None:
-    """Documents of fields, from the comments behind them."""
-    for field in one.members.values():
-        if field.is_attribute and not field.docstring and field.lineno:
-            line = one.module.lines[field.lineno - 1]
-            _, comment, text = line.partition("  # ")
-            if comment:
-                field.docstring = griffe.Docstring(text, parent=field)
+    """Fields at the end of a class's document, from the comments behind them; private ones are no arguments."""
+    fields = []
+    for name, field in list(one.members.items()):
+        if not field.is_attribute or "property" in field.labels:
+            continue
+        if name.startswith("_"):
+            one.del_member(name)
+        elif not field.docstring and field.lineno:
+            _, comment, text = one.module.lines[field.lineno - 1].partition("  # ")
+            if comment and not text.startswith(("type:", "noqa")):
+                fields.append(f"    {name}: {text}")
+    if fields and one.docstring:
+        one.docstring.value += "\n\nFields:\n" + "\n".join(fields)
 
 
 def _overriding(one: griffe.Class) -> list[str]:
