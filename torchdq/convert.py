@@ -369,7 +369,7 @@ def acceleration_to_mujoco(X_WB: Tensor, V_WB_B: Tensor, A_WB_B: Tensor, qdd: Te
 
     >>> X_WB = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5, 0, 0, 0, 0])  # a quarter turn about z
     >>> turning, still = torch.tensor([0.0, 0, 2, 1, 0, 0]), torch.zeros(6)
-    >>> acceleration_to_mujoco(X_WB, turning, still, torch.zeros(1)).round(decimals=4)  # the velocity turns with the base
+    >>> acceleration_to_mujoco(X_WB, turning, still, torch.zeros(1)).round(decimals=4)  # v turns with the base
     tensor([-2.,  0.,  0.,  0.,  0.,  0.,  0.])
     """
     (w, v), (wd, vd) = (_parts(*x, 3, 3)[:2] for x in (("V_WB_B", V_WB_B), ("A_WB_B", A_WB_B)))
@@ -485,7 +485,7 @@ def acceleration_to_isaac(X_WB: Tensor, V_WB_B: Tensor, A_WB_B: Tensor, com: Ten
 
     >>> X_WB = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5, 0, 0, 0, 0])  # a quarter turn about z
     >>> turning, still = torch.tensor([0.0, 0, 2, 1, 0, 0]), torch.zeros(6)
-    >>> acceleration_to_isaac(X_WB, turning, still).round(decimals=4)  # the velocity turns with the base
+    >>> acceleration_to_isaac(X_WB, turning, still).round(decimals=4)  # v turns with the base
     tensor([-2.,  0.,  0.,  0.,  0.,  0.])
     """
     (w, v), (wd, vd) = (_parts(*x, 3, 3)[:2] for x in (("V_WB_B", V_WB_B), ("A_WB_B", A_WB_B)))

@@ -257,7 +257,7 @@ def potential_energy(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName
     >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
     ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
     >>> low, high = torchdq.dq.from_pose(torch.eye(4)[0], torch.tensor([[0.0, 0, 0], [0, 1, 0]]))
-    >>> potential_energy(robot, high, torch.zeros(2)) - potential_energy(robot, low, torch.zeros(2))  # gravity is along -y
+    >>> potential_energy(robot, high, torch.zeros(2)) - potential_energy(robot, low, torch.zeros(2))  # along y
     tensor(39.2400)
     """
     return _of("potential_energy", robot, {"X_WB": X_WB, "q": q}, backend)[0]

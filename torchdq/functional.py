@@ -43,6 +43,11 @@ def require_finite(**arguments: Tensor | None) -> None:
     The dynamics functions do not check values: a row with NaN gives a row with NaN. Call this function where such a row
     must be an error.
 
+    Args:
+        arguments: tensors by the names that the error states; None is left out.
+    Raises:
+        ArgumentError: a number is NaN or infinite.
+
     >>> import torch
     >>> require_finite(q=torch.zeros(3), qd=None)
     """
