@@ -338,6 +338,12 @@ def save_gif(frames: Iterable[np.ndarray], path: str | Path, fps: float = 25.0) 
 
     Raises:
         MissingLibraryError: Pillow is not installed.
+
+    >>> import tempfile
+    >>> file = Path(tempfile.mkdtemp()) / "film.gif"
+    >>> save_gif([np.zeros((4, 4, 3), np.uint8), np.full((4, 4, 3), 255, np.uint8)], file)
+    >>> file.read_bytes()[:3]
+    b'GIF'
     """
     images = [np.asarray(frame) for frame in frames]
     found = sorted({f"{image.dtype}{list(image.shape)}" for image in images})

@@ -1,8 +1,11 @@
-"""The code in the documents runs."""
+"""The code in the documents runs, and their links lead somewhere."""
 
+import doctest
+import posixpath
 import re
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from shutil import copy
 
 import helpers
 import pytest
@@ -14,7 +17,7 @@ from torchdq.envs import Scene, effects
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-README = [code for language, code in FENCE.findall((ROOT / "README.md").read_text(encoding="utf-8")) if language]
+README = [code for kind, code in FENCE.findall((ROOT / "README.md").read_text(encoding="utf-8")) if kind == "python"]
 # files of the reader: an arm, and a humanoid whose arm is one
 LINK = """<link name="{0}"><inertial><mass value="2"/><origin xyz="0 0.02 0.15"/>
 <inertia ixx="0.02" iyy="0.02" izz="0.004" ixy="0" ixz="0" iyz="0"/></inertial></link>
@@ -24,22 +27,37 @@ one_thread = helpers.one_thread
 
 
 LONG = "aoti_compile_and_package"  # takes a minute, so that a page with it ends there unless the test is exhaustive
-PAGES = sorted(DOCS.glob("*.md"))
+PAGES = sorted(DOCS.rglob("*.md"))
+SHOWN = {"sh", "text", "xml", "c", "json", "csv", "yaml"}  # languages of blocks that a page only shows
+PRINTED = doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE
+
+
+def page(path, whole):
+    """Parameter of a test: a page, or the whole of a long one."""
+    name = path.relative_to(DOCS).as_posix()
+    marks = [pytest.mark.exhaustive] if whole else []
+    return pytest.param(path, whole, marks=marks, id=f"all of {name}" if whole else name)
+
+
+@pytest.fixture
+def at_home(tmp_path, monkeypatch):
+    """Folder of a reader who has the descriptions of the examples."""
+    for file in (ROOT / "examples").glob("*.urdf"):
+        copy(file, tmp_path)
+    monkeypatch.chdir(tmp_path)
 
 
 @pytest.mark.parametrize(
     ("path", "whole"),
     [
-        *(pytest.param(path, False, id=path.name) for path in PAGES),
-        *(
-            pytest.param(path, True, marks=pytest.mark.exhaustive, id=f"all of {path.name}")
-            for path in PAGES
-            if LONG in path.read_text(encoding="utf-8")
-        ),
+        *(page(path, False) for path in PAGES),
+        *(page(path, True) for path in PAGES if LONG in path.read_text(encoding="utf-8")),
     ],
 )
-def test_every_block_of_a_document_runs_after_the_ones_before_it(path, whole):
+def test_every_block_of_a_document_runs_after_the_ones_before_it(path, whole, at_home):
+    """Blocks of python run; those with prompts, pycon, print what stands below them."""
     text, known = path.read_text(encoding="utf-8"), {"__name__": "document"}
+    printed = doctest.DocTestRunner(optionflags=PRINTED)
     for match in FENCE.finditer(text):
         language, code = match.groups()
         if LONG in code and not whole:
@@ -49,9 +67,17 @@ def test_every_block_of_a_document_runs_after_the_ones_before_it(path, whole):
             pytest.importorskip("onnxscript")
         if "import casadi" in code:
             pytest.importorskip("casadi")
-        assert language == "python", f"{path.name}: a block of {language or 'no language'} cannot be run"
         first = text.count("\n", 0, match.start()) + 1
-        exec(compile("\n" * first + code, str(path), "exec"), known)  # line numbers are those of the document
+        if language == "python":
+            exec(compile("\n" * first + code, str(path), "exec"), known)  # line numbers are those of the document
+        elif language == "pycon":
+            block = doctest.DocTestParser().get_doctest(code, known, path.name, str(path), first)
+            assert block.examples, f"{path.name}, line {first}: a block without a prompt is no pycon"
+            printed.run(block, clear_globs=False)
+            known.update(block.globs)
+        else:
+            assert language in SHOWN, f"{path.name}, line {first}: a block of {language or 'no language'} cannot be run"
+    assert not printed.failures, f"{path.name}: see above for what differs from what the page prints"
 
 
 def described(name, *arms):
@@ -109,6 +135,43 @@ def test_the_page_on_extending_has_what_it_promises():
     code = "".join(code for _, code in FENCE.findall((DOCS / "extending.md").read_text(encoding="utf-8")))
     for name in ("Gentle(Reach)", "TorchTask(", "(JointEffect)", "Integrator)", "Painter", ".memory", ".source()"):
         assert name in code, name
+
+
+LINK = re.compile(r"""\]\((?:<([^>]+)>|([^)\s]+))[^)]*\)|\b(?:src|href|srcset)=["']([^"']+)["']""")
+CODE = re.compile(r"^(```|~~~)[^\n]*\n.*?^\1|`[^`\n]+`", re.MULTILINE | re.DOTALL)
+HEADING = re.compile(r"^#{1,6} +(.+?) *#*$", re.MULTILINE)
+DOCUMENTS = [*sorted(ROOT.glob("*.md")), *PAGES]
+
+
+def anchors(text):
+    """Anchors of a page's headings, as a reader of the repository finds them, and those that it states."""
+    found = set(re.findall(r"""\b(?:id|name)=["']([^"']+)["']|\{#([\w-]+)\}""", text))
+    known = {x for pair in found for x in pair if x}
+    for heading in HEADING.findall(re.sub(r"^(```|~~~).*?^\1", "", text, flags=re.MULTILINE | re.DOTALL)):
+        words = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).replace("`", "").lower()
+        slug = re.sub(r"[^\w\- ]", "", words).replace(" ", "-")
+        known.add(slug if slug not in known else f"{slug}-1")
+    return known
+
+
+@pytest.mark.parametrize("path", DOCUMENTS, ids=[path.relative_to(ROOT).as_posix() for path in DOCUMENTS])
+def test_every_link_of_a_document_leads_somewhere(path):
+    """Links to other places of the network are not tried."""
+    text = path.read_text(encoding="utf-8")
+    for match in LINK.finditer(CODE.sub("", text)):
+        target, _, anchor = next(filter(None, match.groups())).partition("#")
+        if re.match(r"[a-z]+:", target):
+            continue
+        file = path if not target else ROOT / posixpath.normpath((path.parent / target).relative_to(ROOT).as_posix())
+        assert file.exists(), f"{path.name} links to {target}, which is not there"
+        if anchor and file.suffix == ".md" and file.parent.name != "api":
+            assert anchor in anchors(file.read_text(encoding="utf-8")), f"{path.name} links to {target}#{anchor}"
+
+
+def test_a_heading_has_the_anchor_of_its_words():
+    text = '# What `read` takes\n\n## C, and [C++](x.md)\n\n```sh\n# no heading\n```\n<a id="own"></a>\n## Done {#end}'
+    assert {"what-read-takes", "c-and-c", "own", "end"} <= anchors(text)
+    assert "no-heading" not in anchors(text)
 
 
 def test_a_scene_gives_several_threads_what_it_gives_one():

@@ -43,6 +43,12 @@ def computed_torque(
         f_tip: wrench the end effector exerts on the environment [N, N m], shape [..., 6], in the tip frame.
 
     Source: (73)-(78); departure: erratum 75.
+
+    >>> import torch, torchdq
+    >>> robot, q = torchdq.robots.load("two_link"), torch.zeros(2, dtype=torch.float64)
+    >>> tau = computed_torque(robot, q, q, q + 0.1, q, q, kp=100.0, kd=20.0)
+    >>> torchdq.forward_dynamics(robot, q, q, tau)  # kp times the error
+    tensor([10.0000, 10.0000], dtype=torch.float64)
     """
     require_tensor("q", q)
     given = {"q": q, "qd": qd, "q_des": q_des, "qd_des": qd_des, "qdd_des": qdd_des}

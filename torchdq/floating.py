@@ -154,6 +154,13 @@ def mass_matrix(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | No
 
     Args:
         robot, X_WB, q: as in `inverse_dynamics`; the matrix depends on X_WB only through its batch axes.
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
+    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
+    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
+    >>> mass_matrix(robot, X_WB, q).base[3:, 3:].diagonal()  # 2 kg and two links of 1 kg
+    tensor([4., 4., 4.])
     """
     (M,) = _of("mass_matrix", robot, {"X_WB": X_WB, "q": q}, backend)
     return MassMatrix(M, M[..., :6, :6], M[..., :6, 6:], M[..., 6:, 6:])
@@ -166,6 +173,13 @@ def closed_form(
 
     Args:
         robot, X_WB, q, V_WB_B, qd: as in `inverse_dynamics`.
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
+    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
+    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
+    >>> closed_form(robot, X_WB, q, torch.zeros(6), torch.zeros(2)).g[4]  # the weight of 4 kg
+    tensor(39.2400)
     """
     return FreeClosedForm(*_of("closed_form", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend))
 
@@ -175,6 +189,13 @@ def error_growth(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | N
 
     Args:
         robot, X_WB, q: as in `inverse_dynamics`.
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
+    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
+    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
+    >>> error_growth(robot, X_WB, q) > 1
+    tensor(True)
     """
     return _of("error_growth", robot, {"X_WB": X_WB, "q": q}, backend)[0]
 
@@ -193,6 +214,13 @@ def regressor(
 
     Args:
         robot, X_WB, q, V_WB_B, qd, A_WB_B, qdd: as in `inverse_dynamics`.
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
+    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
+    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
+    >>> regressor(robot, X_WB, q).shape  # eight rows of forces, three bodies of ten parameters
+    torch.Size([8, 30])
     """
     given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "A_WB_B": A_WB_B, "qdd": qdd}
     return _of("regressor", robot, given, backend)[0]
@@ -208,6 +236,13 @@ def kinetic_energy(
 
     Args:
         robot, X_WB, q, V_WB_B, qd: as in `inverse_dynamics`.
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
+    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
+    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
+    >>> kinetic_energy(robot, X_WB, q, torch.tensor([0.0, 0, 0, 1, 0, 0]), torch.zeros(2))  # 4 kg at 1 m/s
+    tensor(2.)
     """
     return _of("kinetic_energy", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend)[0]
 
@@ -217,6 +252,13 @@ def potential_energy(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName
 
     Args:
         robot, X_WB, q: as in `inverse_dynamics`.
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
+    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
+    >>> low, high = torchdq.dq.from_pose(torch.eye(4)[0], torch.tensor([[0.0, 0, 0], [0, 1, 0]]))
+    >>> potential_energy(robot, high, torch.zeros(2)) - potential_energy(robot, low, torch.zeros(2))  # along y
+    tensor(39.2400)
     """
     return _of("potential_energy", robot, {"X_WB": X_WB, "q": q}, backend)[0]
 
@@ -226,6 +268,13 @@ def centre_of_mass(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName |
 
     Args:
         robot, X_WB, q: as in `inverse_dynamics`.
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
+    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
+    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
+    >>> centre_of_mass(robot, X_WB, q)
+    tensor([0.5000, 0.0000, 0.0000])
     """
     return _of("centre_of_mass", robot, {"X_WB": X_WB, "q": q}, backend)[0]
 
@@ -237,6 +286,13 @@ def momentum(
 
     Args:
         robot, X_WB, q, V_WB_B, qd: as in `inverse_dynamics`.
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
+    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
+    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
+    >>> momentum(robot, X_WB, q, torch.tensor([0.0, 0, 0, 1, 0, 0]), torch.zeros(2)).linear  # 4 kg at 1 m/s
+    tensor([4., 0., 0.])
     """
     return Momentum(*_of("momentum", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend))
 
@@ -255,6 +311,13 @@ def momentum_rate(
 
     Args:
         robot, X_WB, q, V_WB_B, qd, A_WB_B, qdd: as in `inverse_dynamics`.
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
+    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
+    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
+    >>> momentum_rate(robot, X_WB, q, A_WB_B=torch.tensor([0.0, 0, 0, 1, 0, 0])).linear
+    tensor([4., 0., 0.])
     """
     given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "A_WB_B": A_WB_B, "qdd": qdd}
     return Momentum(*_of("momentum_rate", robot, given, backend))
@@ -275,6 +338,13 @@ def forward_kinematics(
     Args:
         robot, X_WB, q: as in `inverse_dynamics`.
         frame: name of the frame, or names of several; None: all of them, in the order of `robot.frame_names`.
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
+    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
+    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
+    >>> torchdq.dq.translation(forward_kinematics(robot, X_WB, q, robot.tip))
+    tensor([2., 0., 0.])
     """
     known = require_robot(robot).frame_names
     if isinstance(frame, str):
@@ -300,6 +370,13 @@ def jacobian(
     Args:
         robot, X_WB, q: as in `inverse_dynamics`.
         frame, expressed: as in `torchdq.jacobian`; "world" are the axes of the world.
+
+    >>> import torch, torchdq
+    >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
+    ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
+    >>> X_WB, q = torch.eye(8)[0], torch.zeros(2)
+    >>> jacobian(robot, X_WB, q, robot.tip).shape
+    torch.Size([6, 8])
     """
     options = options_of(require_robot(robot), "jacobian", (frame, expressed))
     return _of("jacobian", robot, {"X_WB": X_WB, "q": q}, backend, options)[0]

@@ -43,6 +43,11 @@ def require_finite(**arguments: Tensor | None) -> None:
     The dynamics functions do not check values: a row with NaN gives a row with NaN. Call this function where such a row
     must be an error.
 
+    Args:
+        arguments: tensors by the names that the error states; None is left out.
+    Raises:
+        ArgumentError: a number is NaN or infinite.
+
     >>> import torch
     >>> require_finite(q=torch.zeros(3), qd=None)
     """
@@ -288,6 +293,12 @@ def kinetic_energy(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | N
     Args:
         robot: the robot.
         q, qd: joint positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
+
+    >>> import torch, torchdq
+    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> energy, M = kinetic_energy(robot, q, q), mass_matrix(robot, q)
+    >>> torch.isclose(energy, q @ M @ q / 2)
+    tensor(True)
     """
     return function_of("kinetic_energy", robot, {"q": q, "qd": qd}, backend)[0]
 
@@ -298,6 +309,12 @@ def potential_energy(robot: Robot, q: Tensor, backend: BackendName | None = None
     Args:
         robot: the robot.
         q: joint positions [rad or m], shape [..., n].
+
+    >>> import torch, torchdq
+    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> slope = torch.func.grad(lambda q: potential_energy(robot, q))(q)
+    >>> torch.allclose(slope, inverse_dynamics(robot, q))
+    True
     """
     return function_of("potential_energy", robot, {"q": q}, backend)[0]
 
@@ -388,6 +405,12 @@ def dynamics_jacobian(
         robot: the robot.
         q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2],
             shape [..., n].
+
+    >>> import torch, torchdq
+    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> dtau_dq, dtau_dqd, M = dynamics_jacobian(robot, q, q, q)
+    >>> torch.equal(M, mass_matrix(robot, q))
+    True
     """
     dtau_dq, dtau_dqd = function_of("inverse_dynamics_jacobian", robot, {"q": q, "qd": qd, "qdd": qdd}, backend)
     return dtau_dq, dtau_dqd, mass_matrix(robot, q, backend).expand_as(dtau_dq)

@@ -1,9 +1,9 @@
 """Docstrings of the package as Markdown, and public members that reading the sources alone does not show."""
 
+import ast
 import copy
-import importlib
-import inspect
 import re
+import textwrap
 from collections.abc import Iterable, Iterator
 
 import griffe
@@ -14,6 +14,7 @@ PARTS = {
     "Raises": "Errors",
     "Warns": "Warnings",
     "Attributes": "Attributes",
+    "Fields": "Fields",
 }
 ENTRY = re.compile(r" {4}([^\s:][^:\n]*):\s+(.*)")
 
@@ -89,30 +90,51 @@ def _objects(inside: griffe.Object) -> Iterator[griffe.Object]:
 
 def _take_methods(one: griffe.Class, package: griffe.Module) -> None:
     """Methods of a class that are functions of other modules, as `lock` of Robot: the first argument is the object."""
-    names = [name for name, x in one.members.items() if x.is_attribute and not name.startswith("_")]
-    if not any(re.search(r"^ +[\w, ]+ = (classmethod\()?\w+\.\w+", line) for line in one.lines):
-        return
-    actual = getattr(importlib.import_module(one.module.path), one.name)
-    for name in dict.fromkeys([*names, *vars(actual)]):
-        method = inspect.unwrap(getattr(actual, name, None)) if not name.startswith("_") else None
-        function = getattr(method, "__func__", method)
-        if not inspect.isfunction(function) or function.__module__ == one.module.path:
+    for statement in ast.parse(textwrap.dedent("\n".join(one.lines))).body[0].body:
+        if not isinstance(statement, ast.Assign):
             continue
-        taken = copy.copy(package[f"{function.__module__}.{function.__qualname__}".removeprefix("torchdq.")])
-        taken.name = name
-        taken.parameters = griffe.Parameters(*list(taken.parameters)[1:])
-        taken.docstring = taken.docstring and griffe.Docstring(taken.docstring.value, parent=taken)
-        one.set_member(name, taken)
+        target, value = statement.targets[0], statement.value
+        several = isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple)
+        for name, taken in zip(target.elts, value.elts, strict=True) if several else [(target, value)]:
+            match taken.args[0] if isinstance(taken, ast.Call) and taken.args else taken:
+                case ast.Attribute(ast.Name(module), attribute) if one.module.members.get(module, one).is_alias:
+                    path = f"{one.module.members[module].target_path}.{attribute}"
+                    function = _at(path, package)
+                    if function:
+                        one.set_member(name.id, _method(name.id, function))
+
+
+def _at(path: str, package: griffe.Module) -> griffe.Function | None:
+    """Function of the package at a path; None: there is none."""
+    try:
+        found = package[path.removeprefix("torchdq.")]
+    except KeyError:
+        return None
+    return found if found.is_function else None
+
+
+def _method(name: str, function: griffe.Function) -> griffe.Function:
+    taken = copy.copy(function)
+    taken.name = name
+    taken.parameters = griffe.Parameters(*list(function.parameters)[1:])
+    taken.docstring = function.docstring and griffe.Docstring(function.docstring.value, parent=taken)
+    return taken
 
 
 def _document_fields(one: griffe.Class) -> None:
-    """Documents of fields, from the comments behind them."""
-    for field in one.members.values():
-        if field.is_attribute and not field.docstring and field.lineno:
-            line = one.module.lines[field.lineno - 1]
-            _, comment, text = line.partition("  # ")
-            if comment:
-                field.docstring = griffe.Docstring(text, parent=field)
+    """Fields at the end of a class's document, from the comments behind them; private ones are no arguments."""
+    fields = []
+    for name, field in list(one.members.items()):
+        if not field.is_attribute or "property" in field.labels:
+            continue
+        if name.startswith("_"):
+            one.del_member(name)
+        elif not field.docstring and field.lineno:
+            _, comment, text = one.module.lines[field.lineno - 1].partition("  # ")
+            if comment and not text.startswith(("type:", "noqa")):
+                fields.append(f"    {name}: {text}")
+    if fields and one.docstring:
+        one.docstring.value += "\n\nFields:\n" + "\n".join(fields)
 
 
 def _overriding(one: griffe.Class) -> list[str]:

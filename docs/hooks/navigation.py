@@ -22,7 +22,8 @@ def _expanded(nav: list, docs: Path, named: set[str]) -> list:
         if isinstance(target, list):
             pages = _expanded(target, docs, named)
         elif "*" in target:
-            pages = [p.relative_to(docs).as_posix() for p in sorted(docs.glob(target))]
+            matching = sorted(docs.glob(target))
+            pages = [p.relative_to(docs).with_suffix(".md").as_posix() for p in matching]  # notebooks become pages
             pages = [page for page in pages if page not in named]
         else:
             if (docs / target).exists():

@@ -6,7 +6,9 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent))
 import mathml
 import navigation
+import notebooks
 import sources
+from mkdocs.structure.files import File
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -19,8 +21,11 @@ def on_config(config):
 
 
 def on_files(files, config):
-    """The pages, and a page for each file of the repository that a page links to."""
-    for file in sources.linked([file.src_uri for file in files.documentation_pages()], ROOT, config):
+    """The pages, one for each notebook, and one for each file of the repository that a page links to."""
+    for notebook in [file for file in files if file.src_uri.endswith(".ipynb")]:
+        content = notebooks.page(Path(notebook.abs_src_path))
+        files.append(File.generated(config, notebook.src_uri.replace(".ipynb", ".md"), content=content))
+    for file in sources.linked(files.documentation_pages(), ROOT, config):
         files.append(file)
     return files
 

@@ -5,18 +5,19 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
-from mkdocs.structure.files import File
+from mkdocs.structure.files import File, InclusionLevel
 
 LINK = re.compile(r"(\]\()(?![a-z]+:|#|/)([^)#\s]+)((?:#[^)\s]*)?\))")
 FENCE = re.compile(r"^(```+|~~~+)[^\n]*\n.*?^\1\s*$", re.MULTILINE | re.DOTALL)
 PICTURES = {".png", ".gif", ".svg", ".jpg", ".webp"}
 LANGUAGES = {".py": "python", ".c": "c", ".h": "c", ".toml": "toml", ".urdf": "xml", ".xml": "xml", ".cff": "yaml"}
+UNSEARCHED = "---\nsearch: { exclude: true }\n---\n\n"
 FIRST_PAGE = "README.md"  # of the repository; that of the site says the same
 
 
-def linked(pages: Iterable[str], root: Path, config) -> list[File]:
+def linked(pages: Iterable[File], root: Path, config) -> list[File]:
     """Files of the site for all files beside docs/ that pages link to, and that those pages link to."""
-    known, queue = set(), [(page, (root / "docs" / page).read_text(encoding="utf-8")) for page in pages]
+    known, queue = set(), [(page.src_uri, page.content_string) for page in pages]
     found = []
     while queue:
         page, text = queue.pop()
@@ -25,12 +26,12 @@ def linked(pages: Iterable[str], root: Path, config) -> list[File]:
                 continue
             known.add(target)
             if Path(target).suffix in PICTURES:
-                found.append(File.generated(config, _place(target, root), abs_src_path=str(root / target)))
+                found.append(File.generated(config, _place(target), abs_src_path=str(root / target)))
                 continue
             content = _page(root / target, target)
-            found.append(File.generated(config, _place(target, root), content=content))
+            found.append(File.generated(config, _place(target), content=content, inclusion=InclusionLevel.NOT_IN_NAV))
             if target.endswith(".md"):
-                queue.append((_place(target, root), content))
+                queue.append((_place(target), content))
     return found
 
 
@@ -39,9 +40,9 @@ def with_links(markdown: str, page: str, root: Path) -> str:
 
     def link(m: re.Match) -> str:
         target = _target(m[2], page)
-        if (target.startswith("docs/") and not page.isupper()) or not (root / target).exists():
+        if not (root / target).exists():
             return m[0]
-        return m[1] + posixpath.relpath(_place(target, root), posixpath.dirname(page) or ".") + m[3]
+        return m[1] + posixpath.relpath(_place(target), posixpath.dirname(page) or ".") + m[3]
 
     parts, end = [], 0
     for fence in FENCE.finditer(markdown):
@@ -60,7 +61,7 @@ def _target(link: str, page: str) -> str:
     return posixpath.normpath(posixpath.join(folder, link))
 
 
-def _place(target: str, root: Path) -> str:
+def _place(target: str) -> str:
     """Path in the site of a file of the repository."""
     if target == FIRST_PAGE:
         return "index.md"
@@ -75,7 +76,9 @@ def _page(path: Path, name: str) -> str:
     if path.suffix == ".md":
         return path.read_text(encoding="utf-8")
     if path.is_dir():
-        return f"# {name}\n\n" + "\n".join(f"* `{p.name}`" for p in sorted(path.iterdir()) if p.name[0] not in "._")
+        return f"{UNSEARCHED}# {name}\n\n" + "\n".join(
+            f"* `{p.name}`" for p in sorted(path.iterdir()) if p.name[0] not in "._"
+        )
     kind = LANGUAGES.get(path.suffix, "text")
     text = path.read_text(encoding="utf-8")
-    return f"# {name}\n\n````{kind}\n{text}````\n"
+    return f"{UNSEARCHED}# {name}\n\n````{kind}\n{text}````\n"

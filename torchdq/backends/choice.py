@@ -35,6 +35,9 @@ _chosen: ContextVar[BackendName] = ContextVar("torchdq_backend", default="auto")
 def backend(name: BackendName) -> Iterator[None]:
     """Context in which functions and modules use this backend, unless their own argument `backend` names another.
 
+    Args:
+        name: "auto", "eager", "c" or "cuda".
+
     >>> import torchdq
     >>> with backend("eager"):
     ...     tau = torchdq.inverse_dynamics(torchdq.robots.load("two_link"), torch.zeros(2))

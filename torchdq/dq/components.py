@@ -48,7 +48,14 @@ def split_rows(name: str, x: Tensor, size: int) -> tuple[tuple, ...]:
 
 
 def stack(components) -> Tensor:
-    """Tensor [..., k] of k components, or [..., 2 k] of a pair; Python numbers become constants."""
+    """Tensor [..., k] of k components, or [..., 2 k] of a pair; Python numbers become constants.
+
+    Args:
+        components: tensors that broadcast and numbers, one tensor at least; or a pair of such rows.
+
+    >>> stack((torch.zeros(5), 1.0, 2.0)).shape
+    torch.Size([5, 3])
+    """
     flat = [*components[0], *components[1]] if isinstance(components[0], tuple) else list(components)
     like = next(c for c in flat if isinstance(c, Tensor))
     flat = [c if isinstance(c, Tensor) else torch.full_like(like, c) for c in flat]

@@ -26,6 +26,9 @@ def exp(a: Tensor) -> Tensor:
     with a constant body twist during dt. Accurate to rounding, with first and second derivatives, at every angle.
     The printed (25) is not the exponential unless the line meets the origin (erratum 25).
 
+    Args:
+        a: pure dual quaternion: half of a line times its angle, or half of a displacement, shape [..., 6].
+
     >>> translation(exp(torch.tensor([0.0, 0, 0, 1, 2, 3])))  # half of the translation
     tensor([2., 4., 6.])
     """
@@ -39,6 +42,9 @@ def log(x: Tensor) -> Tensor:
     `log_shortest` takes the shorter one. At P(x) = -1, a full turn, the axis is not unique: it is the line along the
     displacement, or along x if there is no displacement.
 
+    Args:
+        x: unit dual quaternion, shape [..., 8].
+
     >>> log(exp(torch.tensor([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))).mul(10).round().int().tolist()
     [1, 2, 3, 10, 20, 30]
     """
@@ -50,6 +56,13 @@ def log_shortest(x: Tensor) -> Tensor:
 
     Both signs of a pose give the same result, except where the angle is exactly pi (w = 0): there both turns are as
     long, and that of x is taken, so that -x gives the opposite turn. The gradient is discontinuous there.
+
+    Args:
+        x: unit dual quaternion, shape [..., 8].
+
+    >>> x = exp(torch.tensor([0.0, 0, 0.5, 0, 0, 1]))
+    >>> torch.allclose(log_shortest(-x), log(x))
+    True
     """
     checked("x", x, 8)
     return log(torch.where(x[..., :1] < 0, -x, x))
@@ -61,6 +74,11 @@ def sclerp(x: Tensor, y: Tensor, t: Tensor | float) -> Tensor:
     Args:
         x, y: poses, shape [..., 8].
         t: fraction [1], shape [...] or a number; outside [0, 1] it extrapolates.
+
+    >>> one = torch.tensor([1.0, 0, 0, 0])
+    >>> x, y = from_pose(one, torch.zeros(3)), from_pose(one, torch.tensor([2.0, 4, 6]))
+    >>> translation(sclerp(x, y, 0.5))
+    tensor([1., 2., 3.])
     """
     checked("x", x, 8)
     checked("y", y, 8)
@@ -117,6 +135,9 @@ def from_pose(rotation: Tensor, position: Tensor) -> Tensor:
     Args:
         rotation: unit quaternion (w, x, y, z) that turns B components into A components, shape [..., 4].
         position: position of B's origin in A [m], shape [..., 3].
+
+    >>> translation(from_pose(torch.tensor([1.0, 0, 0, 0]), torch.tensor([1.0, 2, 3])))
+    tensor([1., 2., 3.])
     """
     return computed(
         dual_quaternion.from_pose, rotation=checked("rotation", rotation, 4), position=checked("position", position, 3)
@@ -124,27 +145,68 @@ def from_pose(rotation: Tensor, position: Tensor) -> Tensor:
 
 
 def rotation(x: Tensor) -> Tensor:
-    """Unit quaternion r [..., 4] of the pose x [..., 8], the primary part."""
+    """Unit quaternion r [..., 4] of the pose x [..., 8], the primary part.
+
+    Args:
+        x: pose, shape [..., 8].
+
+    >>> rotation(from_pose(torch.tensor([0.0, 0, 0, 1]), torch.tensor([1.0, 2, 3])))
+    tensor([0., 0., 0., 1.])
+    """
     return checked("x", x, 8)[..., :4]
 
 
 def translation(x: Tensor) -> Tensor:
-    """Position p = 2 D P* [..., 3] of B's origin in A [m], of the pose x = X_AB [..., 8]."""
+    """Position p = 2 D P* [..., 3] of B's origin in A [m], of the pose x = X_AB [..., 8].
+
+    Args:
+        x: pose X_AB, shape [..., 8].
+
+    >>> translation(torch.tensor([1.0, 0, 0, 0, 0, 0.5, 1, 1.5]))
+    tensor([1., 2., 3.])
+    """
     return computed(dual_quaternion.translation, x=checked("x", x, 8))
 
 
 def translation_body(x: Tensor) -> Tensor:
-    """Position p^b = 2 P* D [..., 3] of B's origin in B's own axes [m], of the pose x = X_AB [..., 8] (28)."""
+    """Position p^b = 2 P* D [..., 3] of B's origin in B's own axes [m], of the pose x = X_AB [..., 8] (28).
+
+    Args:
+        x: pose X_AB, shape [..., 8].
+
+    >>> r = torch.tensor([0.0, 0, 0, 1])  # a half turn about z
+    >>> translation_body(from_pose(r, torch.tensor([1.0, 2, 3])))
+    tensor([-1., -2.,  3.])
+    """
     return computed(dual_quaternion.translation_body, x=checked("x", x, 8))
 
 
 def rotate(r: Tensor, v: Tensor) -> Tensor:
-    """Vector r v r* [..., 3]: v rotated by the unit quaternion r [..., 4]."""
+    """Vector r v r* [..., 3]: v rotated by the unit quaternion r [..., 4].
+
+    Args:
+        r: unit quaternion, shape [..., 4].
+        v: vector, shape [..., 3].
+
+    >>> r = torch.tensor([0.0, 0, 0, 1])  # a half turn about z
+    >>> rotate(r, torch.tensor([1.0, 2, 3]))
+    tensor([-1., -2.,  3.])
+    """
     return computed(quaternion.rotate, r=checked("r", r, 4), v=checked("v", v, 3))
 
 
 def to_rotation_matrix(r: Tensor) -> Tensor:
-    """Rotation matrix [..., 3, 3] of a unit quaternion [..., 4]."""
+    """Rotation matrix [..., 3, 3] of a unit quaternion [..., 4].
+
+    Args:
+        r: unit quaternion, shape [..., 4].
+
+    >>> r = torch.tensor([0.0, 0, 0, 1])  # a half turn about z
+    >>> to_rotation_matrix(r)
+    tensor([[-1.,  0.,  0.],
+            [ 0., -1.,  0.],
+            [ 0.,  0.,  1.]])
+    """
     return computed(_rotation_rows, (3, 3), r=checked("r", r, 4))
 
 
@@ -153,6 +215,12 @@ def from_rotation_matrix(matrix: Tensor) -> Tensor:
 
     The largest of the four components is computed from the diagonal, and the others by a division by it, so that no
     rotation is close to a singularity.
+
+    Args:
+        matrix: rotation matrix, shape [..., 3, 3]; it is not checked.
+
+    >>> from_rotation_matrix(torch.diag(torch.tensor([-1.0, -1, 1])))  # a half turn about z
+    tensor([0., 0., 0., 1.])
     """
     candidates = stack_rows(quaternion.from_rotation_rows(split_rows("matrix", matrix, 3)))
     squares = candidates.diagonal(dim1=-2, dim2=-1)
@@ -165,6 +233,9 @@ def from_rotation_matrix(matrix: Tensor) -> Tensor:
 def to_matrix(x: Tensor) -> Tensor:
     """Homogeneous matrix [..., 4, 4] of the pose x [..., 8].
 
+    Args:
+        x: pose X_AB, shape [..., 8].
+
     >>> to_matrix(from_pose(torch.tensor([1.0, 0, 0, 0]), torch.tensor([1.0, 2, 3])))[:3, 3]
     tensor([1., 2., 3.])
     """
@@ -172,6 +243,14 @@ def to_matrix(x: Tensor) -> Tensor:
 
 
 def from_matrix(matrix: Tensor) -> Tensor:
-    """Pose [..., 8] of a homogeneous matrix [..., 4, 4], with w >= 0."""
+    """Pose [..., 8] of a homogeneous matrix [..., 4, 4], with w >= 0.
+
+    Args:
+        matrix: homogeneous matrix, shape [..., 4, 4]; its rotation is not checked.
+
+    >>> x = exp(torch.tensor([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))
+    >>> torch.allclose(from_matrix(to_matrix(x)), x)
+    True
+    """
     require_square("matrix", matrix, 4)
     return from_pose(from_rotation_matrix(matrix[..., :3, :3]), matrix[..., :3, 3])

@@ -304,6 +304,11 @@ def compile(
         UnknownNameError: there is no such function, argument or frame.
         ArgumentError: an option means nothing to the function.
         BuildError: the C compiler failed. Without one the program runs as torch operations, and a warning says so once.
+
+    >>> import torchdq
+    >>> program = torchdq.compile(torchdq.robots.load("two_link"), "mass_matrix")
+    >>> program.count().multiplications
+    3
     """
     if isinstance(robot, Program):
         if function or arguments is not None or options:

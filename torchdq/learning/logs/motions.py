@@ -81,6 +81,13 @@ def smooth(
         LogError: the log is too short, or nothing moves in it.
         ArgumentError: a frequency is not between zero and half the rate of the rows, or no rows are left.
         MissingLibraryError: scipy is not installed.
+
+    >>> import numpy as np
+    >>> from torchdq.learning import read
+    >>> time = np.arange(0, 10, 0.01)[:, None]
+    >>> log = read({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
+    >>> smooth(log).qdd.shape
+    (886, 1)
     """
     if not isinstance(log, Log):
         raise ArgumentError(f"log must be a Log, found {type(log).__name__}; read(path) reads one")
@@ -160,6 +167,15 @@ def cut(motion: Motion, share: float) -> tuple[Motion, Motion]:
         share: fraction of the rows that the first part gets, between 0 and 1.
     Raises:
         ArgumentError: a part would be empty.
+
+    >>> import numpy as np
+    >>> from torchdq.learning import read
+    >>> time = np.arange(0, 10, 0.01)[:, None]
+    >>> log = read({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
+    >>> motion = smooth(log)
+    >>> first, rest = cut(motion, 0.7)
+    >>> len(first.time) > len(rest.time)
+    True
     """
     rows = len(motion.time)
     require_number("share", share)
@@ -186,6 +202,15 @@ def hold_out(motions: Sequence[Motion], share: float, seed: int = 0) -> tuple[li
         seed: seed of the choice.
     Raises:
         ArgumentError: there are fewer than two motions, or the share is not between 0 and 1.
+
+    >>> import numpy as np
+    >>> from torchdq.learning import read
+    >>> time = np.arange(0, 10, 0.01)[:, None]
+    >>> log = read({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
+    >>> motion = smooth(log)
+    >>> fitted, tested = hold_out([motion, motion, motion], share=0.3)
+    >>> len(fitted), len(tested)
+    (2, 1)
     """
     if len(motions) < 2:
         raise ArgumentError(f"motions must be at least two to hold one out, found {len(motions)}; cut a single one")
@@ -209,6 +234,14 @@ def samples(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.float
     Raises:
         ArgumentError: there is no motion, they have different numbers of joints, or torques are missing or in units
             of unknown gains.
+
+    >>> import numpy as np
+    >>> from torchdq.learning import read
+    >>> time = np.arange(0, 10, 0.01)[:, None]
+    >>> log = read({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
+    >>> motion = smooth(log)
+    >>> samples([motion, motion]).tau.shape
+    torch.Size([1772, 1])
     """
     several = _several(motions)
     require_torques(several)
@@ -240,6 +273,14 @@ def directions(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.fl
         dtype: dtype of the tensor.
     Raises:
         ArgumentError: as `samples`, or a motion has no directions.
+
+    >>> import numpy as np
+    >>> from torchdq.learning import read
+    >>> time = np.arange(0, 10, 0.01)[:, None]
+    >>> log = read({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
+    >>> motion = smooth(log)
+    >>> directions(motion).shape
+    torch.Size([886, 1])
     """
     parts = [motion.direction for motion in _several(motions)]
     known = [x for x in parts if x is not None]

@@ -15,12 +15,21 @@ ROBOTS: dict[str, Callable[[], Robot]] = {
 
 
 def names() -> tuple[str, ...]:
-    """Names of the shipped robots."""
+    """Names of the shipped robots.
+
+    >>> names()
+    ('two_link', 'panda', 'ur10e', 'puma560')
+    """
     return tuple(ROBOTS)
 
 
 def load(name: str) -> Robot:
     """Shipped robot of that name.
+
+    Args:
+        name: one of `names()`.
+    Raises:
+        UnknownNameError: there is no such robot; the message has the closest names.
 
     >>> load("two_link").n
     2

@@ -1,0 +1,168 @@
+"""The documentation builds without a warning, fetches nothing, and has every public name once."""
+
+import importlib
+import inspect
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import torchdq
+import torchdq.envs
+import torchdq.learning
+import torchdq.residual
+from torchdq import effects
+from torchdq.envs import controllers, integrators
+
+filelock = pytest.importorskip("filelock")
+pytest.importorskip("mkdocs")
+pytest.importorskip("mkdocstrings")
+
+ROOT = Path(__file__).resolve().parents[1]
+API = sorted((ROOT / "docs/api").glob("*.md"))
+SHOWN = [name for page in API for name in re.findall(r"^::: (\S+)$", page.read_text(encoding="utf-8"), re.MULTILINE)]
+# what a browser loads by itself, not what a reader follows
+LOADED = re.compile(
+    r"""<(?:script|img|iframe|source|video|audio|embed|object)\b[^>]*\b(?:src|srcset|data)=["']?(?:https?:)?//[^>]*>"""
+    r"""|<link\b(?=[^>]*\brel=["']?(?:stylesheet|preconnect|preload|dns-prefetch|icon))[^>]*href=["']?(?:https?:)?//[^>]*>"""
+    r"""|@import\s+["'](?:https?:)?//[^"']*|url\(\s*["']?(?:https?:)?//[^)]*\)"""
+)
+# the scripts of the theme fetch these if a page has a diagram, names a repository, or is read in a browser before 2020
+UNUSED = {"unpkg.com/mermaid@11", "unpkg.com/resize-observer-polyfill", "api.github.com/repos", "api.github.com/users"}
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory):
+    """Folder of the built pages, built once by all processes together."""
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "site"
+    with filelock.FileLock(f"{folder}.lock"):
+        if not (folder / "built").exists():
+            order = [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)]
+            done = subprocess.run(order, cwd=ROOT, capture_output=True, text=True, timeout=300)
+            assert not done.returncode, done.stderr + done.stdout
+            (folder / "built").touch()
+    return folder
+
+
+def pages(site):
+    return {path.relative_to(site).as_posix(): path.read_text(encoding="utf-8") for path in site.rglob("*.html")}
+
+
+def test_the_site_builds_strictly(site):
+    """A warning, such as a link that leads nowhere or a page that is not in the nav, is an error."""
+    assert (site / "api/functions.html").exists()
+
+
+def test_nothing_is_fetched_while_pages_are_read(site):
+    texts = [*site.rglob("*.html"), *site.rglob("*.css"), *site.rglob("*.svg")]
+    found = [(path.name, m[0]) for path in texts for m in LOADED.finditer(path.read_text(encoding="utf-8"))]
+    assert not found
+    for script in site.rglob("*.js"):
+        if script.name == "search_index.js":
+            continue
+        fetched = re.findall(r"""["'`]https?://([\w.-]+/[\w@.-]+)""", script.read_text(encoding="utf-8"))
+        assert set(fetched) <= UNUSED, script
+    assert not any('class="mermaid"' in text or "data-md-source" in text for text in pages(site).values())
+
+
+def test_what_a_browser_would_load_is_noticed():
+    for text in (
+        '<script async src="https://a.b/c.js">',
+        '<link href="//fonts.com/x.css" rel="stylesheet">',
+        '<link rel="stylesheet" href="https://a.b/x.css">',
+        '@import "https://a.b"',
+        "url(https://a.b/x.woff)",
+        '<img alt="x" src=https://a.b/c.png>',
+    ):
+        assert LOADED.search(text), text
+    assert not LOADED.search('<a href="https://a.b">text</a> <link rel="canonical" href="https://a.b">')
+
+
+def test_formulas_are_drawn_by_the_browser(site):
+    without_code = {
+        name: re.sub(r"<(pre|code)\b.*?</\1>", "", text, flags=re.DOTALL) for name, text in pages(site).items()
+    }
+    assert not [
+        name for name, text in without_code.items() if "$$" in text or re.search(r"\$\\?[a-zA-Z\\][^<$]*\$", text)
+    ]
+
+
+def test_search_needs_no_server(site):
+    assert (site / "search/search_index.js").read_text(encoding="utf-8").startswith("var __index = ")
+    assert "iframe-worker.js" in (site / "api/functions.html").read_text(encoding="utf-8")
+
+
+def public():
+    """Public names: those of `__all__`, and functions and classes of the modules that are public as a whole."""
+    modules = {
+        "torchdq.effects": effects,
+        "torchdq.dq": torchdq.dq,
+        "torchdq.learning": torchdq.learning,
+        "torchdq.residual": torchdq.residual,
+        "torchdq.envs": torchdq.envs,
+    }
+    names = [f"{module}.{name}" for module, of in modules.items() for name in of.__all__]
+    names += [f"torchdq.{name}" for name in dir(torchdq)]
+    whole = {
+        "torchdq.convert": torchdq.convert,
+        "torchdq.floating": torchdq.floating,
+        "torchdq.robots": torchdq.robots,
+        "torchdq.envs.controllers": controllers,
+        "torchdq.envs.integrators": integrators,
+    }
+    for module, of in whole.items():
+        own = [name for name, x in vars(of).items() if getattr(x, "__module__", None) == of.__name__]
+        names += [f"{module}.{name}" for name in own if not name.startswith("_") and callable(getattr(of, name))]
+    return [name for name in names if not inspect.ismodule(resolved(name)) and not name.endswith("__")]
+
+
+def resolved(path):
+    """What is at a dotted path."""
+    names = path.split(".")
+    for k in range(len(names), 0, -1):
+        try:
+            found = importlib.import_module(".".join(names[:k]))
+        except ImportError:
+            continue
+        for name in names[k:]:
+            found = getattr(found, name)
+        return found
+    raise AssertionError(path)
+
+
+def test_every_public_name_is_on_one_page():
+    there = [resolved(name) for name in SHOWN]
+    assert len(set(SHOWN)) == len(SHOWN)
+    missing = [name for name in public() if not any(resolved(name) is x for x in there)]
+    assert not missing, f"add them to a page of docs/api: {missing}"
+    twice = [name for k, name in enumerate(SHOWN) if any(there[k] is x for x in there[:k])]
+    assert twice == ["torchdq.InverseDynamics"]  # the same as DQRNEA
+
+
+def test_every_page_of_the_api_is_shown_in_its_index():
+    index = (ROOT / "docs/api/index.md").read_text(encoding="utf-8")
+    assert all(f"({page.name})" in index for page in API if page.stem != "index")
+
+
+FUNCTIONS = [name for name in SHOWN if inspect.isfunction(resolved(name))]
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_public_function_has_an_example_that_runs(name):
+    """The suite runs them as doctests."""
+    document = inspect.getdoc(resolved(name))
+    assert document.count(">>> ") > document.count(">>> import"), f"add an example to the docstring of {name}"
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_public_function_says_what_it_takes(name):
+    """Every argument but a backend is described, or is part of the summary."""
+    function = resolved(name)
+    document = inspect.getdoc(function)
+    arguments = [x for x in inspect.signature(function).parameters if x not in ("backend", "robot", "dtype", "device")]
+    missing = [x for x in arguments if not re.search(rf"(?<!\w){re.escape(x)}(?!\w)", document.split(">>>")[0])]
+    assert not missing, f"{name} does not say what these are: {missing}"
