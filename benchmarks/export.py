@@ -240,7 +240,7 @@ def table(rows: Sequence[Row], title: str) -> str:
 
 
 def main() -> None:
-    parser = report.parser(__doc__, quick="without Pinocchio, whose headers take minutes to compile", readme=False)
+    parser = report.parser(__doc__, quick="without Pinocchio, whose headers take minutes to compile", page=False)
     arguments = parser.parse_args()
     robot, model = panda()
     with tempfile.TemporaryDirectory() as name:

@@ -102,7 +102,7 @@ def table(found: list[Row]) -> str:
 
 def main() -> None:
     """Measure and print."""
-    arguments = report.parser(__doc__ or "", "two joints, short measurements", readme=False).parse_args()
+    arguments = report.parser(__doc__ or "", "two joints, short measurements", page=False).parse_args()
     torch.set_num_threads(1)
     torch.manual_seed(0)
     robot = torchdq.robots.load("two_link" if arguments.quick else "panda")
