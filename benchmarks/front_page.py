@@ -1,12 +1,13 @@
 """Five rows of speed for the README, from the tables of docs/prices.md.
 
-    python benchmarks/front_page.py
+    python benchmarks/front_page.py [--page]
 
 Run it after `peers.py --page` or `envs.py --page`. It measures nothing, so the numbers of the two pages are the same.
 """
 
 from __future__ import annotations
 
+import argparse
 import re
 
 import report
@@ -36,10 +37,21 @@ def table() -> str:
         lines.append(f"| {name} | {ours} ns | {theirs} ns, {other} | {ratio} x |")
     (machine,) = re.findall(r"^Measured on: processor (.*?), vector instructions (\w+)", report.shown("peers.py"), re.M)
     (without,) = re.findall(r"; (\d+) x where mujoco has no dry friction", line)
-    said = f"One thread of an {machine[0]} ({machine[1]}), 4096 arms at once, float64. All ran in one session, and took turns."
-    return "\n".join([*lines, "", f"{said}\nMuJoCo solves for dry friction; without dry friction the last ratio is {without} x."])
+    said = (
+        f"One thread of an {machine[0]} ({machine[1]}), 4096 arms at once, float64. All ran in one session, and took "
+        f"turns.\nMuJoCo solves for dry friction; without dry friction the last ratio is {without} x."
+    )
+    return "\n".join([*lines, "", said])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--page", action="store_true", help="write the rows into the README")
+    arguments = parser.parse_args()
+    print(table())
+    if arguments.page:
+        report.between_marks(table(), __file__)
 
 
 if __name__ == "__main__":
-    print(table())
-    report.between_marks(table(), __file__)
+    main()

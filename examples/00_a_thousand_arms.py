@@ -26,7 +26,7 @@ from PIL import Image, ImageDraw
 from torch import Tensor
 
 import torchdq
-from torchdq.envs import Scene, controllers, effects
+from torchdq.envs import Scene, controllers, effects, integrators
 from torchdq.envs.render import Skeleton
 
 WIDTH, HEIGHT, VIEW = 960, 440, 640  # of the film, and width of its part with the arms [pixels]
@@ -89,7 +89,9 @@ def simulated(robot: torchdq.Robot, at: np.ndarray, frames: int, step: float) ->
     share = 1 + torch.rand(arms, n, dtype=torch.float64)
     friction = (effects.Viscous(0.5 * share), effects.Stribeck(0.5 * share, 0.8 * share))
     control = controllers.ComputedTorque(KP, KD, model=robot)
-    scene = Scene(many, (effects.Gravity(), *friction), controller=control, dt=step)
+    scene = Scene(
+        many, (effects.Gravity(), *friction), integrator=integrators.LinearlyImplicit(), controller=control, dt=step
+    )
 
     phase = torch.from_numpy(0.55 * np.hypot(at[:, 0], at[:, 1] + 4.0))[:, None]  # circles around a point in front
     rest, swing = double([0.0, -0.35, 0.0, -1.9, 0.0, 1.6, 0.8]), double([0.9, 0.45, 0.3, 0.5, 0.6, 0.5, 0.8])

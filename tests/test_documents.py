@@ -106,7 +106,16 @@ def test_the_readme_has_blocks_to_run():
 
 def test_the_page_on_contributing_has_what_it_promises():
     code = "".join(code for _, code in FENCE.findall((DOCS / "contributing.md").read_text(encoding="utf-8")))
-    for name in ("(Along)", "(JointEffect)", "(Friction)", "record(", "(Backend)", "Integrator)", "(Reach)", "TorchTask("):
+    for name in (
+        "(Along)",
+        "(JointEffect)",
+        "(Friction)",
+        "record(",
+        "(Backend)",
+        "Integrator)",
+        "(Reach)",
+        "TorchTask(",
+    ):
         assert name in code, name
 
 

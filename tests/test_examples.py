@@ -123,7 +123,7 @@ def test_positions_only(tmp_path, capsys):
 
 def test_a_thousand_arms(tmp_path):
     module = import_module("00_a_thousand_arms")
-    path, error = module.main(module.Args(arms=30, frames=3, step=5e-3, out=tmp_path))
+    path, error = module.main(module.Args(arms=30, frames=3, step=4e-3, out=tmp_path))
     with Image.open(path) as film:
         assert film.n_frames == 3 and film.size == (960, 440)
         picture = np.asarray(film.convert("RGBA"))
