@@ -71,7 +71,5 @@ def test_a_table_is_written_between_its_marks_and_nowhere_else(tmp_path, monkeyp
 
 
 def test_the_rows_of_the_readme_are_those_of_the_pages():
-    assert report.shown("front_page.py") == front_page.table(), (
-        "python benchmarks/front_page.py --page writes them anew"
-    )
+    assert report.shown("front_page.py") == front_page.table(), "benchmarks/front_page.py --page writes them anew"
     assert report.pages("front_page.py") == [report.ROOT / "README.md"]
