@@ -38,7 +38,8 @@ def table() -> str:
     (machine,) = re.findall(r"^Measured on: processor (.*?), vector instructions (\w+)", report.shown("peers.py"), re.M)
     (without,) = re.findall(r"; (\d+) x where mujoco has no dry friction", line)
     said = (
-        f"One thread of an {machine[0]} ({machine[1]}), 4096 arms at once, float64. In each row the packages took turns.\n"
+        f"One thread of an {machine[0]} ({machine[1]}), 4096 arms at once, float64. "
+        "In each row the packages took turns.\n"
         f"MuJoCo solves for dry friction; without dry friction the last ratio is {without} x."
     )
     return "\n".join([*lines, "", said])
