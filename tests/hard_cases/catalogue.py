@@ -128,7 +128,7 @@ def table() -> str:
         lines += [f"| {id} | {CASES[id]} | {', '.join(f'`{name}`' for name in held()[id])} |" for id in ids]
         lines.append("")
     lines += ["Not there:", ""]
-    return "\n".join([*lines, *(f"* {id}, {why}" for id, why in WITHOUT_COUNTERPART.items())])
+    return "\n".join([*lines, *(f"* {id}, {why}." for id, why in WITHOUT_COUNTERPART.items())])
 
 
 def shown() -> str:
