@@ -1,10 +1,10 @@
 """Accuracy against time: errors against verified references, beside the time they take, on one thread.
 
-    python benchmarks/accuracy_vs_time.py [--quick] [--full] [--scene NAME ...] [--json FILE] [--readme]
+    python benchmarks/accuracy_vs_time.py [--quick] [--full] [--scene NAME ...] [--json FILE] [--page]
 
 Trajectories by integrator, precision and step; forward dynamics by algorithm, precision and number of joints;
 gradients; effects; energy over a long time; products of poses; exponential and logarithm; backends. Writes the results,
-five plots and the table of the README.
+five plots and the table of docs/accuracy.md.
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ def main() -> None:
         results["recommended"] = recommended.measured(results["trajectories"])
     said("done")
     results["seconds"] = time.perf_counter() - start
-    found = table.readme(results)
+    found = table.advice(results)
     results |= {"dominated": table.dominated(results), "crossovers": table.crossovers(results), "table": found}
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
     report.into_json(arguments.json, **results)
@@ -125,8 +125,8 @@ def main() -> None:
     ):
         print(f"\n{table.lines(title, items)}")
     print(f"\n{report.words(results['machine'])}, commit {results['commit']}, {results['seconds']:.0f} s")
-    if arguments.readme:
-        report.into_readme(found, __file__, results["machine"])
+    if arguments.page:
+        report.into_page(found, __file__, results["machine"])
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Calls of compiled programs on one sample from Python, and exported functions for batches against the kernels.
 
-    python benchmarks/compiled.py [--quick] [--json FILE] [--readme]
+    python benchmarks/compiled.py [--quick] [--json FILE] [--page]
 
 Calls are timed one by one. Batches take turns, of 4096 samples on one thread: the kernel that runs from Python, and the
 exported C99, built with the flags that its header names. The least time counts, since others only add to it.

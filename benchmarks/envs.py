@@ -1,6 +1,6 @@
 """Speed of scenes and environments: steps per second beside MuJoCo's C, on one thread.
 
-    python benchmarks/envs.py [--quick] [--json FILE] [--readme]
+    python benchmarks/envs.py [--quick] [--json FILE] [--page]
 
 A seven-joint arm with gravity, damping and dry friction, the same URDF for both. MuJoCo steps its batch in C
 (`mujoco.rollout`), so that no Python stands between its steps; torchdq is called from Python, one call per step.

@@ -55,7 +55,7 @@ def least(found: Excitation) -> torch.Tensor:
 
 def main() -> None:
     """Tables of the motions of both arms."""
-    parser = report.parser(__doc__, "an eighth of the restarts", readme=False)
+    parser = report.parser(__doc__, "an eighth of the restarts", page=False)
     parser.add_argument("--data", type=Path, default=os.environ.get("TORCHDQ_DATA", "data"), help="folder of the logs")
     arguments = parser.parse_args()
     torch.set_num_threads(1)

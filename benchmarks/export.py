@@ -1,6 +1,6 @@
 """Exported dynamics in CasADi against those of `pinocchio.casadi`: values, Jacobians, Hessians, and times of building.
 
-    python benchmarks/export.py [--quick] [--json FILE]
+    python benchmarks/export.py [--quick] [--json FILE] [--page]
 
 Panda without its fingers, at 20 to 100 knots in one call, as a solver for optimal control makes it. Hessians are
 second derivatives of the results, weighted and summed. Pinocchio's wheel has the headers of `pinocchio.casadi` but not
@@ -240,7 +240,7 @@ def table(rows: Sequence[Row], title: str) -> str:
 
 
 def main() -> None:
-    parser = report.parser(__doc__, quick="without Pinocchio, whose headers take minutes to compile", readme=False)
+    parser = report.parser(__doc__, quick="without Pinocchio, whose headers take minutes to compile")
     arguments = parser.parse_args()
     robot, model = panda()
     with tempfile.TemporaryDirectory() as name:
@@ -249,10 +249,9 @@ def main() -> None:
         timer.least.restype = ctypes.c_double
         peers = {} if arguments.quick else expressions(model, folder)
         rows = [row for task in TASKS for row in measured(task, robot, peers.get(task), timer, folder)]
-    print(f"\n{table(rows, 'Panda in CasADi, one thread, per knot')}")
-    facts = report.machine("casadi", "pin")
-    print(f"\n{report.words(facts)}")
-    report.into_json(arguments.json, machine=facts, rows=[row._asdict() for row in rows])
+    text = table(rows, "Panda in CasADi, one thread, per knot")
+    print(f"\n{text}")
+    report.finish(arguments, __file__, text, report.machine("casadi"), rows=[row._asdict() for row in rows])
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Formulations by their time: matrices and dual quaternions, D-H and screws, by one emitter, on one thread.
 
-    python benchmarks/formulations.py [--quick] [--json FILE] [--readme]
+    python benchmarks/formulations.py [--quick] [--json FILE] [--page]
 
 Every formulation is recorded on the same numbers and compiled by the same emitter, so that nothing differs but the
 formulas. Those of the pose have one arm, those of the torques another, with a wrench at the tip, and they are compared

@@ -1,6 +1,6 @@
 """Speed on a GPU: samples per second of functions and environment steps, beside the bound that the machine sets.
 
-    python benchmarks/gpu.py [--quick] [--json FILE] [--readme] [--device cuda]
+    python benchmarks/gpu.py [--quick] [--json FILE] [--page] [--device cuda]
 
 With a GPU: measured times over batch sizes, of compiled programs, of torch operations, of CUDA graphs and of other
 packages (`gpu_peers`), against the bound that follows from a copy measured in the same run. Without one: bounds

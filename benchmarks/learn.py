@@ -97,7 +97,7 @@ def interval(values: list[float]) -> str:
 
 
 def main() -> dict[str, list[tuple[float, float]]]:
-    parser = report.parser(__doc__, quick="one seed, a tenth of the steps", readme=False)
+    parser = report.parser(__doc__, quick="one seed, a tenth of the steps", page=False)
     parser.add_argument("--steps", type=int, default=3_000_000, help="environment steps of training")
     parser.add_argument("--seeds", type=int, default=5, help="how often it is trained")
     parser.add_argument("--device", default="cpu", help="device of the environments and of the training")

@@ -1,6 +1,6 @@
 """Speed beside the field's tools, in one run: medians and spreads per sample, and ratios.
 
-    python benchmarks/peers.py [--quick] [--json FILE] [--readme] [--threads N]
+    python benchmarks/peers.py [--quick] [--json FILE] [--page] [--threads N]
 
 Every contender gets ordinary inputs in the layout it likes best, prepared beforehand, and is warmed up; compile and
 recording time is a column of its own. The contenders of one row take turns, so that a noisy machine is noisy to all.

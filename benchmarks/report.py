@@ -1,4 +1,4 @@
-"""Options and reports of all benchmarks: options, goals and measurements, the machine; the README and JSON files."""
+"""Options and reports of all benchmarks: options, goals and measurements, the machine; pages and JSON files."""
 
 import argparse
 import importlib.metadata
@@ -12,16 +12,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+ROOT = Path(__file__).resolve().parents[1]
 Goal = tuple[str, str, str]  # what, the goal, what was measured
 
 
-def parser(document: str, quick: str, readme: bool = True) -> argparse.ArgumentParser:
-    """Parser of the options that benchmarks share; `quick` is the help of --quick, and not all write to the README."""
+def parser(document: str, quick: str, page: bool = True) -> argparse.ArgumentParser:
+    """Parser of the options that benchmarks share; `quick` is the help of --quick, and not all write into a page."""
     found = argparse.ArgumentParser(description=document.splitlines()[0])
     found.add_argument("--quick", action="store_true", help=quick)
     found.add_argument("--json", type=Path, help="write everything here")
-    if readme:
-        found.add_argument("--readme", action="store_true", help="write goals and measurements into the README")
+    if page:
+        found.add_argument("--page", action="store_true", help="write the table into its page of the documentation")
     return found
 
 
@@ -45,10 +46,10 @@ def finish(
     how: str = "Measured on",
     **everything: Sequence[Any],
 ) -> None:
-    """Print the machine; write a text into the README and everything into a JSON file, where the options ask for it."""
+    """Print the machine; write a text into its page and everything into a JSON file, where the options ask for it."""
     print(f"\n{words(facts)}")
-    if arguments.readme:
-        into_readme(text, script, facts, how)
+    if arguments.page:
+        into_page(text, script, facts, how)
     into_json(arguments.json, machine=facts, **everything)
 
 
@@ -67,12 +68,34 @@ def _short(x: Any) -> Any:
     return float(f"{x:.4g}") if isinstance(x, float) else x
 
 
-def into_readme(text: str, script: str, facts: dict[str, str], how: str = "Measured on") -> None:
-    """Write a text and the machine between the two marks of a script in the README."""
-    readme = Path(__file__).resolve().parents[1] / "README.md"
-    begin, end = (f"<!-- benchmarks/{Path(script).name} {word} -->" for word in ("begins", "ends"))
-    before, rest = readme.read_text().split(begin)
-    readme.write_text(f"{before}{begin}\n{text}\n\n{how}: {words(facts)}.\n{end}{rest.split(end)[1]}")
+def marks(script: str) -> tuple[str, str]:
+    """Comments of a page before and after the table of a script."""
+    name = f"benchmarks/{Path(script).name}"
+    return f"<!-- {name} begins -->", f"<!-- {name} ends -->"
+
+
+def pages(script: str) -> list[Path]:
+    """README and pages of the documentation that have the marks of a script; there should be one."""
+    every = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    return [path for path in every if marks(script)[0] in path.read_text(encoding="utf-8")]
+
+
+def shown(script: str) -> str:
+    """Text between the marks of a script, in the one page that has them."""
+    (page,), (begin, end) = pages(script), marks(script)
+    return page.read_text(encoding="utf-8").split(begin)[1].split(end)[0].strip()
+
+
+def between_marks(text: str, script: str) -> None:
+    """Write a text between the marks of a script, in the one page that has them."""
+    (page,), (begin, end) = pages(script), marks(script)
+    before, rest = page.read_text(encoding="utf-8").split(begin)
+    page.write_text(f"{before}{begin}\n{text}\n{end}{rest.split(end)[1]}", encoding="utf-8")
+
+
+def into_page(text: str, script: str, facts: dict[str, str], how: str = "Measured on") -> None:
+    """Write a text and the machine into the page of a script."""
+    between_marks(f"{text}\n\n{how}: {words(facts)}.", script)
 
 
 def words(facts: dict[str, str]) -> str:

@@ -218,8 +218,7 @@ def page(rows: list[Row], refused: list[tuple[str, str]], facts: dict[str, str])
 
 def main() -> None:
     """Examine all robots."""
-    options = report.parser(__doc__ or "", "five robots, short measurements", readme=False)
-    options.add_argument("--page", action="store_true", help="write ROBOTS.md")
+    options = report.parser(__doc__ or "", "five robots, short measurements")
     given = options.parse_args()
     rows: list[Row] = []
     refused: list[tuple[str, str]] = []

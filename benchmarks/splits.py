@@ -2,12 +2,12 @@
 
     python benchmarks/splits.py DATA [--quick] [--only WORD] [--json FILE]
 
-DATA is the folder of the recordings that the README names. A row is one split: motions to identify the robot from, and
-others to test it on. The numbers are squared residuals over the variance of the torque, mean over joints, and below
-them in brackets the mean over joints of RMSE over standard deviation: of the description with friction, rotor inertia
-and offset; of the same with all inertial parameters; of the model that `identify` chose; and the score that it
-expected with its standard error. A row is marked where what was chosen is worse than the description with friction by
-more than that error.
+DATA is the folder of the recordings that docs/learning.md names. A row is one split: motions to identify the robot
+from, and others to test it on. The numbers are squared residuals over the variance of the torque, mean over joints,
+and below them in brackets the mean over joints of RMSE over standard deviation: of the description with friction,
+rotor inertia and offset; of the same with all inertial parameters; of the model that `identify` chose; and the score
+that it expected with its standard error. A row is marked where what was chosen is worse than the description with
+friction by more than that error.
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ def measured(split: Split) -> Row:
 
 def main() -> None:
     """Table of all splits."""
-    parser = report.parser(__doc__, "few splits", readme=False)
+    parser = report.parser(__doc__, "few splits", page=False)
     parser.add_argument("data", type=Path, nargs="?", default=Path(os.environ.get("TORCHDQ_DATA", "data")))
     parser.add_argument("--only", default="", help="splits whose name holds this word")
     arguments = parser.parse_args()

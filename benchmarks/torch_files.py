@@ -1,6 +1,6 @@
 """Files of torch.export, ONNX and AOTInductor: seconds to make, time per sample, and difference from the C backend.
 
-    python benchmarks/torch_files.py [--quick] [--json FILE]
+    python benchmarks/torch_files.py [--quick] [--json FILE] [--page]
 
 A seven-joint arm, its inverse dynamics and a residual network on top of them, on one thread. The calls of one layer
 take turns. ONNX files need the packages onnx, onnxscript and onnxruntime, and AOTInductor a C++ compiler.
@@ -102,7 +102,7 @@ def table(found: list[Row]) -> str:
 
 def main() -> None:
     """Measure and print."""
-    arguments = report.parser(__doc__ or "", "two joints, short measurements", readme=False).parse_args()
+    arguments = report.parser(__doc__ or "", "two joints, short measurements").parse_args()
     torch.set_num_threads(1)
     torch.manual_seed(0)
     robot = torchdq.robots.load("two_link" if arguments.quick else "panda")
@@ -119,8 +119,7 @@ def main() -> None:
             found += rows(name, layer, dtype, robot.n, Path(folder), 0.2 if arguments.quick else 2.0)
             print(table(found[-5:]))
     facts = report.machine("onnxruntime")
-    print(f"\n{report.words(facts)}")
-    report.into_json(arguments.json, machine=facts, rows=[asdict(row) for row in found])
+    report.finish(arguments, __file__, table(found), facts, rows=[asdict(row) for row in found])
 
 
 if __name__ == "__main__":

@@ -142,7 +142,7 @@ RESULTS = {
 
 
 def test_the_table_names_the_cheapest_setting_that_is_accurate_enough(study):
-    rows = study("table").readme(RESULTS).splitlines()
+    rows = study("table").advice(RESULTS).splitlines()
     assert rows[2].split(" | ")[1:] == ["float32 RungeKutta4, 100 ms", "5e-04", "10 ns", "3e-07 |"]
     assert rows[3].split(" | ")[1:] == ["float64 RungeKutta4, 25 ms", "1e-06", "10 ns", "below 1e-14 |"]
     assert "nothing that was tried" in rows[4]

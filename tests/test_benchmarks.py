@@ -1,10 +1,14 @@
-"""Every benchmark starts: what it imports exists."""
+"""Every benchmark starts, and writes its table into one page."""
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
+
+import front_page
+import report
 
 FOLDER = Path(__file__).resolve().parents[1] / "benchmarks"
 SCRIPTS = [file for file in sorted(FOLDER.glob("*.py")) if "__main__" in file.read_text()]
@@ -42,3 +46,30 @@ def test_benchmarks_print_their_help():
 
 def test_there_are_benchmarks():
     assert {"peers", "envs", "formulations", "accuracy_vs_time"} <= {file.stem for file in SCRIPTS}
+
+
+def test_every_table_of_a_page_has_a_script_that_writes_it():
+    texts = [path.read_text("utf-8") for path in (report.ROOT / "README.md", *(report.ROOT / "docs").rglob("*.md"))]
+    marked = [name for text in texts for name in re.findall(r"<!-- benchmarks/(\S+) begins -->", text)]
+    assert len(marked) == len(set(marked)), "two pages wait for the same table"
+    assert {"peers.py", "envs.py", "compiled.py", "formulations.py", "accuracy_vs_time.py", "gpu.py"} <= set(marked)
+    for name in marked:
+        assert (FOLDER / name).exists(), name
+
+
+def test_a_table_is_written_between_its_marks_and_nowhere_else(tmp_path, monkeypatch):
+    begin, end = report.marks("peers.py")
+    page = tmp_path / "docs" / "deep" / "page.md"
+    page.parent.mkdir(parents=True)
+    page.write_text(f"before\n{begin}\nold\n{end}\nafter\n")
+    (tmp_path / "README.md").write_text("nothing\n")
+    monkeypatch.setattr(report, "ROOT", tmp_path)
+    report.into_page("| new |", "benchmarks/peers.py", {"processor": "one", "cores": "2"})
+    assert page.read_text() == f"before\n{begin}\n| new |\n\nMeasured on: processor one, cores 2.\n{end}\nafter\n"
+    assert report.shown("peers.py").startswith("| new |")
+    assert (tmp_path / "README.md").read_text() == "nothing\n"
+
+
+def test_the_rows_of_the_readme_are_those_of_the_pages():
+    assert report.shown("front_page.py") == front_page.table(), "benchmarks/front_page.py --page writes them anew"
+    assert report.pages("front_page.py") == [report.ROOT / "README.md"]

@@ -23,6 +23,7 @@ DATA = Path(os.environ.get("TORCHDQ_DATA", ROOT.parent / "shared" / "data"))
 for needed in ("matplotlib", "pytorch_kinematics", "rich", "scipy", "tyro"):
     pytest.importorskip(needed, reason="the examples need the extra 'examples'")
 from matplotlib.image import imread  # noqa: E402
+from PIL import Image  # noqa: E402
 from rich.console import Console  # noqa: E402
 
 BACKEND = "auto"
@@ -118,6 +119,17 @@ def test_positions_only(tmp_path, capsys):
     assert float(after.max()) < 5 * module.NOISE < 1e-3 < float(before.mean())
     assert "Payload.mass" in capsys.readouterr().out
     assert_drawn(tmp_path / "positions_only.png")
+
+
+def test_a_thousand_arms(tmp_path):
+    module = import_module("00_a_thousand_arms")
+    path, error = module.main(module.Args(arms=30, frames=3, step=4e-3, out=tmp_path))
+    with Image.open(path) as film:
+        assert film.n_frames == 3 and film.size == (960, 440)
+        picture = np.asarray(film.convert("RGBA"))
+    assert not picture[0, 0, 3] and picture[220, 480, 3] == 255  # round corners, on pages of any colour
+    assert picture[..., :3].std() > 10
+    assert error < 0.3
 
 
 # --- recordings of real arms -----------------------------------------------------------------------------------------

@@ -194,6 +194,7 @@ def test_a_spinning_t_handle_flips():
     assert (dq.rotation(end.X_WB) - r).abs().max() <= 1e-8
 
 
+@pytest.mark.case("T4")
 def test_poses_stay_unit_dual_quaternions():
     c, m = case("tree1"), motion(case("tree1"))
     for integrator in STEPPED:

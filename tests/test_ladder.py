@@ -13,7 +13,7 @@ import torchdq
 from torchdq.paper import ladder
 from torchdq.program.program import replay, results
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "from-algorithm-1.md"
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "how-it-works.md"
 BEGIN, END = "<!-- torchdq.paper.ladder begins -->\n", "<!-- torchdq.paper.ladder ends -->"
 CHAIN = ladder.example(7)
 TREE = random_tree(8, 5).robot.bake()  # its frames lie beside the centres of mass, which the print does not have

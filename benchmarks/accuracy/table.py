@@ -1,4 +1,4 @@
-"""Advice from the results, from the JSON alone: the table of the README, dominated settings, crossovers."""
+"""Advice from the results, from the JSON alone: the table of docs/accuracy.md, dominated settings, crossovers."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def cheapest(scene: dict[str, Any], error: float) -> fits.Point | None:
     return next((p for p in front(scene) if p["error_max"] <= error), None)
 
 
-def readme(results: Results) -> str:
-    """The table of the README."""
+def advice(results: Results) -> str:
+    """What to use for which need, as the table of docs/accuracy.md."""
     scenes = {scene["scene"]: scene for scene in results.get("trajectories", ())}
     rows = []
     arm = scenes.get("arm7")

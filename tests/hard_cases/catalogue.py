@@ -1,8 +1,16 @@
 """Hard cases of rigid-body dynamics: what is difficult about each, and what has to hold.
 
 `test_catalogue.py` requires that every one is held by a test marked with its id, or named here as one that this package
-has no counterpart of.
+has no counterpart of. `python tests/hard_cases/catalogue.py` writes them into docs/hard-cases.md.
 """
+
+import ast
+from functools import cache
+from pathlib import Path
+
+TESTS = Path(__file__).resolve().parents[1]
+PAGE = TESTS.parent / "docs" / "hard-cases.md"
+BEGIN, END = "<!-- tests/hard_cases/catalogue.py begins -->\n", "<!-- tests/hard_cases/catalogue.py ends -->"
 
 CASES: dict[str, str] = {
     # maps and group operations
@@ -47,6 +55,7 @@ CASES: dict[str, str] = {
     "T1": "orders of convergence",
     "T2": "energy over long times",
     "T3": "reversibility, and conserved momenta",
+    "T4": "the pose of a free base stays a unit dual quaternion",
     "T5": "adaptive steps in single precision, and tolerances that cannot be met",
     "T6": "adaptive steps of a sample do not depend on the others",
     "T7": "gradients through adaptive steps",
@@ -85,6 +94,48 @@ CASES: dict[str, str] = {
 }
 
 WITHOUT_COUNTERPART: dict[str, str] = {
-    "T4": "a floating base: bases are fixed",
     "P6": "TensorFloat-32: no matrix product enters, all arithmetic is elementwise",
 }
+GROUPS = {
+    "G": "Maps and group operations",
+    "I": "Bodies",
+    "D": "Dynamics",
+    "T": "Time and effects",
+    "P": "Tensors",
+    "U": "Descriptions",
+}
+
+
+@cache
+def held() -> dict[str, list[str]]:
+    """Names of the test files that hold a case, by its id."""
+    found: dict[str, set[str]] = {}
+    for path in TESTS.rglob("test_*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and ast.unparse(node.func) == "pytest.mark.case":
+                for argument in node.args:
+                    if isinstance(argument, ast.Constant):
+                        found.setdefault(argument.value, set()).add(path.name)
+    return {id: sorted(names) for id, names in found.items()}
+
+
+def table() -> str:
+    """All cases, group by group, as on the page."""
+    lines = []
+    for letter, title in GROUPS.items():
+        lines += [f"## {title}", "", "| case | what has to hold | held by |", "|---|---|---|"]
+        ids = [id for id in CASES if id.startswith(letter)]
+        lines += [f"| {id} | {CASES[id]} | {', '.join(f'`{name}`' for name in held()[id])} |" for id in ids]
+        lines.append("")
+    lines += ["Not there:", ""]
+    return "\n".join([*lines, *(f"* {id}, {why}." for id, why in WITHOUT_COUNTERPART.items())])
+
+
+def shown() -> str:
+    """What the page shows."""
+    return PAGE.read_text(encoding="utf-8").split(BEGIN)[1].split(END)[0].strip()
+
+
+if __name__ == "__main__":
+    before, rest = PAGE.read_text(encoding="utf-8").split(BEGIN)
+    PAGE.write_text(f"{before}{BEGIN}{table()}\n{END}{rest.split(END)[1]}", encoding="utf-8")

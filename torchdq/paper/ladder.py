@@ -1,7 +1,7 @@
 """From the printed Algorithm 1 to the program that runs, one step at a time.
 
 Every step computes the same torques of the same robot. What changes from one to the next is named, counted on the
-recorded program, and derived in docs/from-algorithm-1.md.
+recorded program, and derived in docs/how-it-works.md.
 """
 
 from __future__ import annotations
