@@ -1,23 +1,23 @@
-"""The pages for newcomers: their code runs, their messages are those that are raised, their pictures are the examples'."""
+"""The pages for newcomers: code runs, messages are those that are raised, pictures are those of the examples."""
 
 import doctest
 import re
-from importlib import import_module
 from pathlib import Path
 from shutil import copy
 
+import helpers
 import pytest
-from helpers import one_thread
 
 for needed in ("matplotlib", "scipy", "tyro"):
     pytest.importorskip(needed, reason="the guides need the extra 'examples'")
+import guide_pictures as pictures  # noqa: E402
 from matplotlib.image import imread  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 GUIDES = sorted((DOCS / "guides").glob("*.md"))
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-one_thread = one_thread
+one_thread = helpers.one_thread
 
 
 @pytest.fixture
@@ -44,17 +44,16 @@ def test_code_runs_and_says_what_the_page_shows(path, at_home):
             shown.run(block, clear_globs=False)
             known.update(block.globs)
         else:
-            assert language in ("sh", "xml", "text"), f"{path.name}, line {line}: a block of {language or 'no language'}"
+            assert language in ("sh", "text"), f"{path.name}, line {line}: a block of {language or 'no language'}"
     assert not shown.failures, f"{shown.failures} results differ from those on the page, see above"
 
 
-def test_every_guide_has_its_example_and_its_picture(monkeypatch):
-    monkeypatch.syspath_prepend(DOCS)
-    pictures = import_module("pictures_of_guides")
+def test_every_guide_has_its_example_and_its_picture():
     assert [path.stem for path in GUIDES] == sorted(pictures.SOURCES)
     for path in GUIDES:
         text, source = path.read_text(encoding="utf-8"), pictures.SOURCES[path.stem]
-        assert f"`examples/{source.example}.py`" in text and (ROOT / "examples" / f"{source.example}.py").exists()
+        assert f"](../../examples/{source.example}.py)" in text
+        assert (ROOT / "examples" / f"{source.example}.py").exists()
         assert f"](../pictures/{path.stem}.png)" in text
         file = pictures.FOLDER / f"{path.stem}.png"
         assert file.stat().st_size < 150_000
@@ -66,8 +65,6 @@ def test_every_guide_has_its_example_and_its_picture(monkeypatch):
 
 
 def test_a_picture_is_what_the_example_draws(monkeypatch, tmp_path):
-    monkeypatch.syspath_prepend(DOCS)
-    pictures = import_module("pictures_of_guides")
     monkeypatch.setattr(pictures, "FOLDER", tmp_path)
     drawn = imread(pictures.made("urdf"))
     kept = imread(DOCS / "pictures" / "urdf.png")

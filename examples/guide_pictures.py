@@ -1,7 +1,7 @@
-"""Pictures of the guides: each is what the guide's example draws, made small.
+"""Pictures of the guides in docs/pictures: each is what the example of its guide draws, made small.
 
-    python docs/pictures_of_guides.py             # all of them
-    python docs/pictures_of_guides.py urdf log    # those of some guides
+python examples/guide_pictures.py             # all of them
+python examples/guide_pictures.py urdf log    # those of some guides
 """
 
 import sys
@@ -49,7 +49,6 @@ def made(guide: str) -> Path:
 
 
 if __name__ == "__main__":
-    sys.path.insert(0, str(ROOT / "examples"))
     unknown = set(sys.argv[1:]) - set(SOURCES)
     if unknown:
         sys.exit(f"there is no guide {', '.join(sorted(unknown))}; there are {', '.join(SOURCES)}")
