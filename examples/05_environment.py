@@ -4,7 +4,7 @@
 
 Every arm is its own: link masses and friction differ by up to 20 %, and the controller knows nothing of it. Actions are
 offsets of the joint positions that a computed-torque controller follows; the policy takes the way to the goal through
-the damped inverse of the Jacobian. `out/reach.gif` shows nine of the arms, `out/reach.png` the distances of all of them.
+the damped inverse of the Jacobian. `out/reach.gif` shows nine of the arms, `out/reach.png` the distances of them all.
 """
 
 import sys

@@ -23,12 +23,13 @@ from torch import Tensor
 
 import torchdq
 
+ARM = Path(__file__).with_name("arm.urdf")
 SHOWN = 4  # joints in the picture: those with the largest torques
 
 
 @dataclass
 class Args:
-    robot: Path = Path(__file__).with_name("arm.urdf")
+    robot: Path = ARM
     """URDF of the arm."""
     seconds: float = 2.0
     """Duration of the motion [s]."""
