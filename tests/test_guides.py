@@ -1,9 +1,6 @@
-"""The pages for newcomers: code runs, messages are those that are raised, pictures are those of the examples."""
+"""Every guide has an example, and shows the picture that it draws. Their code is run by test_documents.py."""
 
-import doctest
-import re
 from pathlib import Path
-from shutil import copy
 
 import helpers
 import pytest
@@ -16,36 +13,7 @@ from matplotlib.image import imread  # noqa: E402
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 GUIDES = sorted((DOCS / "guides").glob("*.md"))
-FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 one_thread = helpers.one_thread
-
-
-@pytest.fixture
-def at_home(tmp_path, monkeypatch):
-    """Folder of a reader who has the arm of the examples."""
-    copy(ROOT / "examples" / "arm.urdf", tmp_path)
-    monkeypatch.chdir(tmp_path)
-
-
-@pytest.mark.parametrize(
-    "path", [DOCS / "index.md", *GUIDES, DOCS / "conventions.md"], ids=lambda path: path.relative_to(DOCS).as_posix()
-)
-def test_code_runs_and_says_what_the_page_shows(path, at_home):
-    text, known = path.read_text(encoding="utf-8"), {"__name__": "page"}
-    shown = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE)
-    for match in FENCE.finditer(text):
-        language, code = match.groups()
-        line = text.count("\n", 0, match.start()) + 1
-        if language == "python":
-            exec(compile("\n" * line + code, str(path), "exec"), known)
-        elif language == "pycon":
-            block = doctest.DocTestParser().get_doctest(code, known, path.name, str(path), line)
-            assert block.examples
-            shown.run(block, clear_globs=False)
-            known.update(block.globs)
-        else:
-            assert language in ("sh", "text"), f"{path.name}, line {line}: a block of {language or 'no language'}"
-    assert not shown.failures, f"{shown.failures} results differ from those on the page, see above"
 
 
 def test_every_guide_has_its_example_and_its_picture():
