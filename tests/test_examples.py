@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import torchdq
 from torchdq.learning import read
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -69,6 +70,22 @@ def test_a_bad_log_ends_the_program_before_the_work(tmp_path, capsys, monkeypatc
     with pytest.raises(SystemExit, match=r"missing\.csv"):
         runpy.run_path(str(script), run_name="__main__")
     assert not capsys.readouterr().out
+
+
+def test_an_own_urdf(tmp_path, capsys):
+    module = import_module("20_own_urdf")
+    found = module.main(module.Args(batch=100, out=tmp_path))
+    assert len(found) == 4 and max(found.values()) < 1e-13
+    assert "a kilogram more in 'wrist_3' adds most" in capsys.readouterr().out
+    assert_drawn(tmp_path / "own_urdf.png")
+
+
+def test_an_own_urdf_with_wrong_torques_is_noticed(tmp_path, monkeypatch):
+    module = import_module("20_own_urdf")
+    right = torchdq.inverse_dynamics
+    monkeypatch.setattr(torchdq, "inverse_dynamics", lambda *x: right(*x) + 1e-3)
+    found = module.checks(torchdq.Robot.from_urdf(module.ARM), module.ARM, 10)
+    assert sum(error > 1e-6 for error in found.values()) == 3  # all but the mass matrix
 
 
 def test_closed_form(capsys):

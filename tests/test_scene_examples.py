@@ -41,6 +41,7 @@ def test_many_arms_reach_and_are_filmed(tmp_path):
     assert distance.shape == (64,) and float(distance.median()) < 0.02
     with Image.open(tmp_path / "new" / "reach.gif") as film:
         assert film.n_frames == 30
+    assert imread(tmp_path / "new" / "reach.png")[..., :3].std() > 0.03
 
 
 def test_a_satellite_moves_the_other_way(tmp_path, capsys):

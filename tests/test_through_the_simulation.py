@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 import torch
 
-pytest.importorskip("tyro", reason="the examples need the extra 'examples'")
+for needed in ("matplotlib", "tyro"):
+    pytest.importorskip(needed, reason="the examples need the extra 'examples'")
+from matplotlib.image import imread  # noqa: E402
 
 BACKEND = "auto"
 ROOT = Path(__file__).resolve().parents[1]
@@ -37,10 +39,11 @@ def found(share):
     return [total, *gradients]
 
 
-def test_it_learns(example, capsys):
-    losses = example.main(example.Args(arms=32, iterations=30))
+def test_it_learns(example, tmp_path, capsys):
+    losses = example.main(example.Args(arms=32, iterations=30, out=tmp_path))
     assert losses[-1] < 0.1 * losses[0]
     assert "1 processes on cpu" in capsys.readouterr().out
+    assert imread(tmp_path / "through_the_simulation.png")[..., :3].std() > 0.03
 
 
 def test_two_processes_have_the_gradients_of_one(tmp_path):

@@ -1,0 +1,58 @@
+"""Pictures of the guides in docs/pictures: each is what the example of its guide draws, made small.
+
+python examples/guide_pictures.py             # all of them
+python examples/guide_pictures.py urdf log    # those of some guides
+"""
+
+import sys
+import tempfile
+from importlib import import_module
+from pathlib import Path
+from typing import NamedTuple
+
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parents[1]
+FOLDER = ROOT / "docs" / "pictures"
+WIDTH, COLOURS = 1200, 128  # of a picture
+
+
+class Source(NamedTuple):
+    """Example of a guide, without `.py`, and the picture it draws."""
+
+    example: str
+    picture: str
+
+
+SOURCES = {
+    "urdf": Source("20_own_urdf", "own_urdf.png"),
+    "log": Source("17_log_with_torques", "log_with_torques.png"),
+    "policy": Source("11_through_the_simulation", "through_the_simulation.png"),
+    "million": Source("05_environment", "reach.png"),
+    "controller": Source("15_real_time", "real_time.png"),
+    "paper": Source("10_paper_figures", "paper_torques.png"),
+}
+
+
+def made(guide: str) -> Path:
+    """Picture of a guide, drawn anew by its example."""
+    source, target = SOURCES[guide], FOLDER / f"{guide}.png"
+    example = import_module(source.example)
+    with tempfile.TemporaryDirectory() as folder:
+        example.main(example.Args(out=Path(folder)))
+        with Image.open(Path(folder, source.picture)) as drawn:
+            picture = drawn.convert("RGB")
+    picture.thumbnail((WIDTH, WIDTH), Image.Resampling.LANCZOS)
+    FOLDER.mkdir(exist_ok=True)
+    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(target, optimize=True)
+    return target
+
+
+if __name__ == "__main__":
+    unknown = set(sys.argv[1:]) - set(SOURCES)
+    if unknown:
+        sys.exit(f"there is no guide {', '.join(sorted(unknown))}; there are {', '.join(SOURCES)}")
+    for guide in sys.argv[1:] or SOURCES:
+        print(f"{guide}: {SOURCES[guide].example} ...", flush=True)
+        path = made(guide)
+        print(f"{guide}: {path.relative_to(ROOT)}, {path.stat().st_size / 1000:.0f} kB", flush=True)
