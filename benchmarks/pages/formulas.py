@@ -1,8 +1,8 @@
 """Formulas of docstrings in TeX.
 
-A docstring writes a formula as code would, `tau = -level qd / sqrt(qd^2 + width^2)`, so that it is readable where there is
-no TeX. A page shows the same formula set. A name is a symbol if it is a letter, a letter with d for a rate, a Greek
-letter, or one that the caller knows; other names are words.
+A docstring writes a formula as code would, `tau = -level qd / sqrt(qd^2 + width^2)`, so that it is readable where
+there is no TeX. A page shows the same formula set. A name is a symbol if it is a letter, a letter with d for a rate, a
+Greek letter, or one that the caller knows; other names are words.
 """
 
 from __future__ import annotations
