@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 from pages import formulas
 
 HEADS = ("Args:", "Raises:", "Returns:")
-UNIT = re.compile(r"\s*\[(?!\.\.\.)([^\]]*)\](?=[,.;: ]|$)")
+UNIT = re.compile(r"\s*\[(?![^\]]*\.\.\.)([^\]]*)\](?=[,.;: ]|$)")
 SHAPE = re.compile(r",?\s*(?:a number or (\[\.\.\.\])|shape (\[[^\]]*\]))")
 NAMES = re.compile(r"(\w+(?:, \w+)*): +(.*)|(\w+(?:, \w+)*):$")
 

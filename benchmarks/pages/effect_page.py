@@ -154,7 +154,7 @@ def _price(name: str) -> str:
     if found.with_tensors is not None:
         rows.append(("the same as tensors, other in every sample", f"+ {found.with_tensors}", _time(price["tensors"])))
     head = (f"step of a seven-joint arm (`{stored['robot']}`)", "operations", "ns")
-    return f"{BEGIN}\n{table(head, rows)}\n\n{_measured(stored)}\n{END}"
+    return f"{BEGIN}\n{table(head, rows)}\n\nMeasured as [all prices of effects](index.md#all-effects).\n{END}"
 
 
 def _measured(stored: dict[str, Any]) -> str:
@@ -199,7 +199,7 @@ def _together(kind: type[Effect]) -> str:
     words = [LAST if getattr(kind, "LATE", False) else SLOTS[kind.SLOT]]
     words.append(f"A scene holds it at most once: {kind.ONCE}." if kind.ONCE else "A scene may hold several of them.")
     words += [f"No other effect may take {reason}." for reason in kind.SOLE.values()]
-    words += [f"All that need it share the input `{name}`." for name in sorted(kind.SHARED)]
+    words += [f"The input `{name}`, where there is one, is shared by all effects." for name in sorted(kind.SHARED)]
     return " ".join(words)
 
 
