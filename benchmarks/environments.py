@@ -28,7 +28,7 @@ from pages.text import write
 from torchdq.envs import ArmVectorEnv
 
 FOLDER = environment_page.ROOT / "docs" / "environments"
-BATCHES = (1, 64, 4096, 65536)
+BATCHES = (1, 64, 4096)
 
 
 def fastest(step: Callable[[], object], seconds: float) -> float:

@@ -11,7 +11,6 @@ from pages import formulas
 HEADS = ("Args:", "Raises:", "Returns:")
 UNIT = re.compile(r"\s*\[(?![^\]]*\.\.\.)([^\]]*)\](?=[,.;: ]|$)")
 SHAPE = re.compile(r",?\s*(?:a number or (\[\.\.\.\])|shape (\[[^\]]*\]))")
-NAMES = re.compile(r"(\w+(?:, \w+)*): +(.*)|(\w+(?:, \w+)*):$")
 
 
 class ArgumentText(NamedTuple):
