@@ -124,10 +124,10 @@ class Lag(Actuator):
 
 @dataclass(frozen=True)
 class Delay(Late, Actuator):
-    """Torques that arrive a whole number of steps late; before that, none.
+    """Torques that arrive a whole number of steps late: tau(t) = u(t - steps dt); before that, none.
 
     Args:
-        steps: at least 1.
+        steps: from 1 to 500.
     """
 
     PER_JOINT = 1
@@ -156,6 +156,8 @@ class DeadBand(Actuator):
 @dataclass(frozen=True)
 class QuantisedCommand(Actuator):
     """Commands rounded to whole multiples of a step; the gradient is zero, as of any staircase.
+
+        tau = step floor(u / step + 1/2)
 
     Args:
         step: [N m or N], shape [..., n], positive.

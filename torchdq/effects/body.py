@@ -53,6 +53,10 @@ class BodyEffect(Effect):
 class Push(BodyEffect):
     """A wrench on a frame, given at every step; a step at which it is not given costs nothing.
 
+        tau = J^T F
+
+    F is the wrench, and J the Jacobian of the frame.
+
     Args:
         frame: name of the frame; None: the robot's end effector.
         axes: "world": force and moment are given in the axes of the base frame, or of the world if the base is free;

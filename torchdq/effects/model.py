@@ -35,7 +35,7 @@ class ModelEffect(Effect):
 
 @dataclass(frozen=True)
 class Gravity(ModelEffect):
-    """Uniform gravity.
+    """Uniform gravity: f = m g at the centre of mass of every body.
 
     Args:
         acceleration: g in the base frame [m/s^2], shape [..., 3]; None: the robot's own, or 9.81 downwards. A tilted
@@ -62,8 +62,10 @@ class Gravity(ModelEffect):
 class RotorInertia(ModelEffect):
     """Inertia of the rotors, seen at the joints, added to the diagonal of the mass matrix.
 
+        (M(q) + diag(J)) qdd + c(q, qd) + g(q) = tau
+
     Args:
-        inertia: [kg m^2 or kg], shape [..., n]; None: that of the robot's description.
+        inertia: J [kg m^2 or kg], shape [..., n]; None: that of the robot's description.
     """
 
     SHAPES: ClassVar[Shapes] = {"inertia": ("n",)}
@@ -82,9 +84,13 @@ class RotorInertia(ModelEffect):
 class Payload(ModelEffect):
     """A body held by a frame, merged with the link that carries it; its mass is as given, whatever scales the links.
 
+        m = m_l + m_p,   m c = m_l c_l + m_p c_p
+
+    The link has the mass m_l and the centre of mass c_l; inertias add about the common centre of mass c.
+
     Args:
-        mass: [kg], a number or [...].
-        com: its centre of mass in the frame [m], shape [..., 3].
+        mass: m_p [kg], a number or [...].
+        com: c_p, its centre of mass in the frame [m], shape [..., 3].
         inertia: about its centre of mass, axes of the frame [kg m^2], shape [..., 6]: xx xy yy xz yz zz.
         frame: name of the frame; None: the robot's end effector.
     """
@@ -133,11 +139,13 @@ class Payload(ModelEffect):
 class MassScale(ModelEffect):
     """Links that are denser than described: mass and inertia times a factor, centres of mass unchanged.
 
+        m = k m_0,   I = k I_0
+
     Payloads are not scaled, wherever the effects stand.
     A tensor [batch, links] makes every sample its own robot that is still physical.
 
     Args:
-        factor: shape [..., links].
+        factor: k, shape [..., links].
     """
 
     SHAPES: ClassVar[Shapes] = {"factor": ("links",)}

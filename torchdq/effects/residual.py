@@ -27,6 +27,8 @@ CHANGE = 1e-3  # relative change in the last iteration that is worth a warning; 
 class Residual(JointEffect):
     """Learned torques: the joints feel the opposite of what a model says the motors need beyond the rigid bodies.
 
+        tau = -r(q, qd, qdd)
+
     The model runs in torch once per step, at the state at its start, and its torque is held over the step, over all
     substeps and whatever the integrator, as a commanded torque is. So a simulation is of first order in `dt`, and a
     torque that changes fast, such as stiff friction, needs short steps: leave friction to `Viscous` and `Coulomb`,

@@ -28,11 +28,18 @@ class Sensor(Effect):
 
 @dataclass(frozen=True)
 class Noise(Sensor):
-    """White Gaussian noise on every reading, made of uniform numbers (G. E. P. Box, M. E. Muller, 1958).
+    """White Gaussian noise on every reading, made of uniform numbers u_1 and u_2.
+
+        y = x + s sqrt(-2 log(u_1)) cos(2 pi u_2)
+
+    Velocities have the sine of the same pair, which is independent of the cosine.
+
+    Source: G. E. P. Box, M. E. Muller, "A note on the generation of random normal deviates", Annals of Mathematical
+    Statistics 29 (1958).
 
     Args:
-        position: standard deviation [rad or m], shape [..., n].
-        velocity: standard deviation [rad/s or m/s], shape [..., n].
+        position: s of positions, a standard deviation [rad or m], shape [..., n].
+        velocity: s of velocities [rad/s or m/s], shape [..., n].
     """
 
     SHAPES: ClassVar[Shapes] = {"position": ("n",), "velocity": ("n",)}
@@ -58,11 +65,11 @@ class Noise(Sensor):
 
 @dataclass(frozen=True)
 class Bias(Sensor):
-    """Readings off by a constant.
+    """Readings off by a constant: y = x + b.
 
     Args:
-        position: [rad or m], shape [..., n].
-        velocity: [rad/s or m/s], shape [..., n].
+        position: b of positions [rad or m], shape [..., n].
+        velocity: b of velocities [rad/s or m/s], shape [..., n].
     """
 
     SHAPES: ClassVar[Shapes] = {"position": ("n",), "velocity": ("n",)}
@@ -79,9 +86,11 @@ class Bias(Sensor):
 class QuantisedReading(Sensor):
     """Readings rounded to whole multiples of a step; zero leaves them as they are, and costs nothing.
 
+        y = s floor(x / s + 1/2)
+
     Args:
-        position: [rad or m], shape [..., n].
-        velocity: [rad/s or m/s], shape [..., n].
+        position: step s of positions [rad or m], shape [..., n].
+        velocity: step s of velocities [rad/s or m/s], shape [..., n].
     """
 
     SHAPES: ClassVar[Shapes] = {"position": ("n",), "velocity": ("n",)}
@@ -98,10 +107,10 @@ class QuantisedReading(Sensor):
 
 @dataclass(frozen=True)
 class ReadingDelay(Late, Sensor):
-    """Readings that arrive an integer number of steps late; the first ones are those of the initial state.
+    """Readings that arrive a whole number of steps late: y(t) = x(t - steps dt); the first ones show the initial state.
 
     Args:
-        steps: at least 1.
+        steps: from 1 to 500.
     """
 
     PER_JOINT = 2

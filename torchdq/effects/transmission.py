@@ -63,7 +63,9 @@ class Transmission(Effect):
 class Elastic(Transmission):
     """Elastic joints: the actuator turns a rotor, and a spring and damper turn the joint.
 
-        J thd' = u - t,   t = k (th - q) + d (thd - qd) acts on the joint
+        J thd' = u - t,   t = k (th - q) + d (thd - qd)
+
+    The torque t acts on the joint.
 
     Source: M. W. Spong, "Modeling and control of elastic joint robots", Journal of Dynamic Systems, Measurement, and
     Control 109 (1987), with the damper added. The state remembers the rotor's position and velocity [2 n].

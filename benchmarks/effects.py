@@ -1,0 +1,109 @@
+"""Price of every effect, and its page: what it adds to a step of a seven-joint arm, in operations and in nanoseconds.
+
+    python benchmarks/effects.py [--quick] [--measure] [--write]
+
+`--measure` stores nanoseconds in benchmarks/results/effects.json, with the machine. `--write` writes docs/effects from
+these, from the docstrings, and from what the package says about each effect; it draws the pictures, too. A new effect
+needs an entry in `pages/cases.py` and one in `pages/characteristics.py`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import time
+from collections.abc import Callable
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import report
+import torch
+from pages import effect_page
+from pages.cases import CASES, built
+from pages.characteristics import CHARACTERISTICS
+from pages.effect_facts import ARM, arm, tensors_of
+from pages.pictures import svg
+from pages.text import write
+from torch import Tensor
+
+from torchdq.effects import Effect
+from torchdq.envs import Scene
+
+BATCH = 4096
+FOLDER = effect_page.ROOT / "docs" / "effects"
+
+
+def stepped(scene: Scene) -> Callable[[], object]:
+    """A step of a batch of random states."""
+    generator = torch.Generator().manual_seed(0)
+
+    def random(width: int) -> Tensor:
+        return torch.rand(BATCH, width, generator=generator, dtype=torch.float64)
+
+    q, qd, noise = (random(width) for width in (scene.n, scene.n, scene.noises))
+    state, _ = scene.begin({"q": q, "qd": qd}, {}, noise)
+    inputs = {name: random(width) for name, width in scene.inputs.items()}
+    return lambda: scene.step(state, noise=noise, **inputs)
+
+
+def price(effect: Effect, rounds: int) -> tuple[float, float, float]:
+    """Nanoseconds that an effect adds to a step, their spread, and those of the bare step.
+
+    Both steps take turns, one call at a time, and the fastest twentieth of the calls counts: others were disturbed by
+    whatever else the machine does. The spread is what the fastest tenth would have said instead.
+    """
+    calls = [stepped(Scene(arm())), stepped(Scene(arm(), (effect,)))]
+    times: list[list[float]] = [[], []]
+    for _ in range(rounds):
+        for call, found in zip(calls, times, strict=True):
+            start = time.perf_counter()
+            call()
+            found.append((time.perf_counter() - start) / BATCH * 1e9)
+    (bare, tenth), (whole, whole_tenth) = (statistics.quantiles(found[10:], n=20)[:2] for found in times)
+    return max(0.0, whole - bare), abs(whole_tenth - tenth - (whole - bare)) + 0.05 * abs(whole - bare), bare
+
+
+def measured(rounds: int) -> dict[str, object]:
+    """Prices of all effects, in numbers and in tensors."""
+    bare: list[float] = []
+    found = {}
+    for name, case in CASES.items():
+        effect = built(case.made)
+        kinds = {"numbers": effect} | ({"tensors": tensors_of(effect, arm(), BATCH)} if effect.SHAPES else {})
+        found[name] = {}
+        for kind, made in kinds.items():
+            nanoseconds, spread, without = price(made, rounds)
+            found[name][kind] = [nanoseconds, spread]
+            bare.append(without)
+            print(f"{name:18s} {kind:8s} {nanoseconds:7.1f} +- {spread:.1f} ns", flush=True)
+    return {"robot": ARM, "batch": BATCH, "dtype": "float64", "bare": statistics.median(bare), "effects": found}
+
+
+def pages() -> dict[str, str]:
+    """Files of docs/effects that are text."""
+    return {"index.md": effect_page.index(), **{effect_page.address(name): effect_page.page(name) for name in CASES}}
+
+
+def pictures() -> dict[str, str]:
+    """Files of docs/effects that are pictures."""
+    return {effect_page.address(name).replace(".md", ".svg"): svg(draw()) for name, draw in CHARACTERISTICS.items()}
+
+
+def main() -> None:
+    """What the arguments ask for."""
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options.add_argument("--quick", action="store_true", help="fewer calls of each step")
+    options.add_argument("--measure", action="store_true", help="store nanoseconds in benchmarks/results/effects.json")
+    options.add_argument("--write", action="store_true", help="write docs/effects")
+    arguments = options.parse_args()
+    torch.set_num_threads(1)
+    if arguments.measure:
+        report.into_json(effect_page.PRICES, machine=report.machine(), **measured(200 if arguments.quick else 2000))
+    if arguments.write:
+        changed = write(FOLDER, pages() | pictures())
+        print("\n".join(changed) or "nothing has changed")
+
+
+if __name__ == "__main__":
+    main()

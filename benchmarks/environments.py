@@ -1,0 +1,109 @@
+"""Speed of the registered environments, and their pages.
+
+    python benchmarks/environments.py [--quick] [--measure] [--write]
+
+`--measure` stores steps per second in benchmarks/results/environments.json, with the machine. `--write` writes
+docs/environments from these and from the environments themselves. A new environment needs an entry in
+`pages/environment_cases.py`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import time
+from collections.abc import Callable
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import gymnasium
+import numpy as np
+import report
+import torch
+from pages import environment_index, environment_page
+from pages.environment_cases import ENVIRONMENTS
+from pages.text import write
+
+from torchdq.envs import ArmVectorEnv
+
+FOLDER = environment_page.ROOT / "docs" / "environments"
+BATCHES = (1, 64, 4096)
+
+
+def fastest(step: Callable[[], object], seconds: float) -> float:
+    """Seconds of a call, the fastest twentieth of many: others were disturbed by whatever else the machine does."""
+    times, end = [], time.perf_counter() + seconds
+    while time.perf_counter() < end or len(times) < 40:
+        start = time.perf_counter()
+        step()
+        times.append(time.perf_counter() - start)
+    return statistics.quantiles(times[10:], n=20)[0]
+
+
+def single(id: str) -> Callable[[], object]:
+    """A step of one environment of `gymnasium.make`, without its check of every step, begun anew where it ends."""
+    env = gymnasium.make(id, disable_env_checker=True)
+    env.reset(seed=0)
+    action = np.zeros(env.action_space.shape, np.float32)
+
+    def step() -> None:
+        if env.step(action)[3]:
+            env.reset()
+
+    return step
+
+
+def batched(task: str, batch: int) -> Callable[[], object]:
+    """A step of many, each at another time of its episode."""
+    envs = ArmVectorEnv(batch, task)
+    envs.reset(seed=0)
+    state = envs.get_state()
+    ages = torch.randint(250, state["steps"].shape, generator=torch.Generator().manual_seed(0))
+    envs.set_state({**state, "steps": ages.to(torch.int32)})
+    action = torch.zeros(batch, envs.robot.n)
+    return lambda: envs.step(action)
+
+
+def measured(seconds: float) -> dict[str, list[tuple[str, int, float]]]:
+    """Steps per second of every environment: how it is made, how many there are, and the rate."""
+    found = {}
+    for task in ENVIRONMENTS:
+        id = environment_page.newest(task).id
+        rows = [("`gymnasium.make`, numpy", 1, 1 / fastest(single(id), seconds))]
+        rows += [("`ArmVectorEnv`, torch", k, k / fastest(batched(task, k), seconds)) for k in BATCHES]
+        for what, batch, rate in rows:
+            print(f"{task:8s} {what:26s} {batch:6d} {rate:12.0f} per second", flush=True)
+        found[task] = rows
+    return found
+
+
+def pages() -> dict[str, str]:
+    """Files of docs/environments that are text."""
+    return {"index.md": environment_index.index()} | {
+        f"{task}.md": environment_page.page(task) for task in ENVIRONMENTS
+    }
+
+
+def pictures() -> dict[str, bytes]:
+    """Files of docs/environments that are pictures."""
+    return {f"{task}.png": environment_page.picture(task) for task in ENVIRONMENTS}
+
+
+def main() -> None:
+    """What the arguments ask for."""
+    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    options.add_argument("--quick", action="store_true", help="shorter measurements")
+    options.add_argument("--measure", action="store_true", help="store rates in benchmarks/results/environments.json")
+    options.add_argument("--write", action="store_true", help="write docs/environments")
+    arguments = options.parse_args()
+    torch.set_num_threads(1)
+    if arguments.measure:
+        rates = measured(0.5 if arguments.quick else 4.0)
+        report.into_json(environment_page.RATES, machine=report.machine("gymnasium"), rates=rates)
+    if arguments.write:
+        print("\n".join(write(FOLDER, pages() | pictures())) or "nothing has changed")
+
+
+if __name__ == "__main__":
+    main()

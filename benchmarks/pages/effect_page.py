@@ -1,0 +1,291 @@
+"""Text of the page of each effect, and of the table of all of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from pages.cases import CASES, START, built
+from pages.docstrings import ArgumentText, documented
+from pages.effect_facts import allowed, arm, facts, kinds, operations
+from pages.formulas import tex
+from pages.text import MADE, cell, sentence, table, wrapped
+from torchdq import effects
+from torchdq.effects import Effect
+
+ROOT = Path(__file__).resolve().parents[2]
+PRICES = ROOT / "benchmarks" / "results" / "effects.json"
+SLOTS = {
+    "model": "It changes numbers of the robot, before anything else is computed from them.",
+    "joint": "Its torque adds to those of all other effects at the joints, in whatever order they stand.",
+    "body": "Its wrench adds to those of all other effects on the bodies, in whatever order they stand.",
+    "actuator": "Actuators change the commanded torque one after the other, in the order of the list.",
+    "sensor": "Sensors change the reading one after the other, in the order of the list; a controller sees the result.",
+}
+LAST = "It acts on what all other effects of the model have changed, wherever it stands."
+SYMBOLS = frozenset({"load", "target"})  # of formulas, beside the names of parameters
+BEGIN, END = "<!-- benchmarks/effects.py begins -->", "<!-- benchmarks/effects.py ends -->"
+
+
+def address(name: str) -> str:
+    """File of the page of an effect."""
+    return re.sub(r"(?<=[a-z])(?=[A-Z])", "-", name).lower() + ".md"
+
+
+def prices() -> dict[str, Any]:
+    """What the measurement wrote."""
+    return json.loads(PRICES.read_text(encoding="utf-8"))
+
+
+def page(name: str) -> str:
+    """Page of an effect."""
+    kind, case, found = getattr(effects, name), CASES[name], facts(name)
+    known = frozenset(entry.name for entry in dataclasses.fields(kind)) | SYMBOLS
+    said = documented(kind, known)
+    picture = Path(address(name)).with_suffix(".svg")
+    inputs = _several([f"`{x}`" for x in found.inputs])
+    parts = [
+        f"# {name}",
+        MADE.format(script="benchmarks/effects.py"),
+        linked(said.summary, name),
+        *[f"$$\n{tex(formula, known)}\n$$" for formula in said.formulas],
+        *[linked(paragraph, name) for paragraph in said.text],
+        f"![{shown(name)}]({picture})",
+        "## Parameters",
+        f"`{signature(kind)}`",
+        parameters(kind),
+        *([f"Every step takes {inputs}, by name."] if inputs else []),
+        "## What it costs",
+        _price(name),
+        _remembers(name),
+        "## When it is absent",
+        _absent(name),
+        "## Together with others",
+        _together(kind),
+        _where(name),
+        "## Example",
+        f"```python\n{START}{case.code}\n```",
+        "## Source",
+        " ".join([*said.sources, f"The code is in `{_file(kind)}`."]),
+    ]
+    return "\n\n".join(wrapped(part) for part in parts) + "\n"
+
+
+def shown(name: str) -> str:
+    """Words for the picture of an effect."""
+    return {"model": "What it changes", "sensor": "What is read"}.get(getattr(effects, name).SLOT, "Characteristic")
+
+
+def signature(kind: type[Effect]) -> str:
+    """How it is made."""
+    ordered = [entry for entry in dataclasses.fields(kind) if not entry.kw_only]
+    named = [entry for entry in dataclasses.fields(kind) if entry.kw_only]
+
+    def given(entry: Any) -> str:
+        return entry.name if entry.default is dataclasses.MISSING else f"{entry.name}={entry.default!r}"
+
+    words = [*map(given, ordered), *(["*"] if named else []), *map(given, named)]
+    return f"effects.{kind.__name__}({', '.join(words)})"
+
+
+def parameters(kind: type[Effect]) -> str:
+    """Table of the parameters."""
+    said, effect = _arguments(kind), built(CASES[kind.__name__].made)
+    rows = []
+    for entry in sorted(dataclasses.fields(kind), key=lambda found: found.kw_only):
+        text = said[entry.name]
+        values = allowed(effect, entry.name, arm())
+        rows.append(
+            (
+                f"`{entry.name}`",
+                linked(text.meaning or entry.name, kind.__name__),
+                text.unit or ("1" if entry.name in kind.SHAPES else ""),
+                f"`{text.shape}`" if text.shape else "one number" if entry.name in kind.SHAPES else "",
+                _default(kind, entry),
+                values,
+            )
+        )
+    return table(("parameter", "meaning", "unit", "shape", "default", "values"), rows)
+
+
+def _arguments(kind: type[Effect]) -> dict[str, ArgumentText]:
+    """Arguments of a class and of those that it is made from, whose words stand for "as in"."""
+    found: dict[str, ArgumentText] = {}
+    for base in reversed(kind.__mro__):
+        for name, text in documented(base).arguments.items() if "__doc__" in vars(base) else ():
+            if not text.meaning.startswith("as in"):
+                found[name] = text
+    return found
+
+
+def _default(kind: type[Effect], entry: Any) -> str:
+    if entry.name in kind.DESCRIBED:
+        return f"`robot.{kind.DESCRIBED[entry.name]}`"
+    if entry.default is dataclasses.MISSING or (entry.default is None and entry.name in kind.SHAPES):
+        return "must be given"
+    return f"`{entry.default!r}`"
+
+
+def linked(text: str, name: str) -> str:
+    """Text in which other effects are links."""
+
+    def link(match: re.Match[str]) -> str:
+        other = match.group(1)
+        return f"[`{other}`]({address(other)})" if other in CASES and other != name else match.group()
+
+    return sentence(re.sub(r"`(\w+)`", link, text))
+
+
+# --- sections -----------------------------------------------------------------------------------------------------
+
+
+def _price(name: str) -> str:
+    found, stored, bare = facts(name), prices(), operations()
+    price = stored["effects"][name]
+    rows = [
+        ("a step without it", f"{bare}", f"{stored['bare']:.0f}"),
+        (f"`{CASES[name].made}`", f"+ {found.operations}", _time(price["numbers"])),
+    ]
+    if found.with_tensors is not None:
+        rows.append(("the same as tensors, other in every sample", f"+ {found.with_tensors}", _time(price["tensors"])))
+    head = (f"step of a seven-joint arm (`{stored['robot']}`)", "operations", "ns")
+    return f"{BEGIN}\n{table(head, rows)}\n\nMeasured as [all prices of effects](index.md#all-effects).\n{END}"
+
+
+def _measured(stored: dict[str, Any]) -> str:
+    machine = ", ".join(f"{key} {value}" for key, value in stored["machine"].items())
+    return f"Measured in {stored['dtype']}, {stored['batch']} samples at once, one thread: {machine}."
+
+
+def _time(price: list[float]) -> str:
+    """Nanoseconds that an effect adds; a bound where they are within the spread."""
+    nanoseconds, spread = price
+    return f"+ {nanoseconds:.1f}" if nanoseconds > spread else f"< {max(nanoseconds + spread, 0.1):.1f}"
+
+
+def _remembers(name: str) -> str:
+    found, words = facts(name), []
+    if found.states:
+        words.append(f"It remembers {found.states:g} numbers per joint from step to step, in `state.memory`")
+        words[-1] = words[-1].replace(" 1 numbers", " one number")
+    if found.noises:
+        words.append(f"It takes {found.noises:g} random numbers per joint at every step")
+    outside = built(CASES[name].made).outside()
+    if outside:
+        words.append(f"Outside the program, {outside}")
+    return ". ".join(words or ["It remembers nothing, and takes no random numbers"]) + "."
+
+
+def _absent(name: str) -> str:
+    bare, off = operations(), CASES[name].off
+    text = (
+        f"A scene that does not name it records nothing for it: a step has the {bare} operations of the rigid bodies, "
+        "and gives the same result, to the bit."
+    )
+    if not off:
+        return text
+    left = operations(built(off)) - bare
+    if left:
+        return f"{text} `{off}` changes nothing either, but is computed: {left} operations. Leave it out."
+    return f"{text} One of no size, `{off}`, is as good as absent: its zeros fold away, and {bare} operations are left."
+
+
+def _together(kind: type[Effect]) -> str:
+    words = [LAST if getattr(kind, "LATE", False) else SLOTS[kind.SLOT]]
+    words.append(f"A scene holds it at most once: {kind.ONCE}." if kind.ONCE else "A scene may hold several of them.")
+    words += [f"No other effect may take {reason}." for reason in kind.SOLE.values()]
+    words += [f"The input `{name}`, where there is one, is shared by all effects." for name in sorted(kind.SHARED)]
+    return " ".join(words)
+
+
+def _where(name: str) -> str:
+    found = facts(name)
+    yes = ["a scene"]
+    if found.layer:
+        yes.append("the friction of a layer (`torchdq.DQRNEA(robot, friction=...)`)")
+    if found.identify:
+        yes.append("`torchdq.learning.identify`")
+    if found.c:
+        yes.append("C (`torchdq.compile(scene.program()).export(folder)`)")
+    text = f"It may be used in {_several(yes)}."
+    return text if found.c else text + " It cannot be exported to C, since a part of it runs in torch."
+
+
+def _several(words: list[str]) -> str:
+    return (
+        ", ".join(words[:-1]) + (", and " if len(words) > 2 else " and ") + words[-1] if words[1:] else "".join(words)
+    )
+
+
+def _file(kind: type[Effect]) -> str:
+    source = importlib.import_module(kind.__module__)
+    return f"torchdq/effects/{Path(inspect.getfile(source)).name}"
+
+
+# --- the table of all -----------------------------------------------------------------------------------------------
+
+INTRODUCTION = """\
+A scene simulates what it is asked for, and nothing else. A bare `Scene(robot)` is the rigid bodies alone: no gravity,
+no friction, no limits. Each effect below is a small object that belongs to one slot, and every slot has its place in a
+step:
+
+1. **actuator**: changes the commanded torque.
+2. **joint** and **body**: torques at the joints and wrenches on the links add to it.
+3. **model**: the robot's own numbers, with which the accelerations are computed.
+4. **sensor**: changes what is read of the new state.
+
+All of it is recorded into one program. A parameter that is a number is a constant of the program and folds into it. A
+parameter that is a tensor is an argument: it may need gradients, or differ from sample to sample, and needs no new
+program. So the same effect has two prices.
+
+```python
+import torch
+
+import torchdq
+from torchdq.envs import Scene, effects
+
+robot = torchdq.robots.load("panda")
+scene = Scene(robot, (effects.Gravity(), effects.Viscous(0.5), effects.Saturation()), dt=0.002)
+state = scene.step(scene.start(torch.zeros(4096, 7)), torque=torch.zeros(4096, 7))
+print(scene.describe(seconds=0))  # operations of every effect; with more seconds, nanoseconds too
+```
+
+Where a parameter is left out, it is taken from the robot's description, if that has it. `scene.describe()` also lists
+what the description asks for and the scene does not simulate."""
+
+FOOT = """\
+*Operations* and *ns* are what the effect adds to one step of a seven-joint arm with numbers as parameters; *as
+tensors*, with other values in every sample. *States* are numbers per joint that the scene remembers for it. All effects
+may be used in a scene; *layer* is `torchdq.DQRNEA(robot, friction=...)` and the other layers, *identify* is
+`torchdq.learning.identify`, *C* is `torchdq.compile(scene.program()).export(folder)`.
+
+An effect of your own is a small class, see [Contributing](../contributing.md)."""
+
+
+def index() -> str:
+    """Table of all effects."""
+    stored, sections = prices(), []
+    for slot in SLOTS:
+        rows = [_row(kind.__name__, stored) for kind in kinds() if slot == kind.SLOT]
+        head = (slot, "what it is", "states", "operations", "as tensors", "ns", "layer", "identify", "C")
+        sections.append(table(head, rows))
+    bare = f"A step without effects has {operations()} operations and takes {stored['bare']:.0f} ns."
+    inner = "\n\n".join([*sections, f"{bare} {_measured(stored)}"])
+    made = MADE.format(script="benchmarks/effects.py")
+    parts = ["# Effects", made, INTRODUCTION, "## All effects", f"{BEGIN}\n{inner}\n{END}", FOOT]
+    return "\n\n".join(parts) + "\n"
+
+
+def _row(name: str, stored: dict[str, Any]) -> tuple[str, ...]:
+    found, price = facts(name), stored["effects"][name]["numbers"]
+    kind = getattr(effects, name)
+    summary = documented(kind, frozenset(entry.name for entry in dataclasses.fields(kind)) | SYMBOLS).summary
+    marks = ["yes" if x else "" for x in (found.layer, found.identify, found.c)]
+    tensors = "" if found.with_tensors is None else f"{found.with_tensors}"
+    link = f"[{name}]({address(name)})"
+    return (link, cell(summary), f"{found.states:g}", f"{found.operations}", tensors, _time(price).lstrip("+ "), *marks)

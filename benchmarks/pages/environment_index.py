@@ -1,0 +1,143 @@
+"""Text of the page about all environments: how they are made, their arguments, tasks of one's own, other libraries."""
+
+from __future__ import annotations
+
+import inspect
+import re
+
+import torch
+
+from pages.docstrings import documented
+from pages.environment_cases import ENVIRONMENTS
+from pages.environment_page import BEGIN, END, ROBOT, SCRIPT, arm, measured, newest, rate_words, rates
+from pages.text import MADE, sentence, table, wrapped
+from torchdq.envs import ArmVectorEnv, randomization, vector_env
+
+INTRODUCTION = """\
+An environment is a [scene](../effects/index.md), a task, and random numbers. Thousands of them are one program: a
+step of all of them is one call, in which observations, rewards, ends and resets are included."""
+
+WAYS = """\
+## Three ways to make them
+
+```python
+import gymnasium
+import torch
+
+import torchdq.envs
+
+one = gymnasium.make("torchdq/Reach-v0")  # numpy, one arm
+many = gymnasium.make_vec("torchdq/Reach-v0", num_envs=64, robot="ur10e")  # numpy, reset at the next step
+envs = torchdq.envs.ArmVectorEnv(64, "reach", "ur10e")  # torch tensors, reset at once
+
+observation, info = envs.reset(seed=0)
+observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 6))
+```
+
+`gymnasium.make_vec` returns numpy arrays and resets finished rows at the next step, as gymnasium's wrappers expect it,
+unless `output="torch"` and `autoreset_mode` ask otherwise. Rows are independent: row i of a batch with the seed s is,
+bit for bit, the single environment with the seed s + i. A row whose simulation fails ends alone."""
+
+TASKS = """\
+## A task of your own
+
+The quick way is a `TorchTask`: reward, observation, end or start are functions of tensors, and all else is that of a
+registered task.
+
+```python
+from torchdq.envs import ArmVectorEnv, TorchTask
+
+
+def reward(now):  # tensors [N, ...] after a step
+    return -now.rows["distance"] - 0.01 * now.qd.square().sum(1)
+
+
+envs = ArmVectorEnv(64, TorchTask("reach", reward), "panda")
+observation, info = envs.reset(seed=0)
+observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 7))
+```
+
+A recorded task is part of the program of the step, and faster; it is a class like `torchdq.envs.tasks.Reach`.
+[Contributing](../contributing.md) has one."""
+
+RANDOMISE = """\
+## Other robots in every episode
+
+`randomise` draws parameters for every episode. Values are a number, a pair (lower, upper), or a distribution of torch
+that has `icdf`, such as `Normal`.
+
+```python
+envs = ArmVectorEnv(64, "reach", "panda", randomise={"mass": 0.1, "friction": (0.5, 1.5), "payload": 1.0})
+observation, info = envs.reset(seed=0)
+```"""
+
+SAVING = """\
+## Stop and go on
+
+```python
+saved = envs.get_state()  # states, goals, random numbers and drawn parameters
+envs.step(torch.zeros(64, 7))
+envs.set_state(saved)  # as if nothing had been
+```"""
+
+
+def index() -> str:
+    """Page about all environments."""
+    robot, stored, rows = arm(), rates(), []
+    for task in ENVIRONMENTS:
+        spec, kind = newest(task), ENVIRONMENTS[task].task
+        best = max(rate for _, _, rate in stored["rates"][task])
+        rows.append(
+            (
+                f"[{spec.id}]({task}.md)",
+                sentence(documented(kind).summary),
+                f"{len(kind().bounds(robot))}",
+                f"{robot.n}",
+                f"{spec.max_episode_steps}",
+                rate_words(best),
+            )
+        )
+    head = ("id", "what to do", "observation", "action", "steps of an episode", "steps per second")
+    parts = [
+        "# Environments",
+        MADE.format(script=SCRIPT),
+        INTRODUCTION,
+        f"{BEGIN}\n{table(head, rows)}\n\nOf the default robot, `{ROBOT}`. {measured(stored)}\n{END}",
+        WAYS,
+        "## Arguments",
+        "All three ways take the arguments of `ArmVectorEnv`; here are all of them with their defaults.",
+        arguments(),
+        TASKS,
+        f"{RANDOMISE}\n\n{_randomised()}",
+        SAVING,
+        f"## With other libraries\n\n{_libraries()}",
+    ]
+    return (
+        "\n\n".join(part if "```" in part else wrapped(part) if "\n\n" not in part else part for part in parts) + "\n"
+    )
+
+
+def arguments() -> str:
+    """Table of the arguments of `ArmVectorEnv`."""
+    said = documented(ArmVectorEnv).arguments
+    rows = []
+    for name, parameter in inspect.signature(ArmVectorEnv).parameters.items():
+        default = parameter.default
+        value = str(default) if isinstance(default, torch.dtype) else repr(getattr(default, "value", default))
+        text, unit = said[name].meaning, said[name].unit
+        rows.append((f"`{name}`", f"`{value}`", sentence(text) + (f" [{unit}]" if unit else "")))
+    return table(("argument", "default", "meaning"), rows)
+
+
+def _randomised() -> str:
+    """Table of the module that draws parameters."""
+    lines = inspect.getdoc(randomization).splitlines() if inspect.getdoc(randomization) else []
+    rows = [match.groups() for line in lines if (match := re.match(r' +("[\w.]+") {2,}(.+?) {2,}(.+)$', line))]
+    return table(("name", "what is drawn", "a number x is the range"), [(f"`{a}`", b, c) for a, b, c in rows])
+
+
+def _libraries() -> str:
+    """Table of the module of the environments."""
+    block = (inspect.getdoc(vector_env) or "").partition("Other libraries take")[2]
+    rows = [match.groups() for line in block.splitlines() if (match := re.match(r" {4}(\S.+?) {2,}(.+)$", line))]
+    return table(("library", "how"), [(a, " or ".join(f"`{x}`" for x in b.split(", or "))) for a, b in rows])

@@ -1,0 +1,247 @@
+"""Text and picture of the page of each registered environment."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from pathlib import Path
+from typing import Any, get_args
+
+import gymnasium
+import numpy as np
+import torch
+
+import torchdq
+from pages.docstrings import documented
+from pages.effect_page import address as effect_address
+from pages.environment_cases import ENVIRONMENTS
+from pages.formulas import tex
+from pages.text import MADE, sentence, table, wrapped
+from torchdq.envs import ArmVectorEnv, vector_env
+from torchdq.envs.actions import Kind, full
+from torchdq.envs.defaults import DAMPING, ROTOR
+from torchdq.envs.render import Painter
+from torchdq.robot import Robot
+
+ROOT = Path(__file__).resolve().parents[2]
+RATES = ROOT / "benchmarks" / "results" / "environments.json"
+BEGIN, END = "<!-- benchmarks/environments.py begins -->", "<!-- benchmarks/environments.py ends -->"
+SCRIPT = "benchmarks/environments.py"
+ROBOT = "panda"  # the default
+SEED, MOMENTS = 3, (0, 15, 30, 60, 150)  # of the picture, in steps
+ACTIONS = {
+    "torque": "torque of each joint",
+    "residual": "torque added to a controller that follows the task's reference",
+    "reference": "offset of the position that the controller follows",
+}
+ACTION_UNITS = {"torque": "N m or N", "residual": "N m or N", "reference": "rad or m"}
+
+
+def registered() -> dict[str, list[gymnasium.envs.registration.EnvSpec]]:
+    """Registered environments of the package: versions by task."""
+    found: dict[str, list[Any]] = {}
+    for spec in gymnasium.registry.values():
+        if spec.namespace == "torchdq":
+            found.setdefault(spec.kwargs["task"], []).append(spec)
+    return found
+
+
+def newest(task: str) -> gymnasium.envs.registration.EnvSpec:
+    """Newest version of an environment."""
+    return max(registered()[task], key=lambda spec: spec.version or 0)
+
+
+def arm() -> Robot:
+    """The robot of the tables."""
+    return torchdq.robots.load(ROBOT)
+
+
+def rates() -> dict[str, Any]:
+    """What the measurement wrote."""
+    return json.loads(RATES.read_text(encoding="utf-8"))
+
+
+def page(task: str) -> str:
+    """Page of an environment."""
+    case, spec, robot = ENVIRONMENTS[task], newest(task), arm()
+    said, envs = documented(case.task, frozenset({"action"})), ArmVectorEnv(1, task, robot)
+    limit, dt = spec.max_episode_steps or 0, envs.scene.dt
+    start = documented(case.task.start)
+    joints = f"`{ROBOT}`, {robot.n} joints"
+    parts = [
+        f"# {spec.id.split('/')[1]}",
+        MADE.format(script=SCRIPT),
+        sentence(said.summary),
+        f'`gymnasium.make("{spec.id}")` makes one, `gymnasium.make_vec` many, and '
+        f'`torchdq.envs.ArmVectorEnv(4096, "{task}")` many on tensors.',
+        f"![One episode, seen after {', '.join(f'{k * dt:g}' for k in MOMENTS)} s]({task}.png)",
+        "## Task",
+        *_paragraphs(case.task),
+        "## Observation",
+        f"`Box({len(case.task().bounds(robot))},)` for the default robot ({joints}), as the sensors read it. Entries "
+        "beyond their bounds are clipped.",
+        _observation(task, robot),
+        "## Action",
+        f"`Box(-1, 1, ({robot.n},))`. What a full action means is the argument `action`; `scale` replaces the numbers.",
+        _actions(robot),
+        "## Reward",
+        f"$$\n{tex(said.formulas[0], frozenset({'action'}))}\n$$",
+        "It is computed from the true state, whatever the sensors read. A step in which the simulation fails has the "
+        f"reward {vector_env.WORST:g}.",
+        "## End of an episode",
+        table(
+            ("what", "when"),
+            [
+                ("terminated", "only where the simulation has failed: a number is not finite, or far too large"),
+                ("truncated", f"after {limit} steps, which are {limit * dt:g} s; `max_episode_steps` replaces it"),
+            ],
+        ),
+        "## Start of an episode",
+        f"{start.summary} An episode starts from {case.task().draws(robot) // robot.n} random numbers per joint. The "
+        "seed decides them: row i of a batch with the seed s is, bit for bit, the single environment with the seed "
+        "s + i. [`randomise`](index.md#other-robots-in-every-episode) draws parameters of the robot as well.",
+        "## What is simulated",
+        f"With `effects=None` the effects of an ordinary arm, with the numbers of its description. Where it has none, "
+        f"rotors have {ROTOR:g} kg m^2 and joints a damping of {DAMPING:g} N m s/rad. For `{ROBOT}`:",
+        table(("effect", "numbers"), [_effect(effect) for effect in envs.scene.effects]),
+        f"One step is {dt:g} s, in {envs.scene.substeps} steps of `{type(envs.scene.integrator).__name__}`.",
+        "## info",
+        table(("entry", "what it is"), [(f"`{name}`", words) for name, words in case.info.items()]),
+        "## Speed",
+        _rates(task),
+        "## Versions",
+        table(("id", "what changed"), [(f"`torchdq/{task.title()}-{v}`", words) for v, words in case.versions.items()]),
+        "## Example",
+        f"```python\n{_example(task, spec.id)}\n```",
+    ]
+    return "\n\n".join(wrapped(part) for part in parts) + "\n"
+
+
+def _paragraphs(task: type) -> list[str]:
+    """What the docstring says of goal, observation and reference; the reward has a section of its own."""
+    sentences = [
+        words
+        for paragraph in documented(task, frozenset({"action"})).text
+        for words in re.split(r"(?<=\.)\s+(?=Goal|Observation|Reward|Reference)", paragraph)
+    ]
+    return [sentence(x) for x in sentences if x.startswith(("Goal", "Reference"))]
+
+
+def _observation(task: str, robot: Robot) -> str:
+    bounds, rows, at = ENVIRONMENTS[task].task().bounds(robot), [], 0
+    for entries, width in zip(ENVIRONMENTS[task].observation, widths(task), strict=True):
+        low, high = zip(*bounds[at : at + width], strict=True)
+        rows.append((f"{at} to {at + width - 1}", entries.what, entries.unit, _range(low), _range(high)))
+        at += width
+    return table(("entries", "what", "unit", "lower bound", "upper bound"), rows)
+
+
+def widths(task: str) -> list[int]:
+    """Number of entries of each part of an observation, of the default robot."""
+    envs = ArmVectorEnv(1, task, ROBOT)
+    envs.reset(seed=0)
+    now = situation(envs)
+    return [entries.value(now).shape[1] for entries in ENVIRONMENTS[task].observation]
+
+
+def situation(envs: ArmVectorEnv) -> Any:
+    """What environments without sensors are at, in their own words."""
+    from pages.environment_cases import Situation
+
+    state = envs.get_state()
+    return Situation(envs.robot, state["q"], state["qd"], state["goal"], float(state["steps"][0]) * envs.scene.dt)
+
+
+def _range(numbers: tuple[float, ...]) -> str:
+    low, high = (f"{x:.3g}" for x in (min(numbers), max(numbers)))
+    return low if low == high else f"{low} to {high}"
+
+
+def _actions(robot: Robot) -> str:
+    rows = []
+    for kind in get_args(Kind):
+        numbers = ", ".join(f"{x:.3g}" for x in full(robot, kind, None))
+        default = " (default)" if kind == "torque" else ""
+        rows.append((f'`"{kind}"`{default}', ACTIONS[kind], numbers, ACTION_UNITS[kind]))
+    return table(("`action`", "meaning", "a full action, joint by joint", "unit"), rows)
+
+
+def _effect(effect: Any) -> tuple[str, str]:
+    name = type(effect).__name__
+    numbers = [f"{k} {_numbers(getattr(effect, k))}" for k in effect.SHAPES if k not in ("warming",)]
+    return f"[{name}](../effects/{effect_address(name)})", "; ".join(numbers)
+
+
+def _numbers(x: Any) -> str:
+    """Numbers of all joints, once if they are equal."""
+    row = x if isinstance(x, tuple) else (x,)
+    return f"{row[0]:.4g}" if len(set(row)) == 1 else ", ".join(f"{value:.4g}" for value in row)
+
+
+def _rates(task: str) -> str:
+    stored = rates()
+    rows = [(what, f"{envs}", rate_words(rate)) for what, envs, rate in stored["rates"][task]]
+    made = table(("made by", "environments", "steps of an environment per second"), rows)
+    return f"{BEGIN}\n{made}\n\n{measured(stored)}\n{END}"
+
+
+def rate_words(rate: float) -> str:
+    """Steps per second in words."""
+    return f"{rate / 1e6:.2f} million" if rate >= 1e6 else f"{rate / 1e3:.1f} thousand"
+
+
+def measured(stored: dict[str, Any]) -> str:
+    """Words for how rates were measured, and on which machine."""
+    machine = ", ".join(f"{key} {value}" for key, value in stored["machine"].items())
+    return f"float32, one thread, observations, rewards and resets included: {machine}."
+
+
+def _example(task: str, id: str) -> str:
+    hint = ENVIRONMENTS[task].hint
+    return f'''import gymnasium
+import torch
+
+import torchdq.envs
+
+env = gymnasium.make("{id}")  # one, in numpy
+observation, info = env.reset(seed=0)
+observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+
+envs = torchdq.envs.ArmVectorEnv(64, "{task}", "ur10e", action="{hint}")  # 64, in tensors
+observation, info = envs.reset(seed=0)
+total = torch.zeros(64)
+for _ in range(50):
+    observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 6))
+    total += reward'''
+
+
+# --- pictures ------------------------------------------------------------------------------------------------------
+
+
+def picture(task: str) -> bytes:
+    """PNG of one arm at some moments of an episode, under a simple policy."""
+    from PIL import Image
+
+    envs = ArmVectorEnv(1, task, ROBOT, action=ENVIRONMENTS[task].hint)  # type: ignore[arg-type]
+    envs.reset(seed=SEED)
+    painter, frames = Painter(envs.robot, (240, 280)), []
+    for step in range(MOMENTS[-1] + 1):
+        now = situation(envs)
+        if step in MOMENTS:
+            target = now.goal[0] if now.goal.shape[1] == 3 else None
+            frames.append(painter.frame(now.q[0], target, f"{now.time:g} s"))
+        envs.step(towards(now) if task == "reach" else torch.zeros(1, envs.robot.n))
+    file = io.BytesIO()
+    Image.fromarray(np.concatenate(frames, 1)).save(file, format="PNG", optimize=True)
+    return file.getvalue()
+
+
+def towards(now: Any) -> torch.Tensor:
+    """Actions that move the end effector towards the goal, by the damped inverse of the Jacobian."""
+    from pages.environment_cases import tip
+
+    J = torchdq.jacobian(now.robot, now.q, now.robot.end_effector().name, expressed="world")[:, 3:]
+    way = (now.goal - tip(now)).unsqueeze(-1)
+    move = (J.mT @ torch.linalg.solve(J @ J.mT + 0.05**2 * torch.eye(3), way)).squeeze(-1)
+    return (move / torch.tensor(full(now.robot, "reference", None))).clamp(-1.0, 1.0)

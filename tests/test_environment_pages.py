@@ -1,0 +1,116 @@
+"""Every registered environment has a page that says what it does: observations, actions, reward, ends, versions."""
+
+import inspect
+import io
+import re
+
+import environments as benchmark
+import gymnasium
+import pytest
+import torch
+from pages.docstrings import documented
+from pages.environment_cases import ENVIRONMENTS
+from pages.environment_page import newest, picture, rates, registered, situation, towards
+
+from torchdq.envs import ArmVectorEnv
+
+REMEDY = "write it again with `python benchmarks/environments.py --write`"
+FOLDER = benchmark.FOLDER
+EVERY = pytest.mark.parametrize("task", ENVIRONMENTS)
+F64 = torch.float64
+
+
+def moving(task, robot="panda", **arguments):
+    """Environments after some random actions, their last observation and what `step` returned."""
+    envs = ArmVectorEnv(8, task, robot, dtype=F64, **arguments)
+    envs.reset(seed=4)
+    generator = torch.Generator().manual_seed(2)
+    for _ in range(5):
+        actions = 2 * torch.rand(8, envs.robot.n, generator=generator, dtype=F64) - 1
+        found = envs.step(actions)
+    return envs, found, actions
+
+
+def test_every_registered_environment_has_a_page_with_all_of_its_versions():
+    assert sorted(registered()) == sorted(ENVIRONMENTS) == sorted(rates()["rates"])
+    for task, specs in registered().items():
+        page = (FOLDER / f"{task}.md").read_text(encoding="utf-8")
+        assert sorted(f"v{spec.version}" for spec in specs) == sorted(ENVIRONMENTS[task].versions)
+        assert all(f"| `{spec.id}` |" in page for spec in specs)
+
+
+def test_the_pages_are_what_the_environments_say():
+    for name, page in benchmark.pages().items():
+        assert (FOLDER / name).read_text(encoding="utf-8") == page, f"docs/environments/{name} is old; {REMEDY}"
+
+
+def test_the_folder_holds_nothing_else():
+    made = {f"{task}.{kind}" for task in ENVIRONMENTS for kind in ("md", "png")}
+    assert {path.name for path in FOLDER.iterdir()} == {"index.md", *made}
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur10e"])
+@EVERY
+def test_entries_of_an_observation_are_what_the_table_says(task, robot):
+    envs, (observation, *_), _ = moving(task, robot)
+    now, at = situation(envs), 0
+    for entries in ENVIRONMENTS[task].observation:
+        expected = entries.value(now)
+        torch.testing.assert_close(observation[:, at : at + expected.shape[1]], expected, rtol=1e-9, atol=1e-9)
+        at += expected.shape[1]
+    assert at == envs.single_observation_space.shape[0]
+
+
+@EVERY
+def test_the_reward_is_the_formula_of_the_page(task):
+    case = ENVIRONMENTS[task]
+    (formula, *_) = documented(case.task, frozenset({"action"})).formulas
+    code = re.sub(r"(?<=\d) (?=[a-z])", " * ", formula.partition(",  ")[0].replace("^", "**"))
+    _, (_, reward, _, _, info), actions = moving(task)
+    size = info["distance" if task == "reach" else "error"]
+    known = {"d": size, "e": size, "action": actions, "mean": lambda x: x.mean(1)}
+    torch.testing.assert_close(reward, eval(code, known), rtol=1e-9, atol=1e-9)
+
+
+@EVERY
+def test_entries_of_info_are_those_of_the_table(task):
+    _, (*_, info), _ = moving(task)
+    assert set(info) == set(ENVIRONMENTS[task].info)
+
+
+@EVERY
+def test_an_episode_is_truncated_where_the_page_says_and_never_ends_before(task):
+    spec = newest(task)
+    env = gymnasium.make(spec.id, disable_env_checker=True)
+    env.reset(seed=1)
+    env.action_space.seed(1)
+    for k in range(1, spec.max_episode_steps + 1):
+        _, _, terminated, truncated, _ = env.step(env.action_space.sample())
+        assert not terminated and truncated == (k == spec.max_episode_steps)
+    page = " ".join((FOLDER / f"{task}.md").read_text(encoding="utf-8").split())
+    assert f"| truncated | after {spec.max_episode_steps} steps, which are {spec.max_episode_steps * 0.02:g} s" in page
+
+
+def test_the_table_of_arguments_has_all_of_them():
+    page = (FOLDER / "index.md").read_text(encoding="utf-8")
+    assert all(f"| `{name}` | `" in page for name in inspect.signature(ArmVectorEnv).parameters)
+
+
+def test_the_policy_of_the_picture_reaches_its_goal():
+    envs = ArmVectorEnv(4, "reach", "panda", action="reference")
+    envs.reset(seed=0)
+    first = situation(envs)
+    for _ in range(100):
+        info = envs.step(towards(situation(envs)))[4]
+    start = (first.goal - ENVIRONMENTS["reach"].observation[3].value(first)).norm(dim=1)
+    assert (info["distance"] < 0.5 * start).all()
+
+
+@EVERY
+def test_a_picture_is_what_is_rendered(task):
+    image, np = pytest.importorskip("PIL.Image"), pytest.importorskip("numpy")
+    pytest.importorskip("matplotlib")
+    kept = np.asarray(image.open(FOLDER / f"{task}.png")).astype(float)
+    drawn = np.asarray(image.open(io.BytesIO(picture(task)))).astype(float)
+    assert kept.shape == drawn.shape and (FOLDER / f"{task}.png").stat().st_size < 150_000
+    assert abs(kept - drawn).mean() < 1.0, REMEDY
