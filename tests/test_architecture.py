@@ -91,7 +91,7 @@ STOREYS = {
     "torchdq.learning.page": 5,
     "torchdq.learning.excitation": 5,
     "torchdq.learning": 6,
-    # answers and robots, options that commands share, the commands, the command line
+    # outcomes and robots, options that commands share, the commands, the command line
     "torchdq.command.robots": 1,
     "torchdq.command.command": 2,
     "torchdq.command.report": 3,

@@ -2,7 +2,7 @@
 
 main      parsing, exit codes, warnings and errors
 command   what all commands share
-answer    result of a command, as text and as JSON
+outcome    result of a command, as text and as JSON
 robots    robots by file or name
 report bench identify scene accuracy export view cost doctor
 """

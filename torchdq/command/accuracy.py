@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from torchdq import machine
-from torchdq.command.answer import Answer
 from torchdq.command.command import RobotCommand
+from torchdq.command.outcome import Outcome
 from torchdq.envs.recommend import recommend
 from torchdq.envs.recommendation import SceneRecommendation
 
@@ -27,7 +27,7 @@ class AccuracyCommand(RobotCommand):
     seconds: float = 10.0
     """Time for the search [s]."""
 
-    def answer(self) -> Answer:
+    def outcome(self) -> Outcome:
         """Recommendation with its alternatives."""
         robot = self.load().robot
         found = recommend(robot, self.error, None if self.accelerations else self.horizon, seconds=self.seconds)
@@ -53,4 +53,4 @@ class AccuracyCommand(RobotCommand):
             }
         asked = "accelerations" if self.accelerations else f"{self.horizon:g} s under gravity, without torques"
         title = f"{robot.name}, error of {self.error:g} at most: {asked}"
-        return Answer((title, str(found), machine.words()), data)
+        return Outcome((title, str(found), machine.words()), data)

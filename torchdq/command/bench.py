@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import torch
 
 from torchdq import machine
-from torchdq.command.answer import Answer, Grid
-from torchdq.command.command import Precision, RobotCommand
+from torchdq.command.command import Dtype, RobotCommand
+from torchdq.command.outcome import Grid, Outcome
 from torchdq.errors import ArgumentError
 from torchdq.speed import BATCHES, speeds
 
@@ -22,14 +22,14 @@ class BenchCommand(RobotCommand):
 
     batches: tuple[int, ...] = BATCHES
     """Samples in a call."""
-    dtype: Precision = "float64"
-    """Precision of the samples."""
+    dtype: Dtype = "float64"
+    """Dtype of the samples."""
     threads: int | None = None
     """Threads of large batches; by default as many as torch uses."""
     seconds: float = 0.2
     """Time of measuring each function at each batch."""
 
-    def answer(self) -> Answer:
+    def outcome(self) -> Outcome:
         """Table of times."""
         if not self.batches or min(self.batches) < 1:
             raise ArgumentError(f"batches must be whole numbers from 1, found {list(self.batches)}")
@@ -59,4 +59,4 @@ class BenchCommand(RobotCommand):
             "unit": "ns per sample",
             "speeds": [one._asdict() for one in found],
         }
-        return Answer(text, data)
+        return Outcome(text, data)

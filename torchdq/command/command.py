@@ -8,13 +8,13 @@ from typing import Annotated, Literal
 
 import tyro
 
-from torchdq.command.answer import Answer
+from torchdq.command.outcome import Outcome
 from torchdq.command.robots import NamedRobot, robot_of
 from torchdq.robot.consistency import OnUnphysical
 from torchdq.robot.loading import Base
 
 RobotName = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]
-Precision = Literal["float64", "float32"]
+Dtype = Literal["float64", "float32"]
 
 
 @dataclass(kw_only=True)
@@ -24,7 +24,7 @@ class Command:
     json: bool = False
     """Write one JSON object instead of text."""
 
-    def answer(self) -> Answer:
+    def outcome(self) -> Outcome:
         """Result of the command."""
         raise NotImplementedError
 

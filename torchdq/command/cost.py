@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from torchdq.command.answer import Answer, Verbatim
 from torchdq.command.command import Command
+from torchdq.command.outcome import Outcome, Verbatim
 from torchdq.notice import Notice
 from torchdq.paper import cost, ladder
 
@@ -19,7 +19,7 @@ class CostCommand(Command):
     Example: torchdq cost
     """
 
-    def answer(self) -> Answer:
+    def outcome(self) -> Outcome:
         """Tables in Markdown."""
         with Notice("compiling and timing the steps from Algorithm 1 to the program"):
             times = ladder.times(JOINTS)
@@ -30,4 +30,4 @@ class CostCommand(Command):
         }
         steps = [{"step": rung.name, "nanoseconds": t} for rung, t in zip(ladder.RUNGS, times, strict=True)]
         text = f"{cost.report()}\n\n## From Algorithm 1 to the program that runs\n\n{table}"
-        return Answer((Verbatim(text),), {"tables": tables, "steps": steps})
+        return Outcome((Verbatim(text),), {"tables": tables, "steps": steps})

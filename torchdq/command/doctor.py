@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from torchdq import __version__
-from torchdq.command.answer import Answer, Grid
 from torchdq.command.command import Command
+from torchdq.command.outcome import Grid, Outcome
 from torchdq.health import findings
 
 
@@ -17,7 +17,7 @@ class DoctorCommand(Command):
     Example: torchdq doctor
     """
 
-    def answer(self) -> Answer:
+    def outcome(self) -> Outcome:
         """Table of findings; it failed if something is broken."""
         found = findings()
         cures = [(finding.what, finding.cure) for finding in found if finding.cure]
@@ -32,4 +32,4 @@ class DoctorCommand(Command):
         mend = ("to do:", Grid((), [("-", f"{what}:", cure) for what, cure in cures])) if cures else ()
         text = (f"torchdq {__version__}", Grid(("state", "what", "found"), rows), *mend, verdict)
         data = {"version": __version__, "verdict": verdict, "findings": [finding._asdict() for finding in found]}
-        return Answer(text, data, counts["broken"] > 0)
+        return Outcome(text, data, counts["broken"] > 0)

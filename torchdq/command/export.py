@@ -10,8 +10,8 @@ import torch
 import tyro
 
 from torchdq.checks import names_of
-from torchdq.command.answer import Answer, Grid
-from torchdq.command.command import Precision, RobotCommand
+from torchdq.command.command import Dtype, RobotCommand
+from torchdq.command.outcome import Grid, Outcome
 from torchdq.errors import ArgumentError
 from torchdq.export.c99 import Library
 from torchdq.functions.catalogue import FLOATING
@@ -41,8 +41,8 @@ class ExportCommand(RobotCommand):
     """Frames of forward_kinematics; frame and body or world of jacobian."""
     name: str = ""
     """Name of the function; by default its own and the robot's."""
-    dtype: Precision = "float64"
-    """Precision."""
+    dtype: Dtype = "float64"
+    """Dtype."""
     library: Library = "math.h"
     """Sine, cosine and roots of C: math.h, or own."""
     batch: bool = False
@@ -52,7 +52,7 @@ class ExportCommand(RobotCommand):
     out: Path = Path(".")
     """Folder of the files."""
 
-    def answer(self) -> Answer:
+    def outcome(self) -> Outcome:
         """Names of the files."""
         robot = self.load().robot
         with Notice(f"exporting {self.function}"):
@@ -73,7 +73,7 @@ class ExportCommand(RobotCommand):
             Grid((), [("wrote", str(x)) for x in files]),
         )
         data = {"robot": robot.name, "function": function, "language": self.language, "files": files}
-        return Answer(text, data)
+        return Outcome(text, data)
 
     def _graph(self, robot: Robot) -> Path:
         """File of a layer's graph, for any number of samples."""

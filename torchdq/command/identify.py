@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from torchdq.command.answer import Answer, Grid, Verbatim
 from torchdq.command.command import RobotCommand, numbers
+from torchdq.command.outcome import Grid, Outcome, Verbatim
 from torchdq.command.robots import NamedRobot
 from torchdq.errors import ArgumentError, DescriptionError
 from torchdq.learning import identify as seek
@@ -21,7 +21,7 @@ from torchdq.learning.identification.identified import Identified
 from torchdq.learning.logs.layouts import Layout
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.page import page
-from torchdq.learning.trial import HEADER, Trial, apart, torques_by, trial
+from torchdq.learning.trial import HEADER, TorqueTrial, apart, torques_by, trial
 from torchdq.notice import Notice
 from torchdq.optional import imported
 
@@ -70,7 +70,7 @@ class IdCommand(RobotCommand):
     out: Path = Path(".")
     """Folder of the page and the URDF."""
 
-    def answer(self) -> Answer:
+    def outcome(self) -> Outcome:
         """Errors before and after, the verdict, and the files that were written."""
         for module, extra in NEEDED.items():
             imported(module, module, "torchdq id", extra)
@@ -94,7 +94,7 @@ class IdCommand(RobotCommand):
         for doubt in doubts:
             warnings.warn(doubt, stacklevel=2)
         files, lost = self._written(source, found, measured, test, doubts, payload)
-        return _answer(found, measured, payload, files, lost)
+        return _outcome(found, measured, payload, files, lost)
 
     def _motion(self, log: str, n: int) -> Motion:
         """Motion of a log, filtered, with accelerations."""
@@ -125,7 +125,7 @@ class IdCommand(RobotCommand):
         self,
         source: NamedRobot,
         found: Identified,
-        measured: Trial,
+        measured: TorqueTrial,
         test: Sequence[Motion],
         doubts: Sequence[str],
         payload: IdentifiedPayload | None,
@@ -153,9 +153,9 @@ class IdCommand(RobotCommand):
         return files, ""
 
 
-def _answer(
-    found: Identified, measured: Trial, payload: IdentifiedPayload | None, files: dict[str, Path], lost: str
-) -> Answer:
+def _outcome(
+    found: Identified, measured: TorqueTrial, payload: IdentifiedPayload | None, files: dict[str, Path], lost: str
+) -> Outcome:
     """Text and data of what was found."""
     untold = () if found.report is None else found.report.untold
     text: list[str | Grid | Verbatim] = [Grid(HEADER, measured.rows())]
@@ -188,4 +188,4 @@ def _answer(
         "files": files,
         "lost": lost,
     }
-    return Answer(tuple(text), data)
+    return Outcome(tuple(text), data)

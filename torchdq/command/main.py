@@ -17,13 +17,13 @@ import tyro
 
 from torchdq import __version__
 from torchdq.command.accuracy import AccuracyCommand
-from torchdq.command.answer import Answer, Grid, write, write_json
 from torchdq.command.bench import BenchCommand
 from torchdq.command.command import Command
 from torchdq.command.cost import CostCommand
 from torchdq.command.doctor import DoctorCommand
 from torchdq.command.export import ExportCommand
 from torchdq.command.identify import IdCommand
+from torchdq.command.outcome import Grid, Outcome, write, write_json
 from torchdq.command.report import ReportCommand
 from torchdq.command.scene import SceneCommand
 from torchdq.command.view import ViewCommand
@@ -42,8 +42,8 @@ COMMANDS: dict[str, type[Command]] = {
 }
 PROGRAM = "torchdq"
 ABOUT = (
-    "Rigid-body dynamics of robots. ROBOT is a URDF, xacro or MJCF file, a shipped robot such as panda, or a name in the "
-    "package robot_descriptions.",
+    "Rigid-body dynamics of robots. ROBOT is a URDF, xacro or MJCF file, a shipped robot such as panda, or a name in "
+    "the package robot_descriptions.",
     "torchdq COMMAND --help has the options of a command and an example. torchdq --tyro-print-completion bash (or zsh, "
     "tcsh) prints what completes them in a shell.",
 )
@@ -74,7 +74,7 @@ def _help() -> int:
     """Exit code after a page about all commands."""
     lines = [(name, (kind.__doc__ or "").split("\n\n")[0]) for name, kind in COMMANDS.items()]
     text = (f"usage: {PROGRAM} [--help] [--version] COMMAND ...", ABOUT[0], Grid((), lines), ABOUT[1])
-    write(Answer(text, {}), as_json=False)
+    write(Outcome(text, {}), as_json=False)
     return WELL
 
 
@@ -98,7 +98,7 @@ def _run(command: Command) -> int:
     with warnings.catch_warnings():
         warnings.showwarning = show
         try:
-            answer = command.answer()
+            outcome = command.outcome()
         except (TorchdqError, OSError) as error:
             if isinstance(error, BrokenPipeError):
                 raise
@@ -106,9 +106,9 @@ def _run(command: Command) -> int:
                 write_json({"error": str(error), "kind": type(error).__name__})
             _say("error", str(error))
             return MISTAKE
-    write(answer, command.json, told)
+    write(outcome, command.json, told)
     sys.stdout.flush()
-    return MISTAKE if answer.failed else WELL
+    return MISTAKE if outcome.failed else WELL
 
 
 def _say(kind: str, text: str) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from torchdq.command.answer import Answer, Grid
 from torchdq.command.command import RobotCommand
+from torchdq.command.outcome import Grid, Outcome
 from torchdq.overview import COUNTED, overview
 from torchdq.robot.report import HEADER
 
@@ -17,7 +17,7 @@ class ReportCommand(RobotCommand):
     Example: torchdq report arm.urdf
     """
 
-    def answer(self) -> Answer:
+    def outcome(self) -> Outcome:
         """Page about the robot."""
         robot = self.load().robot
         page = overview(robot)
@@ -49,4 +49,4 @@ class ReportCommand(RobotCommand):
             "error_growth": None if page.growth is None else page.growth._asdict(),
             "doubt": page.doubt,
         }
-        return Answer(text, data)
+        return Outcome(text, data)

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from torchdq import effects, machine
 from torchdq.checks import names_of, require_number
-from torchdq.command.answer import Answer, Grid
 from torchdq.command.command import RobotCommand
+from torchdq.command.outcome import Grid, Outcome
 from torchdq.envs import controllers, integrators
 from torchdq.envs.defaults import usual
 from torchdq.envs.integrators import Integrator
@@ -66,7 +66,7 @@ class SceneCommand(RobotCommand):
     price: float = 3.0
     """Time for measuring what every effect costs [s]; 0: operations alone."""
 
-    def answer(self) -> Answer:
+    def outcome(self) -> Outcome:
         """Energies and price."""
         require_number("seconds", self.seconds, positive=True)
         require_number("dt", self.dt, positive=True)
@@ -105,7 +105,7 @@ class SceneCommand(RobotCommand):
             "left_out": price.left_out,
             "files": {} if self.csv is None else {"csv": self.csv},
         }
-        return Answer(tuple(text), data)
+        return Outcome(tuple(text), data)
 
     def _scene(self, robot: Robot) -> Scene:
         names_of("integrator", self.integrator, STEPPERS, "integrator")
@@ -120,7 +120,7 @@ class SceneCommand(RobotCommand):
     def _run(self, scene: Scene, start: State, steps: int) -> State:
         """States after each step."""
         torque = _per_joint("torque", self.torque, scene.robot)
-        held = {}
+        held: dict[str, Any] = {}
         if scene.controller is not None:
             still = torch.zeros_like(start.q)
             held = {"reference": torch.cat([start.q, still, still])}
@@ -129,7 +129,7 @@ class SceneCommand(RobotCommand):
             for done in range(0, steps, AT_ONCE):
                 notice.at(f"{done} of {steps} steps")
                 count = min(AT_ONCE, steps - done)
-                series = {name: x.expand(count, -1) for name, x in held.items()}
+                series: dict[str, Any] = {name: x.expand(count, -1) for name, x in held.items()}
                 given = None if torque is None else torque.expand(count, -1)
                 parts.append(scene.rollout(state, given, count, **series))
                 state = State._make(None if x is None else x[-1] for x in parts[-1])

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import torch
 
-from torchdq.command.answer import Answer
 from torchdq.command.command import RobotCommand
+from torchdq.command.outcome import Outcome
 from torchdq.envs.render import Viewer
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
@@ -36,7 +36,7 @@ class ViewCommand(RobotCommand):
     seconds: float | None = None
     """Time after which it ends [s]; by default at Ctrl-C."""
 
-    def answer(self) -> Answer:
+    def outcome(self) -> Outcome:
         """Address, after the end."""
         robot = self.load().robot
         if self.q and len(self.q) != robot.n:
@@ -49,7 +49,9 @@ class ViewCommand(RobotCommand):
                 viewer.show(torch.tensor(self.q) if self.q else swaying(robot, time.monotonic() - start))
                 shown += 1
                 time.sleep(1 / FRAMES)
-        return Answer((f"{shown} pictures of {robot.name}",), {"robot": robot.name, "url": viewer.url, "frames": shown})
+        return Outcome(
+            (f"{shown} pictures of {robot.name}",), {"robot": robot.name, "url": viewer.url, "frames": shown}
+        )
 
 
 def swaying(robot: Robot, t: float) -> torch.Tensor:

@@ -10,7 +10,7 @@ from torchdq.learning.bodies.payload import IdentifiedPayload
 from torchdq.learning.identification.identified import Identified
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.pictures import plot_torques
-from torchdq.learning.trial import HEADER, Trial, torques_by
+from torchdq.learning.trial import HEADER, TorqueTrial, torques_by
 from torchdq.optional import imported
 
 STYLE = """
@@ -31,7 +31,7 @@ summary { cursor: pointer; }
 
 def page(
     found: Identified,
-    measured: Trial,
+    measured: TorqueTrial,
     test: Sequence[Motion],
     sources: Sequence[str] = (),
     doubts: Sequence[str] = (),
@@ -57,7 +57,7 @@ def page(
         _section("Warnings", "".join(f"<p>{escape(x)}</p>" for x in doubts)) if doubts else "",
         _section(
             "Torques in motions that were not learned from",
-            "<p>Errors are root mean squares over the standard deviation of the measured torque. Grey bands should hold"
+            "<p>Errors are root mean squares over the standard deviation of the measured torque. The bands should hold"
             f" 95 % of the measurements.</p>{_table(HEADER, measured.rows())}"
             f'<div class="picture">{_picture(found, torques_by(found, test))}</div>',
         ),
@@ -68,7 +68,8 @@ def page(
     ]
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(name)}</title>'
     body = "\n".join(part for part in parts if part)
-    return f'<!doctype html>\n<html lang="en">\n<head>{head}<style>{STYLE}</style></head>\n<body>\n{body}\n</body>\n</html>\n'
+    head = f"<head>{head}<style>{STYLE}</style></head>"
+    return f'<!doctype html>\n<html lang="en">\n{head}\n<body>\n{body}\n</body>\n</html>\n'
 
 
 def _section(title: str, content: str) -> str:

@@ -21,7 +21,7 @@ WORTH = 0.95  # part of the error of the description that must be left at most, 
 GOOD, FAIR = 0.1, 0.3  # parts of the torque that are left unexplained at most
 
 
-class Trial(NamedTuple):
+class TorqueTrial(NamedTuple):
     """Errors of the torques in motions that were not learned from.
 
     Errors are root mean squares over the standard deviation of the measured torque: 0 is perfect, 1 no better than a
@@ -75,7 +75,7 @@ def apart(motions: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:
     return [first], [last]
 
 
-def trial(described: Robot, found: Identified, motions: Sequence[Motion]) -> Trial:
+def trial(described: Robot, found: Identified, motions: Sequence[Motion]) -> TorqueTrial:
     """Trial of an identified robot on motions that it was not identified from.
 
     Args:
@@ -90,7 +90,7 @@ def trial(described: Robot, found: Identified, motions: Sequence[Motion]) -> Tri
     tau_hat, error = found.predict(q, qd, qdd)
     band = WIDE * (error.square() + found.noise.to(error).square()).sqrt()
     size = tau.std(0)
-    return Trial(
+    return TorqueTrial(
         described.joint_names,
         float(sum(motion.time[-1] - motion.time[0] for motion in known)),
         (tau - before).square().mean(0).sqrt() / size,

@@ -28,7 +28,7 @@ class Verbatim(NamedTuple):
     text: str
 
 
-class Answer(NamedTuple):
+class Outcome(NamedTuple):
     """Result of a command."""
 
     text: tuple[str | Grid | Verbatim, ...]  # paragraphs and tables
@@ -36,15 +36,15 @@ class Answer(NamedTuple):
     failed: bool = False  # whether a check failed
 
 
-def write(answer: Answer, as_json: bool, warnings: Sequence[str] = ()) -> None:
-    """Write an answer to stdout."""
+def write(outcome: Outcome, as_json: bool, warnings: Sequence[str] = ()) -> None:
+    """Write an outcome to stdout."""
     if as_json:
-        write_json({**answer.data, **({"warnings": list(warnings)} if warnings else {})})
+        write_json({**outcome.data, **({"warnings": list(warnings)} if warnings else {})})
         return
     console = Console(file=sys.stdout, highlight=False, markup=False, emoji=False)
     with console.capture() as drawn:
         before: object = ":"
-        for part in answer.text:
+        for part in outcome.text:
             if not (isinstance(before, str) and before.endswith(":")):  # a title stands close to what it is of
                 console.print()
             if isinstance(part, Verbatim):
