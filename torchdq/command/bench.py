@@ -42,7 +42,7 @@ class BenchCommand(RobotCommand):
             found = speeds(robot, self.batches, self.dtype, self.seconds)
         finally:
             torch.set_num_threads(before)
-        cells = {(one.function, one.batch): f"{one.nanoseconds:.4g} +- {one.spread:.2g}" for one in found}
+        cells = {(one.function, one.batch): f"{one.nanoseconds:.1f} +- {one.spread:.1f}" for one in found}
         names = list(dict.fromkeys(one.function for one in found))
         header = ("function", *("one call" if batch == 1 else f"{batch} samples" for batch in self.batches))
         on = f"{self.dtype}, {threads} thread{'s' * (threads != 1)}; {machine.words()}"

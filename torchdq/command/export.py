@@ -14,12 +14,13 @@ from torchdq.command.command import Dtype, RobotCommand
 from torchdq.command.outcome import Grid, Outcome
 from torchdq.errors import ArgumentError
 from torchdq.export.c99 import Library
-from torchdq.functions.catalogue import FLOATING
+from torchdq.functions.catalogue import FLOATING, RECIPES
 from torchdq.functions.compile import compile
 from torchdq.nn import DQRNEA, ForwardDynamics
 from torchdq.notice import Notice
 from torchdq.robot import Robot
 
+FUNCTIONS = tuple(name for name in RECIPES if not name.startswith(FLOATING) and name != "error_growth")
 LAYERS = {"inverse_dynamics": DQRNEA, "forward_dynamics": ForwardDynamics}  # functions that torch.export takes
 
 
@@ -54,14 +55,13 @@ class ExportCommand(RobotCommand):
 
     def outcome(self) -> Outcome:
         """Names of the files."""
+        names_of("function", self.function, FUNCTIONS, "function")
         robot = self.load().robot
         with Notice(f"exporting {self.function}"):
             if self.language == "torch":
                 files, function = [self._graph(robot)], self.function
             else:
-                full = (
-                    f"{FLOATING}{self.function}" if robot.floating and FLOATING not in self.function else self.function
-                )
+                full = FLOATING * robot.floating + self.function
                 program = compile(robot, full, self.dtype, options=self.options)
                 done = program.export(
                     *(self.out, self.name, self.library, self.language), batch=self.batch, knots=self.knots
@@ -77,7 +77,7 @@ class ExportCommand(RobotCommand):
 
     def _graph(self, robot: Robot) -> Path:
         """File of a layer's graph, for any number of samples."""
-        names_of("function", self.function, LAYERS, "function for torch")
+        names_of("function", self.function, LAYERS, "function that has a layer")
         if robot.floating:
             raise ArgumentError("base must be 'fixed' for torch, found a robot with a free base; export it as c")
         dtype = torch.float64 if self.dtype == "float64" else torch.float32

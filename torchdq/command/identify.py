@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -18,13 +19,23 @@ from torchdq.learning import identify as seek
 from torchdq.learning import identify_payload, read, smooth
 from torchdq.learning.bodies.payload import IdentifiedPayload
 from torchdq.learning.identification.identified import Identified
-from torchdq.learning.logs.layouts import Layout
+from torchdq.learning.logs.layouts import Layout, LogError
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.page import page
 from torchdq.learning.trial import HEADER, TorqueTrial, apart, torques_by, trial
 from torchdq.notice import Notice
 from torchdq.optional import imported
 
+# in messages of the package, and here
+OPTIONS = {
+    "rows=(first, last)": "--rows FIRST LAST",
+    "Layout(columns=...), e.g. {'q': 'position_{0}'}": "--columns, e.g. --columns q position_{0}",
+    "columns={'qd': None}": "--columns qd none",
+    "Layout(--columns qd none)": "--columns qd none",
+    "Layout(gain=...)": "--gains",
+    "gains=True": "--seek-gains",
+    "a Layout(header=False, joints=...)": "--blocks, e.g. --blocks q qd tau",
+}
 NEEDED = {"scipy": "'torchdq[learn]'", "matplotlib": "'torchdq[viz]'"}  # before the work, not after it
 
 
@@ -47,6 +58,8 @@ class IdCommand(RobotCommand):
     from 1. "none" for qd: not recorded."""
     blocks: tuple[str, ...] = ()
     """For a file without a header: names of its blocks of columns after the time, e.g. q qd tau."""
+    rows: tuple[int, int] | None = None
+    """First row of each log that is used, and the one after the last, counted from 0."""
     gains: tuple[float, ...] = ()
     """Torque per unit of tau where it is a current, one for each joint [N m/A]."""
     seek_gains: bool = False
@@ -77,13 +90,16 @@ class IdCommand(RobotCommand):
         if not self.logs:
             raise ArgumentError("LOG must be a file at least, found none; torchdq id --help has an example")
         self.out.mkdir(parents=True, exist_ok=True)
+        if not os.access(self.out, os.W_OK):
+            raise ArgumentError(f"out must be a folder that you can write, found {str(self.out)!r}")
         source = self.load()
         robot = source.robot
-        motions = [self._motion(log, robot.n) for log in self.logs]
-        train, test = (motions, [self._motion(log, robot.n) for log in self.test]) if self.test else apart(motions)
-        held = [self._motion(log, robot.n) for log in self.payload]
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
+            motions = [self._motion(log, robot.n) for log in self.logs]
+            tests = [self._motion(log, robot.n) for log in self.test]
+            held = [self._motion(log, robot.n) for log in self.payload]
+            train, test = (motions, tests) if tests else apart(motions)
             found = self._sought(source, train)
             payload = None
             if held:
@@ -99,7 +115,11 @@ class IdCommand(RobotCommand):
     def _motion(self, log: str, n: int) -> Motion:
         """Motion of a log, filtered, with accelerations."""
         with Notice(f"reading {log}"):
-            motion = smooth(read(log, self._layout(n)), self.cutoff, self.cutoff, self.rate)
+            try:
+                recorded = read(log, self._layout(n), self.rows)
+            except LogError as error:
+                raise LogError(_with_options(str(error))) from error
+            motion = smooth(recorded, self.cutoff, self.cutoff, self.rate)
         if motion.q.shape[1] != n:
             cure = "--joints keeps some joints of the robot"
             raise ArgumentError(f"{log} holds {motion.q.shape[1]} joints, the robot has {n}; {cure}")
@@ -151,6 +171,13 @@ class IdCommand(RobotCommand):
             files.pop(source.format)
             return files, f"no description is written: {error}"
         return files, ""
+
+
+def _with_options(message: str) -> str:
+    """Message about a log with the options of the command line in place of arguments of functions."""
+    for argument, option in OPTIONS.items():
+        message = message.replace(argument, option)
+    return message
 
 
 def _outcome(

@@ -11,6 +11,8 @@ import sys
 import textwrap
 import warnings
 from collections.abc import Sequence
+from contextlib import redirect_stdout
+from functools import partial
 from typing import Any
 
 import tyro
@@ -98,25 +100,32 @@ def _run(command: Command) -> int:
     with warnings.catch_warnings():
         warnings.showwarning = show
         try:
-            outcome = command.outcome()
+            with redirect_stdout(sys.stderr):  # what libraries print is no result
+                outcome = command.outcome()
         except (TorchdqError, OSError) as error:
             if isinstance(error, BrokenPipeError):
                 raise
+            words = _words(error)
             if command.json:
-                write_json({"error": str(error), "kind": type(error).__name__})
-            _say("error", str(error))
+                write_json({"error": words, "kind": type(error).__name__})
+            _say("error", words)
             return MISTAKE
     write(outcome, command.json, told)
     sys.stdout.flush()
     return MISTAKE if outcome.failed else WELL
 
 
+def _words(error: Exception) -> str:
+    """Message of an error; one of the system names the file first."""
+    if isinstance(error, TorchdqError) or not isinstance(error, OSError) or error.filename is None:
+        return str(error)
+    return f"{str(error.filename)!r} cannot be used: {error.strerror}"
+
+
 def _say(kind: str, text: str) -> None:
     """Write a message to stderr, in lines that fit the terminal."""
     width = max(40, shutil.get_terminal_size().columns - 1)
-    lines = [
-        textwrap.wrap(line, width, break_long_words=False, break_on_hyphens=False) or [""] for line in text.split("\n")
-    ]
-    first, *others = [line for some in lines for line in some]
-    sys.stderr.write("\n".join([f"torchdq: {kind}: {first}", *others]) + "\n")
+    fill = partial(textwrap.wrap, width=width, break_long_words=False, break_on_hyphens=False)
+    lines = [line for part in f"{PROGRAM}: {kind}: {text}".split("\n") for line in fill(part) or [""]]
+    sys.stderr.write("\n".join(lines) + "\n")
     sys.stderr.flush()

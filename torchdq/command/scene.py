@@ -17,7 +17,7 @@ from torchdq.command.command import RobotCommand
 from torchdq.command.outcome import Grid, Outcome
 from torchdq.envs import controllers, integrators
 from torchdq.envs.defaults import usual
-from torchdq.envs.integrators import Integrator
+from torchdq.envs.integrators import Integrator, Unrecorded
 from torchdq.envs.scene import Scene
 from torchdq.envs.state import State
 from torchdq.errors import ArgumentError
@@ -30,7 +30,7 @@ STEPPERS = {
     for name, kind in vars(integrators).items()
     if isinstance(kind, type)
     and issubclass(kind, Integrator)
-    and not name.startswith("_")
+    and kind not in (Integrator, Unrecorded)
     and all(entry.default is not MISSING for entry in fields(kind))
 }
 AT_ONCE = 500  # steps between two lines about progress
