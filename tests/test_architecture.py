@@ -34,6 +34,7 @@ FLOORS = {
     "torchdq.tables": 0,
     "torchdq.sources": 0,
     "torchdq.timing": 0,
+    "torchdq.machine": 0,
     "torchdq.algebra": 0,
     "torchdq.numbers": 0,
     "torchdq.dynamics": 1,
@@ -51,6 +52,8 @@ FLOORS = {
     "torchdq.functional": 7,
     "torchdq.floating": 8,
     "torchdq.overview": 9,
+    "torchdq.speed": 9,
+    "torchdq.health": 9,
     "torchdq.control": 8,
     "torchdq.parametrizations": 8,
     "torchdq.learnable": 8,
@@ -63,7 +66,8 @@ FLOORS = {
     "torchdq.envs": 14,
     "torchdq.learning": 15,
     "torchdq": 16,
-    "torchdq.__main__": 17,
+    "torchdq.command": 17,
+    "torchdq.__main__": 18,
 }
 
 # storeys of the packages that have several: files that a table does not name are on the lowest
@@ -75,16 +79,32 @@ STOREYS = {
     "torchdq.robot.posed": 3,
     "torchdq.robot": 4,
     "torchdq.robot.shipped": 5,
-    # logs, what is found from them, what is made of that, pictures of all
+    # logs, what is found from them, what is made of that, pictures and pages of all
     "torchdq.learning.logs": 1,
     "torchdq.learning.identification": 2,
     "torchdq.learning.training": 2,
     "torchdq.learning.rollout": 2,
     "torchdq.learning.bodies": 3,
-    "torchdq.learning.pictures": 3,
+    "torchdq.learning.trial": 3,
     "torchdq.learning.excitation.limits": 1,
-    "torchdq.learning.excitation": 4,
-    "torchdq.learning": 5,
+    "torchdq.learning.pictures": 4,
+    "torchdq.learning.page": 5,
+    "torchdq.learning.excitation": 5,
+    "torchdq.learning": 6,
+    # outcomes and robots, options that commands share, the commands, the command line
+    "torchdq.command.robots": 1,
+    "torchdq.command.command": 2,
+    "torchdq.command.report": 3,
+    "torchdq.command.bench": 3,
+    "torchdq.command.identify": 3,
+    "torchdq.command.scene": 3,
+    "torchdq.command.accuracy": 3,
+    "torchdq.command.export": 3,
+    "torchdq.command.view": 3,
+    "torchdq.command.cost": 3,
+    "torchdq.command.doctor": 3,
+    "torchdq.command.main": 4,
+    "torchdq.command": 5,
 }
 
 NUMBER_GENERIC = ("torchdq.algebra", "torchdq.dynamics", "torchdq.numbers")
@@ -307,7 +327,7 @@ JOINT_KINDS = {"revolute", "prismatic", "helical", "fixed", "free"}
 DEFAULTS = ".defaults"  # modules of this name build the effects that there are by default
 # public on both sides: a layer and a controller; an effect and the limits of a description
 TWO_MEANINGS = {"ComputedTorque", "Limits"}
-DEPENDENCIES = {"torch", "numpy", "pinocchio", "gymnasium"}
+DEPENDENCIES = {"torch", "numpy", "pinocchio", "gymnasium", "rich", "tyro"}
 OPTIONAL = "torchdq.optional"
 NO_NOUN = ("What ", "The same", "Those ", "That of ", "Whether it ", "How it ")
 

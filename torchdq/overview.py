@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,8 +13,9 @@ from torchdq.errors import SingularInertiaError
 from torchdq.functions.catalogue import FLOATING, RECIPES, Function
 from torchdq.functions.options import options_of
 from torchdq.notice import Notice
-from torchdq.program.program import Argument
+from torchdq.program.program import Argument, Count
 from torchdq.robot import Robot
+from torchdq.robot.report import Report
 from torchdq.robot.robot import constants
 from torchdq.tables import table
 
@@ -23,52 +25,84 @@ POSITIONS = 100  # number of random positions
 COUNTED = ("multiplications", "additions", "divisions", "sines", "roots")
 
 
-def overview(robot: Robot) -> str:
+class Growth(NamedTuple):
+    """Factors by which accelerations magnify rounding errors, at random positions within the limits."""
+
+    usual: float  # median
+    worst: float
+
+
+class Overview(NamedTuple):
+    """Page about a robot; `str` lays it out as text."""
+
+    report: Report
+    operations: dict[str, Count | None]  # per sample, by function; None: undefined, since a joint moves no inertia
+    growth: Growth | None  # None: accelerations are undefined, or there are none
+    doubt: str  # why there is no growth; "" if there is
+
+    def rows(self) -> list[tuple[str, ...]]:
+        """Cells of the table of operations, a row for each function."""
+        return [
+            (name, *(str(getattr(count, kind)) for kind in COUNTED))
+            if count is not None
+            else (name, "undefined: a joint moves no inertia", *[""] * (len(COUNTED) - 1))
+            for name, count in self.operations.items()
+        ]
+
+    def rounding(self) -> str:
+        """Words for the growth of rounding errors."""
+        if self.growth is None:
+            return f"rounding errors: {self.doubt}"
+        return (
+            f"rounding errors of accelerations, at {POSITIONS} random positions: magnified {self.growth.usual:.3g} "
+            f"times in the median, largest growth {self.growth.worst:.3g}; torques and kinematics keep all digits"
+        )
+
+    def __str__(self) -> str:
+        operations = table(("function", *COUNTED), self.rows())
+        return f"{self.report}\n\noperations per sample:\n{operations}\n\n{self.rounding()}\n"
+
+
+def overview(robot: Robot) -> Overview:
     """Page about a robot, without compiling anything.
 
     >>> import torchdq
-    >>> page = overview(torchdq.robots.load("two_link"))
+    >>> page = str(overview(torchdq.robots.load("two_link")))
     >>> "inverse_dynamics" in page and "largest growth" in page
     True
     """
     with Notice(f"counting operations of robot {robot.name!r}") as notice:
-        rows = []
+        operations = {}
         for name in SHOWN:
             notice.at(name)
-            rows.append((name, *_counted(robot, name)))
-    operations = table(("function", *COUNTED), rows)
-    return f"{robot.report()}\n\noperations per sample:\n{operations}\n\n{_growth(robot)}\n"
+            operations[name] = _counted(robot, name)
+    return Overview(robot.report(), operations, *_growth(robot))
 
 
-def _counted(robot: Robot, name: str) -> tuple[str, ...]:
-    """Operations of a function, or why it has none."""
+def _counted(robot: Robot, name: str) -> Count | None:
+    """Operations of a function; None: undefined."""
     full = FLOATING + name if robot.floating else name
     what = Function(constants(robot), full, options_of(robot, name, ()) if not robot.floating else ())
     wanted = [argument for argument, _, _ in RECIPES[full].arguments if argument not in WRENCHES]
     taken = tuple(Argument(argument, math.prod(what.axes(argument))) for argument in wanted)
     try:
-        count = what.program(taken).count()
+        return what.program(taken).count()
     except SingularInertiaError:
-        return ("undefined: a joint moves no inertia", *[""] * (len(COUNTED) - 1))
-    return tuple(str(getattr(count, kind)) for kind in COUNTED)
+        return None
 
 
-def _growth(robot: Robot) -> str:
-    """Words for the growth of rounding errors in forward dynamics at random positions within the limits."""
+def _growth(robot: Robot) -> tuple[Growth | None, str]:
+    """Growth of rounding errors in forward dynamics, or None and why there is none."""
     if not robot.n and not robot.floating:
-        return "rounding errors: there is no joint to accelerate"
+        return None, "there is no joint to accelerate"
     generator = torch.Generator().manual_seed(0)
     lower, upper = (x.clamp(-math.pi, math.pi) for x in robot.limits[:2])
     q = lower + (upper - lower) * torch.rand(POSITIONS, robot.n, generator=generator, dtype=torch.float64)
     try:
         growth = _growth_at(robot, q)
     except SingularInertiaError as error:
-        return f"rounding errors: accelerations are undefined, {error}"
-    worst, usual = float(growth.max()), float(growth.median())
-    return (
-        f"rounding errors of accelerations, at {POSITIONS} random positions: magnified {usual:.3g} times in the "
-        f"median, largest growth {worst:.3g}; torques and kinematics keep all digits"
-    )
+        return None, f"accelerations are undefined, {error}"
+    return Growth(float(growth.median()), float(growth.max())), ""
 
 
 def _growth_at(robot: Robot, q: Tensor) -> Tensor:

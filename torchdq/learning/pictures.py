@@ -10,12 +10,12 @@ from torchdq.errors import ArgumentError
 from torchdq.learning.excitation.limits import Bounds
 from torchdq.learning.identification.identified import Identified
 from torchdq.learning.logs.motions import Motion, samples
+from torchdq.learning.trial import WIDE
 from torchdq.optional import imported
 from torchdq.robot import Robot
 
 BLUE, GREY = "#0072B2", "#8A8A8A"
 TURNS, SLIDES = ("q [rad]", "qd [rad/s]", "tau [N m]"), ("q [m]", "qd [m/s]", "tau [N]")
-WIDE = 1.96  # standard deviations on either side that hold 95 % of normal numbers
 APART = 0.1  # [s] between rows, from which a line is broken: rows at rest are not in a motion
 PAUSE = 1.0  # [s] between motions in a picture
 STYLE = {

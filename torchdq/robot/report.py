@@ -10,6 +10,9 @@ if TYPE_CHECKING:
     from torchdq.robot.robot import Robot
 
 
+HEADER = ("joint", "kind", "link", "mass", "limits (not enforced)")
+
+
 class Report(NamedTuple):
     """Report of a robot; `str` lays it out as a table."""
 
@@ -32,9 +35,8 @@ class Report(NamedTuple):
         return cls(f"{robot!r}\nused: {'; '.join(used)}", joints, robot.notes)
 
     def __str__(self) -> str:
-        header = ("joint", "kind", "link", "mass", "limits (not enforced)")
-        rows = [header, *self.joints]
-        widths = [max(len(row[k]) for row in rows) for k in range(len(header))]
+        rows = [HEADER, *self.joints]
+        widths = [max(len(row[k]) for row in rows) for k in range(len(HEADER))]
         table = "\n".join(
             "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows
         )

@@ -1,0 +1,56 @@
+"""Command `accuracy`: the cheapest precision, integrator and step that keep an error."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torchdq import machine
+from torchdq.command.command import RobotCommand
+from torchdq.command.outcome import Outcome
+from torchdq.envs.recommend import recommend
+from torchdq.envs.recommendation import SceneRecommendation
+
+
+@dataclass(kw_only=True)
+class AccuracyCommand(RobotCommand):
+    """Price of accuracy: the cheapest precision, integrator and step that keep an error, found by trials.
+
+    Example: torchdq accuracy panda --error 1e-4 --horizon 0.5
+    """
+
+    error: float = 1e-3
+    """Largest error of a joint's position [rad or m]; of accelerations, relative, with --accelerations."""
+    horizon: float = 1.0
+    """Time over which it must be kept [s]."""
+    accelerations: bool = False
+    """Accelerations alone, without an integrator."""
+    seconds: float = 10.0
+    """Time for the search [s]."""
+
+    def outcome(self) -> Outcome:
+        """Recommendation with its alternatives."""
+        robot = self.load().robot
+        found = recommend(robot, self.error, None if self.accelerations else self.horizon, seconds=self.seconds)
+        data = {
+            "robot": robot.name,
+            "machine": machine.words(),
+            "dtype": str(found.dtype).removeprefix("torch."),
+            "precision": found.precision,
+            "backend": found.backend,
+            "method": found.method,
+            "error": found.error,
+            "nanoseconds": found.nanoseconds,
+            "others": [str(other) for other in found.others[1:]],
+        }
+        if isinstance(found, SceneRecommendation):
+            data |= {
+                "integrator": type(found.integrator).__name__,
+                "step": found.step,
+                "horizon": found.horizon,
+                "limit": found.limit,
+                "growth": found.growth,
+                "untried": found.untried,
+            }
+        asked = "accelerations" if self.accelerations else f"{self.horizon:g} s under gravity, without torques"
+        title = f"{robot.name}, error of {self.error:g} at most: {asked}"
+        return Outcome((title, str(found), machine.words()), data)

@@ -1,0 +1,52 @@
+"""Options that commands share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import tyro
+
+from torchdq.command.outcome import Outcome
+from torchdq.command.robots import NamedRobot, robot_of
+from torchdq.robot.consistency import OnUnphysical
+from torchdq.robot.loading import Base
+
+RobotName = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]
+Dtype = Literal["float64", "float32"]
+
+
+@dataclass(kw_only=True)
+class Command:
+    """Command with its options."""
+
+    json: bool = False
+    """Write one JSON object instead of text."""
+
+    def outcome(self) -> Outcome:
+        """Result of the command."""
+        raise NotImplementedError
+
+
+@dataclass(kw_only=True)
+class RobotCommand(Command):
+    """Command about a robot."""
+
+    robot: RobotName
+    """URDF, xacro or MJCF file, shipped robot, or name in robot_descriptions."""
+    base: Base | None = None
+    """Base of the robot; by default fixed, or as an MJCF file has it."""
+    joints: tuple[str, ...] = ()
+    """Joints to keep, by name or pattern; the others are locked at zero."""
+    on_unphysical: OnUnphysical = "warn"
+    """What to do with a body that cannot exist."""
+
+    def load(self) -> NamedRobot:
+        """Robot, and the file that it is from."""
+        return robot_of(self.robot, self.base, self.joints, self.on_unphysical)
+
+
+def numbers(values: Sequence[float]) -> tuple[float, ...] | None:
+    """Numbers of an option; None: not given."""
+    return tuple(values) or None

@@ -1,0 +1,33 @@
+"""Command `cost`: the paper's tables, counted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from torchdq.command.command import Command
+from torchdq.command.outcome import Outcome, Verbatim
+from torchdq.notice import Notice
+from torchdq.paper import cost, ladder
+
+JOINTS = 7
+
+
+@dataclass(kw_only=True)
+class CostCommand(Command):
+    """The paper's Tables 2, 3 and 4, counted, and the steps from Algorithm 1 to the program that runs.
+
+    Example: torchdq cost
+    """
+
+    def outcome(self) -> Outcome:
+        """Tables in Markdown."""
+        with Notice("compiling and timing the steps from Algorithm 1 to the program"):
+            times = ladder.times(JOINTS)
+        table = ladder.table(JOINTS, times)
+        tables = {
+            title: [{"operation": e.operation, "counted": e.counted._asdict()} for e in entries]
+            for title, entries in cost.TABLES.items()
+        }
+        steps = [{"step": rung.name, "nanoseconds": t} for rung, t in zip(ladder.RUNGS, times, strict=True)]
+        text = f"{cost.report()}\n\n## From Algorithm 1 to the program that runs\n\n{table}"
+        return Outcome((Verbatim(text),), {"tables": tables, "steps": steps})

@@ -1,0 +1,131 @@
+"""Command line `torchdq`, also as `python -m torchdq`: one message for a user's mistake, exit codes, Ctrl-C.
+
+Exit codes: 0 well; 1 a mistake of the user, or a check failed; 2 a command that is not understood; 130 Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+import textwrap
+import warnings
+from collections.abc import Sequence
+from contextlib import redirect_stdout
+from functools import partial
+from typing import Any
+
+import tyro
+
+from torchdq import __version__
+from torchdq.command.accuracy import AccuracyCommand
+from torchdq.command.bench import BenchCommand
+from torchdq.command.command import Command
+from torchdq.command.cost import CostCommand
+from torchdq.command.doctor import DoctorCommand
+from torchdq.command.export import ExportCommand
+from torchdq.command.identify import IdCommand
+from torchdq.command.outcome import Grid, Outcome, write, write_json
+from torchdq.command.report import ReportCommand
+from torchdq.command.scene import SceneCommand
+from torchdq.command.view import ViewCommand
+from torchdq.errors import TorchdqError
+
+COMMANDS: dict[str, type[Command]] = {
+    "report": ReportCommand,
+    "bench": BenchCommand,
+    "id": IdCommand,
+    "scene": SceneCommand,
+    "accuracy": AccuracyCommand,
+    "export": ExportCommand,
+    "view": ViewCommand,
+    "cost": CostCommand,
+    "doctor": DoctorCommand,
+}
+PROGRAM = "torchdq"
+ABOUT = (
+    "Rigid-body dynamics of robots. ROBOT is a URDF, xacro or MJCF file, a shipped robot such as panda, or a name in "
+    "the package robot_descriptions.",
+    "torchdq COMMAND --help has the options of a command and an example. torchdq --tyro-print-completion bash (or zsh, "
+    "tcsh) prints what completes them in a shell.",
+)
+WELL, MISTAKE, USAGE, INTERRUPTED = 0, 1, 2, 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Exit code of a run with these arguments; None: those of the process."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        if given == ["--version"]:
+            sys.stdout.write(f"{PROGRAM} {__version__}\n")
+            return WELL
+        if given in (["--help"], ["-h"]):
+            return _help()
+        return _run(_parsed(given))
+    except SystemExit as end:  # tyro's, after a message of its own
+        return end.code if isinstance(end.code, int) else USAGE
+    except KeyboardInterrupt:
+        sys.stderr.write("\ntorchdq: interrupted\n")
+        return INTERRUPTED
+    except BrokenPipeError:  # who reads the output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return WELL
+
+
+def _help() -> int:
+    """Exit code after a page about all commands."""
+    lines = [(name, (kind.__doc__ or "").split("\n\n")[0]) for name, kind in COMMANDS.items()]
+    text = (f"usage: {PROGRAM} [--help] [--version] COMMAND ...", ABOUT[0], Grid((), lines), ABOUT[1])
+    write(Outcome(text, {}), as_json=False)
+    return WELL
+
+
+def _parsed(given: Sequence[str]) -> Command:
+    """Command that the arguments name."""
+    command: Any = tyro.extras.subcommand_cli_from_dict(
+        dict(COMMANDS), prog=PROGRAM, description=ABOUT[0], args=given, config=(tyro.conf.FlagCreatePairsOff,)
+    )
+    return command
+
+
+def _run(command: Command) -> int:
+    """Exit code of a command, after its output."""
+    told: list[str] = []
+
+    def show(message: Warning | str, *rest: Any, **others: Any) -> None:
+        if str(message) not in told:
+            told.append(str(message))
+            _say("warning", str(message))
+
+    with warnings.catch_warnings():
+        warnings.showwarning = show
+        try:
+            with redirect_stdout(sys.stderr):  # what libraries print is no result
+                outcome = command.outcome()
+        except (TorchdqError, OSError) as error:
+            if isinstance(error, BrokenPipeError):
+                raise
+            words = _words(error)
+            if command.json:
+                write_json({"error": words, "kind": type(error).__name__})
+            _say("error", words)
+            return MISTAKE
+    write(outcome, command.json, told)
+    sys.stdout.flush()
+    return MISTAKE if outcome.failed else WELL
+
+
+def _words(error: Exception) -> str:
+    """Message of an error; one of the system names the file first."""
+    if isinstance(error, TorchdqError) or not isinstance(error, OSError) or error.filename is None:
+        return str(error)
+    return f"{str(error.filename)!r} cannot be used: {error.strerror}"
+
+
+def _say(kind: str, text: str) -> None:
+    """Write a message to stderr, in lines that fit the terminal."""
+    width = max(40, shutil.get_terminal_size().columns - 1)
+    fill = partial(textwrap.wrap, width=width, break_long_words=False, break_on_hyphens=False)
+    lines = [line for part in f"{PROGRAM}: {kind}: {text}".split("\n") for line in fill(part) or [""]]
+    sys.stderr.write("\n".join(lines) + "\n")
+    sys.stderr.flush()

@@ -1,0 +1,81 @@
+"""Robots by a file or a name, whichever an argument of the command line holds."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+from torchdq.errors import ArgumentError, MissingFileError, MissingLibraryError, UnknownNameError
+from torchdq.notice import Notice
+from torchdq.robot import Robot, shipped
+from torchdq.robot.consistency import OnUnphysical
+
+ENDINGS = (".urdf", ".xml", ".xacro", ".mjcf")
+HEAD = 2**16  # bytes in which a file says what it is
+DESCRIPTION = "_description"  # end of the names in robot_descriptions
+
+
+class NamedRobot(NamedTuple):
+    """Robot, and the file that it was read from."""
+
+    robot: Robot
+    format: Literal["urdf", "xacro", "mjcf", "shipped", "named"]
+    file: str  # "" for a shipped robot
+
+
+def robot_of(name: str, base: str | None, joints: Sequence[str], on_unphysical: OnUnphysical) -> NamedRobot:
+    """Robot of a name or a file.
+
+    Raises:
+        MissingFileError: there is nothing of that name.
+        DescriptionError: a file cannot be read, or is no description of a robot.
+    """
+    options: dict[str, Any] = {"on_unphysical": on_unphysical}
+    options |= {"base": base} if base else {}
+    options |= {"joints": list(joints)} if joints else {}
+    if name in shipped.names() and not Path(name).is_file():
+        if base == "floating":
+            raise ArgumentError(f"base must be 'fixed' for the shipped robot {name!r}, found 'floating'")
+        robot = shipped.load(name)
+        locked = [x for x in robot.joint_names if x not in {robot.joint_names[robot.joint_index(j)] for j in joints}]
+        return NamedRobot(robot.lock(locked) if joints else robot, "shipped", "")
+    with Notice(f"reading {name}"):
+        if _is_file(name):
+            return _from_file(name, options)
+        return _by_name(name, options)
+
+
+def _is_file(name: str) -> bool:
+    """Whether a name is that of a file, there or not."""
+    path = Path(name)
+    return os.sep in name or path.suffix.lower() in ENDINGS or path.exists() or "://" in name or name.startswith("~")
+
+
+def _from_file(name: str, options: dict[str, Any]) -> NamedRobot:
+    path = Path(name).expanduser()
+    if name.endswith(".xacro"):
+        return NamedRobot(Robot.from_xacro(name, **options), "xacro", name)
+    if path.is_file() and os.access(path, os.R_OK):
+        with path.open("rb") as file:
+            if b"<mujoco" in file.read(HEAD):
+                return NamedRobot(Robot.from_mjcf(name, **options), "mjcf", name)
+    return NamedRobot(Robot.from_urdf(name, **options), "urdf", name)
+
+
+def _by_name(name: str, options: dict[str, Any]) -> NamedRobot:
+    """Robot that robot_descriptions knows."""
+    known = shipped.names()
+    try:
+        whole = name if name.endswith(DESCRIPTION) else f"{name}{DESCRIPTION}"
+        return NamedRobot(Robot.from_name(whole, **options), "named", "")
+    except (MissingLibraryError, UnknownNameError) as error:
+        near = get_close_matches(name, known, n=1)
+        meant = f"; did you mean {near[0]!r}?" if near else ""
+        raise MissingFileError(
+            f"there is no file or shipped robot {name!r}{meant} Shipped are {', '.join(known)}. {error}"
+            if meant
+            else f"there is no file or shipped robot {name!r}; shipped are {', '.join(known)}. {error}"
+        ) from error

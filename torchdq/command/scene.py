@@ -1,0 +1,186 @@
+"""Command `scene`: a robot simulated with the effects that are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from torchdq import effects, machine
+from torchdq.checks import names_of, require_number
+from torchdq.command.command import RobotCommand
+from torchdq.command.outcome import Grid, Outcome
+from torchdq.envs import controllers, integrators
+from torchdq.envs.defaults import usual
+from torchdq.envs.integrators import Integrator, Unrecorded
+from torchdq.envs.scene import Scene
+from torchdq.envs.state import State
+from torchdq.errors import ArgumentError
+from torchdq.notice import Notice
+from torchdq.robot import Robot
+
+KINDS = {name.lower(): getattr(effects, name) for name in effects.__all__ if name not in ("Effect", "Residual")}
+STEPPERS = {
+    name: kind
+    for name, kind in vars(integrators).items()
+    if isinstance(kind, type)
+    and issubclass(kind, Integrator)
+    and kind not in (Integrator, Unrecorded)
+    and all(entry.default is not MISSING for entry in fields(kind))
+}
+AT_ONCE = 500  # steps between two lines about progress
+USUAL = "usual"
+
+
+@dataclass(kw_only=True)
+class SceneCommand(RobotCommand):
+    """Simulation with the effects that you name: energies, operations and nanoseconds of a step, and a CSV file.
+
+    Effects: usual (what the description has), gravity, viscous=0.5, coulomb=2, limits, saturation, lag=0.02,
+    delay=0.01, rotorinertia=0.1, noise=0.001 and all others of torchdq.effects; a number is the first parameter.
+
+    Example: torchdq scene panda --effects gravity viscous=2 --seconds 5 --csv fall.csv
+    """
+
+    effects: tuple[str, ...] = (USUAL,)
+    """Effects, each NAME or NAME=NUMBER; none: rigid bodies alone."""
+    seconds: float = 2.0
+    """Duration [s]."""
+    dt: float = 0.01
+    """Step [s]."""
+    integrator: str = "LinearlyImplicit"
+    """Integrator of torchdq.envs.integrators."""
+    q: tuple[float, ...] = ()
+    """Positions at the start [rad or m]; by default zero, or what is nearest within the limits."""
+    torque: tuple[float, ...] = ()
+    """Constant torques [N m or N]; by default none."""
+    hold: tuple[float, float] | None = None
+    """Gains kp and kd of a controller that holds the start."""
+    csv: Path | None = None
+    """File of the motion: time, q1 ..., qd1 ..., energies."""
+    price: float = 3.0
+    """Time for measuring what every effect costs [s]; 0: operations alone."""
+
+    def outcome(self) -> Outcome:
+        """Energies and price."""
+        require_number("seconds", self.seconds, positive=True)
+        require_number("dt", self.dt, positive=True)
+        robot = self.load().robot
+        scene = self._scene(robot)
+        start = scene.start(self._start(robot))
+        steps = max(1, round(self.seconds / self.dt))
+        states = self._run(scene, start, steps)
+        energies = torch.cat([scene.energy(start)[None], scene.energy(states)])
+        price = scene.describe(seconds=self.price)
+        if self.csv is not None:
+            self._write(self.csv, start, states, energies)
+        first, last, extreme = energies[0], energies[-1], energies.sum(-1)
+        rows = [
+            ("kinetic", *(f"{float(x):.6g}" for x in (first[0], energies[:, 0].max(), last[0]))),
+            ("potential", *(f"{float(x):.6g}" for x in (first[1], energies[:, 1].max(), last[1]))),
+            ("sum", *(f"{float(x):.6g}" for x in (extreme[0], extreme.max(), extreme[-1]))),
+        ]
+        names = ", ".join(type(effect).__name__ for effect in scene.effects) or "rigid bodies alone"
+        about = f"{robot.name}, {steps} steps of {self.dt:g} s with {type(scene.integrator).__name__}: {names}"
+        text: list[str | Grid] = [about, Grid(("energy [J]", "start", "most", "end"), rows)]
+        text += [_positions(robot, start, states), "price of a step:", str(price)]
+        text += [Grid((), [("wrote", str(self.csv))])] if self.csv is not None else []
+        data = {
+            "robot": robot.name,
+            "machine": machine.words(),
+            "effects": [repr(effect) for effect in scene.effects],
+            "steps": steps,
+            "dt": self.dt,
+            "start": start.rows(),
+            "end": {name: x[-1] for name, x in states.rows().items()},
+            "energies": {"unit": "J", "order": ["kinetic", "potential"], "start": first, "end": last},
+            "operations": price.total.operations,
+            "nanoseconds": price.total.nanoseconds,
+            "costs": [cost._asdict() for cost in price.costs],
+            "left_out": price.left_out,
+            "files": {} if self.csv is None else {"csv": self.csv},
+        }
+        return Outcome(tuple(text), data)
+
+    def _scene(self, robot: Robot) -> Scene:
+        names_of("integrator", self.integrator, STEPPERS, "integrator")
+        controller = None if self.hold is None else controllers.PD(*self.hold)
+        chosen = [one for text in self.effects for one in effects_of(text, robot)]
+        return Scene(robot, chosen, controller, STEPPERS[self.integrator](), self.dt)
+
+    def _start(self, robot: Robot) -> Tensor:
+        q = _per_joint("q", self.q, robot)
+        return torch.zeros(robot.n, dtype=torch.float64).clamp(*robot.limits[:2]) if q is None else q
+
+    def _run(self, scene: Scene, start: State, steps: int) -> State:
+        """States after each step."""
+        torque = _per_joint("torque", self.torque, scene.robot)
+        held: dict[str, Any] = {}
+        if scene.controller is not None:
+            still = torch.zeros_like(start.q)
+            held = {"reference": torch.cat([start.q, still, still])}
+        parts, state = [], start
+        with torch.no_grad(), Notice(f"simulating {scene.robot.name!r}") as notice:
+            for done in range(0, steps, AT_ONCE):
+                notice.at(f"{done} of {steps} steps")
+                count = min(AT_ONCE, steps - done)
+                series: dict[str, Any] = {name: x.expand(count, -1) for name, x in held.items()}
+                given = None if torque is None else torque.expand(count, -1)
+                parts.append(scene.rollout(state, given, count, **series))
+                state = State._make(None if x is None else x[-1] for x in parts[-1])
+        return State._make(None if x[0] is None else torch.cat(x) for x in zip(*parts, strict=True))
+
+    def _write(self, path: Path, start: State, states: State, energies: Tensor) -> None:
+        """Write the CSV file; the first row is the start."""
+        columns = {"time": self.dt * torch.arange(len(energies), dtype=torch.float64)[:, None]}
+        for name, x in states.rows().items():
+            if name not in ("memory", "reading"):
+                columns[name] = torch.cat([getattr(start, name)[None], x])
+        header = ["time"]
+        header += [f"{name}{k + 1}" for name, x in list(columns.items())[1:] for k in range(x.shape[1])]
+        table = np.concatenate([x.numpy() for x in (*columns.values(), energies)], 1)
+        head = ",".join([*header, "kinetic", "potential"])
+        np.savetxt(path, table, "%.12g", ",", header=head, comments="")
+
+
+def effects_of(text: str, robot: Robot) -> list[effects.Effect]:
+    """Effects that an option names: NAME, or NAME=NUMBER for the first parameter."""
+    name, equals, value = text.partition("=")
+    if name == USUAL and not equals:
+        return list(usual(robot))
+    key = name.lower().replace("_", "").replace("-", "")
+    names_of("effects", key, (*KINDS, USUAL), "effect")
+    given: list[Any] = []
+    try:
+        given = [float(x) for x in value.split(",")] if equals else []
+        return [KINDS[key](*given)]
+    except ValueError as error:
+        if isinstance(error, ArgumentError):
+            raise
+        raise ArgumentError(f"effects must be NAME or NAME=NUMBER, as in viscous=0.5, found {text!r}") from error
+    except TypeError as error:
+        needed = [
+            x.name for x in fields(KINDS[key]) if x.init and x.default is MISSING and x.default_factory is MISSING
+        ]
+        expected = f"{key}={','.join(name.upper() for name in needed)}" if needed else key
+        raise ArgumentError(f"effects must have the numbers of each, here {expected}, found {text!r}") from error
+
+
+def _per_joint(name: str, values: Sequence[float], robot: Robot) -> Tensor | None:
+    """Numbers for each joint [n]; None: not given."""
+    if not values:
+        return None
+    if len(values) != robot.n:
+        raise ArgumentError(f"{name} must be {robot.n} numbers, one for each joint, found {len(values)}")
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def _positions(robot: Robot, start: State, states: State) -> Grid:
+    numbers = zip(robot.joint_names, start.q.tolist(), states.q[-1].tolist(), states.qd[-1].tolist(), strict=True)
+    rows = [(name, *(f"{x:.6g}" for x in values)) for name, *values in numbers]
+    return Grid(("joint", "start", "end", "speed at the end"), rows)

@@ -1,0 +1,67 @@
+"""Command `view`: a robot in the browser."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from contextlib import closing, suppress
+from dataclasses import dataclass
+
+import torch
+
+from torchdq.command.command import RobotCommand
+from torchdq.command.outcome import Outcome
+from torchdq.envs.render import Viewer
+from torchdq.errors import ArgumentError
+from torchdq.robot import Robot
+
+FRAMES = 30.0  # [Hz]
+PERIOD = 4.0  # time in which a joint goes there and back [s]
+SWAY = 0.4  # part of the room within the limits that a joint uses
+FREE = (math.pi / 2, 0.1)  # reach of a joint without limits: a turning and a sliding one [rad or m]
+
+
+@dataclass(kw_only=True)
+class ViewCommand(RobotCommand):
+    """The robot in the browser, its joints swaying one after the other. Ctrl-C ends it.
+
+    Example: torchdq view panda
+    """
+
+    q: tuple[float, ...] = ()
+    """Positions to show instead, one for each joint [rad or m]."""
+    port: int = 8080
+    """Port of the address; the next free one is taken."""
+    seconds: float | None = None
+    """Time after which it ends [s]; by default at Ctrl-C."""
+
+    def outcome(self) -> Outcome:
+        """Address, after the end."""
+        robot = self.load().robot
+        if self.q and len(self.q) != robot.n:
+            raise ArgumentError(f"q must be {robot.n} numbers, one for each joint, found {len(self.q)}")
+        viewer = Viewer(robot, self.port)
+        sys.stderr.write(f"torchdq: {robot.name} at {viewer.url}; Ctrl-C ends it\n")
+        start, shown = time.monotonic(), 0
+        with suppress(KeyboardInterrupt), closing(viewer):
+            while self.seconds is None or time.monotonic() < start + self.seconds:
+                viewer.show(torch.tensor(self.q) if self.q else swaying(robot, time.monotonic() - start))
+                shown += 1
+                time.sleep(1 / FRAMES)
+        return Outcome(
+            (f"{shown} pictures of {robot.name}",), {"robot": robot.name, "url": viewer.url, "frames": shown}
+        )
+
+
+def swaying(robot: Robot, t: float) -> torch.Tensor:
+    """Positions [n] at a time [s]: one joint after the other leaves the middle of its room and comes back."""
+    lower, upper = (x.double() for x in robot.limits[:2])
+    reach = torch.tensor([FREE[not joint.turns] for joint in robot.joint_types], dtype=torch.float64)
+    bounded = lower.isfinite() & upper.isfinite()
+    lower, upper = torch.where(bounded, lower, -reach), torch.where(bounded, upper, reach)
+    q = (lower + upper) / 2
+    if robot.n:
+        joint, phase = int(t / PERIOD) % robot.n, 2 * math.pi * (t % PERIOD) / PERIOD
+        q[joint] += SWAY * (upper - lower)[joint] * math.sin(phase)
+    return q
