@@ -80,6 +80,7 @@ STOREYS = {
     "torchdq.robot": 4,
     "torchdq.robot.shipped": 5,
     # logs, what is found from them, what is made of that, pictures and pages of all
+    "torchdq.learning.threads": 0,
     "torchdq.learning.logs": 1,
     "torchdq.learning.identification": 2,
     "torchdq.learning.training": 2,

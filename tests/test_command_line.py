@@ -1,7 +1,7 @@
 """Command line: every command does its work, as text and as JSON, and a user's mistake is one message.
 
-Most run in this process, by `main`, which returns the exit code; what needs a process of its own (Ctrl-C, a closed pipe,
-the width of a terminal that is none) runs in one.
+Most run in this process, by `main`, which returns the exit code; what needs a process of its own (Ctrl-C, a closed
+pipe, the width of a terminal that is none) runs in one.
 """
 
 import gzip

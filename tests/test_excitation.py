@@ -15,7 +15,8 @@ import torch
 
 import torchdq
 from torchdq.errors import ArgumentError, MissingLibraryError
-from torchdq.learning import Box, HalfSpace, Motion, MotionLimits, excitation, excite, identify, plot_torques, read
+from torchdq.learning import Box, HalfSpace, Motion, MotionLimits, excite, identify, plot_torques, read
+from torchdq.learning.excitation import excite as search
 from torchdq.learning.excitation.fourier import Family, grid
 from torchdq.learning.identification.base import BaseParameters
 
@@ -262,7 +263,7 @@ def test_the_search_improves_on_random_motions(panda, exciting):
 
 
 def test_seeds_reproduce_motions(monkeypatch):
-    monkeypatch.setattr(excitation, "STAGES", ((1, 5), (2, 5)))
+    monkeypatch.setattr(search, "STAGES", ((1, 5), (2, 5)))
     robot = torchdq.robots.load("two_link")
     one, same, other = (excite(robot, 5.0, LIMITS, restarts=4, seed=seed) for seed in (1, 1, 2))
     assert torch.equal(one.q, same.q) and not torch.equal(one.q, other.q)

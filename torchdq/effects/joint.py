@@ -143,8 +143,8 @@ class Limits(JointEffect):
     Crossley, "Coefficient of restitution interpreted as damping in vibroimpact", Journal of Applied Mechanics, 1975).
 
     Args:
-        lower, upper: limits [rad or m], shape [..., n]; None: those of the robot's description. A joint whose limits are
-            infinite numbers has none, and costs nothing.
+        lower, upper: limits [rad or m], shape [..., n]; None: those of the robot's description. A joint whose limits
+            are infinite numbers has none, and costs nothing.
         stiffness: k [N m/rad or N/m], shape [..., n].
         dissipation: c [s/rad or s/m], shape [..., n].
     """

@@ -27,6 +27,7 @@ from torchdq.learning.identification.feasible import ENTRIES
 from torchdq.learning.identification.identify import Identified
 from torchdq.learning.logs.motions import Motion, samples
 from torchdq.learning.logs.samples import Samples
+from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
 from torchdq.tables import table
 
@@ -66,6 +67,7 @@ class IdentifiedPayload(NamedTuple):
         return table((f"payload at {self.frame}", "estimate", "standard error", "unit"), rows)
 
 
+@one_thread()
 def identify_payload(
     empty: Identified,
     motions: Motion | Sequence[Motion] | Tensor,

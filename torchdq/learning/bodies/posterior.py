@@ -21,6 +21,7 @@ from torchdq.learning.bodies.nearest import nearest, relative
 from torchdq.learning.bodies.pseudo_inertia import central, inertial_parameters, pseudo_inertia
 from torchdq.learning.identification.feasible import ENTRIES
 from torchdq.learning.identification.identify import Identified
+from torchdq.learning.threads import one_thread
 from torchdq.notice import Notice
 from torchdq.robot import Robot
 from torchdq.tables import summary
@@ -69,6 +70,7 @@ class Sampled(NamedTuple):
         return tuple(found)
 
 
+@one_thread()
 def sample(identified: Identified, n: int, most: float = 1.0, seed: int = 0) -> Sampled:
     """Robots drawn from the posterior of `identify`, each of which can exist, with their friction.
 

@@ -29,6 +29,7 @@ from torchdq.learning.excitation.limits import Bounds, MotionLimits
 from torchdq.learning.identification.base import BaseParameters
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.pictures import picture_of_motion
+from torchdq.learning.threads import one_thread
 from torchdq.notice import Notice
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_bodies
@@ -103,6 +104,7 @@ class Excitation(NamedTuple):
         return picture_of_motion(self.parameters.robot, self.time, self.q, self.qd, self.tau, self.bounds)
 
 
+@one_thread()
 def excite(
     robot: Robot,
     seconds: float,

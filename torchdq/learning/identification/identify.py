@@ -34,6 +34,7 @@ from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, SHAPES
 from torchdq.learning.logs.blocks import MotionRows, blocks
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.logs.plausibility import LogWarning, doubts, misshapen, sampled, unexplained
+from torchdq.learning.threads import one_thread
 from torchdq.notice import Notice
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_bodies
@@ -42,6 +43,7 @@ from torchdq.robot.robot import batches
 EXCITED = 0.9  # least part of a parameter's variance that the samples take away where they excite it
 
 
+@one_thread()
 def identify(
     robot: Robot,
     motions: Motion | Sequence[Motion] | Tensor,

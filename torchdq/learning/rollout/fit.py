@@ -24,6 +24,7 @@ from torchdq.learning.rollout.recordings import Recording, checked
 from torchdq.learning.rollout.result import RolloutFit, result
 from torchdq.learning.rollout.shooting import Linear
 from torchdq.learning.rollout.unknowns import changed, unknowns
+from torchdq.learning.threads import one_thread
 from torchdq.notice import Notice
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ APART = (
 )
 
 
+@one_thread()
 def fit_rollout(
     scene: Scene,
     logs: Recording | Sequence[Recording],
