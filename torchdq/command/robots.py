@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from torchdq.checks import matching
 from torchdq.errors import ArgumentError, MissingFileError, MissingLibraryError, UnknownNameError
 from torchdq.notice import Notice
 from torchdq.robot import Robot, shipped
@@ -40,7 +41,8 @@ def robot_of(name: str, base: str | None, joints: Sequence[str], on_unphysical: 
         if base == "floating":
             raise ArgumentError(f"base must be 'fixed' for the shipped robot {name!r}, found 'floating'")
         robot = shipped.load(name)
-        locked = [x for x in robot.joint_names if x not in {robot.joint_names[robot.joint_index(j)] for j in joints}]
+        kept = matching("joints", joints, robot.joint_names, "joint")
+        locked = [joint for joint in robot.joint_names if joint not in kept]
         return NamedRobot(robot.lock(locked) if joints else robot, "shipped", "")
     with Notice(f"reading {name}"):
         if _is_file(name):
