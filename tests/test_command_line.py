@@ -621,7 +621,7 @@ DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "command-line.md"
 
 def commands_of(document):
     """Command lines of a document, those that go on in the next line as one."""
-    blocks = re.findall(r"```bash\n(.*?)```", document, re.DOTALL)
+    blocks = re.findall(r"```sh\n(.*?)```", document, re.DOTALL)
     lines = "".join(blocks).replace("\\\n", " ").splitlines()
     return [line.partition("  #")[0].strip() for line in lines if line.startswith("torchdq ")]
 
