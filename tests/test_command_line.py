@@ -1,7 +1,6 @@
 """Command line: every command does its work, as text and as JSON, and a user's mistake is one message.
 
-Most run in this process, by `main`, which returns the exit code; what needs a process of its own (Ctrl-C, a closed
-pipe, the width of a terminal that is none) runs in one.
+Most run in this process, by `main`, which returns the exit code; Ctrl-C and a closed pipe need one of their own.
 """
 
 import gzip
@@ -67,9 +66,8 @@ def data(capsys, *arguments, code=WELL):
 def motion(rows=1500, start=0.0):
     """Time [s], positions, velocities and accelerations of two joints, never at rest."""
     t = start + 0.01 * torch.arange(rows, dtype=torch.float64)[:, None]
-    a, w, p = (
-        torch.tensor(x, dtype=torch.float64) for x in ([[0.9, 0.5], [0.7, 0.9]], [[1.1, 2.3], [1.7, 0.8]], [0, 1])
-    )
+    numbers = ([[0.9, 0.5], [0.7, 0.9]], [[1.1, 2.3], [1.7, 0.8]], [0, 1])  # amplitudes, frequencies, phases
+    a, w, p = (torch.tensor(x, dtype=torch.float64) for x in numbers)
     angle = w * t[..., None] + p[:, None]
     q, qd, qdd = ((a * f).sum(-1) for f in (angle.sin(), w * angle.cos(), -w * w * angle.sin()))
     return t[:, 0], q, qd, qdd
@@ -179,6 +177,7 @@ def test_a_mistake_of_a_user_is_one_message(here, capsys, arguments, found):
     here.joinpath("nan.csv").write_text(re.sub(r"(\n1,[^,]*),[^,]*", r"\1,nan", here.joinpath("log.csv").read_text()))
     out, errors = told(capsys, *arguments, code=MISTAKE)
     assert not out
+    errors = "".join(line for line in errors.splitlines(True) if not line.endswith(" s ...\n"))  # without progress
     assert errors.startswith("torchdq: error: ") and "Traceback" not in errors
     assert found in " ".join(errors.split())
     assert max(map(len, errors.splitlines())) <= WIDE
@@ -199,10 +198,10 @@ def test_a_folder_that_cannot_be_written_is_told_before_the_work(here, capsys, m
 def test_a_package_that_is_missing_is_told_before_the_work(here, capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     _, errors = told(capsys, "id", "arm.urdf", "log.csv", code=MISTAKE)
-    assert "pip install 'torchdq[viz]'" in errors
+    assert "pip install 'torchdq[viz]'" in " ".join(errors.split())
     monkeypatch.setitem(sys.modules, "viser", None)
     _, errors = told(capsys, "view", "arm.urdf", code=MISTAKE)
-    assert "pip install 'torchdq[viz]'" in errors
+    assert "pip install 'torchdq[viz]'" in " ".join(errors.split())
 
 
 def test_ctrl_c_is_one_line_and_exit_code_130(here, capsys, monkeypatch):
@@ -297,20 +296,14 @@ def test_a_file_is_read_by_what_is_in_it(here, capsys):
 
 
 def files():
-    """URDF files of example-robot-data that are robots."""
+    """Files of example-robot-data that ROBOTS.md has."""
     try:
         known = importlib.metadata.files("example-robot-data") or ()
     except importlib.metadata.PackageNotFoundError:
         return []
     paths = [Path(str(file.locate())).resolve() for file in known if file.suffix == ".urdf"]
     page = (Path(__file__).resolve().parents[1] / "ROBOTS.md").read_text()
-    return sorted(path for path in paths if f"| {path.parent.parent.name}/{path.name} |" in page or _named(path, page))
-
-
-def _named(path, page):
-    return any(f"| {'/'.join(path.parts[k:])} |" in page for k in range(-4, 0)) or any(
-        f"| {parent.name}/{path.name} |" in page for parent in path.parents
-    )
+    return sorted(p for p in paths if any(f"| {folder.name}/{p.name} |" in page for folder in p.parents))
 
 
 FILES = files()
@@ -336,12 +329,13 @@ def test_a_report_of_every_robot_has_no_unexplained_line(here, capsys, path, bas
     # a joint without inertia has no accelerations, and is named
     if "undefined" in rest:
         assert re.search(r"joint '[^']+': it moves\s+no\s+inertia", rest)
-    else:
+    elif "there is no joint to accelerate" not in rest:
         assert float(re.search(r"largest growth (\S+);", " ".join(rest.split()))[1]) >= 1
 
 
 def test_there_are_robots_to_report():
-    pytest.importorskip("example_robot_data", reason="the robots are in the extra 'examples'")
+    if machine.version_of("example-robot-data") is None:
+        pytest.skip("the robots are in the extra 'examples'")
     assert len(FILES) > 60 and {path.name for path in FILES} >= set(QUICK)
 
 
@@ -427,7 +421,7 @@ def test_the_last_third_of_a_single_log_is_the_test_and_a_payload_is_found(here,
     pytest.importorskip("matplotlib")
     arm = torchdq.Robot.from_urdf(ARM)
     log("empty.csv", arm)
-    held = arm.with_payload(0.4, (0.1, 0.0, 0.0)) if arm.tip else arm.with_payload(0.4, (0.1, 0.0, 0.0), None, "lower")
+    held = arm.with_payload(0.4, (0.1, 0.0, 0.0), frame="lower")
     t, q, qd, qdd = motion(start=3.0)
     real = arm.replace(mass=1.3 * arm.mass, inertia=1.3 * arm.inertia)
     more = torchdq.inverse_dynamics(held, q, qd, qdd) - torchdq.inverse_dynamics(arm, q, qd, qdd)
@@ -438,7 +432,7 @@ def test_the_last_third_of_a_single_log_is_the_test_and_a_payload_is_found(here,
         file.write(text)
     quick = ("--friction", "simple", "--prior", "1", "--payload", "held.csv.gz", "--frame", "lower")
     out, errors = told(capsys, "id", "arm.urdf", "empty.csv", *quick)
-    assert "payload at lower" in out and "wrote" in out and "Good: in 5" in out
+    assert "payload at lower" in out and "wrote" in out and re.search(r"Good: in [45]\.\d s", out)
     mass = float(re.search(r"^mass +(\S+)", out, re.MULTILINE)[1])
     assert abs(mass - 0.4) < 0.05, out + errors
     assert here.joinpath("arm_identified.urdf").is_file()
@@ -471,11 +465,10 @@ def test_a_scene_keeps_its_energy_and_writes_a_log(here, capsys):
 
 
 def test_a_scene_has_the_effects_that_are_named(here, capsys):
-    out, _ = told(
-        capsys, "scene", "arm.urdf", "--effects", "gravity", "viscous=2", "limits", "--price", "0", "--seconds", "0.1"
-    )
+    short = ("--price", "0", "--seconds", "0.1")
+    out, _ = told(capsys, "scene", "arm.urdf", "--effects", "gravity", "viscous=2", "limits", *short)
     assert "Gravity, Viscous, Limits" in " ".join(out.split()) and max(map(len, out.splitlines())) <= WIDE
-    found = data(capsys, "scene", "arm.urdf", "--effects", "--price", "0", "--seconds", "0.1", "--hold", "20", "5")
+    found = data(capsys, "scene", "arm.urdf", "--effects", *short, "--hold", "20", "5")
     assert not found["effects"] and [cost["slot"] for cost in found["costs"]][-1] == "controller"
     assert found["end"]["q"] == [0, 0]
 
@@ -509,7 +502,8 @@ def test_casadi_and_free_bases_are_exported(here, capsys):
     found = data(capsys, "export", "arm.urdf", "mass_matrix", "--language", "casadi", "--out", "casadi")
     assert len(found["files"]) == 1 and "sparsity" in Path(found["files"][0]).read_text()
     found = data(capsys, "export", "arm.urdf", "forward_dynamics", "--base", "floating")
-    assert found["function"].startswith("floating_forward_dynamics")
+    assert found["function"] == "forward_dynamics_arm"
+    assert "X_WB" in next(Path(file) for file in found["files"] if file.endswith(".h")).read_text()
 
 
 def test_a_graph_of_torch_is_exported(here, capsys):
@@ -627,7 +621,7 @@ DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "command-line.md"
 
 def commands_of(document):
     """Command lines of a document, those that go on in the next line as one."""
-    blocks = re.findall(r"```bash\n(.*?)```", document, re.DOTALL)
+    blocks = re.findall(r"```sh\n(.*?)```", document, re.DOTALL)
     lines = "".join(blocks).replace("\\\n", " ").splitlines()
     return [line.partition("  #")[0].strip() for line in lines if line.startswith("torchdq ")]
 

@@ -18,6 +18,7 @@ import torch
 
 from torchdq import machine
 from torchdq.backends import cache, nvrtc
+from torchdq.backends.choice import backend
 from torchdq.backends.compiler import BuildError, compiler
 from torchdq.caches import clear_caches
 from torchdq.errors import TorchdqError
@@ -171,7 +172,8 @@ def _known_torque() -> Finding:
             warnings.simplefilter("ignore")  # a missing compiler has a finding of its own
             start = time.perf_counter()
             tau = torch.empty_like(q)
-            compile(shipped.load("two_link"), "inverse_dynamics", arguments=("q",))(q, out=tau)
+            with backend("auto" if compiler() is None else "c"):  # "auto" would hide that a compiler fails
+                compile(shipped.load("two_link"), "inverse_dynamics", arguments=("q",))(q, out=tau)
             seconds = time.perf_counter() - start
     except (TorchdqError, OSError) as fault:
         cure = "the message of the compiler says why; another one is named in $CC"

@@ -39,12 +39,14 @@ class RobotCommand(Command):
     """Base of the robot; by default fixed, or as an MJCF file has it."""
     joints: tuple[str, ...] = ()
     """Joints to keep, by name or pattern; the others are locked at zero."""
+    tip: str | None = None
+    """Frame of the end effector; by default the only leaf of the tree."""
     on_unphysical: OnUnphysical = "warn"
     """What to do with a body that cannot exist."""
 
     def load(self) -> NamedRobot:
         """Robot, and the file that it is from."""
-        return robot_of(self.robot, self.base, self.joints, self.on_unphysical)
+        return robot_of(self.robot, self.base, self.joints, self.tip, self.on_unphysical)
 
 
 def numbers(values: Sequence[float]) -> tuple[float, ...] | None:

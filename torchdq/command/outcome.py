@@ -63,8 +63,8 @@ def write_json(data: Mapping[str, Any]) -> None:
 def plain(x: Any) -> Any:
     """Value as JSON has it: tensors and arrays are lists, numbers that are not finite are None.
 
-    >>> plain({"tau": np.array([1.0, math.nan]), "file": Path("a.csv")})
-    {'tau': [1.0, None], 'file': 'a.csv'}
+    >>> plain({"tau": np.array([1.0, math.nan]), "dtype": np.float64})
+    {'tau': [1.0, None], 'dtype': "<class 'numpy.float64'>"}
     """
     if isinstance(x, Tensor):
         x = x.detach().cpu().numpy()

@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
+from torchdq.checks import matching
 from torchdq.errors import ArgumentError, MissingFileError, MissingLibraryError, UnknownNameError
 from torchdq.notice import Notice
 from torchdq.robot import Robot, shipped
@@ -26,7 +27,9 @@ class NamedRobot(NamedTuple):
     file: str  # "" for a shipped robot
 
 
-def robot_of(name: str, base: str | None, joints: Sequence[str], on_unphysical: OnUnphysical) -> NamedRobot:
+def robot_of(
+    name: str, base: str | None, joints: Sequence[str], tip: str | None, on_unphysical: OnUnphysical
+) -> NamedRobot:
     """Robot of a name or a file.
 
     Raises:
@@ -36,12 +39,15 @@ def robot_of(name: str, base: str | None, joints: Sequence[str], on_unphysical: 
     options: dict[str, Any] = {"on_unphysical": on_unphysical}
     options |= {"base": base} if base else {}
     options |= {"joints": list(joints)} if joints else {}
+    options |= {"tip": tip} if tip else {}
     if name in shipped.names() and not Path(name).is_file():
         if base == "floating":
             raise ArgumentError(f"base must be 'fixed' for the shipped robot {name!r}, found 'floating'")
         robot = shipped.load(name)
-        locked = [x for x in robot.joint_names if x not in {robot.joint_names[robot.joint_index(j)] for j in joints}]
-        return NamedRobot(robot.lock(locked) if joints else robot, "shipped", "")
+        kept = matching("joints", joints, robot.joint_names, "joint")
+        locked = [joint for joint in robot.joint_names if joint not in kept]
+        robot = robot.lock(locked) if joints else robot
+        return NamedRobot(robot if tip is None else robot.with_tip(tip), "shipped", "")
     with Notice(f"reading {name}"):
         if _is_file(name):
             return _from_file(name, options)
@@ -72,10 +78,7 @@ def _by_name(name: str, options: dict[str, Any]) -> NamedRobot:
         whole = name if name.endswith(DESCRIPTION) else f"{name}{DESCRIPTION}"
         return NamedRobot(Robot.from_name(whole, **options), "named", "")
     except (MissingLibraryError, UnknownNameError) as error:
-        near = get_close_matches(name, known, n=1)
-        meant = f"; did you mean {near[0]!r}?" if near else ""
+        meant = "".join(f", did you mean {near!r}?" for near in get_close_matches(name, known, n=1))
         raise MissingFileError(
-            f"there is no file or shipped robot {name!r}{meant} Shipped are {', '.join(known)}. {error}"
-            if meant
-            else f"there is no file or shipped robot {name!r}; shipped are {', '.join(known)}. {error}"
+            f"there is no file or shipped robot {name!r}{meant or ';'} shipped are {', '.join(known)}; {error}"
         ) from error

@@ -96,9 +96,10 @@ def _told(found: Identified) -> str:
     """Sections of what was chosen and found: friction, gains, and combinations of inertial parameters with errors."""
     parts = [] if found.report is None else [f"<pre>{escape(str(found.report))}</pre>"]
     first = 10 * len(found.robot.link_names)
-    rest = zip(found.names[first:], found.parameters[first:].tolist(), found.errors[first:].tolist(), strict=True)
-    if joints := [(name, f"{x:.4g}", f"{error:.2g}") for name, x, error in rest if x or error]:
-        parts.append(f"<p>Joints</p>{_table(('parameter', 'estimate', 'standard error'), joints)}")
+    units = [term.units[not joint.turns] for term in found.terms for joint in found.robot.joint_types]
+    rest = zip(found.names[first:], *(x[first:].tolist() for x in (found.parameters, found.errors)), units, strict=True)
+    if joints := [(name, f"{x:.4g}", f"{error:.2g}", unit) for name, x, error, unit in rest if x or error]:
+        parts.append(f"<p>Joints</p>{_table(('parameter', 'estimate', 'standard error', 'unit'), joints)}")
     if found.gains is not None:
         rows = [
             (name, f"{x:.4g}", f"{error:.2g}")
