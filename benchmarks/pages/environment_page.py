@@ -75,7 +75,8 @@ def page(task: str) -> str:
         sentence(said.summary),
         f'`gymnasium.make("{spec.id}")` makes one, `gymnasium.make_vec` many, and '
         f'`torchdq.envs.ArmVectorEnv(4096, "{task}")` many on tensors.',
-        f"![One episode, seen after {', '.join(f'{k * dt:g}' for k in MOMENTS)} s]({task}.png)",
+        f"![One arm at five moments of an episode]({task}.png)",
+        f"One episode, seen after {', '.join(f'{k * dt:g}' for k in MOMENTS)} s.",
         "## Task",
         *_paragraphs(case.task),
         "## Observation",
