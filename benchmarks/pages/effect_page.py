@@ -29,7 +29,6 @@ SLOTS = {
 }
 LAST = "It acts on what all other effects of the model have changed, wherever it stands."
 SYMBOLS = frozenset({"load", "target"})  # of formulas, beside the names of parameters
-BEGIN, END = "<!-- benchmarks/effects.py begins -->", "<!-- benchmarks/effects.py ends -->"
 
 
 def address(name: str) -> str:
@@ -154,7 +153,7 @@ def _price(name: str) -> str:
     if found.with_tensors is not None:
         rows.append(("the same as tensors, other in every sample", f"+ {found.with_tensors}", _time(price["tensors"])))
     head = (f"step of a seven-joint arm (`{stored['robot']}`)", "operations", "ns")
-    return f"{BEGIN}\n{table(head, rows)}\n\nMeasured as [all prices of effects](index.md#all-effects).\n{END}"
+    return f"{table(head, rows)}\n\nMeasured as [all prices of effects](index.md#all-effects)."
 
 
 def _measured(stored: dict[str, Any]) -> str:
@@ -277,7 +276,7 @@ def index() -> str:
     bare = f"A step without effects has {operations()} operations and takes {stored['bare']:.0f} ns."
     inner = "\n\n".join([*sections, f"{bare} {_measured(stored)}"])
     made = MADE.format(script="benchmarks/effects.py")
-    parts = ["# Effects", made, INTRODUCTION, "## All effects", f"{BEGIN}\n{inner}\n{END}", FOOT]
+    parts = ["# Effects", made, INTRODUCTION, "## All effects", f"{inner}", FOOT]
     return "\n\n".join(parts) + "\n"
 
 
