@@ -14,7 +14,7 @@ from pages.cases import CASES, START, built
 from pages.docstrings import ArgumentText, documented
 from pages.effect_facts import allowed, arm, facts, kinds, operations
 from pages.formulas import tex
-from pages.text import MADE, cell, sentence, table, wrapped
+from pages.text import MADE, sentence, table, wrapped
 from torchdq import effects
 from torchdq.effects import Effect
 
@@ -29,7 +29,6 @@ SLOTS = {
 }
 LAST = "It acts on what all other effects of the model have changed, wherever it stands."
 SYMBOLS = frozenset({"load", "target"})  # of formulas, beside the names of parameters
-BEGIN, END = "<!-- benchmarks/effects.py begins -->", "<!-- benchmarks/effects.py ends -->"
 
 
 def address(name: str) -> str:
@@ -154,7 +153,7 @@ def _price(name: str) -> str:
     if found.with_tensors is not None:
         rows.append(("the same as tensors, other in every sample", f"+ {found.with_tensors}", _time(price["tensors"])))
     head = (f"step of a seven-joint arm (`{stored['robot']}`)", "operations", "ns")
-    return f"{BEGIN}\n{table(head, rows)}\n\nMeasured as [all prices of effects](index.md#all-effects).\n{END}"
+    return f"{table(head, rows)}\n\nMeasured as [all prices of effects](index.md#all-effects)."
 
 
 def _measured(stored: dict[str, Any]) -> str:
@@ -207,11 +206,11 @@ def _where(name: str) -> str:
     found = facts(name)
     yes = ["a scene"]
     if found.layer:
-        yes.append("the friction of a layer (`torchdq.DQRNEA(robot, friction=...)`)")
+        yes.append("layers (`torchdq.DQRNEA(robot, friction=...)`)")
     if found.identify:
-        yes.append("`torchdq.learning.identify`")
+        yes.append("identification (`torchdq.learning.identify`)")
     if found.c:
-        yes.append("C (`torchdq.compile(scene.program()).export(folder)`)")
+        yes.append("exported C (`torchdq.compile(scene.program()).export(folder)`)")
     text = f"It may be used in {_several(yes)}."
     return text if found.c else text + " It cannot be exported to C, since a part of it runs in torch."
 
@@ -259,10 +258,10 @@ Where a parameter is left out, it is taken from the robot's description, if that
 what the description asks for and the scene does not simulate."""
 
 FOOT = """\
-*Operations* and *ns* are what the effect adds to one step of a seven-joint arm with numbers as parameters; *as
-tensors*, with other values in every sample. *States* are numbers per joint that the scene remembers for it. All effects
-may be used in a scene; *layer* is `torchdq.DQRNEA(robot, friction=...)` and the other layers, *identify* is
-`torchdq.learning.identify`, *C* is `torchdq.compile(scene.program()).export(folder)`.
+*Operations* are what the effect adds to one step of a seven-joint arm, first with numbers as parameters, then with
+tensors, other in every sample; *ns* is the time of the first. *States* are numbers per joint that the scene remembers
+for it. All effects may be used in a scene; beside it, *layer* is `torchdq.DQRNEA(robot, friction=...)` and the other
+layers, *identify* is `torchdq.learning.identify`, and *C* is `torchdq.compile(scene.program()).export(folder)`.
 
 An effect of your own is a small class, see [Contributing](../contributing.md)."""
 
@@ -272,12 +271,12 @@ def index() -> str:
     stored, sections = prices(), []
     for slot in SLOTS:
         rows = [_row(kind.__name__, stored) for kind in kinds() if slot == kind.SLOT]
-        head = (slot, "what it is", "states", "operations", "as tensors", "ns", "layer", "identify", "C")
+        head = (slot, "what it is", "states", "operations", "ns", "beside scenes")
         sections.append(table(head, rows))
     bare = f"A step without effects has {operations()} operations and takes {stored['bare']:.0f} ns."
     inner = "\n\n".join([*sections, f"{bare} {_measured(stored)}"])
     made = MADE.format(script="benchmarks/effects.py")
-    parts = ["# Effects", made, INTRODUCTION, "## All effects", f"{BEGIN}\n{inner}\n{END}", FOOT]
+    parts = ["# Effects", made, INTRODUCTION, "## All effects", f"{inner}", FOOT]
     return "\n\n".join(parts) + "\n"
 
 
@@ -285,7 +284,7 @@ def _row(name: str, stored: dict[str, Any]) -> tuple[str, ...]:
     found, price = facts(name), stored["effects"][name]["numbers"]
     kind = getattr(effects, name)
     summary = documented(kind, frozenset(entry.name for entry in dataclasses.fields(kind)) | SYMBOLS).summary
-    marks = ["yes" if x else "" for x in (found.layer, found.identify, found.c)]
-    tensors = "" if found.with_tensors is None else f"{found.with_tensors}"
-    link = f"[{name}]({address(name)})"
-    return (link, cell(summary), f"{found.states:g}", f"{found.operations}", tensors, _time(price).lstrip("+ "), *marks)
+    also = [word for word, x in (("layer", found.layer), ("identify", found.identify), ("C", found.c)) if x]
+    both = f"{found.operations}" + ("" if found.with_tensors is None else f" / {found.with_tensors}")
+    link, what = f"[{name}]({address(name)})", re.split(r"[:;,.]", summary)[0]
+    return link, what, f"{found.states:g}", both, _time(price).lstrip("+ "), ", ".join(also)

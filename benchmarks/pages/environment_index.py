@@ -9,7 +9,7 @@ import torch
 
 from pages.docstrings import documented
 from pages.environment_cases import ENVIRONMENTS
-from pages.environment_page import BEGIN, END, ROBOT, SCRIPT, arm, measured, newest, rate_words, rates
+from pages.environment_page import ROBOT, SCRIPT, arm, measured, newest, rate_words, rates
 from pages.text import MADE, sentence, table, wrapped
 from torchdq.envs import ArmVectorEnv, randomization, vector_env
 
@@ -102,7 +102,7 @@ def index() -> str:
         "# Environments",
         MADE.format(script=SCRIPT),
         INTRODUCTION,
-        f"{BEGIN}\n{table(head, rows)}\n\nOf the default robot, `{ROBOT}`. {measured(stored)}\n{END}",
+        f"{table(head, rows)}\n\nOf the default robot, `{ROBOT}`. {measured(stored)}",
         WAYS,
         "## Arguments",
         "All three ways take the arguments of `ArmVectorEnv`; here are all of them with their defaults.",

@@ -26,7 +26,6 @@ from torchdq.robot import Robot
 
 ROOT = Path(__file__).resolve().parents[2]
 RATES = ROOT / "benchmarks" / "results" / "environments.json"
-BEGIN, END = "<!-- benchmarks/environments.py begins -->", "<!-- benchmarks/environments.py ends -->"
 SCRIPT = "benchmarks/environments.py"
 ROBOT = "panda"  # the default
 SEED, MOMENTS = 3, (0, 15, 30, 60, 150)  # of the picture, in steps
@@ -75,7 +74,8 @@ def page(task: str) -> str:
         sentence(said.summary),
         f'`gymnasium.make("{spec.id}")` makes one, `gymnasium.make_vec` many, and '
         f'`torchdq.envs.ArmVectorEnv(4096, "{task}")` many on tensors.',
-        f"![One episode, seen after {', '.join(f'{k * dt:g}' for k in MOMENTS)} s]({task}.png)",
+        f"![One arm at five moments of an episode]({task}.png)",
+        f"One episode, seen after {', '.join(f'{k * dt:g}' for k in MOMENTS)} s.",
         "## Task",
         *_paragraphs(case.task),
         "## Observation",
@@ -183,7 +183,7 @@ def _rates(task: str) -> str:
     stored = rates()
     rows = [(what, f"{envs}", rate_words(rate)) for what, envs, rate in stored["rates"][task]]
     made = table(("made by", "environments", "steps of an environment per second"), rows)
-    return f"{BEGIN}\n{made}\n\n{measured(stored)}\n{END}"
+    return f"{made}\n\n{measured(stored)}"
 
 
 def rate_words(rate: float) -> str:
