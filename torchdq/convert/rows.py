@@ -39,8 +39,10 @@ def unit(name: str, r: Tensor) -> Tensor:
 
 
 def to_base(X_WB: Tensor, v: Tensor) -> Tensor:
+    """Vector [..., 3] in base axes, from world axes."""
     return dq.rotate(dq.conj(X_WB)[..., :4], v)
 
 
 def cross(a: Tensor, b: Tensor) -> Tensor:
+    """Cross product of vectors [..., 3] whose batch axes broadcast."""
     return torch.linalg.cross(*torch.broadcast_tensors(a, b))
