@@ -36,7 +36,7 @@ mutants: $(VENV)/test.installed
 	$(RUN) tests/mutants.py $(ARGS)
 
 docs: $(VENV)/docs.installed
-	NO_MKDOCS_2_WARNING=1 TORCHDQ_NOTEBOOKS=run $(RUN) -m mkdocs build $(ARGS)
+	OMP_NUM_THREADS=1 NO_MKDOCS_2_WARNING=1 TORCHDQ_NOTEBOOKS=run $(RUN) -m mkdocs build $(ARGS)
 
 clean:
 	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

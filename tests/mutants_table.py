@@ -3050,16 +3050,19 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/convert.py",
+        "torchdq/convert/rows.py",
         (
             "quaternions of any length taken for rotations",
             "if bool(wrong.any()):",
             "if False:",
             "convert_free.py::test_quaternions_that_are_not_unit_are_named",
         ),
+    ),
+    *within(
+        "torchdq/convert/mujoco.py",
         (
             "an acceleration in world axes of a base that does not turn",
-            "vd + _cross(w, v)), wd, qdd)",
+            "vd + cross(w, v)), wd, qdd)",
             "vd), wd, qdd)",
             f"{CONVERT_FREE}::test_mujoco_computes_our_forces_and_accelerations",
         ),

@@ -1,9 +1,11 @@
 """The code in the documents runs, and their links lead somewhere."""
 
 import doctest
+import pkgutil
 import posixpath
 import re
 from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 from pathlib import Path
 from shutil import copy
 
@@ -12,6 +14,7 @@ import pytest
 import torch
 
 import torchdq
+from torchdq import envs
 from torchdq.envs import Scene, effects
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -78,6 +81,18 @@ def test_every_block_of_a_document_runs_after_the_ones_before_it(path, whole, at
         else:
             assert language in SHOWN, f"{path.name}, line {first}: a block of {language or 'no language'} cannot be run"
     assert not printed.failures, f"{path.name}: see above for what differs from what the page prints"
+
+
+def has_example(name):
+    """Whether a module of scenes has an example in a docstring."""
+    return ">>> " in (ROOT / "envs" / f"{name}.py").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("name", [x.name for x in pkgutil.iter_modules(envs.__path__) if has_example(x.name)])
+def test_the_examples_in_docstrings_of_scenes_run(name):
+    """Those of the rest of the package are found by pytest; the folder of these lies beside it."""
+    module = import_module(f"torchdq.envs.{name}")
+    assert not doctest.testmod(module, optionflags=PRINTED).failed
 
 
 def described():

@@ -100,6 +100,7 @@ def public():
     """Public names: those of `__all__`, and functions and classes of the modules that are public as a whole."""
     modules = {
         "torchdq.effects": effects,
+        "torchdq.convert": torchdq.convert,
         "torchdq.dq": torchdq.dq,
         "torchdq.learning": torchdq.learning,
         "torchdq.residual": torchdq.residual,
@@ -108,7 +109,6 @@ def public():
     names = [f"{module}.{name}" for module, of in modules.items() for name in of.__all__]
     names += [f"torchdq.{name}" for name in dir(torchdq)]
     whole = {
-        "torchdq.convert": torchdq.convert,
         "torchdq.floating": torchdq.floating,
         "torchdq.robots": torchdq.robots,
         "torchdq.envs.controllers": controllers,

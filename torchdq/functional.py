@@ -33,20 +33,14 @@ from torchdq.robot.robot import arguments, constants
 
 # --- arguments -------------------------------------------------------------------------------------------------------
 
-
 Precision = Literal["auto", "double"]
 
 
 def require_finite(**arguments: Tensor | None) -> None:
-    """Raise `ArgumentError`, naming the argument and its first bad entry, unless all tensors are finite.
+    """Raise `ArgumentError`, naming the argument and its first bad entry, unless all `arguments` are finite.
 
     The dynamics functions do not check values: a row with NaN gives a row with NaN. Call this function where such a row
     must be an error.
-
-    Args:
-        arguments: tensors by the names that the error states; None is left out.
-    Raises:
-        ArgumentError: a number is NaN or infinite.
 
     >>> import torch
     >>> require_finite(q=torch.zeros(3), qd=None)
@@ -169,8 +163,7 @@ def mass_matrix(robot: Robot, q: Tensor, backend: BackendName | None = None) -> 
     """Mass matrix M(q) [..., n, n], symmetric to the last bit, rotor inertia on its diagonal (69).
 
     Args:
-        robot: the robot.
-        q: joint positions [rad or m], shape [..., n].
+        robot, q: the robot and its joint positions [rad or m], shape [..., n].
 
     >>> import torch, torchdq
     >>> mass_matrix(torchdq.robots.load("two_link"), torch.tensor([0.3, 0.0])).mul(12).round()
@@ -223,8 +216,7 @@ def error_growth(robot: Robot, q: Tensor, backend: BackendName | None = None) ->
     factor is 1e30 or more.
 
     Args:
-        robot: the robot.
-        q: joint positions [rad or m], shape [..., n].
+        robot, q: the robot and its joint positions [rad or m], shape [..., n].
 
     >>> import torch, torchdq
     >>> error_growth(torchdq.robots.load("two_link"), torch.zeros(2, dtype=torch.float64))
@@ -251,8 +243,7 @@ def closed_form(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None
     and at rest. The matrices of dual quaternions of the paper (`torchdq.dynamics.paper.closed_form`) give the same.
 
     Args:
-        robot: the robot.
-        q, qd: joint positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
+        robot, q, qd: the robot, its joint positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
 
     Source: equations (57)-(72); departures: errata 57, 61, T1.4, 68, 70, 71.
 
@@ -291,13 +282,11 @@ def kinetic_energy(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | N
     """Kinetic energy qd^T M qd / 2 [J], shape [...], rotors included.
 
     Args:
-        robot: the robot.
-        q, qd: joint positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
+        robot, q, qd: the robot, its joint positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
 
     >>> import torch, torchdq
     >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
-    >>> energy, M = kinetic_energy(robot, q, q), mass_matrix(robot, q)
-    >>> torch.isclose(energy, q @ M @ q / 2)
+    >>> torch.isclose(kinetic_energy(robot, q, q), q @ mass_matrix(robot, q) @ q / 2)
     tensor(True)
     """
     return function_of("kinetic_energy", robot, {"q": q, "qd": qd}, backend)[0]
@@ -307,13 +296,11 @@ def potential_energy(robot: Robot, q: Tensor, backend: BackendName | None = None
     """Potential energy -sum of m g . p_com [J], shape [...]; its gradient in q is the gravity torque.
 
     Args:
-        robot: the robot.
-        q: joint positions [rad or m], shape [..., n].
+        robot, q: the robot and its joint positions [rad or m], shape [..., n].
 
     >>> import torch, torchdq
     >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
-    >>> slope = torch.func.grad(lambda q: potential_energy(robot, q))(q)
-    >>> torch.allclose(slope, inverse_dynamics(robot, q))
+    >>> torch.allclose(torch.func.grad(lambda q: potential_energy(robot, q))(q), inverse_dynamics(robot, q))
     True
     """
     return function_of("potential_energy", robot, {"q": q}, backend)[0]
@@ -349,8 +336,7 @@ def forward_kinematics(
     """Pose X_WF [..., 8] of a frame in the base frame, or [..., frames, 8] of several or all frames (39).
 
     Args:
-        robot: the robot.
-        q: joint positions [rad or m], shape [..., n].
+        robot, q: the robot and its joint positions [rad or m], shape [..., n].
         frame: name of the frame; or names of several, which one program computes together, much faster than one by one;
             None: all of them, in the order of `robot.frame_names`.
 
@@ -381,8 +367,7 @@ def jacobian(
     """Jacobian J [..., 6, n]: the twist (angular, linear) of a frame is J qd.
 
     Args:
-        robot: the robot.
-        q: joint positions [rad or m], shape [..., n].
+        robot, q: the robot and its joint positions [rad or m], shape [..., n].
         frame: name of the frame F.
         expressed: "body": V_WF_F, the twist in F's own axes, of F's origin. "world": the same twist of F's origin in
             the axes of the base frame.
@@ -408,8 +393,7 @@ def dynamics_jacobian(
 
     >>> import torch, torchdq
     >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
-    >>> dtau_dq, dtau_dqd, M = dynamics_jacobian(robot, q, q, q)
-    >>> torch.equal(M, mass_matrix(robot, q))
+    >>> torch.equal(dynamics_jacobian(robot, q, q, q)[2], mass_matrix(robot, q))
     True
     """
     dtau_dq, dtau_dqd = function_of("inverse_dynamics_jacobian", robot, {"q": q, "qd": qd, "qdd": qdd}, backend)

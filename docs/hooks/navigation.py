@@ -26,8 +26,7 @@ def _expanded(nav: list, docs: Path, named: set[str]) -> list:
             pages = [p.relative_to(docs).with_suffix(".md").as_posix() for p in matching]  # notebooks become pages
             pages = [page for page in pages if page not in named]
         else:
-            if (docs / target).exists():
-                found.append(entry)
+            found.append(entry)
             continue
         if title is None:
             found += pages

@@ -1,6 +1,7 @@
 """Notebooks as pages: their cells, and what they print if TORCHDQ_NOTEBOOKS=run is set."""
 
 import os
+import sys
 from pathlib import Path
 
 import nbformat
@@ -14,6 +15,7 @@ def page(path: Path) -> str:
     if os.environ.get("TORCHDQ_NOTEBOOKS") == "run":
         from nbclient import NotebookClient
 
+        print(f"running {path.name}, a minute or less ...", file=sys.stderr, flush=True)
         NotebookClient(notebook, timeout=SECONDS, kernel_name="python3").execute()
     parts = [part for cell in notebook.cells for part in _parts(cell)]
     first, rest = parts[0].partition("\n")[::2]  # its title

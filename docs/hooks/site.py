@@ -1,6 +1,7 @@
 """Hooks of mkdocs: formulas as MathML, links to files beside docs/, pages of a folder in the nav."""
 
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -22,9 +23,10 @@ def on_config(config):
 
 def on_files(files, config):
     """The pages, one for each notebook, and one for each file of the repository that a page links to."""
-    for notebook in [file for file in files if file.src_uri.endswith(".ipynb")]:
-        content = notebooks.page(Path(notebook.abs_src_path))
-        files.append(File.generated(config, notebook.src_uri.replace(".ipynb", ".md"), content=content))
+    found = [file for file in files if file.src_uri.endswith(".ipynb")]
+    with ThreadPoolExecutor() as pool:
+        for notebook, page in zip(found, pool.map(notebooks.page, [Path(x.abs_src_path) for x in found]), strict=True):
+            files.append(File.generated(config, notebook.src_uri.replace(".ipynb", ".md"), content=page))
     for file in sources.linked(files.documentation_pages(), ROOT, config):
         files.append(file)
     return files
@@ -32,4 +34,6 @@ def on_files(files, config):
 
 def on_page_markdown(markdown, page, config, files):
     """Markdown of a page whose links to files beside docs/ lead to their pages."""
+    if sys.stderr.isatty():
+        print(f"\r{page.file.src_uri:<78}", end="\r", file=sys.stderr, flush=True)
     return sources.with_links(markdown, page.file.src_uri, ROOT)

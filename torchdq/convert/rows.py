@@ -1,0 +1,48 @@
+"""Rows of a base and of the joints, as the other libraries have them."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from torchdq import dq
+from torchdq.errors import ArgumentError
+from torchdq.program.transforms import without_values
+
+UNIT = 1e-4  # error of a norm that is taken for 1: finite differences, and logs printed with six digits, stay below
+
+
+def row(*parts: Tensor) -> Tensor:
+    """Row of parts whose batch axes broadcast."""
+    batch = torch.broadcast_shapes(*[x.shape[:-1] for x in parts])
+    return torch.cat([x.expand(*batch, x.shape[-1]) for x in parts], -1)
+
+
+def parts(name: str, x: Tensor, *sizes: int) -> Sequence[Tensor]:
+    """First parts of a row, of these sizes, and the rest of it."""
+    x = x if isinstance(x, Tensor) else torch.tensor(x)  # a copy, see `from_mujoco`
+    if x.ndim == 0 or x.shape[-1] < sum(sizes):
+        raise ArgumentError(f"{name} must end with an axis of {sum(sizes)} components or more, found {tuple(x.shape)}")
+    return x.split([*sizes, x.shape[-1] - sum(sizes)], -1)
+
+
+def unit(name: str, r: Tensor) -> Tensor:
+    """Quaternions [..., 4] of a row; raises unless they are unit ones, those with NaN apart."""
+    if r.numel() and not without_values((r,)):
+        wrong = (r.detach().norm(dim=-1) - 1).abs() > UNIT
+        if bool(wrong.any()):
+            found = r[tuple(wrong.nonzero()[0].tolist())].tolist()
+            raise ArgumentError(
+                f"{name} must hold unit quaternions, found {found}; normalize that part by torchdq.dq.normalize"
+            )
+    return r
+
+
+def to_base(X_WB: Tensor, v: Tensor) -> Tensor:
+    """Vector [..., 3] in base axes, from world axes."""
+    return dq.rotate(dq.conj(X_WB)[..., :4], v)
+
+
+def cross(a: Tensor, b: Tensor) -> Tensor:
+    """Cross product of vectors [..., 3] whose batch axes broadcast."""
+    return torch.linalg.cross(*torch.broadcast_tensors(a, b))
