@@ -3936,8 +3936,8 @@ MUTANTS = (
         "torchdq/learning/rollout/shooting.py",
         (
             "gaps between steps forgotten",
-            "added[..., s:-1], added[..., -1] = B.reshape(*added.shape[:3], -1), moved.gaps.reshape(added.shape[:3])",
-            "added[..., s:-1] = B.reshape(*added.shape[:3], -1)",
+            "inner[1:, ..., s:-1], inner[1:, ..., -1] = by_block(B), by_block(moved.gaps)",
+            "inner[1:, ..., s:-1], inner[1:, ..., -1] = by_block(B), 0.0",
             "rollout_fit.py::test_exact_logs_give_the_exact_parameters",
         ),
     ),

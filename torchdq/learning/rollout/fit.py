@@ -100,7 +100,7 @@ def fit_rollout(
     named = ", ".join(part.name for part in sought.parts)
     # where a trial step loses the scene, its numbers are not finite
     with torch.no_grad(), np.errstate(all="ignore"), Notice(f"fitting {named}") as notice:
-        end = _search(problem, problem.prepared(problem.first()), iterations, notice)
+        end = _search(problem, problem.first(), iterations, notice)
         followed = end.at.gap <= NEARLY
         doubt = (end.ended or problem.uneven(end.at)) if followed else f"{end.ended}; {APART}"
         found = result(problem, end.at, end.linear, end.steps, doubt, followed)

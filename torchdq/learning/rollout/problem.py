@@ -58,8 +58,8 @@ class Problem:
     # --- iterates ---
 
     def first(self) -> Iterate:
-        """Start: the parameters of the scene, the nodes where the measurements are."""
-        return self.at(self.unknowns.start, self._measured)
+        """Start: the nodes where the measurements are, and the parameters by which single steps fit them."""
+        return self.at(self._by_single_steps(self._measured), self._measured)
 
     def at(self, values: np.ndarray, nodes: np.ndarray) -> Iterate:
         """Iterate at parameters and nodes."""
@@ -152,15 +152,16 @@ class Problem:
 
     # --- single steps ---
 
-    def prepared(self, at: Iterate) -> Iterate:
-        """Iterate with the parameters by which single steps between its nodes have the velocities of the nodes.
+    def _by_single_steps(self, nodes: np.ndarray) -> np.ndarray:
+        """Parameters [p] by which single steps between nodes have the velocities of the nodes.
 
         That is least squares of accelerations, cheap and in few iterations from far away; its errors are those of
-        numerical derivatives. States with a memory, which nothing measures, are left alone.
+        numerical derivatives. With a memory among the states, which nothing measures, they are those of the scene.
         """
-        n, nodes, sought = self.pieces.n, at.motions.nodes, self.unknowns
+        n, sought = self.pieces.n, self.unknowns
+        values = sought.start
         if nodes.shape[-1] > 2 * n:
-            return at
+            return values
         steps = np.flatnonzero(self.pieces.follows[:, :-1])
         chosen = steps[:: max(1, len(steps) // SINGLE)]
 
@@ -178,7 +179,6 @@ class Problem:
             gaps = after - self._after(values, before, inputs)[:, n:]
             return inputs, gaps, np.sqrt(np.square(gaps).sum(0))
 
-        values = at.values
         inputs, gaps, norms = missing(values)
         for _ in range(SINGLE_STEPS):
             slopes = {name: picked(x[:, :-1]) for name, x in self._slopes(values).items()}
@@ -194,7 +194,7 @@ class Problem:
             values = trial
             if abs(change / sizes).max() < ALMOST:
                 break
-        return self.at(values, nodes)
+        return values
 
     # --- steps ---
 

@@ -25,7 +25,6 @@ import torch
 
 from torchdq.errors import ArgumentError
 from torchdq.learning.rollout.recordings import CheckedRecording
-from torchdq.optional import imported
 
 SMOOTHED = 0.02  # time to both sides of a node over which its first velocity is that of a cubic [s]
 HELD = 1e-7  # weight of a start where it is, relative to what the measurements say of it: for what they do not see
@@ -59,7 +58,7 @@ class Linear(NamedTuple):
 
     inner: np.ndarray  # [size, K blocks, s, s + p + 1] of the nodes of blocks, by the states at which the blocks start
     starts: np.ndarray  # [blocks, K, s + p + 1, s + p + 1] of those, by the states at which the segments start
-    factor: np.ndarray  # [K, s + p + 1, s + p + 1] triangular: weighted measurements by starts, parameters, and their rest
+    factor: np.ndarray  # [K, s + p + 1, s + p + 1] triangular: weighted measurements by starts, parameters, their rest
 
 
 # --- segments --------------------------------------------------------------------------------------------------------
@@ -111,7 +110,6 @@ def segments(logs: Sequence[CheckedRecording], dt: float, seconds: float | None)
 
 def first_guess(pieces: Segments, logs: Sequence[CheckedRecording]) -> tuple[np.ndarray, np.ndarray]:
     """Positions and velocities [K, T, n] of the nodes: those measured, or slopes of cubics through measured ones."""
-    signal = imported("scipy.signal", "scipy", "fit_rollout")
     found = np.zeros((2, *pieces.time.shape, pieces.n))
     for k, log in enumerate(logs):
         grid = np.arange(log.time[0], log.time[-1] + 0.5 * pieces.dt, pieces.dt)
@@ -119,13 +117,27 @@ def first_guess(pieces: Segments, logs: Sequence[CheckedRecording]) -> tuple[np.
         if log.qd is None:
             rows = max(SMOOTHED, 2.5 * float(np.diff(log.time).max())) / pieces.dt
             window = min(2 * math.ceil(rows) + 1, (len(grid) - 1) // 2 * 2 + 1)
-            qd = signal.savgol_filter(q, window, min(3, window - 1), deriv=1, delta=pieces.dt, axis=0)
+            qd = _slopes(q, window) / pieces.dt
         else:
             qd = _interpolated(grid, log.time, log.qd)
         own = pieces.log == k
         at = np.clip(np.rint((pieces.time[own] - log.time[0]) / pieces.dt).astype(int), 0, len(grid) - 1)
         found[0, own], found[1, own] = q[at], qd[at]
     return found[0], found[1]
+
+
+def _slopes(x: np.ndarray, window: int) -> np.ndarray:
+    """Slopes [rows, n] per row of cubics, each the best through an odd number of rows around its own.
+
+    A. Savitzky, M. J. E. Golay, "Smoothing and differentiation of data by simplified least squares procedures",
+    Analytical Chemistry 36 (1964).
+    """
+    middle, degrees = window // 2, np.arange(min(4, window))
+    u = np.arange(-middle, middle + 1)[:, None] / max(middle, 1)
+    # slopes at every row of a window, from its rows
+    rows = (degrees * u ** np.maximum(degrees - 1, 0)) @ np.linalg.pinv(u**degrees) / max(middle, 1)
+    inner = np.lib.stride_tricks.sliding_window_view(x, window, axis=0) @ rows[middle]
+    return np.concatenate([rows[:middle] @ x[:window], inner, rows[middle + 1 :] @ x[-window:]])
 
 
 def _interpolated(at: np.ndarray, time: np.ndarray, x: np.ndarray) -> np.ndarray:
