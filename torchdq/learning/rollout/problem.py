@@ -172,23 +172,24 @@ class Problem:
         before, after = picked(nodes[:, :-1]), picked(nodes[:, 1:, n:])
         prompt = {name: picked(x[:, :-1]) for name, x in self._prompt.items()}
 
-        def missing(values: np.ndarray) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-            inputs = prompt
+        def linear(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            """Gaps of the velocities, their norms [n], and their slopes in the parameters."""
+            inputs, slopes = prompt, {}
             if sought.delayed:
                 inputs = {name: picked(x[:, :-1]) for name, x in self._inputs(values).items()}
-            gaps = after - self._after(values, before, inputs)[:, n:]
-            return inputs, gaps, np.sqrt(np.square(gaps).sum(0))
+                slopes = {name: picked(x[:, :-1]) for name, x in self._slopes(values).items()}
+            reached, _, B = self._linear_steps(values, before, inputs, slopes)
+            gaps = after - reached[:, n:]
+            return gaps, np.sqrt(np.square(gaps).sum(0)), B[:, n:]
 
-        inputs, gaps, norms = missing(values)
+        gaps, norms, B = linear(values)
         for _ in range(SINGLE_STEPS):
-            slopes = {name: picked(x[:, :-1]) for name, x in self._slopes(values).items()}
-            B = self._derivatives(values, before, inputs, slopes)[1][:, n:]
             sizes, rows = sought.sizes(values), math.sqrt(len(gaps)) / np.maximum(norms, 1e-300)
             Z = (B * rows[:, None] * sizes).reshape(-1, len(sizes))
             right = Z.T @ (gaps * rows).ravel() - sought.offset(values) / sizes
             change = sizes * np.linalg.solve(Z.T @ Z + np.eye(len(sizes)), right)
             trial, least = sought.moved(values, change), np.log(norms).sum()
-            inputs, gaps, norms = missing(trial)
+            gaps, norms, B = linear(trial)
             if not np.log(norms).sum() < least:
                 break
             values = trial
@@ -212,25 +213,25 @@ class Problem:
     def linearised(self, at: Iterate) -> Linear:
         """Linearised motions at an iterate."""
         inputs, slopes = self._inputs(at.values), self._slopes(at.values)
-        A, B = self._derivatives(at.values, at.motions.nodes, inputs, slopes)
+        _, A, B = self._linear_steps(at.values, at.motions.nodes, inputs, slopes)
         return shooting.linearised(self.pieces, at.motions, A, B, 1 / self.noise(at))
 
-    def _derivatives(
+    def _linear_steps(
         self,
         values: np.ndarray,
         nodes: np.ndarray,
         inputs: Mapping[str, np.ndarray],
         slopes: Mapping[str, np.ndarray],
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the steps in the states [..., s, s], and in the unknowns [..., s, p]."""
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """States after the steps, and their derivatives in the states [..., s, s] and in the unknowns [..., s, p]."""
         sought, s = self.unknowns, nodes.shape[-1]
         parameters = sought.parameters(values)
         given = {name: torch.from_numpy(x) for name, x in inputs.items()}
         wrt = (*parameters, *(given if sought.delayed else ()))
-        whole = self.step_map.jacobian(torch.from_numpy(nodes), given, parameters, wrt).numpy()
-        A, B = whole[..., :s], whole[..., s:]
+        after, J = (x.numpy() for x in self.step_map.linearised(torch.from_numpy(nodes), given, parameters, wrt))
+        A, B = J[..., :s], J[..., s:]
         if sought.direct:
-            return A, B
+            return after, A, B
         widths = [parameters[name].numel() if name in parameters else inputs[name].shape[-1] for name in wrt]
         blocks, columns = dict(zip(wrt, np.split(B, np.cumsum(widths)[:-1], -1), strict=True)), []
         for part in sought.parts:
@@ -238,7 +239,7 @@ class Problem:
                 columns.append(blocks[part.key][..., part.at])
             else:
                 columns.append(sum(blocks[name] @ u[..., None] for name, u in slopes.items()))
-        return A, np.concatenate(columns, -1) @ sought.slopes(values)
+        return after, A, np.concatenate(columns, -1) @ sought.slopes(values)
 
     def information(self, at: Iterate, linear: Linear) -> np.ndarray:
         """Triangular factor [p + 1, p + 1] of the measurements and the prior: a step, and what is left."""
