@@ -3940,6 +3940,12 @@ MUTANTS = (
             "inner[1:, ..., s:-1], inner[1:, ..., -1] = by_block(B), 0.0",
             "rollout_fit.py::test_exact_logs_give_the_exact_parameters",
         ),
+        (
+            "slopes of constants in the place of those of lines",
+            "u ** np.maximum(degrees - 1, 0)",
+            "u ** np.maximum(degrees - 2, 0)",
+            "rollout_fit.py::test_slopes_at_the_first_nodes_are_those_of_savitzky_and_golay",
+        ),
     ),
     *within(
         "torchdq/learning/rollout/recordings.py",

@@ -247,14 +247,14 @@ class Problem:
         sizes = PRIOR * self.unknowns.sizes(at.values)
         prior = np.column_stack([np.diag(1 / sizes), -self.unknowns.offset(at.values) / sizes])
         rows = linear.factor[:, s : s + p + 1, s:].reshape(-1, p + 1)
-        return np.linalg.qr(np.concatenate([rows, prior]), mode="r")
+        return shooting.triangular(np.concatenate([rows, prior]))
 
     def step(self, at: Iterate, linear: Linear, damping: float) -> Change:
         """Change to the solution of the linearised problem; damping shortens it, relative to the information."""
         R, p = self.information(at, linear), len(at.values)
         if damping:
             held = np.diag(math.sqrt(damping) * np.linalg.norm(R[:, :p], axis=0))
-            R = np.linalg.qr(np.concatenate([R, np.column_stack([held, np.zeros(p)])]), mode="r")
+            R = shooting.triangular(np.concatenate([R, np.column_stack([held, np.zeros(p)])]))
         values = shooting.solved(R[:p, :p], R[:p, p])
         nodes = shooting.changes(linear, values)
         length = float(np.linalg.norm(shooting.seen(self.pieces, nodes) / self.noise(at)))

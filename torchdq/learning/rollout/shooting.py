@@ -117,7 +117,7 @@ def first_guess(pieces: Segments, logs: Sequence[CheckedRecording]) -> tuple[np.
         if log.qd is None:
             rows = max(SMOOTHED, 2.5 * float(np.diff(log.time).max())) / pieces.dt
             window = min(2 * math.ceil(rows) + 1, (len(grid) - 1) // 2 * 2 + 1)
-            qd = _slopes(q, window) / pieces.dt
+            qd = slopes(q, window) / pieces.dt
         else:
             qd = _interpolated(grid, log.time, log.qd)
         own = pieces.log == k
@@ -126,7 +126,7 @@ def first_guess(pieces: Segments, logs: Sequence[CheckedRecording]) -> tuple[np.
     return found[0], found[1]
 
 
-def _slopes(x: np.ndarray, window: int) -> np.ndarray:
+def slopes(x: np.ndarray, window: int) -> np.ndarray:
     """Slopes [rows, n] per row of cubics, each the best through an odd number of rows around its own.
 
     A. Savitzky, M. J. E. Golay, "Smoothing and differentiation of data by simplified least squares procedures",
@@ -209,13 +209,13 @@ def linearised(pieces: Segments, moved: Motions, A: np.ndarray, B: np.ndarray, w
     if pieces.late is not None:
         by_node[:, :, :n] += inner[:size, :, n : 2 * n] * (scale[..., :n] * by_block(pieces.late))[..., None]
     by_node[..., -1] = scale * by_block(moved.residual) - by_node[..., -1]
-    factors = _triangular(rows.reshape(K * blocks, size * c, width)).reshape(K, blocks, width, width)
+    factors = triangular(rows.reshape(K * blocks, size * c, width)).reshape(K, blocks, width, width)
     # the column of the rest has the other sign: what is measured less what is predicted
     sign = np.ones(width)
     sign[-1] = -1.0
     rows = (factors @ (sign[:, None] * starts.swapaxes(0, 1) * sign)).reshape(K, blocks * width, width)
     held = HELD * np.sqrt(np.square(rows[..., :s]).sum(1).max(-1))
-    return Linear(inner[:size], starts, _triangular(np.concatenate([rows, held[:, None, None] * np.eye(s, width)], 1)))
+    return Linear(inner[:size], starts, triangular(np.concatenate([rows, held[:, None, None] * np.eye(s, width)], 1)))
 
 
 def _chained(last: np.ndarray) -> np.ndarray:
@@ -228,10 +228,11 @@ def _chained(last: np.ndarray) -> np.ndarray:
     return starts
 
 
-def _triangular(rows: np.ndarray) -> np.ndarray:
-    """Triangular factors [K, w, w] of rows [K, r, w], which may be fewer than columns."""
-    K, r, w = rows.shape
-    return np.linalg.qr(rows if r >= w else np.concatenate([rows, np.zeros((K, w - r, w))], 1), mode="r")
+def triangular(rows: np.ndarray) -> np.ndarray:
+    """Triangular factors [..., w, w] of rows [..., r, w], which may be fewer than columns."""
+    *batch, r, w = rows.shape
+    whole = rows if r >= w else np.concatenate([rows, np.zeros((*batch, w - r, w))], -2)
+    return np.asarray(np.linalg.qr(whole, mode="r"))
 
 
 def changes(linear: Linear, step: np.ndarray) -> np.ndarray:
@@ -247,4 +248,4 @@ def changes(linear: Linear, step: np.ndarray) -> np.ndarray:
 def solved(R: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solutions [..., w] of triangular systems, R x = right; not finite where R is singular."""
     given, wanted = torch.from_numpy(R), torch.from_numpy(right[..., None])
-    return torch.linalg.solve_triangular(given, wanted, upper=True).numpy()[..., 0]
+    return torch.linalg.solvetriangular(given, wanted, upper=True).numpy()[..., 0]
