@@ -248,4 +248,4 @@ def changes(linear: Linear, step: np.ndarray) -> np.ndarray:
 def solved(R: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solutions [..., w] of triangular systems, R x = right; not finite where R is singular."""
     given, wanted = torch.from_numpy(R), torch.from_numpy(right[..., None])
-    return torch.linalg.solvetriangular(given, wanted, upper=True).numpy()[..., 0]
+    return torch.linalg.solve_triangular(given, wanted, upper=True).numpy()[..., 0]
