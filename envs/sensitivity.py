@@ -32,7 +32,7 @@ class _StepJacobianFields(NamedTuple):
 
 
 class StepJacobian(_StepJacobianFields, Computation):
-    """Jacobian matrix of the state after a step [s, w], as a computation of `torchdq.call`."""
+    """State after a step [s] and its Jacobian matrix [s, w], as a computation of `torchdq.call`."""
 
     def axes(self, name: str) -> tuple[int, ...]:
         """Trailing axes of an input or a parameter of the step."""
@@ -55,12 +55,12 @@ class StepJacobian(_StepJacobianFields, Computation):
         self.stage.check(tensors)
 
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
-        """Rows of the state, columns of the arguments."""
-        s = sum(self.stage.spec.state.values())
-        return ((s, len(program.results[0].values) // s),)
+        """Axis of the state; its rows, and columns of the arguments."""
+        after, J = (len(result.values) for result in program.results)
+        return (after,), (after, J // after)
 
     def program(self, arguments: tuple[Argument, ...]) -> Program:
-        """Program of the matrix, row by row, recorded once."""
+        """Program of the state and the matrix, row by row, recorded once."""
         return _program(self, arguments)
 
 
@@ -68,7 +68,7 @@ class StepJacobian(_StepJacobianFields, Computation):
 def _program(what: StepJacobian, arguments: tuple[Argument, ...]) -> Program:
     step = what.stage.program(arguments)
     taken = [next(k for k, a in enumerate(arguments) if a.name == name) for name in what.wrt]
-    derived = jacobian(step, taken)
+    derived = jacobian(step, taken, values=True)
     block = {result.name: result.values for result in derived.results}
     rows = [
         value
@@ -77,7 +77,8 @@ def _program(what: StepJacobian, arguments: tuple[Argument, ...]) -> Program:
         for a in (arguments[k] for k in taken)
         for value in block[f"d{result.name}/d{a.name}"][i * a.width : (i + 1) * a.width]
     ]
-    return replace(derived, results=(Result("J", tuple(rows)),))
+    after = [value for result in step.results for value in block[result.name]]
+    return replace(derived, results=(Result("after", tuple(after)), Result("J", tuple(rows))))
 
 
 @dataclass(frozen=True)
@@ -110,22 +111,21 @@ class StepMap:
         """Names and widths of the parts of a row."""
         return self.scene.spec.state
 
-    def _given(
-        self, s: Tensor, inputs: Mapping[str, Tensor], parameters: Mapping[str, Tensor], jacobian: bool
-    ) -> dict[str, Tensor]:
+    def _given(self, s: Tensor, inputs: Mapping[str, Tensor], parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:
         parts = s.split(list(self.widths.values()), -1)
         given = dict(zip(self.widths, parts, strict=True)) | {name: inputs[name] for name in self.inputs}
         return given | self.scene._parameters | dict(parameters)
 
     def after(self, s: Tensor, inputs: Mapping[str, Tensor], parameters: Mapping[str, Tensor]) -> Tensor:
         """Rows after a step [N, s]; `parameters`, by "owner.name", replace those of the scene."""
-        given = self._given(s, inputs, parameters, False)
+        given = self._given(s, inputs, parameters)
         found = evaluate(Stage(self.scene.spec, "step"), given, self.scene.backend)
         return torch.cat([found[name] for name in self.widths], -1)
 
-    def jacobian(
+    def linearised(
         self, s: Tensor, inputs: Mapping[str, Tensor], parameters: Mapping[str, Tensor], wrt: tuple[str, ...]
-    ) -> Tensor:
-        """Derivatives [N, s, s + w] of the rows after a step in those before, and in inputs and parameters by name."""
+    ) -> tuple[Tensor, Tensor]:
+        """Rows after a step [N, s], and derivatives [N, s, s + w] in those before, and in inputs and parameters."""
         what = StepJacobian(Stage(self.scene.spec, "step"), (*self.widths, *wrt))
-        return evaluate(what, self._given(s, inputs, parameters, True), self.scene.backend)["J"]
+        found = evaluate(what, self._given(s, inputs, parameters), self.scene.backend)
+        return found["after"], found["J"]

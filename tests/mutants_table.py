@@ -3939,9 +3939,15 @@ MUTANTS = (
         "torchdq/learning/rollout/shooting.py",
         (
             "gaps between steps forgotten",
-            "added[..., s:-1], added[..., -1] = B.reshape(*added.shape[:3], -1), moved.gaps.reshape(added.shape[:3])",
-            "added[..., s:-1] = B.reshape(*added.shape[:3], -1)",
+            "inner[1:, ..., s:-1], inner[1:, ..., -1] = by_block(B), by_block(moved.gaps)",
+            "inner[1:, ..., s:-1], inner[1:, ..., -1] = by_block(B), 0.0",
             "rollout_fit.py::test_exact_logs_give_the_exact_parameters",
+        ),
+        (
+            "slopes of constants in the place of those of lines",
+            "u ** np.maximum(degrees - 1, 0)",
+            "u ** np.maximum(degrees - 2, 0)",
+            "rollout_fit.py::test_slopes_at_the_first_nodes_are_those_of_savitzky_and_golay",
         ),
     ),
     *within(

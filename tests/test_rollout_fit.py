@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from scipy import optimize, stats
+from scipy import optimize, signal, stats
 
 import torchdq
 from torchdq.envs import Scene, controllers, effects, integrators
@@ -19,6 +19,7 @@ from torchdq.envs.sensitivity import StepMap
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.learning import LogError, Recording, fit_rollout
 from torchdq.learning.logs.plausibility import LogWarning
+from torchdq.learning.rollout import shooting
 from torchdq.learning.rollout.problem import Problem
 from torchdq.learning.rollout.recordings import Commands
 
@@ -80,7 +81,8 @@ def test_derivatives_of_a_step_are_finite_differences():
     rng = torch.Generator().manual_seed(0)
     s, torque, target = (torch.randn(3, w, dtype=torch.float64, generator=rng) for w in (18, 6, 6))
     inputs = {"target": target, "torque": torque}
-    found = step.jacobian(s, inputs, {}, ("1.time", "target"))
+    after, found = step.linearised(s, inputs, {}, ("1.time", "target"))
+    torch.testing.assert_close(after, step.after(s, inputs, {}), rtol=0, atol=1e-13)
     parameters = {"1.time": double(*[0.02] * 6)}
     h = 1e-6
     for k in range(18):
@@ -106,6 +108,13 @@ def test_means_and_slopes_of_commands_are_those_of_a_fine_sum():
     slope = (commands.mean(start + 1e-4, span) - commands.mean(start - 1e-4, span)) / 2e-4
     np.testing.assert_allclose(commands.slope(start, span), slope, atol=1e-8)
     np.testing.assert_array_equal(commands.mean(time[:-1], 1e-3), commands.values[:-1])
+
+
+@pytest.mark.parametrize(("rows", "window"), [(99, 21), (9, 9), (30, 5), (4, 3), (2, 1)])
+def test_slopes_at_the_first_nodes_are_those_of_savitzky_and_golay(rows, window):
+    x = np.random.default_rng(0).normal(size=(rows, 3))
+    expected = signal.savgol_filter(x, window, min(3, window - 1), deriv=1, axis=0)
+    np.testing.assert_allclose(shooting.slopes(x, window), expected, atol=1e-12)
 
 
 # --- the parameters of greatest likelihood ---------------------------------------------------------------------------

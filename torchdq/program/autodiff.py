@@ -133,22 +133,23 @@ def jvp(program: Program, wrt: Sequence[int]) -> Program:
         return finish(name, arguments, tape, outputs, summed, growths(program, values))
 
 
-def jacobian(program: Program, wrt: Sequence[int]) -> Program:
+def jacobian(program: Program, wrt: Sequence[int], values: bool = False) -> Program:
     """Full Jacobians of every result in every argument of `wrt`, [result, argument] row-major.
 
-    Recorded by forward mode with a unit tangent per argument component, and by reverse mode with a unit cotangent per
-    result component; the shorter program is returned.
+    With `values`, the results themselves come first. Recorded by forward mode with a unit tangent per argument
+    component, and by reverse mode with a unit cotangent per result component; the shorter program is returned.
     """
     return min(
-        (_jacobian(program, wrt, by) for by in (_by_columns, _by_rows)), key=lambda derived: derived.count().total
+        (_jacobian(program, wrt, by, values) for by in (_by_columns, _by_rows)),
+        key=lambda derived: derived.count().total,
     )
 
 
-def _jacobian(program: Program, wrt: Sequence[int], by: Callable[..., dict[str, list[Value]]]) -> Program:
+def _jacobian(program: Program, wrt: Sequence[int], by: Callable[..., dict[str, list[Value]]], also: bool) -> Program:
     name = f"{program.name}_jacobian"
     with recording(name) as tape:
         values = replay(program, inputs(tape, program.arguments))
-        outputs = by(program, values, wrt)
+        outputs = (results(program, values) if also else {}) | by(program, values, wrt)
         return finish(name, program.arguments, tape, outputs, growths=growths(program, values))
 
 

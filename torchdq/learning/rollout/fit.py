@@ -13,6 +13,7 @@ import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
 import torch
 
 from torchdq.checks import require_count, require_number
@@ -96,8 +97,10 @@ def fit_rollout(
     whole = changed(scene, sought.parameters(sought.start))
     pieces = shooting.segments(data, scene.dt, segment)
     problem = Problem(StepMap(whole, tuple(data[0].inputs)), sought, data, pieces)
-    with torch.no_grad(), Notice(f"fitting {', '.join(part.name for part in sought.parts)}") as notice:
-        end = _search(problem, problem.prepared(problem.first()), iterations, notice)
+    named = ", ".join(part.name for part in sought.parts)
+    # where a trial step loses the scene, its numbers are not finite
+    with torch.no_grad(), np.errstate(all="ignore"), Notice(f"fitting {named}") as notice:
+        end = _search(problem, problem.first(), iterations, notice)
         followed = end.at.gap <= NEARLY
         doubt = (end.ended or problem.uneven(end.at)) if followed else f"{end.ended}; {APART}"
         found = result(problem, end.at, end.linear, end.steps, doubt, followed)
@@ -120,7 +123,7 @@ def _search(problem: Problem, at: Iterate, iterations: int, notice: Notice) -> _
     linear, tried, count = problem.linearised(at), [at], 0
     try:
         while True:
-            notice.at(f"iteration {count + 1}, residuals {at.spread.norm():.3g}, gaps {at.gap:.2g}")
+            notice.at(f"iteration {count + 1}, residuals {np.linalg.norm(at.spread):.3g}, gaps {at.gap:.2g}")
             step = problem.step(at, linear, 0.0)
             last = _last(problem, at, step)
             if count == iterations:
@@ -142,8 +145,8 @@ def _search(problem: Problem, at: Iterate, iterations: int, notice: Notice) -> _
 
 def _last(problem: Problem, at: Iterate, step: Change) -> bool:
     """Whether a step is so short that the next one, about its square, does not matter."""
-    relative = float((step.values / problem.unknowns.sizes(at.values)).abs().amax())
-    return at.gap <= NEARLY and (step.length < SETTLED or relative < STILL)
+    relative = abs(step.values / problem.unknowns.sizes(at.values)).max()
+    return bool(at.gap <= NEARLY and (step.length < SETTLED or relative < STILL))
 
 
 def _accepted(problem: Problem, at: Iterate, linear: Linear, step: Change, tried: Sequence[Iterate]) -> Iterate | None:

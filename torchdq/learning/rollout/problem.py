@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
 import torch
-from torch import Tensor
 
 from torchdq.learning.rollout import shooting
 from torchdq.learning.rollout.recordings import CheckedRecording
@@ -31,18 +31,18 @@ ALMOST = 0.1  # last step of those, relative to the sizes
 class Iterate(NamedTuple):
     """Parameters, and motions at them."""
 
-    values: Tensor  # [p] numbers of the unknowns
+    values: np.ndarray  # [p] numbers of the unknowns
     motions: Motions
     gap: float  # root mean square of the gaps between nodes, relative to the motion
     cost: float  # negative logarithm of the likelihood and the prior
-    spread: Tensor  # [c] root mean square of the residuals
+    spread: np.ndarray  # [c] root mean square of the residuals
 
 
 class Change(NamedTuple):
     """Change of an iterate."""
 
-    values: Tensor  # [p] in the coordinates of the unknowns
-    nodes: Tensor  # [K, T, s]
+    values: np.ndarray  # [p] in the coordinates of the unknowns
+    nodes: np.ndarray  # [K, T, s]
     length: float  # change of all predicted measurements, in their standard deviations
 
 
@@ -58,18 +58,16 @@ class Problem:
     # --- iterates ---
 
     def first(self) -> Iterate:
-        """Start: the parameters of the scene, the nodes where the measurements are."""
-        return self.at(self.unknowns.start, self._measured)
+        """Start: the nodes where the measurements are, and the parameters by which single steps fit them."""
+        return self.at(self._by_single_steps(self._measured), self._measured)
 
-    def at(self, values: Tensor, nodes: Tensor) -> Iterate:
+    def at(self, values: np.ndarray, nodes: np.ndarray) -> Iterate:
         """Iterate at parameters and nodes."""
-        moved = shooting.motions(
-            self.step_map, self.pieces, nodes, self._inputs(values), self.unknowns.parameters(values)
-        )
-        gap = float(torch.linalg.vector_norm(moved.gaps / self._motion)) / math.sqrt(nodes.numel())
-        spread = torch.linalg.vector_norm(moved.residual, dim=(0, 1)) / math.sqrt(self.rows)
-        prior = (self.unknowns.offset(values) / (PRIOR * self.unknowns.sizes(values))).square().sum()
-        cost = self.rows * self._least(spread).log().sum() + 0.5 * prior
+        moved = shooting.motions(self.pieces, nodes, self._after(values, nodes, self._inputs(values)))
+        gap = float(np.linalg.norm(moved.gaps / self._motion)) / math.sqrt(nodes.size)
+        spread = np.sqrt(np.square(moved.residual).sum((0, 1)) / self.rows)
+        prior = np.square(self.unknowns.offset(values) / (PRIOR * self.unknowns.sizes(values))).sum()
+        cost = self.rows * np.log(self._least(spread)).sum() + 0.5 * prior
         return Iterate(values, moved, gap, float(cost), spread)
 
     def moved(self, at: Iterate, step: Change, share: float) -> Iterate:
@@ -79,12 +77,12 @@ class Problem:
     def simulated(self, at: Iterate) -> Iterate:
         """Iterate whose nodes follow from each other within a block; there are gaps between blocks only."""
         nodes, size = at.motions.nodes, self.pieces.block
-        inputs, parameters = self._inputs(at.values), self.unknowns.parameters(at.values)
-        given = {name: x.reshape(-1, size, x.shape[-1]) for name, x in inputs.items()}
-        states = [nodes.reshape(-1, size, nodes.shape[-1])[:, 0]]
+        blocks = nodes.reshape(-1, size, nodes.shape[-1])
+        given = {name: x.reshape(-1, size, x.shape[-1]) for name, x in self._inputs(at.values).items()}
+        states = [blocks[:, 0]]
         for t in range(size - 1):
-            states.append(self.step_map.after(states[-1], {name: x[:, t] for name, x in given.items()}, parameters))
-        return self.at(at.values, torch.stack(states, 1).reshape(nodes.shape))
+            states.append(self._after(at.values, states[-1], {name: x[:, t] for name, x in given.items()}))
+        return self.at(at.values, np.stack(states, 1).reshape(nodes.shape))
 
     @cached_property
     def rows(self) -> float:
@@ -92,48 +90,54 @@ class Problem:
         return float(self.pieces.used.sum())
 
     @cached_property
-    def scale(self) -> Tensor:
+    def scale(self) -> np.ndarray:
         """Standard deviations [c] of the measured signals: how large the motion is."""
-        found = self.pieces.y[self.pieces.used[..., 0] > 0].std(0)
-        return torch.where(found.amax() > 0, found.clamp_min(UNEVEN * found.amax()), 1.0)
+        found = self.pieces.y[self.pieces.used[..., 0] > 0].std(0, ddof=1)
+        return np.maximum(found, UNEVEN * found.max()) if found.max() > 0 else np.ones_like(found)
 
-    def _least(self, spread: Tensor) -> Tensor:
-        return (spread.square() + (EXACT * self.scale).square()).sqrt()
+    def _least(self, spread: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.square(spread) + np.square(EXACT * self.scale))
 
     @cached_property
-    def _measured(self) -> Tensor:
+    def _measured(self) -> np.ndarray:
         """Nodes where the measurements are."""
         q, qd = shooting.first_guess(self.pieces, self.logs)
-        memory = self.step_map.scene.begin({"q": q, "qd": qd}, {})[0].memory
-        return torch.cat([q, qd] if memory is None else [q, qd, memory], -1)
+        given = {"q": torch.from_numpy(q), "qd": torch.from_numpy(qd)}
+        memory = self.step_map.scene.begin(given, {})[0].memory
+        return np.concatenate([q, qd] if memory is None else [q, qd, memory.numpy()], -1)
 
     @cached_property
-    def _motion(self) -> Tensor:
+    def _motion(self) -> np.ndarray:
         """Sizes [s] of the states."""
-        size = self._measured.square().mean((0, 1)).sqrt()
-        return torch.where(size > 0, size, 1.0)
+        size = np.sqrt(np.square(self._measured).mean((0, 1)))
+        return np.where(size > 0, size, 1.0)
 
-    def _inputs(self, values: Tensor) -> dict[str, Tensor]:
+    def _inputs(self, values: np.ndarray) -> dict[str, np.ndarray]:
         delay = self.unknowns.delay(values)
         return shooting.commands(self.pieces, self.logs, delay) if delay else self._prompt
 
-    def _slopes(self, values: Tensor) -> dict[str, Tensor]:
+    def _slopes(self, values: np.ndarray) -> dict[str, np.ndarray]:
         """Derivatives of the commands of all steps by their delay, if it is unknown."""
         sought = self.unknowns
         return shooting.commands(self.pieces, self.logs, sought.delay(values), slope=True) if sought.delayed else {}
 
     @cached_property
-    def _prompt(self) -> dict[str, Tensor]:
+    def _prompt(self) -> dict[str, np.ndarray]:
         """Commands of all steps without a delay."""
         return shooting.commands(self.pieces, self.logs, 0.0)
 
+    def _after(self, values: np.ndarray, nodes: np.ndarray, inputs: Mapping[str, np.ndarray]) -> np.ndarray:
+        """States [..., s] after the steps from nodes [..., s]."""
+        given = {name: torch.from_numpy(x) for name, x in inputs.items()}
+        return self.step_map.after(torch.from_numpy(nodes), given, self.unknowns.parameters(values)).numpy()
+
     def uneven(self, at: Iterate) -> str:
         """Words for the part of a log whose residuals are far larger than most; "": there is none."""
-        size, c = self.pieces.block, at.spread.numel()
+        size, c = self.pieces.block, at.spread.size
         count = self.pieces.used.reshape(-1, size, 1).sum(1)
-        squares = at.motions.residual.reshape(-1, size, c).square().sum(1) / count.clamp_min(1.0)
-        rms = (squares + (EXACT * self.scale).square()).sqrt()
-        usual = rms[count[:, 0] > 0].median(0).values
+        squares = np.square(at.motions.residual).reshape(-1, size, c).sum(1) / np.maximum(count, 1.0)
+        rms = self._least(np.sqrt(squares))
+        usual = np.median(rms[count[:, 0] > 0], 0)
         worst, signal = divmod(int((rms / usual).argmax()), c)
         if rms[worst, signal] <= FAR * usual[signal]:
             return ""
@@ -148,100 +152,110 @@ class Problem:
 
     # --- single steps ---
 
-    def prepared(self, at: Iterate) -> Iterate:
-        """Iterate with the parameters by which single steps between its nodes have the velocities of the nodes.
+    def _by_single_steps(self, nodes: np.ndarray) -> np.ndarray:
+        """Parameters [p] by which single steps between nodes have the velocities of the nodes.
 
         That is least squares of accelerations, cheap and in few iterations from far away; its errors are those of
-        numerical derivatives. States with a memory, which nothing measures, are left alone.
+        numerical derivatives. With a memory among the states, which nothing measures, they are those of the scene.
         """
-        n, nodes, sought = self.pieces.n, at.motions.nodes, self.unknowns
+        n, sought = self.pieces.n, self.unknowns
+        values = sought.start
         if nodes.shape[-1] > 2 * n:
-            return at
-        steps = self.pieces.follows[:, :-1, 0].flatten().nonzero()[:, 0]
+            return values
+        steps = np.flatnonzero(self.pieces.follows[:, :-1])
         chosen = steps[:: max(1, len(steps) // SINGLE)]
-        before, after = nodes[:, :-1].flatten(0, 1)[chosen], nodes[:, 1:, n:].flatten(0, 1)[chosen]
 
-        def picked(commands: Mapping[str, Tensor]) -> dict[str, Tensor]:
-            return {name: x[:, :-1].flatten(0, 1)[chosen] for name, x in commands.items()}
+        def picked(x: np.ndarray) -> np.ndarray:
+            """Chosen rows of an array over the steps [K, T - 1, ...]."""
+            return x.reshape(-1, x.shape[-1])[chosen]
 
-        prompt = picked(self._prompt)
+        before, after = picked(nodes[:, :-1]), picked(nodes[:, 1:, n:])
+        prompt = {name: picked(x[:, :-1]) for name, x in self._prompt.items()}
 
-        def missing(values: Tensor) -> tuple[dict[str, Tensor], Tensor, float]:
-            inputs = picked(self._inputs(values)) if sought.delayed else prompt
-            gaps = after - self.step_map.after(before, inputs, sought.parameters(values))[:, n:]
-            return inputs, gaps, float(torch.linalg.vector_norm(gaps, dim=0).log().sum())
+        def linear(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            """Gaps of the velocities, their norms [n], and their slopes in the parameters."""
+            inputs, slopes = prompt, {}
+            if sought.delayed:
+                inputs = {name: picked(x[:, :-1]) for name, x in self._inputs(values).items()}
+                slopes = {name: picked(x[:, :-1]) for name, x in self._slopes(values).items()}
+            reached, _, B = self._linear_steps(values, before, inputs, slopes)
+            gaps = after - reached[:, n:]
+            return gaps, np.sqrt(np.square(gaps).sum(0)), B[:, n:]
 
-        values = at.values
-        inputs, gaps, least = missing(values)
+        gaps, norms, B = linear(values)
         for _ in range(SINGLE_STEPS):
-            B = self._derivatives(values, before, inputs, picked(self._slopes(values)))[1][:, n:]
-            weight = 1 / torch.linalg.vector_norm(gaps, dim=0).clamp_min(1e-300)
-            sizes, rows = sought.sizes(values), math.sqrt(len(gaps)) * weight
-            Z = (B * rows[:, None] * sizes).flatten(0, 1)
-            right = Z.T @ (gaps * rows).flatten() - sought.offset(values) / sizes
-            change = sizes * torch.linalg.solve(Z.T @ Z + torch.eye(len(sizes), dtype=Z.dtype), right)
-            trial = sought.moved(values, change)
-            inputs, gaps, cost = missing(trial)
-            if not cost < least:
+            sizes, rows = sought.sizes(values), math.sqrt(len(gaps)) / np.maximum(norms, 1e-300)
+            Z = (B * rows[:, None] * sizes).reshape(-1, len(sizes))
+            right = Z.T @ (gaps * rows).ravel() - sought.offset(values) / sizes
+            change = sizes * np.linalg.solve(Z.T @ Z + np.eye(len(sizes)), right)
+            trial, least = sought.moved(values, change), np.log(norms).sum()
+            gaps, norms, B = linear(trial)
+            if not np.log(norms).sum() < least:
                 break
-            values, least = trial, cost
-            if float((change / sizes).abs().amax()) < ALMOST:
+            values = trial
+            if abs(change / sizes).max() < ALMOST:
                 break
-        return self.at(values, nodes)
+        return values
 
     # --- steps ---
 
-    def noise(self, at: Iterate) -> Tensor:
+    def noise(self, at: Iterate) -> np.ndarray:
         """Standard deviations [c] of the measurements, those of the residuals for as many as there are beside states.
 
         Nodes that start where the measurements are have none; then the signals count by how large their motion is.
         """
-        if not bool((at.spread > 0).any()):
+        if not (at.spread > 0).any():
             return self.scale
-        states = at.motions.nodes.shape[-1] * len(at.motions.nodes) / at.spread.numel()
-        spent = states + len(at.values) / at.spread.numel()
+        states = at.motions.nodes.shape[-1] * len(at.motions.nodes) / at.spread.size
+        spent = states + len(at.values) / at.spread.size
         return self._least(at.spread) * math.sqrt(self.rows / max(self.rows - spent, 1.0))
 
     def linearised(self, at: Iterate) -> Linear:
         """Linearised motions at an iterate."""
         inputs, slopes = self._inputs(at.values), self._slopes(at.values)
-        A, B = self._derivatives(at.values, at.motions.nodes, inputs, slopes)
+        _, A, B = self._linear_steps(at.values, at.motions.nodes, inputs, slopes)
         return shooting.linearised(self.pieces, at.motions, A, B, 1 / self.noise(at))
 
-    def _derivatives(
-        self, values: Tensor, nodes: Tensor, inputs: Mapping[str, Tensor], slopes: Mapping[str, Tensor]
-    ) -> tuple[Tensor, Tensor]:
-        """Derivatives of the steps in the states [..., s, s], and in the unknowns [..., s, p]."""
+    def _linear_steps(
+        self,
+        values: np.ndarray,
+        nodes: np.ndarray,
+        inputs: Mapping[str, np.ndarray],
+        slopes: Mapping[str, np.ndarray],
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """States after the steps, and their derivatives in the states [..., s, s] and in the unknowns [..., s, p]."""
         sought, s = self.unknowns, nodes.shape[-1]
         parameters = sought.parameters(values)
-        wrt = (*parameters, *(inputs if sought.delayed else ()))
-        A, B = self.step_map.jacobian(nodes, inputs, parameters, wrt).tensor_split((s,), -1)
+        given = {name: torch.from_numpy(x) for name, x in inputs.items()}
+        wrt = (*parameters, *(given if sought.delayed else ()))
+        after, J = (x.numpy() for x in self.step_map.linearised(torch.from_numpy(nodes), given, parameters, wrt))
+        A, B = J[..., :s], J[..., s:]
         if sought.direct:
-            return A, B
+            return after, A, B
         widths = [parameters[name].numel() if name in parameters else inputs[name].shape[-1] for name in wrt]
-        blocks, columns = dict(zip(wrt, B.split(widths, -1), strict=True)), []
+        blocks, columns = dict(zip(wrt, np.split(B, np.cumsum(widths)[:-1], -1), strict=True)), []
         for part in sought.parts:
             if part.key:
                 columns.append(blocks[part.key][..., part.at])
             else:
-                columns.append(torch.stack([blocks[name] @ u[..., None] for name, u in slopes.items()]).sum(0))
-        return A, torch.cat(columns, -1) @ sought.slopes(values)
+                columns.append(sum(blocks[name] @ u[..., None] for name, u in slopes.items()))
+        return after, A, np.concatenate(columns, -1) @ sought.slopes(values)
 
-    def information(self, at: Iterate, linear: Linear) -> Tensor:
+    def information(self, at: Iterate, linear: Linear) -> np.ndarray:
         """Triangular factor [p + 1, p + 1] of the measurements and the prior: a step, and what is left."""
         p, s = len(at.values), at.motions.nodes.shape[-1]
         sizes = PRIOR * self.unknowns.sizes(at.values)
-        prior = torch.cat([torch.diag(1 / sizes), (-self.unknowns.offset(at.values) / sizes)[:, None]], 1)
-        rows = torch.cat([linear.factor[:, s : s + p + 1, s:].flatten(0, 1), prior])
-        return torch.linalg.qr(rows, mode="r").R
+        prior = np.column_stack([np.diag(1 / sizes), -self.unknowns.offset(at.values) / sizes])
+        rows = linear.factor[:, s : s + p + 1, s:].reshape(-1, p + 1)
+        return shooting.triangular(np.concatenate([rows, prior]))
 
     def step(self, at: Iterate, linear: Linear, damping: float) -> Change:
         """Change to the solution of the linearised problem; damping shortens it, relative to the information."""
         R, p = self.information(at, linear), len(at.values)
         if damping:
-            held = torch.diag(math.sqrt(damping) * R[:, :p].norm(dim=0))
-            R = torch.linalg.qr(torch.cat([R, torch.cat([held, held.new_zeros(p, 1)], 1)]), mode="r").R
-        values = torch.linalg.solve_triangular(R[:p, :p], R[:p, p:], upper=True)[:, 0]
+            held = np.diag(math.sqrt(damping) * np.linalg.norm(R[:, :p], axis=0))
+            R = shooting.triangular(np.concatenate([R, np.column_stack([held, np.zeros(p)])]))
+        values = shooting.solved(R[:p, :p], R[:p, p])
         nodes = shooting.changes(linear, values)
-        length = float((shooting.seen(self.pieces, nodes) / self.noise(at)).square().sum().sqrt())
+        length = float(np.linalg.norm(shooting.seen(self.pieces, nodes) / self.noise(at)))
         return Change(values, nodes, length)

@@ -73,42 +73,47 @@ def result(problem: Problem, at: Iterate, linear: Linear, iterations: int, doubt
     sought, p = problem.unknowns, len(at.values)
     sizes = sought.sizes(at.values)
     R = problem.information(at, linear)[:p, :p] * sizes  # in changes relative to the sizes
-    _, e, V = torch.linalg.svd(R)
+    _, e, V = np.linalg.svd(R)
     told = (e > 1 / TOLD) & (e > EXCITED * e[0])
     spread = sizes[:, None] * V[told].T / e[told]
     slopes = sought.slopes(at.values)
     covariance = slopes @ spread @ spread.T @ slopes.T
     hidden = (V[~told] * sizes) @ slopes.T / sought.scales(at.values)
-    known = (hidden.square().sum(0) < PART**2) & followed
-    errors = torch.where(known, covariance.diagonal().sqrt(), torch.nan)
-    values = torch.where(known, at.values, torch.nan)
+    known = (np.square(hidden).sum(0) < PART**2) & followed
+    errors = np.where(known, np.sqrt(covariance.diagonal()), np.nan)
+    values = np.where(known, at.values, np.nan)
     n, pieces = problem.pieces.n, problem.pieces
     residuals = tuple(np.zeros(log.q.shape) for log in problem.logs)
-    for k, rows, found in zip(pieces.log, pieces.row, at.motions.residual.numpy(), strict=True):
+    for k, rows, found in zip(pieces.log, pieces.row, at.motions.residual, strict=True):
         residuals[k][rows[rows >= 0]] = found[rows >= 0, :n]
-    named = [part.name for part in sought.parts]
+
+    def by_name(numbers: np.ndarray) -> dict[str, Tensor]:
+        """Numbers [p] of every unknown."""
+        parts = zip(sought.parts, sought.split(numbers), strict=True)
+        return {part.name: torch.from_numpy(x) for part, x in parts}
+
     return RolloutFit(
         changed(problem.step_map.scene, sought.parameters(at.values)),
-        dict(zip(named, sought.split(values), strict=True)),
-        dict(zip(named, sought.split(errors), strict=True)),
+        by_name(values),
+        by_name(errors),
         sought.labels,
-        at.values,
-        covariance,
+        torch.from_numpy(at.values),
+        torch.from_numpy(covariance),
         _combinations(hidden, sought.labels),
         sought.delay(at.values),
         residuals,
-        problem.noise(at)[:n],
+        torch.from_numpy(problem.noise(at)[:n]),
         iterations,
         doubt,
     )
 
 
-def _combinations(V: Tensor, labels: tuple[str, ...]) -> tuple[str, ...]:
+def _combinations(V: np.ndarray, labels: tuple[str, ...]) -> tuple[str, ...]:
     """Changes that span the rows of V [k, p], each of few parameters, in percent of their sizes."""
-    rows, found = V.clone(), []
+    rows, found = V.copy(), []
     for k in range(len(rows)):
-        best, lead = divmod(int(rows[k:].abs().argmax()), rows.shape[1])
-        if float(rows[k + best, lead].abs()) < PART:  # what is left changes nothing
+        best, lead = divmod(int(abs(rows[k:]).argmax()), rows.shape[1])
+        if abs(rows[k + best, lead]) < PART:  # what is left changes nothing
             rows = rows[:k]
             break
         rows[[k, k + best]] = rows[[k + best, k]]
@@ -116,6 +121,6 @@ def _combinations(V: Tensor, labels: tuple[str, ...]) -> tuple[str, ...]:
         others = [i for i in range(len(rows)) if i != k]
         rows[others] -= rows[others, lead][:, None] * rows[k]
     for row in rows:
-        terms = [(label, float(x)) for label, x in zip(labels, row, strict=True) if abs(float(x)) > PART]
+        terms = [(label, float(x)) for label, x in zip(labels, row, strict=True) if abs(x) > PART]
         found.append(", ".join(f"{label} by {100 * x:+.3g} %" for label, x in terms))
     return tuple(found)

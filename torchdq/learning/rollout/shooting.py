@@ -6,8 +6,9 @@ and come closest to the measurements:
 
     minimise |W (y - H x)|^2   over parameters p and starts, with x' = A x + B p + gap.
 
-All steps are rows of one batch, for the program of a step and for that of its Jacobian matrix. A segment is blocks of
-nodes side by side. The measurements of a block are condensed to the state at which it starts and the parameters, then
+All steps are rows of one batch, for the program of a step and for that of its Jacobian matrix. What follows is done on
+arrays of numpy, whose products of small matrices take a third of the time of torch's. A segment is blocks of nodes side
+by side. The measurements of a block are condensed to the state at which it starts and the parameters, then
 those of a segment to its start, which is eliminated (H. G. Bock, K. J. Plitt, "A multiple shooting algorithm for direct
 solution of optimal control problems", IFAC 1984).
 """
@@ -16,19 +17,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from torchdq.errors import ArgumentError
 from torchdq.learning.rollout.recordings import CheckedRecording
-from torchdq.optional import imported
-
-if TYPE_CHECKING:
-    from torchdq.envs.sensitivity import StepMap
 
 SMOOTHED = 0.02  # time to both sides of a node over which its first velocity is that of a cubic [s]
 HELD = 1e-7  # weight of a start where it is, relative to what the measurements say of it: for what they do not see
@@ -43,26 +39,26 @@ class Segments(NamedTuple):
     log: np.ndarray  # [K] logs that the pieces are of
     time: np.ndarray  # [K, T] times of the nodes [s]
     row: np.ndarray  # [K, T] rows of the log that were measured at the nodes; -1: none
-    follows: Tensor  # [K, T, 1] 1 where the next node belongs to the same piece, else 0
-    used: Tensor  # [K, T, 1] 1 where there is a measurement, else 0
-    y: Tensor  # [K, T, c] measured positions, then velocities if there are any
-    late: Tensor | None  # [K, T, 1] time from a node to its measurement [s]; None: there is none
+    follows: np.ndarray  # [K, T, 1] True where the next node belongs to the same piece
+    used: np.ndarray  # [K, T, 1] 1 where there is a measurement, else 0
+    y: np.ndarray  # [K, T, c] measured positions, then velocities if there are any
+    late: np.ndarray | None  # [K, T, 1] time from a node to its measurement [s]; None: there is none
 
 
 class Motions(NamedTuple):
     """Nodes at some parameters, and what they lack."""
 
-    nodes: Tensor  # [K, T, s]
-    gaps: Tensor  # [K, T, s] from the next node to the state that follows
-    residual: Tensor  # [K, T, c] measured less predicted, zero where nothing was measured
+    nodes: np.ndarray  # [K, T, s]
+    gaps: np.ndarray  # [K, T, s] from the next node to the state that follows
+    residual: np.ndarray  # [K, T, c] measured less predicted, zero where nothing was measured
 
 
 class Linear(NamedTuple):
     """Linearised motions: changes, of columns s + p + 1, by those of a start, of the parameters, and by the gaps."""
 
-    inner: Tensor  # [size, K blocks, s, s + p + 1] of the nodes of blocks, by the states at which the blocks start
-    starts: Tensor  # [blocks, K, s + p + 1, s + p + 1] of those, by the states at which the segments start
-    factor: Tensor  # [K, s + p + 1, s + p + 1] triangular: weighted measurements by starts, parameters, and their rest
+    inner: np.ndarray  # [size, K blocks, s, s + p + 1] of the nodes of blocks, by the states at which the blocks start
+    starts: np.ndarray  # [blocks, K, s + p + 1, s + p + 1] of those, by the states at which the segments start
+    factor: np.ndarray  # [K, s + p + 1, s + p + 1] triangular: weighted measurements by starts, parameters, their rest
 
 
 # --- segments --------------------------------------------------------------------------------------------------------
@@ -105,16 +101,15 @@ def segments(logs: Sequence[CheckedRecording], dt: float, seconds: float | None)
         which,
         time,
         row,
-        torch.from_numpy(follows[..., None].astype(float)),
-        torch.from_numpy(used.astype(float)),
-        torch.from_numpy(y),
-        torch.from_numpy(late) if late.any() else None,
+        follows[..., None],
+        used.astype(float),
+        y,
+        late if late.any() else None,
     )
 
 
-def first_guess(pieces: Segments, logs: Sequence[CheckedRecording]) -> tuple[Tensor, Tensor]:
+def first_guess(pieces: Segments, logs: Sequence[CheckedRecording]) -> tuple[np.ndarray, np.ndarray]:
     """Positions and velocities [K, T, n] of the nodes: those measured, or slopes of cubics through measured ones."""
-    signal = imported("scipy.signal", "scipy", "fit_rollout")
     found = np.zeros((2, *pieces.time.shape, pieces.n))
     for k, log in enumerate(logs):
         grid = np.arange(log.time[0], log.time[-1] + 0.5 * pieces.dt, pieces.dt)
@@ -122,14 +117,27 @@ def first_guess(pieces: Segments, logs: Sequence[CheckedRecording]) -> tuple[Ten
         if log.qd is None:
             rows = max(SMOOTHED, 2.5 * float(np.diff(log.time).max())) / pieces.dt
             window = min(2 * math.ceil(rows) + 1, (len(grid) - 1) // 2 * 2 + 1)
-            qd = signal.savgol_filter(q, window, min(3, window - 1), deriv=1, delta=pieces.dt, axis=0)
+            qd = slopes(q, window) / pieces.dt
         else:
             qd = _interpolated(grid, log.time, log.qd)
         own = pieces.log == k
         at = np.clip(np.rint((pieces.time[own] - log.time[0]) / pieces.dt).astype(int), 0, len(grid) - 1)
         found[0, own], found[1, own] = q[at], qd[at]
-    q, qd = torch.from_numpy(found)
-    return q, qd
+    return found[0], found[1]
+
+
+def slopes(x: np.ndarray, window: int) -> np.ndarray:
+    """Slopes [rows, n] per row of cubics, each the best through an odd number of rows around its own.
+
+    A. Savitzky, M. J. E. Golay, "Smoothing and differentiation of data by simplified least squares procedures",
+    Analytical Chemistry 36 (1964).
+    """
+    middle, degrees = window // 2, np.arange(min(4, window))
+    u = np.arange(-middle, middle + 1)[:, None] / max(middle, 1)
+    # slopes at every row of a window, from its rows
+    rows = (degrees * u ** np.maximum(degrees - 1, 0)) @ np.linalg.pinv(u**degrees) / max(middle, 1)
+    inner = np.lib.stride_tricks.sliding_window_view(x, window, axis=0) @ rows[middle]
+    return np.concatenate([rows[:middle] @ x[:window], inner, rows[middle + 1 :] @ x[-window:]])
 
 
 def _interpolated(at: np.ndarray, time: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -138,7 +146,7 @@ def _interpolated(at: np.ndarray, time: np.ndarray, x: np.ndarray) -> np.ndarray
 
 def commands(
     pieces: Segments, logs: Sequence[CheckedRecording], delay: float, slope: bool = False
-) -> dict[str, Tensor]:
+) -> dict[str, np.ndarray]:
     """Commands [K, T, width] of all steps, or their derivatives by the delay [s]."""
     found = {}
     for name, first in logs[0].inputs.items():
@@ -147,34 +155,30 @@ def commands(
             own, given = pieces.log == k, log.inputs[name]
             at = pieces.time[own] - delay
             rows[own] = -given.slope(at, pieces.dt) if slope else given.mean(at, pieces.dt)
-        found[name] = torch.from_numpy(rows)
+        found[name] = rows
     return found
 
 
 # --- motions ---------------------------------------------------------------------------------------------------------
 
 
-def motions(
-    step: StepMap, pieces: Segments, nodes: Tensor, inputs: Mapping[str, Tensor], parameters: Mapping[str, Tensor]
-) -> Motions:
-    """Nodes [K, T, s] and what they lack at some parameters."""
-    after = step.after(nodes, inputs, parameters)
-    gaps = torch.zeros_like(nodes)
-    torch.sub(after[:, :-1], nodes[:, 1:], out=gaps[:, :-1])
-    gaps.mul_(pieces.follows)
-    return Motions(nodes, gaps.masked_fill_(pieces.follows == 0, 0.0), pieces.y - seen(pieces, nodes))
+def motions(pieces: Segments, nodes: np.ndarray, after: np.ndarray) -> Motions:
+    """Nodes [K, T, s] and what they lack, from the states after the step of each."""
+    gaps = np.zeros_like(nodes)
+    np.subtract(after[:, :-1], nodes[:, 1:], out=gaps[:, :-1], where=pieces.follows[:, :-1])
+    return Motions(nodes, gaps, pieces.y - seen(pieces, nodes))
 
 
-def seen(pieces: Segments, nodes: Tensor) -> Tensor:
+def seen(pieces: Segments, nodes: np.ndarray) -> np.ndarray:
     """Rows [K, T, c] of what is measured at nodes [K, T, s]; zero where there is no measurement."""
     n, c = pieces.n, pieces.y.shape[-1]
     x = nodes[..., :c]
     if pieces.late is not None:
-        x = torch.cat([x[..., :n] + pieces.late * nodes[..., n : 2 * n], x[..., n:]], -1)
+        x = np.concatenate([x[..., :n] + pieces.late * nodes[..., n : 2 * n], x[..., n:]], -1)
     return x * pieces.used
 
 
-def linearised(pieces: Segments, moved: Motions, A: Tensor, B: Tensor, weight: Tensor) -> Linear:
+def linearised(pieces: Segments, moved: Motions, A: np.ndarray, B: np.ndarray, weight: np.ndarray) -> Linear:
     """Linearised motions.
 
     Args:
@@ -186,58 +190,62 @@ def linearised(pieces: Segments, moved: Motions, A: Tensor, B: Tensor, weight: T
     """
     (K, T, s, _), size, n, c = A.shape, pieces.block, pieces.n, pieces.y.shape[-1]
     width, blocks = s + B.shape[-1] + 1, T // pieces.block
-    added = A.new_zeros(K * blocks, size, s, width)
-    added[..., s:-1], added[..., -1] = B.reshape(*added.shape[:3], -1), moved.gaps.reshape(added.shape[:3])
-    through = A.reshape(K * blocks, size, s, s)
-    inner = A.new_empty(size + 1, K * blocks, s, width)
-    inner[0] = torch.eye(s, width, dtype=A.dtype)
-    states = inner.unbind(0)
-    for j, (b, a) in enumerate(zip(added.unbind(1), through.unbind(1), strict=True)):
-        torch.baddbmm(b, a, states[j], out=states[j + 1])
+
+    def by_block(x: np.ndarray) -> np.ndarray:
+        """Array [size, K blocks, ...] of one over the nodes [K, T, ...]."""
+        return x.reshape(K * blocks, size, *x.shape[2:]).swapaxes(0, 1)
+
+    inner = np.empty((size + 1, K * blocks, s, width))
+    inner[0], inner[1:, ..., :s] = np.eye(s, width), 0.0
+    inner[1:, ..., s:-1], inner[1:, ..., -1] = by_block(B), by_block(moved.gaps)
+    for j, through in enumerate(by_block(A)):
+        inner[j + 1] += through @ inner[j]
     starts = _chained(inner[size].reshape(K, blocks, s, width))
 
-    scale = (pieces.used * weight).reshape(K * blocks, size, c)
-    rows = A.new_empty(K * blocks, size, c, width)
-    torch.mul(inner[:size, :, :c].transpose(0, 1), scale[..., None], out=rows)
+    scale = by_block(pieces.used * weight)
+    rows = np.empty((K * blocks, size, c, width))
+    by_node = rows.swapaxes(0, 1)
+    np.multiply(inner[:size, :, :c], scale[..., None], out=by_node)
     if pieces.late is not None:
-        late = scale[..., :n] * pieces.late.reshape(K * blocks, size, 1)
-        rows[:, :, :n] += inner[:size, :, n : 2 * n].transpose(0, 1) * late[..., None]
-    rows[..., -1] = scale * moved.residual.reshape(scale.shape) - rows[..., -1]
-    factors = _triangular(rows.flatten(1, 2)).reshape(K, blocks, width, width)
+        by_node[:, :, :n] += inner[:size, :, n : 2 * n] * (scale[..., :n] * by_block(pieces.late))[..., None]
+    by_node[..., -1] = scale * by_block(moved.residual) - by_node[..., -1]
+    factors = triangular(rows.reshape(K * blocks, size * c, width)).reshape(K, blocks, width, width)
     # the column of the rest has the other sign: what is measured less what is predicted
-    sign = A.new_ones(width)
+    sign = np.ones(width)
     sign[-1] = -1.0
-    rows = (factors @ (sign[:, None] * starts.transpose(0, 1) * sign)).flatten(1, 2)
-    held = HELD * rows[..., :s].square().sum(1).amax(-1).sqrt()
-    more = held[:, None, None] * torch.eye(s, width, dtype=A.dtype)
-    return Linear(inner[:size], starts, _triangular(torch.cat([rows, more], 1)))
+    rows = (factors @ (sign[:, None] * starts.swapaxes(0, 1) * sign)).reshape(K, blocks * width, width)
+    held = HELD * np.sqrt(np.square(rows[..., :s]).sum(1).max(-1))
+    return Linear(inner[:size], starts, triangular(np.concatenate([rows, held[:, None, None] * np.eye(s, width)], 1)))
 
 
-def _chained(last: Tensor) -> Tensor:
+def _chained(last: np.ndarray) -> np.ndarray:
     """Starts of all blocks, of the states [K, blocks, s, w] at which the next ones start; parameters stay."""
     K, blocks, s, width = last.shape
-    through = last.new_zeros(blocks, K, width, width)
-    through[:, :, :s], through[:, :, s:, s:] = last.transpose(0, 1), torch.eye(width - s, dtype=last.dtype)
-    starts = torch.eye(width, dtype=last.dtype).repeat(blocks, K, 1, 1)
-    states = starts.unbind(0)
-    for i, a in enumerate(through.unbind(0)[:-1]):
-        torch.bmm(a, states[i], out=states[i + 1])
+    starts = np.empty((blocks, K, width, width))
+    starts[:] = np.eye(width)
+    for i in range(blocks - 1):
+        np.matmul(last[:, i], starts[i], out=starts[i + 1, :, :s])
     return starts
 
 
-def _triangular(rows: Tensor) -> Tensor:
-    """Triangular factors [K, w, w] of rows [K, r, w], which may be fewer than columns."""
-    K, r, w = rows.shape
-    whole = rows if r >= w else torch.cat([rows, rows.new_zeros(K, w - r, w)], 1)
-    return torch.linalg.qr(whole, mode="r").R
+def triangular(rows: np.ndarray) -> np.ndarray:
+    """Triangular factors [..., w, w] of rows [..., r, w], which may be fewer than columns."""
+    *batch, r, w = rows.shape
+    whole = rows if r >= w else np.concatenate([rows, np.zeros((*batch, w - r, w))], -2)
+    return np.asarray(np.linalg.qr(whole, mode="r"))
 
 
-def changes(linear: Linear, step: Tensor) -> Tensor:
+def changes(linear: Linear, step: np.ndarray) -> np.ndarray:
     """Changes of the nodes [K, T, s] for a step [p] of the parameters, with the best starts for it."""
     R, s, K = linear.factor, linear.inner.shape[2], len(linear.factor)
-    right = R[:, :s, -1] - R[:, :s, s:-1] @ step
-    start = torch.linalg.solve_triangular(R[:, :s, :s], right[..., None], upper=True)[..., 0]
-    by = torch.cat([start, torch.cat([step, step.new_ones(1)]).expand(K, -1)], 1)
-    at = (linear.starts @ by[..., None])[..., 0].transpose(0, 1).flatten(0, 1)  # [K blocks, s + p + 1]
-    found = torch.linalg.vecdot(linear.inner, at[:, None])  # [size, K blocks, s]
-    return found.transpose(0, 1).reshape(K, -1, s)
+    by = np.ones((K, R.shape[-1]))
+    by[:, s:-1] = step
+    by[:, :s] = solved(R[:, :s, :s], R[:, :s, -1] - R[:, :s, s:-1] @ step)
+    at = (linear.starts @ by[..., None]).swapaxes(0, 1).reshape(-1, by.shape[1], 1)  # [K blocks, s + p + 1, 1]
+    return (linear.inner @ at).swapaxes(0, 1).reshape(K, -1, s)
+
+
+def solved(R: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solutions [..., w] of triangular systems, R x = right; not finite where R is singular."""
+    given, wanted = torch.from_numpy(R), torch.from_numpy(right[..., None])
+    return torch.linalg.solve_triangular(given, wanted, upper=True).numpy()[..., 0]

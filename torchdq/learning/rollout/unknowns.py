@@ -12,9 +12,10 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -40,23 +41,23 @@ class SignedNumbers:
 
     unit: float = 1.0  # least size of a step [SI]
 
-    def moved(self, value: Tensor, step: Tensor) -> Tensor:
+    def moved(self, value: np.ndarray, step: np.ndarray) -> np.ndarray:
         """Values [w] after a step [w]."""
         return value + step
 
-    def slopes(self, value: Tensor) -> Tensor:
+    def slopes(self, value: np.ndarray) -> np.ndarray:
         """Derivatives [w, w] of the values by a step."""
-        return torch.eye(len(value), dtype=value.dtype)
+        return np.eye(len(value))
 
-    def sizes(self, value: Tensor, start: Tensor) -> Tensor:
+    def sizes(self, value: np.ndarray, start: np.ndarray) -> np.ndarray:
         """Sizes of steps [w] that change the values by as much as they are, or as they were at the start."""
-        return torch.maximum(value.abs().max(), start.abs().max()).clamp_min(self.unit).expand(len(value))
+        return np.full(len(value), max(abs(value).max(), abs(start).max(), self.unit))
 
-    def scales(self, value: Tensor, start: Tensor) -> Tensor:
+    def scales(self, value: np.ndarray, start: np.ndarray) -> np.ndarray:
         """Sizes [w] of the values."""
         return self.sizes(value, start)
 
-    def offset(self, value: Tensor, start: Tensor) -> Tensor:
+    def offset(self, value: np.ndarray, start: np.ndarray) -> np.ndarray:
         """Step [w] from the start to the values."""
         return value - start
 
@@ -65,40 +66,44 @@ class SignedNumbers:
 class PositiveNumbers(SignedNumbers):
     """Parameters that are positive, and stay so."""
 
-    def moved(self, value: Tensor, step: Tensor) -> Tensor:
+    def moved(self, value: np.ndarray, step: np.ndarray) -> np.ndarray:
         """Values after a step, along a line up and along the exponential of the same slope down."""
-        return torch.where(step >= 0, value + step, value * torch.exp(step.clamp(max=0) / value))
+        return np.where(step >= 0, value + step, value * np.exp(np.minimum(step, 0.0) / value))
 
-    def sizes(self, value: Tensor, start: Tensor) -> Tensor:
+    def sizes(self, value: np.ndarray, start: np.ndarray) -> np.ndarray:
         """The values, or those at the start where they were larger."""
-        return torch.maximum(value, start)
+        return np.maximum(value, start)
 
 
 @dataclass(frozen=True)
 class Inertias(SignedNumbers):
     """Inertias about centres of mass, six numbers each, of bodies that can exist."""
 
-    def moved(self, value: Tensor, step: Tensor) -> Tensor:
+    def moved(self, value: np.ndarray, step: np.ndarray) -> np.ndarray:
         """Inertias after a step in the coordinates in which all bodies can exist."""
-        return INERTIA(INERTIA.right_inverse(value.reshape(-1, 6)) + step.reshape(-1, 6)).flatten()
+        return INERTIA(self._coordinates(value) + torch.from_numpy(step).reshape(-1, 6)).flatten().numpy()
 
-    def slopes(self, value: Tensor) -> Tensor:
+    def slopes(self, value: np.ndarray) -> np.ndarray:
         """Derivatives of the inertias in those coordinates."""
-        x = INERTIA.right_inverse(value.reshape(-1, 6))
-        return torch.block_diag(*torch.func.vmap(torch.func.jacfwd(INERTIA))(x))
+        found = torch.func.vmap(torch.func.jacfwd(INERTIA))(self._coordinates(value))
+        return torch.block_diag(*found).numpy()
 
-    def sizes(self, value: Tensor, start: Tensor) -> Tensor:
+    def sizes(self, value: np.ndarray, start: np.ndarray) -> np.ndarray:
         """Ones, as those coordinates are logarithms and ratios."""
-        return torch.ones_like(value)
+        return np.ones_like(value)
 
-    def scales(self, value: Tensor, start: Tensor) -> Tensor:
+    def scales(self, value: np.ndarray, start: np.ndarray) -> np.ndarray:
         """Principal entries, and the roots of the products of two for those beside the diagonal."""
-        x, y, z = torch.maximum(value, start).reshape(-1, 6)[:, [0, 2, 5]].sqrt().unbind(1)
-        return torch.stack([x * x, x * y, y * y, x * z, y * z, z * z], 1).flatten()
+        x, y, z = np.sqrt(np.maximum(value, start).reshape(-1, 6)[:, [0, 2, 5]]).T
+        return np.stack([x * x, x * y, y * y, x * z, y * z, z * z], 1).ravel()
 
-    def offset(self, value: Tensor, start: Tensor) -> Tensor:
+    def offset(self, value: np.ndarray, start: np.ndarray) -> np.ndarray:
         """Step from the start to the inertias."""
-        return (INERTIA.right_inverse(value.reshape(-1, 6)) - INERTIA.right_inverse(start.reshape(-1, 6))).flatten()
+        return (self._coordinates(value) - self._coordinates(start)).flatten().numpy()
+
+    def _coordinates(self, value: np.ndarray) -> Tensor:
+        """Coordinates [links, 6] of inertias."""
+        return INERTIA.right_inverse(torch.from_numpy(value).reshape(-1, 6))
 
 
 @dataclass(frozen=True)
@@ -109,19 +114,19 @@ class Unknown:
     key: str  # its name in the programs of the scene, "1.coefficient"; "": the delay of the inputs
     labels: tuple[str, ...]  # one for each number, "Viscous.coefficient[elbow]"
     coordinates: SignedNumbers
-    whole: Tensor  # the parameter with all its numbers, at the start
-    at: Tensor  # [w] places of the sought numbers among them
+    whole: np.ndarray  # the parameter with all its numbers, at the start
+    at: np.ndarray  # [w] places of the sought numbers among them
 
     @property
-    def start(self) -> Tensor:
+    def start(self) -> np.ndarray:
         """Sought numbers [w] at the start."""
-        return self.whole.flatten()[self.at]
+        return self.whole.ravel()[self.at]
 
-    def filled(self, value: Tensor) -> Tensor:
+    def filled(self, value: np.ndarray) -> Tensor:
         """Parameter with the sought numbers [w] in their places."""
-        flat = self.whole.flatten().clone()
+        flat = self.whole.flatten()
         flat[self.at] = value
-        return flat.reshape(self.whole.shape)
+        return torch.from_numpy(flat.reshape(self.whole.shape))
 
 
 @dataclass(frozen=True)
@@ -135,10 +140,10 @@ class Unknowns:
         """Names of the numbers [p]."""
         return tuple(label for part in self.parts for label in part.labels)
 
-    @property
-    def start(self) -> Tensor:
+    @cached_property
+    def start(self) -> np.ndarray:
         """Numbers [p] at the start."""
-        return torch.cat([part.start for part in self.parts])
+        return np.concatenate([part.start for part in self.parts])
 
     @property
     def delayed(self) -> bool:
@@ -148,45 +153,54 @@ class Unknowns:
     @property
     def direct(self) -> bool:
         """Whether the unknowns are parameters of the scene with all their numbers, to which steps add."""
-        whole = all(part.key and len(part.at) == part.whole.numel() for part in self.parts)
+        whole = all(part.key and len(part.at) == part.whole.size for part in self.parts)
         return whole and not any(isinstance(part.coordinates, Inertias) for part in self.parts)
 
-    def split(self, values: Tensor) -> list[Tensor]:
-        """Numbers of every unknown."""
-        return list(values.split([len(part.at) for part in self.parts]))
+    @cached_property
+    def _places(self) -> list[slice]:
+        """Places of the numbers of every unknown."""
+        ends = itertools.accumulate([len(part.at) for part in self.parts], initial=0)
+        return [slice(a, b) for a, b in itertools.pairwise(ends)]
 
-    def parameters(self, values: Tensor) -> dict[str, Tensor]:
+    def split(self, values: np.ndarray) -> list[np.ndarray]:
+        """Numbers of every unknown."""
+        return [values[at] for at in self._places]
+
+    def parameters(self, values: np.ndarray) -> dict[str, Tensor]:
         """Parameters of the scene, by their names in its programs."""
         return {part.key: part.filled(v) for part, v in zip(self.parts, self.split(values), strict=True) if part.key}
 
-    def delay(self, values: Tensor) -> float:
+    def delay(self, values: np.ndarray) -> float:
         """Delay of the inputs [s]."""
-        return next((float(v) for part, v in zip(self.parts, self.split(values), strict=True) if not part.key), 0.0)
+        return next((float(v[0]) for part, v in zip(self.parts, self.split(values), strict=True) if not part.key), 0.0)
 
-    def moved(self, values: Tensor, step: Tensor) -> Tensor:
+    def moved(self, values: np.ndarray, step: np.ndarray) -> np.ndarray:
         """Numbers [p] after a step [p]."""
-        pairs = zip(self.parts, self.split(values), self.split(step), strict=True)
-        return torch.cat([part.coordinates.moved(v, d) for part, v, d in pairs])
+        return np.concatenate([kind.moved(v, d) for kind, v, d in self._each(values, step)])
 
-    def slopes(self, values: Tensor) -> Tensor:
+    def slopes(self, values: np.ndarray) -> np.ndarray:
         """Derivatives [p, p] of the numbers by a step."""
-        pairs = zip(self.parts, self.split(values), strict=True)
-        return torch.block_diag(*(part.coordinates.slopes(v) for part, v in pairs))
+        found = np.zeros((len(values), len(values)))
+        for part, at in zip(self.parts, self._places, strict=True):
+            found[at, at] = part.coordinates.slopes(values[at])
+        return found
 
-    def sizes(self, values: Tensor) -> Tensor:
+    def sizes(self, values: np.ndarray) -> np.ndarray:
         """Steps [p] as large as the numbers, or as they were at the start."""
-        pairs = zip(self.parts, self.split(values), strict=True)
-        return torch.cat([part.coordinates.sizes(v, part.start) for part, v in pairs])
+        return np.concatenate([kind.sizes(v, start) for kind, v, start in self._each(values, self.start)])
 
-    def scales(self, values: Tensor) -> Tensor:
+    def scales(self, values: np.ndarray) -> np.ndarray:
         """Sizes [p] of the numbers."""
-        pairs = zip(self.parts, self.split(values), strict=True)
-        return torch.cat([part.coordinates.scales(v, part.start) for part, v in pairs])
+        return np.concatenate([kind.scales(v, start) for kind, v, start in self._each(values, self.start)])
 
-    def offset(self, values: Tensor) -> Tensor:
+    def offset(self, values: np.ndarray) -> np.ndarray:
         """Step [p] from the start to the numbers."""
-        pairs = zip(self.parts, self.split(values), strict=True)
-        return torch.cat([part.coordinates.offset(v, part.start) for part, v in pairs])
+        return np.concatenate([kind.offset(v, start) for kind, v, start in self._each(values, self.start)])
+
+    def _each(self, *numbers: np.ndarray) -> list[tuple[Any, ...]]:
+        """Coordinates of every unknown, and its part of some numbers [p]."""
+        places = zip(self.parts, self._places, strict=True)
+        return [(part.coordinates, *(x[at] for x in numbers)) for part, at in places]
 
 
 def unknowns(scene: Scene, learn: str | Sequence[str]) -> Unknowns:
@@ -214,8 +228,7 @@ def unknowns(scene: Scene, learn: str | Sequence[str]) -> Unknowns:
 
 def _candidates(scene: Scene) -> dict[str, Callable[[], Unknown]]:
     """Everything of a scene that can be learned, by name, as functions that return it."""
-    zero = torch.zeros(1, dtype=torch.float64)
-    found = {DELAY: lambda: Unknown(DELAY, "", (DELAY,), SignedNumbers(scene.dt), zero, torch.arange(1))}
+    found = {DELAY: lambda: Unknown(DELAY, "", (DELAY,), SignedNumbers(scene.dt), np.zeros(1), np.arange(1))}
     kinds = [type(effect).__name__ for effect in scene.effects]
     count, numbers = Counter(kinds), {kind: itertools.count(1) for kind in kinds}
     for owner, (kind, effect) in enumerate(zip(kinds, scene.effects, strict=True)):
@@ -233,7 +246,7 @@ def _candidates(scene: Scene) -> dict[str, Callable[[], Unknown]]:
 def _of_links(robot: Robot, name: str) -> Unknown:
     """Parameter of the links that have a mass."""
     x = getattr(robot, name).detach().double()
-    at = torch.arange(x.numel()).reshape(x.shape)[robot.mass > 0].flatten()
+    at = np.arange(x.numel()).reshape(x.shape)[(robot.mass > 0).numpy()].ravel()
     return _unknown(name, f"-2.{name}", x, name, at, robot.link_names)
 
 
@@ -251,7 +264,7 @@ def _parameters(scene: Scene, title: str, owner: int, part: Parametric) -> dict[
             body = (name, axes) in (("inertia", (6,)), ("com", (3,)))
             kind = name if body else "" if name in part.SIGNED else "mass"
             labels = scene.robot.joint_names if axes == ("n",) else scene.robot.link_names if axes == ("links",) else ()
-            called, at = f"{title}.{name}", torch.arange(value.numel())
+            called, at = f"{title}.{name}", np.arange(value.numel())
             found[called] = partial(_unknown, called, f"{owner}.{name}", value, kind, at, labels)
     return found
 
@@ -261,20 +274,19 @@ def _asked(part: Parametric, n: int) -> dict[str, int]:
     return part.inputs(n) if isinstance(part, Effect) else {}
 
 
-def _unknown(name: str, key: str, value: Tensor, kind: str, at: Tensor, owners: Sequence[str]) -> Unknown:
+def _unknown(name: str, key: str, value: Tensor, kind: str, at: np.ndarray, owners: Sequence[str]) -> Unknown:
     """Unknown of a kind: "mass" for positive numbers, "com", "inertia", or "" for numbers of any sign."""
     coordinates = {"mass": PositiveNumbers(), "inertia": Inertias(), "com": SignedNumbers(LENGTH)}.get(
         kind, SignedNumbers()
     )
-    flat = value.flatten().clone()
+    flat = value.flatten().numpy().copy()
     if kind == "inertia":
-        rows = flat[at].reshape(-1, 6)
-        flat[at] = INERTIA(INERTIA.right_inverse(rows)).flatten()
+        flat[at] = coordinates.moved(flat[at], np.zeros(len(at)))
     each = value.numel() // max(len(owners), 1)
     parts = ("",) if each == 1 else (".x", ".y", ".z") if each == 3 else (".xx", ".xy", ".yy", ".xz", ".yz", ".zz")
     places = [f"[{owner}]" for owner in owners] or [""]
     labels = [f"{name}{place}{part}" for place in places for part in parts[:each]]
-    return Unknown(name, key, tuple(labels[k] for k in at.tolist()), coordinates, flat.reshape(value.shape), at)
+    return Unknown(name, key, tuple(labels[k] for k in at.tolist()), coordinates, flat.reshape(tuple(value.shape)), at)
 
 
 def changed(scene: Scene, found: Mapping[str, Tensor]) -> Scene:
