@@ -3625,7 +3625,7 @@ MUTANTS = (
             "a residual that is kept whatever little its rows say",
             "((gains > errors) & (independent >= LEAST * len(blocks)))",
             "(gains > errors)",
-            "residual_fit.py::test_two_seconds_are_too_few_independent_samples_for_a_network",
+            "residual_fit.py::test_three_seconds_are_too_few_independent_samples_for_a_network",
         ),
     ),
     *within(

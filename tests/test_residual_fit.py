@@ -130,8 +130,8 @@ def of_positions(seed, seconds, passes=1, speed=1.0):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_two_seconds_are_too_few_independent_samples_for_a_network(seed):
-    parts = [of_positions(seed, 2.0)]
+def test_three_seconds_are_too_few_independent_samples_for_a_network(seed):
+    parts = [of_positions(seed, 3.0)]
     model = layer(parts)
     with pytest.warns(LogWarning, match="for each left-out block are needed"):
         worth = fit(model, parts, steps=150, **OPTIONS).residual
