@@ -171,13 +171,13 @@ def _by_copies(
     correlation: Tensor,
     how: Training,
 ) -> tuple[list[LeftOut], list[LeftOut]]:
-    """What copies of the network say about blocks, in the order of time, and about regions, trained without those."""
+    """Torques that copies find for blocks, in the order of time, and for regions, trained without those."""
     recording = _motion_rows(train, lengths)
     found, (x, residual) = blocks(recording), rows
     scale = torque_variance(train.tau).to(x)
 
     def without(unused: Sequence[slice | Tensor], shown: Sequence[slice | Tensor], seed: int) -> list[LeftOut]:
-        """What a copy says about some rows, trained without others."""
+        """Torques that a copy finds for some rows, trained without others."""
         used = torch.ones(len(x), dtype=torch.bool)
         for some in unused:
             used[some] = False

@@ -87,11 +87,10 @@ def decide(model: ResidualDynamics, blocks: Sequence[LeftOut], apart: Sequence[L
     least = model.domain.reach.clone()
     quantiles = [left.squared_distance.quantile(share, 0) for share in REACHES]
     reaches = torch.stack([x.clamp_min(0).sqrt().maximum(least) for x in quantiles])  # [reaches, groups]
-    moments = []  # of the gated torques, with themselves and with the residuals, [2, parts, n] for every reach
+    moments = []  # products of the gated torques with themselves and the residuals, [2, parts, n] for every reach
     for reach in reaches:
         model.domain.reach.copy_(reach)
-        gated = [_gate(model, part) * part.torque for part in (*blocks, *apart)]
-        pairs = list(zip(gated, (*blocks, *apart), strict=True))
+        pairs = [(_gate(model, part) * part.torque, part) for part in (*blocks, *apart)]
         squares = torch.stack([y.square().mean(0) for y, _ in pairs])
         moments.append(torch.stack([squares, torch.stack([(y * part.residual).mean(0) for y, part in pairs])]))
     choose = _chooser(torch.stack(moments), variance, shared=reaches.shape[1] < len(variance))
