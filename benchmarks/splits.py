@@ -2,9 +2,9 @@
 
     python benchmarks/splits.py DATA [--quick] [--only WORD] [--json FILE] [--page]
 
-DATA is the folder of the recordings that docs/learning.md names. A row is one split: motions to learn from, and others to
-test on. Models: the description; with friction, rotor inertia and offset; with all inertial parameters, too; the one
-that `identify` chose; and that one with a residual network, where `fit` kept it. Where friction remembers, which a
+DATA is the folder of the recordings that docs/learning.md names. A row is one split: motions to learn from, and others
+to test on. Models: the description; with friction, rotor inertia and offset; with all inertial parameters, too; the
+one that `identify` chose; and that one with a residual network, where `fit` kept it. Where friction remembers, which a
 layer cannot, the network learns what is left beyond the chosen model's predictions. The numbers are squared residuals
 over the variance of the torque, mean over joints, and in brackets the mean over joints of RMSE over standard deviation.
 
