@@ -1,17 +1,22 @@
-"""Identification on recordings of real arms, split in many ways: the model that was chosen beside simpler ones.
+"""Identification on recordings of real arms, split in many ways: the models that were chosen beside simpler ones.
 
-    python benchmarks/splits.py DATA [--quick] [--only WORD] [--json FILE]
+    python benchmarks/splits.py DATA [--quick] [--only WORD] [--json FILE] [--page]
 
-DATA is the folder of the recordings that docs/learning.md names. A row is one split: motions to identify the robot
-from, and others to test it on. The numbers are squared residuals over the variance of the torque, mean over joints,
-and below them in brackets the mean over joints of RMSE over standard deviation: of the description with friction,
-rotor inertia and offset; of the same with all inertial parameters; of the model that `identify` chose; and the score
-that it expected with its standard error. A row is marked where what was chosen is worse than the description with
-friction by more than that error.
+DATA is the folder of the recordings that docs/learning.md names. A row is one split: motions to learn from, and others
+to test on. Models: the description; with friction, rotor inertia and offset; with all inertial parameters, too; the
+one that `identify` chose; and that one with a residual network, where `fit` kept it. Where friction remembers, which a
+layer cannot, the network learns what is left beyond the chosen model's predictions. The numbers are squared residuals
+over the variance of the torque, mean over joints, and in brackets the mean over joints of RMSE over standard deviation.
+
+A row is marked where what was chosen is worse than the description with friction by more than the standard error that
+`identify` states, and where the network makes it worse by more than the standard error of the gain that `fit` states.
+"seen" is the share of the test samples whose positions and velocities were in the training motions as well, to a
+twentieth of their spread: a motion that repeats itself asks for a memory, not for a model.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 import os
 import re
@@ -29,12 +34,18 @@ import report
 import torch
 from recordings import LAYOUTS
 
-from torchdq import Robot
-from torchdq.learning import Identified, LogWarning, Motion, cut, identify, read, samples, smooth
+from torchdq import DQRNEA, ResidualDynamics, Robot
+from torchdq.learning import Identified, LogWarning, Motion, Samples, cut, fit, identify, read, samples, smooth
+from torchdq.learning.training.worth import Worth
 
 SIX = ("02_06-20sec_5harm", "02_06-20sec_10harm", "02_05-20sec_12harm", "02_10-20sec_7harm", "02_10-30sec_12harm")
 SIX = (*SIX, "02_12-40sec_12harm")
 PENDULUM = {"mass": (0.5594, 0.6043), "com": (-0.3, 0.1838), "inertia": (0.05347, 0.02392)}  # the authors' model 2.0
+PASS = 12.84  # time after which the motion of the Panda repeats itself [s]
+TRAINING = {"steps": 400, "batch": 256, "rate": 1e-2, "progress": False}  # of the networks
+DECAYS = (1e-2, 3.0)  # weight decays, of which left-out rows of the training motions choose one
+SEEN = 0.05  # distance of states that count as the same, in units of their spread
+ROWS = (6000, 600)  # most states that the distances are computed from and to
 
 
 class Split(NamedTuple):
@@ -50,6 +61,8 @@ class Row(NamedTuple):
     """Scores of a split: mean squared residual over variance, and mean of the roots."""
 
     name: str
+    seen: float  # share of the test samples whose states were trained on
+    description: tuple[float, float]
     friction: tuple[float, float]
     identified: tuple[float, float]
     chosen: tuple[float, float]
@@ -62,6 +75,40 @@ class Row(NamedTuple):
     def worse(self) -> bool:
         """True if the model chosen breaks its promise."""
         return self.chosen[0] > self.friction[0] + self.error
+
+
+class Models(NamedTuple):
+    """Models of the training motions of a split, and the time that the choice took [s]."""
+
+    friction: Identified
+    identified: Identified
+    chosen: Identified
+    seconds: float
+
+
+class Trained(NamedTuple):
+    """Network beside what was chosen, what it is worth on rows that were left out, and how long that took [s]."""
+
+    model: ResidualDynamics
+    worth: Worth
+    seconds: float
+
+
+class Network(NamedTuple):
+    """Scores of a split with a residual network."""
+
+    chosen: tuple[float, float]  # without it
+    residual: tuple[float, float]
+    error: float  # standard error of the gain, mean over joints
+    weights: tuple[float, ...]  # of the joints
+    ratios: tuple[float, ...]  # RMSE of the joints, with the network over without
+    covered: float  # share of the torques in 95 % intervals
+    seconds: float
+
+    @property
+    def worse(self) -> bool:
+        """True if the network breaks its promise."""
+        return self.residual[0] > self.chosen[0] + self.error
 
 
 def ur10e(data: Path, quick: bool) -> list[Split]:
@@ -102,7 +149,10 @@ def panda(data: Path, quick: bool) -> list[Split]:
     for share in (0.6,) if quick else (0.6, 0.3):
         first, last = cut(motion, share)
         found.append(Split(f"Panda, first {share:.0%} to the rest", robot, [first], [last]))
-    return found
+    if quick:
+        return found
+    first, last = cut(cut(motion, PASS / float(motion.time[-1] - motion.time[0]))[0], 0.6)
+    return [*found, Split("Panda, first 60% of one pass to its rest", robot, [first], [last])]
 
 
 def pendulum(data: Path, quick: bool) -> list[Split]:
@@ -114,8 +164,12 @@ def pendulum(data: Path, quick: bool) -> list[Split]:
     inertia = (about - mass * com**2).clamp_min(1e-4)[:, None] * torch.tensor([1.0, 0, 1, 0, 0, 1], dtype=torch.float64)
     robot = robot.replace(mass=mass, com=com[:, None] * torch.eye(3, dtype=torch.float64)[2], inertia=inertia)
 
+    @functools.cache
+    def motion(k: int) -> Motion:
+        return smooth(read(folder / f"trajectory_{k:02d}.csv.gz", LAYOUTS["double_pendulum"]))
+
     def motions(*numbers: int) -> list[Motion]:
-        return [smooth(read(folder / f"trajectory_{k:02d}.csv.gz", LAYOUTS["double_pendulum"])) for k in numbers]
+        return [motion(k) for k in numbers]
 
     slow, fast = (0, 1, 2, 3), (4, 5, 11)
     pairs = [(slow, (11,)), (fast, (0,))] if quick else [(slow, (k,)) for k in fast] + [(fast, (k,)) for k in slow]
@@ -128,49 +182,142 @@ def pendulum(data: Path, quick: bool) -> list[Split]:
     return [*found, Split("pendulum, first half of a motion to its last", robot, [first], [last])]
 
 
-def scored(found: Identified, tests: Sequence[Motion]) -> tuple[float, float]:
+def seen(split: Split) -> float:
+    """Share of the test samples whose positions and velocities are also those of a training sample."""
+    train, test = (
+        torch.cat([torch.cat([one.q, one.qd], 1) for one in map(samples, x)]) for x in (split.train, split.test)
+    )
+    spread = train.std(0)
+    some, others = (x[:: -(-len(x) // most)] / spread for x, most in zip((train, test), ROWS, strict=True))
+    nearest = torch.cdist(others, some).amin(1) / math.sqrt(len(spread))
+    return float((nearest < SEEN).double().mean())
+
+
+def scores(left: torch.Tensor, tests: Sequence[Motion]) -> tuple[float, float]:
     """Mean over joints of squared residual over variance, and of its root."""
-    tau = samples(tests).tau
-    squares = (found.predict(tests).tau - tau).square().mean(0) / tau.var(0)
+    squares = left.square().mean(0) / samples(tests).tau.var(0)
     return float(squares.mean()), float(squares.sqrt().mean())
 
 
-def measured(split: Split) -> Row:
-    """Row of a split."""
+def scored(found: Identified, tests: Sequence[Motion]) -> tuple[float, float]:
+    """Scores of an identified robot."""
+    return scores(found.predict(tests).tau - samples(tests).tau, tests)
+
+
+def learned(split: Split) -> Models:
+    """Models of the training motions of a split."""
     motors = {"armature": True, "offset": True}
     friction = identify(split.robot, split.train, friction=True, prior=math.inf, **motors)
     identified = identify(split.robot, split.train, friction=True, prior=1.0, **motors)
     start = time.perf_counter()
     chosen = identify(split.robot, split.train, **motors)
-    seconds = time.perf_counter() - start
-    scores = (scored(one, split.test) for one in (friction, identified, chosen))
-    ladder = chosen.report
+    return Models(friction, identified, chosen, time.perf_counter() - start)
+
+
+def measured(split: Split, models: Models) -> Row:
+    """Row of a split."""
+    q, qd, qdd, tau = samples(split.test)
+    description = scores(DQRNEA(split.robot)(q, qd, qdd) - tau, split.test)
+    three = (scored(one, split.test) for one in models[:3])
+    ladder = models.chosen.report
     assert ladder is not None, "the recordings are long enough to leave blocks out"
-    return Row(split.name, *scores, ladder.rung.score, ladder.rung.error, ladder.rung.name, seconds)
+    rung = ladder.rung
+    return Row(split.name, seen(split), description, *three, rung.score, rung.error, rung.name, models.seconds)
+
+
+def beyond(found: Identified, layer: DQRNEA, motion: Motion) -> Samples:
+    """Samples of a motion, the torques without those of friction that a layer cannot remember."""
+    q, qd, qdd, tau = samples(motion)
+    with torch.no_grad():
+        return Samples(q, qd, qdd, tau - found.predict([motion]).tau + layer(q, qd, qdd))
+
+
+def trained(split: Split, found: Identified) -> Trained:
+    """Network beside what was chosen; left-out rows choose its weight decay."""
+    start, layer, candidates = time.perf_counter(), found.layer(), []
+    layer.requires_grad_(False)
+    train = [beyond(found, layer, motion) for motion in split.train]
+    for decay in DECAYS:
+        torch.manual_seed(0)
+        model = ResidualDynamics(layer)
+        model.standardise(*(torch.cat(x) for x in zip(*train, strict=True)))
+        worth = fit(model, train, decay=decay, **TRAINING).residual
+        assert worth is not None
+        candidates.append((model, worth))
+    best = min(candidates, key=lambda one: float(one[1].error.square().mean()))
+    return Trained(*best, time.perf_counter() - start)
+
+
+def with_network(split: Split, found: Identified, network: Trained) -> Network:
+    """Scores with the network beside what was chosen."""
+    model, worth, seconds = network
+    rows = (beyond(found, model.model, one) for one in split.test)
+    test = Samples(*(torch.cat(x) for x in zip(*rows, strict=True)))
+    told = model.predict(*test[:3])
+    left = [model.model(*test[:3]).detach() - test.tau, told.tau - test.tau]
+    without, error = (x.square().mean(0).sqrt() for x in left)
+    inside = (test.tau >= told.low) & (test.tau <= told.high)
+    return Network(
+        *(scores(x, split.test) for x in left),
+        float(worth.standard_errors.square().sum().sqrt() / len(without)),
+        tuple(worth.weight.tolist()),
+        tuple((error / without).tolist()),
+        float(inside.double().mean()),
+        seconds,
+    )
+
+
+def page(rows: Sequence[tuple[Row, Network]]) -> str:
+    """Table of the splits for the documentation."""
+    heads = ("split", "seen", "description", "+ friction", "identified", "chosen", "+ residual", "worse")
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    for row, network in rows:
+        roots = (row.description, row.friction, row.identified, row.chosen, network.residual)
+        worse = ["than + friction"] * row.worse + ["with the residual"] * network.worse
+        cells = (row.name, f"{row.seen:.0%}", *(f"{root:.3f}" for _, root in roots), ", ".join(worse) or "no")
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines)
 
 
 def main() -> None:
     """Table of all splits."""
-    parser = report.parser(__doc__, "few splits", page=False)
+    parser = report.parser(__doc__, "few splits")
     parser.add_argument("data", type=Path, nargs="?", default=Path(os.environ.get("TORCHDQ_DATA", "data")))
     parser.add_argument("--only", default="", help="splits whose name holds this word")
     arguments = parser.parse_args()
     warnings.simplefilter("ignore", LogWarning)
     arms: tuple[Callable[[Path, bool], list[Split]], ...] = (ur10e, panda, pendulum)
     splits = [one for arm in arms for one in arm(arguments.data, arguments.quick) if arguments.only in one.name]
-    rows = []
-    print(f"{'split':46s} {'+ friction':>16s} {'identified':>16s} {'chosen':>16s}  {'expected':>18s}     s  model")
+    rows: list[tuple[Row, Network]] = []
+    known: dict[tuple[int, ...], tuple[Models, Trained]] = {}  # by the training motions, which splits share
+    heads = ("description", "+ friction", "identified", "chosen", "+ residual")
+    print(f"{'split':46s} seen {' '.join(f'{head:>16s}' for head in heads)}   {'expected':>18s}     s  model")
     for split in splits:
-        row = measured(split)
-        rows.append(row)
-        three = " ".join(f"{a:8.4f} ({b:.3f})" for a, b in (row.friction, row.identified, row.chosen))
+        motions = tuple(map(id, split.train))
+        if motions not in known:
+            models = learned(split)
+            known[motions] = models, trained(split, models.chosen)
+        models, residual = known[motions]
+        row, network = measured(split, models), with_network(split, models.chosen, residual)
+        rows.append((row, network))
+        every = (row.description, row.friction, row.identified, row.chosen, network.residual)
+        five = " ".join(f"{a:8.4f} ({b:.3f})" for a, b in every)
         expected = f"{row.expected:8.4f} +- {row.error:.4f}"
-        print(f"{row.name:46s} {three}  {expected} {row.seconds:5.1f}  {row.model}{' WORSE' * row.worse}", flush=True)
-    worse = [row.name for row in rows if row.worse]
-    print(f"\nworse than the description with friction by more than the expected error: {worse or 'none'}")
-    facts = report.machine()
-    print(report.words(facts))
-    report.into_json(arguments.json, machine=facts, splits=[row._asdict() for row in rows])
+        worse = " WORSE" * row.worse + f" WORSE BY {network.residual[0] - network.chosen[0]:.2g}" * network.worse
+        print(f"{row.name:46s} {row.seen:4.0%} {five}   {expected} {row.seconds:5.1f}  {row.model}{worse}")
+        weights = " ".join(f"{weight:.2f} ({ratio:.2f})" for weight, ratio in zip(*network[3:5], strict=True))
+        of_gain = f"gain known to {network.error:.1g}, {network.covered:.0%} in 95 % intervals, {network.seconds:.0f} s"
+        print(f"{'':8s}weights of the residual, and error with over without: {weights}; {of_gain}", flush=True)
+    for what, worse in (
+        (
+            "worse than the description with friction by more than the expected error",
+            [a.name for a, _ in rows if a.worse],
+        ),
+        ("worse with the residual by more than its standard error", [a.name for a, b in rows if b.worse]),
+    ):
+        print(f"\n{what}: {', '.join(worse) or 'none'}")
+    found = [a._asdict() | {"network": b._asdict()} for a, b in rows]
+    report.finish(arguments, __file__, page(rows), report.machine(), splits=found)
 
 
 if __name__ == "__main__":

@@ -3617,12 +3617,27 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/training/left_out.py",
+        "torchdq/learning/training/worth.py",
         (
             "a residual that is kept where it helps no more than by chance",
-            "weight = weight if gain > error else torch.zeros_like(weight)",
-            "weight = weight.clamp_min(0.2)",
-            "residual_fit.py::test_a_residual_that_finds_nothing_is_silent",
+            "((gains > errors) & (independent >= LEAST * len(blocks)))",
+            "(independent >= LEAST * len(blocks))",
+            "residual_fit.py::test_a_joint_that_does_not_gain_by_more_than_chance_has_no_weight",
+        ),
+        (
+            "a residual that is kept whatever little its rows say",
+            "((gains > errors) & (independent >= LEAST * len(blocks)))",
+            "(gains > errors)",
+            "residual_fit.py::test_three_seconds_are_too_few_independent_samples_for_a_network",
+        ),
+    ),
+    *within(
+        "torchdq/learning/training/left_out.py",
+        (
+            "a residual that was tested on other passes of the motion only",
+            "for pair in regions(recording) for half in pair] if found else []",
+            "for pair in regions(recording) for half in pair][:0]",
+            "residual_fit.py::test_a_motion_that_repeats_itself_does_not_pass_for_others",
         ),
     ),
     *within(

@@ -58,10 +58,11 @@ def fit(
     its share of every batch, and all end with the weights that one process would find, but for rounding.
 
     The network of a `ResidualDynamics` is then measured on rows that it was not trained on: `valid`, or blocks of
-    `train` that copies of it are trained without, which takes about as long again. Where it may act, with what weight
-    at each joint, and the errors of `predict` follow from that; it gets no weight unless it is better than the model
-    alone by more than one standard error. `History.residual` tells, a `LogWarning` names joints where it
-    helps little.
+    `train` that copies of it are trained without, and regions of the states where there are fewer than three motions.
+    There are at most nine copies. Where the network may act, with what weight at each joint, and the errors of
+    `predict` follow from that. A joint gets no weight unless its squared error falls by more than one standard error,
+    on rows that say as much as two independent ones for each block. `History.residual` tells, a `LogWarning` names
+    joints where it helps little and those with too few rows.
 
     Args:
         model: called as model(q, qd, qdd), returns tau [N, n] [N m]; lies on the device to compute on, which under

@@ -1,41 +1,33 @@
-"""Worth of a residual network on rows that it was not trained on, and where it may act.
+"""Copies of a residual network that are trained without some rows, and what they say about those.
 
 The rows are left out in blocks (`blocks`), and the blocks in a few groups; for each group a copy of the network, with
-new weights, is trained on the other rows for as many steps. The physical model stays as it is. What the copies say
-about the rows that they have not seen decides
-
-* how far from the trained states the network may act (`torchdq.residual.Domain`): as far as it helps;
-* the weight of each joint, from 0 to 1: that of the least squared error;
-* whether it may act at all: only if the error without it is more than one standard error larger, over the blocks;
-* the errors of predicted torques (`torchdq.residual.Posterior`).
-
-With validation samples, on which the network was not trained, no copies are needed.
+new weights, is trained on the other rows for as many steps. The physical model stays as it is. A motion that repeats
+itself shows a copy the states of its block in another part, so where there are fewer than three motions, regions of the
+states are left out, too (`regions`). What the copies say about the rows that they have not seen decides what the
+network is worth (`worth`). With validation samples, on which the network was not trained, no copies are needed.
 """
 
 from __future__ import annotations
 
 import copy
+import functools
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
 
-from torchdq.learning.logs.blocks import Block, MotionRows, blocks
+from torchdq.learning.logs.blocks import MotionRows, blocks, regions
 from torchdq.learning.logs.correlation import correlation_times
 from torchdq.learning.logs.plausibility import LogWarning
 from torchdq.learning.logs.samples import Samples, torque_variance
+from torchdq.learning.training.worth import LEAST, LeftOut, Worth, decide
 from torchdq.residual import Domain, Posterior, ResidualDynamics
 from torchdq.residual.networks import perceptrons
-from torchdq.residual.smooth import smooth_step
-from torchdq.tables import table
 
 GROUPS = 5  # groups of blocks, each left out by one copy of the network
-REACHES = (0.5, 0.75, 0.9, 0.99)  # shares of the left-out rows that a domain may reach
-COVERED = 0.95  # share of measured torques in an interval
 ROWS = 4096  # rows that are computed at a time
 
 
@@ -47,45 +39,6 @@ class Training(NamedTuple):
     rate: float
     decay: float
     seed: int
-
-
-class Worth(NamedTuple):
-    """Worth of a residual on left-out rows; errors are root mean squares in units of the torque's spread, [n]."""
-
-    joints: tuple[str, ...]
-    without: Tensor  # [n] error of the model alone
-    error: Tensor  # [n] error with the residual, at its weight
-    weight: Tensor  # [n] from 0 to 1
-    covered: Tensor  # [n] share of torques in the 95 % intervals
-    independent: Tensor  # [n] rows that say as much as all do, being correlated
-    gain: float  # how much the mean squared error of all joints falls
-    standard_error: float  # standard error of the gain over the blocks; infinite if there are fewer than two
-
-    @property
-    def kept(self) -> bool:
-        """Whether the residual acts."""
-        return bool((self.weight > 0).any())
-
-    def __str__(self) -> str:
-        numbers = zip(self.joints, self.without, self.error, self.weight, self.covered, strict=True)
-        rows = [(name, *(f"{float(x):.3f}" for x in (a, b)), f"{w:.2f}", f"{c:.0%}") for name, a, b, w, c in numbers]
-        found = "kept" if self.kept else "not kept"
-        title = (
-            f"residual on left-out rows: {found}; the squared error falls by {self.gain:.3g} +- "
-            f"{self.standard_error:.2g} of the torque's variance"
-        )
-        return f"{title}\n\n{table(('joint', 'without', 'with', 'weight', 'in 95 %'), rows)}"
-
-
-class LeftOut(NamedTuple):
-    """Torques of networks for rows that they were not trained on."""
-
-    torque: Tensor  # [rows, n] of the networks, with an open gate and weight one [N m or N]
-    residual: Tensor  # [rows, n] measured torque less the model's [N m or N]
-    squared_distance: Tensor  # [rows, groups] from the trained states
-    past: Tensor  # [rows, n] how far the model's torque is past its range, see `ResidualDynamics.past_torque`
-    leverage: Tensor  # [rows, groups]
-    blocks: list[slice]
 
 
 def measure(
@@ -109,14 +62,14 @@ def measure(
             model.cover(*rows)
             learn_posterior(model, model.network, model.posterior, rows, correlation)
         if valid is None:
-            left = _by_copies(model, train, rows, lengths, correlation, how)
+            left, apart = _by_copies(model, train, rows, lengths, correlation, how)
         else:
-            other = _rows(model, valid)
-            left = _seen_by(model, model.network, model.domain, model.posterior, *other)._replace(
-                blocks=[block.rows for block in _blocks(valid, (len(valid.q),))]
-            )
+            x, residual = _rows(model, valid)
+            parts = [block.rows for block in blocks(_motion_rows(valid, (len(valid.q),)))]
+            see = functools.partial(_seen_by, model, model.network, model.domain, model.posterior)
+            left, apart = [see(x[rows], residual[rows]) for rows in parts], []
         with torch.no_grad():
-            return _set(model, left, train, lengths)
+            return decide(model, left, apart, torque_variance(train.tau).double())
     finally:
         model.train(was_training)
 
@@ -130,7 +83,7 @@ def beside_fixed_physics(model: ResidualDynamics, train: Samples) -> Callable[[T
 
 def tell(worth: Worth) -> None:
     """Warn where the residual does not help, or the rows are too few to say so."""
-    if math.isinf(worth.standard_error):
+    if math.isinf(float(worth.standard_errors.amax())):
         warnings.warn(
             "the rows are too few to leave blocks of them out, so that nothing is known about the residual where it "
             "was not trained: it is not kept, its weight is 0; record some tens of seconds",
@@ -138,13 +91,20 @@ def tell(worth: Worth) -> None:
             stacklevel=3,
         )
         return
-    poor = [name for name, w in zip(worth.joints, worth.weight.tolist(), strict=True) if w < 0.5]
+    named = list(zip(worth.joints, worth.weight.tolist(), worth.independent.tolist(), strict=True))
+    few = [f"{name} ({math.floor(count)})" for name, _, count in named if count < LEAST * worth.blocks]
+    if few:
+        warnings.warn(
+            f"the residual has no weight at {', '.join(few)}: its rows say as much as so many independent "
+            f"samples there, and {LEAST} for each left-out block are needed, {LEAST * worth.blocks}; record longer",
+            LogWarning,
+            stacklevel=3,
+        )
+    poor = [name for name, weight, count in named if weight < 0.5 and count >= LEAST * worth.blocks]
     if poor:
-        few = int(worth.independent.min())
         warnings.warn(
             f"the residual helps little on left-out rows at {', '.join(poor)}, and acts there with weights below 0.5 "
-            f"or not at all: its samples say as much as {few} independent ones; record more and other motions, or "
-            "improve the model below it",
+            "or not at all; record more and other motions, or improve the model below it",
             LogWarning,
             stacklevel=3,
         )
@@ -181,7 +141,7 @@ def learn_posterior(
 def _seen_by(
     model: ResidualDynamics, network: nn.Module, domain: Domain, posterior: Posterior, x: Tensor, residual: Tensor
 ) -> LeftOut:
-    """`LeftOut` of a network and rows that it was not trained on, in one block."""
+    """`LeftOut` of a network and rows that it was not trained on."""
     inner = perceptrons(network)
     with torch.no_grad():
         torque = _by_parts(lambda x: model.ungated(x, network), x)
@@ -190,7 +150,7 @@ def _seen_by(
         leverage = torch.zeros_like(distance)
         if inner is not None:
             leverage = _by_parts(lambda x: posterior.leverage(inner.last_hidden(model.within_range(x))), x)
-    return LeftOut(torque, residual, distance, past, leverage, [])
+    return LeftOut(torque, residual, distance, past, leverage)
 
 
 def _by_parts(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
@@ -198,9 +158,9 @@ def _by_parts(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
     return torch.cat([function(part).double() for part in x.split(ROWS)])
 
 
-def _blocks(samples: Samples, lengths: Sequence[int]) -> list[Block]:
+def _motion_rows(samples: Samples, lengths: Sequence[int]) -> MotionRows:
     q, qd, qdd, tau = (x.double() for x in samples)
-    return blocks(MotionRows(q, qd, qdd, tuple(lengths), tau))
+    return MotionRows(q, qd, qdd, tuple(lengths), tau)
 
 
 def _by_copies(
@@ -210,45 +170,34 @@ def _by_copies(
     lengths: Sequence[int],
     correlation: Tensor,
     how: Training,
-) -> LeftOut:
-    """`LeftOut` of copies of the network, each trained without some blocks, and those blocks."""
-    found, parts = _blocks(train, lengths), list[LeftOut]()
-    x, residual = rows
+) -> tuple[list[LeftOut], list[LeftOut]]:
+    """Torques that copies find for blocks, in the order of time, and for regions, trained without those."""
+    recording = _motion_rows(train, lengths)
+    found, (x, residual) = blocks(recording), rows
     scale = torque_variance(train.tau).to(x)
-    for k in range(min(GROUPS, len(found))):
-        mine = found[k::GROUPS]
-        used = torch.ones(len(x), dtype=torch.bool)  # rows that the copy is trained on
-        for block in mine:
-            for some in (block.rows, *block.beside):
-                used[some] = False
+
+    def without(unused: Sequence[slice | Tensor], shown: Sequence[slice | Tensor], seed: int) -> list[LeftOut]:
+        """Torques that a copy finds for some rows, trained without others."""
+        used = torch.ones(len(x), dtype=torch.bool)
+        for some in unused:
+            used[some] = False
         seen = used.nonzero()[:, 0].to(x.device)
-        network = _trained(model, x, residual, scale, seen, how._replace(seed=how.seed + k))
+        network = _trained(model, x, residual, scale, seen, how._replace(seed=how.seed + seed))
         domain, posterior = copy.deepcopy(model.domain), copy.deepcopy(model.posterior)
         with torch.no_grad():
             domain.cover(model.of_state(x[seen]))
             learn_posterior(model, network, posterior, (x[seen], residual[seen]), correlation)
-        for block in mine:
-            parts.append(
-                _seen_by(model, network, domain, posterior, x[block.rows], residual[block.rows])._replace(
-                    blocks=[block.rows]
-                )
-            )
-    if not parts:
-        none = residual[:0]
-        return LeftOut(none, none, none, none, none, [])
-    parts.sort(key=lambda part: part.blocks[0].start)
+        return [_seen_by(model, network, domain, posterior, x[some], residual[some]) for some in shown]
 
-    def together(name: str) -> Tensor:
-        return torch.cat([getattr(part, name) for part in parts])
-
-    return LeftOut(
-        together("torque"),
-        together("residual"),
-        together("squared_distance"),
-        together("past"),
-        together("leverage"),
-        [part.blocks[0] for part in parts],
-    )
+    left: dict[int, LeftOut] = {}
+    for k in range(min(GROUPS, len(found))):
+        mine = found[k::GROUPS]
+        unused = [some for block in mine for some in (block.rows, *block.beside)]
+        parts = without(unused, [block.rows for block in mine], k)
+        left |= {block.rows.start: part for block, part in zip(mine, parts, strict=True)}
+    halves = [half.cpu() for pair in regions(recording) for half in pair] if found else []
+    apart = [part for k, half in enumerate(halves) for part in without([half], [half], GROUPS + k)]
+    return [left[start] for start in sorted(left)], apart
 
 
 def _trained(
@@ -275,67 +224,3 @@ def _trained(
             ((model.ungated(x[rows], network) - target[rows]).square() / variance).mean().backward()
             optimiser.step()
     return network.eval()
-
-
-def _set(model: ResidualDynamics, left: LeftOut, train: Samples, lengths: Sequence[int]) -> Worth:
-    """Worth of the residual, set in the model: its domain's reach, its weights and its errors."""
-    y, r, n = left.torque, left.residual, model.robot.n
-    variance = torque_variance(train.tau).double()
-    joints = tuple(model.robot.joint_names)
-    if len(left.blocks) < 2:
-        zero, unknown = torch.zeros_like(variance), torch.full_like(variance, math.nan)
-        model.weight.zero_()
-        return Worth(joints, unknown, unknown, zero, unknown, zero, 0.0, math.inf)
-    ends = list(accumulate(block.stop - block.start for block in left.blocks))
-    parts = [slice(a, b) for a, b in pairwise([0, *ends])]
-
-    def gate_of() -> Tensor:
-        return model.domain.factor(left.squared_distance) * (1 - smooth_step(left.past))
-
-    def at_best(gate: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Gated torques, weights [n], and how much the squared error of every block falls [blocks, n]."""
-        gated = gate * y
-        squares = torch.stack([gated[some].square().mean(0) for some in parts])
-        products = torch.stack([(gated[some] * r[some]).mean(0) for some in parts])
-        weight = (products.mean(0) / squares.mean(0).clamp_min(1e-300)).clamp(0.0, 1.0)
-        return gated, weight, 2 * weight * products - weight.square() * squares
-
-    least = model.domain.reach.clone()
-    best, reach = torch.full_like(least, -math.inf), least
-    for share in REACHES:
-        tried = left.squared_distance.quantile(share, 0).clamp_min(0).sqrt().maximum(least)
-        model.domain.reach.copy_(tried)
-        gains = (at_best(gate_of())[2] / variance).mean(0)
-        gains = gains if len(best) == n else gains.mean(0, keepdim=True)
-        best, reach = best.maximum(gains), torch.where(gains > best, tried, reach)
-    model.domain.reach.copy_(reach)
-    gate = gate_of()
-    gated, weight, falls = at_best(gate)
-    by_block = (falls / variance).mean(-1)
-    gain, error = float(by_block.mean()), float(by_block.std() / math.sqrt(len(parts)))
-    weight = weight if gain > error else torch.zeros_like(weight)
-    model.weight.copy_(weight)
-
-    wrong, posterior = r - weight * gated, model.posterior
-    inside = (gate >= 1).double()
-    rows = inside.sum(0)
-    noise = ((wrong.square() * inside).sum(0) / rows.clamp_min(1)).sqrt()
-    posterior.noise.copy_(torch.where(rows > 0, noise, wrong.square().mean(0).sqrt()))
-    posterior.unexplained.copy_(r.square().mean(0).sqrt())
-    correlation = correlation_times(wrong, [b.stop - b.start for b in parts]).to(wrong)
-    posterior.correlation.copy_(correlation)
-    distance = left.squared_distance.clamp_min(0).sqrt() / model.domain.reach + left.past.clamp_min(0)
-    errors = posterior.errors(left.leverage.expand_as(r), gate, distance.expand_as(r), weight)
-    ratio = wrong.abs() / errors.clamp_min(1e-300)
-    posterior.quantile.copy_(ratio.quantile(COVERED, 0))
-    spread = variance.sqrt()
-    return Worth(
-        joints,
-        r.square().mean(0).sqrt() / spread,
-        wrong.square().mean(0).sqrt() / spread,
-        weight,
-        (ratio <= posterior.quantile).double().mean(0),
-        len(r) / correlation,
-        gain,
-        error,
-    )

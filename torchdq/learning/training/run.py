@@ -14,7 +14,7 @@ from torchdq.errors import ArgumentError, TorchdqError
 from torchdq.learning.logs.samples import Samples, torque_variance
 from torchdq.learning.training import checkpoint as checkpoints
 from torchdq.learning.training.distributed import Team
-from torchdq.learning.training.left_out import Worth
+from torchdq.learning.training.worth import Worth
 from torchdq.tables import table
 
 VALIDATION_ROWS = 4096  # rows of the validation data computed at a time
