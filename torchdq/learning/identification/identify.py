@@ -214,6 +214,7 @@ def _identified(
         spread=spread,
         base=base_parameters(facts.V[:, facts.e > 0].T @ near.inverse, near.S.norm(dim=1)),
         noise=facts.noise,
+        model=_beyond(evidence, spread, facts.noise, ladder),
         rms=found.rms,
         correlation=correlation,
         width=width,
@@ -221,6 +222,15 @@ def _identified(
         report=ladder,
         gains=None,
     )
+
+
+def _beyond(evidence: Evidence, spread: Tensor, noise: Tensor, ladder: Ladder | None) -> Tensor:
+    """Standard deviations [n] of residuals on blocks left out beyond those of noise and parameters; zero without."""
+    if ladder is None:
+        return torch.zeros_like(noise)
+    F = spread[evidence.at]
+    told = torch.einsum("jpt,jpr,jrt->j", F, evidence.total[:, :-1, :-1], F) / evidence.samples
+    return (ladder.left - noise.square() - told).clamp_min(0).sqrt()
 
 
 @contextmanager

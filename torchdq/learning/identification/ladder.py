@@ -56,6 +56,7 @@ class Ladder(NamedTuple):
     rungs: tuple[Rung, ...]
     chosen: int
     parts: str  # words for the blocks that were left out
+    left: Tensor  # [n] mean squared residual of the chosen rung on blocks, or on regions where larger [(N m)^2 or N^2]
     useless: tuple[str, ...] = ()  # shapes of friction that no joint gained from
     untold: tuple[str, ...] = ()  # groups of parameters that the samples do not tell
 
@@ -178,7 +179,9 @@ def _chosen(
     useless = [evidence.terms[k].name for k in others if not any(bool(rung.sought[k].any()) for rung in rungs)]
     regions = len(evidence.left) - len(blocks)
     what = f"parts of motions and {regions} regions of the states" if regions else "motions"
-    ladder = Ladder(tuple(rungs), chosen, f"{len(blocks)} {what} that were left out in turn", tuple(useless))
+    squares = rungs[chosen].scores * evidence.sizes / evidence.counts[:, None]
+    left = torch.stack([part.mean(0) for part in (squares[: len(blocks)], squares[len(blocks) :]) if len(part)]).amax(0)
+    ladder = Ladder(tuple(rungs), chosen, f"{len(blocks)} {what} that were left out in turn", left, tuple(useless))
     used = rungs[chosen].sought.any(1)
     return ladder, _only(evidence if math.isinf(rungs[chosen].strength) else identified, used)
 
