@@ -251,7 +251,7 @@ def _currents(names: Sequence[str], left: Tensor, alone: Tensor, factor: Tensor)
     off = [f"{name} ({x:.2g})" for name, x, one in zip(names, factor.tolist(), small.tolist(), strict=True) if one]
     cure = "give Layout(gain=...), torque per ampere at the joints, or gain=None and identify(..., gains=True)"
     return [
-        f"measured torques are small parts of the described ones, of {', '.join(off)}; are they currents of the drives, "
+        f"measured torques are small parts of the described ones, of {', '.join(off)}; are they currents of drives "
         f"whose gain is missing? {cure}"
     ]
 
