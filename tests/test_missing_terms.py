@@ -1,4 +1,4 @@
-"""What a fit lacks is found or named: constant torques, lags of the torques; and what was asked for is all that is fitted.
+"""What a fit lacks is found or named: constant torques, lags of the torques; what was asked for is all that is fitted.
 
 The truth is that of the simulation, whose laws are written out here.
 """
@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from test_ladder_of_models import REAL, ROBOT, STEP, WIDTH, dry, noise, sign, states, torques
+from test_ladder_of_models import REAL, ROBOT, STEP, WIDTH, dry, sign, states, torques
 
 import torchdq
 from torchdq import effects
@@ -50,7 +50,7 @@ def test_an_offset_is_sought_only_where_it_may_be():
     q, qd, qdd = states(5, 400)
     clean = torques(REAL, q, qd, qdd)
     found, words = told(ROBOT, q, qd, qdd, clean, width=WIDTH)
-    assert found.offset is None and "offset" in found.report.useless and not words
+    assert found.offset is None and not words
     found, words = told(ROBOT, q, qd, qdd, clean + CONSTANT, width=WIDTH, friction=True, prior=1.0)
     assert found.offset is None and len(words) == 1
     assert "a constant torque is missing: about 1.5 N m at joint1, about -0.8" in words[0] and "offset=True" in words[0]
@@ -107,7 +107,7 @@ def test_a_lag_of_the_torques_is_told_with_its_size_and_its_cure(late):
 def test_each_log_has_a_lag_of_its_own_and_rows_without_times_count():
     motions = [smooth(log_of(late, seed)) for seed, late in ((1, 0.0), (2, 0.06), (3, 0.0))]
     _, words = told(ROBOT, motions, friction=True, prior=1.0)
-    assert len(words) == 1 and "log2" in words[0] or "1 motions" in words[0]
+    assert len(words) == 1 and "log2" in words[0]
     q, qd, qdd = states(3, 500)
     late = 3  # rows
     tau = torques(REAL, q, qd, qdd)[:, :-late]

@@ -45,8 +45,9 @@ def to_urdf(robot: Robot, original: Any) -> str:
         original: the file that it was read from, as in `from_urdf`.
 
     Raises:
-        ArgumentError: the robot has other links, joints or frames than the file (it was cut, or locked elsewhere than at zero), or numbers that
-            have no place there: rotor inertia, infinite limits, less mass than the links on fixed joints alone.
+        ArgumentError: the robot has other links, joints or frames than the file (it was cut, or locked elsewhere than
+            at zero), or numbers that have no place there: rotor inertia, infinite limits, less mass than the links on
+            fixed joints alone.
 
     >>> import torchdq
     >>> text = "<robot name='r'><link name='a'/><link name='b'><inertial><mass value='2'/></inertial></link>" + (

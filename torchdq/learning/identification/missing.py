@@ -155,7 +155,7 @@ def lagging(names: Sequence[str], lags: Sequence[Lag]) -> list[str]:
         return []
     weight = sum(1 / lag.error**2 for lag in lags)
     mean = sum(lag.seconds / lag.error**2 for lag in lags) / weight
-    alike = all(abs(lag.seconds - mean) < ALIKE * abs(mean) for lag in lags)
+    alike = len(lags) > 1 and all(abs(lag.seconds - mean) < ALIKE * abs(mean) for lag in lags)
     found = []
     for lag in [Lag(-1, mean, weight**-0.5, mean / lags[0].seconds * lags[0].rows)] if alike else lags:
         of = f"{len(lags)} motions" if lag.motion < 0 else (names and names[lag.motion]) or f"motion {lag.motion + 1}"
