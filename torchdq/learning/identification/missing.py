@@ -18,15 +18,16 @@ from torchdq.learning.identification.evidence import Evidence
 from torchdq.learning.identification.regression import columns
 from torchdq.learning.identification.solution import Solution
 from torchdq.learning.identification.terms import OFFSET
+from torchdq.learning.logs.correlation import correlation_times
 from torchdq.robot import Robot
 
 ROWS = 2000  # most rows that are looked at
 FEW = 100  # rows below which nothing is said
 SURE = 5.0  # standard errors from which something is there
-CONSTANT = 0.1  # part of a joint's squared residual that a constant torque must explain, to matter
+MATTERS = 0.1  # part of the squared residuals, of a joint or a motion, that an unknown must take away to matter
+EXACT = 1e-6  # least variance of what is left, relative to that of the residual
 ROUNDS = 5  # in which a lag is found
 ALIKE = 0.3  # difference of the lags of motions, relative to their mean, that one lag for all of them explains
-LATE = 0.1  # part of all squared residuals that a lag must explain, over their variances, to matter
 FOLLOWED = 0.9  # part of the changes of the positions that the velocities explain, where rows follow each other
 
 
@@ -56,42 +57,43 @@ def missing(evidence: Evidence, found: Solution, prior: float, residual: Tensor)
     q, qd, qdd, own = rows.q[some], rows.qd[some], rows.qdd[some], evidence.own[some]
     Z = torch.einsum("rjp,jpt->rjt", columns(evidence.robot, q, qd, qdd, own), found.near.S[at].to(q)).cpu()
     r = residual[some].cpu()
-    noise = r.square().mean(0).maximum(found.facts.noise.square())
-    weight = 1 / (noise * (evidence.correlation(found.change(at)) / step).clamp_min(1.0))
+    motion = torch.repeat_interleave(torch.arange(len(rows.lengths)), torch.tensor(rows.lengths))
+    lengths = motion[some].bincount(minlength=len(rows.lengths)).tolist()
     slope, curvature = (prior / 2 * x for x in found.near.slopes(found.y))
-    slope *= min(1.0, float((weight * noise * evidence.correlation(found.change(at))).mean()) / step)
 
     def sought(E: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Unknowns [e], their errors, and the weighted squares that each explains, of torques per unit [rows, n, e]."""
-        A = torch.cat([Z, E], -1) * weight.sqrt()[:, None]
-        b = torch.einsum("rjk,rj->k", A, r * weight.sqrt())
-        H = torch.einsum("rjk,rjl->kl", A, A)
-        t = Z.shape[-1]
-        H[:t, :t] += curvature
-        b[:t] -= slope
-        size = H.diagonal().clamp_min(torch.finfo(H.dtype).tiny).sqrt()
-        inverse = torch.linalg.pinv(H / size / size[:, None], rtol=1e-12, hermitian=True) / size / size[:, None]
-        x, error = (inverse @ b)[t:], inverse.diagonal()[t:].clamp_min(0).sqrt()
-        return x, error, (x / error.clamp_min(torch.finfo(H.dtype).tiny)).square()
+        """Unknowns [e] of torques per unit [rows, n, e], their errors, and the residuals [rows, n] that they leave."""
+        left, A, t = r, torch.cat([Z, E], -1), Z.shape[-1]
+        for _ in range(2):  # what is noise is seen beside the unknowns
+            weight = 1 / (left.square().mean(0).clamp_min(EXACT * square) * correlation_times(left, lengths))
+            b = torch.einsum("rjk,rj->k", A, r * weight)
+            H = torch.einsum("rjk,rjl->kl", A, A * weight[:, None])
+            H[:t, :t] += curvature
+            b[:t] -= slope / step
+            size = H.diagonal().clamp_min(torch.finfo(H.dtype).tiny).sqrt()
+            inverse = torch.linalg.pinv(H / size / size[:, None], rtol=1e-12, hermitian=True) / size / size[:, None]
+            x = inverse @ b
+            left = r - A @ x
+        return x[t:], inverse.diagonal()[t:].clamp_min(0).sqrt(), left
 
+    square = r.square().mean(0).clamp_min(torch.finfo(r.dtype).tiny)
     constant: dict[int, float] = {}
     if OFFSET not in evidence.terms:
-        x, error, explained = sought(torch.eye(n, dtype=r.dtype).expand(len(r), n, n))
-        whole = (weight * r.square()).sum(0)
-        told = (x.abs() > SURE * error) & (explained > CONSTANT * whole) & (error > 0)
+        x, error, left = sought(torch.eye(n, dtype=r.dtype).expand(len(r), n, n))
+        told = (x.abs() > SURE * error) & (left.square().mean(0) < (1 - MATTERS) * square) & (error > 0)
         constant = {j: float(x[j]) for j in _places(told)}
 
     run, seconds = _runs(evidence)
     if run is None:
         return constant, []
-    motion = torch.repeat_interleave(torch.arange(len(rows.lengths)), torch.tensor(rows.lengths))
-    fitted, shift = (rows.measured - residual).cpu(), torch.ones(len(rows.lengths), dtype=r.dtype)
+    fitted, shift = (rows.measured - residual).cpu(), torch.ones(len(lengths), dtype=r.dtype)
     for _ in range(ROUNDS):
         late = _shifted(fitted, run, shift[motion]) - fitted
-        x, error, explained = sought((late / shift[motion, None])[some, :, None] * _one_hot(motion[some], shift))
+        x, error, left = sought((late / shift[motion, None])[some, :, None] * _one_hot(motion[some], shift))
         shift = torch.where(x.abs() > 1, x, torch.where(x < 0, -1.0, 1.0))
-    whole = torch.zeros_like(shift).index_add(0, motion[some], (weight * r.square()).sum(1))
-    told = (x.abs() > SURE * error) & (explained > LATE * whole) & (error > 0)
+    none = torch.zeros_like(shift)
+    after, before = (none.index_add(0, motion[some], (y.square() / square).sum(1)) for y in (left, r))
+    told = (x.abs() > SURE * error) & (after < (1 - MATTERS) * before) & (error > 0)
     return constant, [Lag(k, seconds * float(x[k]), seconds * float(error[k]), float(x[k])) for k in _places(told)]
 
 
