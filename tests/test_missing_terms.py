@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from test_ladder_of_models import REAL, ROBOT, STEP, WIDTH, dry, sign, states, torques
+from test_ladder_of_models import DATA, REAL, ROBOT, STEP, WIDTH, dry, sign, states, torques
 
 import torchdq
 from torchdq import effects
 from torchdq.envs import Scene
 from torchdq.errors import ArgumentError
-from torchdq.learning import Layout, Log, LogWarning, identify, sample, smooth
+from torchdq.learning import Layout, Log, LogWarning, identify, sample, samples, smooth
 
 CONSTANT = torch.tensor([1.5, -0.8], dtype=torch.float64)
 
@@ -215,22 +215,36 @@ def test_errors_hold_what_blocks_that_were_left_out_show():
             [(7 * q[..., 1] + k).sin() * q[..., 0].cos(), (5 * q[..., 0]).cos() * (4 * q[..., 1]).sin()], -1
         )
 
-    inside, narrow, same = [], [], []
-    for seed in range(4):
-        q, qd, qdd = (x[None] for x in (y[0] for y in states(1, 500, seed=seed)))
-        tau = torques(REAL, q, qd, qdd, size=0.05, seed=seed) + wrong(q, seed)
-        found = identify(ROBOT, q, qd, qdd, tau, width=WIDTH)
+    inside = []
+    for seed in range(3):
+        q, qd, qdd = (x[:1] for x in states(1, 500, seed=seed))
+        found = identify(
+            ROBOT, q, qd, qdd, torques(REAL, q, qd, qdd, size=0.05, seed=seed) + wrong(q, seed), width=WIDTH
+        )
         other = states(3, 400, seed=100 + seed)
         new = torques(REAL, *other, size=0.05, seed=seed + 50) + wrong(other[0], seed)
-        told = found.predict(*other)
-        off = (new - told.tau).abs()
-        alone = (told.error.square() - found.model.square()).clamp_min(0)
-        inside.append(float((off < 1.96 * torch.hypot(told.error, found.noise)).double().mean()))
-        narrow.append(float((off < 1.96 * (alone + found.noise.square()).sqrt()).double().mean()))
-        same.append(bool((found.model > 0).any()))
-    assert all(same) and np.mean(inside) > np.mean(narrow) + 0.02 and np.mean(inside) > 0.88, (inside, narrow)
+        told, alone = found.predict(*other), found._replace(model=torch.zeros(2).double()).predict(*other).error
+        assert torch.allclose(told.error.square(), alone.square() + found.model.square())
+        inside.append(float(((new - told.tau).abs() < 1.96 * torch.hypot(told.error, found.noise)).double().mean()))
+        own = found._replace(model=0 * found.model).predict(q, qd, qdd).error.square().mean((0, 1))
+        expected = (found.report.left - found.noise.square() - own).clamp_min(0).sqrt()
+        assert torch.allclose(found.model, expected, rtol=1e-3, atol=1e-3 * float(found.noise.max()))
+    assert min(inside) > 0.93
     q, qd, qdd = states(5, 400)
     right = identify(ROBOT, q, qd, qdd, torques(REAL, q, qd, qdd), width=WIDTH)
     assert bool((right.model < 0.4 * right.noise).all())
     plain = identify(ROBOT, q, qd, qdd, torques(REAL, q, qd, qdd), friction=True, prior=1.0, width=WIDTH)
     assert not bool(plain.model.any())
+
+
+def test_intervals_hold_in_the_rest_of_a_recording():
+    folder = DATA / "panda_gaz2019"
+    if not folder.is_dir():
+        pytest.skip("the recordings are not here")
+    splits = pytest.importorskip("splits")
+    split = splits.panda(DATA, False)[1]  # identified on less than a third; 0.85 with errors of the parameters alone
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        found = identify(split.robot, split.train, armature=True, offset=True)
+    told, tau = found.predict(split.test), samples(split.test).tau
+    assert 0.93 < float(((told.tau - tau).abs() < 1.96 * torch.hypot(told.error, found.noise)).double().mean()) < 0.99
