@@ -244,7 +244,7 @@ def _scaled(names: Sequence[str], left: Tensor, alone: Tensor, factor: Tensor) -
 
 def _currents(names: Sequence[str], left: Tensor, alone: Tensor, factor: Tensor) -> list[str]:
     """Words for torques that are small parts of the described ones at most joints, as currents are."""
-    sure = (alone - left > SHARE) & (left < POOR) & (factor > 0)
+    sure = (factor > 0) & (left < POOR) & (alone - left > SHARE)
     small = sure & (factor * CURRENT <= 1)
     if not 2 * int(small.sum()) > int(sure.sum()):
         return []
