@@ -25,9 +25,9 @@ from torchdq.learning.bodies.nearest import curvature, nearest, relative
 from torchdq.learning.bodies.pseudo_inertia import central, inertial_parameters, moved, pseudo_inertia
 from torchdq.learning.identification.feasible import ENTRIES
 from torchdq.learning.identification.identify import Identified
-from torchdq.learning.logs.correlation import correlation_times
 from torchdq.learning.logs.motions import Motion, samples
 from torchdq.learning.logs.samples import Samples
+from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
 from torchdq.tables import table
 
@@ -67,6 +67,7 @@ class IdentifiedPayload(NamedTuple):
         return table((f"payload at {self.frame}", "estimate", "standard error", "unit"), rows)
 
 
+@one_thread()
 def identify_payload(
     empty: Identified,
     motions: Motion | Sequence[Motion] | Tensor,
@@ -211,8 +212,12 @@ def _left(Z: Tensor, residual: Tensor, weight: Tensor) -> Tensor:
 
 
 def _correlation(x: Tensor) -> Tensor:
-    """Correlation times [n] of signals of one motion [rows, n] about their means, in rows."""
-    return correlation_times(x - x.mean(0), (len(x),))
+    """Correlation times [n] of signals [rows, n], in rows: 1 + 2 times the correlations while they are positive."""
+    x = x - x.mean(0)
+    spectrum = torch.fft.rfft(x, n=2 * len(x), dim=0).abs().square()
+    r = torch.fft.irfft(spectrum, dim=0)[: len(x)]
+    r = r / r[0].clamp_min(1e-300)
+    return 1 + 2 * (r[1:] * (r[1:] > 0).cumprod(0)).sum(0)
 
 
 def _expected(mass: Tensor, com: Tensor, size: float) -> Tensor:
