@@ -3554,6 +3554,21 @@ MUTANTS = (
         ),
     ),
     *within(
+        "torchdq/learning/identification/missing.py",
+        (
+            "a lag of the opposite sign",
+            "at = torch.arange(len(x)).to(late) - late",
+            "at = torch.arange(len(x)).to(late) + late",
+            "missing_terms.py::test_a_lag_of_the_torques_is_told_with_its_size_and_its_cure",
+        ),
+        (
+            "constant torques that the fit hides",
+            "A, t = r, torch.cat([Z, E], -1), Z.shape[-1]",
+            "A, t = r, torch.cat([0 * Z, E], -1), Z.shape[-1]",
+            "missing_terms.py::test_an_offset_is_sought_only_where_it_may_be",
+        ),
+    ),
+    *within(
         "torchdq/learning/identification/gains.py",
         (
             "gains about one alone",

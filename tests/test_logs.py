@@ -179,7 +179,7 @@ def cell(row: int, column: int, text: str) -> Callable[[list[str]], None]:
         (cell(30, 1, "0.001"), r"log\.csv, row 30, column 'time': .* s before the row above"),
         (
             lambda lines: lines.__delitem__(slice(100, 400)),
-            r"row 101, column 'time': 0\.\d+ s after the row above, more than 0\.1 s; .*rows=\(first, last\)",
+            r"row 101, column 'time': 0\.\d+ s after the row above, more than 0\.1 s; .*rows=\(0, 99\) .* rows=\(99,",
         ),
         (cell(17, 2, "1,2"), r"row 17: 23 columns, expected 22 columns time \.\.\. tau7"),
         (lambda lines: lines.insert(16, ""), r"row 17: 1 columns, expected 22"),
@@ -828,9 +828,30 @@ def test_recordings_are_read(name, layout, rows, rate):
 
 def test_spoilt_rows_are_left_out_by_rows():
     name = "ur10e_innopolis/ur-20_02_19_15harm50secLoad.csv"
-    with pytest.raises(learning.LogError, match=r"row 2, column 'time': 3048 s before the row above.*rows="):
+    words = (
+        r"row 2, column 'time': 3048 s before the row above; read a part of it .* runs on: rows=\(10, 6106\) of 64.1 s"
+    )
+    with pytest.raises(learning.LogError, match=words):
         recording(name)
-    assert len(recording(name, rows=(10, 100_000)).time) > 5000
+    assert len(recording(name, rows=(10, 6106)).time) > 5000
+    with pytest.raises(learning.LogError, match=r"runs on: rows=\(10, 6106\)"):
+        recording(name, rows=(1, 6106))
+
+
+def test_parts_of_a_log_whose_time_jumps_are_named():
+    time = np.concatenate([np.arange(100), 40 + np.arange(100), 500 + np.arange(50)]) * 0.01
+    q = np.sin(np.stack([time, 2 * time], 1))
+    log = {"time": time, "q": q, "qd": None, "tau": q + np.arange(250)[:, None]}
+    parts = r"rows=\(0, 100\) of 0.99 s or rows=\(100, 200\) of 0.99 s or rows=\(200, 250\) of 0.49 s"
+    with pytest.raises(learning.LogError, match=f"row 100, column 'time': 0.59 s before .*{parts}"):
+        learning.read(log)
+    again = log | {"tau": q}  # the rows from 100 to 159 are those from 40 to 99
+    cure = r"rows 100 to 159 repeat rows 40 to 99; leave them out: read rows=\(0, 100\) and rows=\(160, 250\)"
+    with pytest.raises(learning.LogError, match=cure):
+        learning.read(again)
+    assert len(learning.read(again, rows=(0, 100)).time) == 100
+    with pytest.raises(learning.LogError, match=r"3.61 s after the row above.* rows=\(160, 200\) .* rows=\(200, 250\)"):
+        learning.read(again, rows=(160, 250))
 
 
 def test_the_double_pendulums_elbow_is_explained_by_its_published_model():

@@ -108,6 +108,16 @@ def test_torques_without_gravity_are_named(name, seed):
         assert "without gravity" not in doubted(robot, data._replace(tau=factor * data.tau))
 
 
+@pytest.mark.parametrize("name", ROBOTS)
+def test_currents_without_a_gain_are_named(name):
+    robot, data = recorded(name, seed=1)
+    gain = torch.linspace(6.0, 14.0, robot.n).double()  # torque per ampere at the joints
+    found = doubted(robot, data._replace(tau=data.tau / gain))
+    assert "are they currents of drives whose gain is missing? give Layout(gain=...)" in found
+    assert "without gravity" not in found and any(f"{joint} (0." in found for joint in robot.joint_names)
+    assert doubted(robot, data._replace(tau=data.tau / 1.5)) == doubted(robot, data._replace(tau=1.5 * data.tau)) == ""
+
+
 @pytest.mark.parametrize("value", [0.0, -3.7])
 def test_a_torque_that_never_changes_is_named(value):
     robot, data = recorded("panda", seed=1)

@@ -173,8 +173,5 @@ def test_other_arguments_are_refused(told):
     for arguments, words in [((3, 5), "identified must be what identify returns, found int"), ((told, 0), "n must be")]:
         with pytest.raises(ArgumentError, match=words):
             sample(*arguments)
-    names = (*told.names[:-1], "joint2 ripple")
-    with pytest.raises(ArgumentError, match="friction must be viscous and Coulomb, found ripple"):
-        sample(told, 2)._replace(names=names).effects()
     with pytest.raises(ArgumentError, match="most must be a finite number from 0"):
         sample(told, 3, most=-1.0)

@@ -194,6 +194,18 @@ def test_one_limit_is_written_alone():
     assert read_urdf(written).limits.velocity[1] == 3
 
 
+def test_a_robot_that_was_read_with_some_joints_is_written():
+    """What changed of a body goes to the link that moves it; links beyond joints that were left stay as they are."""
+    robot = torchdq.Robot.from_urdf(TEXT, joints=["shoulder"])
+    assert robot.to_urdf(TEXT) == TEXT
+    other = robot.replace(mass=1.5 * robot.mass, damping=robot.damping + 0.5)
+    written = other.to_urdf(TEXT)
+    again, whole, before = torchdq.Robot.from_urdf(written, joints=["shoulder"]), read_urdf(written), read_urdf(TEXT)
+    assert torch.allclose(again.mass, other.mass) and torch.allclose(again.damping, other.damping)
+    added = whole.mass - before.mass
+    assert float(added[0]) == pytest.approx(0.5 * float(robot.mass[0])) and float(added[1]) == 0
+
+
 def _limit(robot, field, i, value):
     x = getattr(robot.limits, field).clone()
     x[i] = value
@@ -201,7 +213,7 @@ def _limit(robot, field, i, value):
 
 
 REFUSED = {
-    "locked": (lambda r: r.lock(["wrist"]), "joint_names of robot 'two' must be that of the original, found"),
+    "locked": (lambda r: r.lock({"wrist": 0.4}), "of robot 'two' must be that of the original"),
     "cut": (lambda r: r.subchain("upper", "point"), "of robot 'two' must be that of the original"),
     "moved": (lambda r: r.replace(X_PB_home=r.X_PB_home * -1), "X_PB_home of robot 'two' must be that of the original"),
     "batch": (lambda r: r.replace(mass=r.mass.expand(2, -1)), "mass of robot 'two' must have no batch axes"),

@@ -48,8 +48,8 @@ def require_same_tree(robot: Robot, original: Robot) -> None:
             found = f", found {own}, in the original {theirs[name]}" if name in ("joint_names", "link_names") else ""
             raise ArgumentError(
                 f"{name} of robot {robot.name!r} must be that of the original{found}; only masses, centres of mass, "
-                "inertias, friction, damping and limits are written: a robot that was locked, cut or moved has no "
-                "place in the file that it came from"
+                "inertias, friction, damping and limits are written: a robot that was cut or moved, or locked "
+                "elsewhere than at zero, has no place in the file that it came from; read it with all joints"
             )
 
 

@@ -36,16 +36,18 @@ def to_urdf(robot: Robot, original: Any) -> str:
     Only masses, centres of mass, inertias, damping, friction and limits that differ from the file's are written, with
     all their digits; everything else stays byte for byte. If nothing differs, the text is the original. A link that
     carries others on fixed joints takes on all that changed of their common body, so that the others stay as they are:
-    read again, the text gives the robot, with mimic="independent" if it was read so: <mimic> stays in the text. Gravity
-    and the tip are no part of a URDF file.
+    read again, the text gives the robot, with mimic="independent" if it was read so: <mimic> stays in the text; and
+    with the same `joints` if it was read with some of them, links beyond the others being carried as on fixed joints at
+    zero. Gravity and the tip are no part of a URDF file.
 
     Args:
-        robot: the robot, with all joints of the file.
+        robot: the robot, with all joints of the file, or those that it was read with.
         original: the file that it was read from, as in `from_urdf`.
 
     Raises:
-        ArgumentError: the robot has other links, joints or frames than the file (it was locked or cut), or numbers that
-            have no place there: rotor inertia, infinite limits, less mass than the links on fixed joints alone.
+        ArgumentError: the robot has other links, joints or frames than the file (it was cut, or locked elsewhere than
+            at zero), or numbers that have no place there: rotor inertia, infinite limits, less mass than the links on
+            fixed joints alone.
 
     >>> import torchdq
     >>> text = "<robot name='r'><link name='a'/><link name='b'><inertial><mass value='2'/></inertial></link>" + (
@@ -59,6 +61,9 @@ def to_urdf(robot: Robot, original: Any) -> str:
     first = type(robot).from_urdf(text, **options)
     if first.joint_map is not None and robot.joint_map is None:
         options["mimic"] = "independent"
+        first = type(robot).from_urdf(text, **options)
+    if robot.joint_map is None and set(robot.joint_names) < set(first.joint_names):
+        options["joints"] = robot.joint_names
         first = type(robot).from_urdf(text, **options)
     require_same_tree(robot, first)
     xml = XmlText(text)

@@ -15,19 +15,18 @@ import torch
 from torch import Tensor
 
 from torchdq.checks import require_count, require_number
-from torchdq.effects import Coulomb, Effect, Gravity, RotorInertia, Viscous
+from torchdq.effects import Effect, Gravity, RotorInertia
 from torchdq.errors import ArgumentError
 from torchdq.learning.bodies.nearest import nearest, relative
 from torchdq.learning.bodies.pseudo_inertia import central, inertial_parameters, pseudo_inertia
 from torchdq.learning.identification.feasible import ENTRIES
-from torchdq.learning.identification.identify import Identified
+from torchdq.learning.identification.identified import Identified
+from torchdq.learning.identification.terms import ROTOR, Term
 from torchdq.learning.threads import one_thread
 from torchdq.notice import Notice
 from torchdq.robot import Robot
 from torchdq.tables import summary
 
-KINDS = ("rotor", "viscous", "coulomb", "offset")
-SIGNED = ("offset",)  # coefficients of the joints that may be negative
 KAPPA = 100.0  # weight of the base parameters: so many times that of the bodies that are drawn
 TOGETHER = 256  # robots at a time
 DTYPE = torch.float64
@@ -37,6 +36,7 @@ class Sampled(NamedTuple):
     """Robots drawn from the posterior of an identification, as one robot with a batch axis, and their friction."""
 
     robot: Robot  # [samples] in mass, com, inertia and, if it was sought, armature
+    terms: tuple[Term, ...]  # kinds of the parameters that are not those of bodies
     names: tuple[str, ...]  # [k]
     parameters: Tensor  # [samples, k], as in `Identified`
     width: float  # velocity below which dry friction is viscous [rad/s or m/s]
@@ -45,29 +45,22 @@ class Sampled(NamedTuple):
         return summary(f"Sampled {self.robot.name}", {"mass": (self.robot.mass, "kg")})
 
     def coefficients(self, kind: str) -> Tensor | None:
-        """Coefficients [samples, n] of the joints: of "rotor", "viscous", "coulomb" or "offset"; None: not sought."""
-        known = dict(zip(self.names, range(len(self.names)), strict=True))
-        at = [known[name] for joint in self.robot.joint_names if (name := f"{joint} {kind}") in known]
-        return self.parameters[:, at] if at else None
+        """Coefficients [samples, n] of the joints, of one kind as in `Identified.coefficients`; None: not sought."""
+        kinds, n = [term.name for term in self.terms], self.robot.n
+        if kind not in kinds:
+            return None
+        first = 10 * len(self.robot.link_names) + n * kinds.index(kind)
+        return self.parameters[:, first : first + n]
 
     def effects(self) -> tuple[Effect, ...]:
-        """Gravity, rotor inertia and friction of a scene, a row per robot; constant offsets are not among them.
+        """Gravity, rotor inertia and all friction found, a row per robot, as effects of a scene.
 
-        Raises `ArgumentError` for friction of another kind than viscous and Coulomb.
+        Constant torques are not among them: `coefficients("offset")` is added to the torques of the scene.
         """
-        others = sorted({name.rpartition(" ")[2] for name in self.names[10 * len(self.robot.link_names) :]} - {*KINDS})
-        if others:
-            cure = "identify with friction=True, or make the effects from coefficients(kind)"
-            raise ArgumentError(f"friction must be viscous and Coulomb, found {', '.join(others)}; {cure}")
-        found: list[Effect] = [Gravity()]
-        if self.robot.armature is not None:
-            found.append(RotorInertia())
-        viscous, coulomb = self.coefficients("viscous"), self.coefficients("coulomb")
-        if viscous is not None:
-            found.append(Viscous(viscous))
-        if coulomb is not None:
-            found.append(Coulomb(coulomb, self.width))
-        return tuple(found)
+        rotors = () if self.robot.armature is None else (RotorInertia(),)
+        own = self.parameters[:, 10 * len(self.robot.link_names) :].unflatten(1, (len(self.terms), self.robot.n))
+        rows = zip(self.terms, own.unbind(1), strict=True)
+        return (Gravity(), *rotors, *(effect for term, numbers in rows for effect in term.found(numbers, self.width)))
 
 
 @one_thread()
@@ -116,11 +109,10 @@ def sample(identified: Identified, n: int, most: float = 1.0, seed: int = 0) -> 
         name: torch.index_copy(getattr(robot, name).double().expand(n, *getattr(robot, name).shape), 1, at, x)
         for name, x in (("mass", mass), ("com", com), ("inertia", inertia))
     }
-    rotors = Sampled(robot, identified.names, parameters, identified.width).coefficients("rotor")
-    if rotors is not None:
+    drawn = Sampled(robot, identified.terms, identified.names, parameters, identified.width)
+    if (rotors := drawn.coefficients(ROTOR.name)) is not None:
         changes["armature"] = rotors
-    batch = robot.replace(**{name: x.to(robot.mass) for name, x in changes.items()})
-    return Sampled(batch, identified.names, parameters, identified.width)
+    return drawn._replace(robot=robot.replace(**{name: x.to(robot.mass) for name, x in changes.items()}))
 
 
 class _Space:
@@ -139,9 +131,9 @@ class _Space:
         change = torch.einsum("lij,ljkt,lmk->limt", inverse, change, inverse)
         width = torch.linalg.matrix_norm(change.flatten(1, 2), 2)
         self.change = change * (most / width.clamp_min(most))[:, None, None, None] if most else 0 * change
-        kinds = [name.rpartition(" ")[2] for name in identified.names[bodies:]]
         rest = F[bodies:].norm(dim=1)
-        positive = torch.tensor([kind not in SIGNED for kind in kinds], dtype=torch.bool) & (phi[bodies:] > 0)
+        signed = [term.signed for term in identified.terms for _ in range(identified.robot.n)]
+        positive = ~torch.tensor(signed, dtype=torch.bool) & (phi[bodies:] > 0)
         self.positive = (positive & (rest > 0)).nonzero()[:, 0] + bodies
         self.signed = (~positive & (rest > 0)).nonzero()[:, 0] + bodies
         self.bodies = (10 * self.links[:, None] + torch.arange(10)).flatten()

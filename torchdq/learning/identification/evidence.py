@@ -29,6 +29,7 @@ class Evidence(NamedTuple):
     total: Tensor  # [n, p + 1, p + 1] of all rows
     left: Tensor  # [blocks, n, p + 1, p + 1] of the rows of each block, and region
     folds: Tensor  # [blocks, n, p + 1, p + 1] of all rows but those, and but those beside
+    counts: Tensor  # [blocks] rows
     sizes: Tensor  # [blocks, n] squares of its torques about their mean, of its motion's variance
     squares: Tensor  # [n] mean squares of the torques
     unit: Tensor  # [terms, n] root mean squares of `own`
@@ -100,9 +101,10 @@ def gather(
         left, folds = torch.cat([left, half, total - half]), torch.cat([folds, total - half, half])
         variance = torch.cat([variance, tau.var(0, correction=0).expand(2, -1)])
         counts += [len(part) for part in pair]
-    sizes = torch.tensor(counts)[:, None] * torch.where(variance > 0, variance, 1.0)
+    each = torch.tensor(counts)
+    sizes = each[:, None] * torch.where(variance > 0, variance, 1.0)
     squares, unit = tau.square().mean(0), own.square().mean(0).sqrt().T.cpu()
-    return Evidence(robot, recording, tuple(terms), own, total, left, folds, sizes, squares, unit, at)
+    return Evidence(robot, recording, tuple(terms), own, total, left, folds, each, sizes, squares, unit, at)
 
 
 def described(robot: Robot) -> Tensor:

@@ -26,6 +26,7 @@ from torchdq.robot import Robot
 from torchdq.tables import summary, table
 
 INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # parameters of a link, about its frame
+FORCE = "N m or N"
 UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 
 
@@ -33,7 +34,7 @@ class Prediction(NamedTuple):
     """Torques with their standard errors, each [..., n]."""
 
     tau: Tensor  # [N m or N]
-    error: Tensor  # [N m or N], of the parameters; noise comes on top, and what the model has no term for
+    error: Tensor  # [N m or N], of the parameters and of the model; noise comes on top
 
     def __repr__(self) -> str:
         return summary("Prediction", {name: (x, "N m or N") for name, x in self._asdict().items()})
@@ -63,6 +64,7 @@ class Identified(NamedTuple):
     spread: Tensor  # [k, t] F, the covariance being F F^T: exact where huge errors cancel in a combination
     base: Tensor  # [rank, k]: each row one parameter and those that the samples cannot separate from it
     noise: Tensor  # [n] standard deviation of a torque's residual, by which the joints were weighted [N m or N]
+    model: Tensor  # [n] standard deviation of what the model has no term for, as blocks left out show [N m or N]
     rms: Tensor  # [n] root mean square of the residual torque [N m or N]
     correlation: Tensor  # [n] correlation time of the residual torque, in rows
     width: float  # width of the Coulomb friction [rad/s or m/s]
@@ -193,7 +195,9 @@ class Identified(NamedTuple):
             if so
         ]
         parameters = table(("parameter", "estimate", "standard error", "unit", "excited"), rows)
-        residuals = summary("residual", {"rms": (self.rms, "N m or N"), "noise": (self.noise, "N m or N")})
+        residuals = summary(
+            "residual", {"rms": (self.rms, FORCE), "noise": (self.noise, FORCE), "model": (self.model, FORCE)}
+        )
         if self.gains is not None:
             drives = zip(self.robot.joint_names, *(x.tolist() for x in self.gains), strict=True)
             cells = [(joint, f"{x:.4g}", f"{error:.2g}") for joint, x, error in drives]
@@ -211,6 +215,11 @@ class Identified(NamedTuple):
         self, motions: Motion | Sequence[Motion] | Tensor, qd: Tensor | None = None, qdd: Tensor | None = None
     ) -> Prediction:
         """Torques of the identified robot, friction and offset included, [..., n], with standard errors.
+
+        The errors are those of the parameters, and those of the model, `model`, which are what blocks of the motions
+        that were left out show beyond both noise and parameters: none where no model was chosen. Measured torques lie
+        95 % of the time within 1.96 sqrt(error^2 + noise^2) in motions of the kinds that were identified; in motions
+        that go elsewhere or far faster less often, since nothing recorded shows by how much.
 
         Args:
             motions: motions from `smooth`, whose rows follow each other in the result; or joint positions [..., n]
@@ -235,6 +244,7 @@ class Identified(NamedTuple):
                 error[part] = torch.einsum("rjp,jpt->rjt", Z, spread.to(q)).norm(dim=-1)
                 if rotor is None and self.robot.armature is not None:
                     tau[part] += self.robot.armature.to(q) * qdd
+            error = torch.hypot(error, self.model.to(error))
         return Prediction(tau.reshape(*batch, n), error.reshape(*batch, n))
 
 

@@ -22,15 +22,17 @@ import torch
 from torch import Tensor
 
 from torchdq.checks import require_number
+from torchdq.effects.friction import Friction
 from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics, require_finite
-from torchdq.learning.identification.evidence import Evidence, gather
+from torchdq.learning.identification.evidence import Evidence, described, gather
 from torchdq.learning.identification.gains import drive_gains
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
 from torchdq.learning.identification.ladder import STRENGTHS, Ladder, climb
+from torchdq.learning.identification.missing import lagging, missing, offset_missing
 from torchdq.learning.identification.regression import base_parameters, rigid
 from torchdq.learning.identification.solution import ITERATIONS, Solution, solve
-from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, SHAPES, VISCOUS, Term
+from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, SHAPES, VISCOUS, Term, terms_of
 from torchdq.learning.logs.blocks import MotionRows, blocks
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.logs.plausibility import LogWarning, doubts, misshapen, sampled, unexplained
@@ -50,8 +52,8 @@ def identify(
     qd: Tensor | None = None,
     qdd: Tensor | None = None,
     tau: Tensor | None = None,
-    friction: bool | Literal["choose"] = "choose",
-    offset: bool = False,
+    friction: bool | Literal["choose"] | Friction | Sequence[Friction] = "choose",
+    offset: bool | Literal["choose"] = "choose",
     armature: bool = False,
     prior: float | None = None,
     width: float = 1e-2,
@@ -78,8 +80,10 @@ def identify(
         qd, qdd: joint velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2], [..., n], beside positions.
         tau: measured joint torques [N m or N], [..., n], beside positions.
         friction: "choose": viscous and Coulomb friction, and of other shapes what blocks that were left out gain from;
-            True: viscous and Coulomb friction; False: the joints have none.
-        offset: seek a constant torque of every joint.
+            True: viscous and Coulomb friction; False: the joints have none. Or friction effects, which are sought and
+            no others: the numbers that they have where their torque is linear do not matter, all others hold.
+        offset: "choose": seek a constant torque of the joints that gain from it on blocks that were left out; True: of
+            every joint; False: of none.
         armature: seek the rotor inertia of every joint, or leave it as described.
         prior: weight of the description, positive: a change of 1 / sqrt(prior), relative to the described value, costs
             as much as one torque that is off by the noise of its joint. What hundreds of samples identify does not
@@ -92,7 +96,8 @@ def identify(
             signs Coulomb friction comes out too small, viscous friction too large. Give `smooth` the same `width`: the
             one here then only serves predictions and simulation. None: qd / sqrt(qd^2 + width^2), for torques that are
             not filtered. A `LogWarning` names joints whose friction has another shape than was sought, for which the
-            numbers are biased beyond their errors.
+            numbers are biased beyond their errors; another names constant torques that were not sought, another torques
+            that lag the motion, with the time.
         gains: seek the torque per unit of effort of every joint, where `tau` is a current, or a torque by gains that
             are not trusted: 1 with a standard deviation of 0.3 before the samples, or anything where the layout of the
             log has no gains. One factor of them all, with masses, comes from the description. They are
@@ -117,22 +122,29 @@ def identify(
         raise ArgumentError(
             f"at least one sample and one joint are needed, found {len(rows.q)} samples of {robot.n} joints"
         )
-    if not isinstance(friction, bool) and friction != "choose":
-        raise ArgumentError(f"friction must be True, False or 'choose', found {friction!r}")
+    for name, x in (("friction", friction), ("offset", offset)):
+        if isinstance(x, str) and x != "choose":
+            raise ArgumentError(f"{name} must be True, False or 'choose', found {x!r}")
+    if not isinstance(offset, bool | str):
+        raise ArgumentError(f"offset must be True, False or 'choose', found {offset!r}")
     if prior is not None and prior != math.inf:
         require_number("prior", prior, positive=True)
     require_number("width", width, positive=True)
     require_finite(**rows.signals())
     require_bodies(robot, "identification")
 
-    fixed = [ROTOR] * armature + [VISCOUS, COULOMB] * bool(friction) + [OFFSET] * offset
+    plain = [VISCOUS, COULOMB] * bool(friction)
+    rubbing = plain if isinstance(friction, bool | str) else [*terms_of(friction, robot, width)]
+    if not memory and any(term.bristles for term in rubbing):
+        raise ArgumentError("friction must not remember where memory=False says so, found LuGre")
+    fixed = [ROTOR] * armature + rubbing + [OFFSET] * (offset is True)
     if not (rows.known_gains or gains):
         raise ArgumentError("tau of the motions must be torques, found efforts of unknown gains; give gains=True")
     left_out = blocks(rows) if friction == "choose" or prior is None else []
     with torch.no_grad(), _solvable(rows.signals()), Notice(f"identifying {robot.name}") as notice:
         drives = None
         if gains:
-            motors = [ROTOR] * (armature or robot.armature is not None) + [term for term in fixed if term is not ROTOR]
+            motors = [ROTOR] * (armature or robot.armature is not None) + plain + [OFFSET] * (offset is True)
             drives = drive_gains(gather(robot, rows, motors, width, None, (), notice.at), rows.known_gains)
             rows = rows._replace(tau=rows.measured * drives.value.to(rows.q))
         moves = _moving(robot, rows.qd, width)
@@ -142,17 +154,20 @@ def identify(
         ladder, strength = None, math.inf if frozen else 1.0
         weight = 1.0 if prior is None or frozen else prior
         if left_out:
-            candidates = [term for term in SHAPES if memory or not term.bristles] if friction == "choose" else []
+            shapes = SHAPES if friction == "choose" else ()
+            candidates = [OFFSET] * (offset == "choose") + [term for term in shapes if memory or not term.bristles]
             strengths = STRENGTHS if prior is None else (strength,)
             ladder, evidence = climb(robot, rows, fixed, candidates, width, strengths, left_out, notice.at)
             sought, strength = ladder.rung.sought[ladder.rung.sought.any(1)], ladder.rung.strength
         else:
-            evidence = gather(robot, rows, fixed, width, None, (), notice.at)
+            loaded = any(term.loaded for term in fixed)
+            load = rigid(robot, rows, described(robot), robot.armature) if loaded else None
+            evidence = gather(robot, rows, fixed, width, load, (), notice.at)
             sought = torch.ones(len(fixed), robot.n, dtype=torch.bool)
         evidence, found, correlation = _fitted(evidence, sought, strength, weight, width, notice.at)
         if not found.settled:
             warnings.warn(f"the least squares have not settled after {ITERATIONS} iterations", stacklevel=2)
-        if (late := _late(evidence, found, width)) and not doubt:
+        for late in () if doubt else _late(evidence, found, weight, width):
             warnings.warn(late, LogWarning, stacklevel=2)
         return _identified(evidence, found, correlation, weight, width, moves, ladder)._replace(gains=drives)
 
@@ -201,6 +216,7 @@ def _identified(
         spread=spread,
         base=base_parameters(facts.V[:, facts.e > 0].T @ near.inverse, near.S.norm(dim=1)),
         noise=facts.noise,
+        model=_beyond(evidence, spread, facts.noise, ladder),
         rms=found.rms,
         correlation=correlation,
         width=width,
@@ -208,6 +224,15 @@ def _identified(
         report=ladder,
         gains=None,
     )
+
+
+def _beyond(evidence: Evidence, spread: Tensor, noise: Tensor, ladder: Ladder | None) -> Tensor:
+    """Standard deviations [n] of residuals on blocks left out beyond those of noise and parameters; zero without."""
+    if ladder is None:
+        return torch.zeros_like(noise)
+    F = spread[evidence.at]
+    told = torch.einsum("jpt,jpr,jrt->j", F, evidence.total[:, :-1, :-1], F) / evidence.samples
+    return (ladder.left - noise.square() - told).clamp_min(0).sqrt()
 
 
 @contextmanager
@@ -247,17 +272,22 @@ def _doubts(robot: Robot, rows: MotionRows, width: float) -> str:
     return doubts(described, robot.joint_names, sampled([rows.q, rows.qd, rows.qdd, rows.measured]), width)
 
 
-def _late(evidence: Evidence, found: Solution, width: float) -> str:
-    """Words for torques that the solution does not explain, or explains by friction of a wrong shape; "" for none."""
+def _late(evidence: Evidence, found: Solution, prior: float, width: float) -> list[str]:
+    """Words for what is wrong with torques that the solution does not explain, or explains by wrong terms."""
     robot, rows, at = evidence.robot, evidence.recording, evidence.at
     residual = evidence.residual(found.change(at))
     signals = [rows.q, rows.qd, rows.qdd, rows.measured, residual]
     few = sampled(signals if rows.direction is None else [*signals, rows.direction])
     fitted, signs = few[3] - few[4], None if rows.direction is None else few[5]
-    words = unexplained(robot.joint_names, few[:4], fitted, width)
-    if words or COULOMB not in evidence.terms or any(term in evidence.terms for term in SHAPES):
+    if words := unexplained(robot.joint_names, few[:4], fitted, width):
+        return [words]
+    constant, lags = missing(evidence, found, prior, residual)
+    if words := [*lagging(rows.names, lags), *offset_missing(robot, constant)]:
         return words
-    return misshapen(robot.joint_names, few[:4], fitted, width, signs)
+    if COULOMB not in evidence.terms or any(term in evidence.terms for term in SHAPES):
+        return []
+    words = misshapen(robot.joint_names, few[:4], fitted, width, signs)
+    return [words] if words else []
 
 
 def _excited(spread: Tensor, prior: Tensor, moves: Tensor, terms: Sequence[Term]) -> Tensor:

@@ -1,9 +1,9 @@
 """Ladder of models, from the description to the identified robot, measured on blocks of motions that were left out.
 
 The rungs are the description; friction, rotor inertia and offsets beside it; and all inertial parameters with a prior
-at the description, whose strength is found, too; the last two also with friction of other shapes (`shapes`). The
-simplest rung within one standard error of the best is chosen, the error being that of the paired differences over the
-blocks: what little data cannot decide stays as described.
+at the description, whose strength is found, too; the last two also with friction of other shapes and offsets of the
+joints that gain from them (`shapes`). The simplest rung within one standard error of the best is chosen, the error
+being that of the paired differences over the blocks: what little data cannot decide stays as described.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from torchdq.learning.identification.evidence import Evidence, described, gather
 from torchdq.learning.identification.regression import places, rigid
 from torchdq.learning.identification.shapes import Gain, gainful
 from torchdq.learning.identification.solution import Solution, changes, solve
-from torchdq.learning.identification.terms import ROTOR, Term
+from torchdq.learning.identification.terms import OFFSET, ROTOR, Term
 from torchdq.learning.logs.blocks import Block, MotionRows
 from torchdq.robot import Robot
 from torchdq.tables import table
@@ -56,6 +56,7 @@ class Ladder(NamedTuple):
     rungs: tuple[Rung, ...]
     chosen: int
     parts: str  # words for the blocks that were left out
+    left: Tensor  # [n] mean squared residual of the chosen rung on blocks, or on regions where larger [(N m)^2 or N^2]
     useless: tuple[str, ...] = ()  # shapes of friction that no joint gained from
     untold: tuple[str, ...] = ()  # groups of parameters that the samples do not tell
 
@@ -90,7 +91,7 @@ class Ladder(NamedTuple):
             found: dict[str, list[str]] = {}
             for gain in self.rung.gains:
                 found.setdefault(gain.joint, []).append(f"{gain.term} ({gain.gain:.2g} +- {gain.error:.1g})")
-            lines.append("friction of other shapes, with what it gains:")
+            lines.append(f"{_more(self.rung.gains)}, with what a joint gains:")
             lines += [f"  {joint}: {', '.join(terms)}" for joint, terms in found.items()]
         if self.useless:
             lines.append(f"no joint gains from {', '.join(self.useless)}")
@@ -116,14 +117,14 @@ def climb(
         robot: the robot as described.
         recording: the rows.
         fixed: terms of every joint.
-        candidates: friction of other shapes.
+        candidates: friction of other shapes, and offsets.
         width: velocity below which dry friction is viscous [rad/s or m/s].
         strengths: of the prior of the bodies to choose from, the strongest first.
         blocks: blocks to leave out.
         say: is told how far it is.
     """
     terms, n = (*fixed, *candidates), robot.n
-    loaded = any(term.loaded for term in candidates)
+    loaded = any(term.loaded for term in terms)
     none = torch.zeros(n, 10 * len(robot.link_names) + len(terms), dtype=torch.float64)
     sought = torch.tensor([[term in fixed] * n for term in terms], dtype=torch.bool).reshape(len(terms), n)
     others = [k for k, term in enumerate(terms) if term not in fixed]
@@ -142,7 +143,7 @@ def climb(
     if others:
         mask, gains = gainful(evidence, variance, sought, others, math.inf, say)
         if gains:
-            add("+ friction of other shapes", evidence, (math.inf,), mask, gains)
+            add(f"+ {_more(gains)}", evidence, (math.inf,), mask, gains)
     if math.isinf(strengths[-1]):
         return _chosen(rungs, evidence, evidence, others, blocks)
     found, variance = _noise(evidence, sought, strengths[-1], say)
@@ -159,9 +160,15 @@ def climb(
                 break
             found, variance = _noise(identified, mask, strength, say)
         if gains:
-            add("identified, friction of other shapes", identified, strengths, mask, gains)
+            add(f"identified, {_more(gains)}", identified, strengths, mask, gains)
 
     return _chosen(rungs, evidence, identified, others, blocks)
+
+
+def _more(gains: Sequence[Gain]) -> str:
+    """Words for what joints gain from."""
+    offsets = [gain.term == OFFSET.name for gain in gains]
+    return " and ".join(["friction of other shapes"] * (not all(offsets)) + ["offsets"] * any(offsets))
 
 
 def _chosen(
@@ -172,7 +179,9 @@ def _chosen(
     useless = [evidence.terms[k].name for k in others if not any(bool(rung.sought[k].any()) for rung in rungs)]
     regions = len(evidence.left) - len(blocks)
     what = f"parts of motions and {regions} regions of the states" if regions else "motions"
-    ladder = Ladder(tuple(rungs), chosen, f"{len(blocks)} {what} that were left out in turn", tuple(useless))
+    squares = rungs[chosen].scores * evidence.sizes / evidence.counts[:, None]
+    left = torch.stack([part.mean(0) for part in (squares[: len(blocks)], squares[len(blocks) :]) if len(part)]).amax(0)
+    ladder = Ladder(tuple(rungs), chosen, f"{len(blocks)} {what} that were left out in turn", left, tuple(useless))
     used = rungs[chosen].sought.any(1)
     return ladder, _only(evidence if math.isinf(rungs[chosen].strength) else identified, used)
 

@@ -15,9 +15,11 @@ import torch
 from torch import Tensor
 
 from torchdq import effects
+from torchdq.checks import is_number
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.effects.friction import Friction
 from torchdq.effects.resistance import columns
+from torchdq.errors import ArgumentError
 from torchdq.learning.logs.blocks import MotionRows
 from torchdq.robot import Robot
 
@@ -63,13 +65,14 @@ class Term(NamedTuple):
         torque = columns(rows.robot, effect, rows.q, qd, load, backend="eager")[self.parameter]
         return torque / smooth_sign(qd, rows.width) * rows.sign if self.dry else torque
 
-    def found(self, numbers: Sequence[float], width: float) -> tuple[Friction, ...]:
-        """Friction with the numbers of the joints, if it is friction."""
+    def found(self, numbers: Sequence[float] | Tensor, width: float) -> tuple[Friction, ...]:
+        """Friction with the numbers of the joints [n], or of the joints of many robots [..., n], if it is friction."""
         if self.effect is None:
             return ()
         effect = self.effect(width)
         others: dict[str, Any] = {name: 0.0 for name in effect.LINEAR if name != self.parameter}
-        return (replace(effect, **others, **{self.parameter: tuple(numbers)}),)
+        values = numbers if isinstance(numbers, Tensor) else tuple(numbers)
+        return (replace(effect, **others, **{self.parameter: values}),)
 
 
 def rows_of(robot: Robot, recording: MotionRows, width: float, load: Tensor | None = None) -> TermRows:
@@ -142,3 +145,63 @@ SHAPES = (  # friction of other shapes
     _ripple("sine"),
     _ripple("cosine"),
 )
+
+
+def terms_of(friction: Any, robot: Robot, width: float) -> tuple[Term, ...]:
+    """Terms of friction effects, one for each number per joint in which their torque is linear.
+
+    Args:
+        friction: the effects; the numbers that they have there do not matter, all others hold.
+        robot: the robot.
+        width: velocity below which dry friction is viscous [rad/s or m/s]: effects of this width have the sign of the
+            rows, which may be filtered, others their own.
+    """
+    found: dict[tuple[Friction, str], Term] = {}
+    for effect in friction if isinstance(friction, Sequence) else (friction,):
+        if not isinstance(effect, Friction):
+            cure = "or a sequence of friction effects, such as (effects.Viscous(), effects.Coulomb())"
+            raise ArgumentError(f"friction must be True, False, 'choose', {cure}, found {effect!r}")
+        zeros: dict[str, Any] = dict.fromkeys(effect.LINEAR, 0.0)
+        if replace(effect, **zeros).resolved(robot).inputs(robot.n):
+            name = type(effect).__name__
+            raise ArgumentError(f"friction must not be warming, since logs have no temperature, found that of {name}")
+        law: Friction = replace(effect, **dict.fromkeys(effect.LINEAR))
+        if isinstance(law, effects.Stribeck):  # its friction at rest is that beyond the dry friction of a moving joint
+            dry = effects.Coulomb(width=law.width)
+            found[dry, "level"] = _term(dry, "level", width)
+            found[law, "static"] = _term(law, "static", width)
+        else:
+            found |= {(law, name): _term(law, name, width) for name in law.LINEAR}
+    return tuple(found.values())
+
+
+def _term(law: Friction, parameter: str, width: float) -> Term:
+    """Term of one parameter of an effect: a known one if it has that law, or one like it."""
+    name = type(law).__name__
+    own = {key: getattr(law, key) for key in law.SHAPES if key not in (*law.LINEAR, "warming")}
+    alike = Term(f"{name.lower()} {parameter}", ("", ""), parameter=parameter, signed=parameter in law.SIGNED)
+    for term in (*reversed(SHAPES), COULOMB, VISCOUS):
+        known = None if term.effect is None else term.effect(width)
+        if known == law and term.parameter == parameter:
+            return term
+        alike = term if type(known) is type(law) and term.parameter == parameter else alike
+    if not is_number(own.get("width", width)):
+        raise ArgumentError(f"width of {name} must be one number to be identified, found {law!r}")
+    dry, bristles = alike.dry and own.get("width") == width, 0.0
+    if isinstance(law, effects.LuGre):
+        if not is_number(law.deflection) or (law.ratio, law.settling) != (1.0, 0.0):
+            raise ArgumentError(
+                "friction must hold LuGre with one deflection for all joints, ratio=1 and settling=0, so that its "
+                f"bristles follow from the positions, found {law!r}"
+            )
+        bristles, own = float(law.deflection), {"deflection": law.deflection}
+    numbers = [x for key, x in own.items() if not (dry and key == "width")]
+    words = [word for word in alike.name.split() if not word[0].isdigit()]
+    words += ["/".join(f"{one:g}" for one in (x if isinstance(x, Sequence) else (x,))) for x in numbers]
+    return alike._replace(
+        name=" ".join(words),
+        effect=(lambda w: replace(law, width=w)) if dry else (lambda _: law),
+        described="",
+        dry=dry,
+        bristles=bristles,
+    )

@@ -93,4 +93,4 @@ def _table(
     values = np.column_stack([x.astype(float) for x in found.values()])[start:end]
     require_rows(path, len(values))
     layout = layout if layout.joints else replace(layout, joints=shape[1])
-    return Table(path, layout, names, values, start, lambda i, k: values[i, k])
+    return Table(path, layout, names, values, start, lambda i, k: values[i, k], before=start)

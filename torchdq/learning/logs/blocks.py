@@ -42,6 +42,7 @@ class MotionRows(NamedTuple):
     direction: Tensor | None = None  # [rows, n] sign of the velocity, filtered as the torques
     time: Tensor | None = None  # [rows] [s]
     known_gains: bool = True  # whether tau is in these units
+    names: tuple[str, ...] = ()  # logs of the motions; empty: unknown
 
     @property
     def measured(self) -> Tensor:
@@ -99,8 +100,8 @@ def of_motions(robot: Robot, motions: Motion | Sequence[Motion]) -> MotionRows:
 
     lengths = tuple(len(motion.q) for motion in several)
     q, qd, qdd = together("q"), together("qd"), together("qdd")
-    known = all(motion.known_gains for motion in several)
-    return MotionRows(q, qd, qdd, lengths, if_all("tau"), if_all("direction"), if_all("time"), known)
+    known, names = all(motion.known_gains for motion in several), tuple(motion.name for motion in several)
+    return MotionRows(q, qd, qdd, lengths, if_all("tau"), if_all("direction"), if_all("time"), known, names)
 
 
 def of_tensors(robot: Robot, **signals: Tensor) -> MotionRows:

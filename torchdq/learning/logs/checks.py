@@ -1,6 +1,7 @@
 """Checks of logs: times that run on, numbers that are numbers, radians, and signals that agree with each other."""
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -12,6 +13,7 @@ UNLIKE, ALIKE = 0.5, 0.95  # correlations of signals that have nothing to do wit
 JUMP = 0.05  # [rad or m] change of a position between two rows that may stay unexplained by the velocities
 FAR = 10.0  # times the usual unexplained change from which one is a jump
 FOLLOWED = 0.01  # [rad or rad/s] least standard deviation of a signal that is compared with its rate
+PARTS = 3  # most parts of a log that are named
 ELSEWHERE = "read the rows before it or after it, by rows=(first, last)"
 
 
@@ -37,14 +39,46 @@ def require_times(table: Table) -> None:
     step, name = np.diff(table.time), table.name(0)
     if (step < 0).any():
         i = int((step < 0).argmax())
-        table.refuse(i + 1, name, f"{-step[i]:.4g} s before the row above; {ELSEWHERE}")
+        table.refuse(i + 1, name, f"{-step[i]:.4g} s before the row above; {_repeated(table, i + 1)}{_parts(table)}")
     if (step > GAP).any():
         i = int((step > GAP).argmax())
         seconds = np.median(step) <= GAP
-        cure = ELSEWHERE if seconds else "times must be in seconds; divide milliseconds by 1000, nanoseconds by 1e9"
+        cure = _parts(table) if seconds else "times must be in seconds; divide milliseconds by 1000, nanoseconds by 1e9"
         table.refuse(i + 1, name, f"{step[i]:.4g} s after the row above, more than {GAP} s; {cure}")
     if not step.any():
         table.refuse(1, name, "the same time in all rows")
+
+
+def _parts(table: Table) -> str:
+    """Words for the parts of a log whose times run on, at most three, the longest ones."""
+    step = np.diff(table.time)
+    ends = [0, *((step < 0) | (step > GAP)).nonzero()[0] + 1, len(table.time)]
+    parts = [(first, last) for first, last in pairwise(ends) if table.time[last - 1] > table.time[first]]
+    if not parts:
+        return ELSEWHERE
+    longest = sorted(sorted(parts, key=lambda part: part[0] - part[1])[:PARTS])
+    words = [
+        f"rows=({table.before + first}, {table.before + last}) of {table.time[last - 1] - table.time[first]:.3g} s"
+        for first, last in longest
+    ]
+    more = f", the {PARTS} longest of {len(parts)} parts" if len(parts) > PARTS else ""
+    return f"read a part of it in which time runs on: {' or '.join(words)}{more}"
+
+
+def _repeated(table: Table, row: int) -> str:
+    """Words for rows from one on that are the same as earlier ones; "" if they are others."""
+    same = (table.values[:row] == table.values[row]).all(1).nonzero()[0]
+    if not len(same):
+        return ""
+    first, count = int(same[0]), 0
+    while row + count < len(table.values) and first + count < row:
+        if not (table.values[first + count] == table.values[row + count]).all():
+            break
+        count += 1
+    number, before, end = table.first, table.before, table.before + len(table.values)
+    repeats = f"rows {number + row} to {number + row + count - 1} repeat rows {number + first} to "
+    parts = f"rows=({before}, {before + row}) and rows=({before + row + count}, {end})"
+    return f"{repeats}{number + first + count - 1}; leave them out: read {parts}, and give identify both motions; or "
 
 
 def jump(table: Table) -> str:

@@ -58,6 +58,7 @@ def smooth(
     cutoff_tau: float | None = None,
     rate: float | None = None,
     width: float = SIGN_WIDTH,
+    delay: float = 0.0,
 ) -> Motion:
     """Motion of a log in even steps of its median step, without the rows at rest and ends that the filter spoils.
 
@@ -77,6 +78,8 @@ def smooth(
             independent, as `identify` takes them to be for its standard errors.
         width: velocity below which dry friction is viscous [rad/s or m/s], as in `torchdq.effects.Coulomb`, whose
             default is 0.01: the default here is a sharp step, for logs of real arms. Only `direction` depends on it.
+        delay: time by which the torques lag the positions in the log, which they are moved back by [s]; `identify`
+            warns where it finds one.
     Raises:
         LogError: the log is too short, or nothing moves in it.
         ArgumentError: a frequency is not between zero and half the rate of the rows, or no rows are left.
@@ -98,7 +101,12 @@ def smooth(
         require_number("rate", rate, positive=True)
     every = 1.0 if rate is None else max(1.0, np.rint(1 / rate / step))
     require_number("width", width, positive=True)
-    time = np.arange(log.time[0], log.time[-1], step)
+    require_number("delay", delay)
+    time = np.arange(log.time[0] - min(delay, 0.0), log.time[-1] - max(delay, 0.0), step)
+    if not len(time):
+        raise ArgumentError(
+            f"delay must be shorter than the log, which lasts {log.time[-1] - log.time[0]:.3g} s, found {delay!r}"
+        )
     lowest = cutoff_qd if log.tau is None else min(cutoff_qd, cutoff_tau)
     reach, seconds = _reach(lowest), time[-1] - time[0]
     if seconds <= reach or len(time) <= FEWEST:
@@ -107,13 +115,13 @@ def smooth(
     def filtered(x: np.ndarray, cutoff: float) -> np.ndarray:
         return low_pass(x, cutoff, step, "smooth")
 
-    def drawn(x: np.ndarray) -> np.ndarray:
-        return even(time, log.time, x, "smooth")
+    def drawn(x: np.ndarray, late: float = 0.0) -> np.ndarray:
+        return even(time + late, log.time, x, "smooth")
 
     q = filtered(drawn(log.q), cutoff_qd)
     qd = derivative(time, q, "smooth") if log.qd is None else filtered(drawn(log.qd), cutoff_qd)
     qdd = derivative(time, qd, "smooth") if log.qdd is None else filtered(drawn(log.qdd), cutoff_qd)
-    tau = None if log.tau is None else filtered(drawn(log.tau), cutoff_tau)
+    tau = None if log.tau is None else filtered(drawn(log.tau, delay), cutoff_tau)
     direction = None if log.tau is None else filtered(qd / np.hypot(qd, width), cutoff_tau)
 
     moves = abs(qd).max(axis=-1) > AT_REST

@@ -3,8 +3,8 @@
 A description that is off by tens of percent still explains most of a joint's torque, once friction, rotor inertia and
 an offset are allowed for. Where it does not, the measurements are tried with what goes wrong in logs undone: a sign,
 two joints exchanged, all joints reversed or sorted by name, in some of the signals. What explains them far better is
-named. Three mistakes are looked for before that: a torque that never changes, another unit, and torques from which the
-drives have taken gravity away.
+named. Four mistakes are looked for before that: a torque that never changes, another unit, currents without a gain, and
+torques from which the drives have taken gravity away.
 """
 
 import math
@@ -19,6 +19,7 @@ from torchdq.dynamics.friction import smooth_sign
 
 ROWS = 400  # rows that are looked at
 FACTOR = 45.0  # ratio of measured to described torques beyond which the unit is doubted; a payload makes one of 31
+CURRENT = 3.0  # ratio of described to measured torques, at most joints, from which they may be currents
 SHARED = 15.0  # the same ratio, of a joint that is named beside one whose unit is doubted
 LOADED = 0.1  # least variance of a joint's gravity, relative to that of its torque, for gravity to be missed
 WEIGHTLESS = 0.15  # most variance that is left, relative to that of gravity, where torques are without gravity
@@ -84,7 +85,7 @@ def doubts(torques: Torques, names: Sequence[str], rows: Sequence[Tensor], width
     if len(rows[0]) < FEW:
         return ""
     left, alone, factor = _compared(torques, rows, width)
-    found = _scaled(names, left, alone, factor)
+    found = _scaled(names, left, alone, factor) or _currents(names, left, alone, factor)
     weightless = [] if found else _weightless(torques, rows, width)
     if not weightless and bool((left > DOUBTFUL).any()):
         found += _misread(torques, names, rows, width, left)
@@ -239,6 +240,20 @@ def _scaled(names: Sequence[str], left: Tensor, alone: Tensor, factor: Tensor) -
         return []
     cure = "give tau in N m (N for a joint that slides), measured at the joints"
     return [f"measured torques are multiples of the described ones, of {', '.join(off)}; is the unit right? {cure}"]
+
+
+def _currents(names: Sequence[str], left: Tensor, alone: Tensor, factor: Tensor) -> list[str]:
+    """Words for torques that are small parts of the described ones at most joints, as currents are."""
+    sure = (factor > 0) & (left < POOR) & (alone - left > SHARE)
+    small = sure & (factor * CURRENT <= 1)
+    if not 2 * int(small.sum()) > int(sure.sum()):
+        return []
+    off = [f"{name} ({x:.2g})" for name, x, one in zip(names, factor.tolist(), small.tolist(), strict=True) if one]
+    cure = "give Layout(gain=...), torque per ampere at the joints, or gain=None and identify(..., gains=True)"
+    return [
+        f"measured torques are small parts of the described ones, of {', '.join(off)}; are they currents of drives "
+        f"whose gain is missing? {cure}"
+    ]
 
 
 def _misread(torques: Torques, names: Sequence[str], rows: Sequence[Tensor], width: float, left: Tensor) -> list[str]:

@@ -21,6 +21,7 @@ class Table(NamedTuple):
     first: int  # number of the first row, for messages
     cell: Callable[[int, int], object]  # a value as the source writes it, for messages
     doubt: str = ""  # words for what a file may lack
+    before: int = 0  # rows of numbers before the first, which are left out
 
     @property
     def time(self) -> np.ndarray:

@@ -52,7 +52,8 @@ def text_table(path: Path, content: bytes, layout: Layout, rows: tuple[int, int]
         values = np.array([[_number(cells[i]) for i in used] for cells in (line.split(",") for line in body)])
     whole = ended or start + len(body) < len(lines) or len(heads) - 1 not in used
     doubt = "" if whole else _cut(body, start, layout)
-    return Table(path, layout, names, values, start + 1, lambda i, k: repr(body[i].split(",")[used[k]]), doubt)
+    before = start - layout.header
+    return Table(path, layout, names, values, start + 1, lambda i, k: repr(body[i].split(",")[used[k]]), doubt, before)
 
 
 def _cut(lines: list[str], start: int, layout: Layout) -> str:
