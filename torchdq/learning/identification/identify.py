@@ -282,8 +282,8 @@ def _late(evidence: Evidence, found: Solution, prior: float, width: float) -> li
     if words := unexplained(robot.joint_names, few[:4], fitted, width):
         return [words]
     constant, lags = missing(evidence, found, prior, residual)
-    if words := [*lagging(rows.names, lags), *offset_missing(robot, constant)]:
-        return words
+    if lacking := [*lagging(rows.names, lags), *offset_missing(robot, constant)]:
+        return lacking
     if COULOMB not in evidence.terms or any(term in evidence.terms for term in SHAPES):
         return []
     words = misshapen(robot.joint_names, few[:4], fitted, width, signs)

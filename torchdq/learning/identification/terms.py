@@ -200,7 +200,7 @@ def _term(law: Friction, parameter: str, width: float) -> Term:
     words += ["/".join(f"{one:g}" for one in (x if isinstance(x, Sequence) else (x,))) for x in numbers]
     return alike._replace(
         name=" ".join(words),
-        effect=(lambda w: replace(law, width=w)) if dry else (lambda _: law),
+        effect=(lambda w: replace(law, **{"width": w})) if dry else (lambda _: law),
         described="",
         dry=dry,
         bristles=bristles,
