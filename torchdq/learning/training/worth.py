@@ -4,9 +4,10 @@ Each part of those rows is judged by what the others chose, so that no part has 
 
 * how far from the trained states the network may act (`torchdq.residual.Domain`): as far as it helps;
 * the weight of each joint, from 0 to 1: that of the least squared error;
-* whether it may act at a joint: only if the squared error there falls by more than one standard error over the parts,
-  and if its rows say as much as two independent ones for each block: shorter blocks resemble those beside them, and a
-  network that has seen these says nothing about its worth at other times;
+* whether it may act at a joint: only if the squared error there falls by more than one standard error, over the blocks
+  and, where regions of the states were left out, over these by themselves: blocks of a motion that repeats itself say
+  nothing about other motions; and if its rows say as much as two independent ones for each block: shorter blocks
+  resemble those beside them, and a network that has seen these says nothing about its worth at other times;
 * the errors of predicted torques (`torchdq.residual.Posterior`).
 """
 
@@ -39,8 +40,8 @@ class Worth(NamedTuple):
     covered: Tensor  # [n] share of torques in the 95 % intervals
     independent: Tensor  # [n] rows that say as much as all do, being correlated
     blocks: int  # parts of the motions that were left out in turn
-    gains: Tensor  # [n] how much the squared error falls, in units of the torque's variance
-    standard_errors: Tensor  # [n] standard errors of the gains over the parts; infinite if there are fewer than two
+    gains: Tensor  # [n] how much the squared error falls, over blocks or regions, where less; in units of the variance
+    standard_errors: Tensor  # [n] standard errors of these gains; infinite if there are fewer than two blocks
 
     @property
     def kept(self) -> bool:
@@ -96,18 +97,23 @@ def decide(model: ResidualDynamics, blocks: Sequence[LeftOut], apart: Sequence[L
     choose = _chooser(torch.stack(moments), variance, shared=reaches.shape[1] < len(variance))
     every = range(len(blocks) + len(apart))
     falls = torch.stack([_falls(*choose([b for b in every if b != part]), part) for part in every]) / variance
-    gains, errors = falls.mean(0), falls.std(0) / math.sqrt(len(falls))
+    kinds = [kind for kind in falls.tensor_split([len(blocks)]) if len(kind)]
+    means, errors = (
+        torch.stack(x) for x in zip(*((x.mean(0), x.std(0) / math.sqrt(len(x))) for x in kinds), strict=True)
+    )
     at, weight, _ = choose(every)
     model.domain.reach.copy_(reaches[at, torch.arange(len(at))] if reaches.shape[1] == len(at) else reaches[at[0]])
 
     gate = _gate(model, left)
     gated, r = gate * left.torque, left.residual
     independent = len(r) / correlation_times(r - weight * gated, lengths).to(r)
-    weight = weight * ((gains > errors) & (independent >= LEAST * len(blocks)))
+    weight = weight * ((means > errors).all(0) & (independent >= LEAST * len(blocks)))
     model.weight.copy_(weight)
     wrong = r - weight * gated
     covered = _set_errors(model, left, wrong, gate, lengths)
     without, error = (x.square().mean(0).sqrt() / variance.sqrt() for x in (r, wrong))
+    poorest = (means - errors).argmin(0, keepdim=True)  # kind of part, [1, n]
+    gains, errors = (x.gather(0, poorest)[0] for x in (means, errors))
     return Worth(joints, without, error, weight, covered, independent, len(blocks), gains, errors)
 
 
