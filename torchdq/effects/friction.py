@@ -59,6 +59,15 @@ class Friction(JointEffect):
         """Friction without memory that resists steady motion alike; `width` is that of dry friction [rad/s or m/s]."""
         return self
 
+    def bristles(self) -> float:
+        """Deflection of bristles that follow from the positions alone [rad or m]; zero without memory."""
+        return 0.0
+
+    def parts(self) -> list[tuple[Friction, str]]:
+        """Laws whose torques add up to this one's, each in proportion to one parameter that may be any positive one."""
+        law = replace(self, **dict.fromkeys(self.LINEAR))
+        return [(law, name) for name in self.LINEAR]
+
     def inputs(self, n: int) -> dict[str, int]:
         """The temperature [n], if the coefficients change with it."""
         return {} if _zero(self.warming) else {TEMPERATURE: n}
@@ -207,6 +216,10 @@ class Stribeck(Friction):
         both = super().idle() and isinstance(self.static, tuple) and not any(self.static)
         return ("coulomb", "static") if both else ()
 
+    def parts(self) -> list[tuple[Friction, str]]:
+        """Dry friction of a moving joint, and what is more at rest, so that the friction at rest is at least that."""
+        return [(Coulomb(width=self.width), "level"), (super().parts()[-1][0], "static")]
+
     def law(self, q: Number, qd: Number) -> Impedance:
         """D = level(qd) / sqrt(qd^2 + width^2)."""
         ratio = qd / self.velocity
@@ -275,6 +288,26 @@ class Ripple(Friction):
 def _zero(x: Any) -> bool:
     """True for a constant parameter that is zero at every joint."""
     return all(is_number(value) and value == 0 for value in (x if isinstance(x, tuple) else (x,)))
+
+
+def parts_of(friction: Any, robot: Robot) -> list[tuple[Friction, str]]:
+    """Laws of friction effects with the parameter that is to be found, each once; raises for what logs cannot tell.
+
+    Args:
+        friction: an effect, or a sequence of them.
+        robot: the robot.
+    """
+    found: list[tuple[Friction, str]] = []
+    for effect in friction if isinstance(friction, Sequence) else (friction,):
+        if not isinstance(effect, Friction):
+            cure = "or a sequence of friction effects, such as (effects.Viscous(), effects.Coulomb())"
+            raise ArgumentError(f"friction must be True, False, 'choose', {cure}, found {effect!r}")
+        zeros: dict[str, Any] = dict.fromkeys(effect.LINEAR, 0.0)
+        if replace(effect, **zeros).resolved(robot).inputs(robot.n):
+            name = type(effect).__name__
+            raise ArgumentError(f"friction must not be warming, since logs have no temperature, found that of {name}")
+        found += effect.parts()
+    return list(dict.fromkeys(found))
 
 
 def of_layers(effects: Any, robot: Robot, learn: bool = False) -> tuple[Friction, ...]:

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 from torchdq.algebra.quaternion import Number
+from torchdq.checks import is_number
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Inputs, Parameter, Shapes
 from torchdq.effects.friction import Coulomb, Friction
@@ -71,6 +72,15 @@ class LuGre(Friction):
     def steady(self, width: float) -> Friction:
         """Coulomb friction of the same level; near rest it lacks the ratio."""
         return Coulomb(self.level, width, warming=self.warming)
+
+    def bristles(self) -> float:
+        """The deflection, if it is that of all joints, ratio is 1 and settling 0; raises otherwise."""
+        if not is_number(self.deflection) or (self.ratio, self.settling) != (1.0, 0.0):
+            raise ArgumentError(
+                "friction must hold LuGre with one deflection for all joints, ratio=1 and settling=0, so that its "
+                f"bristles follow from the positions, found {self!r}"
+            )
+        return float(self.deflection)
 
     def memory(self, n: int) -> int:
         """The deflection of every joint."""

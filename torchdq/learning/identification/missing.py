@@ -1,4 +1,4 @@
-"""What a fit lacks: constant torques, and a lag of the torques, sought as further unknowns beside all that it has.
+"""Lacks of a fit: constant torques, and a lag of the torques, sought as further unknowns beside all that it has.
 
 With the residual r = Z dphi + E x + noise about the fit, E being the torque per unit of what was not sought, least
 squares for both dphi and x say how large x is. What the fitted parameters explain in its place, friction above all, is
@@ -31,7 +31,7 @@ ALIKE = 0.3  # difference of the lags of motions, relative to their mean, that o
 FOLLOWED = 0.9  # part of the changes of the positions that the velocities explain, where rows follow each other
 
 
-class Lag(NamedTuple):
+class TorqueLag(NamedTuple):
     """Lag of the torques of a motion."""
 
     motion: int
@@ -40,7 +40,9 @@ class Lag(NamedTuple):
     rows: float  # the same lag in rows
 
 
-def missing(evidence: Evidence, found: Solution, prior: float, residual: Tensor) -> tuple[dict[int, float], list[Lag]]:
+def missing(
+    evidence: Evidence, found: Solution, prior: float, residual: Tensor
+) -> tuple[dict[int, float], list[TorqueLag]]:
     """Constant torques of joints [N m or N], and lags of motions, that a fit lacks and that matter.
 
     Args:
@@ -94,7 +96,8 @@ def missing(evidence: Evidence, found: Solution, prior: float, residual: Tensor)
     none = torch.zeros_like(shift)
     after, before = (none.index_add(0, motion[some], (y.square() / square).sum(1)) for y in (left, r))
     told = (x.abs() > SURE * error) & (after < (1 - MATTERS) * before) & (error > 0)
-    return constant, [Lag(k, seconds * float(x[k]), seconds * float(error[k]), float(x[k])) for k in _places(told)]
+    lags = [(k, float(x[k]), float(error[k])) for k in _places(told)]
+    return constant, [TorqueLag(k, seconds * late, seconds * off, late) for k, late, off in lags]
 
 
 def _places(told: Tensor) -> list[int]:
@@ -151,7 +154,7 @@ def offset_missing(robot: Robot, constant: Mapping[int, float]) -> list[str]:
     ]
 
 
-def lagging(names: Sequence[str], lags: Sequence[Lag]) -> list[str]:
+def lagging(names: Sequence[str], lags: Sequence[TorqueLag]) -> list[str]:
     """Words for torques that lag the motion."""
     if not lags:
         return []
@@ -159,7 +162,7 @@ def lagging(names: Sequence[str], lags: Sequence[Lag]) -> list[str]:
     mean = sum(lag.seconds / lag.error**2 for lag in lags) / weight
     alike = len(lags) > 1 and all(abs(lag.seconds - mean) < ALIKE * abs(mean) for lag in lags)
     found = []
-    for lag in [Lag(-1, mean, weight**-0.5, mean / lags[0].seconds * lags[0].rows)] if alike else lags:
+    for lag in [TorqueLag(-1, mean, weight**-0.5, mean / lags[0].seconds * lags[0].rows)] if alike else lags:
         of = f"{len(lags)} motions" if lag.motion < 0 else (names and names[lag.motion]) or f"motion {lag.motion + 1}"
         cure = f"smooth(log, delay={lag.seconds:.2g})" if names else f"moving them {abs(lag.rows):.1f} rows"
         cure += "" if names else (" up" if lag.seconds > 0 else " down")

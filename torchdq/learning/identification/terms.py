@@ -17,7 +17,7 @@ from torch import Tensor
 from torchdq import effects
 from torchdq.checks import is_number
 from torchdq.dynamics.friction import smooth_sign
-from torchdq.effects.friction import Friction
+from torchdq.effects.friction import Friction, parts_of
 from torchdq.effects.resistance import columns
 from torchdq.errors import ArgumentError
 from torchdq.learning.logs.blocks import MotionRows
@@ -156,23 +156,7 @@ def terms_of(friction: Any, robot: Robot, width: float) -> tuple[Term, ...]:
         width: velocity below which dry friction is viscous [rad/s or m/s]: effects of this width have the sign of the
             rows, which may be filtered, others their own.
     """
-    found: dict[tuple[Friction, str], Term] = {}
-    for effect in friction if isinstance(friction, Sequence) else (friction,):
-        if not isinstance(effect, Friction):
-            cure = "or a sequence of friction effects, such as (effects.Viscous(), effects.Coulomb())"
-            raise ArgumentError(f"friction must be True, False, 'choose', {cure}, found {effect!r}")
-        zeros: dict[str, Any] = dict.fromkeys(effect.LINEAR, 0.0)
-        if replace(effect, **zeros).resolved(robot).inputs(robot.n):
-            name = type(effect).__name__
-            raise ArgumentError(f"friction must not be warming, since logs have no temperature, found that of {name}")
-        law: Friction = replace(effect, **dict.fromkeys(effect.LINEAR))
-        if isinstance(law, effects.Stribeck):  # its friction at rest is that beyond the dry friction of a moving joint
-            dry = effects.Coulomb(width=law.width)
-            found[dry, "level"] = _term(dry, "level", width)
-            found[law, "static"] = _term(law, "static", width)
-        else:
-            found |= {(law, name): _term(law, name, width) for name in law.LINEAR}
-    return tuple(found.values())
+    return tuple([_term(law, parameter, width) for law, parameter in parts_of(friction, robot)])
 
 
 def _term(law: Friction, parameter: str, width: float) -> Term:
@@ -187,14 +171,9 @@ def _term(law: Friction, parameter: str, width: float) -> Term:
         alike = term if type(known) is type(law) and term.parameter == parameter else alike
     if not is_number(own.get("width", width)):
         raise ArgumentError(f"width of {name} must be one number to be identified, found {law!r}")
-    dry, bristles = alike.dry and own.get("width") == width, 0.0
-    if isinstance(law, effects.LuGre):
-        if not is_number(law.deflection) or (law.ratio, law.settling) != (1.0, 0.0):
-            raise ArgumentError(
-                "friction must hold LuGre with one deflection for all joints, ratio=1 and settling=0, so that its "
-                f"bristles follow from the positions, found {law!r}"
-            )
-        bristles, own = float(law.deflection), {"deflection": law.deflection}
+    dry, bristles = alike.dry and own.get("width") == width, law.bristles()
+    if bristles:
+        own = {"deflection": bristles}
     numbers = [x for key, x in own.items() if not (dry and key == "width")]
     words = [word for word in alike.name.split() if not word[0].isdigit()]
     words += ["/".join(f"{one:g}" for one in (x if isinstance(x, Sequence) else (x,))) for x in numbers]
