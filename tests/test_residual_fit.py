@@ -13,7 +13,7 @@ from oracles import shipped
 import torchdq
 from torchdq.learning import LogWarning, Samples, cut, fit, identify, read, samples, smooth
 from torchdq.learning.training.run import Run
-from torchdq.learning.training.worth import LEAST
+from torchdq.learning.training.worth import LEAST, LeftOut, decide
 
 F64 = torch.float64
 TWO = shipped("two_link").robot
@@ -153,6 +153,21 @@ def test_a_motion_that_repeats_itself_does_not_pass_for_others(seed):
     for k in range(3):
         test = of_positions(90 + k, 15.0)
         assert (error(model, test) <= 1.05 * error(model.model, test)).all()
+
+
+@pytest.mark.parametrize(("sign", "kept"), [(1.0, True), (-1.0, False)])
+def test_regions_are_judged_by_themselves(sign, kept):
+    """Torques that explain eight blocks and make two regions worse gain in the mean of all, and are not kept."""
+    model, random = layer([motion(0, nothing, seconds=4.0)]), torch.Generator().manual_seed(0)
+
+    def part(sign):
+        residual = torch.randn(200, 2, generator=random, dtype=torch.float64)
+        near = torch.zeros(200, model.domain.reach.shape[0], dtype=torch.float64)
+        return LeftOut(sign * residual, residual, near, torch.full_like(residual, -1.0), near)
+
+    worth = decide(model, [part(1.0) for _ in range(8)], [part(sign) for _ in range(2)], double(1.0, 1.0))
+    assert (worth.weight > 0).tolist() == [kept, kept]
+    assert ((worth.gains > worth.standard_errors) == kept).all()
 
 
 def test_a_joint_that_does_not_gain_by_more_than_chance_has_no_weight():
