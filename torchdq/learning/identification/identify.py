@@ -167,7 +167,8 @@ def identify(
         evidence, found, correlation = _fitted(evidence, sought, strength, weight, width, notice.at)
         if not found.settled:
             warnings.warn(f"the least squares have not settled after {ITERATIONS} iterations", stacklevel=2)
-        for late in () if doubt else _late(evidence, found, weight, width):
+        measured = ladder is not None and offset == "choose"  # blocks that were left out have decided about offsets
+        for late in () if doubt else _late(evidence, found, weight, width, not measured):
             warnings.warn(late, LogWarning, stacklevel=2)
         return _identified(evidence, found, correlation, weight, width, moves, ladder)._replace(gains=drives)
 
@@ -272,8 +273,11 @@ def _doubts(robot: Robot, rows: MotionRows, width: float) -> str:
     return doubts(described, robot.joint_names, sampled([rows.q, rows.qd, rows.qdd, rows.measured]), width)
 
 
-def _late(evidence: Evidence, found: Solution, prior: float, width: float) -> list[str]:
-    """Words for what is wrong with torques that the solution does not explain, or explains by wrong terms."""
+def _late(evidence: Evidence, found: Solution, prior: float, width: float, offsets: bool) -> list[str]:
+    """Words for what is wrong with torques that the solution does not explain, or explains by wrong terms.
+
+    `offsets` says that constant torques which are missing are to be named.
+    """
     robot, rows, at = evidence.robot, evidence.recording, evidence.at
     residual = evidence.residual(found.change(at))
     signals = [rows.q, rows.qd, rows.qdd, rows.measured, residual]
@@ -282,7 +286,7 @@ def _late(evidence: Evidence, found: Solution, prior: float, width: float) -> li
     if words := unexplained(robot.joint_names, few[:4], fitted, width):
         return [words]
     constant, lags = missing(evidence, found, prior, residual)
-    if lacking := [*lagging(rows.names, lags), *offset_missing(robot, constant)]:
+    if lacking := [*lagging(rows.names, lags), *offset_missing(robot, constant if offsets else {})]:
         return lacking
     if COULOMB not in evidence.terms or any(term in evidence.terms for term in SHAPES):
         return []
