@@ -32,7 +32,7 @@ from torchdq.learning.pictures import picture_of_motion
 from torchdq.learning.threads import one_thread
 from torchdq.notice import Notice
 from torchdq.robot import Robot
-from torchdq.robot.argument import require_bodies
+from torchdq.robot.argument import require_bodies, require_robot
 from torchdq.robot.robot import batches
 from torchdq.tables import table
 
@@ -158,7 +158,7 @@ def excite(
     limits = MotionLimits() if limits is None else limits
     if not isinstance(limits, MotionLimits):
         raise ArgumentError(f"limits must be MotionLimits, found {type(limits).__name__}")
-    for name, axes in batches(robot).items():
+    for name, axes in batches(require_robot(robot)).items():
         raise ArgumentError(f"{name} of robot {robot.name!r} has batch axes {axes}; find motions for one at a time")
     require_bodies(robot, "excitation")
     robot = robot.to(DTYPE, "cpu").bake()

@@ -29,6 +29,7 @@ from torchdq.learning.training.progress import Progress
 from torchdq.learning.training.run import History, Run
 from torchdq.nn import DQRNEA
 from torchdq.residual import ResidualDynamics
+from torchdq.robot import Robot
 from torchdq.robot.robot import batches
 
 
@@ -96,6 +97,9 @@ def fit(
     >>> bool((model.robot.mass / robot.mass - 1).abs().max() < 0.01)
     True
     """
+    if not isinstance(model, nn.Module):
+        cure = '; torchdq.DQRNEA(robot, learn=("mass",)) is one' if isinstance(model, Robot) else ""
+        raise ArgumentError(f"model must be a torch module of torques, found {type(model).__name__}{cure}")
     train, lengths = of_motions("train", train)
     valid = None if valid is None else validated("valid", valid)
     parameters = {name: p for name, p in model.named_parameters() if p.requires_grad}
