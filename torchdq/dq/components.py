@@ -39,10 +39,8 @@ def unit(name: str, r: Tensor) -> Tensor:
         wrong = (r.detach().norm(dim=-1) - 1).abs() > _close(r)
         if bool(wrong.any()):
             found = _first(r, wrong)
-            cure = (
-                "give that of no rotation, (1, 0, 0, 0)" if not any(found) else "normalize it by torchdq.dq.normalize"
-            )
-            raise ArgumentError(f"{name} must hold unit quaternions (w, x, y, z), found {found}; {cure}")
+            cure = "normalize that part by torchdq.dq.normalize" if any(found) else "zero is no rotation"
+            raise ArgumentError(f"{name} must hold unit quaternions, found {found}; {cure}")
     return r
 
 
@@ -50,8 +48,8 @@ def require_rotation(name: str, matrix: Tensor) -> None:
     """Raise unless matrices [..., 3, 3] are those of rotations, those with NaN apart."""
     if not matrix.numel() or without_values((matrix,)):
         return
-    x = matrix.detach()
-    stretched = (x @ x.mT - torch.eye(3, dtype=x.dtype, device=x.device)).abs().amax((-2, -1)) > 2 * _close(x)
+    x = matrix.detach()  # of a quaternion whose norm is off by d, the product is off by 4 d
+    stretched = (x @ x.mT - torch.eye(3, dtype=x.dtype, device=x.device)).abs().amax((-2, -1)) > 4 * _close(x)
     mirrored = (torch.linalg.cross(x[..., 0, :], x[..., 1, :]) * x[..., 2, :]).sum(-1) < 0
     for wrong, fault in ((stretched, "rows of length 1 at right angles"), (mirrored, "the determinant 1, not -1")):
         if bool(wrong.any()):
@@ -105,8 +103,10 @@ def stack(components) -> Tensor:
     >>> stack((torch.zeros(5), 1.0, 2.0)).shape
     torch.Size([5, 3])
     """
-    flat = [*components[0], *components[1]] if isinstance(components[0], tuple) else list(components)
-    like = next(c for c in flat if isinstance(c, Tensor))
+    flat = [*components[0], *components[1]] if components and isinstance(components[0], tuple) else list(components)
+    like = next((c for c in flat if isinstance(c, Tensor)), None)
+    if like is None:
+        raise ArgumentError(f"components must hold one tensor at least, found {components!r}; use torch.tensor")
     flat = [c if isinstance(c, Tensor) else torch.full_like(like, c) for c in flat]
     return torch.stack(torch.broadcast_tensors(*flat), -1)
 

@@ -152,11 +152,9 @@ def from_pose(rotation: Tensor, position: Tensor) -> Tensor:
     >>> translation(from_pose(torch.tensor([1.0, 0, 0, 0]), torch.tensor([1.0, 2, 3])))
     tensor([1., 2., 3.])
     """
-    return computed(
-        dual_quaternion.from_pose,
-        rotation=unit("rotation", checked("rotation", rotation, 4)),
-        position=checked("position", position, 3),
-    )
+    checked("rotation", rotation, 4)
+    checked("position", position, 3)
+    return computed(dual_quaternion.from_pose, rotation=unit("rotation", rotation), position=position)
 
 
 def rotation(x: Tensor) -> Tensor:

@@ -283,13 +283,11 @@ def _ready(recorded: Program, dtype: torch.dtype, axes: tuple[tuple[int, ...], .
 def _require_compilable(x: Any) -> None:
     """Raise unless x is a robot, with the way from a scene, a controller or a compiled program to a program."""
     if isinstance(x, CompiledProgram):
-        raise ArgumentError(
-            f"robot must be a torchdq.Robot, found a program that is compiled already: {x.program.name}"
-        )
-    if callable(getattr(x, "program", None)) and not isinstance(x, Robot):
+        raise ArgumentError(f"robot must be a torchdq.Robot, found {x.program.name!r}, which is compiled already")
+    if callable(getattr(x, "program", None)):
         kind = type(x).__name__
-        way = "scene.program()" if isinstance(getattr(x, "robot", None), Robot) else "controller.program(robot)"
-        raise ArgumentError(f"robot must be a torchdq.Robot, found {kind}; pass its program, {way}")
+        way = "program()" if isinstance(getattr(x, "robot", None), Robot) else "program(robot)"
+        raise ArgumentError(f"robot must be a torchdq.Robot, found {kind}; pass its program, {kind.lower()}.{way}")
     require_robot(x)
 
 

@@ -13,7 +13,7 @@ with exact gradients; the worse ones are dropped on the way.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -173,9 +173,9 @@ def excite(
         numbers = family.start(restarts, generator)
         w = (2 * math.pi / seconds * repeats)[torch.arange(restarts) % len(repeats)]
         for k, (part, steps) in enumerate(STAGES):
-            notice.at(f"stage {k + 1} of {len(STAGES)}")
-            kept = max(min(LEFT, restarts), restarts // part)
-            numbers, w = _improved(family, numbers[:kept], w[:kept], parameters, limits, steps, k + 1 == len(STAGES))
+            kept, last = max(min(LEFT, restarts), restarts // part), k + 1 == len(STAGES)
+            say = notice.within(f"stage {k + 1} of {len(STAGES)}")
+            numbers, w = _improved(family, numbers[:kept], w[:kept], parameters, limits, steps, last, say)
         notice.at("checking the limits")
         series = _fitted(family.motions(numbers, w), parameters, limits, bounds, FINE * harmonics)
     time, q, qd, qdd, tau = _rows(robot, series, seconds, rate)
@@ -218,7 +218,14 @@ def _torques(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
 
 
 def _improved(
-    family: Family, x: Tensor, w: Tensor, parameters: BaseParameters, limits: MotionLimits, steps: int, last: bool
+    family: Family,
+    x: Tensor,
+    w: Tensor,
+    parameters: BaseParameters,
+    limits: MotionLimits,
+    steps: int,
+    last: bool,
+    say: Callable[[str], None],
 ) -> tuple[Tensor, Tensor]:
     """Numbers of motions [rows, n, 2 H] after some steps, and their base frequencies, the best ones first."""
     robot, phases = parameters.robot, grid(SAMPLED * family.harmonics)
@@ -238,7 +245,8 @@ def _improved(
     def parts() -> Iterator[tuple[Tensor, Tensor]]:
         return zip(x.split(ROWS), w.split(ROWS), strict=True)
 
-    for _ in range(steps):
+    for step in range(steps):
+        say(f"step {step + 1} of {steps}")
         x.grad = torch.cat([torch.autograd.grad(cost(*part).sum(), part[0])[0] for part in parts()])
         method.step()
         schedule.step()

@@ -27,6 +27,7 @@ from torchdq.learning.rollout.shooting import Linear
 from torchdq.learning.rollout.unknowns import changed, unknowns
 from torchdq.learning.threads import one_thread
 from torchdq.notice import Notice
+from torchdq.robot import Robot
 
 if TYPE_CHECKING:
     from torchdq.envs import Scene
