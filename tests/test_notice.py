@@ -154,7 +154,7 @@ def test_substeps_that_no_program_can_hold_are_refused_after_the_first(monkeypat
     assert time.monotonic() - start < 5
 
 
-# --- work that tells how far it is, and that Ctrl-C ends without loss --------------------------------------------------
+# --- work that tells how far it is, and that Ctrl-C ends without loss -------------------------------------------------
 
 
 @pytest.fixture

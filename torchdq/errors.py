@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Iterable
-from difflib import get_close_matches
+from difflib import SequenceMatcher, get_close_matches
 
 NEAR = 0.5  # share of letters in common from which a known name may be meant
 
@@ -74,7 +74,8 @@ def nearest(name: str, known: Iterable[str]) -> list[str]:
         plain.setdefault(_plain(one), []).append(one)
     if same := plain.get(_plain(name)):
         return same
-    return [one for found in get_close_matches(_plain(name), plain, 3, NEAR) for one in plain[found]][:3]
+    close = [one for found in get_close_matches(_plain(name), plain, 3, NEAR) for one in plain[found]]
+    return sorted(close, key=lambda one: -SequenceMatcher(None, name, one).ratio())[:3]
 
 
 def _plain(name: str) -> str:

@@ -48,7 +48,7 @@ def require_rotation(name: str, matrix: Tensor) -> None:
     """Raise unless matrices [..., 3, 3] are those of rotations, those with NaN apart."""
     if not matrix.numel() or without_values((matrix,)):
         return
-    x = matrix.detach()  # of a quaternion whose norm is off by d, the product is off by 4 d
+    x = matrix.detach()  # its product is off by 4 d where the norm of a quaternion is off by d
     stretched = (x @ x.mT - torch.eye(3, dtype=x.dtype, device=x.device)).abs().amax((-2, -1)) > 4 * _close(x)
     mirrored = (torch.linalg.cross(x[..., 0, :], x[..., 1, :]) * x[..., 2, :]).sum(-1) < 0
     for wrong, fault in ((stretched, "rows of length 1 at right angles"), (mirrored, "the determinant 1, not -1")):

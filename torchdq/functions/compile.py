@@ -329,8 +329,8 @@ def compile(
         return replace(_ready(robot, dtype_of("dtype", dtype)), about=robot.about)
     _require_compilable(robot)
     if not isinstance(function, str) or not function:
-        known = ", ".join(RECIPES)
-        raise ArgumentError(f"function must be the name of one, found {function!r}; known: {known}")
+        names = ", ".join(RECIPES)
+        raise ArgumentError(f"function must be the name of one, found {function!r}; known: {names}")
     names_of("function", function, RECIPES, "function that is compiled")
     known = [name for name, _, _ in RECIPES[function].arguments]
     present = [name for name in known if name not in ("f_tip", "f_ext", "f_base")]
