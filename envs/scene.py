@@ -91,9 +91,7 @@ class Scene:
     def __post_init__(self) -> None:
         require_robot(self.robot)
         if self.controller is not None:
-            require_object(
-                "controller", self.controller, Controller, "torchdq.envs.controllers", "PD(kp=100.0, kd=20.0)"
-            )
+            require_object("controller", self.controller, Controller, "torchdq.envs.controllers", "PD(kp=9.0, kd=1.0)")
         require_object("integrator", self.integrator, Integrator, "torchdq.envs.integrators", "RungeKutta4()")
         require_number("dt", self.dt, positive=True)
         require_count("substeps", self.substeps)

@@ -3057,9 +3057,6 @@ MUTANTS = (
             "wrong = (r.detach().norm(dim=-1) - 1).abs() > 1e9",
             "convert_free.py::test_quaternions_that_are_not_unit_are_named",
         ),
-    ),
-    *within(
-        "torchdq/convert/mujoco.py",
         (
             "reflections taken for rotations",
             "* x[..., 2, :]).sum(-1) < 0",
@@ -3074,7 +3071,7 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/convert.py",
+        "torchdq/convert/mujoco.py",
         (
             "an acceleration in world axes of a base that does not turn",
             "vd + cross(w, v)), wd, qdd)",
@@ -3650,15 +3647,21 @@ MUTANTS = (
         "torchdq/learning/training/worth.py",
         (
             "a residual that is kept where it helps no more than by chance",
-            "((gains > errors) & (independent >= LEAST * len(blocks)))",
+            "((means > errors).all(0) & (independent >= LEAST * len(blocks)))",
             "(independent >= LEAST * len(blocks))",
             "residual_fit.py::test_a_joint_that_does_not_gain_by_more_than_chance_has_no_weight",
         ),
         (
             "a residual that is kept whatever little its rows say",
-            "((gains > errors) & (independent >= LEAST * len(blocks)))",
-            "(gains > errors)",
+            "((means > errors).all(0) & (independent >= LEAST * len(blocks)))",
+            "(means > errors).all(0)",
             "residual_fit.py::test_three_seconds_are_too_few_independent_samples_for_a_network",
+        ),
+        (
+            "a residual that loses in regions and gains in blocks of a motion that repeats itself",
+            "(means > errors).all(0)",
+            "(means > errors)[0]",
+            "residual_fit.py::test_regions_are_judged_by_themselves",
         ),
     ),
     *within(
