@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar, Self
 
 from torchdq.algebra.quaternion import Number
+from torchdq.attributes import refusing
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.dynamics.tracking import commanded
 from torchdq.effects.effect import Parameter, Parametric, Shapes
@@ -14,6 +15,7 @@ from torchdq.errors import ArgumentError
 from torchdq.export.meaning import heading
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
+from torchdq.robot.argument import require_robot
 from torchdq.robot.posed import posed
 from torchdq.robot.robot import SHAPES, arguments, constants, recorded
 
@@ -39,7 +41,7 @@ class Controller(Parametric):
         >>> torchdq.compile(program).count().multiplications
         4
         """
-        n, whole, constant = robot.n, self.resolved(robot), robot.bake()
+        n, whole, constant = require_robot(robot).n, self.resolved(robot), robot.bake()
         tensors = whole.tensors()
         taken = [Argument("reference", 3 * n), Argument("q", n), Argument("qd", n)]
         taken += [Argument(name, x.shape[-1], x.ndim == 1) for name, x in tensors.items()]
@@ -132,3 +134,7 @@ class PD(Feedback):
             return tau
         weight = posed(self.model, q, {}, ()).torques(None, None, None)
         return [t if w is None else t + w for t, w in zip(tau, weight, strict=True)]
+
+
+if not TYPE_CHECKING:  # type checkers know the names
+    __getattr__ = refusing(__name__)

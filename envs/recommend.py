@@ -93,7 +93,10 @@ def recommend(
         raise ArgumentError("state and inputs are those of a trajectory, and without a horizon there is none")
     scene = _falling(what, horizon or 1.0) if isinstance(what, Robot) else what
     if not isinstance(scene, Scene):
-        raise ArgumentError(f"what must be a torchdq.Robot or a torchdq.envs.Scene, found {type(what).__name__}")
+        raise ArgumentError(
+            f"what must be a torchdq.Robot or a torchdq.envs.Scene, found {type(what).__name__}; load a robot with "
+            "Robot.from_urdf(...) or torchdq.robots.load(...)"
+        )
     if scene.robot.floating:
         raise ArgumentError(
             f"robot {scene.robot.name!r} must have a fixed base, found a free one: errors of poses have no measure; "

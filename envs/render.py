@@ -21,6 +21,7 @@ from torchdq.errors import ArgumentError
 from torchdq.functional import forward_kinematics
 from torchdq.optional import imported
 from torchdq.robot import Robot
+from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import SHAPES, arguments
 
 MOST_ARMS = 16  # arms in one image
@@ -65,8 +66,7 @@ class Skeleton:
     """
 
     def __init__(self, robot: Robot):
-        if not isinstance(robot, Robot):
-            raise ArgumentError(f"robot must be a torchdq.Robot, found {type(robot).__name__}")
+        require_robot(robot)
         batched = {name: getattr(robot, name).detach() for name in arguments(robot)}
         first = {name: x.reshape(-1, *x.shape[x.ndim - len(SHAPES[name]) :])[0] for name, x in batched.items()}
         self.robot = robot.replace(**first).to(torch.float64, "cpu")

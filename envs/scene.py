@@ -20,7 +20,7 @@ from torch import Tensor
 from torchdq.backends.choice import BackendName
 from torchdq.caches import PROGRAMS, Bounded
 from torchdq.call import evaluate
-from torchdq.checks import require_count, require_number
+from torchdq.checks import frozen, require_count, require_number, require_object
 from torchdq.effects.effect import Effect
 from torchdq.envs.controllers import Controller
 from torchdq.envs.describe import Description, describe
@@ -38,11 +38,13 @@ from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, check_precision
 from torchdq.program.program import Argument, Count, Program
 from torchdq.robot import Robot
+from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import arguments, constants, recorded
 
 _interned: Bounded[SceneSpec, SceneSpec] = Bounded(PROGRAMS)  # equal scenes share their programs
 
 
+@frozen
 @dataclass(frozen=True, eq=False)
 class Scene:
     """A robot, the effects that are simulated, and how time passes.
@@ -87,12 +89,10 @@ class Scene:
     _parameters: dict[str, Tensor] = field(init=False, repr=False)  # by "owner.name"
 
     def __post_init__(self) -> None:
-        if not isinstance(self.robot, Robot):
-            raise ArgumentError(f"robot must be a torchdq.Robot, found {type(self.robot).__name__}")
-        if not (self.controller is None or isinstance(self.controller, Controller)):
-            raise ArgumentError(f"controller must be one of torchdq.envs.controllers, found {self.controller!r}")
-        if not isinstance(self.integrator, Integrator):
-            raise ArgumentError(f"integrator must be one of torchdq.envs.integrators, found {self.integrator!r}")
+        require_robot(self.robot)
+        if self.controller is not None:
+            require_object("controller", self.controller, Controller, "torchdq.envs.controllers", "PD(kp=9.0, kd=1.0)")
+        require_object("integrator", self.integrator, Integrator, "torchdq.envs.integrators", "RungeKutta4()")
         require_number("dt", self.dt, positive=True)
         require_count("substeps", self.substeps)
         check_precision(self.precision)

@@ -59,13 +59,17 @@ def require_free(robot: Robot, controller: Controller | None, integrator: Integr
 
 def _check_effects(effects: Sequence[Effect]) -> None:
     """Raise if some effects cannot be those of one scene."""
-    if not isinstance(effects, Sequence):
-        raise ArgumentError(f"effects must be a sequence of effects, found {effects!r}")
+    if isinstance(effects, str) or not isinstance(effects, Sequence):
+        cure = "effects=(effects.Gravity(), effects.Viscous(0.1))"
+        if isinstance(effects, Effect):
+            cure = f"effects=({type(effects).__name__}(...),), with a comma"
+        raise ArgumentError(f"effects must be a sequence of effects, found {effects!r}; write {cure}")
     for effect in effects:
         if not isinstance(effect, Effect):
             raise ArgumentError(
                 f"effects must be objects of torchdq.effects, found {effect!r}"
                 + ("; it is a class, call it" if isinstance(effect, type) else "")
+                + ("; give it by controller=..." if isinstance(effect, Controller) else "")
                 + ("; what a module learned acts as effects.Residual(module)" if isinstance(effect, nn.Module) else "")
             )
         if not isinstance(effect, SLOTS):

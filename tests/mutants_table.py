@@ -3050,12 +3050,24 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/convert/rows.py",
+        "torchdq/dq/components.py",
         (
             "quaternions of any length taken for rotations",
-            "if bool(wrong.any()):",
-            "if False:",
+            "wrong = (r.detach().norm(dim=-1) - 1).abs() > _close(r)",
+            "wrong = (r.detach().norm(dim=-1) - 1).abs() > 1e9",
             "convert_free.py::test_quaternions_that_are_not_unit_are_named",
+        ),
+        (
+            "reflections taken for rotations",
+            "* x[..., 2, :]).sum(-1) < 0",
+            "* x[..., 2, :]).sum(-1) < -9",
+            "misuse.py::test_what_is_no_pose_is_refused",
+        ),
+        (
+            "matrices with the translation in the last row taken for poses",
+            ".abs().amax(-1) > _close(row)",
+            ".abs().amax(-1) > 1e9",
+            "misuse.py::test_what_is_no_pose_is_refused",
         ),
     ),
     *within(

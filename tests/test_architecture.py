@@ -29,6 +29,7 @@ PACKAGE, ENVS = ROOT / "torchdq", ROOT / "envs"
 FLOORS = {
     "torchdq.errors": -1,
     "torchdq.optional": 1,
+    "torchdq.attributes": 0,
     "torchdq.checks": 0,
     "torchdq.notice": 0,
     "torchdq.tables": 0,

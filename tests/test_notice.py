@@ -1,5 +1,6 @@
 """Lines about work that takes long, and warnings that are given once."""
 
+import importlib
 import signal
 import subprocess
 import sys
@@ -7,6 +8,7 @@ import threading
 import time
 import warnings
 
+import numpy as np
 import pytest
 import torch
 
@@ -15,6 +17,8 @@ from torchdq import functional, notice
 from torchdq.backends import c, c_library
 from torchdq.envs import Scene, recording
 from torchdq.envs.integrators import LinearlyImplicit, Repeated
+from torchdq.learning import MotionLimits, Samples, excite, fit, read
+from torchdq.learning.training.run import Run
 from torchdq.notice import Notice, warn_once
 from torchdq.program import autodiff
 from torchdq.program import program as programs
@@ -148,6 +152,106 @@ def test_substeps_that_no_program_can_hold_are_refused_after_the_first(monkeypat
     with pytest.raises(torchdq.ArgumentError, match="substeps must be few"):
         scene.replace(substeps=10**6).step(state)
     assert time.monotonic() - start < 5
+
+
+# --- work that tells how far it is, and that Ctrl-C ends without loss -------------------------------------------------
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """Lines that could be written, in their order: what is being done, and how far it is."""
+    lines = []
+    monkeypatch.setattr(Notice, "__enter__", lambda self: lines.append(self.what) or self)
+    monkeypatch.setattr(Notice, "__exit__", lambda *_: None)
+    monkeypatch.setattr(Notice, "at", lambda self, where: lines.append(f"{self.what}, {where}"))
+    return lines
+
+
+def motion(rows=400):
+    """Arrays of a smooth motion of two joints."""
+    time = 0.01 * np.arange(rows)
+    q, qd = (
+        np.stack([np.sin(3 * time), np.cos(5 * time)], 1),
+        np.stack([3 * np.cos(3 * time), -5 * np.sin(5 * time)], 1),
+    )
+    return {"time": time, "q": q, "qd": qd, "tau": qd + np.sin(2 * q)}
+
+
+def two_link_samples():
+    data = motion()
+    q, qd, tau = (torch.tensor(data[name]) for name in ("q", "qd", "tau"))
+    return Samples(q, qd, torch.zeros_like(q), tau)
+
+
+def test_what_is_left_out_to_measure_a_residual_tells_its_networks_and_steps(told):
+    model = torchdq.ResidualDynamics(torchdq.DQRNEA(torchdq.robots.load("two_link")), hidden=(4,))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        fit(model, two_link_samples(), steps=3, batch=64)
+    said = [line for line in told if line.startswith("measuring the residual")]
+    assert said[0] == "measuring the residual on left-out rows"
+    networks = int(said[1].split(" of ")[1].split(",")[0])
+    expected = [f"network {k + 1} of {networks}, step {i + 1} of 3" for k in range(networks) for i in range(3)]
+    assert networks > 1 and said[1:] == [f"measuring the residual on left-out rows, {where}" for where in expected]
+
+
+def test_the_search_for_a_motion_tells_its_stages_and_steps(told, monkeypatch):
+    monkeypatch.setattr(importlib.import_module("torchdq.learning.excitation.excite"), "STAGES", ((1, 2), (2, 3)))
+    limits = MotionLimits(lower=[-1.0, -1.0], upper=[1.0, 1.0], velocity=2.0, effort=100.0)
+    excite(torchdq.robots.load("two_link"), 2.0, limits, restarts=4, harmonics=2)
+    steps = [f"stage 1 of 2, step {i} of 2" for i in (1, 2)] + [f"stage 2 of 2, step {i} of 3" for i in (1, 2, 3)]
+    told = [line.partition(", ")[2] for line in told if line.startswith("finding a motion")]
+    assert told == ["", *steps, "checking the limits"]
+
+
+def test_reading_a_log_is_told(told, tmp_path):
+    data = motion()
+    path = tmp_path / "log.csv"
+    columns = np.column_stack([data[name] for name in ("time", "q", "qd", "tau")])
+    np.savetxt(path, columns, delimiter=",", header="time,q1,q2,qd1,qd2,tau1,tau2", comments="", fmt="%.12g")
+    read(path)
+    assert told == [f"reading {path}"]
+    read(data)
+    assert told[1:] == ["reading a log"]
+
+
+def interrupted_after(monkeypatch, steps):
+    """Make the step after so many the one at which Ctrl-C is pressed."""
+    done, advance = [], Run.advance
+
+    def pressed(run, rate):
+        if len(done) == steps:
+            raise KeyboardInterrupt
+        done.append(advance(run, rate))
+
+    monkeypatch.setattr(Run, "advance", pressed)
+
+
+@pytest.mark.parametrize("kept", [False, True])
+@pytest.mark.parametrize("steps", [2, 7])
+def test_an_interrupted_fit_says_what_is_left_and_goes_on_from_there(kept, steps, monkeypatch, tmp_path):
+    data, robot = two_link_samples(), torchdq.robots.load("two_link")
+    path = tmp_path / "run.pt" if kept else None
+    how = dict(steps=10, every=5, batch=64, checkpoint=path)
+    whole = torchdq.DQRNEA(robot, learn="mass")
+    fit(whole, data, **(how | {"checkpoint": None}))
+
+    model = torchdq.DQRNEA(robot, learn="mass")
+    interrupted_after(monkeypatch, steps)
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        fit(model, data, **how)
+    (note,) = stopped.value.__notes__
+    assert note.startswith(f"fit stopped at step {steps} of 10: the model has the weights of that step; with ")
+    if not kept:
+        assert note.endswith("with checkpoint=..., the same call would go on")
+        return
+    found = "goes on from its last evaluation" if steps >= 5 else "begins anew: none was written yet"
+    assert note.endswith(f"with the checkpoint {path}, the same call {found}")
+    assert {file.name for file in tmp_path.iterdir()} == ({"run.pt"} if steps >= 5 else set())
+    monkeypatch.undo()
+    again = torchdq.DQRNEA(robot, learn="mass")
+    assert fit(again, data, **how).step == [5, 10]
+    torch.testing.assert_close(again.robot.mass, whole.robot.mass, rtol=1e-12, atol=0)
 
 
 # --- programs of single frames ---------------------------------------------------------------------------------------

@@ -52,10 +52,10 @@ Subpackages, imported on first use:
 Errors derive from TorchdqError and from the built-in error that a caller would expect.
 """
 
-from difflib import get_close_matches as _close_matches
 from typing import TYPE_CHECKING
 
 from torchdq import convert, dq, floating
+from torchdq.attributes import no_attribute as _no_attribute
 from torchdq.backends.choice import backend
 from torchdq.caches import clear_caches
 from torchdq.control import computed_torque
@@ -152,7 +152,14 @@ _ELSEWHERE = {
     "joint_torque_regressor": "regressor",
     "from_urdf": "Robot.from_urdf",
     "load": "robots.load",
+    "Scene": "envs.Scene",
+    "read": "learning.read",
+    "smooth": "learning.smooth",
+    "identify": "learning.identify",
+    "fit": "learning.fit",
     "com": "Robot.com, the centres of mass of the links",
+    "scene": "envs.Scene",
+    "inverse_kinematics": "none: jacobian and forward_kinematics are differentiable, which suits a solver of yours",
     "ik": "none: there is no inverse kinematics; jacobian and forward_kinematics are differentiable",
 }
 
@@ -171,13 +178,7 @@ def __getattr__(name: str) -> object:
         from torchdq.envs.recommend import recommend
 
         return recommend
-    hint = ""
-    if name in _ELSEWHERE:
-        hint = f"; its name here is {_ELSEWHERE[name]}"
-    elif not name.startswith("_"):
-        close = _close_matches(name, __dir__(), cutoff=0.5)
-        hint = f"; did you mean {' or '.join(close)}?" if close else "; help(torchdq) lists what there is"
-    raise AttributeError(f"module 'torchdq' has no attribute {name!r}{hint}")
+    raise _no_attribute("torchdq", name, __dir__(), _ELSEWHERE)
 
 
 def __dir__() -> list[str]:

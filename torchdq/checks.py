@@ -77,6 +77,14 @@ def require_choice(name: str, x: Any, known: Sequence[Any]) -> None:
         raise ArgumentError(f"{name} must be one of {', '.join(map(repr, known))}, found {x!r}")
 
 
+def require_object(name: str, x: Any, kind: type, module: str, example: str) -> None:
+    """Raise unless x is an object of a class, which those of a module are, such as the example."""
+    if not isinstance(x, kind):
+        cure = "; it is a class, call it" if isinstance(x, type) else f", such as {example}"
+        found = x.__name__ if isinstance(x, type) else repr(x)
+        raise ArgumentError(f"{name} must be an object of {module}, found {found}{cure}")
+
+
 def is_number(x: Any) -> bool:
     """True for a real number of Python or numpy; a truth value is none, nor is a whole number beyond any float."""
     return isinstance(x, Real) and not isinstance(x, bool) and not (isinstance(x, int) and abs(x) > LARGEST)

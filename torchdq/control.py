@@ -66,7 +66,8 @@ def _gain(name: str, gain: Tensor | float, q: Tensor) -> Tensor:
             raise ArgumentError(f"{name} must be a real number, found {gain}")
         return gain.to(q)
     if not isinstance(gain, Real):
-        raise ArgumentError(f"{name} must be a number or a tensor, found {type(gain).__name__}")
+        cure = "; use torch.as_tensor" if isinstance(gain, list | tuple | np.ndarray) else ""
+        raise ArgumentError(f"{name} must be a number or a tensor, found {type(gain).__name__}{cure}")
     require_number(name, gain)
     if gain < 0:
         raise ArgumentError(f"{name} must not be negative, found {gain!r}")

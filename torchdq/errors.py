@@ -2,7 +2,9 @@
 
 import dataclasses
 from collections.abc import Iterable
-from difflib import get_close_matches
+from difflib import SequenceMatcher, get_close_matches
+
+NEAR = 0.5  # share of letters in common from which a known name may be meant
 
 
 class TorchdqError(Exception):
@@ -50,7 +52,7 @@ class UnknownNameError(TorchdqError, KeyError):
 
     def __init__(self, kind: str, name: str, known: Iterable[str], every: bool = False):
         known = list(known)
-        close = get_close_matches(str(name), known, n=3, cutoff=0.4)
+        close = nearest(str(name), known)
         hint = f"did you mean {', '.join(map(repr, close))}?" if close else f"known: {', '.join(known) or 'none'}"
         if close and every:  # the names are few
             hint += f" known: {', '.join(known)}"
@@ -59,3 +61,22 @@ class UnknownNameError(TorchdqError, KeyError):
 
     def __str__(self) -> str:  # KeyError would print the quoted repr
         return self.message
+
+
+def nearest(name: str, known: Iterable[str]) -> list[str]:
+    """Known names that resemble a name, at most three, the nearest first; case and underscores do not count.
+
+    >>> nearest("dqrnea", ["dq", "DQRNEA", "mass_matrix"]), nearest("MassMatrix", ["mass_matrix"])
+    (['DQRNEA'], ['mass_matrix'])
+    """
+    plain: dict[str, list[str]] = {}
+    for one in known:
+        plain.setdefault(_plain(one), []).append(one)
+    if same := plain.get(_plain(name)):
+        return same
+    close = [one for found in get_close_matches(_plain(name), plain, 3, NEAR) for one in plain[found]]
+    return sorted(close, key=lambda one: -SequenceMatcher(None, name, one).ratio())[:3]
+
+
+def _plain(name: str) -> str:
+    return name.casefold().replace("_", "")

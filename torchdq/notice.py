@@ -49,6 +49,10 @@ class Notice:
         """State how far the work is, for the next line; a function is called when the line is written."""
         self.where = where
 
+    def within(self, part: str) -> Callable[[str], None]:
+        """Function `at` for the steps of a part of the work, which is named before them."""
+        return lambda where: self.at(f"{part}, {where}")
+
     def _write(self) -> None:
         start, pause = time.monotonic(), FIRST
         while not self._ended.wait(pause):

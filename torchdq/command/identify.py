@@ -103,8 +103,7 @@ class IdCommand(RobotCommand):
             found = self._sought(source, train)
             payload = None
             if held:
-                with Notice("identifying the payload"):
-                    payload = identify_payload(found, torques_by(found, held), frame=self.frame)
+                payload = identify_payload(found, torques_by(found, held), frame=self.frame)
         measured = trial(robot, found, test)
         doubts = list(dict.fromkeys(str(one.message) for one in said))
         for doubt in doubts:
@@ -114,12 +113,11 @@ class IdCommand(RobotCommand):
 
     def _motion(self, log: str, n: int) -> Motion:
         """Motion of a log, filtered, with accelerations."""
-        with Notice(f"reading {log}"):
-            try:
-                recorded = read(log, self._layout(n), self.rows)
-            except LogError as error:
-                raise LogError(_with_options(str(error))) from error
-            motion = smooth(recorded, self.cutoff, self.cutoff, self.rate)
+        try:
+            recorded = read(log, self._layout(n), self.rows)
+        except LogError as error:
+            raise LogError(_with_options(str(error))) from error
+        motion = smooth(recorded, self.cutoff, self.cutoff, self.rate)
         if motion.q.shape[1] != n:
             cure = "--joints keeps some joints of the robot"
             raise ArgumentError(f"{log} holds {motion.q.shape[1]} joints, the robot has {n}; {cure}")

@@ -4,7 +4,8 @@ import torch
 from torch import Tensor
 
 from torchdq import dq
-from torchdq.convert.rows import cross, parts, row, to_base, unit
+from torchdq.convert.rows import cross, parts, row, to_base
+from torchdq.dq.components import unit
 
 
 def to_mujoco(x: Tensor) -> tuple[Tensor, Tensor]:

@@ -10,8 +10,8 @@ from torch import Tensor
 from torchdq import dq
 from torchdq.checks import device_of
 from torchdq.convert.quaternions import from_xyzw, to_xyzw
-from torchdq.convert.rows import parts, row, unit
-from torchdq.dq.components import checked
+from torchdq.convert.rows import parts, row
+from torchdq.dq.components import checked, unit
 from torchdq.errors import ArgumentError
 from torchdq.optional import imported
 
@@ -56,7 +56,9 @@ def from_pinocchio(
     tensor([1.0000, 0.0000, 0.0000, 0.0000, 0.0000, 0.5000, 1.0000, 1.5000],
            dtype=torch.float64)
     """
-    matrix: Any = placement.homogeneous
+    matrix: Any = getattr(placement, "homogeneous", None)
+    if matrix is None:
+        raise ArgumentError(f"placement must be an SE3 of Pinocchio, found {type(placement).__name__}")
     device = None if device is None else device_of("device", device)
     return dq.from_matrix(torch.tensor(matrix, dtype=torch.float64)).to(dtype=dtype, device=device)
 

@@ -7,9 +7,6 @@ from torch import Tensor
 
 from torchdq import dq
 from torchdq.errors import ArgumentError
-from torchdq.program.transforms import without_values
-
-UNIT = 1e-4  # error of a norm that is taken for 1: finite differences, and logs printed with six digits, stay below
 
 
 def row(*parts: Tensor) -> Tensor:
@@ -24,18 +21,6 @@ def parts(name: str, x: Tensor, *sizes: int) -> Sequence[Tensor]:
     if x.ndim == 0 or x.shape[-1] < sum(sizes):
         raise ArgumentError(f"{name} must end with an axis of {sum(sizes)} components or more, found {tuple(x.shape)}")
     return x.split([*sizes, x.shape[-1] - sum(sizes)], -1)
-
-
-def unit(name: str, r: Tensor) -> Tensor:
-    """Quaternions [..., 4] of a row; raises unless they are unit ones, those with NaN apart."""
-    if r.numel() and not without_values((r,)):
-        wrong = (r.detach().norm(dim=-1) - 1).abs() > UNIT
-        if bool(wrong.any()):
-            found = r[tuple(wrong.nonzero()[0].tolist())].tolist()
-            raise ArgumentError(
-                f"{name} must hold unit quaternions, found {found}; normalize that part by torchdq.dq.normalize"
-            )
-    return r
 
 
 def to_base(X_WB: Tensor, v: Tensor) -> Tensor:

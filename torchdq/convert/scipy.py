@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchdq.checks import device_of
 from torchdq.dq.components import checked
+from torchdq.errors import ArgumentError
 from torchdq.optional import imported
 
 if TYPE_CHECKING:
@@ -52,5 +53,7 @@ def from_scipy(
     tensor([1.0000, 0.0000, 0.0000, 0.0000, 0.0000, 0.5000, 1.0000, 1.5000],
            dtype=torch.float64)
     """
+    if not hasattr(transform, "as_dual_quat"):
+        raise ArgumentError(f"transform must be a RigidTransform of scipy, found {type(transform).__name__}")
     device = None if device is None else device_of("device", device)
     return torch.as_tensor(transform.as_dual_quat(scalar_first=True).copy(), dtype=dtype, device=device)

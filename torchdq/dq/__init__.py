@@ -7,6 +7,9 @@ explog      exponential and logarithm as programs, accurate to rounding at every
 components  conversion between tensors and tuples of components
 """
 
+from typing import TYPE_CHECKING
+
+from torchdq.attributes import refusing
 from torchdq.dq.components import stack
 from torchdq.dq.poses import (
     ScrewParameters,
@@ -90,3 +93,6 @@ __all__ = [
     "translation_body",
     "transpose",
 ]
+
+if not TYPE_CHECKING:  # type checkers know the names
+    __getattr__ = refusing(__name__, multiply="mul", inverse="conj, of what has norm 1", conjugate="conj")

@@ -8,6 +8,9 @@ from torch import Tensor
 
 from torchdq.checks import floating
 from torchdq.errors import ArgumentError
+from torchdq.program.transforms import without_values
+
+UNIT = 1e-4  # error of a norm that is taken for 1: finite differences, and logs printed with six digits, stay below
 
 
 def require_square(name: str, x: Tensor, size: int) -> None:
@@ -28,6 +31,50 @@ def checked(name: str, x: Tensor, *sizes: int) -> Tensor:
         expected = " or ".join(str(s) for s in sizes)
         raise ArgumentError(f"{name} must end with an axis of {expected} components, found shape {tuple(x.shape)}")
     return x
+
+
+def unit(name: str, r: Tensor) -> Tensor:
+    """Quaternions [..., 4] of a row; raises unless they are unit ones, those with NaN apart."""
+    if r.numel() and not without_values((r,)):
+        wrong = (r.detach().norm(dim=-1) - 1).abs() > _close(r)
+        if bool(wrong.any()):
+            found = _first(r, wrong)
+            cure = "normalize that part by torchdq.dq.normalize" if any(found) else "zero is no rotation"
+            raise ArgumentError(f"{name} must hold unit quaternions, found {found}; {cure}")
+    return r
+
+
+def require_rotation(name: str, matrix: Tensor) -> None:
+    """Raise unless matrices [..., 3, 3] are those of rotations, those with NaN apart."""
+    if not matrix.numel() or without_values((matrix,)):
+        return
+    x = matrix.detach()  # its product is off by 4 d where the norm of a quaternion is off by d
+    stretched = (x @ x.mT - torch.eye(3, dtype=x.dtype, device=x.device)).abs().amax((-2, -1)) > 4 * _close(x)
+    mirrored = (torch.linalg.cross(x[..., 0, :], x[..., 1, :]) * x[..., 2, :]).sum(-1) < 0
+    for wrong, fault in ((stretched, "rows of length 1 at right angles"), (mirrored, "the determinant 1, not -1")):
+        if bool(wrong.any()):
+            raise ArgumentError(f"{name} must be a rotation, with {fault}, found {_first(x, wrong)}")
+
+
+def require_last_row(name: str, matrix: Tensor) -> None:
+    """Raise unless matrices [..., 4, 4] end with the row 0, 0, 0, 1, those with NaN apart."""
+    if not matrix.numel() or without_values((matrix,)):
+        return
+    row = matrix.detach()[..., 3, :]
+    wrong = (row - torch.eye(4, dtype=row.dtype, device=row.device)[3]).abs().amax(-1) > _close(row)
+    if bool(wrong.any()):
+        found = _first(row, wrong)
+        cure = "" if found[3] != 1 else "; with the translation in the last row, transpose it by .mT"
+        raise ArgumentError(f"{name} must end with the row 0, 0, 0, 1, found {found}{cure}")
+
+
+def _close(x: Tensor) -> float:
+    return max(UNIT, 8 * torch.finfo(x.dtype).eps)
+
+
+def _first(x: Tensor, wrong: Tensor) -> list[Any]:
+    """First of the rows that are wrong, as numbers."""
+    return x.detach()[tuple(wrong.nonzero()[0].tolist())].tolist()
 
 
 def form(x: Sequence[Any]) -> tuple:
@@ -56,8 +103,10 @@ def stack(components) -> Tensor:
     >>> stack((torch.zeros(5), 1.0, 2.0)).shape
     torch.Size([5, 3])
     """
-    flat = [*components[0], *components[1]] if isinstance(components[0], tuple) else list(components)
-    like = next(c for c in flat if isinstance(c, Tensor))
+    flat = [*components[0], *components[1]] if components and isinstance(components[0], tuple) else list(components)
+    like = next((c for c in flat if isinstance(c, Tensor)), None)
+    if like is None:
+        raise ArgumentError(f"components must hold one tensor at least, found {components!r}; use torch.tensor")
     flat = [c if isinstance(c, Tensor) else torch.full_like(like, c) for c in flat]
     return torch.stack(torch.broadcast_tensors(*flat), -1)
 

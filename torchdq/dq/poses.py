@@ -11,8 +11,17 @@ from torch import Tensor
 from torchdq.algebra import dual_quaternion, quaternion
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Pure, Quaternion
+from torchdq.checks import require_number
 from torchdq.dq import explog
-from torchdq.dq.components import checked, require_square, split_rows, stack_rows
+from torchdq.dq.components import (
+    checked,
+    require_last_row,
+    require_rotation,
+    require_square,
+    split_rows,
+    stack_rows,
+    unit,
+)
 from torchdq.dq.formulas import computed
 from torchdq.dq.tensors import conj, mul
 
@@ -82,6 +91,8 @@ def sclerp(x: Tensor, y: Tensor, t: Tensor | float) -> Tensor:
     """
     checked("x", x, 8)
     checked("y", y, 8)
+    if not isinstance(t, Tensor):
+        require_number("t", t)
     t = torch.as_tensor(t, dtype=x.dtype, device=x.device)
     return mul(x, exp(t.unsqueeze(-1) * log_shortest(mul(conj(x), y))))
 
@@ -135,13 +146,15 @@ def from_pose(rotation: Tensor, position: Tensor) -> Tensor:
     Args:
         rotation: unit quaternion (w, x, y, z) that turns B components into A components, shape [..., 4].
         position: position of B's origin in A [m], shape [..., 3].
+    Raises:
+        ArgumentError: a rotation has another norm than 1, where values can be read: not in transforms of functions.
 
     >>> translation(from_pose(torch.tensor([1.0, 0, 0, 0]), torch.tensor([1.0, 2, 3])))
     tensor([1., 2., 3.])
     """
-    return computed(
-        dual_quaternion.from_pose, rotation=checked("rotation", rotation, 4), position=checked("position", position, 3)
-    )
+    checked("rotation", rotation, 4)
+    checked("position", position, 3)
+    return computed(dual_quaternion.from_pose, rotation=unit("rotation", rotation), position=position)
 
 
 def rotation(x: Tensor) -> Tensor:
@@ -217,11 +230,15 @@ def from_rotation_matrix(matrix: Tensor) -> Tensor:
     rotation is close to a singularity.
 
     Args:
-        matrix: rotation matrix, shape [..., 3, 3]; it is not checked.
+        matrix: rotation matrix, shape [..., 3, 3].
+    Raises:
+        ArgumentError: a matrix is no rotation, where values can be read: not in transforms of functions.
 
     >>> from_rotation_matrix(torch.diag(torch.tensor([-1.0, -1, 1])))  # a half turn about z
     tensor([0., 0., 0., 1.])
     """
+    require_square("matrix", matrix, 3)
+    require_rotation("matrix", matrix)
     candidates = stack_rows(quaternion.from_rotation_rows(split_rows("matrix", matrix, 3)))
     squares = candidates.diagonal(dim1=-2, dim2=-1)
     largest = squares.argmax(-1, keepdim=True)
@@ -246,11 +263,14 @@ def from_matrix(matrix: Tensor) -> Tensor:
     """Pose [..., 8] of a homogeneous matrix [..., 4, 4], with w >= 0.
 
     Args:
-        matrix: homogeneous matrix, shape [..., 4, 4]; its rotation is not checked.
+        matrix: homogeneous matrix, shape [..., 4, 4].
+    Raises:
+        ArgumentError: its rotation is none, or its last row is not 0, 0, 0, 1, where values can be read.
 
     >>> x = exp(torch.tensor([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))
     >>> torch.allclose(from_matrix(to_matrix(x)), x)
     True
     """
     require_square("matrix", matrix, 4)
+    require_last_row("matrix", matrix)
     return from_pose(from_rotation_matrix(matrix[..., :3, :3]), matrix[..., :3, 3])

@@ -1,5 +1,8 @@
 """Effects that a scene can simulate, each an object that belongs to one slot."""
 
+from typing import TYPE_CHECKING
+
+from torchdq.attributes import refusing
 from torchdq.effects.actuator import DeadBand, Delay, Lag, QuantisedCommand, Saturation, TorqueSpeed
 from torchdq.effects.body import Contact, Drag, Push
 from torchdq.effects.effect import Effect
@@ -44,3 +47,6 @@ __all__ = [
     "TorqueSpeed",
     "Viscous",
 ]
+
+if not TYPE_CHECKING:  # type checkers know the names
+    __getattr__ = refusing(__name__)

@@ -136,12 +136,7 @@ class Function(_Call, Computation):
 
     def check(self, tensors: Mapping[str, Any]) -> None:
         """Raise unless all required arguments are present."""
-        fields, plain = self.constants.fields, self.name.removeprefix(FLOATING)
-        if (fields["base_mass"] is not None) != (plain != self.name):
-            kind, way = ("a fixed", "torchdq") if plain != self.name else ("a free", "torchdq.floating")
-            raise ArgumentError(
-                f"robot {fields['name']!r} has {kind} base: use {way}.{plain}, or load it with another base="
-            )
+        self.require_base()
         for name, _, optional in RECIPES[self.name].arguments:
             if not optional:
                 require_tensor(name, tensors.get(name))
@@ -150,6 +145,15 @@ class Function(_Call, Computation):
             raise ArgumentError(
                 f"robot {self.constants.fields['name']!r} is on the device 'meta', where tensors have no values, and "
                 f"the arguments are on {first.device}; load the robot anew"
+            )
+
+    def require_base(self) -> None:
+        """Raise unless the base of the robot is fixed, or free, as the function has it."""
+        fields, plain = self.constants.fields, self.name.removeprefix(FLOATING)
+        if (fields["base_mass"] is not None) != (plain != self.name):
+            kind, way = ("a fixed", "torchdq") if plain != self.name else ("a free", "torchdq.floating")
+            raise ArgumentError(
+                f"robot {fields['name']!r} has {kind} base: use {way}.{plain}, or load it with another base="
             )
 
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:

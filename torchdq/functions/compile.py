@@ -280,6 +280,17 @@ def _ready(recorded: Program, dtype: torch.dtype, axes: tuple[tuple[int, ...], .
     return CompiledProgram(recorded, dtype, axes or tuple((len(r.values),) for r in recorded.results))
 
 
+def _require_compilable(x: Any) -> None:
+    """Raise unless x is a robot, with the way from a scene, a controller or a compiled program to a program."""
+    if isinstance(x, CompiledProgram):
+        raise ArgumentError(f"robot must be a torchdq.Robot, found {x.program.name!r}, which is compiled already")
+    if callable(getattr(x, "program", None)):
+        kind = type(x).__name__
+        way = "program()" if isinstance(getattr(x, "robot", None), Robot) else "program(robot)"
+        raise ArgumentError(f"robot must be a torchdq.Robot, found {kind}; pass its program, {kind.lower()}.{way}")
+    require_robot(x)
+
+
 def compile(
     robot: Robot | Program,
     function: str = "",
@@ -316,7 +327,10 @@ def compile(
                 f"program {robot.name!r} is recorded already; leave out function, arguments and options"
             )
         return replace(_ready(robot, dtype_of("dtype", dtype)), about=robot.about)
-    require_robot(robot)
+    _require_compilable(robot)
+    if not isinstance(function, str) or not function:
+        names = ", ".join(RECIPES)
+        raise ArgumentError(f"function must be the name of one, found {function!r}; known: {names}")
     names_of("function", function, RECIPES, "function that is compiled")
     known = [name for name, _, _ in RECIPES[function].arguments]
     present = [name for name in known if name not in ("f_tip", "f_ext", "f_base")]
@@ -326,6 +340,7 @@ def compile(
             if name not in present:
                 raise ArgumentError(f"arguments of {function!r} must hold {name!r}, found {present}; add it")
     what = Function(constants(robot), function, options_of(robot, function, options))
+    what.require_base()
     widths = {name: math.prod(what.axes(name)) for name in (*known, *tensors_of(robot))}
     taken = [Argument(name, widths[name]) for name in known if name in present]
     taken += [

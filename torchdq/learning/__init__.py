@@ -10,6 +10,9 @@
 Nothing here is imported by `import torchdq`; scipy, rich and tensorboard are imported by the functions that need them.
 """
 
+from typing import TYPE_CHECKING
+
+from torchdq.attributes import refusing
 from torchdq.learning.bodies.payload import IdentifiedPayload, identify_payload
 from torchdq.learning.bodies.posterior import Sampled, sample
 from torchdq.learning.excitation.excite import Excitation, excite
@@ -67,3 +70,6 @@ __all__ = [
     "samples",
     "smooth",
 ]
+
+if not TYPE_CHECKING:  # type checkers know the names
+    __getattr__ = refusing(__name__, load="read")

@@ -19,7 +19,10 @@ def require_robot(x: Any) -> Robot:
         way = "load it with Robot.from_urdf(...), or a shipped robot with torchdq.robots.load(...)"
     elif isinstance(getattr(x, "robot", None), Robot):
         way = f"{type(x).__name__} holds one as its attribute `robot`"
-    raise ArgumentError(f"robot must be a torchdq.Robot, found {type(x).__name__}; {way}")
+    elif isinstance(x, type):
+        way = f"it is a class, {way}"
+    found = x.__name__ if isinstance(x, type) else type(x).__name__
+    raise ArgumentError(f"robot must be a torchdq.Robot, found {found}; {way}")
 
 
 def require_bodies(robot: Robot, what: str) -> None:

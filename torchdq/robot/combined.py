@@ -125,7 +125,7 @@ def attach(robot: Robot, other: Robot, frame: str, prefix: str | None = None, ba
     (('hand_joint1', 'hand_joint2'), 0.5)
     """
     if not isinstance(other, type(robot)):
-        raise ArgumentError(f"other must be a torchdq.Robot, found {type(other).__name__}")
+        raise ArgumentError(f"other must be a torchdq.Robot, found {type(other).__name__}; load it first")
     at, start = robot.frame(frame), "" if prefix is None else prefix
     X = at.X_BF
     if base_pose is not None:

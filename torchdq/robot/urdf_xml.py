@@ -30,6 +30,16 @@ FOREIGN = {
     "html": "this is a web page; download the file itself (on GitHub: 'Raw')",
     "Robot": "tags are written in lower case",
 }
+# what other files begin with
+UNMARKED = {
+    "version https://git-lfs": "it stands for a file of Git LFS; fetch that by `git lfs pull`",
+    "PXR-USDC": "this is USD; load the URDF file that it was made from",
+    "#usda": "this is USD; load the URDF file that it was made from",
+    "{": "this is JSON; a URDF file was expected",
+    "xml:": "this is YAML; a URDF file was expected",
+    "404": "a server's answer that there is no such file; check the address it was downloaded from",
+    "solid": "this is a mesh; load the URDF file that names it",
+}
 XACRO = (
     "this is xacro, which must be expanded first: use Robot.from_xacro(path), or run `xacro` and load what it writes"
 )
@@ -37,6 +47,11 @@ XACRO = (
 
 def root_of(text: str) -> ET.Element:
     """Root element <robot> of a text; prefixes stay in the names of tags and need no declaration, as in ROS."""
+    if (start := text.lstrip("\ufeff \t\r\n")) and not start.startswith("<"):
+        kind = next((words for sign, words in UNMARKED.items() if start.startswith(sign)), "it does not begin with '<'")
+        raise DescriptionError(f"the file is not XML, found {start[:20]!r} at its start; {kind}")
+    if start[:14].lower() == "<!doctype html":
+        raise DescriptionError(f"the file must hold <robot>, found <!DOCTYPE html>; {FOREIGN['html']}")
     if "<!DOCTYPE" in text or "<!ENTITY" in text:
         raise DescriptionError("the file declares a document type or entities, which a robot description never needs")
     for sign, most, what in (("<", MOST_TAGS, "tags"), ("=", MOST_ATTRIBUTES, "attributes")):

@@ -28,6 +28,7 @@ from torchdq.learning.identification.identify import Identified
 from torchdq.learning.logs.motions import Motion, samples
 from torchdq.learning.logs.samples import Samples
 from torchdq.learning.threads import one_thread
+from torchdq.notice import Notice
 from torchdq.robot import Robot
 from torchdq.tables import table
 
@@ -135,7 +136,7 @@ def identify_payload(
     at = robot.end_effector() if frame is None else robot.frame(frame)
     if at.link == BASE:
         raise ArgumentError(f"frame must be one that a joint moves, found {at.name!r} on the base")
-    with torch.no_grad():
+    with torch.no_grad(), Notice("identifying the payload"):
         q, qd, qdd, tau = (x.detach().to("cpu", DTYPE).expand(*batch, robot.n) for x in signals.values())
         Y = regressor(robot.to(DTYPE, "cpu"), q, qd, qdd)
         own = Y[..., 10 * at.link : 10 * at.link + 10] @ moved(at.X_BF.to("cpu", DTYPE))

@@ -13,7 +13,7 @@ with exact gradients; the worse ones are dropped on the way.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from os import PathLike
 from typing import Any, NamedTuple
 
@@ -32,7 +32,7 @@ from torchdq.learning.pictures import picture_of_motion
 from torchdq.learning.threads import one_thread
 from torchdq.notice import Notice
 from torchdq.robot import Robot
-from torchdq.robot.argument import require_bodies
+from torchdq.robot.argument import require_bodies, require_robot
 from torchdq.robot.robot import batches
 from torchdq.tables import table
 
@@ -158,7 +158,7 @@ def excite(
     limits = MotionLimits() if limits is None else limits
     if not isinstance(limits, MotionLimits):
         raise ArgumentError(f"limits must be MotionLimits, found {type(limits).__name__}")
-    for name, axes in batches(robot).items():
+    for name, axes in batches(require_robot(robot)).items():
         raise ArgumentError(f"{name} of robot {robot.name!r} has batch axes {axes}; find motions for one at a time")
     require_bodies(robot, "excitation")
     robot = robot.to(DTYPE, "cpu").bake()
@@ -173,9 +173,9 @@ def excite(
         numbers = family.start(restarts, generator)
         w = (2 * math.pi / seconds * repeats)[torch.arange(restarts) % len(repeats)]
         for k, (part, steps) in enumerate(STAGES):
-            notice.at(f"stage {k + 1} of {len(STAGES)}")
-            kept = max(min(LEFT, restarts), restarts // part)
-            numbers, w = _improved(family, numbers[:kept], w[:kept], parameters, limits, steps, k + 1 == len(STAGES))
+            kept, last = max(min(LEFT, restarts), restarts // part), k + 1 == len(STAGES)
+            say = notice.within(f"stage {k + 1} of {len(STAGES)}")
+            numbers, w = _improved(family, numbers[:kept], w[:kept], parameters, limits, steps, last, say)
         notice.at("checking the limits")
         series = _fitted(family.motions(numbers, w), parameters, limits, bounds, FINE * harmonics)
     time, q, qd, qdd, tau = _rows(robot, series, seconds, rate)
@@ -218,7 +218,14 @@ def _torques(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
 
 
 def _improved(
-    family: Family, x: Tensor, w: Tensor, parameters: BaseParameters, limits: MotionLimits, steps: int, last: bool
+    family: Family,
+    x: Tensor,
+    w: Tensor,
+    parameters: BaseParameters,
+    limits: MotionLimits,
+    steps: int,
+    last: bool,
+    say: Callable[[str], None],
 ) -> tuple[Tensor, Tensor]:
     """Numbers of motions [rows, n, 2 H] after some steps, and their base frequencies, the best ones first."""
     robot, phases = parameters.robot, grid(SAMPLED * family.harmonics)
@@ -238,7 +245,8 @@ def _improved(
     def parts() -> Iterator[tuple[Tensor, Tensor]]:
         return zip(x.split(ROWS), w.split(ROWS), strict=True)
 
-    for _ in range(steps):
+    for step in range(steps):
+        say(f"step {step + 1} of {steps}")
         x.grad = torch.cat([torch.autograd.grad(cost(*part).sum(), part[0])[0] for part in parts()])
         method.step()
         schedule.step()

@@ -39,7 +39,7 @@ from torchdq.learning.logs.plausibility import LogWarning, doubts, misshapen, sa
 from torchdq.learning.threads import one_thread
 from torchdq.notice import Notice
 from torchdq.robot import Robot
-from torchdq.robot.argument import require_bodies
+from torchdq.robot.argument import require_bodies, require_robot
 from torchdq.robot.robot import batches
 
 EXCITED = 0.9  # least part of a parameter's variance that the samples take away where they excite it
@@ -115,7 +115,7 @@ def identify(
     >>> torch.allclose(found.predict(q, qd, qdd).tau, torchdq.inverse_dynamics(real, q, qd, qdd), atol=1e-6)
     True
     """
-    for name, axes in batches(robot).items():
+    for name, axes in batches(require_robot(robot)).items():
         raise ArgumentError(f"{name} of robot {robot.name!r} has batch axes {axes}; identify one at a time")
     _, rows = recorded(robot, motions, qd, qdd, tau=tau, direction=direction)
     if not len(rows.q) or not robot.n:

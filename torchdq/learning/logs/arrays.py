@@ -83,7 +83,7 @@ def _table(
         if x.shape != (shape[:1] if signal == "time" else shape) or len(shape) != 2 or x.dtype.kind not in "fiu":
             raise LogError(
                 f"{path}, array {called[signal]!r}: {x.dtype} {list(x.shape)}, expected real numbers, "
-                "time [rows] and q, qd, tau [rows, n]"
+                f"time [rows] and q, qd, tau [rows, n]{_cure(found, signal, x)}"
             )
     if layout.joints not in (0, shape[1]) or not shape[1]:
         raise LogError(f"{path}: {shape[1]} joints, expected {layout.joints or 'at least one'}")
@@ -94,3 +94,17 @@ def _table(
     require_rows(path, len(values))
     layout = layout if layout.joints else replace(layout, joints=shape[1])
     return Table(path, layout, names, values, start, lambda i, k: values[i, k], before=start)
+
+
+def _cure(found: Mapping[str, np.ndarray], signal: str, x: np.ndarray) -> str:
+    """Words on what to do about the shape of an array."""
+    rows = found["time"].shape[:1]
+    if x.dtype.kind not in "fiu":
+        return "; convert it by .astype(float)"
+    if found["q"].ndim == 1:
+        return "; one joint is written [rows, 1], as q[:, None]"
+    if rows and found["q"].shape[1:] == rows and found["q"].shape[:1] != rows:
+        return f"; the joints are in the first axis and the {rows[0]} rows in the second: transpose, as q.T"
+    if x.shape[:1] != found["q"].shape[:1]:
+        return f"; it has {len(x) if x.ndim else 0} rows and q has {len(found['q'])}: they must be recorded together"
+    return ""

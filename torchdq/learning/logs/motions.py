@@ -185,6 +185,8 @@ def cut(motion: Motion, share: float) -> tuple[Motion, Motion]:
     >>> len(first.time) > len(rest.time)
     True
     """
+    if not isinstance(motion, Motion):
+        raise ArgumentError(f"motion must be a Motion, found {type(motion).__name__}; smooth(log) makes one")
     rows = len(motion.time)
     require_number("share", share)
     first = np.arange(rows) < share * rows

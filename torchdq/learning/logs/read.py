@@ -29,6 +29,7 @@ from torchdq.learning.logs.samples import UNITS
 from torchdq.learning.logs.tables import Table
 from torchdq.learning.logs.texts import text_table
 from torchdq.learning.logs.transmissions import joint_side
+from torchdq.notice import Notice
 from torchdq.tables import summary
 
 MOST_BYTES = 1_000_000_000  # largest file that is read
@@ -110,11 +111,12 @@ def read(
         raise ArgumentError(f"rows must be a first row and a greater one after the last, whole numbers, found {rows!r}")
     if rate is not None:
         require_number("rate", rate, positive=True)
-    table = _table(path, layout, rows)
-    require_numbers(table)
-    table = joint_side(table)
-    require_times(table)
-    require_radians(table)
+    with Notice(f"reading {path}" if isinstance(path, str | PathLike) else "reading a log"):
+        table = _table(path, layout, rows)
+        require_numbers(table)
+        table = joint_side(table)
+        require_times(table)
+        require_radians(table)
     for doubt in (table.doubt, jump(table)):
         if doubt:
             warnings.warn(f"{table.path}, {doubt}", LogWarning, stacklevel=2)

@@ -27,6 +27,7 @@ from torchdq.learning.rollout.shooting import Linear
 from torchdq.learning.rollout.unknowns import changed, unknowns
 from torchdq.learning.threads import one_thread
 from torchdq.notice import Notice
+from torchdq.robot import Robot
 
 if TYPE_CHECKING:
     from torchdq.envs import Scene
@@ -85,8 +86,12 @@ def fit_rollout(
     >>> [round(x, 6) for x in found.values["Viscous.coefficient"].tolist()]
     [0.5, 0.5]
     """
+    from torchdq.envs.scene import Scene
     from torchdq.envs.sensitivity import StepMap
 
+    if not isinstance(scene, Scene):
+        cure = "; torchdq.envs.Scene(robot, effects) makes one" if isinstance(scene, Robot) else ""
+        raise ArgumentError(f"scene must be a torchdq.envs.Scene, found {type(scene).__name__}{cure}")
     if segment is not None:
         require_number("segment", segment, positive=True)
     require_count("iterations", iterations)
@@ -123,7 +128,8 @@ def _search(problem: Problem, at: Iterate, iterations: int, notice: Notice) -> _
     linear, tried, count = problem.linearised(at), [at], 0
     try:
         while True:
-            notice.at(f"iteration {count + 1}, residuals {np.linalg.norm(at.spread):.3g}, gaps {at.gap:.2g}")
+            done = f"iteration {count + 1} of at most {iterations}"
+            notice.at(f"{done}, residuals {np.linalg.norm(at.spread):.3g}, gaps {at.gap:.2g}")
             step = problem.step(at, linear, 0.0)
             last = _last(problem, at, step)
             if count == iterations:

@@ -29,6 +29,7 @@ from torchdq.learning.training.progress import Progress
 from torchdq.learning.training.run import History, Run
 from torchdq.nn import DQRNEA
 from torchdq.residual import ResidualDynamics
+from torchdq.robot import Robot
 from torchdq.robot.robot import batches
 
 
@@ -96,6 +97,9 @@ def fit(
     >>> bool((model.robot.mass / robot.mass - 1).abs().max() < 0.01)
     True
     """
+    if not isinstance(model, nn.Module):
+        cure = '; torchdq.DQRNEA(robot, learn=("mass",)) is one' if isinstance(model, Robot) else ""
+        raise ArgumentError(f"model must be a torch module of torques, found {type(model).__name__}{cure}")
     train, lengths = of_motions("train", train)
     valid = None if valid is None else validated("valid", valid)
     parameters = {name: p for name, p in model.named_parameters() if p.requires_grad}
@@ -143,7 +147,7 @@ def fit(
             if residual is not None and not any(p.requires_grad for p in residual.model.parameters()):
                 run.known = left_out.beside_fixed_physics(residual, train)
             bar = progress if ours.leads else False
-            with Progress(last, run.step, tensorboard if ours.leads else None, bar) as shown:
+            with Progress(last, run.step, tensorboard if ours.leads else None, bar) as shown, _stoppable(run, last):
                 while run.step < last and not run.history.stopped_early:
                     rate_now = rate / 2 * (1 + math.cos(math.pi * run.step / last))
                     run.advance(rate_now)
@@ -186,6 +190,20 @@ def _checkpoint(path: Any) -> Path | None:
     if path is not None and Path(path).is_dir():
         raise ArgumentError(f"checkpoint must be a file, found the folder {path}; name a file in it")
     return None if path is None else Path(path)
+
+
+@contextmanager
+def _stoppable(run: Run, last: int) -> Iterator[None]:
+    """Context in which Ctrl-C says what is left of a run."""
+    try:
+        yield
+    except KeyboardInterrupt as stop:
+        kept = "; with checkpoint=..., the same call would go on"
+        if run.path is not None:
+            found = "goes on from its last evaluation" if run.path.exists() else "begins anew: none was written yet"
+            kept = f"; with the checkpoint {run.path}, the same call {found}"
+        stop.add_note(f"fit stopped at step {run.step} of {last}: the model has the weights of that step{kept}")
+        raise
 
 
 @contextmanager

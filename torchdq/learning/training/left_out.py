@@ -24,6 +24,7 @@ from torchdq.learning.logs.correlation import correlation_times
 from torchdq.learning.logs.plausibility import LogWarning
 from torchdq.learning.logs.samples import Samples, torque_variance
 from torchdq.learning.training.worth import LEAST, LeftOut, Worth, decide
+from torchdq.notice import Notice
 from torchdq.residual import Domain, Posterior, ResidualDynamics
 from torchdq.residual.networks import perceptrons
 
@@ -62,7 +63,8 @@ def measure(
             model.cover(*rows)
             learn_posterior(model, model.network, model.posterior, rows, correlation)
         if valid is None:
-            left, apart = _by_copies(model, train, rows, lengths, correlation, how)
+            with Notice("measuring the residual on left-out rows") as notice:
+                left, apart = _by_copies(model, train, rows, lengths, correlation, how, notice)
         else:
             x, residual = _rows(model, valid)
             parts = [block.rows for block in blocks(_motion_rows(valid, (len(valid.q),)))]
@@ -170,19 +172,23 @@ def _by_copies(
     lengths: Sequence[int],
     correlation: Tensor,
     how: Training,
+    notice: Notice,
 ) -> tuple[list[LeftOut], list[LeftOut]]:
     """Torques that copies find for blocks, in the order of time, and for regions, trained without those."""
     recording = _motion_rows(train, lengths)
     found, (x, residual) = blocks(recording), rows
     scale = torque_variance(train.tau).to(x)
+    halves = [half.cpu() for pair in regions(recording) for half in pair] if found else []
+    groups = min(GROUPS, len(found))
 
-    def without(unused: Sequence[slice | Tensor], shown: Sequence[slice | Tensor], seed: int) -> list[LeftOut]:
+    def without(unused: Sequence[slice | Tensor], shown: Sequence[slice | Tensor], k: int) -> list[LeftOut]:
         """Torques that a copy finds for some rows, trained without others."""
         used = torch.ones(len(x), dtype=torch.bool)
         for some in unused:
             used[some] = False
         seen = used.nonzero()[:, 0].to(x.device)
-        network = _trained(model, x, residual, scale, seen, how._replace(seed=how.seed + seed))
+        say = notice.within(f"network {k + 1} of {groups + len(halves)}")
+        network = _trained(model, x, residual, scale, seen, how._replace(seed=how.seed + k), say)
         domain, posterior = copy.deepcopy(model.domain), copy.deepcopy(model.posterior)
         with torch.no_grad():
             domain.cover(model.of_state(x[seen]))
@@ -190,18 +196,23 @@ def _by_copies(
         return [_seen_by(model, network, domain, posterior, x[some], residual[some]) for some in shown]
 
     left: dict[int, LeftOut] = {}
-    for k in range(min(GROUPS, len(found))):
+    for k in range(groups):
         mine = found[k::GROUPS]
         unused = [some for block in mine for some in (block.rows, *block.beside)]
         parts = without(unused, [block.rows for block in mine], k)
         left |= {block.rows.start: part for block, part in zip(mine, parts, strict=True)}
-    halves = [half.cpu() for pair in regions(recording) for half in pair] if found else []
-    apart = [part for k, half in enumerate(halves) for part in without([half], [half], GROUPS + k)]
+    apart = [part for k, half in enumerate(halves) for part in without([half], [half], groups + k)]
     return [left[start] for start in sorted(left)], apart
 
 
 def _trained(
-    model: ResidualDynamics, x: Tensor, residual: Tensor, variance: Tensor, seen: Tensor, how: Training
+    model: ResidualDynamics,
+    x: Tensor,
+    residual: Tensor,
+    variance: Tensor,
+    seen: Tensor,
+    how: Training,
+    say: Callable[[str], None],
 ) -> nn.Module:
     """Copy of the network with new weights, trained on rows of scaled features and what the model leaves there."""
     network = copy.deepcopy(model.network).train()
@@ -214,6 +225,7 @@ def _trained(
         learned = [p for p in network.parameters() if p.requires_grad]
         optimiser = torch.optim.AdamW(learned, lr=how.rate, weight_decay=how.decay)
         for step in range(how.steps):
+            say(f"step {step + 1} of {how.steps}")
             at = step * how.batch % len(seen)
             if at < how.batch:
                 order = seen[torch.randperm(len(seen)).to(seen.device)]
