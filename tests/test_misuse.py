@@ -66,7 +66,9 @@ def test_a_misspelt_attribute_has_a_hint(module, name, hint):
     assert not hasattr(module, name) and getattr(module, name, 3) == 3
 
 
-@pytest.mark.parametrize("module", {module for module, _, _ in NAMES}, ids=lambda module: module.__name__)
+@pytest.mark.parametrize(
+    "module", sorted({module for module, _, _ in NAMES}, key=str), ids=lambda module: module.__name__
+)
 def test_private_attributes_that_are_absent_cost_no_search(module):
     with pytest.raises(AttributeError, match=r"has no attribute '_absent'$"):
         module._absent  # noqa: B018
