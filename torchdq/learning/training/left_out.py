@@ -187,7 +187,8 @@ def _by_copies(
         for some in unused:
             used[some] = False
         seen = used.nonzero()[:, 0].to(x.device)
-        say = notice.within(f"network {k + 1} of {groups + len(halves)}")
+        number = k + 1 if k < GROUPS else groups + k - GROUPS + 1
+        say = notice.within(f"network {number} of {groups + len(halves)}")
         network = _trained(model, x, residual, scale, seen, how._replace(seed=how.seed + k), say)
         domain, posterior = copy.deepcopy(model.domain), copy.deepcopy(model.posterior)
         with torch.no_grad():
@@ -201,7 +202,7 @@ def _by_copies(
         unused = [some for block in mine for some in (block.rows, *block.beside)]
         parts = without(unused, [block.rows for block in mine], k)
         left |= {block.rows.start: part for block, part in zip(mine, parts, strict=True)}
-    apart = [part for k, half in enumerate(halves) for part in without([half], [half], groups + k)]
+    apart = [part for k, half in enumerate(halves) for part in without([half], [half], GROUPS + k)]
     return [left[start] for start in sorted(left)], apart
 
 
