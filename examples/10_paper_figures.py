@@ -2,7 +2,7 @@
 
     python examples/10_paper_figures.py [--out out/paper]
 
-The arm is the paper's, two links of 1 m and 1 kg. Costs are counted by running the formulas (`python -m torchdq cost`),
+The arm is the paper's, two links of 1 m and 1 kg. Costs are counted by running the formulas (`torchdq cost`),
 twice: with dense products of whole matrices and dual quaternions, as the paper counts, and with known zeros and ones
 left out. A third count is of what this package executes. At the end stands which of the paper's claims hold, and where.
 """

@@ -732,7 +732,7 @@ def page() -> str:
         corrected(of_tables),
         *section("Control: section 5.4", SECTION_5_4),
         *section("Costs: section 6", SECTION_6),
-        "`python -m torchdq cost` prints Tables 2, 3 and 4 row by row, with what is counted by running each formula, "
+        "`torchdq cost` prints Tables 2, 3 and 4 row by row, with what is counted by running each formula, "
         "and why it differs ([tables](torchdq/paper/tables.py), held by [test_cost.py](tests/test_cost.py)):",
         verdicts(),
         "Dual quaternions cost less than homogeneous matrices, as the paper finds, where every product is one of full "

@@ -1,6 +1,6 @@
 """Costs of the paper's algorithms, counted by running them on chains of joints, compared with the printed costs.
 
-`python -m torchdq cost` prints it.
+`torchdq cost` prints it.
 """
 
 from __future__ import annotations
