@@ -185,8 +185,9 @@ class ArmVectorEnv(VectorEnv):
         """Observations [N, ...] at the start of new episodes, and an empty `info`.
 
         Args:
-            seed: seed of the random numbers; row i has the seed seed + i. A sequence has one for every row. None: the
-                streams continue; before the first reset they are seeded at random.
+            seed: seed of the random numbers; row i has the seed seed + i, so seeds closer than N share rows: test on
+                a seed that is at least N away. A sequence has one for every row. None: the streams continue; before
+                the first reset they are seeded at random.
             options: {"reset_mask": mask}: a bool [N], numpy or torch; only those rows are reset.
         """
         self._open()

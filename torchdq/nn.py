@@ -25,8 +25,32 @@ from torchdq.robot_module import RobotModule
 class DQRNEA(RobotModule):
     """Inverse dynamics as a differentiable layer: `forward(q, qd, qdd, f_tip, f_ext)` returns tau [..., n].
 
-    See `torchdq.inverse_dynamics` for the arguments. dtype and device follow the inputs. Friction and learned
-    offset are added: the torques are those of the motors.
+    See `torchdq.inverse_dynamics` for the arguments of a call. dtype and device follow the inputs. Friction and learned
+    offset are added: the torques are those of the motors. A layer without `friction` that learns none is the rigid
+    bodies alone, whatever damping and friction the description has.
+
+    Learned quantities stay physical, whatever an optimiser does: masses, rotor inertias and friction stay positive, and
+    inertias are those of bodies that can exist. `module.mass` and so on are the present quantities, and assigning to
+    them sets them; the parameters are the unconstrained numbers behind them (`torchdq.parametrizations`, by
+    `torch.nn.utils.parametrize`), `module.parametrizations.mass.original`. Weight decay would pull those towards
+    1 kg; `prior` pulls towards the description. Other quantities are constants of the compiled programs, and not part
+    of the state dict.
+
+    Args:
+        robot: the robot.
+        learn: names of quantities. Tensors of the robot: "mass", "com", "inertia", "gravity", "armature", "home",
+            "X_PB_home", "screw" (the last three and gravity are unconstrained); "armature" starts at 1e-3 kg m^2 (or
+            kg) if the robot has none. "friction": the coefficients in which the effects of `friction` are linear, from
+            their values, or 1e-2 (in SI units) where these are zero or absent; without effects those of viscous and
+            Coulomb friction, `viscous` and `coulomb`, from the damping and the friction of the robot's description.
+            "offset": a constant torque of every joint, from zero.
+        backend: as in `torchdq.functional`; None: as `torchdq.backend` says at the time of the call.
+        friction_width: velocity below which that Coulomb friction is viscous [rad/s or m/s].
+        friction: friction effects of `torchdq.effects` without a memory, the same as in a scene; learned coefficients
+            are named after effect and parameter, such as `quadratic_coefficient`.
+
+    Raises:
+        ArgumentError: `learn` names something else, or a quantity that the robot does not have.
 
     >>> import torchdq
     >>> layer = DQRNEA(torchdq.robots.load("two_link"), learn=("mass",))
@@ -56,7 +80,7 @@ class ForwardDynamics(RobotModule):
 
     Args:
         precision: as in `torchdq.forward_dynamics`.
-        robot, learn, backend, friction_width, friction: as in `RobotModule`.
+        robot, learn, backend, friction_width, friction: as in `DQRNEA`.
     """
 
     _function = "forward_dynamics"
@@ -97,10 +121,10 @@ class ComputedTorque(RobotModule):
         robot: the model of the robot that is controlled; or a trained module, a `DQRNEA` with what it learned or a
             `ResidualDynamics`, whose torques are taken at the desired acceleration with the errors fed back.
         kp, kd: position gain [1/s^2] and velocity gain [1/s], numbers or shape [n].
-        learn: as in `RobotModule`, and "kp", "kd", which are unconstrained. For a module only "kp" and "kd": what it
+        learn: as in `DQRNEA`, and "kp", "kd", which are unconstrained. For a module only "kp" and "kd": what it
             learned itself goes on being learned with it.
-        backend, friction_width: as in `RobotModule`; a module has its own.
-        friction: effects that are compensated, as in `RobotModule`; True: the damping and the friction of the robot's
+        backend, friction_width: as in `DQRNEA`; a module has its own.
+        friction: effects that are compensated, as in `DQRNEA`; True: the damping and the friction of the robot's
             description, as `torchdq.effects.Viscous` and `Coulomb` have them, where no friction is learned, of a robot
             or a `DQRNEA`; False: none. A module has its own.
 

@@ -35,25 +35,7 @@ SMALLEST_SIZE = 1e-2  # least size of a body, against which `prior` measures the
 class RobotModule(nn.Module):
     """Module that holds a robot and learns the quantities that `learn` names.
 
-    Learned quantities stay physical, whatever an optimiser does: masses, rotor inertias and friction stay positive, and
-    inertias are those of bodies that can exist. `module.mass` and so on are the present quantities, and assigning to
-    them sets them; the parameters are the unconstrained numbers behind them (`torchdq.parametrizations`, by
-    `torch.nn.utils.parametrize`), `module.parametrizations.mass.original`. Weight decay would pull those towards
-    1 kg; `prior` pulls towards the description. Other quantities are constants of the compiled programs, and not part
-    of the state dict.
-
-    Args:
-        robot: the robot.
-        learn: names of quantities. Tensors of the robot: "mass", "com", "inertia", "gravity", "armature", "home",
-            "X_PB_home", "screw" (the last three and gravity are unconstrained); "armature" starts at 1e-3 kg m^2 (or
-            kg) if the robot has none. "friction": the coefficients in which the effects of `friction` are linear, from
-            their values, or 1e-2 (in SI units) where these are zero or absent; without effects those of viscous and
-            Coulomb friction, `viscous` and `coulomb`, from the damping and the friction of the robot's description.
-            "offset": a constant torque of every joint, from zero.
-        backend: as in `torchdq.functional`; None: as `torchdq.backend` says at the time of the call.
-        friction_width: velocity below which that Coulomb friction is viscous [rad/s or m/s].
-        friction: friction effects of `torchdq.effects` without a memory, the same as in a scene; learned coefficients
-            are named after effect and parameter, such as `quadratic_coefficient`.
+    What may be learned, and the arguments, are those of `torchdq.DQRNEA`, the first of these modules.
 
     Raises:
         ArgumentError: `learn` names something else, or a quantity that the robot does not have.

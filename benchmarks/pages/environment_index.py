@@ -36,7 +36,8 @@ observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 6))
 
 `gymnasium.make_vec` returns numpy arrays and resets finished rows at the next step, as gymnasium's wrappers expect it,
 unless `output="torch"` and `autoreset_mode` ask otherwise. Rows are independent: row i of a batch with the seed s is,
-bit for bit, the single environment with the seed s + i. A row whose simulation fails ends alone."""
+bit for bit, the single environment with the seed s + i. So seeds that are closer than the number of rows share
+episodes: test on a seed that is further away. A row whose simulation fails ends alone."""
 
 TASKS = """\
 ## A task of your own

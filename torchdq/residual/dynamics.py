@@ -128,7 +128,7 @@ class ResidualDynamics(nn.Module):
         )
 
     def prior(self) -> Tensor:
-        """Prior of the model, which concerns its physical parameters; see `torchdq.nn.RobotModule.prior`."""
+        """Prior of the model, which concerns its physical parameters; see `DQRNEA.prior`."""
         return self.model.prior()
 
     def forward(
