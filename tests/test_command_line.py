@@ -214,11 +214,17 @@ def test_ctrl_c_is_one_line_and_exit_code_130(here, capsys, monkeypatch):
 
 
 def test_a_process_ends_at_ctrl_c(here):
-    command = [sys.executable, "-m", "torchdq", "scene", "arm.urdf", "--seconds", "1e5", "--price", "0"]
+    # a process in the background of a shell ignores Ctrl-C, and those that it starts do, too
+    code = "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    code += "runpy.run_module('torchdq', run_name='__main__', alter_sys=True)"
+    command = [sys.executable, "-c", code, "scene", "arm.urdf", "--seconds", "1e5", "--price", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        progress = process.stderr.readline()  # comes when it has worked for two seconds
-        process.send_signal(signal.SIGINT)
-        out, errors = process.communicate(timeout=60)
+        try:
+            progress = process.stderr.readline()  # comes when it has worked for two seconds
+            process.send_signal(signal.SIGINT)
+            out, errors = process.communicate(timeout=60)
+        finally:
+            process.kill()
     assert re.match(r"torchdq: .* 2 s \.\.\.", progress)
     assert process.returncode == INTERRUPTED and not out and "Traceback" not in errors
     assert errors.strip().endswith("torchdq: interrupted")
