@@ -91,7 +91,7 @@ def pictures() -> dict[str, str]:
 
 
 def main() -> None:
-    """What the arguments ask for."""
+    """Prices of all effects measured, or their pages written, as the arguments say."""
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("--quick", action="store_true", help="fewer calls of each step")
     options.add_argument("--measure", action="store_true", help="store nanoseconds in benchmarks/results/effects.json")

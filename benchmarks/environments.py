@@ -91,7 +91,7 @@ def pictures() -> dict[str, bytes]:
 
 
 def main() -> None:
-    """What the arguments ask for."""
+    """Rates of all environments measured, or their pages written, as the arguments say."""
     options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     options.add_argument("--quick", action="store_true", help="shorter measurements")
     options.add_argument("--measure", action="store_true", help="store rates in benchmarks/results/environments.json")

@@ -746,7 +746,7 @@ def page() -> str:
 
 
 def main() -> None:
-    """What the arguments ask for."""
+    """Page of the paper, printed or written to its file."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--write", action="store_true", help="write PAPER.md instead of printing it")
     if parser.parse_args().write:

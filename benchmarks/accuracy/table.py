@@ -31,7 +31,7 @@ def cheapest(scene: dict[str, Any], error: float) -> fits.Point | None:
 
 
 def advice(results: Results) -> str:
-    """What to use for which need, as the table of docs/accuracy.md."""
+    """Table of docs/accuracy.md: precision, integrator and step for every need."""
     scenes = {scene["scene"]: scene for scene in results.get("trajectories", ())}
     rows = []
     arm = scenes.get("arm7")

@@ -28,7 +28,7 @@ TRIED = (-1.0, 0.0, 0.5, 1.0, 2.0, math.inf)  # values of a parameter
 
 
 class Facts(NamedTuple):
-    """What the package says about an effect of a seven-joint arm."""
+    """Facts about an effect of a seven-joint arm, asked of the package: operations, states, places of use."""
 
     operations: int  # that it adds to a step, its parameters being numbers
     with_tensors: int | None  # the same, each sample having parameters of its own; None: it has none

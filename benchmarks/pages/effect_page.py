@@ -28,7 +28,7 @@ SLOTS = {
     "sensor": "Sensors change the reading one after the other, in the order of the list; a controller sees the result.",
 }
 LAST = "It acts on what all other effects of the model have changed, wherever it stands."
-SYMBOLS = frozenset({"load", "target"})  # of formulas, beside the names of parameters
+SYMBOLS = frozenset({"load", "target"})  # symbols of formulas that are no parameters
 
 
 def address(name: str) -> str:
@@ -37,7 +37,7 @@ def address(name: str) -> str:
 
 
 def prices() -> dict[str, Any]:
-    """What the measurement wrote."""
+    """Nanoseconds of every effect, as they were measured and stored."""
     return json.loads(PRICES.read_text(encoding="utf-8"))
 
 

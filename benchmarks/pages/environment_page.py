@@ -57,7 +57,7 @@ def arm() -> Robot:
 
 
 def rates() -> dict[str, Any]:
-    """What the measurement wrote."""
+    """Rates of every environment, as they were measured and stored."""
     return json.loads(RATES.read_text(encoding="utf-8"))
 
 

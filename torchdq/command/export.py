@@ -44,7 +44,7 @@ class ExportCommand(RobotCommand):
     """Name of the function; by default its own and the robot's."""
     dtype: Dtype = "float64"
     """Dtype."""
-    library: Library = "math.h"
+    sines: Annotated[Library, tyro.conf.arg(name="library")] = "math.h"
     """Sine, cosine and roots of C: math.h, or own."""
     batch: bool = False
     """A function for many samples, too (c)."""
@@ -64,7 +64,7 @@ class ExportCommand(RobotCommand):
                 full = FLOATING * robot.floating + self.function
                 program = compile(robot, full, self.dtype, options=self.options)
                 done = program.export(
-                    *(self.out, self.name, self.library, self.language), batch=self.batch, knots=self.knots
+                    *(self.out, self.name, self.sines, self.language), batch=self.batch, knots=self.knots
                 )
                 function, *rest = done
                 files = [path for path in rest if isinstance(path, Path)]

@@ -155,7 +155,7 @@ class Printer(NamedTuple):
 
     program: Program
     single: bool
-    library: Library
+    sines: Library  # where sine and cosine come from
     place: Placed
     root: str  # name of the function for square roots
 
@@ -184,7 +184,7 @@ class Printer(NamedTuple):
                 argument, component = op.payload
                 where = self.place(by_position[argument], component, program.arguments[argument].uniform)
                 lines.append(f"const {scalar} x{i} = {where};")
-            elif op.code in TOGETHER and self.library == "own":
+            elif op.code in TOGETHER and self.sines == "own":
                 if i == together[i][0]:
                     known = {program.ops[k].code: f"x{k}" for k in together[i]}
                     s, c = known.get("sin", f"x{i}_"), known.get("cos", f"x{i}_")
