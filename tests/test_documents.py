@@ -17,6 +17,7 @@ import torchdq
 from torchdq import envs
 from torchdq.envs import Scene, effects
 
+BACKEND = "auto"  # what a reader has, and quicker
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)

@@ -18,6 +18,7 @@ REMEDY = "write it again with `python benchmarks/environments.py --write`"
 FOLDER = benchmark.FOLDER
 EVERY = pytest.mark.parametrize("task", ENVIRONMENTS)
 F64 = torch.float64
+BACKEND = "auto"  # many steps
 
 
 def moving(task, robot="panda", **arguments):
