@@ -21,10 +21,9 @@ CONTEXT = multiprocessing.get_context("forkserver")
 
 
 class Forked:
-    """Process that runs code, and what it writes."""
+    """Process that runs code, and what it writes, in files of a folder."""
 
     def __init__(self, code: str, environment: dict[str, str], folder: Path):
-        folder.mkdir(parents=True)
         self.folder = folder
         self.process = CONTEXT.Process(target=_work, args=(code, environment, folder, torchdq.__file__), daemon=True)
         with _importing():
