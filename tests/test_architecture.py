@@ -225,8 +225,10 @@ def test_the_lowest_floors_import_only_each_other_and_errors(module):
     assert [other for other in inside if not any(within(other, package) for package in known)] == []
 
 
-def test_importing_the_package_imports_nothing_heavy_but_torch():
+def test_importing_the_package_imports_nothing_heavy_but_torch_and_its_subpackages_on_first_use():
+    # and then its subpackages, on first use
     program = "import sys, torchdq; print(*sys.modules)"
+    program += "; assert 'Scene' in dir(torchdq.envs); assert 'identify' in dir(torchdq.learning)"
     loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
     assert "torch" in loaded
     assert sorted(set(NOT_AT_IMPORT) & set(loaded)) == []
@@ -586,8 +588,3 @@ def test_type_checkers_see_the_names_that_dir_lists():
 def test_a_name_of_nothing_hints_at_one(name, hint):
     with pytest.raises(AttributeError, match=re.escape(hint)):
         getattr(torchdq, name)
-
-
-def test_subpackages_are_imported_on_first_use():
-    program = "import torchdq; assert 'Scene' in dir(torchdq.envs); assert 'identify' in dir(torchdq.learning)"
-    subprocess.run([sys.executable, "-c", program], check=True)

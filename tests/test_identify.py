@@ -112,7 +112,7 @@ def test_rotors_are_left_as_described_or_found():
 
 
 def test_the_errors_are_those_that_noise_makes():
-    """Mean squares of deviations over stated errors, of 50 draws of the noise, are one."""
+    """Mean squares of deviations over stated errors, of 25 draws of the noise, are one."""
     robot = oracles.case("tree3").robot
     real, friction = altered(robot)
     q, qd, qdd = moving(robot.n, 300)
@@ -123,7 +123,7 @@ def test_the_errors_are_those_that_noise_makes():
     expected = torques(real, *friction, *states)
     generator = torch.Generator().manual_seed(0)
     of_base, of_torques, sizes = [], [], []
-    for _ in range(50):
+    for _ in range(25):
         measured = tau + noise * torch.randn(tau.shape, generator=generator, dtype=torch.float64)
         found = fitted(robot, q, qd, qdd, measured, offset=True, prior=1e-3)
         of_base.append((found.base @ (found.parameters - truth)) / found.base_errors)

@@ -1,13 +1,14 @@
 """The example of a policy that is learned through the simulation: it learns, and processes share its gradients."""
 
 import os
-import subprocess
+import socket
 import sys
 from importlib import import_module
 from pathlib import Path
 
 import pytest
 import torch
+from forked import Forked
 
 for needed in ("matplotlib", "tyro"):
     pytest.importorskip(needed, reason="the examples need the extra 'examples'")
@@ -17,11 +18,12 @@ BACKEND = "auto"
 ROOT = Path(__file__).resolve().parents[1]
 SHARED = """
 import sys
+sys.path[:] = {paths}
 from test_through_the_simulation import found
 from torchdq.learning.training.distributed import team
 import torch
 with team(torch.device("cpu")) as share:
-    torch.save(found(share), f"{sys.argv[1]}/{share.rank}.pt")
+    torch.save(found(share), f"{folder}/{{share.rank}}.pt")
 """
 
 
@@ -47,14 +49,21 @@ def test_it_learns(example, tmp_path, capsys):
 
 
 def test_two_processes_have_the_gradients_of_one(tmp_path):
-    """Of 31 arms, one process has 16."""
-    script = tmp_path / "shared.py"
-    script.write_text(SHARED)
-    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", script, tmp_path]
-    paths = os.pathsep.join(filter(None, [*sys.path, str(ROOT / "tests"), str(ROOT / "examples")]))
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": paths}
-    started = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300, check=False)
-    assert started.returncode == 0, started.stderr
+    """Of 31 arms, one process has 16. The environment is what `torchrun` gives to the two."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    paths = [*filter(None, sys.path), str(ROOT / "tests"), str(ROOT / "examples")]
+    code = SHARED.format(paths=paths, folder=str(tmp_path))
+    common = {**os.environ, "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
+    started = []
+    for rank in "01":
+        folder = tmp_path / f"process{rank}"
+        folder.mkdir()
+        started.append(Forked(code, {**common, "RANK": rank, "LOCAL_RANK": rank}, folder))
+    for process in started:
+        _, errors = process.communicate(timeout=300)
+        assert process.returncode == 0, errors
     ranks = [torch.load(tmp_path / f"{rank}.pt") for rank in (0, 1)]
     share = import_module("torchdq.learning.training.distributed").Team()
     for one, two, alone in zip(*ranks, found(share), strict=True):
