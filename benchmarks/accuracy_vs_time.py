@@ -1,14 +1,16 @@
 """Accuracy against time: errors against verified references, beside the time they take, on one thread.
 
-    python benchmarks/accuracy_vs_time.py [--quick] [--full] [--scene NAME ...] [--json FILE] [--page]
+    python benchmarks/accuracy_vs_time.py [--quick] [--full] [--scene NAME ...] [--json FILE] [--page] [--again]
 
 Trajectories by integrator, precision and step; forward dynamics by algorithm, precision and number of joints;
 gradients; effects; energy over a long time; products of poses; exponential and logarithm; backends. Writes the results,
-five plots and the table of docs/accuracy.md.
+five plots and the numbers of docs/accuracy.md. `--again` measures nothing: it writes them anew from the results.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import os
 import subprocess
 import sys
@@ -27,6 +29,7 @@ from accuracy import (
     backends,
     effects,
     energy,
+    findings,
     forward,
     gradients,
     maps,
@@ -60,15 +63,8 @@ def commit() -> str:
     return found.stdout.strip()
 
 
-def main() -> None:
-    parser = report.parser(__doc__, quick="fewer steps, sizes and repeats: three minutes")
-    parser.add_argument("--full", action="store_true", help="forward dynamics of up to 1000 joints also with --quick")
-    parser.add_argument("--scene", nargs="+", choices=list(CASES), help="only these trajectories, and nothing else")
-    parser.add_argument("--plots", type=Path, default=FOLDER / "accuracy", help="folder of the plots")
-    parser.set_defaults(json=FOLDER / "accuracy.json")
-    arguments = parser.parse_args()
-    torch.set_num_threads(1)
-    warnings.filterwarnings("ignore", message=".*moves no inertia.*")
+def measured(arguments: argparse.Namespace) -> dict[str, Any]:
+    """All results, as the arguments ask for them."""
     start, quick = time.perf_counter(), arguments.quick
 
     def said(what: str) -> None:
@@ -78,7 +74,7 @@ def main() -> None:
     results: dict[str, Any] = {
         "machine": report.machine("scipy", "mpmath"),
         "commit": commit(),
-        "flags": sys.argv[1:],
+        "flags": [x for x in sys.argv[1:] if x.startswith("--")],
         "omitted": [f"{name}: {why}" for name, why in SLOW.items() if name not in names and not arguments.scene],
     }
     said("references")
@@ -101,13 +97,30 @@ def main() -> None:
             "backends": backends.measured,
             "forward_dynamics": lambda quick: forward.measured(quick, arguments.full),
         }
-        for name, measured in others.items():
+        for name, of in others.items():
             said(name.replace("_", " "))
-            results[name] = measured(quick)
+            results[name] = of(quick)
         said("recommended")
         results["recommended"] = recommended.measured(results["trajectories"])
     said("done")
     results["seconds"] = time.perf_counter() - start
+    return results
+
+
+def main() -> None:
+    """The study, measured or read, and what follows from it: printed, plotted, and written into its page."""
+    parser = report.parser(__doc__, quick="fewer steps, sizes and repeats: three minutes")
+    parser.add_argument("--full", action="store_true", help="forward dynamics of up to 1000 joints also with --quick")
+    parser.add_argument("--scene", nargs="+", choices=list(CASES), help="only these trajectories, and nothing else")
+    parser.add_argument("--plots", type=Path, default=FOLDER / "accuracy", help="folder of the plots")
+    parser.add_argument("--again", action="store_true", help="measure nothing; take the results of the JSON file")
+    parser.set_defaults(json=FOLDER / "accuracy.json")
+    arguments = parser.parse_args()
+    if arguments.page and arguments.scene:
+        parser.error("--page needs all scenes, leave out --scene")
+    torch.set_num_threads(1)
+    warnings.filterwarnings("ignore", message=".*moves no inertia.*")
+    results = json.loads(arguments.json.read_text()) if arguments.again else measured(arguments)
     found = table.advice(results)
     results |= {"dominated": table.dominated(results), "crossovers": table.crossovers(results), "table": found}
     arguments.json.parent.mkdir(parents=True, exist_ok=True)
@@ -126,7 +139,7 @@ def main() -> None:
         print(f"\n{table.lines(title, items)}")
     print(f"\n{report.words(results['machine'])}, commit {results['commit']}, {results['seconds']:.0f} s")
     if arguments.page:
-        report.into_page(found, __file__, results["machine"])
+        report.into_page(findings.page(results), __file__, results["machine"])
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ needs an entry in `pages/cases.py` and one in `pages/characteristics.py`.
 
 from __future__ import annotations
 
-import argparse
 import os
 import statistics
 import time
@@ -22,9 +21,9 @@ import torch
 from pages import effect_page
 from pages.cases import CASES, built
 from pages.characteristics import CHARACTERISTICS
+from pages.command import command
 from pages.effect_facts import ARM, arm, tensors_of
 from pages.pictures import svg
-from pages.text import write
 from torch import Tensor
 
 from torchdq.effects import Effect
@@ -90,19 +89,16 @@ def pictures() -> dict[str, str]:
     return {effect_page.address(name).replace(".md", ".svg"): svg(draw()) for name, draw in CHARACTERISTICS.items()}
 
 
+def store(quick: bool) -> None:
+    """Measure all prices, and store them with the machine."""
+    report.into_json(effect_page.PRICES, machine=report.machine(), **measured(200 if quick else 2000))
+
+
 def main() -> None:
     """Prices of all effects measured, or their pages written, as the arguments say."""
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    options.add_argument("--quick", action="store_true", help="fewer calls of each step")
-    options.add_argument("--measure", action="store_true", help="store nanoseconds in benchmarks/results/effects.json")
-    options.add_argument("--write", action="store_true", help="write docs/effects")
-    arguments = options.parse_args()
-    torch.set_num_threads(1)
-    if arguments.measure:
-        report.into_json(effect_page.PRICES, machine=report.machine(), **measured(200 if arguments.quick else 2000))
-    if arguments.write:
-        changed = write(FOLDER, pages() | pictures())
-        print("\n".join(changed) or "nothing has changed")
+    command(
+        __doc__, "fewer calls of each step", store, effect_page.PRICES, FOLDER, files=lambda: pages() | pictures()
+    )
 
 
 if __name__ == "__main__":

@@ -9,7 +9,6 @@ docs/environments from these and from the environments themselves. A new environ
 
 from __future__ import annotations
 
-import argparse
 import os
 import statistics
 import time
@@ -22,8 +21,8 @@ import numpy as np
 import report
 import torch
 from pages import environment_index, environment_page
+from pages.command import command
 from pages.environment_cases import ENVIRONMENTS
-from pages.text import write
 
 from torchdq.envs import ArmVectorEnv
 
@@ -90,19 +89,17 @@ def pictures() -> dict[str, bytes]:
     return {f"{task}.png": environment_page.picture(task) for task in ENVIRONMENTS}
 
 
+def store(quick: bool) -> None:
+    """Measure all rates, and store them with the machine."""
+    rates = measured(0.5 if quick else 4.0)
+    report.into_json(environment_page.RATES, machine=report.machine("gymnasium"), rates=rates)
+
+
 def main() -> None:
     """Rates of all environments measured, or their pages written, as the arguments say."""
-    options = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    options.add_argument("--quick", action="store_true", help="shorter measurements")
-    options.add_argument("--measure", action="store_true", help="store rates in benchmarks/results/environments.json")
-    options.add_argument("--write", action="store_true", help="write docs/environments")
-    arguments = options.parse_args()
-    torch.set_num_threads(1)
-    if arguments.measure:
-        rates = measured(0.5 if arguments.quick else 4.0)
-        report.into_json(environment_page.RATES, machine=report.machine("gymnasium"), rates=rates)
-    if arguments.write:
-        print("\n".join(write(FOLDER, pages() | pictures())) or "nothing has changed")
+    command(
+        __doc__, "shorter measurements", store, environment_page.RATES, FOLDER, files=lambda: pages() | pictures()
+    )
 
 
 if __name__ == "__main__":

@@ -239,7 +239,28 @@ def table(rows: Sequence[Row], title: str) -> str:
     return "\n".join(lines)
 
 
+def summary(rows: Sequence[Row]) -> str:
+    """How much longer the peer takes, over all numbers of knots, in a list; "": it was not measured."""
+
+    def over(side: str, kind: str) -> str:
+        found = [
+            peer.times[kind] / ours.times[kind]
+            for peer in rows
+            for ours in rows
+            if (peer.side, ours.side) == (PEER, side) and (peer.task, peer.knots) == (ours.task, ours.knots)
+        ]
+        return f"{kind} {min(found):.1f} to {max(found):.1f}"
+
+    if not any(row.side == PEER for row in rows):
+        return ""
+    return "\n".join(
+        f"* Times of {PEER}, over those of {side}: {', '.join(over(side, kind) for kind in KINDS)}."
+        for side in (OURS, ONE)
+    )
+
+
 def main() -> None:
+    """The table, and what it comes to."""
     parser = report.parser(__doc__, quick="without Pinocchio, whose headers take minutes to compile")
     arguments = parser.parse_args()
     robot, model = panda()
@@ -249,7 +270,7 @@ def main() -> None:
         timer.least.restype = ctypes.c_double
         peers = {} if arguments.quick else expressions(model, folder)
         rows = [row for task in TASKS for row in measured(task, robot, peers.get(task), timer, folder)]
-    text = table(rows, "Panda in CasADi, one thread, per knot")
+    text = f"{table(rows, 'Panda in CasADi, one thread, per knot')}\n\n{summary(rows)}".strip()
     print(f"\n{text}")
     report.finish(arguments, __file__, text, report.machine("casadi"), rows=[row._asdict() for row in rows])
 

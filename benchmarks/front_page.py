@@ -2,7 +2,7 @@
 
     python benchmarks/front_page.py [--page]
 
-Run it after `peers.py --page` or `envs.py --page`. It measures nothing, so the numbers of the two pages are the same.
+It measures nothing, so the numbers of the two pages are the same. `peers.py --page` and `envs.py --page` end with it.
 """
 
 from __future__ import annotations
@@ -45,13 +45,19 @@ def table() -> str:
     return "\n".join([*lines, "", said])
 
 
+def follow(arguments: argparse.Namespace) -> None:
+    """Write the rows into the README, if a script that measures them has written its page."""
+    if arguments.page:
+        report.between_marks(table(), __file__)
+
+
 def main() -> None:
+    """The rows, printed, and written where the option asks for it."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--page", action="store_true", help="write the rows into the README")
     arguments = parser.parse_args()
     print(table())
-    if arguments.page:
-        report.between_marks(table(), __file__)
+    follow(arguments)
 
 
 if __name__ == "__main__":

@@ -38,16 +38,6 @@ from torchdq.timing import measure
 # NVIDIA H200 SXM: bytes per second of a copy, multiprocessors, lanes of each, clock [Hz]; data sheet and its whitepaper
 COPY, MULTIPROCESSORS, LANES, CLOCK = 4.26e12, 132, 128, 1.98e9
 ARCHITECTURE = 90
-# asked of an H200, in 1e9 samples per second: float32, float64
-ASKED = {
-    "inverse dynamics": (19, 9.5),
-    "its forward + backward": (7, 3.4),
-    "forward dynamics": (13, 8),
-    "forward dynamics, forward + backward": (4, 2.3),
-    "dynamics jacobian": (4.5, 2.2),
-    "Reach step": (3.5, 2),
-    "inverse dynamics, 32 joints": (3.5, 1.7),
-}
 RARE = "if(!(x<=LARGEST&&x>=-LARGEST))y=rare(x);"  # angles beyond 4000 rad (1e5 in float64)
 TAIL = "samples-first<BLOCK?(int)(samples-first):BLOCK"  # threads of the last block
 
@@ -142,16 +132,12 @@ def computed_table(quick: bool) -> tuple[str, list[Computed]]:
             rows.append(computed(task, several, single, compiler, tool))
             print(rows[-1], flush=True)
     lines = [
-        "| H200, computed, not yet measured | precision | registers | spilled [B] | instructions | "
-        "bound [1e9/s] | asked [1e9/s] |",
-        "|" + "---|" * 7,
+        "| H200, computed, not yet measured | precision | registers | spilled [B] | instructions | bound [1e9/s] |",
+        "|" + "---|" * 6,
     ]
     for row in rows:
-        asked = ASKED[row.task][row.dtype == "float64"]
         numbers = (" + ".join(map(str, x)) or "-" for x in (row.registers, row.spilled, row.instructions))
-        lines.append(
-            f"| {row.task} | {row.dtype} | {' | '.join(numbers)} | {row.bound / 1e9:.1f} ({row.limit}) | {asked} |"
-        )
+        lines.append(f"| {row.task} | {row.dtype} | {' | '.join(numbers)} | {row.bound / 1e9:.1f} ({row.limit}) |")
     return "\n".join(lines), rows
 
 
@@ -269,15 +255,14 @@ def copy_speed(device: torch.device) -> float:
 
 def measured_table(rows: list[Measured], copy: float, name: str) -> str:
     """Largest speeds of all tasks as a table."""
-    lines = [f"| {name}, copy {copy / 1e12:.2f} TB/s | precision | batch | 1e9 samples/s | asked of an H200 |"]
-    lines.append("|" + "---|" * 5)
+    lines = [f"| {name}, copy {copy / 1e12:.2f} TB/s | precision | batch | 1e9 samples/s |"]
+    lines.append("|" + "---|" * 4)
     for task, dtype in dict.fromkeys((row.task, row.dtype) for row in rows):
         best = min(
             (r for r in rows if (r.task, r.dtype) == (task, dtype) and r.backend != "eager"),
             key=lambda r: r.nanoseconds,
         )
-        asked = ASKED.get(task, ("1" if "step" in task else "",) * 2)[dtype == "torch.float64"]
-        lines.append(f"| {task} | {dtype[6:]} | {best.batch} | {1 / best.nanoseconds:.3g} | {asked} |")
+        lines.append(f"| {task} | {dtype[6:]} | {best.batch} | {1 / best.nanoseconds:.3g} |")
     return "\n".join(lines)
 
 

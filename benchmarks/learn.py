@@ -1,6 +1,6 @@
 """Does a policy learn in these environments? PPO of stable-baselines3 on Reach, with seeds and intervals.
 
-    python benchmarks/learn.py [--quick] [--steps N] [--seeds N] [--device cuda] [--json FILE]
+    python benchmarks/learn.py [--quick] [--steps N] [--seeds N] [--device cuda] [--json FILE] [--page]
 
 Actions are offsets of the joint positions that a joint PD controller with gravity compensation follows. Returns are
 sums over episodes of 100 steps from 512 states and goals that training never saw; the interval is the 95 % bootstrap
@@ -97,7 +97,7 @@ def interval(values: list[float]) -> str:
 
 
 def main() -> dict[str, list[tuple[float, float]]]:
-    parser = report.parser(__doc__, quick="one seed, a tenth of the steps", page=False)
+    parser = report.parser(__doc__, quick="one seed, a tenth of the steps")
     parser.add_argument("--steps", type=int, default=3_000_000, help="environment steps of training")
     parser.add_argument("--seeds", type=int, default=5, help="how often it is trained")
     parser.add_argument("--device", default="cpu", help="device of the environments and of the training")
@@ -110,18 +110,20 @@ def main() -> dict[str, list[tuple[float, float]]]:
         "PPO, untrained": [],
         f"PPO, {steps / 1e6:g} million steps": [],
     }
-    start = time.perf_counter()
+    start = time.process_time()  # which other work on the machine does not change
     for seed in range(seeds):
         for name, result in zip(list(found)[2:], train(seed, steps, arguments.device), strict=True):
             found[name].append(result)
-    spent = (time.perf_counter() - start) / seeds
-    print("| policy | return of an episode | distance at its end |\n|---|---|---|")
+    spent = (time.process_time() - start) / seeds
+    lines = ["| Reach, Panda | return of an episode | distance at its end |", "|---|---|---|"]
     for name, results in found.items():
         returns, distances = zip(*results, strict=True)
-        print(f"| {name} | {interval(list(returns))} | {1e3 * np.median(distances):.0f} mm |")
-    machine, where = report.machine(), "one thread" if arguments.device == "cpu" else arguments.device
-    print(f"\n{seeds} seeds, {spent:.0f} s of training each on {where}; {machine['processor']}")
-    report.into_json(arguments.json, machine=machine, results=found)
+        lines.append(f"| {name} | {interval(list(returns))} | {1e3 * np.median(distances):.0f} mm |")
+    where = "one thread" if arguments.device == "cpu" else arguments.device
+    lines += ["", f"Seeds: {seeds}. Training took {spent:.0f} s of processor time for each, on {where}."]
+    text = "\n".join(lines)
+    print(text)
+    report.finish(arguments, __file__, text, report.machine("stable-baselines3"), results=[found])
     return found
 
 

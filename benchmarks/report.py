@@ -1,4 +1,4 @@
-"""Options and reports of all benchmarks: options, goals and measurements, the machine; pages and JSON files."""
+"""Options and reports of all benchmarks: options, tables, the machine; pages and JSON files."""
 
 import argparse
 import importlib.metadata
@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-Goal = tuple[str, str, str]  # what, the goal, what was measured
+Line = tuple[str, str]  # what, and what was measured
 
 
 def parser(document: str, quick: str, page: bool = True) -> argparse.ArgumentParser:
@@ -26,10 +26,10 @@ def parser(document: str, quick: str, page: bool = True) -> argparse.ArgumentPar
     return found
 
 
-def goals_table(title: str, goals: Sequence[Goal]) -> str:
-    """Goals and measurements as a table."""
-    lines = "\n".join(f"| {what} | {asked} | {found} |" for what, asked, found in goals)
-    return f"| {title} | goal | measured |\n|---|---|---|\n{lines}"
+def table(title: str, lines: Sequence[Line]) -> str:
+    """Measurements as a table."""
+    rows = "\n".join(f"| {what} | {found} |" for what, found in lines)
+    return f"| {title} | measured |\n|---|---|\n{rows}"
 
 
 def spread(times: Sequence[float]) -> tuple[float, float, float]:

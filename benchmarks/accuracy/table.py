@@ -128,8 +128,8 @@ def dominated(results: Results) -> list[str]:
     counts: dict[str, list[str]] = {}
     for scene in results.get("trajectories", ()):
         points = usable(scene)
-        losers = Counter(_setting(p) for p, _ in fits.dominated(points))
-        for setting, number in Counter(map(_setting, points)).items():
+        losers = Counter(setting(p) for p, _ in fits.dominated(points))
+        for setting, number in Counter(map(setting, points)).items():
             if 2 * losers[setting] > number:
                 counts.setdefault(setting, []).append(f"{scene['scene']} ({losers[setting]} of {number} points)")
     return [f"{setting}: {', '.join(scenes)}" for setting, scenes in sorted(counts.items())]
@@ -140,17 +140,18 @@ def crossovers(results: Results) -> list[str]:
     found = []
     for scene in results.get("trajectories", ()):
         for before, after in pairwise(fits.thinned(front(scene))):
-            a, b = _setting(before), _setting(after)
+            a, b = setting(before), setting(after)
             if a == b:
                 continue
             # true if the one before would get as far, but slower
-            reaches = any(_setting(p) == a and p["error_max"] <= after["error_max"] for p in usable(scene))
+            reaches = any(setting(p) == a and p["error_max"] <= after["error_max"] for p in usable(scene))
             why = f"is cheaper than {a}" if reaches else f"takes over from {a}, which does not get there"
             found.append(f"{scene['scene']}: below {before['error_max']:.0e}, {b} {why}")
     return found
 
 
-def _setting(point: fits.Point) -> str:
+def setting(point: fits.Point) -> str:
+    """Integrator and precision of a point."""
     return f"{point['precision']} {point['integrator']}"
 
 
