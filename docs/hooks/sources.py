@@ -11,7 +11,8 @@ LINK = re.compile(r"(\]\()(?![a-z]+:|#|/)([^)#\s]+)((?:#[^)\s]*)?\))")
 FENCE = re.compile(r"^(```+|~~~+)[^\n]*\n.*?^\1\s*$", re.MULTILINE | re.DOTALL)
 PICTURES = {".png", ".gif", ".svg", ".jpg", ".webp"}
 LANGUAGES = {".py": "python", ".c": "c", ".h": "c", ".toml": "toml", ".urdf": "xml", ".xml": "xml", ".cff": "yaml"}
-UNSEARCHED = "---\nsearch: { exclude: true }\n---\n\n"
+UNSEARCHED = "---\nsearch: { exclude: true }\nhide: [navigation]\n---\n\n"
+WIDE = "---\nhide: [{}]\n---\n\n"  # what stands beside a page and is empty there leaves its place to tables
 FIRST_PAGE = "README.md"  # of the repository; that of the site says the same
 
 
@@ -74,7 +75,8 @@ def _place(target: str) -> str:
 
 def _page(path: Path, name: str) -> str:
     if path.suffix == ".md":
-        return path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8")
+        return WIDE.format("navigation" if "\n## " in text else "navigation, toc") + text
     if path.is_dir():
         return f"{UNSEARCHED}# {name}\n\n" + "\n".join(
             f"* `{p.name}`" for p in sorted(path.iterdir()) if p.name[0] not in "._"
