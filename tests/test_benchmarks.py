@@ -9,7 +9,12 @@ from collections import Counter
 from pathlib import Path
 
 import front_page
+import oracles
 import report
+import test_mujoco
+import test_pinocchio
+import torch
+from accuracy import findings
 
 FOLDER = Path(__file__).resolve().parents[1] / "benchmarks"
 SCRIPTS = [file for file in sorted(FOLDER.glob("*.py")) if "__main__" in file.read_text()]
@@ -69,6 +74,24 @@ def test_a_table_is_written_between_its_marks_and_nowhere_else(tmp_path, monkeyp
     assert page.read_text() == f"before\n{begin}\n| new |\n\nMeasured on: processor one, cores 2.\n{end}\nafter\n"
     assert report.shown("peers.py").startswith("| new |")
     assert (tmp_path / "README.md").read_text() == "nothing\n"
+
+
+def test_numbers_of_checks_are_those_of_the_suite():
+    """What README and pages say was compared is what the tests compare."""
+    robots, mujoco, trees = len(oracles.example_robots()), len(test_mujoco.NAMES), oracles.TREES
+    readme, page = (" ".join((report.ROOT / x).read_text("utf-8").split()) for x in ("README.md", "docs/robots.md"))
+    tolerance = f"{test_pinocchio.TOLERANCE[torch.float64]:.0e}"
+    assert f"agree with Pinocchio to {tolerance} on {robots} robots and {trees} random trees" in readme
+    assert f"agree with Pinocchio to {tolerance}" in page
+    assert f"on {robots} robots of `example-robot-data` and on {trees} random trees" in page
+    assert f"MuJoCo's own reading of {mujoco} of those files" in page
+
+
+def test_numbers_of_the_page_on_accuracy_are_those_of_the_results():
+    results = json.loads((FOLDER / "results" / "accuracy.json").read_text("utf-8"))
+    machine = f"Measured on: {report.words(results['machine'])}."
+    shown = report.shown("accuracy_vs_time.py")
+    assert shown == f"{findings.page(results)}\n\n{machine}", "benchmarks/accuracy_vs_time.py --again --page"
 
 
 def test_the_rows_of_the_readme_are_those_of_the_pages():

@@ -22,7 +22,7 @@ def choices(results: dict[str, Any]) -> str:
     lines = ["| motion | errors | cheapest |", "|---|---|---|"]
     for name, words in SCENES:
         front = fits.thinned(table.front(scenes[name]))
-        turns = [(a, b) for a, b in pairwise(front) if table.setting(a) != table.setting(b)]
+        turns = [(a, b) for a, b in pairwise(front) if table.method_of(a) != table.method_of(b)]
         last = ""
         for before, _ in turns:
             reached = f"{before['error_max']:.0e}"

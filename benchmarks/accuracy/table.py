@@ -128,8 +128,8 @@ def dominated(results: Results) -> list[str]:
     counts: dict[str, list[str]] = {}
     for scene in results.get("trajectories", ()):
         points = usable(scene)
-        losers = Counter(setting(p) for p, _ in fits.dominated(points))
-        for setting, number in Counter(map(setting, points)).items():
+        losers = Counter(method_of(p) for p, _ in fits.dominated(points))
+        for setting, number in Counter(map(method_of, points)).items():
             if 2 * losers[setting] > number:
                 counts.setdefault(setting, []).append(f"{scene['scene']} ({losers[setting]} of {number} points)")
     return [f"{setting}: {', '.join(scenes)}" for setting, scenes in sorted(counts.items())]
@@ -140,17 +140,17 @@ def crossovers(results: Results) -> list[str]:
     found = []
     for scene in results.get("trajectories", ()):
         for before, after in pairwise(fits.thinned(front(scene))):
-            a, b = setting(before), setting(after)
+            a, b = method_of(before), method_of(after)
             if a == b:
                 continue
             # true if the one before would get as far, but slower
-            reaches = any(setting(p) == a and p["error_max"] <= after["error_max"] for p in usable(scene))
+            reaches = any(method_of(p) == a and p["error_max"] <= after["error_max"] for p in usable(scene))
             why = f"is cheaper than {a}" if reaches else f"takes over from {a}, which does not get there"
             found.append(f"{scene['scene']}: below {before['error_max']:.0e}, {b} {why}")
     return found
 
 
-def setting(point: fits.Point) -> str:
+def method_of(point: fits.Point) -> str:
     """Integrator and precision of a point."""
     return f"{point['precision']} {point['integrator']}"
 

@@ -29,5 +29,5 @@ class CostCommand(Command):
             for title, entries in cost.TABLES.items()
         }
         steps = [{"step": rung.name, "nanoseconds": t} for rung, t in zip(ladder.RUNGS, times, strict=True)]
-        text = f"{cost.report()}\n\n## From Algorithm 1 to the program that runs\n\n{table}"
+        text = f"{cost.report()}\n\n## From Algorithm 1 to the program that runs\n\n{table}\n\n{ladder.COUNTED}"
         return Outcome((Verbatim(text),), {"tables": tables, "steps": steps})
