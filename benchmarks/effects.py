@@ -96,9 +96,7 @@ def store(quick: bool) -> None:
 
 def main() -> None:
     """Prices of all effects measured, or their pages written, as the arguments say."""
-    command(
-        __doc__, "fewer calls of each step", store, effect_page.PRICES, FOLDER, files=lambda: pages() | pictures()
-    )
+    command(__doc__, "fewer calls of each step", store, effect_page.PRICES, FOLDER, files=lambda: pages() | pictures())
 
 
 if __name__ == "__main__":

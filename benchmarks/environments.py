@@ -97,9 +97,7 @@ def store(quick: bool) -> None:
 
 def main() -> None:
     """Rates of all environments measured, or their pages written, as the arguments say."""
-    command(
-        __doc__, "shorter measurements", store, environment_page.RATES, FOLDER, files=lambda: pages() | pictures()
-    )
+    command(__doc__, "shorter measurements", store, environment_page.RATES, FOLDER, files=lambda: pages() | pictures())
 
 
 if __name__ == "__main__":

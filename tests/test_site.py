@@ -24,6 +24,7 @@ pytest.importorskip("mkdocstrings")
 ROOT = Path(__file__).resolve().parents[1]
 API = sorted((ROOT / "docs/api").glob("*.md"))
 SHOWN = [name for page in API for name in re.findall(r"^::: (\S+)$", page.read_text(encoding="utf-8"), re.MULTILINE)]
+PAGE_OF = {name: text for text in map(Path.read_text, API) for name in SHOWN if f"\n::: {name}\n" in f"{text}\n"}
 # what a browser loads by itself, not what a reader follows
 LOADED = re.compile(
     r"""<(?:script|img|iframe|source|video|audio|embed|object)\b[^>]*\b(?:src|srcset|data)=["']?(?:https?:)?//[^>]*>"""
@@ -166,3 +167,21 @@ def test_a_public_function_says_what_it_takes(name):
     arguments = [x for x in inspect.signature(function).parameters if x not in ("backend", "robot", "dtype", "device")]
     missing = [x for x in arguments if not re.search(rf"(?<!\w){re.escape(x)}(?!\w)", document.split(">>>")[0])]
     assert not missing, f"{name} does not say what these are: {missing}"
+
+
+PURE = {  # take no quantity of physics
+    *("cut", "hold_out", "plot_torques", "sample", "compile", "backend", "load", "names", "clear_caches"),
+    "require_finite",
+}
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_a_public_function_says_units_shapes_and_errors(name):
+    """Units and shapes stand in brackets; errors in the docstring, or above all functions of its page."""
+    function = resolved(name)
+    said = inspect.getdoc(function).split(">>>")[0]
+    assert "[" in said or name.rpartition(".")[2] in PURE, f"{name} has no unit and no shape"
+    common = "Error`" in PAGE_OF[name].partition("\n::: ")[0]
+    assert common or re.search(r"^Raises?\b", said, re.MULTILINE) or not inspect.signature(function).parameters, (
+        f"{name} says nothing of errors"
+    )

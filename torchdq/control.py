@@ -36,7 +36,7 @@ def computed_torque(
 
     Args:
         robot: the model of the robot that is controlled.
-        q, qd: measured positions [rad or m] and velocities, shape [..., n].
+        q, qd: measured positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
         q_des, qd_des, qdd_des: desired positions, velocities and accelerations, shape [..., n].
         kp: position gain [1/s^2], a number or shape [..., n].
         kd: velocity gain [1/s], a number or shape [..., n]; 2 sqrt(kp) is critical damping.

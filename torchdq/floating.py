@@ -308,7 +308,7 @@ def momentum_rate(
     qdd: Tensor | None = None,
     backend: BackendName | None = None,
 ) -> Momentum:
-    """Rate of `momentum` in a motion: the sum of all forces, and of their moments about the centre of mass.
+    """Rate of `momentum` in a motion: the sum of all forces [N], and of their moments about the centre of mass [N m].
 
     Args:
         robot, X_WB, q, V_WB_B, qd, A_WB_B, qdd: as in `inverse_dynamics`.
@@ -339,6 +339,9 @@ def forward_kinematics(
     Args:
         robot, X_WB, q: as in `inverse_dynamics`.
         frame: name of the frame, or names of several; None: all of them, in the order of `robot.frame_names`.
+    Raises:
+        UnknownNameError: the robot has no such frame.
+        ArgumentError, DtypeError: naming the argument that does not fit.
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
@@ -371,6 +374,9 @@ def jacobian(
     Args:
         robot, X_WB, q: as in `inverse_dynamics`.
         frame, expressed: as in `torchdq.jacobian`; "world" are the axes of the world.
+    Raises:
+        UnknownNameError: the robot has no such frame.
+        ArgumentError, DtypeError: naming the argument that does not fit.
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),

@@ -37,6 +37,8 @@ def backend(name: BackendName) -> Iterator[None]:
 
     Args:
         name: "auto", "eager", "c" or "cuda".
+    Raises:
+        ArgumentError: there is no such backend.
 
     >>> import torchdq
     >>> with backend("eager"):

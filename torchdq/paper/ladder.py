@@ -122,8 +122,8 @@ def inward(tree: Tree, steps: Steps, net: Sequence[Screw | None]) -> list[Number
 
 
 COUNTED = (
-    "The first row counts the formulas as they are written, with a wrench at the tip, as the paper does. The others count "
-    "recorded programs, in which equal operations are kept once, without that wrench."
+    "The first row counts the formulas as they are written, with a wrench at the tip, as the paper does. The others "
+    "count recorded programs, in which equal operations are kept once, without that wrench."
 )
 RUNGS = (
     LadderForm("operators as printed", as_printed),
