@@ -107,6 +107,14 @@ class ComputedTorque(Feedback):
         kd: velocity gain [1/s], shape [..., n].
         model: the robot as the controller believes it to be, with its own gravity and rotor inertia; its numbers
             are copied when a scene is made. None: as it is in the scene, payload and gravity included.
+
+    >>> import torch, torchdq
+    >>> from torchdq.envs import Scene, controllers, effects
+    >>> robot, control = torchdq.robots.load("two_link"), controllers.ComputedTorque(kp=100.0, kd=20.0)
+    >>> scene = Scene(robot, (effects.Gravity(),), controller=control, dt=0.01)
+    >>> end = scene.rollout(scene.start(torch.ones(2)), reference=torch.zeros(200, 6)).q[-1]
+    >>> bool((end.abs() < 1e-3).all())
+    True
     """
 
     def torques(self, at: Posed, reference: Row, q: Row, qd: Row) -> Sequence[Number]:
@@ -124,6 +132,11 @@ class PD(Feedback):
         kp: position gain [N m/rad or N/m], shape [..., n].
         kd: velocity gain [N m s/rad or N s/m], shape [..., n].
         model: the robot whose gravity torques are added, copied likewise; None: none are.
+
+    >>> import torchdq
+    >>> from torchdq.envs import Scene, controllers, effects
+    >>> robot = torchdq.robots.load("two_link")
+    >>> scene = Scene(robot, (effects.Gravity(),), controller=controllers.PD(kp=50.0, kd=10.0, model=robot))
     """
 
     def torques(self, at: Posed, reference: Row, q: Row, qd: Row) -> Sequence[Number]:

@@ -22,6 +22,11 @@ class ArmEnv(gymnasium.Env):
         max_episode_steps: steps after which an episode is truncated; None: never, since `gymnasium.make` does it.
         render_mode: as in `ArmVectorEnv`; `render` returns one frame.
         arguments: arguments of `ArmVectorEnv`, except `num_envs`, `autoreset_mode` and `output`.
+
+    >>> from torchdq.envs import ArmEnv
+    >>> observation, info = ArmEnv(task="reach", robot="panda").reset(seed=0)
+    >>> observation.shape
+    (27,)
     """
 
     metadata = _METADATA

@@ -112,6 +112,10 @@ class LinearlyImplicit(Integrator):
 
     D and K are the damping and stiffness of the joint effects, on the diagonal, where they cost an addition each. For
     stiff friction, servos and limits; wrenches on bodies and actuators stay explicit.
+
+    >>> import torchdq
+    >>> from torchdq.envs import Scene, integrators
+    >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.LinearlyImplicit(), dt=0.01)
     """
 
     order = 1
@@ -124,7 +128,12 @@ class LinearlyImplicit(Integrator):
 
 @dataclass(frozen=True)
 class RungeKutta4(Integrator):
-    """Classical Runge-Kutta method of order 4."""
+    """Classical Runge-Kutta method of order 4.
+
+    >>> import torchdq
+    >>> from torchdq.envs import Scene, integrators
+    >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.RungeKutta4(), dt=0.01)
+    """
 
     order = 4
 
@@ -164,6 +173,10 @@ class StoermerVerlet(Integrator):
 
     Args:
         iterations: number of iterations of the implicit lines.
+
+    >>> import torchdq
+    >>> from torchdq.envs import Scene, integrators
+    >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.StoermerVerlet(), dt=0.01)
     """
 
     order = 2
@@ -234,6 +247,10 @@ class DormandPrince(Unrecorded):
             met: it is raised to that, with a warning.
         most: number of steps after which a sample that has not reached the end becomes NaN, as does one that fails
             at any step size.
+
+    >>> import torchdq
+    >>> from torchdq.envs import Scene, integrators
+    >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.DormandPrince(), dt=0.1)
     """
 
     order = 5

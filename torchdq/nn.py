@@ -75,12 +75,17 @@ class DQRNEA(RobotModule):
 class ForwardDynamics(RobotModule):
     """Forward dynamics as a differentiable layer: `forward(q, qd, tau, f_tip, f_ext)` returns qdd [..., n].
 
-    Friction and learned offset are subtracted from the torques, which are those of the motors. Example: `DQRNEA`,
-    which is made and called alike.
+    Friction and learned offset are subtracted from the torques, which are those of the motors.
 
     Args:
         precision: as in `torchdq.forward_dynamics`.
         robot, learn, backend, friction_width, friction: as in `DQRNEA`.
+
+    >>> import torch, torchdq
+    >>> fall = torchdq.ForwardDynamics(torchdq.robots.load("two_link"))
+    >>> q = torch.tensor([-1.5708, 0.0], dtype=torch.float64)  # hanging down
+    >>> bool((fall(q, 0 * q, 0 * q).abs() < 1e-3).all())
+    True
     """
 
     _function = "forward_dynamics"

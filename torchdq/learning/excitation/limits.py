@@ -61,6 +61,11 @@ class Box:
     Args:
         frame: name of the frame.
         lower, upper: corners in the base frame [m]; `math.inf` where there is no wall.
+
+    >>> import torch, torchdq
+    >>> box = Box("tip", (-1.0, -2.5, -1.0), (3.0, 2.5, 1.0))
+    >>> bool((box(torchdq.robots.load("two_link"), torch.zeros(2)) > 0).all())
+    True
     """
 
     frame: str
