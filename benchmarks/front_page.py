@@ -39,8 +39,8 @@ def table() -> str:
     (without,) = re.findall(r"; (\d+) x where mujoco has no dry friction", line)
     said = (
         f"One thread of an {machine[0]} ({machine[1]}), 4096 arms at once, float64. "
-        "In each row the packages took turns.\n"
-        f"MuJoCo solves for dry friction; without dry friction the last ratio is {without} x."
+        "The packages of a row ran in turns.\n"
+        f"MuJoCo finds dry friction by a solver; without dry friction the last ratio is {without} x."
     )
     return "\n".join([*lines, "", said])
 

@@ -2,8 +2,10 @@
 
 import importlib
 import inspect
+import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -68,6 +70,11 @@ def test_nothing_is_fetched_while_pages_are_read(site):
         fetched = re.findall(r"""["'`]https?://([\w.-]+/[\w@.-]+)""", script.read_text(encoding="utf-8"))
         assert set(fetched) <= UNUSED, script
     assert not any('class="mermaid"' in text or "data-md-source" in text for text in pages(site).values())
+
+
+def test_addresses_are_relative(site):
+    """Pages open from a folder, and from any place of a server."""
+    assert not [name for name, text in pages(site).items() if re.search(r"""(?:href|src)=["']?/""", text)]
 
 
 def test_what_a_browser_would_load_is_noticed():
@@ -185,3 +192,39 @@ def test_a_public_function_says_units_shapes_and_errors(name):
     assert common or re.search(r"^Raises?\b", said, re.MULTILINE) or not inspect.signature(function).parameters, (
         f"{name} says nothing of errors"
     )
+
+
+OVERFLOW = """<body><script>
+(async () => {
+  const found = [];
+  for (const [page, width] of %s) {
+    const frame = document.createElement("iframe");
+    frame.style.width = width + "px";
+    frame.src = page;
+    await new Promise((loaded) => { frame.onload = loaded; document.body.append(frame); });
+    await new Promise((drawn) => setTimeout(drawn, 50));
+    const root = frame.contentDocument.documentElement;
+    if (root.scrollWidth > root.clientWidth) found.push(page + " at " + width);
+    frame.remove();
+  }
+  document.body.textContent = "FOUND " + JSON.stringify(found) + " END";
+})();
+</script></body>"""
+
+
+@pytest.mark.exhaustive
+def test_no_page_is_wider_than_the_screen(site, tmp_path):
+    """Wide tables, code and formulas scroll by themselves, on a desk and on a telephone."""
+    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    if browser is None:
+        pytest.skip("needs Chromium")
+    wide = tmp_path / "wide.html"
+    wide.write_text("<!doctype html><p style='width: 2000px'>wide</p>")
+    asked = [[path.as_uri(), width] for path in (*site.rglob("*.html"), wide) for width in (1280, 390)]
+    harness = tmp_path / "all.html"
+    harness.write_text(OVERFLOW % json.dumps(asked), encoding="utf-8")
+    order = [browser, "--headless=new", "--no-sandbox", "--disable-gpu", "--allow-file-access-from-files"]
+    order += [f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=600000", "--dump-dom", harness.as_uri()]
+    said = subprocess.run(order, capture_output=True, text=True, timeout=500).stdout
+    found = json.loads(re.search(r"FOUND (\[.*\]) END", said)[1])
+    assert found == [f"{wide.as_uri()} at {width}" for width in (1280, 390)]

@@ -17,9 +17,9 @@ ROOT = Path(__file__).resolve().parents[2]
 def on_config(config):
     """The nav with the pages that are there, and formulas as an extension of Markdown.
 
-    No page for wrong addresses, whose own links would have to know where the site lies, and no map with full addresses.
+    There is no page for wrong addresses, whose links would have to know where the site lies.
     """
-    config.theme.static_templates.clear()
+    config.theme.static_templates.discard("404.html")
     config.nav = navigation.of_pages(config.nav, Path(config.docs_dir))
     config.markdown_extensions.append(mathml.Formulas())
     return config
