@@ -339,11 +339,6 @@ def forward_kinematics(
         robot, q: the robot and its joint positions [rad or m], shape [..., n].
         frame: name of the frame; or names of several, which one program computes together, much faster than one by one;
             None: all of them, in the order of `robot.frame_names`.
-    Returns:
-        X_WF: poses, shape [..., 8], or [..., frames, 8]; lengths are in m.
-    Raises:
-        UnknownNameError: the robot has no such frame.
-        ArgumentError, DtypeError: naming the argument that does not fit.
 
     >>> import torch, torchdq
     >>> X = forward_kinematics(torchdq.robots.load("two_link"), torch.zeros(2), "tip")
@@ -376,11 +371,6 @@ def jacobian(
         frame: name of the frame F.
         expressed: "body": V_WF_F, the twist in F's own axes, of F's origin. "world": the same twist of F's origin in
             the axes of the base frame.
-    Returns:
-        J: Jacobian, shape [..., 6, n]; its rows are angular [rad per rad or m], then linear [m per rad or m].
-    Raises:
-        UnknownNameError: the robot has no such frame.
-        ArgumentError, DtypeError: naming the argument that does not fit.
 
     >>> import torch, torchdq
     >>> jacobian(torchdq.robots.load("two_link"), torch.zeros(2), "tip")[4]  # the tip's velocity along y
