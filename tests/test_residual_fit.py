@@ -302,6 +302,7 @@ def test_a_killed_run_ends_with_the_same_bits(tmp_path, monkeypatch, killed):
 # --- real arms -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.exhaustive  # the example of test_real_arm.py holds the same
 @pytest.mark.skipif(not (DATA / "panda_gaz2019").is_dir(), reason="the recordings are not here")
 def test_a_real_panda_is_explained_better_within_honest_intervals():
     import sys
