@@ -1,4 +1,4 @@
-"""Which backend the tests run on, and how close they come to what they allow.
+"""Which backend and which random numbers the tests run on, and how close they come to what they allow.
 
 Tests run operation by operation, unless a test file names another backend as BACKEND. Compiling costs a fraction of a
 second for every robot and function, which thousands of random robots do not repay. That the compiled programs give the
@@ -14,6 +14,7 @@ import math
 from pathlib import Path
 
 import pytest
+import torch
 
 import torchdq
 
@@ -26,6 +27,7 @@ collect_ignore = ["far_device.py"]
 
 @pytest.fixture(autouse=True)
 def chosen_backend(request):
+    torch.manual_seed(0)  # of those that name no generator, whatever ran before
     with torchdq.backend(getattr(request.module, "BACKEND", "eager")):
         yield
 

@@ -53,6 +53,24 @@ def thinned(values, kept):
     return [value if value in kept else exhaustive(value) for value in values]
 
 
+def all_in_one(values):
+    """Makes a test of one value the test of all, which names the first that fails: for a thousand that take no time."""
+
+    def decorated(test):
+        def of_all():
+            for value in values:
+                try:
+                    test(value)
+                except BaseException as error:
+                    error.add_note(f"{test.__name__} with {value!r}")
+                    raise
+
+        of_all.__name__, of_all.__doc__, of_all.__module__ = test.__name__, test.__doc__, test.__module__
+        return of_all
+
+    return decorated
+
+
 def double(*x):
     """Vector of numbers, in double precision."""
     return torch.tensor(x, dtype=torch.float64)

@@ -19,6 +19,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from helpers import all_in_one
 
 import torchdq
 from torchdq import functional
@@ -124,7 +125,7 @@ def name_of(path):
 
 FILES = {name_of(path): path for folder in (PACKAGE, ENVS) for path in sorted(folder.rglob("*.py"))}
 TREES = {name: ast.parse(path.read_text(encoding="utf-8"), str(path)) for name, path in FILES.items()}
-MODULES = pytest.mark.parametrize("module", FILES)
+MODULES = all_in_one(FILES)
 
 
 def within(module, package):
@@ -212,13 +213,13 @@ def test_the_rule_forbids_what_it_is_for(module, other):
     assert not may_import(module, other)
 
 
-@pytest.mark.parametrize("module", [name for name in FILES if any(within(name, package) for package in NUMBER_GENERIC)])
+@all_in_one([name for name in FILES if any(within(name, package) for package in NUMBER_GENERIC)])
 def test_the_lowest_floors_need_no_library(module):
     outside = [other for other in imports_of(TREES[module]) if not within(other, "torchdq")]
     assert [other for other in outside if other.partition(".")[0] not in sys.stdlib_module_names] == []
 
 
-@pytest.mark.parametrize("module", [name for name in FILES if any(within(name, package) for package in NUMBER_GENERIC)])
+@all_in_one([name for name in FILES if any(within(name, package) for package in NUMBER_GENERIC)])
 def test_the_lowest_floors_import_only_each_other_and_errors(module):
     inside = [other for other in imports_of(TREES[module]) if within(other, "torchdq")]
     known = (*NUMBER_GENERIC, "torchdq.errors")
@@ -243,7 +244,7 @@ EVERYWHERE = {
 }
 
 
-@pytest.mark.parametrize("file", EVERYWHERE)
+@all_in_one(EVERYWHERE)
 def test_every_file_says_what_it_is(file):
     assert ast.get_docstring(ast.parse(EVERYWHERE[file].read_text(encoding="utf-8")))
 

@@ -16,6 +16,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
+from helpers import all_in_one
 from oracles import Case, random_tree, shipped, states
 from scipy import stats
 
@@ -1240,14 +1241,13 @@ def test_parameters_that_make_no_sense_are_refused(effect, message):
 PARAMETERS = [(name, parameter) for name in TENSORS for parameter in getattr(effects, name).SHAPES]
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    ["1", True, np.bool_(True), b"1", 1j, [True, True], ["1", "1"], (0.1, "1"), [torch.ones(())] * 2, 10**400],
-    ids=lambda x: repr(x)[:12],
-)
-@pytest.mark.parametrize(("name", "parameter"), PARAMETERS)
-def test_parameters_that_are_no_numbers_are_refused(name, parameter, wrong):
+WRONG = ("1", True, np.bool_(True), b"1", 1j, [True, True], ["1", "1"], (0.1, "1"), [torch.ones(())] * 2, 10**400)
+
+
+@all_in_one([(*at, wrong) for at in PARAMETERS for wrong in WRONG])
+def test_parameters_that_are_no_numbers_are_refused(given):
     """Words, truth values and tensors within a list, of which float() makes numbers."""
+    name, parameter, wrong = given
     own, _ = TENSORS[name]()
     with pytest.raises(torchdq.ArgumentError, match=f"^{parameter} of {name} must be a number.* or a tensor, found "):
         Scene(CASES["two_link"].robot, (dataclasses.replace(own, **{parameter: wrong}),))

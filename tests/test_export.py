@@ -417,7 +417,7 @@ def test_spans_of_a_batch_that_are_too_short_are_refused(tmp_path):
     strict = ("-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I", str(tmp_path), str(main))
     run("g++", "-std=c++20", *strict, str(tmp_path / "f.o"), "-o", str(tmp_path / "main"), "-lm")
     run(str(tmp_path / "main"))
-    old = subprocess.run(["g++", "-std=c++17", *strict, "-fsyntax-only"], capture_output=True, text=True, timeout=60)
+    old = subprocess.run(["g++", "-std=c++17", *strict, "-fsyntax-only"], capture_output=True, text=True, timeout=300)
     assert old.returncode and "exported.hpp needs C++20" in old.stderr
 
 

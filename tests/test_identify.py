@@ -354,7 +354,7 @@ def test_long_work_says_how_far_it_is_and_can_be_interrupted(monkeypatch, capfd)
         fitted(robot, *states, states[0])
     assert seen == [50, 50, 50]
     told = capfd.readouterr().err
-    assert "torchdq: identifying two_link, 50 of 200 samples, 0 s" in told
+    assert re.search(r"torchdq: identifying two_link, 50 of 200 samples, \d+ s", told)
     time.sleep(0.1)
     assert capfd.readouterr().err == ""  # it has ended
     monkeypatch.undo()

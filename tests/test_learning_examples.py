@@ -116,9 +116,10 @@ def test_no_motion_is_learned_from_and_tested_on(example, plant):
 
 @pytest.fixture(scope="module")
 def run(example, tmp_path_factory):
-    """The quick run, and the folder it wrote to."""
-    folder = tmp_path_factory.mktemp("residual")
-    with torchdq.backend(BACKEND):
+    """The quick run, with motions of 1.5 s to be tracked, and the folder it wrote to."""
+    folder, tracking = tmp_path_factory.mktemp("residual"), example.tracking
+    with torchdq.backend(BACKEND), pytest.MonkeyPatch.context() as patched:
+        patched.setattr(example, "tracking", lambda plant, model, seed, seconds: tracking(plant, model, seed, 1.5))
         found = example.main(example.Args(quick=True, out=folder / "new", json=folder / "found.json"))
     return found, folder
 

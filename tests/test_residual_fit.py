@@ -101,16 +101,16 @@ def test_a_joint_where_it_helps_has_it_and_the_other_has_little():
 
 
 @pytest.mark.parametrize("seconds", [2.0, 5.0, 20.0])
-@pytest.mark.parametrize("speed", [0.5, 2.0])
-def test_other_motions_are_never_worse_with_it(seconds, speed):
+def test_other_motions_are_never_worse_with_it(seconds):
     """Trained on little and tested slower and faster; a percent is what chance may do."""
     parts = [motion(5, stribeck, seconds, noise=0.4)]
     model = layer(parts)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         fit(model, parts, steps=200, **OPTIONS)
-    test = motion(77, stribeck, speed=speed, noise=0.4)
-    assert (error(model, test) <= 1.01 * error(model.model, test)).all()
+    for speed in (0.5, 2.0):
+        test = motion(77, stribeck, speed=speed, noise=0.4)
+        assert (error(model, test) <= 1.01 * error(model.model, test)).all(), speed
 
 
 def cable(q, qd):
@@ -302,6 +302,7 @@ def test_a_killed_run_ends_with_the_same_bits(tmp_path, monkeypatch, killed):
 # --- real arms -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.exhaustive  # the example of test_real_arm.py holds the same
 @pytest.mark.skipif(not (DATA / "panda_gaz2019").is_dir(), reason="the recordings are not here")
 def test_a_real_panda_is_explained_better_within_honest_intervals():
     import sys

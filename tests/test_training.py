@@ -332,7 +332,7 @@ def test_a_killed_run_loses_nothing(tmp_path, undisturbed, trials):
         child.start()
         child.join()
         whole = min(whole, time.monotonic() - start)
-    for trial in range(trials):
+    for trial in range(20 * trials):  # on a machine with other work, moments are often too early or too late
         path = tmp_path / f"run{trial}.pt"
         for _ in range(1 + trial % 2):
             child = fork.Process(target=run, args=(path,))
@@ -345,7 +345,10 @@ def test_a_killed_run_loses_nothing(tmp_path, undisturbed, trials):
         model, history = run(path, other)
         assert torch.equal(weights(model), undisturbed[0]) and history == undisturbed[1], (trial, reached[-1])
         assert not list(tmp_path.glob(".*.tmp"))
-    assert sum(0 < step < OPTIONS["steps"] for step in reached) >= trials // 4, reached
+        between = sum(0 < step < OPTIONS["steps"] for step in reached)
+        if trial + 1 >= trials and between >= trials // 4:
+            break
+    assert between >= trials // 4, reached
 
 
 class Killed(BaseException):
@@ -780,7 +783,7 @@ def test_two_processes_do_what_one_does(tmp_path):
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", str(script)]
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
     call = [*command, str(tmp_path), str(tmp_path / "run.pt")]
-    started = subprocess.run(call, env=environment, capture_output=True, text=True, timeout=120)
+    started = subprocess.run(call, env=environment, capture_output=True, text=True, timeout=300)
     assert started.returncode == 0, started.stderr
     ranks = [torch.load(tmp_path / f"rank{rank}.pt") for rank in (0, 1)]
     assert torch.equal(ranks[0][0], ranks[1][0])
@@ -860,7 +863,7 @@ def test_a_long_run_says_how_far_it_is_and_an_interrupted_one_goes_on(tmp_path, 
     with pytest.raises(KeyboardInterrupt):
         run(path, model)
     told = capfd.readouterr().err
-    assert re.search(r"torchdq: fitting, step \d+ of 90, train \S+  valid \S+, 0 s", told)
+    assert re.search(r"torchdq: fitting, step \d+ of 90, train \S+  valid \S+, \d+ s", told)
     assert model.training and checkpoints.read(path)["step"] == 39
     time.sleep(0.1)
     assert capfd.readouterr().err == ""  # it has ended

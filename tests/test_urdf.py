@@ -1616,13 +1616,13 @@ def mutant(seed):
 
 def fate(text, on_unphysical):
     """What becomes of a text: a robot, or the name of one of the package's errors; anything else is let through."""
-    begin = time.perf_counter()
+    begin = time.thread_time()
     try:
         robot = Robot.from_urdf(text, on_unphysical=on_unphysical)
     except TorchdqError as error:
-        assert time.perf_counter() - begin < 1.0
+        assert time.thread_time() - begin < 1.0
         return type(error).__name__
-    assert time.perf_counter() - begin < 1.0
+    assert time.thread_time() - begin < 1.0
     return robot
 
 

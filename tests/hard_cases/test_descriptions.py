@@ -399,9 +399,9 @@ HOSTILE = {
 def test_hostile_text_costs_neither_time_nor_memory(which, margin):
     """A robot, or an error of the package; in a second or so, and in 256 megabytes."""
     text = HOSTILE[which]()
-    begin = time.perf_counter()
+    begin = time.thread_time()
     fate(text)
-    seconds = time.perf_counter() - begin
+    seconds = time.thread_time() - begin
     tracemalloc.start()
     try:
         fate(text)
@@ -477,9 +477,9 @@ def test_a_wounded_file_is_a_robot_that_can_be_computed_or_one_of_the_packages_e
     path, slowest, robots = tmp_path / "arm.urdf", 0.0, 0
     for seed in range(50 * batch, 50 * (batch + 1)):
         path.write_bytes(wounded(seed))
-        begin = time.perf_counter()
+        begin = time.thread_time()
         robot = fate(path, on_unphysical="error" if seed % 2 else "ignore")
-        slowest = max(slowest, time.perf_counter() - begin)
+        slowest = max(slowest, time.thread_time() - begin)
         if isinstance(robot, str):
             continue
         robots += 1
