@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,6 +15,7 @@ from torchdq.command.command import Dtype, RobotCommand
 from torchdq.command.outcome import Grid, Outcome
 from torchdq.errors import ArgumentError
 from torchdq.export.c99 import Library
+from torchdq.files import write_whole
 from torchdq.functions.catalogue import FLOATING, RECIPES
 from torchdq.functions.compile import compile
 from torchdq.nn import DQRNEA, ForwardDynamics
@@ -86,5 +88,7 @@ class ExportCommand(RobotCommand):
         self.out.mkdir(parents=True, exist_ok=True)
         path = self.out / f"{self.name or f'{self.function}_{robot.name}'}.pt2"
         graph = torch.export.export(layer, sample, dynamic_shapes=({0: torch.export.Dim("batch")},) * 3)
-        torch.export.save(graph, path)
+        content = io.BytesIO()
+        torch.export.save(graph, content)
+        write_whole(path, content.getvalue())
         return path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
@@ -21,6 +22,7 @@ from torchdq.envs.integrators import Integrator, Unrecorded
 from torchdq.envs.scene import Scene
 from torchdq.envs.state import State
 from torchdq.errors import ArgumentError
+from torchdq.files import write_whole
 from torchdq.notice import Notice
 from torchdq.robot import Robot
 
@@ -145,7 +147,9 @@ class SceneCommand(RobotCommand):
         header += [f"{name}{k + 1}" for name, x in list(columns.items())[1:] for k in range(x.shape[1])]
         table = np.concatenate([x.numpy() for x in (*columns.values(), energies)], 1)
         head = ",".join([*header, "kinetic", "potential"])
-        np.savetxt(path, table, "%.12g", ",", header=head, comments="")
+        text = io.StringIO()
+        np.savetxt(text, table, "%.12g", ",", header=head, comments="")
+        write_whole(path, text.getvalue())
 
 
 def effects_of(text: str, robot: Robot) -> list[effects.Effect]:

@@ -27,6 +27,7 @@ from torchdq.export import batch, c99, names, parts
 from torchdq.export.c99 import Library
 from torchdq.export.files import Exported
 from torchdq.export.meaning import described
+from torchdq.files import write_whole
 from torchdq.program.autodiff import jacobian, vjp, vjp_jacobian
 from torchdq.program.autograd import per_sample
 from torchdq.program.program import Program, Result, outputs
@@ -216,7 +217,7 @@ class CasadiExport(NamedTuple):
         """File in a folder, which is made if it is not there."""
         folder.mkdir(parents=True, exist_ok=True)
         source = folder / f"{self.name}.c"
-        source.write_text(self.source(), encoding="ascii")
+        write_whole(source, self.source(), "ascii")
         return Exported(self.name, source)
 
 

@@ -10,7 +10,7 @@ from torchdq.learning.bodies.payload import IdentifiedPayload
 from torchdq.learning.identification.identified import Identified
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.pictures import plot_torques
-from torchdq.learning.trial import HEADER, TorqueTrial, torques_by
+from torchdq.learning.trial import MEANING, TorqueTrial, torques_by
 from torchdq.optional import imported
 
 STYLE = """
@@ -53,12 +53,12 @@ def page(
     parts = [
         f"<h1>{escape(name)}, identified</h1>",
         f"<p>{'<br>'.join(map(escape, sources))}</p>" if sources else "",
-        f'<p class="verdict">{escape(measured.verdict)}</p>',
+        f'<p class="verdict">{escape(measured.verdict)}</p>\n<p>{escape(MEANING)}</p>',
         _section("Warnings", "".join(f"<p>{escape(x)}</p>" for x in doubts)) if doubts else "",
         _section(
             "Torques in motions that were not learned from",
             "<p>Errors are root mean squares over the standard deviation of the measured torque. The bands should hold"
-            f" 95 % of the measurements.</p>{_table(HEADER, measured.rows())}"
+            f" 95 % of the measurements.</p>{_table(measured.header, measured.rows())}"
             f'<div class="picture">{_picture(found, torques_by(found, test))}</div>',
         ),
         _section("Payload", f"<pre>{escape(str(payload))}</pre>") if payload is not None else "",
