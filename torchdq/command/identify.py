@@ -43,6 +43,10 @@ class IdCommand(RobotCommand):
     A log is a CSV file with columns time [s], q1 ... [rad], qd1 ... [rad/s], tau1 ... [N m], or names by --columns.
     Tested is the last log, or the last third of the only one.
 
+    Names in --columns: position_{0} reads position_0, position_1, ... for the joints, position_{1} begins with
+    position_1; in effort_{joint} the joint's own name takes the place of {joint}; a1,b2,c3 are the names of all
+    columns, in the robot's order of joints; none: not recorded.
+
     Example: torchdq id arm.urdf a.csv b.csv --columns q position_{0} qd velocity_{0} tau effort_{0}
     """
 
@@ -50,11 +54,8 @@ class IdCommand(RobotCommand):
     """Logs to learn from and to test on."""
     test: tuple[str, ...] = ()
     """Logs to test on instead; then all LOGs are learned from."""
-    columns: dict[str, str] = field(default_factory=dict)
-    """Names of columns, for each of time, q, qd, tau that has another: one pattern for all joints, or all names with
-    commas between, in the robot's order, as in q a1,b2,c3. In a pattern, {0} stands for the number of the joint where
-    the first joint has 0: q position_{0} reads position_0, position_1, ...; {1} where it has 1; {joint} for its name in
-    the robot. "none" for qd: not recorded."""
+    columns: Annotated[dict[str, str], tyro.conf.arg(metavar="SIGNAL NAMES ...")] = field(default_factory=dict)
+    """Names of columns, for each of time, q, qd and tau that has others; see above."""
     blocks: tuple[str, ...] = ()
     """For a file without a header: names of its blocks of columns after the time, e.g. q qd tau."""
     rows: tuple[int, int] | None = None
@@ -78,8 +79,7 @@ class IdCommand(RobotCommand):
     delay: float = 0.0
     """Time by which the torques come after the positions in the logs [s]; a warning says if there is one."""
     width: float | None = None
-    """Velocity below which dry friction is viscous [rad/s or m/s]. By default 0.001 where it is found, since that of
-    real arms turns round sharply, and 0.01 in the result, so that simulations need no tiny steps."""
+    """Velocity below which dry friction is viscous [rad/s]; by default 0.001 in the logs, 0.01 in the result."""
     farthest: float = 8 * math.pi
     """Position beyond which a column is taken for one in degrees or millimetres [rad or m]."""
     fastest: float = 50.0
@@ -175,7 +175,7 @@ class IdCommand(RobotCommand):
         lines = [f"robot: {self.robot}", f"logs: {', '.join(self.logs)}"]
         return lines + ([f"tested on: {', '.join(self.test)}"] if self.test else [])
 
-    def _written(self, source: NamedRobot, text: str, description: Description) -> dict[str, Path]:
+    def _written(self, source: NamedRobot, text: str, description: RobotFile) -> dict[str, Path]:
         """Files by kind."""
         name = "".join(c if c.isalnum() or c in "-_" else "_" for c in source.robot.name) or "robot"
         texts = {"page": (f"{name}_identified.html", text)}
@@ -187,25 +187,28 @@ class IdCommand(RobotCommand):
         return {kind: self.out / file for kind, (file, _) in texts.items()}
 
 
-class Description(NamedTuple):
+class RobotFile(NamedTuple):
     """File of the robot found."""
 
     text: str  # "" if there is none
     robot: Robot | None  # robot that it holds, with its damping and friction
-    lost: str  # why there is none; "" if there is
+    lost: str  # what it lacks, or why there is none; "" for nothing
 
 
-def _described(source: NamedRobot, found: Identified) -> Description:
+def _described(source: NamedRobot, found: Identified) -> RobotFile:
     """File of the robot found: that which it was read from, with other numbers."""
     if source.format not in ("urdf", "mjcf"):
-        return Description("", None, "no description is written: the robot is not from a URDF or MJCF file")
+        return RobotFile("", None, "no description is written: the robot is not from a URDF or MJCF file")
     robot = found.with_plain_friction()
     try:
         if source.format == "mjcf":
-            return Description(robot.to_mjcf(source.file), robot, "")
-        return Description(found.to_urdf(source.file), robot.replace(armature=None), "")
+            return RobotFile(robot.to_mjcf(source.file), robot, "")
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            text = found.to_urdf(source.file)
+        return RobotFile(text, robot.replace(armature=None), "; ".join(str(one.message) for one in said))
     except (ArgumentError, DescriptionError) as error:
-        return Description("", None, f"no description is written: {error}")
+        return RobotFile("", None, f"no description is written: {error}")
 
 
 def _names(pattern: str, robot: Robot) -> str | list[str] | None:
