@@ -181,7 +181,11 @@ MISTAKES = [
     (("id", "arm.urdf", "short.csv"), "s of motion"),
     (("id", "log.csv", "arm.urdf"), "torchdq id arm.urdf a.csv b.csv"),
     (("id", "arm.urdf", "arm.urdf"), "torchdq id arm.urdf a.csv b.csv"),
+    (("id", "arm.urdf", "log.csv", "--test", "./log.csv"), "test must be other logs than those to learn from"),
+    (("export", "arm.urdf", "inverse_dynamics", "--language", "torch", "--name", "a/b"), "without folders"),
     (("view", "arm.urdf", "--q", "1"), "q must be 2 numbers"),
+    *(((name, "still.urdf"), "must have a joint that moves") for name in ("scene", "accuracy", "view")),
+    (("id", "still.urdf", "log.csv"), "must have a joint that moves"),
 ]
 
 
@@ -189,6 +193,7 @@ MISTAKES = [
 def test_a_mistake_of_a_user_is_one_message(here, capsys, arguments, found):
     here.joinpath("folder").mkdir()
     here.joinpath("broken.urdf").write_text("<robot name='r'>")
+    here.joinpath("still.urdf").write_text("<robot name='still'><link name='base'/></robot>")
     here.joinpath("broken.xml").write_text("<robot><link name='a'/><joint name='j' type='revolute'/></robot>")
     for name in ("garbage.urdf", "garbage.csv"):
         here.joinpath(name).write_bytes(bytes(range(255, 0, -1)) * 9)
@@ -544,6 +549,13 @@ def test_a_scene_keeps_its_energy_and_writes_a_log(here, capsys):
     table = read("fall.csv", torchdq.learning.Layout(columns={"tau": None}))
     assert table.q.shape == (1001, 2) and abs(table.time[-1] - 1) < 1e-9
     assert table.q[0].tolist() == [0.3, -0.2] and plain(table.q[-1]) == pytest.approx(found["end"]["q"], abs=1e-9)
+
+
+def test_a_scene_that_leaves_all_bounds_has_failed(here, capsys):
+    options = ("--price", "0", "--seconds", "20", "--effects", "gravity", "spring=1e9", "--integrator", "ExplicitEuler")
+    out, _ = told(capsys, "scene", "arm.urdf", *options, code=MISTAKE)
+    assert "The simulation has failed: from " in out
+    assert "failed" in data(capsys, "scene", "arm.urdf", *options, code=MISTAKE)["lost"]
 
 
 def test_a_scene_has_the_effects_that_are_named(here, capsys):

@@ -48,7 +48,9 @@ def test_the_friction_of_a_file_comes_nearest_to_all_friction_found():
     whole, sign = found.predict(q, qd, qdd).tau - rigid, qd / torch.hypot(qd, torch.tensor(WIDTH).double())
     for j in range(2):
         nearest, _ = nnls(torch.stack([qd[:, j], sign[:, j]], 1).numpy(), whole[:, j].numpy())
-        assert np.allclose([float(file.damping[j]), float(file.friction[j])], nearest, rtol=1e-3)  # loads are of the round before
+        assert np.allclose(
+            [float(file.damping[j]), float(file.friction[j])], nearest, rtol=1e-3
+        )  # loads are of the round before
     measured = trial(described, found, [motion], found.with_plain_friction())
     by_file = torchdq.inverse_dynamics(file, q, qd, qdd) + file.damping * qd + file.friction * sign
     assert torch.allclose(measured.file, (tau - by_file).square().mean(0).sqrt() / tau.std(0))

@@ -80,6 +80,8 @@ class ExportCommand(RobotCommand):
     def _graph(self, robot: Robot) -> Path:
         """File of a layer's graph, for any number of samples."""
         names_of("function", self.function, LAYERS, "function that has a layer")
+        if Path(self.name).name != self.name:
+            raise ArgumentError(f"name must be that of a file, without folders, found {self.name!r}; out is the folder")
         if robot.floating:
             raise ArgumentError("base must be 'fixed' for torch, found a robot with a free base; export it as c")
         dtype = torch.float64 if self.dtype == "float64" else torch.float32

@@ -98,7 +98,7 @@ class IdCommand(RobotCommand):
         self.out.mkdir(parents=True, exist_ok=True)
         if not os.access(self.out, os.W_OK):
             raise ArgumentError(f"out must be a folder that you can write, found {str(self.out)!r}")
-        source = self.load()
+        source = self.load_moving()
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             motions = [self._motion(log, source.robot) for log in self.logs]
@@ -128,6 +128,10 @@ class IdCommand(RobotCommand):
         usual = "the robot comes first, then the logs: torchdq id arm.urdf a.csv b.csv"
         if self.robot.lower().endswith(LOGS):
             raise ArgumentError(f"ROBOT must be a file or a name of a robot, found {self.robot!r}, a log; {usual}")
+        known = {os.path.realpath(log) for log in self.logs}
+        for log in self.test:
+            if os.path.realpath(log) in known:
+                raise ArgumentError(f"test must be other logs than those to learn from, found {log!r} among both")
         for log in (*self.logs, *self.test, *self.payload):
             if log.lower().endswith(ROBOTS):
                 raise ArgumentError(f"LOG must be a log, found {log!r}, a file of a robot; {usual}")
