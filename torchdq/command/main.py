@@ -52,6 +52,7 @@ ABOUT = (
     "tcsh) prints what completes them in a shell.",
 )
 WELL, MISTAKE, USAGE, INTERRUPTED = 0, 1, 2, 130
+CONFIGURATION = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)
 NUMBERS = re.compile(r"[-+.\de]+(,[-+.\de]+)+", re.IGNORECASE)  # with commas between
 
 
@@ -92,7 +93,7 @@ def _parsed(given: Sequence[str]) -> Command:
         raise SystemExit(USAGE)
     given = _apart(given)
     command: Any = tyro.extras.subcommand_cli_from_dict(
-        dict(COMMANDS), prog=PROGRAM, description=ABOUT[0], args=given, config=(tyro.conf.FlagCreatePairsOff,)
+        dict(COMMANDS), prog=PROGRAM, description=ABOUT[0], args=given, config=CONFIGURATION
     )
     return command
 
