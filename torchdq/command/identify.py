@@ -7,7 +7,6 @@ import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -17,7 +16,7 @@ from torchdq.command.command import RobotCommand, numbers
 from torchdq.command.outcome import Grid, Outcome, Verbatim
 from torchdq.command.robots import ENDINGS, NamedRobot
 from torchdq.command.words import with_options
-from torchdq.errors import ArgumentError, DescriptionError, MissingLibraryError
+from torchdq.errors import ArgumentError, DescriptionError
 from torchdq.files import write_whole
 from torchdq.learning import identify as seek
 from torchdq.learning import identify_payload, read, smooth
@@ -28,6 +27,7 @@ from torchdq.learning.logs.motions import Motion
 from torchdq.learning.page import page
 from torchdq.learning.trial import MEANING, TorqueTrial, apart, torques_by, trial
 from torchdq.notice import Notice
+from torchdq.optional import require_packages
 from torchdq.robot import Robot
 
 # module, extra that brings it: looked for before the work, not after it
@@ -93,7 +93,7 @@ class IdCommand(RobotCommand):
 
     def outcome(self) -> Outcome:
         """Errors before and after, the verdict, and the files that were written."""
-        _require_packages()
+        require_packages("torchdq id", NEEDED)
         self._require_order()
         self.out.mkdir(parents=True, exist_ok=True)
         if not os.access(self.out, os.W_OK):
@@ -221,24 +221,6 @@ def _names(pattern: str, robot: Robot) -> str | list[str] | None:
         return [pattern.replace(JOINT, name) for name in robot.joint_names]
     names = [name.strip() for name in pattern.split(",")]
     return None if pattern.lower() == "none" else names if len(names) > 1 else pattern
-
-
-def _require_packages() -> None:
-    """Raise unless all packages that the work needs are installed."""
-    lost = [name for name in NEEDED if not _is_there(name)]
-    if lost:
-        extras = ",".join(sorted({NEEDED[name] for name in lost}))
-        are = "are" if len(lost) > 1 else "is"
-        cure = f"pip install 'torchdq[{extras}]'"
-        raise MissingLibraryError(f"torchdq id needs {' and '.join(lost)}, which {are} not installed; {cure}")
-
-
-def _is_there(module: str) -> bool:
-    try:
-        import_module(module)
-    except ImportError:
-        return False
-    return True
 
 
 def _outcome(
