@@ -11,8 +11,8 @@ from scipy.optimize import nnls
 import torchdq
 from torchdq import effects
 from torchdq.learning import Motion, identify
-from torchdq.learning.identification.plain import _nonnegative
-from torchdq.learning.trial import FAIR, TorqueTrial, trial
+from torchdq.learning.identification.simple import _nonnegative
+from torchdq.learning.trial import FAIR, TorqueTrial, trial, with_file
 
 WIDTH, STEP = 1e-2, 0.02
 
@@ -51,7 +51,7 @@ def test_the_friction_of_a_file_comes_nearest_to_all_friction_found():
         assert np.allclose(
             [float(file.damping[j]), float(file.friction[j])], nearest, rtol=1e-3
         )  # loads are of the round before
-    measured = trial(described, found, [motion], found.with_plain_friction())
+    measured = with_file(trial(described, found, [motion]), found.with_simple_friction(), found, [motion])
     by_file = torchdq.inverse_dynamics(file, q, qd, qdd) + file.damping * qd + file.friction * sign
     assert torch.allclose(measured.file, (tau - by_file).square().mean(0).sqrt() / tau.std(0))
     # what the file had before: the viscous and Coulomb friction beside the other
@@ -72,7 +72,7 @@ def test_plain_friction_is_written_as_it_was_found():
     assert torch.equal(file.damping, found.viscous) and torch.equal(file.friction, found.coulomb)
     # a robot without friction keeps that of its description
     none = identify(described, q, qd, qdd, tau, friction=False, prior=1.0)
-    assert torch.equal(none.plain, torch.stack([none.robot.damping, none.robot.friction]))
+    assert torch.equal(none.simple, torch.stack([none.robot.damping, none.robot.friction]))
 
 
 def test_no_friction_of_a_file_is_negative():

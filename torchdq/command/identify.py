@@ -25,7 +25,7 @@ from torchdq.learning.identification.identified import Identified
 from torchdq.learning.logs.layouts import Layout
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.page import page
-from torchdq.learning.trial import MEANING, TorqueTrial, apart, torques_by, trial
+from torchdq.learning.trial import MEANING, TorqueTrial, apart, torques_by, trial, with_file
 from torchdq.notice import Notice
 from torchdq.optional import require_packages
 from torchdq.robot import Robot
@@ -110,7 +110,9 @@ class IdCommand(RobotCommand):
             if held:
                 payload = identify_payload(found, torques_by(found, held), frame=self.frame)
             description = _described(source, found)
-        measured = trial(source.robot, found, test, description.robot)
+        measured = trial(source.robot, found, test)
+        if description.robot is not None:
+            measured = with_file(measured, description.robot, found, test)
         doubts = list(dict.fromkeys(self.words(str(one.message)) for one in said))
         for doubt in doubts:
             warnings.warn(doubt, stacklevel=2)
@@ -203,7 +205,7 @@ def _described(source: NamedRobot, found: Identified) -> RobotFile:
     """File of the robot found: that which it was read from, with other numbers."""
     if source.format not in ("urdf", "mjcf"):
         return RobotFile("", None, "no description is written: the robot is not from a URDF or MJCF file")
-    robot = found.with_plain_friction()
+    robot = found.with_simple_friction()
     try:
         if source.format == "mjcf":
             return RobotFile(robot.to_mjcf(source.file), robot, "")

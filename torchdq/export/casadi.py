@@ -27,7 +27,6 @@ from torchdq.export import batch, c99, names, parts
 from torchdq.export.c99 import Library
 from torchdq.export.files import Exported
 from torchdq.export.meaning import described
-from torchdq.files import write_whole
 from torchdq.program.autodiff import jacobian, vjp, vjp_jacobian
 from torchdq.program.autograd import per_sample
 from torchdq.program.program import Program, Result, outputs
@@ -217,7 +216,7 @@ class CasadiExport(NamedTuple):
         """File in a folder, which is made if it is not there."""
         folder.mkdir(parents=True, exist_ok=True)
         source = folder / f"{self.name}.c"
-        write_whole(source, self.source(), "ascii")
+        source.write_text(self.source(), encoding="ascii")
         return Exported(self.name, source)
 
 

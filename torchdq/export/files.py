@@ -11,7 +11,6 @@ from torch import Tensor
 from torchdq.export import batch, c99, golden
 from torchdq.export.c99 import Library
 from torchdq.export.meaning import described
-from torchdq.files import write_whole
 from torchdq.program.program import Program, outputs
 
 # one for all functions that are exported into a folder
@@ -180,5 +179,5 @@ class Export(NamedTuple):
         }
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
-            write_whole(folder / name, text, "ascii")
+            (folder / name).write_text(text, encoding="ascii")
         return Exported(self.name, *[folder / name for name in list(texts)[:-1]])

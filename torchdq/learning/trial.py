@@ -100,41 +100,44 @@ def apart(motions: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:
     return [first], [last]
 
 
-def trial(described: Robot, found: Identified, motions: Sequence[Motion], file: Robot | None = None) -> TorqueTrial:
+def trial(described: Robot, found: Identified, motions: Sequence[Motion]) -> TorqueTrial:
     """Trial of an identified robot on motions that it was not identified from.
 
     Args:
         described: the robot as it was before.
         found: from `identify`.
         motions: motions from `smooth`. Where gains of the drives were sought, their torques are those by these gains.
-        file: the robot that a file of it holds, with its damping and friction; None: there is no file.
     """
     known = torques_by(found, motions)
     q, qd, qdd, tau = samples(known)
     with torch.no_grad():
         before = inverse_dynamics(described, q, qd, qdd)
-        by_file = None if file is None else _with_friction(file, found.width, q, qd, qdd)
     tau_hat, error = found.predict(q, qd, qdd)
     band = WIDE * (error.square() + found.noise.to(error).square()).sqrt()
     size = tau.std(0)
-
-    def part(predicted: Tensor) -> Tensor:
-        return (tau - predicted).square().mean(0).sqrt() / size
-
     return TorqueTrial(
         described.joint_names,
         float(sum(motion.time[-1] - motion.time[0] for motion in known)),
-        part(before),
-        part(tau_hat),
+        (tau - before).square().mean(0).sqrt() / size,
+        (tau - tau_hat).square().mean(0).sqrt() / size,
         ((tau - tau_hat).abs() <= band).double().mean(0),
-        None if by_file is None else part(by_file),
     )
 
 
-def _with_friction(robot: Robot, width: float, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-    """Torques [rows, n] of a robot with its viscous and Coulomb friction."""
-    friction = robot.damping.to(qd) * qd + robot.friction.to(qd) * smooth_sign(qd, width)
-    return inverse_dynamics(robot, q, qd, qdd) + friction
+def with_file(measured: TorqueTrial, file: Robot, found: Identified, motions: Sequence[Motion]) -> TorqueTrial:
+    """Trial with the errors of a file of the robot, whose friction is its damping and friction.
+
+    Args:
+        measured: from `trial`.
+        file: the robot that the file holds.
+        found: from `identify`.
+        motions: those of the trial.
+    """
+    q, qd, qdd, tau = samples(torques_by(found, motions))
+    friction = file.damping.to(qd) * qd + file.friction.to(qd) * smooth_sign(qd, found.width)
+    with torch.no_grad():
+        left = tau - friction - inverse_dynamics(file, q, qd, qdd)
+    return measured._replace(file=left.square().mean(0).sqrt() / tau.std(0))
 
 
 def torques_by(found: Identified, motions: Sequence[Motion]) -> list[Motion]:

@@ -68,7 +68,7 @@ class Identified(NamedTuple):
     rms: Tensor  # [n] root mean square of the residual torque [N m or N]
     correlation: Tensor  # [n] correlation time of the residual torque, in rows
     width: float  # width of the Coulomb friction [rad/s or m/s]
-    plain: Tensor  # [2, n] viscous and Coulomb friction that come nearest to all friction found, in these samples
+    simple: Tensor  # [2, n] viscous and Coulomb friction that come nearest to all friction found, in these samples
     excited: Tensor  # [k] bool: parameters that the samples decide, not the prior; false if the joint hardly moves
     report: Ladder | None  # how the model was chosen; None: it was given
     gains: Gains | None  # torque per unit of `tau`, by which it was multiplied; None: not sought
@@ -168,16 +168,16 @@ class Identified(NamedTuple):
             layer.offset = self.offset
         return layer
 
-    def with_plain_friction(self) -> Robot:
+    def with_simple_friction(self) -> Robot:
         """Robot found, its viscous and Coulomb friction being those that come nearest to all friction found."""
-        damping, friction = self.plain.to(self.robot.damping)
+        damping, friction = self.simple.to(self.robot.damping)
         return self.robot.replace(damping=damping, friction=friction)
 
     def to_urdf(self, original: Any) -> str:
         """URDF text of the robot found: the original with other numbers, as `Robot.to_urdf`.
 
         A URDF file holds viscous and Coulomb friction alone: those in it come nearest to all friction found, over the
-        samples (`with_plain_friction`). A `UserWarning` says where they stand for friction of other shapes, and names
+        samples (`with_simple_friction`). A `UserWarning` says where they stand for friction of other shapes, and names
         what has no place in the file: rotor inertia and offsets. Torques by the file are off by that.
 
         Args:
@@ -193,7 +193,7 @@ class Identified(NamedTuple):
             ]
         if said:
             warnings.warn("; ".join(said), stacklevel=2)
-        return self.with_plain_friction().replace(armature=None).to_urdf(original)
+        return self.with_simple_friction().replace(armature=None).to_urdf(original)
 
     def __repr__(self) -> str:
         return f"Identified({self.robot.name}: {len(self.names)} parameters, {self.rank} combinations of them told)"

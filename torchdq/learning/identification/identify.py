@@ -30,8 +30,8 @@ from torchdq.learning.identification.gains import drive_gains
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
 from torchdq.learning.identification.ladder import STRENGTHS, Ladder, climb
 from torchdq.learning.identification.missing import lagging, missing, offset_missing
-from torchdq.learning.identification.plain import plain_friction
 from torchdq.learning.identification.regression import base_parameters, rigid
+from torchdq.learning.identification.simple import simple_friction
 from torchdq.learning.identification.solution import ITERATIONS, Solution, solve
 from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, SHAPES, VISCOUS, Term, terms_of
 from torchdq.learning.logs.blocks import MotionRows, blocks
@@ -212,10 +212,8 @@ def _identified(
     excited = _excited(spread, near.S.norm(dim=1) * math.sqrt(doubt / prior), moves, terms)
     if ladder is not None:
         ladder = ladder._replace(untold=_untold(robot, excited))
-    own = found.parameters[10 * len(robot.link_names) :].reshape(-1, robot.n)
-    result = _replaced(robot, found, terms)
     return Identified(
-        robot=result,
+        robot=_replaced(robot, found, terms),
         terms=terms,
         names=(*names, *(f"{joint} {term.name}" for term in terms for joint in robot.joint_names)),
         parameters=found.parameters,
@@ -226,7 +224,7 @@ def _identified(
         rms=found.rms,
         correlation=correlation,
         width=width,
-        plain=plain_friction(evidence, result, own, width),
+        simple=simple_friction(evidence, found.parameters, width),
         excited=excited,
         report=ladder,
         gains=None,

@@ -12,33 +12,34 @@ from torch import Tensor
 
 from torchdq.learning.identification.evidence import Evidence
 from torchdq.learning.identification.terms import COULOMB, VISCOUS, rows_of
-from torchdq.robot import Robot
 
-PLAIN = (VISCOUS, COULOMB)
+SIMPLE = (VISCOUS, COULOMB)
 
 
-def plain_friction(evidence: Evidence, found: Robot, own: Tensor, width: float) -> Tensor:
+def simple_friction(evidence: Evidence, parameters: Tensor, width: float) -> Tensor:
     """Viscous and Coulomb friction [2, n] that come nearest to all friction found, over the rows of the evidence.
 
     Joints that have no other friction keep theirs.
 
     Args:
         evidence: rows, and the torques of all terms per unit.
-        found: the robot found, with its viscous and Coulomb friction.
-        own: coefficients of the terms found [terms, n].
+        parameters: all that were found [k].
         width: velocity below which dry friction is viscous [rad/s or m/s].
     """
-    known = torch.stack([found.damping, found.friction]).to(own)
-    rubbing = [k for k, term in enumerate(evidence.terms) if term.effect is not None]
+    robot, terms = evidence.robot, evidence.terms
+    own = parameters[10 * len(robot.link_names) :].reshape(-1, robot.n)
+    rows = [own[terms.index(term)] if term in terms else getattr(robot, term.described).to(own) for term in SIMPLE]
+    known = torch.stack(rows)
+    rubbing = [k for k, term in enumerate(terms) if term.effect is not None]
     if not rubbing:
         return known
     tau = (evidence.own[..., rubbing] * own[rubbing].T.to(evidence.own)).sum(-1)
-    sign = rows_of(evidence.robot, evidence.recording, width).sign
+    sign = rows_of(robot, evidence.recording, width).sign
     columns = torch.stack([evidence.recording.qd, sign], -1)
     nearest = _nonnegative(
         torch.einsum("rjp,rjq->jpq", columns, columns).cpu(), torch.einsum("rjp,rj->jp", columns, tau).cpu()
     )
-    others = [k for k in rubbing if evidence.terms[k] not in PLAIN]
+    others = [k for k in rubbing if terms[k] not in SIMPLE]
     return torch.where((own[others] != 0).any(0), nearest.T, known)
 
 
