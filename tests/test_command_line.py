@@ -163,7 +163,7 @@ MISTAKES = [
     (("export", "arm.urdf", "inverse_dynamic"), "did you mean 'inverse_dynamics'"),
     (("export", "arm.urdf", "jacobian"), "the frames are base"),
     (("export", "arm.urdf", "mass_matrix", "--language", "torch"), "inverse_dynamics, forward_dynamics"),
-    (("export", "arm.urdf", "inverse_dynamics", "--out", "arm.urdf"), "'arm.urdf' cannot be used"),
+    (("export", "arm.urdf", "inverse_dynamics", "--out", "arm.urdf"), "'arm.urdf'"),
     (("id", "arm.urdf"), "LOG must be a file at least"),
     (("id", "arm.urdf", "nowhere.csv"), "there is no file 'nowhere.csv'"),
     (("id", "arm.urdf", "folder"), "Is a directory"),

@@ -52,11 +52,11 @@ Subpackages, imported on first use:
 Errors derive from TorchdqError and from the built-in error that a caller would expect.
 """
 
-from typing import TYPE_CHECKING
-
 import torchdq.interrupts as _interrupts  # noqa: F401, first of all: the others take seconds
 
 # isort: split
+from typing import TYPE_CHECKING
+
 from torchdq import convert, dq, floating
 from torchdq.attributes import no_attribute as _no_attribute
 from torchdq.backends.choice import backend
