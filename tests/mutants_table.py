@@ -3521,6 +3521,39 @@ MUTANTS = (
         ),
     ),
     *within(
+        "torchdq/learning/identification/simple.py",
+        (
+            "files with what other friction leaves of the simple one",
+            "torch.where((own[others] != 0).any(0), nearest.T, known)",
+            "known",
+            "identified_files.py::test_the_friction_of_a_file_comes_nearest_to_all_friction_found",
+        ),
+        (
+            "friction of files that is cut off at zero",
+            "cost.argmin(0)",
+            "2",
+            "identified_files.py::test_no_friction_of_a_file_is_negative",
+        ),
+    ),
+    *within(
+        "torchdq/learning/trial.py",
+        (
+            "a verdict about what is in no file",
+            "else (self.file,",
+            "else (self.found,",
+            "identified_files.py::test_a_verdict_is_not_good_where_one_joint_of_the_file_is_far_off",
+        ),
+    ),
+    *within(
+        "torchdq/files.py",
+        (
+            "parts of files that stay after a fault",
+            "beside.unlink(missing_ok=True)",
+            "pass",
+            "files.py::test_a_file_is_whole_after_a_write_that_failed",
+        ),
+    ),
+    *within(
         "torchdq/learning/identification/evidence.py",
         (
             "rows beside a block that is left out",

@@ -35,6 +35,8 @@ FLOORS = {
     "torchdq.notice": 0,
     "torchdq.tables": 0,
     "torchdq.sources": 0,
+    "torchdq.files": 0,
+    "torchdq.interrupts": 0,
     "torchdq.timing": 0,
     "torchdq.machine": 0,
     "torchdq.algebra": 0,
@@ -94,7 +96,7 @@ STOREYS = {
     "torchdq.learning.page": 5,
     "torchdq.learning.excitation": 5,
     "torchdq.learning": 6,
-    # outcomes and robots, options that commands share, the commands, the command line
+    # outcomes, words and robots, options that commands share, the commands, the command line
     "torchdq.command.robots": 1,
     "torchdq.command.command": 2,
     "torchdq.command.report": 3,

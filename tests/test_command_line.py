@@ -97,6 +97,19 @@ def test_what_is_not_understood_is_told_and_is_exit_code_2(here, capsys, argumen
 def test_a_wrong_command_names_those_there_are(here, capsys):
     _, errors = told(capsys, "teach", code=USAGE)
     assert all(name in errors for name in COMMANDS)
+    _, errors = told(capsys, "bnech", "panda", code=USAGE)
+    assert "there is no command 'bnech'; did you mean 'bench'?" in " ".join(errors.split())
+
+
+def test_numbers_of_an_option_stand_apart_or_with_commas():
+    from torchdq.command.main import _parsed
+
+    assert _parsed(["bench", "panda", "--batches", "4,5"]).batches == (4, 5)
+    assert _parsed(["bench", "panda", "--batches=4,5", "--threads", "1"]).batches == (4, 5)
+    assert _parsed(["scene", "panda", "--q", "-0.3,1e-1", "2", "--hold", "20,5"]).q == (-0.3, 0.1, 2)
+    # names stay together, also those that are numbers
+    known = _parsed(["id", "panda", "1,2", "--rows", "0,9", "--columns", "q", "1,2", "--out", "3,4"])
+    assert (known.logs, known.rows, known.columns, str(known.out)) == (("1,2",), (0, 9), {"q": "1,2"}, "3,4")
 
 
 @pytest.mark.parametrize("option", ["--help", "-h"])
@@ -132,7 +145,8 @@ MISTAKES = [
     (("report", "pandda"), "did you mean 'panda'"),
     (("report", "folder"), "Is a directory"),
     (("report", "garbage.urdf"), "garbage.urdf is not UTF-8 text"),
-    (("report", "broken.urdf"), "not well-formed XML"),
+    (("report", "broken.urdf"), "broken.urdf: the file is not well-formed XML"),
+    (("report", "broken.xml"), "broken.xml"),
     (("report", "panda", "--base", "floating"), "base must be 'fixed'"),
     (("report", "arm.urdf", "--joints", "knee"), "'knee'"),
     (("bench", "arm.urdf", "--batches", "0"), "batches must be"),
@@ -148,7 +162,7 @@ MISTAKES = [
     (("export", "arm.urdf", "inverse_dynamic"), "did you mean 'inverse_dynamics'"),
     (("export", "arm.urdf", "jacobian"), "the frames are base"),
     (("export", "arm.urdf", "mass_matrix", "--language", "torch"), "inverse_dynamics, forward_dynamics"),
-    (("export", "arm.urdf", "inverse_dynamics", "--out", "arm.urdf"), "'arm.urdf' cannot be used"),
+    (("export", "arm.urdf", "inverse_dynamics", "--out", "arm.urdf"), "'arm.urdf'"),
     (("id", "arm.urdf"), "LOG must be a file at least"),
     (("id", "arm.urdf", "nowhere.csv"), "there is no file 'nowhere.csv'"),
     (("id", "arm.urdf", "folder"), "Is a directory"),
@@ -159,8 +173,18 @@ MISTAKES = [
     (("id", "arm.urdf", "log.csv", "--columns", "angle", "q"), "no signal named 'angle'"),
     (("id", "arm.urdf", "log.csv", "--gains", "1"), "gains must be 2 numbers"),
     (("id", "arm.urdf", "log.csv", "--out", "arm.urdf"), "'arm.urdf' cannot be used"),
+    (("id", "arm.urdf", "log.csv", "--columns", "q", "a,b,c", "qd", "none"), "there is no column 'a'"),
+    (("id", "arm.urdf", "log.csv", "--columns", "tau", "tau_{joint}"), "there is no column 'tau_shoulder'"),
+    (("id", "arm.urdf", "log.csv", "--cutoff", "60"), "--cutoff must be between 0 and 50 Hz"),
+    (("id", "arm.urdf", "log.csv", "--delay", "9"), "--delay must be shorter than the log"),
     (("id", "arm.urdf", "short.csv"), "s of motion"),
+    (("id", "log.csv", "arm.urdf"), "torchdq id arm.urdf a.csv b.csv"),
+    (("id", "arm.urdf", "arm.urdf"), "torchdq id arm.urdf a.csv b.csv"),
+    (("id", "arm.urdf", "log.csv", "--test", "./log.csv"), "test must be other logs than those to learn from"),
+    (("export", "arm.urdf", "inverse_dynamics", "--language", "torch", "--name", "a/b"), "without folders"),
     (("view", "arm.urdf", "--q", "1"), "q must be 2 numbers"),
+    *(((name, "still.urdf"), "must have a joint that moves") for name in ("scene", "accuracy", "view")),
+    (("id", "still.urdf", "log.csv"), "must have a joint that moves"),
 ]
 
 
@@ -168,6 +192,8 @@ MISTAKES = [
 def test_a_mistake_of_a_user_is_one_message(here, capsys, arguments, found):
     here.joinpath("folder").mkdir()
     here.joinpath("broken.urdf").write_text("<robot name='r'>")
+    here.joinpath("still.urdf").write_text("<robot name='still'><link name='base'/></robot>")
+    here.joinpath("broken.xml").write_text("<robot><link name='a'/><joint name='j' type='revolute'/></robot>")
     for name in ("garbage.urdf", "garbage.csv"):
         here.joinpath(name).write_bytes(bytes(range(255, 0, -1)) * 9)
     arm = torchdq.Robot.from_urdf(ARM)
@@ -198,6 +224,10 @@ def test_a_package_that_is_missing_is_told_before_the_work(here, capsys, monkeyp
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     _, errors = told(capsys, "id", "arm.urdf", "log.csv", code=MISTAKE)
     assert "pip install 'torchdq[viz]'" in " ".join(errors.split())
+    monkeypatch.setitem(sys.modules, "scipy", None)
+    _, errors = told(capsys, "id", "arm.urdf", "log.csv", code=MISTAKE)
+    expected = "needs scipy and matplotlib, which are not installed; pip install 'torchdq[learn,viz]'"
+    assert expected in " ".join(errors.split())
     monkeypatch.setitem(sys.modules, "viser", None)
     _, errors = told(capsys, "view", "arm.urdf", code=MISTAKE)
     assert "pip install 'torchdq[viz]'" in " ".join(errors.split())
@@ -402,8 +432,9 @@ def test_a_robot_is_identified_from_logs_with_a_page_and_a_urdf(here, capsys):
     named = ("--columns", "q", "pos_{0}", "qd", "vel_{0}", "tau", "eff_{0}")
     quick = ("--friction", "simple", "--prior", "1")
     found = data(capsys, "id", "arm.urdf", "a.csv", "b.csv", *named, *quick, "--out", "made")
-    assert found["verdict"].startswith("Good: ")
+    assert found["verdict"].startswith("Good: ") and " by the file is " in found["verdict"]
     assert max(found["trial"]["found"]) < 0.05 < min(found["trial"]["described"])
+    assert found["trial"]["file"] == pytest.approx(found["trial"]["found"], abs=1e-3)
     viscous = {p["name"]: p for p in found["parameters"] if p["name"].endswith("viscous")}
     for joint, true in (("shoulder", 0.8), ("elbow", 0.4)):
         one = viscous[f"{joint} viscous"]
@@ -414,6 +445,8 @@ def test_a_robot_is_identified_from_logs_with_a_page_and_a_urdf(here, capsys):
     assert {"svg", "table", "style"} <= parsed.found and "script" not in parsed.found
     assert not re.search(r"@import|url\((?!#)", page)
     assert "shoulder viscous" in page and found["verdict"] in page and "a.csv, b.csv" in page
+    assert "Good means that" in page and "by the file" in page
+    assert not list(Path("made").glob(".*"))  # nothing temporary is left
     written = torchdq.Robot.from_urdf(found["files"]["urdf"])
     q = torch.rand(5, 2, dtype=torch.float64)
     zero = torch.zeros_like(q)
@@ -454,6 +487,54 @@ def test_logs_of_another_robot_have_a_poor_verdict(here, capsys):
     assert "Good: " not in out and "warning" in errors
 
 
+# what the package says about a log in the words of Python, and what `id` says
+SPOILT = [
+    (("q1", "q2", "tau1", "tau2"), {}, "--columns qd none reads positions and torques"),
+    (("q1", "q2", "qd1", "qd2"), {}, "torques are needed to identify a robot; without them fit_rollout, in Python,"),
+    (("q1", "q2", "qd1", "qd2", "current1", "current2"), {}, "read it by --columns tau NAME, and --seek-gains finds"),
+    (("a1", "a2", "qd1", "qd2", "tau1", "tau2"), {}, "given by --columns, e.g. --columns q position_{0}; found time"),
+    (
+        ("q1", "q2", "qd1", "qd2", "tau1", "tau2", "tau3"),
+        {},
+        "or the names of those that are meant, --columns tau tau1",
+    ),
+    (("q1", "q2", "qd1", "qd2", "tau1", "tau2"), {"q1": 100.0}, "if the joint does go there, pass --farthest"),
+    (("q1", "q2", "qd1", "qd2", "tau1", "tau2"), {"time": 3.0}, "a part of it in which time runs on: --rows 0 20 of"),
+    (("1", "2", "3", "4", "5", "6"), {}, "a file without a header needs --blocks, e.g. --blocks q qd tau"),
+]
+
+
+@pytest.mark.parametrize(("heads", "changed", "expected"), SPOILT)
+def test_what_mends_a_log_is_an_option(heads, changed, expected):
+    from torchdq.command.words import with_options
+    from torchdq.learning.logs.layouts import LogError
+
+    heads = ("0" if heads[0] == "1" else "time", *heads)
+    rows = [[0.01 * k, *(0.1 * k,) * (len(heads) - 1)] for k in range(40)]
+    for name, value in changed.items():
+        for row in rows[20:]:
+            row[heads.index(name)] += value
+    text = "\n".join(",".join(map(str, row)) for row in [heads, *rows]) + "\n"
+    with pytest.raises(LogError) as raised:
+        read(text.encode())
+    words = with_options(str(raised.value))
+    assert expected in words
+    assert not re.search(r"Layout|\w=|[({]'|read\(|identify\(|smooth\(", words), words
+
+
+def test_columns_are_named_by_patterns_by_joints_and_one_by_one(here):
+    from torchdq.command.main import _parsed
+
+    arm = torchdq.Robot.from_urdf(ARM)
+    given = {"time": "stamp", "q": "a,b", "tau": "eff_{joint}", "qd": "none"}
+    columns = [word for pair in given.items() for word in pair]
+    layout = _parsed(["id", "arm.urdf", "a.csv", "--columns", *columns])._layout(arm)
+    heads = "stamp,b,eff_elbow,a,eff_shoulder"
+    rows = [f"{0.01 * k},{2 * k},{4 * k},{k},{3 * k}" for k in range(9)]
+    found = read("\n".join([heads, *rows]).encode(), layout)
+    assert found.q[1].tolist() == [1, 2] and found.tau[1].tolist() == [3, 4] and found.qd is None
+
+
 # --- scene -----------------------------------------------------------------------------------------------------------
 
 
@@ -467,6 +548,12 @@ def test_a_scene_keeps_its_energy_and_writes_a_log(here, capsys):
     table = read("fall.csv", torchdq.learning.Layout(columns={"tau": None}))
     assert table.q.shape == (1001, 2) and abs(table.time[-1] - 1) < 1e-9
     assert table.q[0].tolist() == [0.3, -0.2] and plain(table.q[-1]) == pytest.approx(found["end"]["q"], abs=1e-9)
+
+
+def test_a_scene_that_leaves_all_bounds_has_failed(here, capsys):
+    options = ("--price", "0", "--seconds", "1", "--effects", "gravity", "spring=1e9", "--integrator", "ExplicitEuler")
+    found = data(capsys, "scene", "arm.urdf", *options, code=MISTAKE)
+    assert found["lost"].startswith("The simulation has failed: from ") and found["energies"]["end"] == [None, None]
 
 
 def test_a_scene_has_the_effects_that_are_named(here, capsys):

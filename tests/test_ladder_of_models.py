@@ -284,10 +284,10 @@ def test_a_layer_a_scene_and_a_file_have_all_that_was_found():
     state = scene.start(q[0, ::50], qd[0, ::50])
     after = scene.step(state, expected[0, ::50] - found.offset)
     assert torch.allclose((after.qd - state.qd) / 1e-4, qdd[0, ::50], atol=0.05 * float(qdd.std()))
-    with pytest.warns(UserWarning, match="no place for offset, load"):
+    with pytest.warns(UserWarning, match="no place for offset, left out; .* for friction of other shapes, too: load"):
         text = found.to_urdf(PAIR)
     again = torchdq.Robot.from_urdf(text)
-    assert torch.allclose(again.mass, found.robot.mass) and torch.allclose(again.damping, found.robot.damping)
+    assert torch.allclose(again.mass, found.robot.mass)
 
 
 def test_motions_and_tensors_say_the_same():

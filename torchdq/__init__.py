@@ -52,6 +52,9 @@ Subpackages, imported on first use:
 Errors derive from TorchdqError and from the built-in error that a caller would expect.
 """
 
+import torchdq.interrupts as _interrupts  # noqa: F401, first of all: the others take seconds
+
+# isort: split
 from typing import TYPE_CHECKING
 
 from torchdq import convert, dq, floating

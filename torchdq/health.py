@@ -41,6 +41,7 @@ OPTIONAL = {
     "onnx": ("exports to ONNX", "torchdq[onnx]"),
     "stable_baselines3": ("training of policies", "torchdq[rl]"),
 }
+EXTRA = "torchdq["  # beginning of the names of extras
 POSITION = (0.3, 0.4)  # [rad]
 # what holds the double pendulum of unit rods there [N m]: the moments of its weights about the joints
 OUTER = 9.81 * 0.5 * math.cos(0.7)
@@ -99,10 +100,13 @@ def _optional() -> Finding:
     found = {name: machine.version_of(name) for name in OPTIONAL}
     there = ", ".join(f"{name} {version}" for name, version in found.items() if version)
     absent = [f"{name} for {OPTIONAL[name][0]}" for name, version in found.items() if not version]
-    extras = sorted({OPTIONAL[name][1] for name, version in found.items() if not version})
+    lost = {OPTIONAL[name][1] for name, version in found.items() if not version}
     if not absent:
         return Finding("optional packages", "ok", there)
-    how = f"pip install {' '.join(map(repr, extras))}"
+    extras = sorted(one[len(EXTRA) : -1] for one in lost if one.startswith(EXTRA))
+    alone = sorted(one for one in lost if not one.startswith(EXTRA))
+    together = [f"'{EXTRA}{','.join(extras)}]'"] if extras else []
+    how = f"pip install {' '.join([*together, *alone])}"
     return Finding("optional packages", "ok", f"{there or 'none'}; not installed: {', '.join(absent)} ({how})")
 
 

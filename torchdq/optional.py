@@ -1,6 +1,7 @@
 """Packages that only some functions need, imported when those are called."""
 
 import importlib
+from collections.abc import Mapping
 from typing import Any
 
 from torchdq.errors import MissingLibraryError
@@ -22,3 +23,24 @@ def imported(module: str, package: str, purpose: str, install: str | None = None
     except ImportError as fault:
         cure = f"pip install {install or package}"
         raise MissingLibraryError(f"{purpose} needs {package}, which is not installed; {cure}") from fault
+
+
+def require_packages(purpose: str, extras: Mapping[str, str]) -> None:
+    """Raise unless packages are installed; the error names all that are not, so that one command brings them.
+
+    Args:
+        purpose: command or function that needs them, for the message.
+        extras: packages, each with the extra of torchdq that brings it.
+    Raises:
+        MissingLibraryError: one is not installed.
+    """
+    lost = []
+    for package in extras:
+        try:
+            importlib.import_module(package)
+        except ImportError:
+            lost.append(package)
+    if lost:
+        those = f"{' and '.join(lost)}, which {'is' if len(lost) == 1 else 'are'} not installed"
+        brought = ",".join(sorted({extras[package] for package in lost}))
+        raise MissingLibraryError(f"{purpose} needs {those}; pip install 'torchdq[{brought}]'")

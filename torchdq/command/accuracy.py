@@ -29,7 +29,7 @@ class AccuracyCommand(RobotCommand):
 
     def outcome(self) -> Outcome:
         """Recommendation with its alternatives."""
-        robot = self.load().robot
+        robot = self.load_moving().robot
         found = recommend(robot, self.error, None if self.accelerations else self.horizon, seconds=self.seconds)
         data = {
             "robot": robot.name,

@@ -10,6 +10,7 @@ import tyro
 
 from torchdq.command.outcome import Outcome
 from torchdq.command.robots import NamedRobot, robot_of
+from torchdq.errors import ArgumentError
 from torchdq.robot.consistency import OnUnphysical
 from torchdq.robot.loading import Base
 
@@ -27,6 +28,10 @@ class Command:
     def outcome(self) -> Outcome:
         """Result of the command."""
         raise NotImplementedError
+
+    def words(self, message: str) -> str:
+        """Error or warning in the words of a command line, with options in place of arguments of functions."""
+        return message
 
 
 @dataclass(kw_only=True)
@@ -47,6 +52,13 @@ class RobotCommand(Command):
     def load(self) -> NamedRobot:
         """Robot, and the file that it is from."""
         return robot_of(self.robot, self.base, self.joints, self.tip, self.on_unphysical)
+
+    def load_moving(self) -> NamedRobot:
+        """Robot with a joint at least, and the file that it is from."""
+        source = self.load()
+        if not source.robot.n:
+            raise ArgumentError(f"robot {source.robot.name!r} must have a joint that moves, found none in {self.robot}")
+        return source
 
 
 def numbers(values: Sequence[float]) -> tuple[float, ...] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -14,6 +15,7 @@ from torchdq.command.command import Dtype, RobotCommand
 from torchdq.command.outcome import Grid, Outcome
 from torchdq.errors import ArgumentError
 from torchdq.export.c99 import Library
+from torchdq.files import write_whole
 from torchdq.functions.catalogue import FLOATING, RECIPES
 from torchdq.functions.compile import compile
 from torchdq.nn import DQRNEA, ForwardDynamics
@@ -78,6 +80,8 @@ class ExportCommand(RobotCommand):
     def _graph(self, robot: Robot) -> Path:
         """File of a layer's graph, for any number of samples."""
         names_of("function", self.function, LAYERS, "function that has a layer")
+        if Path(self.name).name != self.name:
+            raise ArgumentError(f"name must be that of a file, without folders, found {self.name!r}; out is the folder")
         if robot.floating:
             raise ArgumentError("base must be 'fixed' for torch, found a robot with a free base; export it as c")
         dtype = torch.float64 if self.dtype == "float64" else torch.float32
@@ -86,5 +90,7 @@ class ExportCommand(RobotCommand):
         self.out.mkdir(parents=True, exist_ok=True)
         path = self.out / f"{self.name or f'{self.function}_{robot.name}'}.pt2"
         graph = torch.export.export(layer, sample, dynamic_shapes=({0: torch.export.Dim("batch")},) * 3)
-        torch.export.save(graph, path)
+        content = io.BytesIO()
+        torch.export.save(graph, content)
+        write_whole(path, content.getvalue())
         return path

@@ -2,41 +2,38 @@
 
 from __future__ import annotations
 
+import math
 import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import tyro
 
 from torchdq.command.command import RobotCommand, numbers
 from torchdq.command.outcome import Grid, Outcome, Verbatim
-from torchdq.command.robots import NamedRobot
+from torchdq.command.robots import ENDINGS, NamedRobot
+from torchdq.command.words import with_options
 from torchdq.errors import ArgumentError, DescriptionError
+from torchdq.files import write_whole
 from torchdq.learning import identify as seek
 from torchdq.learning import identify_payload, read, smooth
 from torchdq.learning.bodies.payload import IdentifiedPayload
 from torchdq.learning.identification.identified import Identified
-from torchdq.learning.logs.layouts import Layout, LogError
+from torchdq.learning.logs.layouts import Layout
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.page import page
-from torchdq.learning.trial import HEADER, TorqueTrial, apart, torques_by, trial
+from torchdq.learning.trial import MEANING, TorqueTrial, apart, torques_by, trial, with_file
 from torchdq.notice import Notice
-from torchdq.optional import imported
+from torchdq.optional import require_packages
+from torchdq.robot import Robot
 
-# in messages of the package, and here
-OPTIONS = {
-    "rows=(first, last)": "--rows FIRST LAST",
-    "Layout(columns=...), e.g. {'q': 'position_{0}'}": "--columns, e.g. --columns q position_{0}",
-    "columns={'qd': None}": "--columns qd none",
-    "Layout(--columns qd none)": "--columns qd none",
-    "Layout(gain=...)": "--gains",
-    "gains=True": "--seek-gains",
-    "a Layout(header=False, joints=...)": "--blocks, e.g. --blocks q qd tau",
-}
-NEEDED = {"scipy": "'torchdq[learn]'", "matplotlib": "'torchdq[viz]'"}  # before the work, not after it
+# module, extra that brings it: looked for before the work, not after it
+NEEDED = {"scipy": "learn", "matplotlib": "viz"}
+ROBOTS, LOGS = (*ENDINGS, ".urdf.xacro"), (".csv", ".csv.gz", ".npz", ".txt")  # how files of each kind end
+JOINT = "{joint}"  # in patterns of columns, the name of a joint
 
 
 @dataclass(kw_only=True)
@@ -46,6 +43,10 @@ class IdCommand(RobotCommand):
     A log is a CSV file with columns time [s], q1 ... [rad], qd1 ... [rad/s], tau1 ... [N m], or names by --columns.
     Tested is the last log, or the last third of the only one.
 
+    Names in --columns: position_{0} reads position_0, position_1, ... for the joints, position_{1} begins with
+    position_1; in effort_{joint} the joint's own name takes the place of {joint}; a1,b2,c3 are the names of all
+    columns, in the robot's order of joints; none: not recorded.
+
     Example: torchdq id arm.urdf a.csv b.csv --columns q position_{0} qd velocity_{0} tau effort_{0}
     """
 
@@ -53,9 +54,8 @@ class IdCommand(RobotCommand):
     """Logs to learn from and to test on."""
     test: tuple[str, ...] = ()
     """Logs to test on instead; then all LOGs are learned from."""
-    columns: dict[str, str] = field(default_factory=dict)
-    """Names of columns: time, q, qd, tau, each with a pattern; {0} is the number of a joint that counts from 0, {1}
-    from 1. "none" for qd: not recorded."""
+    columns: Annotated[dict[str, str], tyro.conf.arg(metavar="SIGNAL NAMES ...")] = field(default_factory=dict)
+    """Names of columns, for each of time, q, qd and tau that has others; see above."""
     blocks: tuple[str, ...] = ()
     """For a file without a header: names of its blocks of columns after the time, e.g. q qd tau."""
     rows: tuple[int, int] | None = None
@@ -76,6 +76,14 @@ class IdCommand(RobotCommand):
     """Rows per second that are learned from [Hz]."""
     cutoff: float | None = None
     """Low-pass filter of all signals [Hz]; by default 8, or less for slow logs."""
+    delay: float = 0.0
+    """Time by which the torques come after the positions in the logs [s]; a warning says if there is one."""
+    width: float | None = None
+    """Velocity below which dry friction is viscous [rad/s]; by default 0.001 in the logs, 0.01 in the result."""
+    farthest: float = 8 * math.pi
+    """Position beyond which a column is taken for one in degrees or millimetres [rad or m]."""
+    fastest: float = 50.0
+    """Speed beyond which it is, too [rad/s or m/s]."""
     payload: tuple[str, ...] = ()
     """Logs with something in the hand, whose mass and inertia are sought."""
     frame: str | None = None
@@ -85,97 +93,136 @@ class IdCommand(RobotCommand):
 
     def outcome(self) -> Outcome:
         """Errors before and after, the verdict, and the files that were written."""
-        for module, extra in NEEDED.items():
-            imported(module, module, "torchdq id", extra)
-        if not self.logs:
-            raise ArgumentError("LOG must be a file at least, found none; torchdq id --help has an example")
+        require_packages("torchdq id", NEEDED)
+        self._require_order()
         self.out.mkdir(parents=True, exist_ok=True)
         if not os.access(self.out, os.W_OK):
             raise ArgumentError(f"out must be a folder that you can write, found {str(self.out)!r}")
-        source = self.load()
-        robot = source.robot
+        source = self.load_moving()
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
-            motions = [self._motion(log, robot.n) for log in self.logs]
-            tests = [self._motion(log, robot.n) for log in self.test]
-            held = [self._motion(log, robot.n) for log in self.payload]
-            train, test = (motions, tests) if tests else apart(motions)
+            motions = [self._motion(log, source.robot) for log in self.logs]
+            tests = [self._motion(log, source.robot) for log in self.test]
+            held = [self._motion(log, source.robot) for log in self.payload]
+            train, test = (motions, tests) if tests else self._apart(motions)
             found = self._sought(source, train)
             payload = None
             if held:
                 payload = identify_payload(found, torques_by(found, held), frame=self.frame)
-        measured = trial(robot, found, test)
-        doubts = list(dict.fromkeys(str(one.message) for one in said))
+            description = _described(source, found)
+        measured = trial(source.robot, found, test)
+        if description.robot is not None:
+            measured = with_file(measured, description.robot, found, test)
+        doubts = list(dict.fromkeys(self.words(str(one.message)) for one in said))
         for doubt in doubts:
             warnings.warn(doubt, stacklevel=2)
-        files, lost = self._written(source, found, measured, test, doubts, payload)
-        return _outcome(found, measured, payload, files, lost)
+        with Notice("drawing the page"):
+            text = page(found, measured, test, self._sources(), doubts, payload)
+        files = self._written(source, text, description)
+        return _outcome(found, measured, payload, files, description.lost)
 
-    def _motion(self, log: str, n: int) -> Motion:
+    def words(self, message: str) -> str:
+        """Message with options in place of arguments of functions."""
+        return with_options(message)
+
+    def _require_order(self) -> None:
+        """Raise unless there is a robot first, and logs after it."""
+        usual = "the robot comes first, then the logs: torchdq id arm.urdf a.csv b.csv"
+        if self.robot.lower().endswith(LOGS):
+            raise ArgumentError(f"ROBOT must be a file or a name of a robot, found {self.robot!r}, a log; {usual}")
+        known = {os.path.realpath(log) for log in self.logs}
+        for log in self.test:
+            if os.path.realpath(log) in known:
+                raise ArgumentError(f"test must be other logs than those to learn from, found {log!r} among both")
+        for log in (*self.logs, *self.test, *self.payload):
+            if log.lower().endswith(ROBOTS):
+                raise ArgumentError(f"LOG must be a log, found {log!r}, a file of a robot; {usual}")
+        if not self.logs:
+            raise ArgumentError("LOG must be a file at least, found none; torchdq id --help has an example")
+
+    def _motion(self, log: str, robot: Robot) -> Motion:
         """Motion of a log, filtered, with accelerations."""
-        try:
-            recorded = read(log, self._layout(n), self.rows)
-        except LogError as error:
-            raise LogError(_with_options(str(error))) from error
-        motion = smooth(recorded, self.cutoff, self.cutoff, self.rate)
-        if motion.q.shape[1] != n:
+        recorded = read(log, self._layout(robot), self.rows)
+        width = {} if self.width is None else {"width": self.width}
+        motion = smooth(recorded, self.cutoff, self.cutoff, self.rate, delay=self.delay, **width)
+        if motion.q.shape[1] != robot.n:
             cure = "--joints keeps some joints of the robot"
-            raise ArgumentError(f"{log} holds {motion.q.shape[1]} joints, the robot has {n}; {cure}")
+            raise ArgumentError(f"{log} holds {motion.q.shape[1]} joints, the robot has {robot.n}; {cure}")
         return motion
 
-    def _layout(self, n: int) -> Layout:
+    def _apart(self, motions: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:
+        """Motions to learn from, and to test on."""
+        try:
+            return apart(motions)
+        except ArgumentError as error:
+            cure = "give a longer one, or another one for the test by --test"
+            raise ArgumentError(f"{self.logs[0]} is too short to keep its last third for the test; {cure}") from error
+
+    def _layout(self, robot: Robot) -> Layout:
         """Layout of the logs, as the options say."""
-        columns = {name: None if x.lower() == "none" else x for name, x in self.columns.items()}
-        options: dict[str, Any] = {"columns": columns}
-        if self.gains and len(self.gains) != n:
-            raise ArgumentError(f"gains must be {n} numbers, one for each joint, found {len(self.gains)}")
+        if self.gains and len(self.gains) != robot.n:
+            raise ArgumentError(f"gains must be {robot.n} numbers, one for each joint, found {len(self.gains)}")
+        options: dict[str, Any] = {"columns": {name: _names(x, robot) for name, x in self.columns.items()}}
+        options |= {"farthest": self.farthest, "fastest": self.fastest}
         options["gain"] = numbers(self.gains) or (None if self.seek_gains else ())
         if self.blocks:
-            options |= {"blocks": self.blocks, "header": False, "joints": n}
+            options |= {"blocks": self.blocks, "header": False, "joints": robot.n}
         return Layout(**options)
 
     def _sought(self, source: NamedRobot, train: Sequence[Motion]) -> Identified:
         friction: Any = {"choose": "choose", "simple": True, "none": False}[self.friction]
-        options = dict(offset=self.offset, armature=self.rotors, prior=self.prior, gains=self.seek_gains)
-        return seek(source.robot, train, friction=friction, **options)  # type: ignore[arg-type]
+        options: dict[str, Any] = {"offset": self.offset, "armature": self.rotors, "prior": self.prior}
+        options |= {"gains": self.seek_gains}
+        options |= {} if self.width is None else {"width": self.width}
+        return seek(source.robot, train, friction=friction, **options)
 
-    def _written(
-        self,
-        source: NamedRobot,
-        found: Identified,
-        measured: TorqueTrial,
-        test: Sequence[Motion],
-        doubts: Sequence[str],
-        payload: IdentifiedPayload | None,
-    ) -> tuple[dict[str, Path], str]:
-        """Files by kind, and why there is no description of the robot among them; "" if there is."""
-        name = "".join(c if c.isalnum() or c in "-_" else "_" for c in source.robot.name) or "robot"
-        files = {"page": self.out / f"{name}_identified.html"}
+    def _sources(self) -> list[str]:
+        """Lines of the page about where its numbers come from."""
         lines = [f"robot: {self.robot}", f"logs: {', '.join(self.logs)}"]
-        lines += [f"tested on: {', '.join(self.test)}"] if self.test else []
-        with Notice("drawing the page"):
-            text = page(found, measured, test, lines, doubts, payload)
-        files["page"].write_text(text, encoding="utf-8")
-        if source.format not in ("urdf", "mjcf"):
-            return files, f"no description is written: {self.robot} is no URDF or MJCF file"
-        try:
-            if source.format == "urdf":
-                files["urdf"] = self.out / f"{name}_identified.urdf"
-                files["urdf"].write_text(found.to_urdf(source.file), encoding="utf-8")
-            else:
-                files["mjcf"] = self.out / f"{name}_identified.xml"
-                files["mjcf"].write_text(found.robot.to_mjcf(source.file), encoding="utf-8")
-        except (ArgumentError, DescriptionError) as error:
-            files.pop(source.format)
-            return files, f"no description is written: {error}"
-        return files, ""
+        return lines + ([f"tested on: {', '.join(self.test)}"] if self.test else [])
+
+    def _written(self, source: NamedRobot, text: str, description: RobotFile) -> dict[str, Path]:
+        """Files by kind."""
+        name = "".join(c if c.isalnum() or c in "-_" else "_" for c in source.robot.name) or "robot"
+        texts = {"page": (f"{name}_identified.html", text)}
+        if description.text:
+            ending = {"urdf": "urdf", "mjcf": "xml"}[source.format]
+            texts[source.format] = (f"{name}_identified.{ending}", description.text)
+        for file, content in texts.values():
+            write_whole(self.out / file, content)
+        return {kind: self.out / file for kind, (file, _) in texts.items()}
 
 
-def _with_options(message: str) -> str:
-    """Message about a log with the options of the command line in place of arguments of functions."""
-    for argument, option in OPTIONS.items():
-        message = message.replace(argument, option)
-    return message
+class RobotFile(NamedTuple):
+    """File of the robot found."""
+
+    text: str  # "" if there is none
+    robot: Robot | None  # robot that it holds, with its damping and friction
+    lost: str  # what it lacks, or why there is none; "" for nothing
+
+
+def _described(source: NamedRobot, found: Identified) -> RobotFile:
+    """File of the robot found: that which it was read from, with other numbers."""
+    if source.format not in ("urdf", "mjcf"):
+        return RobotFile("", None, "no description is written: the robot is not from a URDF or MJCF file")
+    robot = found.with_simple_friction()
+    try:
+        if source.format == "mjcf":
+            return RobotFile(robot.to_mjcf(source.file), robot, "")
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            text = found.to_urdf(source.file)
+        return RobotFile(text, robot.replace(armature=None), "; ".join(str(one.message) for one in said))
+    except (ArgumentError, DescriptionError) as error:
+        return RobotFile("", None, f"no description is written: {error}")
+
+
+def _names(pattern: str, robot: Robot) -> str | list[str] | None:
+    """Names of columns as `Layout` takes them; None: not recorded."""
+    if JOINT in pattern:
+        return [pattern.replace(JOINT, name) for name in robot.joint_names]
+    names = [name.strip() for name in pattern.split(",")]
+    return None if pattern.lower() == "none" else names if len(names) > 1 else pattern
 
 
 def _outcome(
@@ -183,14 +230,14 @@ def _outcome(
 ) -> Outcome:
     """Text and data of what was found."""
     untold = () if found.report is None else found.report.untold
-    text: list[str | Grid | Verbatim] = [Grid(HEADER, measured.rows())]
+    text: list[str | Grid | Verbatim] = [Grid(measured.header, measured.rows())]
     if found.report is not None:
         text.append(f"model: {found.report.rung.name}, chosen on {found.report.parts}")
     if untold:
         text += ["not told by the data, left near the description:", Grid((), [("-", line) for line in untold])]
     if payload is not None:
         text.append(str(payload))
-    text.append(measured.verdict)
+    text += [measured.verdict, MEANING]
     text.append(Grid((), [("wrote", str(path)) for path in files.values()]))
     text += [lost] if lost else []
     rows = zip(found.names, found.parameters, found.errors, found.excited, strict=True)

@@ -6,18 +6,20 @@ Exit codes: 0 well; 1 a mistake of the user, or a check failed; 2 a command that
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import sys
 import textwrap
 import warnings
 from collections.abc import Sequence
 from contextlib import redirect_stdout
+from dataclasses import fields
 from functools import partial
 from typing import Any
 
 import tyro
 
-from torchdq import __version__
+from torchdq import __version__, interrupts
 from torchdq.command.accuracy import AccuracyCommand
 from torchdq.command.bench import BenchCommand
 from torchdq.command.command import Command
@@ -29,7 +31,7 @@ from torchdq.command.outcome import Grid, Outcome, write, write_json
 from torchdq.command.report import ReportCommand
 from torchdq.command.scene import SceneCommand
 from torchdq.command.view import ViewCommand
-from torchdq.errors import TorchdqError
+from torchdq.errors import TorchdqError, nearest
 
 COMMANDS: dict[str, type[Command]] = {
     "report": ReportCommand,
@@ -50,12 +52,15 @@ ABOUT = (
     "tcsh) prints what completes them in a shell.",
 )
 WELL, MISTAKE, USAGE, INTERRUPTED = 0, 1, 2, 130
+CONFIGURATION = (tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)
+NUMBERS = re.compile(r"[-+.\de]+(,[-+.\de]+)+", re.IGNORECASE)  # with commas between
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code of a run with these arguments; None: those of the process."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
+        interrupts.restore()
         if given == ["--version"]:
             sys.stdout.write(f"{PROGRAM} {__version__}\n")
             return WELL
@@ -82,10 +87,34 @@ def _help() -> int:
 
 def _parsed(given: Sequence[str]) -> Command:
     """Command that the arguments name."""
+    if given and not given[0].startswith("-") and given[0] not in COMMANDS:
+        meant = "".join(f"did you mean {near!r}? " for near in nearest(given[0], COMMANDS)[:1])
+        _say("error", f"there is no command {given[0]!r}; {meant}the commands are {', '.join(COMMANDS)}")
+        raise SystemExit(USAGE)
+    given = _apart(given)
     command: Any = tyro.extras.subcommand_cli_from_dict(
-        dict(COMMANDS), prog=PROGRAM, description=ABOUT[0], args=given, config=(tyro.conf.FlagCreatePairsOff,)
+        dict(COMMANDS), prog=PROGRAM, description=ABOUT[0], args=given, config=CONFIGURATION
     )
     return command
+
+
+def _apart(given: Sequence[str]) -> list[str]:
+    """Arguments in which numbers of an option that stand together, with commas between, stand apart: --q 1,2 or 1 2."""
+    kind = COMMANDS.get(given[0]) if given else None
+    many = (
+        {f"--{one.name.replace('_', '-')}" for one in fields(kind) if re.match(r"tuple\[(int|float)", str(one.type))}
+        if kind
+        else set()
+    )
+    apart, option = list[str](), ""
+    for text in given:
+        name, equals, value = text.partition("=")
+        if equals and name in many and NUMBERS.fullmatch(value):
+            apart += [name, *value.split(",")]
+            continue
+        option = name if text.startswith("--") else option
+        apart += text.split(",") if option in many and NUMBERS.fullmatch(text) else [text]
+    return apart
 
 
 def _run(command: Command) -> int:
@@ -93,9 +122,9 @@ def _run(command: Command) -> int:
     told: list[str] = []
 
     def show(message: Warning | str, *rest: Any, **others: Any) -> None:
-        if str(message) not in told:
-            told.append(str(message))
-            _say("warning", str(message))
+        if (words := command.words(str(message))) not in told:
+            told.append(words)
+            _say("warning", words)
 
     with warnings.catch_warnings():
         warnings.showwarning = show
@@ -105,7 +134,7 @@ def _run(command: Command) -> int:
         except (TorchdqError, OSError) as error:
             if isinstance(error, BrokenPipeError):
                 raise
-            words = _words(error)
+            words = command.words(_words(error))
             if command.json:
                 write_json({"error": words, "kind": type(error).__name__})
             _say("error", words)

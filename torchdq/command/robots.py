@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from torchdq.checks import matching
-from torchdq.errors import ArgumentError, MissingFileError, MissingLibraryError, UnknownNameError
+from torchdq.errors import ArgumentError, DescriptionError, MissingFileError, MissingLibraryError, UnknownNameError
 from torchdq.notice import Notice
 from torchdq.robot import Robot, shipped
 from torchdq.robot.consistency import OnUnphysical
@@ -61,6 +61,16 @@ def _is_file(name: str) -> bool:
 
 
 def _from_file(name: str, options: dict[str, Any]) -> NamedRobot:
+    """Robot of a file; errors name it."""
+    try:
+        return _read(name, options)
+    except DescriptionError as error:
+        if Path(name).name in str(error):
+            raise
+        raise type(error)(f"{name}: {error}") from error
+
+
+def _read(name: str, options: dict[str, Any]) -> NamedRobot:
     path = Path(name).expanduser()
     if name.endswith(".xacro"):
         return NamedRobot(Robot.from_xacro(name, **options), "xacro", name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
@@ -21,6 +22,7 @@ from torchdq.envs.integrators import Integrator, Unrecorded
 from torchdq.envs.scene import Scene
 from torchdq.envs.state import State
 from torchdq.errors import ArgumentError
+from torchdq.files import write_whole
 from torchdq.notice import Notice
 from torchdq.robot import Robot
 
@@ -67,10 +69,10 @@ class SceneCommand(RobotCommand):
     """Time for measuring what every effect costs [s]; 0: operations alone."""
 
     def outcome(self) -> Outcome:
-        """Energies and price."""
+        """Energies and price; it failed if the motion grows beyond all numbers."""
         require_number("seconds", self.seconds, positive=True)
         require_number("dt", self.dt, positive=True)
-        robot = self.load().robot
+        robot = self.load_moving().robot
         scene = self._scene(robot)
         start = scene.start(self._start(robot))
         steps = max(1, round(self.seconds / self.dt))
@@ -80,16 +82,19 @@ class SceneCommand(RobotCommand):
         if self.csv is not None:
             self._write(self.csv, start, states, energies)
         first, last, extreme = energies[0], energies[-1], energies.sum(-1)
+        lost = "" if bool(extreme.isfinite().all()) else self._lost(extreme)
         rows = [
             ("kinetic", *(f"{float(x):.6g}" for x in (first[0], energies[:, 0].max(), last[0]))),
             ("potential", *(f"{float(x):.6g}" for x in (first[1], energies[:, 1].max(), last[1]))),
             ("sum", *(f"{float(x):.6g}" for x in (extreme[0], extreme.max(), extreme[-1]))),
         ]
         names = ", ".join(type(effect).__name__ for effect in scene.effects) or "rigid bodies alone"
-        about = f"{robot.name}, {steps} steps of {self.dt:g} s with {type(scene.integrator).__name__}: {names}"
+        many = f"{steps} step{'s' * (steps != 1)}"
+        about = f"{robot.name}, {many} of {self.dt:g} s with {type(scene.integrator).__name__}: {names}"
         text: list[str | Grid] = [about, Grid(("energy [J]", "start", "most", "end"), rows)]
         text += [_positions(robot, start, states), "price of a step:", str(price)]
         text += [Grid((), [("wrote", str(self.csv))])] if self.csv is not None else []
+        text += [lost] if lost else []
         data = {
             "robot": robot.name,
             "machine": machine.words(),
@@ -104,8 +109,15 @@ class SceneCommand(RobotCommand):
             "costs": [cost._asdict() for cost in price.costs],
             "left_out": price.left_out,
             "files": {} if self.csv is None else {"csv": self.csv},
+            "lost": lost,
         }
-        return Outcome(tuple(text), data)
+        return Outcome(tuple(text), data, bool(lost))
+
+    def _lost(self, energies: Tensor) -> str:
+        """Words for a simulation that has left all bounds."""
+        at = self.dt * int((~energies.isfinite()).nonzero()[0])
+        cure = "A smaller --dt, another --integrator, or a start within the limits may help."
+        return f"The simulation has failed: from {at:g} s on its numbers are no motion. {cure}"
 
     def _scene(self, robot: Robot) -> Scene:
         names_of("integrator", self.integrator, STEPPERS, "integrator")
@@ -145,7 +157,9 @@ class SceneCommand(RobotCommand):
         header += [f"{name}{k + 1}" for name, x in list(columns.items())[1:] for k in range(x.shape[1])]
         table = np.concatenate([x.numpy() for x in (*columns.values(), energies)], 1)
         head = ",".join([*header, "kinetic", "potential"])
-        np.savetxt(path, table, "%.12g", ",", header=head, comments="")
+        text = io.StringIO()
+        np.savetxt(text, table, "%.12g", ",", header=head, comments="")
+        write_whole(path, text.getvalue())
 
 
 def effects_of(text: str, robot: Robot) -> list[effects.Effect]:

@@ -38,7 +38,7 @@ class ViewCommand(RobotCommand):
 
     def outcome(self) -> Outcome:
         """Address, after the end."""
-        robot = self.load().robot
+        robot = self.load_moving().robot
         if self.q and len(self.q) != robot.n:
             raise ArgumentError(f"q must be {robot.n} numbers, one for each joint, found {len(self.q)}")
         viewer = Viewer(robot, self.port)

@@ -10,9 +10,12 @@ from torchdq.learning.bodies.payload import IdentifiedPayload
 from torchdq.learning.identification.identified import Identified
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.pictures import plot_torques
-from torchdq.learning.trial import HEADER, TorqueTrial, torques_by
+from torchdq.learning.trial import MEANING, TorqueTrial, torques_by
 from torchdq.optional import imported
 
+BY_FILE = " By the file: of a description with the numbers found, whose friction is viscous and Coulomb alone."
+MOST = 40_000  # numbers that are drawn as lines; more are drawn as points of a picture, which do not grow with them
+DPI = 150  # points per inch of these
 STYLE = """
 :root { color-scheme: light dark; --ink: #1c2733; --paper: #ffffff; --line: #d5dbe2; --soft: #f2f5f8; }
 @media (prefers-color-scheme: dark) { :root { --ink: #dfe6ee; --paper: #14191f; --line: #36414d; --soft: #1e262f; } }
@@ -53,12 +56,13 @@ def page(
     parts = [
         f"<h1>{escape(name)}, identified</h1>",
         f"<p>{'<br>'.join(map(escape, sources))}</p>" if sources else "",
-        f'<p class="verdict">{escape(measured.verdict)}</p>',
+        f'<p class="verdict">{escape(measured.verdict)}</p>\n<p>{escape(MEANING)}</p>',
         _section("Warnings", "".join(f"<p>{escape(x)}</p>" for x in doubts)) if doubts else "",
         _section(
             "Torques in motions that were not learned from",
-            "<p>Errors are root mean squares over the standard deviation of the measured torque. The bands should hold"
-            f" 95 % of the measurements.</p>{_table(HEADER, measured.rows())}"
+            "<p>Errors are root mean squares over the standard deviation of the measured torque."
+            f"{BY_FILE if measured.file is not None else ''} The picture shows what was identified, with bands that "
+            f"should hold 95 % of the measurements.</p>{_table(measured.header, measured.rows())}"
             f'<div class="picture">{_picture(found, torques_by(found, test))}</div>',
         ),
         _section("Payload", f"<pre>{escape(str(payload))}</pre>") if payload is not None else "",
@@ -87,7 +91,12 @@ def _picture(found: Identified, motions: Sequence[Motion]) -> str:
     matplotlib = imported("matplotlib", "matplotlib", "the page", "'torchdq[viz]'")
     file = io.StringIO()
     with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "torchdq", "font.size": 8}):
-        plot_torques(found, motions).savefig(file, format="svg", metadata={"Date": None, "Creator": None})
+        figure = plot_torques(found, motions)
+        if sum(motion.q.size for motion in motions) > MOST:
+            for panel in figure.axes:
+                for drawn in (*panel.lines, *panel.collections):
+                    drawn.set_rasterized(True)
+        figure.savefig(file, format="svg", dpi=DPI, metadata={"Date": None, "Creator": None})
     text = file.getvalue()
     return text[text.index("<svg") :]
 

@@ -68,6 +68,7 @@ class Identified(NamedTuple):
     rms: Tensor  # [n] root mean square of the residual torque [N m or N]
     correlation: Tensor  # [n] correlation time of the residual torque, in rows
     width: float  # width of the Coulomb friction [rad/s or m/s]
+    simple: Tensor  # [2, n] viscous and Coulomb friction that come nearest to all friction found, in these samples
     excited: Tensor  # [k] bool: parameters that the samples decide, not the prior; false if the joint hardly moves
     report: Ladder | None  # how the model was chosen; None: it was given
     gains: Gains | None  # torque per unit of `tau`, by which it was multiplied; None: not sought
@@ -167,19 +168,32 @@ class Identified(NamedTuple):
             layer.offset = self.offset
         return layer
 
+    def with_simple_friction(self) -> Robot:
+        """Robot found, its viscous and Coulomb friction being those that come nearest to all friction found."""
+        damping, friction = self.simple.to(self.robot.damping)
+        return self.robot.replace(damping=damping, friction=friction)
+
     def to_urdf(self, original: Any) -> str:
         """URDF text of the robot found: the original with other numbers, as `Robot.to_urdf`.
 
-        A `UserWarning` names what has no place in a URDF file: rotor inertia, offsets, friction of other shapes than
-        viscous and Coulomb friction.
+        A URDF file holds viscous and Coulomb friction alone: those in it come nearest to all friction found, over the
+        samples (`with_simple_friction`). A `UserWarning` says where they stand for friction of other shapes, and names
+        what has no place in the file: rotor inertia and offsets. Torques by the file are off by that.
 
         Args:
             original: the file that the robot was read from, as in `Robot.from_urdf`.
         """
-        lost = [term.name for term in self.terms if term not in (VISCOUS, COULOMB)]
-        if lost:
-            warnings.warn(f"a URDF file has no place for {', '.join(lost)}, which are left out", stacklevel=2)
-        return self.robot.replace(armature=None).to_urdf(original)
+        none = [term.name for term in (ROTOR, OFFSET) if term in self.terms]
+        others = [term.name for term in self.terms if term not in (ROTOR, VISCOUS, COULOMB, OFFSET)]
+        said = [f"a URDF file has no place for {' and '.join(none)}, left out"] if none else []
+        if others:
+            said += [
+                f"a URDF file holds viscous and Coulomb friction alone; they stand for friction of other shapes, too: "
+                f"{', '.join(others)}"
+            ]
+        if said:
+            warnings.warn("; ".join(said), stacklevel=2)
+        return self.with_simple_friction().replace(armature=None).to_urdf(original)
 
     def __repr__(self) -> str:
         return f"Identified({self.robot.name}: {len(self.names)} parameters, {self.rank} combinations of them told)"

@@ -31,6 +31,7 @@ from torchdq.learning.identification.identified import INERTIAL, Identified, rec
 from torchdq.learning.identification.ladder import STRENGTHS, Ladder, climb
 from torchdq.learning.identification.missing import lagging, missing, offset_missing
 from torchdq.learning.identification.regression import base_parameters, rigid
+from torchdq.learning.identification.simple import simple_friction
 from torchdq.learning.identification.solution import ITERATIONS, Solution, solve
 from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, SHAPES, VISCOUS, Term, terms_of
 from torchdq.learning.logs.blocks import MotionRows, blocks
@@ -90,7 +91,9 @@ def identify(
             depend on it, what they hardly identify stays near the description, the rest stays as described. None: the
             strength that does best on blocks that were left out, for bodies, and 1 for the rest. math.inf: bodies
             stay as described.
-        width: velocity below which Coulomb friction is viscous, as in `torchdq.effects.Coulomb` [rad/s or m/s].
+        width: velocity below which Coulomb friction is viscous, as in `torchdq.effects.Coulomb` [rad/s or m/s]. The
+            default is larger than that of `smooth`, which only rounds the sharp steps in logs of real arms: simulations
+            would need tiny steps there.
         direction: sign of the velocities, filtered as the torques were, [..., n], beside positions: motions hold it,
             and `directions(motion)` has it. Filters round the steps of dry friction in the torques, and beside sharp
             signs Coulomb friction comes out too small, viscous friction too large. Give `smooth` the same `width`: the
@@ -221,6 +224,7 @@ def _identified(
         rms=found.rms,
         correlation=correlation,
         width=width,
+        simple=simple_friction(evidence, found.parameters, width),
         excited=excited,
         report=ladder,
         gains=None,

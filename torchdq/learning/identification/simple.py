@@ -1,0 +1,54 @@
+"""Viscous and Coulomb friction in place of all that was found: the friction that URDF and MJCF files can hold.
+
+Friction of other shapes, such as that in proportion to the load, would be missing in a file, and the viscous and
+Coulomb friction found beside it is what is left for these two, often nothing. So a file gets the two that come nearest
+to the torque of all friction together, by least squares over the samples, none of them negative.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from torchdq.learning.identification.evidence import Evidence
+from torchdq.learning.identification.terms import COULOMB, VISCOUS, rows_of
+
+SIMPLE = (VISCOUS, COULOMB)
+
+
+def simple_friction(evidence: Evidence, parameters: Tensor, width: float) -> Tensor:
+    """Viscous and Coulomb friction [2, n] that come nearest to all friction found, over the rows of the evidence.
+
+    Joints that have no other friction keep theirs.
+
+    Args:
+        evidence: rows, and the torques of all terms per unit.
+        parameters: all that were found [k].
+        width: velocity below which dry friction is viscous [rad/s or m/s].
+    """
+    robot, terms = evidence.robot, evidence.terms
+    own = parameters[10 * len(robot.link_names) :].reshape(-1, robot.n)
+    rows = [own[terms.index(term)] if term in terms else getattr(robot, term.described).to(own) for term in SIMPLE]
+    known = torch.stack(rows)
+    rubbing = [k for k, term in enumerate(terms) if term.effect is not None]
+    if not rubbing:
+        return known
+    tau = (evidence.own[..., rubbing] * own[rubbing].T.to(evidence.own)).sum(-1)
+    sign = rows_of(robot, evidence.recording, width).sign
+    columns = torch.stack([evidence.recording.qd, sign], -1)
+    nearest = _nonnegative(
+        torch.einsum("rjp,rjq->jpq", columns, columns).cpu(), torch.einsum("rjp,rj->jp", columns, tau).cpu()
+    )
+    others = [k for k in rubbing if terms[k] not in SIMPLE]
+    return torch.where((own[others] != 0).any(0), nearest.T, known)
+
+
+def _nonnegative(A: Tensor, b: Tensor) -> Tensor:
+    """Minima [n, 2] of x A x - 2 b x over x that are not negative, A [n, 2, 2] being positive semidefinite."""
+    size = A.diagonal(dim1=-2, dim2=-1)
+    alone = torch.where(size > 0, b / torch.where(size > 0, size, 1.0), 0.0).clamp_min(0)
+    both = (torch.linalg.pinv(A, hermitian=True) @ b[..., None])[..., 0]
+    none = torch.zeros_like(b[:, 0])
+    tried = torch.stack([torch.stack([alone[:, 0], none], -1), torch.stack([none, alone[:, 1]], -1), both.clamp_min(0)])
+    cost = torch.einsum("ijp,jpq,ijq->ij", tried, A, tried) - 2 * torch.einsum("jp,ijp->ij", b, tried)
+    return tried[cost.argmin(0), torch.arange(len(b))]
