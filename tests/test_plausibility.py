@@ -51,7 +51,7 @@ def doubted(robot, data):
     def torques(q, qd, qdd):
         return torchdq.inverse_dynamics(robot, q, qd, qdd)
 
-    return plausibility.doubts(torques, robot.joint_names, plausibility.sampled(data), 1e-2)
+    return plausibility.doubts(robot, torques, data, 1e-2)
 
 
 def exchanged(x, i, j):

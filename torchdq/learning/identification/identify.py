@@ -29,7 +29,8 @@ from torchdq.learning.identification.evidence import Evidence, described, gather
 from torchdq.learning.identification.gains import drive_gains
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
 from torchdq.learning.identification.ladder import STRENGTHS, Ladder, climb
-from torchdq.learning.identification.missing import lagging, missing, offset_missing
+from torchdq.learning.identification.lags import lagging
+from torchdq.learning.identification.missing import missing, offset_missing
 from torchdq.learning.identification.regression import base_parameters, rigid
 from torchdq.learning.identification.simple import simple_friction
 from torchdq.learning.identification.solution import ITERATIONS, Solution, solve
@@ -274,7 +275,7 @@ def _doubts(robot: Robot, rows: MotionRows, width: float) -> str:
     def described(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
         return inverse_dynamics(robot, q, qd, qdd)
 
-    return doubts(described, robot.joint_names, sampled([rows.q, rows.qd, rows.qdd, rows.measured]), width)
+    return doubts(robot, described, [rows.q, rows.qd, rows.qdd, rows.measured], width)
 
 
 def _late(evidence: Evidence, found: Solution, prior: float, width: float, offsets: bool) -> list[str]:

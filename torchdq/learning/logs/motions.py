@@ -33,12 +33,12 @@ class Motion(NamedTuple):
     """Motion in even steps, `[rows, n]` each, as float64, and what was done to its signals."""
 
     time: np.ndarray  # [rows] [s]
-    q: np.ndarray  # [rad]
-    qd: np.ndarray  # [rad/s]
-    qdd: np.ndarray  # [rad/s^2]
-    tau: np.ndarray | None  # [N m]; None: not recorded
+    q: np.ndarray  # [rad or m]
+    qd: np.ndarray  # [rad/s or m/s]
+    qdd: np.ndarray  # [rad/s^2 or m/s^2]
+    tau: np.ndarray | None  # [N m or N]; None: not recorded
     direction: np.ndarray | None = None  # sign of the velocity, filtered as the torques; None: unknown
-    width: float = SIGN_WIDTH  # velocity below which that sign is rounded [rad/s]
+    width: float = SIGN_WIDTH  # velocity below which that sign is rounded [rad/s or m/s]
     cutoff_qd: float | None = None  # filter of positions, velocities and accelerations [Hz]; None: unfiltered
     cutoff_tau: float | None = None  # filter of torques and directions [Hz]; None: unfiltered
     known_gains: bool = True  # whether `tau` is in N m; if not, in a unit of its own for every joint, e.g. amperes

@@ -3,8 +3,9 @@
 A description that is off by tens of percent still explains most of a joint's torque, once friction, rotor inertia and
 an offset are allowed for. Where it does not, the measurements are tried with what goes wrong in logs undone: a sign,
 two joints exchanged, all joints reversed or sorted by name, in some of the signals. What explains them far better is
-named. Four mistakes are looked for before that: a torque that never changes, another unit, currents without a gain, and
-torques from which the drives have taken gravity away.
+named. Other mistakes are looked for before that: rows far away from those beside them, motions beyond the limits of the
+description, a torque that never changes, another unit, currents without a gain, and torques from which the drives have
+taken gravity away.
 """
 
 import math
@@ -16,6 +17,9 @@ import torch
 from torch import Tensor
 
 from torchdq.dynamics.friction import smooth_sign
+from torchdq.learning.logs.described_range import beyond_limits
+from torchdq.learning.logs.outliers import spikes_told
+from torchdq.robot import Robot
 
 ROWS = 400  # rows that are looked at
 FACTOR = 45.0  # ratio of measured to described torques beyond which the unit is doubted; a payload makes one of 31
@@ -57,17 +61,17 @@ class LogWarning(UserWarning):
 
 
 class _Reading(NamedTuple):
-    """Another reading of the measurements: columns of some signals in another order, and with other signs."""
+    """Another reading of the measurements: columns of some signals in another order, and times other factors."""
 
     words: str
     signals: tuple[str, ...]
     order: Tensor  # [n]
-    sign: Tensor  # [n]
+    factor: Tensor  # [n] signs, or changes of the unit
 
     def applied(self, rows: Sequence[Tensor]) -> list[Tensor]:
         """Rows as this reading takes them."""
         return [
-            self.sign * x[:, self.order] if name in self.signals else x for name, x in zip(SIGNALS, rows, strict=True)
+            self.factor * x[:, self.order] if name in self.signals else x for name, x in zip(SIGNALS, rows, strict=True)
         ]
 
 
@@ -77,19 +81,23 @@ def sampled(rows: Sequence[Tensor]) -> list[Tensor]:
     return [x[at] for x in rows]
 
 
-def doubts(torques: Torques, names: Sequence[str], rows: Sequence[Tensor], width: float) -> str:
+def doubts(robot: Robot, torques: Torques, rows: Sequence[Tensor], width: float) -> str:
     """Words for what is probably wrong with rows (q, qd, qdd, tau), [samples, n] each; "" if nothing seems to be.
 
     `torques` are those of the description.
     """
     if len(rows[0]) < FEW:
         return ""
-    left, alone, factor = _compared(torques, rows, width)
+    names, few = robot.joint_names, sampled(rows)
+    leaps = spikes_told([f"tau of {name}" for name in names], rows[3].detach().cpu().numpy())
+    if far := beyond_limits(robot, few[0], few[1]):
+        return "; ".join([*leaps, *far])
+    left, alone, factor = _compared(torques, few, width)
     found = _scaled(names, left, alone, factor) or _currents(names, left, alone, factor)
-    weightless = [] if found else _weightless(torques, rows, width)
+    weightless = [] if found else _weightless(torques, few, width)
     if not weightless and bool((left > DOUBTFUL).any()):
-        found += _misread(torques, names, rows, width, left)
-    return "; ".join([*_dead(torques, names, rows, width), *found, *weightless])
+        found += _misread(torques, robot, few, width, left)
+    return "; ".join([*leaps, *_dead(torques, names, few, width), *found, *weightless])
 
 
 def unexplained(names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, width: float) -> str:
@@ -256,10 +264,10 @@ def _currents(names: Sequence[str], left: Tensor, alone: Tensor, factor: Tensor)
     ]
 
 
-def _misread(torques: Torques, names: Sequence[str], rows: Sequence[Tensor], width: float, left: Tensor) -> list[str]:
+def _misread(torques: Torques, robot: Robot, rows: Sequence[Tensor], width: float, left: Tensor) -> list[str]:
     """Words for the reading of the measurements that explains them far better."""
     bad, best, words = left > DOUBTFUL, float(left.sum()) - GAIN, ""
-    for reading in _readings(torques, names, rows, width, left):
+    for reading in _readings(torques, robot, rows, width, left):
         found = _left(torques, reading.applied(rows), width, left)
         tried = float(found.sum())
         if tried < best and BETTER * float(found[bad].sum()) < float(left[bad].sum()):
@@ -274,10 +282,11 @@ def _left(torques: Torques, rows: Sequence[Tensor], width: float, left: Tensor) 
 
 
 def _readings(
-    torques: Torques, names: Sequence[str], rows: Sequence[Tensor], width: float, left: Tensor
+    torques: Torques, robot: Robot, rows: Sequence[Tensor], width: float, left: Tensor
 ) -> Iterator[_Reading]:
     """Readings to try, the likeliest first."""
-    n, same, plain = len(names), torch.arange(len(names)), torch.ones(len(names), dtype=rows[0].dtype)
+    n, names = robot.n, robot.joint_names
+    same, plain = torch.arange(n), torch.ones(n, dtype=rows[0].dtype)
     same, plain = same.to(rows[0].device), plain.to(rows[0].device)
     bad = (left > DOUBTFUL).tolist()
     # signs of torques do not touch other joints: each is chosen by itself
@@ -303,6 +312,23 @@ def _readings(
                 sign = plain.clone()
                 sign[j] = -1.0
                 yield _Reading(_sign(group, names[j]), signals, same, sign)
+        if "tau" not in signals:
+            yield from _in_other_units(robot, group, signals, same, plain)
+
+
+def _in_other_units(
+    robot: Robot, group: str, signals: tuple[str, ...], same: Tensor, plain: Tensor
+) -> Iterator[_Reading]:
+    """Readings of motions in degrees, or in millimetres where joints slide."""
+    turns = torch.tensor([kind.turns for kind in robot.joint_types], device=plain.device)
+    for unit, times, factor, joints in (
+        ("degrees", "pi/180", math.pi / 180, turns),
+        ("millimetres", "0.001", 0.001, ~turns),
+    ):
+        if bool(joints.any()):
+            of = ", ".join(name for name, yes in zip(robot.joint_names, joints.tolist(), strict=True) if yes)
+            words = f"the description fits far better with the {group} of {of} in {unit}; multiply them by {times}"
+            yield _Reading(words, signals, same, torch.where(joints, factor * plain, plain))
 
 
 def _sign(group: str, of: str) -> str:

@@ -1,7 +1,7 @@
 """Logs of robot arms in CSV files, NPZ archives and arrays: read, and checked for gaps, missing numbers and degrees.
 
 A CSV file holds a header line and columns time [s], q1 ... qn [rad], qd1 ... [rad/s], tau1 ... measured at the joints
-[N m] and, if they are known, qdd1 ... [rad/s^2]. A `Layout` names other columns, says what was not recorded, turns
+[N m] and, if they are known, qdd1 ... [rad/s^2]; of joints that slide, in m, m/s, N and m/s^2. A `Layout` names other columns, says what was not recorded, turns
 motor currents into torques and motors' positions into joints', or does without a header. Columns under a header are
 found by name; others may stand among them and stay unread. A file may be packed with gzip, or be an NPZ archive of
 arrays time [rows], q, qd, tau and, if they are known, qdd, `[rows, n]`; arrays in memory are given in the same way.
@@ -24,6 +24,7 @@ from torchdq.learning.logs.arrays import archive_table, arrays_table
 from torchdq.learning.logs.checks import jump, require_numbers, require_radians, require_times
 from torchdq.learning.logs.filters import decimated, fewer_times
 from torchdq.learning.logs.layouts import Layout, LogError, MissingLogError
+from torchdq.learning.logs.outliers import spikes_told
 from torchdq.learning.logs.plausibility import LogWarning
 from torchdq.learning.logs.samples import UNITS
 from torchdq.learning.logs.tables import Table
@@ -56,11 +57,11 @@ class Log(NamedTuple):
     path: Path
     layout: Layout
     time: np.ndarray  # [rows], strictly increasing [s]
-    q: np.ndarray  # [rows, n] [rad]
-    qd: np.ndarray | None  # [rows, n] [rad/s]; None: not recorded
-    tau: np.ndarray | None  # [rows, n] [N m]; efforts in their own unit if `layout.gain` is None; None: not recorded
+    q: np.ndarray  # [rows, n] [rad or m]
+    qd: np.ndarray | None  # [rows, n] [rad/s or m/s]; None: not recorded
+    tau: np.ndarray | None  # [rows, n] [N m or N]; efforts in their own unit if `layout.gain` is None; None: not recorded
     repeats: int  # rows left out because they repeat a time stamp
-    qdd: np.ndarray | None = None  # [rows, n] [rad/s^2], if the file holds them
+    qdd: np.ndarray | None = None  # [rows, n] [rad/s^2 or m/s^2], if the file holds them
     command: np.ndarray | None = None  # [rows, n], what the drives were asked for, if the file holds it
 
     def __repr__(self) -> str:
@@ -82,7 +83,8 @@ def read(
         path: path of the file, a file:// or package:// address, an open file, or its bytes: numbers separated by
             commas, packed with gzip or not, or an NPZ archive. Or arrays by name, as in such an archive; None in place
             of one says that it was not recorded.
-        layout: names and units of the columns; by default time, q1 ..., qd1 ..., tau1 ... in SI units.
+        layout: names and units of the columns; by default time, q1 ..., qd1 ..., tau1 ... in SI units: s, rad, rad/s
+            and N m, and of joints that slide (prismatic ones) m, m/s and N.
         rows: first row and the one after the last to use, counted from 0; None: all.
         rate: rows per second, on even time stamps, without what is too fast for them [Hz], e.g. for a log of a drive
             at 8 kHz; needs scipy. None: the rows as they are.
@@ -92,7 +94,8 @@ def read(
         MissingLogError: there is no such file; it is a FileNotFoundError too.
         MissingLibraryError: scipy is not installed, and a rate is given.
     Warns:
-        LogWarning: a position jumps farther than its velocities explain, or the last number seems to be cut.
+        LogWarning: a position jumps farther than its velocities explain, an effort leaps in a few rows, or the last
+            number seems to be cut.
 
     >>> import tempfile
     >>> path = Path(tempfile.mkdtemp()) / "log.csv"
@@ -117,7 +120,7 @@ def read(
         table = joint_side(table)
         require_times(table)
         require_radians(table)
-    for doubt in (table.doubt, jump(table)):
+    for doubt in (table.doubt, jump(table), *_leaps(table)):
         if doubt:
             warnings.warn(f"{table.path}, {doubt}", LogWarning, stacklevel=2)
     new = np.concatenate([[True], np.diff(table.time) > 0])
@@ -126,6 +129,12 @@ def read(
         time, blocks = _at_rate(table.path, time, blocks, rate)
     qd, tau, qdd, command = (blocks.get(signal) for signal in ("qd", "tau", "qdd", "command"))
     return Log(table.path, table.layout, time, blocks["q"], qd, tau, int((~new).sum()), qdd, command)
+
+
+def _leaps(table: Table) -> list[str]:
+    """Words for rows in which efforts leap away and back."""
+    names = [f"column {name!r}" for name in table.names.get("tau", ())]
+    return spikes_told(names, table.blocks["tau"], table.first) if names else []
 
 
 def _is_index(x: Any) -> bool:

@@ -20,7 +20,7 @@ from torch import nn
 
 from torchdq.checks import require_choice, require_count, require_number
 from torchdq.errors import ArgumentError
-from torchdq.learning.logs.plausibility import LogWarning, doubts, sampled
+from torchdq.learning.logs.plausibility import LogWarning, doubts
 from torchdq.learning.logs.samples import Samples, of_motions, validated
 from torchdq.learning.training import checkpoint as checkpoints
 from torchdq.learning.training import left_out
@@ -180,7 +180,7 @@ def _doubts(model: nn.Module, train: Samples) -> str:
     if rigid is None or any(batches(rigid.robot).values()) or rigid.robot.n != train.q.shape[1]:
         return ""
     model.eval()
-    return doubts(rigid, rigid.robot.joint_names, sampled(train), rigid.friction_width)
+    return doubts(rigid.robot, rigid, train, rigid.friction_width)
 
 
 def _checkpoint(path: Any) -> Path | None:

@@ -1,0 +1,152 @@
+"""Lags of measured torques behind the motion, found beside all parameters of a fit.
+
+Torques that are late by s are tau(t) = Z(t - s) phi. Friction that was fitted without the lag explains a part of it,
+friction that remembers above all. So all of the model is moved back by the lag that was found, and the parameters are
+sought anew with the rest of the lag beside them, by its torque per unit -d/dt Z(t - s) phi, until nothing is left of it:
+the lag found is that of the best model, whatever the first one was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.learning.identification.beside import Beside
+from torchdq.learning.identification.evidence import Evidence
+
+SURE = 5.0  # standard errors from which there is a lag
+MATTERS = 0.1  # part of a motion's squared residuals that it must take away to matter
+ROUNDS = 12  # most times that the model is moved
+FARTHEST = 10.0  # most rows that it is moved at a time
+SETTLED = 0.02  # rest of a lag, in rows or in standard errors, that is none
+ALIKE = 0.3  # difference of the lags of motions, relative to their mean, that one lag for all of them explains
+FOLLOWED = 0.9  # part of the changes of the positions that the velocities explain, where rows follow each other
+
+
+class TorqueLag(NamedTuple):
+    """Lag of the torques of a motion."""
+
+    motion: int
+    seconds: float
+    error: float  # standard error [s]
+    rows: float  # the same lag in rows
+    settled: bool  # whether the search came to its end; if not, the lag is longer
+
+
+class _Search(NamedTuple):
+    """End of a search for the lags of all motions."""
+
+    late: Tensor  # [motions] in rows
+    error: Tensor  # [motions] standard errors
+    settled: Tensor  # [motions] whether nothing is left to find
+    before: Tensor  # [motions] squared residuals over those of the fit, without lags
+    after: Tensor  # [motions] the same with them
+
+
+def lags(fit: Beside) -> list[TorqueLag]:
+    """Lags of motions that a fit lacks, and that matter."""
+    run, seconds = _runs(fit.evidence)
+    if run is None:
+        return []
+    found = _search(fit, run)
+    numbers = zip(*(x.tolist() for x in (found.late, found.error, found.settled, _told(found))), strict=True)
+    return [TorqueLag(k, seconds * s, seconds * e, s, end) for k, (s, e, end, yes) in enumerate(numbers) if yes]
+
+
+def _told(found: _Search) -> Tensor:
+    """Motions whose lags are there, and matter."""
+    sure = (found.late.abs() > SURE * found.error) & (found.error > 0)
+    return sure & (found.after < (1 - MATTERS) * found.before)
+
+
+def _search(fit: Beside, run: Tensor) -> _Search:
+    """Lags of all motions by Gauss-Newton."""
+    measured = fit.evidence.recording.measured.cpu()[fit.rows]
+    late = torch.zeros(len(fit.lengths), dtype=measured.dtype)
+    y, one = torch.zeros_like(fit.slope), torch.nn.functional.one_hot(fit.motion, len(late)).to(late)[:, None]
+
+    def squares(left: Tensor) -> Tensor:
+        return torch.zeros_like(late).index_add(0, fit.motion, (left.square() / fit.square).sum(1))
+
+    before = late
+    for k in range(ROUNDS):
+        Z, tau, (early, behind), inside = _moved(fit, run, late[fit.motion], y)
+        Z, r = Z * inside[..., None], (measured - tau) * inside
+        if not k:
+            before = squares(fit.sought(Z, r, Z[..., :0]).left)
+        found = fit.sought(Z, r, ((behind - early) * inside)[..., None] * one)
+        y, x = found.y, found.x.clamp(-FARTHEST, FARTHEST)
+        late = late + x
+        settled = x.abs() < SETTLED * found.error.clamp_min(1.0)
+        if bool(settled.all()):
+            break
+    return _Search(late, found.error, settled, before, squares(found.left))
+
+
+def _moved(
+    fit: Beside, run: Tensor, late: Tensor, y: Tensor
+) -> tuple[Tensor, Tensor, tuple[Tensor, Tensor], Tensor]:
+    """Model as it was some rows before [rows].
+
+    Torques per unit of y [rows, n, t], and of the fit [rows, n]; torques at y of half a row less and half a row more;
+    and one where the rows are known, else zero [rows, 1].
+    """
+    recording, all_late = fit.evidence.recording, torch.cat([late, late - 0.5, late + 0.5])
+    at = fit.rows.repeat(3) - all_late
+    first = at.floor().long().clamp(0, len(run) - 1)
+    second = (first + 1).clamp_max(len(run) - 1)
+    rows = fit.rows.repeat(3)
+    inside = ((run[first] == run[rows]) & (run[second] == run[rows])).reshape(3, -1).all(0)
+
+    def drawn(x: Tensor) -> Tensor:
+        share = (at - first).to(x).reshape(-1, *[1] * (x.ndim - 1))
+        return torch.lerp(x[first], x[second], share)
+
+    Z, tau = fit.columns(*(drawn(x) for x in (recording.q, recording.qd, recording.qdd, fit.evidence.own)))
+    beside = (tau + Z @ y).reshape(3, len(late), -1)
+    return Z[: len(late)], tau[: len(late)], (beside[1], beside[2]), inside[:, None].to(tau)
+
+
+def _runs(evidence: Evidence) -> tuple[Tensor | None, float]:
+    """Numbers of the runs of rows that follow each other [rows], None where rows are no motion, and their step [s]."""
+    rows = evidence.recording
+    change, speed = rows.q.diff(dim=0).cpu(), (0.5 * (rows.qd[1:] + rows.qd[:-1])).cpu()
+    follows = torch.ones(len(change), dtype=torch.bool)
+    follows[torch.tensor(rows.lengths).cumsum(0)[:-1] - 1] = False
+    if rows.time is not None:
+        step = rows.time.diff().cpu()
+        seconds = float(step.median())
+        follows &= (step > 0) & (step < 1.5 * seconds)
+    else:
+        change, speed = change[follows], speed[follows]
+        seconds = float((change * speed).sum() / speed.square().sum().clamp_min(1e-300))
+        left = (change - seconds * speed).square().sum()
+        if not seconds > 0 or float(left) > (1 - FOLLOWED) * float(change.square().sum()):
+            return None, 0.0
+    return torch.cat([follows.new_zeros(1), ~follows]).cumsum(0), seconds
+
+
+def lagging(names: Sequence[str], lags: Sequence[TorqueLag]) -> list[str]:
+    """Words for torques that lag the motion."""
+    if not lags:
+        return []
+    weight = sum(1 / lag.error**2 for lag in lags)
+    mean = sum(lag.seconds / lag.error**2 for lag in lags) / weight
+    alike = len(lags) > 1 and all(abs(lag.seconds - mean) < ALIKE * abs(mean) for lag in lags)
+    whole = TorqueLag(
+        -1, mean, weight**-0.5, mean / lags[0].seconds * lags[0].rows, all(lag.settled for lag in lags)
+    )
+    found = []
+    for lag in [whole] if alike else lags:
+        of = f"{len(lags)} motions" if lag.motion < 0 else (names and names[lag.motion]) or f"motion {lag.motion + 1}"
+        cure = f"smooth(log, delay={lag.seconds:.2g})" if names else f"moving them {abs(lag.rows):.1f} rows"
+        cure += "" if names else (" up" if lag.seconds > 0 else " down")
+        way = "after" if lag.seconds > 0 else "before"
+        size = f"{1e3 * abs(lag.seconds):.1f} +- {1e3 * lag.error:.1f} ms"
+        least = "about" if lag.settled else "at least"
+        found.append(f"torques come {least} {size} {way} the motion in {of}; {cure} mends it")
+    cause = "were they filtered, stamped by another clock, or late by friction that remembers (effects.LuGre)?"
+    return [f"{'; '.join(found)}; {cause} Friction is biased beyond its errors"]

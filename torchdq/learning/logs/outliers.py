@@ -1,0 +1,51 @@
+"""Rows of a log in which a signal leaps far away and back: faults of a sensor or of its bus, which ruin least squares."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+BESIDE = 3  # rows to both sides that a row is compared with: a spike is shorter
+FAR = 20.0  # times the usual distance from the rows beside, from which a row is a spike
+BEYOND = 3.0  # least distance from what is usual, relative to the range of that
+OUTER = 0.01  # part of the rows on either side of the range that is usual
+LEAST = 0.1  # least size of that range, relative to the largest of all joints: a joint at rest has noise alone
+USUAL = 1.4826  # standard deviation of normal numbers over the median of their sizes
+SHOWN = 5  # most rows that a message names
+CURE = "least squares follow a few such rows more than all the others; delete these rows from the log"
+
+
+def spikes(x: np.ndarray) -> np.ndarray:
+    """Whether a row leaps from those beside it on both sides [rows, n], in signals [rows, n].
+
+    Both neighbours must be far in the same direction, so that steps, as those of dry friction, are none; and the row
+    beyond what is usual by three times the range of that. The median of all distances and the range of most rows say what
+    is far: a few spikes do not move them.
+
+    >>> x = np.sin(np.linspace(0, 6, 200))[:, None]
+    >>> x[[50, 120]] = 1000.0
+    >>> np.flatnonzero(spikes(x)[:, 0]).tolist()
+    [50, 120]
+    """
+    found = np.zeros(x.shape, dtype=bool)
+    if len(x) <= 4 * BESIDE:
+        return found
+    before = x[BESIDE:-BESIDE] - x[: -2 * BESIDE]
+    after = x[BESIDE:-BESIDE] - x[2 * BESIDE :]
+    far = np.where(before * after > 0, np.minimum(abs(before), abs(after)), 0.0)
+    low, high = np.quantile(x, (OUTER, 1 - OUTER), axis=0)
+    usual, reach = USUAL * np.median(np.minimum(abs(before), abs(after)), axis=0), high - low
+    reach = BEYOND * np.maximum(reach, LEAST * reach.max())
+    found[BESIDE:-BESIDE] = far > FAR * usual
+    return found & ((x > high + reach) | (x < low - reach))
+
+
+def spikes_told(what: Sequence[str], x: np.ndarray, first: int = 0) -> list[str]:
+    """Words for spikes of signals [rows, n], by what the columns are called; rows are numbered from `first`."""
+    found, told = spikes(x), []
+    for j in np.flatnonzero(found.any(0)).tolist():
+        rows = np.flatnonzero(found[:, j])
+        some = ", ".join(f"{x[i, j]:.3g} in row {first + i}" for i in rows[:SHOWN].tolist())
+        more = f" and {len(rows) - SHOWN} more rows" if len(rows) > SHOWN else ""
+        size = float(np.quantile(abs(x[:, j]), 1 - OUTER))
+        told.append(f"{what[j]} is {some}{more}, elsewhere up to {size:.2g}")
+    return [f"{'; '.join(told)}: {CURE}"] if told else []
