@@ -89,7 +89,7 @@ def main() -> None:
             results.append((name, file.name, *row, *counts, len(ratio)))
             worst = [i for i in ratio.argsort(descending=True).tolist() if above[i] and not stuck[i]]
             if worst:
-                print("  ", ", ".join(f"{found.parameters.names[i]} {float(ratio[i]):.2f}" for i in worst))
+                print("  ", ", ".join(f"{found.base_names[i]} {float(ratio[i]):.2f}" for i in worst))
     report.into_json(arguments.json, results=results)
 
 

@@ -69,7 +69,7 @@ def random_errors(found: Excitation, limits: MotionLimits, args: Args) -> float:
     series = family.motions(family.start(10, torch.Generator().manual_seed(args.seed)), rates)
     motions = series.at(found.series.rate * found.time)
     errors = [found.parameters.errors(*rows) for rows in zip(*motions, strict=True)]
-    return float(torch.stack(errors).log().mean(1).median().exp() / found.errors.log().mean().exp())
+    return float(torch.stack(errors).log().mean(1).median().exp() / found.base_errors.log().mean().exp())
 
 
 def fanned(drawn: Sampled, tau: Tensor, q: Tensor) -> Tensor:
@@ -109,8 +109,8 @@ def main(args: Args) -> Result:
     noise = found.parameters.noise * torch.randn(found.q.shape, dtype=torch.float64)
     tau = torques(found.q, found.qd, found.qdd) + noise
     identified = identify(described, found.q, found.qd, found.qdd, tau, friction=True, prior=0.1, width=width)
-    truth = found.parameters.base @ torch.cat([real.inertial_parameters, viscous, coulomb])
-    off = (found.parameters.base @ identified.parameters - truth) / found.errors
+    truth = found.base @ torch.cat([real.inertial_parameters, viscous, coulomb])
+    off = (found.base @ identified.parameters - truth) / found.base_errors
     chi_square = float(off.square().mean())
     console.print(f"mean square of the deviations over the predicted errors: {chi_square:.2f}")
 

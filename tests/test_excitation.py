@@ -217,11 +217,11 @@ def test_errors_are_those_of_least_squares_on_pinocchios_regressor(panda, exciti
     Z = np.concatenate([Y, *friction], -1) / found.parameters.noise.numpy()[:, None]
     Z = Z.reshape(-1, Z.shape[-1])
     rank = np.linalg.matrix_rank(Z, tol=1e-9 * np.linalg.norm(Z))
-    assert len(found.errors) == rank == 43 + 14
+    assert len(found.base_errors) == rank == 43 + 14
     base, lead = found.parameters.base.numpy(), Z[:, found.parameters.leading]
     assert np.abs(Z - lead @ base).max() < 1e-9 * np.abs(Z).max()
     expected = np.sqrt(np.linalg.inv(lead.T @ lead).diagonal())
-    assert found.errors.numpy() == pytest.approx(expected, rel=1e-8)
+    assert found.base_errors.numpy() == pytest.approx(expected, rel=1e-8)
     assert found.condition == pytest.approx(np.linalg.cond(lead), rel=1e-6)
 
 
@@ -239,7 +239,7 @@ def test_identification_from_the_motion_errs_as_predicted():
         tau = rigid + friction + noise
         again = identify(robot, found.q, found.qd, found.qdd, tau, friction=True, prior=1e-6)
         assert again.rank == len(base)
-        squares.append(((base @ (again.parameters - truth)) / found.errors) ** 2)
+        squares.append(((base @ (again.parameters - truth)) / found.base_errors) ** 2)
     mean = float(torch.stack(squares).mean())
     assert abs(mean - 1) < 5 * math.sqrt(2 / (30 * len(base)))
 
@@ -259,7 +259,7 @@ def test_the_search_improves_on_random_motions(panda, exciting):
     volume = torch.linalg.slogdet(found.parameters.information(*some)).logabsdet
     own = torch.linalg.slogdet(found.parameters.information(found.q[1:], found.qd[1:], found.qdd[1:])).logabsdet
     # a mean error 1.3 times smaller than the best random motion's, which need not keep torques and workspace
-    assert float(own - volume.max()) > 2 * len(found.errors) * math.log(1.3)
+    assert float(own - volume.max()) > 2 * len(found.base_errors) * math.log(1.3)
 
 
 def test_seeds_reproduce_motions(monkeypatch):

@@ -10,6 +10,7 @@ expected as prior (`nearest`), so that the payload can exist, however little the
 """
 
 import math
+import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -20,12 +21,16 @@ from torchdq.checks import require_number
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
-from torchdq.functional import check, regressor, require_finite
+from torchdq.functional import check, inverse_dynamics, regressor, require_finite
 from torchdq.learning.bodies.nearest import curvature, nearest, relative
 from torchdq.learning.bodies.pseudo_inertia import central, inertial_parameters, moved, pseudo_inertia
 from torchdq.learning.identification.feasible import ENTRIES
+from torchdq.learning.identification.identified import INERTIAL
 from torchdq.learning.identification.identify import Identified
+from torchdq.learning.identification.naming import sums
+from torchdq.learning.identification.regression import base_parameters
 from torchdq.learning.logs.motions import Motion, samples
+from torchdq.learning.logs.plausibility import LogWarning, doubts
 from torchdq.learning.logs.samples import Samples
 from torchdq.learning.threads import one_thread
 from torchdq.notice import Notice
@@ -33,6 +38,9 @@ from torchdq.robot import Robot
 from torchdq.tables import table
 
 ROUNDS = 20  # most times that joints are weighted anew
+WORSE = 3.0  # residual over that of the empty arm, from which a joint is doubted: on good logs it is below 2
+MATTERS = 0.03  # the same, over the joint's torques, below which it does not matter
+INDEPENDENT = 1e-12  # least eigenvalue of a combination that is told, relative to the largest: beyond rounding
 NUISANCE = 1e-3  # part of its expected size that a change of friction or offset has at most: it is free
 PARTS = ("x", "y", "z"), ("xx", "xy", "yy", "xz", "yz", "zz")
 DTYPE = torch.float64
@@ -54,6 +62,7 @@ class IdentifiedPayload(NamedTuple):
     inertia_error: Tensor  # [6] [kg m^2]
     rms: Tensor  # [n] root mean square of the residual torque [N m or N]
     before: Tensor  # [n] the same without payload, with those changes of friction and offset that are sought [N m or N]
+    untold: tuple[str, ...] = ()  # inertial parameters about the frame that its motion does not tell one by one
 
     def __repr__(self) -> str:
         return f"IdentifiedPayload({float(self.mass):.4g} +- {float(self.mass_error):.2g} kg at {self.frame!r})"
@@ -65,7 +74,10 @@ class IdentifiedPayload(NamedTuple):
             rows += [
                 (f"{kind} {x}", f"{v:.4g}", f"{e:.2g}", unit) for x, v, e in zip(names, values, errors, strict=True)
             ]
-        return table((f"payload at {self.frame}", "estimate", "standard error", "unit"), rows)
+        found = table((f"payload at {self.frame}", "estimate", "standard error", "unit"), rows)
+        if not self.untold:
+            return found
+        return f"{found}\n\nnot told one by one, but as expected of the size: {', '.join(self.untold)}"
 
 
 @one_thread()
@@ -103,7 +115,11 @@ def identify_payload(
             wrong, as `samples(motion)` gives them: a few seconds with payload cannot, and their errors come out too
             small without.
     Raises:
-        ArgumentError: a shape, a value that is not finite, or a frame that no joint moves.
+        ArgumentError: a shape, a value that is not finite, or a frame that no joint moves, or whose motion does not
+            tell a mass, as that of the first links.
+    Warns:
+        LogWarning: no payload explains the torques of some joints, which are named: their columns, signs or gains may
+            be others than those of the empty arm.
 
     >>> import torch, torchdq
     >>> from torchdq.learning import identify
@@ -140,6 +156,7 @@ def identify_payload(
         q, qd, qdd, tau = (x.detach().to("cpu", DTYPE).expand(*batch, robot.n) for x in signals.values())
         Y = regressor(robot.to(DTYPE, "cpu"), q, qd, qdd)
         own = Y[..., 10 * at.link : 10 * at.link + 10] @ moved(at.X_BF.to("cpu", DTYPE))
+        untold = _untold(robot, at.name, own)
         units = [qd, smooth_sign(qd, empty.width)] * friction + [torch.ones_like(qd)] * offset
         rest = torch.cat([torch.diag_embed(x) for x in units], -1) if units else own[..., :0]
         residual = tau - empty.predict(q, qd, qdd).tau
@@ -149,12 +166,56 @@ def identify_payload(
         J = _expected(mass, (point[1:4] / mass).clamp(-10 * size, 10 * size), size)
         pi, covariance = _found(own, rest, residual, weight, J, prior, Y @ empty.spread[: Y.shape[-1]])
         least = [_left(Z, residual, weight) for Z in (torch.cat([own, rest], -1), rest)]
+        usual = torch.hypot(variance.sqrt(), empty.model)
+        if doubt := _doubts(empty, (q, qd, qdd, tau), least[0], usual):
+            warnings.warn(doubt, LogWarning, stacklevel=3)
     quantities = central(pseudo_inertia(pi))
     slopes = torch.autograd.functional.jacobian(_quantities, pi)
     errors = (slopes @ covariance @ slopes.T).diagonal().sqrt()
     mass, com, inertia = (x.to(robot.mass) for x in quantities)
     held = robot.with_payload(mass, com, inertia, at.name)
-    return IdentifiedPayload(held, at.name, *quantities, errors[0], errors[1:4], errors[4:], *least)
+    return IdentifiedPayload(held, at.name, *quantities, errors[0], errors[1:4], errors[4:], *least, untold)
+
+
+def _untold(robot: Robot, frame: str, own: Tensor) -> tuple[str, ...]:
+    """Inertial parameters that torques per unit of them [rows, n, 10] do not tell alone; raises if the mass is one."""
+    Z = own.flatten(0, 1)
+    size = Z.square().mean(0).sqrt()
+    size = torch.where(size > 1e-9 * size.max(), size, 0.0)
+    Z = Z / torch.where(size > 0, size, torch.inf)
+    e, V = torch.linalg.eigh(Z.T @ Z)
+    inverse = torch.where(size > 0, 1 / size, 0.0)
+    base = base_parameters(V[:, e > INDEPENDENT * e[-1]].T * size, inverse)
+    alone = ((base != 0).sum(1) == 1).nonzero()[:, 0].tolist()
+    told = {int(base[row].argmax()) for row in alone}
+    if 0 not in told:
+        found = ", ".join(sums(base, INERTIAL, inverse)) or "nothing"
+        expected = f"one of {robot.name!r} whose motion tells the mass of what it holds"
+        raise ArgumentError(
+            f"frame must be {expected}, found {frame!r}, whose motion tells {found} of its parameters about the frame; "
+            "give one nearer to the end effector, or longer motion"
+        )
+    return tuple(name for k, name in enumerate(INERTIAL) if k not in told)
+
+
+def _doubts(empty: Identified, rows: Sequence[Tensor], rms: Tensor, usual: Tensor) -> str:
+    """Words for what is probably wrong with rows (q, qd, qdd, tau) that no payload explains; "" for nothing."""
+    robot, tau = empty.robot.to(DTYPE, "cpu"), rows[3]
+
+    def rigid(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
+        return inverse_dynamics(robot, q, qd, qdd)
+
+    told = (rms > WORSE * usual) & (rms > MATTERS * tau.square().mean(0).sqrt())
+    if not bool(told.any()):
+        return ""
+    off = [
+        f"{name} ({x:.1f} times)"
+        for name, x, yes in zip(robot.joint_names, (rms / usual).tolist(), told.tolist(), strict=True)
+        if yes
+    ]
+    found = f"no payload explains the torques: residuals are larger than those of the empty arm at {', '.join(off)}"
+    cure = doubts(robot, rigid, rows, empty.width) or "is a sign, gain or column another than then, or the body elsewhere?"
+    return f"{found}; the payload may be wrong beyond its errors: {cure}"
 
 
 def _quantities(pi: Tensor) -> Tensor:

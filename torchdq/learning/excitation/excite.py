@@ -55,8 +55,11 @@ DTYPE = torch.float64
 class Excitation(NamedTuple):
     """Motion that tells most about a robot's parameters, at even times, with the errors that it leaves.
 
-    `errors` are the standard errors of the base parameters `parameters`, if the torques of every row have independent
-    noise of the standard deviation `parameters.noise`, and nothing else is wrong. Printed, it is their table.
+    `base`, `base_names` and `base_errors` are as those of `Identified`. The errors hold if the torques of every row
+    have independent noise of the standard deviation `parameters.noise`, and nothing else is wrong. Printed, it is their
+    table. What an identification made of the same combinations is `found.base @ identified.parameters`, with the errors
+    `(found.base @ identified.spread).norm(dim=1)`, if it sought the same coefficients: its own `base` has combinations
+    of its own, those that its samples tell.
     """
 
     series: Series  # the motion at all times
@@ -67,15 +70,30 @@ class Excitation(NamedTuple):
     tau: Tensor  # [rows, n] torques of the description, friction included [N m or N]
     bounds: Bounds  # limits that are kept
     parameters: BaseParameters
-    errors: Tensor  # [rank], each in the unit of the parameter that leads
+    base_errors: Tensor  # [rank] standard errors, each in the unit of the parameter that leads
     condition: float  # condition number of the matrix of all torques per unit of the base parameters, over the noise
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names [k] of all parameters, of bodies and then of friction, in the order of `Identified.names`."""
+        return self.parameters.every_name
+
+    @property
+    def base(self) -> Tensor:
+        """Base parameters as combinations [rank, k] of all parameters."""
+        return self.parameters.base
+
+    @property
+    def base_names(self) -> tuple[str, ...]:
+        """Base parameters as sums, `link2 Izz + 0.0825 link3 mx`, of at most three terms."""
+        return self.parameters.names
 
     def __repr__(self) -> str:
         seconds, n, name = float(self.time[-1]), self.q.shape[1], self.parameters.robot.name
-        return f"Excitation({name}: {seconds:g} s of {n} joints for {len(self.errors)} base parameters)"
+        return f"Excitation({name}: {seconds:g} s of {n} joints for {len(self.base_errors)} base parameters)"
 
     def __str__(self) -> str:
-        rows = [(name, f"{e:.2g}") for name, e in zip(self.parameters.names, self.errors.tolist(), strict=True)]
+        rows = [(name, f"{e:.2g}") for name, e in zip(self.base_names, self.base_errors.tolist(), strict=True)]
         used = (("velocity", self.qd, self.bounds.velocity), ("torque", self.tau, self.bounds.effort))
         parts = ", ".join(f"{name} {float((x.abs() / most).max()):.0%}" for name, x, most in used)
         facts = f"period {float(self.series.period):.4g} s, condition number {self.condition:.3g}"
@@ -148,7 +166,7 @@ def excite(
     >>> robot = torchdq.robots.load("two_link")
     >>> limits = MotionLimits(lower=-1.0, upper=1.0, velocity=2.0, effort=60.0)
     >>> found = excite(robot, 10.0, limits, restarts=8)
-    >>> found.q.shape, bool(found.qd.abs().max() < 1.8), len(found.parameters.names)
+    >>> found.q.shape, bool(found.qd.abs().max() < 1.8), len(found.base_names)
     (torch.Size([1001, 2]), True, 10)
     """
     for name, x in (("seconds", seconds), ("rate", rate), ("width", width)):

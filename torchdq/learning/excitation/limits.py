@@ -1,7 +1,8 @@
 """Limits that a motion keeps: of positions, velocities, accelerations, torques, and of the space the arm may use."""
 
 import math
-from collections.abc import Callable, Sequence
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -15,6 +16,8 @@ from torchdq.functional import forward_kinematics
 from torchdq.robot import Robot
 
 Clearance = Callable[[Robot, Tensor], Tensor]  # (robot, q [..., n]) to numbers [..., c], not negative where q may be
+WIDER = 1.05  # times the description's limits that are as good as these
+FAST, TURNS = 50.0, 4 * math.pi  # [rad/s], [rad] which limits of joints that turn hardly exceed
 JOINT_UNITS = {"velocity": ("rad/s", "m/s"), "acceleration": ("rad/s^2", "m/s^2"), "effort": ("N m", "N")}
 
 
@@ -134,7 +137,13 @@ class MotionLimits:
             raise ArgumentError(f"workspace must be {expected}, found {self.workspace!r}")
 
     def bounds(self, robot: Robot) -> Bounds:
-        """Numbers of the limits for a robot, its share taken; raises `ArgumentError` naming a joint that lacks one."""
+        """Numbers of the limits for a robot, its share taken.
+
+        Raises:
+            ArgumentError: a joint lacks one.
+        Warns:
+            UserWarning: one is wider than that of the description, as degrees are.
+        """
         described = robot.limits._asdict()
         found = {}
         for name in ("lower", "upper", "velocity", "acceleration", "effort"):
@@ -159,6 +168,8 @@ class MotionLimits:
                     unit = JOINT_UNITS[name][not kind.turns]
                     cure = f"give MotionLimits({name}=...) with one number, or one per joint"
                     raise ArgumentError(f"{name} {whose} must have a finite limit, found {x:g} {unit}; {cure}")
+        if wide := _wider(robot, found):
+            warnings.warn(wide, stacklevel=4)
         middle, reach = (found["upper"] + found["lower"]) / 2, self.share * (found["upper"] - found["lower"]) / 2
         rates = (self.share * found[name] for name in ("velocity", "acceleration", "effort"))
         return Bounds(middle - reach, middle + reach, *rates)
@@ -167,6 +178,28 @@ class MotionLimits:
         """Numbers [..., c] of all parts of the workspace at positions [..., n], not negative where q may be."""
         parts = [part(robot, q) for part in self.workspace]
         return torch.cat(parts, -1) if parts else q[..., :0]
+
+
+def _wider(robot: Robot, found: Mapping[str, Tensor]) -> str:
+    """Words for limits [n] that are wider than those of the description, or than joints turn; "" for none."""
+    described = {name: x.double().cpu() for name, x in robot.limits._asdict().items()}
+    told = list[str]()
+    for j, (joint, kind) in enumerate(zip(robot.joint_names, robot.joint_types, strict=True)):
+        low, high = float(described["lower"][j]), float(described["upper"][j])
+        low, high = max(low, -TURNS if kind.turns else low), min(high, TURNS if kind.turns else high)
+        slack = (WIDER - 1) * (high - low)
+        unit = "rad" if kind.turns else "m"
+        if found["lower"][j] < low - slack or found["upper"][j] > high + slack:
+            span = f"{float(found['lower'][j]):.4g} to {float(found['upper'][j]):.4g} {unit}"
+            told.append(f"{joint} {span} instead of {low:.3g} to {high:.3g}")
+        fast = float(described["velocity"][j])
+        fast = min(fast, FAST) if kind.turns else fast
+        if found["velocity"][j] > WIDER * fast:
+            told.append(f"{joint} {float(found['velocity'][j]):.4g} {unit}/s instead of {fast:.3g}")
+    if not told:
+        return ""
+    cure = "give radians and metres, or the robot's own limits, by None"
+    return f"limits are wider than those of the description: {', '.join(told)}; are they in degrees? {cure}"
 
 
 def _require_three(name: str, x: Any, finite: bool = True) -> None:

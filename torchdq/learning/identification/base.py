@@ -9,6 +9,7 @@ from torch import Tensor
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.functional import regressor
 from torchdq.learning.identification.identify import INERTIAL
+from torchdq.learning.identification.naming import sums
 from torchdq.learning.identification.regression import base_parameters
 from torchdq.robot import Robot
 
@@ -28,7 +29,7 @@ class BaseParameters(NamedTuple):
     noise: Tensor  # [n] standard deviation of a torque [N m or N]
     base: Tensor  # [rank, k]
     leading: Tensor  # [rank] indices of the parameters that name them
-    typical: Tensor  # [rank] root mean square of a sample's torques per unit of each, over the noise
+    sizes: Tensor  # [k] root mean square of a sample's torques per unit of every parameter, over the noise
 
     @classmethod
     def of(
@@ -48,15 +49,23 @@ class BaseParameters(NamedTuple):
         base = base_parameters(V[:, e > INDEPENDENT * e[-1]].T * size, torch.where(size > 0, 1 / size, 0.0))
         alone = (base == 1) & ((base != 0).sum(0) == 1)
         leading = alone.int().argmax(1)
-        return cls(robot, tuple(coefficients), width, noise, base, leading, size[leading])
+        return cls(robot, tuple(coefficients), width, noise, base, leading, size)
+
+    @property
+    def typical(self) -> Tensor:
+        """Sizes [rank] of the leading parameters."""
+        return self.sizes[self.leading]
+
+    @property
+    def every_name(self) -> tuple[str, ...]:
+        """Names [k] of all parameters."""
+        bodies = [f"{link} {name}" for link in self.robot.link_names for name in INERTIAL]
+        return (*bodies, *(f"{joint} {name}" for name in self.coefficients for joint in self.robot.joint_names))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names [rank] of the leading parameters."""
-        robot = self.robot
-        every = [f"{link} {name}" for link in robot.link_names for name in INERTIAL]
-        every += [f"{joint} {name}" for name in self.coefficients for joint in robot.joint_names]
-        return tuple(every[i] for i in self.leading.tolist())
+        """Names [rank] of the base parameters, as sums of at most three terms."""
+        return sums(self.base, self.every_name, torch.where(self.sizes > 0, 1 / self.sizes, 0.0))
 
     def columns(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
         """Torques per unit of each, over the noise, [..., n, rank]."""

@@ -17,6 +17,7 @@ from torchdq.effects.friction import Friction
 from torchdq.errors import ArgumentError
 from torchdq.learning.identification.gains import Gains
 from torchdq.learning.identification.ladder import Ladder
+from torchdq.learning.identification.naming import sums
 from torchdq.learning.identification.regression import chunks, columns, places, rigid
 from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, VISCOUS, Term, rows_of, unit_torques
 from torchdq.learning.logs.blocks import MotionRows, of_motions, of_tensors
@@ -114,16 +115,7 @@ class Identified(NamedTuple):
     @property
     def base_names(self) -> tuple[str, ...]:
         """Base parameters as sums, `link2 Izz + 0.0825 link3 mx`, of at most three terms."""
-        names = []
-        for row in self.base:
-            lead = int((row == 1).nonzero()[0]) if bool((row == 1).any()) else int(row.abs().argmax())
-            others = [i for i in row.nonzero()[:, 0].tolist() if i != lead]
-            terms = [self.names[lead]]
-            for i in sorted(others, key=lambda i: -abs(float(row[i] * self.errors[i])))[:2]:
-                size = f"{abs(float(row[i])):.3g} " if abs(abs(float(row[i])) - 1) > 1e-6 else ""
-                terms.append(f"{'-' if row[i] < 0 else '+'} {size}{self.names[i]}")
-            names.append(" ".join(terms) + (" ..." if len(others) > 2 else ""))
-        return tuple(names)
+        return sums(self.base, self.names, self.errors)
 
     @property
     def base_errors(self) -> Tensor:
