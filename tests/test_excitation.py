@@ -6,6 +6,7 @@ The references are the definition of a limit at random times, numpy's least squa
 
 import math
 import re
+import warnings
 
 import numpy as np
 import oracles
@@ -201,6 +202,20 @@ def test_parts_of_limits_are_checked(make, words):
         make()
 
 
+def test_limits_in_degrees_are_told_with_their_joints():
+    robot = torchdq.robots.load("panda")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        MotionLimits().bounds(robot)
+        MotionLimits(velocity=1.0, lower=-1.0, upper=1.0, effort=60.0).bounds(torchdq.robots.load("two_link"))
+    with pytest.warns(UserWarning, match="panda_joint2 -90 to 90 rad instead of -1.76 to 1.76.*in degrees"):
+        MotionLimits(lower=-90, upper=90).bounds(robot)
+    with pytest.warns(UserWarning, match="panda_joint1 120 rad/s instead of 2.17"):
+        MotionLimits(velocity=120.0).bounds(robot)
+    with pytest.warns(UserWarning, match="joint1 -90 to 90 rad instead of -12.6 to 12.6"):
+        MotionLimits(lower=-90, upper=90, velocity=1.0, effort=60.0).bounds(torchdq.robots.load("two_link"))
+
+
 # --- information -----------------------------------------------------------------------------------------------------
 
 
@@ -238,7 +253,9 @@ def test_identification_from_the_motion_errs_as_predicted():
         noise = double(rng.normal(size=rigid.shape)) * found.parameters.noise
         tau = rigid + friction + noise
         again = identify(robot, found.q, found.qd, found.qdd, tau, friction=True, prior=1e-6)
-        assert again.rank == len(base)
+        assert again.rank == len(base) and again.names == found.names
+        assert [name.split()[:2] for name in again.base_names] == [name.split()[:2] for name in found.base_names]
+        assert torch.allclose((found.base @ again.spread).norm(dim=1), found.base_errors, rtol=0.2)
         squares.append(((base @ (again.parameters - truth)) / found.base_errors) ** 2)
     mean = float(torch.stack(squares).mean())
     assert abs(mean - 1) < 5 * math.sqrt(2 / (30 * len(base)))

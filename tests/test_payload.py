@@ -6,6 +6,7 @@ The references are `Robot.with_payload`, draws of the noise, and recordings of a
 import math
 import os
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ import torch
 
 import torchdq
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.learning import Layout, Motion, directions, identify, identify_payload, read, samples, smooth
+from torchdq.learning import Layout, LogWarning, Motion, directions, identify, identify_payload, read, samples, smooth
 from torchdq.learning.bodies.pseudo_inertia import central, inertial_parameters, moved, pseudo_inertia
 
 MASS, COM, INERTIA = 2.0, (0.03, -0.02, 0.1), (0.01, 0.002, 0.02, 0.001, -0.001, 0.015)
@@ -150,6 +151,59 @@ def test_other_arguments_are_refused(arm, empty):
         identify_payload(empty, q, qd, qdd, q, reference=(q, qd))
     with pytest.raises(ArgumentError, match="tau must be finite"):
         identify_payload(empty, q, qd, qdd, q / 0)
+
+
+def held(arm, rows=400, seed=7):
+    """Motion with a payload, with torques as those of the empty arm."""
+    q, qd, qdd = moving(rows, seed=seed)
+    tau = torchdq.inverse_dynamics(arm.with_payload(MASS, COM), q, qd, qdd) + 3 * qd + 5 * qd / (qd**2 + 1e-4).sqrt()
+    return q, qd, qdd, tau + 0.2 * torch.randn(tau.shape, generator=torch.Generator().manual_seed(seed)).double()
+
+
+def exchanged(x, i, j):
+    order = list(range(x.shape[1]))
+    order[i], order[j] = order[j], order[i]
+    return x[:, order]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "joints", "words"),
+    [
+        (lambda tau: exchanged(tau, 1, 2), ("shoulder_lift_joint", "elbow_joint"), "exchanged in the torques"),
+        (lambda tau: -tau, ("shoulder_lift_joint", "elbow_joint"), "opposite sign in the torques"),
+        (lambda tau: tau * torch.tensor([1, 1, 1.3, 1, 1, 1]), ("elbow_joint",), "is a sign, gain or column another"),
+    ],
+)
+def test_torques_that_no_payload_explains_are_named_with_their_joints(arm, empty, wrong, joints, words):
+    q, qd, qdd, tau = held(arm)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        identify_payload(empty, q, qd, qdd, tau)
+    with pytest.warns(LogWarning, match="no payload explains the torques") as found:
+        identify_payload(empty, q, qd, qdd, wrong(tau))
+    message = str(found[0].message)
+    assert all(f"{joint} (" in message for joint in joints) and words in message
+    if len(joints) == 1:
+        assert "shoulder" not in message and "wrist" not in message
+
+
+@pytest.mark.parametrize(
+    ("frame", "told"), [("shoulder_link", "tells Izz of its"), ("upper_arm_link", r"m \+ .* Izz .*, mx, mz, Ixx - Izz")]
+)
+def test_a_frame_whose_motion_does_not_tell_a_mass_is_refused(arm, empty, frame, told):
+    with pytest.raises(ArgumentError, match=f"frame must be .* found '{frame}', whose motion .*{told}"):
+        identify_payload(empty, *held(arm), frame=frame)
+
+
+def test_what_the_motion_of_the_frame_does_not_tell_is_listed():
+    """In a plane, one moment of inertia is told, and the mass with it; the plane does not show what is across it."""
+    robot = torchdq.robots.load("two_link")
+    q, qd, qdd = moving(300, n=2)
+    empty = identify(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd), friction=False, prior=1.0)
+    tau = torchdq.inverse_dynamics(robot.with_payload(2.0, (0.0, 0.0, 0.0), frame="tip"), q, qd, qdd)
+    found = identify_payload(empty, q, qd, qdd, tau)
+    assert {"mz", "Ixx", "Iyy", "Ixy", "Ixz", "Iyz"} <= {*found.untold} and "m" not in found.untold
+    assert "not told one by one" in str(found) and float(found.mass) == pytest.approx(2.0, abs=0.01)
 
 
 # --- a real arm ------------------------------------------------------------------------------------------------------

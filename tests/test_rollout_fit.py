@@ -456,3 +456,13 @@ def test_a_delay_needs_inputs():
     log = Recording(0.01 * np.arange(20), np.zeros((20, 2)), {})
     with pytest.raises(ArgumentError, match="delay cannot be learned: the recordings have no inputs"):
         fit_rollout(scene, log, "delay")
+
+
+def test_actuators_through_which_no_torque_goes_are_refused():
+    """A servo is no command to the actuators: a lag would follow the noise of the positions."""
+    scene = Scene(ROBOT, (effects.Servo(100.0, 10.0), effects.Lag(0.01)), dt=DT)
+    log = LOG._replace(inputs={"target": torch.zeros(20, 2)})
+    with pytest.raises(ArgumentError, match="Lag.time cannot be learned: the recordings command no torque, and"):
+        fit_rollout(scene, log, "Lag.time")
+    with pytest.raises(ArgumentError, match="Lag.time cannot be learned"):
+        fit_rollout(scene, LOG._replace(inputs={"target": torch.zeros(20, 2), "torque": torch.zeros(20, 2)}), "Lag.*")

@@ -214,7 +214,9 @@ def _doubts(empty: Identified, rows: Sequence[Tensor], rms: Tensor, usual: Tenso
         if yes
     ]
     found = f"no payload explains the torques: residuals are larger than those of the empty arm at {', '.join(off)}"
-    cure = doubts(robot, rigid, rows, empty.width) or "is a sign, gain or column another than then, or the body elsewhere?"
+    cure = (
+        doubts(robot, rigid, rows, empty.width) or "is a sign, gain or column another than then, or the body elsewhere?"
+    )
     return f"{found}; the payload may be wrong beyond its errors: {cure}"
 
 

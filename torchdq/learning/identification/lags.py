@@ -86,9 +86,7 @@ def _search(fit: Beside, run: Tensor) -> _Search:
     return _Search(late, found.error, settled, before, squares(found.left))
 
 
-def _moved(
-    fit: Beside, run: Tensor, late: Tensor, y: Tensor
-) -> tuple[Tensor, Tensor, tuple[Tensor, Tensor], Tensor]:
+def _moved(fit: Beside, run: Tensor, late: Tensor, y: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, Tensor], Tensor]:
     """Model as it was some rows before [rows].
 
     Torques per unit of y [rows, n, t], and of the fit [rows, n]; torques at y of half a row less and half a row more;
@@ -136,9 +134,7 @@ def lagging(names: Sequence[str], lags: Sequence[TorqueLag]) -> list[str]:
     weight = sum(1 / lag.error**2 for lag in lags)
     mean = sum(lag.seconds / lag.error**2 for lag in lags) / weight
     alike = len(lags) > 1 and all(abs(lag.seconds - mean) < ALIKE * abs(mean) for lag in lags)
-    whole = TorqueLag(
-        -1, mean, weight**-0.5, mean / lags[0].seconds * lags[0].rows, all(lag.settled for lag in lags)
-    )
+    whole = TorqueLag(-1, mean, weight**-0.5, mean / lags[0].seconds * lags[0].rows, all(lag.settled for lag in lags))
     found = []
     for lag in [whole] if alike else lags:
         of = f"{len(lags)} motions" if lag.motion < 0 else (names and names[lag.motion]) or f"motion {lag.motion + 1}"

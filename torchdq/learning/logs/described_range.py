@@ -8,9 +8,9 @@ from torch import Tensor
 from torchdq.robot import Robot
 
 OFTEN = 0.01  # part of the rows in which a joint must be beyond its limits
-PAST = 0.1  # distance beyond a limit of position, relative to the range between both, that is none
+PAST = 1.0  # distance beyond a limit of position, relative to the range between both, that is none
 TURNS = 4 * math.pi  # the same, of joints that may make a full turn: such limits often stand for none [rad]
-FASTER = 1.5  # times the limit of velocity that is none
+FASTER = 3.0  # times the limit of velocity that is none: simulated motions do not keep it
 UNITS = ("rad", "rad/s", "degrees (multiply by pi/180)"), ("m", "m/s", "millimetres (multiply by 0.001)")
 
 
@@ -27,9 +27,13 @@ def beyond_limits(robot: Robot, q: Tensor, qd: Tensor) -> list[str]:
         place, speed, other = UNITS[not kind.turns]
         if far[j]:
             low, high = float(q[:, j].min()), float(q[:, j].max())
-            told.append(f"{name} moves from {low:.3g} to {high:.3g} {place}, its limits are {lower[j]:.3g} and {upper[j]:.3g}")
+            told.append(
+                f"{name} moves from {low:.3g} to {high:.3g} {place}, its limits are {lower[j]:.3g} and {upper[j]:.3g}"
+            )
         elif fast[j]:
-            told.append(f"{name} moves at up to {float(qd[:, j].abs().max()):.3g} {speed}, its limit is {velocity[j]:.3g}")
+            told.append(
+                f"{name} moves at up to {float(qd[:, j].abs().max()):.3g} {speed}, its limit is {velocity[j]:.3g}"
+            )
         if far[j] or fast[j]:
             units.add(other)
     if not told:

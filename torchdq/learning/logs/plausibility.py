@@ -281,9 +281,7 @@ def _left(torques: Torques, rows: Sequence[Tensor], width: float, left: Tensor) 
     return torch.where((factor > 1 / LIKE) & (factor < LIKE), found, torch.maximum(found, left))
 
 
-def _readings(
-    torques: Torques, robot: Robot, rows: Sequence[Tensor], width: float, left: Tensor
-) -> Iterator[_Reading]:
+def _readings(torques: Torques, robot: Robot, rows: Sequence[Tensor], width: float, left: Tensor) -> Iterator[_Reading]:
     """Readings to try, the likeliest first."""
     n, names = robot.n, robot.joint_names
     same, plain = torch.arange(n), torch.ones(n, dtype=rows[0].dtype)

@@ -59,7 +59,9 @@ class Log(NamedTuple):
     time: np.ndarray  # [rows], strictly increasing [s]
     q: np.ndarray  # [rows, n] [rad or m]
     qd: np.ndarray | None  # [rows, n] [rad/s or m/s]; None: not recorded
-    tau: np.ndarray | None  # [rows, n] [N m or N]; efforts in their own unit if `layout.gain` is None; None: not recorded
+    tau: (
+        np.ndarray | None
+    )  # [rows, n] [N m or N]; efforts in their own unit if `layout.gain` is None; None: not recorded
     repeats: int  # rows left out because they repeat a time stamp
     qdd: np.ndarray | None = None  # [rows, n] [rad/s^2 or m/s^2], if the file holds them
     command: np.ndarray | None = None  # [rows, n], what the drives were asked for, if the file holds it

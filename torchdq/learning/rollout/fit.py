@@ -17,14 +17,15 @@ import numpy as np
 import torch
 
 from torchdq.checks import require_count, require_number
+from torchdq.effects.actuator import Actuator
 from torchdq.errors import ArgumentError
 from torchdq.learning.logs.plausibility import LogWarning
 from torchdq.learning.rollout import shooting
 from torchdq.learning.rollout.problem import Change, Iterate, Problem
-from torchdq.learning.rollout.recordings import Recording, checked
+from torchdq.learning.rollout.recordings import CheckedRecording, Recording, checked
 from torchdq.learning.rollout.result import RolloutFit, result
 from torchdq.learning.rollout.shooting import Linear
-from torchdq.learning.rollout.unknowns import changed, unknowns
+from torchdq.learning.rollout.unknowns import Unknowns, changed, unknowns
 from torchdq.learning.threads import one_thread
 from torchdq.notice import Notice
 from torchdq.robot import Robot
@@ -42,7 +43,7 @@ GAIN = 0.02  # gain of a step that ends the search, in the logarithm of the like
 NEARLY = 1e-5  # gaps before a last step
 APART = (
     "the scene does not move as recorded, so nothing is told and all values are NaN; check signs, units and order of "
-    "positions and inputs, or start from a scene that is nearer"
+    "positions and inputs; take shorter segments, as sharp friction needs, or start from a scene that is nearer"
 )
 
 
@@ -68,7 +69,8 @@ def fit_rollout(
             add up; None: the motion of every recording is one.
         iterations: most of them.
     Raises:
-        ArgumentError: a name cannot be learned, or recordings do not fit the scene.
+        ArgumentError: a name cannot be learned, by its kind or because no torque goes through that actuator, or
+            recordings do not fit the scene.
         LogError: a recording has a number that is not finite, or time that does not increase.
     Warns:
         LogWarning: it ended before it had found the best parameters, by too few iterations or Ctrl-C; the result has
@@ -99,6 +101,7 @@ def fit_rollout(
     data = checked(logs, scene.n, scene.inputs)
     if sought.delayed and not data[0].inputs:
         raise ArgumentError("delay cannot be learned: the recordings have no inputs that could come late")
+    _require_driven(scene, sought, data)
     whole = changed(scene, sought.parameters(sought.start))
     pieces = shooting.segments(data, scene.dt, segment)
     problem = Problem(StepMap(whole, tuple(data[0].inputs)), sought, data, pieces)
@@ -112,6 +115,18 @@ def fit_rollout(
     if doubt:
         warnings.warn(f"the parameters may not be the best: {doubt}", LogWarning, stacklevel=2)
     return found
+
+
+def _require_driven(scene: Scene, sought: Unknowns, data: Sequence[CheckedRecording]) -> None:
+    """Raise if an actuator is sought through which no torque ever goes: its memory would follow the noise."""
+    commanded = any(bool((log.inputs["torque"].values != 0).any()) for log in data if "torque" in log.inputs)
+    if commanded or scene.controller is not None:
+        return
+    for part in sought.parts:
+        owner = part.key.partition(".")[0]
+        if owner.isdigit() and isinstance(scene.effects[int(owner)], Actuator):
+            cause = "the recordings command no torque, and the scene has no controller"
+            raise ArgumentError(f"{part.name} cannot be learned: {cause}, so that nothing goes through its actuator")
 
 
 class _Found(NamedTuple):

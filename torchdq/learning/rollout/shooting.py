@@ -132,6 +132,7 @@ def slopes(x: np.ndarray, window: int) -> np.ndarray:
     A. Savitzky, M. J. E. Golay, "Smoothing and differentiation of data by simplified least squares procedures",
     Analytical Chemistry 36 (1964).
     """
+    # scipy.signal.savgol_filter does the same, but importing it takes longer than most fits, which need no scipy
     middle, degrees = window // 2, np.arange(min(4, window))
     u = np.arange(-middle, middle + 1)[:, None] / max(middle, 1)
     # slopes at every row of a window, from its rows
