@@ -170,7 +170,7 @@ def exchanged(x, i, j):
     ("wrong", "joints", "words"),
     [
         (lambda tau: exchanged(tau, 1, 2), ("shoulder_lift_joint", "elbow_joint"), "exchanged in the torques"),
-        (lambda tau: -tau, ("shoulder_lift_joint", "elbow_joint"), "opposite sign in the torques"),
+        (lambda tau: -tau, ("shoulder_lift_joint", "elbow_joint"), "is a sign, gain or column another"),
         (lambda tau: tau * torch.tensor([1, 1, 1.3, 1, 1, 1]), ("elbow_joint",), "is a sign, gain or column another"),
     ],
 )

@@ -1,9 +1,9 @@
 """Lags of measured torques behind the motion, found beside all parameters of a fit.
 
 Torques that are late by s are tau(t) = Z(t - s) phi. Friction that was fitted without the lag explains a part of it,
-friction that remembers above all. So all of the model is moved back by the lag that was found, and the parameters are
-sought anew with the rest of the lag beside them, by its torque per unit -d/dt Z(t - s) phi, until nothing is left of it:
-the lag found is that of the best model, whatever the first one was.
+friction that remembers above all. So all of the model is moved by the lag that was found, and the parameters are sought
+anew with the rest of the lag beside them, by its torque per unit -d/dt Z(t - s) phi, until nothing is left of it: the
+lag found is that of the best model, whatever the first one was.
 """
 
 from __future__ import annotations

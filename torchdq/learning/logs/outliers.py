@@ -1,4 +1,4 @@
-"""Rows of a log in which a signal leaps far away and back: faults of a sensor or of its bus, which ruin least squares."""
+"""Rows of a log in which a signal leaps far away and back: faults of a sensor or a bus, which ruin least squares."""
 
 from collections.abc import Sequence
 
@@ -18,8 +18,8 @@ def spikes(x: np.ndarray) -> np.ndarray:
     """Whether a row leaps from those beside it on both sides [rows, n], in signals [rows, n].
 
     Both neighbours must be far in the same direction, so that steps, as those of dry friction, are none; and the row
-    beyond what is usual by three times the range of that. The median of all distances and the range of most rows say what
-    is far: a few spikes do not move them.
+    beyond what is usual by three times the range of that. The median of all distances and the range of most rows say
+    what is far: a few spikes do not move them.
 
     >>> x = np.sin(np.linspace(0, 6, 200))[:, None]
     >>> x[[50, 120]] = 1000.0

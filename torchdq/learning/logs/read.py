@@ -1,11 +1,12 @@
 """Logs of robot arms in CSV files, NPZ archives and arrays: read, and checked for gaps, missing numbers and degrees.
 
 A CSV file holds a header line and columns time [s], q1 ... qn [rad], qd1 ... [rad/s], tau1 ... measured at the joints
-[N m] and, if they are known, qdd1 ... [rad/s^2]; of joints that slide, in m, m/s, N and m/s^2. A `Layout` names other columns, says what was not recorded, turns
-motor currents into torques and motors' positions into joints', or does without a header. Columns under a header are
-found by name; others may stand among them and stay unread. A file may be packed with gzip, or be an NPZ archive of
-arrays time [rows], q, qd, tau and, if they are known, qdd, `[rows, n]`; arrays in memory are given in the same way.
-A packed file is unpacked up to 100 times its size, so that a small file cannot fill the memory.
+[N m] and, if they are known, qdd1 ... [rad/s^2]; of joints that slide, in m, m/s, N and m/s^2. A `Layout` names other
+columns, says what was not recorded, turns motor currents into torques and motors' positions into joints', or does
+without a header. Columns under a header are found by name; others may stand among them and stay unread. A file may be
+packed with gzip, or be an NPZ archive of arrays time [rows], q, qd, tau and, if they are known, qdd, `[rows, n]`;
+arrays in memory are given in the same way. A packed file is unpacked up to 100 times its size, so that a small file
+cannot fill the memory.
 """
 
 import warnings
@@ -59,9 +60,7 @@ class Log(NamedTuple):
     time: np.ndarray  # [rows], strictly increasing [s]
     q: np.ndarray  # [rows, n] [rad or m]
     qd: np.ndarray | None  # [rows, n] [rad/s or m/s]; None: not recorded
-    tau: (
-        np.ndarray | None
-    )  # [rows, n] [N m or N]; efforts in their own unit if `layout.gain` is None; None: not recorded
+    tau: np.ndarray | None  # [rows, n] [N m or N], or as in the file if `layout.gain` is None; None: not recorded
     repeats: int  # rows left out because they repeat a time stamp
     qdd: np.ndarray | None = None  # [rows, n] [rad/s^2 or m/s^2], if the file holds them
     command: np.ndarray | None = None  # [rows, n], what the drives were asked for, if the file holds it
