@@ -3599,18 +3599,54 @@ MUTANTS = (
         ),
     ),
     *within(
-        "torchdq/learning/identification/missing.py",
+        "torchdq/learning/identification/lags.py",
         (
             "a lag of the opposite sign",
-            "at = torch.arange(len(x)).to(late) - late",
-            "at = torch.arange(len(x)).to(late) + late",
+            "at = fit.rows.repeat(3) - all_late",
+            "at = fit.rows.repeat(3) + all_late",
             "missing_terms.py::test_a_lag_of_the_torques_is_told_with_its_size_and_its_cure",
         ),
+        (
+            "a model that is not moved with the lag",
+            "late = late + x",
+            "late = x",
+            "torque_lags.py::test_a_lag_of_many_rows_is_found_in_rows",
+        ),
+    ),
+    *within(
+        "torchdq/learning/identification/beside.py",
         (
             "constant torques that the fit hides",
             "A, t = r, torch.cat([Z, E], -1), Z.shape[-1]",
             "A, t = r, torch.cat([0 * Z, E], -1), Z.shape[-1]",
             "missing_terms.py::test_an_offset_is_sought_only_where_it_may_be",
+        ),
+    ),
+    *within(
+        "torchdq/learning/logs/outliers.py",
+        (
+            "steps taken for spikes",
+            "np.where(before * after > 0, np.minimum(abs(before), abs(after)), 0.0)",
+            "np.maximum(abs(before), abs(after))",
+            "outliers.py::test_steps_short_motions_and_rest_are_no_spikes",
+        ),
+    ),
+    *within(
+        "torchdq/learning/logs/described_range.py",
+        (
+            "motions beyond the limits undoubted",
+            "past > torch.where(turns, TURNS, PAST * reach)",
+            "past > torch.where(turns, TURNS, 1e3 * PAST * reach)",
+            "plausibility.py::test_motions_beyond_the_limits_of_the_description_are_named",
+        ),
+    ),
+    *within(
+        "torchdq/learning/bodies/payload.py",
+        (
+            "torques that no payload explains undoubted",
+            "told = (rms > WORSE * usual)",
+            "told = (rms > 1e6 * WORSE * usual)",
+            "payload.py::test_torques_that_no_payload_explains_are_named_with_their_joints",
         ),
     ),
     *within(

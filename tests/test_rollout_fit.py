@@ -462,7 +462,7 @@ def test_actuators_through_which_no_torque_goes_are_refused():
     """A servo is no command to the actuators: a lag would follow the noise of the positions."""
     scene = Scene(ROBOT, (effects.Servo(100.0, 10.0), effects.Lag(0.01)), dt=DT)
     log = LOG._replace(inputs={"target": torch.zeros(20, 2)})
-    with pytest.raises(ArgumentError, match="Lag.time cannot be learned: the recordings command no torque, and"):
+    with pytest.raises(ArgumentError, match=r"Lag\.time cannot be learned: the recordings command no torque, and"):
         fit_rollout(scene, log, "Lag.time")
-    with pytest.raises(ArgumentError, match="Lag.time cannot be learned"):
+    with pytest.raises(ArgumentError, match=r"Lag\.time cannot be learned"):
         fit_rollout(scene, LOG._replace(inputs={"target": torch.zeros(20, 2), "torque": torch.zeros(20, 2)}), "Lag.*")

@@ -165,16 +165,16 @@ def identify_payload(
         mass = point[0].maximum(_error(torch.cat([own[..., :4], rest], -1), weight))
         J = _expected(mass, (point[1:4] / mass).clamp(-10 * size, 10 * size), size)
         pi, covariance = _found(own, rest, residual, weight, J, prior, Y @ empty.spread[: Y.shape[-1]])
-        least = [_left(Z, residual, weight) for Z in (torch.cat([own, rest], -1), rest)]
+        rms, before = (_left(Z, residual, weight) for Z in (torch.cat([own, rest], -1), rest))
         usual = torch.hypot(variance.sqrt(), empty.model)
-        if doubt := _doubts(empty, (q, qd, qdd, tau), least[0], usual):
+        if doubt := _doubts(empty, (q, qd, qdd, tau), rms, usual):
             warnings.warn(doubt, LogWarning, stacklevel=3)
     quantities = central(pseudo_inertia(pi))
     slopes = torch.autograd.functional.jacobian(_quantities, pi)
     errors = (slopes @ covariance @ slopes.T).diagonal().sqrt()
     mass, com, inertia = (x.to(robot.mass) for x in quantities)
     held = robot.with_payload(mass, com, inertia, at.name)
-    return IdentifiedPayload(held, at.name, *quantities, errors[0], errors[1:4], errors[4:], *least, untold)
+    return IdentifiedPayload(held, at.name, *quantities, errors[0], errors[1:4], errors[4:], rms, before, untold)
 
 
 def _untold(robot: Robot, frame: str, own: Tensor) -> tuple[str, ...]:
