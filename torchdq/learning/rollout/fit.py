@@ -122,9 +122,9 @@ def _require_driven(scene: Scene, sought: Unknowns, data: Sequence[CheckedRecord
     commanded = any(bool((log.inputs["torque"].values != 0).any()) for log in data if "torque" in log.inputs)
     if commanded or scene.controller is not None:
         return
+    actuators = {str(owner) for owner, _ in scene.spec.of(Actuator)}
     for part in sought.parts:
-        owner = part.key.partition(".")[0]
-        if owner.isdigit() and isinstance(scene.effects[int(owner)], Actuator):
+        if part.key.partition(".")[0] in actuators:
             cause = "the recordings command no torque, and the scene has no controller"
             raise ArgumentError(f"{part.name} cannot be learned: {cause}, so that nothing goes through its actuator")
 
