@@ -253,5 +253,6 @@ def _only(evidence: Evidence, used: Tensor) -> Evidence:
         left=cut(evidence.left),
         folds=cut(evidence.folds),
         unit=evidence.unit[used],
+        told=evidence.told[used],
         at=places(len(evidence.robot.link_names), len(terms), evidence.robot.n),
     )
