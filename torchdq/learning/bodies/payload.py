@@ -147,7 +147,7 @@ def identify_payload(
         weight, point = _weighted(torch.cat([own[..., :4], rest], -1), residual, variance, correlation)
         mass = point[0].maximum(_error(torch.cat([own[..., :4], rest], -1), weight))
         J = _expected(mass, (point[1:4] / mass).clamp(-10 * size, 10 * size), size)
-        pi, covariance = _found(own, rest, residual, weight, J, prior, Y @ empty.spread[: Y.shape[-1]])
+        pi, covariance = _found(own, rest, residual, weight, J, prior, Y @ empty.by_these_gains().spread[: Y.shape[-1]])
         least = [_left(Z, residual, weight) for Z in (torch.cat([own, rest], -1), rest)]
     quantities = central(pseudo_inertia(pi))
     slopes = torch.autograd.functional.jacobian(_quantities, pi)

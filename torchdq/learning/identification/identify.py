@@ -26,7 +26,7 @@ from torchdq.effects.friction import Friction
 from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics, require_finite
 from torchdq.learning.identification.evidence import Evidence, described, gather
-from torchdq.learning.identification.gains import drive_gains
+from torchdq.learning.identification.gains import Gains, drive_gains, spread_of_gains
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
 from torchdq.learning.identification.ladder import STRENGTHS, Ladder, climb
 from torchdq.learning.identification.missing import lagging, missing, offset_missing
@@ -149,7 +149,7 @@ def identify(
         if gains:
             motors = [ROTOR] * (armature or robot.armature is not None) + plain + [OFFSET] * (offset is True)
             drives = drive_gains(gather(robot, rows, motors, width, None, (), notice.at), rows.known_gains)
-            rows = rows._replace(tau=rows.measured * drives.value.to(rows.q))
+            rows = rows._replace(tau=rows.measured * drives[0].value.to(rows.q))
         moves = _moving(robot, rows.qd, width)
         if doubt := _doubts(robot, rows, width):
             warnings.warn(doubt, LogWarning, stacklevel=2)
@@ -173,7 +173,7 @@ def identify(
         measured = ladder is not None and offset == "choose"  # blocks that were left out have decided about offsets
         for late in () if doubt else _late(evidence, found, weight, width, not measured):
             warnings.warn(late, LogWarning, stacklevel=2)
-        return _identified(evidence, found, correlation, weight, width, moves, ladder)._replace(gains=drives)
+        return _identified(evidence, found, correlation, weight, width, moves, ladder, drives)
 
 
 def _fitted(
@@ -204,6 +204,7 @@ def _identified(
     width: float,
     moves: Tensor,
     ladder: Ladder | None,
+    drives: tuple[Gains, Tensor] | None,
 ) -> Identified:
     robot, terms, near, facts = evidence.robot, evidence.terms, found.near, found.facts
     doubt = 1.0 if ladder is None else found.doubt(prior)  # a strength that was chosen is no knowledge
@@ -212,6 +213,9 @@ def _identified(
     excited = _excited(spread, near.S.norm(dim=1) * math.sqrt(doubt / prior), moves, terms)
     if ladder is not None:
         ladder = ladder._replace(untold=_untold(robot, excited))
+    model = _beyond(evidence, spread, facts.noise, ladder)
+    if drives is not None:
+        spread = torch.cat([spread, spread_of_gains(evidence, found, correlation, prior, *drives)], 1)
     return Identified(
         robot=_replaced(robot, found, terms),
         terms=terms,
@@ -220,14 +224,14 @@ def _identified(
         spread=spread,
         base=base_parameters(facts.V[:, facts.e > 0].T @ near.inverse, near.S.norm(dim=1)),
         noise=facts.noise,
-        model=_beyond(evidence, spread, facts.noise, ladder),
+        model=model,
         rms=found.rms,
         correlation=correlation,
         width=width,
         simple=simple_friction(evidence, found.parameters, width),
         excited=excited,
         report=ladder,
-        gains=None,
+        gains=drives and drives[0],
     )
 
 
