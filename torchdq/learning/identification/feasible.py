@@ -7,8 +7,9 @@ is positive and the inertia obeys the triangle inequality. The distance of a lin
 
 about |B - 1|^2 for small changes, the same in all axes and units, and infinite where a body cannot exist (T. Lee, P.
 Wensing, F. C. Park, "Geometric robot dynamic identification: a convex programming approach", T-RO 36 (2020)). The
-distance of a coefficient of friction is 2 (x - log x - 1), x being its ratio to the described one. That of a coefficient
-t x which is below one has 2 (log((1 - t) / (1 - t x)) - (x - 1) t / (1 - t)) more: nothing at x = 1, infinite at t x = 1.
+distance of a coefficient of friction is 2 (x - log x - 1), x being its ratio to the described one. Where a coefficient
+t x must be below one, 2 (log((1 - t) / (1 - t x)) - (x - 1) t / (1 - t)) is added: nothing at x = 1, infinite at
+t x = 1.
 """
 
 import itertools

@@ -52,7 +52,8 @@ class Identified(NamedTuple):
     Parameters that the samples do not identify have the width of the prior instead, the described size over
     sqrt(prior), which is large, and right as long as the description is not off by more; that the robot must be
     physical narrows it further and is not counted. Single masses and inertias are mostly of that kind; `excited` tells
-    them from the others. Where gains of the drives were sought, their errors are in it (`by_these_gains`). The samples identify `rank` combinations, the base parameters `base` @ `parameters`.
+    them from the others. Where gains of the drives were sought, their errors are in it (`by_these_gains`). The samples
+    identify `rank` combinations, the base parameters `base` @ `parameters`.
 
     Printed, it is a table of the parameters.
     """

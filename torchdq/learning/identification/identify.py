@@ -28,13 +28,13 @@ from torchdq.functional import inverse_dynamics, require_finite
 from torchdq.learning.identification.evidence import Evidence, described, gather
 from torchdq.learning.identification.gains import Gains, drive_gains, spread_of_gains
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
-from torchdq.learning.identification.ladder import STRENGTHS, Ladder, climb
+from torchdq.learning.identification.ladder import STRENGTHS, Ladder, Rung, climb
 from torchdq.learning.identification.missing import lagging, missing, offset_missing
 from torchdq.learning.identification.regression import base_parameters, rigid
 from torchdq.learning.identification.simple import simple_friction
 from torchdq.learning.identification.solution import ITERATIONS, Solution, solve
 from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, SHAPES, VISCOUS, Term, terms_of
-from torchdq.learning.logs.blocks import MotionRows, blocks
+from torchdq.learning.logs.blocks import MotionRows, blocks, too_few
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.logs.plausibility import LogWarning, doubts, misshapen, sampled, unexplained
 from torchdq.learning.threads import one_thread
@@ -67,7 +67,8 @@ def identify(
     Blocks of the motions are left out in turn, and the models are measured on them: the description, friction beside
     it, all inertial parameters with a prior at the description, and friction of other shapes. The simplest model
     within one standard error of the best is returned; `report` says so. Where there are too few samples to leave any
-    out, that is viscous and Coulomb friction and a prior of 1, which `friction=True, prior=1.0` asks for by name.
+    out, that is viscous and Coulomb friction and a prior of 1, which `friction=True, prior=1.0` asks for by name;
+    `report` and a `LogWarning` say how many would do.
 
     Joints are weighted by the noise that least squares leave in each. A link without mass stays without; a body
     described as a point, a rod or a plate gets 1 % of its size as thickness. Friction and rotor inertia that the
@@ -167,13 +168,25 @@ def identify(
             load = rigid(robot, rows, described(robot), robot.armature) if loaded else None
             evidence = gather(robot, rows, fixed, width, load, (), notice.at)
             sought = torch.ones(len(fixed), robot.n, dtype=torch.bool)
+            if friction == "choose" or prior is None:
+                ladder = _unchosen(rows, fixed, sought, strength, weight)
+                words = f"no model could be chosen, since {ladder.parts}; taken is {ladder.rung.name}"
+                warnings.warn(words, LogWarning, stacklevel=2)
         evidence, found, correlation = _fitted(evidence, sought, strength, weight, width, notice.at)
         if not found.settled:
             warnings.warn(f"the least squares have not settled after {ITERATIONS} iterations", stacklevel=2)
-        measured = ladder is not None and offset == "choose"  # blocks that were left out have decided about offsets
+        measured = bool(left_out) and offset == "choose"  # blocks that were left out have decided about offsets
         for late in () if doubt else _late(evidence, found, weight, width, not measured):
             warnings.warn(late, LogWarning, stacklevel=2)
         return _identified(evidence, found, correlation, weight, width, moves, ladder, drives)
+
+
+def _unchosen(rows: MotionRows, fixed: Sequence[Term], sought: Tensor, strength: float, prior: float) -> Ladder:
+    """Ladder of the one model that is taken where there are too few rows to choose by."""
+    bodies = "bodies as described" if math.isinf(strength) else f"bodies with a prior of {prior:g}"
+    none = torch.zeros(0, sought.shape[1], dtype=torch.float64)
+    rung = Rung(", ".join([*(term.name for term in fixed), bodies]), none, sought, strength)
+    return Ladder((rung,), 0, too_few(rows), none.sum(0))
 
 
 def _fitted(
@@ -207,13 +220,14 @@ def _identified(
     drives: tuple[Gains, Tensor] | None,
 ) -> Identified:
     robot, terms, near, facts = evidence.robot, evidence.terms, found.near, found.facts
-    doubt = 1.0 if ladder is None else found.doubt(prior)  # a strength that was chosen is no knowledge
+    measured = ladder is not None and len(ladder.rung.scores) > 0
+    doubt = found.doubt(prior) if measured else 1.0  # a strength that was chosen is no knowledge
     spread = found.spread(prior, doubt)
     names = [f"{link} {name}" for link in robot.link_names for name in INERTIAL]
     excited = _excited(spread, near.S.norm(dim=1) * math.sqrt(doubt / prior), moves, terms)
     if ladder is not None:
         ladder = ladder._replace(untold=_untold(robot, excited))
-    model = _beyond(evidence, spread, facts.noise, ladder)
+    model = _beyond(evidence, spread, facts.noise, ladder if measured else None)
     if drives is not None:
         spread = torch.cat([spread, spread_of_gains(evidence, found, correlation, prior, *drives)], 1)
     return Identified(
