@@ -20,13 +20,12 @@ from torchdq.checks import require_number
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
-from torchdq.functional import check, regressor, require_finite
+from torchdq.functional import regressor, require_finite
 from torchdq.learning.bodies.nearest import curvature, nearest, relative
 from torchdq.learning.bodies.pseudo_inertia import central, inertial_parameters, moved, pseudo_inertia
 from torchdq.learning.identification.feasible import ENTRIES
-from torchdq.learning.identification.identify import Identified
-from torchdq.learning.logs.motions import Motion, samples
-from torchdq.learning.logs.samples import Samples
+from torchdq.learning.identification.identified import Identified, recorded
+from torchdq.learning.logs.motions import Motion
 from torchdq.learning.threads import one_thread
 from torchdq.notice import Notice
 from torchdq.robot import Robot
@@ -119,25 +118,22 @@ def identify_payload(
     if not isinstance(empty, Identified):
         raise ArgumentError(f"empty must be what identify returns, found {type(empty).__name__}")
     robot = empty.robot
-    given = (motions, qd, qdd, tau) if isinstance(motions, Tensor) else samples(motions)
-    signals: dict[str, Tensor] = {}
-    for name, x in zip(Samples._fields, given, strict=True):
-        if x is None:
-            raise ArgumentError(f"{name} must be given beside positions, found None")
-        signals[name] = x
-    batch = check(robot, (), **signals)
+    batch, rows = recorded(robot, motions, qd, qdd, tau=tau)
+    if not all(torch.tensor(rows.known_gains).expand(robot.n)):
+        cure = "multiply them by the gains that identify(..., gains=True) found"
+        raise ArgumentError(f"tau of the motions must be torques, found efforts of unknown gains; {cure}")
     if len(batch) != 1 or not batch[0]:
         raise ArgumentError(
             f"q must have the shape [rows, {robot.n}] with a row at least, found the batch axes {batch}"
         )
-    require_finite(**signals)
+    require_finite(**rows.signals())
     require_number("size", size, positive=True)
     require_number("prior", prior, positive=True)
     at = robot.end_effector() if frame is None else robot.frame(frame)
     if at.link == BASE:
         raise ArgumentError(f"frame must be one that a joint moves, found {at.name!r} on the base")
     with torch.no_grad(), Notice("identifying the payload"):
-        q, qd, qdd, tau = (x.detach().to("cpu", DTYPE).expand(*batch, robot.n) for x in signals.values())
+        q, qd, qdd, tau = (x.cpu() for x in (rows.q, rows.qd, rows.qdd, rows.measured))
         Y = regressor(robot.to(DTYPE, "cpu"), q, qd, qdd)
         own = Y[..., 10 * at.link : 10 * at.link + 10] @ moved(at.X_BF.to("cpu", DTYPE))
         units = [qd, smooth_sign(qd, empty.width)] * friction + [torch.ones_like(qd)] * offset

@@ -44,20 +44,20 @@ class Gains(NamedTuple):
     error: Tensor  # [n] standard error
 
 
-def drive_gains(evidence: Evidence, known: bool) -> tuple[Gains, Tensor]:
+def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
     """Gains of the drives, from the sums of their efforts, and L [n, n], their covariance being L L^T.
 
     Args:
         evidence: of the efforts, with all terms of friction, and the rotors if the robot has any.
-        known: whether efforts are torques but for a factor near one.
+        known: joints whose efforts are torques but for a factor near one [n].
     """
     robot, sums, n = evidence.robot, evidence.total, evidence.robot.n
     terms, p = (*evidence.terms, GAIN), evidence.at.shape[1]
     at = places(len(robot.link_names), len(terms), n)
     pi = described(robot)
     start = torch.cat([pi.expand(n, -1), torch.zeros(n, p - len(pi), dtype=pi.dtype)], 1)
-    centre = torch.ones(n, dtype=pi.dtype) if known else _guess(sums, start, len(pi), evidence.samples)
-    scale = (SPREAD if known else WIDE) * centre
+    centre = torch.where(known, 1.0, _guess(sums, start, len(pi), evidence.samples, ~known))
+    scale = torch.where(known, SPREAD, WIDE) * centre
     h, phi, inertial = centre, start, torch.arange(p) < len(pi)
     correlation = torch.ones(n, dtype=pi.dtype)
     for _ in range(ITERATIONS):
@@ -99,8 +99,8 @@ def spread_of_gains(
     return near.S @ facts.V @ ((facts.V.T @ right) / (facts.e + prior)[:, None]) @ spread
 
 
-def _guess(sums: Tensor, start: Tensor, inertial: int, samples: int) -> Tensor:
-    """Efforts per described torque [n], each beside friction alone; a joint that tells none has that of the others."""
+def _guess(sums: Tensor, start: Tensor, inertial: int, samples: int, sought: Tensor) -> Tensor:
+    """Efforts per described torque [n], each beside friction alone; one that is not told is as others sought."""
     n, p = start.shape
     M = torch.zeros(n, p, 1 + p - inertial, dtype=start.dtype)
     M[:, :, 0] = start
@@ -111,6 +111,6 @@ def _guess(sums: Tensor, start: Tensor, inertial: int, samples: int) -> Tensor:
     inverse = torch.linalg.pinv(M.mT @ A @ M, rtol=1e-10, hermitian=True)
     x = (inverse @ right[..., None])[..., 0]
     left = (total - (x * right).sum(1)).clamp_min(0) / samples
-    told = (x[:, 0] > 0) & ((inverse[:, 0, 0] * left).sqrt() < FLAT * x[:, 0])
+    told = sought & (x[:, 0] > 0) & ((inverse[:, 0, 0] * left).sqrt() < FLAT * x[:, 0])
     middle = x[told, 0].log().mean().exp() if bool(told.any()) else x.new_ones(())
     return torch.where(told, x[:, 0], middle)

@@ -103,8 +103,8 @@ def identify(
             numbers are biased beyond their errors; another names constant torques that were not sought, another torques
             that lag the motion, with the time.
         gains: seek the torque per unit of effort of every joint, where `tau` is a current, or a torque by gains that
-            are not trusted: 1 with a standard deviation of 0.3 before the samples, or anything where the layout of the
-            log has no gains. One factor of them all, with masses, comes from the description. They are
+            are not trusted: 1 with a standard deviation of 0.3 before the samples, or anything at joints for which the
+            layout of the log has no gain. One factor of them all, with masses, comes from the description. They are
             found with viscous and Coulomb friction first, and the rest follows with the torques that they make.
         memory: whether friction may remember, as `torchdq.effects.LuGre` does; scenes have that, layers do not.
 
@@ -142,18 +142,19 @@ def identify(
     if not memory and any(term.bristles for term in rubbing):
         raise ArgumentError("friction must not remember where memory=False says so, found LuGre")
     fixed = [ROTOR] * armature + rubbing + [OFFSET] * (offset is True)
-    if not (rows.known_gains or gains):
+    known = torch.tensor(rows.known_gains).expand(robot.n)
+    if not (gains or bool(known.all())):
         raise ArgumentError("tau of the motions must be torques, found efforts of unknown gains; give gains=True")
     left_out = blocks(rows) if friction == "choose" or prior is None else []
     with torch.no_grad(), _solvable(rows.signals()), Notice(f"identifying {robot.name}") as notice:
         drives = None
         if gains:
             motors = [ROTOR] * (armature or robot.armature is not None) + plain + [OFFSET] * (offset is True)
-            drives = drive_gains(gather(robot, rows, motors, width, None, (), notice.at), rows.known_gains)
+            drives = drive_gains(gather(robot, rows, motors, width, None, (), notice.at), known)
             rows = rows._replace(tau=rows.measured * drives[0].value.to(rows.q))
         moves = _moving(robot, rows.qd, width)
         if doubt := _doubts(robot, rows, width):
-            warnings.warn(doubt, LogWarning, stacklevel=2)
+            warnings.warn(doubt, LogWarning, stacklevel=3)
         frozen = prior == math.inf
         ladder, strength = None, math.inf if frozen else 1.0
         weight = 1.0 if prior is None or frozen else prior
@@ -171,13 +172,13 @@ def identify(
             if friction == "choose" or prior is None:
                 ladder = _unchosen(rows, fixed, sought, strength, weight)
                 words = f"no model could be chosen, since {ladder.parts}; taken is {ladder.rung.name}"
-                warnings.warn(words, LogWarning, stacklevel=2)
+                warnings.warn(words, LogWarning, stacklevel=3)
         evidence, found, correlation = _fitted(evidence, sought, strength, weight, width, notice.at)
         if not found.settled:
-            warnings.warn(f"the least squares have not settled after {ITERATIONS} iterations", stacklevel=2)
+            warnings.warn(f"the least squares have not settled after {ITERATIONS} iterations", stacklevel=3)
         measured = bool(left_out) and offset == "choose"  # blocks that were left out have decided about offsets
         for late in () if doubt else _late(evidence, found, weight, width, not measured):
-            warnings.warn(late, LogWarning, stacklevel=2)
+            warnings.warn(late, LogWarning, stacklevel=3)
         return _identified(evidence, found, correlation, weight, width, moves, ladder, drives)
 
 
@@ -281,7 +282,7 @@ def _moving(robot: Robot, qd: Tensor, width: float) -> Tensor:
         warnings.warn(
             f"{len(names)} of {robot.n} joints never move faster than width = {width}: {', '.join(names)}; their "
             "friction and rotor inertia, and all that only their motion shows, are not identified: see `excited`",
-            stacklevel=3,
+            stacklevel=4,
         )
     return fastest > width
 

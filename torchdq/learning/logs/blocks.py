@@ -42,7 +42,7 @@ class MotionRows(NamedTuple):
     tau: Tensor | None = None  # [rows, n] [N m or N]
     direction: Tensor | None = None  # [rows, n] sign of the velocity, filtered as the torques
     time: Tensor | None = None  # [rows] [s]
-    known_gains: bool = True  # whether tau is in these units
+    known_gains: bool | tuple[bool, ...] = True  # whether tau is in these units, of all joints or of each
     names: tuple[str, ...] = ()  # logs of the motions; empty: unknown
 
     @property
@@ -101,7 +101,8 @@ def of_motions(robot: Robot, motions: Motion | Sequence[Motion]) -> MotionRows:
 
     lengths = tuple(len(motion.q) for motion in several)
     q, qd, qdd = together("q"), together("qd"), together("qdd")
-    known, names = all(motion.known_gains for motion in several), tuple(motion.name for motion in several)
+    known = tuple(np.all([np.broadcast_to(motion.known_gains, robot.n) for motion in several], axis=0).tolist())
+    names = tuple(motion.name for motion in several)
     return MotionRows(q, qd, qdd, lengths, if_all("tau"), if_all("direction"), if_all("time"), known, names)
 
 
@@ -136,8 +137,8 @@ def too_few(recording: MotionRows) -> str:
     motions, time = len(recording.lengths), recording.time
     parts = 1 if motions >= 3 else -(-PARTS // motions)
     rows, step = LEAST * parts, None if time is None or len(time) < 2 else float(time.diff().median())
-    if step and parts > 1:
-        rows = max(rows, math.ceil(2 * ENDS / step / ((1 - KEPT) * motions - 1 / parts)))
+    if step and motions == 1:  # a block in the middle, and the rows on either side of it, are left out
+        rows = max(rows, math.ceil(2 * ENDS / step / (1 - KEPT - 1 / parts)))
 
     def amount(rows: int) -> str:
         return f"{rows} rows" + (f" ({rows * step:.2g} s)" if step else "")

@@ -29,7 +29,7 @@ def joint_side(table: Table) -> Table:
 def _at_joint(layout: Layout, signal: str, x: np.ndarray) -> np.ndarray:
     """Signal of the joints [rows, n]."""
     if signal == "tau" and layout.gain:
-        x = x * layout.gain
+        x = x * [1.0 if gain is None else gain for gain in layout.gain]
     if not layout.transmission or signal not in layout.at_motors:
         return x
     given = np.array(layout.transmission)
