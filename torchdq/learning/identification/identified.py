@@ -113,7 +113,7 @@ class Identified(NamedTuple):
         return self.spread.norm(dim=1)
 
     def by_these_gains(self) -> Identified:
-        """The same robot with errors as if the gains of the drives were exact.
+        """Robot with errors as if the gains of the drives were exact.
 
         Those are the errors against torques that are efforts times these gains, which are off by as much.
         """

@@ -97,7 +97,7 @@ class Term(NamedTuple):
         if self.effect is None:
             return torch.ones(rows.robot.n, dtype=torch.bool)
         effect = self.effect(rows.width)
-        if not isinstance(effect, effects.Ripple):
+        if not self.signed:  # friction resists, but for waves
             return (rows.qd.abs().amax(0) > rows.width).cpu()
         wave = torch.stack([*columns(rows.robot, effect, rows.q, rows.qd, backend="eager").values()], -1)
         wave = wave - wave.mean(0)

@@ -20,7 +20,7 @@ def joint_side(table: Table) -> Table:
     layout = table.layout
     for name, given in (("gain", layout.gain), ("transmission", layout.transmission), ("zero", layout.zero)):
         if given and len(given) != layout.joints:
-            rows = "rows" if name == "transmission" and np.ndim(given) == 2 else "numbers"
+            rows = "rows" if name == "transmission" and np.ndim(layout.transmission) == 2 else "numbers"
             raise ArgumentError(f"{name} must have {layout.joints} {rows}, one per joint, found {len(given)}")
     blocks = {signal: _at_joint(layout, signal, x) for signal, x in table.blocks.items()}
     return table._replace(values=np.column_stack([table.time, *blocks.values()]))
