@@ -2698,7 +2698,7 @@ MUTANTS = (
         "torchdq/learning/logs/motions.py",
         (
             "currents taken for torques",
-            "if not motion.known_gains:",
+            "if not np.all(motion.known_gains):",
             "if False:",
             "partial_logs.py::test_efforts_of_unknown_gains_are_never_taken_for_torques",
         ),
@@ -3506,7 +3506,22 @@ MUTANTS = (
         ),
     ),
     *within(
+        "torchdq/learning/identification/feasible.py",
+        (
+            "friction by load without a bound",
+            "self.fraction = (self.start * below_one)",
+            "self.fraction = (0 * self.start * below_one)",
+            "ladder_of_models.py::test_friction_by_load_stays_below_one",
+        ),
+    ),
+    *within(
         "torchdq/learning/identification/terms.py",
+        (
+            "waves chosen where joints hardly move",
+            "least >= WAVE**2 / 2",
+            "least >= 0.0",
+            "ladder_of_models.py::test_a_wave_is_told_from_a_quarter_of_its_period_on",
+        ),
         (
             "sharp signs of velocity beside filtered torques",
             "if recording.direction is None else recording.direction",
@@ -3656,6 +3671,12 @@ MUTANTS = (
             "(1 - h)[:, None] * start + (h - centre)[:, None] * phi",
             "(1 - h)[:, None] * start",
             "ladder_of_models.py::test_gains_of_drives_are_found_within_their_errors",
+        ),
+        (
+            "errors of gains that do not reach parameters",
+            "(facts.e + prior)[:, None]) @ spread",
+            "(facts.e + prior)[:, None]) @ (0 * spread)",
+            "ladder_of_models.py::test_errors_hold_those_of_the_gains",
         ),
     ),
     *within(

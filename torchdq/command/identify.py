@@ -232,7 +232,7 @@ def _outcome(
     untold = () if found.report is None else found.report.untold
     text: list[str | Grid | Verbatim] = [Grid(measured.header, measured.rows())]
     if found.report is not None:
-        text.append(f"model: {found.report.rung.name}, chosen on {found.report.parts}")
+        text.append(f"model: {found.report.words}")
     if untold:
         text += ["not told by the data, left near the description:", Grid((), [("-", line) for line in untold])]
     if payload is not None:

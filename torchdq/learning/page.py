@@ -63,7 +63,7 @@ def page(
             "<p>Errors are root mean squares over the standard deviation of the measured torque."
             f"{BY_FILE if measured.file is not None else ''} The picture shows what was identified, with bands that "
             f"should hold 95 % of the measurements.</p>{_table(measured.header, measured.rows())}"
-            f'<div class="picture">{_picture(found, torques_by(found, test))}</div>',
+            f'<div class="picture">{_picture(found.by_these_gains(), torques_by(found, test))}</div>',
         ),
         _section("Payload", f"<pre>{escape(str(payload))}</pre>") if payload is not None else "",
         _section("What the data tell", _told(found)),

@@ -112,7 +112,7 @@ def trial(described: Robot, found: Identified, motions: Sequence[Motion]) -> Tor
     q, qd, qdd, tau = samples(known)
     with torch.no_grad():
         before = inverse_dynamics(described, q, qd, qdd)
-    tau_hat, error = found.predict(q, qd, qdd)
+    tau_hat, error = found.by_these_gains().predict(q, qd, qdd)
     band = WIDE * (error.square() + found.noise.to(error).square()).sqrt()
     size = tau.std(0)
     return TorqueTrial(

@@ -21,17 +21,15 @@ from torchdq.checks import require_number
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
-from torchdq.functional import check, inverse_dynamics, regressor, require_finite
+from torchdq.functional import inverse_dynamics, regressor, require_finite
 from torchdq.learning.bodies.nearest import curvature, nearest, relative
 from torchdq.learning.bodies.pseudo_inertia import central, inertial_parameters, moved, pseudo_inertia
 from torchdq.learning.identification.feasible import ENTRIES
-from torchdq.learning.identification.identified import INERTIAL
-from torchdq.learning.identification.identify import Identified
+from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
 from torchdq.learning.identification.naming import sums
 from torchdq.learning.identification.regression import base_parameters
-from torchdq.learning.logs.motions import Motion, samples
+from torchdq.learning.logs.motions import Motion
 from torchdq.learning.logs.plausibility import LogWarning, doubts
-from torchdq.learning.logs.samples import Samples
 from torchdq.learning.threads import one_thread
 from torchdq.notice import Notice
 from torchdq.robot import Robot
@@ -114,6 +112,7 @@ def identify_payload(
         reference: q, qd, qdd and tau of the empty arm, long enough to show by how much and for how long its torques are
             wrong, as `samples(motion)` gives them: a few seconds with payload cannot, and their errors come out too
             small without.
+
     Raises:
         ArgumentError: a shape, a value that is not finite, or a frame that no joint moves, or whose motion does not
             tell a mass, as that of the first links.
@@ -135,25 +134,22 @@ def identify_payload(
     if not isinstance(empty, Identified):
         raise ArgumentError(f"empty must be what identify returns, found {type(empty).__name__}")
     robot = empty.robot
-    given = (motions, qd, qdd, tau) if isinstance(motions, Tensor) else samples(motions)
-    signals: dict[str, Tensor] = {}
-    for name, x in zip(Samples._fields, given, strict=True):
-        if x is None:
-            raise ArgumentError(f"{name} must be given beside positions, found None")
-        signals[name] = x
-    batch = check(robot, (), **signals)
+    batch, rows = recorded(robot, motions, qd, qdd, tau=tau)
+    if not all(torch.tensor(rows.known_gains).expand(robot.n)):
+        cure = "multiply them by the gains that identify(..., gains=True) found"
+        raise ArgumentError(f"tau of the motions must be torques, found efforts of unknown gains; {cure}")
     if len(batch) != 1 or not batch[0]:
         raise ArgumentError(
             f"q must have the shape [rows, {robot.n}] with a row at least, found the batch axes {batch}"
         )
-    require_finite(**signals)
+    require_finite(**rows.signals())
     require_number("size", size, positive=True)
     require_number("prior", prior, positive=True)
     at = robot.end_effector() if frame is None else robot.frame(frame)
     if at.link == BASE:
         raise ArgumentError(f"frame must be one that a joint moves, found {at.name!r} on the base")
     with torch.no_grad(), Notice("identifying the payload"):
-        q, qd, qdd, tau = (x.detach().to("cpu", DTYPE).expand(*batch, robot.n) for x in signals.values())
+        q, qd, qdd, tau = (x.cpu() for x in (rows.q, rows.qd, rows.qdd, rows.measured))
         Y = regressor(robot.to(DTYPE, "cpu"), q, qd, qdd)
         own = Y[..., 10 * at.link : 10 * at.link + 10] @ moved(at.X_BF.to("cpu", DTYPE))
         untold = _untold(robot, at.name, own)
@@ -164,7 +160,7 @@ def identify_payload(
         weight, point = _weighted(torch.cat([own[..., :4], rest], -1), residual, variance, correlation)
         mass = point[0].maximum(_error(torch.cat([own[..., :4], rest], -1), weight))
         J = _expected(mass, (point[1:4] / mass).clamp(-10 * size, 10 * size), size)
-        pi, covariance = _found(own, rest, residual, weight, J, prior, Y @ empty.spread[: Y.shape[-1]])
+        pi, covariance = _found(own, rest, residual, weight, J, prior, Y @ empty.by_these_gains().spread[: Y.shape[-1]])
         rms, before = (_left(Z, residual, weight) for Z in (torch.cat([own, rest], -1), rest))
         usual = torch.hypot(variance.sqrt(), empty.model)
         if doubt := _doubts(empty, (q, qd, qdd, tau), rms, usual):

@@ -28,6 +28,7 @@ from torchdq.robot import Robot
 from torchdq.tables import summary
 
 KAPPA = 100.0  # weight of the base parameters: so many times that of the bodies that are drawn
+MOST = 0.99  # most of a number that is below one, such as friction over load
 TOGETHER = 256  # robots at a time
 DTYPE = torch.float64
 
@@ -136,6 +137,8 @@ class _Space:
         positive = ~torch.tensor(signed, dtype=torch.bool) & (phi[bodies:] > 0)
         self.positive = (positive & (rest > 0)).nonzero()[:, 0] + bodies
         self.signed = (~positive & (rest > 0)).nonzero()[:, 0] + bodies
+        fraction = [term.fraction for term in identified.terms for _ in range(identified.robot.n)]
+        self.fraction = torch.tensor(fraction, dtype=torch.bool).nonzero()[:, 0] + bodies
         self.bodies = (10 * self.links[:, None] + torch.arange(10)).flatten()
         self.most = most
         # whitening of the base parameters, whose errors may differ by many powers of ten
@@ -171,4 +174,5 @@ class _Space:
         J = C @ relative(y, links) @ C.mT
         phi[:, self.bodies] = inertial_parameters(J).flatten(1)
         phi[:, at] += scale * y[:, 10 * links :]
+        phi[:, self.fraction] = phi[:, self.fraction].clamp_max(MOST)
         return phi, J

@@ -32,7 +32,8 @@ class Evidence(NamedTuple):
     counts: Tensor  # [blocks] rows
     sizes: Tensor  # [blocks, n] squares of its torques about their mean, of its motion's variance
     squares: Tensor  # [n] mean squares of the torques
-    unit: Tensor  # [terms, n] root mean squares of `own`
+    unit: Tensor  # [terms, n] torques per unit that the prior goes by: `Term.size`
+    told: Tensor  # [terms, n] bool: whether the rows can tell a term from others
     at: Tensor  # [n, p] places of the parameters of each joint
 
     @property
@@ -80,7 +81,8 @@ def gather(
         blocks: blocks to leave out; none: nothing is left out.
         say: is told how far it is.
     """
-    own = unit_torques(terms, rows_of(robot, recording, width, load))
+    states = rows_of(robot, recording, width, load)
+    own = unit_torques(terms, states)
     at = places(len(robot.link_names), len(terms), robot.n)
     rows = [block.rows for block in blocks] or [slice(0, len(own))]
     beside = [part for block in blocks for part in block.beside]
@@ -103,8 +105,12 @@ def gather(
         counts += [len(part) for part in pair]
     each = torch.tensor(counts)
     sizes = each[:, None] * torch.where(variance > 0, variance, 1.0)
-    squares, unit = tau.square().mean(0), own.square().mean(0).sqrt().T.cpu()
-    return Evidence(robot, recording, tuple(terms), own, total, left, folds, each, sizes, squares, unit, at)
+    squares, moves = tau.square().mean(0), (recording.qd.abs().amax(0) > width).cpu()
+    rms = own.square().mean(0).sqrt().T.cpu()
+    unit, told = torch.zeros_like(rms), torch.zeros_like(rms, dtype=torch.bool)
+    for k, term in enumerate(terms):
+        unit[k], told[k] = term.size(rms[k], squares.sqrt(), moves), term.told(states)
+    return Evidence(robot, recording, tuple(terms), own, total, left, folds, each, sizes, squares, unit, told, at)
 
 
 def described(robot: Robot) -> Tensor:

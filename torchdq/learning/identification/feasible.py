@@ -7,7 +7,9 @@ is positive and the inertia obeys the triangle inequality. The distance of a lin
 
 about |B - 1|^2 for small changes, the same in all axes and units, and infinite where a body cannot exist (T. Lee, P.
 Wensing, F. C. Park, "Geometric robot dynamic identification: a convex programming approach", T-RO 36 (2020)). The
-distance of a coefficient of friction is 2 (x - log x - 1), x being its ratio to the described one.
+distance of a coefficient of friction is 2 (x - log x - 1), x being its ratio to the described one. Where a coefficient
+t x must be below one, 2 (log((1 - t) / (1 - t x)) - (x - 1) t / (1 - t)) is added: nothing at x = 1, infinite at
+t x = 1.
 """
 
 import itertools
@@ -57,6 +59,8 @@ class Neighbourhood:
         signed = torch.tensor([term.signed for term in terms for _ in range(robot.n)], dtype=torch.bool)
         self.effects = self.start.nonzero()[:, 0]
         self.signed = signed[self.effects]
+        below_one = torch.tensor([term.fraction for term in terms for _ in range(robot.n)], dtype=torch.bool)
+        self.fraction = (self.start * below_one)[self.effects]  # t, zero for a coefficient that may be any
         if free and not len(self.links) + len(self.effects):
             raise ArgumentError(f"robot {robot.name!r} has no mass, and there is nothing else to identify")
 
@@ -91,9 +95,11 @@ class Neighbourhood:
     def distance(self, y: Tensor) -> float:
         """Distance to the description; infinite where no robot can exist."""
         B, x = self._split(y)
-        if not bool((self.signed | (x > 0)).all()):
+        t = self.fraction
+        if not bool(((self.signed | (x > 0)) & (t * x < 1)).all()):
             return math.inf
-        coefficients = torch.where(self.signed, (x - 1).square(), 2 * (x - 1 - x.abs().log())).sum()
+        below_one = 2 * (((1 - t) / (1 - t * x)).log() - (x - 1) * t / (1 - t))
+        coefficients = torch.where(self.signed, (x - 1).square(), 2 * (x - 1 - x.abs().log()) + below_one).sum()
         return self.strength * _apart(B) + float(coefficients)
 
     def apart(self, y: Tensor) -> float:
@@ -109,8 +115,10 @@ class Neighbourhood:
         gradient = 2 * math.sqrt(self.strength) * slopes
         H = 2 * torch.einsum("lijk,lmkj->lim", products, products)
         x = torch.where(self.signed, 1.0, x)
-        rest = torch.where(self.signed, 2 * y[len(gradient) :], 2 - 2 / x)
-        return torch.cat([gradient, rest]), torch.block_diag(*H, torch.diag(2 / x**2))
+        t = self.fraction
+        rest = torch.where(self.signed, 2 * y[len(gradient) :], 2 - 2 / x + 2 * t / (1 - t * x) - 2 * t / (1 - t))
+        curved = 2 / x**2 + 2 * (t / (1 - t * x)) ** 2
+        return torch.cat([gradient, rest]), torch.block_diag(*H, torch.diag(curved))
 
     def bodies(self, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Mass [n], centre of mass [n, 3] and inertia about it [n, 6] of the links."""

@@ -8,6 +8,9 @@ with friction in the unit of the effort, which is linear in the parameters for k
 it linear in both about the last values: the torque Y pi there is the column of h. All that a recording says is in the
 sums of `regression.gram`, so that an iteration costs no samples. A factor of all gains together is that of all masses,
 and comes from the description; between the joints, gains are told by bodies that load several of them.
+
+Torques by gains that are off make parameters that are off (`spread_of_gains`): the parameters of a fit are linear in
+the torques, and those of a joint are its gain times its efforts.
 """
 
 from __future__ import annotations
@@ -19,8 +22,8 @@ from torch import Tensor
 
 from torchdq.learning.identification.evidence import Evidence, described
 from torchdq.learning.identification.feasible import Neighbourhood
-from torchdq.learning.identification.regression import places
-from torchdq.learning.identification.solution import solve
+from torchdq.learning.identification.regression import moments, places
+from torchdq.learning.identification.solution import Solution, solve
 from torchdq.learning.identification.terms import Term
 
 SPREAD = 0.3  # standard deviation of a gain that is given, relative to it, before the samples
@@ -41,20 +44,20 @@ class Gains(NamedTuple):
     error: Tensor  # [n] standard error
 
 
-def drive_gains(evidence: Evidence, known: bool) -> Gains:
-    """Gains of the drives, from the sums of their efforts.
+def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
+    """Gains of the drives, from the sums of their efforts, and L [n, n], their covariance being L L^T.
 
     Args:
         evidence: of the efforts, with all terms of friction, and the rotors if the robot has any.
-        known: whether efforts are torques but for a factor near one.
+        known: joints whose efforts are torques but for a factor near one [n].
     """
     robot, sums, n = evidence.robot, evidence.total, evidence.robot.n
     terms, p = (*evidence.terms, GAIN), evidence.at.shape[1]
     at = places(len(robot.link_names), len(terms), n)
     pi = described(robot)
     start = torch.cat([pi.expand(n, -1), torch.zeros(n, p - len(pi), dtype=pi.dtype)], 1)
-    centre = torch.ones(n, dtype=pi.dtype) if known else _guess(sums, start, len(pi), evidence.samples)
-    scale = (SPREAD if known else WIDE) * centre
+    centre = torch.where(known, 1.0, _guess(sums, start, len(pi), evidence.samples, ~known))
+    scale = torch.where(known, SPREAD, WIDE) * centre
     h, phi, inertial = centre, start, torch.arange(p) < len(pi)
     correlation = torch.ones(n, dtype=pi.dtype)
     for _ in range(ITERATIONS):
@@ -73,12 +76,31 @@ def drive_gains(evidence: Evidence, known: bool) -> Gains:
             break
         own = change[:, :-1] * ~inertial
         correlation = evidence.correlation(h[:, None] * phi - start + own)
-    error = found.spread(1.0)[at[:, -1]].norm(dim=1)
-    return Gains(1 / h, torch.hypot(error / h, torch.full_like(h, TRUST)) / h)
+    relative = torch.cat([-found.spread(1.0)[at[:, -1]] / h[:, None], torch.full_like(h[:, None], TRUST)], 1)
+    spread = torch.linalg.qr(relative.T / h).R.T  # as many columns as gains
+    return Gains(1 / h, spread.norm(dim=1)), spread
 
 
-def _guess(sums: Tensor, start: Tensor, inertial: int, samples: int) -> Tensor:
-    """Efforts per described torque [n], each beside friction alone; a joint that tells none has that of the others."""
+def spread_of_gains(
+    evidence: Evidence, found: Solution, correlation: Tensor, prior: float, gains: Gains, spread: Tensor
+) -> Tensor:
+    """F [k, n], F F^T being the covariance of the parameters' errors that those of the gains make.
+
+    Args:
+        evidence: of torques by the gains.
+        found: the fit to them.
+        correlation: correlation times of the residuals in rows [n], as in the fit.
+        prior: weight of its prior.
+        gains, spread: from `drive_gains`.
+    """
+    near, facts = found.near, found.facts
+    per_gain = moments(evidence.robot, evidence.recording, evidence.own) / gains.value[:, None]
+    right = torch.einsum("jp,jpt->tj", per_gain / (correlation * facts.noise**2)[:, None], near.S[evidence.at])
+    return near.S @ facts.V @ ((facts.V.T @ right) / (facts.e + prior)[:, None]) @ spread
+
+
+def _guess(sums: Tensor, start: Tensor, inertial: int, samples: int, sought: Tensor) -> Tensor:
+    """Efforts per described torque [n], each beside friction alone; one that is not told is as others sought."""
     n, p = start.shape
     M = torch.zeros(n, p, 1 + p - inertial, dtype=start.dtype)
     M[:, :, 0] = start
@@ -89,6 +111,6 @@ def _guess(sums: Tensor, start: Tensor, inertial: int, samples: int) -> Tensor:
     inverse = torch.linalg.pinv(M.mT @ A @ M, rtol=1e-10, hermitian=True)
     x = (inverse @ right[..., None])[..., 0]
     left = (total - (x * right).sum(1)).clamp_min(0) / samples
-    told = (x[:, 0] > 0) & ((inverse[:, 0, 0] * left).sqrt() < FLAT * x[:, 0])
+    told = sought & (x[:, 0] > 0) & ((inverse[:, 0, 0] * left).sqrt() < FLAT * x[:, 0])
     middle = x[told, 0].log().mean().exp() if bool(told.any()) else x.new_ones(())
     return torch.where(told, x[:, 0], middle)

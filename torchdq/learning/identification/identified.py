@@ -53,7 +53,8 @@ class Identified(NamedTuple):
     Parameters that the samples do not identify have the width of the prior instead, the described size over
     sqrt(prior), which is large, and right as long as the description is not off by more; that the robot must be
     physical narrows it further and is not counted. Single masses and inertias are mostly of that kind; `excited` tells
-    them from the others. The samples identify `rank` combinations, the base parameters `base` @ `parameters`.
+    them from the others. Where gains of the drives were sought, their errors are in it (`by_these_gains`). The samples
+    identify `rank` combinations, the base parameters `base` @ `parameters`.
 
     Printed, it is a table of the parameters.
     """
@@ -111,6 +112,13 @@ class Identified(NamedTuple):
     def errors(self) -> Tensor:
         """Standard errors of the parameters [k]; see the class for what they mean."""
         return self.spread.norm(dim=1)
+
+    def by_these_gains(self) -> Identified:
+        """Robot with errors as if the gains of the drives were exact.
+
+        Those are the errors against torques that are efforts times these gains, which are off by as much.
+        """
+        return self if self.gains is None else self._replace(spread=self.spread[:, : -self.robot.n])
 
     @property
     def base_names(self) -> tuple[str, ...]:

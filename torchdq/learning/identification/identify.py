@@ -26,16 +26,16 @@ from torchdq.effects.friction import Friction
 from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics, require_finite
 from torchdq.learning.identification.evidence import Evidence, described, gather
-from torchdq.learning.identification.gains import drive_gains
+from torchdq.learning.identification.gains import Gains, drive_gains, spread_of_gains
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
-from torchdq.learning.identification.ladder import STRENGTHS, Ladder, climb
+from torchdq.learning.identification.ladder import STRENGTHS, Ladder, Rung, climb
 from torchdq.learning.identification.lags import lagging
 from torchdq.learning.identification.missing import missing, offset_missing
 from torchdq.learning.identification.regression import base_parameters, rigid
 from torchdq.learning.identification.simple import simple_friction
 from torchdq.learning.identification.solution import ITERATIONS, Solution, solve
 from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, SHAPES, VISCOUS, Term, terms_of
-from torchdq.learning.logs.blocks import MotionRows, blocks
+from torchdq.learning.logs.blocks import MotionRows, blocks, too_few
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.logs.plausibility import LogWarning, doubts, misshapen, sampled, unexplained
 from torchdq.learning.threads import one_thread
@@ -68,7 +68,8 @@ def identify(
     Blocks of the motions are left out in turn, and the models are measured on them: the description, friction beside
     it, all inertial parameters with a prior at the description, and friction of other shapes. The simplest model
     within one standard error of the best is returned; `report` says so. Where there are too few samples to leave any
-    out, that is viscous and Coulomb friction and a prior of 1, which `friction=True, prior=1.0` asks for by name.
+    out, that is viscous and Coulomb friction and a prior of 1, which `friction=True, prior=1.0` asks for by name;
+    `report` and a `LogWarning` say how many would do.
 
     Joints are weighted by the noise that least squares leave in each. A link without mass stays without; a body
     described as a point, a rod or a plate gets 1 % of its size as thickness. Friction and rotor inertia that the
@@ -103,8 +104,8 @@ def identify(
             numbers are biased beyond their errors; another names constant torques that were not sought, another torques
             that lag the motion, with the time.
         gains: seek the torque per unit of effort of every joint, where `tau` is a current, or a torque by gains that
-            are not trusted: 1 with a standard deviation of 0.3 before the samples, or anything where the layout of the
-            log has no gains. One factor of them all, with masses, comes from the description. They are
+            are not trusted: 1 with a standard deviation of 0.3 before the samples, or anything at joints for which the
+            layout of the log has no gain. One factor of them all, with masses, comes from the description. They are
             found with viscous and Coulomb friction first, and the rest follows with the torques that they make.
         memory: whether friction may remember, as `torchdq.effects.LuGre` does; scenes have that, layers do not.
 
@@ -142,18 +143,19 @@ def identify(
     if not memory and any(term.bristles for term in rubbing):
         raise ArgumentError("friction must not remember where memory=False says so, found LuGre")
     fixed = [ROTOR] * armature + rubbing + [OFFSET] * (offset is True)
-    if not (rows.known_gains or gains):
+    known = torch.tensor(rows.known_gains).expand(robot.n)
+    if not (gains or bool(known.all())):
         raise ArgumentError("tau of the motions must be torques, found efforts of unknown gains; give gains=True")
     left_out = blocks(rows) if friction == "choose" or prior is None else []
     with torch.no_grad(), _solvable(rows.signals()), Notice(f"identifying {robot.name}") as notice:
         drives = None
         if gains:
             motors = [ROTOR] * (armature or robot.armature is not None) + plain + [OFFSET] * (offset is True)
-            drives = drive_gains(gather(robot, rows, motors, width, None, (), notice.at), rows.known_gains)
-            rows = rows._replace(tau=rows.measured * drives.value.to(rows.q))
+            drives = drive_gains(gather(robot, rows, motors, width, None, (), notice.at), known)
+            rows = rows._replace(tau=rows.measured * drives[0].value.to(rows.q))
         moves = _moving(robot, rows.qd, width)
         if doubt := _doubts(robot, rows, width):
-            warnings.warn(doubt, LogWarning, stacklevel=2)
+            warnings.warn(doubt, LogWarning, stacklevel=3)
         frozen = prior == math.inf
         ladder, strength = None, math.inf if frozen else 1.0
         weight = 1.0 if prior is None or frozen else prior
@@ -168,13 +170,25 @@ def identify(
             load = rigid(robot, rows, described(robot), robot.armature) if loaded else None
             evidence = gather(robot, rows, fixed, width, load, (), notice.at)
             sought = torch.ones(len(fixed), robot.n, dtype=torch.bool)
+            if friction == "choose" or prior is None:
+                ladder = _unchosen(rows, fixed, sought, strength, weight)
+                words = f"no model could be chosen, since {ladder.parts}; taken is {ladder.rung.name}"
+                warnings.warn(words, LogWarning, stacklevel=3)
         evidence, found, correlation = _fitted(evidence, sought, strength, weight, width, notice.at)
         if not found.settled:
-            warnings.warn(f"the least squares have not settled after {ITERATIONS} iterations", stacklevel=2)
-        measured = ladder is not None and offset == "choose"  # blocks that were left out have decided about offsets
+            warnings.warn(f"the least squares have not settled after {ITERATIONS} iterations", stacklevel=3)
+        measured = bool(left_out) and offset == "choose"  # blocks that were left out have decided about offsets
         for late in () if doubt else _late(evidence, found, weight, width, not measured):
-            warnings.warn(late, LogWarning, stacklevel=2)
-        return _identified(evidence, found, correlation, weight, width, moves, ladder)._replace(gains=drives)
+            warnings.warn(late, LogWarning, stacklevel=3)
+        return _identified(evidence, found, correlation, weight, width, moves, ladder, drives)
+
+
+def _unchosen(rows: MotionRows, fixed: Sequence[Term], sought: Tensor, strength: float, prior: float) -> Ladder:
+    """Ladder of the one model that is taken where there are too few rows to choose by."""
+    bodies = "bodies as described" if math.isinf(strength) else f"bodies with a prior of {prior:g}"
+    none = torch.zeros(0, sought.shape[1], dtype=torch.float64)
+    rung = Rung(", ".join([*(term.name for term in fixed), bodies]), none, sought, strength)
+    return Ladder((rung,), 0, too_few(rows), none.sum(0))
 
 
 def _fitted(
@@ -205,14 +219,19 @@ def _identified(
     width: float,
     moves: Tensor,
     ladder: Ladder | None,
+    drives: tuple[Gains, Tensor] | None,
 ) -> Identified:
     robot, terms, near, facts = evidence.robot, evidence.terms, found.near, found.facts
-    doubt = 1.0 if ladder is None else found.doubt(prior)  # a strength that was chosen is no knowledge
+    measured = ladder is not None and len(ladder.rung.scores) > 0
+    doubt = found.doubt(prior) if measured else 1.0  # a strength that was chosen is no knowledge
     spread = found.spread(prior, doubt)
     names = [f"{link} {name}" for link in robot.link_names for name in INERTIAL]
     excited = _excited(spread, near.S.norm(dim=1) * math.sqrt(doubt / prior), moves, terms)
     if ladder is not None:
         ladder = ladder._replace(untold=_untold(robot, excited))
+    model = _beyond(evidence, spread, facts.noise, ladder if measured else None)
+    if drives is not None:
+        spread = torch.cat([spread, spread_of_gains(evidence, found, correlation, prior, *drives)], 1)
     return Identified(
         robot=_replaced(robot, found, terms),
         terms=terms,
@@ -221,14 +240,14 @@ def _identified(
         spread=spread,
         base=base_parameters(facts.V[:, facts.e > 0].T @ near.inverse, near.S.norm(dim=1)),
         noise=facts.noise,
-        model=_beyond(evidence, spread, facts.noise, ladder),
+        model=model,
         rms=found.rms,
         correlation=correlation,
         width=width,
         simple=simple_friction(evidence, found.parameters, width),
         excited=excited,
         report=ladder,
-        gains=None,
+        gains=drives and drives[0],
     )
 
 
@@ -264,7 +283,7 @@ def _moving(robot: Robot, qd: Tensor, width: float) -> Tensor:
         warnings.warn(
             f"{len(names)} of {robot.n} joints never move faster than width = {width}: {', '.join(names)}; their "
             "friction and rotor inertia, and all that only their motion shows, are not identified: see `excited`",
-            stacklevel=3,
+            stacklevel=4,
         )
     return fastest > width
 

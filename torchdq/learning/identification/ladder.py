@@ -55,7 +55,7 @@ class Ladder(NamedTuple):
 
     rungs: tuple[Rung, ...]
     chosen: int
-    parts: str  # words for the blocks that were left out
+    parts: str  # words for the blocks that were left out, or for why there are none
     left: Tensor  # [n] mean squared residual of the chosen rung on blocks, or on regions where larger [(N m)^2 or N^2]
     useless: tuple[str, ...] = ()  # shapes of friction that no joint gained from
     untold: tuple[str, ...] = ()  # groups of parameters that the samples do not tell
@@ -65,10 +65,19 @@ class Ladder(NamedTuple):
         """Rung that was chosen."""
         return self.rungs[self.chosen]
 
+    @property
+    def words(self) -> str:
+        """The model, and what it was chosen on."""
+        return f"{self.rung.name}, {'chosen on' if len(self.rung.scores) else 'not chosen, since'} {self.parts}"
+
     def __repr__(self) -> str:
+        if not len(self.rung.scores):
+            return f"Ladder({self.rung.name!r}, not chosen)"
         return f"Ladder({len(self.rungs)} rungs, {self.rung.name!r} chosen, score {self.rung.score:.4g})"
 
     def __str__(self) -> str:
+        if not len(self.rung.scores):
+            return "\n".join([self.words, *self._untold()])
         best = min(self.rungs, key=lambda rung: rung.score)
         rows = [
             (
@@ -95,10 +104,11 @@ class Ladder(NamedTuple):
             lines += [f"  {joint}: {', '.join(terms)}" for joint, terms in found.items()]
         if self.useless:
             lines.append(f"no joint gains from {', '.join(self.useless)}")
-        if self.untold:
-            lines.append("not told by the samples, left near the description:")
-            lines += [f"  {group}" for group in self.untold]
-        return "\n".join(lines)
+        return "\n".join([*lines, *self._untold()])
+
+    def _untold(self) -> list[str]:
+        found = [f"  {group}" for group in self.untold]
+        return ["not told by the samples, left near the description:", *found] if found else []
 
 
 def climb(
@@ -253,5 +263,6 @@ def _only(evidence: Evidence, used: Tensor) -> Evidence:
         left=cut(evidence.left),
         folds=cut(evidence.folds),
         unit=evidence.unit[used],
+        told=evidence.told[used],
         at=places(len(evidence.robot.link_names), len(terms), evidence.robot.n),
     )

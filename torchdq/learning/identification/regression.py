@@ -58,6 +58,15 @@ def rigid(robot: Robot, recording: MotionRows, pi: Tensor, rotors: Tensor | None
     return tau if rotors is None else tau + rotors.to(tau) * recording.qdd
 
 
+def moments(robot: Robot, recording: MotionRows, own: Tensor) -> Tensor:
+    """Sums [n, p] of Z^T tau over all rows."""
+    sums = own.new_zeros(robot.n, 10 * len(robot.link_names) + own.shape[-1])
+    for part in chunks(slice(0, len(own)), sums.numel()):
+        q, qd, qdd, tau = (x[part] for x in (recording.q, recording.qd, recording.qdd, recording.measured))
+        sums += torch.einsum("rjp,rj->jp", columns(robot, q, qd, qdd, own[part]), tau)
+    return sums.cpu()
+
+
 def gram(
     robot: Robot,
     recording: MotionRows,

@@ -107,14 +107,15 @@ def gainful(
             before = score(j, fits[j], y)
             best: tuple[int, Gain] | None = None
             for c in candidates:
-                if sought[c, j] or not scale[c, j] > 0:
+                if sought[c, j] or not evidence.told[c, j] or not scale[c, j] > 0:
                     continue
                 mask = sought[:, j] & (scale[:, j] > 0)
                 mask[c] = True
                 more = fit(j, mask)
                 y_more = solved(H - fits[j].H + more.H, h - fits[j].h + more.h)
                 at = more.own.index(b + c)
-                if not evidence.terms[c].signed and not more.coefficients(y_more)[-1, at] > 0:
+                number = float(scale[c, j] * more.coefficients(y_more)[-1, at])
+                if (number <= 0 and not evidence.terms[c].signed) or (number >= 1 and evidence.terms[c].fraction):
                     continue
                 less = before - score(j, more, y_more)
                 mean, error = float(less.mean()), float(less.std() / blocks**0.5)

@@ -25,6 +25,7 @@ from torchdq.robot import Robot
 
 FORCE = ("N m", "N")  # units of joints that turn, and that slide
 STILL = 1e-9  # least speed by which the sign of friction is divided [rad/s or m/s]
+WAVE = 0.125  # errors of a wave's coefficients beside a constant torque are at most 1 / WAVE those in whole periods
 
 
 class TermRows(NamedTuple):
@@ -64,6 +65,44 @@ class Term(NamedTuple):
         load = rows.load if self.loaded else None
         torque = columns(rows.robot, effect, rows.q, qd, load, backend="eager")[self.parameter]
         return torque / smooth_sign(qd, rows.width) * rows.sign if self.dry else torque
+
+    @property
+    def fraction(self) -> bool:
+        """Whether the number is below one."""
+        return self.effect is not None and self.parameter in self.effect(1.0).FRACTIONS
+
+    def size(self, unit: Tensor, torque: Tensor, moves: Tensor) -> Tensor:
+        """Torque per unit [n] at which the number makes the torque that it is expected to make.
+
+        It is that of the rows, but not where they hardly move the term: a number that is a torque is expected to be no
+        larger than those of its joint, a fraction no larger than one, others as if the joint moved at 1 rad/s or
+        1 rad/s^2.
+
+        Args:
+            unit: root mean squares of the torques per unit [n].
+            torque: those of the torques [n].
+            moves: joints that move faster than the width of dry friction [n].
+        """
+        if self.units == FORCE:
+            return unit.clamp_min(1.0)
+        return unit.maximum(torque) if self.fraction else torch.where(moves, unit, unit.clamp_min(1.0))
+
+    def told(self, rows: TermRows) -> Tensor:
+        """Joints [n] whose rows can tell the term from others: they move, and for a wave through enough of a period.
+
+        In a small part of a period a wave is a constant torque and a slope, as gravity is. Least squares of sine and
+        cosine beside a constant have errors of one over the least standard deviation of a sin(x) + b cos(x), with
+        a^2 + b^2 = 1: 1 / sqrt(2) in whole periods, `WAVE` times that in about a quarter of one.
+        """
+        if self.effect is None:
+            return torch.ones(rows.robot.n, dtype=torch.bool)
+        effect = self.effect(rows.width)
+        if not self.signed:  # friction resists, but for waves
+            return (rows.qd.abs().amax(0) > rows.width).cpu()
+        wave = torch.stack([*columns(rows.robot, effect, rows.q, rows.qd, backend="eager").values()], -1)
+        wave = wave - wave.mean(0)
+        least = torch.linalg.eigvalsh(torch.einsum("rjk,rjl->jkl", wave, wave) / len(wave))[:, 0]
+        return (least >= WAVE**2 / 2).cpu()
 
     def found(self, numbers: Sequence[float] | Tensor, width: float) -> tuple[Friction, ...]:
         """Friction with the numbers of the joints [n], or of the joints of many robots [..., n], if it is friction."""

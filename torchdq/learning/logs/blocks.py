@@ -29,6 +29,7 @@ MOST = 10  # most blocks; further motions share one
 PARTS = 6  # blocks, at least, that fewer than three motions are cut into
 LEAST = 20  # fewest rows of a block
 BESIDE = 0.02  # part of a motion without times that is left out on either side of a block
+KEPT = 0.25  # least part of the rows that a fit without a block has
 
 
 class MotionRows(NamedTuple):
@@ -41,7 +42,7 @@ class MotionRows(NamedTuple):
     tau: Tensor | None = None  # [rows, n] [N m or N]
     direction: Tensor | None = None  # [rows, n] sign of the velocity, filtered as the torques
     time: Tensor | None = None  # [rows] [s]
-    known_gains: bool = True  # whether tau is in these units
+    known_gains: bool | tuple[bool, ...] = True  # whether tau is in these units, of all joints or of each
     names: tuple[str, ...] = ()  # logs of the motions; empty: unknown
 
     @property
@@ -100,7 +101,8 @@ def of_motions(robot: Robot, motions: Motion | Sequence[Motion]) -> MotionRows:
 
     lengths = tuple(len(motion.q) for motion in several)
     q, qd, qdd = together("q"), together("qd"), together("qdd")
-    known, names = all(motion.known_gains for motion in several), tuple(motion.name for motion in several)
+    known = tuple(np.all([np.broadcast_to(motion.known_gains, robot.n) for motion in several], axis=0).tolist())
+    names = tuple(motion.name for motion in several)
     return MotionRows(q, qd, qdd, lengths, if_all("tau"), if_all("direction"), if_all("time"), known, names)
 
 
@@ -125,7 +127,24 @@ def blocks(recording: MotionRows) -> list[Block]:
         whole = [Block(rows, (), rows) for rows in found]
     else:
         whole = [block for motion in motions for block in _parts(recording, motion, -(-PARTS // len(motions)))]
-    return whole if min(_length(block.rows) for block in whole) >= LEAST else []
+    kept = min(len(recording.q) - sum(map(_length, (block.rows, *block.beside))) for block in whole)
+    enough = min(_length(block.rows) for block in whole) >= LEAST and kept >= KEPT * len(recording.q)
+    return whole if enough else []
+
+
+def too_few(recording: MotionRows) -> str:
+    """Words for rows that are too few to leave blocks out, and for how many would do."""
+    motions, time = len(recording.lengths), recording.time
+    parts = 1 if motions >= 3 else -(-PARTS // motions)
+    rows, step = LEAST * parts, None if time is None or len(time) < 2 else float(time.diff().median())
+    if step and motions == 1:  # a block in the middle, and the rows on either side of it, are left out
+        rows = max(rows, math.ceil(2 * ENDS / step / (1 - KEPT - 1 / parts)))
+
+    def amount(rows: int) -> str:
+        return f"{rows} rows" + (f" ({rows * step:.2g} s)" if step else "")
+
+    found = f"{amount(min(recording.lengths))} of motion are too few to leave any out and choose by them"
+    return f"{found}; {amount(rows)} would do" + (" for each motion" if motions > 1 else "")
 
 
 def regions(recording: MotionRows) -> list[tuple[Tensor, Tensor]]:

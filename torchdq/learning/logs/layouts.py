@@ -40,7 +40,8 @@ class Layout:
             and are read; more are named only where there is no header.
         header: whether the first line holds the names; if not, the columns are time and all `blocks`, in order.
         gain: torque per unit of effort, one number per joint [N m or N per unit], e.g. of motor currents [N m/A];
-            empty: the effort is the torque; None: unknown, `tau` of the log is the effort in its own unit.
+            empty: the effort is the torque; None: unknown, `tau` of the log is the effort in its own unit; so is that
+            of a joint whose number is None or NaN.
         cutoff_qd, cutoff_tau: frequencies of the low-pass filters of velocities and torques [Hz], for `smooth`; None:
             8 Hz, or a quarter of the rate of the rows where that is less.
         farthest: position beyond which a column is refused as one in degrees or millimetres [rad or m].
@@ -69,7 +70,7 @@ class Layout:
     joints: int = 0
     blocks: tuple[str, ...] = ("q", "qd", "tau")
     header: bool = True
-    gain: tuple[float, ...] | None = ()
+    gain: tuple[float | None, ...] | None = ()
     cutoff_qd: float | None = None  # [Hz]
     cutoff_tau: float | None = None  # [Hz]
     farthest: float = 8 * math.pi  # [rad]
@@ -131,9 +132,13 @@ class Layout:
                 raise ArgumentError(f"{name} must be a positive number, found {x!r}")
         if self.gain is not None:
             expected = "numbers, one per joint, such as (2.0, 1.5), () for torques, or None where they are unknown"
-            object.__setattr__(self, "gain", _floats("gain", self.gain, expected))
-            if not all(self.gain):
-                raise ArgumentError(f"gain must be {expected}, none of them zero, found {self.gain}")
+            given = list(self.gain) if isinstance(self.gain, Iterable) and not isinstance(self.gain, str) else self.gain
+            lost = [k for k, x in enumerate(given) if x is None or x != x] if isinstance(given, list) else []
+            known = _floats("gain", [1.0 if k in lost else x for k, x in enumerate(given)] if lost else given, expected)
+            if not all(known):
+                raise ArgumentError(f"gain must be {expected}, none of them zero, found {known}")
+            gain = tuple(None if k in lost else x for k, x in enumerate(known))
+            object.__setattr__(self, "gain", gain if not lost or any(gain) else None)
         object.__setattr__(self, "zero", _floats("zero", self.zero, "numbers, one per joint, or ()"))
 
     def _require_transmission(self) -> None:
@@ -152,11 +157,16 @@ class Layout:
             if not all(found):
                 raise ArgumentError(f"transmission must be {expected}, none of them zero, found {found}")
             object.__setattr__(self, "transmission", found)
-        if coupled and self.gain is None and "tau" in self.at_motors:
+        if coupled and not np.all(self.known_gains) and "tau" in self.at_motors:
             cure = "give gains of data sheets; identify(..., gains=True) then finds a factor for each joint"
-            raise ArgumentError(f"gain must be known where a transmission couples joints, found None; {cure}")
+            raise ArgumentError(f"gain must be known where a transmission couples joints, found {self.gain}; {cure}")
         if self.zero and not self.transmission:
             raise ArgumentError(f"zero needs a transmission, e.g. ones, found zero={self.zero} and transmission=()")
+
+    @property
+    def known_gains(self) -> bool | tuple[bool, ...]:
+        """Whether efforts are torques, of all joints or of each."""
+        return self.gain is not None and (None not in self.gain or tuple(x is not None for x in self.gain))
 
     def names(self, signal: str, joints: int) -> list[str]:
         """Names of a signal's columns; none of one that was not recorded."""

@@ -41,11 +41,11 @@ class Motion(NamedTuple):
     width: float = SIGN_WIDTH  # velocity below which that sign is rounded [rad/s or m/s]
     cutoff_qd: float | None = None  # filter of positions, velocities and accelerations [Hz]; None: unfiltered
     cutoff_tau: float | None = None  # filter of torques and directions [Hz]; None: unfiltered
-    known_gains: bool = True  # whether `tau` is in N m; if not, in a unit of its own for every joint, e.g. amperes
+    known_gains: bool | tuple[bool, ...] = True  # whether `tau` is in N m, of all joints or of each, or e.g. in A
     name: str = ""  # its log, for messages
 
     def __repr__(self) -> str:
-        units = UNITS if self.known_gains else UNITS | {"tau": "unknown gains"}
+        units = UNITS if np.all(self.known_gains) else UNITS | {"tau": "unknown gains"}
         signals = {name: (x, units[name]) for name, x in self._asdict().items() if name in units and x is not None}
         cutoffs = {"velocities": self.cutoff_qd, "torques": self.cutoff_tau}
         filters = [f"{name} at {cutoff:.4g} Hz" for name, cutoff in cutoffs.items() if cutoff is not None]
@@ -140,7 +140,7 @@ def smooth(
     whole = Motion(
         *(time, q, qd, qdd, tau, direction, width, cutoff_qd),
         cutoff_tau=None if tau is None else cutoff_tau,
-        known_gains=log.layout.gain is not None,
+        known_gains=log.layout.known_gains,
         name=str(log.path),
     )
     return _rows(whole, used)
@@ -270,7 +270,7 @@ def require_torques(motions: Sequence[Motion]) -> None:
         if motion.tau is None:
             cure = "without torques, fit_rollout fits a simulation to positions and commands"
             raise ArgumentError(f"motions must have torques, found none in that{name}; {cure}")
-        if not motion.known_gains:
+        if not np.all(motion.known_gains):
             cure = "give Layout(gain=...), or identify(robot, motions, gains=True), which finds them"
             raise ArgumentError(f"motions must have torques, found efforts of unknown gains in that{name}; {cure}")
 

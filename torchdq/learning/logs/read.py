@@ -60,14 +60,16 @@ class Log(NamedTuple):
     time: np.ndarray  # [rows], strictly increasing [s]
     q: np.ndarray  # [rows, n] [rad or m]
     qd: np.ndarray | None  # [rows, n] [rad/s or m/s]; None: not recorded
-    tau: np.ndarray | None  # [rows, n] [N m or N], or as in the file if `layout.gain` is None; None: not recorded
+    tau: np.ndarray | None  # [rows, n] [N m or N]; efforts where `layout.gain` is None; None: not recorded
     repeats: int  # rows left out because they repeat a time stamp
     qdd: np.ndarray | None = None  # [rows, n] [rad/s^2 or m/s^2], if the file holds them
     command: np.ndarray | None = None  # [rows, n], what the drives were asked for, if the file holds it
 
     def __repr__(self) -> str:
         size = f"{self.q.shape[1]} joints, {len(self.time)} rows, {self.repeats} repeated time stamps left out"
-        units = UNITS | {"command": "as in the file"} | ({"tau": "unknown gains"} if self.layout.gain is None else {})
+        units = UNITS | {"command": "as in the file"}
+        if not np.all(self.layout.known_gains):
+            units |= {"tau": "unknown gains"}
         signals = {name: (x, units[name]) for name, x in self._asdict().items() if name in units and x is not None}
         return f"{self.path}: {size}\n\n{summary('Log', signals)}"
 

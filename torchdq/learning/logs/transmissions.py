@@ -20,7 +20,7 @@ def joint_side(table: Table) -> Table:
     layout = table.layout
     for name, given in (("gain", layout.gain), ("transmission", layout.transmission), ("zero", layout.zero)):
         if given and len(given) != layout.joints:
-            rows = "rows" if name == "transmission" and np.ndim(given) == 2 else "numbers"
+            rows = "rows" if name == "transmission" and np.ndim(layout.transmission) == 2 else "numbers"
             raise ArgumentError(f"{name} must have {layout.joints} {rows}, one per joint, found {len(given)}")
     blocks = {signal: _at_joint(layout, signal, x) for signal, x in table.blocks.items()}
     return table._replace(values=np.column_stack([table.time, *blocks.values()]))
@@ -29,7 +29,7 @@ def joint_side(table: Table) -> Table:
 def _at_joint(layout: Layout, signal: str, x: np.ndarray) -> np.ndarray:
     """Signal of the joints [rows, n]."""
     if signal == "tau" and layout.gain:
-        x = x * layout.gain
+        x = x * [1.0 if gain is None else gain for gain in layout.gain]
     if not layout.transmission or signal not in layout.at_motors:
         return x
     given = np.array(layout.transmission)
