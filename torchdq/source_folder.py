@@ -30,4 +30,4 @@ class _Explained:
 def explain_missing(subpackage: str) -> None:
     """Make a missing subpackage an error that says what to do; an installed package has it and needs no such thing."""
     if not (PACKAGE / subpackage).is_dir():
-        sys.meta_path.append(_Explained(f"torchdq.{subpackage}"))  # type: ignore[arg-type]
+        sys.meta_path.append(_Explained(f"torchdq.{subpackage}"))
