@@ -186,11 +186,14 @@ def _require_torques(model: nn.Module) -> None:
             f"ResidualDynamics, and make the {kind} of its `robot`"
         )
     try:
-        inspect.signature(model.forward).bind(*"123")
+        taken = inspect.signature(model.forward)
+    except (TypeError, ValueError):  # a script has none
+        return
+    try:
+        taken.bind("q", "qd", "qdd")
     except TypeError as error:
         raise ArgumentError(
-            f"model must be called as model(q, qd, qdd), found {kind}, whose forward takes "
-            f"{inspect.signature(model.forward)}; torchdq.ResidualDynamics(robot, ...) holds a network for torques"
+            f"model must be called as model(q, qd, qdd), found {kind}, whose forward takes {taken}; torchdq.ResidualDynamics(robot, ...) holds a network for torques"
         ) from error
 
 
