@@ -91,10 +91,10 @@ def program(
         robot.joint_names,
     )
     rubbing = friction.present({name: numbers.get(name, TENSOR) for name in friction.learned})
-    known = {name: numbers[name] for name in (*GAINS, "offset") if name in numbers}
+    own = {name: numbers[name] for name in (*GAINS, "offset") if name in numbers}
     if robot.gravity is not None and "gravity" not in arguments(robot):
-        known["gravity"] = _numbers("gravity", robot.gravity)
-    told = constants_of(known)
+        own["gravity"] = _numbers("gravity", robot.gravity)
+    told = constants_of(own)
     told += [f"friction: {part(_of_numbers(effect))}" for effect in rubbing] or ["friction: none"]
     return replace(record(rigid.name, taken, algorithm), about=(*about, *told))
 

@@ -67,14 +67,14 @@ def _doubts(robot: Robot) -> Iterator[str]:
         yield f"lengths must be in m, {found}; are they in mm?"
     bodies = {f"link {link!r}": "the link's frame" for link in robot.link_names}
     several = len(bodies) >= MANY
-    found = [*_of_bodies(bodies, robot.mass, robot.com, robot.inertia, length, BULKY if several else LARGE)]
-    together = _together(robot.mass, robot.inertia) if several and not found else 0.0
+    large = [*_of_bodies(bodies, robot.mass, robot.com, robot.inertia, length, BULKY if several else LARGE)]
+    together = _together(robot.mass, robot.inertia) if several and not large else 0.0
     if together > HEAVY * length > 0:
-        found.append(
+        large.append(
             f"inertias must be in kg m^2 and masses in kg, found a radius of gyration sqrt(inertia / mass) of "
             f"{together:.4g} m for all links together, {_among(length)}; are they in g m^2 or in kg cm^2?"
         )
-    yield from found
+    yield from large
     kinds = dict(zip(robot.every_joint, robot.kinds, strict=True))
     for name, *ends in zip(robot.joint_names, *map(_first, robot.limits[:2]), strict=True):
         # a coordinate that is no joint of its own moves several
@@ -106,9 +106,8 @@ def _spread(inertia: Tensor) -> Tensor:
 
 def _together(mass: Tensor, inertia: Tensor) -> float:
     """Radius of gyration [m] of all links, as if their centres of mass were one; of the first of all robots."""
-    total, spread = mass.detach().double().sum(-1), _spread(inertia).sum(-1)
-    total, spread = torch.broadcast_tensors(total, spread)
-    total, spread = float(total.flatten()[0]), float(spread.flatten()[0])
+    sums = torch.broadcast_tensors(mass.detach().double().sum(-1), _spread(inertia).sum(-1))
+    total, spread = (float(x.flatten()[0]) for x in sums)
     return math.sqrt(spread / total) if total > 0 and spread > 0 else 0.0
 
 

@@ -193,7 +193,8 @@ def _require_torques(model: nn.Module) -> None:
         taken.bind("q", "qd", "qdd")
     except TypeError as error:
         raise ArgumentError(
-            f"model must be called as model(q, qd, qdd), found {kind}, whose forward takes {taken}; torchdq.ResidualDynamics(robot, ...) holds a network for torques"
+            f"model must be called as model(q, qd, qdd), found {kind}, whose forward takes {taken}; "
+            "torchdq.ResidualDynamics(robot, ...) holds a network for torques"
         ) from error
 
 
