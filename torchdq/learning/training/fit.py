@@ -102,12 +102,12 @@ def fit(
     if not isinstance(model, nn.Module):
         cure = '; torchdq.DQRNEA(robot, learn=("mass",)) is one' if isinstance(model, Robot) else ""
         raise ArgumentError(f"model must be a torch module of torques, found {type(model).__name__}{cure}")
-    _require_torques(model)
     train, lengths = of_motions("train", train)
     valid = None if valid is None else validated("valid", valid)
     parameters = {name: p for name, p in model.named_parameters() if p.requires_grad}
     if not parameters:
         raise ArgumentError("model has no parameters to fit; name tensors of the robot in its learn=(...)")
+    _require_torques(model)
     if valid is not None and valid.q.shape[1] != train.q.shape[1]:
         raise ArgumentError(f"valid must have the {train.q.shape[1]} joints of train, found {valid.q.shape[1]}")
     if valid is None and patience is not None:
