@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq.checks import require_tensor
+from torchdq.checks import is_number, require_tensor
 from torchdq.envs.tasks import velocities
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
@@ -80,10 +80,11 @@ class Actions:
 def full(robot: Robot, kind: Kind, scale: float | Sequence[float] | None) -> list[float]:
     """Size of a full action of every joint; None: derived from the robot's limits."""
     if scale is not None:
-        numbers = [float(x) for x in scale] if isinstance(scale, Sequence) else [float(scale)] * robot.n
-        if len(numbers) != robot.n or not all(0 < x < math.inf for x in numbers):
+        given = scale.tolist() if isinstance(scale, np.ndarray | Tensor) else scale
+        numbers = list(given) if isinstance(given, Sequence) else [given] * robot.n
+        if len(numbers) != robot.n or not all(is_number(x) and 0 < x < math.inf for x in numbers):
             raise ArgumentError(f"scale must be a positive number or {robot.n} of them, found {scale!r}")
-        return numbers
+        return [float(x) for x in numbers]
     if kind == "reference":
         return [HORIZON * v for v in velocities(robot)]
     for name, limit in zip(robot.joint_names, robot.limits.effort.tolist(), strict=True):

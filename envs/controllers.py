@@ -10,9 +10,9 @@ from torchdq.algebra.quaternion import Number
 from torchdq.attributes import refusing
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.dynamics.tracking import commanded
-from torchdq.effects.effect import Parameter, Parametric, Shapes
+from torchdq.effects.effect import Parameter, Parametric, Shapes, undefined
 from torchdq.errors import ArgumentError
-from torchdq.export.meaning import heading
+from torchdq.export.meaning import heading, part
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
@@ -26,7 +26,7 @@ class Controller(Parametric):
 
     def torques(self, at: Posed, reference: Row, q: Row, qd: Row) -> Sequence[Number]:
         """Torques at the measured positions and velocities; `at` is the scene's robot at these positions."""
-        raise NotImplementedError
+        raise undefined(self, "torques")
 
     def program(self, robot: Robot) -> Program:
         """Program of the controller by itself, which takes reference, q and qd, for `torchdq.compile` and its `export`.
@@ -51,7 +51,7 @@ class Controller(Parametric):
             return {"tau": bound.torques(posed(constant, q, {}, ()), reference, q, qd)}
 
         kind = type(self).__name__
-        about = heading(f"controller {kind}", robot.name, robot.joint_names)
+        about = (*heading(f"controller {kind}", robot.name, robot.joint_names), part(whole.template()))
         return replace(record(f"{kind}_{robot.name}", taken, algorithm), about=about)
 
 

@@ -7,10 +7,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
+from torch import Tensor
 
 from torchdq.envs.rng import seeds_of
 from torchdq.envs.vector_env import ArmVectorEnv
-from torchdq.errors import ArgumentError
+from torchdq.errors import ArgumentError, UnknownNameError
 
 _METADATA: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 50}
 
@@ -50,7 +51,9 @@ class ArmEnv(gymnasium.Env):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Observation at the start of a new episode, and an empty `info`."""
+        """Observation at the start of a new episode, and an empty `info`; there are no options."""
+        for name in options or {}:
+            raise UnknownNameError("option of reset of a single environment", name, ())
         if seed is not None:
             (seed,) = seeds_of(seed, 1)
         super().reset(seed=seed)
@@ -63,7 +66,8 @@ class ArmEnv(gymnasium.Env):
         Args:
             action: [n] in [-1, 1].
         """
-        observations, rewards, terminated, truncated, info = self.envs.step(np.asarray(action)[None])
+        rows = action.detach()[None] if isinstance(action, Tensor) and action.ndim else np.asarray(action)[None]
+        observations, rewards, terminated, truncated, info = self.envs.step(rows)
         one = {name: x.item() if x.ndim == 1 else x.cpu().numpy()[0] for name, x in info.items()}
         return observations.cpu().numpy()[0], rewards.item(), terminated.item(), truncated.item(), one
 

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 from torch import Tensor
 
+from torchdq.call import batch_of
+from torchdq.envs.recording import Stage
 from torchdq.envs.state import State, require_state
 from torchdq.errors import ArgumentError
 
@@ -35,6 +37,7 @@ def linearize(scene: Scene, state: State, given: Mapping[str, Tensor | None]) ->
             "in these components, or take finite differences of it"
         )
     inputs = {name: x for name, x in given.items() if x is not None}
+    batch_of(Stage(scene.spec, "step"), {**state.rows(), **inputs})  # raises, naming what does not fit
     torque = inputs.pop("torque", state.q.new_zeros(scene.n))
     parts = [*state.rows().values(), torque]
     batch = torch.broadcast_shapes(*(x.shape[:-1] for x in (*parts, *inputs.values())), *scene.batches.values())

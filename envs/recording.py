@@ -14,15 +14,17 @@ from typing import Any, NamedTuple
 
 from torchdq.caches import PROGRAMS, remembered
 from torchdq.call import Computation
+from torchdq.checks import Named
 from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.sensor import Sensor
+from torchdq.envs.contributions import row_and_memory
 from torchdq.envs.free_base import POSE, TWIST
 from torchdq.envs.integrators import Integrator
 from torchdq.envs.spec import Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
 from torchdq.envs.system import SceneSystem, motion, with_growths
 from torchdq.errors import ArgumentError
-from torchdq.export.meaning import heading
+from torchdq.export.meaning import heading, part
 from torchdq.functions.recipe import worth_recording
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot.fields import trailing
@@ -39,10 +41,15 @@ def drive(scene: RecordedScene) -> tuple[Row, Row, Row, Memory]:
     if spec.controller is not None:
         reading, reference = inputs.get("reading", (*q, *qd)), inputs["reference"]
         control = spec.controller.torques(scene.posed(reading[:n]), reference, reading[:n], reading[n:])
+        if len(control) != n:
+            raise ArgumentError(
+                f"torques of {type(spec.controller).__name__} must return {n} numbers, found {len(control)}"
+            )
         u = [a + b for a, b in zip(u, control, strict=True)]
     x, v = scene.packed(q, qd, memory)
     for i, actuator in spec.of(Actuator):
-        u, memory[i] = actuator.driven(u, v[-n:], memory[i], spec.dt)  # motors turn with the rotors
+        driven = actuator.driven(u, v[-n:], memory[i], spec.dt)  # motors turn with the rotors
+        u, memory[i] = row_and_memory(actuator, "driven", driven, n, actuator.memory(n))
     return u, *scene.with_base(x, scene.with_inner(v, memory)), memory
 
 
@@ -71,7 +78,8 @@ def sense(scene: RecordedScene, task: Task | None, u: Row, x: Row, v: Row, memor
     for i, sensor in scene.spec.of(Sensor):
         before = memory[i] if i in memory else sensor.start(reading[:n], reading[n:])
         width = sensor.noises(n)
-        reading, memory[i] = sensor.read(reading, before, noise[used : used + width])
+        read = sensor.read(reading, before, noise[used : used + width])
+        reading, memory[i] = row_and_memory(sensor, "read", read, 2 * n, sensor.memory(n))
         used += width
     rows: Rows = {**moved, **_remembered(memory)}
     if scene.spec.senses:
@@ -119,6 +127,10 @@ def _energy(scene: RecordedScene, task: Task | None) -> Rows:
     return {"E": (at.kinetic_energy(motion(scene, v)), at.potential_energy())}
 
 
+def _bodies(scene: RecordedScene, task: Task | None) -> Rows:
+    return {name: row for name, row in scene.overrides.items() if row is not None}
+
+
 def _evaluation(method: Callable[..., Row], *names: str) -> Callable[[RecordedScene, Task | None], Rows]:
     """Stage of an evaluation of the equations of motion, with the inputs of those names as its arguments."""
 
@@ -141,7 +153,15 @@ EVALUATIONS = {
     "momentum_accelerations": _evaluation(SceneSystem.momentum_accelerations, "x", "v"),
     "velocities_at": _evaluation(SceneSystem.velocities_at, "x", "v", "to"),
 }
-STAGES = {"step": _step, "drive": _drive, "sense": _sense, "begin": _begin, "energy": _energy, **EVALUATIONS}
+STAGES = {
+    "step": _step,
+    "drive": _drive,
+    "sense": _sense,
+    "begin": _begin,
+    "energy": _energy,
+    "bodies": _bodies,
+    **EVALUATIONS,
+}
 
 
 # --- programs --------------------------------------------------------------------------------------------------------
@@ -240,7 +260,8 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
 
     def by(linear: bool) -> Program:
         def algorithm(*rows: Row) -> Rows:
-            inputs = {a.name: row for a, owner, row in zip(arguments, owners, rows, strict=True) if not owner}
+            given = {a.name: row for a, owner, row in zip(arguments, owners, rows, strict=True) if not owner}
+            inputs = Named("input of the scene", given)
             tensors = {owner: row for owner, row in zip(owners, rows, strict=True) if owner}
             return STAGES[what.stage](recorded(spec, linear, inputs, tensors, per_sample), what.task)
 
@@ -248,8 +269,9 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
 
     best = min(map(by, worth_recording(spec.robot.n, (False, True))), key=lambda p: p.count().total)
     steps = f"{what.stage} of {spec.dt:g} s" if what.stage == "step" else what.stage
-    effects = [f"effect {k}: {type(effect).__name__}" for k, effect in enumerate(spec.effects)]
-    return replace(best, about=(*heading(steps, spec.robot.name, spec.robot.joint_names), *effects))
+    about = [f"effect {k}: {part(effect)}" for k, effect in enumerate(spec.effects)]
+    about += [] if spec.controller is None else [f"controller: {part(spec.controller)}"]
+    return replace(best, about=(*heading(steps, spec.robot.name, spec.robot.joint_names), *about))
 
 
 def owner_of(name: str) -> tuple[int, str] | None:

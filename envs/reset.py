@@ -74,7 +74,8 @@ class Reset:
         given = task_inputs(task, fresh, opening)
         state, seen = opening.begin({"q": fresh["q"], "qd": fresh["qd"]}, given, noise, self.checked)
         if own is not None:
-            seen["observation"] = own.first(own.now(state, fresh["goal"], steps, seen), looks)
+            now = own.now(state, fresh["goal"], steps, seen, scene=lambda: _of_rows(self.scene, rows))
+            seen["observation"] = own.first(now, looks)
         return fresh | state.rows() | {"observation": seen["observation"], "reference": seen["reference"]}
 
     def blank(

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from operator import and_
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from torch import Tensor
@@ -20,7 +20,7 @@ from torch import Tensor
 from torchdq.backends.choice import BackendName
 from torchdq.caches import PROGRAMS, Bounded
 from torchdq.call import evaluate
-from torchdq.checks import frozen, require_count, require_number, require_object
+from torchdq.checks import frozen, require_choice, require_count, require_number, require_object
 from torchdq.effects.effect import Effect
 from torchdq.envs.controllers import Controller
 from torchdq.envs.describe import Description, describe
@@ -96,6 +96,7 @@ class Scene:
         require_number("dt", self.dt, positive=True)
         require_count("substeps", self.substeps)
         check_precision(self.precision)
+        require_choice("backend", self.backend, (None, *get_args(BackendName)))
         if self.substeps > 1 and isinstance(self.integrator, Unrecorded):
             raise ArgumentError(
                 f"substeps are those of a recorded integrator, found {self.substeps} with {self.integrator!r}; "
@@ -357,8 +358,7 @@ class Scene:
             batch: samples per step of which the time is taken, on torch's present number of threads; that of the
                 parameters if they differ from sample to sample.
             dtype: dtype of those samples.
-            seconds: time for all of it, compiling included as far as possible [s]; effects for which it does not last
-                print "-" in place of a time. 0: operations alone.
+            seconds: time for all of it, compiling included [s]; effects it does not last for print "-". 0: no times.
         """
         return describe(self, batch, dtype, seconds)
 

@@ -12,6 +12,7 @@ from torchdq.effects.joint import JointEffect
 from torchdq.effects.model import ModelEffect
 from torchdq.effects.sensor import Sensor
 from torchdq.effects.transmission import Transmission
+from torchdq.envs import contributions
 from torchdq.envs.controllers import Controller
 from torchdq.envs.free_base import POSE, TWIST, unit
 from torchdq.envs.integrators import Integrator
@@ -205,7 +206,7 @@ def recorded(
         controller=None if spec.controller is None else bound(CONTROLLER, spec.controller),
     )
     for i, effect in sorted(spec.of(ModelEffect), key=lambda found: found[1].LATE):
-        changes = effect.changed(spec.robot, overrides)
+        changes = contributions.changes(effect, effect.changed(spec.robot, overrides), spec.robot)
         overrides.update(changes)
         if any(owner == i for owner, _ in per_sample):
             differing.update(changes)

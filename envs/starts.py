@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchdq.call import batch_of
-from torchdq.checks import tensor_of
+from torchdq.checks import require_tensor, tensor_of
 from torchdq.envs.free_base import POSE
 from torchdq.envs.recording import Stage
 from torchdq.envs.state import State
@@ -26,6 +26,7 @@ OUTSIDE = 0.5  # distance beyond a limit from which its spring throws the joint 
 
 def motion_at_start(scene: Scene, given: Mapping[str, Tensor | None]) -> dict[str, Tensor]:
     """Positions and velocities of a state, by name, with common batch axes; those not given are zero, a pose is 1."""
+    require_tensor("q", given["q"])
     present = {name: x for name, x in given.items() if x is not None}
     batch = batch_of(Stage(scene.spec, "start"), present)
     q = present["q"]

@@ -16,10 +16,9 @@ from torchdq.dynamics.posed import Posed, Row
 from torchdq.effects.body import Bodies, BodyEffect
 from torchdq.effects.joint import Impedance, JointEffect, load_size, total
 from torchdq.effects.transmission import Transmission
-from torchdq.envs import free_base
+from torchdq.envs import contributions, free_base
 from torchdq.envs.integrators import System
 from torchdq.envs.spec import RecordedScene, Rows
-from torchdq.errors import ArgumentError
 from torchdq.numbers.record import Recorded
 from torchdq.program import autodiff as derive
 from torchdq.program.program import GROWTH, Argument, record, replay
@@ -71,7 +70,8 @@ class SceneSystem(System):
         bodies = Bodies(robot, at, at.twists(motion(self.scene, v)))
         wrenches: list[Screw | None] = [None] * (len(robot.link_names) + 1)  # the base's first
         for _, effect in effects:
-            for i, wrench in effect.wrenches(bodies, self.scene.inputs).items():
+            given = effect.wrenches(bodies, self.scene.inputs)
+            for i, wrench in contributions.wrenches(effect, given, len(robot.link_names)).items():
                 wrenches[i] = add(wrenches[i], wrench)
         return [neg(f) for f in wrenches]
 
@@ -119,12 +119,7 @@ class SceneSystem(System):
         qd, found = v[: self._n], []
         for effect, memory in self._inner(v):
             row = effect.impedances_at_end(q, qd, self.scene.inputs, memory, h)
-            if len(row) != len(q):
-                raise ArgumentError(
-                    f"impedances of {type(effect).__name__} must return one Impedance for each of {len(q)} joints, "
-                    f"found {len(row)}"
-                )
-            found.append(row)
+            found.append(contributions.impedances(effect, row, len(q)))
         return [list(joint) for joint in zip(*found, strict=True)] if found else [[] for _ in q]
 
     def _inner_rates(self, q: Row, v: Row, ends: Row, h: Number = 0.0) -> list[Number]:

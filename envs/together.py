@@ -22,6 +22,7 @@ from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 
 SLOTS = (ModelEffect, JointEffect, Transmission, BodyEffect, Actuator, Sensor)
+OWN = ("q", "qd", "X_WB", "V_WB_B", "memory", "reading", "torque", "reference", "noise")  # inputs of every scene
 _told: Bounded[tuple[str, type[Effect]], bool] = Bounded(PROGRAMS)  # effects that take nothing, told once
 
 
@@ -31,6 +32,12 @@ def together(effects: Sequence[Effect], robot: Robot) -> tuple[Effect, ...]:
     resolved = tuple(effect.resolved(robot) for effect in effects)
     for asked, effect in zip(effects, resolved, strict=True):
         _tell_if_idle(asked, effect, robot)
+    for effect in resolved:
+        for name in effect.inputs(robot.n):
+            if name in OWN:
+                raise ArgumentError(
+                    f"inputs of {type(effect).__name__} must not hold {name!r}, found in every scene; name it apart"
+                )
     names = Counter(
         name
         for effect in resolved

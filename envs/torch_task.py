@@ -26,10 +26,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq.checks import Named, floating, require_count, require_tensor
+from torchdq.checks import Named, floating, is_number, require_count, require_tensor
+from torchdq.envs.scene import Scene
+from torchdq.envs.simulated import Simulated
 from torchdq.envs.state import State
 from torchdq.envs.tasks import SENSIBLE, EpisodeTask
 from torchdq.errors import ArgumentError, UnknownNameError
@@ -39,7 +42,6 @@ from torchdq.robot import Robot
 class Now(NamedTuple):
     """A batch of environments after a step, or at the start of an episode, as the functions of a task see it."""
 
-    robot: Robot  # as described, without what is randomised
     q: Tensor  # [N, n] positions [rad or m]
     qd: Tensor  # [N, n] velocities [rad/s or m/s]
     q_measured: Tensor  # [N, n] as the sensors read them
@@ -48,6 +50,17 @@ class Now(NamedTuple):
     time: Tensor  # [N] since the start of the episode [s]
     action: Tensor  # [N, n] in [-1, 1]; zeros at a start
     rows: Mapping[str, Tensor]  # those of the recorded task: "observation", "reward", "reference" and others
+    simulated: Callable[[], Robot]  # function that returns `robot`
+
+    @property
+    def robot(self) -> Robot:
+        """Rigid bodies as they are simulated, a row for each environment where they differ.
+
+        They have the gravity, the rotors and the payloads of the scene's effects, and masses, centres of mass and
+        gravity as they were drawn. Friction and delays are no part of them. An observation of what depends on them
+        tells a policy what no sensor of a real arm does; close over the robot as described where that is not meant.
+        """
+        return self.simulated()
 
 
 @dataclass(frozen=True)
@@ -62,9 +75,11 @@ class TorchTask:
         reward: function of a `Now` that returns [N]; None: that of the recorded task.
         observation: function of a `Now` that returns [N, k], also called at starts; None: likewise.
         terminated: function of a `Now` that returns a bool [N]; None: likewise.
-        start: function of the robot and of random numbers in (0, 1) [N, draws] that returns {"q": [N, n]}, and may
-            return "qd" [N, n] and "goal"; what it leaves out is that of the recorded task. None: likewise.
-        bounds: lower and upper bound of each of the k numbers of an observation; may be infinite.
+        start: function of the robot, as described, and of random numbers in (0, 1) [N, draws] that returns
+            {"q": [N, n]}, and may return "qd" [N, n] and "goal"; what it leaves out is that of the recorded task. None:
+            likewise.
+        bounds: a pair (lower, upper) for each of the k numbers of an observation, such as [(-10, 10)] * k; may be
+            infinite. They become `single_observation_space`; observations are not clipped.
         draws: random numbers that `start` takes for each episode.
 
     >>> import torch
@@ -88,33 +103,70 @@ class TorchTask:
         for name in ("reward", "observation", "terminated", "start"):
             if (function := getattr(self, name)) is not None and not callable(function):
                 raise ArgumentError(f"{name} must be a function or None, found {function!r}")
-        if (self.observation is None) != (self.bounds is None):
+        if self.observation is not None and self.bounds is None:
             raise ArgumentError(
-                "bounds must be given with an observation, and only then: a pair (lower, upper) for each of its numbers"
+                "bounds must be given with an observation: a pair (lower, upper) for each of its k numbers, such as "
+                "bounds=[(-10, 10)] * k"
             )
-        for pair in self.bounds or ():
-            if not (isinstance(pair, Sequence) and len(pair) == 2 and pair[0] <= pair[1]):
-                raise ArgumentError(f"bounds must be pairs (lower, upper), found {pair!r}")
+        if self.observation is None and self.bounds is not None:
+            raise ArgumentError(
+                "bounds must be None without an observation: they are those of its numbers, and the recorded task has "
+                "its own"
+            )
+        if self.bounds is not None:
+            object.__setattr__(self, "bounds", _pairs(self.bounds))
         require_count("draws", self.draws, least=0)
         if self.draws and self.start is None:
             raise ArgumentError(f"draws must be 0 without a start, which takes them, found {self.draws!r}")
 
 
+def _pairs(bounds: Any) -> tuple[tuple[float, float], ...]:
+    """Bounds as pairs of numbers."""
+    given = bounds.tolist() if isinstance(bounds, np.ndarray | Tensor) else bounds
+    if not isinstance(given, Sequence) or isinstance(given, str):
+        raise ArgumentError(f"bounds must be a sequence of pairs (lower, upper), found {bounds!r}")
+    for pair in given:
+        numbers = isinstance(pair, Sequence) and len(pair) == 2 and all(map(is_number, pair))
+        if not numbers or not pair[0] <= pair[1]:
+            raise ArgumentError(
+                f"bounds must be pairs (lower, upper), one for each number of an observation, found {pair!r} among them"
+            )
+    return tuple((float(low), float(high)) for low, high in given)
+
+
 class Functions(NamedTuple):
-    """Functions of a task for one robot."""
+    """Functions of a task for the scene of its environments."""
 
     task: TorchTask
-    robot: Robot
-    dt: float  # duration of a step [s]
+    scene: Scene
+    robot: Robot  # as described
+    simulated: Simulated
+
+    @classmethod
+    def of(cls, task: TorchTask, robot: Robot, scene: Scene, device: torch.device) -> Functions:
+        """Functions of a task for a scene, which may simulate more than the robot as described."""
+        near = robot if robot.mass.device == device else robot.to(device=device)
+        return cls(task, scene, near, Simulated.of(scene, device))
 
     def now(
-        self, state: State, goal: Tensor, steps: Tensor, rows: Mapping[str, Tensor], action: Tensor | None = None
+        self,
+        state: State,
+        goal: Tensor,
+        steps: Tensor,
+        rows: Mapping[str, Tensor],
+        action: Tensor | None = None,
+        scene: Callable[[], Scene] | None = None,
     ) -> Now:
-        """Environments as the functions see them."""
+        """Environments as the functions see them; `scene` returns that of some of them alone."""
         q, qd = state.measured
-        time = steps.to(state.q.dtype) * self.dt
+        time = steps.to(state.q.dtype) * self.scene.dt
         action = torch.zeros_like(state.q) if action is None else action
-        return Now(self.robot, state.q, state.qd, q, qd, goal, time, action, Named("row in now.rows", rows))
+        named = Named("row in now.rows", rows)
+
+        def simulated() -> Robot:
+            return self.simulated(self.scene if scene is None else scene(), state.q)
+
+        return Now(state.q, state.qd, q, qd, goal, time, action, named, simulated)
 
     def _called(self, name: str, *arguments: Any) -> Any:
         """Result of a function of the task."""
@@ -157,7 +209,13 @@ class Functions(NamedTuple):
         """Observation [N, k]."""
         if self.task.observation is None:
             return now.rows["observation"]
-        return _row("observation", self._called("observation", now), (len(now.q), len(self.task.bounds or ())), now.q)
+        found, number = self._called("observation", now), len(self.task.bounds or ())
+        if isinstance(found, Tensor) and found.ndim == 2 and found.shape[1] != number:
+            raise ArgumentError(
+                f"observation of the task must have a number for each of its {number} bounds, found "
+                f"{found.shape[1]}; give bounds=[(lower, upper), ...] with {found.shape[1]} pairs"
+            )
+        return _row("observation", found, (len(now.q), number), now.q)
 
     def after(self, now: Now) -> dict[str, Tensor]:
         """Rows of a step; "valid" is 0 where a function returned what is not finite."""

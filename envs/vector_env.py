@@ -159,8 +159,7 @@ class ArmVectorEnv(VectorEnv):
         check_scene(self.scene, num_envs)
         self._actions = Actions(action, self.robot, torch.as_tensor(full(self.robot, action, scale)).to(like))
         self._checked = Checked(self.task)
-        near = self.robot if self.robot.mass.device == self.device else self.robot.to(self.device)
-        self._functions = None if functions is None else Functions(functions, near, dt)
+        self._functions = None if functions is None else Functions.of(functions, self.robot, self.scene, self.device)
         self._reset = Reset(self.scene, self._checked, self._randomised, self._functions)
         bounds = self.task.bounds(self.robot) if functions is None or functions.bounds is None else functions.bounds
         low, high = np.array(bounds, dtype=np.dtype(str(self.dtype).removeprefix("torch."))).T

@@ -64,7 +64,10 @@ int main(int count, char **arguments)
         }
         clock_gettime(CLOCK_MONOTONIC, &woken);
         desired(1e-9 * (double)period * (double)k, q_des, qd_des, qdd_des);
-        (void)arm_control(q, qd, q_des, qd_des, qdd_des, tau);
+        if (arm_control(q, qd, q_des, qd_des, qdd_des, tau)) {
+            fprintf(stderr, "a torque is not finite in cycle %ld\n", k);
+            return 1;
+        }
         clock_gettime(CLOCK_MONOTONIC, &done);
         late[k] = between(due, woken);
         computed[k] = between(woken, done);

@@ -2043,8 +2043,8 @@ MUTANTS = (
             "export.py::test_a_mass_matrix_that_is_not_positive_is_told_by_the_status",
         ),
         (
-            "a status that is good beyond the reach of the own sine",
-            '[f"{angles} == {angles}"] if angles else []',
+            "a status that is good whatever the results are",
+            '[f"{x} == {x}" for x in (angles, wrong) if x]',
             "[]",
             "export.py::test_own_sine_and_cosine_are_within_an_ulp_and_undefined_far_away",
         ),
@@ -2513,7 +2513,7 @@ MUTANTS = (
         "torchdq/robot/units.py",
         (
             "payloads in mm believed",
-            "found = [*_of_bodies(bodies, mass, com, inertia, _length(robot))]",
+            "found = [*_of_bodies(bodies, mass, com, inertia, _length(robot), LARGE)]",
             "found: list[str] = []",
             "combined.py::test_a_payload_in_other_units_is_named_once",
         ),
@@ -2537,9 +2537,15 @@ MUTANTS = (
         ),
         (
             "inertias in kg mm^2 believed",
-            "length > 0 and radius > LARGE * length",
+            "length > 0 and radius > large * reach",
             "False",
             "units.py::test_a_body_in_other_units_is_named_when_loaded_and_when_checked",
+        ),
+        (
+            "inertias in g m^2 believed",
+            "together > HEAVY * length > 0",
+            "False",
+            "units.py::test_inertias_a_thousand_times_too_large_are_doubted",
         ),
         (
             "lengths of joints forgotten",

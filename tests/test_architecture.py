@@ -31,6 +31,7 @@ FLOORS = {
     "torchdq.errors": -1,
     "torchdq.optional": 1,
     "torchdq.attributes": 0,
+    "torchdq.source_folder": 0,
     "torchdq.checks": 0,
     "torchdq.notice": 0,
     "torchdq.tables": 0,

@@ -1,5 +1,9 @@
 """Mistakes that a newcomer makes, each met once: the message says what was expected, what was found and what to do."""
 
+import copy
+import dataclasses
+import importlib
+import pickle
 import re
 import subprocess
 import sys
@@ -11,7 +15,11 @@ import torch
 
 import torchdq
 from torchdq import ArgumentError, DescriptionError, Robot, TorchdqError, UnknownNameError, convert, dq
-from torchdq.envs import Scene, controllers, effects, integrators
+from torchdq.effects.actuator import Actuator
+from torchdq.effects.body import BodyEffect
+from torchdq.effects.joint import Impedance, JointEffect
+from torchdq.effects.model import ModelEffect
+from torchdq.envs import ArmEnv, ArmVectorEnv, Scene, TorchTask, controllers, effects, integrators
 from torchdq.errors import nearest
 from torchdq.learning import LogError, Recording, Samples, cut, excite, fit, fit_rollout, identify, read
 
@@ -210,6 +218,144 @@ LEARNING = [
 )
 def test_what_cannot_be_learned_from_says_what_can(call, error, parts):
     refused(call, error, *parts)
+
+
+# --- effects of one's own --------------------------------------------------------------------------------------------
+
+
+def own(base, method, result, **more):
+    """Scene with an effect whose method returns a result."""
+    members = {method: lambda self, *given: result(*given), **more}
+    return Scene(ARM, (dataclasses.dataclass(frozen=True)(type("Own", (base,), members))(),))
+
+
+def joints(result):
+    return lambda: own(JointEffect, "impedances", lambda q, qd, inputs: result(q, inputs))
+
+
+def links(result):
+    return lambda: own(BodyEffect, "wrenches", lambda bodies, inputs: result)
+
+
+def motors(result, **more):
+    return lambda: own(Actuator, "driven", lambda u, qd, memory, dt: result(u), **more)
+
+
+def model(result):
+    return lambda: own(ModelEffect, "changed", lambda robot, overrides: result)
+
+
+OWN = [
+    (joints(lambda q, inputs: [Impedance(damping=-5.0)] * 2), "damping in impedances of Own must not be negative"),
+    (joints(lambda q, inputs: [Impedance(0.0, -x, -1.0) for x in q]), "stiffness in impedances of Own must not be neg"),
+    (joints(lambda q, inputs: [Impedance(1.0)]), "one Impedance for each of 2 joints, found 1"),
+    (joints(lambda q, inputs: None), "one Impedance for each of 2 joints, found NoneType"),
+    (joints(lambda q, inputs: list(q)), "one Impedance for each of 2 joints, found list of 2"),
+    (joints(lambda q, inputs: [Impedance(0.0, inputs["wind"][0])] * 2), "no input of the scene named 'wind'; known: "),
+    (
+        lambda: own(JointEffect, "impedances", None, inputs=lambda self, n: {"torque": n}),
+        "inputs of Own must not hold 'torque'",
+    ),
+    (links({1: (1.0,) * 6}), "wrenches of Own must be (force, moment) with three numbers each, found tuple of 6"),
+    (links({7: ((1.0,) * 3, None)}), "links from 0, the base, to 2, found 7; bodies.frame(name) has them"),
+    (links({"link1": ((1.0,) * 3, None)}), "links from 0, the base, to 2, found 'link1'"),
+    (links(None), "wrenches of Own must return a dict of wrenches"),
+    (motors(lambda u: (u[:1], ())), "driven of Own must return a row of 2 numbers, found 1"),
+    (motors(lambda u: list(u)), "driven of Own must return a row of 2 numbers and its memory, (row, ()) if it has"),
+    (motors(lambda u: (u, ()), memory=lambda self, n: n), "driven of Own must return a memory of 2 numbers, found 0"),
+    (model({"mass": (1.0,)}), "mass from changed of Own must be a row of 2 numbers, found 1"),
+    (model({"masses": (1.0, 1.0)}), "'masses'; did you mean 'mass'"),
+    (model({"mass": (-1.0, 1.0)}), "mass from changed of Own must not be negative, found [-1.0, 1.0]"),
+]
+
+
+@pytest.mark.parametrize(("scene", "message"), OWN, ids=[message for _, message in OWN])
+def test_an_effect_of_ones_own_is_told_its_fault(scene, message):
+    refused(lambda: scene().program(), TorchdqError, message)
+
+
+def test_a_method_that_is_missing_is_named():
+    with pytest.raises(NotImplementedError, match="Own must define the method impedances"):
+        Scene(ARM, (type("Own", (JointEffect,), {})(),)).program()
+
+
+# --- layers, environments, files -------------------------------------------------------------------------------------
+
+CONTROL = torchdq.ComputedTorque(ARM, 9.0, 3.0)
+STATE = Scene(ARM).start(ROW)
+UNTURNED = torch.tensor([1.0, 0, 0, 0, 0, 0, 0, 0])
+MORE = [
+    (lambda: CONTROL(*5 * [np.zeros(2)]), "q must be a tensor, found ndarray; use torch.as_tensor"),
+    (lambda: CONTROL(ROW, *4 * [np.zeros(2)]), "qd must be a tensor, found ndarray; use torch.as_tensor"),
+    (lambda: CONTROL.friction_torque([0.0, 0.0]), "qd must be a tensor, found list; use torch.as_tensor"),
+    (lambda: Scene(ARM).start(None), "q must be a tensor, found NoneType"),
+    (lambda: Scene(ARM).linearize(STATE, np.zeros(2)), "torque must be a tensor, found ndarray"),
+    (lambda: Scene(ARM).linearize(STATE, torch.zeros(2, dtype=torch.int64)), "torque must be float32 or float64"),
+    (lambda: Scene(ARM, backend="gpu"), "backend must be one of None, 'auto'"),
+    (lambda: torchdq.DQRNEA(ARM, learn="damping"), "found 'damping'; 'friction' learns viscous and Coulomb friction"),
+    (lambda: torchdq.DQRNEA(ARM, learn="masses"), "found 'masses'; did you mean 'mass'?"),
+    (lambda: torchdq.DQRNEA(ARM, learn={"mass": [1.0]}), "it takes names alone", "robot.replace(...)"),
+    (lambda: torchdq.DQRNEA(ARM, learn="kp"), "gains are learned by torchdq.ComputedTorque alone"),
+    (lambda: ArmEnv(robot=ARM, scale=1.0).reset(options={"qq": 1}), "no option of reset", "'qq'; known: none"),
+    (lambda: ArmVectorEnv(2, robot=ARM, scale=np.array([1.0, -2.0])), "scale must be a positive number or 2 of them"),
+    (lambda: TorchTask(observation=len), "bounds must be given with an observation", "bounds=[(-10, 10)] * k"),
+    (lambda: TorchTask(bounds=[(-1, 1)]), "bounds must be None without an observation"),
+    (lambda: TorchTask(observation=len, bounds=(-1, 1)), "bounds must be pairs (lower, upper), one for each", "-1"),
+    (lambda: TorchTask(observation=len, bounds=3), "bounds must be a sequence of pairs (lower, upper), found 3"),
+    (lambda: torchdq.compile(ARM, "mass_matrix").export(None), "folder must be a path, found NoneType"),
+    (lambda: torchdq.compile(ARM, "mass_matrix").export(__file__), "folder must be one that files can be written to"),
+    (lambda: convert.configuration_to_mujoco(UNTURNED, np.zeros(2)), "the row of the joints must be a tensor"),
+    (
+        lambda: convert.configuration_to_mujoco(UNTURNED.expand(2, 8), torch.zeros(3, 2)),
+        "the batch axes of the arguments must broadcast, found (2,), (2,), (3,)",
+    ),
+    (lambda: fit(torch.nn.Linear(2, 2), SAMPLES, steps=1), "model must be called as model(q, qd, qdd), found Linear"),
+    (
+        lambda: fit(torchdq.ForwardDynamics(ARM, learn="mass"), SAMPLES, steps=1),
+        "model must return the torques of motions (q, qd, qdd), found a ForwardDynamics; fit a DQRNEA",
+    ),
+]
+
+
+@pytest.mark.parametrize(("call", "parts"), [(call, parts) for call, *parts in MORE], ids=[p[0] for _, *p in MORE])
+def test_what_layers_environments_and_files_cannot_take_says_what_they_take(call, parts):
+    refused(call, TorchdqError, *parts)
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        *((name, "; its name here is n") for name in ("dof", "nq", "num_joints")),
+        ("joint_limits", "; its name here is limits, with lower and upper"),
+        ("fk", "; its name here is torchdq.forward_kinematics(robot, q, frame)"),
+        ("masses", "; did you mean mass "),
+        ("joint_nmes", "; did you mean joint_names"),
+    ],
+)
+def test_a_robot_says_what_an_attribute_is_called(name, hint):
+    with pytest.raises(AttributeError, match=re.escape(f"'Robot' object has no attribute {name!r}{hint}")):
+        getattr(ARM, name)
+    assert not hasattr(ARM, "_absent") and pickle.loads(pickle.dumps(ARM)).n == copy.deepcopy(ARM).n == 2
+
+
+def test_envs_that_are_not_found_say_how_to_install(monkeypatch):
+    finders = [finder for finder in sys.meta_path if "Editable" not in getattr(finder, "__name__", "")]
+    monkeypatch.setattr(sys, "meta_path", finders)
+    monkeypatch.setattr(torchdq, "__path__", [str(Path(torchdq.__file__).parent)])
+    if (Path(torchdq.__file__).parent / "envs").is_dir():
+        pytest.skip("the package is installed with all its parts")
+    for name in [name for name in sys.modules if name.startswith("torchdq.envs")]:
+        monkeypatch.delitem(sys.modules, name)
+    with pytest.raises(
+        torchdq.MissingLibraryError, match=r"torchdq\.envs is not found: .*pip install -e .*another folder"
+    ):
+        importlib.import_module("torchdq.envs")
+
+
+def test_an_action_with_a_gradient_is_taken_without_it():
+    env = ArmEnv(robot=ARM, scale=1.0)
+    env.reset(seed=0)
+    assert np.isfinite(env.step(torch.zeros(2, requires_grad=True))[1])
 
 
 # --- files that are no URDF ------------------------------------------------------------------------------------------

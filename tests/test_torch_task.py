@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import torchdq
-from torchdq.envs import ArmEnv, ArmVectorEnv, TorchTask, effects
+from torchdq.envs import ArmEnv, ArmVectorEnv, State, TorchTask, effects
 from torchdq.envs.tasks import Reach
 
 BOT = torchdq.robots.load("two_link")
@@ -64,9 +64,33 @@ def test_functions_see_the_state_after_the_step():
     now = seen[1]
     assert torch.equal(now.q, envs._buffers["q"]) and torch.equal(now.qd, envs._buffers["qd"])
     assert torch.allclose(now.q_measured, now.q + 0.3) and torch.allclose(now.qd_measured, now.qd + 0.1)
-    assert torch.equal(now.action, action.clamp(-1, 1)) and now.robot is BOT
+    assert torch.equal(now.action, action.clamp(-1, 1))
     assert torch.allclose(now.time, torch.full((5,), 2 * envs.scene.dt)) and now.goal.shape == (5, 14)
     assert torch.equal(rewards, now.q.sum(1)) and {"observation", "reward", "reference", "error"} <= set(now.rows)
+
+
+@pytest.mark.parametrize(
+    "randomise", [{"mass": 0.3, "payload": (1.0, 2.0), "gravity": 0.2, "com": 0.05}, {"payload": 2.0}, None], ids=str
+)
+def test_the_robot_of_a_row_is_the_one_that_is_simulated(randomise):
+    parts = (effects.Gravity(), effects.RotorInertia(0.3), effects.Payload(0.5, frame="tip"), effects.Viscous(1.0))
+    seen = []
+
+    def watched(now):
+        seen.append((now, now.robot))
+        return state(now)
+
+    task = TorchTask("reach", observation=watched, bounds=BOUNDS)
+    envs = make(task, effects=parts, randomise=randomise, dtype="float64", autoreset_mode="Disabled")
+    some = torch.tensor([False, True, False, True, True])
+    envs.reset(options={"reset_mask": some})
+    envs.step(torch.zeros(5, 2, dtype=torch.float64))
+    _, (_, of_some), (now, robot) = seen
+    found = torchdq.kinetic_energy(robot, now.q, now.qd), torchdq.potential_energy(robot, now.q)
+    energy = envs.scene.energy(State(now.q, now.qd))
+    assert torch.allclose(torch.stack(found, -1), energy, rtol=1e-12, atol=1e-12)
+    assert (robot.mass.ndim == 2) == (randomise is not None)
+    assert torch.equal(of_some.mass, robot.mass if randomise is None else robot.mass[some])
 
 
 def test_an_observation_of_tensors_has_its_own_space():
@@ -151,7 +175,10 @@ def test_a_function_that_fails_ends_that_row_alone(name, bad):
             lambda: TorchTask(reward=lambda now: now.q.sum()),
             r"reward of the task must have the shape \[5\], found \(\)",
         ),
-        (lambda: TorchTask(observation=state, bounds=BOUNDS[:3]), r"shape \[5, 3\], found \(5, 4\)"),
+        (
+            lambda: TorchTask(observation=state, bounds=BOUNDS[:3]),
+            "for each of its 3 bounds, found 4",
+        ),
         (lambda: TorchTask(terminated=lambda now: now.q[:, 0]), "terminated must return a bool tensor of shape"),
         (lambda: TorchTask(start=lambda robot, u: u), "start must return a dict of q, qd, goal, found Tensor"),
         (lambda: TorchTask(start=lambda robot, u: {"x": u}), "no row that start may return named 'x'"),

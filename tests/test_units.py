@@ -11,6 +11,7 @@ import torchdq
 from torchdq.robot import units
 
 CLEAR = 8.0  # factor by which every robot that exists stays below what is doubted
+CLOSER = 1.6  # the same for sizes of bodies, which placeholders of existing files come close to
 EXISTING = [name for name in oracles.urdf_paths() if name not in oracles.UNREADABLE]
 
 
@@ -165,6 +166,30 @@ def test_what_is_unphysical_by_consent_is_only_noted():
     assert "is it in mm?" in str(robot.report())
 
 
+@pytest.mark.parametrize("name", ["panda", "ur10e", "puma560"])
+def test_inertias_a_thousand_times_too_large_are_doubted(name):
+    robot = torchdq.robots.load(name)
+    told = r"(inertias must be in kg m\^2|link '\w+': inertia must be in kg m\^2) .* in g m\^2 or in kg cm\^2\?"
+    with pytest.warns(UserWarning, match=told):
+        large = robot.replace(inertia=1e3 * robot.inertia)
+    assert "in g m^2 or in kg cm^2?" in str(large.report())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        robot.replace(inertia=10 * robot.inertia)
+
+
+def test_one_inertia_a_thousand_times_too_large_is_doubted_where_no_link_is_so_large():
+    with pytest.warns(UserWarning, match=r"link 'link2': inertia must be in kg m\^2 .* in g m\^2 or in kg cm\^2\?"):
+        arm("inertia", factor=90.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # a disc on a short axle, and a rod on one
+        disc = {"mass": [1.0], "com": [[0.0, 0, 0]], "inertia": [[0.5, 0, 0.5, 0, 0, 1.0]]}
+        torchdq.Robot.from_dh([0.05], [0.0], [0.0], [0.0], **disc)
+        rods = {"mass": [1.0] * 3, "com": [[0.5, 0, 0]] * 3, "inertia": [[1e-4, 0, 0.09, 0, 0, 0.09]] * 3}
+        torchdq.Robot.from_dh([0.05] * 3, [0.0] * 3, [0.0] * 3, [0.0] * 3, **rods)
+
+
 def test_a_batch_is_doubted_for_one_of_its_robots():
     robot = arm()
     batch = robot.replace(com=torch.stack([robot.com, robot.com * double([[1.0], [1.0], [1e3]])]))
@@ -192,6 +217,8 @@ def silent(robot):
         patch.setattr(units, "TURNS", (0.55 * units.TURNS[0], 1.3 * units.TURNS[1]))  # some legs turn 10 rad
         for limit in ("LONG", "STEP", "FAR", "LARGE", "SLENDER"):
             patch.setattr(units, limit, getattr(units, limit) / CLEAR)
+        for limit in ("BULKY", "HEAVY"):
+            patch.setattr(units, limit, getattr(units, limit) / CLOSER)
         return units.doubts(robot, quiet=True) == []
 
 

@@ -57,7 +57,7 @@ import torchdq.interrupts as _interrupts  # noqa: F401, first of all: the others
 # isort: split
 from typing import TYPE_CHECKING
 
-from torchdq import convert, dq, floating
+from torchdq import convert, dq, floating, source_folder
 from torchdq.attributes import no_attribute as _no_attribute
 from torchdq.backends.choice import backend
 from torchdq.caches import clear_caches
@@ -141,6 +141,8 @@ if TYPE_CHECKING:
     ]
 
 __version__ = "0.1.0"
+
+source_folder.explain_missing("envs")
 
 _MODULES = ("convert", "dq", "envs", "floating", "learning", "robots")
 # names in other libraries

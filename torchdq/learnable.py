@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from torchdq.errors import ArgumentError
+from torchdq.errors import ArgumentError, nearest
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_bodies
 from torchdq.robot.robot import SHAPES
@@ -25,10 +25,26 @@ def learnable(robot: Robot, learn: Any) -> tuple[str, ...]:
     names = (learn,) if isinstance(learn, str) else learn
     wrong = [name for name in names if name not in known] if isinstance(names, Sequence) else [learn]
     if wrong:
-        raise ArgumentError(f"learn must name what robot {robot.name!r} has among {known}, found {wrong[0]!r}")
+        raise ArgumentError(
+            f"learn must name what robot {robot.name!r} has among {known}, found {wrong[0]!r}{_cure(wrong[0], known)}"
+        )
     if "inertia" in names:
         require_bodies(robot, "learning inertias")
     return tuple(dict.fromkeys(names))
+
+
+def _cure(wrong: Any, known: Sequence[str]) -> str:
+    """Words for what may be meant by something that is not learned."""
+    if isinstance(wrong, Mapping):
+        return "; it takes names alone, and starts from the numbers of the robot: give others by robot.replace(...)"
+    if not isinstance(wrong, str):
+        return ""
+    if wrong in ("damping", "viscous", "coulomb", "stribeck"):
+        return "; 'friction' learns viscous and Coulomb friction, from the damping and the friction of the robot on"
+    if wrong in ("kp", "kd"):
+        return "; gains are learned by torchdq.ComputedTorque alone"
+    close = nearest(wrong, known)
+    return f"; did you mean {' or '.join(map(repr, close))}?" if close else ""
 
 
 def initial_values(robot: Robot, name: str) -> dict[str, Tensor]:

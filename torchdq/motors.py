@@ -11,10 +11,12 @@ from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
 from torchdq.checks import names_of, require_choice
+from torchdq.effects.effect import TENSOR
 from torchdq.effects.friction import Friction
 from torchdq.effects.resistance import loads, torques
 from torchdq.errors import ArgumentError
-from torchdq.export.meaning import heading
+from torchdq.export.meaning import constants as constants_of
+from torchdq.export.meaning import heading, part
 from torchdq.functions.catalogue import RECIPES, Function
 from torchdq.layer_friction import LayerFriction
 from torchdq.program.program import GROWTH, Argument, Program, growths, record, replay, results
@@ -88,7 +90,13 @@ def program(
         robot.name,
         robot.joint_names,
     )
-    return replace(record(rigid.name, taken, algorithm), about=about)
+    rubbing = friction.present({name: numbers.get(name, TENSOR) for name in friction.learned})
+    own = {name: numbers[name] for name in (*GAINS, "offset") if name in numbers}
+    if robot.gravity is not None and "gravity" not in arguments(robot):
+        own["gravity"] = _numbers("gravity", robot.gravity)
+    told = constants_of(own)
+    told += [f"friction: {part(_of_numbers(effect))}" for effect in rubbing] or ["friction: none"]
+    return replace(record(rigid.name, taken, algorithm), about=(*about, *told))
 
 
 def _of_numbers(effect: Friction) -> Friction:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from torchdq.backends.choice import BackendName
+from torchdq.checks import require_tensor
 from torchdq.control import computed_torque, constant_gain
 from torchdq.dynamics.tracking import commanded
 from torchdq.effects.friction import Friction
@@ -186,6 +187,7 @@ class ComputedTorque(RobotModule):
         self, q: Tensor, qd: Tensor, q_des: Tensor, qd_des: Tensor, qdd_des: Tensor, f_tip: Tensor | None = None
     ) -> Tensor:
         """Joint torques [..., n]; see `torchdq.computed_torque`."""
+        require_tensor("q", q)
         kp, kd = self.kp.to(q), self.kd.to(q)
         if self.model is not None:
             require_alike(self.robot, ("f_tip",), q=q, qd=qd, q_des=q_des, qd_des=qd_des, qdd_des=qdd_des, f_tip=f_tip)

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
 from torchdq.backends.choice import BackendName
-from torchdq.checks import require_choice, require_number
+from torchdq.checks import require_choice, require_number, require_tensor
 from torchdq.effects.friction import Friction
 from torchdq.effects.resistance import friction
 from torchdq.errors import ArgumentError
@@ -138,6 +138,7 @@ class RobotModule(nn.Module):
         >>> layer.friction_torque(torch.tensor([10.0, -10.0])).detach()
         tensor([ 20.0100, -30.0100])
         """
+        require_tensor("qd", qd)
         zeros = torch.zeros_like(qd)
         if not self._friction.effects:
             return zeros

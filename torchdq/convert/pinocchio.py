@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from torchdq import dq
-from torchdq.checks import device_of
+from torchdq.checks import destination
 from torchdq.convert.quaternions import from_xyzw, to_xyzw
 from torchdq.convert.rows import parts, row
 from torchdq.dq.components import checked, unit
@@ -59,8 +59,7 @@ def from_pinocchio(
     matrix: Any = getattr(placement, "homogeneous", None)
     if matrix is None:
         raise ArgumentError(f"placement must be an SE3 of Pinocchio, found {type(placement).__name__}")
-    device = None if device is None else device_of("device", device)
-    return dq.from_matrix(torch.tensor(matrix, dtype=torch.float64)).to(dtype=dtype, device=device)
+    return dq.from_matrix(torch.tensor(matrix, dtype=torch.float64)).to(**destination(dtype, device))
 
 
 def motion_to_pinocchio(twist: Tensor) -> Tensor:

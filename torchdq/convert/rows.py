@@ -6,12 +6,18 @@ import torch
 from torch import Tensor
 
 from torchdq import dq
+from torchdq.checks import require_tensor
 from torchdq.errors import ArgumentError
 
 
 def row(*parts: Tensor) -> Tensor:
     """Row of parts whose batch axes broadcast."""
-    batch = torch.broadcast_shapes(*[x.shape[:-1] for x in parts])
+    require_tensor("the row of the joints", parts[-1])  # the others are computed
+    try:
+        batch = torch.broadcast_shapes(*[x.shape[:-1] for x in parts])
+    except RuntimeError as error:
+        found = ", ".join(str(tuple(x.shape[:-1])) for x in parts)
+        raise ArgumentError(f"the batch axes of the arguments must broadcast, found {found}") from error
     return torch.cat([x.expand(*batch, x.shape[-1]) for x in parts], -1)
 
 

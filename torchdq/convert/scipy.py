@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from torchdq.checks import device_of
+from torchdq.checks import destination
 from torchdq.dq.components import checked
 from torchdq.errors import ArgumentError
 from torchdq.optional import imported
@@ -55,5 +55,4 @@ def from_scipy(
     """
     if not hasattr(transform, "as_dual_quat"):
         raise ArgumentError(f"transform must be a RigidTransform of scipy, found {type(transform).__name__}")
-    device = None if device is None else device_of("device", device)
-    return torch.as_tensor(transform.as_dual_quat(scalar_first=True).copy(), dtype=dtype, device=device)
+    return torch.as_tensor(transform.as_dual_quat(scalar_first=True).copy(), **destination(dtype, device))

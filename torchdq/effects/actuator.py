@@ -11,7 +11,7 @@ from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
 from torchdq.dynamics.posed import Row
-from torchdq.effects.effect import Effect, Late, Parameter, Shapes, unbounded
+from torchdq.effects.effect import Effect, Late, Parameter, Shapes, unbounded, undefined
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import below, clip, exp, floor, maximum, polynomial, select
 from torchdq.program.transforms import without_values
@@ -26,7 +26,7 @@ class Actuator(Effect):
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
         """Torques behind the actuator, and its memory after the step."""
-        raise NotImplementedError
+        raise undefined(self, "driven")
 
 
 @dataclass(frozen=True)

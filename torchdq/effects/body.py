@@ -12,7 +12,7 @@ from torchdq.algebra.quaternion import Pure
 from torchdq.algebra.screw import Screw
 from torchdq.checks import tensor_of
 from torchdq.dynamics.posed import Point, Posed
-from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, on_a_link
+from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, on_a_link, undefined
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import maximum, sqrt
 from torchdq.program.transforms import without_values
@@ -46,7 +46,7 @@ class BodyEffect(Effect):
 
     def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
         """Wrench (force, moment) on links, by their numbers, in and about the frames in which they are kept."""
-        raise NotImplementedError
+        raise undefined(self, "wrenches")
 
 
 @dataclass(frozen=True)

@@ -218,6 +218,11 @@ class Late(Effect):
         return memory[: len(row)], (*memory[len(row) :], *row)
 
 
+def undefined(part: Any, method: str) -> NotImplementedError:
+    """Error for a method that a class of one's own must define."""
+    return NotImplementedError(f"{type(part).__name__} must define the method {method}")
+
+
 def owned(robot: Robot, x: Tensor | None) -> Tensor | tuple[float, ...] | None:
     """Attribute of a robot as a parameter: numbers if it is a constant, the tensor itself if it is an argument."""
     if x is None:

@@ -17,7 +17,7 @@ import torch
 from torchdq.algebra.quaternion import Number
 from torchdq.checks import tensor_of
 from torchdq.dynamics.posed import Row
-from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, unbounded
+from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, unbounded, undefined
 from torchdq.errors import ArgumentError
 from torchdq.numbers.functions import absolute, at_least, maximum, minimum
 from torchdq.program.transforms import without_values
@@ -80,7 +80,7 @@ class JointEffect(Effect):
 
     def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
         """Impedance of every joint in a state."""
-        raise NotImplementedError
+        raise undefined(self, "impedances")
 
     def impedances_at_end(self, q: Row, qd: Row, inputs: Inputs, memory: Row, h: Number) -> Sequence[Impedance]:
         """Impedances of an effect that remembers, at the end of an implicit step h; h = 0: now."""

@@ -10,7 +10,7 @@ from torchdq.algebra.inertia import merged
 from torchdq.algebra.quaternion import Number
 from torchdq.checks import tensor_of
 from torchdq.dynamics.tree import BASE
-from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link
+from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link, undefined
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
@@ -30,7 +30,7 @@ class ModelEffect(Effect):
 
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
         """Rows of the robot's tensors that it changes; `overrides` are those of earlier effects."""
-        raise NotImplementedError
+        raise undefined(self, "changed")
 
 
 @dataclass(frozen=True)

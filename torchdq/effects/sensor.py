@@ -11,7 +11,7 @@ from typing import ClassVar
 
 from torchdq.dynamics.posed import Row
 from torchdq.effects.actuator import rounded
-from torchdq.effects.effect import Effect, Late, Parameter, Shapes
+from torchdq.effects.effect import Effect, Late, Parameter, Shapes, undefined
 from torchdq.numbers.functions import log, sqrt
 
 
@@ -23,7 +23,7 @@ class Sensor(Effect):
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
         """Readings behind the sensor, and its memory after the step."""
-        raise NotImplementedError
+        raise undefined(self, "read")
 
 
 @dataclass(frozen=True)

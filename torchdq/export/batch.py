@@ -121,10 +121,16 @@ def copies(programs: Sequence[Program], single: bool) -> str:
     return f"enum {{ LANES = {lanes(single)} }};\n{''.join(texts)}\n"
 
 
-def function(program: Program, name: str, single: bool, library: Library, linkage: str = "") -> str:
+def function(
+    program: Program, name: str, single: bool, library: Library, linkage: str = "", finite: bool = True
+) -> str:
     """Text of the function for batches, and of its parts, without `c99.preamble` and `copies`.
 
-    `library`: source of square roots.
+    Args:
+        program, name, single: as it is exported.
+        library: source of square roots.
+        linkage: words before its declaration.
+        finite: whether its status tells of results that are not finite.
     """
     taken, given = rows(program)
     several = [a for a in taken if not a.shared]
@@ -147,16 +153,23 @@ def function(program: Program, name: str, single: bool, library: Library, linkag
     if growth or sines:
         good = c99.status(program, single, growth, "angles[0][lane]" if sines else "")
         steps.append(f"for (lane = 0; lane < here; lane++) status |= {good};")
+    results = given[: len(given) - (program.growth is not None)] if finite else []
+    steps += [
+        f"for (place = 0; place < {a.size}; place++)\n"
+        f"            for (lane = 0; lane < here; lane++)\n"
+        f"                status |= {a.lanes}[place][lane] - {a.lanes}[place][lane] == 0 ? 0 : 1;"
+        for a in results
+    ]
     end = [
         f"for (first = 0; first < {a.size}; first++)\n"
         f"        for ({a.name}[first] = 0, lane = 0; lane < LANES; lane++)\n"
         f"            {a.name}[first] += sum_of_{a.name}[first][lane];"
         for a in sums
     ]
-    uses_lane = growth or sines or sums
+    counters = [name for name, used in (("lane", growth or sines or sums or results), ("place", results)) if used]
     return (
         f"{block.text}\n"
-        f"{linkage}{declaration(program, name, single)}\n{{\n    size_t first{', lane' if uses_lane else ''};\n"
+        f"{linkage}{declaration(program, name, single)}\n{{\n    size_t {', '.join(['first', *counters])};\n"
         f"    int status = 0;\n{c99.indented(declared, 4)}"
         f"    for (first = 0; first < samples; first += LANES) {{\n"
         f"        const size_t here = samples - first < LANES ? samples - first : LANES;\n"

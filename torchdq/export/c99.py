@@ -34,7 +34,7 @@ _CALLS = {
 }
 _OF_MATH = ("sqrt", "exp", "log", "floor")
 
-# what compilers may do to NaN by which results are left out
+# with which compilers leave out the check of results
 _WITH_NAN = """#if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__
 #error "NaN is not noticed with -ffinite-math-only or -ffast-math; compile this file without it"
 #endif
@@ -138,7 +138,7 @@ def preamble(program: Program, single: bool, library: Library, batch: bool = Fal
     sines, root = angles and (library == "own" or batch), library == "own" and "sqrt" in codes
     kind = f"typedef {scalar} S;\n" if sines or root or batch else ""
     included += "#include <stdint.h>\n" if root else ""
-    included += _WITH_NAN if sines or root or program.growth is not None or codes & {"max", "min"} else ""
+    included += _WITH_NAN
     included += _EXACT if sines or root else ""
     # gcc makes vectors of a loop only if nothing in it is called
     function = _SINE_AND_COSINE.replace("static", "static inline") if batch else _SINE_AND_COSINE
@@ -233,8 +233,8 @@ def in_rows(array: Array, component: int, uniform: bool) -> str:
     return f"{array.name}[{component}]"
 
 
-def function(program: Program, name: str, single: bool, library: Library = "math.h") -> str:
-    """Text of the function of a program, without `preamble`."""
+def function(program: Program, name: str, single: bool, library: Library = "math.h", finite: bool = True) -> str:
+    """Text of the function of a program, without `preamble`; its status tells of results that are not `finite`."""
     taken, given = arrays(program)
     printer = Printer(program, single, library, in_rows, root(single, library))
     read = {op.payload[0] for op in program.ops if op.code == "in"}
@@ -245,20 +245,30 @@ def function(program: Program, name: str, single: bool, library: Library = "math
         lines += printer.written(array, dict(enumerate(result.values)))
     if sines := angles(program, library):
         lines.append(f"const {printer.scalar} angles = {sines};")
+    wrong = " + ".join(f"(x{k} - x{k})" for k in computed_results(program)) if finite else ""
+    if wrong:
+        lines.append(f"const {printer.scalar} wrong = {wrong};")
     growth = f"{given[-1].name}[0]" if program.growth is not None else ""
-    lines.append(f"return {status(program, single, growth, 'angles' if sines else '')};")
+    lines.append(f"return {status(program, single, growth, 'angles' if sines else '', 'wrong' if wrong else '')};")
     return f"{declaration(program, name, single)}\n{{\n{indented(lines)}}}\n"
 
 
-def status(program: Program, single: bool, growth: str, angles: str) -> str:
-    """Expression for what a function returns: 1 where rounding errors grow too much or an angle is out of reach, or 0.
+def computed_results(program: Program) -> list[int]:
+    """Values of a program that are results and no constants, each once."""
+    found = (v[0] for r in program.results for v in r.values if not isinstance(v, float))
+    return [k for k in dict.fromkeys(found) if program.ops[k].code != "const"]
+
+
+def status(program: Program, single: bool, growth: str, angles: str, wrong: str = "") -> str:
+    """Expression for what a function returns: 1 where a result is not to be used, or 0.
 
     Args:
         program: the program.
         single: whether it is in single precision.
         growth: name of the error growth; "": there is none.
-        angles: name of the sum of `angles`; "": there is none.
+        angles: name of the sum of `angles`, NaN if one is out of reach; "": there is none.
+        wrong: name of a number that is 0 if all results are finite, and NaN otherwise; "": it is not told.
     """
     limit = literal(LARGEST_GROWTH.single if single else LARGEST_GROWTH.double, single)
-    good = [*([f"{growth} <= {limit}"] if growth else []), *([f"{angles} == {angles}"] if angles else [])]
+    good = [*([f"{growth} <= {limit}"] if growth else []), *([f"{x} == {x}" for x in (angles, wrong) if x])]
     return f"({' && '.join(good)}) ? 0 : 1" if good else "0"

@@ -26,6 +26,7 @@ from torchdq.errors import ArgumentError
 from torchdq.export import batch, c99, names, parts
 from torchdq.export.c99 import Library
 from torchdq.export.files import Exported
+from torchdq.export.folder import write
 from torchdq.export.meaning import described
 from torchdq.program.autodiff import jacobian, vjp, vjp_jacobian
 from torchdq.program.autograd import per_sample
@@ -86,7 +87,7 @@ class Interface(NamedTuple):
         name = self.name
         inputs, results = self.of_knots(max(knots, 1))
         if knots:
-            numbers = batch.function(self.program, f"{name}_numbers", False, library, "static ")
+            numbers = batch.function(self.program, f"{name}_numbers", False, library, "static ", finite=False)
         else:
             numbers = parts.function(self.program, f"{name}_numbers", library)
         called = f"{name}_numbers_batch({knots}, " if knots else f"{name}_numbers("
@@ -214,10 +215,7 @@ class CasadiExport(NamedTuple):
 
     def write(self, folder: Path) -> Exported:
         """File in a folder, which is made if it is not there."""
-        folder.mkdir(parents=True, exist_ok=True)
-        source = folder / f"{self.name}.c"
-        source.write_text(self.source(), encoding="ascii")
-        return Exported(self.name, source)
+        return Exported(self.name, *write(folder, {f"{self.name}.c": self.source()}))
 
 
 def _wide(program: Program) -> list[int]:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchdq.export import batch, c99, golden
 from torchdq.export.c99 import Library
+from torchdq.export.folder import write
 from torchdq.export.meaning import described
 from torchdq.program.program import Program, outputs
 
@@ -111,7 +112,8 @@ class Export(NamedTuple):
 
     def _returned(self, functions: Library) -> str:
         """Sentence on the status that the function returns."""
-        causes = ["the rounding errors are too large"] if self.program.growth is not None else []
+        causes = ["a result is not finite"] if c99.computed_results(self.program) else []
+        causes += ["the rounding errors are too large"] if self.program.growth is not None else []
         causes += [f"an angle is NaN or beyond {self._reach()}"] if c99.angles(self.program, functions) else []
         return f"Returns 1 where {' or '.join(causes)}, else 0." if causes else "Returns 0."
 
@@ -177,7 +179,4 @@ class Export(NamedTuple):
             "CMakeLists.txt": _CMAKE,
             f"exported_{self.name}.cmake": self.cmake(),
         }
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            (folder / name).write_text(text, encoding="ascii")
-        return Exported(self.name, *[folder / name for name in list(texts)[:-1]])
+        return Exported(self.name, *write(folder, texts)[:-1])

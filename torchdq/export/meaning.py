@@ -1,6 +1,7 @@
 """Words and units for the arguments and results of programs, by their names."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 
 WORDS = {
     "q": "joint positions [rad or m]",
@@ -78,6 +79,34 @@ def words(name: str) -> str:
 def heading(what: str, robot: str, joints: Sequence[str]) -> tuple[str, ...]:
     """Lines above a program of a robot: what it is, and the order of its joints."""
     return f"{what} of robot {robot}", f"joints in the order of q: {', '.join(joints)}"
+
+
+def constants(numbers: Mapping[str, Sequence[float]]) -> list[str]:
+    """Lines about numbers that are constants of a program, by name, each with its words.
+
+    >>> constants({"kp": (25.0, 25.0), "kd": (10.0, 8.0)})
+    ['kp = 25: gains of the position errors [1/s^2]', 'kd = 10, 8: gains of the velocity errors [1/s]']
+    """
+    return [f"{name} = {_row(row)}: {words(name)}" for name, row in numbers.items()]
+
+
+def part(x: object) -> str:
+    """Effect or controller of a program with its numbers [SI], joint by joint; one number is that of all joints."""
+    given = {f.name: getattr(x, f.name) for f in fields(x) if f.init}  # type: ignore[arg-type]
+    return f"{type(x).__name__}({', '.join(f'{name}={_value(v)}' for name, v in given.items() if v is not None)})"
+
+
+def _value(x: object) -> str:
+    """Parameter as text: numbers, or that it is an argument."""
+    if isinstance(x, tuple) and x and all(isinstance(v, float) for v in x):
+        row = _row(x)
+        return row if "," not in row else f"({row})"
+    plain = x is None or isinstance(x, bool | int | float | str | tuple)
+    return repr(x) if plain else "argument" if repr(x) == "tensor" else type(x).__name__
+
+
+def _row(row: Sequence[float]) -> str:
+    return f"{row[0]:.6g}" if len(set(row)) == 1 else ", ".join(f"{x:.6g}" for x in row)
 
 
 def described(shown: Sequence[str], names: Sequence[str], way: str) -> list[str]:

@@ -15,7 +15,7 @@ _WORDS = (
 )
 _USED = (
     "S LANES samples first here lane status sqrt sqrtf exp expf log logf floor floorf sin sinf cos cosf "
-    "sine_and_cosine rows_to_lanes lanes_to_rows added angles slots zeros root "
+    "sine_and_cosine rows_to_lanes lanes_to_rows added angles slots wrong place zeros root "
     "HALF_PI_1 HALF_PI_2 HALF_PI_3 TWO_OVER_PI ROUND LARGEST SIN COS NAN INFINITY HUGE_VAL EOF NULL "
 )
 KEYWORDS = frozenset((_WORDS + _USED).split())  # words of C, of C++ and of the text here, which cannot be names

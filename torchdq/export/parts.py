@@ -75,7 +75,10 @@ def _parameter(array: Array, read: bool, shared: bool) -> str:
 
 
 def function(program: Program, name: str, library: Library) -> str:
-    """Text of the function of a program in double precision, in parts, without `c99.preamble`."""
+    """Text of the function of a program in double precision, in parts, without `c99.preamble`.
+
+    Its status does not tell of results that are not finite, which its callers look for themselves.
+    """
     whole = parts(
         program,
         f"{name}_part",
@@ -84,7 +87,7 @@ def function(program: Program, name: str, library: Library) -> str:
         SampleText(c99.in_rows, _parameter, c99.indented, c99.root(False, library)),
     )
     if len(whole.calls) == 1:
-        return f"static {c99.function(program, name, False, library)}"
+        return f"static {c99.function(program, name, False, library, finite=False)}"
     taken, given = c99.arrays(program)
     passed = {array for _, arrays in whole.calls for array in arrays}
     lines = [f"(void){array.name};" for array in taken if array not in passed]

@@ -178,6 +178,8 @@ class CompiledProgram:
         """
         require_choice("library", library, get_args(Library))
         require_choice("language", language, get_args(ExportLanguage))
+        if not isinstance(folder, str | PathLike):
+            raise ArgumentError(f"folder must be a path, found {type(folder).__name__}")
         named = identifier(name or distinct([self.program.name])[0], "name", golden.variables(self.program))
         if language == "casadi":
             if batch:

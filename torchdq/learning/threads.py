@@ -2,20 +2,33 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from threading import Lock
 
 import torch
+
+_lock = Lock()
+_inside, _usual = 0, 1  # contexts that are open in all threads of Python, and torch's number of threads outside of them
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Context, also a decorator, in which torch computes on one thread.
+    """Context, also a decorator, in which torch computes on one thread; that holds for the whole process.
 
     Factors of matrices of a hundred rows take torch's linear algebra 3 to 60 times as long on two threads that other
     processes keep busy: each factor waits for both. The programs of a robot take few of the seconds of a fit.
+
+    Several threads of Python may be inside at once. Each one that leaves, also by an error or by Ctrl-C, sets the
+    number of before the first one entered; those that are still inside are slower then, and find the same numbers.
     """
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
+    global _inside, _usual
+    with _lock:
+        if not _inside:
+            _usual = torch.get_num_threads()
+        _inside += 1
     try:
+        torch.set_num_threads(1)
         yield
     finally:
-        torch.set_num_threads(before)
+        with _lock:
+            _inside -= 1
+            torch.set_num_threads(_usual)

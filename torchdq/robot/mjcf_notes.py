@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 
 from torchdq.dynamics.tree import BASE
@@ -12,6 +13,8 @@ from torchdq.robot.mjcf_joints import FREE, MjcfJoint, actuators_at, names_of
 from torchdq.robot.mjcf_links import WORLD, Links
 from torchdq.robot.mjcf_source import MjcfModel
 from torchdq.robot.units import TURN
+
+_URDF = re.compile(r"\ufeff?(?:\s|<\?.*?\?>|<!--.*?-->)*<robot\b", re.DOTALL)  # text whose root is that of a URDF
 
 
 def gravity(of: MjcfModel) -> tuple[float, ...] | None:
@@ -111,6 +114,13 @@ def ignored(
     ]
     if falls and relieved and _relieved(of) != {1.0}:
         found.append(Unsimulated(f"gravcomp ignored: {', '.join(relieved)}: gravity acts on them in full"))
+    if _URDF.match(of.source.text):
+        found.append(
+            Unsimulated(
+                "the file is a URDF, of which MuJoCo leaves out joints that mimic others, and frames on fixed joints; "
+                "Robot.from_urdf reads them"
+            )
+        )
     return found
 
 

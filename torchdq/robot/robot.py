@@ -7,13 +7,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from operator import methodcaller
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 from torch.compiler import is_compiling
 
 from torchdq.algebra.inertia import six
+from torchdq.attributes import no_member
 from torchdq.caches import PROGRAMS, remembered
 from torchdq.checks import destination, frozen
 from torchdq.dynamics.joints import KINDS, Helical, Prismatic, Revolute
@@ -28,6 +29,21 @@ from torchdq.robot.description import NO_TIP, Frame, JointMap, Limits
 from torchdq.robot.fields import DESCRIBED, SHAPES, batches, present, require_shapes
 from torchdq.robot.report import Report
 from torchdq.robot.tree import general_tree, unbound
+
+# names in other libraries
+_ELSEWHERE = {
+    **dict.fromkeys(("dof", "dofs", "ndof", "nq", "nv", "nu", "njoints", "num_joints", "num_dofs", "n_joints"), "n"),
+    **dict.fromkeys(("joints", "joint_list", "actuated_joint_names"), "joint_names"),
+    **dict.fromkeys(("links", "bodies", "body_names"), "link_names"),
+    **dict.fromkeys(("joint_limits", "q_min", "q_max", "lower", "upper", "qlim"), "limits, with lower and upper"),
+    **dict.fromkeys(("effort", "velocity", "torque_limits", "effort_limits"), "limits, with effort and velocity"),
+    **dict.fromkeys(("ee", "ee_link", "end_effector_name", "tool"), "tip, and end_effector() is that frame"),
+    **dict.fromkeys(("rnea", "inverse_dynamics", "id"), "torchdq.inverse_dynamics(robot, q, qd, qdd)"),
+    **dict.fromkeys(("aba", "forward_dynamics", "fd"), "torchdq.forward_dynamics(robot, q, qd, tau)"),
+    **dict.fromkeys(("crba", "mass_matrix", "M"), "torchdq.mass_matrix(robot, q)"),
+    **dict.fromkeys(("fk", "fkine", "forward_kinematics"), "torchdq.forward_kinematics(robot, q, frame)"),
+    **dict.fromkeys(("jacobian", "jacob0", "jacobe"), "torchdq.jacobian(robot, q, frame)"),
+}
 
 
 @frozen
@@ -105,6 +121,11 @@ class Robot:
     from_name = classmethod(loading.from_name)
     from_screws = classmethod(loading.from_screws)
     from_dh = classmethod(loading.from_dh)
+
+    if not TYPE_CHECKING:  # type checkers know the names
+
+        def __getattr__(self, name: str) -> Any:
+            raise no_member(self, name, _ELSEWHERE)
 
     # --- names ---
 

@@ -1,8 +1,9 @@
 """Doubts about the units of a robot: bodies that lie, or reach, far beyond all else about it, its length, its angles.
 
-A centre of mass in mm lies a thousand times too far from its frame, and an inertia in kg mm^2 is that of a body a
-thousand times too large. Such a robot can exist, so these are doubts and not faults. Masses and inertias that are all
-too large by one factor look like those of another material, and a mass in g like that of a point: neither is seen.
+A centre of mass in mm lies a thousand times too far from its frame, an inertia in kg mm^2 is that of a body a thousand
+times too large, and one in g m^2 of a body thirty times too large. Such a robot can exist, so these are doubts and not
+faults. Masses and inertias that are all too large by one factor look like those of another material, and a mass in g
+like that of a point: neither is seen.
 """
 
 from __future__ import annotations
@@ -23,11 +24,16 @@ if TYPE_CHECKING:
     from torchdq.robot.robot import Robot
 
 # None of the 70 robots of example-robot-data and of this package has a centre of mass farther than 0.8 lengths of the
-# robot, or a body larger than 1.6: factors of ten and more below what is doubted.
+# robot: a factor of ten and more below what is doubted. None has a body larger than 1.6 lengths, or bodies that are
+# together larger than 0.9. Both numbers are those of placeholders, inertias of 1 kg m^2 in a humanoid and those of the
+# rotors of a quadrotor; 0.5 and 0.4 are next.
 LONG = 50.0  # length of a robot that is doubted [m], where one of its steps is as long as
 STEP = 5.0  # this [m]: chains of hundreds of short links exist
 FAR = 10.0  # distance of a centre of mass from its frame that is doubted, in lengths of the robot
-LARGE = 16.0  # radius of gyration that is doubted, likewise
+LARGE = 16.0  # radius of gyration that is doubted, likewise, of a payload or of a robot that may be a turntable
+MANY = 3  # links of a robot whose length is that of its bodies, too
+BULKY = 2.5  # radius of gyration of one of these that is doubted, likewise: a rod nine times as long as the robot
+HEAVY = 1.5  # radius of gyration of all of them together, likewise
 TURN = 2 * math.pi + 1e-5  # largest angle [rad] of a placement; degrees are larger
 TURNS = (20.0, 720.0)  # limits of a turning joint that are doubted [rad]; those of 1000 and more stand for none
 SLENDER = 200.0  # distance of a centre of mass that is believed, in radii of gyration: a bob on a long string
@@ -60,7 +66,15 @@ def _doubts(robot: Robot) -> Iterator[str]:
         found = f"found {step:.4g} m from one joint to the next, and frames up to {length:.4g} m from the base"
         yield f"lengths must be in m, {found}; are they in mm?"
     bodies = {f"link {link!r}": "the link's frame" for link in robot.link_names}
-    yield from _of_bodies(bodies, robot.mass, robot.com, robot.inertia, length)
+    several = len(bodies) >= MANY
+    large = [*_of_bodies(bodies, robot.mass, robot.com, robot.inertia, length, BULKY if several else LARGE)]
+    together = _together(robot.mass, robot.inertia) if several and not large else 0.0
+    if together > HEAVY * length > 0:
+        large.append(
+            f"inertias must be in kg m^2 and masses in kg, found a radius of gyration sqrt(inertia / mass) of "
+            f"{together:.4g} m for all links together, {_among(length)}; are they in g m^2 or in kg cm^2?"
+        )
+    yield from large
     kinds = dict(zip(robot.every_joint, robot.kinds, strict=True))
     for name, *ends in zip(robot.joint_names, *map(_first, robot.limits[:2]), strict=True):
         # a coordinate that is no joint of its own moves several
@@ -72,7 +86,7 @@ def doubts_of_payload(robot: Robot, frame: str, body: RigidBody, stacklevel: int
     """Numbers of a payload in a frame, [...], that seem to be in other units than m, kg and kg m^2; warns."""
     bodies = {"payload": f"frame {frame!r}"}
     mass, com, inertia = body.mass.unsqueeze(-1), body.com.unsqueeze(-2), body.inertia.unsqueeze(-2)
-    found = [*_of_bodies(bodies, mass, com, inertia, _length(robot))]
+    found = [*_of_bodies(bodies, mass, com, inertia, _length(robot), LARGE)]
     if found:
         lines = "\n  ".join(found)
         warnings.warn(
@@ -81,24 +95,51 @@ def doubts_of_payload(robot: Robot, frame: str, body: RigidBody, stacklevel: int
     return found
 
 
-def _of_bodies(bodies: Mapping[str, str], mass: Tensor, com: Tensor, inertia: Tensor, length: float) -> Iterator[str]:
-    """Doubts about bodies, in words with the words for their frames, on a robot of a length [m].
+def _among(length: float) -> str:
+    return f"although its joints and frames reach at most {length:.3g} m from the base"
 
-    Their masses are [..., k], their centres of mass [..., k, 3] and their inertias [..., k, 6].
+
+def _spread(inertia: Tensor) -> Tensor:
+    """Second moments [...] [kg m^2] of inertias [..., 6]: masses times squared radii of gyration."""
+    return inertia.detach().double()[..., (0, 2, 5)].sum(-1) / 2
+
+
+def _together(mass: Tensor, inertia: Tensor) -> float:
+    """Radius of gyration [m] of all links, as if their centres of mass were one; of the first of all robots."""
+    sums = torch.broadcast_tensors(mass.detach().double().sum(-1), _spread(inertia).sum(-1))
+    total, spread = (float(x.flatten()[0]) for x in sums)
+    return math.sqrt(spread / total) if total > 0 and spread > 0 else 0.0
+
+
+def _of_bodies(
+    bodies: Mapping[str, str], mass: Tensor, com: Tensor, inertia: Tensor, length: float, large: float
+) -> Iterator[str]:
+    """Doubts about bodies on a robot of a length [m].
+
+    Args:
+        bodies: words for them, with the words for their frames.
+        mass, com, inertia: masses [..., k], centres of mass [..., k, 3] and inertias [..., k, 6].
+        length: of the robot.
+        large: radius of gyration that is doubted, in lengths.
     """
-    among = f"although its joints and frames reach at most {length:.3g} m from the base"
-    heavy = mass.detach().double()
-    spread = inertia.detach().double()[..., (0, 2, 5)].sum(-1) / 2
+    among = _among(length)
+    heavy, spread = mass.detach().double(), _spread(inertia)
     radii = _largest((spread / heavy.where(heavy > 0, torch.inf)).clamp(min=0).sqrt())
     away = _largest(com.norm(dim=-1) * (mass > 0))
     for (body, frame), far, radius in zip(bodies.items(), away, radii, strict=True):
         if max(length, radius) > 0 and far > max(FAR * length, SLENDER * radius):
             yield f"{body}: com must be in m, found it {far:.4g} m from {frame}, {among}; is it in mm?"
-        if length > 0 and radius > LARGE * length:
+        reach = far if length < far <= FAR * length else length  # a rod may be all of an arm
+        if length > 0 and radius > large * reach:
             yield (
                 f"{body}: inertia must be in kg m^2 and mass in kg, found a radius of gyration "
-                f"sqrt(inertia / mass) of {radius:.4g} m, {among}; is the inertia in kg mm^2?"
+                f"sqrt(inertia / mass) of {radius:.4g} m, {among}; is the inertia in {_unit(radius / length)}?"
             )
+
+
+def _unit(factor: float) -> str:
+    """Unit of an inertia whose radius of gyration is so many lengths of a robot."""
+    return "kg mm^2" if factor > LARGE else "g m^2 or in kg cm^2"
 
 
 def _length(robot: Robot) -> float:

@@ -7,6 +7,7 @@ the weights come out the same to the last bit. Started by `torchrun`, the same c
 processes.
 """
 
+import inspect
 import math
 import os
 import warnings
@@ -17,6 +18,7 @@ from typing import Any
 
 import torch
 from torch import nn
+from torch.nn.utils import parametrize
 
 from torchdq.checks import require_choice, require_count, require_number
 from torchdq.errors import ArgumentError
@@ -27,7 +29,7 @@ from torchdq.learning.training import left_out
 from torchdq.learning.training.distributed import team
 from torchdq.learning.training.progress import Progress
 from torchdq.learning.training.run import History, Run
-from torchdq.nn import DQRNEA
+from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics
 from torchdq.residual import ResidualDynamics
 from torchdq.robot import Robot
 from torchdq.robot.robot import batches
@@ -105,6 +107,7 @@ def fit(
     parameters = {name: p for name, p in model.named_parameters() if p.requires_grad}
     if not parameters:
         raise ArgumentError("model has no parameters to fit; name tensors of the robot in its learn=(...)")
+    _require_torques(model)
     if valid is not None and valid.q.shape[1] != train.q.shape[1]:
         raise ArgumentError(f"valid must have the {train.q.shape[1]} joints of train, found {valid.q.shape[1]}")
     if valid is None and patience is not None:
@@ -174,6 +177,27 @@ def fit(
 
 
 @torch.no_grad()
+def _require_torques(model: nn.Module) -> None:
+    """Raise unless a model takes motions and may return torques."""
+    kind = parametrize.type_before_parametrizations(model).__name__
+    if isinstance(model, ForwardDynamics | ComputedTorque):
+        raise ArgumentError(
+            f"model must return the torques of motions (q, qd, qdd), found a {kind}; fit a DQRNEA or a "
+            f"ResidualDynamics, and make the {kind} of its `robot`"
+        )
+    try:
+        taken = inspect.signature(model.forward)
+    except (TypeError, ValueError):  # a script has none
+        return
+    try:
+        taken.bind("q", "qd", "qdd")
+    except TypeError as error:
+        raise ArgumentError(
+            f"model must be called as model(q, qd, qdd), found {kind}, whose forward takes {taken}; "
+            "torchdq.ResidualDynamics(robot, ...) holds a network for torques"
+        ) from error
+
+
 def _doubts(model: nn.Module, train: Samples) -> str:
     """Words for what is wrong with samples that a robot in the model does not explain; "" for nothing, or no robot."""
     rigid = next((part for part in model.modules() if isinstance(part, DQRNEA)), None)
