@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from torchdq.learning.identification.evidence import Evidence, LeftOut
+from torchdq.learning.identification.evidence import Evidence, Unseen
 from torchdq.learning.identification.regression import chunks, columns
 from torchdq.learning.logs.coverage import interval_factors
 
@@ -13,7 +13,7 @@ NORMAL = 1.96  # half-width of the interval that holds 95 % of normal numbers, i
 ROWS = 4096  # most rows that are looked at
 
 
-def half_widths(evidence: Evidence, left_out: Sequence[Sequence[LeftOut]], spread: Tensor, noise: Tensor) -> Tensor:
+def half_widths(evidence: Evidence, left_out: Sequence[Sequence[Unseen]], spread: Tensor, noise: Tensor) -> Tensor:
     """Half-widths [n] of intervals that hold 95 % of measured torques, in units of the errors of parameters and noise.
 
     They are the larger ones of those that blocks ask for and those that regions ask for, where there are few motions.
@@ -30,7 +30,7 @@ def half_widths(evidence: Evidence, left_out: Sequence[Sequence[LeftOut]], sprea
     return torch.stack([_factors(evidence, kind, spread[evidence.at], noise) for kind in kinds]).amax(0)
 
 
-def _factors(evidence: Evidence, left_out: Sequence[LeftOut], F: Tensor, noise: Tensor) -> Tensor:
+def _factors(evidence: Evidence, left_out: Sequence[Unseen], F: Tensor, noise: Tensor) -> Tensor:
     ratios, few = [], -(-sum(len(part.rows) for part in left_out) // ROWS)
     for part in left_out:
         rows = part.rows[::few]

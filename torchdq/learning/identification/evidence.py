@@ -19,7 +19,7 @@ from torchdq.robot import Robot
 STILL = 1e-2  # least variance of a joint's torque in a motion, relative to that in the motion where it is largest
 
 
-class LeftOut(NamedTuple):
+class Unseen(NamedTuple):
     """Rows that were left out together, and what a model that was found without them leaves there."""
 
     rows: Tensor  # [rows]
@@ -63,7 +63,7 @@ class Evidence(NamedTuple):
         tau = torques(self.robot, self.recording, self.own, phi, ROTOR not in self.terms)
         return self.recording.measured - tau
 
-    def left_out(self, changes: Sequence[Tensor], blocks: Sequence[Block]) -> tuple[list[LeftOut], list[LeftOut]]:
+    def left_out(self, changes: Sequence[Tensor], blocks: Sequence[Block]) -> tuple[list[Unseen], list[Unseen]]:
         """Residuals of blocks, and of regions, by parameters [n, p] that were found without each."""
         found, device = [], self.recording.q.device
         parts = [torch.arange(block.rows.start, block.rows.stop, device=device) for block in blocks]
@@ -71,7 +71,7 @@ class Evidence(NamedTuple):
         for change, rows in zip(changes, parts, strict=True):
             some, phi = self.recording.some(rows), _bodies(self.robot, self.at.shape[1]) + change
             tau = torques(self.robot, some, self.own[rows], phi, ROTOR not in self.terms)
-            found.append(LeftOut(rows, some.measured - tau))
+            found.append(Unseen(rows, some.measured - tau))
         return found[: len(blocks)], found[len(blocks) :]
 
     def correlation(self, change: Tensor) -> Tensor:

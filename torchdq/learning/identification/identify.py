@@ -157,7 +157,8 @@ def identify(
         if doubt := _doubts(robot, rows, width):
             warnings.warn(doubt, LogWarning, stacklevel=3)
         frozen = prior == math.inf
-        ladder, apart, strength = None, ([], []), math.inf if frozen else 1.0
+        apart: Apart = ([], [])
+        ladder, strength = None, math.inf if frozen else 1.0
         weight = 1.0 if prior is None or frozen else prior
         if left_out:
             shapes = SHAPES if friction == "choose" else ()

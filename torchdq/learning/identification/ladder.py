@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.learning.identification.evidence import Evidence, LeftOut, described, gather
+from torchdq.learning.identification.evidence import Evidence, Unseen, described, gather
 from torchdq.learning.identification.regression import places, rigid
 from torchdq.learning.identification.shapes import Gain, gainful
 from torchdq.learning.identification.solution import Solution, changes, solve
@@ -27,7 +27,7 @@ from torchdq.tables import table
 STRENGTHS = tuple(10.0**k for k in range(5, -1, -1))  # prior of the bodies, the strongest first
 
 
-Apart = tuple[list[LeftOut], list[LeftOut]]  # blocks, and regions
+Apart = tuple[list[Unseen], list[Unseen]]  # blocks, and regions
 
 
 class Rung(NamedTuple):
