@@ -328,7 +328,7 @@ def test_predictions_print_as_tables():
     for text in (str(found.predict(q, qd, qdd)), repr(found.predict(q, qd, qdd))):
         lines = text.splitlines()
         assert lines[0].split() == ["Prediction", "shape", "least", "mean", "greatest", "unit"]
-        assert lines[1].split()[:3] == ["tau", "[300,", "2]"] and len(lines) == 3
+        assert lines[1].split()[:3] == ["tau", "[300,", "2]"] and len(lines) == 5
 
 
 # --- waiting ---------------------------------------------------------------------------------------------------------

@@ -225,11 +225,11 @@ def test_errors_hold_what_blocks_that_were_left_out_show():
         new = torques(REAL, *other, size=0.05, seed=seed + 50) + wrong(other[0], seed)
         told, alone = found.predict(*other), found._replace(model=torch.zeros(2).double()).predict(*other).error
         assert torch.allclose(told.error.square(), alone.square() + found.model.square())
-        inside.append(float(((new - told.tau).abs() < 1.96 * torch.hypot(told.error, found.noise)).double().mean()))
+        inside.append(float(((new > told.low) & (new < told.high)).double().mean()))
         own = found._replace(model=0 * found.model).predict(q, qd, qdd).error.square().mean((0, 1))
         expected = (found.report.left - found.noise.square() - own).clamp_min(0).sqrt()
         assert torch.allclose(found.model, expected, rtol=1e-3, atol=1e-3 * float(found.noise.max()))
-    assert min(inside) > 0.93
+    assert min(inside) > 0.9 and 0.93 < sum(inside) / len(inside) < 0.97
     q, qd, qdd = states(5, 400)
     right = identify(ROBOT, q, qd, qdd, torques(REAL, q, qd, qdd), width=WIDTH)
     assert bool((right.model < 0.4 * right.noise).all())
@@ -247,4 +247,4 @@ def test_intervals_hold_in_the_rest_of_a_recording():
         warnings.simplefilter("ignore")
         found = identify(split.robot, split.train, armature=True, offset=True)
     told, tau = found.predict(split.test), samples(split.test).tau
-    assert 0.93 < float(((told.tau - tau).abs() < 1.96 * torch.hypot(told.error, found.noise)).double().mean()) < 0.99
+    assert 0.93 < float(((tau > told.low) & (tau < told.high)).double().mean()) < 0.99

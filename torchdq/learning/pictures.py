@@ -10,7 +10,6 @@ from torchdq.errors import ArgumentError
 from torchdq.learning.excitation.limits import Bounds
 from torchdq.learning.identification.identified import Identified
 from torchdq.learning.logs.motions import Motion, samples
-from torchdq.learning.trial import WIDE
 from torchdq.optional import imported
 from torchdq.robot import Robot
 
@@ -60,8 +59,8 @@ def picture_of_motion(robot: Robot, time: Tensor, q: Tensor, qd: Tensor, tau: Te
 def plot_torques(identified: Identified, motions: Motion | Sequence[Motion]) -> Any:
     """Figure of measured and predicted torques over time, one panel per joint, by matplotlib.
 
-    The band holds 95 % of the measurements, if the noise found is all that differs: it is the error of the prediction
-    together with the noise. A title says how large the residual is, as a part of the torque's standard deviation.
+    The band holds 95 % of the measurements in motions of the kinds that were identified, see `Identified.predict`. A
+    title says how large the residual is, as a part of the torque's standard deviation.
 
     Args:
         identified: from `identify`.
@@ -80,11 +79,10 @@ def plot_torques(identified: Identified, motions: Motion | Sequence[Motion]) -> 
     robot = identified.robot
     if q.shape[1] != robot.n:
         raise ArgumentError(f"motions must be of the {robot.n} joints of {robot.name!r}, found {q.shape[1]}")
-    tau_hat, error = identified.predict(q, qd, qdd)
-    band = WIDE * (error.square() + identified.noise.to(error).square()).sqrt()
-    left = (tau - tau_hat).square().mean(0).sqrt() / tau.std(0)
+    told = identified.predict(q, qd, qdd)
+    left = (tau - told.tau).square().mean(0).sqrt() / tau.std(0)
     time, breaks = _one_axis(several)
-    signals = (np.insert(x.numpy(), breaks, np.nan, axis=0) for x in (tau, tau_hat, tau_hat - band, tau_hat + band))
+    signals = (np.insert(x.numpy(), breaks, np.nan, axis=0) for x in (tau, told.tau, told.low, told.high))
     measured, predicted, lower, upper = signals
     figure, panels = _panels(robot.n, 1, "plot_torques", width=9.0)
     for j, panel in enumerate(panels[:, 0]):

@@ -16,7 +16,6 @@ from torchdq.learning.logs.motions import Motion, cut, samples
 from torchdq.robot import Robot
 from torchdq.tables import table
 
-WIDE = 1.96  # standard deviations on either side that hold 95 % of normal numbers
 LEARNED = 2 / 3  # share of a single motion that is learned from
 WORTH = 0.95  # part of the error of the description that must be left at most, so that there is something gained
 GOOD, FAIR = 0.1, 0.3  # parts of the torque that are left unexplained at most
@@ -112,15 +111,14 @@ def trial(described: Robot, found: Identified, motions: Sequence[Motion]) -> Tor
     q, qd, qdd, tau = samples(known)
     with torch.no_grad():
         before = inverse_dynamics(described, q, qd, qdd)
-    tau_hat, error = found.by_these_gains().predict(q, qd, qdd)
-    band = WIDE * (error.square() + found.noise.to(error).square()).sqrt()
+    told = found.by_these_gains().predict(q, qd, qdd)
     size = tau.std(0)
     return TorqueTrial(
         described.joint_names,
         float(sum(motion.time[-1] - motion.time[0] for motion in known)),
         (tau - before).square().mean(0).sqrt() / size,
-        (tau - tau_hat).square().mean(0).sqrt() / size,
-        ((tau - tau_hat).abs() <= band).double().mean(0),
+        (tau - told.tau).square().mean(0).sqrt() / size,
+        ((tau >= told.low) & (tau <= told.high)).double().mean(0),
     )
 
 

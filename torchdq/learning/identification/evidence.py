@@ -19,6 +19,13 @@ from torchdq.robot import Robot
 STILL = 1e-2  # least variance of a joint's torque in a motion, relative to that in the motion where it is largest
 
 
+class Unseen(NamedTuple):
+    """Rows that were left out together, and what a model that was found without them leaves there."""
+
+    rows: Tensor  # [rows]
+    residual: Tensor  # [rows, n] [N m or N]
+
+
 class Evidence(NamedTuple):
     """Sums of `regression.gram` about the described bodies and coefficients of zero."""
 
@@ -55,6 +62,17 @@ class Evidence(NamedTuple):
         phi = _bodies(self.robot, self.at.shape[1]) + change
         tau = torques(self.robot, self.recording, self.own, phi, ROTOR not in self.terms)
         return self.recording.measured - tau
+
+    def left_out(self, changes: Sequence[Tensor], blocks: Sequence[Block]) -> tuple[list[Unseen], list[Unseen]]:
+        """Residuals of blocks, and of regions, by parameters [n, p] that were found without each."""
+        found, device = [], self.recording.q.device
+        parts = [torch.arange(block.rows.start, block.rows.stop, device=device) for block in blocks]
+        parts += [half for pair in regions(self.recording) for half in pair]
+        for change, rows in zip(changes, parts, strict=True):
+            some, phi = self.recording.some(rows), _bodies(self.robot, self.at.shape[1]) + change
+            tau = torques(self.robot, some, self.own[rows], phi, ROTOR not in self.terms)
+            found.append(Unseen(rows, some.measured - tau))
+        return found[: len(blocks)], found[len(blocks) :]
 
     def correlation(self, change: Tensor) -> Tensor:
         """Correlation times of those residuals [n] in rows."""

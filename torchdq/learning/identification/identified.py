@@ -32,10 +32,12 @@ UNITS = ("kg", *["kg m"] * 3, *["kg m^2"] * 6)
 
 
 class Prediction(NamedTuple):
-    """Torques with their standard errors, each [..., n]."""
+    """Torques with their standard errors and intervals, each [..., n]."""
 
     tau: Tensor  # [N m or N]
     error: Tensor  # [N m or N], of the parameters and of the model; noise comes on top
+    low: Tensor  # [N m or N], end of the interval that holds 95 % of measured torques
+    high: Tensor  # [N m or N]
 
     def __repr__(self) -> str:
         return summary("Prediction", {name: (x, "N m or N") for name, x in self._asdict().items()})
@@ -67,6 +69,7 @@ class Identified(NamedTuple):
     base: Tensor  # [rank, k]: each row one parameter and those that the samples cannot separate from it
     noise: Tensor  # [n] standard deviation of a torque's residual, by which the joints were weighted [N m or N]
     model: Tensor  # [n] standard deviation of what the model has no term for, as blocks left out show [N m or N]
+    half_width: Tensor  # [n] half-width of the intervals of `predict`, in units of errors of parameters and noise
     rms: Tensor  # [n] root mean square of the residual torque [N m or N]
     correlation: Tensor  # [n] correlation time of the residual torque, in rows
     width: float  # width of the Coulomb friction [rad/s or m/s]
@@ -228,12 +231,14 @@ class Identified(NamedTuple):
     def predict(
         self, motions: Motion | Sequence[Motion] | Tensor, qd: Tensor | None = None, qdd: Tensor | None = None
     ) -> Prediction:
-        """Torques of the identified robot, friction and offset included, [..., n], with standard errors.
+        """Torques of the identified robot, friction and offset included, [..., n], with standard errors and intervals.
 
         The errors are those of the parameters, and those of the model, `model`, which are what blocks of the motions
-        that were left out show beyond both noise and parameters: none where no model was chosen. Measured torques lie
-        95 % of the time within 1.96 sqrt(error^2 + noise^2) in motions of the kinds that were identified; in motions
-        that go elsewhere or far faster less often, since nothing recorded shows by how much.
+        that were left out show beyond both noise and parameters: none where no model was chosen. The intervals are
+        `half_width` times the root of the squared errors of the parameters and the squared noise, to either side: as
+        wide as they had to be to hold 95 % of the measured torques of those blocks, and of a block more. Where no
+        model was chosen, errors are taken for normal. In motions that go elsewhere or far faster the intervals hold
+        less, since nothing recorded shows by how much.
 
         Args:
             motions: motions from `smooth`, whose rows follow each other in the result; or joint positions [..., n]
@@ -258,8 +263,9 @@ class Identified(NamedTuple):
                 error[part] = torch.einsum("rjp,jpt->rjt", Z, spread.to(q)).norm(dim=-1)
                 if rotor is None and self.robot.armature is not None:
                     tau[part] += self.robot.armature.to(q) * qdd
+            margin = self.half_width.to(error) * torch.hypot(error, self.noise.to(error))
             error = torch.hypot(error, self.model.to(error))
-        return Prediction(tau.reshape(*batch, n), error.reshape(*batch, n))
+        return Prediction(*(x.reshape(*batch, n) for x in (tau, error, tau - margin, tau + margin)))
 
 
 def recorded(

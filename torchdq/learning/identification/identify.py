@@ -25,10 +25,11 @@ from torchdq.checks import require_number
 from torchdq.effects.friction import Friction
 from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics, require_finite
+from torchdq.learning.identification.calibration import half_widths
 from torchdq.learning.identification.evidence import Evidence, described, gather
 from torchdq.learning.identification.gains import Gains, drive_gains, spread_of_gains
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
-from torchdq.learning.identification.ladder import STRENGTHS, Ladder, Rung, climb
+from torchdq.learning.identification.ladder import STRENGTHS, Apart, Ladder, Rung, climb
 from torchdq.learning.identification.lags import lagging
 from torchdq.learning.identification.missing import missing, offset_missing
 from torchdq.learning.identification.regression import base_parameters, rigid
@@ -157,13 +158,14 @@ def identify(
         if doubt := _doubts(robot, rows, width):
             warnings.warn(doubt, LogWarning, stacklevel=3)
         frozen = prior == math.inf
+        apart: Apart = ([], [])
         ladder, strength = None, math.inf if frozen else 1.0
         weight = 1.0 if prior is None or frozen else prior
         if left_out:
             shapes = SHAPES if friction == "choose" else ()
             candidates = [OFFSET] * (offset == "choose") + [term for term in shapes if memory or not term.bristles]
             strengths = STRENGTHS if prior is None else (strength,)
-            ladder, evidence = climb(robot, rows, fixed, candidates, width, strengths, left_out, notice.at)
+            ladder, evidence, apart = climb(robot, rows, fixed, candidates, width, strengths, left_out, notice.at)
             sought, strength = ladder.rung.sought[ladder.rung.sought.any(1)], ladder.rung.strength
         else:
             loaded = any(term.loaded for term in fixed)
@@ -180,7 +182,7 @@ def identify(
         measured = bool(left_out) and offset == "choose"  # blocks that were left out have decided about offsets
         for late in () if doubt else _late(evidence, found, weight, width, not measured):
             warnings.warn(late, LogWarning, stacklevel=3)
-        return _identified(evidence, found, correlation, weight, width, moves, ladder, drives)
+        return _identified(evidence, found, correlation, weight, width, moves, ladder, apart, drives)
 
 
 def _unchosen(rows: MotionRows, fixed: Sequence[Term], sought: Tensor, strength: float, prior: float) -> Ladder:
@@ -219,6 +221,7 @@ def _identified(
     width: float,
     moves: Tensor,
     ladder: Ladder | None,
+    apart: Apart,
     drives: tuple[Gains, Tensor] | None,
 ) -> Identified:
     robot, terms, near, facts = evidence.robot, evidence.terms, found.near, found.facts
@@ -230,6 +233,7 @@ def _identified(
     if ladder is not None:
         ladder = ladder._replace(untold=_untold(robot, excited))
     model = _beyond(evidence, spread, facts.noise, ladder if measured else None)
+    wide = half_widths(evidence, apart, spread, facts.noise)
     if drives is not None:
         spread = torch.cat([spread, spread_of_gains(evidence, found, correlation, prior, *drives)], 1)
     return Identified(
@@ -241,6 +245,7 @@ def _identified(
         base=base_parameters(facts.V[:, facts.e > 0].T @ near.inverse, near.S.norm(dim=1)),
         noise=facts.noise,
         model=model,
+        half_width=wide,
         rms=found.rms,
         correlation=correlation,
         width=width,

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.learning.identification.evidence import Evidence, described, gather
+from torchdq.learning.identification.evidence import Evidence, Unseen, described, gather
 from torchdq.learning.identification.regression import places, rigid
 from torchdq.learning.identification.shapes import Gain, gainful
 from torchdq.learning.identification.solution import Solution, changes, solve
@@ -27,6 +27,9 @@ from torchdq.tables import table
 STRENGTHS = tuple(10.0**k for k in range(5, -1, -1))  # prior of the bodies, the strongest first
 
 
+Apart = tuple[list[Unseen], list[Unseen]]  # blocks, and regions
+
+
 class Rung(NamedTuple):
     """Model, and how it did on the blocks that were left out."""
 
@@ -35,6 +38,7 @@ class Rung(NamedTuple):
     sought: Tensor  # [terms, n] coefficients that it has
     strength: float  # weight of the bodies' prior; infinite: they stay as described
     gains: tuple[Gain, ...] = ()  # friction of other shapes that it has
+    found: tuple[Tensor, ...] = ()  # changes of the parameters, found without each block and region [n, p]
 
     @property
     def score(self) -> float:
@@ -120,8 +124,10 @@ def climb(
     strengths: Sequence[float],
     blocks: Sequence[Block],
     say: Callable[[str], None],
-) -> tuple[Ladder, Evidence]:
-    """Ladder of models of a recording, and the evidence with the terms of its chosen rung.
+) -> tuple[Ladder, Evidence, Apart]:
+    """Ladder of models of a recording, the evidence with the terms of its chosen rung, and what this leaves.
+
+    The last are residuals of blocks, and of regions, by parameters that were found without each.
 
     Args:
         robot: the robot as described.
@@ -141,7 +147,8 @@ def climb(
 
     load = rigid(robot, recording, described(robot), robot.armature) if loaded else None
     evidence = gather(robot, recording, terms, width, load, blocks, say)
-    rungs = [Rung("description", evidence.scores([none] * len(evidence.left)), torch.zeros_like(sought), math.inf)]
+    nothing = (none,) * len(evidence.left)
+    rungs = [Rung("description", evidence.scores(nothing), torch.zeros_like(sought), math.inf, found=nothing)]
 
     def add(name: str, evidence: Evidence, strengths: Sequence[float], mask: Tensor, gains: Sequence[Gain]) -> None:
         say(name)
@@ -183,8 +190,8 @@ def _more(gains: Sequence[Gain]) -> str:
 
 def _chosen(
     rungs: Sequence[Rung], evidence: Evidence, identified: Evidence, others: Sequence[int], blocks: Sequence[Block]
-) -> tuple[Ladder, Evidence]:
-    """Ladder of rungs, and the evidence of the chosen one, which is another where bodies are identified."""
+) -> tuple[Ladder, Evidence, Apart]:
+    """Ladder of rungs, the evidence of the chosen one, which is another where bodies are identified, and residuals."""
     chosen = _simplest([rung.scores for rung in rungs])
     useless = [evidence.terms[k].name for k in others if not any(bool(rung.sought[k].any()) for rung in rungs)]
     regions = len(evidence.left) - len(blocks)
@@ -192,15 +199,15 @@ def _chosen(
     squares = rungs[chosen].scores * evidence.sizes / evidence.counts[:, None]
     left = torch.stack([part.mean(0) for part in (squares[: len(blocks)], squares[len(blocks) :]) if len(part)]).amax(0)
     ladder = Ladder(tuple(rungs), chosen, f"{len(blocks)} {what} that were left out in turn", left, tuple(useless))
-    used = rungs[chosen].sought.any(1)
-    return ladder, _only(evidence if math.isinf(rungs[chosen].strength) else identified, used)
+    own = evidence if math.isinf(rungs[chosen].strength) else identified
+    return ladder, _only(own, rungs[chosen].sought.any(1)), own.left_out(rungs[chosen].found, blocks)
 
 
 def _rung(
     name: str, evidence: Evidence, strengths: Sequence[float], sought: Tensor, variance: Tensor, gains: Sequence[Gain]
 ) -> Rung:
     """Rung with the strength of the prior that does best on the blocks, or a stronger one as good."""
-    scores: list[Tensor] = []
+    scores, every = list[Tensor](), list[list[Tensor]]()
     starts: list[Tensor | None] = [None] * len(evidence.folds)
     before = 1.0
     for strength in strengths:
@@ -213,9 +220,10 @@ def _rung(
             starts[k], change = changes(near, sums, variance, evidence.at, start)
             found.append(change)
         before = strength
+        every.append(found)
         scores.append(evidence.scores(found))
     best = _simplest(scores)
-    return Rung(name, scores[best], sought, strengths[best], tuple(gains))
+    return Rung(name, scores[best], sought, strengths[best], tuple(gains), tuple(every[best]))
 
 
 def _simplest(scores: Sequence[Tensor]) -> int:

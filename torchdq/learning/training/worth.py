@@ -21,12 +21,12 @@ import torch
 from torch import Tensor
 
 from torchdq.learning.logs.correlation import correlation_times
+from torchdq.learning.logs.coverage import interval_factors
 from torchdq.residual import ResidualDynamics
 from torchdq.residual.smooth import smooth_step
 from torchdq.tables import table
 
 REACHES = (0.5, 0.75, 0.9, 0.99)  # shares of the left-out rows that a domain may reach
-COVERED = 0.95  # share of measured torques in an interval
 LEAST = 2  # fewest independent rows of a block, on average
 
 
@@ -159,5 +159,5 @@ def _set_errors(model: ResidualDynamics, left: LeftOut, wrong: Tensor, gate: Ten
     distance = left.squared_distance.clamp_min(0).sqrt() / model.domain.reach + left.past.clamp_min(0)
     leverage, distance = (x.expand_as(wrong) for x in (left.leverage, distance))
     ratio = wrong.abs() / posterior.errors(leverage, gate, distance, model.weight).clamp_min(1e-300)
-    posterior.quantile.copy_(ratio.quantile(COVERED, 0))
+    posterior.quantile.copy_(interval_factors(ratio.split(list(lengths))))
     return (ratio <= posterior.quantile).double().mean(0)

@@ -1,0 +1,33 @@
+"""Width of intervals that hold 95 % of the torques of motions that took no part in a fit."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+COVERED = 0.95  # share of measured torques in an interval
+
+
+def interval_factors(ratios: Sequence[Tensor]) -> Tensor:
+    """Half-widths [n] of intervals in units of the predicted errors.
+
+    Rows of one block resemble each other, and those of a new motion are a block more. So each block is held against the
+    quantile of the others, and the quantile of all is widened as far as these comparisons ask for: the intervals made
+    without a block then hold, on average over the blocks, the share of its rows that they should (a cross-conformal
+    prediction, V. Vovk, Annals of Mathematics and Artificial Intelligence 74, 2015, of blocks instead of rows).
+
+    Args:
+        ratios: of each block that was left out, the residuals in units of the predicted errors [rows, n].
+
+    >>> alike = torch.randn(6, 2000, 1, generator=torch.Generator().manual_seed(0)).double()
+    >>> bool((interval_factors(list(alike)) - 1.96).abs() < 0.1)
+    True
+    """
+    sizes = [ratio.abs() for ratio in ratios]
+    quantile = torch.cat(sizes).quantile(COVERED, 0)
+    if len(sizes) < 2:
+        return quantile
+    others = [torch.cat([*sizes[:k], *sizes[k + 1 :]]).quantile(COVERED, 0) for k in range(len(sizes))]
+    still = torch.finfo(quantile.dtype).tiny
+    beyond = torch.cat([size / other.clamp_min(still) for size, other in zip(sizes, others, strict=True)])
+    return quantile * beyond.quantile(COVERED, 0).clamp_min(1.0)
