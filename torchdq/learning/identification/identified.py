@@ -146,7 +146,7 @@ class Identified(NamedTuple):
 
         >>> import torch, torchdq, torchdq.envs
         >>> from torchdq.learning import identify
-        >>> robot, (q, qd, qdd) = torchdq.robots.load("two_link"), torch.randn(3, 100, 2, dtype=torch.float64)
+        >>> robot, (q, qd, qdd) = torchdq.robots.load("two_link"), torch.randn(3, 200, 2, dtype=torch.float64)
         >>> found = identify(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.5 * qd)
         >>> torchdq.envs.Scene(found.robot, found.effects()).robot.name
         'two_link'

@@ -116,7 +116,7 @@ def identify(
     >>> import torch, torchdq
     >>> described = torchdq.robots.load("two_link")
     >>> real = described.replace(mass=1.3 * described.mass)
-    >>> q, qd, qdd = torch.randn(3, 100, 2, dtype=torch.float64)
+    >>> q, qd, qdd = torch.randn(3, 200, 2, dtype=torch.float64)
     >>> found = identify(described, q, qd, qdd, torchdq.inverse_dynamics(real, q, qd, qdd), friction=False)
     >>> torch.allclose(found.predict(q, qd, qdd).tau, torchdq.inverse_dynamics(real, q, qd, qdd), atol=1e-6)
     True
