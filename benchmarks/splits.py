@@ -38,6 +38,7 @@ from recordings import LAYOUTS
 from torchdq import DQRNEA, ResidualDynamics, Robot
 from torchdq.learning import (
     Identified,
+    IdentifiedWithResidual,
     LogWarning,
     Motion,
     Prediction,
@@ -256,18 +257,12 @@ def measured(split: Split, models: Models) -> Row:
     return Row(split.name, seen(split), description, *three, held(models.chosen, split.test), *expected, models.seconds)
 
 
-def beyond(found: Identified, layer: DQRNEA, motion: Motion) -> Samples:
-    """Samples of a motion, the torques without those of friction that a layer cannot remember."""
-    q, qd, qdd, tau = samples(motion)
-    with torch.no_grad():
-        return Samples(q, qd, qdd, tau - found.predict([motion]).tau + layer(q, qd, qdd))
-
-
 def trained(split: Split, found: Identified) -> Trained:
     """Network beside what was chosen; left-out rows choose its weight decay."""
     start, layer, candidates = time.perf_counter(), found.layer(), []
     layer.requires_grad_(False)
-    train = [beyond(found, layer, motion) for motion in split.train]
+    whole = IdentifiedWithResidual(found, ResidualDynamics(layer))
+    train = [whole.samples(motion) for motion in split.train]
     for decay in DECAYS:
         torch.manual_seed(0)
         model = ResidualDynamics(layer)
@@ -282,7 +277,7 @@ def trained(split: Split, found: Identified) -> Trained:
 def with_network(split: Split, found: Identified, network: Trained) -> Network:
     """Scores with the network beside what was chosen."""
     model, worth, seconds = network
-    rows = (beyond(found, model.model, one) for one in split.test)
+    rows = map(IdentifiedWithResidual(found, model).samples, split.test)
     test = Samples(*(torch.cat(x) for x in zip(*rows, strict=True)))
     told = model.predict(*test[:3])
     left = [model.model(*test[:3]).detach() - test.tau, told.tau - test.tau]

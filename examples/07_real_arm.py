@@ -7,23 +7,24 @@ The number is RMSE over standard deviation of the measured torque, per joint, on
 by. What is chosen is chosen on blocks of the training motions that were left out. Rows, a ladder of models:
 
     description          the URDF alone
-    + friction           viscous, Coulomb, offset and rotor inertia by least squares
+    + friction           viscous and Coulomb friction, offset and rotor inertia beside it
     identified           least squares over all inertial parameters and friction, kept physical
-    chosen               what `identify` chooses among these and friction of other shapes, as a layer
+    chosen               what `identify` chooses among these and friction of other shapes
     chosen + residual    the same and a small network per joint, kept where it helps (`fit`)
     black box            a network from q, qd, qdd of all joints to torques, knowing nothing
 
-The last table is the share of the test torques in the 95 % intervals of `ResidualDynamics.predict`: near 95 % for
+The last row is the share of the test torques in the 95 % intervals of `IdentifiedWithResidual.predict`: near 95 % for
 motions of the same kind, less for others.
 """
 
 import json
+import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -36,10 +37,22 @@ from rich.table import Table
 from torch import Tensor, nn
 
 import torchdq
-from torchdq.learning import LogError, Motion, Samples, cut, identify, read, samples, smooth
+from torchdq.learning import (
+    Identified,
+    IdentifiedWithResidual,
+    LogError,
+    Motion,
+    Samples,
+    cut,
+    identify,
+    read,
+    samples,
+    smooth,
+)
 
 BATCH, RATE, DECAY = 256, 1e-2, 1e-2  # rows of a step, learning rate and weight decay of every training
-WIDTH = 0.02  # speed over which Coulomb friction changes sign [rad/s]: about the noise of the filtered velocity
+
+Torques = Callable[[Motion], Tensor]  # model of a motion's torques [rows, n]
 
 
 @dataclass
@@ -90,49 +103,38 @@ class BlackBox(nn.Module):
         return self.middle + self.scale * self.network(x.float())  # single precision, as networks are
 
 
-def errors(model: nn.Module, tests: Sequence[Samples]) -> list[np.ndarray]:
+def errors(model: Torques, tests: Sequence[Motion]) -> list[np.ndarray]:
     """RMSE over standard deviation of the torque, per joint, on every test."""
     with torch.no_grad():
-        return [
-            ((model(*test[:3]) - test.tau).square().mean(0).sqrt() / test.tau.std(0)).double().numpy() for test in tests
-        ]
+        pairs = [(model(test), samples(test).tau) for test in tests]
+    return [((found - tau).square().mean(0).sqrt() / tau.std(0)).double().numpy() for found, tau in pairs]
 
 
-def together(parts: Sequence[Samples]) -> Samples:
-    """All samples as one."""
-    return Samples(*(torch.cat(rows) for rows in zip(*parts, strict=True)))
+def of_states(model: nn.Module) -> Torques:
+    """Torques of a motion by a module of q, qd and qdd."""
+    return lambda motion: model(*samples(motion)[:3])
 
 
-def with_friction(robot: torchdq.Robot, data: Samples) -> torchdq.DQRNEA:
-    """The described model with friction, offset and rotor inertia by least squares, joint by joint."""
-    q, qd, qdd, tau = data
-    layer = torchdq.DQRNEA(robot, learn=("friction", "armature", "offset"), friction_width=WIDTH)
-    terms = torch.stack([qd, qd / (qd * qd + WIDTH**2).sqrt(), torch.ones_like(qd), qdd], -1)  # [N, n, 4]
-    left = tau - torchdq.inverse_dynamics(robot.replace(armature=None), q, qd, qdd)
-    columns = [torch.linalg.lstsq(terms[:, j], left[:, j, None]).solution[:, 0] for j in range(robot.n)]
-    viscous, coulomb, offset, armature = torch.stack(columns, -1)
-    layer.viscous, layer.coulomb, layer.armature = (x.clamp(min=0.0) for x in (viscous, coulomb, armature))
-    layer.offset = nn.Parameter(offset)
-    return layer
+def of_motions(model: Identified | IdentifiedWithResidual) -> Torques:
+    """Torques of a motion by a model that knows what was before."""
+    return lambda motion: model.predict(motion).tau
 
 
-def covered(model: torchdq.ResidualDynamics, test: Samples) -> np.ndarray:
+def covered(model: IdentifiedWithResidual, test: Motion) -> np.ndarray:
     """Share of the torques in their 95 % intervals, per joint."""
-    told = model.predict(*test[:3])
-    return ((test.tau >= told.low) & (test.tau <= told.high)).double().mean(0).numpy()
+    told, tau = model.predict(test), samples(test).tau
+    return ((tau >= told.low) & (tau <= told.high)).double().mean(0).numpy()
 
 
-def parts_of(args: Args) -> tuple[list[Motion], dict[str, Samples]]:
-    """Motions to learn from, and samples of those to test on by name."""
+def parts_of(args: Args) -> tuple[list[Motion], dict[str, Motion]]:
+    """Motions to learn from, and those to test on by name."""
     layout = LAYOUTS[args.format]
     motions = [smooth(read(path, layout)) for path in args.train]
     if args.test:
-        return motions, {p.name: samples(smooth(read(p, layout))) for p in args.test}
+        return motions, {p.name: smooth(read(p, layout)) for p in args.test}
     halves = [cut(motion, args.split) for motion in motions]
-    tests = {
-        f"{path.name}, last {1 - args.split:.0%}": samples(b) for path, (_, b) in zip(args.train, halves, strict=True)
-    }
-    return [a for a, _ in halves], tests
+    names = [f"{path.name}, last {1 - args.split:.0%}" for path in args.train]
+    return [a for a, _ in halves], {name: b for name, (_, b) in zip(names, halves, strict=True)}
 
 
 def black_box(args: Args, candidate: tuple[int, float], data: Samples, steps: int, seed: int = 0) -> nn.Module:
@@ -144,94 +146,108 @@ def black_box(args: Args, candidate: tuple[int, float], data: Samples, steps: in
     return box
 
 
-def chosen_box(args: Args, parts: Sequence[Samples], steps: int, console: Console) -> tuple[int, float]:
+def chosen_box(args: Args, motions: Sequence[Motion], steps: int, console: Console) -> tuple[int, float]:
     """Width and weight decay that do best on the last training motion, or on the last fifth of the only one."""
     candidates = [(64, 0.1)] if args.quick else [(w, d) for w in (64, 128) for d in (1e-2, 1e-1, 1.0)]
     if len(candidates) == 1:
         return candidates[0]
-    k = len(parts[0].q) * 4 // 5
-    early = together(parts[:-1]) if len(parts) > 1 else Samples(*(x[:k] for x in parts[0]))
-    late = parts[-1] if len(parts) > 1 else Samples(*(x[k:] for x in parts[0]))
-    scores = {c: float(np.mean(errors(black_box(args, c, early, steps), [late]))) for c in candidates}
+    early, late = (motions[:-1], motions[-1]) if len(motions) > 1 else cut(motions[0], 0.8)
+    data = samples(early)
+    scores = {c: float(np.mean(errors(of_states(black_box(args, c, data, steps)), [late]))) for c in candidates}
     best = min(scores, key=scores.__getitem__)
     console.print(f"black box (width, decay): {best} chosen among {len(candidates)}")
     return best
 
 
-def main(args: Args) -> dict[str, dict[str, list[float]]]:
-    """RMSE/std per joint, by row and test; and the share of torques in their intervals, as the row `covered`."""
+class Result(NamedTuple):
+    """What was measured; every list has a row of joints for each test."""
+
+    tests: list[str]
+    errors: dict[str, np.ndarray]  # RMSE over standard deviation by model
+    covered: np.ndarray  # share of the torques in the intervals
+    learned: float  # time that was learned from [s]
+    seeds: int
+
+
+def main(args: Args) -> Result:
+    """Errors of all models, and the share of the torques in their intervals."""
     console, begin = Console(width=120), time.perf_counter()
     robot = torchdq.Robot.from_urdf(args.robot, on_unphysical="ignore")
     motions, held = parts_of(args)
-    tests, parts = list(held.values()), [samples(motion) for motion in motions]
-    data = together(parts)
+    tests, data = list(held.values()), samples(motions)
     steps, seeds = (200, 1) if args.quick else (args.steps, args.seeds)
     console.print(
-        f"{robot.name}, {robot.n} joints: {len(data.q)} samples of {len(parts)} motions to learn from, "
+        f"{robot.name}, {robot.n} joints: {len(data.q)} samples of {len(motions)} motions to learn from, "
         f"{sum(len(test.q) for test in tests)} of {len(tests)} to test on"
     )
     rows: dict[str, list[list[np.ndarray]]] = {}  # by row, per seed, per test
-    models: dict[str, nn.Module] = {}
+    models: dict[str, Torques] = {}
 
-    def add(name: str, model: nn.Module) -> None:
+    def add(name: str, model: Torques) -> None:
         rows.setdefault(name, []).append(errors(model, tests))
         models[name] = model
 
-    add("description", torchdq.DQRNEA(robot))
-    add("+ friction", with_friction(robot, data))
-    options = {"offset": True, "armature": True, "width": WIDTH}
-    add("identified", identify(robot, motions, friction=True, prior=1.0, **options).layer())
+    add("description", of_states(torchdq.DQRNEA(robot)))
+    options = {"offset": True, "armature": True}
+    add("+ friction", of_motions(identify(robot, motions, friction=True, prior=math.inf, **options)))
+    add("identified", of_motions(identify(robot, motions, friction=True, prior=1.0, **options)))
     found = identify(robot, motions, **options)
     console.print(str(found.report) if found.report is not None else "too few rows to choose by", highlight=False)
-    add("chosen", found.layer())
-    box = chosen_box(args, parts, steps, console)
+    add("chosen", of_motions(found))
+    box = chosen_box(args, motions, steps, console)
     inside: list[list[np.ndarray]] = []  # per seed, per test
     for seed in range(seeds):
         torch.manual_seed(seed)
-        model = torchdq.ResidualDynamics(found.layer())
-        for p in model.model.parameters():
-            p.requires_grad_(False)  # least squares have found the best there is
-        model.standardise(*data)
+        layer = found.layer().requires_grad_(False)  # least squares have found the best there is
+        model = IdentifiedWithResidual(found, torchdq.ResidualDynamics(layer))
+        parts = [model.samples(motion) for motion in motions]
+        model.residual.standardise(*model.samples(motions))
         how = {"steps": steps, "batch": BATCH, "rate": RATE, "decay": DECAY, "seed": seed}
-        history = fit_on(args.place, model, parts, **how)
-        add("chosen + residual", model)
+        history = fit_on(args.place, model.residual, parts, **how)
+        add("chosen + residual", of_motions(model))
         inside.append([covered(model, test) for test in tests])
-        add("black box", black_box(args, box, data, steps, seed))
+        add("black box", of_states(black_box(args, box, data, steps, seed)))
     console.print(str(history.residual), highlight=False)
 
-    means = {name: np.mean(found, axis=0) for name, found in rows.items()}  # [tests, n]
-    shares = np.mean(inside, axis=0)
+    result = Result(
+        list(held),
+        {name: np.mean(found, axis=0) for name, found in rows.items()},  # [tests, n]
+        np.mean(inside, axis=0),
+        sum(float(motion.time[-1] - motion.time[0]) for motion in motions),
+        seeds,
+    )
     heads = [*(f"joint {j + 1}" for j in range(robot.n)), "mean"]
     for i, test in enumerate(held):
         table = Table("model", *heads, title=f"RMSE / std of the torque, {test}")
-        for name, scores in means.items():
+        for name, scores in result.errors.items():
             table.add_row(name, *(f"{x:.3f}" for x in (*scores[i], scores[i].mean())))
         table.add_section()
-        table.add_row("torques in 95 % intervals", *(f"{x:.0%}" for x in (*shares[i], shares[i].mean())))
+        shares = result.covered[i]
+        table.add_row("torques in 95 % intervals", *(f"{x:.0%}" for x in (*shares, shares.mean())))
         console.print(table)
     console.print(
         f"{seeds} seeds; everything took {time.perf_counter() - begin:.0f} s on {torch.get_num_threads()} threads"
     )
     plot(robot, tests[0], models, args.out)
-    means["covered"] = shares
-    result = {name: {test: scores[i].tolist() for i, test in enumerate(held)} for name, scores in means.items()}
     if args.json is not None:
-        args.json.write_text(json.dumps(result, indent=1))
+        plain = {name: scores.tolist() for name, scores in (*result.errors.items(), ("covered", result.covered))}
+        args.json.write_text(json.dumps({"tests": result.tests, **plain}, indent=1))
     return result
 
 
-def plot(robot: torchdq.Robot, test: Samples, models: dict[str, nn.Module], out: Path) -> None:
+def plot(robot: torchdq.Robot, test: Motion, models: dict[str, Torques], out: Path) -> None:
     """Measured torques and those of three models over a stretch of a test motion, a panel per joint."""
     prepare()
     stretch = slice(0, min(len(test.q), 800))
-    rows = Samples(*(x[stretch] for x in test))
     shown = {"description": ORANGE, "+ friction": "#E69F00", "chosen + residual": BLUE}
+    with torch.no_grad():
+        torques = {name: models[name](test)[stretch] for name in shown}
+    measured = samples(test).tau[stretch]
     figure, joints = panels(robot.n, 2, 1.7)
     for j, panel in enumerate(joints):
-        panel.plot(rows.tau[:, j], color="#B0B0B0", linewidth=4, label="measured")
+        panel.plot(measured[:, j], color="#B0B0B0", linewidth=4, label="measured")
         for name, color in shown.items():
-            with torch.no_grad():
-                panel.plot(models[name](*rows[:3])[:, j], color=color, linewidth=1.1, label=name)
+            panel.plot(torques[name][:, j], color=color, linewidth=1.1, label=name)
         panel.set_title(robot.joint_names[j], fontsize=10)
     label(figure, joints[0], "sample of the first test motion")
     save(figure, out / "real_arm.png")

@@ -3718,6 +3718,12 @@ MUTANTS = (
             "residual_domain.py::test_a_joint_that_is_far_away_leaves_the_others_their_residual",
         ),
         (
+            "sines of metres",
+            "q.sin().where(self.turns, q)",
+            "q.sin()",
+            "residual.py::test_a_joint_that_slides_is_seen_where_it_is_and_metres_are_no_angles",
+        ),
+        (
             "a gate that falls faster with the torque than the torque rises",
             "SLOWLY = 4.0",
             "SLOWLY = 1.0",
@@ -3728,6 +3734,21 @@ MUTANTS = (
             "return limited(self.raw(self.within_range(x), network), self.largest.to(x))",
             "return self.raw(self.within_range(x), network)",
             "residual_domain.py::test_no_weights_take_a_residual_beyond_its_bound",
+        ),
+    ),
+    *within(
+        "torchdq/learning/with_residual.py",
+        (
+            "a network that learns what the identified robot remembers",
+            "measured - (known - self._steady(rows))",
+            "measured",
+            "with_residual.py::test_samples_are_what_the_layer_explains_as_well_as_the_robot_that_remembers",
+        ),
+        (
+            "predictions without the memory",
+            "tau - self._steady(rows)",
+            "0 * tau",
+            "with_residual.py::test_a_scene_moves_as_it_predicts",
         ),
     ),
     *within(

@@ -92,6 +92,7 @@ STOREYS = {
     "torchdq.learning.rollout": 2,
     "torchdq.learning.bodies": 3,
     "torchdq.learning.trial": 3,
+    "torchdq.learning.with_residual": 3,
     "torchdq.learning.excitation.limits": 1,
     "torchdq.learning.pictures": 4,
     "torchdq.learning.page": 5,

@@ -49,11 +49,12 @@ def test_every_model_explains_what_it_can(main, tmp_path):
     result = main.main(
         main.Args("csv", tmp_path / "pair.urdf", logs[:2], logs[2:], quick=True, json=tmp_path / "r.json", out=tmp_path)
     )
-    mean = {name: sum(found["2.csv"]) / 2 for name, found in result.items()}
+    assert result.tests == ["2.csv"]
+    mean = {name: float(found.mean()) for name, found in result.errors.items()}
     assert mean["identified"] < 0.1 < mean["+ friction"] < mean["description"]
     assert mean["identified"] < 0.5 * mean["+ friction"]
     assert mean["chosen"] < 0.1 and mean["chosen + residual"] < 1.01 * mean["chosen"]
-    assert mean["covered"] > 0.5
+    assert result.covered.mean() > 0.5
     assert (tmp_path / "r.json").is_file() and imread(tmp_path / "real_arm.png")[..., :3].std() > 0.03
 
 
@@ -62,7 +63,8 @@ def test_a_real_panda_is_explained_best_by_physics(main, tmp_path):
     folder = DATA / "panda_gaz2019"
     logs = [folder / "panda_exciting_traj1.csv"]
     args = main.Args("panda", folder / "panda_gaz2019.urdf", logs, quick=True, out=tmp_path)
-    mean = {row: sum(next(iter(found.values()))) / 7 for row, found in main.main(args).items()}
+    result = main.main(args)
+    mean = {name: float(found.mean()) for name, found in result.errors.items()}
     assert mean["identified"] < 0.075 < 0.09 < mean["+ friction"] < mean["description"]
     assert mean["chosen + residual"] < 0.8 * mean["chosen"] < 0.5 * mean["black box"]
-    assert 0.93 < mean["covered"] < 0.97
+    assert 0.93 < result.covered.mean() < 0.97

@@ -2,12 +2,13 @@
 
 import copy
 import pickle
+import warnings
 
 import helpers
 import pytest
 import torch
 from helpers import random
-from oracles import shipped
+from oracles import shipped, tree
 
 import torchdq
 from torchdq.residual import Perceptrons, ResidualDynamics
@@ -70,6 +71,26 @@ def test_features_are_what_is_written():
     assert not ResidualDynamics(model).features(q, qd, None, tau)[..., 4].any()
     found = ResidualDynamics(model, position=True).features(q, qd, qdd, tau)
     assert torch.allclose(found, torch.stack([q.sin(), q.cos(), *expected], -1), rtol=1e-14, atol=1e-15)
+
+
+def test_a_joint_that_slides_is_seen_where_it_is_and_metres_are_no_angles():
+    robot = tree(6).robot
+    turns = torch.tensor([joint.turns for joint in robot.joint_types])
+    assert 0 < int(turns.sum()) < robot.n
+    q, qd, qdd, tau = random(4, 5, robot.n)
+    layer = ResidualDynamics(torchdq.DQRNEA(robot), position=True)
+    first, second = layer.features(q, qd, qdd, tau).unbind(-1)[:2]
+    assert torch.equal(first, torch.where(turns, q.sin(), q)) and torch.equal(second, torch.where(turns, q.cos(), 0.0))
+    far = layer.features(q + 2 * torch.pi, qd, qdd, tau)[..., 0]
+    assert torch.allclose(far[:, turns], first[:, turns]) and ((far - first)[:, ~turns] > 6).all()
+    assert "turns" not in layer.state_dict()
+
+
+def test_a_robot_with_learned_masses_prints_without_a_warning():
+    model = torchdq.DQRNEA(PANDA, learn=("mass",))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert "'panda'" in repr(model.robot)
 
 
 def seen(inputs):

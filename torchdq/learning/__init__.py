@@ -32,6 +32,7 @@ from torchdq.learning.rollout.result import RolloutFit
 from torchdq.learning.training.checkpoint import CheckpointError
 from torchdq.learning.training.fit import fit
 from torchdq.learning.training.run import History, TrainingError
+from torchdq.learning.with_residual import IdentifiedWithResidual
 
 __all__ = [
     "Box",
@@ -41,6 +42,7 @@ __all__ = [
     "History",
     "Identified",
     "IdentifiedPayload",
+    "IdentifiedWithResidual",
     "Ladder",
     "Layout",
     "Log",

@@ -51,6 +51,8 @@ class ResidualDynamics(nn.Module):
     * the weight of each joint, from 0 to 1, is the one that is best on rows that the network was not trained on;
     * `predict` knows how far measured torques are off.
 
+    Beside an identified robot whose friction remembers, `torchdq.learning.IdentifiedWithResidual` has its memory, too.
+
     Args:
         model: the dynamics; what it learns is learned along with the network.
         network: a network of your own, taken as it is: from [..., n, 6] to [..., n, 1] if inputs is "joint", from
@@ -59,8 +61,9 @@ class ResidualDynamics(nn.Module):
         inputs: "joint": each joint has a network of its own that sees that joint only, which finds friction and gears
             but cannot imitate couplings and generalises the better for it; "all": one network sees all joints.
         hidden: widths of the hidden layers, if network is None.
-        position: two more features, sin q and cos q, before the others: for torques that depend on the position, such
-            as those of cables and gears, if the motions are in all places that matter.
+        position: two more features before the others, sin q and cos q of a joint that turns, q and zero of one that
+            slides: for torques that depend on the position, such as those of cables and gears, if the motions are in
+            all places that matter.
 
     Raises:
         ArgumentError: an argument is none of these.
@@ -78,6 +81,7 @@ class ResidualDynamics(nn.Module):
     torque_scale: Tensor
     largest: Tensor
     weight: Tensor
+    turns: Tensor  # [n] bool, of the joints; not learned, so no part of the state
 
     def __init__(
         self,
@@ -96,6 +100,8 @@ class ResidualDynamics(nn.Module):
             require_count("every width in hidden", width)
         n, self.features_of_a_joint = model.robot.n, len(WIDTHS) + (5 if position else 3)
         self.model, self.inputs, self.position = model, inputs, position
+        turns = torch.tensor([joint.turns for joint in model.robot.joint_types])
+        self.register_buffer("turns", turns, persistent=False)
         groups, features = (n, self.features_of_a_joint) if inputs == "joint" else (1, n * self.features_of_a_joint)
         if network is None:
             network = Perceptrons(n, features, 1, hidden) if inputs == "joint" else Joined(features, n, hidden)
@@ -216,7 +222,8 @@ class ResidualDynamics(nn.Module):
     def _columns(self, q: Tensor, qd: Tensor, qdd: Tensor | None, tau: Tensor) -> Tensor:
         width = self.model.friction_width
         directions = [smooth_sign(qd, number(w * width, qd)) for w in WIDTHS]
-        places = (q.sin(), q.cos()) if self.position else ()
+        # metres are no angles
+        places = (q.sin().where(self.turns, q), q.cos().where(self.turns, 0.0)) if self.position else ()
         columns = (*places, qd, *directions, torch.zeros_like(qd) if qdd is None else qdd, tau)
         return torch.stack(torch.broadcast_tensors(*columns), -1)
 

@@ -315,7 +315,7 @@ class Robot:
         links = len(self.link_names)
         hangs = "chain" if self.parents == tuple(range(BASE, links - 1)) else "tree"
         masses = [self.mass.sum(-1), *([] if self.base_mass is None else [self.base_mass])]
-        mass = "?" if any(x.is_meta for x in masses) else f"{sum(float(x.mean()) for x in masses):.4g}"
+        mass = "?" if any(x.is_meta for x in masses) else f"{sum(float(x.detach().mean()) for x in masses):.4g}"
         joints = f"{self.n} joints" if links == self.n else f"{self.n} joints that move {links} links"
         free = "free base, " if self.floating else ""
         return f"Robot({self.name!r}, {joints}, {free}{hangs}, {mass} kg, tip={self.tip!r})"

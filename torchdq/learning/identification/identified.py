@@ -158,7 +158,7 @@ class Identified(NamedTuple):
         """Torques as a module: the robot found, with its friction, the width of it, and the offset.
 
         Friction that remembers is that of steady sliding there, since a layer does not know what was before;
-        `identify(..., memory=False)` finds the best without.
+        `identify(..., memory=False)` finds the best without, and `IdentifiedWithResidual` adds a network to it.
 
         Args:
             learn: quantities that the layer goes on learning, as in `torchdq.DQRNEA`, "friction" where no effect is
