@@ -123,11 +123,12 @@ def gather(
         counts += [len(part) for part in pair]
     each = torch.tensor(counts)
     sizes = each[:, None] * torch.where(variance > 0, variance, 1.0)
-    squares, moves = tau.square().mean(0), (recording.qd.abs().amax(0) > width).cpu()
+    squares = tau.square().mean(0)
     rms = own.square().mean(0).sqrt().T.cpu()
     unit, told = torch.zeros_like(rms), torch.zeros_like(rms, dtype=torch.bool)
     for k, term in enumerate(terms):
-        unit[k], told[k] = term.size(rms[k], squares.sqrt(), moves), term.told(states)
+        told[k] = term.told(states)
+        unit[k] = term.size(rms[k], squares.sqrt(), told[k])
     return Evidence(robot, recording, tuple(terms), own, total, left, folds, each, sizes, squares, unit, told, at)
 
 

@@ -71,21 +71,19 @@ class Term(NamedTuple):
         """Whether the number is below one."""
         return self.effect is not None and self.parameter in self.effect(1.0).FRACTIONS
 
-    def size(self, unit: Tensor, torque: Tensor, moves: Tensor) -> Tensor:
+    def size(self, unit: Tensor, torque: Tensor, told: Tensor) -> Tensor:
         """Torque per unit [n] at which the number makes the torque that it is expected to make.
 
-        It is that of the rows, but not where they hardly move the term: a number that is a torque is expected to be no
-        larger than those of its joint, a fraction no larger than one, others as if the joint moved at 1 rad/s or
-        1 rad/s^2.
+        It is that of the rows: what they cannot tell apart shares the torque evenly. Where they do not tell the term at
+        all, a number that is a torque is expected to be no larger than those of its joint, a fraction no larger than
+        one, others as if the joint moved at 1 rad/s or 1 rad/s^2.
 
         Args:
             unit: root mean squares of the torques per unit [n].
             torque: those of the torques [n].
-            moves: joints that move faster than the width of dry friction [n].
+            told: joints whose rows can tell the term [n].
         """
-        if self.units == FORCE:
-            return unit.clamp_min(1.0)
-        return unit.maximum(torque) if self.fraction else torch.where(moves, unit, unit.clamp_min(1.0))
+        return torch.where(told, unit, unit.maximum(torque) if self.fraction else unit.clamp_min(1.0))
 
     def told(self, rows: TermRows) -> Tensor:
         """Joints [n] whose rows can tell the term from others: they move, and for a wave through enough of a period.
@@ -94,11 +92,11 @@ class Term(NamedTuple):
         cosine beside a constant have errors of one over the least standard deviation of a sin(x) + b cos(x), with
         a^2 + b^2 = 1: 1 / sqrt(2) in whole periods, `WAVE` times that in about a quarter of one.
         """
+        if not self.signed:  # rotors and friction, which resist
+            return (rows.qd.abs().amax(0) > rows.width).cpu()
         if self.effect is None:
             return torch.ones(rows.robot.n, dtype=torch.bool)
         effect = self.effect(rows.width)
-        if not self.signed:  # friction resists, but for waves
-            return (rows.qd.abs().amax(0) > rows.width).cpu()
         wave = torch.stack([*columns(rows.robot, effect, rows.q, rows.qd, backend="eager").values()], -1)
         wave = wave - wave.mean(0)
         least = torch.linalg.eigvalsh(torch.einsum("rjk,rjl->jkl", wave, wave) / len(wave))[:, 0]
