@@ -24,7 +24,7 @@ CHUNK = 2**22  # numbers of the regressor that are held at a time
 
 def chunks(rows: slice, numbers: int) -> list[slice]:
     """Slices of some rows, each small enough to hold so many numbers per row."""
-    size = max(1, CHUNK // numbers)
+    size = max(1, CHUNK // max(1, numbers))
     return [slice(i, min(i + size, rows.stop)) for i in range(rows.start, rows.stop, size)]
 
 
