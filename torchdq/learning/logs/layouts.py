@@ -41,7 +41,7 @@ class Layout:
         header: whether the first line holds the names; if not, the columns are time and all `blocks`, in order.
         gain: torque per unit of effort, one number per joint [N m or N per unit], e.g. of motor currents [N m/A];
             empty: the effort is the torque; None: unknown, `tau` of the log is the effort in its own unit; so is that
-            of a joint whose number is None or NaN.
+            of a joint whose number is None.
         cutoff_qd, cutoff_tau: frequencies of the low-pass filters of velocities and torques [Hz], for `smooth`; None:
             8 Hz, or a quarter of the rate of the rows where that is less.
         farthest: position beyond which a column is refused as one in degrees or millimetres [rad or m].
@@ -133,7 +133,7 @@ class Layout:
         if self.gain is not None:
             expected = "numbers, one per joint, such as (2.0, 1.5), () for torques, or None where they are unknown"
             given = list(self.gain) if isinstance(self.gain, Iterable) and not isinstance(self.gain, str) else self.gain
-            lost = [k for k, x in enumerate(given) if x is None or x != x] if isinstance(given, list) else []
+            lost = [k for k, x in enumerate(given) if x is None] if isinstance(given, list) else []
             known = _floats("gain", [1.0 if k in lost else x for k, x in enumerate(given)] if lost else given, expected)
             if not all(known):
                 raise ArgumentError(f"gain must be {expected}, none of them zero, found {known}")
