@@ -176,7 +176,6 @@ def fit(
     return run.history
 
 
-@torch.no_grad()
 def _require_torques(model: nn.Module) -> None:
     """Raise unless a model takes motions and may return torques."""
     kind = parametrize.type_before_parametrizations(model).__name__
@@ -198,6 +197,7 @@ def _require_torques(model: nn.Module) -> None:
         ) from error
 
 
+@torch.no_grad()
 def _doubts(model: nn.Module, train: Samples) -> str:
     """Words for what is wrong with samples that a robot in the model does not explain; "" for nothing, or no robot."""
     rigid = next((part for part in model.modules() if isinstance(part, DQRNEA)), None)
