@@ -149,13 +149,15 @@ def identify_payload(
     if at.link == BASE:
         raise ArgumentError(f"frame must be one that a joint moves, found {at.name!r} on the base")
     with torch.no_grad(), Notice("identifying the payload"):
+        alone = empty.predict(motions, qd, qdd).tau
         q, qd, qdd, tau = (x.cpu() for x in (rows.q, rows.qd, rows.qdd, rows.measured))
         Y = regressor(robot.to(DTYPE, "cpu"), q, qd, qdd)
         own = Y[..., 10 * at.link : 10 * at.link + 10] @ moved(at.X_BF.to("cpu", DTYPE))
         untold = _untold(robot, at.name, own)
-        units = [qd, smooth_sign(qd, empty.width)] * friction + [torch.ones_like(qd)] * offset
+        sign = smooth_sign(qd, empty.width) if rows.direction is None else rows.direction.cpu()
+        units = [qd, sign] * friction + [torch.ones_like(qd)] * offset
         rest = torch.cat([torch.diag_embed(x) for x in units], -1) if units else own[..., :0]
-        residual = tau - empty.predict(q, qd, qdd).tau
+        residual = tau - alone.to(tau)
         variance, correlation = _wrong(empty, reference)
         weight, point = _weighted(torch.cat([own[..., :4], rest], -1), residual, variance, correlation)
         mass = point[0].maximum(_error(torch.cat([own[..., :4], rest], -1), weight))
