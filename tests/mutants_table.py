@@ -3671,6 +3671,24 @@ MUTANTS = (
         ),
     ),
     *within(
+        "torchdq/learning/logs/coverage.py",
+        (
+            "intervals for motions that are alike",
+            "beyond.quantile(COVERED, 0).clamp_min(1.0)",
+            "beyond.quantile(COVERED, 0).clamp(1.0, 1.0)",
+            "intervals.py::test_blocks_that_differ_leave_room_for_another_one",
+        ),
+    ),
+    *within(
+        "torchdq/learning/identification/calibration.py",
+        (
+            "intervals of normal errors whatever the errors are like",
+            "return interval_factors(ratios).cpu()",
+            "return torch.full_like(noise, NORMAL)",
+            "intervals.py::test_intervals_of_an_identified_robot_hold_their_share_whatever_the_noise_is_like",
+        ),
+    ),
+    *within(
         "torchdq/learning/identification/gains.py",
         (
             "gains about one alone",
