@@ -3569,7 +3569,7 @@ MUTANTS = (
         "torchdq/files.py",
         (
             "parts of files that stay after a fault",
-            "beside.unlink(missing_ok=True)",
+            "for part in beside.values():\n                part.unlink(missing_ok=True)",
             "pass",
             "files.py::test_a_file_is_whole_after_a_write_that_failed",
         ),
