@@ -51,7 +51,12 @@ def together(effects: Sequence[Effect], robot: Robot) -> tuple[Effect, ...]:
 
 
 def require_free(robot: Robot, controller: Controller | None, integrator: Integrator) -> None:
-    """Raise unless controller and integrator serve the base of a robot: all of them do if it is fixed."""
+    """Raise unless a robot can move, and controller and integrator serve its base: all of them do if it is fixed."""
+    if not (robot.n or robot.floating):
+        raise ArgumentError(
+            f"robot {robot.name!r} must have a joint that moves or a free base to be simulated, found neither; "
+            "where it is a single body, load it with base='floating'"
+        )
     if robot.floating and controller is not None:
         raise ArgumentError(
             f"controller must be None for a robot with a free base, found {type(controller).__name__}, which commands "
