@@ -508,7 +508,7 @@ def test_errors_of_a_file_name_it(tmp_path):
     """Of text there is nothing to name."""
     path = tmp_path / "broken.urdf"
     path.write_text(arm()[:-20])
-    with pytest.raises(torchdq.DescriptionError, match="^the file is not well-formed XML"):
+    with pytest.raises(torchdq.DescriptionError, match=r"^the file is not well-formed XML"):
         torchdq.Robot.from_urdf(path.read_text())
     with pytest.raises(torchdq.DescriptionError, match=f"^{path}: the file is not well-formed XML"):
         torchdq.Robot.from_urdf(path)

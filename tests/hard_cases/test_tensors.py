@@ -170,7 +170,9 @@ def test_a_scene_of_a_free_body_without_joints_takes_steps(backend):
 @pytest.mark.case("P1")
 def test_nothing_that_moves_is_no_scene_no_environment_and_no_picture():
     for make in (lambda: Scene(ROCK), lambda: ArmVectorEnv(2, "track", ROCK)):
-        with pytest.raises(ArgumentError, match="'rock' must have a joint that moves or a free base .*, found neither"):
+        with pytest.raises(
+            ArgumentError, match=r"'rock' must have a joint that moves or a free base .*, found neither"
+        ):
             make()
     with pytest.raises(ArgumentError, match="'rock' must have a joint to be drawn, found none"):
         Skeleton(ROCK)

@@ -128,11 +128,7 @@ class Parametric:
         """Parameters that the description may give, if all are constants of no effect: zeros, or absent limits."""
 
         def none(name: str, row: Any) -> bool:
-            return (
-                isinstance(row, tuple)
-                and len(row) > 0
-                and all(math.isinf(x) if name in self.UNBOUNDED else x == 0 for x in row)
-            )
+            return isinstance(row, tuple) and all(math.isinf(x) if name in self.UNBOUNDED else x == 0 for x in row)
 
         return tuple(self.DESCRIBED) if all(none(name, getattr(self, name)) for name in self.DESCRIBED) else ()
 
