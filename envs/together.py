@@ -103,7 +103,7 @@ def _check_effects(effects: Sequence[Effect]) -> None:
 def _tell_if_idle(asked: Effect, effect: Effect, robot: Robot) -> None:
     """Warn, once for a robot, about an effect that takes its numbers from a description that has none."""
     sources, key = asked.missing(), (robot.name, type(effect))
-    if not robot.n or not sources or not effect.idle() or key in _told:
+    if not sources or not robot.n or not effect.idle() or key in _told:
         return
     _told[key] = True
     name, wanted = type(effect).__name__, " and ".join(sources)

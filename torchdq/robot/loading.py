@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 Base = Literal["fixed", "floating"]
 MimicJoints = Literal["coupled", "independent"]
+LONGEST_NAME = 300  # characters of a path that an error repeats
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], in the base frame
 
 
@@ -258,7 +259,7 @@ def _named(source: Any) -> Iterator[None]:
         yield
     except DescriptionError as error:
         name = file_name(source)
-        if not name or Path(name).name in str(error):
+        if not 0 < len(name) <= LONGEST_NAME or Path(name).name in str(error):
             raise
         raise type(error)(f"{name}: {error}") from error
 
