@@ -171,7 +171,7 @@ def left_out(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
             joints = ", ".join(name for name, has in zip(robot.joint_names, there.tolist(), strict=False) if has)
             lines.append(f"{words.format(joints)}: effects.{effect}")
     for acting in effects:
-        if idle := acting.idle():
+        if robot.n and (idle := acting.idle()):
             values = ", ".join(f"{name} is {getattr(acting, name)[0]:g}" for name in idle)
             lines.append(f"{type(acting).__name__} acts on no joint: {values}")
     return (*lines, *[note for note in robot.notes if isinstance(note, Unsimulated)])

@@ -36,6 +36,7 @@ def linearize(scene: Scene, state: State, given: Mapping[str, Tensor | None]) ->
             "components for 6 directions; differentiate scene.step with torch.func.jacrev, which gives the derivatives "
             "in these components, or take finite differences of it"
         )
+    scene.spec.require_inputs(name for name in given if name != "noise")
     inputs = {name: x for name, x in given.items() if x is not None}
     batch_of(Stage(scene.spec, "step"), {**state.rows(), **inputs})  # raises, naming what does not fit
     torque = inputs.pop("torque", state.q.new_zeros(scene.n))

@@ -66,7 +66,8 @@ class Skeleton:
     """
 
     def __init__(self, robot: Robot):
-        require_robot(robot)
+        if not require_robot(robot).n:
+            raise ArgumentError(f"robot {robot.name!r} must have a joint to be drawn, found none")
         batched = {name: getattr(robot, name).detach() for name in arguments(robot)}
         first = {name: x.reshape(-1, *x.shape[x.ndim - len(SHAPES[name]) :])[0] for name, x in batched.items()}
         self.robot = robot.replace(**first).to(torch.float64, "cpu")

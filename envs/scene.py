@@ -221,10 +221,8 @@ class Scene:
     ) -> tuple[State, dict[str, Tensor]]:
         """State after `dt`, and rows that a task computes from it in the same program."""
         require_state(state)
+        self.spec.require_inputs(inputs, task)
         present = {name: x for name, x in inputs.items() if x is not None}
-        for name in self.spec.computed():
-            if name in present:
-                raise ArgumentError(f"{name} is computed by the scene before every step; leave it out")
         if not isinstance(self.integrator, Unrecorded):
             present = {**with_held(self, state, present, task)}
             return _split(self.evaluate("step", self._with_noise({**state.rows(), **present}, noise), task))
@@ -267,6 +265,7 @@ class Scene:
         >>> scene.rollout(scene.start(torch.ones(3, 2)), steps=50, policy=lambda s: -4 * s.q - s.qd).q.shape
         torch.Size([50, 3, 2])
         """
+        self.spec.require_inputs(inputs)
         series = {name: x for name, x in (("torque", torque), *inputs.items()) if x is not None}
         return rollout(self, state, series, steps, policy, checkpoint, lost)
 

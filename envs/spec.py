@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, Protocol, TypeVar
 
@@ -16,6 +16,7 @@ from torchdq.envs import contributions
 from torchdq.envs.controllers import Controller
 from torchdq.envs.free_base import POSE, TWIST, unit
 from torchdq.envs.integrators import Integrator
+from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 from torchdq.robot.fields import BODIES
 from torchdq.robot.posed import Overrides, posed
@@ -92,6 +93,15 @@ class SceneSpec:
     def computed(self) -> dict[str, int]:
         """Names and widths of the rows that a scene computes before a step."""
         return {name: width for effect in self.effects for name, width in effect.computed(self.robot.n).items()}
+
+    def require_inputs(self, names: Iterable[str], task: Task | None = None) -> None:
+        """Raise unless those are names of inputs, of the scene or of a task, which None may stand for, too."""
+        known, computed = self.inputs() | ({} if task is None else task.inputs(self.robot.n)), self.computed()
+        for name in names:
+            if name in computed:
+                raise ArgumentError(f"{name} is computed by the scene before every step; leave it out")
+            if name not in known:
+                raise ArgumentError(f"{name} is no input of this scene; it has {', '.join(self.inputs())}")
 
     @property
     def noises(self) -> int:

@@ -89,6 +89,7 @@ def check(scene: Scene, state: State, seconds: float, inputs: Mapping[str, Tenso
     """Stability of a scene's steps from a state on; see `Scene.check`."""
     require_state(state)
     require_number("seconds", seconds, positive=True)
+    scene.spec.require_inputs(inputs)
     intervals = max(1, round(seconds / scene.dt))
     if intervals > MOST:
         raise ArgumentError(f"seconds={seconds:g} are {intervals} steps, and {MOST} are the most; shorten them")

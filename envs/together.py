@@ -51,7 +51,12 @@ def together(effects: Sequence[Effect], robot: Robot) -> tuple[Effect, ...]:
 
 
 def require_free(robot: Robot, controller: Controller | None, integrator: Integrator) -> None:
-    """Raise unless controller and integrator serve the base of a robot: all of them do if it is fixed."""
+    """Raise unless a robot can move, and controller and integrator serve its base: all of them do if it is fixed."""
+    if not (robot.n or robot.floating):
+        raise ArgumentError(
+            f"robot {robot.name!r} must have a joint that moves or a free base to be simulated, found neither; "
+            "where it is a single body, load it with base='floating'"
+        )
     if robot.floating and controller is not None:
         raise ArgumentError(
             f"controller must be None for a robot with a free base, found {type(controller).__name__}, which commands "
@@ -98,7 +103,7 @@ def _check_effects(effects: Sequence[Effect]) -> None:
 def _tell_if_idle(asked: Effect, effect: Effect, robot: Robot) -> None:
     """Warn, once for a robot, about an effect that takes its numbers from a description that has none."""
     sources, key = asked.missing(), (robot.name, type(effect))
-    if not sources or not effect.idle() or key in _told:
+    if not sources or not robot.n or not effect.idle() or key in _told:
         return
     _told[key] = True
     name, wanted = type(effect).__name__, " and ".join(sources)

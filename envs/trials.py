@@ -217,7 +217,7 @@ def random_states(robot: Robot, samples: int = SAMPLES, limits: object | None = 
     """
     generator = torch.Generator().manual_seed(0)
     unit = torch.rand(2, samples, robot.n, generator=generator, dtype=torch.float64)
-    revolute = torch.tensor([joint.turns for joint in robot.joint_types])
+    revolute = torch.tensor([joint.turns for joint in robot.joint_types], dtype=torch.bool)
     reach = torch.where(revolute, math.pi / 2, 0.25).double()
     of: object = robot.limits if limits is None else limits
     lower, upper = (torch.as_tensor(getattr(of, name), dtype=torch.float64) for name in ("lower", "upper"))

@@ -3569,7 +3569,7 @@ MUTANTS = (
         "torchdq/files.py",
         (
             "parts of files that stay after a fault",
-            "beside.unlink(missing_ok=True)",
+            "for part in beside.values():\n                part.unlink(missing_ok=True)",
             "pass",
             "files.py::test_a_file_is_whole_after_a_write_that_failed",
         ),
@@ -3668,6 +3668,24 @@ MUTANTS = (
             "told = (rms > WORSE * usual)",
             "told = (rms > 1e6 * WORSE * usual)",
             "payload.py::test_torques_that_no_payload_explains_are_named_with_their_joints",
+        ),
+    ),
+    *within(
+        "torchdq/learning/logs/coverage.py",
+        (
+            "intervals for motions that are alike",
+            "beyond.quantile(COVERED, 0).clamp_min(1.0)",
+            "beyond.quantile(COVERED, 0).clamp(1.0, 1.0)",
+            "intervals.py::test_blocks_that_differ_leave_room_for_another_one",
+        ),
+    ),
+    *within(
+        "torchdq/learning/identification/calibration.py",
+        (
+            "intervals of normal errors whatever the errors are like",
+            "return interval_factors(ratios).cpu()",
+            "return torch.full_like(noise, NORMAL)",
+            "intervals.py::test_intervals_of_an_identified_robot_hold_their_share_whatever_the_noise_is_like",
         ),
     ),
     *within(

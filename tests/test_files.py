@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from torchdq.files import write_whole
+from torchdq.files import write_together, write_whole
 
 
 def test_a_file_is_whole_after_a_write_that_failed(tmp_path, monkeypatch):
@@ -26,6 +26,15 @@ def test_a_file_is_whole_after_a_write_that_failed(tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         write_whole(path, "new")
     assert path.read_text() == "old" and list(tmp_path.iterdir()) == [path]
+
+
+def test_of_several_files_none_changes_where_one_cannot_be_written(tmp_path):
+    first, last = tmp_path / "a.h", tmp_path / "a.c"
+    write_together({first: "old", last: b"old"})
+    with pytest.raises(OSError) as raised:
+        write_together({first: "new", tmp_path / "nowhere" / "b.h": "new", last: "new"})
+    assert raised.value.filename == str(tmp_path / "nowhere" / "b.h")
+    assert first.read_text() == last.read_text() == "old" and {*tmp_path.iterdir()} == {first, last}
 
 
 def test_a_file_is_written_where_a_link_leads_and_nowhere_else(tmp_path):

@@ -32,6 +32,7 @@ def test_steps_short_motions_and_rest_are_no_spikes():
     x = np.zeros((3000, 1))
     x[1000:1100, 0] = 40 * np.sin(np.linspace(0, np.pi, 100))  # a short motion in a long rest
     x[2000:] = 8.0  # a step
+    x[2500:2512] = 500.0  # a collision, longer than a fault of the bus
     assert not spikes(x + 1e-3 * np.random.default_rng(0).normal(size=x.shape)).any()
     quantised = np.where(np.random.default_rng(0).uniform(size=(3000, 2)) < 0.01, 1e-4, 0.0)
     quantised[:, 1] = motion(3000)[:, 1]

@@ -606,6 +606,8 @@ ZERO = torch.zeros(2, dtype=torch.float64)
     "change, message",
     [
         ({"trgt": ZERO}, "trgt is no input of this scene; it has torque, reference, target, push"),
+        ({"trgt": None}, "trgt is no input of this scene; it has torque, reference, target, push"),
+        ({"q": ZERO}, "q is no input of this scene"),
         ({"target": None}, "target must be given"),
         ({"reference": None}, "reference must be given"),
         ({"target": torch.zeros(3, dtype=torch.float64)}, r"target must have the shape \[..., 2\] .*\(3,\)"),
@@ -631,9 +633,16 @@ def test_what_does_not_fit_at_a_step_is_refused_by_name(change, message, integra
     state = state._replace(**change.get("state", {}))
     given = {"target": ZERO, "reference": torch.zeros(6, dtype=torch.float64), **change}
     given.pop("state", None)
-    given = {name: x for name, x in given.items() if x is not None}
     with pytest.raises((torchdq.ArgumentError, torchdq.DtypeError), match=message):
         scene.step(state, **given)
+
+
+def test_a_misspelt_input_is_refused_even_if_it_is_none():
+    scene = Scene(torchdq.robots.load("two_link"))
+    state = scene.start(ZERO)
+    for use in (scene.check, scene.linearize, lambda state, **inputs: scene.rollout(state, steps=2, **inputs)):
+        with pytest.raises(torchdq.ArgumentError, match="trgt is no input of this scene; it has torque"):
+            use(state, trgt=None)
 
 
 @pytest.mark.parametrize(

@@ -502,3 +502,18 @@ def test_torques_need_no_inertia_and_accelerations_do():
     ):
         with pytest.raises(torchdq.SingularInertiaError, match="knuckle"):
             needs()
+
+
+def test_errors_of_a_file_name_it(tmp_path):
+    """Of text there is nothing to name."""
+    path = tmp_path / "broken.urdf"
+    path.write_text(arm()[:-20])
+    with pytest.raises(torchdq.DescriptionError, match=r"^the file is not well-formed XML"):
+        torchdq.Robot.from_urdf(path.read_text())
+    with pytest.raises(torchdq.DescriptionError, match=f"^{path}: the file is not well-formed XML"):
+        torchdq.Robot.from_urdf(path)
+    with path.open() as file, pytest.raises(torchdq.DescriptionError, match=f"^{path}: the file is not well-formed"):
+        torchdq.Robot.from_urdf(file)
+    path.write_text("<mujoco><worldbody>")
+    with pytest.raises(torchdq.DescriptionError, match=f"{path}.*MuJoCo cannot compile|MuJoCo cannot .*{path.name}"):
+        torchdq.Robot.from_mjcf(path)

@@ -10,7 +10,8 @@ from oracles import shipped
 import torchdq
 from torchdq import effects
 from torchdq.envs import Scene
-from torchdq.learning import IdentifiedWithResidual, Motion, Samples, fit, identify
+from torchdq.learning import IdentifiedWithResidual, Motion, Samples, fit, identify, plot_torques
+from torchdq.learning.trial import trial
 
 F64 = torch.float64
 TWO = shipped("two_link").robot
@@ -143,6 +144,21 @@ def test_samples_are_what_the_layer_explains_as_well_as_the_robot_that_remembers
     assert torch.equal(left.q, parts[0].q)
     assert torch.allclose(left.tau - steady, parts[0].tau - found.predict(*parts[0][:3]).tau, atol=1e-12)
     assert float((left.tau - parts[0].tau).abs().max()) > 1.0  # bristles that are bent back
+
+
+def test_trials_and_pictures_predict_motion_by_motion(bumpy):
+    """Friction that remembers begins anew with each motion, whatever the one before ended with."""
+    pytest.importorskip("matplotlib")
+    found, tests = bumpy[0], [motion(k, stribeck) for k in (31, 32)]
+    several, tau = [as_motion(test) for test in tests], torch.cat([test.tau for test in tests])
+    apart = torch.cat([found.predict(*test[:3]).tau for test in tests])
+    on = found.predict(*(torch.cat(x) for x in list(zip(*tests, strict=True))[:3])).tau
+    assert float((apart - on).abs().max()) > 0.1
+    left = (tau - apart).square().mean(0).sqrt() / tau.std(0)
+    assert torch.allclose(trial(TWO, found, several).found, left, rtol=1e-12)
+    for j, axes in enumerate(plot_torques(found, several).axes):
+        drawn = torch.as_tensor(axes.lines[1].get_ydata())
+        assert torch.equal(drawn[drawn.isfinite()], apart[:, j])
 
 
 def test_motions_and_tensors_are_alike_and_rows_of_motions_follow_each_other(bumpy):

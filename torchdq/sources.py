@@ -46,13 +46,22 @@ def content(
     return Content(name, data)
 
 
+def file_name(source: Any) -> str:
+    """Path or address of a source, or the name of an open file; "" of bytes, of XML text and where there is none."""
+    if callable(getattr(source, "read", None)):
+        name = getattr(source, "name", None)
+        return name if isinstance(name, str) else ""
+    text = os.fsdecode(source) if isinstance(source, str | os.PathLike) else ""
+    return "" if text.lstrip("\ufeff \t\r\n").startswith("<") else text
+
+
 def _read(kind: str, source: Any, most: int, missing: type[TorchdqError], hint: str) -> Content:
     if isinstance(source, bytes | bytearray | memoryview):
         return Content(f"the {kind}", bytes(source))
     if callable(getattr(source, "read", None)):
-        read, name = source.read(most + 1), getattr(source, "name", None)
+        read = source.read(most + 1)
         data = read.encode() if isinstance(read, str) else memoryview(read).tobytes()
-        return Content(name if isinstance(name, str) else "the open file", data)
+        return Content(file_name(source) or "the open file", data)
     if not isinstance(source, str | os.PathLike):
         expected = "a path, a file:// or package:// address, bytes or an open file"
         raise ArgumentError(f"the {kind} must be {expected}, found {_shown(source)}")

@@ -18,8 +18,10 @@ from torch.func import hessian, jacfwd, jacrev, vmap
 
 import torchdq
 from torchdq.backends import c_library as build
-from torchdq.envs import Scene, State, effects
+from torchdq.envs import ArmVectorEnv, Scene, State, effects
+from torchdq.envs.defaults import usual
 from torchdq.envs.integrators import LinearlyImplicit
+from torchdq.envs.render import Skeleton
 from torchdq.errors import ArgumentError, DtypeError
 
 F32, F64 = torch.float32, torch.float64
@@ -30,6 +32,11 @@ every_dtype = pytest.mark.parametrize("dtype", [F64, F32], ids=["f64", "f32"])
 ARM = torchdq.robots.load("two_link")
 TREE = random_tree(3, seed=6, armature=True).robot  # joints of all kinds
 ROCK = torchdq.Robot.from_urdf("<robot name='rock'><link name='tip'/></robot>")
+STONE = torchdq.Robot.from_urdf(
+    "<robot name='stone'><link name='stone'><inertial><mass value='1'/>"
+    "<inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/></inertial></link></robot>",
+    base="floating",
+)
 
 
 def tipped(mass):
@@ -153,10 +160,22 @@ def test_a_robot_without_joints_has_a_backward(backend):
 
 @pytest.mark.case("P1")
 @every_backend
-def test_a_scene_of_a_robot_without_joints_takes_steps(backend):
-    scene = Scene(ROCK, (effects.Gravity(),), backend=backend)
+def test_a_scene_of_a_free_body_without_joints_takes_steps(backend):
+    scene = Scene(STONE, usual(STONE), backend=backend)
     state = scene.rollout(scene.start(torch.zeros(4, 0)), steps=3)
-    assert state.q.shape == state.qd.shape == (3, 4, 0)
+    assert state.q.shape == state.qd.shape == (3, 4, 0) and bool((state.V_WB_B[-1, :, 5] < -0.2).all())
+    assert scene.describe(seconds=0).left_out == ()
+
+
+@pytest.mark.case("P1")
+def test_nothing_that_moves_is_no_scene_no_environment_and_no_picture():
+    for make in (lambda: Scene(ROCK), lambda: ArmVectorEnv(2, "track", ROCK)):
+        with pytest.raises(
+            ArgumentError, match=r"'rock' must have a joint that moves or a free base .*, found neither"
+        ):
+            make()
+    with pytest.raises(ArgumentError, match="'rock' must have a joint to be drawn, found none"):
+        Skeleton(ROCK)
 
 
 # --- P2: layouts -----------------------------------------------------------------------------------------------------

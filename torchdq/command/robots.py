@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from torchdq.checks import matching
-from torchdq.errors import ArgumentError, DescriptionError, MissingFileError, MissingLibraryError, UnknownNameError
+from torchdq.errors import ArgumentError, MissingFileError, MissingLibraryError, UnknownNameError
 from torchdq.notice import Notice
 from torchdq.robot import Robot, shipped
 from torchdq.robot.consistency import OnUnphysical
@@ -50,7 +50,7 @@ def robot_of(
         return NamedRobot(robot if tip is None else robot.with_tip(tip), "shipped", "")
     with Notice(f"reading {name}"):
         if _is_file(name):
-            return _from_file(name, options)
+            return _read(name, options)
         return _by_name(name, options)
 
 
@@ -60,17 +60,8 @@ def _is_file(name: str) -> bool:
     return os.sep in name or path.suffix.lower() in ENDINGS or path.exists() or "://" in name or name.startswith("~")
 
 
-def _from_file(name: str, options: dict[str, Any]) -> NamedRobot:
-    """Robot of a file; errors name it."""
-    try:
-        return _read(name, options)
-    except DescriptionError as error:
-        if Path(name).name in str(error):
-            raise
-        raise type(error)(f"{name}: {error}") from error
-
-
 def _read(name: str, options: dict[str, Any]) -> NamedRobot:
+    """Robot of a file."""
     path = Path(name).expanduser()
     if name.endswith(".xacro"):
         return NamedRobot(Robot.from_xacro(name, **options), "xacro", name)

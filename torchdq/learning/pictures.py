@@ -75,11 +75,10 @@ def plot_torques(identified: Identified, motions: Motion | Sequence[Motion]) -> 
     if not isinstance(identified, Identified):
         raise ArgumentError(f"identified must be what identify returns, found {type(identified).__name__}")
     several = [motions] if isinstance(motions, Motion) else motions
-    q, qd, qdd, tau = samples(several)
-    robot = identified.robot
-    if q.shape[1] != robot.n:
-        raise ArgumentError(f"motions must be of the {robot.n} joints of {robot.name!r}, found {q.shape[1]}")
-    told = identified.predict(q, qd, qdd)
+    tau, robot = samples(several).tau, identified.robot
+    if tau.shape[1] != robot.n:
+        raise ArgumentError(f"motions must be of the {robot.n} joints of {robot.name!r}, found {tau.shape[1]}")
+    told = identified.predict(several)
     left = (tau - told.tau).square().mean(0).sqrt() / tau.std(0)
     time, breaks = _one_axis(several)
     signals = (np.insert(x.numpy(), breaks, np.nan, axis=0) for x in (tau, told.tau, told.low, told.high))

@@ -111,7 +111,7 @@ def trial(described: Robot, found: Identified, motions: Sequence[Motion]) -> Tor
     q, qd, qdd, tau = samples(known)
     with torch.no_grad():
         before = inverse_dynamics(described, q, qd, qdd)
-    told = found.by_these_gains().predict(q, qd, qdd)
+    told = found.by_these_gains().predict(known)  # motion by motion: friction remembers nothing of the one before
     size = tau.std(0)
     return TorqueTrial(
         described.joint_names,

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from os import PathLike
+from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Literal, get_args
 
 from torchdq.checks import require_choice
+from torchdq.errors import DescriptionError
 from torchdq.robot import consistency, mjcf, units, urdf, xacro_file
 from torchdq.robot import from_dh as dh
 from torchdq.robot import from_name as named
@@ -17,12 +20,14 @@ from torchdq.robot.arrays import finite
 from torchdq.robot.consistency import OnUnphysical
 from torchdq.robot.description import RobotDescription
 from torchdq.robot.tree import inert_joints
+from torchdq.sources import file_name
 
 if TYPE_CHECKING:
     from torchdq.robot.robot import Robot
 
 Base = Literal["fixed", "floating"]
 MimicJoints = Literal["coupled", "independent"]
+LONGEST_NAME = 300  # characters of a path that an error repeats
 GRAVITY = (0.0, 0.0, -9.81)  # [m/s^2], in the base frame
 
 
@@ -71,8 +76,9 @@ def from_urdf(
     """
     require_choice("base", base, get_args(Base))
     require_choice("mimic", mimic, get_args(MimicJoints))
-    description, faults, *told = urdf.read(source, joints, lock, base, mimic, on_unphysical == "repair")
-    return _finish(cls, description, faults, tip, gravity, on_unphysical, *told)
+    with _named(source):
+        description, faults, *told = urdf.read(source, joints, lock, base, mimic, on_unphysical == "repair")
+        return _finish(cls, description, faults, tip, gravity, on_unphysical, *told)
 
 
 def from_mjcf(
@@ -112,9 +118,10 @@ def from_mjcf(
         UnphysicalError: a joint moves no inertia.
         UnknownNameError: a name in `lock`, `joints` or `tip` is not in the file.
     """
-    found = mjcf.read(source, base, joints, lock, gravity)
-    told = (found.doubts, found.ignored)
-    return _finish(cls, found.description, found.faults, tip, found.gravity, on_unphysical, *told)
+    with _named(source):
+        found = mjcf.read(source, base, joints, lock, gravity)
+        told = (found.doubts, found.ignored)
+        return _finish(cls, found.description, found.faults, tip, found.gravity, on_unphysical, *told)
 
 
 def from_xacro(
@@ -141,7 +148,8 @@ def from_xacro(
         DescriptionError: the file cannot be expanded, or it expands to no usable URDF.
         UnknownNameError: the file has no such argument, or as `from_urdf`.
     """
-    return from_urdf(cls, xacro_file.expanded(path, arguments, packages), **options)
+    with _named(path):
+        return from_urdf(cls, xacro_file.expanded(path, arguments, packages), **options)
 
 
 def from_name(cls: type[Robot], name: str, **options: Any) -> Robot:
@@ -242,6 +250,18 @@ def from_dh(
     bodies["repair"] = on_unphysical == "repair"
     found = dh.read(a, alpha, d, theta, convention, kinds, tip_pose, joint_names, **bodies)
     return _finish(cls, *found, None, gravity, on_unphysical)
+
+
+@contextmanager
+def _named(source: Any) -> Iterator[None]:
+    """Context in which errors of a description name its file, if it is from one."""
+    try:
+        yield
+    except DescriptionError as error:
+        name = file_name(source)
+        if not 0 < len(name) <= LONGEST_NAME or Path(name).name in str(error):
+            raise
+        raise type(error)(f"{name}: {error}") from error
 
 
 def _finish(

@@ -130,15 +130,7 @@ class Layout:
                 continue
             if not isinstance(x, Real) or isinstance(x, bool) or not float(x) > 0:
                 raise ArgumentError(f"{name} must be a positive number, found {x!r}")
-        if self.gain is not None:
-            expected = "numbers, one per joint, such as (2.0, 1.5), () for torques, or None where they are unknown"
-            given = list(self.gain) if isinstance(self.gain, Iterable) and not isinstance(self.gain, str) else self.gain
-            lost = [k for k, x in enumerate(given) if x is None] if isinstance(given, list) else []
-            known = _floats("gain", [1.0 if k in lost else x for k, x in enumerate(given)] if lost else given, expected)
-            if not all(known):
-                raise ArgumentError(f"gain must be {expected}, none of them zero, found {known}")
-            gain = tuple(None if k in lost else x for k, x in enumerate(known))
-            object.__setattr__(self, "gain", gain if not lost or any(gain) else None)
+        object.__setattr__(self, "gain", _gains(self.gain))
         object.__setattr__(self, "zero", _floats("zero", self.zero, "numbers, one per joint, or ()"))
 
     def _require_transmission(self) -> None:
@@ -202,6 +194,21 @@ class Layout:
     def _given(self, signal: str) -> str | Sequence[str] | None:
         block = dict(zip(BLOCKS, self.blocks, strict=False)).get(signal, signal)
         return self.columns.get(signal, "time" if signal == "time" else f"{block}{{1}}")
+
+
+def _gains(given: Any) -> tuple[float | None, ...] | None:
+    """Gains as a tuple, with None for each that is unknown; None: all are unknown."""
+    if given is None:
+        return None
+    expected = "numbers, one per joint, such as (2.0, 1.5), () for torques, or None where they are unknown"
+    if not isinstance(given, Iterable) or isinstance(given, str):
+        return _floats("gain", given, expected)
+    gains = list(given)
+    known = iter(_floats("gain", [x for x in gains if x is not None], expected))
+    found = tuple(None if x is None else next(known) for x in gains)
+    if 0.0 in found:
+        raise ArgumentError(f"gain must be {expected}, none of them zero, found {found}")
+    return None if found and all(x is None for x in found) else found
 
 
 def _floats(name: str, x: Any, expected: str) -> tuple[float, ...]:

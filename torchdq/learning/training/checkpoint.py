@@ -8,7 +8,6 @@ import hashlib
 import io
 import itertools
 import math
-import os
 import pickle
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -20,6 +19,7 @@ import torch
 from torch import Tensor, nn
 
 from torchdq.errors import TorchdqError
+from torchdq.files import remove_parts, write_whole
 from torchdq.learning.training.attributes import attributes
 
 KIND, VERSION = b"checkpoint of torchdq.learning.fit", 2
@@ -35,33 +35,17 @@ class CheckpointError(TorchdqError, RuntimeError):
 def write(path: Path, state: dict[str, Any]) -> None:
     """Write a state to a file, which holds the old state or the new one at any moment, never a part.
 
-    The state is written to a temporary file in the same folder, flushed to disk, and renamed in one step. Temporary
-    files of killed writes are removed. If writing fails, for example on a full disk, the old checkpoint stays.
+    Parts that killed writes left are removed. If writing fails, for example on a full disk, the old checkpoint stays.
 
     Args:
         path: the checkpoint.
         state: numbers, strings, tensors, and lists and dicts of these.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    for leftover in path.parent.iterdir():
-        if re.fullmatch(rf"\.{re.escape(path.name)}\.\d+\.tmp", leftover.name):
-            leftover.unlink(missing_ok=True)
+    remove_parts(path)
     content = io.BytesIO()
     torch.save({"version": VERSION, **state}, content)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        with temporary.open("wb") as file:
-            file.write(content.getvalue() + _digest(content.getvalue()))
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    folder = os.open(path.parent, os.O_RDONLY)  # the new name must reach the disk too
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+    write_whole(path, content.getvalue() + _digest(content.getvalue()))
 
 
 def read(path: Path) -> dict[str, Any]:
