@@ -114,8 +114,8 @@ class IdentifiedWithResidual:
     ) -> PredictedTorques:
         """Torques [..., n] of the identified robot and the network, standard errors of measured ones, 95 % intervals.
 
-        At joints where the network has no weight, intervals are as wide as those of `Identified.predict`, and errors are
-        its errors together with the noise found. At the others both are those of `ResidualDynamics.predict`.
+        At joints where the network has no weight, intervals are as wide as those of `Identified.predict`, and errors
+        are its errors together with the noise found. At the others both are those of `ResidualDynamics.predict`.
 
         Args:
             motions, qd, qdd: as in `Identified.predict`.

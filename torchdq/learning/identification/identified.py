@@ -183,7 +183,7 @@ class Identified(NamedTuple):
     def to_urdf(self, original: Any) -> str:
         """URDF text of the robot found: the original with other numbers, as `Robot.to_urdf`.
 
-        A URDF file holds viscous and Coulomb friction alone: it gets those that come nearest to all friction found, over
+        A URDF file holds viscous and Coulomb friction alone: it gets those that come nearest to all friction found in
         the samples (`with_simple_friction`). A `UserWarning` names friction of other shapes that they stand for, and
         what has no place in the file: rotor inertia and offsets. Torques computed from the file are wrong by that.
 

@@ -2,8 +2,8 @@
 
 Torques that are late by s are tau(t) = Z(t - s) phi. Friction that was fitted without the lag explains a part of it,
 above all friction that remembers. So the search iterates: the whole model is moved by the lag found so far, and least
-squares seek the parameters anew, together with the rest of the lag, whose torque per unit is -d/dt Z(t - s) phi. It ends
-when the rest is zero. The lag found is then that of the best model, whatever the first one was.
+squares seek the parameters anew, together with the rest of the lag, whose torque per unit is -d/dt Z(t - s) phi. The
+search ends when nothing of the lag is left. The lag found is then that of the best model, whatever the first one was.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ class Term(NamedTuple):
     def size(self, unit: Tensor, torque: Tensor, told: Tensor) -> Tensor:
         """Torque per unit [n] at which the number makes the torque that it is expected to make.
 
-        It is the root mean square over the rows, so that terms which the rows cannot tell apart share the torque evenly.
+        It is the root mean square over the rows, so that terms that the rows cannot separate share it evenly.
         Where the rows do not tell the term at all, a number that is a torque is expected to be at most the measured
         torque of its joint, a fraction at most one, and other numbers are expected as if the joint moved at 1 rad/s or
         1 rad/s^2.
@@ -89,8 +89,8 @@ class Term(NamedTuple):
     def told(self, rows: TermRows) -> Tensor:
         """Joints [n] whose rows can tell the term from others: they move, and for a wave through enough of a period.
 
-        In a small part of a period a wave looks like a constant torque and a slope, as gravity does. In least squares of
-        sine and cosine beside a constant, the errors go as one over the least standard deviation of
+        In a small part of a period a wave looks like a constant torque and a slope, as gravity does. In least squares
+        of sine and cosine beside a constant, the errors go as one over the least standard deviation of
         a sin(x) + b cos(x), with a^2 + b^2 = 1. That is 1 / sqrt(2) in whole periods, and must be `WAVE` / sqrt(2) at
         least, as in about a quarter of a period.
         """
