@@ -29,7 +29,7 @@ from torchdq.learning.identification.calibration import half_widths
 from torchdq.learning.identification.evidence import Evidence, described, gather
 from torchdq.learning.identification.gains import Gains, drive_gains, spread_of_gains
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
-from torchdq.learning.identification.ladder import STRENGTHS, Ladder, LeftOut, Rung, climb
+from torchdq.learning.identification.ladder import STRENGTHS, Ladder, Rung, UnseenParts, climb
 from torchdq.learning.identification.lags import lagging
 from torchdq.learning.identification.missing import missing, offset_missing
 from torchdq.learning.identification.regression import base_parameters, rigid
@@ -149,7 +149,7 @@ def identify(
         if doubt := _doubts(robot, rows, width):
             warnings.warn(doubt, LogWarning, stacklevel=3)
         frozen = prior == math.inf
-        unseen: LeftOut = ([], [])
+        unseen: UnseenParts = ([], [])
         ladder, strength = None, math.inf if frozen else 1.0
         weight = 1.0 if prior is None or frozen else prior
         if left_out:
@@ -231,7 +231,7 @@ def _identified(
     width: float,
     moves: Tensor,
     ladder: Ladder | None,
-    unseen: LeftOut,
+    unseen: UnseenParts,
     drives: tuple[Gains, Tensor] | None,
 ) -> Identified:
     robot, terms, near, facts = evidence.robot, evidence.terms, found.near, found.facts

@@ -26,7 +26,7 @@ from torchdq.tables import table
 
 STRENGTHS = tuple(10.0**k for k in range(5, -1, -1))  # prior of the bodies, the strongest first
 
-LeftOut = tuple[list[Unseen], list[Unseen]]  # blocks, and regions of the states
+UnseenParts = tuple[list[Unseen], list[Unseen]]  # blocks, and regions of the states
 
 
 class Rung(NamedTuple):
@@ -123,7 +123,7 @@ def climb(
     strengths: Sequence[float],
     blocks: Sequence[Block],
     say: Callable[[str], None],
-) -> tuple[Ladder, Evidence, LeftOut]:
+) -> tuple[Ladder, Evidence, UnseenParts]:
     """Ladder of models of a recording, the evidence with the terms of its chosen rung, and residuals of this rung.
 
     The residuals are those of blocks, and of regions, by parameters that were found without each.
@@ -189,7 +189,7 @@ def _more(gains: Sequence[Gain]) -> str:
 
 def _chosen(
     rungs: Sequence[Rung], evidence: Evidence, identified: Evidence, others: Sequence[int], blocks: Sequence[Block]
-) -> tuple[Ladder, Evidence, LeftOut]:
+) -> tuple[Ladder, Evidence, UnseenParts]:
     """Ladder of rungs, the evidence of the chosen one with its terms alone, and its residuals on what was left out."""
     chosen = _simplest([rung.scores for rung in rungs])
     useless = [evidence.terms[k].name for k in others if not any(bool(rung.sought[k].any()) for rung in rungs)]
