@@ -3764,9 +3764,15 @@ MUTANTS = (
         ),
         (
             "predictions without the memory",
-            "tau - self._steady(rows)",
-            "0 * tau",
+            "PredictedTorques(tau + added, both.error",
+            "PredictedTorques(both.tau, both.error",
             "with_residual.py::test_a_scene_moves_as_it_predicts",
+        ),
+        (
+            "an offset that was learned and is not predicted",
+            "PredictedTorques(tau + added, torch.hypot",
+            "PredictedTorques(tau, torch.hypot",
+            "with_residual.py::test_an_offset_that_was_learned_is_predicted_where_the_network_has_no_weight",
         ),
     ),
     *within(

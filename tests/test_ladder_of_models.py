@@ -379,7 +379,9 @@ def test_motions_and_tensors_say_the_same():
         identify(ROBOT, q, qd, qdd)
     with pytest.raises(ArgumentError, match="motions must be at least one"):
         identify(ROBOT, [])
-    with pytest.raises(ArgumentError, match=r"friction must be True, False or 'choose', found 'yes'"):
+    with pytest.raises(
+        ArgumentError, match=r"friction must be True, False, 'choose', or a sequence of friction effects, found 'yes'"
+    ):
         identify(ROBOT, q, qd, qdd, tau, friction="yes")
     with pytest.raises(ArgumentError, match=r"which has 6 joints, found one with 2"):
         identify(torchdq.robots.load("ur10e"), motions)

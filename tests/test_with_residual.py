@@ -136,6 +136,19 @@ def test_without_weight_it_is_what_was_identified_with_its_errors(bumpy):
     assert torch.allclose((told.high - told.low)[:, 0], (both.high - both.low)[:, 0])
 
 
+def test_an_offset_that_was_learned_is_predicted_where_the_network_has_no_weight(bumpy):
+    found, whole, parts = bumpy
+    model = torchdq.ResidualDynamics(found.layer(learn=("offset",)), hidden=(16,))
+    model.load_state_dict(whole.residual.state_dict(), strict=False)
+    with torch.no_grad():
+        model.weight.zero_()
+        model.model.offset.copy_(torch.tensor([0.3, -0.2]))
+    told, alone = (x.predict(*parts[0][:3]) for x in (IdentifiedWithResidual(found, model), found))
+    for name in ("tau", "low", "high"):
+        moved = getattr(told, name) - getattr(alone, name)
+        assert torch.allclose(moved, model.model.offset.expand_as(moved), atol=1e-12)
+
+
 def test_samples_are_what_the_layer_explains_as_well_as_the_robot_that_remembers(bumpy):
     found, whole, parts = bumpy
     with torch.no_grad():

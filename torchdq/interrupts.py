@@ -17,8 +17,8 @@ def _is_command() -> bool:
     return bool(sys.argv) and Path(sys.argv[0]).stem == "torchdq"
 
 
-def _is_pythons() -> bool:
-    """Whether Ctrl-C is as Python has it, and this the thread that may change that."""
+def _is_free() -> bool:
+    """Whether Ctrl-C still has the handler of Python, and this thread may change it."""
     main = threading.current_thread() is threading.main_thread()
     return main and signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
@@ -29,6 +29,6 @@ def restore() -> None:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-LOADED_AS_COMMAND = _is_command() and _is_pythons()
+LOADED_AS_COMMAND = _is_command() and _is_free()
 if LOADED_AS_COMMAND:
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # a shell sees exit code 130

@@ -1,4 +1,4 @@
-"""Words of the package for people at a command line: options in place of arguments of functions.
+"""Messages of the package in the words of the command line: options in place of arguments of functions.
 
 Messages about logs name what mends them as Python has it, `Layout(columns={'qd': None})` or `offset=True`; here that is
 `--columns qd none` and `--offset`.

@@ -1,8 +1,8 @@
-"""Identified robot with a residual network, for friction that remembers what was before.
+"""Identified robot with a residual network, for friction that depends on the motion before.
 
-A layer computes torques of one moment, so that friction with a memory is that of steady sliding there. A network beside
-the layer would have to learn the difference, which it cannot see. Here the identified robot predicts with its memory,
-and the network adds what is left.
+A layer computes torques from one state, so it takes friction with a memory as that of steady sliding. A network beside
+the layer cannot learn the difference, because it does not see the motion before, either. Here the identified robot
+predicts with its memory, and the network adds what is left.
 """
 
 from __future__ import annotations
@@ -27,16 +27,18 @@ BODIES = ("mass", "com", "inertia")
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedWithResidual:
-    """Identified robot with a network for what it leaves: `predict` and `effects` have the friction with its memory.
+    """Identified robot with a network for the residual torques, in predictions and in scenes.
 
         tau = identified.predict(motions) + network(q, qd, qdd)
 
-    The network is that of `ResidualDynamics(identified.layer())`. Train it on `samples`, whose torques lack what the
-    layer cannot know: friction that remembers, and what the filter of a log does to the steps of dry friction.
+    The network is that of `ResidualDynamics(identified.layer())`. Train it on `samples`: their torques are without what
+    `identified.predict` knows and the layer cannot, which is the memory of friction, and what the filter of a log does
+    to the steps of dry friction.
 
     Args:
         identified: from `identify`.
-        residual: network beside `identified.layer()`; of the layer, the offset may be learned further and nothing else.
+        residual: network beside `identified.layer()`, or beside `identified.layer(learn="offset")`: the offset is all
+            that the layer may go on learning.
 
     Raises:
         ArgumentError: the layer of the residual is another one, or it goes on learning masses or friction.
@@ -69,8 +71,8 @@ class IdentifiedWithResidual:
         learns = [name for name in network.model.learn if name != "offset"]
         if learns:
             raise ArgumentError(
-                f"residual must be around identified.layer(), which learns no more, found one that learns {learns}: "
-                "predict would go on with what was identified"
+                f"residual must be around identified.layer(), which learns at most the offset, found one that learns "
+                f"{learns}: predict would not use what it learned"
             )
         pairs = [(getattr(found.robot, name), getattr(network.robot, name)) for name in BODIES]
         if not all(a.shape == b.shape and torch.equal(a, b.to(a)) for a, b in pairs):
@@ -88,7 +90,7 @@ class IdentifiedWithResidual:
         qdd: Tensor | None = None,
         tau: Tensor | None = None,
     ) -> Samples:
-        """Samples to train the network on: measured torques without what `predict` knows and the layer does not.
+        """Samples to train the network on: measured torques without what only `identified.predict` knows.
 
         Args:
             motions: motions from `smooth`, whose rows follow each other; or joint positions [..., n] [rad or m], as in
@@ -112,8 +114,8 @@ class IdentifiedWithResidual:
     ) -> PredictedTorques:
         """Torques [..., n] of the identified robot and the network, standard errors of measured ones, 95 % intervals.
 
-        At joints where the network has no weight, errors and intervals are those of `Identified.predict` with the noise
-        that was found, at the others those of `ResidualDynamics.predict`.
+        At joints where the network has no weight, intervals are as wide as those of `Identified.predict`, and errors
+        are its errors together with the noise found. At the others both are those of `ResidualDynamics.predict`.
 
         Args:
             motions, qd, qdd: as in `Identified.predict`.
@@ -123,11 +125,11 @@ class IdentifiedWithResidual:
         """
         found = self.identified
         batch, rows = recorded(self.robot, motions, qd, qdd)
-        known = found.predict(motions, qd, qdd)
-        tau, error, low, high = (x.reshape(rows.q.shape) for x in known)
-        alone = PredictedTorques(tau, torch.hypot(error, found.noise.to(error)), low, high)
-        both, lacks = self.residual.predict(rows.q, rows.qd, rows.qdd), tau - self._steady(rows)
-        both = PredictedTorques(both.tau + lacks, both.error, both.low + lacks, both.high + lacks)
+        tau, error, low, high = (x.reshape(rows.q.shape) for x in found.predict(motions, qd, qdd))
+        both, steady = self.residual.predict(rows.q, rows.qd, rows.qdd), self._steady(rows)
+        added, memory = both.tau - steady, tau - steady  # an offset that was learned is added without a network, too
+        alone = PredictedTorques(tau + added, torch.hypot(error, found.noise.to(error)), low + added, high + added)
+        both = PredictedTorques(tau + added, both.error, both.low + memory, both.high + memory)
         acts = self.residual.weight > 0
         shown = (torch.where(acts, x, y).reshape(*batch, self.robot.n) for x, y in zip(both, alone, strict=True))
         return PredictedTorques(*shown)

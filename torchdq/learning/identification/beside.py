@@ -1,8 +1,8 @@
-"""Least squares for what a fit lacks: further unknowns, sought beside all parameters that it has.
+"""Least squares for what a fit lacks: further unknowns, sought together with changes of all its parameters.
 
-With the residual r = Z dphi + E x + noise about the fit, E being the torque per unit of what was not sought, least
-squares for both dphi and x say how large x is. What the fitted parameters explain in its place, friction above all, is
-then no part of it.
+The residual of the fit is r = Z dphi + E x + noise, with the torques per unit E of unknowns x that were not sought.
+Least squares for dphi and x together show how large x is, even where the fitted parameters, above all friction, have
+taken its place.
 """
 
 from __future__ import annotations

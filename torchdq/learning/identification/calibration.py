@@ -1,4 +1,4 @@
-"""Width of the intervals of predicted torques, by what the rows of blocks that were left out show."""
+"""Widths of the intervals of predicted torques, from residuals of blocks that were left out."""
 
 from collections.abc import Sequence
 
@@ -16,11 +16,12 @@ ROWS = 4096  # most rows that are looked at
 def half_widths(evidence: Evidence, left_out: Sequence[Sequence[Unseen]], spread: Tensor, noise: Tensor) -> Tensor:
     """Half-widths [n] of intervals that hold 95 % of measured torques, in units of the errors of parameters and noise.
 
-    They are the larger ones of those that blocks ask for and those that regions ask for, where there are few motions.
+    Where there are few motions, regions of the states are left out, too; of the half-widths that blocks and regions ask
+    for, the larger ones are taken.
 
     Args:
         evidence: of all rows, with the terms of the model.
-        left_out: blocks of the rows, and regions; where there are neither, errors are taken for normal.
+        left_out: blocks of the rows, and regions. Where there are neither, the errors are assumed to be normal.
         spread: F [k, t], the covariance of the parameters being F F^T.
         noise: standard deviations of the noise [n].
     """

@@ -1,4 +1,4 @@
-"""Evidence of a recording about a robot, as sums per block: a fit to some blocks costs no samples any more."""
+"""Evidence of a recording about a robot, as sums per block, so that a fit to some blocks need not read the samples."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Evidence(NamedTuple):
     own: Tensor  # [rows, n, terms] torques per unit of the terms
     total: Tensor  # [n, p + 1, p + 1] of all rows
     left: Tensor  # [blocks, n, p + 1, p + 1] of the rows of each block, and region
-    folds: Tensor  # [blocks, n, p + 1, p + 1] of all rows but those, and but those beside
+    folds: Tensor  # [blocks, n, p + 1, p + 1] of all rows without those and their neighbours
     counts: Tensor  # [blocks] rows
-    sizes: Tensor  # [blocks, n] squares of its torques about their mean, of its motion's variance
+    sizes: Tensor  # [blocks, n] number of rows times the variance of the torques of their motion
     squares: Tensor  # [n] mean squares of the torques
-    unit: Tensor  # [terms, n] torques per unit that the prior goes by: `Term.size`
+    unit: Tensor  # [terms, n] torques per unit that set the width of the prior: `Term.size`
     told: Tensor  # [terms, n] bool: whether the rows can tell a term from others
     at: Tensor  # [n, p] places of the parameters of each joint
 
@@ -75,7 +75,7 @@ class Evidence(NamedTuple):
         return found[: len(blocks)], found[len(blocks) :]
 
     def correlation(self, change: Tensor) -> Tensor:
-        """Correlation times of those residuals [n] in rows."""
+        """Correlation times [n], in rows, of the residuals after a change of the parameters [n, p]."""
         return correlation_times(self.residual(change), self.recording.lengths)
 
 

@@ -5,12 +5,12 @@ An effort e of a joint is h times its torque, h being one over the gain,
     e = h Y pi + friction + noise,
 
 with friction in the unit of the effort, which is linear in the parameters for known h. Gauss and Newton's method makes
-it linear in both about the last values: the torque Y pi there is the column of h. All that a recording says is in the
-sums of `regression.gram`, so that an iteration costs no samples. A factor of all gains together is that of all masses,
-and comes from the description; between the joints, gains are told by bodies that load several of them.
+it linear in both about the last values: the torque Y pi there is the column of h. The sums of `regression.gram` hold
+all that a recording says, so an iteration reads no samples. One factor of all gains together cannot be told from one of
+all masses, and comes from the description. The ratios of the gains come from bodies that load several joints.
 
-Torques by gains that are off make parameters that are off (`spread_of_gains`): the parameters of a fit are linear in
-the torques, and those of a joint are its gain times its efforts.
+Errors of the gains make errors of the parameters (`spread_of_gains`): the parameters of a fit are linear in the
+torques, and the torques of a joint are its gain times its efforts.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ ITERATIONS = 30
 ENOUGH = 1e-4  # relative change of a gain at which the iteration ends
 STRENGTH = 100.0  # prior of the bodies, whose described masses set the factor of all gains
 TRUST = 0.1  # relative standard error of the described masses together
-FLAT = 0.5  # relative standard error of a first guess above which it is that of the other joints
+FLAT = 0.5  # relative standard error of a first guess, above which the mean of the other joints takes its place
 
 GAIN = Term("gain", ("1", "1"), signed=True)
 
@@ -84,7 +84,7 @@ def drive_gains(evidence: Evidence, known: Tensor) -> tuple[Gains, Tensor]:
 def spread_of_gains(
     evidence: Evidence, found: Solution, correlation: Tensor, prior: float, gains: Gains, spread: Tensor
 ) -> Tensor:
-    """F [k, n], F F^T being the covariance of the parameters' errors that those of the gains make.
+    """Factor F [k, n] of the covariance F F^T of the parameters that errors of the gains make.
 
     Args:
         evidence: of torques by the gains.
@@ -100,7 +100,7 @@ def spread_of_gains(
 
 
 def _guess(sums: Tensor, start: Tensor, inertial: int, samples: int, sought: Tensor) -> Tensor:
-    """Efforts per described torque [n], each beside friction alone; one that is not told is as others sought."""
+    """Efforts per described torque [n], each with friction alone; the mean of the others where a joint tells none."""
     n, p = start.shape
     M = torch.zeros(n, p, 1 + p - inertial, dtype=start.dtype)
     M[:, :, 0] = start

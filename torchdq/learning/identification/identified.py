@@ -40,7 +40,7 @@ class Prediction(NamedTuple):
     high: Tensor  # [N m or N]
 
     def __repr__(self) -> str:
-        return summary("Prediction", {name: (x, "N m or N") for name, x in self._asdict().items()})
+        return summary("Prediction", {name: (x, FORCE) for name, x in self._asdict().items()})
 
 
 class Identified(NamedTuple):
@@ -51,12 +51,14 @@ class Identified(NamedTuple):
 
     `covariance` [k, k] is that of the least squares with the prior, linearised at the description: its diagonal is the
     squared standard error that noise of the found size leaves. Smoothed signals and faults of the model are not
-    independent from row to row: so many rows as `correlation` says count as one.
+    independent from row to row: as many rows as `correlation` says count as one.
+
     Parameters that the samples do not identify have the width of the prior instead, the described size over
     sqrt(prior), which is large, and right as long as the description is not off by more; that the robot must be
     physical narrows it further and is not counted. Single masses and inertias are mostly of that kind; `excited` tells
-    them from the others. Where gains of the drives were sought, their errors are in it (`by_these_gains`). The samples
-    identify `rank` combinations, the base parameters `base` @ `parameters`.
+    them from the others. Where gains of the drives were sought, the covariance includes their errors, and
+    `by_these_gains` leaves them out. The samples identify `rank` combinations, the base parameters
+    `base` @ `parameters`.
 
     Printed, it is a table of the parameters.
     """
@@ -117,9 +119,10 @@ class Identified(NamedTuple):
         return self.spread.norm(dim=1)
 
     def by_these_gains(self) -> Identified:
-        """Robot with errors as if the gains of the drives were exact.
+        """Identified robot with errors as if the gains of the drives were exact.
 
-        Those are the errors against torques that are efforts times these gains, which are off by as much.
+        These errors suit comparisons with torques that are efforts times the same gains: such torques are wrong by the
+        same factors.
         """
         return self if self.gains is None else self._replace(spread=self.spread[:, : -self.robot.n])
 
@@ -155,14 +158,15 @@ class Identified(NamedTuple):
         return (effects.Gravity(), *rotors, *self.friction())
 
     def layer(self, learn: Sequence[str] = ()) -> DQRNEA:
-        """Torques as a module: the robot found, with its friction, the width of it, and the offset.
+        """Torques as a module: the robot found, with its friction, the width of dry friction, and the offset.
 
-        Friction that remembers is that of steady sliding there, since a layer does not know what was before;
-        `identify(..., memory=False)` finds the best without, and `IdentifiedWithResidual` adds a network to it.
+        A layer does not know the motion before, so friction that remembers is that of steady sliding there.
+        `identify(..., memory=False)` finds the best friction without memory. `IdentifiedWithResidual` adds a network
+        to friction that remembers.
 
         Args:
-            learn: quantities that the layer goes on learning, as in `torchdq.DQRNEA`, "friction" where no effect is
-                there twice.
+            learn: quantities that the layer goes on learning, as in `torchdq.DQRNEA`; "friction" only if no two effects
+                of `friction()` are of one kind.
         """
         friction = _together([one.steady(self.width) for one in self.friction()])
         names = [*learn, "offset"] if self.offset is not None else list(learn)
@@ -179,9 +183,9 @@ class Identified(NamedTuple):
     def to_urdf(self, original: Any) -> str:
         """URDF text of the robot found: the original with other numbers, as `Robot.to_urdf`.
 
-        A URDF file holds viscous and Coulomb friction alone: those in it come nearest to all friction found, over the
-        samples (`with_simple_friction`). A `UserWarning` says where they stand for friction of other shapes, and names
-        what has no place in the file: rotor inertia and offsets. Torques by the file are off by that.
+        A URDF file holds viscous and Coulomb friction alone: it gets those that come nearest to all friction found in
+        the samples (`with_simple_friction`). A `UserWarning` names friction of other shapes that they stand for, and
+        what has no place in the file: rotor inertia and offsets. Torques computed from the file are wrong by that.
 
         Args:
             original: the file that the robot was read from, as in `Robot.from_urdf`.
@@ -292,7 +296,7 @@ def recorded(
 
 
 def _together(effects: Sequence[Friction]) -> list[Friction]:
-    """Effects of which no two differ only in the numbers in which their torques are linear: those are added."""
+    """Effects as sums: those that differ only in the numbers in which their torques are linear become one."""
     sums: dict[Friction, Friction] = {}
     for effect in effects:
         law = replace(effect, **dict.fromkeys(effect.LINEAR))

@@ -16,7 +16,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Literal
+from typing import Any, Literal
 
 import torch
 from torch import Tensor
@@ -29,7 +29,7 @@ from torchdq.learning.identification.calibration import half_widths
 from torchdq.learning.identification.evidence import Evidence, described, gather
 from torchdq.learning.identification.gains import Gains, drive_gains, spread_of_gains
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
-from torchdq.learning.identification.ladder import STRENGTHS, Apart, Ladder, Rung, climb
+from torchdq.learning.identification.ladder import STRENGTHS, Ladder, Rung, UnseenParts, climb
 from torchdq.learning.identification.lags import lagging
 from torchdq.learning.identification.missing import missing, offset_missing
 from torchdq.learning.identification.regression import base_parameters, rigid
@@ -80,7 +80,8 @@ def identify(
     Args:
         robot: the robot as described, without batch axes.
         motions: motions from `smooth`; or joint positions [..., n] [rad or m], the last of the leading axes being time
-            and the others motions. In any other order of the rows give `friction` and `prior`.
+            and the others motions. If the rows are not in the order of time, give `friction` and `prior`: a model is
+            chosen by leaving out neighbouring rows together.
         qd, qdd: joint velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2], [..., n], beside positions.
         tau: measured joint torques [N m or N], [..., n], beside positions.
         friction: "choose": viscous and Coulomb friction, and of other shapes what blocks that were left out gain from;
@@ -105,10 +106,11 @@ def identify(
             numbers are biased beyond their errors; another names constant torques that were not sought, another torques
             that lag the motion, with the time.
         gains: seek the torque per unit of effort of every joint, where `tau` is a current, or a torque by gains that
-            are not trusted: 1 with a standard deviation of 0.3 before the samples, or anything at joints for which the
-            layout of the log has no gain. One factor of them all, with masses, comes from the description. They are
-            found with viscous and Coulomb friction first, and the rest follows with the torques that they make.
-        memory: whether friction may remember, as `torchdq.effects.LuGre` does; scenes have that, layers do not.
+            are not trusted. Before the samples they are 1 with a standard deviation of 0.3, and unknown at joints for
+            which the layout of the log has no gain. One factor of all gains, like one of all masses, comes from the
+            description. Gains are found first, with viscous and Coulomb friction; all else is found from the torques
+            that they make.
+        memory: whether friction may have a memory, as `torchdq.effects.LuGre` has: scenes simulate it, layers do not.
 
     Raises:
         ArgumentError: a shape, a device, a value that is not finite, no samples, or a robot with batch axes.
@@ -124,25 +126,14 @@ def identify(
     for name, axes in batches(require_robot(robot)).items():
         raise ArgumentError(f"{name} of robot {robot.name!r} has batch axes {axes}; identify one at a time")
     _, rows = recorded(robot, motions, qd, qdd, tau=tau, direction=direction)
-    if not len(rows.q) or not robot.n:
-        raise ArgumentError(
-            f"at least one sample and one joint are needed, found {len(rows.q)} samples of {robot.n} joints"
-        )
-    for name, x in (("friction", friction), ("offset", offset)):
-        if isinstance(x, str) and x != "choose":
-            raise ArgumentError(f"{name} must be True, False or 'choose', found {x!r}")
-    if not isinstance(offset, bool | str):
-        raise ArgumentError(f"offset must be True, False or 'choose', found {offset!r}")
-    if prior is not None and prior != math.inf:
-        require_number("prior", prior, positive=True)
-    require_number("width", width, positive=True)
-    require_finite(**rows.signals())
-    require_bodies(robot, "identification")
+    _require(robot, rows, friction, offset, prior, width)
 
     plain = [VISCOUS, COULOMB] * bool(friction)
     rubbing = plain if isinstance(friction, bool | str) else [*terms_of(friction, robot, width)]
     if not memory and any(term.bristles for term in rubbing):
-        raise ArgumentError("friction must not remember where memory=False says so, found LuGre")
+        raise ArgumentError(
+            "friction must have no memory if memory=False, found LuGre; give other friction, or memory=True"
+        )
     fixed = [ROTOR] * armature + rubbing + [OFFSET] * (offset is True)
     known = torch.tensor(rows.known_gains).expand(robot.n)
     if not (gains or bool(known.all())):
@@ -158,14 +149,14 @@ def identify(
         if doubt := _doubts(robot, rows, width):
             warnings.warn(doubt, LogWarning, stacklevel=3)
         frozen = prior == math.inf
-        apart: Apart = ([], [])
+        unseen: UnseenParts = ([], [])
         ladder, strength = None, math.inf if frozen else 1.0
         weight = 1.0 if prior is None or frozen else prior
         if left_out:
             shapes = SHAPES if friction == "choose" else ()
             candidates = [OFFSET] * (offset == "choose") + [term for term in shapes if memory or not term.bristles]
             strengths = STRENGTHS if prior is None else (strength,)
-            ladder, evidence, apart = climb(robot, rows, fixed, candidates, width, strengths, left_out, notice.at)
+            ladder, evidence, unseen = climb(robot, rows, fixed, candidates, width, strengths, left_out, notice.at)
             sought, strength = ladder.rung.sought[ladder.rung.sought.any(1)], ladder.rung.strength
         else:
             loaded = any(term.loaded for term in fixed)
@@ -182,7 +173,26 @@ def identify(
         measured = bool(left_out) and offset == "choose"  # blocks that were left out have decided about offsets
         for late in () if doubt else _late(evidence, found, weight, width, not measured):
             warnings.warn(late, LogWarning, stacklevel=3)
-        return _identified(evidence, found, correlation, weight, width, moves, ladder, apart, drives)
+        return _identified(evidence, found, correlation, weight, width, moves, ladder, unseen, drives)
+
+
+def _require(robot: Robot, rows: MotionRows, friction: Any, offset: Any, prior: Any, width: Any) -> None:
+    """Raise unless samples and options are such that the robot can be identified."""
+    if not len(rows.q) or not robot.n:
+        raise ArgumentError(
+            f"at least one sample and one joint are needed, found {len(rows.q)} samples of {robot.n} joints"
+        )
+    if isinstance(friction, str) and friction != "choose":
+        raise ArgumentError(
+            f"friction must be True, False, 'choose', or a sequence of friction effects, found {friction!r}"
+        )
+    if offset != "choose" and not isinstance(offset, bool):
+        raise ArgumentError(f"offset must be True, False or 'choose', found {offset!r}")
+    if prior is not None and prior != math.inf:
+        require_number("prior", prior, positive=True)
+    require_number("width", width, positive=True)
+    require_finite(**rows.signals())
+    require_bodies(robot, "identification")
 
 
 def _unchosen(rows: MotionRows, fixed: Sequence[Term], sought: Tensor, strength: float, prior: float) -> Ladder:
@@ -221,7 +231,7 @@ def _identified(
     width: float,
     moves: Tensor,
     ladder: Ladder | None,
-    apart: Apart,
+    unseen: UnseenParts,
     drives: tuple[Gains, Tensor] | None,
 ) -> Identified:
     robot, terms, near, facts = evidence.robot, evidence.terms, found.near, found.facts
@@ -233,7 +243,7 @@ def _identified(
     if ladder is not None:
         ladder = ladder._replace(untold=_untold(robot, excited))
     model = _beyond(evidence, spread, facts.noise, ladder if measured else None)
-    wide = half_widths(evidence, apart, spread, facts.noise)
+    wide = half_widths(evidence, unseen, spread, facts.noise)
     if drives is not None:
         spread = torch.cat([spread, spread_of_gains(evidence, found, correlation, prior, *drives)], 1)
     return Identified(

@@ -26,8 +26,7 @@ from torchdq.tables import table
 
 STRENGTHS = tuple(10.0**k for k in range(5, -1, -1))  # prior of the bodies, the strongest first
 
-
-Apart = tuple[list[Unseen], list[Unseen]]  # blocks, and regions
+UnseenParts = tuple[list[Unseen], list[Unseen]]  # blocks, and regions of the states
 
 
 class Rung(NamedTuple):
@@ -59,9 +58,9 @@ class Ladder(NamedTuple):
 
     rungs: tuple[Rung, ...]
     chosen: int
-    parts: str  # words for the blocks that were left out, or for why there are none
+    parts: str  # words for the blocks and regions that were left out, or for why there are none
     left: Tensor  # [n] mean squared residual of the chosen rung on blocks, or on regions where larger [(N m)^2 or N^2]
-    useless: tuple[str, ...] = ()  # shapes of friction that no joint gained from
+    useless: tuple[str, ...] = ()  # shapes of friction, and offsets, that no joint gained from
     untold: tuple[str, ...] = ()  # groups of parameters that the samples do not tell
 
     @property
@@ -124,10 +123,10 @@ def climb(
     strengths: Sequence[float],
     blocks: Sequence[Block],
     say: Callable[[str], None],
-) -> tuple[Ladder, Evidence, Apart]:
-    """Ladder of models of a recording, the evidence with the terms of its chosen rung, and what this leaves.
+) -> tuple[Ladder, Evidence, UnseenParts]:
+    """Ladder of models of a recording, the evidence with the terms of its chosen rung, and residuals of this rung.
 
-    The last are residuals of blocks, and of regions, by parameters that were found without each.
+    The residuals are those of blocks, and of regions, by parameters that were found without each.
 
     Args:
         robot: the robot as described.
@@ -190,8 +189,8 @@ def _more(gains: Sequence[Gain]) -> str:
 
 def _chosen(
     rungs: Sequence[Rung], evidence: Evidence, identified: Evidence, others: Sequence[int], blocks: Sequence[Block]
-) -> tuple[Ladder, Evidence, Apart]:
-    """Ladder of rungs, the evidence of the chosen one, which is another where bodies are identified, and residuals."""
+) -> tuple[Ladder, Evidence, UnseenParts]:
+    """Ladder of rungs, the evidence of the chosen one with its terms alone, and its residuals on what was left out."""
     chosen = _simplest([rung.scores for rung in rungs])
     useless = [evidence.terms[k].name for k in others if not any(bool(rung.sought[k].any()) for rung in rungs)]
     regions = len(evidence.left) - len(blocks)

@@ -1,9 +1,9 @@
-"""Lags of measured torques behind the motion, found beside all parameters of a fit.
+"""Lags of measured torques behind the motion, found together with changes of all parameters of a fit.
 
 Torques that are late by s are tau(t) = Z(t - s) phi. Friction that was fitted without the lag explains a part of it,
-friction that remembers above all. So all of the model is moved by the lag that was found, and the parameters are sought
-anew with the rest of the lag beside them, by its torque per unit -d/dt Z(t - s) phi, until nothing is left of it: the
-lag found is that of the best model, whatever the first one was.
+above all friction that remembers. So the search iterates: the whole model is moved by the lag found so far, and least
+squares seek the parameters anew, together with the rest of the lag, whose torque per unit is -d/dt Z(t - s) phi. The
+search ends when nothing of the lag is left. The lag found is then that of the best model, whatever the first one was.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torch import Tensor
 from torchdq.learning.identification.beside import Beside
 from torchdq.learning.identification.evidence import Evidence
 
-SURE = 5.0  # standard errors from which there is a lag
+SURE = 5.0  # least size of a lag, in standard errors, to be one
 MATTERS = 0.1  # part of a motion's squared residuals that it must take away to matter
 ROUNDS = 12  # most times that the model is moved
 FARTHEST = 10.0  # most rows that it is moved at a time

@@ -1,4 +1,4 @@
-"""Names of combinations of parameters, as sums: `link2 Izz + 0.0825 link3 mx`."""
+"""Names of combinations of parameters as sums, such as `link2 Izz + 0.0825 link3 mx`."""
 
 from collections.abc import Sequence
 

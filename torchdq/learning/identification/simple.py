@@ -1,8 +1,8 @@
-"""Viscous and Coulomb friction in place of all that was found: the friction that URDF and MJCF files can hold.
+"""Viscous and Coulomb friction in place of all friction that was found, since URDF and MJCF files hold no other.
 
-Friction of other shapes, such as that in proportion to the load, would be missing in a file, and the viscous and
-Coulomb friction found beside it is what is left for these two, often nothing. So a file gets the two that come nearest
-to the torque of all friction together, by least squares over the samples, none of them negative.
+A file has no place for friction of other shapes, such as that in proportion to the load. The viscous and Coulomb
+friction that were found together with it are too small alone, often zero. So a file gets the two that come nearest to
+the torque of all friction together, by least squares over the samples, with neither of them negative.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def simple_friction(evidence: Evidence, parameters: Tensor, width: float) -> Ten
 
     Args:
         evidence: rows, and the torques of all terms per unit.
-        parameters: all that were found [k].
+        parameters: all parameters found [k].
         width: velocity below which dry friction is viscous [rad/s or m/s].
     """
     robot, terms = evidence.robot, evidence.terms

@@ -25,7 +25,7 @@ from torchdq.robot import Robot
 
 FORCE = ("N m", "N")  # units of joints that turn, and that slide
 STILL = 1e-9  # least speed by which the sign of friction is divided [rad/s or m/s]
-WAVE = 0.125  # errors of a wave's coefficients beside a constant torque are at most 1 / WAVE those in whole periods
+WAVE = 0.125  # least deviation of a wave from its mean, relative to that in whole periods, for it to be told
 
 
 class TermRows(NamedTuple):
@@ -74,13 +74,14 @@ class Term(NamedTuple):
     def size(self, unit: Tensor, torque: Tensor, told: Tensor) -> Tensor:
         """Torque per unit [n] at which the number makes the torque that it is expected to make.
 
-        It is that of the rows: what they cannot tell apart shares the torque evenly. Where they do not tell the term at
-        all, a number that is a torque is expected to be no larger than those of its joint, a fraction no larger than
-        one, others as if the joint moved at 1 rad/s or 1 rad/s^2.
+        It is the root mean square over the rows, so that terms that the rows cannot separate share it evenly.
+        Where the rows do not tell the term at all, a number that is a torque is expected to be at most the measured
+        torque of its joint, a fraction at most one, and other numbers are expected as if the joint moved at 1 rad/s or
+        1 rad/s^2.
 
         Args:
             unit: root mean squares of the torques per unit [n].
-            torque: those of the torques [n].
+            torque: root mean squares of the measured torques [n].
             told: joints whose rows can tell the term [n].
         """
         return torch.where(told, unit, unit.maximum(torque) if self.fraction else unit.clamp_min(1.0))
@@ -88,9 +89,10 @@ class Term(NamedTuple):
     def told(self, rows: TermRows) -> Tensor:
         """Joints [n] whose rows can tell the term from others: they move, and for a wave through enough of a period.
 
-        In a small part of a period a wave is a constant torque and a slope, as gravity is. Least squares of sine and
-        cosine beside a constant have errors of one over the least standard deviation of a sin(x) + b cos(x), with
-        a^2 + b^2 = 1: 1 / sqrt(2) in whole periods, `WAVE` times that in about a quarter of one.
+        In a small part of a period a wave looks like a constant torque and a slope, as gravity does. In least squares
+        of sine and cosine beside a constant, the errors go as one over the least standard deviation of
+        a sin(x) + b cos(x), with a^2 + b^2 = 1. That is 1 / sqrt(2) in whole periods, and must be `WAVE` / sqrt(2) at
+        least, as in about a quarter of a period.
         """
         if not self.signed:  # rotors and friction, which resist
             return (rows.qd.abs().amax(0) > rows.width).cpu()

@@ -11,10 +11,10 @@ COVERED = 0.95  # share of measured torques in an interval
 def interval_factors(ratios: Sequence[Tensor]) -> Tensor:
     """Half-widths [n] of intervals in units of the predicted errors.
 
-    Rows of one block resemble each other, and those of a new motion are a block more. So each block is held against the
-    quantile of the others, and the quantile of all is widened as far as these comparisons ask for: the intervals made
-    without a block then hold, on average over the blocks, the share of its rows that they should (a cross-conformal
-    prediction, V. Vovk, Annals of Mathematics and Artificial Intelligence 74, 2015, of blocks instead of rows).
+    Rows of one block resemble each other, and a new motion is like one more block. So each block is compared with the
+    quantile of the others, and the quantile of all blocks is widened by the factor with which these intervals of the
+    others hold 95 % of all rows (a cross-conformal prediction, V. Vovk, Annals of Mathematics and Artificial
+    Intelligence 74, 2015, of blocks instead of rows).
 
     Args:
         ratios: of each block that was left out, the residuals in units of the predicted errors [rows, n].

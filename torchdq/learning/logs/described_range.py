@@ -1,4 +1,4 @@
-"""Motions beyond the limits of the description: positions and velocities in other units, which no torque can show."""
+"""Motions far beyond the limits of the description, as those in degrees or millimetres or of other joints are."""
 
 import math
 
@@ -8,9 +8,9 @@ from torch import Tensor
 from torchdq.robot import Robot
 
 OFTEN = 0.01  # part of the rows in which a joint must be beyond its limits
-PAST = 1.0  # distance beyond a limit of position, relative to the range between both, that is none
-TURNS = 4 * math.pi  # the same, of joints that may make a full turn: such limits often stand for none [rad]
-FASTER = 3.0  # times the limit of velocity that is none: simulated motions do not keep it
+PAST = 1.0  # farthest beyond a limit of position that is not doubted, relative to the range between both limits
+TURNS = 4 * math.pi  # the same of joints that may make a full turn, whose limits often mean that there are none [rad]
+FASTER = 3.0  # times the limit of velocity that are not doubted: simulated motions do not keep it
 UNITS = ("rad", "rad/s", "degrees (multiply by pi/180)"), ("m", "m/s", "millimetres (multiply by 0.001)")
 
 

@@ -1,4 +1,4 @@
-"""Rows of a log in which a signal leaps far away and back: faults of a sensor or a bus, which ruin least squares."""
+"""Spikes of a log: rows in which a signal leaps far away and back, by faults of a sensor or a bus."""
 
 from collections.abc import Sequence
 
@@ -6,8 +6,8 @@ import numpy as np
 
 BESIDE = 3  # rows to both sides that a row is compared with: a spike is shorter
 FAR = 20.0  # times the usual distance from the rows beside, from which a row is a spike
-BEYOND = 3.0  # least distance from what is usual, relative to the range of that
-OUTER = 0.01  # part of the rows on either side of the range that is usual
+BEYOND = 3.0  # least distance of a spike from the usual range, relative to its size
+OUTER = 0.01  # part of the rows below the usual range, and above it
 LEAST = 0.1  # least size of that range, relative to the largest of all joints: a joint at rest has noise alone
 USUAL = 1.4826  # standard deviation of normal numbers over the median of their sizes
 SHOWN = 5  # most rows that a message names
@@ -15,11 +15,11 @@ CURE = "least squares follow a few such rows more than all the others; delete th
 
 
 def spikes(x: np.ndarray) -> np.ndarray:
-    """Whether a row leaps from those beside it on both sides [rows, n], in signals [rows, n].
+    """Spikes of signals [rows, n]: whether a row leaps from those beside it on both sides [rows, n].
 
-    Both neighbours must be far in the same direction, so that steps, as those of dry friction, are none; and the row
-    beyond what is usual by three times the range of that. The median of all distances and the range of most rows say
-    what is far: a few spikes do not move them.
+    A spike is far from both neighbours in the same direction, which steps such as those of dry friction are not. It is
+    also outside the usual range of the signal by three times the size of that range. Both follow from the median of
+    all distances and the range of most rows, which a few spikes do not change.
 
     >>> x = np.sin(np.linspace(0, 6, 200))[:, None]
     >>> x[[50, 120]] = 1000.0
