@@ -22,6 +22,7 @@ not define from a recorded one, runs after the step, and needs no number-generic
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -237,8 +238,23 @@ class Functions(NamedTuple):
                 "functions of a TorchTask must not change tensors in place, which would change the simulation; write "
                 "x + 1 instead of x.add_(1), or x.clone() first"
             )
+        _warn_of_faults(now, rows)
         sound = rows["observation"].isfinite().all(1) & (rows["reward"].abs() <= SENSIBLE)
         return {**rows, "valid": rows["valid"] * sound}
+
+
+def _warn_of_faults(now: Now, rows: Mapping[str, Tensor]) -> None:
+    """Warn where a reward or an observation is NaN although the simulation has not failed: the function is wrong."""
+    simulated = (rows["valid"] != 0) & torch.cat([now.q, now.qd], 1).isfinite().all(1)
+    lost = {"reward": rows["reward"].isnan(), "observation": rows["observation"].isnan().any(1)}
+    for name, nan in lost.items():
+        if bool((nan & simulated).any()):
+            found = f"{int(nan.sum())} of {len(nan)} rows whose positions and velocities are finite"
+            warnings.warn(
+                f"{name} of the task is NaN in {found}; these rows end as failed. Is there 0 / 0, or a root of "
+                "a negative number?",
+                stacklevel=4,
+            )
 
 
 def _versions(now: Now) -> list[int]:

@@ -267,3 +267,21 @@ def test_motions_are_taken_as_their_rows_are():
     log = read({"time": np.array([0.0, 0.01]), "q": rest, "qd": rest, "tau": rest})
     with pytest.raises(ArgumentError, match="found Log; smooth"):
         identify(robot, log)
+
+
+def test_motions_with_filtered_directions_are_predicted_by_them():
+    """Dry friction that a filter has rounded as it rounded the torques: the residual is that of the payload alone."""
+    robot = torchdq.robots.load("ur10e")
+    q, qd, qdd = moving(400, seed=7)
+    rounded = (qd / 0.3).tanh()
+
+    def motion(arm):
+        tau = torchdq.inverse_dynamics(arm, q, qd, qdd) + 2.0 * rounded
+        arrays = (x.numpy() for x in (0.01 * torch.arange(len(q)).double(), q, qd, qdd, tau))
+        return Motion(*arrays, direction=rounded.numpy())
+
+    empty = identify(robot, motion(robot), friction=True, prior=1.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", LogWarning)
+        found = identify_payload(empty, motion(robot.with_payload(2.0, (0.0, 0.0, 0.1))))
+    assert abs(float(found.mass) - 2) < 1e-3 and float(found.rms.max()) < 1e-3

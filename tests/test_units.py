@@ -54,6 +54,12 @@ def test_a_body_in_other_units_is_named_when_loaded_and_when_checked(scaled, fou
     assert note in str(robot.report())
 
 
+def test_a_centre_of_mass_in_cm_is_named_where_there_are_several_links():
+    com, inertia = [[0.0] * 3, [40.0, 0.0, 0.0], [0.0] * 3], [[0.3, 0.0, 0.3, 0.0, 0.0, 0.3]] * 3
+    with pytest.warns(UserWarning, match=r"link 'link2': com must be in m, found it 40 m from the link's frame"):
+        torchdq.Robot.from_dh([0.3] * 3, [0.0] * 3, [0.0] * 3, [0.0] * 3, [1.0] * 3, com, inertia)
+
+
 @pytest.mark.parametrize(
     "field, factor, found",
     [

@@ -319,7 +319,7 @@ def of_layers(effects: Any, robot: Robot, learn: bool = False) -> tuple[Friction
         learn: whether linear parameters that neither are given nor described start at zero.
     """
     found: list[Friction] = []
-    for effect in effects if isinstance(effects, Sequence) else (effects,):
+    for effect in effects if isinstance(effects, Sequence) and not isinstance(effects, str) else (effects,):
         name = type(effect).__name__
         if not isinstance(effect, Friction):
             raise ArgumentError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -13,6 +14,7 @@ from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics
 from torchdq.learning.identification.identified import Identified
 from torchdq.learning.logs.motions import Motion, cut, samples
+from torchdq.learning.logs.plausibility import LogWarning, doubts
 from torchdq.robot import Robot
 from torchdq.tables import table
 
@@ -113,13 +115,28 @@ def trial(described: Robot, found: Identified, motions: Sequence[Motion]) -> Tor
         before = inverse_dynamics(described, q, qd, qdd)
     told = found.by_these_gains().predict(known)  # motion by motion: friction remembers nothing of the one before
     size = tau.std(0)
+    left = (tau - told.tau).square().mean(0).sqrt() / size
+    if float(left.mean()) > FAIR:  # the model may be right, and the file wrong
+        _warn_of_faults(described, found, (q, qd, qdd, tau))
     return TorqueTrial(
         described.joint_names,
         float(sum(motion.time[-1] - motion.time[0] for motion in known)),
         (tau - before).square().mean(0).sqrt() / size,
-        (tau - told.tau).square().mean(0).sqrt() / size,
+        left,
         ((tau >= told.low) & (tau <= told.high)).double().mean(0),
     )
+
+
+def _warn_of_faults(described: Robot, found: Identified, rows: Sequence[Tensor]) -> None:
+    """Warn of units, signs and columns of the motions to test on, (q, qd, qdd, tau), that seem to be wrong."""
+
+    def torques(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
+        return inverse_dynamics(described, q, qd, qdd)
+
+    with torch.no_grad():
+        doubt = doubts(described, torques, rows, found.width)
+    if doubt:
+        warnings.warn(f"in the motions to test on, {doubt}", LogWarning, stacklevel=3)
 
 
 def with_file(measured: TorqueTrial, file: Robot, found: Identified, motions: Sequence[Motion]) -> TorqueTrial:

@@ -36,7 +36,8 @@ BULKY = 2.5  # radius of gyration of one of these that is doubted, likewise: a r
 HEAVY = 1.5  # radius of gyration of all of them together, likewise
 TURN = 2 * math.pi + 1e-5  # largest angle [rad] of a placement; degrees are larger
 TURNS = (20.0, 720.0)  # limits of a turning joint that are doubted [rad]; those of 1000 and more stand for none
-SLENDER = 200.0  # distance of a centre of mass that is believed, in radii of gyration: a bob on a long string
+SLIM = 20.0  # distance of a centre of mass that is believed, in radii of gyration
+SLENDER = 200.0  # likewise in robots of fewer links, which may be a bob on a long string
 
 
 def without_numbers(fault: str) -> str:
@@ -67,7 +68,7 @@ def _doubts(robot: Robot) -> Iterator[str]:
         yield f"lengths must be in m, {found}; are they in mm?"
     bodies = {f"link {link!r}": "the link's frame" for link in robot.link_names}
     several = len(bodies) >= MANY
-    large = [*_of_bodies(bodies, robot.mass, robot.com, robot.inertia, length, BULKY if several else LARGE)]
+    large = [*_of_bodies(bodies, robot.mass, robot.com, robot.inertia, length, several)]
     together = _together(robot.mass, robot.inertia) if several and not large else 0.0
     if together > HEAVY * length > 0:
         large.append(
@@ -86,7 +87,7 @@ def doubts_of_payload(robot: Robot, frame: str, body: RigidBody, stacklevel: int
     """Numbers of a payload in a frame, [...], that seem to be in other units than m, kg and kg m^2; warns."""
     bodies = {"payload": f"frame {frame!r}"}
     mass, com, inertia = body.mass.unsqueeze(-1), body.com.unsqueeze(-2), body.inertia.unsqueeze(-2)
-    found = [*_of_bodies(bodies, mass, com, inertia, _length(robot), LARGE)]
+    found = [*_of_bodies(bodies, mass, com, inertia, _length(robot), False)]
     if found:
         lines = "\n  ".join(found)
         warnings.warn(
@@ -112,7 +113,7 @@ def _together(mass: Tensor, inertia: Tensor) -> float:
 
 
 def _of_bodies(
-    bodies: Mapping[str, str], mass: Tensor, com: Tensor, inertia: Tensor, length: float, large: float
+    bodies: Mapping[str, str], mass: Tensor, com: Tensor, inertia: Tensor, length: float, several: bool
 ) -> Iterator[str]:
     """Doubts about bodies on a robot of a length [m].
 
@@ -120,14 +121,14 @@ def _of_bodies(
         bodies: words for them, with the words for their frames.
         mass, com, inertia: masses [..., k], centres of mass [..., k, 3] and inertias [..., k, 6].
         length: of the robot.
-        large: radius of gyration that is doubted, in lengths.
+        several: whether the robot has links enough for its length to be that of its bodies, too.
     """
-    among = _among(length)
+    among, large, slender = _among(length), *((BULKY, SLIM) if several else (LARGE, SLENDER))
     heavy, spread = mass.detach().double(), _spread(inertia)
     radii = _largest((spread / heavy.where(heavy > 0, torch.inf)).clamp(min=0).sqrt())
     away = _largest(com.norm(dim=-1) * (mass > 0))
     for (body, frame), far, radius in zip(bodies.items(), away, radii, strict=True):
-        if max(length, radius) > 0 and far > max(FAR * length, SLENDER * radius):
+        if max(length, radius) > 0 and far > max(FAR * length, slender * radius):
             yield f"{body}: com must be in m, found it {far:.4g} m from {frame}, {among}; is it in mm?"
         reach = far if length < far <= FAR * length else length  # a rod may be all of an arm
         if length > 0 and radius > large * reach:

@@ -74,17 +74,16 @@ class Term(NamedTuple):
     def size(self, unit: Tensor, torque: Tensor, told: Tensor) -> Tensor:
         """Torque per unit [n] at which the number makes the torque that it is expected to make.
 
-        It is the root mean square over the rows, so that terms that the rows cannot separate share it evenly.
-        Where the rows do not tell the term at all, a number that is a torque is expected to be at most the measured
-        torque of its joint, a fraction at most one, and other numbers are expected as if the joint moved at 1 rad/s or
-        1 rad/s^2.
+        It is the root mean square over the rows, so that terms that the rows cannot separate share it evenly. But a
+        fraction is expected to be at most one. Where the rows do not tell the term at all, a number that is a torque is
+        expected to be at most the measured torque of its joint, others as if the joint moved at 1 rad/s or 1 rad/s^2.
 
         Args:
             unit: root mean squares of the torques per unit [n].
             torque: root mean squares of the measured torques [n].
             told: joints whose rows can tell the term [n].
         """
-        return torch.where(told, unit, unit.maximum(torque) if self.fraction else unit.clamp_min(1.0))
+        return unit.maximum(torque) if self.fraction else torch.where(told, unit, unit.clamp_min(1.0))
 
     def told(self, rows: TermRows) -> Tensor:
         """Joints [n] whose rows can tell the term from others: they move, and for a wave through enough of a period.
