@@ -2513,7 +2513,7 @@ MUTANTS = (
         "torchdq/robot/units.py",
         (
             "payloads in mm believed",
-            "found = [*_of_bodies(bodies, mass, com, inertia, _length(robot), LARGE)]",
+            "found = [*_of_bodies(bodies, mass, com, inertia, _length(robot), False)]",
             "found: list[str] = []",
             "combined.py::test_a_payload_in_other_units_is_named_once",
         ),
@@ -2531,7 +2531,7 @@ MUTANTS = (
         ),
         (
             "centres of mass in mm believed",
-            "far > max(FAR * length, SLENDER * radius)",
+            "far > max(FAR * length, slender * radius)",
             "far > 1e9",
             "units.py::test_a_body_in_other_units_is_named_when_loaded_and_when_checked",
         ),
