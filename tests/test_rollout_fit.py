@@ -19,7 +19,7 @@ from torchdq.envs.sensitivity import StepMap
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.learning import LogError, Recording, fit_rollout
 from torchdq.learning.logs.plausibility import LogWarning
-from torchdq.learning.rollout import shooting
+from torchdq.learning.rollout import shooting, unknowns
 from torchdq.learning.rollout.problem import Problem
 from torchdq.learning.rollout.recordings import Commands
 
@@ -466,3 +466,10 @@ def test_actuators_through_which_no_torque_goes_are_refused():
         fit_rollout(scene, log, "Lag.time")
     with pytest.raises(ArgumentError, match=r"Lag\.time cannot be learned"):
         fit_rollout(scene, LOG._replace(inputs={"target": torch.zeros(20, 2), "torque": torch.zeros(20, 2)}), "Lag.*")
+
+
+def test_positive_numbers_stay_positive_however_long_the_step():
+    """A mass that the log does not tell may be taken far down: exp(-step) alone would be zero, and no body."""
+    value = np.array([2.0, 3.0])
+    moved = unknowns.PositiveNumbers().moved(value, np.array([-1e6, 0.5]))
+    assert moved[0] > 0 and moved[1] == 3.5

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 DELAY = "delay"
 BODIES = ("mass", "com", "inertia")  # parameters of the links
+LEAST = 1e-9  # least value of a parameter that is positive [SI]
 LENGTH = 0.1  # least size of a change of a centre of mass [m]
 INERTIA = PhysicalInertia()
 
@@ -68,7 +69,8 @@ class PositiveNumbers(SignedNumbers):
 
     def moved(self, value: np.ndarray, step: np.ndarray) -> np.ndarray:
         """Values after a step, along a line up and along the exponential of the same slope down."""
-        return np.where(step >= 0, value + step, value * np.exp(np.minimum(step, 0.0) / value))
+        down = np.maximum(value * np.exp(np.minimum(step, 0.0) / value), LEAST)  # a long step would come to zero itself
+        return np.where(step >= 0, value + step, down)
 
     def sizes(self, value: np.ndarray, start: np.ndarray) -> np.ndarray:
         """The values, or those at the start where they were larger."""
