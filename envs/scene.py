@@ -265,7 +265,7 @@ class Scene:
         >>> scene.rollout(scene.start(torch.ones(3, 2)), steps=50, policy=lambda s: -4 * s.q - s.qd).q.shape
         torch.Size([50, 3, 2])
         """
-        self.spec.require_inputs(inputs)
+        self.spec.require_inputs(name for name in inputs if name != "noise")
         series = {name: x for name, x in (("torque", torque), *inputs.items()) if x is not None}
         return rollout(self, state, series, steps, policy, checkpoint, lost)
 

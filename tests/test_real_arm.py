@@ -67,4 +67,4 @@ def test_a_real_panda_is_explained_best_by_physics(main, tmp_path):
     mean = {name: float(found.mean()) for name, found in result.errors.items()}
     assert mean["identified"] < 0.075 < 0.09 < mean["+ friction"] < mean["description"]
     assert mean["chosen + residual"] < 0.85 * mean["chosen"] < 0.5 * mean["black box"]
-    assert 0.93 < result.covered.mean() < 0.97
+    assert 0.93 < result.covered.mean() < 0.985  # wide, since the motion repeats what was learned
