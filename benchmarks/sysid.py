@@ -163,6 +163,8 @@ def noisy(runs: int) -> list[float]:
 
 def main() -> tuple[dict[str, float], list[float]]:
     arguments = report.parser(__doc__, quick="3 rounds and 20 noisy runs", page=False).parse_args()
+    if not hasattr(sysid, "create_initial_state"):
+        raise SystemExit("mujoco.sysid has not all that it needs; run pip install 'mujoco[sysid]'")
     warnings.simplefilter("ignore", DeprecationWarning)
     torch.set_num_threads(1)
     rounds, runs = (3, 20) if arguments.quick else (ROUNDS, 200)
