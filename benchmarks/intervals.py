@@ -32,7 +32,7 @@ class Held(NamedTuple):
     motion: str
     rows: int
     model: str
-    shares: tuple[float, ...]  # of each joint
+    shares: tuple[float, ...]  # share of the torques of each joint
 
 
 class Arm(NamedTuple):

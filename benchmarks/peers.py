@@ -274,7 +274,7 @@ def first_calls(setup: str, gradient: bool, modules: Sequence[str] = ("DQRNEA",)
 
 
 def summary(arm: Path, seconds: float) -> list[report.Line]:
-    """What the page shows, measured on one thread unless stated, batch 4096, seven joints, float64."""
+    """Rows of the page on prices, measured on one thread unless stated, batch 4096, seven joints, float64."""
     case = Task(arm, 4096, torch.float64, 1)
     single = Task(arm, 4096, torch.float32, 1)
     lines: list[report.Line] = []

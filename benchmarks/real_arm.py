@@ -1,4 +1,4 @@
-"""What a residual network adds on recordings of real arms, joint by joint: `examples/07_real_arm.py` on three logs.
+"""Gains by a residual network on recordings of real arms, joint by joint: `examples/07_real_arm.py` on three logs.
 
     TORCHDQ_DATA=FOLDER python benchmarks/real_arm.py [FOLDER] [--quick] [--seeds N] [--steps N] [--page] [--json FILE]
 

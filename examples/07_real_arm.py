@@ -160,7 +160,7 @@ def chosen_box(args: Args, motions: Sequence[Motion], steps: int, console: Conso
 
 
 class Result(NamedTuple):
-    """What was measured; every list has a row of joints for each test."""
+    """Errors and shares in intervals; every list has a row of joints for each test."""
 
     tests: list[str]
     errors: dict[str, np.ndarray]  # RMSE over standard deviation by model

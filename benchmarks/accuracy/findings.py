@@ -1,4 +1,4 @@
-"""What the measurements say beside the table of docs/accuracy.md, from the JSON alone: cheapest choices and limits."""
+"""Cheapest choices and limits of accuracy: sentences beside the table of docs/accuracy.md, from the JSON alone."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def sentences(results: dict[str, Any]) -> list[str]:
 
 
 def _chains(points: list[dict[str, Any]]) -> list[str]:
-    """What long chains do to accelerations."""
+    """Sentence on the errors of accelerations of long chains."""
     single, mixed = (
         {p["n"]: p for p in points if p["method"] == method} for method in ("articulated bodies, float32", "mixed")
     )

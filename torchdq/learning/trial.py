@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -129,12 +130,8 @@ def trial(described: Robot, found: Identified, motions: Sequence[Motion]) -> Tor
 
 def _warn_of_faults(described: Robot, found: Identified, rows: Sequence[Tensor]) -> None:
     """Warn of units, signs and columns of the motions to test on, (q, qd, qdd, tau), that seem to be wrong."""
-
-    def torques(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        return inverse_dynamics(described, q, qd, qdd)
-
     with torch.no_grad():
-        doubt = doubts(described, torques, rows, found.width)
+        doubt = doubts(described, partial(inverse_dynamics, described), rows, found.width)
     if doubt:
         warnings.warn(f"in the motions to test on, {doubt}", LogWarning, stacklevel=3)
 

@@ -12,6 +12,7 @@ expected as prior (`nearest`), so that the payload can exist, however little the
 import math
 import warnings
 from collections.abc import Sequence
+from functools import partial
 from typing import NamedTuple
 
 import torch
@@ -199,10 +200,7 @@ def _untold(robot: Robot, frame: str, own: Tensor) -> tuple[str, ...]:
 def _doubts(empty: Identified, rows: Sequence[Tensor], rms: Tensor, usual: Tensor) -> str:
     """Words for what is probably wrong with rows (q, qd, qdd, tau) that no payload explains; "" for nothing."""
     robot, tau = empty.robot.to(DTYPE, "cpu"), rows[3]
-
-    def rigid(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        return inverse_dynamics(robot, q, qd, qdd)
-
+    rigid = partial(inverse_dynamics, robot)
     told = (rms > WORSE * usual) & (rms > MATTERS * tau.square().mean(0).sqrt())
     if not bool(told.any()):
         return ""

@@ -16,6 +16,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any, Literal
 
 import torch
@@ -305,11 +306,7 @@ def _moving(robot: Robot, qd: Tensor, width: float) -> Tensor:
 
 def _doubts(robot: Robot, rows: MotionRows, width: float) -> str:
     """Words for what is wrong with samples that the description does not explain; "" for nothing."""
-
-    def described(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        return inverse_dynamics(robot, q, qd, qdd)
-
-    return doubts(robot, described, [rows.q, rows.qd, rows.qdd, rows.measured], width)
+    return doubts(robot, partial(inverse_dynamics, robot), [rows.q, rows.qd, rows.qdd, rows.measured], width)
 
 
 def _late(evidence: Evidence, found: Solution, prior: float, width: float, offsets: bool) -> list[str]:
