@@ -3514,6 +3514,12 @@ MUTANTS = (
     *within(
         "torchdq/learning/identification/feasible.py",
         (
+            "the slope of the barrier below one reversed",
+            "+ 2 * t / (1 - t * x) - 2",
+            "- 2 * t / (1 - t * x) - 2",
+            "ladder_of_models.py::test_slopes_of_the_distance_to_the_description_are_those_of_differences",
+        ),
+        (
             "friction by load without a bound",
             "self.fraction = (self.start * below_one)",
             "self.fraction = (0 * self.start * below_one)",
