@@ -33,7 +33,7 @@ test-all: $(VENV)/test.installed
 	$(PYTEST) -m '' $(ARGS)
 
 mutants: $(VENV)/test.installed
-	$(RUN) tests/mutants.py $(ARGS)
+	$(RUN) tests/mutants/mutants.py $(ARGS)
 
 docs: $(VENV)/docs.installed
 	OMP_NUM_THREADS=1 NO_MKDOCS_2_WARNING=1 TORCHDQ_NOTEBOOKS=run $(RUN) -m mkdocs build $(ARGS)

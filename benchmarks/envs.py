@@ -24,8 +24,9 @@ from mujoco import rollout
 from peers import bare, urdf
 
 import torchdq
-from torchdq.envs import ArmVectorEnv, Scene, effects, integrators
-from torchdq.timing import measure
+from torchdq.base.timing import measure
+from torchdq.envs import ArmVectorEnv, Scene, effects
+from torchdq.scene import integrators
 
 BATCH, DT, STEPS = 4096, 2e-3, 5
 SHORT = 1e-5  # for an explicit integrator: damping over inertia of the arm's light links is 1e5 per second

@@ -28,6 +28,7 @@ from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number
 from torchdq.backends.c import COMPILED
+from torchdq.base.timing import measure
 from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.paper import kinematics, rnea
 from torchdq.dynamics.posed import Row
@@ -35,7 +36,6 @@ from torchdq.dynamics.tree import Tree
 from torchdq.numbers.count import Cost
 from torchdq.paper import cost, homogeneous, printed
 from torchdq.program.program import Argument, Program, record
-from torchdq.timing import measure
 
 N, BATCH = 7, 4096
 ALIKE = 0.03  # times and counts that differ by less are the same

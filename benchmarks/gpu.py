@@ -29,11 +29,11 @@ from accuracy.scenes import chain
 import torchdq
 from torchdq.backends import nvrtc
 from torchdq.backends.cuda_source import source
+from torchdq.base.timing import measure
 from torchdq.envs import ArmVectorEnv
 from torchdq.envs.tasks import Checked
 from torchdq.program.autograd import vjp
 from torchdq.program.program import Program
-from torchdq.timing import measure
 
 # NVIDIA H200 SXM: bytes per second of a copy, multiprocessors, lanes of each, clock [Hz]; data sheet and its whitepaper
 COPY, MULTIPROCESSORS, LANES, CLOCK = 4.26e12, 132, 128, 1.98e9

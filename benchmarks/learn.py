@@ -23,8 +23,9 @@ from scipy.stats import bootstrap
 from stable_baselines3 import PPO
 
 import torchdq
-from torchdq.envs import ArmVectorEnv, controllers
+from torchdq.envs import ArmVectorEnv
 from torchdq.envs.sb3 import StableBaselinesVecEnv
+from torchdq.scene import controllers
 
 EPISODE, TESTS = 100, 512
 Policy = Callable[[torch.Tensor], torch.Tensor]

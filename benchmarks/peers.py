@@ -32,7 +32,7 @@ import torch
 from accuracy.scenes import chain
 
 import torchdq
-from torchdq.timing import measure
+from torchdq.base.timing import measure
 
 SECONDS = 1.0  # time of measuring per contender
 

@@ -30,8 +30,8 @@ import torch
 
 import torchdq
 from torchdq import floating
+from torchdq.base.timing import measure
 from torchdq.errors import TorchdqError, UnphysicalError
-from torchdq.timing import measure
 
 STATES = 20
 BATCH = 4096

@@ -36,6 +36,7 @@ import torch
 from recordings import LAYOUTS
 
 from torchdq import DQRNEA, ResidualDynamics, Robot
+from torchdq.layers.residual import PredictedTorques
 from torchdq.learning import (
     Identified,
     IdentifiedWithResidual,
@@ -50,8 +51,7 @@ from torchdq.learning import (
     samples,
     smooth,
 )
-from torchdq.learning.training.worth import Worth
-from torchdq.residual import PredictedTorques
+from torchdq.learning.training.validation_gain import Worth
 
 SIX = ("02_06-20sec_5harm", "02_06-20sec_10harm", "02_05-20sec_12harm", "02_10-20sec_7harm", "02_10-30sec_12harm")
 SIX = (*SIX, "02_12-40sec_12harm")

@@ -22,7 +22,7 @@ import torch
 from torch import Tensor, nn
 
 import torchdq
-from torchdq.timing import medians
+from torchdq.base.timing import medians
 
 VECTORS = {"cpp.enable_tiling_heuristics": False}  # torch's default leaves strided rows without vector instructions
 Layer = Callable[..., Tensor]

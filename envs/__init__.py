@@ -5,13 +5,13 @@ from typing import TYPE_CHECKING
 from gymnasium import register
 
 from torchdq import effects
-from torchdq.attributes import refusing
-from torchdq.envs import controllers, integrators
+from torchdq.base.attributes import refusing
 from torchdq.envs.env import ArmEnv
-from torchdq.envs.scene import Scene
-from torchdq.envs.state import State
 from torchdq.envs.torch_task import TorchTask
 from torchdq.envs.vector_env import ArmVectorEnv
+from torchdq.scene import controllers, integrators
+from torchdq.scene.scene import Scene
+from torchdq.scene.state import State
 
 __all__ = ["ArmEnv", "ArmVectorEnv", "Scene", "State", "TorchTask", "controllers", "effects", "integrators"]
 

@@ -11,14 +11,14 @@ import torch
 from gymnasium.vector import AutoresetMode
 from torch import Tensor
 
-from torchdq.checks import require_tensor
-from torchdq.envs.scene import Scene
+from torchdq.base.checks import require_tensor
 from torchdq.envs.tasks import EpisodeTask, Reach, Track
 from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.functions.posed import GEOMETRY
 from torchdq.robot import Robot
-from torchdq.robot.posed import GEOMETRY
 from torchdq.robot.robot import SHAPES, batches
 from torchdq.robot.shipped import ROBOTS, load
+from torchdq.scene.scene import Scene
 
 MEMORY = "memory"  # name of the rows that effects remember
 COUNTS = ("steps", "counter")  # entries of a saved state that count from 0

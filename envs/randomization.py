@@ -31,18 +31,18 @@ import torch
 from torch import Tensor
 from torch.distributions import Distribution
 
-from torchdq.checks import is_number
+from torchdq.base.checks import is_number
 from torchdq.dynamics.posed import Row
 from torchdq.effects import Gravity, MassScale, Payload, RotorInertia, Viscous
 from torchdq.effects.actuator import Actuator
 from torchdq.effects.effect import MOST_LATE, Effect, Parameter, Shapes
 from torchdq.envs.rng import SMALLEST
-from torchdq.envs.scene import Scene
-from torchdq.envs.some_rows import SomeRows
-from torchdq.envs.spec import CONTROLLER, ROBOT
+from torchdq.envs.row_selection import SomeRows
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.numbers.functions import absolute, maximum
 from torchdq.robot.fields import trailing
+from torchdq.scene.scene import Scene
+from torchdq.scene.spec import CONTROLLER, ROBOT
 
 Randomise = Mapping[str, float | tuple[float, float] | Distribution]  # by name, as above
 ADDED = {"com": -math.inf, "payload": 0.0, "delay": 0.0}  # not drawn as factors, and their smallest values

@@ -15,11 +15,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchdq.base.optional import imported
 from torchdq.dq import rotate, rotation, translation
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.functional import forward_kinematics
-from torchdq.optional import imported
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import SHAPES, arguments

@@ -11,18 +11,18 @@ from torch import Tensor
 
 from torchdq.backends.choice import choose
 from torchdq.backends.run import run
-from torchdq.caches import PROGRAMS, remembered
-from torchdq.envs.defaults import one_of
+from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.envs.randomization import Randomised
 from torchdq.envs.rng import Streams, seeded
-from torchdq.envs.scene import Scene
-from torchdq.envs.some_rows import Masked, SomeRows
-from torchdq.envs.spec import Task
+from torchdq.envs.row_selection import Masked, SomeRows
 from torchdq.envs.tasks import Checked
 from torchdq.envs.torch_task import Functions
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
 from torchdq.robot.robot import SHAPES, arguments
+from torchdq.scene.defaults import one_of
+from torchdq.scene.scene import Scene
+from torchdq.scene.spec import Task
 
 
 @dataclass(frozen=True, eq=False)

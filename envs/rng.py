@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.checks import device_of
-from torchdq.envs.some_rows import SomeRows
+from torchdq.base.checks import device_of
+from torchdq.envs.row_selection import SomeRows
 from torchdq.errors import ArgumentError
 
 _STEP = 0x9E3779B97F4A7C15  # 2^64 over the golden ratio

@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from gymnasium.vector import AutoresetMode
 
+from torchdq.base.optional import imported
 from torchdq.envs.vector_env import ArmVectorEnv
 from torchdq.errors import ArgumentError
-from torchdq.optional import imported
 
 VecEnv: Any = imported(
     "stable_baselines3.common.vec_env", "stable-baselines3", "StableBaselinesVecEnv", "'torchdq[rl]'"

@@ -28,16 +28,16 @@ from typing import Any, NamedTuple, Protocol
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
-from torchdq.checks import Named
+from torchdq.base.checks import Named
 from torchdq.dynamics.joints import KINDS
 from torchdq.dynamics.posed import Posed, Row
-from torchdq.envs.spec import Rows, Task, View
 from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.functions.posed import frame, posed
 from torchdq.numbers.functions import at_least, clip, minimum, sqrt
 from torchdq.numbers.record import Recorded
 from torchdq.program.program import GROWTH
 from torchdq.robot import Robot
-from torchdq.robot.posed import frame, posed
+from torchdq.scene.spec import Rows, Task, View
 
 SPEED = 2.0  # velocity limit of a joint whose description has none [rad/s or m/s]
 FASTEST = 10.0  # bound of observed velocities, in multiples of the limit

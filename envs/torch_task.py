@@ -31,13 +31,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq.checks import Named, floating, is_number, require_count, require_tensor
-from torchdq.envs.scene import Scene
-from torchdq.envs.simulated import Simulated
-from torchdq.envs.state import State
+from torchdq.base.checks import Named, floating, is_number, require_count, require_tensor
 from torchdq.envs.tasks import SENSIBLE, EpisodeTask
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import Robot
+from torchdq.scene.scene import Scene
+from torchdq.scene.scene_robot import Simulated
+from torchdq.scene.state import State
 
 
 class Now(NamedTuple):

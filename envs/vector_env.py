@@ -30,23 +30,23 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.checks import device_of, dtype_of, require_choice, require_count
+from torchdq.base.checks import device_of, dtype_of, require_choice, require_count
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, full
 from torchdq.envs.arguments import autoreset_of, check_scene, reset_mask_of, robot_of, saved, state_of, task_of
-from torchdq.envs.controllers import ComputedTorque, Controller
-from torchdq.envs.defaults import nominal, usual
-from torchdq.envs.integrators import Integrator, LinearlyImplicit
 from torchdq.envs.randomization import Randomise, randomised
 from torchdq.envs.reset import Reset, task_inputs
 from torchdq.envs.rng import Streams, seeded, seeds_of
-from torchdq.envs.scene import Scene
-from torchdq.envs.some_rows import Indexed, Masked, SomeRows, column
-from torchdq.envs.state import State
+from torchdq.envs.row_selection import Indexed, Masked, SomeRows, column
 from torchdq.envs.tasks import Checked, EpisodeTask
 from torchdq.envs.torch_task import Functions, TorchTask
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import Robot
+from torchdq.scene.controllers import ComputedTorque, Controller
+from torchdq.scene.defaults import nominal, usual
+from torchdq.scene.integrators import Integrator, LinearlyImplicit
+from torchdq.scene.scene import Scene
+from torchdq.scene.state import State
 
 KP, KD = 100.0, 20.0  # gains of the default controller [1/s^2, 1/s]
 WORST = -1000.0  # reward of a step that failed, worse than any episode
@@ -67,7 +67,7 @@ class ArmVectorEnv(VectorEnv):
         num_envs: number of environments.
         task: "reach", "track", an object like those of `torchdq.envs.tasks`, or a `torchdq.envs.TorchTask`.
         robot: name of a shipped robot, path of a URDF file, or a robot; it needs an end effector to reach.
-        effects: effects of the scene; None: `torchdq.envs.defaults.usual(robot)`.
+        effects: effects of the scene; None: `torchdq.scene.defaults.usual(robot)`.
         action: meaning of the actions. "torque": fractions of the torque limits. "residual": fractions of a fifth of
             them, on top of a controller that follows the task's reference. "reference": offsets of the position that
             the controller follows, full ones as far as the joint gets in 0.2 s. The reference of "reach" is to stand

@@ -26,8 +26,9 @@ from PIL import Image, ImageDraw
 from torch import Tensor
 
 import torchdq
-from torchdq.envs import Scene, controllers, effects, integrators
+from torchdq.envs import Scene, effects
 from torchdq.envs.render import Skeleton
+from torchdq.scene import controllers, integrators
 
 WIDTH, HEIGHT, VIEW = 960, 440, 640  # of the film, and width of its part with the arms [pixels]
 CARD, FOG, SLOW, FAST, CHOSEN, INK, QUIET = "#0d1b2a", "#1b2f45", "#5f8fb8", "#d3ecff", "#ffa62b", "#e6eef6", "#8fa3b8"

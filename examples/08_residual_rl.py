@@ -48,9 +48,9 @@ from torch import Tensor, nn
 
 import torchdq
 from torchdq.envs import ArmVectorEnv, Scene, effects
-from torchdq.envs.controllers import ComputedTorque
-from torchdq.envs.defaults import nominal, usual
 from torchdq.envs.sb3 import StableBaselinesVecEnv
+from torchdq.scene.controllers import ComputedTorque
+from torchdq.scene.defaults import nominal, usual
 
 ROBOT = torchdq.robots.load("panda")
 N = ROBOT.n

@@ -24,8 +24,9 @@ from scipy.signal import butter, sosfiltfilt
 from torch import Tensor
 
 import torchdq
-from torchdq.envs import Scene, effects, integrators
+from torchdq.envs import Scene, effects
 from torchdq.learning import Identified, identify
+from torchdq.scene import integrators
 
 
 @dataclass

@@ -18,7 +18,8 @@ from reactions import followed, smooth, torques
 
 import torchdq
 from torchdq import dq, floating
-from torchdq.envs import Scene, integrators
+from torchdq.envs import Scene
+from torchdq.scene import integrators
 
 
 @dataclass

@@ -20,7 +20,8 @@ from reactions import followed, smooth, torques
 
 import torchdq
 from torchdq import dq, floating
-from torchdq.envs import Scene, effects, integrators
+from torchdq.envs import Scene, effects
+from torchdq.scene import integrators
 
 
 @dataclass

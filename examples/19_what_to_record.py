@@ -22,9 +22,10 @@ from rich.console import Console
 from torch import Tensor
 
 import torchdq
-from torchdq.envs import Scene, integrators
+from torchdq.envs import Scene
 from torchdq.learning import Excitation, HalfSpace, MotionLimits, Sampled, excite, identify, sample
 from torchdq.learning.excitation.fourier import Family
+from torchdq.scene import integrators
 
 
 @dataclass

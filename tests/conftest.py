@@ -55,7 +55,7 @@ def pytest_addoption(parser):
 
 
 def pytest_configure(config):
-    config.addinivalue_line("markers", "case(*ids): cases of tests/hard_cases/catalogue.py that a test holds")
+    config.addinivalue_line("markers", "case(*ids): cases of tests/claims/hard_cases/catalogue.py that a test holds")
     gc.disable()  # until the tests are collected: there is little garbage in a million new objects
 
 

@@ -38,29 +38,27 @@ Programs:
     compile                 one function of one robot: operation counts, source in C, derivatives
     backend                 context that chooses how programs run
     clear_caches            programs of this process forgotten
-    recommend               cheapest precision, integrator and step that keep an error
+    recommend_settings      cheapest precision, integrator and step that keep an error
 
 Tensors, other libraries, checks:
     dq                      quaternions, dual quaternions and screws on tensors
     convert                 conventions of Pinocchio, SciPy, Isaac and others
     require_finite          error for NaN and infinity
 
-Subpackages, imported on first use:
-    envs                    scenes with effects and integrators, gymnasium environments
+Simulation, imported on first use:
+    Scene                   a robot with the effects, the integrator and the step that its simulation asks for
+    envs                    gymnasium environments
     learning                logs, identification, training of residuals
 
 Errors derive from TorchdqError and from the built-in error that a caller would expect.
 """
 
-import torchdq.interrupts as _interrupts  # noqa: F401, first of all: the others take seconds
-
-# isort: split
 from typing import TYPE_CHECKING
 
-from torchdq import convert, dq, floating, source_folder
-from torchdq.attributes import no_attribute as _no_attribute
+from torchdq import convert, dq, floating
 from torchdq.backends.choice import backend
-from torchdq.caches import clear_caches
+from torchdq.base.attributes import no_attribute as _no_attribute
+from torchdq.base.caches import clear_caches
 from torchdq.control import computed_torque
 from torchdq.errors import (
     ArgumentError,
@@ -90,61 +88,62 @@ from torchdq.functional import (
     require_finite,
 )
 from torchdq.functions.compile import compile
+from torchdq.layers.residual import ResidualDynamics
 from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics, InverseDynamics
-from torchdq.residual import ResidualDynamics
 from torchdq.robot import Robot
 from torchdq.robot import shipped as robots
 
 if TYPE_CHECKING:
-    from torchdq.envs.recommend import recommend
+    from torchdq import envs, learning
+    from torchdq.recommend.recommend import recommend_settings
+    from torchdq.scene.scene import Scene
 
-    # for type checkers alone: with `__all__`, help(torchdq) would print thousands of inherited lines
-    __all__ = [
-        "DQRNEA",
-        "ArgumentError",
-        "ComputedTorque",
-        "DescriptionError",
-        "DtypeError",
-        "ForwardDynamics",
-        "FrozenError",
-        "InverseDynamics",
-        "MissingFileError",
-        "MissingLibraryError",
-        "NumberError",
-        "ResidualDynamics",
-        "Robot",
-        "SingularInertiaError",
-        "TorchdqError",
-        "UnknownNameError",
-        "UnphysicalError",
-        "backend",
-        "clear_caches",
-        "closed_form",
-        "compile",
-        "computed_torque",
-        "convert",
-        "dq",
-        "dynamics_jacobian",
-        "error_growth",
-        "floating",
-        "forward_dynamics",
-        "forward_kinematics",
-        "inverse_dynamics",
-        "jacobian",
-        "kinetic_energy",
-        "mass_matrix",
-        "potential_energy",
-        "recommend",
-        "regressor",
-        "require_finite",
-        "robots",
-    ]
+__all__ = [
+    "DQRNEA",
+    "ArgumentError",
+    "ComputedTorque",
+    "DescriptionError",
+    "DtypeError",
+    "ForwardDynamics",
+    "FrozenError",
+    "InverseDynamics",
+    "MissingFileError",
+    "MissingLibraryError",
+    "NumberError",
+    "ResidualDynamics",
+    "Robot",
+    "Scene",
+    "SingularInertiaError",
+    "TorchdqError",
+    "UnknownNameError",
+    "UnphysicalError",
+    "backend",
+    "clear_caches",
+    "closed_form",
+    "compile",
+    "computed_torque",
+    "convert",
+    "dq",
+    "dynamics_jacobian",
+    "envs",
+    "error_growth",
+    "floating",
+    "forward_dynamics",
+    "forward_kinematics",
+    "inverse_dynamics",
+    "jacobian",
+    "kinetic_energy",
+    "learning",
+    "mass_matrix",
+    "potential_energy",
+    "recommend_settings",
+    "regressor",
+    "require_finite",
+    "robots",
+]
 
 __version__ = "0.1.0"
 
-source_folder.explain_missing("envs")
-
-_MODULES = ("convert", "dq", "envs", "floating", "learning", "robots")
 # names in other libraries
 _ELSEWHERE = {
     "rnea": "inverse_dynamics",
@@ -157,20 +156,18 @@ _ELSEWHERE = {
     "joint_torque_regressor": "regressor",
     "from_urdf": "Robot.from_urdf",
     "load": "robots.load",
-    "Scene": "envs.Scene",
     "read": "learning.read",
     "smooth": "learning.smooth",
     "identify": "learning.identify",
     "fit": "learning.fit",
     "com": "Robot.com, the centres of mass of the links",
-    "scene": "envs.Scene",
     "inverse_kinematics": "none: jacobian and forward_kinematics are differentiable, which suits a solver of yours",
     "ik": "none: there is no inverse kinematics; jacobian and forward_kinematics are differentiable",
 }
 
 
 def __getattr__(name: str) -> object:
-    """Attribute that is imported on first use; names of nothing raise `AttributeError` with the closest names."""
+    """Subpackages and names that are imported on first use; an unknown name raises with the closest known ones."""
     if name == "envs":
         import torchdq.envs as envs
 
@@ -179,14 +176,17 @@ def __getattr__(name: str) -> object:
         import torchdq.learning as learning
 
         return learning
-    if name == "recommend":  # it tries scenes, which need gymnasium
-        from torchdq.envs.recommend import recommend
+    if name == "Scene":
+        from torchdq.scene.scene import Scene
 
-        return recommend
-    raise _no_attribute("torchdq", name, __dir__(), _ELSEWHERE)
+        return Scene
+    if name == "recommend_settings":
+        from torchdq.recommend.recommend import recommend_settings
+
+        return recommend_settings
+    raise _no_attribute("torchdq", name, __all__, _ELSEWHERE)
 
 
 def __dir__() -> list[str]:
     """Public names."""
-    own = [name for name, value in globals().items() if callable(value) and not name.startswith("_")]
-    return sorted([*own, *_MODULES, "recommend", "__version__"])
+    return [*__all__, "__version__"]

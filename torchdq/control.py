@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.checks import require_number, require_tensor
+from torchdq.base.checks import require_number, require_tensor
 from torchdq.errors import ArgumentError
 from torchdq.functional import function_of
 from torchdq.robot import Robot

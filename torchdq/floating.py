@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from torch import Tensor
 
-from torchdq.attributes import refusing
 from torchdq.backends.choice import BackendName
-from torchdq.checks import names_of
+from torchdq.base.attributes import refusing
+from torchdq.base.checks import names_of
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, check_precision, function_of
 from torchdq.functions.catalogue import FLOATING

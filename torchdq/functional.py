@@ -17,14 +17,14 @@ from typing import Literal, NamedTuple, get_args
 from torch import Tensor
 from torch.compiler import is_compiling
 
+from torchdq.backends.call import batch_of, evaluate
 from torchdq.backends.choice import BackendName
-from torchdq.caches import PROGRAMS, Bounded
-from torchdq.call import batch_of, evaluate
-from torchdq.checks import names_of, require_tensor
+from torchdq.base.caches import PROGRAMS, Bounded
+from torchdq.base.checks import names_of, require_tensor
+from torchdq.base.progress import FIRST, warn_once
 from torchdq.errors import ArgumentError
 from torchdq.functions.catalogue import Function, recordings
 from torchdq.functions.options import options_of
-from torchdq.notice import FIRST, warn_once
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.constants import Constants

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from torchdq.backends.choice import BackendName
-from torchdq.checks import require_tensor
+from torchdq.base.checks import require_tensor
 from torchdq.control import computed_torque, constant_gain
 from torchdq.dynamics.tracking import commanded
 from torchdq.effects.friction import Friction
@@ -16,11 +16,11 @@ from torchdq.effects.resistance import load_under
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, check_precision, forward_dynamics, inverse_dynamics
 from torchdq.functional import check as require_alike
-from torchdq.layer_friction import LayerFriction, described
-from torchdq.motors import GAINS
+from torchdq.layers.layer_friction import LayerFriction, described
+from torchdq.layers.layer_program import GAINS
+from torchdq.layers.robot_module import RobotModule
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
-from torchdq.robot_module import RobotModule
 
 
 class DQRNEA(RobotModule):
@@ -32,7 +32,7 @@ class DQRNEA(RobotModule):
 
     Learned quantities stay physical, whatever an optimiser does: masses, rotor inertias and friction stay positive, and
     inertias are those of bodies that can exist. `module.mass` and so on are the present quantities, and assigning to
-    them sets them; the parameters are the unconstrained numbers behind them (`torchdq.parametrizations`, by
+    them sets them; the parameters are the unconstrained numbers behind them (`torchdq.layers.parametrizations`, by
     `torch.nn.utils.parametrize`), `module.parametrizations.mass.original`. Weight decay would pull those towards
     1 kg; `prior` pulls towards the description. Other quantities are constants of the compiled programs, and not part
     of the state dict.

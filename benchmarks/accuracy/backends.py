@@ -8,7 +8,8 @@ import torch
 
 from accuracy.clock import clock
 from accuracy.scenes import arm7
-from torchdq.envs import Scene, integrators
+from torchdq.envs import Scene
+from torchdq.scene import integrators
 
 SIZES = (1, 64, 4096, 65536)
 

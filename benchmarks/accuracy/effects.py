@@ -7,7 +7,8 @@ from typing import Any
 import torch
 
 import torchdq
-from torchdq.envs import Scene, controllers, effects, integrators
+from torchdq.envs import Scene, effects
+from torchdq.scene import controllers, integrators
 
 
 def measured(quick: bool) -> dict[str, Any]:

@@ -20,12 +20,12 @@ from torchdq.backends.c import COMPILED
 from torchdq.backends.run import run
 from torchdq.backends.torch import EAGER
 from torchdq.dynamics.posed import Row
-from torchdq.envs import integrators
-from torchdq.envs.integrators import Integrator, System
-from torchdq.envs.spec import recorded as recorded_scene
-from torchdq.envs.system import with_growths
 from torchdq.functions.recipe import worth_recording
 from torchdq.program.program import Argument, Program, record
+from torchdq.scene import integrators
+from torchdq.scene.integrators import Integrator, System
+from torchdq.scene.spec import recorded as recorded_scene
+from torchdq.scene.system import with_growths
 
 Runner = Callable[[Program, Sequence[Tensor]], Sequence[Tensor]]
 compiled, eager = partial(run, backend=COMPILED), partial(run, backend=EAGER)

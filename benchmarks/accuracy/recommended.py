@@ -1,4 +1,4 @@
-"""Recommendations of `torchdq.recommend` beside the measurements: are they on the front of every scene?"""
+"""Recommendations of `torchdq.recommend_settings` beside the measurements: are they on the front of every scene?"""
 
 from __future__ import annotations
 
@@ -25,7 +25,9 @@ def measured(trajectories: list[dict[str, Any]]) -> list[dict[str, Any]]:
         whole = Scene(case.robot, case.effects, dt=case.horizon / PERIODS)
         for error in ERRORS:
             inputs = {"torque": case.torque[0], **case.inputs}
-            found = torchdq.recommend(whole, error, case.horizon, State(case.q, case.qd), seconds=600.0, **inputs)
+            found = torchdq.recommend_settings(
+                whole, error, case.horizon, State(case.q, case.qd), seconds=600.0, **inputs
+            )
             precision = "mixed" if found.precision == "double" else str(found.dtype).removeprefix("torch.")
             name = type(found.integrator).__name__
             points = [p for p in table.usable(scene) if p["precision"] in OFFERED and p["error_max"] <= error]

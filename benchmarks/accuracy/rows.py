@@ -9,10 +9,10 @@ import numpy as np
 
 import torchdq
 from accuracy.scenes import Case
-from torchdq.envs import spec
-from torchdq.envs.system import with_growths
 from torchdq.program.program import Argument, record, replay, results
 from torchdq.robot.fields import LINK_BODY
+from torchdq.scene import spec
+from torchdq.scene.system import with_growths
 
 LONG = np.longdouble  # 64 bits of mantissa on x86, 53 on machines that have no more: agreements tell
 

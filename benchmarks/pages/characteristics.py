@@ -18,8 +18,8 @@ from torchdq import effects
 from torchdq.effects import Effect
 from torchdq.effects.resistance import columns
 from torchdq.envs import Scene, State
-from torchdq.envs.integrators import ExplicitEuler
 from torchdq.robot import Robot
+from torchdq.scene.integrators import ExplicitEuler
 
 POINTS = 121
 SMALL = 1e-6  # inertia of a point mass, which a description must have [kg m^2]

@@ -20,9 +20,9 @@ from pages.formulas import tex
 from pages.text import MADE, sentence, table, wrapped
 from torchdq.envs import ArmVectorEnv, vector_env
 from torchdq.envs.actions import Kind, full
-from torchdq.envs.defaults import DAMPING, ROTOR
 from torchdq.envs.render import Painter
 from torchdq.robot import Robot
+from torchdq.scene.defaults import DAMPING, ROTOR
 
 ROOT = Path(__file__).resolve().parents[2]
 RATES = ROOT / "benchmarks" / "results" / "environments.json"

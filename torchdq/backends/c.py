@@ -13,9 +13,9 @@ from torchdq.backends.c_source import source
 from torchdq.backends.compiler import BuildError, compiler, no_compiler
 from torchdq.backends.memory import dense
 from torchdq.backends.torch import InterpretedKernel
-from torchdq.caches import PROGRAMS, remembered
+from torchdq.base.caches import PROGRAMS, remembered
+from torchdq.base.progress import Notice, warn_once
 from torchdq.errors import ArgumentError, TorchdqError
-from torchdq.notice import Notice, warn_once
 from torchdq.program.program import Program, outputs
 from torchdq.program.transforms import empty_on_cpu
 

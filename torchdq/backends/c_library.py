@@ -16,7 +16,7 @@ from pathlib import Path
 from torchdq.backends import cache
 from torchdq.backends.c_source import pieces_of
 from torchdq.backends.compiler import BuildError, compiler, no_compiler, run
-from torchdq.caches import remembered
+from torchdq.base.caches import remembered
 
 FLAGS = ("-O3", "-march=native", "-ffp-contract=fast", "-fno-math-errno", "-shared", "-fPIC", "-w")
 LIMIT = 600.0  # time in which a program must be compiled [s]

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from torchdq.backends.compiler import BuildError
-from torchdq.notice import Notice, warn_once
+from torchdq.base.progress import Notice, warn_once
 
 Suffix = Literal[".so", ".cubin"]
 LIMIT = 600.0  # time in which a file must be made [s]

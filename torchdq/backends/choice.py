@@ -14,9 +14,9 @@ from torchdq.backends.c import COMPILED, COMPILED_OR_EAGER
 from torchdq.backends.compiler import BuildError
 from torchdq.backends.cuda import CUDA, CUDA_OR_EAGER
 from torchdq.backends.torch import EAGER
-from torchdq.checks import require_choice
+from torchdq.base.checks import require_choice
+from torchdq.base.progress import warn_once
 from torchdq.errors import ArgumentError
-from torchdq.notice import warn_once
 from torchdq.program.transforms import constant_in_graphs, proxy_tracing, reversing, transforming
 
 BackendName = Literal["auto", "eager", "c", "cuda"]

@@ -14,9 +14,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from torchdq.caches import remembered
+from torchdq.base.caches import remembered
+from torchdq.base.progress import warn_once
 from torchdq.errors import TorchdqError
-from torchdq.notice import warn_once
 
 ASKED = 5.0  # time in which a compiler must state its version [s]
 MOST = 2**22  # bytes that a compiler prints at most

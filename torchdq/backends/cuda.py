@@ -14,9 +14,9 @@ from torchdq.backends.compiler import BuildError
 from torchdq.backends.cuda_kernel import CudaKernel, Launcher
 from torchdq.backends.precision import guarded
 from torchdq.backends.torch import EAGER, InterpretedKernel
-from torchdq.caches import PROGRAMS, remembered
+from torchdq.base.caches import PROGRAMS, remembered
+from torchdq.base.progress import warn_once
 from torchdq.errors import ArgumentError, TorchdqError
-from torchdq.notice import warn_once
 from torchdq.program.program import Program
 
 

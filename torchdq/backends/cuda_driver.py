@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 import torch
 
 from torchdq.backends.compiler import BuildError
-from torchdq.caches import remembered
+from torchdq.base.caches import remembered
 from torchdq.errors import ArgumentError, TorchdqError
 
 LIBRARY = "libcuda.so.1"

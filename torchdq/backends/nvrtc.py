@@ -20,8 +20,8 @@ import torch
 
 from torchdq.backends import cache
 from torchdq.backends.compiler import BuildError
-from torchdq.caches import remembered
-from torchdq.notice import warn_once
+from torchdq.base.caches import remembered
+from torchdq.base.progress import warn_once
 
 FLAGS = ("--ptxas-options=-v", "-w")  # registers and memory in the log, no warnings
 CALMER = "--ptxas-options=-O1"

@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import torch
 
-from torchdq.caches import emptied_by
+from torchdq.base.caches import emptied_by
 
 PER_THREAD = 1e6  # vector operations per thread: waking a thread takes as long as tens of thousands of them
 BLOCK = 64  # samples; threads get whole blocks, so that no vector is shared

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from torchdq import machine
+from torchdq.base import machine
 from torchdq.command.command import RobotCommand
 from torchdq.command.outcome import Outcome
-from torchdq.envs.recommend import recommend
-from torchdq.envs.recommendation import SceneRecommendation
+from torchdq.recommend.recommend import recommend_settings
+from torchdq.recommend.recommendation import SceneRecommendation
 
 
 @dataclass(kw_only=True)
@@ -30,7 +30,9 @@ class AccuracyCommand(RobotCommand):
     def outcome(self) -> Outcome:
         """Recommendation with its alternatives."""
         robot = self.load_moving().robot
-        found = recommend(robot, self.error, None if self.accelerations else self.horizon, seconds=self.seconds)
+        found = recommend_settings(
+            robot, self.error, None if self.accelerations else self.horizon, seconds=self.seconds
+        )
         data = {
             "robot": robot.name,
             "machine": machine.words(),

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import torch
 
-from torchdq import machine
+from torchdq.base import machine
 from torchdq.command.command import Dtype, RobotCommand
 from torchdq.command.outcome import Grid, Outcome
+from torchdq.command.reports.speed import BATCHES, speeds
 from torchdq.errors import ArgumentError
-from torchdq.speed import BATCHES, speeds
 
 
 @dataclass(kw_only=True)

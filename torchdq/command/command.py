@@ -11,7 +11,7 @@ import tyro
 from torchdq.command.outcome import Outcome
 from torchdq.command.robots import NamedRobot, robot_of
 from torchdq.errors import ArgumentError
-from torchdq.robot.consistency import OnUnphysical
+from torchdq.robot.check.consistency import OnUnphysical
 from torchdq.robot.loading import Base
 
 RobotName = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="ROBOT")]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from torchdq.base.progress import Notice
 from torchdq.command.command import Command
 from torchdq.command.outcome import Outcome, Verbatim
-from torchdq.notice import Notice
 from torchdq.paper import cost, ladder
 
 JOINTS = 7

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from torchdq import __version__
 from torchdq.command.command import Command
 from torchdq.command.outcome import Grid, Outcome
-from torchdq.health import findings
+from torchdq.command.reports.health import findings
 
 
 @dataclass(kw_only=True)

@@ -10,16 +10,16 @@ from typing import Annotated, Literal
 import torch
 import tyro
 
-from torchdq.checks import names_of
+from torchdq.base.checks import names_of
+from torchdq.base.files import write_whole
+from torchdq.base.progress import Notice
 from torchdq.command.command import Dtype, RobotCommand
 from torchdq.command.outcome import Grid, Outcome
 from torchdq.errors import ArgumentError
 from torchdq.export.c99 import Library
-from torchdq.files import write_whole
 from torchdq.functions.catalogue import FLOATING, RECIPES
 from torchdq.functions.compile import compile
 from torchdq.nn import DQRNEA, ForwardDynamics
-from torchdq.notice import Notice
 from torchdq.robot import Robot
 
 FUNCTIONS = tuple(name for name in RECIPES if not name.startswith(FLOATING) and name != "error_growth")

@@ -12,22 +12,22 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import tyro
 
+from torchdq.base.files import write_whole
+from torchdq.base.optional import require_packages
+from torchdq.base.progress import Notice
 from torchdq.command.command import RobotCommand, numbers
+from torchdq.command.identification_page import page
 from torchdq.command.outcome import Grid, Outcome, Verbatim
 from torchdq.command.robots import ENDINGS, NamedRobot
 from torchdq.command.words import with_options
 from torchdq.errors import ArgumentError, DescriptionError
-from torchdq.files import write_whole
 from torchdq.learning import identify as seek
 from torchdq.learning import identify_payload, read, smooth
 from torchdq.learning.bodies.payload import IdentifiedPayload
+from torchdq.learning.evaluate import MEANING, TorqueTrial, apart, torques_by, trial, with_file
 from torchdq.learning.identification.identified import Identified
 from torchdq.learning.logs.layouts import Layout
 from torchdq.learning.logs.motions import Motion
-from torchdq.learning.page import page
-from torchdq.learning.trial import MEANING, TorqueTrial, apart, torques_by, trial, with_file
-from torchdq.notice import Notice
-from torchdq.optional import require_packages
 from torchdq.robot import Robot
 
 # module, extra that brings it: looked for before the work, not after it

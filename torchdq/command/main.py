@@ -19,7 +19,7 @@ from typing import Any
 
 import tyro
 
-from torchdq import __version__, interrupts
+from torchdq import __version__
 from torchdq.command.accuracy import AccuracyCommand
 from torchdq.command.bench import BenchCommand
 from torchdq.command.command import Command
@@ -60,7 +60,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Exit code of a run with these arguments; None: those of the process."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        interrupts.restore()
         if given == ["--version"]:
             sys.stdout.write(f"{PROGRAM} {__version__}\n")
             return WELL

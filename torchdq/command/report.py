@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 from torchdq.command.command import RobotCommand
 from torchdq.command.outcome import Grid, Outcome
-from torchdq.overview import COUNTED, overview
-from torchdq.robot.report import HEADER
+from torchdq.command.reports.overview import COUNTED, overview
+from torchdq.robot.check.report import HEADER
 
 
 @dataclass(kw_only=True)

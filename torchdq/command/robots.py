@@ -8,11 +8,11 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from torchdq.checks import matching
+from torchdq.base.checks import matching
+from torchdq.base.progress import Notice
 from torchdq.errors import ArgumentError, MissingFileError, MissingLibraryError, UnknownNameError
-from torchdq.notice import Notice
 from torchdq.robot import Robot, shipped
-from torchdq.robot.consistency import OnUnphysical
+from torchdq.robot.check.consistency import OnUnphysical
 
 ENDINGS = (".urdf", ".xml", ".xacro", ".mjcf")
 HEAD = 2**16  # bytes in which a file says what it is

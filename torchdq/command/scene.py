@@ -12,19 +12,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq import effects, machine
-from torchdq.checks import names_of, require_number
+from torchdq import effects
+from torchdq.base import machine
+from torchdq.base.checks import names_of, require_number
+from torchdq.base.files import write_whole
+from torchdq.base.progress import Notice
 from torchdq.command.command import RobotCommand
 from torchdq.command.outcome import Grid, Outcome
-from torchdq.envs import controllers, integrators
-from torchdq.envs.defaults import usual
-from torchdq.envs.integrators import Integrator, Unrecorded
-from torchdq.envs.scene import Scene
-from torchdq.envs.state import State
 from torchdq.errors import ArgumentError
-from torchdq.files import write_whole
-from torchdq.notice import Notice
 from torchdq.robot import Robot
+from torchdq.scene import controllers, integrators
+from torchdq.scene.defaults import usual
+from torchdq.scene.integrators import Integrator, Unrecorded
+from torchdq.scene.scene import Scene
+from torchdq.scene.state import State
 
 KINDS = {name.lower(): getattr(effects, name) for name in effects.__all__ if name not in ("Effect", "Residual")}
 STEPPERS = {
@@ -56,7 +57,7 @@ class SceneCommand(RobotCommand):
     dt: float = 0.01
     """Step [s]."""
     integrator: str = "LinearlyImplicit"
-    """Integrator of torchdq.envs.integrators."""
+    """Integrator of torchdq.scene.integrators."""
     q: tuple[float, ...] = ()
     """Positions at the start [rad or m]; by default zero, or what is nearest within the limits."""
     torque: tuple[float, ...] = ()

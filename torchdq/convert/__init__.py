@@ -17,7 +17,7 @@ scipy and Pinocchio are imported when their converters are called. Nothing is di
 
 from typing import TYPE_CHECKING
 
-from torchdq.attributes import refusing
+from torchdq.base.attributes import refusing
 from torchdq.convert.isaac import (
     acceleration_from_isaac,
     acceleration_to_isaac,

@@ -5,7 +5,7 @@ from typing import Literal
 from torch import Tensor
 
 from torchdq import dq
-from torchdq.checks import require_choice
+from torchdq.base.checks import require_choice
 from torchdq.convert.quaternions import from_xyzw, to_xyzw
 from torchdq.convert.rows import cross, parts, row, to_base
 from torchdq.dq.components import unit

@@ -8,12 +8,12 @@ import torch
 from torch import Tensor
 
 from torchdq import dq
-from torchdq.checks import destination
+from torchdq.base.checks import destination
+from torchdq.base.optional import imported
 from torchdq.convert.quaternions import from_xyzw, to_xyzw
 from torchdq.convert.rows import parts, row
 from torchdq.dq.components import checked, unit
 from torchdq.errors import ArgumentError
-from torchdq.optional import imported
 
 if TYPE_CHECKING:
     import pinocchio

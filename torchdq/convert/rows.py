@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from torchdq import dq
-from torchdq.checks import require_tensor
+from torchdq.base.checks import require_tensor
 from torchdq.errors import ArgumentError
 
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from torchdq.checks import destination
+from torchdq.base.checks import destination
+from torchdq.base.optional import imported
 from torchdq.dq.components import checked
 from torchdq.errors import ArgumentError
-from torchdq.optional import imported
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform

@@ -9,7 +9,7 @@ components  conversion between tensors and tuples of components
 
 from typing import TYPE_CHECKING
 
-from torchdq.attributes import refusing
+from torchdq.base.attributes import refusing
 from torchdq.dq.components import stack
 from torchdq.dq.poses import (
     ScrewParameters,

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchdq.checks import floating
+from torchdq.base.checks import floating
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
 

@@ -24,7 +24,7 @@ from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
-from torchdq.checks import DTYPES
+from torchdq.base.checks import DTYPES
 from torchdq.dq.formulas import computed
 from torchdq.numbers.functions import absolute, arctangent, at_least, below, maximum, minimum, polynomial, select, sqrt
 

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchdq.backends.call import Computation, evaluate
 from torchdq.backends.choice import BackendName
-from torchdq.caches import remembered
-from torchdq.call import Computation, evaluate
-from torchdq.checks import DTYPES
+from torchdq.base.caches import remembered
+from torchdq.base.checks import DTYPES
 from torchdq.dq.components import form, stack
 from torchdq.program.program import Argument, Program, record
 
@@ -36,7 +36,7 @@ class _Fields(NamedTuple):
 
 
 class Formula(_Fields, Computation):
-    """Formula of the algebra as a computation of `torchdq.call`."""
+    """Formula of the algebra as a computation of `torchdq.backends.call`."""
 
     def axes(self, name: str) -> tuple[int, ...]:
         """Trailing axes of an argument."""

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchdq.algebra import dual_quaternion, quaternion
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Pure, Quaternion
-from torchdq.checks import require_number
+from torchdq.base.checks import require_number
 from torchdq.dq import explog
 from torchdq.dq.components import (
     checked,

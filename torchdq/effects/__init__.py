@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from torchdq.attributes import refusing
+from torchdq.base.attributes import refusing
 from torchdq.effects.actuator import DeadBand, Delay, Lag, QuantisedCommand, Saturation, TorqueSpeed
 from torchdq.effects.body import Contact, Drag, Push
 from torchdq.effects.effect import Effect

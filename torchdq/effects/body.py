@@ -10,14 +10,14 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
 from torchdq.algebra.quaternion import Pure
 from torchdq.algebra.screw import Screw
-from torchdq.checks import tensor_of
+from torchdq.base.checks import tensor_of
 from torchdq.dynamics.posed import Point, Posed
 from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, on_a_link, undefined
 from torchdq.errors import ArgumentError
+from torchdq.functions.posed import frame
 from torchdq.numbers.functions import maximum, sqrt
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
-from torchdq.robot.posed import frame
 
 
 class Bodies(NamedTuple):

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
-from torchdq.checks import is_number, require_count, require_tensor
+from torchdq.base.checks import is_number, require_count, require_tensor
 from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError

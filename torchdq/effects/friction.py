@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Self
 
 from torchdq.algebra.quaternion import Number
-from torchdq.checks import is_number
+from torchdq.base.checks import is_number
 from torchdq.dynamics.friction import smooth_speed
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Inputs, Parameter, Shapes

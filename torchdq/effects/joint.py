@@ -15,7 +15,7 @@ from typing import ClassVar, NamedTuple, Self
 import torch
 
 from torchdq.algebra.quaternion import Number
-from torchdq.checks import tensor_of
+from torchdq.base.checks import tensor_of
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Effect, Inputs, Parameter, Shapes, unbounded, undefined
 from torchdq.errors import ArgumentError

@@ -8,17 +8,17 @@ from typing import ClassVar, Self
 
 from torchdq.algebra.inertia import merged
 from torchdq.algebra.quaternion import Number
-from torchdq.checks import tensor_of
+from torchdq.base.checks import tensor_of
 from torchdq.dynamics.tree import BASE
 from torchdq.effects.effect import Effect, Parameter, Shapes, on_a_link, undefined
 from torchdq.errors import ArgumentError
+from torchdq.functions.posed import Overrides, constant_pose, field
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 from torchdq.robot.arrays import matrices
-from torchdq.robot.consistency import bodies
+from torchdq.robot.check.consistency import bodies
+from torchdq.robot.edit.lumps import moved
 from torchdq.robot.loading import GRAVITY
-from torchdq.robot.lumps import moved
-from torchdq.robot.posed import Overrides, constant_pose, field
 
 
 @dataclass(frozen=True)

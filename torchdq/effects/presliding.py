@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, NamedTuple
 
 from torchdq.algebra.quaternion import Number
-from torchdq.checks import is_number
+from torchdq.base.checks import is_number
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Inputs, Parameter, Shapes
 from torchdq.effects.friction import Coulomb, Friction

@@ -10,7 +10,7 @@ from typing import Any, ClassVar, Self
 import torch
 from torch import Tensor, nn
 
-from torchdq.checks import require_count, require_tensor
+from torchdq.base.checks import require_count, require_tensor
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import TENSOR, Inputs
 from torchdq.effects.joint import Impedance, JointEffect

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
+from torchdq.backends.call import Computation, evaluate
 from torchdq.backends.choice import BackendName
-from torchdq.caches import PROGRAMS, remembered
-from torchdq.call import Computation, evaluate
+from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Inputs
 from torchdq.effects.friction import TEMPERATURE, Friction
@@ -177,7 +177,7 @@ class _AlongFields(NamedTuple):
 
 
 class _Along(_AlongFields, Computation):
-    """Torques of effects along a motion, or the rates of their memory, as a computation of `torchdq.call`."""
+    """Torques of effects along a motion, or the rates of their memory, as a computation of `torchdq.backends.call`."""
 
     def axes(self, name: str) -> tuple[int, ...]:
         """Trailing axes of an input or a parameter."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
+from torchdq.base.files import write_together
 from torchdq.errors import ArgumentError
-from torchdq.files import write_together
 
 
 def write(folder: Path, texts: Mapping[str, str]) -> list[Path]:

@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from torchdq.algebra.quaternion import Number
-from torchdq.caches import PROGRAMS, remembered
-from torchdq.call import Computation
-from torchdq.checks import require_tensor
+from torchdq.backends.call import Computation
+from torchdq.base.caches import PROGRAMS, remembered
+from torchdq.base.checks import require_tensor
 from torchdq.errors import ArgumentError
 from torchdq.functions import floating as free
 from torchdq.functions import formulas as fixed
@@ -105,7 +105,7 @@ class _Call(NamedTuple):
 
 
 class Function(_Call, Computation):
-    """Public function for robots with the same constants, as a computation of `torchdq.call`."""
+    """Public function for robots with the same constants, as a computation of `torchdq.backends.call`."""
 
     @property
     def sizes(self) -> dict[str, int]:

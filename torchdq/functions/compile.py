@@ -14,10 +14,10 @@ import torch
 from torch import Tensor
 
 from torchdq.backends import c_source, cuda_source
+from torchdq.backends.call import Computation, evaluate
 from torchdq.backends.choice import choose
 from torchdq.backends.one_sample import one_sample
-from torchdq.call import Computation, evaluate
-from torchdq.checks import dtype_of, names_of, require_choice, require_count, require_tensor
+from torchdq.base.checks import dtype_of, names_of, require_choice, require_count, require_tensor
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.export import casadi, golden
 from torchdq.export.c99 import Library
@@ -48,7 +48,7 @@ class _RecordedFields(NamedTuple):
 
 
 class RecordedComputation(_RecordedFields, Computation):
-    """Program that is recorded already, as a computation of `torchdq.call`."""
+    """Program that is recorded already, as a computation of `torchdq.backends.call`."""
 
     def _argument(self, name: str) -> Argument:
         return next(a for a in self.recorded.arguments if a.name == name)

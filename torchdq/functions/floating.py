@@ -14,9 +14,9 @@ from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics import posed as mechanics
 from torchdq.functions.formulas import accelerations
+from torchdq.functions.posed import BASE, as_screw
 from torchdq.functions.recipe import RecipeInputs, Results
 from torchdq.program.program import GROWTH
-from torchdq.robot.posed import BASE, as_screw
 
 
 def _wrench(row: Sequence[Number | None]) -> list[Number | None]:

@@ -11,9 +11,9 @@ from torchdq.algebra.screw import Screw
 from torchdq.dynamics import posed as mechanics
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.tracking import commanded
+from torchdq.functions.posed import factors, frame, paper, solve
 from torchdq.functions.recipe import RecipeInputs, Results
 from torchdq.program.program import GROWTH, Value
-from torchdq.robot.posed import factors, frame, paper, solve
 
 TRACKING = ("q", "qd", "q_des", "qd_des", "qdd_des", "kp", "kd")  # arguments of computed torque control
 

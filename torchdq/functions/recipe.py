@@ -13,9 +13,9 @@ from torchdq.dynamics.coupling import Coupled
 from torchdq.dynamics.paper.rnea import exerted_wrenches
 from torchdq.dynamics.posed import Posed
 from torchdq.errors import SingularInertiaError
+from torchdq.functions.posed import GEOMETRY, Overrides, as_screw, frame, posed
 from torchdq.program.program import Value
 from torchdq.robot.fields import BODIES, Axes
-from torchdq.robot.posed import GEOMETRY, Overrides, as_screw, frame, posed
 from torchdq.robot.robot import Robot
 from torchdq.robot.tree import inert_joints
 

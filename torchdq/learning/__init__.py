@@ -12,20 +12,20 @@ Nothing here is imported by `import torchdq`; scipy, rich and tensorboard are im
 
 from typing import TYPE_CHECKING
 
-from torchdq.attributes import refusing
+from torchdq.base.attributes import refusing
 from torchdq.learning.bodies.payload import IdentifiedPayload, identify_payload
 from torchdq.learning.bodies.posterior import Sampled, sample
+from torchdq.learning.evaluation.diagnostics import LogWarning
 from torchdq.learning.excitation.excite import Excitation, excite
 from torchdq.learning.excitation.limits import Box, HalfSpace, MotionLimits
 from torchdq.learning.identification.identified import Identified, Prediction
 from torchdq.learning.identification.identify import identify
-from torchdq.learning.identification.ladder import Ladder, Rung
+from torchdq.learning.identification.model_selection import Ladder, Rung
 from torchdq.learning.logs.layouts import Layout, LogError, MissingLogError
 from torchdq.learning.logs.motions import Motion, cut, directions, hold_out, samples, smooth
-from torchdq.learning.logs.plausibility import LogWarning
 from torchdq.learning.logs.read import Log, read
 from torchdq.learning.logs.samples import Samples
-from torchdq.learning.pictures import plot_torques
+from torchdq.learning.plots import plot_torques
 from torchdq.learning.rollout.fit import fit_rollout
 from torchdq.learning.rollout.recordings import Recording
 from torchdq.learning.rollout.result import RolloutFit

@@ -15,11 +15,11 @@ from torch import Tensor
 
 from torchdq.effects import Effect, Residual
 from torchdq.errors import ArgumentError
+from torchdq.layers.residual import PredictedTorques, ResidualDynamics
+from torchdq.learning.evaluation.blocks import MotionRows
 from torchdq.learning.identification.identified import Identified, recorded
-from torchdq.learning.logs.blocks import MotionRows
 from torchdq.learning.logs.motions import Motion, require_torques
 from torchdq.learning.logs.samples import Samples
-from torchdq.residual import PredictedTorques, ResidualDynamics
 from torchdq.robot import Robot
 
 BODIES = ("mass", "com", "inertia")

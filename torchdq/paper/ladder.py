@@ -20,15 +20,15 @@ from torchdq.algebra.screw import Screw
 from torchdq.algebra.structural import add
 from torchdq.backends.choice import choose
 from torchdq.backends.run import run
+from torchdq.base.timing import medians
 from torchdq.dynamics.aligned import rnea
 from torchdq.dynamics.aligned.placement import Steps
 from torchdq.dynamics.tree import Tree
+from torchdq.functions import posed
 from torchdq.paper import cost, printed
 from torchdq.paper.tables import markdown
 from torchdq.program.program import Argument, Program, record
-from torchdq.robot import posed
 from torchdq.robot.robot import Robot
-from torchdq.timing import medians
 
 Row = Sequence[Number]
 

@@ -14,7 +14,7 @@ from typing import Protocol
 import torch
 from torch import Tensor, library
 
-from torchdq.caches import LAYOUTS, PROGRAMS, Bounded, remembered
+from torchdq.base.caches import LAYOUTS, PROGRAMS, Bounded, remembered
 from torchdq.errors import ArgumentError
 from torchdq.program import autodiff
 from torchdq.program.program import Argument, Program, samples_of

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import Any, NamedTuple
 
+from torchdq.base.progress import Notice
 from torchdq.errors import NumberError
-from torchdq.notice import Notice
 from torchdq.numbers.functions import maximum
 from torchdq.numbers.ops import OPS, apply
 from torchdq.numbers.record import FUNCTIONS, Op, Recorded, Tape

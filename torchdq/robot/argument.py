@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Any
 
 from torchdq.errors import ArgumentError, UnphysicalError
-from torchdq.robot import consistency
 from torchdq.robot.arrays import matrices
+from torchdq.robot.check import consistency
 from torchdq.robot.fields import readable
 from torchdq.robot.robot import Robot
 

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
-from torchdq.robot import consistency
 from torchdq.robot.arrays import IDENTITY, SIX, distinct, inertias, matrices, table
+from torchdq.robot.check import consistency
 
 NO_TIP = "no tip chosen among the leaves"  # beginning of a note that goes when a tip is chosen
 

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from torchdq.checks import DTYPES, is_dense, require_tensor
+from torchdq.base.checks import DTYPES, is_dense, require_tensor
 from torchdq.dynamics.joints import KINDS
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.program.transforms import without_values
-from torchdq.robot import consistency
 from torchdq.robot.arrays import first, matrices, not_unit, slack
+from torchdq.robot.check import consistency
 from torchdq.robot.description import Frame, JointMap, Limits
 
 if TYPE_CHECKING:

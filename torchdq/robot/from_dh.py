@@ -12,8 +12,8 @@ from torchdq.backends.choice import backend
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, distinct, double, numbers, poses, table, words
+from torchdq.robot.check.units import TURN
 from torchdq.robot.description import RobotDescription, assemble
-from torchdq.robot.units import TURN
 
 
 def _about(axis: int, angle: float, shift: float) -> Tensor:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pkgutil
 from typing import Any, NamedTuple
 
+from torchdq.base.optional import imported
 from torchdq.errors import ArgumentError, DescriptionError, UnknownNameError
-from torchdq.optional import imported
 
 ASKED_BY = ("robot_descriptions", "Robot.from_name", "'torchdq[names]'")
 MUJOCO = "_mj_description"  # end of names of MJCF files

@@ -10,17 +10,20 @@ from os import PathLike
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Literal, get_args
 
-from torchdq.checks import require_choice
+from torchdq.base.checks import require_choice
+from torchdq.base.sources import file_name
 from torchdq.errors import DescriptionError
-from torchdq.robot import consistency, mjcf, units, urdf, xacro_file
 from torchdq.robot import from_dh as dh
 from torchdq.robot import from_name as named
 from torchdq.robot import from_screws as screws
 from torchdq.robot.arrays import finite
-from torchdq.robot.consistency import OnUnphysical
+from torchdq.robot.check import consistency, units
+from torchdq.robot.check.consistency import OnUnphysical
 from torchdq.robot.description import RobotDescription
+from torchdq.robot.mjcf import read as mjcf
 from torchdq.robot.tree import inert_joints
-from torchdq.sources import file_name
+from torchdq.robot.urdf import read as urdf
+from torchdq.robot.urdf import xacro as xacro_file
 
 if TYPE_CHECKING:
     from torchdq.robot.robot import Robot

@@ -14,21 +14,24 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from torchdq.algebra.inertia import six
-from torchdq.attributes import no_member
-from torchdq.caches import PROGRAMS, remembered
-from torchdq.checks import destination, frozen
+from torchdq.base.attributes import no_member
+from torchdq.base.caches import PROGRAMS, remembered
+from torchdq.base.checks import destination, frozen
 from torchdq.dynamics.joints import KINDS, Helical, Prismatic, Revolute
 from torchdq.dynamics.tree import BASE, Tree
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.program.transforms import any_requires_grad
-from torchdq.robot import combined, coupled, loading, mjcf_writer, reduced, urdf_writer
-from torchdq.robot.changes import check, complaints, repaired, require_fields, require_unchanged, stacked, values
-from torchdq.robot.consistency import OnUnphysical
+from torchdq.robot import loading
+from torchdq.robot.check.changes import check, complaints, repaired, require_fields, require_unchanged, stacked, values
+from torchdq.robot.check.consistency import OnUnphysical
+from torchdq.robot.check.report import Report
 from torchdq.robot.constants import Constants, hold, stored
 from torchdq.robot.description import NO_TIP, Frame, JointMap, Limits
+from torchdq.robot.edit import combined, coupled, reduced
 from torchdq.robot.fields import DESCRIBED, SHAPES, batches, present, require_shapes
-from torchdq.robot.report import Report
+from torchdq.robot.mjcf import writer as mjcf_writer
 from torchdq.robot.tree import general_tree, unbound
+from torchdq.robot.urdf import writer as urdf_writer
 
 # names in other libraries
 _ELSEWHERE = {

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from torchdq.algebra.inertia import Inertia
 from torchdq.dynamics.joints import KINDS, Free
 from torchdq.dynamics.tree import Tree, on_base
-from torchdq.robot import consistency
+from torchdq.robot.check import consistency
 from torchdq.robot.fields import BASE_BODY, SHAPES
 
 if TYPE_CHECKING:

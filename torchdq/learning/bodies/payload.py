@@ -18,23 +18,23 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.checks import require_number
+from torchdq.base.checks import require_number
+from torchdq.base.progress import Notice
+from torchdq.base.tables import table
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics, regressor, require_finite
 from torchdq.learning.bodies.nearest import curvature, nearest, relative
 from torchdq.learning.bodies.pseudo_inertia import central, inertial_parameters, moved, pseudo_inertia
+from torchdq.learning.evaluation.diagnostics import LogWarning, doubts
 from torchdq.learning.identification.feasible import ENTRIES
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
 from torchdq.learning.identification.naming import sums
 from torchdq.learning.identification.regression import base_parameters
 from torchdq.learning.logs.motions import Motion
-from torchdq.learning.logs.plausibility import LogWarning, doubts
 from torchdq.learning.threads import one_thread
-from torchdq.notice import Notice
 from torchdq.robot import Robot
-from torchdq.tables import table
 
 ROUNDS = 20  # most times that joints are weighted anew
 WORSE = 3.0  # residual over that of the empty arm, from which a joint is doubted: on good logs it is below 2

@@ -14,7 +14,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.checks import require_count, require_number
+from torchdq.base.checks import require_count, require_number
+from torchdq.base.progress import Notice
+from torchdq.base.tables import summary
 from torchdq.effects import Effect, Gravity, RotorInertia
 from torchdq.errors import ArgumentError
 from torchdq.learning.bodies.nearest import nearest, relative
@@ -23,9 +25,7 @@ from torchdq.learning.identification.feasible import ENTRIES
 from torchdq.learning.identification.identified import Identified
 from torchdq.learning.identification.terms import ROTOR, Term
 from torchdq.learning.threads import one_thread
-from torchdq.notice import Notice
 from torchdq.robot import Robot
-from torchdq.tables import summary
 
 KAPPA = 100.0  # weight of the base parameters: so many times that of the bodies that are drawn
 MOST = 0.99  # most of a number that is below one, such as friction over load

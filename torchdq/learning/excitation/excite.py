@@ -21,20 +21,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq.checks import require_count, require_number, tensor_of
+from torchdq.base.checks import require_count, require_number, tensor_of
+from torchdq.base.progress import Notice
+from torchdq.base.tables import table
 from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics
 from torchdq.learning.excitation.fourier import Family, Series, grid
 from torchdq.learning.excitation.limits import Bounds, MotionLimits
 from torchdq.learning.identification.base import BaseParameters
 from torchdq.learning.logs.motions import Motion
-from torchdq.learning.pictures import picture_of_motion
+from torchdq.learning.plots import picture_of_motion
 from torchdq.learning.threads import one_thread
-from torchdq.notice import Notice
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_bodies, require_robot
 from torchdq.robot.robot import batches
-from torchdq.tables import table
 
 STAGES = ((1, 10), (4, 30), (16, 60), (64, 240))  # part of the starts, one in so many, and the steps that it takes
 LEFT = 4  # starts that take all steps, at least

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from torchdq import dq
-from torchdq.checks import is_number, require_number, tensor_of
+from torchdq.base.checks import is_number, require_number, tensor_of
 from torchdq.errors import ArgumentError
 from torchdq.functional import forward_kinematics
 from torchdq.robot import Robot

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
+from torchdq.learning.evaluation.coverage import interval_factors
 from torchdq.learning.identification.evidence import Evidence, Unseen
 from torchdq.learning.identification.regression import chunks, columns
-from torchdq.learning.logs.coverage import interval_factors
 
 NORMAL = 1.96  # half-width of the interval that holds 95 % of normal numbers, in standard deviations
 ROWS = 4096  # most rows that are looked at

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchdq.learning.evaluation.blocks import Block, MotionRows, regions
+from torchdq.learning.evaluation.correlation import correlation_times
 from torchdq.learning.identification.feasible import Neighbourhood
 from torchdq.learning.identification.regression import gram, places, squared, torques
 from torchdq.learning.identification.terms import ROTOR, Term, rows_of, unit_torques
-from torchdq.learning.logs.blocks import Block, MotionRows, regions
-from torchdq.learning.logs.correlation import correlation_times
 from torchdq.robot import Robot
 
 STILL = 1e-2  # least variance of a joint's torque in a motion, relative to that in the motion where it is largest

@@ -11,20 +11,20 @@ import torch
 from torch import Tensor
 
 from torchdq import effects
-from torchdq.checks import tensor_of
+from torchdq.base.checks import tensor_of
+from torchdq.base.tables import summary, table
 from torchdq.effects.effect import Effect
 from torchdq.effects.friction import Friction
 from torchdq.errors import ArgumentError
+from torchdq.learning.evaluation.blocks import MotionRows, of_motions, of_tensors
 from torchdq.learning.identification.gains import Gains
-from torchdq.learning.identification.ladder import Ladder
+from torchdq.learning.identification.model_selection import Ladder
 from torchdq.learning.identification.naming import sums
 from torchdq.learning.identification.regression import chunks, columns, places, rigid
 from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, VISCOUS, Term, rows_of, unit_torques
-from torchdq.learning.logs.blocks import MotionRows, of_motions, of_tensors
 from torchdq.learning.logs.motions import Motion
 from torchdq.nn import DQRNEA
 from torchdq.robot import Robot
-from torchdq.tables import summary, table
 
 INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # parameters of a link, about its frame
 FORCE = "N m or N"

@@ -22,26 +22,26 @@ from typing import Any, Literal
 import torch
 from torch import Tensor
 
-from torchdq.checks import require_number
+from torchdq.base.checks import require_number
+from torchdq.base.progress import Notice
 from torchdq.effects.friction import Friction
 from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics, require_finite
+from torchdq.learning.evaluation.blocks import MotionRows, blocks, too_few
+from torchdq.learning.evaluation.diagnostics import LogWarning, doubts, misshapen, sampled, unexplained
 from torchdq.learning.identification.calibration import half_widths
 from torchdq.learning.identification.evidence import Evidence, described, gather
 from torchdq.learning.identification.gains import Gains, drive_gains, spread_of_gains
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
-from torchdq.learning.identification.ladder import STRENGTHS, Ladder, Rung, UnseenParts, climb
 from torchdq.learning.identification.lags import lagging
 from torchdq.learning.identification.missing import missing, offset_missing
+from torchdq.learning.identification.model_selection import STRENGTHS, Ladder, Rung, UnseenParts, climb
 from torchdq.learning.identification.regression import base_parameters, rigid
 from torchdq.learning.identification.simple import simple_friction
 from torchdq.learning.identification.solution import ITERATIONS, Solution, solve
 from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, SHAPES, VISCOUS, Term, terms_of
-from torchdq.learning.logs.blocks import MotionRows, blocks, too_few
 from torchdq.learning.logs.motions import Motion
-from torchdq.learning.logs.plausibility import LogWarning, doubts, misshapen, sampled, unexplained
 from torchdq.learning.threads import one_thread
-from torchdq.notice import Notice
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_bodies, require_robot
 from torchdq.robot.robot import batches

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.learning.identification.beside import Beside
+from torchdq.learning.identification.augmented import Beside
 from torchdq.learning.identification.evidence import Evidence
 
 SURE = 5.0  # least size of a lag, in standard errors, to be one

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import torch
 from torch import Tensor
 
-from torchdq.learning.identification.beside import Beside
+from torchdq.learning.identification.augmented import Beside
 from torchdq.learning.identification.evidence import Evidence
 from torchdq.learning.identification.lags import TorqueLag, lags
 from torchdq.learning.identification.solution import Solution

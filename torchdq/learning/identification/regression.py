@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from torchdq.functional import regressor
-from torchdq.learning.logs.blocks import MotionRows
+from torchdq.learning.evaluation.blocks import MotionRows
 from torchdq.robot import Robot
 
 COARSE = 1e-2  # least noise relative to the joint's torques, where there are too few samples to estimate it

@@ -15,12 +15,12 @@ import torch
 from torch import Tensor
 
 from torchdq import effects
-from torchdq.checks import is_number
+from torchdq.base.checks import is_number
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.effects.friction import Friction, parts_of
 from torchdq.effects.resistance import columns
 from torchdq.errors import ArgumentError
-from torchdq.learning.logs.blocks import MotionRows
+from torchdq.learning.evaluation.blocks import MotionRows
 from torchdq.robot import Robot
 
 FORCE = ("N m", "N")  # units of joints that turn, and that slide

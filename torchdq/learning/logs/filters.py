@@ -4,7 +4,7 @@ from math import ceil
 
 import numpy as np
 
-from torchdq.optional import imported
+from torchdq.base.optional import imported
 
 ORDER = 4  # the filter of `low_pass` has it, and is applied twice
 STEEP = 8  # the same, of the one before rows are left out

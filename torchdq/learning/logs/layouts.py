@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from torchdq.checks import names_of
+from torchdq.base.checks import names_of
 from torchdq.errors import ArgumentError, TorchdqError
 
 SIGNALS = ("time", "q", "qd", "tau", "qdd", "command")

@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from torchdq.checks import is_number, require_count, require_number
+from torchdq.base.checks import is_number, require_count, require_number
+from torchdq.base.tables import summary
 from torchdq.errors import ArgumentError
 from torchdq.learning.logs.filters import derivative, even, low_pass
 from torchdq.learning.logs.layouts import LogError
 from torchdq.learning.logs.read import Log
 from torchdq.learning.logs.samples import UNITS, Samples
-from torchdq.tables import summary
 
 ENDS = 0.5  # [s] least time left out at either end, where a filter of a few Hz has neighbours on one side only
 SIGN_WIDTH = 1e-3  # velocity below which its sign is rounded, small beside what the filter rounds [rad/s or m/s]

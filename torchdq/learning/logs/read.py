@@ -18,21 +18,21 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 
-from torchdq import sources
-from torchdq.checks import require_number
+from torchdq.base import sources
+from torchdq.base.checks import require_number
+from torchdq.base.progress import Notice
+from torchdq.base.tables import summary
 from torchdq.errors import ArgumentError
+from torchdq.learning.evaluation.diagnostics import LogWarning
 from torchdq.learning.logs.arrays import archive_table, arrays_table
 from torchdq.learning.logs.checks import jump, require_numbers, require_radians, require_times
 from torchdq.learning.logs.filters import decimated, fewer_times
 from torchdq.learning.logs.layouts import Layout, LogError, MissingLogError
 from torchdq.learning.logs.outliers import spikes_told
-from torchdq.learning.logs.plausibility import LogWarning
 from torchdq.learning.logs.samples import UNITS
 from torchdq.learning.logs.tables import Table
 from torchdq.learning.logs.texts import text_table
 from torchdq.learning.logs.transmissions import joint_side
-from torchdq.notice import Notice
-from torchdq.tables import summary
 
 MOST_BYTES = 1_000_000_000  # largest file that is read
 FEWEST = 30  # rows that a log of a lower rate must keep: the filter before it takes as many

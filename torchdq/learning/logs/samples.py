@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.checks import require_tensor
+from torchdq.base.checks import require_tensor
+from torchdq.base.tables import summary
 from torchdq.errors import ArgumentError
-from torchdq.tables import summary
 
 UNITS = {"time": "s", "q": "rad", "qd": "rad/s", "qdd": "rad/s^2", "tau": "N m"}  # units of the signals
 

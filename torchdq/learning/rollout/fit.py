@@ -16,10 +16,11 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import torch
 
-from torchdq.checks import require_count, require_number
+from torchdq.base.checks import require_count, require_number
+from torchdq.base.progress import Notice
 from torchdq.effects.actuator import Actuator
 from torchdq.errors import ArgumentError
-from torchdq.learning.logs.plausibility import LogWarning
+from torchdq.learning.evaluation.diagnostics import LogWarning
 from torchdq.learning.rollout import shooting
 from torchdq.learning.rollout.problem import Change, Iterate, Problem
 from torchdq.learning.rollout.recordings import CheckedRecording, Recording, checked
@@ -27,7 +28,6 @@ from torchdq.learning.rollout.result import RolloutFit, result
 from torchdq.learning.rollout.shooting import Linear
 from torchdq.learning.rollout.unknowns import Unknowns, changed, unknowns
 from torchdq.learning.threads import one_thread
-from torchdq.notice import Notice
 from torchdq.robot import Robot
 
 if TYPE_CHECKING:
@@ -88,8 +88,8 @@ def fit_rollout(
     >>> [round(x, 6) for x in found.values["Viscous.coefficient"].tolist()]
     [0.5, 0.5]
     """
-    from torchdq.envs.scene import Scene
-    from torchdq.envs.sensitivity import StepMap
+    from torchdq.scene.scene import Scene
+    from torchdq.scene.sensitivity import StepMap
 
     if not isinstance(scene, Scene):
         cure = "; torchdq.envs.Scene(robot, effects) makes one" if isinstance(scene, Robot) else ""

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchdq.base.tables import summary, table
 from torchdq.learning.rollout.problem import Iterate, Problem
 from torchdq.learning.rollout.shooting import Linear
 from torchdq.learning.rollout.unknowns import changed
-from torchdq.tables import summary, table
 
 if TYPE_CHECKING:
     from torchdq.envs import Scene

@@ -2,7 +2,7 @@
 
 A step is taken in the parameters themselves where they may have any sign. Positive ones grow along the step and fall
 along the exponential with the same slope, so that they stay positive, and friction, which enters linearly, is still
-found in few steps, however small it was. Inertias move in the coordinates of `torchdq.parametrizations`.
+found in few steps, however small it was. Inertias move in the coordinates of `torchdq.layers.parametrizations`.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq.checks import tensor_of
+from torchdq.base.checks import tensor_of
 from torchdq.effects.effect import Effect, Parametric
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.parametrizations import PhysicalInertia
+from torchdq.layers.parametrizations import PhysicalInertia
 from torchdq.robot import Robot
 from torchdq.robot.fields import trailing
 

@@ -18,8 +18,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchdq.base.files import remove_parts, write_whole
 from torchdq.errors import TorchdqError
-from torchdq.files import remove_parts, write_whole
 from torchdq.learning.training.attributes import attributes
 
 KIND, VERSION = b"checkpoint of torchdq.learning.fit", 2

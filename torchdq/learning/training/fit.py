@@ -20,17 +20,17 @@ import torch
 from torch import nn
 from torch.nn.utils import parametrize
 
-from torchdq.checks import require_choice, require_count, require_number
+from torchdq.base.checks import require_choice, require_count, require_number
 from torchdq.errors import ArgumentError
-from torchdq.learning.logs.plausibility import LogWarning, doubts
+from torchdq.layers.residual import ResidualDynamics
+from torchdq.learning.evaluation.diagnostics import LogWarning, doubts
 from torchdq.learning.logs.samples import Samples, of_motions, validated
 from torchdq.learning.training import checkpoint as checkpoints
-from torchdq.learning.training import left_out
+from torchdq.learning.training import cross_validation as left_out
 from torchdq.learning.training.distributed import team
 from torchdq.learning.training.progress import Progress
 from torchdq.learning.training.run import History, Run
 from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics
-from torchdq.residual import ResidualDynamics
 from torchdq.robot import Robot
 from torchdq.robot.robot import batches
 

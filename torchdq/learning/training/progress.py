@@ -3,8 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from torchdq.notice import Notice
-from torchdq.optional import imported
+from torchdq.base.optional import imported
+from torchdq.base.progress import Notice
 
 if TYPE_CHECKING:
     from torchdq.learning.training.run import History

@@ -10,12 +10,12 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from torchdq.base.tables import table
 from torchdq.errors import ArgumentError, TorchdqError
 from torchdq.learning.logs.samples import Samples, torque_variance
 from torchdq.learning.training import checkpoint as checkpoints
 from torchdq.learning.training.distributed import Team
-from torchdq.learning.training.worth import Worth
-from torchdq.tables import table
+from torchdq.learning.training.validation_gain import Worth
 
 VALIDATION_ROWS = 4096  # rows of the validation data computed at a time
 ROWS = 10  # rows of a history that are printed

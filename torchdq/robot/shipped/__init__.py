@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from torchdq.attributes import refusing
+from torchdq.base.attributes import refusing
 from torchdq.errors import UnknownNameError
 from torchdq.robot.robot import Robot
 from torchdq.robot.shipped import panda, puma560, two_link, ur10e

@@ -1,0 +1,595 @@
+"""Building programs: the cache of compiled libraries, many processes at once, compilers that are absent or fail.
+
+Every process starts with an empty cache of its own and computes the torques of a robot; the torques are compared with
+those of torch operations here. Compilers are shell scripts around the one that is there.
+"""
+
+import hashlib
+import os
+import signal
+import stat
+import tempfile
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from forked import Forked
+
+import torchdq
+from torchdq.backends import c_library as build
+from torchdq.backends import cache as kept
+from torchdq.backends import compiler as machine
+from torchdq.backends.c_source import pieces_of, source
+from torchdq.backends.compiler import BuildError
+from torchdq.base import progress as notice
+from torchdq.program.program import Argument, record
+
+pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
+
+Q = (0.3, -0.7)
+TORQUES = """
+import torch, torchdq
+robot = torchdq.robots.load("two_link")
+tau = torchdq.inverse_dynamics(robot, torch.tensor([0.3, -0.7], dtype=torch.float64){options})
+print(*tau.tolist())
+"""
+
+
+def start(code: str, cache: Path, **environment: str | None) -> Forked:
+    """Process with its own cache, which lies beside its output; None takes a variable out of its environment."""
+    env = {**os.environ, "OMP_NUM_THREADS": "1", "TORCHDQ_CACHE": str(cache), **environment}
+    given = {name: value for name, value in env.items() if value is not None}
+    return Forked(code, given, Path(tempfile.mkdtemp(prefix="process", dir=cache.parent)))
+
+
+def torques(cache: Path, options: str = "", **environment: str | None) -> tuple[list[float], str]:
+    """Torques that a new process computes, and what it says besides."""
+    process = start(TORQUES.format(options=options), cache, **environment)
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == 0, err
+    return [float(x) for x in out.split()], err
+
+
+def right(found: list[float]) -> bool:
+    robot, q = torchdq.robots.load("two_link"), torch.tensor(Q, dtype=torch.float64)
+    return torch.allclose(torch.tensor(found, dtype=torch.float64), torchdq.inverse_dynamics(robot, q, backend="eager"))
+
+
+def script(path: Path, text: str) -> str:
+    """Executable shell script."""
+    path.write_text("#!/bin/sh\n" + text)
+    path.chmod(0o755)
+    return str(path)
+
+
+REAL = build.compiler().command[0] if build.compiler() else ""
+
+# --- here: one function, built and loaded by hand --------------------------------------------------------------------
+
+
+def double(factor: float) -> tuple[str, str, int]:
+    """Source, name and pointers of a program that multiplies a number."""
+    program = record("scale", [Argument("x", 1)], lambda x: {"y": [factor * x[0]]})
+    return source(program, False), program.name, 2
+
+
+def apply(function, x: float) -> float:
+    at, to = torch.tensor([x], dtype=torch.float64), torch.empty(1, dtype=torch.float64)
+    function(1, at.data_ptr(), to.data_ptr())
+    return to.item()
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch) -> Path:
+    """Path of a cache that is not there yet."""
+    path = tmp_path / "deep" / "cache"
+    monkeypatch.setenv("TORCHDQ_CACHE", str(path))
+    return path
+
+
+@pytest.fixture
+def warned():
+    """Process that was not warned about anything."""
+    notice._topics.cache_clear()
+    yield
+    notice._topics.cache_clear()
+
+
+def libraries(cache: Path) -> list[Path]:
+    return sorted(cache.glob("*.so"))
+
+
+def test_the_cache_is_made_for_the_user_alone(cache):
+    before = os.umask(0)
+    try:
+        build.load(*double(3.0))
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(cache.stat().st_mode) == 0o700
+
+
+@pytest.mark.usefixtures("warned")
+@pytest.mark.parametrize("mode", [0o770, 0o707, 0o777], ids=oct)
+def test_a_cache_that_others_can_write_is_not_used(cache, mode):
+    cache.mkdir(parents=True)
+    cache.chmod(mode)
+    with pytest.warns(UserWarning, match="others than you can write .*deep/cache; name a folder"):
+        assert apply(build.load(*double(3.0)), 2.0) == 6.0
+    assert list(cache.iterdir()) == []
+
+
+@pytest.mark.usefixtures("warned")
+def test_a_cache_that_is_a_file_is_not_used(cache):
+    cache.parent.mkdir()
+    cache.write_text("occupied")
+    with pytest.warns(UserWarning, match="compiled programs are not kept"):
+        assert apply(build.load(*double(3.0)), 2.0) == 6.0
+    assert cache.read_text() == "occupied"
+
+
+def test_what_was_built_is_not_built_again(cache, monkeypatch):
+    build.load(*double(3.0))
+    monkeypatch.setattr(build, "_compile", None)
+    assert apply(build.load(*double(3.0)), 2.0) == 6.0
+
+
+def test_programs_that_differ_in_one_bit_of_a_constant_have_libraries_of_their_own(cache):
+    close_by = 3.0 + 2.0**-51
+    functions = [build.load(*double(3.0)), build.load(*double(close_by))]
+    assert len(libraries(cache)) == 2
+    assert [apply(f, 1.0) for f in functions] == [3.0, close_by]
+
+
+def test_only_complete_libraries_are_left(cache):
+    build.load(*double(3.0))
+    (library,) = cache.iterdir()
+    body, digest = library.read_bytes()[:-32], library.read_bytes()[-32:]
+    assert hashlib.sha256(library.stem.encode() + body).digest() == digest
+
+
+SPOILED = {
+    "empty": lambda data, other: b"",
+    "shorter than a hash": lambda data, other: data[:20],
+    "cut short": lambda data, other: data[: len(data) // 2],
+    "without its hash": lambda data, other: data[:-32],
+    "one bit changed": lambda data, other: data[:999] + bytes([data[999] ^ 1]) + data[1000:],
+    "no library": lambda data, other: b"#!/bin/sh\necho hello\n" * 10,
+    "another program's": lambda data, other: other,
+}
+
+
+@pytest.mark.parametrize("spoil", SPOILED.values(), ids=SPOILED)
+def test_a_broken_or_foreign_entry_is_built_again(cache, spoil):
+    """Spoiled under its own name before this process ever loads it."""
+    entry, other = built(double(3.0)), built(double(5.0))
+    entry.write_bytes(spoil(entry.read_bytes(), other.read_bytes()))
+    assert apply(build.load(*double(3.0)), 2.0) == 6.0
+    assert kept._intact(entry, entry.stem)
+
+
+def cache_entry(cache: Path, program: tuple[str, str, int]) -> Path:
+    """Where a program's library lies, or will."""
+    return kept.directory() / f"{build.entry_key(program[0])}.so"
+
+
+def built(program: tuple[str, str, int]) -> Path:
+    """Where the library of a program lies, which is built but not loaded."""
+    text, name, _ = program
+    return kept.kept(build.entry_key(text), ".so", name, lambda library: build._compile(library, text, name))
+
+
+# --- processes -------------------------------------------------------------------------------------------------------
+
+
+def test_sixteen_processes_that_start_on_an_empty_cache_all_succeed(tmp_path):
+    """Forked, so that they start at once."""
+    cache = tmp_path / "cache"
+    code = """
+import os, sys
+import torch, torchdq
+robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+expected = torchdq.inverse_dynamics(robot, q, backend="eager")
+children = []
+for _ in range(16):
+    child = os.fork()
+    if child == 0:
+        found = torchdq.inverse_dynamics(robot, q, backend="c")
+        os._exit(0 if torch.allclose(found, expected) else 1)
+    children.append(child)
+print(sum(os.waitpid(child, 0)[1] == 0 for child in children))
+"""
+    process = start(code, cache)
+    out, err = process.communicate(timeout=300)
+    assert (process.returncode, out.strip()) == (0, "16"), err
+    assert [path.suffix for path in cache.iterdir()] == [".so"]
+
+
+def test_sixteen_threads_and_four_processes_compile_a_program_once(tmp_path):
+    log = tmp_path / "log"
+    noted = script(
+        tmp_path / "noted", f'case "$*" in *--version*) ;; *) echo built >> {log};; esac\nexec {REAL} "$@"\n'
+    )
+    code = """
+from concurrent.futures import ThreadPoolExecutor
+import torch, torchdq
+robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+with ThreadPoolExecutor(16) as pool:
+    found = list(pool.map(lambda k: torchdq.inverse_dynamics(robot, q), range(16)))
+assert all(torch.equal(found[0], tau) for tau in found)
+print(*found[0].tolist())
+"""
+    processes = [start(code, tmp_path / "cache", CC=noted) for _ in range(4)]
+    for process in processes:
+        out, err = process.communicate(timeout=300)
+        assert process.returncode == 0 and right([float(x) for x in out.split()]), err
+    assert log.read_text().split() == ["built"]
+    assert [path.suffix for path in (tmp_path / "cache").iterdir()] == [".so"]
+
+
+def test_a_process_killed_while_it_compiles_leaves_nothing_that_is_loaded(tmp_path):
+    cache, begun = tmp_path / "cache", tmp_path / "begun"
+    slow = script(
+        tmp_path / "slow",
+        f'case "$*" in *--version*) exec {REAL} "$@";; esac\n{REAL} "$@"\ntouch {begun}\nsleep 600\n',
+    )
+    process = start(TORQUES.format(options=", backend='c'"), cache, CC=slow)
+    deadline = time.monotonic() + 300
+    while not begun.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    process.kill()
+    assert begun.exists() and libraries(cache) == []
+    assert right(torques(cache, ", backend='c'")[0]) and len(libraries(cache)) == 1
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
+def test_a_compiler_ends_with_the_process_that_started_it(how, tmp_path):
+    begun = tmp_path / "begun"
+    slow = script(
+        tmp_path / "slow",
+        f'case "$*" in *--version*) exec {REAL} "$@";; esac\nsleep 600 & echo $! > {begun}.new\n'
+        f"mv {begun}.new {begun}\nwait\n",
+    )
+    process = start(TORQUES.format(options=", backend='c'"), tmp_path / "cache", CC=slow)
+    deadline = time.monotonic() + 300
+    while not begun.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.kill(process.pid, how)  # to it alone
+    process.communicate(timeout=300)
+    left = Path("/proc", begun.read_text().strip())
+    while left.exists() and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert not left.exists()
+
+
+def test_without_a_compiler_one_warning_is_given_and_torch_computes(tmp_path):
+    twice = """
+import torch, torchdq
+robot = torchdq.robots.load("two_link")
+for k in range(3):
+    tau = torchdq.inverse_dynamics(robot, torch.tensor([0.3, -0.7], dtype=torch.float64).expand(k + 1, 2))[0]
+torchdq.mass_matrix(robot, torch.zeros(2))
+print(*tau.tolist())
+"""
+    process = start(twice, tmp_path / "cache", PATH=str(tmp_path), CC=None)
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == 0 and right([float(x) for x in out.split()])
+    assert err.count("as torch operations, which is slower: there is no C compiler") == 1
+
+
+def test_without_a_compiler_asking_for_one_says_what_to_do(tmp_path):
+    process = start(TORQUES.format(options=", backend='c'"), tmp_path / "cache", PATH=str(tmp_path), CC=None)
+    _, err = process.communicate(timeout=300)
+    assert process.returncode == 1
+    assert "BuildError: there is no C compiler; install gcc or clang, or name one in $CC" in err
+
+
+def test_a_compiler_that_fails_is_an_error_that_names_the_program(tmp_path):
+    broken = script(
+        tmp_path / "broken", f'case "$*" in *--version*) exec {REAL} "$@";; esac\necho "out of cheese" >&2\nexit 3\n'
+    )
+    process = start(TORQUES.format(options=", backend='c'"), tmp_path / "cache", CC=broken)
+    _, err = process.communicate(timeout=300)
+    assert process.returncode == 1
+    assert f"BuildError: {broken} could not compile the program 'inverse_dynamics_two_link'" in err
+    assert "out of cheese" in err and "clear_caches() makes this process try again" in err
+    assert list((tmp_path / "cache").iterdir()) == []
+
+
+BAD = {
+    "hangs": ("sleep 600 & sleep 600", "did not end within 1 s"),
+    "prints garbage and fails": (r"printf '\377\376garbage' >&2; exit 1", "garbage"),
+    "crashes": ("kill -SEGV $$", "exit status -11"),
+    "writes garbage": (
+        r"""while [ $# -gt 1 ]; do [ "$1" = -o ] && printf '\377\376\000' > "$2"; shift; done""",
+        "no library",
+    ),
+    "writes nothing": ("exit 0", "no library"),
+    "writes a library without run": (f'echo "int other;" > empty.c; exec {REAL} -shared -o "$OUT" empty.c', "'run'"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_compiler_that_does_not_compile_is_an_error_and_nothing_is_kept(name, tmp_path, cache, monkeypatch):
+    action, said = BAD[name]
+    find = 'for x in "$@"; do [ "$before" = -o ] && OUT="$x"; before="$x"; done'
+    bad = script(
+        tmp_path / "bad", f'case "$*" in *--version*) echo bad; exit 0;; esac\ncd {tmp_path}\n{find}\n{action}\n'
+    )
+    monkeypatch.setattr(build, "compiler", lambda: machine.Compiler((bad,), "bad"))
+    monkeypatch.setattr(build, "LIMIT", 1.0 if name == "hangs" else 60.0)
+    started = time.monotonic()
+    with pytest.raises(BuildError, match=rf"bad could not compile the program 'scale': (.|\n)*{said}"):
+        build.load(*double(3.0))
+    assert list(cache.iterdir()) == [] and time.monotonic() - started < 300
+    monkeypatch.undo()
+    monkeypatch.setenv("TORCHDQ_CACHE", str(cache))
+    assert apply(build.load(*double(3.0)), 2.0) == 6.0
+
+
+VERSIONS = {
+    "hangs": "sleep 600 & sleep 600",
+    "fails": "echo no >&2; exit 1",
+}
+
+
+@pytest.mark.usefixtures("warned")
+@pytest.mark.parametrize("name", [*VERSIONS, "is not there", "has an open quotation"])
+def test_a_named_compiler_that_states_no_version_is_replaced_by_another_with_a_warning(name, tmp_path, monkeypatch):
+    named = {"is not there": "/nope", "has an open quotation": "cc '"}.get(name) or script(
+        tmp_path / "bad", VERSIONS[name]
+    )
+    if name == "hangs":
+        monkeypatch.setattr(machine, "ASKED", 2.0)
+    monkeypatch.setenv("CC", named)
+    with pytest.warns(UserWarning, match=r"\$CC names .* which cannot be used"):
+        found = machine.compiler.__wrapped__()
+    assert found is not None and found.command[0] != named
+
+
+def test_a_version_that_is_garbage_is_a_version(tmp_path, monkeypatch):
+    monkeypatch.setenv("CC", script(tmp_path / "odd", r"printf '\377\376'"))
+    assert machine.compiler.__wrapped__().command == (str(tmp_path / "odd"),)
+
+
+def test_a_compiler_that_prints_without_end_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setenv("CC", script(tmp_path / "odd", "exec yes"))
+    with pytest.warns(UserWarning, match=r"\$CC names .* printed more than \d+ bytes"):
+        found = machine.compiler.__wrapped__()
+    assert found is None or found.command != (str(tmp_path / "odd"),)
+
+
+# --- a disk that is full ---------------------------------------------------------------------------------------------
+
+FULL = """
+import resource
+import torch, torchdq, warnings
+resource.setrlimit(resource.RLIMIT_FSIZE, (8192, 8192))  # no file can be longer
+robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64, requires_grad=True)
+torchdq.forward_dynamics(robot, q, q, q{options}).sum().backward()
+tau = torchdq.inverse_dynamics(robot, q.detach().expand(5, 2){options})[0]
+print(*tau.tolist())
+"""
+
+
+def test_on_a_full_disk_torch_computes_with_one_warning(tmp_path):
+    process = start(FULL.format(options=""), tmp_path / "cache")
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == 0 and right([float(x) for x in out.split()]), err
+    assert err.count("torchdq runs programs as torch operations, which is slower") == 1
+    assert err.count("Warning") == 2 and "the disk of" in err  # the other one says that nothing is kept
+    assert list((tmp_path / "cache").iterdir()) == []
+
+
+def test_on_a_full_disk_a_named_backend_is_an_error_that_says_so(tmp_path):
+    process = start(FULL.format(options=", backend='c'"), tmp_path / "cache")
+    _, err = process.communicate(timeout=300)
+    assert process.returncode == 1 and "BuildError" in err and "the disk of" in err
+
+
+@pytest.mark.usefixtures("warned")
+def test_where_only_the_cache_is_full_a_temporary_folder_holds_the_library(cache, monkeypatch):
+    full = kept._full
+    monkeypatch.setattr(kept, "_full", lambda folder: folder == cache or full(folder))
+    run = build.run
+
+    def runs(commands, limit, folder):
+        if folder.is_relative_to(cache):
+            raise BuildError("no space left on device")
+        return run(commands, limit, folder)
+
+    monkeypatch.setattr(build, "run", runs)
+    with pytest.warns(UserWarning, match="not kept.*the disk of .*deep/cache is full"):
+        assert apply(build.load(*double(3.0)), 2.0) == 6.0
+    assert list(cache.iterdir()) == []
+
+
+def test_without_any_folder_torch_computes_with_a_warning(tmp_path):
+    nowhere = str(tmp_path / "nowhere")
+    code = f"import tempfile; tempfile.tempdir = {nowhere!r}\n" + TORQUES.format(options="")
+    occupied = tmp_path / "occupied"
+    occupied.touch()
+    process = start(code, occupied)
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == 0 and right([float(x) for x in out.split()]), err
+    assert "no folder can hold compiled programs" in err and err.count("Warning") == 1
+
+
+def test_one_warning_says_that_nothing_is_kept(tmp_path):
+    (tmp_path / "occupied").touch()
+    twice = TORQUES.format(options="") + "torchdq.mass_matrix(robot, torch.zeros(2))\n"
+    process = start(twice, tmp_path / "occupied")
+    out, err = process.communicate(timeout=300)
+    assert process.returncode == 0 and right([float(x) for x in out.split()]), err
+    assert err.count("compiled programs are not kept") == err.count("Warning") == 1
+
+
+# --- bounds ----------------------------------------------------------------------------------------------------------
+
+
+def mapped(cache: Path) -> int:
+    """Number of libraries of a cache in the memory of this process."""
+    lines = Path("/proc/self/maps").read_text().splitlines()
+    return len({line.split()[-1] for line in lines if str(cache) in line})
+
+
+@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="what is mapped is read from /proc")
+def test_a_library_is_unloaded_with_its_kernel(cache):
+    torchdq.clear_caches()
+    robot, q = torchdq.robots.load("two_link"), torch.zeros(2, dtype=torch.float64)
+    for k in range(3):
+        torchdq.inverse_dynamics(robot.replace(mass=(1 + k) * robot.mass).bake(), q, backend="c")
+    assert mapped(cache) == 3
+    torchdq.clear_caches()
+    assert mapped(cache) == 0
+
+
+def test_a_full_cache_loses_the_libraries_that_were_used_least_recently(cache, monkeypatch):
+    for k in range(3):
+        build.load(*double(3.0 + k))
+        os.utime(cache_entry(cache, double(3.0 + k)), (1000.0 + k,) * 2)
+    build.load(*double(3.0))  # the oldest, used again
+    size = sum(path.stat().st_size for path in libraries(cache))
+    monkeypatch.setattr(kept, "LARGEST", 0.7 * size)
+    build.load(*double(7.0))
+    assert {cache_entry(cache, double(x)) for x in (3.0, 5.0, 7.0)} == set(libraries(cache))
+
+
+# --- files that are no libraries -------------------------------------------------------------------------------------
+
+
+def machine_code(key: str, content: bytes) -> Path:
+    """File of machine code in the cache."""
+    return kept.kept(key, ".cubin", "scale", lambda path: path.write_bytes(content))
+
+
+def test_a_pipe_of_the_name_of_a_file_is_replaced(cache):
+    machine_code("key", b"code").unlink()
+    os.mkfifo(cache / "key.cubin")
+    assert kept.content(machine_code("key", b"code")) == b"code"
+
+
+def test_a_file_has_the_content_that_was_made_and_is_made_once(cache):
+    path = machine_code("key", b"\x00code\xff")
+    assert path == cache / "key.cubin" and kept.content(path) == b"\x00code\xff"
+    assert machine_code("key", b"other") == path and kept.content(path) == b"\x00code\xff"
+    assert list(cache.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("spoil", SPOILED.values(), ids=SPOILED)
+def test_a_broken_or_foreign_file_is_made_again(cache, spoil):
+    path, other = machine_code("key", bytes(2000)), machine_code("other", bytes(2000))
+    path.write_bytes(spoil(path.read_bytes(), other.read_bytes()))
+    assert kept.content(machine_code("key", b"new")) == b"new"
+
+
+def test_a_full_cache_loses_files_of_any_kind(cache, monkeypatch):
+    build.load(*double(3.0))
+    old = machine_code("old", bytes(1000))
+    os.utime(old, (1000.0, 1000.0))
+    monkeypatch.setattr(kept, "LARGEST", cache_entry(cache, double(3.0)).stat().st_size + 500)
+    new = machine_code("new", bytes(100))
+    assert set(cache.iterdir()) == {cache_entry(cache, double(3.0)), new}
+
+
+def test_a_failure_to_make_a_file_leaves_nothing(cache):
+    def fail(path):
+        path.write_bytes(b"half")
+        raise BuildError("out of cheese")
+
+    with pytest.raises(BuildError, match="out of cheese"):
+        kept.kept("key", ".cubin", "scale", fail)
+    assert list(cache.iterdir()) == []
+
+
+@pytest.mark.usefixtures("warned")
+def test_where_only_the_cache_is_full_a_temporary_folder_holds_the_file(cache, monkeypatch):
+    def write(path):
+        if path.is_relative_to(cache):
+            raise OSError("no space left on device")
+        path.write_bytes(b"code")
+
+    monkeypatch.setattr(kept, "_full", lambda folder: folder == cache)
+    with pytest.warns(UserWarning, match="not kept.*the disk of .*deep/cache is full"):
+        path = kept.kept("key", ".cubin", "scale", write)
+    assert kept.content(path) == b"code" and list(cache.iterdir()) == []
+
+
+# --- long programs ---------------------------------------------------------------------------------------------------
+
+
+def test_a_long_program_is_compiled_in_pieces_and_is_right(cache, monkeypatch):
+    def algorithm(x):
+        y = x[0]
+        for _ in range(4000):
+            y = y * x[0] + 1.0
+        return {"y": [y]}
+
+    program = record("long", [Argument("x", 1)], algorithm)
+    text = source(program, False)
+    assert pieces_of(text) > 2
+    found = []
+    for processes in (1, 2, 3):
+        monkeypatch.setattr(build, "PROCESSES", processes)
+        monkeypatch.setattr(os, "cpu_count", lambda: 4)
+        cache_entry(cache, (text, "long", 2)).unlink(missing_ok=True)
+        found.append(apply(build.load(text, "long", 2), 0.5))
+    assert found == [2.0] * 3
+
+
+def test_the_compiler_named_in_the_environment_is_used(tmp_path):
+    log = tmp_path / "log"
+    mine = script(tmp_path / "mine", f'echo "$*" >> {log}\nexec {REAL} "$@"\n')
+    found, _ = torques(tmp_path / "cache", CC=mine)
+    assert right(found)
+    assert any("-march=native" in line for line in log.read_text().splitlines())
+
+
+def test_the_compiler_named_in_the_environment_may_have_arguments(tmp_path):
+    log = tmp_path / "log"
+    mine = script(tmp_path / "mine", f'echo "$*" >> {log}\nexec {REAL} "$@"\n')
+    found, _ = torques(tmp_path / "cache", ", backend='c'", CC=f"{mine} -g0")
+    assert right(found)
+    assert any(line.startswith("-g0 ") and "-march=native" in line for line in log.read_text().splitlines())
+
+
+def test_what_a_killed_build_left_behind_is_removed_by_a_later_one(cache):
+    directory = kept.directory()
+    abandoned, at_work = directory / ".build-abandoned", directory / ".build-atwork"
+    for folder in (abandoned, at_work):
+        folder.mkdir()
+        (folder / "program.c").touch()
+    long_ago = time.time() - 2 * kept.ABANDONED
+    os.utime(abandoned, (long_ago, long_ago))
+    build.load(*double(7.0))
+    assert not abandoned.exists() and at_work.exists()
+
+
+def test_a_slow_build_is_announced(tmp_path):
+    slow = script(tmp_path / "slow", f'case "$*" in *--version*) ;; *) sleep 1;; esac\nexec {REAL} "$@"\n')
+    sooner = "from torchdq import notice\nnotice.FIRST, notice.EVERY = 0.1, 1e4\n"
+    process = start(sooner + TORQUES.format(options=""), tmp_path / "cache", CC=slow)
+    out, err = process.communicate(timeout=300)
+    assert right([float(x) for x in out.split()]) and err.count("compiling inverse_dynamics_two_link") == 1
+
+
+def test_a_child_forked_after_use_computes_in_threads_of_its_own(tmp_path):
+    """Inputs and comparisons by numpy, since torch's own threads do not survive a fork."""
+    code = """
+import os
+import numpy, torch, torchdq
+from torchdq.backends import threads
+torch.set_num_threads(2)
+robot = torchdq.robots.load("two_link")
+threads.PER_THREAD = 1e4
+q = torch.from_numpy(numpy.linspace(-3, 3, 400_000).reshape(-1, 2))
+before = torchdq.inverse_dynamics(robot, q, backend="c").numpy()
+assert threads.running(), "the batch was to be large enough for threads"
+child = os.fork()
+if child == 0:
+    os._exit(0 if (torchdq.inverse_dynamics(robot, q, backend="c").numpy() == before).all() else 1)
+print(os.waitpid(child, 0)[1])
+"""
+    process = start(code, tmp_path / "cache")
+    out, err = process.communicate(timeout=300)
+    assert (process.returncode, out.strip()) == (0, "0"), err

@@ -1,0 +1,338 @@
+"""Kernels of the GPU backend, run on the host, against the C backend: values, gradients, sums, rows and scenes."""
+
+import math
+
+import pytest
+import torch
+from backends.test_backends import FUNCTIONS, PANDA, TREE, TWO, on
+from helpers import random, rods
+from host_gpu import BACKWARDS, HOST, function, host_backends  # noqa: F401
+from oracles import EPS, states
+from torch.autograd import gradcheck, gradgradcheck
+
+import torchdq
+from torchdq.backends import cuda_source
+from torchdq.backends.c import COMPILED
+from torchdq.backends.compiler import compiler
+from torchdq.backends.run import run
+from torchdq.backends.torch import EAGER
+from torchdq.envs import ArmVectorEnv, Scene, effects
+from torchdq.numbers.ops import OPS
+from torchdq.numbers.ops import apply as applied
+from torchdq.program.program import LARGEST_GROWTH, Argument, record
+from torchdq.program.uniform import split
+
+pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
+
+F32, F64 = torch.float32, torch.float64
+
+
+def condition(name, robot, s):
+    """Largest condition number of the mass matrix for a function that solves with it; 1 for the others."""
+    solves = "orward" in name and "kinematics" not in name
+    return torch.linalg.cond(torchdq.mass_matrix(robot, s.q.double())).max().item() if solves else 1.0
+
+
+def same(found, expected):
+    """Both are equal to the last bit, NaN in the same places."""
+    for f, e in zip(found, expected, strict=True):
+        torch.testing.assert_close(f, e, rtol=0, atol=0, equal_nan=True)
+
+
+def agree(found, expected, factor=64.0, dtype=None):
+    """Both are the same sums, rounded differently: the error is a multiple of eps and of the largest entry."""
+    for f, e in zip(found, expected, strict=True):
+        assert f.shape == e.shape and f.dtype == e.dtype
+        atol = factor * EPS[dtype or e.dtype] * float(e.abs().max())
+        torch.testing.assert_close(f, e, rtol=0, atol=atol, equal_nan=True)
+
+
+# --- values ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+@pytest.mark.parametrize("robot", [TWO, TREE], ids=lambda r: r.name)
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_functions_equal_those_of_the_c_backend(name, robot, dtype):
+    s = states(robot, 150, dtype=dtype)
+    worst = condition(name, robot, s)
+    found = on("host", FUNCTIONS[name], robot, s)
+    agree(found, on("c", FUNCTIONS[name], robot, s), 64 * worst)
+    same(on("backwards", FUNCTIONS[name], robot, s), found)
+
+
+@pytest.mark.parametrize("batch", [0, 1, 31, 32, 33, 63, 64, 65, 127, 128, 129, 300])
+@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+def test_a_row_of_a_batch_is_bitwise_the_row_alone(batch, dtype):
+    s = states(TREE, batch, dtype=dtype)
+    tau = torchdq.inverse_dynamics(TREE, *s, backend="host")
+    assert tau.shape == (batch, TREE.n)
+    for k in {*range(min(batch, 5)), *range(max(batch - 5, 0), batch)}:
+        same([torchdq.inverse_dynamics(TREE, *(x[k] for x in s), backend="host")], [tau[k]])
+
+
+def test_rows_that_are_not_finite_do_not_touch_others():
+    s = states(PANDA, 200)
+    clean = torchdq.inverse_dynamics(PANDA, s.q, s.qd, s.qdd, backend="host")
+    q, qd = s.q.clone(), s.qd.clone()
+    q[17], qd[130] = math.nan, math.inf
+    found = torchdq.inverse_dynamics(PANDA, q, qd, s.qdd, backend="host")
+    others = [k for k in range(200) if k not in (17, 130)]
+    same([found[others]], [clean[others]])
+    assert found[17].isnan().all() and not found[130].isfinite().all()
+
+
+@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+def test_inputs_need_not_be_contiguous(dtype):
+    q, qd, qdd = random(7, 3, 90, dtype=dtype).unbind(1)
+    found = torchdq.inverse_dynamics(PANDA, q.T, qd.T, qdd.T[:1], backend="host")
+    agree([found], [torchdq.inverse_dynamics(PANDA, q.T, qd.T, qdd.T[:1], backend="c")])
+
+
+def test_kernels_write_only_into_their_results():
+    program = record("sums", [Argument("x", 3)], lambda x: {"y": [x[0] + x[1], x[2]], "z": [x[0] * x[2]]}, ["z"])
+    for dtype in (F32, F64):
+        kernel = HOST.kernel(program, dtype, torch.device("cpu"))
+        x = random(45, 3, dtype=dtype)
+        room = torch.full((60, 2), 9.0, dtype=dtype)
+        y, z = room[10:55], torch.full((3, 1), 9.0, dtype=dtype)
+        kernel._run([x], [y, z[1:2]], [], 45, x.device)
+        assert (room[:10] == 9).all() and (room[55:] == 9).all() and z[[0, 2]].tolist() == [[9.0], [9.0]]
+        same([y], [torch.stack([x[:, 0] + x[:, 1], x[:, 2]], -1)])
+
+
+SPECIAL = (0.0, -0.0, 1.0, -2.5, 1e-30, math.inf, -math.inf, math.nan, 700.0, -700.0)
+
+
+@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+@pytest.mark.parametrize("code", OPS)
+def test_every_operation_has_the_values_of_torch(code, dtype):
+    arity = len(OPS[code].partials)
+    program = record(code, [Argument("x", arity)], lambda x: {"y": [applied(code, *x)]})
+    grids = torch.meshgrid(*[torch.tensor(SPECIAL, dtype=dtype)] * arity, indexing="ij")
+    x = torch.stack([g.flatten() for g in grids], -1)
+    (found,), (expected,) = (run(program, [x], backend) for backend in (HOST, EAGER))
+    torch.testing.assert_close(found, expected, rtol=4 * EPS[dtype], atol=0, equal_nan=True)
+
+
+@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+def test_sine_and_cosine_of_any_angle_are_those_of_torch(dtype):
+    program = record("turn", [Argument("x", 1)], lambda x: {"y": [applied("sin", x[0]), applied("cos", x[0])]})
+    x = torch.cat(
+        [torch.linspace(-1e4, 1e4, 20001), 10 ** torch.linspace(0, 30, 301), -(10 ** torch.linspace(-30, 4, 99))]
+    )
+    x = x.to(dtype).unsqueeze(-1)
+    found = run(program, [x], HOST)[0].double()
+    exact = torch.cat([x.double().sin(), x.double().cos()], -1)
+    assert (found - exact).abs().max() <= EPS[dtype]
+    same([run(program, [x], BACKWARDS)[0].double()], [found])
+
+
+def test_constants_that_are_not_finite_are_exact():
+    numbers = [math.inf, -math.inf, math.nan, 1 / 3, 1e-310, -0.0]
+    program = record("constants", [Argument("x", 1)], lambda x: {"y": [x[0] * 0 + c for c in numbers]})
+    x = torch.ones(5, 1, dtype=F64)
+    same(run(program, [x], HOST), run(program, [x], COMPILED))
+
+
+# --- rows that would lose their digits -------------------------------------------------------------------------------
+
+# some of its samples are beyond what float32 may magnify, all are far from singular
+MIXED = rods(6, tip=1000.0)
+
+
+def mixed(batch, dtype=F32):
+    q, qd, tau = (x.to(dtype) for x in random(3, batch, MIXED.n))
+    return 2 * q, qd, 10 * tau
+
+
+def test_rows_over_the_limit_are_recomputed_in_float64():
+    q, qd, tau = mixed(300)
+    lost = torchdq.error_growth(MIXED, q, backend="c") > LARGEST_GROWTH.single
+    assert 4 < lost.sum() < 296
+    found = torchdq.forward_dynamics(MIXED, q, qd, tau, backend="host")
+    exact = torchdq.forward_dynamics(MIXED, q.double(), qd.double(), tau.double(), backend="c")
+    assert ((found - exact).abs() / exact.abs().amax(-1, keepdim=True))[lost].max() <= 2 * EPS[F32]
+    agree([found], [torchdq.forward_dynamics(MIXED, q, qd, tau, backend="c")], 2.0**13)
+    same([torchdq.forward_dynamics(MIXED, q, qd, tau, backend="backwards")], [found])
+
+
+@pytest.mark.parametrize("dtype", [F32, F64], ids=str)
+def test_singular_rows_are_nan_and_alone(dtype):
+    q, qd, tau = mixed(200, dtype)
+    mass = MIXED.mass.to(dtype).repeat(200, 1)
+    mass[60] *= -1
+    robot = MIXED.to(dtype).replace(mass=mass, on_unphysical="ignore")
+    found = torchdq.forward_dynamics(robot, q, qd, tau, backend="host")
+    assert found[60].isnan().all()
+    others = [k for k in range(200) if k != 60]
+    same(
+        [found[others]],
+        [
+            torchdq.forward_dynamics(
+                robot.replace(mass=mass[others]), q[others], qd[others], tau[others], backend="host"
+            )
+        ],
+    )
+
+
+@pytest.mark.parametrize("batch", [1, 50, 300])
+def test_sums_contain_the_recomputed_rows(batch):
+    q, qd, tau = mixed(batch)
+
+    def gradient(backend, dtype=F32):
+        layer = torchdq.ForwardDynamics(MIXED, learn=("mass",))
+        with torchdq.backend(backend):
+            (layer(q.to(dtype), qd.to(dtype), tau.to(dtype)) ** 2).sum().backward()
+        return layer.parametrizations.mass.original.grad
+
+    exact = gradient("c", F64)
+    errors = [(gradient(backend) - exact).norm() for backend in ("host", "c")]
+    assert errors[0] <= 4 * errors[1] + EPS[F32] * exact.norm()
+    same([gradient("backwards")], [gradient("host")])
+
+
+# --- gradients -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+@pytest.mark.parametrize("robot", [TREE, PANDA], ids=lambda r: r.name)
+def test_gradients_equal_those_of_the_c_backend(robot, dtype):
+    s = states(robot, 70, dtype=dtype)
+
+    def gradients(backend):
+        layer = torchdq.DQRNEA(robot, learn=("mass", "com", "inertia"))
+        x = [v.clone().requires_grad_() for v in (s.q, s.qd, s.qdd)]
+        with torchdq.backend(backend):
+            (layer(*x) ** 2).sum().backward()
+        return [*(v.grad for v in x), *(p.grad for p in layer.parameters())]
+
+    agree(gradients("host"), gradients("c"), 512, dtype)
+    same(gradients("backwards"), gradients("host"))
+
+
+def test_first_and_second_derivatives_are_those_of_finite_differences():
+    x = [random(2, 2, seed=k).requires_grad_() for k in range(3)]
+    for name in ("inverse_dynamics", "forward_dynamics"):
+        function = getattr(torchdq, name)
+        gradcheck(lambda *x, f=function: f(TWO, *x, backend="host"), x)
+        gradgradcheck(lambda *x, f=function: f(TWO, *x, backend="host"), x)
+
+
+def test_torch_func_transforms_work():
+    s = states(TWO, 5)
+    with torchdq.backend("host"):
+        found = torch.func.vmap(torch.func.jacrev(lambda q: torchdq.inverse_dynamics(TWO, q)))(s.q)
+    agree([found], [torchdq.dynamics_jacobian(TWO, s.q, 0 * s.q, 0 * s.q)[0]], 256)
+
+
+# --- values that all samples share ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+def test_values_that_all_samples_share_are_computed_once_in_a_block(dtype):
+    def algorithm(x, p):
+        common = [applied("sin", p[0]) * p[1] + p[k] for k in range(4)]
+        weight = common[0] * common[1] * common[2] + common[3]
+        return {"y": [weight * x[0], common[0] - x[0]], "sum": [weight * x[1]], "alone": [weight]}
+
+    program = record("common", [Argument("x", 2), Argument("p", 4, uniform=True)], algorithm, ["sum"])
+    parts = split(program)
+    assert parts.rest.arguments[-1].width == 2 and not any(op.code == "sin" for op in parts.rest.ops)
+    x, p = random(300, 2, dtype=dtype), random(4, seed=1, dtype=dtype)
+    found = run(program, [x, p], HOST)
+    agree(found, run(program, [x, p], EAGER))
+    same(run(program, [x, p], BACKWARDS), found)
+
+
+def test_programs_without_enough_to_share_stay_whole():
+    layer = torchdq.compile(PANDA, "inverse_dynamics").program
+    little = record("little", [Argument("x", 1), Argument("p", 1, True)], lambda x, p: {"y": [(p[0] + 1.0) * x[0]]})
+    assert split(layer) is None and split(little) is None
+
+
+# --- programs of any width -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+def test_rows_too_wide_for_shared_memory_are_read_and_written_where_they_are(dtype):
+    def algorithm(x, y):
+        return {"wide": [a * y[0] for a in x], "sum": [a + y[1] for a in x], "narrow": [y[0] + x[-1]]}
+
+    program = record("wide", [Argument("x", 250), Argument("y", 2)], algorithm, ["sum"])
+    stage = cuda_source.staged(program, dtype == F32)
+    assert not stage.arguments & {0} and 0 not in stage.results and 2 in stage.results
+    x, y = random(70, 250, dtype=dtype), random(70, 2, seed=1, dtype=dtype)
+    found = run(program, [x, y], HOST)
+    agree(found, run(program, [x, y], EAGER))
+    same(run(program, [x, y], BACKWARDS), found)
+
+
+def test_chains_of_many_joints():
+    robot = rods(30)
+    s = states(robot, 40)
+    q, qd, tau = s.q, s.qd, s.qdd
+    agree(on("host", torchdq.inverse_dynamics, robot, q, qd, tau), on("c", torchdq.inverse_dynamics, robot, q, qd, tau))
+
+
+# --- scenes ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("dtype", [F64, F32], ids=str)
+def test_a_scene_with_sensors_steps_as_with_the_c_backend(dtype):
+    parts = (
+        effects.Gravity(),
+        effects.Viscous(0.5),
+        effects.Coulomb(0.3),
+        effects.Saturation(30.0),
+        effects.Lag(0.02),
+        effects.Noise(1e-3, 1e-3),
+    )
+    torque, noise = random(20, 7, dtype=dtype), 0.5 + 0.1 * random(20, 14, dtype=dtype).tanh()
+
+    def after(backend):
+        scene = Scene(PANDA, parts, dt=0.005)
+        with torchdq.backend(backend):
+            state = scene.start(random(20, 7, seed=1, dtype=dtype), noise=noise)
+            for _ in range(3):
+                state = scene.step(state, torque, noise=noise)
+        return list(state.rows().values())
+
+    agree(after("host"), after("c"), 2.0**12)
+    same(after("backwards"), after("host"))
+
+
+@pytest.mark.parametrize("mode", ["SameStep", "NextStep"])
+def test_a_step_of_environments_asks_the_device_nothing(mode, monkeypatch):
+    with torchdq.backend("host"):
+        envs = ArmVectorEnv(70, "reach", TWO, scale=20.0, max_episode_steps=2, autoreset_mode=mode)
+        envs._looks = False  # as on a GPU
+        envs.reset(seed=0)
+        envs.step(torch.zeros(70, 2))
+        asked = []
+        for name in ("item", "__bool__", "__int__", "__float__", "tolist", "nonzero", "cpu", "numpy"):
+            monkeypatch.setattr(torch.Tensor, name, lambda x, *a, name=name: asked.append(name))
+        monkeypatch.setattr(torch, "equal", lambda *a: asked.append("equal"))
+        truncated = envs.step(torch.zeros(70, 2))[3]
+        envs.step(torch.zeros(70, 2))
+        monkeypatch.undo()
+    assert not asked and bool(truncated.all())
+
+
+def test_exponential_and_logarithm_of_poses():
+    twist = random(40, 6)
+    with torchdq.backend("host"):
+        pose = torchdq.dq.exp(twist)
+        back = torchdq.dq.log(pose)
+    agree([pose], [torchdq.dq.exp(twist)])
+    agree([back], [torchdq.dq.log(pose)])
+
+
+# --- text ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_text_is_the_same_for_equal_programs():
+    program = record("sum", [Argument("x", 2)], lambda x: {"y": [x[0] + x[1]]})
+    again = record("sum", [Argument("x", 2)], lambda x: {"y": [x[0] + x[1]]})
+    assert cuda_source.source(program, True) == cuda_source.source(again, True)
+    assert function(cuda_source.source(program, True)) is function(cuda_source.source(again, True))

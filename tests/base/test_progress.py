@@ -1,0 +1,322 @@
+"""Lines about work that takes long, and warnings that are given once."""
+
+import importlib
+import re
+import runpy
+import signal
+import subprocess
+import sys
+import threading
+import time
+import warnings
+
+import numpy as np
+import pytest
+import torch
+
+import torchdq
+from torchdq import functional
+from torchdq.backends import c, c_library
+from torchdq.base import progress as notice
+from torchdq.base.progress import Notice, warn_once
+from torchdq.envs import Scene
+from torchdq.learning import MotionLimits, Samples, excite, fit, read
+from torchdq.learning.training.run import Run
+from torchdq.program import autodiff
+from torchdq.program import program as programs
+from torchdq.scene import recording
+from torchdq.scene.integrators import LinearlyImplicit, Repeated
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch):
+    monkeypatch.setattr(notice, "FIRST", 0.1)
+    monkeypatch.setattr(notice, "EVERY", 0.1)
+
+
+def told_until(capfd, pattern: str) -> str:
+    """What was written up to a line that matches, however late it comes."""
+    written, end = "", time.monotonic() + 300
+    while not re.search(pattern, written, re.MULTILINE):
+        assert time.monotonic() < end, written
+        time.sleep(0.02)
+        written += capfd.readouterr().err
+    return written
+
+
+def test_quick_work_is_silent(capfd, monkeypatch):
+    monkeypatch.setattr(notice, "FIRST", 60.0)
+    before = threading.active_count()
+    with Notice("counting"):
+        pass
+    time.sleep(0.1)
+    assert capfd.readouterr().err == "" and threading.active_count() == before
+
+
+def test_long_work_says_what_it_is_and_how_far(capfd):
+    with Notice("counting") as told:
+        first = told_until(capfd, r" \.\.\.$")
+        told.at("2 of 3")
+        later = told_until(capfd, "2 of 3(.|\n)*2 of 3")
+    assert re.fullmatch(r"(torchdq: counting, \d+ s \.\.\.\n)+", first)
+    assert re.fullmatch(r"(torchdq: counting, \d+ s \.\.\.\n)*(torchdq: counting, 2 of 3, \d+ s \.\.\.\n){2,}", later)
+    capfd.readouterr()
+    time.sleep(0.3)
+    assert capfd.readouterr().err == ""
+
+
+def test_where_the_work_is_can_be_asked_when_a_line_is_written(capfd):
+    counted = []
+    with Notice("counting") as told:
+        told.at(lambda: f"{len(counted)} so far")
+        counted.append(1)
+        assert "torchdq: counting, 1 so far, " in told_until(capfd, "so far")
+
+
+def test_the_first_line_comes_after_two_seconds_and_the_others_every_five():
+    assert (notice.FIRST, notice.EVERY) == (0.1, 0.1)  # here
+    said = runpy.run_path(notice.__file__)
+    assert (said["FIRST"], said["EVERY"]) == (2.0, 5.0)
+
+
+def test_errors_pass_and_end_the_lines(capfd):
+    with pytest.raises(ValueError, match="broken"), Notice("counting"):
+        raise ValueError("broken")
+    time.sleep(0.3)
+    assert capfd.readouterr().err == ""
+
+
+def test_an_interrupt_ends_the_work():
+    # a shell starts what runs in the background with interrupts ignored, and this suite perhaps, too
+    code = """
+import signal, time
+from torchdq.base.progress import Notice
+signal.signal(signal.SIGINT, signal.default_int_handler)
+with Notice("sleeping"):
+    print("here", flush=True)
+    time.sleep(60)
+"""
+    process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "here\n"
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=300)
+    assert process.returncode != 0 and "KeyboardInterrupt" in err
+
+
+def test_a_stream_that_is_closed_or_absent_stops_nothing(monkeypatch):
+    for stream in (None, open("/dev/null", "w")):  # noqa: SIM115
+        if stream is not None:
+            stream.close()
+        failed = []
+        monkeypatch.setattr(threading, "excepthook", failed.append)
+        monkeypatch.setattr(sys, "stderr", stream)
+        with Notice("counting"):
+            time.sleep(0.2)
+        assert failed == []
+
+
+def test_a_topic_is_warned_about_once_until_the_caches_are_cleared():
+    torchdq.clear_caches()
+    for expected in (1, 0):
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always")
+            warn_once("a topic of this test", "text")
+        assert len(found) == expected
+    torchdq.clear_caches()
+    with pytest.warns(UserWarning, match="text"):
+        warn_once("a topic of this test", "text")
+
+
+# --- recording of programs -------------------------------------------------------------------------------------------
+
+
+def test_programs_that_take_long_to_record_and_to_write_are_told_with_their_operations(monkeypatch):
+    torchdq.clear_caches()
+    told = {}
+
+    class Told(Notice):
+        def __exit__(self, *error):
+            super().__exit__(*error)
+            told[self.what] = self.where if isinstance(self.where, str) else self.where()
+
+    for module in (programs, c):
+        monkeypatch.setattr(module, "Notice", Told)
+    monkeypatch.setattr(c_library, "load", lambda *_: None)
+    program = Scene(torchdq.robots.load("two_link"), substeps=3).program()
+    autodiff.vjp(program, (0,))
+    autodiff.jvp(program, (0,))
+    autodiff.jacobian(program, (0,))
+    c.CompiledKernel(program, torch.float32)
+    for ending in ("", "_vjp", "_jvp", "_jacobian"):
+        number, words = told[f"recording step_two_link{ending}"].split()
+        assert int(number) > 100 and words == "operations"
+    assert told["writing step_two_link in C"] == ""
+
+
+def test_substeps_that_no_program_can_hold_are_refused_after_the_first(monkeypatch):
+    monkeypatch.setattr(recording, "MOST_OPERATIONS", 1000)
+    scene = Scene(torchdq.robots.load("two_link"), substeps=20)
+    state = scene.start(torch.ones(2))
+    with pytest.raises(torchdq.ArgumentError, match=r"substeps must be few .* found 20, .*Repeated\(Linear.*, 20\)"):
+        scene.step(state)
+    monkeypatch.undo()
+    alike = scene.replace(substeps=1, integrator=Repeated(LinearlyImplicit(), 20))
+    torch.testing.assert_close(scene.step(state).q, alike.step(state).q)
+    start = time.monotonic()
+    with pytest.raises(torchdq.ArgumentError, match="substeps must be few"):
+        scene.replace(substeps=10**6).step(state)
+    assert time.monotonic() - start < 5
+
+
+# --- work that tells how far it is, and that Ctrl-C ends without loss -------------------------------------------------
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """Lines that could be written, in their order: what is being done, and how far it is."""
+    lines = []
+    monkeypatch.setattr(Notice, "__enter__", lambda self: lines.append(self.what) or self)
+    monkeypatch.setattr(Notice, "__exit__", lambda *_: None)
+    monkeypatch.setattr(Notice, "at", lambda self, where: lines.append(f"{self.what}, {where}"))
+    return lines
+
+
+def motion(rows=400):
+    """Arrays of a smooth motion of two joints."""
+    time = 0.01 * np.arange(rows)
+    q, qd = (
+        np.stack([np.sin(3 * time), np.cos(5 * time)], 1),
+        np.stack([3 * np.cos(3 * time), -5 * np.sin(5 * time)], 1),
+    )
+    return {"time": time, "q": q, "qd": qd, "tau": qd + np.sin(2 * q)}
+
+
+def two_link_samples():
+    data = motion()
+    q, qd, tau = (torch.tensor(data[name]) for name in ("q", "qd", "tau"))
+    return Samples(q, qd, torch.zeros_like(q), tau)
+
+
+def test_what_is_left_out_to_measure_a_residual_tells_its_networks_and_steps(told):
+    model = torchdq.ResidualDynamics(torchdq.DQRNEA(torchdq.robots.load("two_link")), hidden=(4,))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        fit(model, two_link_samples(), steps=3, batch=64)
+    said = [line for line in told if line.startswith("measuring the residual")]
+    assert said[0] == "measuring the residual on left-out rows"
+    networks = int(said[1].split(" of ")[1].split(",")[0])
+    expected = [f"network {k + 1} of {networks}, step {i + 1} of 3" for k in range(networks) for i in range(3)]
+    assert networks > 1 and said[1:] == [f"measuring the residual on left-out rows, {where}" for where in expected]
+
+
+def test_the_search_for_a_motion_tells_its_stages_and_steps(told, monkeypatch):
+    monkeypatch.setattr(importlib.import_module("torchdq.learning.excitation.excite"), "STAGES", ((1, 2), (2, 3)))
+    limits = MotionLimits(lower=[-1.0, -1.0], upper=[1.0, 1.0], velocity=2.0, effort=100.0)
+    excite(torchdq.robots.load("two_link"), 2.0, limits, restarts=4, harmonics=2)
+    steps = [f"stage 1 of 2, step {i} of 2" for i in (1, 2)] + [f"stage 2 of 2, step {i} of 3" for i in (1, 2, 3)]
+    told = [line.partition(", ")[2] for line in told if line.startswith("finding a motion")]
+    assert told == ["", *steps, "checking the limits"]
+
+
+def test_reading_a_log_is_told(told, tmp_path):
+    data = motion()
+    path = tmp_path / "log.csv"
+    columns = np.column_stack([data[name] for name in ("time", "q", "qd", "tau")])
+    np.savetxt(path, columns, delimiter=",", header="time,q1,q2,qd1,qd2,tau1,tau2", comments="", fmt="%.12g")
+    read(path)
+    assert told == [f"reading {path}"]
+    read(data)
+    assert told[1:] == ["reading a log"]
+
+
+def interrupted_after(monkeypatch, steps):
+    """Make the step after so many the one at which Ctrl-C is pressed."""
+    done, advance = [], Run.advance
+
+    def pressed(run, rate):
+        if len(done) == steps:
+            raise KeyboardInterrupt
+        done.append(advance(run, rate))
+
+    monkeypatch.setattr(Run, "advance", pressed)
+
+
+@pytest.mark.parametrize("kept", [False, True])
+@pytest.mark.parametrize("steps", [2, 7])
+def test_an_interrupted_fit_says_what_is_left_and_goes_on_from_there(kept, steps, monkeypatch, tmp_path):
+    data, robot = two_link_samples(), torchdq.robots.load("two_link")
+    path = tmp_path / "run.pt" if kept else None
+    how = dict(steps=10, every=5, batch=64, checkpoint=path)
+    whole = torchdq.DQRNEA(robot, learn="mass")
+    fit(whole, data, **(how | {"checkpoint": None}))
+
+    model = torchdq.DQRNEA(robot, learn="mass")
+    interrupted_after(monkeypatch, steps)
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        fit(model, data, **how)
+    (note,) = stopped.value.__notes__
+    assert note.startswith(f"fit stopped at step {steps} of 10: the model has the weights of that step; with ")
+    if not kept:
+        assert note.endswith("with checkpoint=..., the same call would go on")
+        return
+    found = "goes on from its last evaluation" if steps >= 5 else "begins anew: none was written yet"
+    assert note.endswith(f"with the checkpoint {path}, the same call {found}")
+    assert {file.name for file in tmp_path.iterdir()} == ({"run.pt"} if steps >= 5 else set())
+    monkeypatch.undo()
+    again = torchdq.DQRNEA(robot, learn="mass")
+    assert fit(again, data, **how).step == [5, 10]
+    torch.testing.assert_close(again.robot.mass, whole.robot.mass, rtol=1e-12, atol=0)
+
+
+# --- programs of single frames ---------------------------------------------------------------------------------------
+
+
+def frame_by_frame(robot, name):
+    """Calls for every frame of a robot, one by one, with the warnings."""
+    q = torch.zeros(robot.n, dtype=torch.float64)
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        for frame in robot.frame_names:
+            getattr(torchdq, name)(robot, q, frame, backend="eager")
+    return [(str(one.message), one.filename) for one in seen]
+
+
+@pytest.mark.parametrize("name", ["forward_kinematics", "jacobian"])
+def test_frames_one_by_one_are_told_once_when_their_programs_took_long(name, monkeypatch):
+    torchdq.clear_caches()
+    robot = torchdq.robots.load("panda")
+    monkeypatch.setattr(functional, "FIRST", 0.0)
+    ((text, file),) = frame_by_frame(robot, name)
+    assert text.startswith(f"{name} built 3 programs in 0.") and "one for each frame of robot 'panda'; " in text
+    assert file == __file__ and ("frame=[...] takes" in text) == (name == "forward_kinematics")
+    assert frame_by_frame(robot, name) == []
+    assert len(frame_by_frame(torchdq.robots.load("ur10e"), name)) == 1
+
+
+def test_quick_programs_and_programs_that_are_there_are_no_reason_to_warn(monkeypatch):
+    torchdq.clear_caches()
+    monkeypatch.setattr(functional, "FIRST", 1e9)
+    robot = torchdq.robots.load("panda")
+    assert frame_by_frame(robot, "forward_kinematics") == []
+    monkeypatch.setattr(functional, "FIRST", 0.0)
+    assert frame_by_frame(robot, "forward_kinematics") == []  # nothing is built
+
+
+def test_several_frames_come_from_one_program():
+    torchdq.clear_caches()
+    robot, q = torchdq.robots.load("panda"), torch.ones(3, 7, dtype=torch.float64)
+    names = ["tip", "panda_link3", "base"]
+    found = torchdq.forward_kinematics(robot, q, names)
+    assert found.shape == (3, 3, 8) and functional.recordings() == 1
+    each = [torchdq.forward_kinematics(robot, q, name) for name in names]
+    torch.testing.assert_close(found, torch.stack(each, -2), rtol=1e-14, atol=1e-14)
+    assert torchdq.forward_kinematics(robot, q, ["tip"]).shape == (3, 1, 8)
+
+
+@pytest.mark.parametrize("frames", [[], 5, ["tip", "hand"], [1]], ids=repr)
+def test_frames_that_are_none_are_refused(frames):
+    robot = torchdq.robots.load("panda")
+    with pytest.raises(
+        torchdq.TorchdqError, match=r"frame must (name one|be a name or a seq)|no frame .* named 'hand'"
+    ):
+        torchdq.forward_kinematics(robot, torch.zeros(7), frames)

@@ -1,0 +1,913 @@
+"""Hard cases of time: orders, energy, reversal, adaptive steps, long gradients, stiffness, friction, limits, lost rows.
+
+What test_integrators.py, test_effects.py and test_scene.py hold already is marked there; here is single precision, the
+compiled programs, second derivatives, and physics that those do not ask for. References are closed solutions, mpmath,
+and scipy's DOP853 on pinocchio's accelerations.
+"""
+
+import math
+from functools import cache
+
+import mpmath
+import numpy as np
+import pinocchio as pin
+import pytest
+import torch
+from helpers import FIXED, called, double, one_thread, random  # noqa: F401
+from oracles import EPS, pinocchio_model, shipped
+from scipy.integrate import solve_ivp
+from torch.utils._python_dispatch import TorchDispatchMode
+
+import torchdq
+from torchdq import dq
+from torchdq.backends import c_library as build
+from torchdq.envs import Scene, State, effects
+from torchdq.scene.integrators import (
+    DormandPrince,
+    ExplicitEuler,
+    LinearlyImplicit,
+    RungeKutta4,
+    SemiImplicitEuler,
+    StoermerVerlet,
+    System,
+)
+
+F32, F64 = torch.float32, torch.float64
+C = pytest.param("c", marks=pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler"))
+every_backend = pytest.mark.parametrize("backend", ["eager", C])
+every_dtype = pytest.mark.parametrize("dtype", [F64, F32], ids=["f64", "f32"])
+compiled = pytest.mark.parametrize("backend", [C])
+
+ARM = shipped("two_link").robot
+INERTIA = 0.01
+WHEEL = torchdq.Robot.from_screws(
+    [[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], [1.0], [[0.0, 0.0, 0.0]], [np.diag([INERTIA] * 3)], name="wheel"
+)
+
+
+def rolled(scene, state, steps, torque=None, **inputs):
+    for _ in range(steps):
+        state = scene.step(state, torque, **inputs)
+    return state
+
+
+def trace(scene, state, steps, torque=None, **inputs):
+    """States at the beginning and after every step."""
+    found = [state]
+    for _ in range(steps):
+        found.append(scene.step(found[-1], torque, **inputs))
+    return State(*(torch.stack(x) for x in list(zip(*found, strict=True))[:2]))
+
+
+def cast(state, dtype):
+    return State(state.q.to(dtype), state.qd.to(dtype))
+
+
+def largest(a, b):
+    """Largest difference of two states, or of rows of tensors."""
+    return float(np.max([float((x.double() - y.double()).abs().max()) for x, y in zip(a, b, strict=True)]))
+
+
+def swinging(dtype=F64):
+    """The double pendulum let go from where it swings regularly."""
+    return cast(State(double(-math.pi / 2 + 0.6, 0.4), double(0.0, 0.0)), dtype)
+
+
+# --- T1: orders ------------------------------------------------------------------------------------------------------
+
+# order, and steps in half a second at the coarsest; the pair of order 5 takes its largest steps where no error is too
+# large for it: a fixed pattern in every dt
+ORDERS = {
+    ExplicitEuler(): (1, 64),
+    SemiImplicitEuler(): (1, 64),
+    LinearlyImplicit(): (1, 64),
+    StoermerVerlet(): (2, 16),
+    RungeKutta4(): (4, 16),
+    DormandPrince(1e6, 1e6): (5, 8),
+}
+
+
+@cache
+def ends_by_scipy():
+    """Starts and ends of half a second of the arm with damping 0.3."""
+    case = shipped("two_link")
+    starts, data = 0.5 * torch.cat([*random(2, 8, 2, seed=3)], -1), case.model.createData()
+
+    def rates(_, y):
+        return np.concatenate([y[2:], pin.aba(case.model, data, y[:2], y[2:], -0.3 * y[2:])])
+
+    ends = [solve_ivp(rates, (0.0, 0.5), y, method="DOP853", rtol=2.3e-14, atol=1e-16).y[:, -1] for y in starts.numpy()]
+    return State(*starts.split(2, -1)), State(*torch.from_numpy(np.array(ends)).split(2, -1))
+
+
+def damped(integrator, backend, k):
+    parts = (effects.Gravity(), effects.Viscous(0.3))
+    return Scene(ARM, parts, integrator=integrator, dt=0.5 / k, backend=backend)
+
+
+@pytest.mark.case("T1")
+@compiled
+@pytest.mark.parametrize("integrator", ORDERS, ids=called)
+def test_the_error_falls_with_the_order_over_four_halvings(integrator, backend, margin):
+    order, coarsest = ORDERS[integrator]
+    starts, ends = ends_by_scipy()
+    steps = coarsest * 2 ** np.arange(5)
+    with torch.no_grad():
+        found = [rolled(damped(integrator, backend, int(k)), starts, int(k)) for k in steps]
+    errors = [float((torch.cat(x[:2]) - torch.cat(ends[:2])).norm()) for x in found]
+    assert errors[-1] > 1e4 * EPS[F64]  # above rounding
+    assert integrator.order == order
+    margin(abs(-np.polyfit(np.log2(steps), np.log2(errors), 1)[0] - order), 0.15, called(integrator))
+
+
+@pytest.mark.case("T1")
+@every_backend
+@pytest.mark.parametrize("integrator", FIXED, ids=called)
+def test_single_precision_follows_to_its_rounding(integrator, backend, margin):
+    starts, _ = ends_by_scipy()
+    with torch.no_grad():
+        exact = rolled(damped(integrator, backend, 64), starts, 64)
+        found = rolled(damped(integrator, backend, 64), cast(starts, F32), 64)
+    assert found.q.dtype == F32
+    size = float(torch.cat(exact[:2]).abs().max())
+    margin(largest(found[:2], exact[:2]) / size, 4 * EPS[F32] * 64**0.5, called(integrator))
+
+
+# --- T2: energy ------------------------------------------------------------------------------------------------------
+
+
+def drift(integrator, backend, h, steps, dtype=F64, substeps=10):
+    """Error of the energy at every tenth step, relative to that of the swing, and its slope per step."""
+    scene = Scene(ARM, (effects.Gravity(),), integrator=integrator, dt=substeps * h, substeps=substeps, backend=backend)
+    with torch.no_grad():
+        states = trace(scene, swinging(dtype), steps // substeps)
+        energy = scene.energy(cast(states, F64)).sum(-1)
+        lowest = scene.energy(State(double(-math.pi / 2, 0.0), double(0.0, 0.0))).sum()
+    error = ((energy - energy[0]) / (energy[0] - lowest)).numpy()
+    return error, np.polyfit(substeps * np.arange(len(error)), error, 1)[0]
+
+
+# the step, the slope of the relative energy per step that was measured, and what may become of it
+DRIFT = {
+    ExplicitEuler(): (2e-3, 1.45e-4),
+    SemiImplicitEuler(): (2e-3, 3.0e-6),
+    LinearlyImplicit(): (2e-3, 3.0e-6),
+    RungeKutta4(): (5e-3, 1.9e-12),
+    StoermerVerlet(): (5e-3, 1e-10),
+}
+
+
+@pytest.mark.case("T2")
+@compiled
+@pytest.mark.parametrize("integrator", DRIFT, ids=called)
+def test_the_energy_of_a_double_pendulum_drifts_as_stated_over_1e5_steps(integrator, backend, margin):
+    h, slope = DRIFT[integrator]
+    error, found = drift(integrator, backend, h, 100_000)
+    if isinstance(integrator, StoermerVerlet):
+        margin(abs(found), 1e-9, "slope of the energy per step, StoermerVerlet")
+        margin(np.abs(error).max(), 1.5e-4, "band of the energy, StoermerVerlet")
+        return
+    # those that are not symplectic drift, and neither more nor less than they did
+    margin(abs(found), 1.5 * slope, f"slope of the energy per step, {called(integrator)}")
+    assert abs(found) > slope / 1.5
+    assert (found > 0) == (not isinstance(integrator, RungeKutta4))
+
+
+@pytest.mark.case("T2")
+@compiled
+def test_the_energy_of_adaptive_steps_is_kept_to_tolerance(backend, margin):
+    error, _ = drift(DormandPrince(1e-9, 1e-12), backend, 0.5, 20, substeps=1)
+    margin(np.abs(error).max(), 20 * 1e-9, "energy over 10 s, DormandPrince")
+
+
+@pytest.mark.case("T2")
+@compiled
+def test_in_single_precision_the_band_is_as_narrow_and_wanders_by_rounding(backend, margin):
+    error, found = drift(StoermerVerlet(), backend, 5e-3, 100_000, F32)
+    margin(abs(found), 0.2 * EPS[F32], "slope of the energy per step")
+    margin(np.abs(error).max(), 1.5e-4 + 0.1 * EPS[F32] * 100_000, "band of the energy")
+
+
+# --- T3: reversal and momenta ----------------------------------------------------------------------------------------
+
+# a cart on a rail with a double pendulum, and the arm without gravity: nothing acts along the first joint
+CART = torchdq.Robot.from_screws(
+    [[0, 0, 0, 1.0, 0, 0], [0, 0, 1.0, 0, 0, 0], [0, 0, 1.0, 0, -0.5, 0]],
+    [2.0, 1.0, 0.7],
+    [[0, 0, 0], [0.3, 0, 0], [0.9, 0.1, 0]],
+    [np.diag([0.1, 0.2, 0.3])] * 3,
+    name="cart",
+)
+
+
+@pytest.mark.case("T3")
+@compiled
+@every_dtype
+@pytest.mark.parametrize("integrator", [StoermerVerlet(), RungeKutta4()], ids=called)
+@pytest.mark.parametrize("robot", [ARM, CART], ids=["about an axis", "along a rail"])
+def test_a_momentum_that_nothing_acts_on_is_kept(robot, integrator, dtype, backend, margin):
+    """By pinocchio's mass matrix; 1e4 steps of 2.5 ms."""
+    scene = Scene(robot, integrator=integrator, dt=2.5e-3, backend=backend)
+    with torch.no_grad():
+        q, qd = (x[::10] for x in trace(scene, cast(State(*random(2, robot.n, seed=4)), dtype), 10_000)[:2])
+    model = pinocchio_model(robot)
+    data = model.createData()
+    pairs = zip(q.double().numpy(), qd.double().numpy(), strict=True)
+    momentum = [(pin.crba(model, data, x) @ v)[0] for x, v in pairs]
+    size = np.abs(momentum[0])
+    assert (qd[:, 1] - qd[0, 1]).abs().max() > 0.1
+    drift = np.abs(np.array(momentum) - momentum[0]).max() / size
+    # Runge-Kutta keeps it to its order, Verlet to rounding
+    order = 1e-10 if isinstance(integrator, RungeKutta4) else 0.0
+    margin(drift, order + 0.5 * EPS[dtype] * 10_000, f"{robot.name}, {called(integrator)}, {dtype}")
+
+
+@pytest.mark.case("T3")
+@compiled
+@pytest.mark.parametrize("integrator, factor", [(StoermerVerlet(), 2.0), (RungeKutta4(), 0.05)], ids=["Verlet", "RK4"])
+def test_in_single_precision_a_motion_played_back_returns_to_rounding(integrator, factor, backend, margin):
+    scene = Scene(ARM, (effects.Gravity(),), integrator=integrator, dt=1e-3, backend=backend)
+    with torch.no_grad():
+        there = rolled(scene, swinging(F32), 1000)
+        back = rolled(scene, State(there.q, -there.qd), 1000)
+    margin(largest([back.q, -back.qd], swinging()[:2]), factor * 1000 * EPS[F32], called(integrator))
+
+
+# --- T5, T6, T7: adaptive steps --------------------------------------------------------------------------------------
+
+
+class Spring(System):
+    """x'' = -x, which counts how often it is asked."""
+
+    def __init__(self, calls):
+        self.calls = calls
+
+    def accelerations(self, x, v):
+        self.calls.append(1)
+        return [-x[0]]
+
+
+def evaluations(rtol, atol, dtype, T=5.0):
+    """End of x'' = -x by tolerances, and how often its right side was asked for."""
+    calls = []
+    spring = Spring(calls)
+    x, v = DormandPrince(rtol, atol).flow(spring, torch.ones(1, dtype=dtype), torch.zeros(1, dtype=dtype), T)
+    return float(x), float(v), len(calls)
+
+
+@pytest.mark.case("T5")
+@every_dtype
+def test_a_tolerance_below_rounding_ends_and_costs_no_more_than_one_at_it(dtype, margin):
+    x, v, number = evaluations(1e-30, 1e-300 if dtype == F64 else 1e-38, dtype)
+    _, _, at_rounding = evaluations(100 * EPS[dtype], 1e-300 if dtype == F64 else 1e-38, dtype)
+    assert number == at_rounding
+    margin(max(abs(x - math.cos(5.0)), abs(v + math.sin(5.0))), 100 * EPS[dtype], f"{dtype}")
+
+
+@pytest.mark.case("T5")
+def test_a_tolerance_below_rounding_is_told():
+    with pytest.warns(UserWarning, match="rtol"):
+        evaluations(1e-12, 1e-30, F32, T=0.1)
+
+
+@pytest.mark.case("T5", "T6")
+@every_backend
+@every_dtype
+def test_samples_with_adaptive_steps_are_bitwise_what_they_are_alone(dtype, backend):
+    """Beside a stiff one, a fast one, one that is lost, and one that is infinite."""
+    q, qd = random(2, 6, 2, seed=1, dtype=dtype)
+    qd[2] *= 20
+    q[3, 0], qd[4, 1] = math.nan, math.inf
+    stiffness = torch.full((6, 2), 10.0, dtype=dtype)
+    stiffness[1] = 1e5
+    parts = (effects.Gravity(), effects.Spring(stiffness))
+
+    def end(rows):
+        made = (parts[0], effects.Spring(stiffness[rows]))
+        scene = Scene(ARM, made, integrator=DormandPrince(1e-4, 1e-6), dt=0.02, backend=backend)
+        with torch.no_grad():
+            return scene.step(State(q[rows], qd[rows]))
+
+    together = end(slice(0, 6))
+    for i in range(6):
+        for a, b in zip(end(slice(i, i + 1))[:2], together[:2], strict=True):
+            assert torch.equal(a[0].nan_to_num(99.0), b[i].nan_to_num(99.0))
+    assert together.q[[0, 1, 2, 5]].isfinite().all()
+    assert together.q[[3, 4]].isnan().all()
+
+
+WEIGHTS = double(1.0, -2.0, 0.5, 0.3)
+
+
+def flowed(rtol, backend):
+    """Weighted end of an adaptive step as a function of position, velocity and damping [..., 6]."""
+
+    def end(x):
+        parts = (effects.Gravity(), effects.Viscous(x[..., 4:]))
+        scene = Scene(ARM, parts, integrator=DormandPrince(rtol, 1e-2 * rtol), dt=0.2, backend=backend)
+        after = scene.step(State(x[..., :2], x[..., 2:4]))
+        return torch.cat(after[:2], -1) @ WEIGHTS.to(x.dtype)
+
+    return end
+
+
+POINT = double(0.3, -0.4, 0.8, -0.5, 0.3, 0.5)
+
+
+def differences(f, x, h):
+    """Derivatives [n, ...] of a function of rows by central differences of sixth order, all rows at once."""
+    places = torch.tensor([-3, -2, -1, 1, 2, 3], dtype=F64)
+    weights = torch.tensor([-1, 9, -45, 45, -9, 1], dtype=F64) / 60
+    steps = places[:, None, None] * torch.diag(torch.as_tensor(h, dtype=F64).expand(len(x)))
+    y = f((x + steps).flatten(0, 1)).unflatten(0, (6, len(x)))
+    return torch.einsum("k,ki...->i...", weights, y) / torch.as_tensor(h, dtype=F64).expand(len(x)).view(
+        -1, *[1] * (y.ndim - 2)
+    )
+
+
+@cache
+def slope_of_the_flow():
+    with torch.no_grad():
+        return differences(flowed(1e-12, "eager"), POINT, 0.01)
+
+
+def gradient_of(end, x):
+    x = x.detach().clone().requires_grad_()
+    return torch.autograd.grad(end(x).sum(), x)[0]
+
+
+@pytest.mark.case("T7")
+@every_backend
+def test_gradients_through_adaptive_steps_are_finite_differences(backend, margin):
+    gradient = slope_of_the_flow()
+    found = gradient_of(flowed(1e-10, backend), POINT)
+    margin((found - gradient).abs().max() / gradient.abs().max(), 10 * 1e-10, "gradient at a tolerance of 1e-10")
+
+
+@pytest.mark.case("T7")
+@compiled
+def test_second_derivatives_through_adaptive_steps_are_finite_differences(backend, margin):
+    hessian = differences(lambda y: gradient_of(flowed(1e-12, backend), y), POINT, 0.01)
+    x = POINT.clone().requires_grad_()
+    (slope,) = torch.autograd.grad(flowed(1e-10, backend)(x), x, create_graph=True)
+    found = torch.stack([torch.autograd.grad(y, x, retain_graph=True)[0] for y in slope])
+    margin((found - found.mT).abs().max() / found.abs().max(), 16 * EPS[F64], "symmetry of the Hessian")
+    margin((found - hessian).abs().max() / hessian.abs().max(), 10 * 1e-10, "Hessian at a tolerance of 1e-10")
+
+
+@pytest.mark.case("T7")
+@compiled
+@pytest.mark.parametrize("rtol, dtype", [(1e-2, F64), (1e-3, F64), (1e-4, F64), (1e-4, F32)], ids=str)
+def test_gradients_at_a_loose_tolerance_are_off_by_about_as_much(rtol, dtype, backend, margin):
+    gradient = slope_of_the_flow()
+    found = gradient_of(flowed(rtol, backend), POINT.to(dtype))
+    margin((found - gradient).abs().max() / gradient.abs().max(), rtol, f"gradient at a tolerance of {rtol:g}")
+
+
+# --- T8: long gradients ----------------------------------------------------------------------------------------------
+
+
+def after_a_thousand(integrator, backend):
+    """End of a rollout of a damped arm that is driven, as a function of state, damping and torque [..., 8]."""
+
+    def end(x):
+        parts = (effects.Gravity(), effects.Viscous(x[..., 4:6]), effects.Coulomb(0.3, 0.1))
+        scene = Scene(ARM, parts, integrator=integrator, dt=2e-3, backend=backend)
+        after = rolled(scene, State(x[..., :2], x[..., 2:4]), 1000, x[..., 6:])
+        return torch.cat(after[:2], -1) @ WEIGHTS.to(x.dtype)
+
+    return end
+
+
+DRIVEN = double(0.3, -0.4, 0.8, -0.5, 4.0, 2.0, 1.0, -0.5)
+
+
+@pytest.mark.case("T8")
+@compiled
+@pytest.mark.parametrize(
+    "integrator", [SemiImplicitEuler(), LinearlyImplicit(), RungeKutta4(), StoermerVerlet()], ids=called
+)
+def test_gradients_through_a_thousand_steps_are_finite_differences(integrator, backend, margin):
+    end = after_a_thousand(integrator, backend)
+    found = gradient_of(end, DRIVEN)
+    with torch.no_grad():
+        expected = differences(end, DRIVEN, 1e-3)
+    margin((found - expected).abs().max() / found.abs().max(), 1e-10, called(integrator))
+
+
+@pytest.mark.case("T8")
+@compiled
+@pytest.mark.parametrize("integrator", [SemiImplicitEuler(), RungeKutta4()], ids=called)
+def test_in_single_precision_gradients_through_a_thousand_steps_are_as_good(integrator, backend, margin):
+    exact = gradient_of(after_a_thousand(integrator, backend), DRIVEN)
+    found = gradient_of(after_a_thousand(integrator, backend), DRIVEN.float())
+    margin((found - exact).abs().max() / exact.abs().max(), 4 * EPS[F32] * 1000**0.5, called(integrator))
+
+
+@pytest.mark.case("T8")
+def test_gradients_operation_by_operation_stay_finite_as_long(margin):
+    """The same as compiled, within what the order of operations does to single precision."""
+    found = gradient_of(after_a_thousand(SemiImplicitEuler(), "eager"), DRIVEN.float())
+    assert found.isfinite().all()
+    if build.compiler() is not None:
+        exact = gradient_of(after_a_thousand(SemiImplicitEuler(), "c"), DRIVEN)
+        margin((found - exact).abs().max() / exact.abs().max(), 4 * EPS[F32] * 1000**0.5, "eager")
+
+
+@pytest.mark.case("T8")
+@compiled
+@every_dtype
+def test_gradients_without_damping_grow_but_stay_numbers(dtype, backend):
+    """The pendulum thrown over, where a thousand steps of 10 ms amplify a disturbance a millionfold."""
+    scene = Scene(ARM, (effects.Gravity(),), integrator=RungeKutta4(), dt=1e-2, backend=backend)
+    q = double(2.2, 2.5).to(dtype).requires_grad_()
+    sizes = []
+    for steps in (10, 100, 1000):
+        end = rolled(scene, State(q, torch.zeros_like(q)), steps)
+        sizes.append(float(torch.autograd.grad(end.q.sum(), q)[0].norm()))
+    assert all(map(math.isfinite, sizes))
+    assert sizes[0] < sizes[1] < sizes[2]
+
+
+# --- T9: stiff servos ------------------------------------------------------------------------------------------------
+
+# w h beyond which a critically damped servo is unstable: 2 (sqrt 2 - 1), 2, and where |1 + z + ... + z^4/24| = 1
+BOUNDS = {SemiImplicitEuler(): 2 * (math.sqrt(2) - 1), ExplicitEuler(): 2.0, RungeKutta4(): 2.785293563405282}
+
+
+@pytest.mark.case("T9")
+@compiled
+@every_dtype
+@pytest.mark.parametrize("integrator", BOUNDS, ids=called)
+def test_explicit_integrators_are_stable_up_to_their_bound_and_no_further(integrator, dtype, backend, margin):
+    h, ratio = 2e-3, double(*np.linspace(0.9, 1.1, 41))[:, None]
+    w = BOUNDS[integrator] * ratio / h
+    scene = Scene(
+        WHEEL, (effects.Servo(INERTIA * w**2, 2 * INERTIA * w),), integrator=integrator, dt=h, backend=backend
+    )
+    with torch.no_grad():
+        start = State(torch.ones(41, 1, dtype=dtype), torch.zeros(41, 1, dtype=dtype))
+        q = rolled(scene, start, 3000, target=torch.zeros(1, dtype=dtype)).q
+    bounded = (q.abs() < 1.0)[:, 0]
+    assert (~bounded[1:] | bounded[:-1]).all()  # all that are stable lie below all that are not
+    edge = float(ratio[bounded].max())
+    margin(abs(edge - 1.0), 0.01, called(integrator))
+
+
+@pytest.mark.case("T9")
+@every_backend
+@every_dtype
+def test_implicit_servos_of_any_gain_arrive_without_overshoot(dtype, backend, margin):
+    """Critically damped, w h from 0.1 to 1e5 (200 Hz at 2 ms is 2.5); 5 % would be allowed."""
+    h = 2e-3
+    w = torch.cat([torch.logspace(-1, 5, 25, dtype=F64), double(2 * math.pi * 200 * h)])[:, None] / h
+    scene = Scene(
+        WHEEL, (effects.Servo(INERTIA * w**2, 2 * INERTIA * w),), integrator=LinearlyImplicit(), dt=h, backend=backend
+    )
+    start = State(torch.zeros(26, 1, dtype=dtype), torch.zeros(26, 1, dtype=dtype))
+    with torch.no_grad():
+        q = trace(scene, start, 400, target=torch.ones(1, dtype=dtype)).q
+    margin(max(float(q.max()) - 1.0, 0.0), 0.05, "overshoot")
+    margin((q[-1] - 1.0).abs().max(), 16 * EPS[dtype], "what is left after 400 steps")
+
+
+@pytest.mark.case("T9")
+@compiled
+@every_dtype
+def test_a_servo_of_200_hertz_at_2_milliseconds_is_that_of_tiny_steps_once_it_rests(dtype, backend, margin):
+    """On an arm under gravity; on the way there a first-order step of a fortieth of a period has no more to say."""
+    w = 2 * math.pi * 200
+    kp, kd = (w**2 * double(1.0, 0.3)).tolist(), (2 * w * double(1.0, 0.3)).tolist()
+    parts, target = (effects.Gravity(), effects.Servo(kp, kd)), double(0.7, -0.4).to(dtype)
+    start = State(torch.zeros(2, dtype=dtype), torch.zeros(2, dtype=dtype))
+    with torch.no_grad():
+        coarse, fine = (
+            trace(Scene(ARM, parts, integrator=LinearlyImplicit(), dt=h, backend=backend), start, steps, target=target)
+            for h, steps in ((2e-3, 100), (4e-5, 5000))
+        )
+    over = ((coarse.q - target) * target.sign()).max() / target.abs().max()
+    margin(max(float(over), 0.0), 0.05, "overshoot")
+    margin(largest([coarse.q[-1]], [fine.q[-1]]) / 0.7, 64 * EPS[dtype], "end")
+
+
+# --- T10: dry friction -----------------------------------------------------------------------------------------------
+
+
+def creeping(level, tau, width):
+    """Speed at which friction of that level holds a torque below it."""
+    return width * tau / (level**2 - tau**2) ** 0.5
+
+
+@pytest.mark.case("T10")
+@every_backend
+@every_dtype
+def test_creep_is_that_of_the_width_and_so_are_its_derivatives(dtype, backend, margin):
+    """Speed, and its first and second derivatives in torque, level and width, when it has settled."""
+    tau, level = (x.to(dtype) for x in (double(0.1, 0.5, 0.9)[:, None, None], double(1.0)))
+    width = double(1e-2, 1e-4, 1e-6)[:, None].to(dtype)
+    x = [v.expand(3, 3, 1).clone().requires_grad_() for v in (tau, level, width)]
+    # the width is a number per sample, without an axis for the joints
+    parts = (effects.Coulomb(x[1], x[2][..., 0]),)
+    scene = Scene(WHEEL, parts, integrator=LinearlyImplicit(), dt=0.01, backend=backend)
+    state = State(torch.zeros(3, 3, 1, dtype=dtype), torch.zeros(3, 3, 1, dtype=dtype))
+    for _ in range(200):
+        state = scene.step(state, x[0])
+    slopes = torch.autograd.grad(state.qd.sum(), x, create_graph=True)
+    curves = torch.autograd.grad(slopes[0].sum(), x)
+    y = [v.detach().double().requires_grad_() for v in x]
+    exact = creeping(y[1], y[0], y[2])
+    exact_slopes = torch.autograd.grad(exact.sum(), y, create_graph=True)
+    exact_curves = torch.autograd.grad(exact_slopes[0].sum(), y)
+    # near the level the speed is ill-conditioned in the torque: 1 / (1 - share^2), squared for the curvature
+    c = 1 / (1 - y[0].detach() ** 2)
+    for what, found, expected, condition in (
+        ("speed", [state.qd], [exact], c),
+        ("gradient", slopes, exact_slopes, c**2),
+        ("curvature", curves, exact_curves, c**3),
+    ):
+        off = max(
+            float(((a.detach() - b.detach()) / (condition * b.detach().abs())).abs().max())
+            for a, b in zip(found, expected, strict=True)
+        )
+        margin(off, 64 * EPS[dtype], f"{what} of creep, {dtype}")
+
+
+def slowed(v, tau, level, width, h=0.01):
+    """Velocity after a linearly implicit step of the wheel."""
+    damping = level / (v * v + width * width) ** 0.5
+    return v + h * (tau - damping * v) / (INERTIA + h * damping)
+
+
+@pytest.mark.case("T10")
+@every_backend
+@every_dtype
+@pytest.mark.parametrize("width", [1e-2, 1e-4, 1e-6])
+def test_a_step_from_rest_has_the_derivatives_of_its_formula_however_steep(width, dtype, backend, margin):
+    """Value, gradient and Hessian at v = 0, against mpmath's differences of the formula in 60 digits."""
+    point = (0.0, 0.3, 1.0, width)
+    with mpmath.workdps(60):
+        point = [mpmath.mpf(float(torch.tensor(x, dtype=dtype))) for x in point]
+        value = slowed(*point)
+        orders = np.eye(4, dtype=int)
+        gradient = [float(mpmath.diff(slowed, point, tuple(e), h=mpmath.mpf(10) ** -25)) for e in orders]
+        hessian = [
+            [float(mpmath.diff(slowed, point, tuple(a + b), h=mpmath.mpf(10) ** -25)) for a in orders] for b in orders
+        ]
+    x = torch.tensor([float(v) for v in point], dtype=dtype).requires_grad_()
+    parts = (effects.Coulomb(x[2:3], x[3]),)
+    scene = Scene(WHEEL, parts, integrator=LinearlyImplicit(), dt=0.01, backend=backend)
+    found = scene.step(State(torch.zeros(1, dtype=dtype), x[0:1]), x[1:2]).qd[0]
+    (slope,) = torch.autograd.grad(found, x, create_graph=True)
+    curve = torch.stack([torch.autograd.grad(y, x, retain_graph=True)[0] for y in slope])
+    assert curve.isfinite().all()
+    # entries of a row cancel against each other: they are as good as the largest in units of their variables
+    unit = torch.tensor([width, 0.3, 1.0, width], dtype=F64)
+    scale = abs(float(value))
+    margin(abs(found.item() - float(value)) / scale, 16 * EPS[dtype], "value")
+    for what, a, b, u in (("gradient", slope, gradient, unit), ("Hessian", curve, hessian, unit[:, None] * unit)):
+        b = torch.tensor(b, dtype=F64)
+        margin(((a.detach() - b) * u).abs().max() / (b * u).abs().max(), 16 * EPS[dtype], what)
+
+
+@pytest.mark.case("T10")
+@every_backend
+@pytest.mark.parametrize("width", [1e-2, 1e-4, 1e-6])
+def test_in_single_precision_friction_brings_a_joint_to_rest_without_chatter(width, backend):
+    parts = (effects.Coulomb(1.0, torch.tensor(width)),)
+    scene = Scene(WHEEL, parts, integrator=LinearlyImplicit(), dt=0.01, backend=backend)
+    start = State(torch.zeros(1), torch.ones(1))
+    with torch.no_grad():
+        qd = trace(scene, start, 150).qd[:, 0]
+    assert (qd >= 0).all()
+    assert (qd[1:] <= qd[:-1]).all()
+    assert qd[-1] < 1e-6 * width
+
+
+@pytest.mark.case("T10")
+@compiled
+@every_dtype
+def test_an_arm_under_dry_friction_never_gains_energy(dtype, backend, margin):
+    """From slow motion, in which a first-order step of rigid bodies alone gains next to nothing."""
+    q, qd = random(2, 50, 2, seed=2, dtype=dtype)
+    parts = (effects.Coulomb([0.5, 2.0], 1e-6),)
+    scene = Scene(ARM, parts, integrator=LinearlyImplicit(), dt=1e-3, backend=backend)
+    with torch.no_grad():
+        energy = scene.energy(cast(trace(scene, State(q, 0.1 * qd), 300), F64))[..., 0]
+    gain = ((energy[1:] - energy[:-1]) / energy[0]).max()
+    margin(max(float(gain), 0.0), 4 * EPS[dtype], "gain in a step, of the energy at the beginning")
+    assert (energy[-1] < 0.7 * energy[0]).all()
+
+
+# --- T11: limits -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.case("T11")
+@every_backend
+@every_dtype
+@pytest.mark.parametrize("dissipation", [0.0, 1.0])
+@pytest.mark.parametrize("stiffness", [1e6, 1e8])
+def test_no_bounce_gains_speed_or_goes_deeper_than_a_step(stiffness, dissipation, dtype, backend, margin):
+    """Restitution at most 1 + 1e-6, which the rounding of positions must not spoil in single precision either."""
+    h, speed = 1e-2, torch.logspace(-3, 2, 60, dtype=F64)[:, None].to(dtype)
+    parts = (effects.Limits(-math.inf, 0.1, double(stiffness), double(dissipation)),)
+    scene = Scene(WHEEL, parts, integrator=LinearlyImplicit(), dt=h, backend=backend)
+    with torch.no_grad():
+        q, qd = trace(scene, State(0.1 - 2.5 * h * speed, speed), 60)[:2]
+    # the place of the limit is known to a rounding of the positions, which a step divides by its duration
+    rounding = 8 * EPS[dtype] * (0.1 + 2.5 * h * speed.double()) / h / speed.double()
+    beyond = (qd.double().abs() / speed.double() - rounding).max() - 1.0
+    margin(max(float(beyond), 0.0), 1e-6, "restitution beyond 1")
+    margin(((q.double() - 0.1) / (h * speed.double()) - rounding).max(), 1.0, "depth in steps")
+
+
+def limit_torque(q, qd, stiffness, dissipation):
+    """Torque of limits at -1 and 1, from the acceleration it causes."""
+    parts = (effects.Limits(-1.0, 1.0, stiffness, dissipation),)
+    scene = Scene(WHEEL, parts, integrator=ExplicitEuler(), dt=1.0)
+    return INERTIA * (scene.step(State(q, qd)).qd - qd)
+
+
+@pytest.mark.case("T11")
+def test_the_torque_of_a_limit_is_lipschitz_across_it(margin):
+    """Continuous, with slope at most k (1 + c v) in the position and k c p in the velocity.
+
+    Not C1 as the catalogue has it: a spring that is linear in the depth, which the implicit step needs, bends at the
+    limit. The bend is the stiffness, however close one looks.
+    """
+    k, c = 1e4, 2.0
+    for distance in (1e-3, 1e-6, 1e-9, 1e-12):
+        q = (1.0 + distance * double(*np.linspace(-1, 1, 41)))[:, None]
+        v = double(*np.linspace(-2, 2, 41))[:, None]
+        for qd in (torch.full_like(q, 1.5), torch.full_like(q, -1.5)):
+            tau = limit_torque(q, qd, k, c)
+            rise = (tau[1:] - tau[:-1]).abs()
+            # the torque is read off an acceleration, beside a velocity of 1.5
+            noise = 4 * EPS[F64] * (1.5 * INERTIA + tau.abs().max())
+            margin((rise - noise).max() / (k * (1 + c * 1.5) * (q[1:] - q[:-1]).max()), 1.01, "slope in the position")
+        tau = limit_torque(torch.full_like(v, 1.0 + distance), v, k, c)
+        rise, noise = (tau[1:] - tau[:-1]).abs(), 4 * EPS[F64] * (2 * INERTIA + tau.abs().max())
+        margin((rise - noise).max() / (k * c * distance * 0.1), 1.01, "slope in the velocity")
+
+
+@pytest.mark.case("T11")
+@every_backend
+def test_gradients_through_a_bounce_are_finite_differences(backend, margin):
+    """Of the state after it, in speed, stiffness and dissipation."""
+
+    def end(x):
+        parts = (effects.Limits(-10.0, 0.1, x[..., 1:2], x[..., 2:3]),)
+        scene = Scene(WHEEL, parts, integrator=LinearlyImplicit(), dt=1e-3, backend=backend)
+        state = rolled(scene, State(torch.zeros(1, dtype=F64), x[..., :1]), 150)
+        return (state.q + state.qd)[..., 0]
+
+    point = double(1.013, 3e2, 0.7)
+    found = gradient_of(end, point)
+    with torch.no_grad():
+        expected = differences(end, point, [1e-5, 1e-3, 1e-5])
+        assert end(point) < 0  # it came back
+    unit = double(1.0, 3e2, 1.0)
+    margin(((found - expected) * unit).abs().max() / (found * unit).abs().max(), 1e-8, "gradient")
+
+
+@pytest.mark.case("T11")
+@every_backend
+@every_dtype
+@pytest.mark.parametrize("qd", [-1.0, 0.0, 1.0])
+def test_derivatives_exactly_at_a_limit_are_finite(qd, dtype, backend):
+    x = torch.tensor([1.0, qd, 1e4, 2.0], dtype=dtype).requires_grad_()
+    parts = (effects.Limits(-1.0, 1.0, x[2:3], x[3:]),)
+    scene = Scene(WHEEL, parts, integrator=LinearlyImplicit(), dt=1e-2, backend=backend)
+    state = rolled(scene, State(x[:1], x[1:2]), 2)
+    (slope,) = torch.autograd.grad(state.q[0] + state.qd[0], x, create_graph=True)
+    curve = torch.stack([torch.autograd.grad(y, x, retain_graph=True)[0] for y in slope])
+    assert state.q.isfinite().all() and slope.isfinite().all() and curve.isfinite().all()
+
+
+# --- T12: a body that tumbles ----------------------------------------------------------------------------------------
+
+# Three slides and three hinges without mass carry one body. Its middle axis is along z at zero, where it turns first;
+# the middle hinge stays within 30 degrees, far from where hinges one and three align.
+MASS, CENTRE, MOMENTS = 1.5, np.array([0.1, 0.2, -0.1]), np.diag([2.4, 1.0, 1.8])
+TUMBLING = torchdq.Robot.from_screws(
+    [
+        [0, 0, 0, 1, 0, 0],
+        [0, 0, 0, 0, 1, 0],
+        [0, 0, 0, 0, 0, 1],
+        [0, 0, 1, 0, 0, 0],
+        [1, 0, 0, 0, 0, 0],
+        [0, 1, 0, 0, 0, 0],
+    ],
+    [0.0] * 5 + [MASS],
+    [[0.0] * 3] * 5 + [CENTRE],
+    [np.zeros((3, 3))] * 5 + [MOMENTS],
+    name="tumbling",
+)
+TUMBLING_START = State(double(0.1, 0.2, 0.3, 0.4, 0.01, 0.02), double(0.3, -0.2, 0.1, 5.0, 0.02, 0.03))
+
+
+def conserved(states):
+    """Energy, momentum, angular momentum about the origin, and rotation, from the body's pose and twist."""
+    q, qd = states.q.double(), states.qd.double()
+    X = dq.to_matrix(torchdq.forward_kinematics(TUMBLING, q, "link6")).numpy()
+    twist = torchdq.jacobian(TUMBLING, q, "link6", "world").numpy() @ qd.numpy()[..., None]
+    R, p, w, v = X[:, :3, :3], X[:, :3, 3], twist[:, :3, 0], twist[:, 3:, 0]
+    arm = R @ CENTRE
+    momentum = MASS * (v + np.cross(w, arm))
+    spin = (R @ MOMENTS @ R.transpose(0, 2, 1) @ w[..., None])[..., 0]
+    energy = 0.5 * (momentum**2).sum(-1) / MASS + 0.5 * (w * spin).sum(-1)
+    return energy, momentum, np.cross(p + arm, momentum) + spin, R
+
+
+@cache
+def tumbled(dtype, backend, steps=10_000, h=1e-3):
+    scene = Scene(TUMBLING, integrator=RungeKutta4(), dt=h, backend=backend)
+    with torch.no_grad():
+        return trace(scene, cast(TUMBLING_START, dtype), steps)
+
+
+@pytest.mark.case("T12")
+@compiled
+@every_dtype
+def test_a_tumbling_body_keeps_energy_and_momenta(dtype, backend, margin):
+    """1e4 steps of 1 ms, to rounding, a hundred times below the 1e-9 that are asked for."""
+    energy, momentum, angular, R = conserved(tumbled(dtype, backend))
+    along = R[:, :, 2] @ angular[0]
+    assert along.min() < -0.9 * np.linalg.norm(angular[0]) and along.max() > 0.9 * np.linalg.norm(
+        angular[0]
+    )  # it flips
+    for what, x in (("energy", energy[:, None]), ("momentum", momentum), ("angular momentum", angular)):
+        off = np.abs(x - x[0]).max() / np.linalg.norm(x[0])
+        margin(off, 4 * EPS[dtype] * 10_000, f"{what}, {dtype}")
+        assert dtype == F32 or off < 1e-9
+
+
+@pytest.mark.case("T12")
+@compiled
+@every_dtype
+def test_a_tumbling_body_turns_as_eulers_equations_say(dtype, backend, margin):
+    """Euler's equations with a quaternion by DOP853, which know nothing of hinges; errors grow with every flip."""
+    _, momentum, angular, R = conserved(tumbled(dtype, backend))
+    inverse = np.linalg.inv(MOMENTS)
+    quaternion = pin.Quaternion(np.ascontiguousarray(R[0])).coeffs()  # x y z w
+    arm = R[0] @ CENTRE
+    spin = angular[0] - np.cross(TUMBLING_START.q[:3].numpy() + arm, momentum[0])
+
+    def rates(_, y):
+        w = inverse @ y[4:]
+        turn = pin.Quaternion(np.array(y[:4])) * pin.Quaternion(0.0, *w)
+        return np.concatenate([0.5 * turn.coeffs(), np.cross(y[4:], w)])
+
+    start = np.concatenate([quaternion, R[0].T @ spin])
+    end = solve_ivp(rates, (0.0, 10.0), start, method="DOP853", rtol=1e-13, atol=1e-14).y[:4, -1]
+    exact = pin.Quaternion(end / np.linalg.norm(end)).matrix()
+    growth = 2e3  # of a disturbance between the flips: exp(2.2 1/s) over 3.5 s
+    margin(np.abs(R[-1] - exact).max(), 4 * growth * EPS[dtype] * 100, f"rotation after 10 s, {dtype}")
+
+
+@pytest.mark.case("T12")
+def test_a_tumbling_body_is_the_same_operation_by_operation(margin):
+    if build.compiler() is None:
+        pytest.skip("there is no C compiler")
+    found, expected = tumbled(F64, "eager", 100), tumbled(F64, "c")
+    margin(largest(found[:2], [x[:101] for x in expected[:2]]) / 5.0, EPS[F64], "100 steps")
+
+
+# --- T13: a state that stops being finite ----------------------------------------------------------------------------
+
+LOSING = (effects.Gravity(), effects.Viscous(0.3), effects.Coulomb(0.2, 1e-3), effects.Limits(-2.0, 2.0))
+
+
+LOSERS = [LinearlyImplicit(), RungeKutta4()]
+
+
+@pytest.mark.case("T13")
+@every_dtype
+@pytest.mark.parametrize(
+    "integrator, backend",
+    [
+        (LinearlyImplicit(), "eager"),
+        *(pytest.param(i, "c", marks=C.marks) for i in (*LOSERS, DormandPrince(1e-4, 1e-6))),
+    ],
+    ids=lambda x: x if isinstance(x, str) else called(x),
+)
+def test_a_row_that_is_lost_takes_no_other_with_it_in_a_hundred_steps(integrator, dtype, backend):
+    """One from the beginning, one that is infinite, one by a torque at step 50; and when is there to be seen."""
+    steps = 20 if isinstance(integrator, DormandPrince) else 100
+    scene = Scene(ARM, LOSING, integrator=integrator, dt=2e-3, backend=backend)
+    q, qd = random(2, 7, 2, seed=1, dtype=dtype)
+    torque = random(steps, 7, 2, seed=2, dtype=dtype)
+    bad = State(q.clone(), qd.clone())
+    bad.q[2], bad.qd[3, 1] = math.nan, math.inf
+    spoiled = torque.clone()
+    spoiled[steps // 2, 4, 0] = math.nan
+    others = [0, 1, 5, 6]
+
+    def end(state, torque):
+        start = State(state.q.clone().requires_grad_(), state.qd.clone().requires_grad_())
+        states = scene.rollout(start, torque)
+        total = states.q[-1, others].square().sum() + states.qd[-1, others].sum()
+        return states.q, states.qd, *torch.autograd.grad(total, start[:2])
+
+    good, found = end(State(q, qd), torque), end(bad, spoiled)
+    for a, b in zip(good[:2], found[:2], strict=True):
+        assert torch.equal(a[:, others], b[:, others])
+    for a, b in zip(good[2:], found[2:], strict=True):
+        assert torch.equal(a[others], b[others])
+    assert good[0].isfinite().all()
+    lost = ~found[1].isfinite().all(-1)
+    assert lost[:, [2, 3]].all()
+    assert torch.equal(lost[:, 4].nonzero()[:, 0], torch.arange(steps // 2, steps))
+
+
+# --- T14: effects on demand ------------------------------------------------------------------------------------------
+
+
+class Counted(TorchDispatchMode):
+    """Counts torch's operations."""
+
+    def __init__(self):
+        super().__init__()
+        self.calls = 0
+
+    def __torch_dispatch__(self, function, types, args=(), kwargs=None):
+        self.calls += 1
+        return function(*args, **(kwargs or {}))
+
+
+OFF = {
+    "Viscous": lambda zero: effects.Viscous(zero),
+    "Coulomb": lambda zero: effects.Coulomb(zero),
+    "Stribeck": lambda zero: effects.Stribeck(zero, zero),
+    "Quadratic": lambda zero: effects.Quadratic(zero),
+    "Directional": lambda zero: effects.Directional(zero, zero),
+    "LoadDependent": lambda zero: effects.LoadDependent(zero),
+    "Ripple": lambda zero: effects.Ripple(0.1, zero, zero),
+    "Spring": lambda zero: effects.Spring(zero, 0.3),
+    "Limits": lambda zero: effects.Limits(-0.1, 0.1, zero),
+    "RotorInertia": lambda zero: effects.RotorInertia(zero),
+    "Drag": lambda zero: effects.Drag(zero, zero, zero),
+}
+
+
+def off(bare, found, dtype, margin, what):
+    size = max(float(x.detach().abs().max()) for x in bare)
+    margin(
+        max(float((a - b).detach().abs().max()) for a, b in zip(bare, found, strict=True)) / size, 4 * EPS[dtype], what
+    )
+
+
+def stepped(parts, integrator, dtype, backend, scene=None):
+    scene = scene or Scene(ARM, (effects.Gravity(), *parts), integrator=integrator, backend=backend)
+    q, qd, torque = random(3, 5, 2, dtype=dtype)
+    q, qd = q.requires_grad_(), qd.requires_grad_()
+    state = scene.step(State(q, qd), torque)
+    return torch.cat(state[:2], -1), *torch.autograd.grad((state.q + state.qd).sum(), [q, qd])
+
+
+@pytest.mark.case("T14")
+@every_dtype
+@pytest.mark.parametrize("integrator", [SemiImplicitEuler(), LinearlyImplicit(), RungeKutta4()], ids=called)
+@pytest.mark.parametrize("kind", OFF)
+def test_an_effect_whose_size_is_zero_is_none_but_for_rounding(kind, integrator, dtype, margin):
+    """As a constant and as a tensor; sums may be taken in another order, in gradients most of all."""
+    bare = stepped((), integrator, dtype, "eager")
+    for what, zero in (("constant", 0.0), ("tensor", torch.zeros(2, dtype=F64))):
+        off(bare, stepped((OFF[kind](zero),), integrator, dtype, "eager"), dtype, margin, f"{kind}, {what}")
+
+
+@pytest.mark.case("T14")
+@compiled
+@every_dtype
+@pytest.mark.parametrize("kind", ["Coulomb"])
+def test_so_it_is_compiled(kind, dtype, backend, margin):
+    bare = stepped((), SemiImplicitEuler(), dtype, backend)
+    for what, zero in (("constant", 0.0), ("tensor", torch.zeros(2, dtype=F64))):
+        off(bare, stepped((OFF[kind](zero),), SemiImplicitEuler(), dtype, backend), dtype, margin, f"{kind}, {what}")
+
+
+@pytest.mark.case("T14")
+@every_backend
+@every_dtype
+def test_an_effect_that_was_taken_out_is_gone_to_the_bit(dtype, backend):
+    """Values and gradients."""
+    parts = (effects.Gravity(), effects.Coulomb(0.3), effects.Drag(0.1), effects.Limits(-0.1, 0.1))
+    scene = Scene(ARM, parts, integrator=SemiImplicitEuler(), backend=backend).replace(effects=parts[:1])
+    expected = stepped((), SemiImplicitEuler(), dtype, backend)
+    assert all(map(torch.equal, stepped((), SemiImplicitEuler(), dtype, backend, scene), expected))
+
+
+@pytest.mark.case("T14")
+@pytest.mark.parametrize(
+    "kind, backend", [*((kind, "eager") for kind in OFF), pytest.param("Coulomb", *C.values, marks=C.marks)]
+)
+def test_an_effect_that_is_off_adds_no_operation_to_torch_either(kind, backend):
+    def calls(parts):
+        stepped(parts, SemiImplicitEuler(), F64, backend)  # recorded beforehand
+        with Counted() as counted:
+            stepped(parts, SemiImplicitEuler(), F64, backend)
+        return counted.calls
+
+    bare = calls(())
+    assert bare > 0
+    assert calls((OFF[kind](0.0),)) == bare
+    assert calls((OFF[kind](0.5),)) >= bare

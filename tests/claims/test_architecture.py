@@ -1,0 +1,549 @@
+"""How the package is built: who imports whom, what importing it costs, and what every file promises.
+
+A module imports only from the floors below its own and from its own package, so that any floor can be read, tested and
+replaced without those above it; the two lowest need neither torch nor numpy, because their numbers may be of any kind.
+"""
+
+import ast
+import importlib
+import importlib.resources
+import inspect
+import io
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tokenize
+import tomllib
+
+import pytest
+from helpers import all_in_one
+from places import ROOT
+
+import torchdq
+from torchdq import functional
+
+PACKAGE, ENVS = ROOT / "torchdq", ROOT / "envs"
+
+FLOORS = {
+    "torchdq.errors": 0,
+    "torchdq.base": 1,
+    "torchdq.algebra": 1,
+    "torchdq.numbers": 1,
+    "torchdq.dynamics": 2,
+    "torchdq.program": 2,
+    "torchdq.backends": 3,
+    "torchdq.export": 4,
+    "torchdq.dq": 4,
+    "torchdq.convert": 5,
+    "torchdq.robot": 5,
+    "torchdq.functions": 6,
+    "torchdq.functional": 7,
+    "torchdq.effects": 7,
+    "torchdq.floating": 8,
+    "torchdq.control": 8,
+    "torchdq.scene": 8,
+    "torchdq.paper": 8,
+    "torchdq.layers": 9,
+    "torchdq.nn": 10,
+    "torchdq.recommend": 10,
+    "torchdq.layers.residual": 11,
+    "torchdq.envs": 11,
+    "torchdq.learning": 12,
+    "torchdq": 13,
+    "torchdq.command": 14,
+    "torchdq.__main__": 15,
+}
+
+# storeys of the packages that have several: files that a table does not name are on the lowest
+STOREYS = {
+    "torchdq.learning.logs": 1,
+    "torchdq.learning.evaluation": 2,
+    "torchdq.learning.identification": 3,
+    "torchdq.learning.training": 3,
+    "torchdq.learning.rollout": 3,
+    "torchdq.learning.bodies": 4,
+    "torchdq.learning.evaluate": 4,
+    "torchdq.learning.with_residual": 4,
+    "torchdq.learning.excitation.limits": 1,
+    "torchdq.learning.plots": 5,
+    "torchdq.learning.excitation": 6,
+    "torchdq.learning": 7,
+    # outcomes and robots, options that commands share, the commands, the command line
+    "torchdq.command.reports": 0,
+    "torchdq.command.robots": 1,
+    "torchdq.command.command": 2,
+    "torchdq.command.report": 3,
+    "torchdq.command.bench": 3,
+    "torchdq.command.identify": 3,
+    "torchdq.command.scene": 3,
+    "torchdq.command.accuracy": 3,
+    "torchdq.command.export": 3,
+    "torchdq.command.view": 3,
+    "torchdq.command.cost": 3,
+    "torchdq.command.doctor": 3,
+    "torchdq.command.main": 4,
+    "torchdq.command": 5,
+}
+
+NUMBER_GENERIC = ("torchdq.algebra", "torchdq.dynamics", "torchdq.numbers")
+NOT_AT_IMPORT = (
+    *("pinocchio", "pytorch_kinematics", "mujoco", "matplotlib", "scipy", "gymnasium", "tyro", "rich"),
+    *("sympy", "torch._dynamo"),  # torch imports them in more than a second, on first use of its compiler
+)
+
+
+def name_of(path):
+    """Dotted name of a module's file; `envs` is installed as a part of the package."""
+    parts = ("torchdq", *path.relative_to(PACKAGE if path.is_relative_to(PACKAGE) else ROOT).with_suffix("").parts)
+    return ".".join(part for part in parts if part != "__init__")
+
+
+FILES = {name_of(path): path for folder in (PACKAGE, ENVS) for path in sorted(folder.rglob("*.py"))}
+TREES = {name: ast.parse(path.read_text(encoding="utf-8"), str(path)) for name, path in FILES.items()}
+MODULES = all_in_one(FILES)
+
+
+def within(module, package):
+    return module == package or module.startswith(package + ".")
+
+
+def longest(module, table):
+    """Entry of the table for the innermost package that the module is in; the top-level one is for itself only."""
+    known = [name for name in table if module == name or (within(module, name) and name != "torchdq")]
+    return table[max(known, key=len)] if known else None
+
+
+def nodes_at_run_time(node):
+    """All nodes below, but for what only a type checker sees."""
+    for child in ast.iter_child_nodes(node):
+        if isinstance(child, ast.If) and ast.unparse(child.test).endswith("TYPE_CHECKING"):
+            continue
+        yield child
+        yield from nodes_at_run_time(child)
+
+
+def imports_of(tree):
+    """Dotted names of the modules that a tree imports, wherever in it."""
+    for node in nodes_at_run_time(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f"line {node.lineno}: imports name the whole path"
+            for alias in node.names:
+                inner = f"{node.module}.{alias.name}"
+                yield inner if inner in FILES else node.module
+
+
+def placed(module):
+    """Entry of the table of storeys for a module, and its number; those of no entry are on the lowest."""
+    known = [name for name in STOREYS if module == name or (within(module, name) and name not in FLOORS)]
+    entry = max(known, key=len, default=None)
+    return entry, STOREYS.get(entry, 0)
+
+
+def may_import(module, other):
+    """Whether a module of the package may import another."""
+    ours, theirs = longest(module, FLOORS), longest(other, FLOORS)
+    if theirs != ours:
+        return theirs < ours
+    package = next(name for name, floor in FLOORS.items() if floor == ours and within(module, name))
+    if not within(other, package):
+        return False  # a floor's packages do not know each other
+    (here, storey), (there, lower) = placed(module), placed(other)
+    return lower < storey or here == there
+
+
+# --- floors ----------------------------------------------------------------------------------------------------------
+
+
+@MODULES
+def test_every_module_has_a_floor(module):
+    assert longest(module, FLOORS) is not None
+
+
+@MODULES
+def test_a_module_imports_from_lower_floors_or_its_own_package(module):
+    inside = [other for other in imports_of(TREES[module]) if within(other, "torchdq")]
+    assert [other for other in inside if not may_import(module, other)] == []
+
+
+@pytest.mark.parametrize(
+    "module, other",
+    [
+        ("torchdq.algebra.screw", "torchdq.dq"),
+        ("torchdq.dynamics.paper.rnea", "torchdq.robot.robot"),
+        ("torchdq.dynamics.paper.rnea", "torchdq.dq"),
+        ("torchdq.dq", "torchdq.convert"),
+        ("torchdq.robot.robot", "torchdq.convert"),
+        ("torchdq.robot.robot", "torchdq.functional"),
+        ("torchdq.functional", "torchdq.nn"),
+        ("torchdq.functional", "torchdq"),
+        ("torchdq.nn", "torchdq.envs"),
+    ],
+)
+def test_the_rule_forbids_what_it_is_for(module, other):
+    assert not may_import(module, other)
+
+
+@all_in_one([name for name in FILES if any(within(name, package) for package in NUMBER_GENERIC)])
+def test_the_lowest_floors_need_no_library(module):
+    outside = [other for other in imports_of(TREES[module]) if not within(other, "torchdq")]
+    assert [other for other in outside if other.partition(".")[0] not in sys.stdlib_module_names] == []
+
+
+@all_in_one([name for name in FILES if any(within(name, package) for package in NUMBER_GENERIC)])
+def test_the_lowest_floors_import_only_each_other_and_errors(module):
+    inside = [other for other in imports_of(TREES[module]) if within(other, "torchdq")]
+    known = (*NUMBER_GENERIC, "torchdq.errors")
+    assert [other for other in inside if not any(within(other, package) for package in known)] == []
+
+
+def test_importing_the_package_imports_nothing_heavy_but_torch_and_its_subpackages_on_first_use():
+    # and then its subpackages, on first use
+    program = "import sys, torchdq; print(*sys.modules)"
+    program += "; assert 'Scene' in dir(torchdq.envs); assert 'identify' in dir(torchdq.learning)"
+    loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
+    assert "torch" in loaded
+    assert sorted(set(NOT_AT_IMPORT) & set(loaded)) == []
+
+
+# --- what a file promises --------------------------------------------------------------------------------------------
+
+EVERYWHERE = {
+    str(path.relative_to(ROOT)): path
+    for folder in ("torchdq", "envs", "tests", "examples", "benchmarks")
+    for path in sorted((ROOT / folder).rglob("*.py"))
+}
+
+
+@all_in_one(EVERYWHERE)
+def test_every_file_says_what_it_is(file):
+    assert ast.get_docstring(ast.parse(EVERYWHERE[file].read_text(encoding="utf-8")))
+
+
+def public(tree):
+    """Public functions and classes of a module, and the public methods of the latter, by name."""
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef) and not node.name.startswith("_"):
+            yield node.name, node
+            if isinstance(node, ast.ClassDef):
+                yield from ((f"{node.name}.{name}", method) for name, method in public(node))
+
+
+@MODULES
+def test_everything_public_has_a_docstring(module):
+    assert [name for name, node in public(TREES[module]) if not ast.get_docstring(node)] == []
+
+
+ON_ROBOTS = [
+    name
+    for name, f in inspect.getmembers(functional, inspect.isfunction)
+    if f.__module__ == functional.__name__ and "q" in inspect.signature(f).parameters and not name.startswith("_")
+]
+
+
+def test_there_are_functions_on_robots():
+    assert {"inverse_dynamics", "forward_dynamics", "mass_matrix", "jacobian"} <= set(ON_ROBOTS)
+
+
+@pytest.mark.parametrize("name", ON_ROBOTS)
+def test_a_function_on_robots_states_units(name):
+    assert re.search(r"\[(rad|m|kg|N|J)\b", getattr(functional, name).__doc__)
+
+
+@pytest.mark.parametrize("name", ON_ROBOTS)
+def test_a_function_on_robots_states_the_shape_of_its_result_first(name):
+    assert "[..." in getattr(functional, name).__doc__.split("\n\n")[0]
+
+
+@pytest.mark.parametrize("name", ON_ROBOTS)
+def test_a_function_on_robots_states_the_shapes_of_its_arguments(name):
+    document = getattr(functional, name).__doc__
+    assert "shape [..., n]" in document.split("Args:")[1]
+
+
+@MODULES
+def test_every_name_that_is_offered_exists(module):
+    offered = getattr(importlib.import_module(module), "__all__", ())
+    assert [name for name in offered if not hasattr(importlib.import_module(module), name)] == []
+
+
+def test_the_package_offers_all_its_errors():
+    errors = {
+        name
+        for name, value in vars(importlib.import_module("torchdq.errors")).items()
+        if isinstance(value, type) and issubclass(value, Exception)
+    }
+    assert errors - set(dir(torchdq)) == set()
+
+
+@MODULES
+def test_input_is_checked_by_errors_not_by_assert(module):
+    # python -O leaves assertions out
+    assert [node.lineno for node in ast.walk(TREES[module]) if isinstance(node, ast.Assert)] == []
+
+
+@MODULES
+def test_nothing_is_printed(module):
+    calls = [node for node in ast.walk(TREES[module]) if isinstance(node, ast.Call)]
+    assert [node.lineno for node in calls if isinstance(node.func, ast.Name) and node.func.id == "print"] == []
+
+
+def test_nothing_is_named_after_what_it_is_not():
+    vague = re.compile(r"util|helper|misc", re.IGNORECASE)
+    names = [part for module in FILES for part in module.split(".")]
+    names += [name for tree in TREES.values() for name, _ in public(tree)]
+    assert [name for name in names if vague.search(name)] == []
+
+
+# --- rules of the house ----------------------------------------------------------------------------------------------
+
+LONGEST_FILE = 400  # lines
+CORE = ("torchdq.numbers", "torchdq.program", "torchdq.backends")
+JOINT_KINDS = {"revolute", "prismatic", "helical", "fixed", "free"}
+DEFAULTS = ".defaults"  # modules of this name build the effects that there are by default
+# public on both sides: a layer and a controller; an effect and the limits of a description
+TWO_MEANINGS = {"ComputedTorque", "Limits"}
+DEPENDENCIES = {"torch", "numpy", "pinocchio", "gymnasium", "rich", "tyro"}
+OPTIONAL = "torchdq.base.optional"
+NO_NOUN = ("What ", "The same", "Those ", "That of ", "Whether it ", "How it ")
+
+
+def at(module, node):
+    """Place of a node in the sources."""
+    return f"{FILES[module].relative_to(ROOT)}:{node.lineno}"
+
+
+def listed(found):
+    """A line for everything found, so that none is hidden in the message of a test."""
+    return "\n" + "\n".join(str(x) for x in found)
+
+
+def nodes_of(kind, modules=FILES):
+    """Nodes of a kind in modules, with the module."""
+    return [(module, node) for module in modules for node in ast.walk(TREES[module]) if isinstance(node, kind)]
+
+
+def test_no_file_is_long():
+    lengths = {module: len(path.read_text(encoding="utf-8").splitlines()) for module, path in FILES.items()}
+    found = [(module, length) for module, length in lengths.items() if length > LONGEST_FILE]
+    assert not found, listed(found)
+
+
+@pytest.mark.parametrize("module", [name for name in FILES if any(within(name, package) for package in CORE)])
+def test_programs_and_backends_know_no_robot(module):
+    inside = [other for other in imports_of(TREES[module]) if within(other, "torchdq")]
+    known = (*CORE, "torchdq.errors", "torchdq.base.checks", "torchdq.base.caches", "torchdq.base.progress")
+    assert [other for other in inside if not any(within(other, package) for package in known)] == []
+
+
+def test_only_readers_of_descriptions_know_the_words_for_joints():
+    """No module outside the readers of descriptions compares names of joint types; it asks the joint object."""
+    modules = [module for module in FILES if not within(module, "torchdq.robot")]
+    asking = nodes_of((ast.Compare, ast.MatchValue), modules)
+    words = [
+        (module, node, {x.value for x in ast.walk(node) if isinstance(x, ast.Constant) and isinstance(x.value, str)})
+        for module, node in asking
+    ]
+    found = [(at(module, node), *sorted(said & JOINT_KINDS)) for module, node, said in words if said & JOINT_KINDS]
+    assert not found, listed(found)
+
+
+def bases(node):
+    """Names of what a class is made from."""
+    return {x.id if isinstance(x, ast.Name) else x.attr for x in node.bases if isinstance(x, ast.Name | ast.Attribute)}
+
+
+def subclasses(root):
+    """Names of the classes made from one, directly or not, with the module of each."""
+    found, before = {}, None
+    classes = nodes_of(ast.ClassDef)
+    while before != found:
+        before = dict(found)
+        found |= {node.name: module for module, node in classes if bases(node) & {root, *found}}
+    return found
+
+
+def types_asked(node):
+    """Names of the types that a call, a comparison or a pattern tells values apart by."""
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("isinstance", "issubclass"):
+        asked = node.args[1:]
+    elif isinstance(node, ast.Compare) and any(isinstance(op, ast.Is | ast.IsNot) for op in node.ops):
+        asked = [node.left, *node.comparators]
+    elif isinstance(node, ast.MatchClass):
+        asked = [node.cls]
+    else:
+        return set()
+    inner = [x for outer in asked for x in ast.walk(outer)]
+    return {x.id for x in inner if isinstance(x, ast.Name)} | {x.attr for x in inner if isinstance(x, ast.Attribute)}
+
+
+def test_no_effect_is_known_by_name_but_in_its_own_file():
+    effects = subclasses("Effect")
+    assert {"Gravity", "RotorInertia", "Viscous", "Elastic"} <= set(effects)
+    found = [
+        (at(module, node), name)
+        for module, node in nodes_of((ast.Call, ast.Compare, ast.MatchClass))
+        for name in sorted(types_asked(node) & set(effects))
+        if effects[name] != module and not module.endswith(DEFAULTS)
+    ]
+    assert not found, listed(found)
+
+
+def test_a_docstring_begins_with_a_noun():
+    """It stands alone in a hover text, without its file around it."""
+    found = [
+        (f"{FILES[module].relative_to(ROOT)}:{getattr(node, 'lineno', 1)}", document.split("\n")[0])
+        for module, node in nodes_of((ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef))
+        if (document := ast.get_docstring(node) or "").startswith(NO_NOUN)
+    ]
+    assert not found, listed(found)
+
+
+def comments_of(path):
+    """Line and text of every comment, one of several lines only once."""
+    last = 0
+    for token in tokenize.generate_tokens(io.StringIO(path.read_text(encoding="utf-8")).readline):
+        if token.type == tokenize.COMMENT:
+            alone = not token.line[: token.start[1]].strip()
+            if not (alone and last == token.start[0] - 1):
+                yield token.start[0], token.string.lstrip("# ")
+            last = token.start[0] if alone else last
+
+
+def test_a_comment_does_not_begin_with_of():
+    found = [
+        (f"{path.relative_to(ROOT)}:{line}", text)
+        for path in FILES.values()
+        for line, text in comments_of(path)
+        if text.startswith("of ")
+    ]
+    assert not found, listed(found)
+
+
+def types_of(module):
+    """Classes and named types of a module, each with what tells whether another is the same."""
+    for node in ast.walk(TREES[module]):
+        if isinstance(node, ast.ClassDef):
+            yield node.name, f"class of {module}"
+    for node in TREES[module].body:
+        target = node.targets[0] if isinstance(node, ast.Assign) else getattr(node, "target", None)
+        if isinstance(target, ast.Name) and re.fullmatch(r"[A-Z][A-Za-z]*[a-z][A-Za-z]*", target.id) and node.value:
+            yield target.id, ast.unparse(node.value)
+
+
+def test_a_name_of_a_type_has_one_meaning():
+    meanings = {}
+    for module in FILES:
+        for name, meaning in types_of(module):
+            meanings.setdefault(name, {}).setdefault(meaning, []).append(module)
+    found = [
+        (name, *places.items()) for name, places in meanings.items() if len(places) > 1 and name not in TWO_MEANINGS
+    ]
+    assert not found, listed(found)
+
+
+def test_what_may_not_be_installed_is_imported_in_one_place():
+    imports = [
+        (at(module, node), name)
+        for module in FILES
+        if module != OPTIONAL
+        for node in nodes_at_run_time(TREES[module])
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for name in imports_of(ast.Module([node], []))
+        if name.partition(".")[0] not in {*sys.stdlib_module_names, *DEPENDENCIES, "torchdq"}
+    ]
+    caught = [
+        at(module, node)
+        for module, node in nodes_of(ast.ExceptHandler)
+        if module != OPTIONAL and node.type and re.search("ImportError|ModuleNotFound", ast.unparse(node.type))
+    ]
+    named = [
+        at(module, node)
+        for module, node in nodes_of(ast.Call)
+        if module != OPTIONAL and ast.unparse(node.func).endswith("import_module")
+    ]
+    found = [*imports, *caught, *named]
+    assert not found, listed(found)
+
+
+# --- what is installed -----------------------------------------------------------------------------------------------
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+def test_every_package_is_installed():
+    packages = {name for name, path in FILES.items() if path.name == "__init__.py"}
+    assert set(PROJECT["tool"]["setuptools"]["packages"]) == packages
+
+
+def test_every_folder_of_modules_is_a_package():
+    assert {path.parent / "__init__.py" for path in FILES.values()} <= set(FILES.values())
+
+
+def test_the_environments_are_part_of_the_installed_package():
+    assert importlib.import_module("torchdq.envs").__name__ == "torchdq.envs"
+
+
+def test_the_package_is_typed():
+    assert importlib.resources.files("torchdq").joinpath("py.typed").is_file()
+
+
+def test_the_version_is_the_projects():
+    assert torchdq.__version__ == PROJECT["project"]["version"]
+
+
+def checked(*command, at=ROOT):
+    """Output of a checker on the project; empty when it has nothing to say."""
+    environment = os.environ | {"NO_COLOR": "1"}
+    run = subprocess.run([sys.executable, "-m", *command], cwd=at, capture_output=True, text=True, env=environment)
+    return "" if run.returncode == 0 else run.stdout + run.stderr
+
+
+def test_ruff_has_nothing_to_say():
+    pytest.importorskip("ruff")
+    assert checked("ruff", "check", "--no-cache") == ""
+
+
+def test_the_code_is_formatted():
+    pytest.importorskip("ruff")
+    assert checked("ruff", "format", "--check", "--no-cache") == ""
+
+
+def test_mypy_has_nothing_to_say(tmp_path):
+    """On the package as it installs: with `envs` in it, which lies beside it here."""
+    pytest.importorskip("mypy")
+    shutil.copytree(PACKAGE, tmp_path / "torchdq", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(ENVS, tmp_path / "torchdq" / "envs", ignore=shutil.ignore_patterns("__pycache__"))
+    options = ("mypy", "--config-file", str(ROOT / "pyproject.toml"), "--cache-dir", str(ROOT / ".mypy_cache"))
+    assert checked(*options, at=tmp_path) == ""
+
+
+# --- the front of the package ----------------------------------------------------------------------------------------
+
+
+def test_help_of_the_package_names_everything():
+    missing = [name for name in torchdq.__all__ if not name.endswith("Error") and name not in torchdq.__doc__]
+    assert missing == []
+
+
+def test_every_public_name_is_there():
+    assert [name for name in torchdq.__all__ if not hasattr(torchdq, name)] == []
+    assert {*dir(torchdq)} == {*torchdq.__all__, "__version__"}
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("rnea", "inverse_dynamics"),
+        ("fk", "forward_kinematics"),
+        ("inverse_dynamic", "did you mean inverse_dynamics"),
+        ("Robots", "did you mean"),
+        ("xyzzy", "help(torchdq)"),
+    ],
+)
+def test_a_name_of_nothing_hints_at_one(name, hint):
+    with pytest.raises(AttributeError, match=re.escape(hint)):
+        getattr(torchdq, name)

@@ -1,0 +1,98 @@
+"""Every benchmark starts, and writes its table into one page."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections import Counter
+
+import front_page
+import oracles
+import report
+import torch
+from accuracy import findings
+from claims import test_mujoco, test_pinocchio
+from places import ROOT
+
+FOLDER = ROOT / "benchmarks"
+SCRIPTS = [file for file in sorted(FOLDER.glob("*.py")) if "__main__" in file.read_text()]
+# all in one process, since importing torch takes longer than all of them
+HELP = """
+import contextlib, io, json, runpy, sys, traceback
+said = {}
+for script in sys.argv[1:]:
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        sys.argv, code = [script, "--help"], "no end"
+        try:
+            runpy.run_path(script, run_name="__main__")
+        except SystemExit as end:
+            code = end.code
+        except Exception:
+            code = traceback.format_exc()
+    said[script] = [code, out.getvalue()]
+print(json.dumps(said))
+"""
+
+
+def test_benchmarks_print_their_help():
+    found = subprocess.run(
+        [sys.executable, "-c", HELP, *map(str, SCRIPTS)],
+        capture_output=True,
+        text=True,
+        cwd=FOLDER.parent,
+        env=os.environ | {"PYTHONPATH": str(FOLDER)},
+    )
+    assert found.returncode == 0, found.stderr
+    for script, (code, out) in json.loads(found.stdout).items():
+        assert not code, f"{script}: {code}"
+        assert "usage" in out, script
+
+
+def test_there_are_benchmarks():
+    assert {"peers", "envs", "formulations", "accuracy_vs_time"} <= {file.stem for file in SCRIPTS}
+
+
+def test_every_table_of_a_page_has_a_script_that_writes_it():
+    texts = [path.read_text("utf-8") for path in (report.ROOT / "README.md", *(report.ROOT / "docs").rglob("*.md"))]
+    marked = Counter(name for text in texts for name in re.findall(r"<!-- benchmarks/(\S+) begins -->", text))
+    assert {"peers.py", "envs.py", "compiled.py", "formulations.py", "accuracy_vs_time.py", "gpu.py"} <= marked.keys()
+    for name, count in marked.items():
+        by_marks = re.search(r"report\.(finish|into_page|between_marks)", (FOLDER / name).read_text())
+        assert count == 1 or not by_marks, f"{count} pages for {name}"  # other scripts write whole pages
+
+
+def test_a_table_is_written_between_its_marks_and_nowhere_else(tmp_path, monkeypatch):
+    begin, end = report.marks("peers.py")
+    page = tmp_path / "docs" / "deep" / "page.md"
+    page.parent.mkdir(parents=True)
+    page.write_text(f"before\n{begin}\nold\n{end}\nafter\n")
+    (tmp_path / "README.md").write_text("nothing\n")
+    monkeypatch.setattr(report, "ROOT", tmp_path)
+    report.into_page("| new |", "benchmarks/peers.py", {"processor": "one", "cores": "2"})
+    assert page.read_text() == f"before\n{begin}\n| new |\n\nMeasured on: processor one, cores 2.\n{end}\nafter\n"
+    assert report.shown("peers.py").startswith("| new |")
+    assert (tmp_path / "README.md").read_text() == "nothing\n"
+
+
+def test_numbers_of_checks_are_those_of_the_suite():
+    """What README and pages say was compared is what the tests compare."""
+    robots, mujoco, trees = len(oracles.example_robots()), len(test_mujoco.NAMES), oracles.TREES
+    readme, page = (" ".join((report.ROOT / x).read_text("utf-8").split()) for x in ("README.md", "docs/robots.md"))
+    tolerance = f"{test_pinocchio.TOLERANCE[torch.float64]:.0e}"
+    assert f"agree with Pinocchio to {tolerance} on {robots} robots and {trees} random trees" in readme
+    assert f"agree with Pinocchio to {tolerance}" in page
+    assert f"on {robots} robots of `example-robot-data` and on {trees} random trees" in page
+    assert f"MuJoCo's own reading of {mujoco} of those files" in page
+
+
+def test_numbers_of_the_page_on_accuracy_are_those_of_the_results():
+    results = json.loads((FOLDER / "results" / "accuracy.json").read_text("utf-8"))
+    machine = f"Measured on: {report.words(results['machine'])}."
+    shown = report.shown("accuracy_vs_time.py")
+    assert shown == f"{findings.page(results)}\n\n{machine}", "benchmarks/accuracy_vs_time.py --again --page"
+
+
+def test_the_rows_of_the_readme_are_those_of_the_pages():
+    assert report.shown("front_page.py") == front_page.table(), "benchmarks/front_page.py --page writes them anew"
+    assert report.pages("front_page.py") == [report.ROOT / "README.md"]

@@ -1,0 +1,70 @@
+"""The example of a policy that is learned through the simulation: it learns, and processes share its gradients."""
+
+import os
+import socket
+import sys
+from importlib import import_module
+
+import pytest
+import torch
+from forked import Forked
+from places import ROOT
+
+for needed in ("matplotlib", "tyro"):
+    pytest.importorskip(needed, reason="the examples need the extra 'examples'")
+from matplotlib.image import imread  # noqa: E402
+
+BACKEND = "auto"
+SHARED = """
+import sys
+sys.path[:] = {paths}
+from claims.test_through_the_simulation import found
+from torchdq.learning.training.distributed import team
+import torch
+with team(torch.device("cpu")) as share:
+    torch.save(found(share), f"{folder}/{{share.rank}}.pt")
+"""
+
+
+@pytest.fixture(scope="module")
+def example():
+    return import_module("11_through_the_simulation")
+
+
+def found(share):
+    """Loss and gradients of an untrained policy, in float64."""
+    example = import_module("11_through_the_simulation")
+    torch.manual_seed(0)
+    policy, q = example.Policy().double(), torch.tensor(example.WANTED).double() + torch.randn(31, 7).double() / 4
+    total, gradients = example.gradients(policy, q, example.Args(steps=10), share)
+    return [total, *gradients]
+
+
+def test_it_learns(example, tmp_path, capsys):
+    losses = example.main(example.Args(arms=32, iterations=30, out=tmp_path))
+    assert losses[-1] < 0.1 * losses[0]
+    assert "1 processes on cpu" in capsys.readouterr().out
+    assert imread(tmp_path / "through_the_simulation.png")[..., :3].std() > 0.03
+
+
+def test_two_processes_have_the_gradients_of_one(tmp_path):
+    """Of 31 arms, one process has 16. The environment is what `torchrun` gives to the two."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    paths = [*filter(None, sys.path), str(ROOT / "tests"), str(ROOT / "examples")]
+    code = SHARED.format(paths=paths, folder=str(tmp_path))
+    common = {**os.environ, "WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port)}
+    started = []
+    for rank in "01":
+        folder = tmp_path / f"process{rank}"
+        folder.mkdir()
+        started.append(Forked(code, {**common, "RANK": rank, "LOCAL_RANK": rank}, folder))
+    for process in started:
+        _, errors = process.communicate(timeout=300)
+        assert process.returncode == 0, errors
+    ranks = [torch.load(tmp_path / f"{rank}.pt") for rank in (0, 1)]
+    share = import_module("torchdq.learning.training.distributed").Team()
+    for one, two, alone in zip(*ranks, found(share), strict=True):
+        assert torch.equal(one, two)
+        torch.testing.assert_close(one, alone, rtol=1e-10, atol=1e-12)

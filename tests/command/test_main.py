@@ -1,0 +1,739 @@
+"""Command line: every command does its work, as text and as JSON, and a user's mistake is one message.
+
+Most run in this process, by `main`, which returns the exit code; Ctrl-C and a closed pipe need one of their own.
+"""
+
+import gzip
+import importlib.metadata
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import warnings
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+import torch
+from places import ROOT
+
+import torchdq
+from torchdq.base import machine
+from torchdq.command.main import ABOUT, COMMANDS, INTERRUPTED, MISTAKE, USAGE, WELL, main
+from torchdq.command.outcome import Grid, Outcome, plain, write
+from torchdq.command.reports import health
+from torchdq.command.reports.health import Finding
+from torchdq.command.scene import KINDS, STEPPERS
+from torchdq.learning import read
+
+WIDE = 80  # columns of a terminal
+
+ARM = """<robot name="arm"><link name="base"/>
+<link name="upper"><inertial><origin xyz="0.2 0 0"/><mass value="2"/>
+  <inertia ixx="0.02" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="lower"><inertial><origin xyz="0.15 0 0"/><mass value="1"/>
+  <inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+  <limit lower="-3" upper="3" effort="50" velocity="5"/></joint>
+<joint name="elbow" type="revolute"><parent link="upper"/><child link="lower"/><origin xyz="0.4 0 0"/>
+  <axis xyz="0 1 0"/><limit lower="-2.5" upper="2.5" effort="30" velocity="5"/></joint>
+</robot>"""
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """Folder with a robot in it, in which commands run."""
+    tmp_path.joinpath("arm.urdf").write_text(ARM)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", str(WIDE))
+    return tmp_path
+
+
+def told(capsys, *arguments, code=WELL):
+    """Output and messages of a run, whose exit code must be this one."""
+    found = main([str(x) for x in arguments])
+    out, errors = capsys.readouterr()
+    assert found == code, out + errors
+    return out, errors
+
+
+def data(capsys, *arguments, code=WELL):
+    """The one JSON object that a run writes."""
+    return json.loads(told(capsys, *arguments, "--json", code=code)[0], parse_constant=pytest.fail)
+
+
+def motion(rows=1500, start=0.0):
+    """Time [s], positions, velocities and accelerations of two joints, never at rest."""
+    t = start + 0.01 * torch.arange(rows, dtype=torch.float64)[:, None]
+    numbers = ([[0.9, 0.5], [0.7, 0.9]], [[1.1, 2.3], [1.7, 0.8]], [0, 1])  # amplitudes, frequencies, phases
+    a, w, p = (torch.tensor(x, dtype=torch.float64) for x in numbers)
+    angle = w * t[..., None] + p[:, None]
+    q, qd, qdd = ((a * f).sum(-1) for f in (angle.sin(), w * angle.cos(), -w * w * angle.sin()))
+    return t[:, 0], q, qd, qdd
+
+
+def log(path, robot, names=("q", "qd", "tau"), count=1, **options):
+    """Log of a robot that is 30 % heavier than described, with viscous friction, as a CSV file."""
+    t, q, qd, qdd = motion(**options)
+    real = robot.replace(mass=1.3 * robot.mass, inertia=1.3 * robot.inertia)
+    noise = 0.05 * torch.randn(q.shape, generator=torch.Generator().manual_seed(0), dtype=q.dtype)
+    tau = torchdq.inverse_dynamics(real, q, qd, qdd) + torch.tensor([0.8, 0.4]) * qd + noise
+    columns = [f"{name}{j + count}" for name in names for j in range(2)]
+    rows = torch.cat([t[:, None], *[{"q": q, "qd": qd, "tau": tau}[k] for k in ("q", "qd", "tau")][: len(names)]], 1)
+    lines = [",".join(f"{x:.9g}" for x in row) for row in rows.tolist()]
+    Path(path).write_text("\n".join([",".join(["time", *columns]), *lines]) + "\n")
+
+
+# --- all commands ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("arguments", [(), ("teach",), ("report",), ("report", "panda", "--no-such-option")])
+def test_what_is_not_understood_is_told_and_is_exit_code_2(here, capsys, arguments):
+    out, errors = told(capsys, *arguments, code=USAGE)
+    assert not out and "torchdq" in errors and "Traceback" not in errors
+
+
+def test_a_wrong_command_names_those_there_are(here, capsys):
+    _, errors = told(capsys, "teach", code=USAGE)
+    assert all(name in errors for name in COMMANDS)
+    _, errors = told(capsys, "bnech", "panda", code=USAGE)
+    assert "there is no command 'bnech'; did you mean 'bench'?" in " ".join(errors.split())
+
+
+def test_numbers_of_an_option_stand_apart_or_with_commas():
+    from torchdq.command.main import _parsed
+
+    assert _parsed(["bench", "panda", "--batches", "4,5"]).batches == (4, 5)
+    assert _parsed(["bench", "panda", "--batches=4,5", "--threads", "1"]).batches == (4, 5)
+    assert _parsed(["scene", "panda", "--q", "-0.3,1e-1", "2", "--hold", "20,5"]).q == (-0.3, 0.1, 2)
+    # names stay together, also those that are numbers
+    known = _parsed(["id", "panda", "1,2", "--rows", "0,9", "--columns", "q", "1,2", "--out", "3,4"])
+    assert (known.logs, known.rows, known.columns, str(known.out)) == (("1,2",), (0, 9), {"q": "1,2"}, "3,4")
+
+
+@pytest.mark.parametrize("option", ["--help", "-h"])
+def test_the_help_names_the_commands_on_one_page(here, capsys, option):
+    out, _ = told(capsys, option)
+    assert all(re.search(rf"^{name} ", out, re.MULTILINE) for name in COMMANDS)
+    assert len(out.splitlines()) < 40 and max(map(len, out.splitlines())) <= WIDE
+    assert "print-completion" in out and ABOUT
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_the_help_of_a_command_has_an_example_that_is_understood(here, capsys, command):
+    out, _ = told(capsys, command, "--help")
+    example = re.search(r"^Example: torchdq (.*)$", out, re.MULTILINE)
+    assert example and example[1].split()[0] == command and "--json" in out
+    asked = set(re.findall(r"--[a-z-]+", example[1]))
+    assert asked <= set(re.findall(r"--[a-z-]+", out.replace(example[0], "")))
+
+
+def test_the_version_is_given(capsys):
+    assert told(capsys, "--version") == (f"torchdq {torchdq.__version__}\n", "")
+
+
+def test_the_program_is_installed_by_its_name():
+    scripts = importlib.metadata.entry_points(group="console_scripts", name="torchdq")
+    if not scripts:
+        pytest.skip("installed before there was a command line")
+    assert [script.load() for script in scripts] == [main]
+
+
+MISTAKES = [
+    (("report", "nowhere.urdf"), "there is no file 'nowhere.urdf'"),
+    (("report", "pandda"), "did you mean 'panda'"),
+    (("report", "folder"), "Is a directory"),
+    (("report", "garbage.urdf"), "garbage.urdf is not UTF-8 text"),
+    (("report", "broken.urdf"), "broken.urdf: the file is not well-formed XML"),
+    (("report", "broken.xml"), "broken.xml"),
+    (("report", "panda", "--base", "floating"), "base must be 'fixed'"),
+    (("report", "arm.urdf", "--joints", "knee"), "'knee'"),
+    (("bench", "arm.urdf", "--batches", "0"), "batches must be"),
+    (("bench", "arm.urdf", "--threads", "0"), "threads must be"),
+    (("scene", "arm.urdf", "--effects", "gravty"), "did you mean 'gravity'"),
+    (("scene", "arm.urdf", "--effects", "viscous=much"), "as in viscous=0.5"),
+    (("scene", "arm.urdf", "--effects", "payload"), "payload=MASS"),
+    (("scene", "arm.urdf", "--q", "1"), "q must be 2 numbers"),
+    (("scene", "arm.urdf", "--dt", "0"), "dt must be"),
+    (("scene", "arm.urdf", "--integrator", "Euler"), "ExplicitEuler"),
+    (("scene", "arm.urdf", "--price", "0", "--csv", "nowhere/a.csv"), "'nowhere/a.csv' cannot be used"),
+    (("accuracy", "arm.urdf", "--error", "0"), "error must be"),
+    (("export", "arm.urdf", "inverse_dynamic"), "did you mean 'inverse_dynamics'"),
+    (("export", "arm.urdf", "jacobian"), "the frames are base"),
+    (("export", "arm.urdf", "mass_matrix", "--language", "torch"), "inverse_dynamics, forward_dynamics"),
+    (("export", "arm.urdf", "inverse_dynamics", "--out", "arm.urdf"), "'arm.urdf'"),
+    (("id", "arm.urdf"), "LOG must be a file at least"),
+    (("id", "arm.urdf", "nowhere.csv"), "there is no file 'nowhere.csv'"),
+    (("id", "arm.urdf", "folder"), "Is a directory"),
+    (("id", "arm.urdf", "garbage.csv"), "garbage.csv is damaged or not a text"),
+    (("id", "arm.urdf", "nan.csv"), "--rows FIRST LAST"),
+    (("id", "panda", "log.csv"), "log.csv holds 2 joints, the robot has 7"),
+    (("id", "arm.urdf", "log.csv", "--columns", "q", "position_{0}"), "there is no column 'position_0'"),
+    (("id", "arm.urdf", "log.csv", "--columns", "angle", "q"), "no signal named 'angle'"),
+    (("id", "arm.urdf", "log.csv", "--gains", "1"), "gains must be 2 numbers"),
+    (("id", "arm.urdf", "log.csv", "--out", "arm.urdf"), "'arm.urdf' cannot be used"),
+    (("id", "arm.urdf", "log.csv", "--columns", "q", "a,b,c", "qd", "none"), "there is no column 'a'"),
+    (("id", "arm.urdf", "log.csv", "--columns", "tau", "tau_{joint}"), "there is no column 'tau_shoulder'"),
+    (("id", "arm.urdf", "log.csv", "--cutoff", "60"), "--cutoff must be between 0 and 50 Hz"),
+    (("id", "arm.urdf", "log.csv", "--delay", "9"), "--delay must be shorter than the log"),
+    (("id", "arm.urdf", "short.csv"), "s of motion"),
+    (("id", "log.csv", "arm.urdf"), "torchdq id arm.urdf a.csv b.csv"),
+    (("id", "arm.urdf", "arm.urdf"), "torchdq id arm.urdf a.csv b.csv"),
+    (("id", "arm.urdf", "log.csv", "--test", "./log.csv"), "test must be other logs than those to learn from"),
+    (("export", "arm.urdf", "inverse_dynamics", "--language", "torch", "--name", "a/b"), "without folders"),
+    (("view", "arm.urdf", "--q", "1"), "q must be 2 numbers"),
+    *(((name, "still.urdf"), "must have a joint that moves") for name in ("scene", "accuracy", "view")),
+    (("id", "still.urdf", "log.csv"), "must have a joint that moves"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "found"), MISTAKES, ids=[" ".join(arguments) for arguments, _ in MISTAKES])
+def test_a_mistake_of_a_user_is_one_message(here, capsys, arguments, found):
+    here.joinpath("folder").mkdir()
+    here.joinpath("broken.urdf").write_text("<robot name='r'>")
+    here.joinpath("still.urdf").write_text("<robot name='still'><link name='base'/></robot>")
+    here.joinpath("broken.xml").write_text("<robot><link name='a'/><joint name='j' type='revolute'/></robot>")
+    for name in ("garbage.urdf", "garbage.csv"):
+        here.joinpath(name).write_bytes(bytes(range(255, 0, -1)) * 9)
+    arm = torchdq.Robot.from_urdf(ARM)
+    log("log.csv", arm, rows=400)
+    log("short.csv", arm, rows=40)
+    here.joinpath("nan.csv").write_text(re.sub(r"(\n1,[^,]*),[^,]*", r"\1,nan", here.joinpath("log.csv").read_text()))
+    out, errors = told(capsys, *arguments, code=MISTAKE)
+    assert not out
+    errors = "".join(line for line in errors.splitlines(True) if not line.endswith(" s ...\n"))  # without progress
+    assert errors.startswith("torchdq: error: ") and "Traceback" not in errors
+    assert found in " ".join(errors.split())
+    assert max(map(len, errors.splitlines())) <= WIDE
+
+
+def test_a_mistake_is_a_json_object_too(here, capsys):
+    found = data(capsys, "report", "nowhere.urdf", code=MISTAKE)
+    assert found == {"error": found["error"], "kind": "MissingFileError"} and "nowhere.urdf" in found["error"]
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_the_work(here, capsys, monkeypatch):
+    log("log.csv", torchdq.Robot.from_urdf(ARM), rows=400)
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    _, errors = told(capsys, "id", "arm.urdf", "log.csv", "--out", "locked", code=MISTAKE)
+    assert "out must be a folder that you can write" in errors
+
+
+def test_a_package_that_is_missing_is_told_before_the_work(here, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    _, errors = told(capsys, "id", "arm.urdf", "log.csv", code=MISTAKE)
+    assert "pip install 'torchdq[viz]'" in " ".join(errors.split())
+    monkeypatch.setitem(sys.modules, "scipy", None)
+    _, errors = told(capsys, "id", "arm.urdf", "log.csv", code=MISTAKE)
+    expected = "needs scipy and matplotlib, which are not installed; pip install 'torchdq[learn,viz]'"
+    assert expected in " ".join(errors.split())
+    monkeypatch.setitem(sys.modules, "viser", None)
+    _, errors = told(capsys, "view", "arm.urdf", code=MISTAKE)
+    assert "pip install 'torchdq[viz]'" in " ".join(errors.split())
+
+
+def test_ctrl_c_is_one_line_and_exit_code_130(here, capsys, monkeypatch):
+    def interrupted(command):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(COMMANDS["report"], "outcome", interrupted)
+    out, errors = told(capsys, "report", "arm.urdf", code=INTERRUPTED)
+    assert not out and errors.strip() == "torchdq: interrupted"
+
+
+def test_a_process_ends_at_ctrl_c(here):
+    # a process in the background of a shell ignores Ctrl-C, and those that it starts do, too
+    code = "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    code += "runpy.run_module('torchdq', run_name='__main__', alter_sys=True)"
+    command = [sys.executable, "-c", code, "scene", "arm.urdf", "--seconds", "1e5", "--price", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            progress = process.stderr.readline()  # comes when it has worked for two seconds
+            process.send_signal(signal.SIGINT)
+            out, errors = process.communicate(timeout=300)
+        finally:
+            process.kill()
+    assert re.match(r"torchdq: .* 2 s \.\.\.", progress)
+    assert process.returncode == INTERRUPTED and not out and "Traceback" not in errors
+    assert errors.strip().endswith("torchdq: interrupted")
+
+
+def test_a_reader_that_leaves_early_is_no_fault(here):
+    command = f"{sys.executable} -m torchdq report arm.urdf | true; exit ${{PIPESTATUS[0]}}"
+    found = subprocess.run(["bash", "-c", command], capture_output=True, text=True, timeout=300)
+    assert (found.returncode, found.stderr) == (0, "")
+
+
+def test_what_libraries_print_is_not_in_the_output(here, capsys, monkeypatch):
+    usual = COMMANDS["report"].outcome
+    monkeypatch.setattr(COMMANDS["report"], "outcome", lambda command: (sys.stdout.write("hello\n"), usual(command))[1])
+    assert data(capsys, "report", "arm.urdf")["robot"] == "arm"
+
+
+def test_warnings_are_told_once_and_are_in_the_json_object(here, capsys, monkeypatch):
+    def warned(command):
+        warnings.warn("far from here", stacklevel=1)
+        warnings.warn("far from here", stacklevel=1)
+        return Outcome(("well",), {"well": True})
+
+    monkeypatch.setattr(COMMANDS["cost"], "outcome", warned)
+    out, errors = told(capsys, "cost")
+    assert out == "well\n" and errors == "torchdq: warning: far from here\n"
+    assert data(capsys, "cost") == {"well": True, "warnings": ["far from here"]}
+
+
+def test_numbers_that_are_not_finite_are_null():
+    assert plain({"x": (math.nan, 1.0), "y": torch.tensor([math.inf, 2.0])}) == {"x": [None, 1.0], "y": [None, 2.0]}
+
+
+def test_tables_fit_the_terminal(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    write(Outcome((Grid(("a", "b"), [("x " * 40, "y" * 50)]), "z " * 60), {}), as_json=False)
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 40 and "".join(lines).count("x") == 40 and "".join(lines).count("y") == 50
+
+
+# --- report ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_report_is_a_page_about_a_robot(here, capsys):
+    out, errors = told(capsys, "report", "panda")
+    assert "panda_joint1" in out and "forward_dynamics" in out and "largest growth" in out and not errors
+    assert max(map(len, out.splitlines())) <= WIDE
+
+
+def test_a_report_as_json_has_numbers(here, capsys):
+    found = data(capsys, "report", "arm.urdf")
+    arm = torchdq.Robot.from_urdf(ARM)
+    assert found["coordinates"] == ["shoulder", "elbow"] and [link["mass"] for link in found["links"]] == [2.0, 1.0]
+    count = torchdq.compile(arm, "inverse_dynamics").count()
+    assert found["operations"]["inverse_dynamics"] == count._asdict()
+    assert found["error_growth"]["worst"] >= found["error_growth"]["usual"] >= 1
+
+
+def test_some_joints_and_a_free_base(here, capsys):
+    assert data(capsys, "report", "arm.urdf", "--joints", "elbow")["coordinates"] == ["elbow"]
+    assert data(capsys, "report", "panda", "--joints", "panda_joint[12]")["coordinates"] == [
+        "panda_joint1",
+        "panda_joint2",
+    ]
+    assert data(capsys, "report", "arm.urdf", "--base", "floating")["base"] == "floating"
+
+
+def test_a_file_is_read_by_what_is_in_it(here, capsys):
+    pytest.importorskip("mujoco")
+    body = "<body name='b'><joint/><geom size='.1'/></body>"
+    here.joinpath("m.xml").write_text(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+    here.joinpath("u.xml").write_text(ARM)
+    assert len(data(capsys, "report", "m.xml")["coordinates"]) == 1
+    assert len(data(capsys, "report", "u.xml")["coordinates"]) == 2
+
+
+def files():
+    """Files of example-robot-data that ROBOTS.md has."""
+    try:
+        known = importlib.metadata.files("example-robot-data") or ()
+    except importlib.metadata.PackageNotFoundError:
+        return []
+    paths = [Path(str(file.locate())).resolve() for file in known if file.suffix == ".urdf"]
+    page = (ROOT / "ROBOTS.md").read_text()
+    return sorted(p for p in paths if any(f"| {folder.name}/{p.name} |" in page for folder in p.parents))
+
+
+FILES = files()
+QUICK = ("talos_full_v2.urdf", "romeo.urdf", "hextilt_flying_arm_5.urdf")
+# what no line of a report may be: a number that is none, an object, or a name of Python's
+UNEXPLAINED = re.compile(r"\bnan\b|tensor\(|<[a-z_.]+ object|\bnull\b|Traceback|\btensor\b")
+
+
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, marks=[] if path.name in QUICK else [pytest.mark.exhaustive], id=path.name) for path in FILES],
+)
+@pytest.mark.parametrize("base", ["fixed", "floating"])
+def test_a_report_of_every_robot_has_no_unexplained_line(here, capsys, path, base):
+    out, errors = told(capsys, "report", path, "--base", base)
+    assert not UNEXPLAINED.search(out + errors)
+    assert max(map(len, out.splitlines())) <= WIDE
+    title, rest = out.split("\nnotes:\n")
+    notes, rest = rest.split("\noperations per sample:\n")
+    assert title.startswith("Robot('") and "used: " in title
+    for note in re.split(r"^- ", notes, flags=re.MULTILINE)[1:]:
+        assert re.match(r"[\w'\"]", note) and len(note.split()) >= 3, note
+    # a joint without inertia has no accelerations, and is named
+    if "undefined" in rest:
+        assert re.search(r"joint '[^']+': it moves\s+no\s+inertia", rest)
+    elif "there is no joint to accelerate" not in rest:
+        assert float(re.search(r"largest growth (\S+);", " ".join(rest.split()))[1]) >= 1
+
+
+def test_there_are_robots_to_report():
+    if machine.version_of("example-robot-data") is None:
+        pytest.skip("the robots are in the extra 'examples'")
+    assert len(FILES) > 60 and {path.name for path in FILES} >= set(QUICK)
+
+
+# --- bench -----------------------------------------------------------------------------------------------------------
+
+
+def test_bench_measures_every_function_at_every_batch(here, capsys):
+    threads = torch.get_num_threads()
+    found = data(capsys, "bench", "arm.urdf", "--batches", "1", "64", "--seconds", "0", "--threads", "1")
+    assert {(one["function"], one["batch"]) for one in found["speeds"]} == {
+        (name, batch)
+        for name in ("inverse_dynamics", "forward_dynamics", "mass_matrix", "regressor", "gradient of inverse_dynamics")
+        for batch in (1, 64)
+    }
+    assert all(one["nanoseconds"] > 0 for one in found["speeds"])
+    assert found["threads"] == 1 and torch.get_num_threads() == threads
+    assert machine.processor() in found["machine"]
+
+
+def test_bench_of_a_free_base(here, capsys):
+    out, _ = told(capsys, "bench", "arm.urdf", "--base", "floating", "--batches", "64", "--seconds", "0")
+    assert "forward_dynamics" in out and "64 samples" in out and max(map(len, out.splitlines())) <= WIDE
+
+
+# --- id --------------------------------------------------------------------------------------------------------------
+
+
+class Page(HTMLParser):
+    """Tags of a page that are open, and everything that it would load."""
+
+    VOID = ("meta", "br")
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.wrong, self.loads, self.found = [], [], [], set()
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.found.add(tag)
+        self.open += [tag] if tag not in self.VOID else []
+        # names of namespaces and places in the same page are not loaded
+        self.loads += [x for name, x in attrs if name in ("src", "href", "xlink:href") and not x.startswith("#")]
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        self.open.pop()
+
+    def handle_endtag(self, tag):
+        if self.open.pop() != tag:
+            self.wrong.append(tag)
+
+
+def test_a_robot_is_identified_from_logs_with_a_page_and_a_urdf(here, capsys):
+    pytest.importorskip("scipy")
+    pytest.importorskip("matplotlib")
+    arm = torchdq.Robot.from_urdf(ARM)
+    for k, name in enumerate(("a.csv", "b.csv")):
+        log(name, arm, names=("pos_", "vel_", "eff_"), count=0, start=7.0 * k)
+    named = ("--columns", "q", "pos_{0}", "qd", "vel_{0}", "tau", "eff_{0}")
+    quick = ("--friction", "simple", "--prior", "1")
+    found = data(capsys, "id", "arm.urdf", "a.csv", "b.csv", *named, *quick, "--out", "made")
+    assert found["verdict"].startswith("Good: ") and " by the file is " in found["verdict"]
+    assert max(found["trial"]["found"]) < 0.05 < min(found["trial"]["described"])
+    assert found["trial"]["file"] == pytest.approx(found["trial"]["found"], abs=1e-3)
+    viscous = {p["name"]: p for p in found["parameters"] if p["name"].endswith("viscous")}
+    for joint, true in (("shoulder", 0.8), ("elbow", 0.4)):
+        one = viscous[f"{joint} viscous"]
+        assert abs(one["estimate"] - true) < 5 * one["error"] < 0.2 * true
+    page = Path(found["files"]["page"]).read_text()
+    parsed = Page(page)
+    assert not parsed.open and not parsed.wrong and not parsed.loads
+    assert {"svg", "table", "style"} <= parsed.found and "script" not in parsed.found
+    assert not re.search(r"@import|url\((?!#)", page)
+    assert "shoulder viscous" in page and found["verdict"] in page and "a.csv, b.csv" in page
+    assert "Good means that" in page and "by the file" in page
+    assert not list(Path("made").glob(".*"))  # nothing temporary is left
+    written = torchdq.Robot.from_urdf(found["files"]["urdf"])
+    q = torch.rand(5, 2, dtype=torch.float64)
+    zero = torch.zeros_like(q)
+    real = torchdq.inverse_dynamics(arm.replace(mass=1.3 * arm.mass, inertia=1.3 * arm.inertia), q, zero, zero)
+    assert torch.allclose(torchdq.inverse_dynamics(written, q, zero, zero), real, rtol=0.02, atol=0.02)
+
+
+def test_the_last_third_of_a_single_log_is_the_test_and_a_payload_is_found(here, capsys):
+    pytest.importorskip("scipy")
+    pytest.importorskip("matplotlib")
+    arm = torchdq.Robot.from_urdf(ARM)
+    log("empty.csv", arm)
+    held = arm.with_payload(0.4, (0.1, 0.0, 0.0), frame="lower")
+    t, q, qd, qdd = motion(start=3.0)
+    real = arm.replace(mass=1.3 * arm.mass, inertia=1.3 * arm.inertia)
+    more = torchdq.inverse_dynamics(held, q, qd, qdd) - torchdq.inverse_dynamics(arm, q, qd, qdd)
+    tau = torchdq.inverse_dynamics(real, q, qd, qdd) + torch.tensor([0.8, 0.4]) * qd + more
+    rows = torch.cat([t[:, None], q, qd, tau], 1).tolist()
+    text = "time,q1,q2,qd1,qd2,tau1,tau2\n" + "".join(",".join(f"{x:.9g}" for x in row) + "\n" for row in rows)
+    with gzip.open("held.csv.gz", "wt") as file:
+        file.write(text)
+    quick = ("--friction", "simple", "--prior", "1", "--payload", "held.csv.gz", "--frame", "lower")
+    out, errors = told(capsys, "id", "arm.urdf", "empty.csv", *quick)
+    assert "payload at lower" in out and "wrote" in out and re.search(r"Good: in [45]\.\d s", out)
+    mass = float(re.search(r"^mass +(\S+)", out, re.MULTILINE)[1])
+    assert abs(mass - 0.4) < 0.05, out + errors
+    assert here.joinpath("arm_identified.urdf").is_file()
+
+
+def test_logs_of_another_robot_have_a_poor_verdict(here, capsys):
+    pytest.importorskip("scipy")
+    pytest.importorskip("matplotlib")
+    log("log.csv", torchdq.Robot.from_urdf(ARM), rows=900)
+    text = here.joinpath("log.csv").read_text().splitlines()
+    swapped = [",".join([*line.split(",")[:5], *reversed(line.split(",")[5:])]) for line in text[1:]]
+    here.joinpath("log.csv").write_text("\n".join([text[0], *swapped]) + "\n")
+    out, errors = told(capsys, "id", "arm.urdf", "log.csv", "--friction", "simple", "--prior", "1")
+    assert "Good: " not in out and "warning" in errors
+
+
+# what the package says about a log in the words of Python, and what `id` says
+SPOILT = [
+    (("q1", "q2", "tau1", "tau2"), {}, "--columns qd none reads positions and torques"),
+    (("q1", "q2", "qd1", "qd2"), {}, "torques are needed to identify a robot; without them fit_rollout, in Python,"),
+    (("q1", "q2", "qd1", "qd2", "current1", "current2"), {}, "read it by --columns tau NAME, and --seek-gains finds"),
+    (("a1", "a2", "qd1", "qd2", "tau1", "tau2"), {}, "given by --columns, e.g. --columns q position_{0}; found time"),
+    (
+        ("q1", "q2", "qd1", "qd2", "tau1", "tau2", "tau3"),
+        {},
+        "or the names of those that are meant, --columns tau tau1",
+    ),
+    (("q1", "q2", "qd1", "qd2", "tau1", "tau2"), {"q1": 100.0}, "if the joint does go there, pass --farthest"),
+    (("q1", "q2", "qd1", "qd2", "tau1", "tau2"), {"time": 3.0}, "a part of it in which time runs on: --rows 0 20 of"),
+    (("1", "2", "3", "4", "5", "6"), {}, "a file without a header needs --blocks, e.g. --blocks q qd tau"),
+]
+
+
+@pytest.mark.parametrize(("heads", "changed", "expected"), SPOILT)
+def test_what_mends_a_log_is_an_option(heads, changed, expected):
+    from torchdq.command.words import with_options
+    from torchdq.learning.logs.layouts import LogError
+
+    heads = ("0" if heads[0] == "1" else "time", *heads)
+    rows = [[0.01 * k, *(0.1 * k,) * (len(heads) - 1)] for k in range(40)]
+    for name, value in changed.items():
+        for row in rows[20:]:
+            row[heads.index(name)] += value
+    text = "\n".join(",".join(map(str, row)) for row in [heads, *rows]) + "\n"
+    with pytest.raises(LogError) as raised:
+        read(text.encode())
+    words = with_options(str(raised.value))
+    assert expected in words
+    assert not re.search(r"Layout|\w=|[({]'|read\(|identify\(|smooth\(", words), words
+
+
+def test_columns_are_named_by_patterns_by_joints_and_one_by_one(here):
+    from torchdq.command.main import _parsed
+
+    arm = torchdq.Robot.from_urdf(ARM)
+    given = {"time": "stamp", "q": "a,b", "tau": "eff_{joint}", "qd": "none"}
+    columns = [word for pair in given.items() for word in pair]
+    layout = _parsed(["id", "arm.urdf", "a.csv", "--columns", *columns])._layout(arm)
+    heads = "stamp,b,eff_elbow,a,eff_shoulder"
+    rows = [f"{0.01 * k},{2 * k},{4 * k},{k},{3 * k}" for k in range(9)]
+    found = read("\n".join([heads, *rows]).encode(), layout)
+    assert found.q[1].tolist() == [1, 2] and found.tau[1].tolist() == [3, 4] and found.qd is None
+
+
+# --- scene -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_scene_keeps_its_energy_and_writes_a_log(here, capsys):
+    pytest.importorskip("scipy")
+    arguments = ("--effects", "gravity", "--seconds", "1", "--dt", "0.001", "--q", "0.3", "-0.2", "--price", "0")
+    found = data(capsys, "scene", "arm.urdf", *arguments, "--integrator", "RungeKutta4", "--csv", "fall.csv")
+    start, end = (sum(found["energies"][k]) for k in ("start", "end"))
+    assert abs(end - start) < 1e-8 and found["energies"]["end"][0] > 0.1
+    assert found["steps"] == 1000 and found["operations"] == sum(cost["operations"] for cost in found["costs"])
+    table = read("fall.csv", torchdq.learning.Layout(columns={"tau": None}))
+    assert table.q.shape == (1001, 2) and abs(table.time[-1] - 1) < 1e-9
+    assert table.q[0].tolist() == [0.3, -0.2] and plain(table.q[-1]) == pytest.approx(found["end"]["q"], abs=1e-9)
+
+
+def test_a_scene_that_leaves_all_bounds_has_failed(here, capsys):
+    options = ("--price", "0", "--seconds", "1", "--effects", "gravity", "spring=1e9", "--integrator", "ExplicitEuler")
+    found = data(capsys, "scene", "arm.urdf", *options, code=MISTAKE)
+    assert found["lost"].startswith("The simulation has failed: from ") and found["energies"]["end"] == [None, None]
+
+
+def test_a_scene_has_the_effects_that_are_named(here, capsys):
+    short = ("--price", "0", "--seconds", "0.1")
+    out, _ = told(capsys, "scene", "arm.urdf", "--effects", "gravity", "viscous=2", "limits", *short)
+    assert "Gravity, Viscous, Limits" in " ".join(out.split()) and max(map(len, out.splitlines())) <= WIDE
+    found = data(capsys, "scene", "arm.urdf", "--effects", *short, "--hold", "20", "5")
+    assert not found["effects"] and [cost["slot"] for cost in found["costs"]][-1] == "controller"
+    assert found["end"]["q"] == [0, 0]
+
+
+def test_every_effect_and_every_integrator_can_be_named():
+    offered = set(torchdq.effects.__all__) if hasattr(torchdq, "effects") else set()
+    assert {"gravity", "coulomb", "lugre", "elastic", "noise"} <= set(KINDS) and len(KINDS) >= len(offered) - 2
+    assert {"LinearlyImplicit", "RungeKutta4", "DormandPrince"} <= set(STEPPERS)
+
+
+# --- accuracy, export, view, cost ------------------------------------------------------------------------------------
+
+
+def test_accuracy_recommends(here, capsys):
+    found = data(capsys, "accuracy", "arm.urdf", "--error", "1e-2", "--horizon", "0.1", "--seconds", "1")
+    assert found["error"] <= 1e-2 and found["step"] > 0 and found["integrator"] in STEPPERS
+    out, _ = told(capsys, "accuracy", "arm.urdf", "--accelerations", "--error", "1e-3")
+    assert "dtype" in out and "predicted" in out
+
+
+def test_c_is_exported(here, capsys):
+    arguments = ("inverse_dynamics", "--out", "c", "--name", "arm_torques")
+    found = data(capsys, "export", "arm.urdf", *arguments)
+    names = {Path(file).name for file in found["files"]}
+    assert {"arm_torques.c", "arm_torques.h"} <= names and all(Path(file).is_file() for file in found["files"])
+    out, _ = told(capsys, "export", "arm.urdf", *arguments)
+    assert "wrote c/arm_torques.c" in out
+
+
+def test_casadi_and_free_bases_are_exported(here, capsys):
+    found = data(capsys, "export", "arm.urdf", "mass_matrix", "--language", "casadi", "--out", "casadi")
+    assert len(found["files"]) == 1 and "sparsity" in Path(found["files"][0]).read_text()
+    found = data(capsys, "export", "arm.urdf", "forward_dynamics", "--base", "floating")
+    assert found["function"] == "forward_dynamics_arm"
+    assert "X_WB" in next(Path(file) for file in found["files"] if file.endswith(".h")).read_text()
+
+
+def test_a_graph_of_torch_is_exported(here, capsys):
+    found = data(capsys, "export", "arm.urdf", "inverse_dynamics", "--language", "torch")
+    graph = torch.export.load(found["files"][0]).module()
+    x = torch.rand(3, 5, 2, dtype=torch.float64)
+    assert torch.allclose(graph(*x), torchdq.inverse_dynamics(torchdq.Robot.from_urdf(ARM), *x))
+
+
+def test_a_robot_is_viewed(here, capsys):
+    pytest.importorskip("viser")
+    found = data(capsys, "view", "arm.urdf", "--seconds", "0.2", "--port", "8123")
+    assert found["frames"] >= 1 and found["url"].startswith("http://127.0.0.1:")
+
+
+def test_joints_sway_within_their_limits():
+    from torchdq.command.view import PERIOD, swaying
+
+    arm = torchdq.Robot.from_urdf(ARM)
+    moved = torch.stack([swaying(arm, t) for t in torch.linspace(0, 2 * PERIOD, 50).tolist()])
+    assert bool((moved > arm.limits.lower).all() and (moved < arm.limits.upper).all())
+    assert bool((moved.std(0) > 0.1).all())
+
+
+def test_the_papers_tables_are_counted(here, capsys, monkeypatch):
+    from torchdq.paper import ladder
+
+    monkeypatch.setattr(ladder, "times", lambda n: [1.0] * len(ladder.RUNGS))
+    out, _ = told(capsys, "cost")
+    assert "Table 4" in out and "| 1.0 ns |" in out and "From Algorithm 1" in out
+    assert set(data(capsys, "cost")) == {"tables", "steps"}
+
+
+# --- doctor ----------------------------------------------------------------------------------------------------------
+
+
+def test_the_doctor_finds_this_installation_well(here, capsys):
+    found = data(capsys, "doctor")
+    assert {one["state"] for one in found["findings"]} <= {"ok", "warning"}
+    assert {"python", "packages", "processor", "threads", "C compiler", "cache", "GPU", "compiled program"} <= {
+        one["what"] for one in found["findings"]
+    }
+    out, _ = told(capsys, "doctor")
+    assert max(map(len, out.splitlines())) <= WIDE and "torques of a double" in " ".join(out.split())
+
+
+def test_the_doctor_compiles_and_leaves_the_cache_as_it_was(tmp_path, monkeypatch):
+    monkeypatch.setenv(health.CACHE, str(tmp_path))
+    tmp_path.chmod(0o700)
+    assert {finding.what: finding.state for finding in health.findings()}["compiled program"] == "ok"
+    assert os.environ[health.CACHE] == str(tmp_path) and list(tmp_path.iterdir()) == []
+
+
+def test_the_known_torque_is_that_of_the_weights():
+    q, zero = torch.tensor(health.POSITION, dtype=torch.float64), torch.zeros(2, dtype=torch.float64)
+    tau = torchdq.inverse_dynamics(torchdq.robots.load("two_link"), q, zero, zero, backend="eager")
+    assert tau.tolist() == pytest.approx(health.TORQUES, rel=1e-14)
+
+
+def broken_compiler(folder, body):
+    """Path of a compiler that does something else."""
+    path = folder / "cc"
+    path.write_text(f"#!/bin/sh\n{body}\n")
+    path.chmod(0o755)
+    return str(path)
+
+
+def test_a_compiler_that_fails_is_broken_with_a_cure(here, capsys, monkeypatch):
+    script = 'if [ "$1" = --version ]; then echo broken 1.0; else echo no space left; exit 1; fi'
+    monkeypatch.setenv("CC", broken_compiler(here, script))
+    torchdq.clear_caches()
+    found = data(capsys, "doctor", code=MISTAKE)
+    states = {one["what"]: one for one in found["findings"]}
+    assert states["compiled program"]["state"] == "broken" and "no space left" in states["compiled program"]["found"]
+    assert "$CC" in states["compiled program"]["cure"]
+    monkeypatch.undo()
+    torchdq.clear_caches()
+
+
+def test_no_compiler_is_a_warning(here, capsys, monkeypatch):
+    monkeypatch.setenv("PATH", str(here))
+    monkeypatch.delenv("CC", raising=False)
+    torchdq.clear_caches()
+    out, _ = told(capsys, "doctor")
+    assert "install gcc or clang" in " ".join(out.split()) and "it works; 1 warning" in out
+    monkeypatch.undo()
+    torchdq.clear_caches()
+
+
+def test_wrong_torques_are_found(monkeypatch):
+    monkeypatch.setattr(health, "TORQUES", (17.8, 3.75))
+    found = {finding.what: finding for finding in health.findings()}["compiled program"]
+    assert found.state == "broken" and "must be (17.8, 3.75)" in found.found and found.cure
+
+
+def test_more_threads_than_processors_are_a_warning(monkeypatch):
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 10_000)
+    found = {finding.what: finding for finding in health.findings()}["threads"]
+    assert found.state == "warning" and "OMP_NUM_THREADS" in found.cure
+
+
+def test_everything_that_is_not_well_has_a_cure(monkeypatch):
+    monkeypatch.setattr(machine, "version_of", lambda package: None)
+    found = health.findings()
+    assert all(finding.cure for finding in found if finding.state == "broken")
+    packages = next(finding for finding in found if finding.what == "packages")
+    assert packages.state == "broken" and packages.cure.startswith("pip install ")
+    assert isinstance(packages, Finding)
+
+
+# --- the page about the command line ---------------------------------------------------------------------------------
+
+DOCUMENT = ROOT / "docs" / "command-line.md"
+
+
+def commands_of(document):
+    """Command lines of a document, those that go on in the next line as one."""
+    blocks = re.findall(r"```sh\n(.*?)```", document, re.DOTALL)
+    lines = "".join(blocks).replace("\\\n", " ").splitlines()
+    return [line.partition("  #")[0].strip() for line in lines if line.startswith("torchdq ")]
+
+
+def test_the_page_names_every_command_and_every_line_of_it_is_understood(capsys):
+    import shlex
+
+    from torchdq.command.main import _parsed
+
+    lines = commands_of(DOCUMENT.read_text())
+    words = [shlex.split(line)[1:] for line in lines]
+    assert {line[0] for line in words} >= set(COMMANDS)
+    for line in words:
+        if line[0] in COMMANDS and "--help" not in line:
+            assert isinstance(_parsed(line), COMMANDS[line[0]]), line
+    assert capsys.readouterr() == ("", "")
+
+
+def test_the_report_on_the_page_is_what_comes_out(here, capsys):
+    out, _ = told(capsys, "report", "two_link")
+    assert out in DOCUMENT.read_text()

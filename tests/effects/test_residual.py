@@ -1,0 +1,447 @@
+"""Learned torques in a scene: what a network has learned acts on the joints as the physics would that it learned."""
+
+import itertools
+import warnings
+
+import gymnasium
+import helpers
+import pytest
+import torch
+from helpers import FIXED, called, double, random, thinned
+from oracles import shipped
+from torch import nn
+
+import torchdq
+from torchdq.backends import c_library as build
+from torchdq.effects.residual import BLOCK
+from torchdq.envs import ArmVectorEnv, Scene, State, effects
+from torchdq.errors import ArgumentError
+from torchdq.layers.residual.recorded import Learned, Prepared
+from torchdq.scene import controllers
+from torchdq.scene.integrators import DormandPrince, ExplicitEuler, LinearlyImplicit, Repeated, RungeKutta4
+
+ARM, PANDA = shipped("two_link").robot, shipped("panda").robot
+EVERY = (*FIXED, Repeated(RungeKutta4(), 3), DormandPrince())
+UP_TO = 1e-12
+one_thread = helpers.one_thread
+
+
+class OneFeature(nn.Module):
+    """A network that is a factor on one of the six features of every joint."""
+
+    def __init__(self, feature, factor):
+        super().__init__()
+        self.feature, self.factor = feature, nn.Parameter(torch.as_tensor(factor, dtype=torch.float64))
+
+    def forward(self, x):
+        return self.factor * x[..., self.feature : self.feature + 1]
+
+
+def imitated(feature, factor, robot=ARM):
+    return torchdq.ResidualDynamics(torchdq.DQRNEA(robot), OneFeature(feature, factor))
+
+
+def trained(learn=("friction", "offset", "mass"), robot=ARM):
+    """A model whose network is no longer zero, but whose torques still grow with the acceleration."""
+    torch.manual_seed(0)
+    model = torchdq.ResidualDynamics(torchdq.DQRNEA(robot, learn), hidden=(8,)).double()
+    with torch.no_grad():
+        for weight in model.network.weights:
+            weight.add_(0.1 * torch.randn_like(weight))
+        if "offset" in learn:
+            model.model.offset.add_(0.3)
+    return model
+
+
+def accelerations(scene, state, torque):
+    """Accelerations by which an explicit step moves."""
+    h = scene.dt
+    return (scene.replace(integrator=ExplicitEuler()).step(state, torque).qd - state.qd) / h
+
+
+# --- physics ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_network_that_learned_viscous_friction_is_that_friction_to_first_order_in_dt():
+    """The end of a motion, against the friction itself integrated to 1e-9; halved steps halve the error."""
+    q, qd, seconds = random(4, 2), random(4, 2, seed=1), 0.25
+    parts = (effects.Gravity(),)
+    exact = Scene(ARM, (*parts, effects.Viscous(0.8)), integrator=DormandPrince(), dt=seconds)
+    expected = exact.step(exact.start(q, qd)).q
+    errors = []
+    learned = effects.Residual(imitated(0, 0.8))
+    for steps in (50, 100, 200):
+        scene = Scene(ARM, (*parts, learned), integrator=RungeKutta4(), dt=seconds / steps)
+        with torch.no_grad():
+            errors.append(float((scene.rollout(scene.start(q, qd), steps=steps).q[-1] - expected).abs().max()))
+    assert errors[0] < 1e-2
+    assert all(1.8 < a / b < 2.2 for a, b in itertools.pairwise(errors))
+
+
+@pytest.mark.parametrize("inertia", [0.01, 1.0, 100.0])
+def test_a_network_that_learned_rotors_is_those_rotors_however_heavy(inertia):
+    state, torque = State(random(5, 2), random(5, 2, seed=1)), random(5, 2, seed=2)
+    learned = accelerations(Scene(ARM, (effects.Residual(imitated(4, inertia)),)), state, torque)
+    true = accelerations(Scene(ARM, (effects.RotorInertia(inertia),)), state, torque)
+    assert torch.allclose(learned, true, rtol=1e-9, atol=1e-9)
+
+
+def test_a_network_that_learned_losses_in_proportion_to_the_torque_has_them():
+    """tau = model + 0.25 model, so that the acceleration is that of 0.8 tau."""
+    state, torque = State(random(5, 2), random(5, 2, seed=1)), random(5, 2, seed=2)
+    robot = ARM.replace(gravity=None)
+    learned = accelerations(Scene(robot, (effects.Residual(imitated(5, 0.25, robot)),)), state, torque)
+    assert torch.allclose(learned, accelerations(Scene(robot), state, 0.8 * torque), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("learn", [(), ("friction",), ("friction", "offset", "mass", "armature", "gravity")])
+def test_the_simulated_arm_accelerates_as_the_model_that_was_learned_says(learn):
+    """Its torques for an acceleration, given back to the scene of its effects, cause that acceleration."""
+    model = trained(learn)
+    q, qd, qdd = random(3, 6, 2)
+    scene = Scene(model.robot, (*model.effects()[:-1], effects.Residual(model, 8)), dt=1e-3)
+    found = accelerations(scene, State(q, qd), model(q, qd, qdd).detach())
+    assert torch.allclose(found, qdd, rtol=1e-8, atol=1e-8)
+
+
+def test_an_arm_that_learned_from_friction_moves_as_the_arm_with_that_friction():
+    """A network trained on torques of friction that its model does not know; a motion that it was not trained on."""
+    generator = torch.Generator().manual_seed(3)
+    ranges = double(2, 4, 10)[:, None, None]
+    q, qd, qdd = (2 * torch.rand(3, 2000, 2, generator=generator, dtype=torch.float64) - 1) * ranges
+    tau = torchdq.inverse_dynamics(ARM, q, qd, qdd) + 1.5 * qd + 0.5 * qd / (qd * qd + 0.04).sqrt()
+    torch.manual_seed(0)
+    model = torchdq.ResidualDynamics(torchdq.DQRNEA(ARM), hidden=(16,)).double()
+    model.standardise(q, qd, qdd, tau)
+    optimiser = torch.optim.Adam(model.parameters(), 1e-2)
+    for _ in range(400):
+        optimiser.zero_grad()
+        (model(q, qd, qdd) - tau).square().mean().backward()
+        optimiser.step()
+    friction = (effects.Viscous(1.5), effects.Coulomb(0.5, 0.2))
+    torque = 2 * torch.sin(torch.arange(300, dtype=torch.float64) / 40)[:, None] * double(1, 0.5)
+    ends = []
+    for parts in ((), friction, (effects.Residual(model),)):
+        scene = Scene(ARM, (effects.Gravity(), *parts), dt=0.005)
+        with torch.no_grad():
+            ends.append(scene.rollout(scene.start(double(0.2, -0.3)), torque).q)
+    without, true, learned = ends
+    assert float((learned - true).abs().max()) < 0.05 * float((without - true).abs().max())
+
+
+def test_friction_that_was_learned_takes_energy_out():
+    robot = ARM.replace(gravity=None)
+    scene = Scene(robot, (effects.Residual(imitated(0, 0.5, robot)),), dt=2e-3)
+    state = scene.start(random(4, 2), random(4, 2, seed=1))
+    with torch.no_grad():
+        energies = torch.cat([scene.energy(state)[None], scene.energy(scene.rollout(state, steps=100))])[..., 0]
+    assert (energies[1:] < energies[:-1]).all()
+
+
+@pytest.mark.parametrize("integrator", EVERY, ids=called)
+def test_it_is_held_over_a_step_as_a_commanded_torque_is(integrator):
+    """Every integrator: the torque of a function is that of the state at the start of the step."""
+    q, qd, torque = random(3, 4, 2)
+    for parts in ((), (effects.Gravity(), effects.Viscous(0.3), effects.Drag(0.2))):
+        scene = Scene(ARM, (*parts, effects.Residual(lambda q, qd: q * qd + 1)), integrator=integrator, dt=0.02)
+        other = Scene(ARM, parts, integrator=integrator, dt=0.02)
+        found, expected = scene.step(State(q, qd), torque), other.step(State(q, qd), torque - (q * qd + 1))
+        for a, b in zip(found[:2], expected[:2], strict=True):
+            assert torch.allclose(a, b, rtol=UP_TO, atol=UP_TO)
+
+
+@pytest.mark.parametrize("integrator", EVERY, ids=called)
+def test_a_model_that_sees_accelerations_works_with_every_integrator_and_behind_elastic_joints(integrator):
+    for parts in ((), (effects.Elastic(50.0, 0.1, 0.2), effects.Lag(0.05), effects.Noise(0.01))):
+        scene = Scene(ARM, (*parts, effects.Residual(imitated(4, 0.2))), integrator=integrator, dt=1e-4)
+        true = Scene(ARM, (*parts, effects.RotorInertia(0.2)), integrator=integrator, dt=1e-4)
+        noise = torch.full((scene.noises,), 0.5, dtype=torch.float64)
+        state = scene.start(random(3, 2), random(3, 2, seed=1), noise)
+        a, b = (x.step(state, random(3, 2, seed=2), noise) for x in (scene, true))
+        assert torch.allclose(a.qd, b.qd, rtol=1e-5, atol=1e-5)
+
+
+# --- gradients -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("integrator", [LinearlyImplicit(), RungeKutta4(), Repeated(RungeKutta4(), 2)], ids=called)
+def test_gradients_are_those_of_finite_differences(integrator):
+    """In the state, the torques, and every parameter of the network."""
+    model = trained(())
+    scene = Scene(ARM, (effects.Gravity(), effects.Residual(model, 6)), integrator=integrator, dt=0.02)
+
+    def end(q, qd, torque, *parameters):  # gradcheck changes the parameters in place
+        state = State(q, qd)
+        for _ in range(2):
+            state = scene.step(state, torque)
+        return torch.cat(state[:2], -1)
+
+    q, qd, torque = (x.clone().requires_grad_() for x in random(3, 1, 2))
+    assert torch.autograd.gradcheck(end, (q, qd, torque, *model.parameters()), atol=1e-6, fast_mode=True)
+
+
+def test_a_loss_of_a_rollout_reaches_the_network_and_a_step_against_it_lessens_it():
+    model, q = trained(), random(3, 2)
+    losses = []
+    for _ in range(2):
+        scene = Scene(model.robot, model.effects(), dt=0.01)
+        loss = scene.rollout(scene.start(q), steps=10, checkpoint=3).q.square().mean()
+        model.zero_grad()
+        loss.backward()
+        losses.append(loss.item())
+        assert all(x.grad is not None and x.grad.abs().sum() > 0 for x in model.parameters())
+        with torch.no_grad():
+            for x in model.parameters():
+                x -= 1e-3 * x.grad
+    assert losses[1] < losses[0]
+
+
+# --- batches, precisions, transforms ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("model", ["function", "dynamics"])
+def test_rows_do_not_see_each_other(model):
+    acting = trained() if model == "dynamics" else (lambda q, qd: 0.3 * q * qd)
+    scene = Scene(ARM, (effects.Gravity(), effects.Residual(acting)))
+    q, qd = random(2, 5, 2)
+    whole = scene.step(State(q, qd))
+    spoiled = q.clone()
+    spoiled[2] = torch.nan
+    rest = [0, 1, 3, 4]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        other = scene.step(State(spoiled, qd))
+    assert torch.allclose(other.qd[rest], whole.qd[rest], rtol=UP_TO, atol=UP_TO)
+    assert other.qd[2].isnan().all()
+    for i in range(5):
+        assert torch.allclose(scene.step(State(q[i], qd[i])).qd, whole.qd[i], rtol=UP_TO, atol=UP_TO)
+
+
+@pytest.mark.parametrize("acting", [trained(), nn.Bilinear(2, 2, 2), nn.Bilinear(2, 2, 2).double()])
+def test_float32_states_give_what_float64_ones_do(acting):
+    scene = Scene(ARM, (effects.Gravity(), effects.Residual(acting)), dt=0.01)
+    q, qd = random(2, 5, 2)
+    exact, single = scene.step(State(q, qd)), scene.step(State(q.float(), qd.float()))
+    inside = scene.replace(precision="double").step(State(q.float(), qd.float()))
+    for found in (single, inside):
+        assert found.q.dtype == found.qd.dtype == torch.float32
+        assert torch.allclose(found.qd.double(), exact.qd, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("model", ["function", "dynamics"])
+def test_it_is_mapped_and_linearised(model):
+    acting = trained() if model == "dynamics" else (lambda q, qd: 0.3 * q * qd)
+    scene = Scene(ARM, (effects.Gravity(), effects.Residual(acting)), dt=0.01)
+    q, qd = random(2, 5, 2)
+    mapped = torch.func.vmap(lambda q, qd: scene.step(State(q, qd)).qd)(q, qd)
+    assert torch.allclose(mapped, scene.step(State(q, qd)).qd, rtol=UP_TO, atol=UP_TO)
+    A, B = scene.linearize(State(q, qd))
+    h = 1e-6
+    for k in range(4):
+        d = h * torch.eye(4, dtype=torch.float64)[k]
+        ends = [torch.cat(scene.step(State(q + s * d[:2], qd + s * d[2:]))[:2], -1) for s in (1, -1)]
+        assert torch.allclose(A[..., k], (ends[0] - ends[1]) / (2 * h), atol=1e-6)
+    assert B.shape == (5, 4, 2)
+
+
+@pytest.mark.parametrize(
+    ("backend", "model"),
+    thinned(
+        [("c", "function"), ("c", "dynamics"), ("eager", "function"), ("eager", "dynamics")],
+        [("eager", "function"), ("c", "dynamics")],
+    ),
+)
+def test_steps_are_traced_whole(backend, model):
+    if backend == "c" and build.compiler() is None:
+        pytest.skip("there is no C compiler")
+    acting = trained(()) if model == "dynamics" else nn.Bilinear(2, 2, 2).double()
+    scene = Scene(ARM, (effects.Gravity(), effects.Residual(acting)), backend=backend)
+    traced = torch.compile(lambda q, qd: scene.step(State(q, qd)).qd, fullgraph=True, backend="aot_eager")
+    q, qd = random(2, 5, 2)
+    assert torch.allclose(traced(q, qd), scene.step(State(q, qd)).qd, rtol=UP_TO, atol=UP_TO)
+
+
+@pytest.mark.parametrize("inputs", ["joint", "all"])
+@pytest.mark.parametrize("learn", [(), ("friction", "offset", "mass")])
+@pytest.mark.parametrize("hidden", [(), (5,), (6, 4)], ids=str)
+def test_the_closed_form_is_what_forward_mode_finds_of_any_network(inputs, learn, hidden):
+    """Inside of the trained states, where the gate fades, where features and torques are limited, and far away."""
+    torch.manual_seed(1)
+    model = torchdq.ResidualDynamics(torchdq.DQRNEA(ARM, learn), inputs=inputs, hidden=hidden).double()
+    with torch.no_grad():
+        model.standardise(*(0.5 * random(4, 40, 2, seed=2)))
+        for p in model.network.parameters():
+            p.add_(0.3 * torch.randn_like(p))
+        if learn:
+            model.model.offset.add_(0.3)
+        model.domain.reach.clamp_min_(2.0)
+        model.weight.copy_(double(0.7, 0.9))
+        model.largest.mul_(0.05)
+        q, qd, qdd, r = random(4, 30, 2)
+        q, qd, qdd = (x * torch.linspace(0.1, 3, 30, dtype=torch.float64)[:, None] for x in (q, qd, qdd))
+        W = random(30, 2, 2, seed=1)
+        tau = model.model(q, qd, qdd)
+        directions = torch.stack((W, torchdq.mass_matrix(model.robot, q) @ W), -2)
+        closed, features = model.line(q, qd, qdd, W), model._columns(q, qd, qdd, tau)
+        general = Learned(model, features, directions)
+        assert type(closed) is Prepared
+        moved = qdd - (W @ r[..., None])[..., 0]
+        expected = model.unmodelled(q, qd, moved)
+        gate = model.gate(model.scaled(model._columns(q, qd, moved, model.model(q, qd, moved))))
+        assert (gate == 0).any() and (gate == 1).any() and ((gate > 0.01) & (gate < 0.99)).any()
+        for line in (closed, general):
+            assert torch.allclose(line.torques(r), expected, rtol=1e-9, atol=1e-9)
+        for found, other in zip(closed.linearised(r), general.linearised(r), strict=True):
+            assert torch.allclose(found, other, rtol=1e-9, atol=1e-9)
+
+        def change(r):
+            return r - model.unmodelled(q, qd, qdd - (W @ r[..., None])[..., 0])
+
+    h, J = 1e-6, closed.linearised(r)[1]
+    for k in range(2):
+        d = h * torch.eye(2, dtype=torch.float64)[k]
+        with torch.no_grad():
+            assert torch.allclose(J[..., k], (change(r + d) - change(r - d)) / (2 * h), rtol=1e-6, atol=1e-6)
+
+
+def test_a_large_batch_is_solved_in_blocks_with_the_same_result():
+    scene = Scene(ARM, (effects.Gravity(), effects.Residual(trained())), dt=0.01)
+    q, qd = 0.3 * random(2, 2, BLOCK, 2)
+    whole = scene.step(State(q, qd))
+    for i in range(2):
+        assert torch.allclose(scene.step(State(q[i], qd[i])).qd, whole.qd[i], rtol=UP_TO, atol=UP_TO)
+    with torch.no_grad():
+        assert torch.allclose(scene.step(State(q, qd)).qd, whole.qd, rtol=UP_TO, atol=UP_TO)
+
+
+# --- in scenes and environments --------------------------------------------------------------------------------------
+
+
+def test_it_costs_a_sum_per_joint_and_its_program_serves_every_network():
+    bare = Scene(PANDA, (effects.Gravity(),))
+    scenes = [bare.replace(effects=(*bare.effects, effects.Residual(f))) for f in (torch.add, trained((), PANDA))]
+    assert scenes[0].count().total - bare.count().total == PANDA.n
+    assert scenes[0].spec is scenes[1].spec
+    assert scenes[0].inputs == bare.inputs
+
+
+@pytest.mark.parametrize(
+    ("model", "words"),
+    [
+        (trained(), "network of 130 numbers in a ResidualDynamics"),
+        (nn.Bilinear(2, 2, 2), "network of 10 numbers in a Bilinear"),
+        (torch.mul, "function"),
+    ],
+    ids=["ResidualDynamics", "module", "function"],
+)
+def test_a_description_tells_the_size_of_the_network_and_what_it_adds_to(model, words):
+    found = Scene(ARM, (effects.Viscous(0.1), effects.Residual(model))).describe(batch=1, seconds=0.0)
+    line = f"Residual: a {words}, run by torch once per step, adds to the joint torques of the rigid bodies"
+    assert found.outside == (f"{line} and other effects",)
+    assert "\ncomputed outside the program, and not among the operations:\n- Residual: a " in str(found)
+    assert Scene(ARM).describe(batch=1, seconds=0.0).outside == ()
+
+
+def test_a_description_names_it_and_times_the_network_too():
+    scene = Scene(ARM, (effects.Viscous(0.1), effects.Residual(imitated(0, 0.1))))
+    found = scene.describe(batch=8, seconds=5.0)
+    assert [cost.effect for cost in found.costs] == ["bare step", "Viscous", "Residual"]
+    assert found.costs[-1].nanoseconds > 0
+
+
+def test_a_check_of_the_step_counts_its_torques():
+    model = imitated(0, -400.0)  # a torque that grows with the velocity
+    assert Scene(ARM).check(Scene(ARM).start(double(0.1, 0.2)), seconds=0.2)
+    scene = Scene(ARM, (effects.Residual(model),))
+    assert not scene.check(scene.start(double(0.1, 0.2), double(0.1, 0.1)), seconds=0.2)
+
+
+@pytest.mark.parametrize("action", ["torque", "residual"])
+def test_environments_have_it(action):
+    parts = (effects.Gravity(), effects.RotorInertia(0.1), effects.Residual(trained((), PANDA)))
+    envs = ArmVectorEnv(3, "reach", PANDA, effects=parts, action=action, dtype="float64")
+    others = ArmVectorEnv(3, "reach", PANDA, effects=parts[:2], action=action, dtype="float64")
+    first, second = (x.reset(seed=0)[0] for x in (envs, others))
+    assert torch.equal(first, second)
+    first, second = (x.step(torch.full((3, 7), 0.1))[0] for x in (envs, others))
+    assert first.isfinite().all() and not torch.allclose(first, second)
+    alone = ArmVectorEnv(1, "reach", PANDA, effects=parts, action=action, dtype="float64")
+    alone.reset(seed=2)
+    assert torch.allclose(alone.step(torch.full((1, 7), 0.1))[0][0], first[2], rtol=1e-9, atol=1e-9)
+
+
+def test_gymnasium_makes_environments_with_it():
+    parts = (effects.Gravity(), effects.RotorInertia(0.1), effects.Residual(nn.Bilinear(7, 7, 7)))
+    envs = gymnasium.make_vec("torchdq/Track-v0", num_envs=2, robot="panda", effects=parts)
+    observation, _ = envs.reset(seed=0)
+    assert envs.step(0 * envs.action_space.sample())[0].shape == observation.shape
+
+
+def test_a_controller_and_a_rollout_by_a_policy_see_it():
+    model = trained()
+    scene = Scene(model.robot, model.effects(), controllers.ComputedTorque(100.0, 20.0), dt=0.002)
+    q = double(0.3, -0.4)
+    wanted = torch.cat([q, 0 * q, 0 * q])
+    control = torchdq.ComputedTorque(model, 100.0, 20.0)
+    plain = scene.replace(controller=None)
+    with torch.no_grad():
+        held = scene.rollout(scene.start(q), steps=200, reference=wanted.expand(200, -1)).q[-1]
+        known = plain.rollout(plain.start(q), steps=200, policy=lambda s: control(s.q, s.qd, q, 0 * q, 0 * q)).q[-1]
+    assert float((held - q).abs().max()) > 1e-3  # the described model does not know what was learned
+    assert float((known - q).abs().max()) < 1e-6
+
+
+# --- errors ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "parts, words",
+    [
+        ((nn.Linear(2, 2),), "what a module learned acts as effects.Residual"),
+        ((effects.Residual(3.0),), "model of Residual must be a torchdq.ResidualDynamics.*found 3.0"),
+        ((effects.Residual(nn.Bilinear),), "it is a class, call it"),
+        ((effects.Residual(torchdq.DQRNEA(ARM)),), "found DQRNEA; its torques are those of all bodies"),
+        ((effects.Residual(imitated(0, 0.1, PANDA)),), "must have the 2 joints of robot 'two_link', found 7"),
+        ((effects.Residual(torch.add, 0),), "iterations of Residual must be"),
+        ((effects.Residual(torch.add), effects.Residual(torch.mul)), "give a function that adds them"),
+    ],
+)
+def test_models_that_cannot_act_are_refused_by_name(parts, words):
+    with pytest.raises(ArgumentError, match=words):
+        Scene(ARM, parts)
+
+
+@pytest.mark.parametrize("bad", [None, torch.ones(3), torch.ones(2)])
+def test_what_a_model_returns_is_checked(bad):
+    scene = Scene(ARM, (effects.Residual(lambda q, qd: bad),))
+    with pytest.raises(ArgumentError, match="model of Residual"):
+        scene.step(scene.start(torch.zeros(4, 2)))
+
+
+def test_nobody_else_gives_its_torques():
+    scene = Scene(ARM, (effects.Residual(torch.add),))
+    with pytest.raises(ArgumentError, match="residual is computed by the scene before every step; leave it out"):
+        scene.step(scene.start(torch.zeros(2)), residual=torch.zeros(2))
+
+
+def test_no_step_is_recommended_for_a_network():
+    scene = Scene(ARM, (effects.Residual(torch.add),))
+    with pytest.raises(ArgumentError, match="ask about the scene without it"):
+        torchdq.recommend_settings(scene)
+
+
+def test_a_network_without_a_solution_is_told():
+    """Its torque falls faster with the acceleration than that of the bodies rises."""
+
+    class Falling(nn.Module):
+        def forward(self, x):
+            return -50 * torch.tanh(20 * x[..., 4:5])
+
+    model = torchdq.ResidualDynamics(torchdq.DQRNEA(ARM), Falling())
+    scene = Scene(ARM, (effects.Residual(model),))
+    with pytest.warns(
+        UserWarning,
+        match=r"rows of Residual still changed in the last of 3 iterations, most at joint 'joint\d'; "
+        r"give Residual\(model, iterations=6\), learn 'armature' in the model",
+    ):
+        scene.step(scene.start(random(20, 2)), random(20, 2, seed=1))

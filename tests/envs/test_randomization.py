@@ -1,0 +1,303 @@
+"""Random numbers that belong to one environment each, and the parameters that are drawn from them."""
+
+from itertools import pairwise
+
+import pytest
+import torch
+from torch.distributions import Beta, LogNormal, Normal, Uniform
+
+import torchdq
+from torchdq.envs import ArmVectorEnv, effects
+from torchdq.envs.randomization import SHORT, DrawnDelay
+from torchdq.envs.rng import SEEDS, Streams, seeded
+from torchdq.envs.row_selection import Indexed
+from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.scene.spec import CONTROLLER, ROBOT
+
+BOT = torchdq.robots.load("two_link")
+PARTS = (effects.Gravity(), effects.RotorInertia(0.1), effects.Viscous(2.0), effects.Coulomb(0.5), effects.Noise(0.01))
+DTYPES = pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+
+
+def correlation(a, b):
+    """Correlation of two equal shapes of numbers."""
+    return torch.corrcoef(torch.stack([a.flatten(), b.flatten()]))[0, 1].item()
+
+
+def test_words_are_those_of_the_reference_implementation():
+    # SplitMix64 of S. Vigna seeded with 0, whose first word hashes one step
+    words = [0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4, 0x06C45D188009454F, 0xF88BB8A8724C81EC]
+    streams = Streams(torch.tensor([0x9E3779B97F4A7C15 - (1 << 64)]), torch.tensor([0]))
+    doubles = torch.tensor([[((w >> 12) + 0.5) / 2**52 for w in words]], dtype=torch.float64)
+    assert torch.equal(streams.uniform(4, torch.float64)[0], doubles)
+    halves = [half for w in words for half in (w & 0xFFFFFFFF, w >> 32)]
+    assert torch.equal(streams.uniform(7)[0], torch.tensor([[((h >> 9) + 0.5) / 2**23 for h in halves[:7]]]))
+
+
+@DTYPES
+def test_moments_are_those_of_uniform_numbers(dtype):
+    u = seeded(0, 1000).uniform(1000, dtype)[0].double()
+    # one standard error of a million: 0.00029, 0.00022 / 12, 0.001; five are allowed
+    assert abs(u.mean() - 1 / 2) < 5 * 0.00029
+    assert abs(u.var() * 12 - 1) < 5 * 0.0009
+    for rows, columns in ((1, 0), (0, 1), (1, 1), (0, 2), (2, 0)):
+        assert abs(correlation(u[rows:, columns:], u[: 1000 - rows, : 1000 - columns])) < 5 * 0.001
+
+
+@DTYPES
+def test_all_bits_are_used_equally(dtype):
+    u = seeded(5, 200).uniform(5000, dtype)[0].double()
+    for bit in range(1, 20):
+        assert abs((u * 2**bit).floor().remainder(2).mean() - 0.5) < 5 * 0.0005
+
+
+@DTYPES
+def test_successive_draws_do_not_resemble_each_other(dtype):
+    streams, draws = seeded(0, 100_000), []
+    for _ in range(10):
+        u, streams = streams.uniform(1, dtype)
+        draws.append(u)
+    for earlier, later in pairwise(draws):
+        assert abs(correlation(earlier.double(), later.double())) < 5 * 0.0032
+
+
+def test_every_interval_is_hit_equally_often():
+    u, _ = seeded(1, 1000).uniform(1000)
+    counts = torch.histc(u, 100, 0.0, 1.0)
+    chi_squared = ((counts - 1e4) ** 2 / 1e4).sum().item()
+    assert 50 < chi_squared < 170  # 99 expected, 14 its standard deviation
+
+
+@DTYPES
+def test_differences_are_as_random_as_the_numbers(dtype):
+    # those of a sequence that only counts, however scrambled, take few values
+    u = seeded(0, 1000).uniform(1000, dtype)[0].double()
+    for difference in (u[:, 1:] - u[:, :-1], u[:, 2:] - u[:, :-2], u[1:] - u[:-1]):
+        counts = torch.histc(difference.remainder(1.0), 1000, 0.0, 1.0)
+        expected = difference.numel() / 1000
+        assert 750 < ((counts - expected) ** 2 / expected).sum() < 1250  # 999 expected, 45 its standard deviation
+
+
+@pytest.mark.parametrize("word", [0, -1, 2**63 - 1, -(2**63)])
+@DTYPES
+def test_neither_end_is_ever_drawn(dtype, word, monkeypatch):
+    monkeypatch.setattr("torchdq.envs.rng._mixed", lambda z: torch.full_like(z, word))
+    u, _ = seeded_without_mixing().uniform(4, dtype)
+    assert bool(((u > 0) & (u < 1)).all())
+
+
+def seeded_without_mixing():
+    """Streams whose words do not matter."""
+    return Streams(torch.zeros(1, dtype=torch.int64), torch.zeros(1, dtype=torch.int64))
+
+
+@pytest.mark.parametrize("width", [1, 2, 7, 14])
+@DTYPES
+def test_a_row_does_not_depend_on_the_others(dtype, width):
+    many, streams = seeded(10, 50).uniform(width, dtype)
+    some = torch.tensor([3, 41, 7])
+    assert torch.equal(seeded(10, 50).rows(Indexed(some)).uniform(width, dtype)[0], many[some])
+    assert torch.equal(seeded(10 + 41, 1).uniform(width, dtype)[0][0], many[41])
+    assert torch.equal(seeded([51, 13], 2).uniform(width, dtype)[0], many[[41, 3]])
+    assert many.shape == (50, width) and many.dtype == dtype
+    assert not torch.equal(streams.uniform(width, dtype)[0], many)
+
+
+def test_streams_go_on_where_they_were():
+    first, streams = seeded(0, 4).uniform(6)
+    second, _ = streams.uniform(6)
+    assert torch.equal(torch.cat([first, second], 1), seeded(0, 4).uniform(12)[0])
+
+
+def test_drawing_changes_nothing():
+    streams = seeded(0, 4)
+    before = [x.clone() for x in streams]
+    streams.uniform(9)
+    streams.with_rows(Indexed(torch.tensor([1])), seeded(7, 1))
+    assert all(torch.equal(a, b) for a, b in zip(streams, before, strict=True))
+
+
+def test_some_rows_are_seeded_anew():
+    streams = seeded(0, 4).uniform(3)[1].with_rows(Indexed(torch.tensor([2])), seeded(9, 1))
+    assert torch.equal(streams.uniform(3)[0][2], seeded(9, 1).uniform(3)[0][0])
+    assert torch.equal(streams.uniform(3)[0][1], seeded(0, 4).uniform(3)[1].uniform(3)[0][1])
+
+
+@pytest.mark.parametrize("seed", [-1, SEEDS, 0.5, "0", [1, 2, 3], [0, None]])
+def test_wrong_seeds_are_refused(seed):
+    with pytest.raises(ArgumentError, match="seed must be"):
+        seeded(seed, 2)
+
+
+# --- parameters ------------------------------------------------------------------------------------------------------
+
+
+def make(randomise, num_envs=200, **arguments):
+    """Vector environment of a small robot, reset."""
+    given = {"task": "track", "robot": BOT, "scale": 20.0, "effects": PARTS, "action": "residual", **arguments}
+    envs = ArmVectorEnv(num_envs, randomise=randomise, **given)
+    envs.reset(seed=0)
+    return envs
+
+
+def drawn(envs, kind, name):
+    """Values of a parameter of an effect, a row per environment."""
+    return next(getattr(e, name) for e in envs.scene.effects if isinstance(e, kind))
+
+
+def fills(x, lower, upper):
+    """Whether numbers fill a range."""
+    edge = 0.1 * (upper - lower)
+    return bool(lower <= x.min() < lower + edge) and bool(upper - edge < x.max() <= upper)
+
+
+WAYS = {
+    "mass": lambda envs: drawn(envs, effects.MassScale, "factor"),
+    "friction": lambda envs: drawn(envs, effects.Coulomb, "level") / 0.5,
+    "damping": lambda envs: drawn(envs, effects.Viscous, "coefficient") / 2.0,
+    "armature": lambda envs: drawn(envs, effects.RotorInertia, "inertia") / 0.1,
+    "gravity": lambda envs: drawn(envs, effects.Gravity, "acceleration").sum(1) / -9.81,
+    "gains": lambda envs: torch.cat([envs.scene.controller.kp / 100, envs.scene.controller.kd / 20], 1),
+    "com": lambda envs: envs.scene.robot.com - BOT.com,
+    "Noise.position": lambda envs: drawn(envs, effects.Noise, "position") / 0.01,
+    "ComputedTorque.kp": lambda envs: envs.scene.controller.kp / 100,
+    "payload": lambda envs: drawn(envs, effects.Payload, "mass"),
+    "delay": lambda envs: next(e.late for e in envs.scene.effects if hasattr(e, "late")),
+}
+MIDDLE = {"com": 0.0, "payload": 0.15, "delay": 0.15}
+HALF = {"payload": 0.15, "delay": 0.15}
+
+
+@pytest.mark.parametrize("name", WAYS)
+def test_a_number_is_a_fraction_and_a_pair_is_a_range(name):
+    assert set(SHORT) <= set(WAYS)
+    middle, half = MIDDLE.get(name, 1.0), HALF.get(name, 0.3)
+    rounding = 1e-5
+    found = WAYS[name](make({name: 0.3}, dtype=torch.float64)).double()
+    assert fills(found, middle - half - rounding, middle + half + rounding)
+    found = WAYS[name](make({name: (0.5, 2.0)}, dtype=torch.float64)).double()
+    assert fills(found, 0.5 - rounding, 2.0 + rounding)
+
+
+@pytest.mark.parametrize("name", WAYS)
+def test_a_distribution_is_drawn_from(name):
+    distribution = Normal(2.0, 0.1)
+    found = WAYS[name](make({name: distribution}, 2000)).double()
+    assert abs(found.mean() - 2.0) < 0.02 and abs(found.std() - 0.1) < 0.01
+
+
+def test_every_number_has_a_distribution_of_its_own_if_there_are_as_many():
+    scales = Uniform(torch.tensor([0.5, 2.0]), torch.tensor([0.6, 3.0]))
+    found = drawn(make({"mass": scales}), effects.MassScale, "factor")
+    assert fills(found[:, 0], 0.5, 0.6) and fills(found[:, 1], 2.0, 3.0)
+
+
+ALL = {
+    "mass": 0.2, "com": 0.02, "friction": (0.5, 2.0), "gravity": LogNormal(0.0, 0.02), "armature": 0.5, "gains": 0.1,
+    "delay": (0.0, 2.0), "payload": 0.5, "Noise.position": 0.5,
+}  # fmt: skip
+
+
+def test_drawn_rows_do_not_depend_on_the_others():
+    many, few = make(ALL, 40), make(ALL, 3)
+    for _ in range(20):
+        action = torch.linspace(-0.5, 0.5, 80).reshape(40, 2)
+        a, b = many.step(action), few.step(action[:3])
+        assert torch.equal(a[0][:3], b[0]) and torch.equal(a[1][:3], b[1])
+    x, y = many.get_state(), few.get_state()
+    assert f"{ROBOT}.com" in x and f"{CONTROLLER}.kp" in x
+    assert all(torch.equal(x[name][:3], y[name]) for name in x)
+    again = make(ALL, 3)
+    again.set_state(y)
+    assert torch.equal(again.step(action[:3])[0], few.step(action[:3])[0])
+
+
+@pytest.mark.parametrize("name", WAYS)
+def test_what_is_drawn_acts(name):
+    low, high = (make({name: (x, x)}, 5, effects=PARTS[:4] if "." not in name else PARTS) for x in (0.6, 1.7))
+    for envs in (low, high):
+        for _ in range(5):
+            envs.step(torch.full((5, 2), 0.5))
+    assert not torch.equal(low.get_state()["observation"], high.get_state()["observation"])
+
+
+@pytest.mark.parametrize("task", ["reach", "track"])
+@pytest.mark.parametrize("name", ALL)
+def test_start_and_goal_are_those_of_the_robot_as_described(task, name):
+    """In every task, whatever else is drawn for an episode."""
+    envs, plain = (make(drawn, 3, task=task, backend="eager") for drawn in ({name: ALL[name]}, {}))
+    for part in ("q", "goal"):
+        assert torch.equal(envs.get_state()[part], plain.get_state()[part])
+    assert envs.step(torch.zeros(3, 2))[0].isfinite().all()
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3])
+def test_a_drawn_delay_of_whole_steps_is_the_delay(steps):
+    plain = make({}, 5, effects=(effects.Gravity(), effects.Delay(steps)))
+    late = make({"delay": (steps, steps)}, 5, effects=(effects.Gravity(),))
+    for k in range(6):
+        action = torch.full((5, 2), 0.3 * (-1) ** k)
+        assert torch.equal(plain.step(action)[0], late.step(action)[0])
+
+
+def test_a_delay_between_steps_mixes_the_nearest_torques():
+    late = DrawnDelay(1.25, 2)
+    found, memory = late.driven((5.0,), (0.0,), (7.0, 3.0), 0.01)  # now, and two steps ago and one
+    assert found == [0.75 * 3.0 + 0.25 * 7.0] and memory == (3.0, 5.0)
+    assert make({"delay": (0.0, 1.25)}, 5).scene.effects[0].steps == 2
+
+
+def test_an_unknown_name_lists_all():
+    with pytest.raises(UnknownNameError, match="did you mean 'mass'") as caught:
+        make({"masses": 7.0})
+    for name in (*SHORT, "Viscous.coefficient", "Noise.velocity", "ComputedTorque.kd"):
+        assert name in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "randomise, message",
+    [
+        ({"mass": 1.5}, r"randomise\['mass'\] must be a fraction from 0 to 1, or a pair"),
+        ({"mass": True}, "must be a number, a pair"),
+        ({"mass": (True, 2)}, "must be a number, a pair"),
+        ({"mass": (1.2, 0.8)}, "must be a number, a pair"),
+        ({"mass": (0.8, 1.0, 1.2)}, "must be a number, a pair"),
+        ({"mass": "much"}, "must be a number, a pair"),
+        ({"mass": (0.0, 1.0)}, "must draw finite factors above 0, found some from 0 to 1"),
+        ({"mass": Normal(1.0, 0.3)}, "must draw finite factors above 0, found some from -0.5884"),
+        ({"mass": Beta(2.0, 2.0)}, r"must be a distribution with icdf\(\)"),
+        ({"mass": Uniform(torch.ones(3), 2 * torch.ones(3))}, "must be one distribution or 2 of them"),
+        ({"delay": -1}, "must be a number of time steps"),
+        ({"payload": (-1.0, 1.0)}, "must draw finite values from 0, found some from -1 to 1"),
+        ({"damping": 0.1, "friction": 0.1}, "'damping' and 'friction' both change coefficient"),
+        ({"Noise.velocity": 0.1}, "is a factor of zeros"),
+        ([("mass", 0.1)], "randomise must be a dict"),
+    ],
+)
+def test_wrong_ranges_are_refused(randomise, message):
+    with pytest.raises(ArgumentError, match=message):
+        make(randomise)
+
+
+@pytest.mark.parametrize("name", ["damping", "armature", "gravity"])
+def test_a_factor_of_nothing_is_refused(name):
+    with pytest.raises(ArgumentError, match=rf"randomise\['{name}'\] needs the effect"):
+        make({name: 0.1}, effects=())
+    with pytest.raises(ArgumentError, match="needs a controller with gains"):
+        make({"gains": 0.1}, action="torque")
+
+
+def test_a_payload_of_the_scene_stays_beside_the_drawn_one():
+    held = make({"payload": 1.0}, effects=(effects.Gravity(), effects.Payload(3.0))).scene.effects[1:]
+    assert held[0].mass == 3.0 and held[1].mass.shape == (200,)
+
+
+def test_a_payload_of_the_scene_does_not_grow_with_the_links():
+    parts = (effects.Gravity(), effects.Payload(2.0))
+    envs = ArmVectorEnv(3, "reach", "two_link", scale=1.0, effects=parts, randomise={"mass": (1.999, 2.0)})
+    assert [type(effect).__name__ for effect in envs.scene.effects] == ["MassScale", "Gravity", "Payload"]
+
+
+def test_delays_have_a_bound():
+    with pytest.raises(ArgumentError, match=r"'delay'\] must draw at most 500 time steps, found up to 600"):
+        ArmVectorEnv(2, "reach", "two_link", scale=1.0, randomise={"delay": 600})

@@ -1,0 +1,1086 @@
+"""The environments: gymnasium's contract, rows that do not know of each other, and what is asked of the robot."""
+
+import copy
+import importlib
+import math
+import pickle
+import sys
+import types
+import warnings
+from dataclasses import dataclass
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+import torchdq
+from torchdq.backends import c_library as build
+from torchdq.envs import ArmEnv, ArmVectorEnv, TorchTask, effects
+from torchdq.envs.tasks import Reach, Track
+from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.scene import controllers
+from torchdq.scene.defaults import nominal, usual
+
+BACKEND = "auto"
+ROBOT = torchdq.robots.load("two_link")
+TASKS = pytest.mark.parametrize("task", ["reach", "track"])
+
+
+def make(num_envs=5, task="reach", **arguments):
+    """Vector environment of a small robot."""
+    return ArmVectorEnv(num_envs, task, **{"robot": ROBOT, "scale": 20.0, **arguments})
+
+
+def stacked(limits=False):
+    """Two robots of different masses, or of different limits."""
+    robot = torchdq.robots.load("panda")
+    changes = {"limits": robot.limits._replace(upper=0.9 * robot.limits.upper)} if limits else {"mass": 2 * robot.mass}
+    return torchdq.Robot.stack([robot, robot.replace(**changes)])
+
+
+def actions_of(envs, seed=0):
+    """Random actions, within their bounds, that do not end."""
+    generator = torch.Generator().manual_seed(seed)
+    while True:
+        yield 2 * torch.rand(envs.num_envs, envs.robot.n, generator=generator) - 1
+
+
+def steps(envs, number, seed=0):
+    """What a number of steps with random actions return."""
+    return [envs.step(action) for action, _ in zip(actions_of(envs, seed), range(number), strict=False)]
+
+
+def same(a, b):
+    """Whether nested results are equal to the bit."""
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
+    if isinstance(a, list | tuple):
+        return len(a) == len(b) and all(map(same, a, b))
+    return torch.equal(torch.as_tensor(a), torch.as_tensor(b))
+
+
+# --- contract --------------------------------------------------------------------------------------------------------
+
+
+@TASKS
+@pytest.mark.parametrize("action", ["torque", "residual", "reference"])
+def test_results_have_their_shapes_and_are_within_their_spaces(task, action):
+    envs = make(5, task, action=action, max_episode_steps=15)
+    observations, info = envs.reset(seed=0)
+    assert info == {}
+    for _ in range(3):
+        assert observations.shape == envs.observation_space.shape and observations.dtype == torch.float32
+        assert envs.observation_space.contains(observations.numpy())
+        for observations, rewards, terminated, truncated, info in steps(envs, 7):
+            assert rewards.shape == terminated.shape == truncated.shape == (5,)
+            assert rewards.dtype == torch.float32 and bool(rewards.isfinite().all())
+            assert terminated.dtype == truncated.dtype == torch.bool
+            assert envs.observation_space.contains(observations.numpy())
+            assert info["clipped"].shape == info["nonfinite"].shape == (5,)
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur10e", "puma560"])
+def test_shipped_arms_need_no_arguments(robot):
+    # the Puma's description has no limits of torque
+    envs = ArmVectorEnv(2, robot=robot, **({"scale": 50.0} if robot == "puma560" else {}))
+    envs.reset(seed=0)
+    assert not any(bool(terminated.any()) for _, _, terminated, _, _ in steps(envs, 30))
+
+
+def test_spaces_are_bounded():
+    for task in ("reach", "track"):
+        envs = make(3, task)
+        assert envs.single_observation_space.is_bounded()
+        assert envs.single_action_space == gymnasium.spaces.Box(-1, 1, (2,), np.float32)
+        assert envs.observation_space.shape == (3, *envs.single_observation_space.shape)
+
+
+def test_numpy_in_and_numpy_out():
+    envs, plain = make(output="numpy", max_episode_steps=3), make(max_episode_steps=3)
+    assert isinstance(envs.reset(seed=0)[0], np.ndarray)
+    plain.reset(seed=0)
+    for a, b in zip(
+        [envs.step(np.full((5, 2), 0.3)) for _ in range(4)], [plain.step(torch.full((5, 2), 0.3)) for _ in range(4)],
+        strict=True,
+    ):  # fmt: skip
+        assert all(isinstance(x, np.ndarray) for x in a[:4]) and isinstance(a[4]["clipped"], np.ndarray)
+        assert same(a, b)
+
+
+def test_what_was_returned_does_not_change():
+    envs = make(max_episode_steps=3)
+    results = [envs.reset(seed=0), *steps(envs, 4)]
+    kept = copy.deepcopy(results)
+    steps(envs, 8)
+    envs.reset(options={"reset_mask": torch.tensor([True, False, True, False, False])})
+    assert same(results, kept)
+
+
+def test_double_precision_throughout():
+    envs = make(2, dtype=torch.float64)
+    observations, _ = envs.reset(seed=0)
+    _, rewards, *_ = envs.step(torch.zeros(2, 2))
+    assert observations.dtype == rewards.dtype == torch.float64
+    assert envs.single_observation_space.dtype == np.float64
+
+
+@pytest.mark.parametrize("dtype", ["float64", np.float64])
+def test_a_dtype_may_have_the_name_that_numpy_gives_it(dtype):
+    assert make(2, dtype=dtype).dtype == torch.float64
+
+
+@pytest.mark.parametrize(("task", "action"), [("reach", "torque"), ("track", "residual"), ("reach", "reference")])
+def test_robots_of_a_stack_are_each_simulated(task, action):
+    """A row moves as its own robot; a controller of the environment knows the mean of all."""
+    robot = torchdq.robots.load("panda")
+    robots = [robot, robot.replace(mass=1.5 * robot.mass, damping=robot.damping + 2.0)]
+    controller = None if action == "torque" else controllers.ComputedTorque(100.0, 20.0, robot)
+    given = {"task": task, "action": action, "dtype": torch.float64, "controller": controller, "backend": "eager"}
+    several = make(2, robot=torchdq.Robot.stack(robots), **given)
+    several.reset(seed=3)
+    found, *_ = several.step(torch.ones(2, 7))
+    for i, one in enumerate(robots):
+        alone = make(1, robot=one, **given)
+        alone.reset(seed=3 + i)
+        expected, *_ = alone.step(torch.ones(1, 7))
+        assert torch.allclose(found[i], expected[0], rtol=1e-9, atol=1e-9)
+    several = make(2, robot=torchdq.Robot.stack(robots), **(given | {"controller": None}))
+    several.reset(seed=3)
+    assert bool(several.step(torch.zeros(2, 7))[0].isfinite().all())
+    if action != "torque":
+        assert torch.allclose(several.scene.controller.model.mass, 1.25 * robot.mass)
+
+
+def test_gymnasium_makes_them():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        envs = gymnasium.make_vec("torchdq/Reach-v0", num_envs=7, robot="ur10e")
+        assert isinstance(envs, ArmVectorEnv) and envs.max_episode_steps == 250
+        assert envs.output == "numpy" and envs.autoreset_mode == AutoresetMode.NEXT_STEP  # gymnasium's contract
+        assert envs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+        envs.reset(seed=0)
+        envs.step(torch.zeros(7, 6))
+        env = gymnasium.make("torchdq/Track-v0", robot=ROBOT, scale=20.0, max_episode_steps=4)
+        env.reset(seed=0)
+        ends = [env.step(np.zeros(2, np.float32))[2:4] for _ in range(4)]
+        assert ends == [(False, False)] * 3 + [(False, True)]
+
+
+@TASKS
+def test_gymnasiums_checker_has_nothing_to_say(task):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_env(ArmEnv(task=task, robot=ROBOT, scale=20.0), skip_render_check=True)
+
+
+def test_gymnasiums_wrappers_accept_them():
+    conversion = pytest.importorskip("gymnasium.wrappers.vector.array_conversion")
+    pytest.importorskip("array_api_compat")
+    envs = conversion.ArrayConversion(make(max_episode_steps=3), env_xp=torch, target_xp=np)
+    observations, _ = envs.reset(seed=0)
+    for _ in range(4):
+        observations, rewards, *_ = envs.step(np.zeros((5, 2), np.float32))
+    assert isinstance(observations, np.ndarray) and isinstance(rewards, np.ndarray)
+
+
+def test_gymnasium_makes_what_it_is_asked_for():
+    asked = {"output": "torch", "autoreset_mode": AutoresetMode.SAME_STEP}
+    envs = gymnasium.make_vec("torchdq/Track-v0", num_envs=2, robot=ROBOT, scale=20.0, **asked)
+    assert (envs.output, envs.autoreset_mode) == ("torch", AutoresetMode.SAME_STEP)
+    assert isinstance(envs.reset(seed=0)[0], torch.Tensor)
+    assert (make().output, make().autoreset_mode) == ("torch", AutoresetMode.SAME_STEP)
+
+
+WRAPPERS = gymnasium.wrappers.vector
+WRAPPED = {
+    "RecordEpisodeStatistics": WRAPPERS.RecordEpisodeStatistics,
+    "NormalizeReward": WRAPPERS.NormalizeReward,
+    "NormalizeObservation": WRAPPERS.NormalizeObservation,
+    "FlattenObservation": WRAPPERS.FlattenObservation,
+    "RescaleAction": lambda envs: WRAPPERS.RescaleAction(envs, -2.0, 2.0),
+    "ClipReward": lambda envs: WRAPPERS.ClipReward(envs, -1.0, 1.0),
+    "DtypeObservation": lambda envs: WRAPPERS.DtypeObservation(envs, np.float64),
+    "DictInfoToList": WRAPPERS.DictInfoToList,
+}
+
+
+@pytest.mark.parametrize("wrapper", WRAPPED)
+def test_gymnasiums_vector_wrappers_take_its_vector_environments(wrapper):
+    made = gymnasium.make_vec("torchdq/Reach-v0", num_envs=5, robot=ROBOT, scale=20.0, max_episode_steps=3)
+    envs = WRAPPED[wrapper](made)
+    envs.reset(seed=0)
+    for _ in range(8):
+        observations, rewards, terminated, truncated, info = envs.step(np.zeros((5, 2), np.float32))
+        assert all(isinstance(x, np.ndarray) for x in (observations, rewards, terminated, truncated))
+        if wrapper == "RecordEpisodeStatistics" and truncated.any():
+            assert info["episode"]["l"].tolist() == [3] * 5
+
+
+def test_gymnasium_records_videos_of_all_environments(monkeypatch, tmp_path):
+    pytest.importorskip("matplotlib")
+    films = []
+
+    class Clip:
+        """Stand-in for a film of moviepy."""
+
+        def __init__(self, frames, fps):
+            films.append((len(frames), frames[0].shape, fps))
+
+        def write_videofile(self, path, logger):
+            """Nothing."""
+
+    clips = types.ModuleType("moviepy.video.io.ImageSequenceClip")
+    clips.ImageSequenceClip = Clip
+    for name in ("moviepy", "moviepy.video", "moviepy.video.io"):
+        monkeypatch.setitem(sys.modules, name, types.ModuleType(name))
+    monkeypatch.setitem(sys.modules, clips.__name__, clips)
+    envs = gymnasium.make_vec(
+        "torchdq/Reach-v0", num_envs=6, robot=ROBOT, scale=20.0, max_episode_steps=2, render_mode="rgb_array"
+    )
+    filmed = WRAPPERS.RecordVideo(envs, str(tmp_path / "films"), episode_trigger=lambda k: k == 0)
+    filmed.reset(seed=0)
+    height, width, _ = envs.render()[0].shape
+    for _ in range(4):
+        filmed.step(np.zeros((6, 2), np.float32))
+    filmed.close()
+    assert len(films) == 1 and films[0][1][0] * films[0][1][1] == 6 * height * width
+
+
+def test_frames_are_painted():
+    pytest.importorskip("matplotlib")
+    for task in ("reach", "track"):
+        envs = make(6, task, render_mode="rgb_array")
+        with pytest.raises(ResetNeeded):
+            envs.render()
+        envs.reset(seed=0)
+        frames = envs.render()
+        assert len(frames) == 6 and frames[0].shape[2] == 3 and frames[0].dtype == np.uint8
+        assert not np.array_equal(frames[0], frames[1])
+    env = gymnasium.make("torchdq/Reach-v0", robot=ROBOT, scale=20.0, render_mode="rgb_array")
+    env.reset(seed=0)
+    assert env.render().shape == frames[0].shape
+    plain = make()
+    plain.reset(seed=0)
+    with pytest.raises(torchdq.ArgumentError, match="render_mode must be"):
+        plain.render()
+
+
+# --- random numbers --------------------------------------------------------------------------------------------------
+
+
+@TASKS
+def test_the_same_seed_gives_the_same_bits(task):
+    envs = make(task=task, max_episode_steps=10)
+    first = [envs.reset(seed=3), *steps(envs, 25)]
+    again = [envs.reset(seed=3), *steps(envs, 25)]  # not the first reset any more
+    other = make(task=task, max_episode_steps=10)
+    assert same(first, again) and same(first, [other.reset(seed=3), *steps(other, 25)])
+    assert not same(first[0], envs.reset(seed=8)[0])
+
+
+def test_without_a_seed_episodes_differ():
+    envs = make()
+    first, second = envs.reset()[0], envs.reset()[0]
+    assert not torch.equal(first, second) and not torch.equal(first, make().reset()[0])
+    assert len({tuple(row.tolist()) for row in first}) == 5
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"robot": "panda", "scale": None},
+        {"task": "track", "action": "residual"},
+        {"task": "track", "action": "reference", "randomise": {"mass": 0.3, "friction": 0.5, "payload": 1.0}},
+        {"effects": (effects.Gravity(), effects.Viscous(1.0), effects.Lag(0.05), effects.Delay(2), effects.Noise(0.01),
+                     effects.ReadingDelay(2))},
+    ],
+    ids=["panda", "residual", "randomised", "memory"],
+)  # fmt: skip
+def test_a_row_is_the_single_environment(arguments):
+    many = make(21, max_episode_steps=60, **arguments)
+    arguments = {"robot": ROBOT, "scale": 20.0, **arguments}
+    rows = (0, 7, 20)
+    single = [ArmEnv(max_episode_steps=60, **arguments) for _ in rows]
+    observations, _ = many.reset(seed=100)
+    for k, env in zip(rows, single, strict=True):
+        assert same(env.reset(seed=100 + k)[0], observations[k])
+    for action, _ in zip(actions_of(many), range(200), strict=False):
+        observations, rewards, terminated, truncated, info = many.step(action)
+        last = info.get("final_obs", observations)
+        for k, env in zip(rows, single, strict=True):
+            one, reward, ended, cut, _ = env.step(action[k].numpy())
+            assert same(one, last[k]) and (reward, ended, cut) == (rewards[k], terminated[k], truncated[k])
+            if ended or cut:
+                assert same(env.reset()[0], observations[k])
+
+
+def test_rows_do_not_depend_on_their_number():
+    few, many = make(3, max_episode_steps=10), make(40, max_episode_steps=10)
+    assert same(few.reset(seed=5)[0], many.reset(seed=5)[0][:3])
+    for action, _ in zip(actions_of(many), range(30), strict=False):
+        a, b = few.step(action[:3]), many.step(action)
+        assert same(a[:4], [x[:3] for x in b[:4]])
+
+
+def test_every_row_may_have_its_own_seed():
+    one, other = make(3).reset(seed=[4, 9, 5])[0], make(6).reset(seed=4)[0]
+    assert torch.equal(one, other[[0, 5, 1]])
+
+
+def test_a_row_whose_seed_is_none_goes_on():
+    envs, plain = make(3), make(3)
+    envs.reset(seed=0)
+    plain.reset(seed=0)
+    observations, _ = envs.reset(seed=[8, None, 9])
+    assert torch.equal(observations[[0, 2]], make(2).reset(seed=8)[0])
+    assert torch.equal(observations[1], plain.reset()[0][1])
+
+
+def test_effects_remember_at_the_beginning_what_they_do_in_a_scene():
+    envs = make(effects=(effects.ReadingDelay(2), effects.Elastic(100.0, 1.0, 0.1), effects.Delay(1)))
+    envs.reset(seed=0)
+    expected = envs.scene.start(envs._buffers["q"], envs._buffers["qd"])
+    assert torch.equal(envs._buffers["memory"], expected.memory) and torch.equal(
+        envs._buffers["reading"], expected.reading
+    )
+    assert expected.memory.shape == (5, 4 + 2 + 8)
+
+
+# --- ends of episodes ------------------------------------------------------------------------------------------------
+
+
+def test_finished_rows_begin_anew_in_the_same_step():
+    envs = make(max_episode_steps=4)
+    envs.reset(seed=0)
+    envs.reset(seed=50, options={"reset_mask": np.array([True, False, True, False, False])})
+    envs._buffers["steps"][1] = 2  # one row is ahead of the others
+    quiet = copy.deepcopy(envs)
+    quiet.max_episode_steps = None
+    action = torch.full((5, 2), 0.4)
+    for expected in ([False] * 5, [False, True, False, False, False]):
+        observations, _, terminated, truncated, info = envs.step(action)
+        before, *_ = quiet.step(action)
+        assert truncated.tolist() == expected and not bool(terminated.any())
+    assert info["_final_obs"].tolist() == info["_final_info"].tolist() == expected
+    assert torch.equal(info["final_obs"], before)  # the last of the old episode, and of the others
+    assert not torch.equal(observations[1], before[1]) and torch.equal(observations[2:], before[2:])
+    assert set(info["final_info"]) == {"clipped", "nonfinite", "distance"}
+    assert envs._buffers["steps"].tolist() == [2, 0, 2, 2, 2]
+
+
+def test_finished_rows_begin_anew_at_the_next_step():
+    noisy = (*usual(ROBOT), effects.Noise(0.01, 0.01))
+    envs, at_once = (make(max_episode_steps=3, autoreset_mode=mode, effects=noisy) for mode in ("NextStep", "SameStep"))
+    assert envs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
+    assert same(envs.reset(seed=0), at_once.reset(seed=0))
+    action = torch.full((5, 2), 0.4)
+    for _ in range(3):
+        observations, _, _, truncated, info = envs.step(action)
+        fresh, _, _, _, fresh_info = at_once.step(action)
+    assert bool(truncated.all()) and "final_obs" not in info
+    assert torch.equal(observations, fresh_info["final_obs"])
+    observations, rewards, terminated, truncated, _ = envs.step(action)
+    assert torch.equal(observations, fresh) and not bool((terminated | truncated).any())
+    assert rewards.tolist() == [0.0] * 5
+    assert same(envs.step(action)[:4], at_once.step(action)[:4])
+
+
+def test_finished_rows_wait_to_be_reset():
+    envs = make(max_episode_steps=3, autoreset_mode=AutoresetMode.DISABLED)
+    envs.reset(seed=0)
+    for _ in range(3):
+        _, _, terminated, truncated, _ = envs.step(torch.zeros(5, 2))
+    with pytest.raises(ResetNeeded, match=r"\[0, 1, 2, 3, 4\] have finished"):
+        envs.step(torch.zeros(5, 2))
+    envs.reset(options={"reset_mask": torch.tensor([True, True, True, True, False])})
+    with pytest.raises(ResetNeeded, match=r"\[4\] have finished"):
+        envs.step(torch.zeros(5, 2))
+    envs.reset(options={"reset_mask": terminated | truncated})
+    envs.step(torch.zeros(5, 2))
+
+
+COMPLEX = torch.ones(5, 2, dtype=torch.complex128)
+
+
+@pytest.mark.parametrize(
+    "actions",
+    [None, "x", np.array([None, {}]), {"a": 1}, [[1.0], []], COMPLEX, COMPLEX.numpy(), COMPLEX.tolist()],
+    ids=lambda x: type(x).__name__,
+)
+def test_actions_that_are_no_numbers_are_refused(actions):
+    envs = make()
+    envs.reset(seed=0)
+    with pytest.raises(torchdq.ArgumentError, match="actions must be a tensor or an array of numbers, found"):
+        envs.step(actions)
+    with pytest.raises(torchdq.ArgumentError, match="actions must be a dense tensor, found a sparse_coo one"):
+        envs.step(torch.zeros(5, 2).to_sparse())
+
+
+IN_TORCH = TorchTask("reach", reward=lambda now: -now.q.square().sum(1))
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+@pytest.mark.parametrize("task", ["reach", IN_TORCH], ids=["recorded", "in torch"])
+def test_rows_are_the_same_where_the_host_does_not_look(mode, task):
+    options = {"randomise": {"mass": 0.2, "friction": 0.3}, "effects": (*usual(ROBOT), effects.Noise(0.01, 0.01))}
+    looking, blind = (make(task=task, max_episode_steps=4, autoreset_mode=mode, **options) for _ in range(2))
+    blind._looks = False
+    for envs in (looking, blind):
+        envs.reset(seed=0)
+        envs._buffers["steps"][1:3] = 2  # two rows are ahead of the others
+    for k in range(11):
+        if k == 5:
+            for envs in (looking, blind):
+                envs._buffers["qd"][3, 0] = math.nan  # the row fails
+        actions = torch.full((5, 2), 1.5 - 0.2 * k)
+        found = [envs.step(actions) for envs in (looking, blind)]
+        assert same(found[0][:4], found[1][:4])
+        assert all(torch.equal(x, y) for x, y in zip(*(step[4]["nonfinite"] for step in found), strict=True))
+        if mode == AutoresetMode.DISABLED and bool((found[0][2] | found[0][3]).any()):
+            for envs in (looking, blind):
+                envs.reset(options={"reset_mask": found[0][2] | found[0][3]})
+    states = [envs.get_state() for envs in (looking, blind)]
+    assert states[0].keys() == states[1].keys()
+    for name, x in states[0].items():
+        torch.testing.assert_close(states[1][name], x, rtol=0, atol=0, equal_nan=True)
+
+
+def test_centres_of_mass_are_randomised():
+    envs = make(randomise={"com": 0.1})
+    envs.reset(seed=0)
+    drawn = envs.scene.robot.com - ROBOT.com.float()
+    assert drawn.shape == (5, 2, 3) and (drawn.abs() <= 0.1).all() and drawn.std(0).min() > 0.01
+    steps(envs, 3)
+
+
+def test_a_mask_resets_only_its_rows():
+    envs = make()
+    envs.reset(seed=0)
+    steps(envs, 5)
+    before, options = envs._buffers["observation"].clone(), {"reset_mask": np.array([False, True, False, False, True])}
+    observations, _ = envs.reset(seed=70, options=options)
+    assert torch.equal(observations[[0, 2, 3]], before[[0, 2, 3]])
+    assert torch.equal(observations[[1, 4]], make().reset(seed=70)[0][[1, 4]])
+    assert set(options) == {"reset_mask"}  # as it was given
+
+
+@pytest.mark.parametrize(
+    "mask", [np.ones(4, bool), np.ones(5), np.zeros(5, bool), torch.ones(5, 1, dtype=torch.bool)], ids=str
+)
+def test_wrong_masks_are_refused(mask):
+    envs = make()
+    envs.reset(seed=0)
+    with pytest.raises(torchdq.ArgumentError, match="reset_mask must be"):
+        envs.reset(options={"reset_mask": mask})
+
+
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_a_mode_of_resets_may_be_named_in_both_ways(mode):
+    assert make(autoreset_mode=mode.name).autoreset_mode is make(autoreset_mode=mode.value).autoreset_mode is mode
+
+
+@pytest.mark.parametrize("single", [False, True], ids=["five", "one"])
+@pytest.mark.parametrize("seed", ["a", 1.5, -1, True, 2**63, [1, 2, 3], [1, "a", 2, 3, 4], [0.5], [True] * 5])
+def test_a_seed_that_is_none_is_refused_by_name(seed, single):
+    envs = ArmEnv(robot="panda") if single else make()
+    with pytest.raises(torchdq.ArgumentError, match=r"^seed must be (a whole number from 0|one number or)"):
+        envs.reset(seed=seed)
+
+
+def test_the_largest_seed_is_named_and_taken():
+    envs, most = make(), 2**63 - 5  # row 4 has the seed + 4
+    with pytest.raises(torchdq.ArgumentError, match=rf"from 0 to {most}, .* row i of 5 .*, found {most + 1}$"):
+        envs.reset(seed=most + 1)
+    envs.reset(seed=most)
+    with pytest.raises(torchdq.ArgumentError, match=rf"from 0 to {2**63 - 1}, found {2**63}$"):
+        envs.reset(seed=[0, 1, 2, 3, 2**63])
+    envs.reset(seed=[0, 1, 2, 3, 2**63 - 1])
+
+
+def test_calls_in_the_wrong_order_are_refused():
+    envs = make()
+    for call in (lambda: envs.step(torch.zeros(5, 2)), envs.get_state,
+                 lambda: envs.reset(options={"reset_mask": np.ones(5, bool)})):  # fmt: skip
+        with pytest.raises(ResetNeeded, match=r"reset\(\)"):
+            call()
+    with pytest.raises(torchdq.ArgumentError, match="seed must be"):
+        envs.reset(seed=[1, 2])
+    with pytest.raises(ResetNeeded):  # a reset that failed was none
+        envs.step(torch.zeros(5, 2))
+    envs.reset(seed=0)
+    envs.close()
+    for call in (envs.reset, lambda: envs.step(torch.zeros(5, 2)), envs.get_state):
+        with pytest.raises(ClosedEnvironmentError):
+            call()
+
+
+# --- actions ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_actions_that_are_not_finite_are_refused_and_nothing_is_stepped(bad):
+    envs = make()
+    envs.reset(seed=0)
+    before = envs.get_state()
+    actions = torch.zeros(5, 2)
+    actions[3, 1] = bad
+    with pytest.raises(torchdq.ArgumentError, match=r"actions must be finite, found .* in row 3 for joint 'joint2'"):
+        envs.step(actions)
+    assert same(envs.get_state(), before)
+
+
+@pytest.mark.parametrize("shape", [(2,), (5,), (4, 2), (5, 3), (5, 1), (1, 5, 2)])
+def test_wrong_shapes_are_refused(shape):
+    envs = make()
+    envs.reset(seed=0)
+    with pytest.raises(ValueError, match=r"actions must have the shape \(5, 2\), .* found \(" + str(shape[0])):
+        envs.step(np.zeros(shape))
+
+
+def test_actions_out_of_range_are_clipped_and_counted():
+    envs, within = make(), make()
+    envs.reset(seed=0)
+    within.reset(seed=0)
+    wild = torch.tensor([[0.5, 1.0], [-1.5, 0.0], [3.0, -1.00001], [0.0, 0.0], [0.0, 1e30]])
+    result, expected = envs.step(wild), within.step(wild.clamp(-1, 1))
+    assert result[4].pop("clipped").tolist() == [0, 1, 2, 0, 1]
+    assert expected[4].pop("clipped").tolist() == [0] * 5
+    assert same(result, expected)
+
+
+def test_integers_and_gradients_do_no_harm():
+    envs = make()
+    envs.reset(seed=0)
+    envs.step(np.zeros((5, 2), dtype=int))
+    observations, *_ = envs.step(torch.zeros(5, 2, requires_grad=True))
+    assert not observations.requires_grad
+
+
+def test_a_full_action_is_the_limit_of_the_torque():
+    envs = ArmVectorEnv(1, robot="panda", effects=())
+    assert envs._actions.scale.tolist() == torchdq.robots.load("panda").limits.effort.tolist()
+    with pytest.raises(torchdq.ArgumentError, match="scale must be given: joint 'joint1'"):
+        ArmVectorEnv(1, robot=ROBOT)
+    with pytest.raises(torchdq.ArgumentError, match="scale must be a positive number or 2 of them"):
+        make(scale=[1.0])
+
+
+# --- failing simulations ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.case("T13")
+@pytest.mark.parametrize("bad", [math.nan, math.inf, 1e8])
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_a_row_that_fails_terminates_alone(mode, bad):
+    envs, healthy = (make(autoreset_mode=mode) for _ in range(2))
+    before, _ = envs.reset(seed=0)
+    healthy.reset(seed=0)
+    envs._buffers["qd"][2, 0] = bad
+    action = next(actions_of(envs))
+    observations, rewards, terminated, truncated, info = envs.step(action)
+    others = [0, 1, 3, 4]
+    expected = healthy.step(action)
+    assert terminated.tolist() == info["nonfinite"].tolist() == [False, False, True, False, False]
+    assert not bool(truncated.any()) and rewards[2] == -1000
+    assert torch.equal(observations[others], expected[0][others]) and torch.equal(rewards[others], expected[1][others])
+    last = info["final_obs"] if mode == AutoresetMode.SAME_STEP else observations
+    assert torch.equal(last[2], before[2])  # the last one that made sense
+    assert info["distance"].isfinite().tolist() == [True, True, False, True, True]
+    if mode == AutoresetMode.DISABLED:
+        envs.reset(options={"reset_mask": terminated})
+    for _ in range(2):
+        observations, rewards, terminated, _, _ = envs.step(action)
+        assert bool(observations.isfinite().all()) and bool(rewards.isfinite().all()) and not bool(terminated.any())
+
+
+# --- saving ----------------------------------------------------------------------------------------------------------
+
+
+@TASKS
+def test_saved_environments_go_on_as_if_nothing_had_been(task, tmp_path):
+    made = {
+        "task": task,
+        "action": "residual",
+        "max_episode_steps": 30,
+        "randomise": {"mass": 0.2, "friction": 0.2, "payload": 1.0},
+        "effects": (*usual(ROBOT), effects.Lag(0.05), effects.Noise(0.01, 0.01), effects.ReadingDelay(1)),
+    }
+    envs = make(**made)
+    envs.reset(seed=0)
+    steps(envs, 100)
+    torch.save(envs.get_state(), tmp_path / "state.pt")
+    expected = steps(envs, 100, seed=1)
+    other = make(**made)
+    for _ in range(2):  # into one that was never reset, and into one that went on
+        other.set_state(torch.load(tmp_path / "state.pt", weights_only=True))
+        assert same(steps(other, 100, seed=1), expected)
+    assert same(other.get_state(), envs.get_state())
+
+
+def test_wrong_states_are_refused():
+    envs = make()
+    envs.reset(seed=0)
+    state = envs.get_state()
+    with pytest.raises(torchdq.ArgumentError, match="state must have the entries"):
+        envs.set_state({"q": state["q"]})
+    with pytest.raises(torchdq.ArgumentError, match=r"state\['q'\] must be torch.float32 of shape \(5, 2\)"):
+        envs.set_state({**state, "q": state["q"][:3]})
+    with pytest.raises(torchdq.ArgumentError, match=r"state\['q'\] must be torch.float32"):
+        envs.set_state({**state, "q": state["q"].double()})
+    for bad in (None, 5, [state]):
+        with pytest.raises(torchdq.ArgumentError, match="state must be a dict of tensors"):
+            envs.set_state(bad)
+    with pytest.raises(torchdq.ArgumentError, match=r"state\['q'\] must be a tensor, found int"):
+        envs.set_state({**state, "q": 5})
+    for name in ("q", "goal"):
+        x = state[name].clone()
+        x[3, 1] = math.nan
+        with pytest.raises(torchdq.ArgumentError, match=rf"state\['{name}'\] must be finite, found nan in row 3"):
+            envs.set_state({**state, name: x})
+    assert same(envs.get_state(), state)
+
+
+def test_a_state_that_other_effects_remember_is_refused():
+    lagging, late = (make(effects=(*usual(ROBOT), effect)) for effect in (effects.Lag(0.05), effects.Delay(1)))
+    for envs in (lagging, late):
+        envs.reset(seed=0)
+    state = lagging.get_state()
+    assert state["memory of Lag"].shape == late.get_state()["memory of Delay"].shape
+    with pytest.raises(torchdq.ArgumentError, match=r"'memory of Delay'.*, found .*'memory of Lag'.*other effects"):
+        late.set_state(state)
+
+
+def test_a_state_whose_counters_or_masks_were_changed_is_refused():
+    envs = make()
+    envs.reset(seed=0)
+    state = envs.get_state()
+    with pytest.raises(torchdq.ArgumentError, match=r"state\['steps'\] must not be negative"):
+        envs.set_state({**state, "steps": state["steps"] - 1})
+
+
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))], ids=["copy", "pickle"])
+def test_copies_go_on_alike_and_apart(duplicate):
+    envs = make(randomise={"mass": 0.5}, max_episode_steps=4)
+    envs.reset(seed=0)
+    steps(envs, 2)
+    other = duplicate(envs)
+    assert same(steps(envs, 10), steps(other, 10))
+
+
+# --- what differs between episodes -----------------------------------------------------------------------------------
+
+
+def test_randomised_rows_differ_and_need_no_new_program(monkeypatch):
+    envs = make(64, randomise={"mass": 0.2, "friction": 0.5, "payload": 2.0}, max_episode_steps=5)
+    envs.reset(seed=0)
+    steps(envs, 6)
+    loaded = []
+    monkeypatch.setattr(build, "load", lambda *arguments: loaded.append(arguments))
+    parameters = envs._drawn()
+    before = {name: x.clone() for name, x in parameters.items()}
+    steps(envs, 6)
+    assert loaded == []
+    assert all(not torch.equal(x, before[name]) for name, x in parameters.items())
+    found = {type(envs.scene.effects[int(name.split(".")[0])]): x for name, x in parameters.items()}
+    for kind, lower, upper in (
+        (effects.MassScale, 0.8, 1.2), (effects.Viscous, 0.5, 1.5), (effects.Payload, 0.0, 2.0)
+    ):  # fmt: skip
+        x = found[kind]
+        assert lower <= x.min() < lower + 0.1 * (upper - lower) and upper - 0.1 * (upper - lower) < x.max() <= upper
+
+
+def test_randomised_parameters_act():
+    light, heavy = make(2, randomise={"payload": 0.0}), make(2, randomise={"payload": 5.0})
+    assert same(light.reset(seed=0), heavy.reset(seed=0))
+    assert not torch.equal(light.step(torch.zeros(2, 2))[0], heavy.step(torch.zeros(2, 2))[0])
+
+
+def test_wrong_variations_are_refused():
+    with pytest.raises(torchdq.UnknownNameError, match="did you mean 'mass'"):
+        make(randomise={"masses": 0.1})
+    with pytest.raises(torchdq.ArgumentError, match=r"randomise\['mass'\] must be a fraction"):
+        make(randomise={"mass": 1.5})
+    with pytest.raises(torchdq.ArgumentError, match="needs effects with friction"):
+        make(effects=(), randomise={"friction": 0.1})
+
+
+# --- tasks -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_end_effector_is_observed_where_it_is_and_the_goal_is_within_reach():
+    envs = ArmVectorEnv(200, robot="panda", dtype=torch.float64)
+    observations, _ = envs.reset(seed=0)
+    q = envs._buffers["q"]
+    tip = torchdq.dq.translation(torchdq.forward_kinematics(envs.robot, q, "tip"))
+    sines = torch.stack([q.sin(), q.cos()], -1).flatten(1)
+    assert torch.allclose(observations[:, :14], sines, atol=1e-14)
+    assert torch.allclose(observations[:, -3:], tip, atol=1e-12)
+    assert torch.allclose(observations[:, -6:-3], envs._buffers["goal"] - tip, atol=1e-12)
+    assert (envs._buffers["goal"] - torch.tensor([0, 0, 0.333])).norm(
+        dim=1
+    ).max() < 1.2  # an arm's length from its shoulder
+    lower, upper = envs.robot.limits[:2]
+    assert bool(((q > lower) & (q < upper)).all())
+
+
+def test_reaching_is_rewarded_by_distance():
+    envs = make(50, dtype=torch.float64)
+    envs.reset(seed=0)
+    action = next(actions_of(envs)).double()
+    observations, rewards, _, _, info = envs.step(action)
+    d = observations[:, -6:-3].norm(dim=1)
+    assert torch.allclose(info["distance"], d, atol=1e-6)
+    expected = 1 / (1 + (d / 0.05) ** 2) - d - 0.01 * action.square().mean(1)
+    assert torch.allclose(rewards, expected, atol=1e-6)
+
+
+def test_what_is_seen_is_measured_and_what_is_rewarded_is_true():
+    envs = make(5, effects=(effects.Gravity(), effects.Bias(0.3, 0.1)), dtype=torch.float64)
+    observations, _ = envs.reset(seed=0)
+    assert torch.allclose(observations[:, 0], (envs._buffers["q"][:, 0] + 0.3).sin(), atol=1e-12)
+    observations, *_, info = envs.step(torch.zeros(5, 2))
+    assert torch.allclose(observations[:, 0], (envs._buffers["q"][:, 0] + 0.3).sin(), atol=1e-12)
+    tip = torchdq.dq.translation(torchdq.forward_kinematics(ROBOT, envs._buffers["q"], ROBOT.tip))
+    assert torch.allclose(info["distance"], (envs._buffers["goal"] - tip).norm(dim=1), atol=1e-6)
+
+
+def test_a_goal_can_be_reached():
+    # by the damped inverse of the Jacobian, with offsets as actions
+    envs = ArmVectorEnv(50, robot="panda", action="reference")
+    observations, _ = envs.reset(seed=0)
+    for _ in range(150):
+        way, q = observations[:, -6:-3, None], envs._buffers["q"]
+        J = torchdq.jacobian(envs.robot, q, "tip", expressed="world")[:, 3:]
+        offset = J.mT @ torch.linalg.solve(J @ J.mT + 0.01 * torch.eye(3), way)
+        observations, rewards, _, _, info = envs.step((offset[..., 0] / envs._actions.scale).clamp(-1, 1))
+    assert info["distance"].quantile(0.9) < 0.01 and rewards.quantile(0.1) > 0.9
+
+
+def test_the_reference_is_smooth_and_within_limits():
+    robot, task = torchdq.robots.load("panda"), Track()
+    envs = ArmVectorEnv(300, "track", robot, dtype=torch.float64, action="reference")
+    envs.reset(seed=0)
+    lower, upper, velocity, _ = robot.limits
+    positions = []
+    for _ in range(100):
+        q, qd, qdd = envs._buffers["reference"].split(7, 1)
+        assert bool(((q > lower) & (q < upper)).all()) and bool((qd.abs() <= velocity / 2).all())
+        assert bool((qdd.abs() <= velocity).all())
+        positions.append((q, qd, qdd))
+        envs.step(torch.zeros(300, 7))
+    q, qd, qdd = (torch.stack(x) for x in zip(*positions, strict=True))
+    h = envs.scene.dt
+    assert torch.allclose((q[2:] - q[:-2]) / (2 * h), qd[1:-1], atol=1e-3)
+    assert torch.allclose((q[2:] - 2 * q[1:-1] + q[:-2]) / h**2, qdd[1:-1], atol=1e-3)
+    assert task.inputs(7) == {"goal": 49, "action": 7, "time": 1}
+
+
+def errors(**arguments):
+    """Root mean square error after two seconds of a controller that is left alone."""
+    envs = make(20, "track", action="residual", **arguments)
+    envs.reset(seed=0)
+    for _ in range(100):
+        *_, info = envs.step(torch.zeros(20, 2))
+    return info["error"].square().mean().sqrt().item()
+
+
+def test_a_controller_that_is_left_alone_tracks_with_the_true_model_and_not_with_a_wrong_one():
+    right = errors(effects=(effects.Gravity(),))
+    heavy = errors(effects=(effects.Gravity(), effects.Payload(1.0)))
+    stuck = errors(effects=(effects.Gravity(), effects.Coulomb(1.0)))
+    varied = errors(effects=(effects.Gravity(),), randomise={"mass": 0.3})
+    assert right < 3e-3
+    assert min(heavy, stuck, varied) > 3 * right
+
+
+def test_a_residual_pushes_an_arm_that_stands_still_by_itself():
+    envs = make(10, "reach", action="residual", effects=(effects.Gravity(),))
+    envs.reset(seed=0)
+    start = envs._buffers["q"].clone()
+    for _ in range(50):
+        envs.step(torch.zeros(10, 2))
+    assert torch.allclose(envs._buffers["q"], start, atol=1e-3)
+    envs.step(torch.ones(10, 2))
+    assert bool((envs._buffers["q"][:, 1] != start[:, 1]).all())
+
+
+def test_a_reference_action_moves_the_arm_on():
+    envs = make(10, "reach", action="reference", effects=(effects.Gravity(),), scale=None)
+    envs.reset(seed=0)
+    start = envs._buffers["q"].clone()
+    for _ in range(50):
+        envs.step(torch.tensor([1.0, -0.5]).expand(10, 2))
+    moved = envs._buffers["q"] - start  # in a second, at five times an offset of 0.4 and -0.2
+    assert torch.allclose(moved, torch.tensor([2.0, -1.0]), rtol=0.2)
+
+
+def test_the_controller_may_be_ones_own():
+    pd = controllers.PD(200.0, 40.0, nominal(make(1, effects=(effects.Gravity(),)).scene))
+    envs = make(4, "track", action="residual", controller=pd)
+    envs.reset(seed=0)
+    steps(envs, 3)
+    with pytest.raises(torchdq.ArgumentError, match="did you mean action='residual'"):
+        make(4, controller=pd)
+
+
+@dataclass(frozen=True)
+class Fall(Reach):
+    """An episode that ends when the first joint turns beyond an angle."""
+
+    def rows(self, view):
+        """With an end."""
+        from torchdq.numbers.functions import at_least
+
+        return {**super().rows(view), "terminated": [at_least(-0.5, view.q[0])]}
+
+
+def test_a_task_may_be_ones_own_and_end_episodes():
+    envs = make(5, Fall(), effects=(effects.Gravity(),))
+    envs.reset(seed=0)
+    ended = torch.zeros(5, dtype=torch.bool)
+    for _ in range(200):
+        _, _, terminated, _, info = envs.step(torch.zeros(5, 2))
+        assert not bool(info["nonfinite"].any())
+        ended |= terminated
+    assert bool(ended.any())
+
+
+@dataclass(frozen=True)
+class Undefined(Reach):
+    """A reward that is not a number."""
+
+    def rows(self, view):
+        """Without a reward, and with a row of two for `info`."""
+        return {**super().rows(view), "reward": [math.nan], "where": view.q}
+
+
+def test_a_reward_that_is_not_a_number_is_a_failure():
+    envs = make(5, Undefined(), effects=())
+    envs.reset(seed=0)
+    _, rewards, terminated, _, info = envs.step(torch.zeros(5, 2))
+    assert bool(info["nonfinite"].all()) and bool(terminated.all()) and rewards.tolist() == [-1000] * 5
+    assert info["where"].shape == (5, 2)
+
+
+@dataclass(frozen=True)
+class Changed(Reach):
+    """A task whose rows are changed by a function of a name."""
+
+    change: str = ""
+
+    def inputs(self, n):
+        """Inputs, changed."""
+        return INPUTS.get(self.change, lambda x: x)(super().inputs(n))
+
+    def start(self, robot, u):
+        """Start, changed."""
+        return STARTS.get(self.change, lambda x: x)(super().start(robot, u))
+
+    def rows(self, view):
+        """Rows, changed."""
+        return ROWS.get(self.change, lambda x: x)(super().rows(view))
+
+
+def without(name):
+    """Function that leaves a row out."""
+    return lambda x: {k: v for k, v in x.items() if k != name}
+
+
+ROWS = {
+    "reference is missing": without("reference"),
+    "reward is missing": without("reward"),
+    "observation is missing": without("observation"),
+    "no dict": lambda x: None,
+    "observation is short": lambda x: {**x, "observation": x["observation"][:-1]},
+    "reference is short": lambda x: {**x, "reference": x["reference"][:-1]},
+    "reward is a number": lambda x: {**x, "reward": x["distance"][0]},
+    "reward is a tensor": lambda x: {**x, "reward": torch.zeros(1)},
+    "reward holds a tensor": lambda x: {**x, "reward": [torch.zeros(1)]},
+    "reward has two": lambda x: {**x, "reward": [x["distance"][0]] * 2},
+    "end has two": lambda x: {**x, "terminated": [1.0, 0.0]},
+    "a row of the state": lambda x: {**x, "q": [0.0, 0.0]},
+    "a row of info": lambda x: {**x, "clipped": [0.0]},
+}
+STARTS = {
+    "goal is missing": without("goal"),
+    "goal is short": lambda x: {**x, "goal": x["goal"][:2]},
+    "start is a list": lambda x: list(x),
+    "start has more": lambda x: {**x, "torque": [0.0]},
+}
+INPUTS = {
+    "no goal": without("goal"),
+    "action is wide": lambda x: {**x, "action": 7},
+    "unknown input": lambda x: {**x, "velocity": 2},
+}
+MESSAGES = {
+    "reference is missing": r"Changed.rows must return a row 'reference' \[6\], found observation, reward, distance",
+    "reward is missing": r"must return a row 'reward' \[1\]",
+    "observation is missing": r"must return a row 'observation' \[12\]",
+    "no dict": "Changed.rows must return a dict of rows, observation, reward, reference, found NoneType",
+    "observation is short": "must return 'observation' of width 12, found 11",
+    "reference is short": "must return 'reference' of width 6, found 5",
+    "reward is a number": r"'reward' as a list of numbers, found a Recorded; a single number x is the row \[x\]",
+    "reward is a tensor": "must return 'reward' as a list of numbers, found a Tensor;",
+    "reward holds a tensor": "must return 'reward' as a list of numbers, found a Tensor in it",
+    "reward has two": "must return 'reward' of width 1, found 2",
+    "end has two": "must return 'terminated' of width 1, found 2",
+    "a row of the state": "Changed.rows must not return a row 'q'",
+    "a row of info": "Changed.rows must not return a row 'clipped'",
+    "goal is missing": r"Changed.start must return a row 'goal' \[3\], found q, qd",
+    "goal is short": "Changed.start must return 'goal' of width 3, found 2",
+    "start is a list": "Changed.start must return a dict of rows, q, qd, goal, found list",
+    "start has more": "no row of a start that Changed.start may return named 'torque'",
+    "no goal": "Changed.inputs must name the width of 'goal', found",
+    "action is wide": "Changed.inputs must give 'action' the width 2, found 7",
+    "unknown input": "no input of tasks that Changed.inputs may ask for named 'velocity'",
+}
+
+
+@pytest.mark.parametrize("change", MESSAGES)
+def test_a_task_that_returns_other_rows_is_told_which(change):
+    assert {*ROWS, *STARTS, *INPUTS} == set(MESSAGES)
+    with pytest.raises(torchdq.TorchdqError, match=MESSAGES[change]):
+        make(2, Changed(change=change)).reset(seed=0)
+
+
+def test_limits_hold_a_usual_arm():
+    envs = ArmVectorEnv(32, robot="panda", max_episode_steps=None)
+    envs.reset(seed=0)
+    lower, upper, velocity, _ = envs.robot.limits
+    fastest = torch.zeros(7)
+    for _ in range(100):
+        *_, info = envs.step(torch.ones(32, 7))
+        fastest = torch.maximum(fastest, envs._buffers["qd"].abs().amax(0))
+    assert not bool(info["nonfinite"].any())
+    assert bool((envs._buffers["q"] > lower - 0.1).all()) and bool((envs._buffers["q"] < upper + 0.1).all())
+    assert bool((fastest < 6 * velocity).all())  # light joints are thrown about by heavy ones
+
+
+class Unhashable(Reach):
+    """A task that cannot be part of a key."""
+
+    __hash__ = None
+
+
+@pytest.mark.parametrize(
+    "arguments, message",
+    [
+        ({"task": "push"}, "no task named 'push'"),
+        ({"robot": "pandaa"}, "did you mean 'panda'"),
+        ({"action": "force"}, "action must be one of 'torque', 'residual', 'reference', found 'force'"),
+        ({"output": "jax"}, "output must be one of"),
+        ({"render_mode": "ansi"}, "render_mode must be one of"),
+        ({"task": 3}, "task must be the name of one"),
+        ({"task": Reach}, "Reach is a class, call it"),
+        ({"task": Unhashable()}, "task must be hashable, found Unhashable"),
+        ({"autoreset_mode": "later"}, "autoreset_mode must be one of .*'DISABLED' or 'Disabled'.* found 'later'"),
+        ({"autoreset_mode": ["Disabled"]}, "autoreset_mode must be one of"),
+        ({"device": "cuda:99"}, "device must be a device that torch has on this machine, .*found 'cuda:99'"),
+        ({"device": "gpu"}, "device must be a device that torch has on this machine, which are cpu.*found 'gpu'"),
+        ({"robot": torchdq.robots.load("panda").with_tip(None)}, r"^tip of robot 'panda' must be chosen .*with_tip\("),
+        (
+            {"robot": stacked(limits=True)},
+            "limits of robot 'panda' have batch axes; environments need one set of",
+        ),
+        (
+            {"robot": stacked()},
+            r"mass of robot 'panda' must be one for all or have 5 rows, found .* axes \(2,\)",
+        ),
+        ({"dt": 0.0}, "dt must be a positive number"),
+        ({"effects": (effects.Gravity,)}, "it is a class, call it"),
+        ({"num_envs": 0}, "num_envs must be a whole number from 1"),
+        ({"max_episode_steps": 0}, "max_episode_steps must be"),
+        ({"dtype": torch.float16}, "dtype must be"),
+    ],
+)
+def test_wrong_arguments_are_refused(arguments, message):
+    with pytest.raises(torchdq.TorchdqError, match=message):
+        make(**arguments)
+
+
+# --- other libraries -------------------------------------------------------------------------------------------------
+
+
+def test_stable_baselines_that_is_missing_is_named(monkeypatch):
+    monkeypatch.delitem(sys.modules, "torchdq.envs.sb3", raising=False)
+    monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
+    with pytest.raises(torchdq.MissingLibraryError, match=r"needs stable-baselines3, .*; pip install 'torchdq\[rl\]'"):
+        importlib.import_module("torchdq.envs.sb3")
+
+
+def test_stable_baselines_trains():
+    library = pytest.importorskip("stable_baselines3")
+    checker = pytest.importorskip("stable_baselines3.common.env_checker")
+    from torchdq.envs.sb3 import StableBaselinesVecEnv
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        checker.check_env(ArmEnv(robot=ROBOT, scale=20.0))
+    envs = StableBaselinesVecEnv(make(4, max_episode_steps=10))
+    envs.seed(3)
+    assert same(envs.reset(), make(4).reset(seed=3)[0])
+    for _ in range(10):
+        observations, _, done, infos = envs.step(np.zeros((4, 2), np.float32))
+    assert done.all() and infos[0]["TimeLimit.truncated"]
+    assert infos[0]["terminal_observation"].shape == observations[0].shape
+    library.PPO("MlpPolicy", envs, n_steps=16, batch_size=32, device="cpu").learn(128)
+
+
+def test_torchrl_wraps_them():
+    library = pytest.importorskip("torchrl.envs")
+    envs = library.GymWrapper(make(4, max_episode_steps=10), convert_actions_to_numpy=False)
+    assert envs.rollout(5)["observation"].shape == (4, 5, make(4).single_observation_space.shape[0])
+
+
+def test_skrl_wraps_them():
+    library = pytest.importorskip("skrl.envs.wrappers.torch")
+    envs = library.wrap_env(make(4), wrapper="gymnasium")
+    observations, _ = envs.reset()
+    assert observations.shape[0] == 4
+
+
+# --- what strangers trip over ----------------------------------------------------------------------------------------
+
+
+def test_an_unknown_option_of_reset_is_refused():
+    envs = ArmVectorEnv(2)
+    with pytest.raises(UnknownNameError, match="did you mean 'reset_mask'"):
+        envs.reset(options={"mask": torch.tensor([True, False])})
+
+
+def test_seeds_may_be_an_array():
+    a, b = ArmVectorEnv(3), ArmVectorEnv(3)
+    assert torch.equal(a.reset(seed=np.arange(4, 7))[0], b.reset(seed=[4, 5, 6])[0])
+
+
+def test_effects_that_nobody_serves_are_refused():
+    with pytest.raises(ArgumentError, match="input 'target'"):
+        ArmVectorEnv(2, effects=(effects.Servo(10.0),))
+    with pytest.raises(ArgumentError, match="must be one for all or have 4 rows"):
+        ArmVectorEnv(4, effects=(effects.Payload(torch.rand(4, 1)),))
+
+
+def test_static_friction_stays_above_that_of_motion_and_rows_keep_their_own():
+    rows = torch.tensor([[1.0], [2.0], [3.0], [4.0]]).expand(4, 7)
+    parts = (effects.Stribeck(2.0, 2.2), effects.Viscous(rows))
+    envs = ArmVectorEnv(4, effects=parts, randomise={"friction": 0.5})
+    envs.reset(seed=0)
+    stribeck, viscous = envs.scene.effects[:2]
+    assert torch.allclose(stribeck.static, 1.1 * stribeck.coulomb)
+    assert bool((viscous.coefficient >= 0.5 * rows).all()) and bool((viscous.coefficient <= 1.5 * rows).all())
+    assert float((viscous.coefficient / rows).std()) > 0.1
+
+
+def test_a_task_whose_attributes_are_no_fields_is_refused():
+    """Two such tasks would be equal, and share the program of the first."""
+
+    class Weighted(Reach):
+        def __init__(self, weight):
+            object.__setattr__(self, "weight", weight)
+
+    with pytest.raises(ArgumentError, match=r"task has the attributes weight.*make Weighted a dataclass"):
+        ArmVectorEnv(2, Weighted(5.0), "two_link", scale=10.0)

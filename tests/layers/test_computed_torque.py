@@ -1,0 +1,449 @@
+"""Computed torque (73)-(78): e'' + kd e' + kp e = 0 with the right model, and a small error with a wrong one.
+
+The closed loop is the two-link arm, pressing on something with its tip, tracking a sine by fourth-order Runge-Kutta.
+All its variants are rows of one batch. The error's own equation is solved by a matrix exponential.
+"""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import torch
+from oracles import random_tree, shipped, states
+
+import torchdq
+from torchdq.scene import controllers
+
+BACKEND = "auto"
+
+EPS = 2.0**-52
+ARMS = {name: shipped(name).robot for name in torchdq.robots.names()}
+ARMS |= {"tree": random_tree(8, seed=3, armature=True).robot}
+
+
+def double(x):
+    return torch.tensor(x, dtype=torch.float64)
+
+
+def random(*shape, seed=0):
+    return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+
+
+# --- one instant -----------------------------------------------------------------------------------------------------
+
+
+def commanded(q, qd, q_des, qd_des, qdd_des, kp, kd):
+    return qdd_des + kd * (qd_des - qd) + kp * (q_des - q)
+
+
+@pytest.mark.parametrize("loaded", [False, True], ids=["free", "loaded"])
+@pytest.mark.parametrize("name", ARMS)
+def test_the_robot_accelerates_as_commanded(name, loaded):
+    robot = ARMS[name]
+    s = states(robot, batch=10)
+    q_des, qd_des, qdd_des = random(3, 10, robot.n, seed=1)
+    f_tip = s.f_tip if loaded else None
+    tau = torchdq.computed_torque(robot, s.q, s.qd, q_des, qd_des, qdd_des, 25.0, 10.0, f_tip)
+    found = torchdq.forward_dynamics(robot, s.q, s.qd, tau, f_tip)
+    expected = commanded(s.q, s.qd, q_des, qd_des, qdd_des, 25.0, 10.0)
+    # torques are exact to some roundings of their largest; M^-1 turns those into accelerations
+    amplified = torch.linalg.inv(torchdq.mass_matrix(robot, s.q)).abs().sum(-1).amax(-1) * tau.abs().amax(-1)
+    assert ((found - expected).abs().amax(-1) <= 100 * robot.n * EPS * amplified).all()
+
+
+def test_it_is_the_closed_form_with_the_commanded_acceleration():
+    robot, (q, qd, q_des, qd_des, qdd_des) = ARMS["panda"], random(5, 4, 7)
+    f_tip = random(4, 6, seed=1)
+    M, c, g, Jt = torchdq.closed_form(robot, q, qd)
+    a = commanded(q, qd, q_des, qd_des, qdd_des, 9.0, 5.0)
+    expected = torch.einsum("bij,bj->bi", M, a) + c + g + torch.einsum("bij,bj->bi", Jt, f_tip)  # (73)
+    found = torchdq.computed_torque(robot, q, qd, q_des, qd_des, qdd_des, 9.0, 5.0, f_tip)
+    assert (found - expected).abs().max() <= 1000 * EPS * expected.abs().max()
+
+
+def test_a_robot_where_it_should_be_is_only_held():
+    robot, q = ARMS["panda"], random(4, 7)
+    rest = torch.zeros_like(q)
+    found = torchdq.computed_torque(robot, q, rest, q, rest, rest, 25.0, 10.0)
+    assert torch.equal(found, torchdq.inverse_dynamics(robot, q, rest, rest))
+
+
+@pytest.mark.parametrize("kp, kd", [(double([25.0, 100.0]), double([10.0, 20.0])), (25.0, double([10.0, 20.0]))])
+def test_gains_may_be_one_per_joint(kp, kd):
+    robot, (q, qd, q_des, qd_des, qdd_des) = ARMS["two_link"], random(5, 3, 2)
+    found = torchdq.computed_torque(robot, q, qd, q_des, qd_des, qdd_des, kp, kd)
+    a = commanded(q, qd, q_des, qd_des, qdd_des, kp, kd)
+    expected = torchdq.inverse_dynamics(robot, q, qd, a)
+    # the program may round a product and a sum at once
+    assert float((found - expected).abs().max()) <= 8 * 2.0**-52 * float(expected.abs().max())
+
+
+def test_gains_may_be_one_per_row():
+    robot, state = ARMS["two_link"], random(5, 3, 2)
+    kp, kd = random(2, 3, 2, seed=1).abs()
+    rows = [torchdq.computed_torque(robot, *state[:, i], kp[i], kd[i]) for i in range(3)]
+    assert torch.equal(torchdq.computed_torque(robot, *state, kp, kd), torch.stack(rows))
+
+
+# --- the module ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "gains", [(25.0, 10.0), (double([25.0, 4.0]), double([10.0, 0.0]))], ids=["numbers", "vectors"]
+)
+@pytest.mark.parametrize("loaded", [False, True], ids=["free", "loaded"])
+def test_the_module_equals_the_function(gains, loaded):
+    robot, state = ARMS["two_link"], random(5, 3, 2)
+    f_tip = random(3, 6, seed=1) if loaded else None
+    controller = torchdq.ComputedTorque(robot, *gains)
+    assert torch.equal(controller(*state, f_tip), torchdq.computed_torque(robot, *state, *gains, f_tip))
+
+
+def test_the_module_follows_the_dtype_of_its_inputs():
+    controller = torchdq.ComputedTorque(ARMS["two_link"], 25.0, 10.0)
+    assert controller(*random(5, 3, 2).float()).dtype == torch.float32
+
+
+def test_gains_are_buffers_unless_learnt():
+    controller = torchdq.ComputedTorque(ARMS["two_link"], 25.0, 10.0)
+    assert not list(controller.parameters())
+    assert {"kp", "kd"} <= controller.state_dict().keys()
+
+
+def test_learnt_gains_are_parameters():
+    controller = torchdq.ComputedTorque(ARMS["two_link"], 25.0, double([10.0, 9.0]), learn=("kp", "kd", "mass"))
+    shapes = {name: tuple(p.shape) for name, p in controller.named_parameters()}
+    assert shapes == {"kp": (), "kd": (2,), "parametrizations.mass.original": (2,)}
+
+
+@pytest.mark.parametrize("gain", ["kp", "kd"])
+def test_the_gradient_of_a_gain_is_the_mass_matrix_times_its_error(gain):
+    """The torque is M (.. + kp e + kd e'), so its derivative in kp is M e."""
+    robot, (q, qd, q_des, qd_des, qdd_des) = ARMS["two_link"], random(5, 2)
+    controller = torchdq.ComputedTorque(robot, 25.0, 10.0, learn=gain)
+    tau = controller(q, qd, q_des, qd_des, qdd_des)
+    weights = double([0.7, -1.3])
+    (found,) = torch.autograd.grad(tau @ weights, [getattr(controller, gain)])
+    error = q_des - q if gain == "kp" else qd_des - qd
+    expected = weights @ torchdq.mass_matrix(robot, q) @ error
+    assert abs(found - expected) <= 100 * EPS * abs(expected)
+
+
+def test_learning_finds_the_gains_behind_recorded_torques():
+    robot, state = ARMS["two_link"], random(5, 20, 2)
+    recorded = torchdq.computed_torque(robot, *state, double([25.0, 16.0]), double([10.0, 8.0]))
+    controller = torchdq.ComputedTorque(robot, double([1.0, 1.0]), double([1.0, 1.0]), learn=("kp", "kd"))
+    optimizer = torch.optim.LBFGS(controller.parameters(), max_iter=50, line_search_fn="strong_wolfe")
+
+    def loss():
+        optimizer.zero_grad()
+        value = (controller(*state) - recorded).square().mean()
+        value.backward()
+        return value
+
+    optimizer.step(loss)
+    assert torch.allclose(controller.kp, double([25.0, 16.0]), rtol=1e-4)
+    assert torch.allclose(controller.kd, double([10.0, 8.0]), rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "bad", [-1.0, double([25.0, -1e-9]), float("nan"), double([1.0, 2.0, 3.0])], ids=["-1", "one joint", "nan", "shape"]
+)
+@pytest.mark.parametrize("gain", ["kp", "kd"])
+def test_bad_gains_are_refused_by_name(gain, bad):
+    with pytest.raises(torchdq.ArgumentError, match=rf"{gain} must be .* not negative"):
+        torchdq.ComputedTorque(ARMS["two_link"], **{"kp": 25.0, "kd": 10.0, gain: bad})
+
+
+NO_GAINS = {
+    "complex": 1j,
+    "truth": True,
+    "infinite": math.inf,
+    "beyond floats": 10**400,
+    "word": "1",
+    "none": None,
+    "truths": [True, False],
+    "complex numbers": [1j, 1.0],
+    "complex array": np.array([1j, 1.0]),
+    "complex tensor": torch.tensor([1j, 1.0]),
+    "complex tensor of one number": torch.tensor(1j),
+    "words": ["1", "2"],
+    "too many": [1.0, 2.0, 3.0],
+    "too few": [1.0],
+    "rows": [[1.0, 2.0], [3.0, 4.0]],
+    "uneven rows": [[1.0], [3.0, 4.0]],
+    "by name": {"joint1": 1.0},
+}
+
+
+@pytest.mark.parametrize("bad", NO_GAINS)
+@pytest.mark.parametrize("gain", ["kp", "kd"])
+def test_what_is_no_gain_is_refused_by_name_everywhere(gain, bad):
+    robot, gains = ARMS["two_link"], {"kp": 25.0, "kd": 10.0, gain: NO_GAINS[bad]}
+    state = torch.zeros(5, 2, dtype=torch.float64)
+    for made in (
+        lambda: torchdq.ComputedTorque(robot, **gains),
+        lambda: torchdq.computed_torque(robot, *state, **gains),
+        lambda: torchdq.envs.Scene(robot, controller=controllers.ComputedTorque(**gains)),
+        lambda: torchdq.envs.Scene(robot, controller=controllers.PD(**gains)),
+    ):
+        with pytest.raises((torchdq.ArgumentError, torchdq.DtypeError), match=rf"^{gain} (of \w+ )?must"):
+            made()
+
+
+@pytest.mark.parametrize("gain", [[25, 16], (25.0, 16.0), np.array([25.0, 16.0], np.float32), torch.tensor([25, 16])])
+def test_gains_may_be_any_row_of_real_numbers(gain):
+    assert torchdq.ComputedTorque(ARMS["two_link"], gain, np.float32(10)).kp.tolist() == [25.0, 16.0]
+
+
+@pytest.mark.parametrize("wrong", ["q", "qd", "q_des", "qd_des", "qdd_des"])
+def test_arguments_of_the_wrong_shape_are_refused_by_name(wrong):
+    names = ("q", "qd", "q_des", "qd_des", "qdd_des")
+    arguments = {name: torch.zeros(3 if name == wrong else 2) for name in names}
+    with pytest.raises(torchdq.ArgumentError, match=rf"^{wrong} must have the shape"):
+        torchdq.computed_torque(ARMS["two_link"], **arguments, kp=1.0, kd=1.0)
+
+
+# --- the closed loop -------------------------------------------------------------------------------------------------
+
+SECONDS, DT = 2.0, 2e-3  # steps short enough for eleven digits
+WRENCH = double([1.0, -2.0, 0.0, 0.0, 0.0, 0.3])  # what the tip exerts
+Q0, QD0 = double([0.5, -0.3]), double([0.0, 0.0])
+
+# row: mass of the arm over mass of the model, kp, kd
+ROWS = {
+    "exact": (1.0, (25.0, 25.0), (10.0, 10.0)),
+    "pinocchio": (1.0, (25.0, 25.0), (10.0, 10.0)),  # the arm is pinocchio's
+    "vectors": (1.0, (16.0, 36.0), (8.0, 12.0)),
+    "swinging": (1.0, (25.0, 49.0), (0.0, 3.0)),
+    "printed": (1.0, (25.0, 25.0), (10.0, 10.0)),  # (75) without its dot
+    "1.01": (1.01, (25.0, 25.0), (10.0, 10.0)),
+    "1.05": (1.05, (25.0, 25.0), (10.0, 10.0)),
+    "1.1": (1.1, (25.0, 25.0), (10.0, 10.0)),
+    "1.1 stiff": (1.1, (100.0, 100.0), (20.0, 20.0)),
+}
+NAMES = list(ROWS)
+
+
+def wanted(t):
+    t = torch.as_tensor(t, dtype=torch.float64)
+    return (
+        torch.stack([t.sin(), 0.5 * (2 * t).cos()], -1),
+        torch.stack([t.cos(), -(2 * t).sin()], -1),
+        torch.stack([-t.sin(), -2 * (2 * t).cos()], -1),
+    )
+
+
+def pinocchio_arm():
+    """The arm as pinocchio's model, and what its links feel."""
+    model, parent = pin.Model(), 0
+    model.gravity.linear = np.array([0.0, -9.81, 0.0])
+    rod = pin.Inertia(1.0, np.array([0.5, 0.0, 0.0]), np.diag([0.0, 1.0, 1.0]) / 12.0)
+    for i in range(2):
+        parent = model.addJoint(parent, pin.JointModelRZ(), pin.SE3(np.eye(3), np.array([float(i), 0, 0])), f"joint{i}")
+        model.appendBodyToJoint(parent, rod, pin.SE3.Identity())
+    tip = pin.SE3(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    on_arm = -tip.act(pin.Force(WRENCH[:3].numpy(), WRENCH[3:].numpy()))
+    return model, [pin.Force.Zero(), pin.Force.Zero(), on_arm]
+
+
+@pytest.fixture(scope="module")
+def run():
+    """Errors e [row, step, 2] at times t [step], and the acceleration the arm falls short of, [row, step, 2]."""
+    model = ARMS["two_link"]
+    ratios, kp, kd = (double(column) for column in zip(*ROWS.values(), strict=True))
+    # the rods' inertia grows with their mass
+    arm = model.replace(mass=model.mass * ratios[:, None], inertia=model.inertia * ratios[:, None, None])
+    other, felt = pinocchio_arm()
+    data, theirs, printed = other.createData(), NAMES.index("pinocchio"), NAMES.index("printed")
+
+    def accelerations(t, q, qd):
+        q_des, qd_des, qdd_des = wanted(t)
+        qd_des = qd_des.expand_as(qd).clone()
+        # (75) as printed has kd (qd_des - q) in place of kd (qd_des - qd)
+        qd_des[printed] += qd[printed] - q[printed]
+        tau = torchdq.computed_torque(model, q, qd, q_des, qd_des, qdd_des, kp, kd, WRENCH)
+        qdd = torchdq.forward_dynamics(arm, q, qd, tau, WRENCH)
+        ours = (q[theirs].numpy(), qd[theirs].numpy(), tau[theirs].numpy())
+        qdd[theirs] = torch.from_numpy(pin.aba(other, data, *ours, felt))
+        return qdd
+
+    q, qd = (x.expand(len(ROWS), 2) for x in (Q0, QD0))
+    errors, shortfalls = [wanted(0.0)[0] - q], []
+    steps = round(SECONDS / DT)
+    for k in range(steps):
+        t = k * DT
+        a1 = accelerations(t, q, qd)
+        a2 = accelerations(t + DT / 2, q + DT / 2 * qd, qd + DT / 2 * a1)
+        a3 = accelerations(t + DT / 2, q + DT / 2 * qd + DT**2 / 4 * a1, qd + DT / 2 * a2)
+        a4 = accelerations(t + DT, q + DT * qd + DT**2 / 2 * a2, qd + DT * a3)
+        shortfalls.append(commanded(q, qd, *wanted(t), kp, kd) - a1)
+        q, qd = q + DT * qd + DT**2 / 6 * (a1 + a2 + a3), qd + DT / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+        errors.append(wanted(t + DT)[0] - q)
+    t = DT * torch.arange(steps + 1, dtype=torch.float64)
+    return t, torch.stack(errors, 1), torch.stack(shortfalls, 1)
+
+
+def solution(t, kp, kd):
+    """Errors e [step, 2] of e'' + kd e' + kp e = 0 from the run's start."""
+    q_des, qd_des, _ = wanted(0.0)
+    columns = []
+    for i in range(2):
+        generator = double([[0.0, 1.0], [-kp[i], -kd[i]]])
+        start = torch.stack([q_des[i] - Q0[i], qd_des[i] - QD0[i]])
+        columns.append((torch.linalg.matrix_exp(t[:, None, None] * generator) @ start)[:, 0])
+    return torch.stack(columns, -1)
+
+
+def errors_of(run, row):
+    """Times, errors, and the errors a right model would leave."""
+    t, e, _ = run
+    _, kp, kd = ROWS[row]
+    return t, e[NAMES.index(row)], solution(t, kp, kd)
+
+
+def test_critical_damping_has_the_solution_everyone_knows(run):
+    t, _, expected = errors_of(run, "exact")
+    e0, ed0 = wanted(0.0)[0] - Q0, wanted(0.0)[1] - QD0
+    by_hand = (e0 + (ed0 + 5.0 * e0) * t[:, None]) * torch.exp(-5.0 * t[:, None])
+    assert (expected - by_hand).abs().max() < 1e-13
+
+
+@pytest.mark.parametrize("row", ["exact", "pinocchio", "vectors"])
+def test_the_error_dies_as_its_equation_says(run, row):
+    _, e, expected = errors_of(run, row)
+    assert (e[-1] - expected[-1]).abs().max() < 1e-11
+
+
+def test_the_error_is_not_yet_gone_when_compared(run):
+    """Or else the test before would compare zero with zero."""
+    _, e, _ = errors_of(run, "exact")
+    assert e[-1].abs().max() > 1e-4
+
+
+@pytest.mark.parametrize("row", ["exact", "pinocchio", "vectors", "swinging"])
+def test_the_error_follows_its_equation_all_the_way(run, row):
+    _, e, expected = errors_of(run, row)
+    assert (e - expected).abs().max() < 1e-9  # of Runge-Kutta, before it has died out with the error
+
+
+def test_without_its_dot_75_leaves_a_fifth_of_a_radian(run):
+    _, e, _ = errors_of(run, "printed")
+    assert 0.15 < e[-1].abs().max() < 0.25
+
+
+@pytest.mark.parametrize("row", ["1.01", "1.05", "1.1", "1.1 stiff"])
+def test_a_wrong_mass_leaves_no_more_than_its_mismatch_over_the_gain(run, row):
+    """The response of a critically damped joint to a disturbance never exceeds the largest disturbance over kp."""
+    _, e, expected = errors_of(run, row)
+    mismatch = run[2][NAMES.index(row)].abs().amax(0)
+    left = (e - expected).abs().amax(0)
+    assert (left <= mismatch / ROWS[row][1][0]).all()
+    assert (left > 1e-4).all()  # and the mismatch is felt
+
+
+def test_the_error_of_a_wrong_mass_grows_with_it_smoothly(run):
+    left = {row: (e - expected)[-1] for row in ("1.01", "1.05", "1.1") for _, e, expected in [errors_of(run, row)]}
+    assert torch.allclose(left["1.05"], 5.0 * left["1.01"], rtol=0.1)
+    assert torch.allclose(left["1.1"], 10.0 * left["1.01"], rtol=0.2)
+
+
+def test_stiffer_gains_leave_less_of_a_wrong_mass(run):
+    soft, stiff = (errors_of(run, row)[1][-1].abs().max() for row in ("1.1", "1.1 stiff"))
+    assert stiff < 0.4 * soft
+
+
+# --- models that were trained, and friction --------------------------------------------------------------------------
+
+
+def rubbing(name="two_link"):
+    """Robot whose description has damping and friction."""
+    robot = torchdq.robots.load(name)
+    return robot.replace(damping=torch.full_like(robot.damping, 2.0), friction=torch.full_like(robot.friction, 0.7))
+
+
+def test_friction_of_the_description_is_compensated():
+    """The joints of a scene with that friction follow the desired acceleration."""
+    robot, (q, qd, q_des, qd_des, qdd_des) = rubbing(), random(5, 3, 2)
+    tau = torchdq.ComputedTorque(robot, 25.0, 10.0)(q, qd, q_des, qd_des, qdd_des)
+    friction = 2.0 * qd + 0.7 * qd / (qd.square() + 1e-4).sqrt()
+    found = torchdq.forward_dynamics(robot, q, qd, tau - friction)
+    assert torch.allclose(found, commanded(q, qd, q_des, qd_des, qdd_des, 25.0, 10.0), rtol=1e-11, atol=1e-11)
+    rigid = torchdq.ComputedTorque(robot, 25.0, 10.0, friction=False)(q, qd, q_des, qd_des, qdd_des)
+    assert torch.equal(rigid, torchdq.computed_torque(robot, q, qd, q_des, qd_des, qdd_des, 25.0, 10.0))
+
+
+def test_learned_friction_takes_the_place_of_that_of_the_description():
+    robot, state = rubbing(), random(5, 3, 2)
+    controller = torchdq.ComputedTorque(robot, 25.0, 10.0, learn="friction")
+    expected = torchdq.ComputedTorque(robot, 25.0, 10.0)(*state)
+    assert torch.allclose(controller(*state), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("learn", [(), "mass", "offset", "friction"])
+@pytest.mark.parametrize("friction", [True, False])
+def test_a_model_that_learned_no_friction_is_compensated_as_its_robot(friction, learn):
+    """The described friction, unless it is switched off; the learned one instead where there is one; never both."""
+    robot, state = rubbing(), random(5, 4, 2)
+    model = torchdq.DQRNEA(robot, learn=learn, friction_width=0.3)
+    found = torchdq.ComputedTorque(model, 25.0, 10.0, friction=friction)(*state)
+    alike = torchdq.ComputedTorque(robot, 25.0, 10.0, learn=learn, friction_width=0.3, friction=friction)
+    torch.testing.assert_close(found, alike(*state), rtol=1e-12, atol=1e-12)
+    rigid = torchdq.ComputedTorque(robot, 25.0, 10.0, friction=False)(*state)
+    qd = state[1]
+    rubs = 2.0 * qd + 0.7 * qd / (qd.square() + 0.09).sqrt() if friction or learn == "friction" else 0 * qd
+    torch.testing.assert_close(found, rigid + rubs, rtol=1e-9, atol=1e-9)
+
+
+def test_a_residual_that_was_trained_on_torques_with_friction_gets_no_other():
+    """Its network learned measured torques less those of the model, which has none of the described friction."""
+    robot, state = rubbing(), random(5, 4, 2)
+    model = torchdq.ResidualDynamics(torchdq.DQRNEA(robot))
+    with torch.no_grad():  # a network that found the friction
+        model.correction = lambda features: 2.0 * features[..., 0] + 0.7 * features[..., 1]
+        found = torchdq.ComputedTorque(model, 25.0, 10.0)(*state)
+    torch.testing.assert_close(found, torchdq.ComputedTorque(robot, 25.0, 10.0)(*state), rtol=1e-12, atol=1e-12)
+
+
+def test_a_module_that_returns_no_torques_of_motions_is_no_model():
+    with pytest.raises(torchdq.ArgumentError, match=r"robot must be .* found a ForwardDynamics"):
+        torchdq.ComputedTorque(torchdq.ForwardDynamics(ARMS["two_link"]), 1.0, 1.0)
+
+
+@pytest.mark.parametrize("kind", ["layer", "residual"])
+def test_a_trained_model_is_taken_at_the_commanded_acceleration(kind):
+    q, qd, q_des, qd_des, qdd_des = random(5, 3, 2)
+    wrench = random(3, 6)
+    model = torchdq.DQRNEA(rubbing(), learn=("mass", "friction"))
+    model.mass = 1.3 * model.mass.detach()
+    if kind == "residual":
+        model = torchdq.ResidualDynamics(model)
+        torch.nn.init.normal_(model.network.weights[-1], std=0.3)
+    controller = torchdq.ComputedTorque(model, 25.0, double([10.0, 9.0]), learn="kp")
+    tau = controller(q, qd, q_des, qd_des, qdd_des, wrench)
+    a = commanded(q, qd, q_des, qd_des, qdd_des, 25.0, double([10.0, 9.0]))
+    assert torch.equal(tau, model(q, qd, a, wrench))
+    tau.sum().backward()
+    assert controller.kp.grad is not None and all(p.grad is not None for p in model.parameters())
+
+
+def test_a_model_learns_by_itself():
+    with pytest.raises(torchdq.ArgumentError, match="learn must be among 'kp' and 'kd'"):
+        torchdq.ComputedTorque(torchdq.DQRNEA(ARMS["two_link"]), 1.0, 1.0, learn="mass")
+
+
+@pytest.mark.parametrize("wrong", ["q", "qd", "q_des", "qd_des", "qdd_des"])
+def test_arguments_that_do_not_fit_a_model_are_refused_by_name(wrong):
+    controller = torchdq.ComputedTorque(torchdq.DQRNEA(ARMS["two_link"]), 1.0, 1.0)
+    names = ("q", "qd", "q_des", "qd_des", "qdd_des")
+    with pytest.raises(torchdq.ArgumentError, match=rf"^{wrong} must have the shape"):
+        controller(**{name: torch.zeros(3 if name == wrong else 2) for name in names})
+
+
+@pytest.mark.parametrize("gain", [-100.0, math.nan, math.inf, True, "stiff"])
+@pytest.mark.parametrize("name", ["kp", "kd"])
+def test_a_gain_that_is_no_gain_is_refused(name, gain):
+    gains = {"kp": 25.0, "kd": 10.0} | {name: gain}
+    with pytest.raises(torchdq.ArgumentError, match=f"{name} must"):
+        torchdq.computed_torque(torchdq.robots.load("two_link"), *torch.zeros(5, 2, dtype=torch.float64), **gains)

@@ -1,0 +1,166 @@
+"""Programs of layers and controllers are what the layers compute, with what they learned as constants or arguments."""
+
+import pytest
+import torch
+
+import torchdq
+from torchdq.envs import effects
+from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.scene import controllers
+
+BACKEND = "auto"
+F64 = torch.float64
+LEARN = ("mass", "com", "inertia", "armature", "friction", "offset")
+
+
+def rows(*names, n=7, samples=6):
+    generator = torch.Generator().manual_seed(3)
+    width = {"f_tip": 6, "f_ext": 6 * n}
+    return {name: torch.rand(samples, width.get(name, n), generator=generator, dtype=F64) - 0.4 for name in names}
+
+
+def shifted(layer):
+    """The layer, whose parameters have moved as an optimiser moves them."""
+    generator = torch.Generator().manual_seed(4)
+    with torch.no_grad():
+        for x in layer.parameters():
+            x += 0.1 * (torch.rand(x.shape, generator=generator, dtype=x.dtype) - 0.5)
+    return layer
+
+
+def described():
+    """Robot with friction in its description."""
+    robot = torchdq.robots.load("panda")
+    return robot.replace(damping=torch.linspace(0.1, 0.7, 7, dtype=F64), friction=torch.full((7,), 0.3, dtype=F64))
+
+
+TRACKED = ("q", "qd", "q_des", "qd_des", "qdd_des")
+LAYERS = {
+    "inverse": (lambda: torchdq.DQRNEA(torchdq.robots.load("panda"), LEARN), ("q", "qd", "qdd")),
+    "forward": (lambda: torchdq.ForwardDynamics(torchdq.robots.load("panda"), LEARN), ("q", "qd", "tau")),
+    "nothing learned": (lambda: torchdq.InverseDynamics(torchdq.robots.load("panda")), ("q", "qd", "qdd")),
+    "offset alone": (lambda: torchdq.ForwardDynamics(torchdq.robots.load("panda"), "offset"), ("q", "qd", "tau")),
+    "controller": (lambda: torchdq.ComputedTorque(described(), 30.0, torch.arange(1.0, 8.0)), TRACKED),
+    "without friction": (lambda: torchdq.ComputedTorque(described(), 30.0, 9.0, friction=False), TRACKED),
+    "learned gains": (
+        lambda: torchdq.ComputedTorque(
+            described(), torch.arange(1.0, 8.0), 5.0, learn=("kp", "kd", "mass", "friction")
+        ),
+        TRACKED,
+    ),
+    "controller of a layer": (
+        lambda: torchdq.ComputedTorque(shifted(torchdq.DQRNEA(described(), LEARN)), 30.0, 9.0, learn="kd"),
+        TRACKED,
+    ),
+}
+
+
+RUBBING = (effects.Directional(0.3, 0.2), effects.LoadDependent(0.1), effects.Ripple(0.5, 0.1, -0.2))
+LAYERS |= {
+    "friction": (
+        lambda: torchdq.DQRNEA(torchdq.robots.load("panda"), friction=(effects.Stribeck(0.3, 0.4), *RUBBING)),
+        ("q", "qd", "qdd"),
+    ),
+    "friction forward": (
+        lambda: torchdq.ForwardDynamics(torchdq.robots.load("panda"), ("friction", "offset"), friction=RUBBING),
+        ("q", "qd", "tau"),
+    ),
+    "friction controlled": (
+        lambda: torchdq.ComputedTorque(described(), 30.0, 9.0, learn="friction", friction=RUBBING),
+        TRACKED,
+    ),
+}
+
+
+def quantity(layer, name):
+    """Present value of a quantity that a layer learned, or its model."""
+    owner = layer if hasattr(layer, name) else layer.model
+    return getattr(owner, name).detach()
+
+
+@pytest.mark.parametrize("parameters", ["constants", "arguments"])
+@pytest.mark.parametrize("name", LAYERS)
+def test_the_program_of_a_layer_computes_what_the_layer_does(name, parameters):
+    make, inputs = LAYERS[name]
+    layer = shifted(make())
+    wrenches = ("f_tip",)
+    given = rows(*inputs, *wrenches)
+    program = layer.program(*wrenches, parameters=parameters)
+    extra = [a for a in program.arguments if a.name not in given]
+    assert all(a.uniform for a in extra) and bool(extra) == (
+        parameters == "arguments" and bool(list(layer.parameters()))
+    )
+    present = [quantity(layer, a.name).reshape(-1) for a in extra]
+    found = torchdq.compile(program)(*[given[a.name] for a in program.arguments if a.name in given], *present)
+    expected = layer(*given.values()).detach()
+    torch.testing.assert_close(found, expected, rtol=1e-11, atol=1e-11 * float(expected.abs().max()))
+
+
+def test_friction_is_in_the_program_once():
+    controller = torchdq.ComputedTorque(described(), 30.0, 9.0)
+    plain = torchdq.ComputedTorque(described(), 30.0, 9.0, friction=False)
+    count = [torchdq.compile(layer.program()).count() for layer in (controller, plain)]
+    assert count[0].roots == 7 and count[1].roots == 0
+
+
+def test_an_identified_robot_is_a_program_of_constants():
+    robot = torchdq.robots.load("two_link")
+    layer = shifted(torchdq.DQRNEA(robot, ("mass", "friction")))
+    given = rows("q", "qd", "qdd", n=2, samples=400)
+    signals = {name: 4 * x for name, x in given.items()}
+    identified = torchdq.learning.identify(robot, *signals.values(), layer(*signals.values()).detach())
+    controller = torchdq.ComputedTorque(identified.robot, 30.0, 9.0)
+    tracked = rows(*TRACKED, n=2)
+    found = torchdq.compile(controller.program())(*tracked.values())
+    torch.testing.assert_close(found, controller(*tracked.values()), rtol=1e-11, atol=1e-11)
+
+
+def test_networks_are_refused_with_the_way_to_export_them():
+    layer = torchdq.ResidualDynamics(torchdq.DQRNEA(torchdq.robots.load("two_link")))
+    with pytest.raises(ArgumentError, match=r"ResidualDynamics has no program.*torch\.export or torch\.onnx"):
+        layer.program()
+    with pytest.raises(ArgumentError, match=r"found a ResidualDynamics, whose network is no program"):
+        torchdq.ComputedTorque(layer, 30.0, 9.0).program()
+    with pytest.raises(UnknownNameError, match="f_base"):
+        layer.model.program("f_base")
+    with pytest.raises(ArgumentError, match="parameters must be one of 'constants', 'arguments', found 'both'"):
+        layer.model.program(parameters="both")
+
+
+def test_robots_and_friction_with_batch_axes_are_arguments_or_refused():
+    robot = torchdq.robots.load("two_link")
+    layer = torchdq.DQRNEA(robot.replace(mass=robot.mass * torch.ones(3, 1, dtype=F64)))
+    with pytest.raises(ArgumentError, match="mass of robot 'two_link' has batch axes"):
+        layer.program()
+    assert [a.uniform for a in layer.program(parameters="arguments").arguments] == [False] * 4
+    layer = torchdq.DQRNEA(robot, "friction")
+    layer.viscous = torch.ones(3, 2, dtype=F64)
+    with pytest.raises(ArgumentError, match="viscous has batch axes"):
+        layer.program()
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda robot: controllers.ComputedTorque(30.0, (9.0, 8.0)),
+        lambda robot: controllers.ComputedTorque(30.0, 9.0, model=robot.replace(mass=1.5 * robot.mass)),
+        lambda robot: controllers.PD(30.0, torch.tensor([9.0, 8.0])),
+        lambda robot: controllers.PD(30.0, 9.0, model=robot),
+    ],
+)
+def test_the_program_of_a_controller_is_its_part_of_a_scene(make):
+    robot = torchdq.robots.load("two_link")
+    controller = make(robot)
+    given = rows("q", "qd", "q_des", "qd_des", "qdd_des", n=2)
+    q, qd, *desired = given.values()
+    program = controller.program(robot)
+    gains = [torch.tensor([9.0, 8.0], dtype=F64)] if len(program.arguments) == 4 else []
+    found = torchdq.compile(program)(torch.cat(desired, -1), q, qd, *gains)
+    kp, kd = (torch.as_tensor(x, dtype=F64) for x in (controller.kp, controller.kd))
+    model = controller.model
+    if isinstance(controller, controllers.ComputedTorque):
+        expected = torchdq.computed_torque(model or robot, q, qd, *desired, kp.expand(2), kd.expand(2))
+    else:
+        weight = 0.0 if model is None else torchdq.inverse_dynamics(model, q)
+        expected = kp * (desired[0] - q) + kd * (desired[1] - qd) + weight
+    torch.testing.assert_close(found, expected, rtol=1e-12, atol=1e-12)

@@ -1,0 +1,636 @@
+"""What is learned stays physical, is what it says it is, and can be learned.
+
+That a body can exist is decided by the principal moments of its inertia, by numpy; friction is what a scene with the
+same effects simulates, and formulas are written out here.
+"""
+
+import copy
+import math
+import pickle
+import re
+
+import helpers
+import numpy as np
+import pytest
+import torch
+from helpers import double, random, thinned
+from oracles import random_tree, shipped, states
+from torch.func import functional_call, grad
+from torch.nn.utils import parametrize
+
+import torchdq
+from torchdq import effects
+from torchdq.envs import Scene
+from torchdq.functions import posed
+from torchdq.layers.parametrizations import PhysicalInertia, Positive
+from torchdq.nn import RobotModule
+from torchdq.robot.check.consistency import inert_joints
+from torchdq.scene.integrators import ExplicitEuler
+
+F32, F64 = torch.float32, torch.float64
+EPS = {F32: 2.0**-23, F64: 2.0**-52}
+EVERYTHING = ("mass", "com", "inertia", "friction", "armature", "offset")
+TREE = random_tree(6, seed=3).robot
+ROBOTS = {**{name: shipped(name).robot for name in ("panda", "ur10e")}, "tree": TREE}
+ROBOTS["puma560"] = shipped("puma560").robot.replace(on_unphysical="repair").bake()
+every_robot = pytest.mark.parametrize("name", ROBOTS)
+one_thread = helpers.one_thread
+
+
+def matrices(inertia):
+    """Inertias [..., 6] as matrices, in numpy's hands."""
+    xx, xy, yy, xz, yz, zz = inertia.detach().double().unbind(-1)
+    return torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).unflatten(-1, (3, 3)).numpy()
+
+
+def objections(mass, inertia):
+    """What is unphysical about bodies; rounding of the numbers in hand may hide or show a flat direction."""
+    eps = EPS[inertia.dtype]
+    inertia = matrices(inertia)
+    moments = np.linalg.eigvalsh(inertia)
+    slack = 16 * eps * moments.sum(-1)
+    second = np.linalg.eigvalsh(np.trace(inertia, axis1=-2, axis2=-1)[..., None, None] / 2 * np.eye(3) - inertia)
+    found = []
+    if not (np.isfinite(moments).all() and bool(mass.isfinite().all())):
+        found.append("not finite")
+    if not bool((mass > 0).all()):
+        found.append("mass")
+    if not (moments[..., 0] >= -slack).all():
+        found.append("definite")
+    if not (moments[..., 2] <= moments[..., 0] + moments[..., 1] + slack).all():
+        found.append("triangle")
+    if not (second[..., 0] >= -slack).all():
+        found.append("second moments")
+    return found
+
+
+def bodies(*batch, seed=0, flat=1.0):
+    """Inertias of random point clouds, thinner by a factor in one direction of each."""
+    points = random(*batch, 8, 3, seed=seed) * torch.tensor([1.0, 0.5, 0.5 * flat], dtype=F64)
+    turn = torch.linalg.qr(random(*batch, 3, 3, seed=seed + 1)).Q
+    points = (points - points.mean(-2, keepdim=True)) @ turn
+    x, y, z = points.unbind(-1)
+    entries = (y * y + z * z, -x * y, x * x + z * z, -x * z, -y * z, x * x + y * y)
+    return torch.stack([e.sum(-1) for e in entries], -1)
+
+
+# --- forms -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.case("I4")
+@pytest.mark.parametrize("dtype", [F32, F64], ids=str)
+@pytest.mark.parametrize("size", [1e-3, 1.0, 30.0, 1e3])
+def test_any_free_numbers_are_a_body_that_exists(size, dtype):
+    x = size * random(200, 6, seed=1, dtype=dtype)
+    assert objections(Positive()(x[:, 0]), PhysicalInertia()(x)) == []
+
+
+@pytest.mark.parametrize("form, columns", [(Positive(), ()), (PhysicalInertia(), (6,))], ids=["positive", "inertia"])
+@pytest.mark.parametrize("dtype", [F32, F64], ids=str)
+def test_free_numbers_come_back(form, columns, dtype):
+    x = (0.5 * random(50, 3, *columns, seed=2)).to(dtype)
+    back = form.right_inverse(form(x))
+    assert back.dtype == dtype and back.shape == x.shape
+    # the flattest of these bodies is known to eps over its flatness
+    assert float((back - x).abs().max()) < 1e4 * EPS[dtype]
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("dtype", [F32, F64], ids=str)
+def test_a_positive_number_comes_back(scale, dtype):
+    x = (scale * random(100, seed=3).exp()).to(dtype)
+    assert float((Positive()(Positive().right_inverse(x)) / x - 1).abs().max()) < 32 * EPS[dtype]
+
+
+@pytest.mark.parametrize("flat", [1.0, 0.1, 0.01])
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+@pytest.mark.parametrize("dtype", [F32, F64], ids=str)
+def test_a_body_that_exists_comes_back(scale, flat, dtype):
+    inertia = (scale * bodies(40, 2, seed=4, flat=flat)).to(dtype)
+    form = PhysicalInertia()
+    error = (form(form.right_inverse(inertia)) - inertia).abs().amax(-1) / inertia.abs().amax(-1)
+    assert float(error.max()) < 16 * EPS[dtype]
+
+
+def test_the_free_numbers_are_the_triangle_of_the_second_moments():
+    x = random(6, seed=5)
+    L = np.zeros((3, 3))
+    L[np.diag_indices(3)] = np.exp(x[[0, 2, 5]].numpy())
+    L[np.tril_indices(3, -1)] = x[[1, 3, 4]].numpy() * np.linalg.norm(L)
+    second = L @ L.T
+    expected = np.trace(second) * np.eye(3) - second
+    assert np.allclose(matrices(PhysicalInertia()(x)), expected, rtol=1e-14, atol=1e-14)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_units_change_the_logarithms_only_and_all_alike(seed):
+    inertia, form = bodies(3, seed=seed), PhysicalInertia()
+    change = form.right_inverse(1e4 * inertia) - form.right_inverse(inertia)
+    expected = np.log(1e2) * double(1, 0, 1, 0, 0, 1)
+    assert torch.allclose(change, expected.expand_as(change), rtol=0.0, atol=1e-10)
+
+
+DEGENERATE = {
+    "point": [0, 0, 0, 0, 0, 0],
+    "rod": [0, 0, 1, 0, 0, 1],
+    "oblique rod": [2, -1, 2, -1, -1, 2],
+    "plate": [1, 0, 2, 0, 0, 3],
+    "triangle inequality broken": [1, 0, 1, 0, 0, 5],
+    "not definite": [-1, 0, 2, 0, 0, 2],
+    "negative": [-1, 0, -1, 0, 0, -1],
+    "only a product": [0, 1, 0, 0, 0, 0],
+}
+
+
+@pytest.mark.case("I4")
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("kind", DEGENERATE)
+def test_a_body_at_or_beyond_the_limit_becomes_one_near_by(kind, scale):
+    inertia, form = scale * torch.tensor(DEGENERATE[kind], dtype=F64), PhysicalInertia()
+    x = form.right_inverse(inertia)
+    found = form(x)
+    assert bool(x.isfinite().all()) and objections(torch.ones(()), found) == []
+    moments = np.linalg.eigvalsh(np.trace(matrices(found)) / 2 * np.eye(3) - matrices(found))
+    assert moments[0] > 0.9e-6 * moments.sum()
+    if kind in ("rod", "oblique rod", "plate"):
+        assert float((found - inertia).abs().max()) < 3e-6 * scale * 3
+    if kind == "point":
+        assert np.allclose(matrices(found), 2e-8 * np.eye(3), rtol=1e-12)
+
+
+@pytest.mark.parametrize("form", [Positive(), PhysicalInertia()], ids=["positive", "inertia"])
+@pytest.mark.parametrize("bad", [torch.nan, torch.inf])
+def test_what_is_not_finite_is_refused(form, bad):
+    with pytest.raises(torchdq.ArgumentError, match="finite"):
+        form.right_inverse(torch.full((6,), bad, dtype=F64))
+
+
+@pytest.mark.case("I4")
+@pytest.mark.parametrize("form, columns", [(Positive(), ()), (PhysicalInertia(), (6,))], ids=["positive", "inertia"])
+def test_forms_have_the_derivatives_of_finite_differences(form, columns):
+    x = random(3, *columns, seed=6).requires_grad_()
+    assert torch.autograd.gradcheck(form, x)
+    assert torch.autograd.gradgradcheck(form, x)
+
+
+# --- optimisers cannot break a robot ---------------------------------------------------------------------------------
+
+
+def adversarial(module, k):
+    """Gradients that have nothing to do with anything, over twelve orders of magnitude."""
+    for i, p in enumerate(module.parameters()):
+        p.grad = random(*p.shape, seed=1000 * k + i) * 10.0 ** float(3 * random(1, seed=k))
+
+
+def wanting_the_impossible(module, k):
+    """Gradients towards the opposite torques, which only negative masses would give."""
+    q, qd, qdd = random(3, 20, module.robot.n, seed=k)
+    target = -torchdq.inverse_dynamics(module._robot, q, qd, qdd)
+    (module(q, qd, qdd) - target).square().mean().backward()
+
+
+@pytest.mark.case("I4")
+@pytest.mark.parametrize("gradients", [adversarial, wanting_the_impossible], ids=lambda f: f.__name__)
+@pytest.mark.parametrize("kind", ["adam", "sgd"])
+@pytest.mark.parametrize("name", thinned(ROBOTS, ["puma560", "tree"]))
+def test_a_robot_stays_physical_at_every_step(name, kind, gradients):
+    module = torchdq.DQRNEA(ROBOTS[name], learn=EVERYTHING)
+    if kind == "adam":
+        optimiser = torch.optim.Adam(module.parameters(), lr=0.5)
+    else:
+        optimiser = torch.optim.SGD(module.parameters(), lr=1e-3)
+    for k in range(60):
+        optimiser.zero_grad()
+        gradients(module, k)
+        optimiser.step()
+        robot = module.robot
+        assert objections(robot.mass, robot.inertia) == []
+        for positive in (robot.armature, module.viscous, module.coulomb):
+            assert bool((positive > 0).all()) and bool(positive.isfinite().all())
+        assert inert_joints(robot.joint_names, posed.tree(robot.bake(), {})) == {}
+
+
+# --- where learning starts -------------------------------------------------------------------------------------------
+
+
+def test_only_impossible_links_of_a_description_change():
+    """The published inertias of the Puma 560 hold some, and a first link without mass."""
+    robot = torchdq.robots.load("puma560")
+    with pytest.raises(torchdq.UnphysicalError, match=r"learning inertias needs .*\n.*triangle.*\n.*'repair'"):
+        RobotModule(robot, learn=("mass", "inertia"))
+    module = RobotModule(robot.replace(on_unphysical="repair"), learn=("mass", "inertia"))
+    second = [np.linalg.eigvalsh(np.trace(I) / 2 * np.eye(3) - I) for I in matrices(robot.inertia)]
+    possible = torch.tensor([bool(x[0] >= 1e-6 * x.sum()) for x in second])
+    assert 0 < int(possible.sum()) < robot.n
+    assert torch.allclose(module.inertia[possible], robot.inertia[possible], rtol=1e-12, atol=1e-15)
+    assert objections(module.mass, module.inertia) == []
+    apart = (module.inertia - robot.inertia).abs().amax(-1) / robot.inertia.abs().amax(-1)
+    assert bool((apart[~possible] > 1e-3).any()) and apart.max().item() < 0.6
+    there = robot.mass > 0
+    assert torch.allclose(module.mass[there], robot.mass[there], rtol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["panda", "ur10e", "tree"])
+def test_a_module_starts_as_the_plain_robot(name):
+    robot = ROBOTS[name]
+    robot = robot.replace(armature=0.1 * random(robot.n, seed=8).exp())
+    s = states(robot, 20)
+    module = torchdq.DQRNEA(robot, learn=("mass", "com", "inertia", "armature", "offset"))
+    expected = torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd)
+    assert float((module(s.q, s.qd, s.qdd) - expected).abs().max() / expected.abs().max()) < 1e-12
+
+
+def test_what_the_description_has_none_of_starts_small():
+    robot = ROBOTS["ur10e"]
+    robot = robot.replace(damping=double(3, 0, 2, 0, 1, 0), friction=double(0, 5, 0, 0, 0, 0), armature=None)
+    module = torchdq.DQRNEA(robot, learn=EVERYTHING)
+    assert torch.allclose(module.viscous, double(3, 0.01, 2, 0.01, 1, 0.01), rtol=1e-14)
+    assert torch.allclose(module.coulomb, double(0.01, 5, 0.01, 0.01, 0.01, 0.01), rtol=1e-14)
+    assert torch.allclose(module.armature, torch.full((6,), 1e-3, dtype=F64), rtol=1e-14)
+    assert not module.offset.any()
+
+
+@pytest.mark.case("I1", "I4")
+def test_links_without_mass_become_light_links():
+    robot = ROBOTS["ur10e"]
+    keep = double(1, 0, 1, 1, 1, 1)
+    robot = robot.replace(mass=robot.mass * keep, inertia=robot.inertia * keep[:, None])
+    module = torchdq.DQRNEA(robot, learn=EVERYTHING)
+    assert abs(float(module.mass[1]) / 1e-6 - 1) < 1e-12
+    assert objections(module.mass, module.inertia) == []
+    x = random(3, 5, 6)
+    module(*x).square().sum().backward()
+    module.prior().backward()
+    assert all(bool(p.grad.isfinite().all()) for p in module.parameters())
+
+
+@pytest.mark.parametrize("kind", ["DQRNEA", "ForwardDynamics", "ComputedTorque"])
+def test_gradients_reach_everything_that_is_learned(kind):
+    gains = (9.0, 6.0) if kind == "ComputedTorque" else ()
+    module = getattr(torchdq, kind)(ROBOTS["ur10e"], *gains, learn=EVERYTHING)
+    module(*random(5 if gains else 3, 10, 6)).square().sum().backward()
+    assert {name.removesuffix(".original").rpartition(".")[2] for name, _ in module.named_parameters()} == {
+        *EVERYTHING, "viscous", "coulomb"
+    } - {"friction"}  # fmt: skip
+    assert all(bool((p.grad != 0).any()) for p in module.parameters())
+
+
+def test_gradients_of_the_free_numbers_are_finite_differences():
+    module = torchdq.DQRNEA(ROBOTS["tree"], learn=EVERYTHING)
+    x = random(3, 2, module.robot.n, seed=9)
+    names, values = zip(*module.named_parameters(), strict=True)
+
+    def torques(*values):
+        return functional_call(module, dict(zip(names, values, strict=True)), tuple(x))
+
+    assert torch.autograd.gradcheck(torques, values, fast_mode=True)
+
+
+@pytest.mark.parametrize("bad", ["viscous", "coulomb", "damping", "limits", "kp"])
+def test_names_of_nothing_are_refused(bad):
+    with pytest.raises(torchdq.ArgumentError, match=rf"learn .*'friction', 'offset'.* found '{bad}'"):
+        torchdq.DQRNEA(ROBOTS["panda"], learn=("mass", bad))
+
+
+@pytest.mark.parametrize("bad", [True, False, None, 1, [["mass"]], {"mass": True}], ids=str)
+def test_what_is_no_list_of_names_is_refused(bad):
+    with pytest.raises(torchdq.ArgumentError, match=r"learn must name what robot 'panda' has among \['X_PB_home'"):
+        torchdq.DQRNEA(ROBOTS["panda"], learn=bad)
+    with pytest.raises(torchdq.ArgumentError, match="learn must name"):
+        torchdq.ComputedTorque(ROBOTS["panda"], 1.0, 1.0, learn=bad)
+
+
+@pytest.mark.parametrize("bad", ["fast", "C", 1], ids=str)
+def test_a_backend_that_does_not_exist_is_refused_when_a_layer_is_made(bad):
+    with pytest.raises(torchdq.ArgumentError, match="backend must be one of None, 'auto', 'eager', 'c'"):
+        torchdq.ForwardDynamics(ROBOTS["panda"], backend=bad)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, float("nan"), float("inf"), "a", None])
+def test_a_width_that_is_not_positive_is_refused(bad):
+    with pytest.raises(torchdq.ArgumentError, match="friction_width"):
+        torchdq.DQRNEA(ROBOTS["panda"], friction_width=bad)
+
+
+# --- friction and offset ---------------------------------------------------------------------------------------------
+
+VISCOUS, COULOMB, WIDTH = double(3, 0.5, 2, 1, 0.2, 4), double(1, 2, 0.3, 4, 5, 0.6), 0.05
+
+
+def rubbing(kind, robot, learn=("friction",), **options):
+    """A module with friction that is not its starting one."""
+    module = getattr(torchdq, kind)(robot, learn=learn, friction_width=WIDTH, **options)
+    module.viscous, module.coulomb = VISCOUS, COULOMB
+    if "offset" in learn:
+        with torch.no_grad():
+            module.offset.copy_(random(6, seed=11))
+    return module
+
+
+def test_friction_is_its_formula():
+    q, qd, qdd = random(3, 30, 6, seed=10)
+    qd[0] = 0.0
+    module = rubbing("DQRNEA", TREE)
+    expected = VISCOUS * qd + COULOMB * qd / torch.sqrt(qd**2 + WIDTH**2)
+    assert torch.allclose(module.friction_torque(qd), expected, rtol=1e-13, atol=1e-15)
+    assert torch.allclose(
+        module(q, qd, qdd), torchdq.inverse_dynamics(TREE, q, qd, qdd) + expected, rtol=1e-13, atol=1e-12
+    )
+    assert torch.equal(module(q), torchdq.inverse_dynamics(TREE, q))
+    assert not torchdq.DQRNEA(TREE).friction_torque(qd).any()
+
+
+def test_friction_is_what_a_scene_with_the_same_effects_must_overcome():
+    """The scene, driven by the layer's torques, accelerates as was asked for."""
+    q, qd, qdd = random(3, 20, 6, seed=12)
+    tau = rubbing("DQRNEA", TREE)(q, qd, qdd).detach()
+    friction = effects.Viscous(VISCOUS.tolist()), effects.Coulomb(COULOMB.tolist(), WIDTH)
+    dt = 1e-3
+    scene = Scene(TREE, (effects.Gravity(), *friction), integrator=ExplicitEuler(), dt=dt)
+    start = scene.start(q, qd)
+    found = (scene.step(start, torque=tau).qd - qd) / dt
+    assert torch.allclose(found, qdd, rtol=1e-8, atol=1e-8)
+    without = Scene(TREE, (effects.Gravity(),), integrator=ExplicitEuler(), dt=dt)
+    assert float(((without.step(start, torque=tau).qd - qd) / dt - qdd).abs().max()) > 1.0
+
+
+@pytest.mark.parametrize("learn", [("friction",), ("friction", "offset", "armature", "mass")], ids=str)
+def test_forward_dynamics_is_the_way_back(learn):
+    q, qd, qdd = random(3, 20, 6, seed=13)
+    tau = rubbing("DQRNEA", TREE, learn)(q, qd, qdd)
+    found = rubbing("ForwardDynamics", TREE, learn)(q, qd, tau)
+    assert torch.allclose(found, qdd, rtol=1e-9, atol=1e-9)
+
+
+def test_the_controller_compensates_at_the_measured_velocity():
+    learn = ("friction", "offset")
+    q, qd, q_des, qd_des, qdd_des = random(5, 20, 6, seed=14)
+    tau = rubbing("ComputedTorque", TREE, learn, kp=9.0, kd=6.0)(q, qd, q_des, qd_des, qdd_des)
+    found = rubbing("ForwardDynamics", TREE, learn)(q, qd, tau)
+    expected = qdd_des + 6.0 * (qd_des - qd) + 9.0 * (q_des - q)
+    assert torch.allclose(found, expected, rtol=1e-8, atol=1e-8)
+
+
+def test_offset_is_added_and_has_no_sign():
+    q, qd, qdd = random(3, 20, 6, seed=15)
+    module = torchdq.DQRNEA(TREE, learn="offset")
+    offset = double(1, -2, 3, -4, 5, -6)
+    with torch.no_grad():
+        module.offset.copy_(offset)
+    assert torch.allclose(module(q, qd, qdd), torchdq.inverse_dynamics(TREE, q, qd, qdd) + offset, rtol=1e-13)
+
+
+# --- prior -----------------------------------------------------------------------------------------------------------
+
+
+@every_robot
+def test_the_prior_is_zero_at_the_start_and_positive_away(name):
+    module = torchdq.DQRNEA(ROBOTS[name], learn=EVERYTHING)
+    assert float(module.prior()) == 0.0
+    for key, p in module.named_parameters():
+        other = copy.deepcopy(module)
+        with torch.no_grad():
+            dict(other.named_parameters())[key].view(-1)[-1] += 0.1
+        assert key == "offset" or float(other.prior()) > 0.0
+        assert p.requires_grad
+
+
+@pytest.mark.parametrize("unit", [1e-3, 60.0])
+def test_the_prior_does_not_depend_on_the_unit_of_mass(unit):
+    robot = ROBOTS["ur10e"].replace(armature=torch.ones(6, dtype=F64))
+    values = []
+    for factor in (1.0, unit):
+        mass, inertia, armature = (factor * x for x in (robot.mass, robot.inertia, robot.armature))
+        module = torchdq.DQRNEA(robot.replace(mass=mass, inertia=inertia, armature=armature), learn=EVERYTHING[:5])
+        module.mass, module.armature = mass * random(6, seed=16).exp(), armature * random(6, seed=17).exp()
+        module.inertia = factor * (robot.inertia + 0.01 * bodies(6, seed=18))
+        with torch.no_grad():
+            module.com += 0.01 * random(6, 3, seed=19)
+        values.append(float(module.prior()))
+    assert values[0] > 0.1 and abs(values[1] / values[0] - 1) < 1e-9
+
+
+def test_the_prior_is_its_formula():
+    robot = ROBOTS["panda"]
+    module = RobotModule(robot, learn=("mass", "com", "friction"))
+    factor, shift = random(7, seed=20).exp(), 0.1 * random(7, 3, seed=21)
+    module.mass = robot.mass * factor
+    with torch.no_grad():
+        module.com += shift
+    sizes = robot.inertia[:, [0, 2, 5]].sum(-1) / 2 / robot.mass
+    expected = factor.log().square().mean() + (shift.square().sum(-1) / sizes).mean()
+    assert abs(float(module.prior()) / float(expected) - 1) < 1e-12
+
+
+def test_a_prior_of_nothing_is_zero():
+    assert float(torchdq.DQRNEA(TREE).prior()) == float(torchdq.DQRNEA(TREE, learn="gravity").prior()) == 0.0
+
+
+# --- as torch modules ------------------------------------------------------------------------------------------------
+
+
+def moved(robot=ROBOTS["ur10e"]):
+    """A module that is away from its start, and inputs for it."""
+    module = torchdq.DQRNEA(robot, learn=EVERYTHING)
+    with torch.no_grad():
+        for i, p in enumerate(module.parameters()):
+            p += 0.1 * random(*p.shape, seed=i)
+    return module, random(3, 5, robot.n, seed=22)
+
+
+def loaded(module):
+    other = torchdq.DQRNEA(module._robot, learn=EVERYTHING)
+    other.load_state_dict(module.state_dict())
+    return other
+
+
+TRIPS = {"deepcopy": copy.deepcopy, "pickle": lambda m: pickle.loads(pickle.dumps(m)), "state": loaded}
+
+
+@pytest.mark.case("P12")
+@pytest.mark.parametrize("trip", TRIPS)
+def test_a_module_survives_a_round_trip(trip):
+    module, x = moved()
+    other = TRIPS[trip](module)
+    assert isinstance(other, torchdq.DQRNEA)
+    assert torch.equal(other(*x), module(*x)) and torch.equal(other.prior(), module.prior())
+    assert [name for name, _ in other.named_parameters()] == [name for name, _ in module.named_parameters()]
+    before = module.mass.detach().clone()
+    other.mass = 2 * before  # on its own
+    assert torch.equal(module.mass, before) and not torch.equal(other.mass, before)
+
+
+def test_the_state_holds_what_is_learned_and_nothing_else():
+    assert set(torchdq.DQRNEA(TREE, learn=("com", "inertia", "friction", "offset")).state_dict()) == {
+        "com", "offset", *(f"parametrizations.{name}.original" for name in ("inertia", "viscous", "coulomb"))
+    }  # fmt: skip
+    assert torchdq.DQRNEA(TREE).state_dict() == {}
+
+
+def test_functional_calls_take_the_free_numbers():
+    module, x = moved()
+    parameters = dict(module.named_parameters())
+    found = grad(lambda p: functional_call(module, p, tuple(x)).square().sum())(parameters)
+    module(*x).square().sum().backward()
+    for name, p in parameters.items():
+        assert torch.allclose(found[name], p.grad, rtol=1e-10, atol=1e-10 * float(p.grad.abs().max()))
+
+
+def test_parameters_are_double_and_results_of_the_dtype_of_the_inputs():
+    module, x = moved()
+    assert {p.dtype for p in module.parameters()} == {F64}
+    assert module(*x.float()).dtype == module.friction_torque(x[0].float()).dtype == F32
+    before = module(*x.float())
+    module.to(F32)
+    assert {p.dtype for p in module.parameters()} == {F32} and module.prior().dtype == F32
+    assert torch.allclose(module(*x.float()), before, rtol=1e-4, atol=1e-4)
+    assert module(*x).dtype == F64
+
+
+def test_compiled_programs_take_what_is_learned_as_arguments():
+    """New values give new torques without a new program."""
+    module, x = moved()
+    with torchdq.backend("auto"):
+        first = module(*x)
+        module.mass = 2 * module.mass.detach()
+        second = module(*x)
+        expected = torchdq.inverse_dynamics(module.robot, *x, backend="eager")
+    rest = module.friction_torque(x[1]) + module.offset
+    assert torch.allclose(second - rest, expected, rtol=1e-11, atol=1e-11) and not torch.allclose(first, second)
+
+
+def test_a_traced_graph_equals_the_module():
+    module, x = moved(random_tree(2, seed=3).robot)
+    torch._dynamo.reset()
+    traced = torch.compile(module, backend="aot_eager", fullgraph=True)
+    found, expected = (torch.autograd.grad(f(*x).square().sum(), module.parameters()) for f in (traced, module))
+    for a, b in zip(found, expected, strict=True):
+        assert torch.allclose(a, b, rtol=1e-10, atol=1e-10 * float(b.abs().max()))
+
+
+def test_assigning_sets_the_free_numbers():
+    module = torchdq.DQRNEA(ROBOTS["panda"], learn=("mass", "inertia"))
+    module.mass = torch.full((7,), 3.0, dtype=F64)
+    assert torch.allclose(module.robot.mass, torch.full((7,), 3.0, dtype=F64), rtol=1e-14)
+    assert torch.allclose(module.parametrizations.mass.original, torch.full((7,), 3.0, dtype=F64).log())
+    assert parametrize.is_parametrized(module, "inertia")
+
+
+def test_a_batch_of_robots_learns_side_by_side():
+    base = ROBOTS["ur10e"]
+    factor = random(4, 1, seed=23).exp()
+    robot = base.replace(mass=base.mass * factor, inertia=base.inertia * factor[..., None])
+    module = torchdq.DQRNEA(robot, learn=("mass", "com", "inertia", "friction"))
+    assert module.parametrizations.inertia.original.shape == (4, 6, 6)
+    x = random(3, 4, 6, seed=24)
+    found = module(*x)
+    for k in range(4):
+        one = base.replace(mass=robot.mass[k], inertia=robot.inertia[k])
+        expected = torchdq.inverse_dynamics(one, *x[:, k]) + module.friction_torque(x[1, k])
+        assert torch.allclose(found[k], expected, rtol=1e-10, atol=1e-10)
+    (gradient,) = torch.autograd.grad(found[2].sum(), [module.parametrizations.mass.original])
+    assert bool(gradient[2].any()) and not gradient[[0, 1, 3]].any()
+    module.mass = 2 * module.mass.detach()
+    assert abs(float(module.prior()) - np.log(2) ** 2) < 1e-12
+
+
+# --- learning --------------------------------------------------------------------------------------------------------
+
+
+def test_masses_and_friction_of_a_two_link_arm_are_found_from_torques():
+    true = torchdq.robots.load("two_link")
+    wrong = true.replace(mass=true.mass * double(1.8, 0.4))
+    q, qd, qdd = random(3, 200, 2, seed=25)
+    tau = torchdq.inverse_dynamics(true, q, qd, qdd) + 0.7 * qd + 0.3 * qd / torch.sqrt(qd**2 + 1e-4)
+    module = torchdq.DQRNEA(wrong, learn=("mass", "friction"))
+    optimiser = torch.optim.Adam(module.parameters(), lr=0.05)
+    for _ in range(800):
+        optimiser.zero_grad()
+        (module(q, qd, qdd) - tau).square().mean().backward()
+        optimiser.step()
+    for found, expected in ((module.mass, true.mass), (module.viscous, 0.7), (module.coulomb, 0.3)):
+        assert float((found / expected - 1).abs().max()) < 1e-3
+
+
+def test_a_whole_arm_is_found_from_torques_but_for_what_torques_do_not_show():
+    true, n = ROBOTS["ur10e"], 6
+    wrong = true.replace(mass=true.mass * random(6, seed=26).mul(0.3).exp())
+    q, qd, qdd = random(3, 256, n, seed=27)
+    tau = torchdq.inverse_dynamics(true, q, qd, qdd)
+    module = torchdq.DQRNEA(wrong, learn=("mass", "com", "inertia"))
+    optimiser = torch.optim.Adam(module.parameters(), lr=0.02)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, 400)
+    before = float((module(q, qd, qdd) - tau).square().mean())
+    for _ in range(400):
+        optimiser.zero_grad()
+        with torchdq.backend("auto"):
+            (module(q, qd, qdd) - tau).square().mean().backward()
+        optimiser.step()
+        schedule.step()
+    unseen = random(3, 256, n, seed=28)
+    error = (module(*unseen) - torchdq.inverse_dynamics(true, *unseen)).square().mean()
+    assert float(error) < 1e-3 * before
+    assert objections(module.mass, module.inertia) == []
+
+
+@pytest.mark.parametrize("name", ["mass", "armature"])
+def test_negative_values_are_refused(name):
+    module = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=(name,))
+    before = getattr(module, name).detach()
+    with pytest.raises(torchdq.ArgumentError, match=f"^{name} must not be negative, found -"):
+        setattr(module, name, -before)
+    assert torch.equal(getattr(module, name), before)
+
+
+@pytest.mark.parametrize(
+    "name, value, expected",
+    [
+        ("mass", [math.nan, 1.0], "mass must be finite, found nan at (0,)"),
+        ("viscous", [1.0, -2.0], "viscous must not be negative, found -2"),
+        ("coulomb", [1.0, -2.0], "coulomb must not be negative, found -2"),
+        ("inertia", [[math.inf] * 6] * 2, "inertia must be finite, found inf at (0, 0)"),
+        ("inertia", [[1.0] * 5] * 2, "inertia must have the shape [..., 6], xx xy yy xz yz zz, found (2, 5)"),
+    ],
+)
+def test_a_quantity_that_cannot_be_set_is_named(name, value, expected):
+    module = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=("mass", "inertia", "friction"))
+    for one in (module, pickle.loads(pickle.dumps(module))):
+        with pytest.raises(torchdq.ArgumentError, match=f"^{re.escape(expected)}"):
+            setattr(one, name, torch.tensor(value))
+
+
+@pytest.mark.parametrize("kind", ["DQRNEA", "ForwardDynamics", "ResidualDynamics"])
+def test_a_layer_says_what_takes_the_place_of_torchscript(kind):
+    layer = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn="mass")
+    layer = layer if kind == "DQRNEA" else getattr(torchdq, kind)(layer.robot if kind == "ForwardDynamics" else layer)
+    with pytest.raises(torchdq.ArgumentError, match=r"^torch\.jit\.script cannot compile a .*use torch\.compile"):
+        torch.jit.script(layer)
+
+
+def test_negative_friction_of_a_description_is_not_another_one():
+    robot = torchdq.robots.load("two_link")
+    robot = robot.replace(friction=-torch.ones_like(robot.mass), on_unphysical="ignore")
+    with pytest.raises(torchdq.ArgumentError, match="must not be negative, found -1"):
+        torchdq.DQRNEA(robot, learn="friction")
+
+
+@pytest.mark.parametrize("name", ["com", "inertia", "gravity", "viscous", "coulomb", "offset"])
+def test_assigning_to_what_is_not_learned_is_refused(name):
+    """It would leave the torques as they are."""
+    layer = torchdq.DQRNEA(ROBOTS["panda"], learn=("mass",))
+    with pytest.raises(torchdq.ArgumentError, match=rf"{name} is not learned by this layer.*learn=\('mass', "):
+        setattr(layer, name, torch.ones(7, dtype=torch.float64))
+    layer.mass = 2 * layer.mass.detach()
+    assert torch.allclose(layer.robot.mass, 2 * ROBOTS["panda"].mass)
+
+
+def test_learned_quantities_are_assigned_in_their_shape():
+    layer = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=("offset", "friction", "mass", "com"))
+    before = layer.offset
+    layer.offset = torch.tensor([0.5, 0.25])
+    assert layer.offset is before and layer.offset.tolist() == [0.5, 0.25]
+    layer.mass = torch.tensor([1.5, 2.5])
+    assert layer.mass.tolist() == pytest.approx([1.5, 2.5])
+    for name, wrong in (("viscous", 3), ("mass", 3), ("offset", 3), ("com", (3, 3))):
+        with pytest.raises(torchdq.ArgumentError, match=rf"{name} must have the shape \[\.\.\., 2"):
+            setattr(layer, name, torch.ones(wrong))

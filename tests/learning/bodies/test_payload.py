@@ -1,0 +1,287 @@
+"""Payloads from seconds of motion: exact from exact torques, as far off as stated from noisy ones, always physical.
+
+The references are `Robot.with_payload`, draws of the noise, and recordings of a UR10e with and without a known mass.
+"""
+
+import math
+import os
+import sys
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from places import ROOT
+
+import torchdq
+from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.learning import Layout, LogWarning, Motion, directions, identify, identify_payload, read, samples, smooth
+from torchdq.learning.bodies.pseudo_inertia import central, inertial_parameters, moved, pseudo_inertia
+
+MASS, COM, INERTIA = 2.0, (0.03, -0.02, 0.1), (0.01, 0.002, 0.02, 0.001, -0.001, 0.015)
+TRUTH = torch.tensor([MASS, *COM, *INERTIA], dtype=torch.float64)
+
+
+def moving(rows, seed=0, n=6):
+    return torch.randn(3, rows, n, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+
+
+def values(found):
+    return torch.cat([found.mass[None], found.com, found.inertia])
+
+
+def errors(found):
+    return torch.cat([found.mass_error[None], found.com_error, found.inertia_error])
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return torchdq.robots.load("ur10e")
+
+
+@pytest.fixture(scope="module")
+def empty(arm):
+    """Identified arm without payload, from noisy torques with friction."""
+    q, qd, qdd = moving(2000)
+    tau = torchdq.inverse_dynamics(arm, q, qd, qdd) + 3 * qd + 5 * qd / (qd**2 + 1e-4).sqrt()
+    noise = torch.randn(tau.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    return identify(arm, q, qd, qdd, tau + 0.2 * noise, friction=True, prior=1.0)
+
+
+def test_moved_parameters_are_those_of_a_body_held_in_a_frame(arm):
+    frame = arm.frame("tip")
+    change = (arm.with_payload(MASS, COM, INERTIA).inertial_parameters - arm.inertial_parameters).reshape(-1, 10)
+    J = pseudo_inertia(moved(frame.X_BF).inverse() @ change[frame.link])
+    for x, y in zip(central(J), (TRUTH[0], TRUTH[1:4], TRUTH[4:]), strict=True):
+        assert torch.allclose(x, y, atol=1e-7)
+    assert torch.allclose(moved(frame.X_BF) @ inertial_parameters(J), change[frame.link], atol=1e-12)
+
+
+@pytest.mark.parametrize("frame", [None, "wrist_2_link"])
+def test_exact_torques_give_the_exact_payload(arm, frame):
+    q, qd, qdd = moving(300)
+    empty = identify(arm, q, qd, qdd, torchdq.inverse_dynamics(arm, q, qd, qdd), friction=False, prior=1.0)
+    tau = torchdq.inverse_dynamics(arm.with_payload(MASS, COM, INERTIA, frame=frame), q, qd, qdd)
+    found = identify_payload(empty, q, qd, qdd, tau, frame=frame, prior=1e-4)
+    assert found.frame == frame or frame is None
+    assert torch.allclose(values(found), TRUTH, rtol=1e-3, atol=1e-4)
+    states = moving(20, seed=3)
+    again = torchdq.inverse_dynamics(found.robot, *states)
+    expected = torchdq.inverse_dynamics(arm.with_payload(MASS, COM, INERTIA, frame=frame), *states)
+    assert float((again - expected).abs().max()) < 1e-3 * float(expected.abs().max())
+
+
+def test_errors_are_those_that_noise_makes(arm, empty):
+    """Mean square of the deviations over the stated errors, of 40 draws of the noise of 150 samples each."""
+    heavy = arm.with_payload(MASS, COM, INERTIA)
+    squares = []
+    for k in range(40):
+        q, qd, qdd = moving(150, seed=10 + k)
+        tau = torchdq.inverse_dynamics(heavy, q, qd, qdd) + 3 * qd + 5 * qd / (qd**2 + 1e-4).sqrt()
+        tau = tau + 0.2 * torch.randn(tau.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(k))
+        found = identify_payload(empty, q, qd, qdd, tau, prior=1e-3)
+        squares.append(((values(found) - TRUTH) / errors(found)) ** 2)
+    # the error of the empty arm is the same in all draws; correlation times of noise come out a little above one
+    assert 0.4 < float(torch.stack(squares)[:, :4].mean()) < 1.6
+    assert 0.3 < float(torch.stack(squares)[:, 4:].mean()) < 1.6
+
+
+def test_friction_and_offset_may_have_changed(arm, empty):
+    q, qd, qdd = moving(600, seed=4)
+    heavy = arm.with_payload(MASS, COM, INERTIA)
+    tau = torchdq.inverse_dynamics(heavy, q, qd, qdd) + 4 * qd + 7 * qd / (qd**2 + 1e-4).sqrt() + 1.5
+    found = identify_payload(empty, q, qd, qdd, tau, friction=True, offset=True)
+    with pytest.warns(LogWarning, match="no payload explains"):
+        without = identify_payload(empty, q, qd, qdd, tau)
+    assert float(found.rms.max()) < 0.1 < float(without.rms.min())
+    assert abs(float(found.mass) - MASS) < 0.02
+    assert bool((found.before > found.rms).all())
+
+
+@pytest.mark.filterwarnings("ignore:no payload explains")
+def test_a_payload_can_exist_however_little_is_told(arm, empty):
+    q, qd, qdd = moving(4, seed=5)
+    noise = 5 * torch.randn(q.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    for sign in (1, -1):
+        tau = empty.predict(q, qd, qdd).tau + sign * noise
+        found = identify_payload(empty, q, qd, qdd, tau)
+        second = pseudo_inertia(torch.cat([torch.zeros(4).double(), found.inertia]))[1:, 1:]
+        assert float(found.mass) > 0 and float(torch.linalg.eigvalsh(second).min()) > 0
+        found.robot.check()
+
+
+def test_correlated_faults_of_the_empty_arm_widen_the_errors(arm, empty):
+    q, qd, qdd = moving(300, seed=6)
+    tau = empty.predict(q, qd, qdd).tau
+    held, bare = (torchdq.inverse_dynamics(robot, q, qd, qdd) for robot in (arm.with_payload(MASS), arm))
+    loaded = tau + held - bare
+    slow = 2 * torch.sin(torch.linspace(0, 12, 300)).double()[:, None]
+    mixed = slow[torch.randperm(300, generator=torch.Generator().manual_seed(0))]
+    found = [
+        float(identify_payload(empty, q, qd, qdd, loaded, reference=reference).mass_error)
+        for reference in (None, (q, qd, qdd, tau + mixed), (q, qd, qdd, tau + slow))
+    ]
+    assert found[1] > 2 * found[0] and found[2] > 2 * found[1]
+
+
+def test_no_payload_is_none_within_its_error(arm, empty):
+    for k in range(5):
+        q, qd, qdd = moving(300, seed=20 + k)
+        noise = torch.randn(q.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(k))
+        found = identify_payload(empty, q, qd, qdd, empty.predict(q, qd, qdd).tau + 0.2 * noise)
+        assert 0 < float(found.mass) < 3 * float(found.mass_error) < 0.05
+
+
+@pytest.mark.filterwarnings("ignore:no payload explains")
+def test_it_prints_what_was_found(arm, empty):
+    q, qd, qdd = moving(100)
+    found = identify_payload(empty, q, qd, qdd, torchdq.inverse_dynamics(arm.with_payload(1.0), q, qd, qdd))
+    assert repr(found).startswith("IdentifiedPayload(") and "at 'tip'" in repr(found)
+    assert "inertia yz" in str(found) and "standard error" in str(found)
+
+
+def test_other_arguments_are_refused(arm, empty):
+    q, qd, qdd = moving(10)
+    with pytest.raises(ArgumentError, match="empty must be what identify returns, found Robot"):
+        identify_payload(arm, q, qd, qdd, q)
+    with pytest.raises(UnknownNameError, match="frame of robot"):
+        identify_payload(empty, q, qd, qdd, q, frame="hand")
+    with pytest.raises(ArgumentError, match="frame must be one that a joint moves, found 'base' on the base"):
+        identify_payload(empty, q, qd, qdd, q, frame="base")
+    with pytest.raises(ArgumentError, match=r"q must have the shape \[rows, 6\]"):
+        identify_payload(empty, q[0], qd[0], qdd[0], q[0])
+    with pytest.raises(ArgumentError, match="reference must be q, qd, qdd and tau"):
+        identify_payload(empty, q, qd, qdd, q, reference=(q, qd))
+    with pytest.raises(ArgumentError, match="tau must be finite"):
+        identify_payload(empty, q, qd, qdd, q / 0)
+
+
+def held(arm, rows=400, seed=7):
+    """Motion with a payload, with torques as those of the empty arm."""
+    q, qd, qdd = moving(rows, seed=seed)
+    tau = torchdq.inverse_dynamics(arm.with_payload(MASS, COM), q, qd, qdd) + 3 * qd + 5 * qd / (qd**2 + 1e-4).sqrt()
+    return q, qd, qdd, tau + 0.2 * torch.randn(tau.shape, generator=torch.Generator().manual_seed(seed)).double()
+
+
+def exchanged(x, i, j):
+    order = list(range(x.shape[1]))
+    order[i], order[j] = order[j], order[i]
+    return x[:, order]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "joints", "words"),
+    [
+        (lambda tau: exchanged(tau, 1, 2), ("shoulder_lift_joint", "elbow_joint"), "exchanged in the torques"),
+        (lambda tau: -tau, ("shoulder_lift_joint", "elbow_joint"), "is a sign, gain or column another"),
+        (lambda tau: tau * torch.tensor([1, 1, 1.3, 1, 1, 1]), ("elbow_joint",), "is a sign, gain or column another"),
+    ],
+)
+def test_torques_that_no_payload_explains_are_named_with_their_joints(arm, empty, wrong, joints, words):
+    q, qd, qdd, tau = held(arm)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        identify_payload(empty, q, qd, qdd, tau)
+    with pytest.warns(LogWarning, match="no payload explains the torques") as found:
+        identify_payload(empty, q, qd, qdd, wrong(tau))
+    message = str(found[0].message)
+    assert all(f"{joint} (" in message for joint in joints) and words in message
+    if len(joints) == 1:
+        assert "shoulder" not in message and "wrist" not in message
+
+
+@pytest.mark.parametrize(
+    ("frame", "told"), [("shoulder_link", "tells Izz of its"), ("upper_arm_link", r"m \+ .* Izz .*, mx, mz, Ixx - Izz")]
+)
+def test_a_frame_whose_motion_does_not_tell_a_mass_is_refused(arm, empty, frame, told):
+    with pytest.raises(ArgumentError, match=f"frame must be .* found '{frame}', whose motion .*{told}"):
+        identify_payload(empty, *held(arm), frame=frame)
+
+
+def test_what_the_motion_of_the_frame_does_not_tell_is_listed():
+    """In a plane, one moment of inertia is told, and the mass with it; the plane does not show what is across it."""
+    robot = torchdq.robots.load("two_link")
+    q, qd, qdd = moving(300, n=2)
+    empty = identify(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd), friction=False, prior=1.0)
+    tau = torchdq.inverse_dynamics(robot.with_payload(2.0, (0.0, 0.0, 0.0), frame="tip"), q, qd, qdd)
+    found = identify_payload(empty, q, qd, qdd, tau)
+    assert {"mz", "Ixx", "Iyy", "Ixy", "Ixz", "Iyz"} <= {*found.untold} and "m" not in found.untold
+    assert "not told one by one" in str(found) and float(found.mass) == pytest.approx(2.0, abs=0.01)
+
+
+# --- a real arm ------------------------------------------------------------------------------------------------------
+
+FOLDER = Path(os.environ.get("TORCHDQ_DATA", ROOT.parent / "shared" / "data")) / "ur10e_innopolis"
+
+
+@pytest.fixture(scope="module")
+def recorded(arm):
+    """Identification of the empty UR10e, and its motion with and without 2.805 kg."""
+    if not FOLDER.is_dir():
+        pytest.skip(f"no recordings in {FOLDER}")
+    pytest.importorskip("scipy", reason="smoothing needs scipy")
+    sys.path.insert(0, str(ROOT / "examples"))
+    from recordings import LAYOUTS
+
+    def motion(name, rate=None):
+        return smooth(read(FOLDER / f"ur-20_01_31-{name}.csv", LAYOUTS["ur10e"]), rate=rate)
+
+    few = motion("unload", 20.0)
+    empty = identify(arm, *samples(few), armature=True, offset=True, direction=directions(few))
+    return empty, samples(motion("load")), samples(motion("unload"))
+
+
+def test_a_known_mass_is_found_but_for_the_gains_of_the_drives(recorded):
+    """The torques of this layout are about 12 % too small, and so is the mass."""
+    empty, loaded, unloaded = recorded
+    found = identify_payload(empty, *loaded, reference=unloaded)
+    assert 0.86 < float(found.mass) / 2.805 < 0.92
+    assert float(found.mass_error) < 0.08
+    assert float(found.rms[1]) < 0.25 * float(found.before[1])
+
+
+def test_seconds_of_motion_tell_the_same_within_their_errors(recorded):
+    empty, loaded, unloaded = recorded
+    parts = [[x[i : i + 500] for x in loaded] for i in range(0, 2000, 500)]
+    found = [identify_payload(empty, *part, reference=unloaded) for part in parts]
+    mass = torch.stack([x.mass for x in found])
+    squares = ((mass - mass.mean()) / torch.stack([x.mass_error for x in found])).square()
+    assert float(squares.mean()) < 3
+    assert float(mass.std()) < 0.15
+    assert math.isclose(float(mass.mean()), 2.5, rel_tol=0.1)
+
+
+def test_motions_are_taken_as_their_rows_are():
+    robot = torchdq.robots.load("two_link")
+    q, qd, qdd = torch.randn(3, 200, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    empty = identify(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd), friction=False, prior=1.0)
+    tau = torchdq.inverse_dynamics(robot.with_payload(2.0, (0.0, 0.0, 0.1)), q, qd, qdd)
+    motion = Motion(np.arange(200.0), *(x.numpy() for x in (q, qd, qdd, tau)))
+    assert torch.equal(identify_payload(empty, motion).mass, identify_payload(empty, q, qd, qdd, tau).mass)
+    with pytest.raises(ArgumentError, match="tau must be given beside positions"):
+        identify_payload(empty, q, qd, qdd)
+    with pytest.raises(ArgumentError, match=r"motions must be Motion objects, found Layout; smooth\(log\) makes one"):
+        identify(robot, Layout())
+    rest = np.zeros((2, 2))
+    log = read({"time": np.array([0.0, 0.01]), "q": rest, "qd": rest, "tau": rest})
+    with pytest.raises(ArgumentError, match="found Log; smooth"):
+        identify(robot, log)
+
+
+def test_motions_with_filtered_directions_are_predicted_by_them():
+    """Dry friction that a filter has rounded as it rounded the torques: the residual is that of the payload alone."""
+    robot = torchdq.robots.load("ur10e")
+    q, qd, qdd = moving(400, seed=7)
+    rounded = (qd / 0.3).tanh()
+
+    def motion(arm):
+        tau = torchdq.inverse_dynamics(arm, q, qd, qdd) + 2.0 * rounded
+        arrays = (x.numpy() for x in (0.01 * torch.arange(len(q)).double(), q, qd, qdd, tau))
+        return Motion(*arrays, direction=rounded.numpy())
+
+    empty = identify(robot, motion(robot), friction=True, prior=1.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", LogWarning)
+        found = identify_payload(empty, motion(robot.with_payload(2.0, (0.0, 0.0, 0.1))))
+    assert abs(float(found.mass) - 2) < 1e-3 and float(found.rms.max()) < 1e-3

@@ -1,0 +1,83 @@
+"""Intervals of predicted torques: as wide as rows that were left out ask for, whatever the errors are like."""
+
+import pytest
+import torch
+from helpers import double
+from oracles import shipped
+
+import torchdq
+from torchdq.learning import identify
+from torchdq.learning.evaluation.coverage import interval_factors
+
+TWO = shipped("two_link").robot
+F64 = torch.float64
+
+
+def generator(seed=0):
+    return torch.Generator().manual_seed(seed)
+
+
+def held(factors, ratios):
+    return float(torch.stack([(ratio.abs() <= factors).double().mean() for ratio in ratios]).mean())
+
+
+@pytest.mark.parametrize("power", [0.5, 1.0, 2.0])
+def test_blocks_alike_have_the_quantile_of_all_rows(power):
+    """Powers of normal numbers: from tails that are lighter than theirs to far heavier ones."""
+    normal = torch.randn(8, 5000, 1, generator=generator(), dtype=F64)
+    found = interval_factors(list(normal.abs() ** power))
+    assert float(found) == pytest.approx(1.96**power, rel=0.05)
+
+
+def test_blocks_that_differ_leave_room_for_another_one():
+    """Sizes that vary from motion to motion: the quantile of the known ones alone would hold fewer of a new one."""
+    plain, found = [], []
+    for seed in range(200):
+        g = generator(seed)
+        sizes = torch.exp(0.5 * torch.randn(7, 1, 1, generator=g, dtype=F64))
+        blocks = sizes * torch.randn(7, 300, 1, generator=g, dtype=F64)
+        known, new = list(blocks[:-1]), [blocks[-1]]
+        plain.append(held(torch.cat(known).abs().quantile(0.95, 0), new))
+        found.append(held(interval_factors(known), new))
+    assert sum(plain) / 200 < 0.94 and sum(found) / 200 == pytest.approx(0.95, abs=0.005)
+
+
+def test_one_block_has_its_own_quantile_and_none_of_zeros_is_wide():
+    one = torch.randn(1000, 2, generator=generator(), dtype=F64)
+    assert torch.equal(interval_factors([one]), one.abs().quantile(0.95, 0))
+    assert torch.equal(interval_factors([torch.zeros(50, 2, dtype=F64)] * 3), torch.zeros(2, dtype=F64))
+
+
+def motion(seed, noise):
+    """A motion of sines, and torques with a few outliers at the first joint, and noise of two values at the second."""
+    g = generator(seed)
+    t = torch.arange(0, 6, 0.02, dtype=F64)[:, None, None]
+    size, rate, phase = torch.rand(3, 2, 4, generator=g, dtype=F64)
+    size, rate, phase = 0.4 + 0.4 * size, 1.0 + 2.5 * rate, 6.3 * phase
+    angle = rate * t + phase
+    q, qd, qdd = ((x * size).sum(-1) for x in (angle.sin(), rate * angle.cos(), -rate * rate * angle.sin()))
+    white = torch.randn(len(q), 2, generator=g, dtype=F64)
+    tau = torchdq.inverse_dynamics(TWO, q, qd, qdd) + 0.3 * qd
+    spikes = torch.where(torch.rand(len(q), generator=g) < 0.03, 10.0, 1.0)
+    return q, qd, qdd, tau + noise * torch.stack([spikes * white[:, 0], white[:, 1].sign()], -1)
+
+
+def test_intervals_of_an_identified_robot_hold_their_share_whatever_the_noise_is_like():
+    motions = [torch.stack(x) for x in zip(*(motion(seed, 0.2) for seed in range(5)), strict=True)]
+    found = identify(TWO, *motions)
+    q, qd, qdd, tau = (torch.stack(x) for x in zip(*(motion(seed, 0.2) for seed in range(50, 70)), strict=True))
+    told = found.predict(q, qd, qdd)
+    assert told.low.shape == told.tau.shape and torch.allclose(told.high - told.tau, told.tau - told.low)
+    inside = ((tau > told.low) & (tau < told.high)).double().mean((0, 1))
+    assert 0.93 < float(inside[0]) < 0.97 and float(inside[1]) > 0.93
+    normal = 1.96 * torch.hypot(told.error, found.noise)
+    assert float(((tau - told.tau).abs() < normal).double()[..., 0].mean()) > 0.97  # outliers make a deviation large
+    assert float(found.half_width[1]) < 1.3  # no torque is off by more than one standard deviation
+
+
+def test_a_model_that_was_given_has_the_intervals_of_normal_errors():
+    q, qd, qdd, tau = motion(0, 0.1)
+    found = identify(TWO, q, qd, qdd, tau, friction=True, prior=1.0)
+    told = found.predict(q, qd, qdd)
+    assert torch.equal(found.half_width, double(1.96, 1.96)) and not found.model.any()
+    assert torch.allclose(told.high - told.low, 2 * 1.96 * torch.hypot(told.error, found.noise))

@@ -1,0 +1,445 @@
+"""Identification: exact data give the exact robot, noise the stated errors, and nothing gives an impossible robot.
+
+The references are numpy's least squares on pinocchio's regressor, the robots the data were made from, and the
+definition of a body that can exist.
+"""
+
+import re
+import time
+import warnings
+from importlib import import_module
+
+import numpy as np
+import oracles
+import pinocchio as pin
+import pytest
+import torch
+
+import torchdq
+from torchdq.base import progress as notice
+from torchdq.errors import ArgumentError, DtypeError
+from torchdq.learning import identify
+from torchdq.learning.identification import regression
+from torchdq.robot.check import consistency as physical
+from torchdq.robot.robot import arguments
+
+WIDTH = 1e-2
+
+
+def fitted(robot, *signals, friction=True, prior=1.0, **options):
+    """Robot identified without a choice of models."""
+    return identify(robot, *signals, friction=friction, prior=prior, **options)
+
+
+def double(x):
+    return torch.as_tensor(x, dtype=torch.float64)
+
+
+def moving(n, rows, seed=0):
+    """Random positions, velocities and accelerations, each [rows, n]."""
+    return double(np.random.default_rng([n, rows, seed]).normal(size=(3, rows, n)))
+
+
+def altered(robot, seed=0):
+    """A robot that differs from the description and can exist, with friction and offsets."""
+    rng = np.random.default_rng(seed)
+    n = robot.n
+    mass = robot.mass * double(rng.uniform(0.8, 1.2, n))
+    # a rigid motion of the body about its centre of mass, and a change of size: both keep it possible
+    inertia = robot.inertia * double(rng.uniform(0.8, 1.2, (n, 1)))
+    real = robot.replace(mass=mass, com=robot.com + double(rng.normal(size=(n, 3)) * 0.02), inertia=inertia)
+    return real, [double(rng.uniform(0.5, 2.0, n)) for _ in range(3)]
+
+
+def torques(real, viscous, coulomb, offset, q, qd, qdd):
+    rub = viscous * qd + coulomb * qd / (qd**2 + WIDTH**2).sqrt()
+    return torchdq.inverse_dynamics(real, q, qd, qdd) + rub + offset
+
+
+def assert_can_exist(found):
+    for i, link in enumerate(found.robot.link_names):
+        xx, xy, yy, xz, yz, zz = found.robot.inertia[i]
+        inertia = torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz]).reshape(3, 3)
+        assert physical.bodies((link,), found.robot.mass[i].reshape(1).double(), inertia.double()[None]) == []
+        assert float(torch.linalg.eigvalsh(inertia.trace() / 2 * torch.eye(3) - inertia).min()) >= -1e-12
+    assert all(bool((x >= 0).all()) for x in (found.viscous, found.coulomb) if x is not None)
+
+
+# --- exact data ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["shipped-panda", "shipped-ur10e", "shipped-two_link", "tree3", "tree5", "tree7"])
+def test_exact_data_give_the_exact_robot(name):
+    robot = oracles.case(name).robot
+    real, (viscous, coulomb, offset) = altered(robot)
+    q, qd, qdd = moving(robot.n, 1000)
+    found = fitted(robot, q, qd, qdd, torques(real, viscous, coulomb, offset, q, qd, qdd), offset=True, prior=1e-6)
+    truth = torch.cat([real.inertial_parameters, viscous, coulomb, offset])
+    # normal equations square the condition: parameters lose twice the digits that they hardly matter by
+    assert oracles.worst(found.base @ found.parameters, found.base @ truth, (found.base * truth).abs().sum(1)) < 1e-7
+    assert torch.allclose(found.viscous, viscous, rtol=1e-8) and torch.allclose(found.coulomb, coulomb, rtol=1e-8)
+
+    states = moving(robot.n, 50, seed=1)
+    expected = torques(real, viscous, coulomb, offset, *states)
+    again = torques(found.robot, found.viscous, found.coulomb, found.offset, *states)
+    size = expected.abs().amax(0)
+    assert oracles.worst(found.predict(*states).tau, expected, size) < 1e-8
+    assert oracles.worst(again, expected, size) < 1e-8  # the robot itself says the same as its parameters
+    assert_can_exist(found)
+
+
+def test_the_trees_have_what_they_are_for():
+    robots = [oracles.case(name).robot for name in ("tree3", "tree5", "tree7")]
+    assert {"prismatic", "helical", "revolute"} <= {kind for robot in robots for kind in robot.kinds}
+    assert any(robot.parents != tuple(range(-1, robot.n - 1)) for robot in robots)
+    assert any(robot.armature is not None for robot in robots)
+
+
+def test_rotors_are_left_as_described_or_found():
+    robot = torchdq.robots.load("panda").replace(armature=torch.full((7,), 0.3).double())
+    q, qd, qdd = moving(7, 600)
+    tau = torchdq.inverse_dynamics(robot.replace(armature=2 * robot.armature), q, qd, qdd)
+    kept = fitted(robot, q, qd, qdd, tau, friction=False)
+    assert torch.equal(kept.robot.armature, robot.armature) and float(kept.rms[2:].min()) > 0.1
+    found = fitted(robot, q, qd, qdd, tau, friction=False, armature=True)
+    assert torch.allclose(
+        found.robot.armature[2:], 2 * robot.armature[2:], rtol=1e-6
+    )  # those not beside a base inertia
+    assert found.viscous is None and found.coulomb is None and found.offset is None
+
+
+# --- noise -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_errors_are_those_that_noise_makes():
+    """Mean squares of deviations over stated errors, of 25 draws of the noise, are one."""
+    robot = oracles.case("tree3").robot
+    real, friction = altered(robot)
+    q, qd, qdd = moving(robot.n, 300)
+    tau = torques(real, *friction, q, qd, qdd)
+    noise = double([0.2, 0.5, 1.0, 2.0])
+    truth = torch.cat([real.inertial_parameters, *friction])
+    states = moving(robot.n, 20, seed=1)
+    expected = torques(real, *friction, *states)
+    generator = torch.Generator().manual_seed(0)
+    of_base, of_torques, sizes = [], [], []
+    for _ in range(25):
+        measured = tau + noise * torch.randn(tau.shape, generator=generator, dtype=torch.float64)
+        found = fitted(robot, q, qd, qdd, measured, offset=True, prior=1e-3)
+        of_base.append((found.base @ (found.parameters - truth)) / found.base_errors)
+        prediction = found.predict(*states)
+        of_torques.append((prediction.tau - expected) / prediction.error)
+        sizes.append(found.noise)
+    of_base = torch.stack(of_base)
+    assert 0.9 < float(of_base.square().mean()) < 1.1
+    assert 0.85 < float(torch.stack(of_torques).square().mean()) < 1.15
+    assert float((of_base.abs() > 4).double().mean()) < 1e-3
+    assert torch.allclose(torch.stack(sizes).mean(0), noise, rtol=0.03)
+
+
+def test_without_a_prior_it_is_numpys_least_squares_on_pinocchios_regressor():
+    case = oracles.case("shipped-panda")
+    real, (viscous, coulomb, offset) = altered(case.robot)
+    s = oracles.states(case.robot, 400)
+    t = oracles.states(case.robot, 20, seed=1)
+    noise = double(np.random.default_rng(0).normal(size=(400, 7)) * 0.01)
+    tau = torques(real, viscous, coulomb, offset, s.q, s.qd, s.qdd) + noise
+    found = fitted(case.robot, s.q, s.qd, s.qdd, tau, offset=True, prior=1e-9)
+
+    def columns(states):
+        Y = oracles.over(lambda m, d, q, v, a, *_: pin.computeJointTorqueRegressor(m, d, q, v, a).copy(), case, states)
+        qd = states.qd.numpy()
+        diagonal = [x[..., None] * np.eye(7) for x in (qd, qd / np.sqrt(qd**2 + WIDTH**2), np.ones_like(qd))]
+        return np.concatenate([Y, *diagonal], -1)
+
+    weight = 1 / found.noise.numpy()[:, None]
+    Z = (columns(s) * weight).reshape(400 * 7, -1)
+    phi, _, rank, _ = np.linalg.lstsq(Z, (tau.numpy() * weight[:, 0]).ravel(), rcond=1e-9)
+    assert rank == found.rank
+    expected = columns(t) @ phi
+    assert oracles.worst(found.predict(t.q, t.qd, t.qdd).tau, expected, abs(expected).max(0)) < 1e-8
+    covariance = np.linalg.pinv(Z.T @ Z, rcond=1e-14)
+    error = np.sqrt(np.einsum("sij,jk,sik->si", columns(t), covariance, columns(t)))
+    assert oracles.worst(found.predict(t.q, t.qd, t.qdd).error, error, error) < 1e-4
+
+
+def pseudo_inertias(parameters):
+    """Integrals of (p, 1) (p, 1)^T dm [links, 4, 4] of inertial parameters [links, 10]."""
+    m, first, (xx, xy, yy, xz, yz, zz) = parameters[:, :1], parameters[:, 1:4], parameters[:, 4:].T
+    inertia = np.moveaxis(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), -1, 0)
+    second = np.trace(inertia, axis1=1, axis2=2)[:, None, None] / 2 * np.eye(3) - inertia
+    return np.block([[second, first[:, :, None]], [first[:, None, :], m[:, :, None]]])
+
+
+@pytest.mark.parametrize("rows", [1, 3, 12, 40])
+def test_what_is_found_can_exist_where_least_squares_cannot(rows):
+    robot = torchdq.robots.load("panda")
+    q, qd, qdd = moving(7, rows)
+    tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 5 * moving(7, rows, seed=2)[0]
+    Z = torchdq.regressor(robot, q, qd, qdd).reshape(-1, 70).numpy()
+    pi = np.linalg.lstsq(Z, tau.flatten().numpy(), rcond=None)[0].reshape(7, 10)
+    assert np.linalg.eigvalsh(pseudo_inertias(pi)).min() < -1e-3  # plain least squares finds what cannot exist
+    found = fitted(robot, q, qd, qdd, tau)
+    assert_can_exist(found)
+    assert bool((found.robot.mass > 0).all()) and bool(found.covariance.isfinite().all())
+
+
+def test_friction_that_pushes_is_found_to_be_none():
+    robot = torchdq.robots.load("two_link")
+    q, qd, qdd = moving(2, 500)
+    found = fitted(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd) - qd)
+    assert 0 <= float(found.viscous.max()) < 1e-2
+
+
+# --- the description -------------------------------------------------------------------------------------------------
+
+
+def test_what_the_samples_do_not_tell_stays_as_described():
+    robot = torchdq.robots.load("panda").replace(damping=torch.full((7,), 0.7).double())
+    real = robot.replace(mass=1.2 * robot.mass)
+    q, qd, qdd = moving(7, 400)
+    still = double([0.0] * 6 + [1.0])
+    qd, qdd = still * qd, still * qdd
+    real, robot = real.replace(gravity=torch.zeros(3).double()), robot.replace(gravity=torch.zeros(3).double())
+    tau = torchdq.inverse_dynamics(real, q, qd, qdd)
+    tau = tau * still + 0.01 * moving(7, 400, seed=3)[0]
+    with pytest.warns(UserWarning, match="6 of 7 joints never move"):
+        found = fitted(robot, q, qd, qdd, tau, prior=4.0)
+    assert not bool(found.excited[70:].reshape(2, 7)[:, :6].any())
+    told = found.base[:, :70].abs().amax(0).reshape(7, 10).amax(1)
+    assert told.nonzero()[:, 0].tolist() == [6]
+    assert torch.allclose(found.robot.mass[:6], robot.mass[:6], rtol=1e-9)
+    # the second link is described thinner than 1 % of its size
+    size = robot.inertia[:6].abs().amax(1, keepdim=True)
+    assert bool(
+        ((found.robot.inertia - robot.inertia)[:6].abs() <= double([1e-7, 1e-3, *[1e-7] * 4])[:, None] * size).all()
+    )
+    assert torch.allclose(found.viscous[:6], robot.damping[:6], rtol=1e-9)
+    # and has the width of the prior
+    assert torch.allclose(found.errors[:60:10], robot.mass[:6] / 4.0**0.5, rtol=1e-9)
+    assert torch.allclose(found.errors[70:76], robot.damping[:6] / 4.0**0.5, rtol=1e-9)
+
+
+def test_a_stronger_prior_stays_nearer():
+    robot = torchdq.robots.load("ur10e")
+    real, friction = altered(robot)
+    q, qd, qdd = moving(6, 30)
+    tau = torques(real, *friction, q, qd, qdd) + moving(6, 30, seed=4)[0]
+    far = [
+        float((fitted(robot, q, qd, qdd, tau, prior=prior).robot.mass / robot.mass).log().square().sum())
+        for prior in (1e-2, 1.0, 1e2, 1e6)
+    ]
+    assert far[0] > far[1] > far[2] > far[3] and far[3] < 1e-3
+
+
+def test_links_without_mass_points_and_impossible_ones():
+    panda = torchdq.robots.load("panda")
+    mass, inertia = panda.mass.clone(), panda.inertia.clone()
+    mass[2], inertia[2] = 0, 0  # nothing
+    inertia[3] = 0  # a point
+    inertia[4] = double([1.0, 0.0, 0.1, 0.0, 0.0, 0.1]) * 1e-2  # no body: 1 > 0.1 + 0.1
+    robot = panda.replace(mass=mass, inertia=inertia, on_unphysical="ignore")
+    q, qd, qdd = moving(7, 500)
+    with pytest.raises(torchdq.UnphysicalError, match=r"identification needs .*\n  link 'panda_link5': .*triangle"):
+        fitted(robot, q, qd, qdd, 0 * q)
+    robot = robot.replace(on_unphysical="repair")
+    found = fitted(robot, q, qd, qdd, torchdq.inverse_dynamics(panda, q, qd, qdd), friction=False)
+    assert_can_exist(found)
+    assert float(found.robot.mass[2]) == 0 and not found.robot.inertia[2].any()
+    left = torchdq.inverse_dynamics(panda, q, qd, qdd) - torchdq.inverse_dynamics(robot, q, qd, qdd)
+    assert float(found.rms.sum()) < 0.5 * float(left.square().mean(0).sqrt().sum())
+
+
+# --- excitation ------------------------------------------------------------------------------------------------------
+
+
+def hardly_moving():
+    """Two-link arm whose second joint moves by 1e-5 rad, with noise of 0.05 N m."""
+    robot = torchdq.robots.load("two_link")
+    t, generator = torch.linspace(0, 10, 1000).double(), torch.Generator().manual_seed(0)
+    still = 1e-5 * (3 * t).sin(), 3e-5 * (3 * t).cos(), -9e-5 * (3 * t).sin()
+    states = [torch.stack(x, -1) for x in zip((t.sin(), t.cos(), -t.sin()), still, strict=True)]
+    noise = 0.05 * torch.randn(1000, 2, generator=generator, dtype=torch.float64)
+    return robot, *states, torchdq.inverse_dynamics(robot, *states) + noise
+
+
+def test_joints_that_do_not_move_are_named():
+    with pytest.warns(UserWarning, match=r"never move faster than width = 0\.01: joint2 \(3e-05 rad/s\).*excited"):
+        found = fitted(*hardly_moving(), armature=True)
+    excited = dict(zip(found.names, found.excited.tolist(), strict=True))
+    for name in ("rotor", "viscous", "coulomb"):
+        assert not excited[f"joint2 {name}"], name
+    assert excited["joint1 viscous"] and excited["joint1 coulomb"]
+
+
+def test_what_the_samples_decide_is_said_and_nothing_warned_when_all_joints_move():
+    robot = torchdq.robots.load("panda")
+    q, qd, qdd = moving(7, 400)
+    tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.3 * qd + 0.01 * moving(7, 400, seed=4)[0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = fitted(robot, q, qd, qdd, tau, prior=2.0)
+        one = fitted(robot, q[:1], qd[:1], qdd[:1], tau[:1])
+    assert bool(found.excited[70:].all())  # friction of all joints
+    alone = (found.base != 0).sum(1) == 1  # base parameters of one term are told by themselves
+    lead = [int(row.nonzero()[0]) for row in found.base[alone]]
+    assert len(lead) > 10 and bool(found.excited[lead].all())
+    assert not bool(found.excited[:4].any())  # mass and its moment of the first link, which turns about the vertical
+    assert int(one.excited.sum()) < int(found.excited.sum()) / 2
+
+
+def test_what_is_found_prints_as_a_table():
+    with pytest.warns(UserWarning, match="joint2"):
+        found = fitted(*hardly_moving(), armature=True, offset=True)
+    lines = str(found).splitlines()
+    assert lines[0] == f"two_link, identified: {found.rank} combinations of {len(found.names)} parameters are told"
+    header = next(i for i, line in enumerate(lines) if line.startswith("parameter"))
+    assert lines[header].split() == ["parameter", "estimate", "standard", "error", "unit", "excited"]
+    rows = lines[header + 1 : header + 1 + len(found.names)]
+    assert [row.split("  ")[0] for row in rows] == list(found.names)
+    at = found.names.index("joint2 viscous")
+    assert rows[at].split()[2:] == [f"{found.viscous[1]:.4g}", f"{found.errors[at]:.2g}", "N", "m", "s/rad", "no"]
+    assert rows[found.names.index("joint1 viscous")].endswith("yes")
+    assert "tensor(" not in str(found) and len(lines) < len(found.names) + 10
+    assert len(repr(found)) < 120 and "\n" not in repr(found) and "two_link" in repr(found)
+
+
+def test_units_are_those_of_the_joints():
+    robot = oracles.case("tree7").robot
+    q, qd, qdd = moving(robot.n, 50)
+    found = fitted(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd), armature=True, offset=True)
+    sliding = [kind == "prismatic" for kind in robot.kinds]
+    assert any(sliding) and not all(sliding)
+    for name, turn, slide in (
+        ("rotor", "kg m^2", "kg"),
+        ("viscous", "N m s/rad", "N s/m"),
+        ("coulomb", "N m", "N"),
+        ("offset", "N m", "N"),
+    ):
+        for i, slides in enumerate(sliding):
+            (row,) = [line for line in str(found).splitlines() if line.startswith(f"{robot.joint_names[i]} {name}")]
+            assert re.search(rf"  {re.escape(slide if slides else turn)}  +(yes|no)$", row), row
+
+
+def test_predictions_print_as_tables():
+    robot = torchdq.robots.load("two_link")
+    q, qd, qdd = moving(2, 300)
+    found = fitted(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd))
+    for text in (str(found.predict(q, qd, qdd)), repr(found.predict(q, qd, qdd))):
+        lines = text.splitlines()
+        assert lines[0].split() == ["Prediction", "shape", "least", "mean", "greatest", "unit"]
+        assert lines[1].split()[:3] == ["tau", "[300,", "2]"] and len(lines) == 5
+
+
+# --- waiting ---------------------------------------------------------------------------------------------------------
+
+
+def test_long_work_says_how_far_it_is_and_can_be_interrupted(monkeypatch, capfd):
+    robot = torchdq.robots.load("two_link")
+    states, seen = moving(2, 200), []
+    monkeypatch.setattr(notice, "FIRST", 0.01)
+    monkeypatch.setattr(notice, "EVERY", 0.01)
+    monkeypatch.setattr(regression, "CHUNK", 2 * 22 * 50)
+    plain = regression.columns
+
+    def slow(*arguments):
+        time.sleep(0.1)
+        seen.append(len(arguments[1]))
+        if len(seen) == 3:
+            raise KeyboardInterrupt  # as Ctrl-C does
+        return plain(*arguments)
+
+    monkeypatch.setattr(regression, "columns", slow)
+    with pytest.raises(KeyboardInterrupt):
+        fitted(robot, *states, states[0])
+    assert seen == [50, 50, 50]
+    told = capfd.readouterr().err
+    assert re.search(r"torchdq: identifying two_link, 50 of 200 samples, \d+ s", told)
+    time.sleep(0.1)
+    assert capfd.readouterr().err == ""  # it has ended
+    monkeypatch.undo()
+    monkeypatch.setattr(notice, "FIRST", 60.0)
+    fitted(robot, *states, states[0])
+    assert capfd.readouterr().err == ""
+
+
+# --- form ------------------------------------------------------------------------------------------------------------
+
+
+def test_rows_may_come_in_any_shape_order_and_in_pieces(monkeypatch):
+    robot = torchdq.robots.load("ur10e")
+    real, friction = altered(robot)
+    states = moving(6, 120)
+    tau = torques(real, *friction, *states) + moving(6, 120, seed=5)[0]
+    whole = fitted(robot, *states, tau).parameters
+    shaped = fitted(robot, *(x.reshape(1, 120, 6) for x in (*states, tau))).parameters
+    turned = fitted(robot, *(x.flip(0) for x in (*states, tau))).parameters
+    monkeypatch.setattr(regression, "CHUNK", 7 * 6 * 72)
+    pieces = fitted(robot, *states, tau).parameters
+    single = fitted(robot, *(x.float() for x in (*states, tau))).parameters
+    for other, tolerance in ((shaped, 1e-9), (turned, 1e-5), (pieces, 1e-5), (single, 1e-2)):
+        assert torch.allclose(other, whole, rtol=tolerance, atol=tolerance)
+
+
+def test_the_robot_is_ready_for_scenes_and_layers():
+    robot = torchdq.robots.load("two_link")
+    q, qd, qdd = moving(2, 100)
+    found = fitted(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.5 * qd, armature=True)
+    assert arguments(found.robot) == ()
+    assert torch.equal(found.robot.damping, found.viscous) and torch.equal(found.robot.friction, found.coulomb)
+    assert len(found.names) == len(found.parameters) == 26 and found.names[20] == "joint1 rotor"
+    assert torch.allclose(found.robot.inertial_parameters, found.parameters[:20], atol=1e-12)
+    assert len(found.base_names) == found.rank == len(found.base_errors)
+    assert found.predict(q.reshape(10, 10, 2), qd.reshape(10, 10, 2), qdd[0]).tau.shape == (10, 10, 2)
+
+
+def test_what_it_does_not_take():
+    robot = torchdq.robots.load("two_link")
+    x = torch.zeros(5, 2, dtype=torch.float64)
+    with pytest.raises(ArgumentError, match="tau"):
+        fitted(robot, x, x, x, torch.zeros(5, 3, dtype=torch.float64))
+    with pytest.raises(ArgumentError, match="broadcast"):
+        fitted(robot, x, x, x, x[:4])
+    with pytest.raises(DtypeError, match="qd"):
+        fitted(robot, x, x.float(), x, x)
+    with pytest.raises(ArgumentError, match="qdd must be finite"):
+        fitted(robot, x, x, x / 0, x)
+    with pytest.raises(ArgumentError, match="at least one sample"):
+        fitted(robot, x[:0], x[:0], x[:0], x[:0])
+    for name in ("prior", "width"):
+        for wrong in (0.0, -1, True, "1", float("nan")):
+            with pytest.raises(ArgumentError, match=f"^{name} must be a positive number, found "):
+                fitted(robot, x, x, x, x, **{name: wrong})
+    with pytest.raises(ArgumentError, match="batch axes"):
+        fitted(robot.replace(mass=robot.mass * torch.ones(3, 1).double()), x[:3], x[:3], x[:3], x[:3])
+    with pytest.raises(ArgumentError, match="no mass"):
+        empty = robot.replace(mass=0 * robot.mass, on_unphysical="ignore")
+        fitted(empty, x, x, x, x, friction=False)
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(("name", "size"), [("tau", 1e300), ("qd", 1e150), ("qdd", 1e150)])
+def test_numbers_too_large_for_least_squares_are_named(name, size):
+    robot, signals = torchdq.robots.load("two_link"), [*moving(2, 100), moving(2, 100, seed=1)[0]]
+    signals[["q", "qd", "qdd", "tau"].index(name)] *= size
+    with pytest.raises(ArgumentError, match=rf"^{name} must be numbers .*, found up to \de\+"):
+        fitted(robot, *signals)
+
+
+# --- the example -----------------------------------------------------------------------------------------------------
+
+
+def test_the_example_finds_the_arm(tmp_path, capsys):
+    for needed in ("matplotlib", "rich", "scipy", "tyro"):
+        pytest.importorskip(needed, reason="the examples need the extra 'examples'")
+    example = import_module("09_identify")
+    with torchdq.backend("auto"):
+        result = example.main(example.Args(quick=True, out=tmp_path / "new"))
+    assert result.chi_square < 3
+    assert bool((result.after < 0.2 * result.before).all())
+    assert bool((result.after < 1.3 * result.found.noise).all())
+    assert_can_exist(result.found)
+    from matplotlib.image import imread
+
+    assert imread(tmp_path / "new" / "identify.png")[..., :3].std() > 0.03
+    assert "can be told" in capsys.readouterr().out

@@ -1,0 +1,476 @@
+"""Parameters from rollouts: those of greatest likelihood, with true errors, and nothing told that the logs do not tell.
+
+The references are finite differences of a scene's step, scipy's least squares over simulated motions, MuJoCo's
+simulation of the same arm, and the parameters by which the logs were made.
+"""
+
+import warnings
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+import torch
+from scipy import optimize, signal, stats
+
+import torchdq
+from torchdq.envs import Scene, effects
+from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.learning import LogError, Recording, fit_rollout
+from torchdq.learning.evaluation.diagnostics import LogWarning
+from torchdq.learning.rollout import shooting, unknowns
+from torchdq.learning.rollout.problem import Problem
+from torchdq.learning.rollout.recordings import Commands
+from torchdq.scene import controllers, integrators
+from torchdq.scene.sensitivity import StepMap
+
+ROBOT = torchdq.robots.load("two_link")
+DT, ROWS = 0.01, 301
+TIME = DT * torch.arange(ROWS, dtype=torch.float64)
+NOISE = 1e-3  # [rad]
+
+
+def double(*x):
+    return torch.tensor(x, dtype=torch.float64)
+
+
+def driving(time):
+    """Torques that excite both joints [N m]."""
+    return 8 * torch.stack([(5 * time).sin() + 0.5 * (11 * time).cos(), 0.6 * (7 * time).cos()], -1)
+
+
+def moved(scene, inputs, start=None, rows=ROWS):
+    """Positions at the start and after each step."""
+    state = scene.start(torch.zeros(scene.n, dtype=torch.float64) if start is None else start)
+    given = {name: x[: rows - 1] for name, x in inputs.items()}
+    return torch.cat([state.q[None], scene.rollout(state, steps=rows - 1, **given).q])
+
+
+def rubbing(viscous, coulomb, rotor, width=0.05, dt=DT, **changes):
+    """A scene with friction and rotors."""
+    parts = (effects.Gravity(), effects.Viscous(viscous), effects.Coulomb(coulomb, width), effects.RotorInertia(rotor))
+    return Scene(ROBOT, parts, dt=dt, **changes)
+
+
+def noisy(q, seed, size=NOISE):
+    return q + size * torch.randn(q.shape, dtype=q.dtype, generator=torch.Generator().manual_seed(seed))
+
+
+FRICTION = ("Viscous.coefficient", "Coulomb.level", "RotorInertia.inertia")
+TRUE = double(0.5, 0.3, 0.4, 0.2, 0.05, 0.03)
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """Positions of a scene with the true parameters."""
+    return moved(rubbing((0.5, 0.3), (0.4, 0.2), (0.05, 0.03)), {"torque": driving(TIME)})
+
+
+@pytest.fixture(scope="module")
+def guess():
+    return rubbing(0.1, 0.1, 0.01)
+
+
+# --- derivatives -----------------------------------------------------------------------------------------------------
+
+
+def test_derivatives_of_a_step_are_finite_differences():
+    robot = torchdq.robots.load("puma560")
+    parts = (effects.Gravity(), effects.Lag(double(*[0.02] * 6)), effects.Servo(double(*[60.0] * 6), 5.0))
+    scene = Scene(robot, (*parts, effects.Coulomb(double(*[0.3] * 6), 0.1)), dt=0.01)
+    step = StepMap(scene, ("target", "torque"))
+    rng = torch.Generator().manual_seed(0)
+    s, torque, target = (torch.randn(3, w, dtype=torch.float64, generator=rng) for w in (18, 6, 6))
+    inputs = {"target": target, "torque": torque}
+    after, found = step.linearised(s, inputs, {}, ("1.time", "target"))
+    torch.testing.assert_close(after, step.after(s, inputs, {}), rtol=0, atol=1e-13)
+    parameters = {"1.time": double(*[0.02] * 6)}
+    h = 1e-6
+    for k in range(18):
+        e = h * torch.eye(18, dtype=torch.float64)[k]
+        slope = (step.after(s + e, inputs, {}) - step.after(s - e, inputs, {})) / (2 * h)
+        torch.testing.assert_close(found[..., k], slope, rtol=1e-6, atol=1e-6)
+    for k in range(6):
+        e = h * torch.eye(6, dtype=torch.float64)[k]
+        sides = [step.after(s, inputs, {"1.time": parameters["1.time"] + x}) for x in (1e-2 * e, -1e-2 * e)]
+        torch.testing.assert_close(found[..., 18 + k], (sides[0] - sides[1]) / (2e-2 * h), rtol=1e-5, atol=1e-5)
+        sides = [step.after(s, {**inputs, "target": target + x}, {}) for x in (e, -e)]
+        torch.testing.assert_close(found[..., 24 + k], (sides[0] - sides[1]) / (2 * h), rtol=1e-6, atol=1e-6)
+
+
+def test_means_and_slopes_of_commands_are_those_of_a_fine_sum():
+    rng = np.random.default_rng(0)
+    time = np.cumsum(rng.uniform(0.5, 1.5, 40))
+    commands = Commands(time, rng.normal(size=(40, 2)))
+    start, span = rng.uniform(-2, 45, 30), 2.3
+    fine = start[:, None] + span * (np.arange(20000) + 0.5) / 20000
+    held = commands.values[np.clip(np.searchsorted(time, fine, side="right") - 1, 0, 39)]
+    np.testing.assert_allclose(commands.mean(start, span), held.mean(1), atol=1e-3)
+    slope = (commands.mean(start + 1e-4, span) - commands.mean(start - 1e-4, span)) / 2e-4
+    np.testing.assert_allclose(commands.slope(start, span), slope, atol=1e-8)
+    np.testing.assert_array_equal(commands.mean(time[:-1], 1e-3), commands.values[:-1])
+
+
+@pytest.mark.parametrize(("rows", "window"), [(99, 21), (9, 9), (30, 5), (4, 3), (2, 1)])
+def test_slopes_at_the_first_nodes_are_those_of_savitzky_and_golay(rows, window):
+    x = np.random.default_rng(0).normal(size=(rows, 3))
+    expected = signal.savgol_filter(x, window, min(3, window - 1), deriv=1, axis=0)
+    np.testing.assert_allclose(shooting.slopes(x, window), expected, atol=1e-12)
+
+
+# --- the parameters of greatest likelihood ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("segment", [None, 1.0, 0.2])
+def test_exact_logs_give_the_exact_parameters(motion, guess, segment):
+    log = Recording(TIME, motion, {"torque": driving(TIME)})
+    found = fit_rollout(guess, log, FRICTION, segment=segment)
+    torch.testing.assert_close(found.estimate, TRUE, rtol=1e-7, atol=0)
+    assert not found.untold and not found.doubt and float(found.rms.max()) < 1e-12
+    again = moved(found.scene, {"torque": driving(TIME)})
+    torch.testing.assert_close(again, motion, rtol=0, atol=1e-8)
+
+
+def test_it_is_the_least_squares_over_simulated_motions(motion, guess):
+    """One motion with one start, by a library that knows nothing of shooting, with its own finite differences."""
+    measured = noisy(motion, 5)
+    found = fit_rollout(guess, Recording(TIME, measured, {"torque": driving(TIME)}), FRICTION, segment=None)
+    weight = 1 / found.noise
+
+    def residuals(x):
+        """Weighted residuals of every row of parameters and start [rows, 10]."""
+        viscous, coulomb, rotor, q, qd = torch.from_numpy(x).split(2, -1)
+        scene = rubbing(viscous, coulomb, rotor)
+        states = torch.cat([q[None], scene.rollout(scene.start(q, qd), torque=driving(TIME)[:-1]).q])
+        return (weight * (states - measured[:, None])).transpose(0, 1).flatten(1).numpy()
+
+    def slopes(x):
+        h = 1e-6 * np.eye(10)
+        return ((residuals(x + h) - residuals(x - h)) / 2e-6).T
+
+    start = np.concatenate([TRUE.numpy(), measured[0].numpy(), np.zeros(2)])
+    reference = optimize.least_squares(lambda x: residuals(x[None])[0], start, slopes, x_scale="jac", xtol=1e-10)
+    covariance = np.linalg.inv(reference.jac.T @ reference.jac)[:6, :6]
+    errors = np.sqrt(covariance.diagonal())
+    assert (abs(found.estimate.numpy() - reference.x[:6]) < 0.02 * errors).all()
+    np.testing.assert_allclose(found.covariance.diagonal().sqrt(), errors, rtol=0.02)
+
+
+def chi_squares(motion, guess, runs, segment):
+    """Deviations from the true parameters, in their stated covariance, of logs that differ by their noise."""
+    for seed in range(runs):
+        log = Recording(TIME, noisy(motion, seed), {"torque": driving(TIME)})
+        found = fit_rollout(guess, log, FRICTION, segment=segment)
+        off = found.estimate - TRUE
+        yield float(off @ torch.linalg.solve(found.covariance, off))
+
+
+def test_the_errors_are_as_large_as_they_are_said_to_be(motion, guess):
+    total = sum(chi_squares(motion, guess, 12, 1.0))
+    assert stats.chi2(72).ppf(1e-3) < total < stats.chi2(72).ppf(1 - 1e-3)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize("segment", [None, 1.0])
+def test_the_errors_of_two_hundred_runs_are_chi_square(motion, guess, segment):
+    found = list(chi_squares(motion, guess, 200, segment))
+    assert stats.kstest(found, stats.chi2(6).cdf).pvalue > 1e-3
+
+
+def test_positions_of_another_simulator():
+    """MuJoCo's implicit integrator is the scene's: its joints are told to rounding, from positions alone."""
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><option timestep="0.005" integrator="implicitfast"/><worldbody>
+        <body><inertial pos="0.2 0 0" mass="2" diaginertia="0.02 0.02 0.02"/><joint name="a" axis="0 1 0" damping="0.7"
+          armature="0.3"/>
+          <body pos="0.4 0 0"><inertial pos="0.1 0.05 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+            <joint name="b" axis="0 0 1" damping="0.2" armature="0.1"/></body></body></worldbody>
+        <actuator><motor joint="a"/><motor joint="b"/></actuator></mujoco>"""
+    )
+    data, time = mujoco.MjData(model), 0.005 * np.arange(400)
+    torque = np.stack([6 * np.sin(4 * time), 2 * np.cos(6 * time)], -1)
+    q = []
+    for u in torque:
+        q.append(data.qpos.copy())
+        data.ctrl[:] = u
+        mujoco.mj_step(model, data)
+    robot = torchdq.Robot.from_mjcf(
+        """<mujoco><worldbody>
+        <body><inertial pos="0.2 0 0" mass="2" diaginertia="0.02 0.02 0.02"/><joint name="a" axis="0 1 0"/>
+          <body pos="0.4 0 0"><inertial pos="0.1 0.05 0" mass="1" diaginertia="0.01 0.01 0.01"/>
+            <joint name="b" axis="0 0 1"/></body></body></worldbody></mujoco>"""
+    )
+    scene = Scene(robot, (effects.Gravity(), effects.Viscous(0.05), effects.RotorInertia(0.02)), dt=0.005)
+    found = fit_rollout(scene, Recording(time, q, {"torque": torque}), ("Viscous.*", "RotorInertia.*"))
+    torch.testing.assert_close(found.estimate, double(0.7, 0.2, 0.3, 0.1), rtol=1e-6, atol=0)
+
+
+# --- hard cases ------------------------------------------------------------------------------------------------------
+
+
+def test_stiff_friction():
+    """Friction that stops a joint within a step, over many reversals."""
+    dt = 0.005
+    time = dt * torch.arange(601, dtype=torch.float64)
+    both = ((effects.Viscous(0.2), effects.Coulomb(level, 0.005)) for level in ((1.5, 1.0), 0.2))
+    real, wrong = (Scene(ROBOT, parts, dt=dt) for parts in both)
+    inputs = {"torque": driving(time)}
+    log = Recording(time, noisy(moved(real, inputs, rows=601), 1, 1e-4), inputs)
+    found = fit_rollout(wrong, log, ("Coulomb.level", "Viscous.coefficient"))
+    z = (found.estimate - double(1.5, 1.0, 0.2, 0.2)) / found.covariance.diagonal().sqrt()
+    assert float(z.abs().max()) < 4
+    assert float(found.rms.max()) < 1.1e-4
+
+
+@pytest.fixture(scope="module")
+def late():
+    """A scene with a lag, and the function that logs it behind a delay that is no number of steps."""
+    scene = Scene(ROBOT, (effects.Viscous(0.5), effects.Lag(0.02)), dt=DT)
+
+    def log(speed, size):
+        torque = driving(speed * TIME)
+        acting = torch.from_numpy(Commands(TIME.numpy(), torque.numpy()).mean((TIME - 0.0137).numpy(), DT))
+        return Recording(TIME, noisy(moved(scene, {"torque": acting}), 2, size), {"torque": torque})
+
+    return scene, log
+
+
+def test_delay_and_lag_are_told_apart_by_fast_commands(late):
+    scene, log = late
+    start = scene.replace(effects=(effects.Viscous(0.1), effects.Lag(0.005)))
+    found = fit_rollout(start, log(1.0, 1e-4), ("delay", "Lag.time", "Viscous.coefficient"))
+    z = (found.estimate - double(0.0137, 0.02, 0.02, 0.5, 0.5)) / found.covariance.diagonal().sqrt()
+    assert float(z.abs().max()) < 4 and not found.untold
+    assert found.delay == float(found.values["delay"]) and 0 < float(found.errors["delay"]) < 1e-3
+
+
+def test_delay_and_lag_are_named_where_slow_commands_do_not_tell_them_apart(late):
+    scene, log = late
+    found = fit_rollout(scene, log(0.1, 1e-2), ("delay", "Lag.time"))
+    assert found.values["delay"].isnan() and found.values["Lag.time"].isnan().all()
+    assert any("delay by" in text and "Lag.time" in text for text in found.untold)
+    assert "not told" in str(found)
+
+
+def test_scales_that_positions_cannot_tell_are_named():
+    """A servo of unknown gains that moves unknown masses: only their ratios show, and the scene moves as logged."""
+    parts = (effects.Servo(100.0, 10.0), effects.RotorInertia(0.5), effects.MassScale(1.0))
+    target = torch.stack([(3 * TIME).sin(), 0.6 * (5 * TIME).cos()], -1)
+    real = Scene(ROBOT, parts, dt=DT)
+    log = Recording(TIME, noisy(moved(real, {"target": target}), 3, 1e-4), {"target": target})
+    wrong = real.replace(effects=(effects.Servo(60.0, 5.0), effects.RotorInertia(0.3), effects.MassScale(1.2)))
+    found = fit_rollout(wrong, log, ("Servo.*", "RotorInertia.inertia", "MassScale.factor"))
+    # the scale of all, and what the first link adds to its rotor
+    assert len(found.untold) == 2 and all(x.isnan().all() for x in found.values.values())
+    names = ("Servo.kp[joint1]", "Servo.kd[joint2]", "RotorInertia.inertia[joint2]", "MassScale.factor[link2]")
+    assert any(all(name in text for name in names) for text in found.untold)
+    assert float(found.rms.max()) < 1.1e-4
+    torch.testing.assert_close(
+        found.scene.effects[0].kp / found.scene.effects[0].kd, double(10.0, 10.0), rtol=2e-3, atol=0
+    )
+    known = fit_rollout(wrong.replace(effects=(effects.Servo(60.0, 5.0), effects.RotorInertia(0.5))), log, "Servo.*")
+    assert not known.untold
+    torch.testing.assert_close(known.estimate, double(100.0, 100.0, 10.0, 10.0), rtol=5e-3, atol=0)
+
+
+def test_a_payload_is_found_from_far_away():
+    gravity = effects.Gravity((0.0, -9.81, 0.0))
+    log = Recording(TIME, moved(scene_with(1.7, gravity), {"torque": driving(TIME)}), {"torque": driving(TIME)})
+    for start in (1e-3, 20.0):
+        found = fit_rollout(scene_with(start, gravity), log, "Payload.mass")
+        assert abs(float(found.estimate) - 1.7) < 1e-6
+
+
+def scene_with(mass, *parts):
+    return Scene(ROBOT, (*parts, effects.Viscous(0.5), effects.Payload(mass)), dt=DT)
+
+
+def test_links_stay_bodies_and_what_torques_do_not_tell_is_named():
+    robot = torchdq.robots.load("ur10e").replace(name="arm")
+    scene = Scene(robot, (effects.Gravity(), effects.Viscous(1.0)), dt=DT)
+    time = DT * torch.arange(101, dtype=torch.float64)
+    target = 30 * torch.stack([((2 + k) * time + k).sin() for k in range(6)], -1) * double(1, 1, 1, 0.1, 0.1, 0.05)
+    log = Recording(time, noisy(moved(scene, {"torque": target}, rows=101), 0, 1e-5), {"torque": target})
+    wrong = scene.replace(robot=robot.replace(mass=1.2 * robot.mass))
+    found = fit_rollout(wrong, log, "mass")
+    assert float((found.estimate - robot.mass).abs().max()) < 0.1 or found.untold
+    assert (found.scene.robot.mass > 0).all() and float(found.rms.max()) < 2e-5
+
+
+def test_two_logs_of_other_lengths(motion, guess):
+    real = rubbing((0.5, 0.3), (0.4, 0.2), (0.05, 0.03))
+    second = moved(real, {"torque": -driving(TIME)}, double(0.5, 0.2), rows=120)
+    logs = [
+        Recording(TIME, noisy(motion, 0), {"torque": driving(TIME)}),
+        Recording(TIME[:120] + 3.0, noisy(second, 1), {"torque": -driving(TIME)[:120]}),
+    ]
+    found = fit_rollout(guess, logs, FRICTION, segment=0.7)
+    assert [len(x) for x in found.residuals] == [ROWS, 120]
+    assert float(((found.estimate - TRUE) / found.covariance.diagonal().sqrt()).abs().max()) < 4
+    alone = fit_rollout(guess, logs[:1], FRICTION, segment=0.7)
+    assert (found.covariance.diagonal() < alone.covariance.diagonal()).all()
+
+
+def test_rows_at_other_times_than_steps():
+    """A scene whose steps are finer than the log, and stamps that miss them."""
+    fine = rubbing((0.5, 0.3), (0.4, 0.2), (0.05, 0.03), dt=0.001, integrator=integrators.RungeKutta4())
+    time = 0.001 * torch.arange(2001, dtype=torch.float64)
+    rows = torch.arange(0, 2001, 20)
+    rows[1:-1] += torch.randint(-3, 4, (99,), generator=torch.Generator().manual_seed(0))
+    held = torch.bucketize(time, time[rows], right=True) - 1
+    torque = driving(time[rows])
+    q = moved(fine, {"torque": torque[held]}, rows=2001)[rows]
+    guess = rubbing(0.1, 0.1, 0.01, dt=0.002, integrator=integrators.RungeKutta4())
+    found = fit_rollout(guess, Recording(time[rows], q, {"torque": torque}), FRICTION)
+    torch.testing.assert_close(found.estimate, TRUE, rtol=5e-3, atol=0)
+    assert float(found.rms.max()) < 1e-4
+
+
+def test_measured_velocities_and_a_controller():
+    """A controller with unknown gains, driven by its reference; velocities are measured as well."""
+    gains = [(controllers.PD(*kp_kd), (effects.Gravity(),)) for kp_kd in ((80.0, 8.0), (40.0, 10.0))]
+    real, wrong = (Scene(ROBOT, parts, controller=control, dt=DT) for control, parts in gains)
+    reference = torch.cat([(3 * TIME[:, None] + double(0.0, 1.0)).sin(), torch.zeros(ROWS, 4, dtype=torch.float64)], -1)
+    state = real.start(double(0.0, 0.8))
+    after = real.rollout(state, steps=ROWS - 1, reference=reference[:-1])
+    q, qd = (torch.cat([getattr(state, name)[None], getattr(after, name)]) for name in ("q", "qd"))
+    log = Recording(TIME, noisy(q, 0), {"reference": reference}, qd=noisy(qd, 1, 0.01))
+    found = fit_rollout(wrong, log, ("PD.kp", "PD.kd"))
+    z = (found.estimate - double(80.0, 80.0, 8.0, 8.0)) / found.covariance.diagonal().sqrt()
+    assert float(z.abs().max()) < 4 and found.noise.shape == (2,)
+
+
+# --- ends and errors -------------------------------------------------------------------------------------------------
+
+
+def test_an_interrupted_search_returns_what_it_found(motion, guess, monkeypatch):
+    calls, linearised = [], Problem.linearised
+
+    def interrupted(self, at):
+        calls.append(at)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return linearised(self, at)
+
+    monkeypatch.setattr(Problem, "linearised", interrupted)
+    with pytest.warns(LogWarning, match="interrupted after 2 iterations"):
+        found = fit_rollout(guess, Recording(TIME, noisy(motion, 0), {"torque": driving(TIME)}), FRICTION)
+    assert torch.isfinite(found.estimate).all() and "interrupted" in found.doubt
+
+
+def test_a_part_that_the_scene_cannot_follow_is_named(motion, guess):
+    q = noisy(motion, 0, 1e-4)
+    q[150:155] += 0.02  # a slip of the encoder
+    with pytest.warns(LogWarning, match=r"at 1\.\d+ s of log slip"):
+        fit_rollout(guess, Recording(TIME, q, {"torque": driving(TIME)}, name="slip"), FRICTION)
+
+
+def test_few_iterations_are_said(motion, guess):
+    with pytest.warns(LogWarning, match="1 iterations were not enough"):
+        fit_rollout(guess, Recording(TIME, motion, {"torque": driving(TIME)}), FRICTION, iterations=1)
+
+
+LOG = Recording(TIME[:20], torch.zeros(20, 2), {"torque": torch.zeros(20, 2)})
+
+
+def with_value(x, at, value):
+    changed = x.clone()
+    changed[at] = value
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("log", "error", "words"),
+    [
+        (LOG._replace(q=with_value(LOG.q, (7, 1), torch.nan)), LogError, "q of log 0, row 7, column 1: nan"),
+        (LOG._replace(name="b", time=with_value(LOG.time, 4, 0.0)), LogError, "log b, row 4: time must increase"),
+        (
+            LOG._replace(inputs={"torque": torch.zeros(20, 3)}),
+            ArgumentError,
+            r"torque of log 0 .* \[20, 2\], found \[20, 3\]",
+        ),
+        (LOG._replace(q=torch.zeros(19, 2)), ArgumentError, r"q of log 0 must have the shape \[20, 2\]"),
+        (
+            LOG._replace(inputs={"tau": torch.zeros(20, 2)}),
+            ArgumentError,
+            "among those of the scene, torque, found tau",
+        ),
+        (LOG._replace(inputs=None), ArgumentError, "must be arrays by name"),
+        (LOG._replace(time=TIME[:20] / 10), ArgumentError, "dt of the scene must not be longer"),
+        ([LOG, LOG._replace(qd=LOG.q)], ArgumentError, "must have the same signals"),
+        ({"q": 1}, ArgumentError, "logs must be a Recording or several"),
+    ],
+)
+def test_a_log_that_does_not_fit_is_refused(log, error, words):
+    scene = Scene(ROBOT, (effects.Viscous(0.1),), dt=DT)
+    with pytest.raises(error, match=words):
+        fit_rollout(scene, log, "Viscous.coefficient")
+
+
+def test_what_cannot_be_learned_is_refused():
+    scene = Scene(ROBOT, (effects.Viscous(0.1), effects.Coulomb(0.0)), dt=DT)
+    with pytest.raises(
+        UnknownNameError, match=r"'Viscos.coefficient'.*known: delay, Viscous.coefficient, Coulomb.level"
+    ):
+        fit_rollout(scene, LOG, "Viscos.coefficient")
+    with pytest.raises(ArgumentError, match=r"Coulomb.level\[joint1\] must start from a positive number"):
+        fit_rollout(scene, LOG, "Coulomb.level")
+    with pytest.raises(ArgumentError, match="learn must be a name or several"):
+        fit_rollout(scene, LOG, 3)
+    with pytest.raises(ArgumentError, match="segment must be a positive number"):
+        fit_rollout(scene, LOG, "Viscous.coefficient", segment=-1.0)
+    servo = Scene(ROBOT, (effects.Servo(1.0),), dt=DT)
+    with pytest.raises(ArgumentError, match="target must be given"):
+        fit_rollout(servo, LOG, "Servo.kp")
+    for wrong, words in (
+        ({"effects": (effects.Viscous(0.1), effects.Noise(0.1))}, "must be without Noise"),
+        ({"integrator": integrators.DormandPrince()}, "found DormandPrince"),
+    ):
+        with pytest.raises(ArgumentError, match=words):
+            fit_rollout(scene.replace(**wrong), LOG, "Viscous.coefficient")
+
+
+def test_the_scene_that_is_given_does_not_change(motion, guess):
+    before = replace(guess)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        fit_rollout(guess, Recording(TIME, motion, {"torque": driving(TIME)}), FRICTION, segment=0.1)
+    assert guess.effects == before.effects
+
+
+def test_a_scene_that_cannot_follow_tells_nothing():
+    """Commands of the wrong sign."""
+    robot, t = torchdq.robots.load("two_link"), 0.01 * torch.arange(301, dtype=torch.float64)
+    torque = 40 * torch.stack([(5 * t).sin(), (7 * t).cos()], -1)
+    scene = Scene(robot, (effects.Gravity(), effects.Viscous(0.5)), dt=0.01)
+    start = scene.start(torch.zeros(2, dtype=torch.float64))
+    q = torch.cat([start.q[None], scene.rollout(start, torque[:-1]).q])
+    guess = Scene(robot, (effects.Gravity(), effects.Viscous(0.1)), dt=0.01)
+    with pytest.warns(LogWarning, match="does not move as recorded.*check signs"):
+        found = fit_rollout(guess, Recording(t, q, {"torque": -torque}), "Viscous.coefficient", iterations=1)
+    assert all(x.isnan().all() for x in (*found.values.values(), *found.errors.values()))
+    assert "does not move" in found.doubt
+
+
+def test_a_delay_needs_inputs():
+    scene = Scene(torchdq.robots.load("two_link"), (effects.Viscous(0.5),), dt=0.01)
+    log = Recording(0.01 * np.arange(20), np.zeros((20, 2)), {})
+    with pytest.raises(ArgumentError, match="delay cannot be learned: the recordings have no inputs"):
+        fit_rollout(scene, log, "delay")
+
+
+def test_actuators_through_which_no_torque_goes_are_refused():
+    """A servo is no command to the actuators: a lag would follow the noise of the positions."""
+    scene = Scene(ROBOT, (effects.Servo(100.0, 10.0), effects.Lag(0.01)), dt=DT)
+    log = LOG._replace(inputs={"target": torch.zeros(20, 2)})
+    with pytest.raises(ArgumentError, match=r"Lag\.time cannot be learned: the recordings command no torque, and"):
+        fit_rollout(scene, log, "Lag.time")
+    with pytest.raises(ArgumentError, match=r"Lag\.time cannot be learned"):
+        fit_rollout(scene, LOG._replace(inputs={"target": torch.zeros(20, 2), "torque": torch.zeros(20, 2)}), "Lag.*")
+
+
+def test_positive_numbers_stay_positive_however_long_the_step():
+    """A mass that the log does not tell may be taken far down: exp(-step) alone would be zero, and no body."""
+    value = np.array([2.0, 3.0])
+    moved = unknowns.PositiveNumbers().moved(value, np.array([-1e6, 0.5]))
+    assert moved[0] > 0 and moved[1] == 3.5

@@ -1,0 +1,186 @@
+"""PAPER.md is complete and true: every equation once, at code and tests that exist and cite it, with every erratum."""
+
+import ast
+import io
+import re
+import textwrap
+import tokenize
+from functools import cache
+
+import paper_index
+import pytest
+from errata_table import ERRATA, IDS
+from paper_index import (
+    ALGORITHM_1,
+    EQUATIONS,
+    FIGURES,
+    IN_USE,
+    OURS,
+    PAGE,
+    ROOT,
+    ROWS,
+    TABLE_1,
+    corrected,
+    numbers,
+    path_of,
+    plain,
+)
+
+from torchdq.paper import tables
+
+REMEDY = "write it again with `python tests/paper/paper_index.py --write`"
+
+
+@cache
+def page():
+    """What PAPER.md should be."""
+    return paper_index.page()
+
+
+@cache
+def tree(path):
+    """Syntax of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def names_of(node):
+    """Names that a statement gives to something."""
+    if isinstance(node, ast.FunctionDef | ast.ClassDef):
+        return {node.name}
+    targets = node.targets if isinstance(node, ast.Assign) else [node.target] if isinstance(node, ast.AnnAssign) else []
+    return {target.id for target in targets if isinstance(target, ast.Name)}
+
+
+def found(path, name):
+    """Statement of a file that makes a dotted name, or None."""
+    node = tree(path)
+    for part in name.split("."):
+        node = next((child for child in getattr(node, "body", ()) if part in names_of(child)), None)
+    return node
+
+
+def source(place):
+    """Whole lines of what stands at a place."""
+    path, node = path_of(place), found(path_of(place), place.partition(":")[2])
+    return "\n".join(path.read_text(encoding="utf-8").splitlines()[node.lineno - 1 : node.end_lineno])
+
+
+def remarks(text):
+    """Comments and docstrings of a source."""
+    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+    comments = [token.string for token in tokens if token.type == tokenize.COMMENT]
+    documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
+    nodes = [node for node in ast.walk(ast.parse(text)) if isinstance(node, documented)]
+    return comments, [ast.get_docstring(node) or "" for node in nodes]
+
+
+def cited(place):
+    """Equations that the comments and docstrings at a place name."""
+    comments, documents = remarks(textwrap.dedent(source(place)))
+    return set().union(*map(numbers, comments + documents))
+
+
+# --- the page --------------------------------------------------------------------------------------------------------
+
+
+def test_the_page_is_what_the_index_says():
+    assert PAGE.read_text(encoding="utf-8") == page(), f"PAPER.md is old; {REMEDY}"
+
+
+def test_every_equation_table_row_line_and_figure_is_there_once():
+    assert [row.id for row in EQUATIONS] == [str(i) for i in range(1, 80)]
+    assert [row.id for row in TABLE_1] == [f"1.{i}" for i in range(1, 6)]
+    parts = {"start": 5, "forward": 4, "backward": 3}
+    assert [row.id for row in ALGORITHM_1] == [f"{part} {i + 1}" for part, k in parts.items() for i in range(k)]
+    assert [row.id for row in FIGURES] == ["1", "2", "3", "4", "5"]
+    text = page()
+    for first in [f"| ({i}) |" for i in range(1, 80)] + [f"| {title} |" for title in tables.TABLES]:
+        assert text.count(f"\n{first}") == 1, first
+
+
+def test_every_erratum_is_there_once():
+    rows = [line.split(" | ")[0].removeprefix("| ") for line in page().splitlines()]
+    assert [rows.count(erratum.key) for erratum in ERRATA] == [1] * len(ERRATA)
+    for erratum in ERRATA:
+        assert f"| {plain(erratum.printed)} | {plain(erratum.correct)} |" in page(), erratum.key
+
+
+def test_every_erratum_is_named_by_a_row():
+    named = re.findall(r"\| ([^|]*) \|$", page(), re.MULTILINE)
+    assert {id for cell in named for id in cell.split(", ")} >= IDS
+
+
+def test_links_lead_to_files():
+    links = set(re.findall(r"\]\(([^)]*)\)", page()))
+    assert links
+    assert [link for link in sorted(links) if not (ROOT / link).is_file()] == []
+
+
+def test_a_table_of_errata_says_how_wrong_the_print_is():
+    assert "| (40), (44), section 5.1; Algorithm 1 |" in corrected(["40"])
+    assert corrected(["40"]).endswith("| 71 N m |")
+    assert corrected(["11"]).endswith("| its shape does not fit |")
+
+
+# --- what it points to -----------------------------------------------------------------------------------------------
+
+PLACES = sorted({place for row in ROWS for place in row.places})
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_code_that_is_named_exists(place):
+    assert path_of(place).is_file()
+    assert ":" not in place or found(path_of(place), place.partition(":")[2]) is not None
+
+
+@pytest.mark.parametrize("row", [row for row in EQUATIONS if not row.instead], ids=lambda row: row.id)
+def test_code_cites_the_equation_it_computes(row):
+    assert [place for place in row.places if int(row.id) not in cited(place)] == []
+
+
+def test_code_cites_the_row_of_table_1_that_it_computes():
+    for row in TABLE_1:
+        assert row.instead or all(f"# Table 1, row {row.id[2:]}" in source(place) for place in row.places)
+
+
+TESTS = sorted({*re.findall(r"[\w/]+\.py::\w+", IN_USE), *(test for row in ROWS for test in row.tests)})
+
+
+@pytest.mark.parametrize("test", TESTS)
+def test_tests_that_are_named_exist(test):
+    file, _, name = test.partition("::")
+    path = ROOT / "tests" / file
+    assert path.is_file()
+    assert not name or found(path, name.partition("[")[0]) is not None
+    assert not test.startswith(OURS) or test.removeprefix(OURS)[1:-1] in IDS
+
+
+def test_every_row_says_something_and_names_code_and_a_test():
+    assert [row.id for row in ROWS if not (row.says and row.places and row.tests)] == []
+
+
+SOURCES = [path for folder in ("torchdq", "envs") for path in sorted((ROOT / folder).rglob("*.py"))]
+
+
+def test_comments_cite_only_equations_that_are_in_the_index_at_their_file():
+    listed = {(path_of(place), int(row.id)) for row in EQUATIONS for place in row.places}
+    unknown, count = [], 0
+    for path in SOURCES:
+        comments, _ = remarks(path.read_text(encoding="utf-8"))
+        here = set().union(*map(numbers, comments))
+        count += len(here)
+        unknown += [f"{path.relative_to(ROOT)}: ({number})" for number in sorted(here) if (path, number) not in listed]
+    assert count > 50
+    assert not unknown, "name the file in tests/paper/paper_index.py, or correct the number"
+
+
+def test_citations_are_read_one_by_one_in_lists_and_in_ranges():
+    assert numbers("# (34), (35), erratum 35") == {34, 35}
+    assert numbers("# (75)-(77) and (73)") == {73, 75, 76, 77}
+    assert numbers("cos(3), 5(4), between exp(-30) and exp(30), (8.50), x[0](1)") == set()
+
+
+def test_a_place_that_does_not_exist_is_not_found():
+    assert found(path_of("algebra.quaternion:mul"), "multiply") is None
+    assert found(path_of("scene.controllers:Feedback"), "Feedback.corrected") is not None
+    assert found(path_of("scene.controllers:Feedback"), "corrected") is None

@@ -1,0 +1,531 @@
+"""Programs: what is recorded, how much it costs, its derivatives, and the frames and algorithms it is recorded from.
+
+The references are mpmath, torch's own autograd, numpy's solver, and the paper's recursion in the robot's own frames.
+"""
+
+import operator
+from unittest.mock import patch
+
+import mpmath
+import numpy as np
+import pytest
+import torch
+from helpers import eager
+from oracles import (
+    EPS,
+    Case,
+    as_printed,
+    dual_quaternion,
+    pin,
+    pinocchio_model,
+    random_inertia,
+    se3,
+    shipped,
+    size_of_torques,
+    stack,
+    states,
+)
+from oracles import random_tree as random_case
+
+import torchdq
+import torchdq.envs
+from torchdq.backends import torch as torch_backend
+from torchdq.dynamics.aligned.posed import Aligned
+from torchdq.dynamics.tree import BASE
+from torchdq.effects import Contact, Drag, Push
+from torchdq.functions import mdh, posed
+from torchdq.program import autodiff as derive
+from torchdq.program.program import Argument, Count, Program, record, replay, results
+
+F64 = torch.float64
+EPS64 = EPS[F64]
+
+# --- the recorder ----------------------------------------------------------------------------------------------------
+
+
+def scalar(function, width: int = 2) -> Program:
+    """Program of a function of `width` numbers."""
+    return record("f", [Argument("x", width)], lambda x: {"y": [function(*x)]})
+
+
+@pytest.mark.parametrize(
+    ("function", "count"),
+    [
+        (lambda x, y: x * y + y * x, (1, 1, 0, 0)),
+        (lambda x, y: (x - y) * (y - x), (1, 1, 0, 0)),
+        (lambda x, y: (x + y) * (-y - x), (1, 1, 0, 0)),
+        (lambda x, y: 0 * x + y * 0.0, (0, 0, 0, 0)),
+        (lambda x, y: 1 * x + y * -1.0, (0, 1, 0, 0)),
+        (lambda x, y: x / 4 + 4 / y, (1, 1, 1, 0)),
+        (lambda x, y: (-x).sin() * x.sin() + (-x).cos() * x.cos(), (2, 1, 0, 2)),
+        (lambda x, y: (x * y - y * x) + 0.0, (0, 0, 0, 0)),
+        (lambda x, y: 2.0 * 3.0 * x - (-6.0) * x, (1, 1, 0, 0)),
+    ],
+)
+def test_equal_operations_are_recorded_once_and_negations_never(function, count):
+    assert scalar(function).count() == Count(*count)
+
+
+def test_a_difference_and_its_opposite_are_one_value_with_two_signs():
+    program = record("f", [Argument("x", 2)], lambda x: {"y": [x[0] - x[1], x[1] - x[0]]})
+    (first, one), (second, other) = program.results[0].values
+    assert first == second and one != other
+
+
+def test_what_cancels_or_is_constant_is_a_number_and_not_an_operation():
+    program = record("f", [Argument("x", 1)], lambda x: {"y": [x[0] - x[0], 0 * x[0], 0 / x[0], None, 2.5]})
+    assert program.ops == () and program.results[0].values == (0.0, 0.0, 0.0, 0.0, 2.5)
+
+
+def test_operations_that_no_result_needs_are_removed():
+    def algorithm(x):
+        unused = (x[0] * x[1]).sin() / x[2]
+        return {"y": [x[0] + x[1]], "unused": [0 * unused]}
+
+    assert [op.code for op in record("f", [Argument("x", 3)], algorithm).ops] == ["in", "in", "add"]
+
+
+class Exact:
+    """A number of mpmath with the methods that algorithms call."""
+
+    def __init__(self, x):
+        self.x = mpmath.mpf(x)
+
+    def sin(self):
+        return Exact(mpmath.sin(self.x))
+
+    def cos(self):
+        return Exact(mpmath.cos(self.x))
+
+    def __neg__(self):
+        return Exact(-self.x)
+
+
+def _binary(operation, swapped):
+    def method(self, other):
+        other = other.x if isinstance(other, Exact) else mpmath.mpf(other)
+        return Exact(operation(other, self.x) if swapped else operation(self.x, other))
+
+    return method
+
+
+for _name in ("add", "sub", "mul", "truediv"):
+    setattr(Exact, f"__{_name}__", _binary(getattr(operator, _name), False))
+    setattr(Exact, f"__r{_name}__", _binary(getattr(operator, _name), True))
+
+
+def tangle(x, y, z):
+    """Something of every operation, signs in awkward places."""
+    a = -(x - y) * (z - 3.0) + (y - x) / (z * z + 1.5)
+    b = (-a).sin() * (a - z).cos() - 2.0 / (1.0 + y * y)
+    return -(b - a) * (-x) / 3.0 - (0.25 - b) + (a + b) * (b + a) - (-(y + z) - x)
+
+
+def test_replay_in_exact_arithmetic_is_the_function_itself():
+    program = scalar(tangle, 3)
+    with mpmath.workdps(50):
+        x = [Exact(v) for v in ("0.3", "-1.7", "2.9")]
+        found = results(program, replay(program, [x]))["y"][0].x
+        expected = tangle(*x).x
+        # 1/3 and other folded constants are floats
+        assert abs(found - expected) <= 4 * EPS64 * abs(expected)
+
+
+def test_replay_on_tensors_is_the_function_itself():
+    program, x = scalar(tangle, 3), torch.randn(3, 50, dtype=F64, generator=torch.Generator().manual_seed(1))
+    expected = tangle(*x)
+    found = results(program, replay(program, [list(x)]))["y"][0]
+    assert (found - expected).abs().max() <= 64 * EPS64 * (1 + expected.abs().max())
+
+
+def test_a_program_prints_its_arguments_operations_and_results():
+    program = record(
+        "f", [Argument("x", 2), Argument("m", 1, True)], lambda x, m: {"y": [-(x[0] * m[0]), 1.5]}, summed=["y"]
+    )
+    assert str(program) == (
+        "f(x[2], m[1] uniform)\n  x0 = x[0]\n  x1 = m[0]\n  x2 = x0 * x1\n  y = [-x2, 1.5] summed over samples"
+    )
+
+
+# --- how much is recorded --------------------------------------------------------------------------------------------
+
+
+def chain(
+    n: int, seed: int = 0, tilt: float | None = None, meeting: bool = False, apart: float | None = None, slides: int = 0
+) -> torchdq.Robot:
+    """Chain with skew axes; or each axis `tilt` [rad] from the one before; or each meeting the one before.
+
+    With `apart` [m], each axis is so far from the one before. The first `slides` joints are prismatic.
+    """
+    rng = np.random.default_rng([7, n, seed])
+    axes = rng.normal(size=(n, 3))
+    axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
+    points = np.cumsum(rng.normal(size=(n, 3)) * 0.3, axis=0)
+    for i in range(1, n):
+        if tilt is not None:
+            axes[i] = pin.exp3(tilt * np.cross(axes[i - 1], axes[i])) @ axes[i - 1]
+        if meeting and i % 2:
+            points[i] = points[i - 1] + 0.2 * axes[i - 1] - 0.3 * axes[i]
+        if apart is not None:
+            points[i] = points[i - 1] + 0.3 * axes[i - 1] + apart * np.cross(axes[i - 1], rng.normal(size=3))
+    mass = rng.uniform(0.5, 3.0, n)
+    poses = [pin.SE3(pin.exp3(rng.normal(size=3)), p + rng.normal(size=3) * 0.05) for p in points]
+    screws = np.hstack([axes, np.cross(points, axes)])
+    screws[:slides] = np.hstack([0 * axes, axes])[:slides]
+    return torchdq.Robot.from_screws(
+        screws,
+        mass,
+        rng.normal(size=(n, 3)) * 0.1,
+        np.stack([random_inertia(rng, m) for m in mass]),
+        link_poses=np.array([dual_quaternion(x) for x in poses]),
+        tip_pose=dual_quaternion(poses[-1]),
+        gravity=(1.0, -2.0, 9.0),
+    )
+
+
+def recorded(function, robot: torchdq.Robot, *names: str | None) -> Program:
+    """Program that a public function runs when it is given the named arguments; None: the argument is left out."""
+    s = states(robot, 1)
+    given = [None if name is None else s.qdd if name == "tau" else getattr(s, name) for name in names]
+    with patch.object(torch_backend, "interpreted", wraps=torch_backend.interpreted) as spy:
+        function(robot, *given, backend="eager")
+    return spy.call_args.args[0]
+
+
+@pytest.mark.parametrize("n", range(4, 17, 3))
+def test_inverse_dynamics_of_a_general_chain_takes_84n_multiplications_and_70n_additions(n):
+    count = recorded(torchdq.inverse_dynamics, chain(n), "q", "qd", "qdd").count()
+    assert count.multiplications <= 84 * n - 98 <= 91 * n - 93
+    assert count.additions <= 70 * n - 87 <= 76 * n - 83
+    assert count.divisions == 0 and count.sines == 2 * n
+
+
+@pytest.mark.parametrize(
+    ("name", "inverse", "mass", "forward"),
+    [
+        ("two_link", (14, 10), (3, 8), (21, 19)),
+        ("panda", (329, 295), (202, 188), (654, 570)),
+        ("ur10e", (175, 141), (102, 97), (343, 285)),
+        ("puma560", (198, 167), (112, 113), (372, 319)),
+    ],
+)
+def test_operations_of_shipped_robots_do_not_grow(name, inverse, mass, forward):
+    robot = torchdq.robots.load(name)
+    for function, names, (most_mul, most_add) in [
+        (torchdq.inverse_dynamics, ("q", "qd", "qdd"), inverse),
+        (torchdq.mass_matrix, ("q",), mass),
+        (torchdq.forward_dynamics, ("q", "qd", "tau"), forward),
+    ]:
+        count = recorded(function, robot, *names).count()
+        assert count.multiplications <= most_mul and count.additions <= most_add
+
+
+def test_forward_dynamics_of_a_long_chain_grows_linearly():
+    short, long = (recorded(torchdq.forward_dynamics, chain(n), "q", "qd", "tau").count().total for n in (20, 40))
+    assert long <= 2.15 * short
+
+
+@pytest.mark.parametrize("absent", ["qd", "qdd", "f_tip", "f_ext"])
+def test_an_absent_argument_is_no_argument_of_the_program_and_saves_operations(absent):
+    names, robot = ("q", "qd", "qdd", "f_tip", "f_ext"), chain(4)
+    whole = recorded(torchdq.inverse_dynamics, robot, *names)
+    less = recorded(torchdq.inverse_dynamics, robot, *(None if name == absent else name for name in names))
+    assert [a.name for a in less.arguments] == [name for name in names if name != absent]
+    assert less.count().total < whole.count().total
+
+
+def test_no_gravity_saves_operations():
+    with_gravity, robot = recorded(torchdq.inverse_dynamics, chain(4), "q", "qd", "qdd"), chain(4)
+    less = recorded(torchdq.inverse_dynamics, robot.replace(gravity=None), "q", "qd", "qdd")
+    assert less.count().total < with_gravity.count().total
+
+
+def test_at_rest_and_without_gravity_nothing_is_recorded():
+    assert recorded(torchdq.inverse_dynamics, chain(3).replace(gravity=None), "q").ops == ()
+
+
+def test_a_tensor_that_was_replaced_and_then_removed_is_no_argument():
+    robot = torchdq.robots.load("two_link")
+    robot = robot.replace(gravity=2 * robot.gravity).replace(gravity=None)
+    assert [a.name for a in recorded(torchdq.inverse_dynamics, robot, "q", "qd").arguments] == ["q", "qd"]
+
+
+# --- derivatives -----------------------------------------------------------------------------------------------------
+
+
+def mixed() -> Program:
+    """All operations, an argument and a result of either kind, and a constant result."""
+
+    def algorithm(x, c):
+        a = (x[0] * c[0]).sin() / (2.0 + x[1] * x[1])
+        b = x[2] * (x[1] - c[1]).cos() - c[1] * a
+        return {"y": [a - b, -(a * b), 3.0], "z": [b * c[0], -a]}
+
+    return record("mixed", [Argument("x", 3), Argument("c", 2, True)], algorithm, summed=["z"])
+
+
+def inputs(program: Program, samples: int = 4) -> list[torch.Tensor]:
+    g = torch.Generator().manual_seed(3)
+    return [
+        torch.randn(*(() if a.uniform else (samples,)), a.width, dtype=F64, generator=g).requires_grad_()
+        for a in program.arguments
+    ]
+
+
+def close(found, expected) -> bool:
+    return all(
+        f.shape == e.shape and (f - e).abs().max() <= 64 * EPS64 * (1 + e.abs().max())
+        for f, e in zip(found, expected, strict=True)
+    )
+
+
+def test_reverse_mode_equals_autograd():
+    program = mixed()
+    x = inputs(program)
+    y = eager(program, x)
+    seeds = [torch.randn_like(v) for v in y]
+    expected = torch.autograd.grad(y, x, seeds)
+    assert close(eager(derive.vjp(program, (0, 1)), [*x, *seeds]), expected)
+
+
+def test_the_gradient_of_a_uniform_argument_is_summed_and_the_others_are_not():
+    gradients = derive.vjp(mixed(), (0, 1)).results
+    assert [(r.name, r.summed) for r in gradients] == [("x'", False), ("c'", True)]
+
+
+def test_forward_mode_equals_autograd():
+    program = mixed()
+    x = [v.detach() for v in inputs(program)]
+    t = [torch.randn_like(v) for v in x]
+    _, expected = torch.func.jvp(lambda *x: tuple(eager(program, x)), tuple(x), tuple(t))
+    assert close(eager(derive.jvp(program, (0, 1)), [*x, *t]), expected)
+
+
+def test_jacobians_equal_autograd():
+    program = record("f", [Argument("x", 3)], lambda x: {"y": [tangle(*x), x[0] * x[1], 1.0]})
+    x = inputs(program, 1)[0].detach()
+    expected = torch.func.jacrev(lambda x: eager(program, [x])[0])(x).reshape(1, -1)
+    assert close(eager(derive.jacobian(program, (0,)), [x]), [expected])
+
+
+def test_derivatives_equal_finite_differences_in_exact_arithmetic():
+    program = scalar(tangle, 3)
+    at, step = ("0.3", "-1.7", "2.9"), mpmath.mpf(10) ** -20
+    gradient = derive.jacobian(program, (0,))
+    with mpmath.workdps(60):
+        found = results(gradient, replay(gradient, [[Exact(v) for v in at]]))["dy/dx"]
+        for j, d in enumerate(found):
+            ends = []
+            for h in (step, -step):
+                x = [Exact(v) for v in at]
+                x[j] = x[j] + Exact(h)
+                ends.append(results(program, replay(program, [x]))["y"][0].x)
+            expected = (ends[0] - ends[1]) / (2 * step)
+            assert abs(d.x - expected) <= 1e-30 * (1 + abs(expected))
+
+
+@pytest.mark.parametrize("second", [derive.vjp, derive.jvp])
+@pytest.mark.parametrize("first", [derive.vjp, derive.jvp])
+def test_derivatives_of_derivatives_in_everything_equal_autograd(first, second):
+    """Also in the cotangents and tangents, which the first derivative takes as arguments."""
+    once = first(mixed(), (0, 1))
+    everything = tuple(range(len(once.arguments)))
+    twice = second(once, everything)
+    x = inputs(once)
+    if second is derive.vjp:
+        y = eager(once, x)
+        seeds = [torch.randn_like(v) for v in y]
+        expected = torch.autograd.grad(y, x, seeds, materialize_grads=True)
+    else:
+        seeds = [torch.randn_like(v) for v in x]
+        _, expected = torch.func.jvp(lambda *x: tuple(eager(once, x)), tuple(x), tuple(seeds))
+    assert close(eager(twice, [*x, *seeds]), expected)
+
+
+@pytest.mark.parametrize("derivative", [derive.vjp, derive.jvp])
+def test_names_stay_apart_to_the_fourth_derivative(derivative):
+    program = record("f", [Argument("x", 1)], lambda x: {"y": [x[0].sin()]})
+    for _ in range(4):
+        program = derivative(program, tuple(range(len(program.arguments))))
+        names = [a.name for a in program.arguments]
+        assert len(set(names)) == len(names)
+    assert len(program.results) == (5 if derivative is derive.vjp else 1)
+
+
+def test_a_constant_result_has_no_tangent_and_no_gradient():
+    program = record("f", [Argument("x", 1)], lambda x: {"y": [2.0]})
+    assert derive.jvp(program, (0,)).results[0].values == (0.0,)
+    assert derive.vjp(program, (0,)).results[0].values == (0.0,)
+
+
+# --- aligned frames --------------------------------------------------------------------------------------------------
+
+
+def aligned(robot: torchdq.Robot, q: torch.Tensor, group: bool) -> Aligned:
+    """The robot in its aligned frames, its numbers batches of positions."""
+    return posed.aligned(robot, q.unbind(-1), {}, group)
+
+
+def torques(robot: torchdq.Robot, s) -> torch.Tensor:
+    return stack(as_printed(robot, s.q).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None), (len(s.q),))
+
+
+TREES = [random_case(n, seed, armature=bool(seed % 2)) for n, seed in ((5, 0), (8, 1), (12, 2), (12, 3))]
+TREES = [Case(case.robot.bake(), case.model) for case in TREES]
+EVERY_KIND = {kind for case in TREES for kind in case.robot.kinds}
+
+
+def rotation_z(c, s):
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+
+def rotation_x(c, s):
+    return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
+
+
+@pytest.mark.parametrize(
+    "robot", [*(case.robot for case in TREES), chain(6, meeting=True), chain(6, tilt=0.0)], ids=str
+)
+def test_aligned_frames_put_the_links_where_they_are_and_the_axes_along_z(robot):
+    """Turning the aligned frames by R_z(gamma) R_x(alpha) R_z(theta) leads to the same link poses at home."""
+    assert {"revolute", "prismatic", "helical"} == EVERY_KIND
+    links, own = [], []
+    for i, (parent, at) in enumerate(zip(robot.parents, mdh.align(posed.tree(robot, {})), strict=True)):
+        X = pin.SE3(np.eye(3), np.zeros(3)) if parent == BASE else own[parent]
+        constants = at.placement
+        R = rotation_z(*constants.gamma) @ rotation_x(*constants.alpha)
+        step = pin.SE3(R, np.array(constants.p)) * pin.SE3(rotation_z(*at.turn), np.array([0, 0, constants.shift]))
+        own.append(X * step)
+        R_BL, p_BL = np.array(at.R_BL), np.array(at.p_BL)
+        links.append(own[i] * pin.SE3(R_BL, p_BL).inverse())
+        x = robot.X_PB_home[i].numpy()
+        r, d = pin.Quaternion(*x[:4]), pin.Quaternion(*x[4:])
+        home = pin.SE3(r.matrix(), 2 * (d * r.conjugate()).coeffs()[:3])
+        expected = home if parent == BASE else links[parent] * home
+        assert abs(links[i].homogeneous - expected.homogeneous).max() <= 64 * EPS64 * 8
+        assert (
+            abs(se3(np.array([*at.X_WB_home[0], *at.X_WB_home[1]])).homogeneous - links[i].homogeneous).max() <= 1e-13
+        )
+        # the joint's screw in the aligned frame: its axis is z, and the origin is on it
+        s = robot.screw[i].numpy()
+        direction = s[3:] if robot.kinds[i] == "prismatic" else s[:3]
+        assert abs(R_BL.T @ direction - [0, 0, 1]).max() <= 32 * EPS64
+        if robot.kinds[i] != "prismatic":
+            moment = s[3:] - np.cross(p_BL, direction)
+            assert abs(moment - s[:3] @ s[3:] * direction).max() <= 64 * EPS64 * 4
+
+
+@pytest.mark.parametrize("group", [False, True])
+@pytest.mark.parametrize("case", TREES, ids=lambda case: case.robot.name)
+def test_torques_in_aligned_frames_equal_the_papers_recursion(case, group):
+    s = states(case.robot, 5)
+    found = stack(aligned(case.robot, s.q, group).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None), (5,))
+    error = (found - torques(case.robot, s)).abs() / torch.from_numpy(size_of_torques(case, s))
+    assert error.max() <= 256 * EPS64
+
+
+@pytest.mark.parametrize("group", [False, True])
+@pytest.mark.parametrize("case", [*TREES, shipped("panda")], ids=lambda case: case.robot.name)
+def test_the_mass_matrix_by_composite_bodies_equals_the_papers(case, group):
+    s = states(case.robot, 5)
+    expected = stack(as_printed(case.robot, s.q).mass_matrix(), (5,))
+    found = stack(aligned(case.robot, s.q, group).mass_matrix(), (5,))
+    size = expected.diagonal(dim1=-2, dim2=-1).sqrt()
+    assert ((found - expected).abs() / (size[:, :, None] * size[:, None, :])).max() <= 256 * EPS64
+
+
+@pytest.mark.parametrize("tilt", [1e-3, 1e-5, 1.1e-6, 0.9e-6, 1e-7, 1e-9, 1e-15, 0.0])
+def test_axes_that_are_nearly_parallel_lose_no_accuracy(tilt):
+    robot = chain(6, tilt=tilt)
+    s = states(robot, 5)
+    found = stack(aligned(robot, s.q, True).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None), (5,))
+    size = torch.from_numpy(size_of_torques(Case(robot, pinocchio_model(robot)), s))
+    assert ((found - torques(robot, s)).abs() / size).max() <= 1e-12
+
+
+@pytest.mark.parametrize("slides", [0, 3])
+@pytest.mark.parametrize("tilt", [0.0, 1e-16, 1e-14, 1e-12, 1e-9, 3e-7, 1.1e-6, 1e-4])
+@pytest.mark.parametrize("apart", [0.0, 1e-17, 1e-16, 1e-15, 1e-14, 1e-13, 1e-12, 1e-10, 1e-8, 1e-6, 1e-4])
+def test_axes_that_are_nearly_one_line_lose_no_accuracy(apart, tilt, slides):
+    """The common normal of such axes is a difference of almost equal points: its direction is rounding."""
+    for seed in range(3):
+        robot = chain(4, seed, tilt=tilt, apart=apart, slides=slides)
+        s = states(robot, 2, seed)
+        size = torch.from_numpy(size_of_torques(Case(robot, pinocchio_model(robot)), s))
+        for group in (False, True):
+            found = stack(aligned(robot, s.q, group).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None), (2,))
+            assert ((found - torques(robot, s)).abs() / size).max() <= 1e-12
+
+
+def test_axes_that_meet_lose_no_accuracy():
+    robot = chain(8, meeting=True)
+    s = states(robot, 5)
+    found = stack(aligned(robot, s.q, True).torques(s.qd.unbind(-1), s.qdd.unbind(-1), None), (5,))
+    size = torch.from_numpy(size_of_torques(Case(robot, pinocchio_model(robot)), s))
+    assert ((found - torques(robot, s)).abs() / size).max() <= 1e-12
+
+
+def test_grouping_leaves_a_revolute_link_without_mass_on_its_axis():
+    robot = chain(5)
+    for link in aligned(robot, states(robot).q, True).tree.links[1:]:
+        mass, (_, _, hz), (*_, zz) = link.inertia
+        assert (mass, hz, zz) == (0.0, 0.0, 0.0)
+
+
+# --- articulated bodies ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "robot", [*(case.robot for case in TREES), *(chain(n) for n in (3, 10, 20, 42))], ids=lambda r: f"{r.name}-{r.n}"
+)
+def test_articulated_bodies_solve_the_mass_matrix(robot):
+    s = states(robot, 4)
+    m = aligned(robot, s.q, True)
+    factored, found = (stack(m.factors(linear).solve(s.qdd.unbind(-1)), (4,)) for linear in (False, True))
+    M = stack(m.mass_matrix(), (4,)).numpy()
+    expected = torch.from_numpy(np.linalg.solve(M, s.qdd.numpy()[..., None])[..., 0])
+    bound = torch.from_numpy(32 * EPS64 * np.linalg.cond(M)) * expected.norm(dim=-1)
+    assert ((found - expected).norm(dim=-1) <= bound).all()
+    assert ((found - factored).norm(dim=-1) <= bound).all()
+
+
+# --- half angles -----------------------------------------------------------------------------------------------------
+
+
+def test_an_angle_and_its_half_have_one_sine_and_one_cosine():
+    program = record("f", [Argument("x", 1)], lambda x: {"y": [x[0].sin(), x[0].cos(), (0.5 * x[0]).sin(), x[0]]})
+    assert program.count().sines == 2
+    x = torch.linspace(-7.0, 7.0, 101, dtype=F64)
+    found = eager(program, [x[:, None]])[0]
+    expected = torch.stack([x.sin(), x.cos(), (0.5 * x).sin(), x], -1)
+    assert (found - expected).abs().max() <= 4 * EPS64
+
+
+def test_a_program_that_holds_poses_and_dynamics_takes_the_sines_of_a_position_once():
+    """Dual quaternions are made of half angles, dynamics of whole ones."""
+    robot = torchdq.robots.load("panda")
+
+    def both(q, qd, qdd):
+        at = posed.posed(robot, q, {}, ())
+        return {"tau": at.torques(qd, qdd, None), "X": [x for part in at.poses()[-1] for x in part]}
+
+    program = record("both", [Argument(name, 7) for name in ("q", "qd", "qdd")], both)
+    assert program.count().sines == 2 * robot.n
+    s = states(robot, 5)
+    tau, X = eager(program, [s.q, s.qd, s.qdd])
+    assert (tau - torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd)).abs().max() <= 1e-12 * tau.abs().max()
+    expected = torchdq.forward_kinematics(robot, s.q, robot.link_names[-1])
+    assert torch.minimum((X - expected).abs(), (X + expected).abs()).max() <= 1e-12
+
+
+def test_wrenches_on_the_links_take_no_sine_that_the_dynamics_have():
+    bare, *others = (
+        torchdq.envs.Scene(torchdq.robots.load("panda"), effects).program("torque", *inputs)
+        for effects, inputs in (
+            ((), ()),
+            ((Drag(0.1, 0.1, 0.1),), ()),
+            # the position of the tip in the world takes the first joint's angle as well
+            ((Drag(0.1, 0.1, 0.1), Contact(friction=0.5), Push()), ("push",)),
+        )
+    )
+    assert [p.count().sines - bare.count().sines for p in others] == [0, 2]

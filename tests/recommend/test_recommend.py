@@ -1,0 +1,393 @@
+"""What is recommended keeps the error that was asked for, and nothing that costs less does."""
+
+import math
+import types
+import warnings
+from functools import cache
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import torch
+from helpers import rods, thinned
+from oracles import pinocchio_model, random_tree
+from scipy.integrate import solve_ivp
+
+import torchdq
+from torchdq.backends import c_library as build
+from torchdq.base import progress as notice
+from torchdq.envs import Scene, State, effects
+from torchdq.recommend import reference, trials
+from torchdq.recommend import time_budget as budget
+from torchdq.recommend.recommend import recommend_settings
+from torchdq.recommend.reference import held
+from torchdq.recommend.trials import ARITHMETICS, SAFETY, SAMPLES, Trial, random_states
+from torchdq.scene import controllers, integrators
+
+BACKEND = "auto"
+pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
+
+ROBOTS = {
+    "two_link": torchdq.robots.load("two_link"),
+    "ur10e": torchdq.robots.load("ur10e"),
+    "puma560": torchdq.robots.load("puma560"),
+    "a tree of four": random_tree(4, seed=11).robot,
+}
+HORIZON = 0.3
+
+
+def others(robot, samples=5):
+    """States that were not tried: the last of more random ones than are."""
+    q, qd = random_states(robot, SAMPLES + samples)
+    return q[-samples:], qd[-samples:]
+
+
+def truth(robot, q, qd, horizon):
+    """Positions under gravity by scipy's DOP853 on pinocchio's accelerations."""
+    model = pinocchio_model(robot)
+    data, n = model.createData(), robot.n
+
+    def rate(_, y):
+        return np.concatenate([y[n:], pin.aba(model, data, y[:n], y[n:], np.zeros(n))])
+
+    ends = [
+        solve_ivp(rate, (0, horizon), np.concatenate(start), method="DOP853", rtol=1e-12, atol=1e-12).y[:n, -1]
+        for start in zip(q.numpy(), qd.numpy(), strict=True)
+    ]
+    return torch.tensor(np.array(ends))
+
+
+def end(scene, state, horizon, dtype, **inputs):
+    state = State._make(None if x is None else x.to(dtype) for x in state)
+    for _ in range(round(horizon / scene.dt)):
+        state = scene.step(state, **{name: x.to(dtype) for name, x in inputs.items()})
+    return state.q.double()
+
+
+@cache
+def recommended(name, error):
+    return recommend_settings(ROBOTS[name], error, HORIZON)
+
+
+@pytest.mark.parametrize("error", thinned([1e-2, 1e-4, 1e-8], [1e-2, 1e-8]))
+@pytest.mark.parametrize("name", thinned(ROBOTS, ["two_link", "ur10e", "a tree of four"]))
+def test_what_is_recommended_keeps_the_error_on_other_states(name, error):
+    robot = ROBOTS[name]
+    found = recommended(name, error)
+    q, qd = others(robot)
+    made = (end(found.scene, State(q, qd), HORIZON, found.dtype) - truth(robot, q, qd, HORIZON)).abs().max()
+    assert made <= error
+    assert found.error <= error
+
+
+@pytest.mark.parametrize("error", [1e-2, 1e-6])
+@pytest.mark.parametrize("name", ["two_link", "ur10e"])
+def test_nothing_that_costs_less_keeps_the_error(name, error):
+    """Of every integrator and precision, with the steps that two thirds of the operations pay for."""
+    robot = ROBOTS[name]
+    found = recommended(name, error)
+    trial = Trial.of(Scene(robot, (effects.Gravity(),), dt=HORIZON / 8), HORIZON, None, {})
+    q, qd = trial.state.q, trial.state.qd
+    expected = truth(robot, q, qd, HORIZON)
+    budget = found.others[0].operations / 1.5 * trial.scene.dt
+    tried = 0
+    for integrator in (integrators.SemiImplicitEuler(), integrators.RungeKutta4(), integrators.StoermerVerlet()):
+        for arithmetic in ARITHMETICS:
+            per_step = arithmetic.weight * trial.scene.replace(integrator=integrator).count().total
+            times = math.floor(budget / per_step)
+            if times:
+                tried += 1
+                assert (trial.path(integrator, times, arithmetic)[-1] - expected).abs().nan_to_num(
+                    9.0
+                ).max() > SAFETY * error
+    assert tried
+
+
+def test_float32_is_recommended_until_it_no_longer_keeps_the_error():
+    dtypes = [recommended("ur10e", error).dtype for error in (1e-2, 1e-4, 1e-8)]
+    assert dtypes == [torch.float32, torch.float32, torch.float64]
+
+
+def test_stiff_joints_are_given_to_the_implicit_integrator():
+    servo = Scene(ROBOTS["two_link"], (effects.Gravity(), effects.Viscous(1e4)), dt=0.05)
+    assert isinstance(recommend_settings(servo, 0.05, 0.2).integrator, integrators.LinearlyImplicit)
+
+
+def test_a_scene_with_a_controller_keeps_its_interval():
+    robot = ROBOTS["two_link"]
+    scene = Scene(robot, (effects.Gravity(),), controllers.ComputedTorque(400.0, 40.0), dt=0.02)
+    q, qd = others(robot)
+    reference = torch.cat([q + 0.3, 0 * q, 0 * q], -1)
+    found = recommend_settings(scene, 1e-6, 0.2, State(q, qd), reference=reference)
+    assert found.scene.dt == scene.dt and found.repeats == 1
+    assert found.step == pytest.approx(scene.dt / found.scene.substeps)
+    fine = scene.replace(integrator=integrators.Repeated(integrators.RungeKutta4(), 64))
+    ends = [end(s, State(q, qd), 0.2, d, reference=reference) for s, d in ((found.scene, found.dtype), (fine, F64))]
+    assert (ends[0] - ends[1]).abs().max() <= 1e-6
+
+
+F64 = torch.float64
+
+
+def test_a_scene_without_anything_sampled_is_divided():
+    scene = Scene(ROBOTS["two_link"], (effects.Gravity(),), dt=0.1)
+    found = recommend_settings(scene, 1e-6, 0.4)
+    assert found.scene.dt * found.repeats == pytest.approx(scene.dt)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("error", [1e-2, 3e-6, 1e-11])
+def test_accelerations_keep_the_error_on_other_states(name, error):
+    robot = ROBOTS[name]
+    found = recommend_settings(robot, error, None)
+    q, qd = others(robot, 50)
+    tau = torchdq.inverse_dynamics(robot, q, qd, torch.rand_like(q))
+    q, qd, tau = (x.float().double() for x in (q, qd, tau))
+    model = pinocchio_model(robot)
+    data = model.createData()
+    expected = torch.tensor(
+        np.array([pin.aba(model, data, *x) for x in zip(q.numpy(), qd.numpy(), tau.numpy(), strict=True)])
+    )
+    x = torchdq.forward_dynamics(robot, *[y.to(found.dtype) for y in (q, qd, tau)], precision=found.precision)
+    assert ((x.double() - expected).abs().amax(-1) / expected.abs().amax(-1)).max() <= error
+
+
+def test_long_chains_are_recommended_articulated_bodies():
+    robot = random_tree(3, seed=1).robot
+    assert recommend_settings(robot, 1e-2, None).method == "mass matrix"
+    assert recommend_settings(rods(30, planar=True), 1e-2, None).method == "articulated bodies"
+
+
+def test_starts_are_within_the_limits_that_are_simulated():
+    scene = Scene(ROBOTS["two_link"], (effects.Gravity(), effects.Viscous(0.5), effects.Limits(-1.0, 1.0)), dt=0.05)
+    assert Trial.of(scene, 0.1, None, {}).state.q.abs().max() <= 1
+    found = recommend_settings(scene, 1e-3, 0.2)
+    fine = scene.replace(integrator=integrators.Repeated(integrators.RungeKutta4(), 512))
+    q, qd = (x[-5:] for x in random_states(scene.robot, SAMPLES + 5, scene.effects[2]))
+    ends = [end(s, State(q, qd), 0.2, d) for s, d in ((found.scene, found.dtype), (fine, F64))]
+    assert (ends[0] - ends[1]).abs().max() <= 1e-3
+
+
+def test_a_chain_that_float32_cannot_bear_is_recommended_double_precision_at_once():
+    found = recommend_settings(rods(60, planar=True), 1e-3, None)
+    assert (found.dtype, found.precision) in ((torch.float64, "auto"), (torch.float32, "double"))
+
+
+# --- time, and how far trajectories can be held ---------------------------------------------------------------------
+
+PANDA = torchdq.robots.load("panda")
+LONG = 200.0  # more time than is needed, on a busy machine as well [s]
+
+
+class Clock:
+    """Clock that only steps of scenes move on."""
+
+    def __init__(self, monkeypatch, seconds):
+        self.now, self.steps = 0.0, 0
+        step = Scene.step
+
+        def slow(*args, **inputs):
+            self.now += seconds
+            self.steps += 1
+            return step(*args, **inputs)
+
+        monkeypatch.setattr(Scene, "step", slow)
+        for module in (budget, trials):
+            monkeypatch.setattr(module, "time", types.SimpleNamespace(monotonic=lambda: self.now))
+        # the time of the recommended step is measured by another clock
+        monkeypatch.setattr("torchdq.recommend.recommend.medians", lambda calls, batch, seconds: [1.0])
+        torchdq.clear_caches()
+
+
+@pytest.mark.exhaustive
+def test_the_panda_keeps_the_error_for_a_second_on_other_states():
+    found = recommend_settings(PANDA, 1e-3, 1.0, seconds=LONG)
+    assert found.horizon == 1.0 and not found.limit
+    assert found.step > 2e-4
+    q, qd = others(PANDA, 3)
+    made = (end(found.scene, State(q, qd), 1.0, found.dtype) - truth(PANDA, q, qd, 1.0)).abs().max()
+    assert made <= 1e-3
+
+
+@pytest.mark.parametrize(
+    ("name", "horizon", "seconds"),
+    thinned([("panda", 1.0, 10.0), ("panda", 100.0, 5.0), ("two_link", 4.0, 3.0)], [("two_link", 4.0, 3.0)]),
+)
+def test_a_search_ends_when_its_time_is_up(monkeypatch, name, horizon, seconds):
+    clock = Clock(monkeypatch, 5e-4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        recommend_settings(torchdq.robots.load(name), 1e-3, horizon, seconds=seconds)
+    assert clock.now <= 1.05 * seconds
+
+
+def test_a_short_time_gives_the_best_so_far_and_says_what_was_not_tried(monkeypatch):
+    clock = Clock(monkeypatch, 1.0)
+    found = recommend_settings(ROBOTS["ur10e"], 1e-3, 0.3, seconds=1.0)
+    assert clock.steps <= 3 * budget.ESSENTIAL
+    assert "RungeKutta4, float32" in found.untried
+    assert "not tried, for lack of time\n- " in str(found) and "\n- RungeKutta4, float32" in str(found)
+    q, qd = others(ROBOTS["ur10e"])
+    made = end(found.scene, State(q, qd), found.horizon, found.dtype) - truth(ROBOTS["ur10e"], q, qd, found.horizon)
+    assert made.abs().max() <= 1e-3
+
+
+def test_no_reference_in_time_is_an_error_that_asks_for_more(monkeypatch):
+    Clock(monkeypatch, 1.0)
+    with pytest.raises(torchdq.ArgumentError, match=r"in 1 s; scene.check.* more seconds try shorter"):
+        recommend_settings(ROBOTS["two_link"], 1e-6, 20.0, seconds=1.0)
+
+
+def test_a_falling_arm_is_held_no_longer_than_it_can_be():
+    with pytest.warns(UserWarning, match="'panda' cannot be held beyond 1.* s.*the recommendation is for 1"):
+        found = recommend_settings(PANDA, 0.1, 1000.0, seconds=LONG)
+    assert 1.0 <= found.horizon <= 1.5 and 1e5 < found.growth <= 1e6
+    assert found.step > 2e-4
+    assert f"{found.horizon:.3g} s only: trajectories of 'panda' cannot be held" in str(found)
+    assert found.repeats * found.step == pytest.approx(found.horizon / 8)
+
+
+def test_the_growth_of_errors_is_that_of_a_small_change():
+    found = recommend_settings(ROBOTS["ur10e"], 1e-3, 0.3)
+    q, qd = (x[:SAMPLES] for x in others(ROBOTS["ur10e"], SAMPLES))
+    ends = [end(found.scene, State(x, qd), 0.3, F64) for x in (q, q + 1e-7)]
+    grown = float((ends[0] - ends[1]).abs().max()) / 1e-7
+    assert found.growth / 10 <= grown <= 10 * found.growth
+
+
+def test_damping_lets_a_trajectory_be_held():
+    robot = ROBOTS["two_link"]
+    undamped, limit = held(Trial.of(Scene(robot, (effects.Gravity(),), dt=2.5), 20.0, None, {}))
+    assert 2.0 < undamped.horizon < 15.0 and "'two_link' cannot be held beyond" in limit
+    found = recommend_settings(Scene(robot, (effects.Gravity(), effects.Viscous(2.0)), dt=2.5), 0.1, 20.0, seconds=LONG)
+    assert found.horizon == 20.0 and not found.limit and found.growth < 100
+
+
+def test_a_scene_is_held_for_some_of_its_steps():
+    scene = Scene(PANDA, (effects.Gravity(),), dt=0.2)
+    with pytest.warns(UserWarning, match="cannot be held beyond 1"):
+        found = recommend_settings(scene, 0.1, 1.6, seconds=LONG)
+    assert found.scene.dt * found.repeats == pytest.approx(0.2)
+    assert 0.9 <= found.horizon <= 1.4
+
+
+def test_an_answer_is_kept_until_the_caches_are_emptied(monkeypatch):
+    robot = ROBOTS["two_link"]
+    clock = Clock(monkeypatch, 1e-9)
+    found = recommend_settings(robot, 1e-3, 0.2)
+    tried, clock.steps = clock.steps, 0
+    again = recommend_settings(torchdq.robots.load("two_link"), 1e-3, 0.2, seconds=20.0)
+    assert clock.steps == 0 and again.others == found.others
+    for different in (
+        lambda: recommend_settings(robot.replace(mass=2 * robot.mass), 1e-3, 0.2),
+        lambda: recommend_settings(robot, 1e-4, 0.2),
+        lambda: recommend_settings(robot, 1e-3, 0.2, torque=torch.ones(2, dtype=F64)),
+        lambda: recommend_settings(robot, 1e-3, 0.2, State(*others(robot))),
+    ):
+        clock.steps = 0
+        different()
+        assert clock.steps
+    clock.steps = 0
+    torchdq.clear_caches()
+    recommend_settings(robot, 1e-3, 0.2)
+    assert clock.steps == tried
+
+
+def test_an_answer_that_ended_early_is_searched_again_with_more_time(monkeypatch):
+    clock = Clock(monkeypatch, 1e-2)
+    first = recommend_settings(ROBOTS["two_link"], 1e-3, 0.2, seconds=0.5)
+    assert first.untried
+    clock.steps = 0
+    assert recommend_settings(ROBOTS["two_link"], 1e-3, 0.2, seconds=0.5).untried and not clock.steps
+    assert not recommend_settings(ROBOTS["two_link"], 1e-3, 0.2, seconds=500.0).untried and clock.steps
+
+
+def test_it_says_what_it_is_doing(monkeypatch, capsys):
+    torchdq.clear_caches()
+    monkeypatch.setattr(notice, "FIRST", 0.01)
+    monkeypatch.setattr(notice, "EVERY", 0.01)
+    recommend_settings(ROBOTS["ur10e"], 1e-3, 0.2)
+    lines = capsys.readouterr().err.splitlines()
+    assert any(line.startswith("torchdq: recommend for 'ur10e', RungeKutta4, ") and "steps" in line for line in lines)
+
+
+def test_an_interrupt_ends_it(monkeypatch):
+    torchdq.clear_caches()
+
+    def interrupted(*args, **inputs):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(Scene, "step", interrupted)
+        recommend_settings(ROBOTS["two_link"], 1e-3, 0.1)
+    assert recommend_settings(ROBOTS["two_link"], 1e-3, 0.1).step  # nothing of it was kept
+
+
+def test_it_says_what_it_recommends():
+    text = str(recommend_settings(ROBOTS["two_link"], 1e-3, HORIZON))
+    for word in ("float32", "RungeKutta4", "steps of", "backend", "error", "ns per robot", "alternatives"):
+        assert word in text
+
+
+@pytest.mark.parametrize(
+    ("ask", "message"),
+    [
+        (lambda robot: recommend_settings(robot, 0.0), "error must be a positive number"),
+        (lambda robot: recommend_settings(robot, 1e-3, -1.0), "horizon must be"),
+        (lambda robot: recommend_settings(robot, 1e-3, seconds=0), "seconds must be a positive number"),
+        (lambda robot: recommend_settings(robot, 1e-3, seconds=math.inf), "seconds must be a positive number"),
+        (lambda robot: recommend_settings(Scene(robot), 1e-3, None), "a scene needs a horizon"),
+        (lambda robot: recommend_settings("panda"), "torchdq.Robot"),
+        (lambda robot: recommend_settings(robot, True), "error must be a positive number"),
+        (
+            lambda robot: recommend_settings(robot.replace(mass=torch.ones(3, 2).double())),
+            "found batch axes .3,. of mass",
+        ),
+        (
+            lambda robot: recommend_settings(robot.replace(mass=torch.ones(3, 2).double()), 1e-2, None),
+            "batch axes .3,. of mass",
+        ),
+        (lambda robot: recommend_settings(robot, 1e-3, 0.1, torch.zeros(3, 2)), "state must be a torchdq.envs.State"),
+        (lambda robot: recommend_settings(robot, 1e-3, 0.1, torque=[1.0, 2.0]), "torque must be a tensor, found list"),
+        (
+            lambda robot: recommend_settings(robot, 1e-3, 0.1, torque=torch.tensor([1.0, math.nan])),
+            "torque must be finite",
+        ),
+        (lambda robot: recommend_settings(robot, 1e-3, None, torque=torch.zeros(2)), "without a horizon there is none"),
+        (lambda robot: recommend_settings(Scene(robot, dt=1e-6), 1e-3, 0.1), "the horizon holds 100000 steps"),
+        (lambda robot: recommend_settings(robot, 1e-17, 0.02), "at best"),
+        (lambda robot: recommend_settings(robot, 1e-18, None), "at best"),
+        (lambda robot: recommend_settings(Scene(robot, (effects.Servo(10.0, 1.0),)), 1e-3, 0.1), "must be given"),
+    ],
+)
+def test_what_cannot_be_is_named(ask, message):
+    with pytest.raises(torchdq.ArgumentError, match=message):
+        ask(ROBOTS["two_link"])
+
+
+def test_it_is_found_at_the_top():
+    assert torchdq.recommend_settings is recommend_settings
+
+
+def test_a_reference_that_does_not_stay_finite_in_time_names_its_steps():
+    robot = torchdq.robots.load("two_link")
+    trial = Trial.of(Scene(robot, dt=0.01), 0.02, None, {}, budget.Budget(3.0))
+    far = torch.full((2, 2 * SAMPLES, 2), math.inf).double()
+    now = reference._Refinement(trial, integrators.RungeKutta4(), (far, far), (far,), (far,))
+    with pytest.raises(torchdq.ArgumentError, match="do not stay finite with RungeKutta4") as found:
+        reference._in_time(now, 1e-3, "")
+    assert "steps of 0.005 s" in str(found.value) and "inf " not in str(found.value)
+
+
+def test_inputs_that_a_scene_does_not_have_are_named():
+    scene = Scene(ROBOTS["two_link"], (effects.Gravity(),))
+    with pytest.raises(torchdq.UnknownNameError, match=r"input of the scene.*'foo'"):
+        recommend_settings(scene, error=1e-3, horizon=0.1, foo=torch.zeros(2))
+
+
+def test_a_free_base_is_refused_at_once():
+    body = {"base_mass": 2.0, "base_com": [0.0] * 3, "base_inertia": [0.1, 0.0, 0.1, 0.0, 0.0, 0.1]}
+    robot = torchdq.robots.load("two_link")
+    robot = robot.replace(**{name: torch.tensor(x, dtype=torch.float64) for name, x in body.items()})
+    with pytest.raises(torchdq.ArgumentError, match="must have a fixed base, found a free one"):
+        torchdq.recommend_settings(robot, error=1e-3, horizon=0.1)

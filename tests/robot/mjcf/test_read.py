@@ -1,0 +1,597 @@
+"""Robots from MJCF files agree with MuJoCo itself, which computes in other frames and with other algorithms.
+
+An error of torques and of the mass matrix is relative to the largest number of its kind.
+"""
+
+import warnings
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import oracles
+import pytest
+import torch
+
+import torchdq
+from torchdq.robot.mjcf import read as mjcf
+
+TOLERANCE = 1e-10
+ASSETS = Path(mujoco.__file__).parents[1] / "gymnasium" / "envs" / "mujoco" / "assets"
+
+ARM = """
+<mujoco model="arm">
+  <compiler angle="degree" eulerseq="xyz"/>
+  <option gravity="0.3 -1 -9"/>
+  <default>
+    <joint armature="0.02" damping="0.5"/>
+    <geom density="700"/>
+    <default class="finger"><joint type="slide" range="0 0.04" damping="2" frictionloss="0.1"/></default>
+  </default>
+  <worldbody>
+    <body name="foot" pos="0.1 0.2 0.3" euler="10 20 30">
+      <geom type="box" size="0.1 0.1 0.1"/>
+      <body name="shoulder" pos="0 0 0.2" quat="0.9 0.1 -0.2 0.3">
+        <joint name="turn" axis="0 0.1 1" pos="0.01 0.02 -0.1" range="-90 120"/>
+        <joint name="tilt" axis="1 0 0.2" pos="0 0.05 0.1" ref="20" frictionloss="0.3"/>
+        <geom type="capsule" size="0.04 0.2" pos="0.1 0 0.1" euler="20 30 0"/>
+        <body name="plate" pos="0.1 -0.1 0.3" axisangle="1 1 0 40">
+          <inertial pos="0.01 0.02 0.03" mass="0.7" fullinertia="0.01 0.012 0.015 0.001 -0.002 0.0005"/>
+          <site name="mark" pos="0.01 0 0.2" euler="0 45 0"/>
+          <site name="plate" pos="0.01 0 0.2"/>
+          <body name="rail" pos="0.2 0 0">
+            <joint name="slide" type="slide" axis="0.2 1 0" pos="0.3 0.1 0" ref="0.1" armature="0.4"/>
+            <geom type="ellipsoid" size="0.05 0.1 0.07" mass="1.2"/>
+            <body name="hand" pos="0 0.1 0.1" xyaxes="0 1 0 0 0 1">
+              <joint axis="0 1 0" damping="0"/>
+              <geom type="cylinder" size="0.05 0.1"/>
+            </body>
+          </body>
+        </body>
+      </body>
+    </body>
+    <body name="tower">
+      <joint name="yaw" axis="0 0 -1"/>
+      <inertial pos="0 0 0.4" mass="3" diaginertia="0.1 0.2 0.15" quat="1 1 0 0"/>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor joint="turn" gear="3" ctrlrange="-2 1" armature="0.01" damping="0.1"/>
+    <position joint="turn" gear="-2" kp="50" forcerange="-4 5"/>
+    <motor joint="slide"/>
+  </actuator>
+</mujoco>
+"""
+COUPLED = """
+<mujoco>
+  <compiler angle="radian"/>
+  <worldbody>
+    <body name="lift" pos="0 0 1">
+      <joint name="lift" type="slide" axis="0 0 1" ref="0.2"/><geom size="0.1"/>
+      <body name="left" pos="0.1 0 0">
+        <joint name="left" axis="0 1 0" ref="0.3" range="-1 2" damping="2" frictionloss="0.5" armature="0.1"/>
+        <geom size="0.05"/>
+        <body name="tip" pos="0.1 0 0"><joint name="tip" axis="0 1 0" range="0 1.5"/><geom size="0.02"/></body>
+      </body>
+      <body name="right" pos="-0.1 0 0">
+        <joint name="right" axis="0 1 0" ref="-0.1" damping="3" frictionloss="0.25" armature="0.2"/>
+        <geom size="0.05"/>
+      </body>
+    </body>
+  </worldbody>
+  <equality>
+    <joint name="both" joint1="right" joint2="left" polycoef="0.05 -2 0 0 0"/>
+    <joint name="follow" joint1="tip" joint2="right" polycoef="0 -0.5 0 0 0"/>
+    <joint name="again" joint1="left" joint2="right" polycoef="0.025 -0.5 0 0 0"/>
+    <joint name="off" joint1="lift" joint2="right" active="false"/>
+  </equality>
+  <actuator><motor joint="left" ctrlrange="-3 3"/><motor joint="right" ctrlrange="-1 1"/></actuator>
+</mujoco>
+"""
+FREE = """
+<mujoco model="walker">
+  <option gravity="0 0 -3.7"/>
+  <worldbody>
+    <geom type="plane" size="1 1 1"/>
+    <body name="torso" pos="0 0 1" quat="0.9 0.3 0.1 0.2">
+      <freejoint name="root"/>
+      <inertial pos="0.01 0 0.02" mass="5" diaginertia="0.1 0.2 0.15" quat="0.5 0.5 0.1 0.2"/>
+      <body name="head" pos="0 0 0.4"><geom type="box" size="0.1 0.05 0.08" pos="0.05 0 0"/></body>
+      <body name="leg" pos="0 0 -0.2"><joint name="hip" axis="0 1 0"/><geom type="capsule" size="0.03 0.2"/></body>
+    </body>
+  </worldbody>
+</mujoco>
+"""
+
+
+def random_mjcf(seed: int) -> str:
+    """Tree of bodies with no, one or two joints at random places, in a frame, with inertias of any kind."""
+    rng = np.random.default_rng(seed)
+    word = lambda n, scale=1.0: " ".join(f"{x:.17g}" for x in rng.normal(scale=scale, size=n))  # noqa: E731
+
+    def body(i: int, depth: int) -> str:
+        joints = "".join(
+            f'<joint name="j{i}_{k}" type="{rng.choice(["hinge", "slide"])}" axis="{word(3)}" pos="{word(3, 0.2)}" '
+            f'ref="{word(1)}" armature="{rng.uniform()}"/>'
+            for k in range(rng.choice([0, 1, 2], p=[0.2, 0.5, 0.3]))
+        )
+        shape = f'<geom type="box" size="0.1 0.2 0.3" pos="{word(3, 0.1)}" quat="{word(4)}"/>'
+        below = "".join(body(10 * i + k, depth - 1) for k in range(rng.integers(1, 3))) if depth else ""
+        return f'<body name="b{i}" pos="{word(3, 0.5)}" quat="{word(4)}">{joints}{shape}{below}</body>'
+
+    trees = body(1, 3) + body(2, 1)
+    return f'<mujoco><compiler angle="radian"/><worldbody><frame pos="{word(3)}">{trees}</frame></worldbody></mujoco>'
+
+
+def fixed_assets() -> list[Path]:
+    """Models that come with gymnasium and have a fixed base and single joints."""
+    found = []
+    for path in sorted(ASSETS.glob("*.xml")):
+        m = mujoco.MjModel.from_xml_path(str(path))
+        if m.njnt == m.nv and m.nv:
+            found.append(path)
+    return found
+
+
+CASES = {"arm": ARM, **{f"random{i}": random_mjcf(i) for i in range(6)}} | {path.stem: path for path in fixed_assets()}
+
+
+def model_of(source) -> mujoco.MjModel:
+    """MuJoCo's model."""
+    return (
+        mujoco.MjModel.from_xml_path(str(source))
+        if isinstance(source, Path)
+        else mujoco.MjModel.from_xml_string(source)
+    )
+
+
+def near(found, reference, tolerance: float = TOLERANCE) -> None:
+    """Compare with numbers of one kind."""
+    found, reference = np.asarray(found), np.asarray(reference)
+    assert found.shape == reference.shape
+    if reference.size:
+        assert np.abs(found - reference).max() <= tolerance * max(1.0, np.abs(reference).max())
+
+
+def transform(x: torch.Tensor) -> np.ndarray:
+    """Homogeneous matrix of a pose."""
+    return torchdq.dq.to_matrix(x).numpy()
+
+
+def xpose(data) -> np.ndarray:
+    """Homogeneous matrix of a body or site of MuJoCo's data."""
+    X = np.eye(4)
+    X[:3, :3], X[:3, 3] = data.xmat.reshape(3, 3), data.xpos
+    return X
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_dynamics_agree_with_mujoco(name):
+    source = CASES[name]
+    model, robot = model_of(source), torchdq.Robot.from_mjcf(source, on_unphysical="ignore")
+    data = mujoco.MjData(model)
+    assert robot.n == model.nv
+    s = oracles.states(robot)
+    tau = torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd, backend="eager")
+    M = torchdq.mass_matrix(robot, s.q, backend="eager")
+    for k in range(len(s.q)):
+        data.qpos[:], data.qvel[:] = s.q[k].numpy(), s.qd[k].numpy()
+        mujoco.mj_forward(model, data)
+        reference = np.zeros((model.nv, model.nv))
+        mujoco.mj_fullM(model, data, reference)
+        near(M[k], reference)
+        near(tau[k], reference @ s.qdd[k].numpy() + data.qfrc_bias)
+
+
+@pytest.mark.parametrize("name", ["arm", "random0", "random1"])
+def test_frames_and_jacobians_agree_with_mujoco(name):
+    source = CASES[name]
+    model, robot = model_of(source), torchdq.Robot.from_mjcf(source)
+    data = mujoco.MjData(model)
+    q = oracles.states(robot).q[0]
+    data.qpos[:] = q.numpy()
+    mujoco.mj_forward(model, data)
+    poses = dict(zip(robot.frame_names, torchdq.forward_kinematics(robot, q, backend="eager"), strict=True))
+    for i in range(model.nbody):
+        name = model.body(i).name
+        near(transform(poses[name]), xpose(data.body(i)))
+        linear, angular = np.zeros((3, model.nv)), np.zeros((3, model.nv))
+        mujoco.mj_jacBody(model, data, linear, angular, i)
+        J = torchdq.jacobian(robot, q, name, expressed="world", backend="eager")
+        near(J, np.concatenate([angular, linear]))
+    for i in range(model.nsite):
+        name = model.site(i).name + ("_site" if model.site(i).name == "plate" else "")
+        near(transform(poses[name]), xpose(data.site(i)))
+
+
+@pytest.mark.parametrize("name", ["panda", "simple_humanoid", "talos_left_arm", "ur5_gripper"])
+def test_a_robot_from_urdf_is_that_from_mujocos_reading_of_the_urdf(name):
+    text = oracles.rigid_bodies(name)
+    with pytest.warns(UserWarning, match="the file is a URDF, of which MuJoCo leaves out .*from_urdf"):
+        other = torchdq.Robot.from_mjcf(text, gravity=(0, 0, -9.81))
+    robot = oracles.example_case(name).robot
+    s, order = oracles.states(robot), [robot.joint_index(joint) for joint in other.joint_names]
+    tau = torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd, backend="eager")
+    other_tau = torchdq.inverse_dynamics(other, s.q[:, order], s.qd[:, order], s.qdd[:, order], backend="eager")
+    near(other_tau, tau[:, order], 1e-9)  # MuJoCo's principal axes
+
+
+# --- numbers of the joints -------------------------------------------------------------------------------------------
+
+
+def test_numbers_of_joints_are_the_files():
+    robot = torchdq.Robot.from_mjcf(ARM)
+    assert robot.name == "arm"
+    assert robot.joint_names == ("turn", "tilt", "slide", "joint3", "yaw")
+    assert robot.link_names == ("shoulder before turn", "shoulder", "rail", "hand", "tower")
+    assert robot.kinds == ("revolute", "revolute", "prismatic", "revolute", "revolute")
+    assert robot.parents == (-1, 0, 1, 2, -1)
+    inf, degree = np.inf, np.pi / 180
+    near(robot.home, [0, 20 * degree, 0.1, 0, 0])
+    near(robot.armature, [0.02 + 9 * 0.01, 0.02, 0.4, 0.02, 0.02])
+    near(robot.damping, [0.5 + 9 * 0.1, 0.5, 0.5, 0, 0.5])
+    near(robot.friction, [0, 0.3, 0, 0, 0])
+    near(robot.gravity, [0.3, -1, -9])
+    near(robot.limits.lower[:1], [-90 * degree])
+    near(robot.limits.upper[:1], [120 * degree])
+    assert robot.limits.lower[1:].tolist() == [-inf] * 4
+    assert robot.limits.effort.tolist() == [3 * 2 + 2 * 5, inf, inf, inf, inf]
+    assert robot.frame("plate").link == 1
+    assert robot.frame("plate_site").link == 1
+    assert robot.frame("foot").link == -1
+    assert robot.tip is None
+    assert torchdq.Robot.from_mjcf(ARM, tip="mark").tip == "mark"
+
+
+def test_parts_that_are_not_used_are_noted():
+    notes = "\n".join(torchdq.Robot.from_mjcf(ARM).notes)
+    for words in (
+        "viscous damping given but not simulated: turn, tilt, slide, yaw",
+        "Coulomb friction given but not simulated: tilt",
+        "limits given but not enforced: turn",
+        "joints without actuators: tilt, joint3, yaw",
+        "actuators not simulated, but their greatest efforts, damping and rotor inertia are read: ",
+        "contacts given but not simulated",
+        "2 bodies without moving joints lumped",
+        "no tip chosen among the leaves hand, tower",
+    ):
+        assert words in notes
+    extras = """<mujoco><option density="1.2"/><worldbody><body name="b" gravcomp="0.5"><joint name="j" stiffness="2"/>
+      <geom size="1"/><site name="s"/><body name="c" pos="1 0 0"><joint name="k"/><geom size="1"/></body></body>
+      <body name="m" mocap="true"/></worldbody>
+      <tendon><fixed name="t"><joint joint="j" coef="1"/></fixed></tendon>
+      <equality><connect name="loop" body1="c" body2="b" anchor="0 0 0"/>
+      <joint name="curve" joint1="k" joint2="j" polycoef="0 1 2 0 0"/></equality>
+      <actuator><general name="pull" tendon="t"/></actuator></mujoco>"""
+    with pytest.warns(UserWarning, match="gravcomp ignored: b"):
+        notes = "\n".join(torchdq.Robot.from_mjcf(extras).notes)
+    for words in (
+        "springs given but not simulated: j",
+        "actuators that act on no joint, not used: pull",
+        "tendons not used: t",
+        "equality constraints not used: connect 'loop', joint 'curve'",
+        "resistance of air or water",
+        "gravcomp ignored: b: gravity acts on them in full",
+        "moved by hand (mocap)",
+    ):
+        assert words in notes
+
+
+def test_gravity_is_the_files_unless_it_is_given():
+    falling = ARM.replace("0.3 -1 -9", "0 0 0")
+    assert torchdq.Robot.from_mjcf(falling).gravity is None
+    assert torchdq.Robot.from_mjcf(ARM, gravity=None).gravity is None
+    near(torchdq.Robot.from_mjcf(ARM, gravity=(0, 0, -1)).gravity, [0, 0, -1])
+    off = ARM.replace('gravity="0.3 -1 -9"/>', '><flag gravity="disable"/></option>')
+    assert torchdq.Robot.from_mjcf(off).gravity is None
+
+
+def test_bodies_that_are_all_compensated_for_gravity_feel_none():
+    text = "<mujoco><worldbody><body gravcomp='1'><joint/><geom size='1'/>{}</body></worldbody></mujoco>"
+    robot = torchdq.Robot.from_mjcf(text.format(""))
+    assert robot.gravity is None
+    assert any("gravcomp" in note for note in robot.notes)
+    heavy = "<body name='heavy' pos='1 0 0'><joint/><geom size='1'/></body>"
+    with pytest.warns(UserWarning, match="gravcomp ignored: body1: gravity acts on them in full"):
+        assert torchdq.Robot.from_mjcf(text.format(heavy)).gravity is not None
+
+
+def warned(load, *arguments, **options):
+    """Result of loading, and the lines of its warnings but their headings."""
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        found = load(*arguments, **options)
+    return found, [line.strip() for warning in seen for line in str(warning.message).splitlines()[1:]]
+
+
+@pytest.mark.parametrize("a, b, told", [("0", "1", "b"), ("0.5", "0.5", "a, b"), ("1", "1", ""), ("0", "0", "")])
+def test_gravity_that_is_compensated_in_part_is_warned_of(a, b, told):
+    """MuJoCo relieves these bodies, and a robot has one gravity for all."""
+    geom = "<geom size='1' contype='0' conaffinity='0'/>"
+    ball = f"<joint type='slide'/>{geom}"
+    bodies = f"<body name='a' gravcomp='{a}'>{ball}<body name='b' gravcomp='{b}'>{ball}</body></body>"
+    stand = f"<body name='stand' gravcomp='1'>{geom}{bodies}</body>"
+    text = f"<mujoco><worldbody>{stand}</worldbody></mujoco>"
+    robot, lines = warned(torchdq.Robot.from_mjcf, text)
+    assert lines == [f"gravcomp ignored: {told}: gravity acts on them in full"] * bool(told)
+    assert set(lines) <= {*robot.notes}
+    for quiet in ({"gravity": None}, {"on_unphysical": "ignore"}):
+        assert warned(torchdq.Robot.from_mjcf, text, **quiet)[1] == []
+    model = model_of(text)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    zero = torch.zeros(2, dtype=torch.float64)
+    rises = torchdq.forward_dynamics(robot, zero, zero, zero, backend="eager").numpy()
+    assert np.allclose(rises, data.qacc, atol=1e-9) == (not told)
+
+
+# --- joints that are locked or coupled -------------------------------------------------------------------------------
+
+
+def test_a_locked_joint_stands_where_it_is_put():
+    robot = torchdq.Robot.from_mjcf(ARM)
+    for lock in ({"turn": 0.4, "slide": -0.3}, {"tilt": 1.0, "j*": 0.2}, ["t*"]):
+        near_robot(torchdq.Robot.from_mjcf(ARM, lock=lock), robot.lock(lock))
+    assert torchdq.Robot.from_mjcf(ARM, joints="t*").joint_names == ("turn", "tilt")
+    near_robot(torchdq.Robot.from_mjcf(ARM, joints="t*"), robot.lock(["slide", "joint3", "yaw"]))
+
+
+def near_robot(a: torchdq.Robot, b: torchdq.Robot) -> None:
+    """Compare the torques of two robots with the same joints."""
+    assert a.joint_names == b.joint_names
+    s = oracles.states(a)
+    near(*(torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd, backend="eager") for robot in (a, b)))
+
+
+def coupled(**arguments) -> torchdq.robot.description.RobotDescription:
+    """Description of the robot with coupled joints."""
+    return mjcf.read(COUPLED, **{"base": "file", "kept": None, "lock": None} | arguments).description
+
+
+def test_linear_couplings_of_joints_are_a_map_of_coordinates():
+    found, model = coupled(), model_of(COUPLED)
+    assert found.joint_names == ("lift", "left")
+    assert found.joint_map.joint_names == ("lift", "left", "tip", "right")
+    near(found.joint_map.S, [[1, 0], [0, 1], [0, 1], [0, -2]])
+    q = torch.tensor([0.5, 0.7], dtype=torch.float64)
+    displaced = dict(zip(found.joint_map.joint_names, (found.joint_map.S @ q - found.home).tolist(), strict=True))
+    data = mujoco.MjData(model)
+    for name, x in displaced.items():
+        data.joint(name).qpos[0] = model.qpos0[model.joint(name).qposadr[0]] + x
+    mujoco.mj_forward(model, data)
+    assert np.abs(data.efc_pos[: data.ne]).max() < 1e-15  # all equality constraints hold
+    near(displaced["left"], 0.7 - 0.3)
+    near(found.damping, [0, 2 + 4 * 3])
+    near(found.friction, [0, 0.5 + 2 * 0.25])
+    near(found.armature, [0, 0.1 + 4 * 0.2])
+    near(found.limits.effort[1:], [3 + 2 * 1])
+    # left follows its own limits, and those of the joint that follows it at the displacement of left + const
+    shift = displaced["tip"] - displaced["left"]
+    near(found.limits.lower[1:], [max(-1, 0.3 + 0 - shift)])
+    near(found.limits.upper[1:], [min(2, 0.3 + 1.5 - shift)])
+
+
+def test_joints_that_are_coupled_to_a_locked_one_are_locked():
+    found = coupled(lock={"left": 0.4})
+    assert found.joint_names == ("lift",)
+    assert found.joint_map is None
+    (note,) = [note for note in found.notes if note.startswith("locked: ")]
+    assert note == "locked: left at 0.4, tip at 0.075, right at -0.25"
+    assert coupled(kept="right").joint_names == ("left",)
+    still = COUPLED.replace('joint2="left" polycoef="0.05 -2', 'polycoef="0.05 0')
+    assert mjcf.read(still, "file", None, None).description.joint_names == ("lift",)
+
+
+def test_a_coupling_that_is_said_twice_holds_no_joint():
+    text = COUPLED.replace("0.05 -2", "0.05 -3").replace("0.025 -0.5", "0.0166666667 -0.3333333333")
+    found = mjcf.read(text, "file", None, None).description
+    assert found.joint_names == ("lift", "left")
+
+
+def test_couplings_that_contradict_each_other_are_refused():
+    text = COUPLED.replace("0.025 -0.5", "0.1 -0.5")
+    with pytest.raises(torchdq.DescriptionError, match="coupling 'again' must agree with the coupling 'both'"):
+        torchdq.Robot.from_mjcf(text)
+    with pytest.raises(torchdq.DescriptionError, match="'follow' must agree with `lock` and the coupling 'both'"):
+        torchdq.Robot.from_mjcf(COUPLED, lock={"left": 0.4, "tip": 1.0})
+
+
+def test_couplings_that_hold_every_joint_are_refused_by_name():
+    twice = "".join(f"<joint name='{x}' joint1='j' joint2='k' polycoef='0 {x} 0 0 0'/>" for x in "12")
+    links = (
+        "<body name='a'><joint name='j'/><geom size='1'/><body name='b'><joint name='k'/><geom size='1'/></body></body>"
+    )
+    text = f"<mujoco><worldbody>{links}</worldbody><equality>{twice}</equality></mujoco>"
+    with pytest.raises(
+        torchdq.DescriptionError, match="found that '1' and '2' hold all joints still; leave one of them"
+    ):
+        torchdq.Robot.from_mjcf(text)
+
+
+def test_a_position_beyond_the_range_is_warned_of():
+    with pytest.warns(
+        UserWarning, match="locked beyond its limits: turn at 90, .* in rad or m, not in degrees"
+    ) as seen:
+        torchdq.Robot.from_mjcf(ARM, lock={"turn": 90})
+    assert seen[0].filename == __file__
+
+
+def test_a_range_that_ends_before_it_begins_is_noted():
+    robot = torchdq.Robot.from_mjcf(ARM.replace('range="-90 120"', 'range="120 -90"'))
+    assert "ranges that end before they begin, taken as none: turn" in robot.notes
+
+
+def test_joints_that_couplings_hold_are_told_from_locked_ones():
+    text = COUPLED.replace('joint2="left" polycoef="0.05 -2', 'polycoef="0.05 0')
+    notes = torchdq.Robot.from_mjcf(text).notes
+    assert "held by equality constraints: left at 0.3, tip at -0.025, right at -0.05" in notes
+    assert not any(note.startswith("locked") for note in notes)
+
+
+@pytest.mark.parametrize("flag", ["equality", "constraint"])
+def test_couplings_that_a_flag_disables_are_noted_and_not_used(flag):
+    text = COUPLED.replace("<worldbody>", f"<option><flag {flag}='disable'/></option><worldbody>", 1)
+    robot = torchdq.Robot.from_mjcf(text)
+    assert robot.joint_map is None and "right" in robot.joint_names
+    assert any(note.startswith("equality constraints not used: ") and "joint 'both'" in note for note in robot.notes)
+
+
+# --- free bases ------------------------------------------------------------------------------------------------------
+
+
+def test_a_free_joint_makes_a_floating_base():
+    found, faults, gravity = mjcf.read(FREE, "file", None, None)[:3]
+    assert found.joint_names == ("hip",)
+    assert found.parents == (-1,)
+    assert faults == []
+    near(gravity, (0, 0, -3.7))
+    assert [(frame.name, frame.link) for frame in found.frames] == [("torso", -1), ("head", -1), ("leg", 0)]
+    # the mass matrix of the torso and head alone
+    model = model_of(FREE.split('<body name="leg"')[0] + "</body></worldbody></mujoco>")
+    data, M = mujoco.MjData(model), np.zeros((6, 6))
+    data.qpos[3:] = 1, 0, 0, 0
+    mujoco.mj_forward(model, data)
+    mujoco.mj_fullM(model, data, M)
+    m, c = float(found.base_mass), found.base_com.numpy()
+    skew = np.array([[0, -c[2], c[1]], [c[2], 0, -c[0]], [-c[1], c[0], 0]])
+    xx, xy, yy, xz, yz, zz = found.base_inertia.tolist()
+    about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    near(M, np.block([[m * np.eye(3), -m * skew], [m * skew, about_com - m * skew @ skew]]))
+
+
+def test_a_free_base_is_held_on_request():
+    robot = torchdq.Robot.from_mjcf(FREE, base="fixed")
+    assert robot.base_mass is None
+    model = model_of(FREE)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    near(transform(torchdq.forward_kinematics(robot, torch.zeros(1).double(), "head")), xpose(data.body("head")))
+    assert any(note == "held where the file puts them: root" for note in robot.notes)
+    assert torchdq.Robot.from_mjcf(FREE, lock=["root"]).base_mass is None
+
+
+def test_armature_of_a_free_joint_is_warned_of():
+    """MuJoCo adds it to the mass matrix of the base where a joint of type "free" inherits it; <freejoint/> does not."""
+    default = '<default><joint armature="0.7" damping="0.1"/></default><worldbody>'
+    freed = FREE.replace("<worldbody>", default)
+    joint = freed.replace('<freejoint name="root"/>', '<joint name="root" type="free"/>')
+    for text, armature in ((FREE, 0.0), (freed, 0.0), (joint, 0.7)):
+        assert model_of(text).dof_armature[:6].tolist() == [armature] * 6
+        robot, lines = warned(torchdq.Robot.from_mjcf, text)
+        assert [line.split(" ignored")[0] for line in lines] == ["armature of the free joint 'root'"] * bool(armature)
+        assert all("write <freejoint/>" in line and line in robot.notes for line in lines)
+        near(robot.base_mass, float(torchdq.Robot.from_mjcf(FREE).base_mass))
+    assert warned(torchdq.Robot.from_mjcf, joint, base="fixed")[1] == []
+    assert "damping or friction of the free base, not used: root" in robot.notes
+
+
+BALL = "<body name='x' pos='1 0 0'><joint name='knob' type='ball'/><geom size='1'/></body>"
+CUBE = "<body name='cube'><freejoint name='loose'/><geom size='1'/></body>"
+DOOR = "<body name='door'><joint name='hinge'/><geom size='1'/></body>"
+
+
+@pytest.mark.parametrize(
+    ("text", "arguments", "error", "message"),
+    [
+        (FREE.replace('<body name="leg"', BALL + '<body name="leg"'), {}, "DescriptionError", "ball joints knob"),
+        (FREE.replace("</worldbody>", CUBE + "</worldbody>"), {}, "DescriptionError", "free joints root, loose; lock"),
+        (FREE.replace("</worldbody>", DOOR + "</worldbody>"), {}, "DescriptionError", "'hinge' carries 'door' beside"),
+        (ARM, {"base": "floating"}, "ArgumentError", "needs a body with a free joint"),
+        (ARM, {"base": "flying"}, "ArgumentError", "base must be one of 'file', 'fixed', 'floating'"),
+        (ARM, {"lock": "*"}, "ArgumentError", "lock must leave at least one joint free"),
+        (ARM, {"lock": ["elbow"]}, "UnknownNameError", "no movable joint to lock named 'elbow'"),
+        (FREE, {"lock": {"root": 0.0}}, "ArgumentError", "a free joint has no single position"),
+        (ARM, {"joints": ["turn"], "lock": ["turn"]}, "ArgumentError", "must not name the same joint"),
+        (ARM, {"joints": []}, "ArgumentError", "at least one joint to keep"),
+        (ARM, {"tip": "finger"}, "UnknownNameError", "no frame"),
+        (ARM, {"gravity": "moon"}, "DescriptionError", "gravity"),
+        ("<mujoco><worldbody><body><joint/></body></worldbody></mujoco>", {}, "DescriptionError", "MuJoCo cannot comp"),
+        (
+            ARM.replace('frictionloss="0.3"', 'frictionloss="nan"'),
+            {},
+            "DescriptionError",
+            "joint 'tilt': friction must be",
+        ),
+        (
+            ARM.replace('damping="0.5"', 'damping="-1"'),
+            {},
+            "DescriptionError",
+            "joint 'turn': damping must be finite and",
+        ),
+        (ARM.replace('ref="0.1"', 'ref="1e60"'), {}, "DescriptionError", "joint 'slide': home must be finite, at most"),
+        (ARM.replace('mass="3"', 'mass="1e60"'), {}, "DescriptionError", "mass must be finite, at most 1e+50"),
+        (COUPLED.replace("0 -0.5 0", "0 1e60 0"), {}, "DescriptionError", "couplings of joints must be finite"),
+        (COUPLED.replace("0.05 -2", "nan -2"), {}, "DescriptionError", "home must be finite"),
+        ("<mujoco", {}, "DescriptionError", "MuJoCo cannot compile the robot description: XML parse error"),
+        ("<sdf/>", {}, "DescriptionError", "an MJCF file, whose root element is <mujoco>, found '<sdf/>'"),
+        (b"\xff<mujoco/>", {}, "DescriptionError", "not UTF-8"),
+        ("<mujoco>\0</mujoco>", {}, "DescriptionError", "zero byte"),
+        ("no/such.xml", {}, "MissingFileError", "there is no file 'no/such.xml'; XML text would begin"),
+        (3, {}, "ArgumentError", "must be a path"),
+    ],
+)
+def test_files_and_arguments_that_make_no_robot_are_refused(text, arguments, error, message):
+    with pytest.raises(getattr(torchdq, error)) as caught:
+        torchdq.Robot.from_mjcf(text, **arguments)
+    assert message in str(caught.value)
+
+
+def test_a_ball_joint_may_be_locked():
+    text = FREE.replace('<body name="leg"', BALL + '<body name="leg"')
+    found = mjcf.read(text, "file", None, ["knob"]).description
+    assert found.joint_names == ("hip",)
+    assert "held where the file puts them: knob" in found.notes
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+MESHES = """
+<mujoco><compiler meshdir="meshes"/>
+  <asset>
+    <mesh name="a" file="a.stl"/><mesh file="b.obj"/>
+    <texture name="t" type="2d" file="t.png"/><material name="m" texture="t"/>
+  </asset>
+  <default><default class="visual"><geom type="mesh" mass="0" material="m"/></default></default>
+  <worldbody>
+    <geom type="mesh" mesh="a"/>
+    <body name="stated"><joint name="j"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+      <geom name="g" type="mesh" mesh="a" material="m"/>
+      <body name="shown"><joint axis="1 0 0"/><geom size="1"/><geom class="visual" mesh="b"/></body>
+    </body>
+  </worldbody>
+  <contact><pair geom1="g" geom2="g"/></contact>
+  <sensor><framepos objtype="geom" objname="g"/></sensor>
+</mujoco>
+"""
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+def test_meshes_that_give_no_mass_are_not_opened():
+    assert torchdq.Robot.from_mjcf(MESHES).link_names == ("stated", "shown")
+
+
+def test_meshes_that_give_mass_are_needed(tmp_path):
+    text = MESHES.replace('<geom size="1"/>', '<geom type="mesh" mesh="b"/>')
+    with pytest.raises(torchdq.DescriptionError, match=r"the masses of shown come from meshes: keep these files"):
+        torchdq.Robot.from_mjcf(text)
+    (tmp_path / "meshes").mkdir()
+    (tmp_path / "meshes" / "b.obj").write_text(TETRAHEDRON)
+    (tmp_path / "robot.xml").write_text(text)
+    robot = torchdq.Robot.from_mjcf(tmp_path / "robot.xml")
+    near(robot.mass, [1, 1000 / 6], 1e-6)
+
+
+def test_files_include_others_beside_them(tmp_path):
+    (tmp_path / "part.xml").write_text("<mujoco><body name='b'><joint name='j'/><geom size='1'/></body></mujoco>")
+    path = tmp_path / "robot.xml"
+    path.write_text("<mujoco><worldbody><include file='part.xml'/></worldbody></mujoco>")
+    assert torchdq.Robot.from_mjcf(path).joint_names == ("j",)
+    assert torchdq.Robot.from_mjcf(f"file://{path}").joint_names == ("j",)
+    (tmp_path / "whole.xml").write_text(ARM)
+    with (tmp_path / "whole.xml").open() as file:
+        assert torchdq.Robot.from_mjcf(file).name == "arm"
+
+
+def test_without_mujoco_a_message_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "mujoco", None)
+    with pytest.raises(torchdq.MissingLibraryError, match=r"Robot.from_mjcf needs mujoco, .*'torchdq\[mujoco\]'"):
+        torchdq.Robot.from_mjcf(ARM)

@@ -1,0 +1,554 @@
+"""Integrators have their order, keep what they promise to keep, and stay stable where they say so.
+
+References are closed solutions, scipy's DOP853 on pinocchio's accelerations, and DormandPrince, which is compared with
+those first. Numbers in tolerances are measured ones with a margin of three to ten.
+"""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import torch
+from helpers import FIXED, INERTIA, WHEEL, called, double, random, thinned
+from oracles import random_tree, shipped
+from scipy.integrate import solve_ivp
+
+import torchdq
+from torchdq.backends import c_library as build
+from torchdq.envs import Scene, State, effects
+from torchdq.scene.integrators import (
+    DormandPrince,
+    ExplicitEuler,
+    LinearlyImplicit,
+    Repeated,
+    RungeKutta4,
+    SemiImplicitEuler,
+    StoermerVerlet,
+    System,
+)
+
+ARM = shipped("two_link").robot
+TREE = random_tree(3, seed=6, armature=True).robot
+PANDA = shipped("panda")
+
+
+@pytest.fixture
+def compiled():
+    """Compiled programs, for thousands of steps."""
+    if build.compiler() is None:
+        pytest.skip("there is no C compiler")
+    with torchdq.backend("c"), torch.no_grad():
+        yield
+
+
+def rolled(scene, state, steps, torque=None, **inputs):
+    for _ in range(steps):
+        state = scene.step(state, torque, **inputs)
+    return state
+
+
+def trace(scene, state, steps, torque=None, **inputs):
+    """Positions and velocities after every step, [steps, ...]."""
+    found = []
+    for _ in range(steps):
+        state = scene.step(state, torque, **inputs)
+        found.append((state.q, state.qd))
+    return tuple(torch.stack(x) for x in zip(*found, strict=True))
+
+
+def distance(a, b):
+    return float(torch.cat([x - y for x, y in zip(a, b, strict=True) if x is not None], -1).norm())
+
+
+# --- order -----------------------------------------------------------------------------------------------------------
+
+ORDERS = {ExplicitEuler: 1, SemiImplicitEuler: 1, LinearlyImplicit: 1, RungeKutta4: 4, StoermerVerlet: 2}
+STEPS = {1: (128, 256, 512), 2: (32, 64, 128), 4: (32, 64)}  # every number of them is a program of its own
+
+
+def everything(robot):
+    """Effects of all kinds that act continuously."""
+    return (
+        effects.Gravity(),
+        effects.RotorInertia(0.3),
+        effects.Payload(double(0.5).squeeze(), (0.1, 0.0, 0.1)),
+        effects.Viscous(0.3),
+        effects.Stribeck(0.2, 0.4, velocity=1.0, width=1.0),
+        effects.Spring(3.0, 0.2),
+        effects.Servo(2.0, 0.1),
+        effects.Drag(0.1, 0.1, 0.02, width=0.5),
+        effects.Push(),
+        effects.Elastic(30.0, 0.2, 0.5),
+    )
+
+
+SCENES = {
+    "arm": (ARM, (effects.Gravity(), effects.Viscous(0.3)), {}),
+    "everything": (TREE, everything(TREE), {"target": random(3, seed=3), "push": random(6, seed=4)}),
+}
+
+
+@pytest.mark.case("T1")
+@pytest.mark.parametrize("which", thinned(SCENES, ["everything"]))  # hard_cases/test_time.py has the arm alone
+@pytest.mark.parametrize("integrator", FIXED, ids=called)
+def test_the_error_falls_with_the_stated_order(integrator, which, compiled, margin):
+    robot, parts, inputs = SCENES[which]
+    T = 0.25 if which == "arm" else 0.1
+    q, qd, torque = random(3, 4, robot.n) * 0.7
+    scene = Scene(robot, parts, integrator=DormandPrince(1e-12, 1e-13), dt=T)
+    start = scene.start(q, qd)
+    end = scene.step(start, torque, **inputs)
+    order = ORDERS[type(integrator)]
+    assert integrator.order == order
+    errors = [
+        distance(rolled(scene.replace(integrator=integrator, dt=T / k), start, k, torque, **inputs), end)
+        for k in STEPS[order]
+    ]
+    slopes = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert errors[-1] > 1e-11  # far above rounding
+    margin(abs(slopes.mean() - order), 0.15, called(integrator))
+
+
+def test_substeps_are_steps():
+    scene = Scene(ARM, (effects.Gravity(), effects.Viscous(0.1)), dt=0.04, substeps=4)
+    start, torque = State(*random(2, 3, 2)), double(1.0, -1.0)
+    at_once = scene.step(start, torque)
+    one_by_one = rolled(scene.replace(dt=0.01, substeps=1), start, 4, torque)
+    assert distance(at_once, one_by_one) < 1e-13
+
+
+# --- the adaptive one ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["two_link", "panda"])
+def test_dormand_prince_agrees_with_scipy_on_pinocchios_accelerations(name, compiled):
+    case = shipped(name)
+    n, T = case.robot.n, 0.3
+    q, qd, torque = random(3, n, seed=5)
+    data = case.model.createData()
+
+    def rates(_, y):
+        a = pin.aba(case.model, data, case.configuration(y[:n]), case.velocity(y[n:]), case.velocity(torque))
+        return np.concatenate([y[n:], a[case.order]])
+
+    start = np.concatenate([q, qd])
+    solution = solve_ivp(rates, (0.0, T), start, method="DOP853", rtol=1e-12, atol=1e-13)
+    parts = (effects.Gravity(),) if case.robot.armature is None else (effects.Gravity(), effects.RotorInertia())
+    found = Scene(case.robot, parts, integrator=DormandPrince(1e-11, 1e-12), dt=T).step(State(q, qd), torque)
+    assert np.abs(np.concatenate(found[:2]) - solution.y[:, -1]).max() < 1e-9
+
+
+class Pendulum(System):
+    """x'' = -x, which counts its evaluations."""
+
+    def __init__(self, calls):
+        self.calls = calls
+
+    def accelerations(self, x, v):
+        self.calls.append(1)
+        return [-x[0]]
+
+
+def test_dormand_prince_meets_its_tolerance_with_steps_of_its_order():
+    """On x'' = -x, ten times the work buys five digits."""
+    errors, evaluations = [], []
+    for rtol in (1e-6, 1e-11):
+        calls = []
+        spring = Pendulum(calls)
+        x, v = DormandPrince(rtol, rtol).flow(spring, double(1.0)[None], double(0.0)[None], 5.0)
+        errors.append(max(abs(float(x) - math.cos(5.0)), abs(float(v) + math.sin(5.0))) / rtol)
+        evaluations.append(len(calls))
+    assert all(0.01 < error < 20 for error in errors)
+    assert 7 < evaluations[1] / evaluations[0] < 14
+
+
+@pytest.mark.parametrize("integrator", FIXED, ids=called)
+def test_repeated_steps_are_the_recorded_ones(integrator):
+    q, qd = random(2, 4, 2, seed=2)
+    parts = (effects.Gravity(), effects.Viscous(0.5), effects.Spring(20.0))
+    recorded = Scene(ARM, parts, integrator=integrator, dt=0.03, substeps=3)
+    called = recorded.replace(integrator=Repeated(integrator, 3), substeps=1)
+    u = random(4, 2, seed=3)
+    for a, b in zip(recorded.step(State(q, qd), u)[:2], called.step(State(q, qd), u)[:2], strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.case("T5", "T6")
+def test_repeated_steps_in_double_precision_round_once():
+    q, qd = (x.float() for x in random(2, 4, 2, seed=2))
+    scene = Scene(ARM, (effects.Gravity(),), integrator=RungeKutta4(), dt=0.1, substeps=4, precision="double")
+    called = scene.replace(integrator=Repeated(RungeKutta4(), 4), substeps=1)
+    for a, b in zip(scene.step(State(q, qd))[:2], called.step(State(q, qd))[:2], strict=True):
+        torch.testing.assert_close(a, b, rtol=2 * 2.0**-24, atol=0)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Repeated(RungeKutta4(), 2.5), "times of Repeated must be a whole number"),
+        (lambda: Repeated(RungeKutta4, 3), "integrator of Repeated must be one that can be recorded"),
+        (lambda: Repeated(DormandPrince(), 3), "integrator of Repeated must be one that can be recorded"),
+        (lambda: Scene(ARM, integrator=DormandPrince(), substeps=2), "substeps are those of a recorded integrator"),
+    ],
+)
+def test_what_cannot_be_repeated_is_named(make, message):
+    with pytest.raises(torchdq.ArgumentError, match=message):
+        make()
+
+
+def test_a_sample_does_not_depend_on_those_beside_it():
+    """Neither on a stiff one, which takes many more steps, nor on one that is lost."""
+    q, qd = random(2, 5, 2, seed=1)
+    qd[3] *= 20
+    q[4, 0] = math.nan
+    scene = Scene(ARM, (effects.Gravity(), effects.Limits(-1.0, 1.0, 1e5)), integrator=DormandPrince(1e-5), dt=0.02)
+    together = scene.step(State(q, qd))
+    for i in range(5):
+        alone = scene.step(State(q[i : i + 1], qd[i : i + 1]))
+        for a, b in zip(alone[:2], together[:2], strict=True):
+            assert torch.equal(a[0].nan_to_num(99.0), b[i].nan_to_num(99.0))
+    assert together.q[:4].isfinite().all()
+    assert together.q[4].isnan().all()
+
+
+@pytest.mark.case("T5")
+def test_a_tolerance_that_single_precision_cannot_meet_still_ends():
+    q, qd = random(2, 3, 2).float()
+    scene = Scene(ARM, (effects.Gravity(),), integrator=DormandPrince(1e-14, 1e-30), dt=0.2)
+    exact = scene.step(State(q.double(), qd.double()))
+    assert (scene.step(State(q, qd)).q - exact.q).abs().max() < 1e-5
+
+
+@pytest.mark.case("T5")
+def test_a_sample_that_does_not_arrive_is_lost():
+    scene = Scene(ARM, (effects.Gravity(),), integrator=DormandPrince(most=3), dt=0.5)
+    assert scene.step(State(*random(2, 3, 2))).q.isnan().all()
+
+
+@pytest.mark.case("T7")
+def test_gradients_through_adaptive_steps_are_those_of_the_flow(margin):
+    q, qd = random(2, 2)
+    coefficient = double(0.3, 0.5).requires_grad_()
+
+    def end(x):
+        scene = Scene(ARM, (effects.Gravity(), effects.Viscous(x)), integrator=DormandPrince(1e-10, 1e-12), dt=0.2)
+        return scene.step(State(q, qd)).q.sum()
+
+    (found,) = torch.autograd.grad(end(coefficient), coefficient)
+    for i in range(2):
+        h = 1e-4 * torch.eye(2, dtype=torch.float64)[i]
+        difference = (end(coefficient.detach() + h) - end(coefficient.detach() - h)) / 2e-4
+        margin(abs(float(found[i] - difference)), 1e-9, "gradient in a damping")
+
+
+def test_an_adaptive_step_drives_and_senses_as_a_recorded_one_does(compiled):
+    parts = (
+        effects.Gravity(),
+        effects.Elastic(30.0, 0.2, 0.5),
+        effects.Lag(0.05),
+        effects.Delay(1),
+        effects.Saturation(2.0),
+        effects.Push(),
+        effects.Bias(0.1, 0.2),
+        effects.ReadingDelay(2),
+    )
+    adaptive = Scene(ARM, parts, integrator=DormandPrince(1e-11, 1e-12), dt=0.02)
+    recorded = adaptive.replace(integrator=RungeKutta4(), substeps=8)
+    a = b = adaptive.start(*random(2, 3, 2))
+    for k in range(4):
+        torque, push = random(3, 2, seed=k) * 3, random(6, seed=k)
+        a, b = adaptive.step(a, torque, push=push), recorded.step(b, torque, push=push)
+    for x, y in zip(a.rows().values(), b.rows().values(), strict=True):
+        assert (x - y).abs().max() < 2e-7
+    assert a.memory.abs().min(0).values.max() > 0
+
+
+@pytest.mark.parametrize(
+    "integrator, name, expected",
+    [
+        (lambda: DormandPrince(0.0, 1e-9), "rtol", "a positive number, found 0.0"),
+        (lambda: DormandPrince(1e-9, -1.0), "atol", "a positive number, found -1.0"),
+        (lambda: DormandPrince("1e-9"), "rtol", "a positive number, found '1e-9'"),
+        (lambda: DormandPrince(most=0), "most", "a whole number from 1, found 0"),
+        (lambda: StoermerVerlet(True), "iterations of StoermerVerlet", "a whole number from 1, found True"),
+    ],
+)
+def test_numbers_of_integrators_are_checked(integrator, name, expected):
+    with pytest.raises(torchdq.ArgumentError, match=f"^{name} must be {expected}"):
+        integrator()
+
+
+def test_an_adaptive_step_has_no_count_of_operations():
+    with pytest.raises(torchdq.ArgumentError, match="DormandPrince"):
+        Scene(ARM, integrator=DormandPrince()).count()
+
+
+# --- energy and reversal ---------------------------------------------------------------------------------------------
+
+
+def swinging():
+    """The two-link pendulum let go from where it swings regularly."""
+    return State(double(-math.pi / 2 + 0.6, 0.4), double(0.0, 0.0))
+
+
+def energies(integrator, steps, dt):
+    scene = Scene(ARM, (effects.Gravity(),), integrator=integrator, dt=dt)
+    q, qd = trace(scene, swinging(), steps)
+    total = scene.energy(State(q, qd)).sum(-1)
+    scale = float(
+        scene.energy(swinging()).sum() - scene.energy(State(double(-math.pi / 2, 0.0), double(0.0, 0.0))).sum()
+    )
+    return (total - float(scene.energy(swinging()).sum())) / scale
+
+
+@pytest.mark.case("T2")
+def test_stoermer_verlet_keeps_the_energy_within_a_band_for_long(compiled, margin):
+    """2e4 steps of 5 ms are 100 s. The band of relative width 1.4e-4 does not widen, and its middle does not move."""
+    error = energies(StoermerVerlet(), 20_000, 5e-3)
+    margin(error.abs().max(), 5e-4, "band of the energy")
+    halves = error.reshape(2, -1)
+    assert (halves.mean(1)[1] - halves.mean(1)[0]).abs() < 2e-5
+    assert halves.abs().amax(1)[1] < 1.5 * halves.abs().amax(1)[0]
+
+
+@pytest.mark.case("T2")
+def test_the_band_is_narrower_by_four_at_half_the_step(compiled):
+    wide, narrow = (energies(StoermerVerlet(), steps, dt).abs().max() for steps, dt in ((1000, 1e-2), (2000, 5e-3)))
+    assert wide / narrow == pytest.approx(4.0, rel=0.2)
+
+
+@pytest.mark.case("T2")
+def test_semi_implicit_euler_drifts(compiled):
+    """Which is why it is not called symplectic here: the mass matrix depends on the positions."""
+    error = energies(SemiImplicitEuler(), 20_000, 5e-3)
+    quarters = error.reshape(4, -1).mean(1)
+    assert abs(quarters[-1] - quarters[0]) > 0.05
+
+
+@pytest.mark.case("T3")
+@pytest.mark.parametrize("integrator, error", [(RungeKutta4(), 1e-9), (StoermerVerlet(), 1e-9)], ids=["RK4", "Verlet"])
+def test_a_motion_played_back_returns_to_its_start(integrator, error, compiled, margin):
+    scene = Scene(ARM, (effects.Gravity(),), integrator=integrator, dt=1e-3)
+    there = rolled(scene, swinging(), 1000)
+    back = rolled(scene, State(there.q, -there.qd), 1000)
+    assert (there.q - swinging().q).abs().max() > 0.1
+    margin(distance(State(back.q, -back.qd), swinging()), error, called(integrator))
+
+
+@pytest.mark.case("T3")
+def test_a_motion_of_semi_implicit_euler_played_back_does_not(compiled):
+    scene = Scene(ARM, (effects.Gravity(),), integrator=SemiImplicitEuler(), dt=1e-3)
+    there = rolled(scene, swinging(), 1000)
+    assert distance(rolled(scene, State(there.q, -there.qd), 1000)[:1], swinging()[:1]) > 1e-4
+
+
+# --- dry friction ----------------------------------------------------------------------------------------------------
+
+
+def rubbing(integrator, width):
+    return Scene(WHEEL, (effects.Coulomb(1.0, width),), integrator=integrator, dt=0.01)
+
+
+@pytest.mark.case("T10")
+def test_explicit_dry_friction_chatters_on_a_light_joint():
+    """Beyond a ratio of 2 the velocity changes its sign at every step and never dies."""
+    _, qd = trace(rubbing(SemiImplicitEuler(), 0.01), State(double(0.0), double(1e-3)), 100)
+    signs = qd[20:, 0].sign()
+    assert (signs[1:] == -signs[:-1]).all()
+    kick = 0.01 * 1.0 / INERTIA
+    assert torch.allclose((qd[1:] - qd[:-1]).abs()[20:], torch.full((79, 1), kick, dtype=torch.float64), rtol=0.01)
+
+
+@pytest.mark.case("T10")
+@pytest.mark.parametrize("width", [1e-2, 1e-4, 1e-6])
+def test_implicit_dry_friction_brings_a_light_joint_to_rest_without_turning_it_round(width):
+    _, qd = trace(rubbing(LinearlyImplicit(), width), State(double(0.0), double(1.0)), 300)
+    assert (qd >= 0).all()
+    assert (qd[1:] <= qd[:-1]).all()
+    assert qd[-1] < 1e-6 * width
+
+
+@pytest.mark.case("T10")
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 0.99])
+@pytest.mark.parametrize("width", [1e-2, 1e-4, 1e-6])
+def test_a_joint_under_a_torque_below_the_level_creeps(width, share, margin):
+    """At width tau / sqrt(level^2 - tau^2), as slow as one likes: it never sticks for good."""
+    scene = Scene(WHEEL, (effects.Coulomb(1.0, width),), integrator=LinearlyImplicit(), dt=0.01)
+    end = rolled(scene, State(double(0.0), double(0.0)), 1500, double(share))
+    creep = width * share / math.sqrt(1 - share**2)
+    margin(abs(float(end.qd) / creep - 1), 1e-12, "speed of creep")
+
+
+@pytest.mark.case("T10")
+def test_a_joint_breaks_loose_by_the_ratio_of_torque_and_level_per_step():
+    """The price of damping as it was at the beginning of a step: a joint at rest leaves the width geometrically.
+
+    From there its acceleration is that of the net torque.
+    """
+    scene = Scene(WHEEL, (effects.Coulomb(1.0, 1e-6),), integrator=LinearlyImplicit(), dt=0.001)
+    _, qd = trace(scene, State(double(0.0), double(0.0)), 400, double(1.25))
+    qd = qd[:, 0]
+    creeping = qd[10:30]
+    assert torch.allclose(creeping[1:] / creeping[:-1], torch.full((19,), 1.25, dtype=torch.float64), rtol=1e-2)
+    assert float(qd[-1] - qd[-2]) == pytest.approx(0.25 / INERTIA * 0.001, rel=0.03)
+
+
+# --- limits ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.case("T11")
+@pytest.mark.parametrize("dissipation", [0.0, 1.0])
+@pytest.mark.parametrize("stiffness", [1e6, 1e7, 1e8])
+@pytest.mark.parametrize("dt", [1e-2, 1e-3])
+def test_a_bounce_off_stiff_limits_gains_no_energy(stiffness, dissipation, dt):
+    """Wheels thrown at all speeds come back no faster than they came, and go no deeper than a step takes them."""
+    speed = torch.logspace(-3, 2, 60, dtype=torch.float64)[:, None]
+    scene = Scene(
+        WHEEL, (effects.Limits(-math.inf, 0.1, stiffness, dissipation),), integrator=LinearlyImplicit(), dt=dt
+    )
+    state = State(0.1 - 2.5 * dt * speed, speed)
+    for _ in range(60):
+        state = scene.step(state)
+        assert (state.qd.abs() <= speed * (1 + 1e-12)).all()
+        assert (state.q - 0.1 <= dt * speed * (1 + 1e-9)).all()
+    explicit = rolled(scene.replace(integrator=SemiImplicitEuler()), State(0.1 - 2.5 * dt * speed, speed), 60)
+    assert not (explicit.qd.abs() <= 1.5 * speed).all()  # as many a simulator does
+
+
+@pytest.mark.case("T11")
+def test_an_arm_falling_on_its_limits_stays_within_them(compiled):
+    scene = Scene(
+        ARM,
+        (effects.Gravity(), effects.Limits(-0.5, 0.5, 1e8)),
+        integrator=LinearlyImplicit(),
+        dt=2e-3,
+    )
+    state = scene.start((random(50, 2) * 0.2).clamp(-0.45, 0.45), random(50, 2, seed=1))
+    before = scene.energy(state).sum(-1)
+    deepest = 0.0
+    for _ in range(2000):
+        state = scene.step(state)
+        deepest = max(deepest, float((state.q.abs() - 0.5).max()))
+    assert deepest < 0.05
+    # what is left is the energy of an arm that lies on its limits
+    assert (scene.energy(state).sum(-1) < before + 0.05).all()
+    assert state.qd.abs().max() < 0.1
+
+
+@pytest.mark.case("T11")
+def test_the_speed_after_a_bounce_is_that_of_hunt_and_crossley():
+    """v1^2 = 2 (v0 / c - log(1 + c v0) / c^2) for a contact that is damped while it grows, whatever its stiffness."""
+    speed, c = double(0.1, 0.5, 1.0, 3.0)[:, None], double(0.5, 2.0, 10.0)[:, None, None]
+    scene = Scene(WHEEL, (effects.Limits(-1.0, 0.0, 1e4, c),), integrator=RungeKutta4(), dt=4e-6)
+    with torch.no_grad():
+        state = rolled(scene, State(torch.zeros_like(speed), speed), 1500)
+    assert (state.q < 0).all()
+    expected = (2 * (speed / c - (1 + c * speed).log() / c**2)).sqrt()
+    assert torch.allclose(-state.qd, expected, rtol=1e-3)
+
+
+# --- servos ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.case("T9")
+def test_a_servo_of_any_gain_is_stable_when_integrated_implicitly():
+    """kp = 1e5 at 10 ms: explicit integrators leave the numbers there are."""
+    target = double(0.7, -0.4)
+    scene = Scene(ARM, (effects.Gravity(), effects.Servo(1e5)), integrator=LinearlyImplicit(), dt=1e-2)
+    start = State(double(0.0, 0.0), double(1.0, -2.0))
+    q, _ = trace(scene, start, 300, target=target)
+    assert q.abs().max() < 1.0
+    holding = torchdq.inverse_dynamics(ARM, target, torch.zeros_like(target), torch.zeros_like(target))
+    assert (q[-1] - target).abs().max() < 1.1 * holding.abs().max() / 1e5  # gravity hangs on the spring
+    free = scene.replace(effects=(effects.Servo(1e5),))
+    assert (rolled(free, start, 300, target=target).q - target).abs().max() < 1e-9
+    for integrator in (SemiImplicitEuler(), RungeKutta4()):
+        end = rolled(scene.replace(integrator=integrator), start, 300, target=target)
+        assert not end.q.abs().max() < 1e3
+
+
+@pytest.mark.case("T9")
+def test_a_servo_of_200_hertz_hardly_overshoots_at_2_milliseconds(margin):
+    """A critically damped one does not at all; with steps longer than its time constant 5 % are allowed."""
+    w = 2 * math.pi * 200
+    scene = Scene(WHEEL, (effects.Servo(INERTIA * w**2, 2 * INERTIA * w),), integrator=LinearlyImplicit(), dt=2e-3)
+    q, _ = trace(scene, State(double(0.0), double(0.0)), 50, target=double(1.0))
+    margin(max(float(q.max()) - 1.0, 0.0), 0.05, "overshoot")
+    assert abs(float(q[-1]) - 1) < 1e-6
+
+
+# --- elastic joints --------------------------------------------------------------------------------------------------
+
+
+def test_an_elastic_wheel_swings_as_two_masses_on_a_spring():
+    """x1 - x2 swings with w^2 = k (1/I + 1/J) about the twist that the torque gives; the centre of mass is pushed."""
+    k, J, u, T = 5.0, 0.03, 0.2, 0.5
+    scene = Scene(WHEEL, (effects.Elastic(k, 0.0, J),), integrator=RungeKutta4(), dt=1e-3)
+    start = State(double(0.1), double(0.0), double(0.4, 0.0))
+    end = rolled(scene, start, 500, double(u))
+    w = math.sqrt(k * (1 / INERTIA + 1 / J))
+    rest = u / J / w**2  # of the twist
+    twist = rest + (0.3 - rest) * math.cos(w * T)
+    middle = (INERTIA * 0.1 + J * 0.4 + u * T**2 / 2) / (INERTIA + J)
+    q, theta = middle - J / (INERTIA + J) * twist, middle + INERTIA / (INERTIA + J) * twist
+    assert abs(float(end.q) - q) < 1e-8
+    assert abs(float(end.memory[0]) - theta) < 1e-8
+
+
+@pytest.mark.parametrize(
+    "integrator, error",
+    [
+        (ExplicitEuler(), 0.1),
+        (SemiImplicitEuler(), 0.03),
+        (LinearlyImplicit(), 0.1),
+        (RungeKutta4(), 1e-6),
+        (StoermerVerlet(), 1e-3),
+        (DormandPrince(1e-9, 1e-11), 1e-7),
+    ],
+    ids=called,
+)
+def test_all_integrators_move_elastic_joints_alike(integrator, error, compiled):
+    """Within errors of their order at 1 ms, against Runge-Kutta at 50 microseconds, after 0.2 s."""
+    parts = (effects.Gravity(), effects.Elastic(200.0, 0.5, 0.2))
+    scene = Scene(ARM, parts, integrator=RungeKutta4(), dt=5e-5)
+    start = scene.start(double(0.3, 0.4), double(1.0, -1.0))
+    torque = double(1.0, 0.5)
+    exact = rolled(scene, start, 4000, torque)
+    found = rolled(scene.replace(integrator=integrator, dt=1e-3), start, 200, torque)
+    assert distance(found, exact) < error
+    assert (exact.memory[:2] - exact.q).abs().max() > 1e-3
+
+
+@pytest.mark.parametrize("damping", [0.0, 10.0])
+def test_stiff_elastic_joints_are_stable_when_integrated_implicitly(damping):
+    """1e6 N m/rad at 10 ms, the springs wound up by a tenth of a radian."""
+    scene = Scene(ARM, (effects.Elastic(1e6, damping, 0.1),), integrator=LinearlyImplicit(), dt=1e-2)
+    start = State(double(0.3, 0.4), double(0.5, -0.5), double(0.4, 0.3, 0.0, 0.0))
+    end = rolled(scene, start, 300)
+    assert (end.q - end.memory[:2]).abs().max() < 1e-6
+    assert torch.cat([end.qd, end.memory]).abs().max() < 10
+    assert not rolled(scene.replace(integrator=SemiImplicitEuler()), start, 300).q.abs().max() < 1e3
+
+
+HOME = (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785)
+ORDINARY = {
+    "Viscous": (effects.Viscous(5.0), {}),
+    "Coulomb": (effects.Coulomb(0.5), {}),
+    "Stribeck": (effects.Stribeck(0.5, 1.0), {}),
+    "Servo": (effects.Servo(1e3, 1e2), {"target": double(*HOME)}),
+    "Spring": (effects.Spring(1e3, HOME), {}),
+    "Limits": (effects.Limits(), {}),
+}
+
+
+@pytest.mark.parametrize("kind", ORDINARY)
+def test_ordinary_effects_hold_at_the_default_integrator_and_step(kind):
+    """A Panda of the file, whose last link is light, for two seconds."""
+    effect, inputs = ORDINARY[kind]
+    scene = Scene(PANDA.robot, (effects.Gravity(), effect))
+    state, fastest = scene.start(double(*HOME)), 0.0
+    for _ in range(200):
+        state = scene.step(state, **inputs)
+        fastest = max(fastest, float(state.qd.abs().max()))
+    assert fastest < 50.0  # a joint that falls reaches 20 rad/s

@@ -1,0 +1,330 @@
+"""URDF files with wounds of every kind: whatever a file holds, reading it ends in a robot or an error of the package.
+
+    python tests/tools/fuzz_urdf.py [--cases 20000] [--first 0]
+
+Each case takes at most a second and 256 MB. Cases are numbered, and a number makes the same file on every machine:
+`outcome(case(1234))` does one again. `make test` takes 500 of them.
+"""
+
+import argparse
+import copy
+import random
+import sys
+import time
+import warnings
+import xml.etree.ElementTree as ET
+from collections import Counter
+from pathlib import Path
+from typing import NamedTuple
+
+from torchdq import Robot, TorchdqError
+
+SECONDS = 1.0
+MEGABYTES = 256.0
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+BODY = (
+    '<inertial><origin xyz="0.1 0 0.2" rpy="0.1 0.2 0.3"/><mass value="1.5"/>'
+    '<inertia ixx="0.04" ixy="0.001" ixz="0" iyy="0.05" iyz="-0.002" izz="0.03"/></inertial>'
+)
+MESH = '<visual><origin xyz="0 0 1"/><geometry><mesh filename="package://a/b.stl"/></geometry></visual>'
+
+
+def joint(name, parent, kind="revolute", more=""):
+    """A link with a body and the joint that carries it."""
+    limit = "" if kind in ("continuous", "fixed") else '<limit lower="-1" upper="2" velocity="3" effort="4"/>'
+    return (
+        f'<link name="{name}_link">{BODY}{MESH}</link><joint name="{name}" type="{kind}"><parent link="{parent}"/>'
+        f'<child link="{name}_link"/><origin xyz="0.1 0.2 0.3" rpy="0 1.5 0"/><axis xyz="0 1 0"/>{limit}{more}</joint>'
+    )
+
+
+def robot(*elements):
+    """A file of a base and these."""
+    return f'<robot name="r"><link name="base">{BODY}</link>{"".join(elements)}</robot>'
+
+
+FILES = (
+    robot(joint("a", "base"), joint("b", "a_link", "prismatic"), joint("c", "b_link", "continuous")),
+    robot(
+        joint("driver", "base", more='<dynamics damping="1" friction="0.5"/>'),
+        joint("left", "driver_link", more='<mimic joint="driver" multiplier="-1" offset="0.1"/>'),
+        joint("right", "driver_link", "prismatic", more='<mimic joint="left" multiplier="2"/>'),
+    ),
+    robot(
+        joint("waist", "base"),
+        joint("l", "waist_link"),
+        joint("r", "waist_link"),
+        joint("tool", "r_link", "fixed"),
+        joint("camera", "tool_link", "fixed"),
+        '<link name="map"/>',
+    ),
+    robot(joint("drive", "base", "planar"), joint("arm", "drive_link"), '<gazebo reference="base"><x/></gazebo>'),
+    robot(
+        '<drake:x value="1"/>', joint("wheel", "base", "continuous"), "<transmission name='t'><joint/></transmission>"
+    ),
+    robot(),
+)
+
+# --- wounds ----------------------------------------------------------------------------------------------------------
+
+NUMBERS = [
+    *("nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "-0", "0", "", " ", "x", "1_000", "0x10", "1,5", "1e9999"),
+    *("1e50", "-2e-35", "1e-9", "-1", "3.14159", "0 0 0", "1 2 3 4", "9" * 999, "\u0661\u0662", "\uff11", "\u0967.5"),
+    *("${x}", "$(arg y)", "1 ", "\n1\t", "+1", "1e", ".", "1d3", "\u2212" + "1", "\ufeff1", "1\u00a02 3"),
+]
+NAMES = [
+    *(
+        "",
+        " ",
+        "base",
+        "a_link",
+        "driver",
+        "universe",
+        "world",
+        "a'b",
+        'a"b',
+        "a\nb",
+        "a/b/../c",
+        "C:\\x",
+        "<x>",
+        "&amp;",
+    ),
+    *(
+        "é",
+        "关节",
+        "\u202e",
+        "\U0001f916",
+        "%s%n",
+        "{0}",
+        "${x}",
+        "None",
+        "tip",
+        "a" * 1000,
+        "a" * 1001,
+        "link\u0000"[:4],
+    ),
+]
+TAGS = [
+    "link",
+    "joint",
+    "robot",
+    "inertial",
+    "mass",
+    "mimic",
+    "origin",
+    "limit",
+    "x",
+    "a:b",
+    "xacro:macro",
+    "Link",
+    "é",
+]
+KINDS = ["revolute", "continuous", "prismatic", "fixed", "planar", "floating", "ball", "", "REVOLUTE"]
+
+
+def elements(root):
+    """Pairs of an element and its parent."""
+    return [(child, parent) for parent in root.iter() for child in parent]
+
+
+def wound(rng, root):
+    """Change an element, an attribute, a number or a name."""
+    pairs = elements(root)
+    child, parent = rng.choice(pairs) if pairs else (root, root)
+    names = list(child.attrib)
+    how = rng.choice(
+        ["delete", "double", "rename", "move", "order", *["attribute"] * 3, *["number"] * 4, "name", "kind"]
+    )
+    if how == "delete" and child in parent:
+        parent.remove(child)
+    elif how == "double":
+        parent.append(copy.deepcopy(child))
+    elif how == "rename":
+        child.tag = rng.choice(TAGS)
+    elif how == "move" and pairs:
+        into = rng.choice(pairs)[0]
+        into.append(copy.deepcopy(child))
+    elif how == "order":
+        parent[:] = rng.sample(list(parent), len(parent))
+    elif how == "attribute" and names:
+        value = child.attrib.pop(rng.choice(names))
+        if rng.random() < 0.5:
+            child.set(rng.choice(["xyz", "value", "name", "link", "joint", "é", "a:b", "xmlns"]), value)
+    elif how == "number":
+        numbers = [(x, key) for x, _ in pairs for key in x.attrib if key not in ("name", "link", "joint", "type")]
+        if numbers:
+            x, key = rng.choice(numbers)
+            words = x.get(key).split(" ")
+            words[rng.randrange(len(words))] = rng.choice(NUMBERS)
+            x.set(key, " ".join(words))
+    elif how == "name" and names:
+        known = [value for x, _ in pairs for key, value in x.attrib.items() if key in ("name", "link", "joint")]
+        child.set(rng.choice(names), rng.choice([*NAMES, *known]))
+    elif how == "kind":
+        for x in rng.sample(root.findall("joint"), min(1, len(root.findall("joint")))):
+            x.set("type", rng.choice(KINDS))
+
+
+def huge(rng):
+    """A file that is large or deep: of elements, links, names, attributes or numbers."""
+    n = rng.choice([1_000, 100_000])
+    kind = rng.choice(
+        ["depth", "chain", "star", "circle", "name", "attributes", "numbers", "mimics", "text", "comments"]
+    )
+    if kind == "depth":
+        inside = rng.choice(["", "robot", "link", "x"])
+        deep = f"<{inside or 'a'}>" * n + f"</{inside or 'a'}>" * n
+        return rng.choice([deep, robot(deep), robot(f'<link name="l">{deep}</link>')])
+    if kind in ("chain", "star", "circle"):
+        n = rng.choice([200, 1999, 3000])
+        links = "".join(f'<link name="l{i}"/>' for i in range(n))
+        parents = {"chain": lambda i: f"l{i - 1}", "star": lambda i: "base", "circle": lambda i: f"l{(i - 1) % n}"}[
+            kind
+        ]
+        first = 1 if kind == "chain" else 0
+        kinds = rng.choice([["fixed"], ["continuous"], ["fixed", "continuous"]])
+        joints = "".join(
+            f'<joint name="j{i}" type="{rng.choice(kinds)}"><parent link="{parents(i)}"/><child link="l{i}"/></joint>'
+            for i in range(first, n)
+        )
+        base = '<joint name="b" type="fixed"><parent link="base"/><child link="l0"/></joint>' if kind == "chain" else ""
+        return robot(links, base, joints)
+    if kind == "name":
+        return FILES[0].replace(rng.choice(['"r"', '"base"', '"a"', '"b_link"']), '"' + "é" * 10 * n + '"')
+    if kind == "attributes":
+        return FILES[0].replace("<axis", "<axis " + " ".join(f'a{i}="1"' for i in range(n)), 1)
+    if kind == "numbers":
+        return FILES[0].replace('xyz="0 1 0"', f'xyz="{"1 " * 10 * n}"', 1)
+    if kind == "mimics":
+        follow = [joint(f"f{i}", "base", more=f'<mimic joint="f{i + 1}"/>') for i in range(rng.choice([50, 1000]))]
+        return robot(*follow)
+    if kind == "text":
+        return FILES[1].replace("</joint>", "x" * 10 * n + "</joint>")
+    return FILES[1].replace("<joint", "<!--" + "-x" * 5 * n + "--><joint", 1)
+
+
+DOCTYPES = (
+    "<!DOCTYPE robot>",
+    '<!DOCTYPE robot [<!ENTITY a "b">]>',
+    '<!DOCTYPE r [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a;&a;"><!ENTITY c "&b;&b;&b;&b;&b;&b;">]>',
+    '<!DOCTYPE r SYSTEM "file:///etc/passwd">',
+    '<?xml version="1.0" encoding="utf-16"?>',
+    '<?xml version="9.9"?>',
+    "<?php x ?>",
+    "\ufeff",
+    "garbage",
+)
+
+
+class Case(NamedTuple):
+    """A file and the options that it is read with."""
+
+    source: str | bytes
+    options: dict[str, str]
+
+
+def case(number: int) -> Case:
+    """File with a number."""
+    rng = random.Random(number)
+    options = {
+        "base": rng.choice(["fixed", "fixed", "floating"]),
+        "mimic": rng.choice(["independent", "coupled"]),
+        "on_unphysical": rng.choice(["error", "warn", "repair", "ignore"]),
+    }
+    if rng.random() < 0.02:
+        return Case(huge(rng), options)
+    text = rng.choice(FILES)
+    if rng.random() < 0.9:
+        root = ET.fromstring(text.replace("drake:x", "drake"))
+        for _ in range(rng.choice([1, 1, 1, 2, 3, 8])):
+            wound(rng, root)
+        text = ET.tostring(root, encoding="unicode")
+    how = rng.random()
+    if how < 0.05:
+        text = text[: rng.randrange(len(text) + 1)]
+    elif how < 0.1:
+        text = rng.choice(DOCTYPES) + text.replace('"r"', rng.choice(['"&a;"', '"&c;"', '"r"', '"&#0;"', '"&lt;"']), 1)
+    elif how < 0.15:
+        at = rng.randrange(len(text) + 1)
+        text = text[:at] + rng.choice(["\0", "<", ">", "&", '"', "\ud800", "\x1b", "é", "]]>", "<!--"]) + text[at:]
+    if how < 0.75:
+        return Case(text, options)
+    encoding = rng.choice(["utf-8", "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "latin-1", "utf-32", "cp500"])
+    data = text.encode(encoding, errors="replace")
+    if rng.random() < 0.1:
+        at = rng.randrange(len(data) + 1)
+        data = data[:at] + bytes(rng.randrange(256) for _ in range(3)) + data[at:]
+    return Case(data, options)
+
+
+# --- outcomes --------------------------------------------------------------------------------------------------------
+
+
+class Outcome(NamedTuple):
+    """Outcome of reading a file."""
+
+    kind: str  # "Robot" or the name of an error
+    seconds: float  # processor time that the thread spent
+    megabytes: float  # more than before, at most; zero where it cannot be known
+
+
+def outcome(file: Case) -> Outcome:
+    """Outcome of a file; anything but a robot or an error of the package is let through."""
+    memory = Path("/proc/self/clear_refs")
+    before = 0.0
+    if memory.exists():
+        memory.write_text("5")  # forgets the largest size so far
+        before = _memory()
+    begin = time.thread_time()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = Robot.from_urdf(file.source, **file.options)
+    except TorchdqError as error:
+        kind = type(error).__name__
+        str(error).encode("utf-8", errors="strict" if "\ud800" not in str(file.source) else "replace")
+    else:
+        kind = "Robot"
+    seconds = time.thread_time() - begin
+    if kind == "Robot":
+        tensors = [found.X_PB_home, found.screw, found.mass, found.com, found.inertia, found.damping, found.friction]
+        assert all(bool(x.isfinite().all()) for x in (*tensors, *(frame.X_BF for frame in found.frames)))
+        assert not any(bool(x.isnan().any()) for x in found.limits)
+        assert found.name and str(found.report())
+    return Outcome(kind, seconds, _memory() - before if memory.exists() else 0.0)
+
+
+def _memory():
+    """Largest size of this process since it was last forgotten [MB]."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(float(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
+
+
+def main():
+    """Run cases and tell of those that end in anything else."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--cases", type=int, default=20_000)
+    parser.add_argument("--first", type=int, default=0)
+    arguments = parser.parse_args()
+    fates, worst, bad = Counter(), [0.0, 0.0], []
+    outcome(Case(FILES[0], {}))  # the first has to import things
+    for number in range(arguments.first, arguments.first + arguments.cases):
+        try:
+            found = outcome(case(number))
+        except Exception as error:  # the very thing that is looked for
+            bad.append(f"case {number}: {type(error).__name__}: {str(error)[:200]}")
+            continue
+        fates[found.kind] += 1
+        worst = [max(worst[0], found.seconds), max(worst[1], found.megabytes)]
+        if found.seconds > SECONDS or found.megabytes > MEGABYTES:
+            bad.append(f"case {number}: {found.seconds:.2f} s, {found.megabytes:.0f} MB")
+    print("\n".join(bad))
+    told = ", ".join(f"{kind} {count}" for kind, count in fates.most_common())
+    print(f"{arguments.cases} cases: {told}; at most {worst[0]:.2f} s and {worst[1]:.0f} MB; {len(bad)} bad")
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,383 @@
+"""Call path from tensors to a program and back, for functions, modules, scenes and resets alike.
+
+A caller describes what it computes by a `Computation`, a hashable value, and passes named tensors:
+
+    results = evaluate(computation, {"q": q, "qd": None, "mass": mass}, backend="auto", double=False)
+
+    checks     inputs have one dtype, one device and their trailing axes; the error names the argument
+    layout     batch axes broadcast; a parameter without batch axes is one row for all samples
+    program    `computation.program`, recorded for the tensors that are present, with their widths
+    backend    the named one, or the first that can run on the device
+    results    tensors by name, with the broadcast batch axes
+
+The layout is cached by computation and by the shapes, dtypes and devices of the tensors, so a later call of the same
+form goes from tensors to the program directly. `torch.func` transforms and forward-mode differentiation work. In a
+graph traced by torch.compile or torch.export, sizes may be symbols, and the graph calls the program by its name.
+
+A new computation is a class that derives from `Computation` and from a NamedTuple of everything that its program
+depends on, for a scene its specification, stage and task. `axes` gives the trailing axes of every input. `shared` names
+parameters: they are converted to the dtype and the device of the inputs, and are one row for all samples unless they
+have batch axes. `check` raises errors of this computation, for example a missing input, once per layout.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.backends.backend import Backend
+from torchdq.backends.choice import BackendName, choose, choose_for_graph, present
+from torchdq.backends.memory import dense, share_memory
+from torchdq.backends.precision import Form, Guarded, contiguous, unguarded
+from torchdq.backends.run import run
+from torchdq.backends.torch import EAGER
+from torchdq.base.caches import LAYOUTS, Bounded
+from torchdq.base.checks import DTYPES, is_dense, require_tensor
+from torchdq.errors import ArgumentError, DtypeError, TorchdqError
+from torchdq.program.autograd import in_a_graph, named, operator
+from torchdq.program.program import Argument, Program
+from torchdq.program.transforms import constant_in_graphs, dispatching, with_values
+
+Shape = tuple[int, ...]
+Tensors = Mapping[str, Tensor | None]  # by name; None: absent
+
+
+class Computation:
+    """Interface of a computation: a hashable description of everything that its program depends on."""
+
+    def axes(self, name: str) -> Shape:
+        """Trailing axes of a tensor; raises `ArgumentError` if there is none of that name."""
+        raise NotImplementedError
+
+    def program(self, arguments: tuple[Argument, ...]) -> Program:
+        """Program with these arguments."""
+        raise NotImplementedError
+
+    def shared(self, name: str) -> bool:
+        """Whether the tensor is a parameter, which all samples may share."""
+        return False
+
+    def results(self, program: Program) -> tuple[Shape, ...]:
+        """Trailing axes of the results."""
+        return tuple([(len(r.values),) for r in program.results])
+
+    def check(self, tensors: Mapping[str, Tensor]) -> None:
+        """Raise unless the present tensors, each valid by itself, are valid together."""
+
+    def label(self, name: str) -> str:
+        """Name of a tensor in error messages."""
+        return name
+
+    def subject(self) -> str:
+        """Words after a shape in error messages, such as " for the 7 joints of robot 'panda'"."""
+        return ""
+
+
+class Arrangement(NamedTuple):
+    """Shapes on the way from a tensor to rows of a program; None: the tensor has this shape already."""
+
+    expanded: Shape | None  # with all batch axes
+    flat: Shape | None  # [samples, width], or [width] for a uniform argument
+
+
+class CallLayout(NamedTuple):
+    """Everything about a call that follows from the shapes, dtypes and devices of its tensors."""
+
+    rows: tuple[Arrangement, ...]
+    dtype: torch.dtype  # dtype of the program
+    device: torch.device
+    program: Program
+    backend: Backend
+    names: tuple[str, ...]  # names of the results
+    shapes: tuple[Shape, ...]  # shapes of the results
+    samples: int
+    direct: tuple[Form, ...] | None  # forms of all outputs if the tensors can be taken as they are; None: they cannot
+
+
+_layouts: Bounded[tuple, CallLayout] = Bounded(LAYOUTS)
+
+
+def evaluate(
+    what: Computation,
+    tensors: Tensors,
+    backend: BackendName | None = None,
+    double: bool = False,
+    out: Sequence[Tensor] = (),
+) -> dict[str, Tensor]:
+    """Results of a computation by name, with the broadcast batch axes of all tensors.
+
+    Args:
+        what: the computation.
+        tensors: its arguments by name; None: absent. The first is an input.
+        backend: as in `torchdq.functional`.
+        double: whether float32 inputs are computed in float64, and the results rounded.
+        out: tensors that the results are written to, one for each; (): new ones.
+    """
+    if torch.compiler.is_compiling() or dispatching():
+        if out:
+            raise ArgumentError("out cannot be given in a traced graph; leave it out, and torch reuses memory itself")
+        return _traced(what, tensors, backend, double)
+    try:
+        looks = [None if x is None else (x.shape, x.dtype, x.device) for x in tensors.values()]
+        key = (what, backend, present(), double, *tensors, *looks)
+        layout = _layouts.get(key)
+        if layout is None:
+            layout = _layouts[key] = _layout(what, tensors, backend, double)
+        given = [x for x in tensors.values() if x is not None]
+        if out:
+            _require_room(layout, given, out)
+        found = _direct(layout, given, out)
+        if found is not None:
+            return dict(zip(layout.names, found, strict=True))
+        if not all(map(is_dense, given)):  # torch multiplies some of them in silence
+            batch_of(what, tensors)  # raises
+        rows = [_row(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]
+        found = run(layout.program, rows, layout.backend)
+    except (AttributeError, RuntimeError):
+        batch_of(what, tensors)  # raises, naming an argument that is no tensor, or no dense one
+        raise
+    narrow = given[0].dtype
+    if narrow != layout.dtype:
+        found = [y.to(narrow) for y in found]
+    shaped = [y if y.shape == shape else y.view(shape) for y, shape in zip(found, layout.shapes, strict=True)]
+    for room, y in zip(out, shaped, strict=False):
+        room.copy_(y)
+    return dict(zip(layout.names, out or shaped, strict=True))
+
+
+def _direct(layout: CallLayout, given: Sequence[Tensor], out: Sequence[Tensor]) -> Sequence[Tensor] | None:
+    """Results of a call without views of its tensors; None: some are needed, or torch records its operations.
+
+    A view takes a microsecond, which counts where a call has one sample.
+    """
+    if layout.direct is None or in_a_graph(given):
+        return None
+    return unguarded(layout.backend, layout.program, dense(given), layout.direct, layout.samples, out)
+
+
+# --- checks ----------------------------------------------------------------------------------------------------------
+
+
+def batch_of(what: Computation, tensors: Tensors) -> Shape:
+    """Broadcast batch axes of the arguments of a computation.
+
+    Raises, naming the argument, unless the inputs have their trailing axes, one dtype and one device, and the batch
+    axes of all tensors broadcast.
+    """
+    given = {name: x for name, x in tensors.items() if x is not None}
+    batches: dict[str, Shape] = {}
+    first = ""
+    for name, x in given.items():
+        axes, label = what.axes(name), what.label(name)
+        require_tensor(label, x)
+        if not what.shared(name):
+            first = first or name
+            _require_alike(label, x, first, given[first])
+        elif x.is_meta and not given[first].is_meta:
+            raise ArgumentError(
+                f"{label} is on the device 'meta', where tensors have no values, but {first} is on "
+                f"{given[first].device}; give it with values"
+            )
+        if x.ndim < len(axes) or tuple(x.shape[x.ndim - len(axes) :]) != axes:
+            raise ArgumentError(
+                f"{label} must have the shape [{', '.join(['...', *map(str, axes)])}]{what.subject()}, "
+                f"found {tuple(x.shape)}"
+            )
+        batches[label] = tuple(x.shape[: x.ndim - len(axes)])
+    what.check(given)
+    try:
+        return tuple(torch.broadcast_shapes(*batches.values()))
+    except RuntimeError as error:
+        found = ", ".join(f"{label} {batch}" for label, batch in batches.items() if batch)
+        raise ArgumentError(f"the batch axes of the arguments must broadcast, found {found}") from error
+
+
+def _require_alike(name: str, x: Tensor, other: str, like: Tensor) -> None:
+    """Raise unless an input has a dtype of the package, and dtype and device of another input."""
+    if x.dtype not in DTYPES:
+        raise DtypeError(
+            f"{name} must be float32 or float64, found {x.dtype}; integers would round angles and half precision "
+            f"loses centimetres over an arm, so convert it yourself"
+        )
+    if x.dtype != like.dtype:
+        raise DtypeError(f"{name} is {x.dtype} but {other} is {like.dtype}; convert one of them")
+    if x.device != like.device:
+        raise ArgumentError(f"{name} is on {x.device} but {other} is on {like.device}; move one of them")
+
+
+def _require_room(layout: CallLayout, given: Sequence[Tensor], out: Sequence[Tensor]) -> None:
+    """Raise unless the results can be written to these tensors, and nothing else is changed by it."""
+    if len(out) != len(layout.names):
+        raise ArgumentError(f"out must have a tensor for each of {', '.join(layout.names)}, found {len(out)}")
+    for k, (name, shape, room) in enumerate(zip(layout.names, layout.shapes, out, strict=True)):
+        label = f"out for {name}"
+        require_tensor(label, room)
+        _require_alike(label, room, "the first argument", given[0])
+        if room.shape != shape or not room.is_contiguous():
+            expected, held = ", ".join(map(str, shape)), "" if room.is_contiguous() else " that is not contiguous"
+            if room.ndim > len(shape) and room.numel() == math.prod(shape):
+                held += "; it is flat, row by row"
+            raise ArgumentError(f"{label} must be contiguous [{expected}], found {tuple(room.shape)}{held}")
+        if any([share_memory(room, x) for x in (*given, *out[:k])]):
+            raise ArgumentError(f"{label} must have memory of its own, found that of an argument or of another result")
+    if in_a_graph([*given, *out]):
+        raise ArgumentError(
+            "out cannot be given where torch records gradients or transforms, found an argument or an out that "
+            "requires grad, or a transform; leave it out, or call under torch.no_grad()"
+        )
+
+
+# --- layout ----------------------------------------------------------------------------------------------------------
+
+
+def _layout(what: Computation, tensors: Tensors, backend: BackendName | None, double: bool) -> CallLayout:
+    arguments, rows, batch = _arranged(what, tensors)
+    like = next(x for x in tensors.values() if x is not None)
+    dtype, device = torch.float64 if double else like.dtype, like.device
+    program, chosen = _recorded(what, arguments), choose(backend, device)
+    shapes = _shapes(what, program)
+    alike = all(x is None or (x.dtype == dtype and x.device == device) for x in tensors.values())
+    direct = None
+    if alike and not (
+        chosen.differentiable
+        or device.type != "cpu"
+        or 0 in batch
+        or any(row.expanded is not None for row in rows)
+        or any(summed for _, summed, _ in shapes)
+    ):
+        growth = () if program.growth is None or chosen.guards else (batch,)
+        direct = tuple(contiguous(shape, dtype) for shape in (*(batch + axes for _, _, axes in shapes), *growth))
+    return CallLayout(
+        rows,
+        dtype,
+        device,
+        program,
+        chosen,
+        tuple([name for name, _, _ in shapes]),
+        tuple([axes if summed else batch + axes for _, summed, axes in shapes]),
+        math.prod(batch),
+        direct,
+    )
+
+
+def _recorded(what: Computation, arguments: tuple[Argument, ...]) -> Program:
+    with with_values():
+        return what.program(arguments)
+
+
+def _shapes(what: Computation, program: Program) -> tuple[tuple[str, bool, Shape], ...]:
+    """Name of every result, whether it is summed over the samples, and its trailing axes."""
+    axes = what.results(program)
+    return tuple([(r.name, r.summed, shape) for r, shape in zip(program.results, axes, strict=True)])
+
+
+def _arranged(what: Computation, tensors: Tensors) -> tuple[tuple[Argument, ...], tuple[Arrangement, ...], Shape]:
+    """Arguments of the program, arrangement of the tensors in rows, and batch axes."""
+    batch = batch_of(what, tensors)
+    samples = math.prod(batch)
+    arguments, rows = [], []
+    for name, x in tensors.items():
+        if x is None:
+            continue
+        axes = what.axes(name)
+        width, uniform = math.prod(axes), what.shared(name) and x.ndim == len(axes)
+        arguments.append(Argument(name, width, uniform))
+        expanded, flat = (axes, (width,)) if uniform else (batch + axes, (samples, width))
+        rows.append(Arrangement(None if x.shape == expanded else expanded, None if expanded == flat else flat))
+    return tuple(arguments), tuple(rows), batch
+
+
+def _row(x: Tensor, dtype: torch.dtype, device: torch.device, row: Arrangement) -> Tensor:
+    if x.dtype != dtype or x.device != device:
+        x = x.to(dtype=dtype, device=device)
+    if row.expanded is not None:
+        x = x.expand(row.expanded)
+    return x if row.flat is None else x.reshape(row.flat)
+
+
+# --- traced graphs ---------------------------------------------------------------------------------------------------
+
+
+def _traced(what: Computation, tensors: Tensors, backend: BackendName | None, double: bool) -> dict[str, Tensor]:
+    """Results in a graph that is being traced.
+
+    At every call of its graph, torch.compile checks all objects that were read while it was traced, so all parts
+    that do not depend on sizes are read in `_known`.
+    """
+    given = [x for x in tensors.values() if x is not None]
+    if not all([isinstance(x, Tensor) for x in given]):
+        batch_of(what, tensors)  # raises
+    looks = tuple([(name, x.ndim, x.dtype, x.device) for name, x in tensors.items() if x is not None])
+    # the fields one by one, so that torch.compile guards the graph by each of them
+    known = _known(type(what), looks, backend, double, *what)  # type: ignore[misc]
+    batch = None if known is None else _common_batch(given, known[0])
+    if batch is None:
+        batch = batch_of(what, tensors)  # broadcast, or raises
+    forms, dtype, name, program, results = known  # type: ignore[misc]  # where it is None, `batch_of` has raised
+    samples = math.prod(batch)
+    inputs = []
+    for x, (axes, width, uniform) in zip(given, forms, strict=True):
+        shape, flat = (axes, (width,)) if uniform else (batch + axes, (samples, width))
+        x = x if x.dtype == dtype and x.device == given[0].device else x.to(dtype=dtype, device=given[0].device)
+        x = x if x.shape == shape else x.expand(shape)
+        inputs.append(x if shape == flat else x.reshape(flat))
+    found = run(program, inputs, EAGER) if program is not None else operator(name, inputs)
+    shapes = [axes if summed else batch + axes for _, summed, axes in results]
+    narrow = [y if dtype == given[0].dtype else y.to(given[0].dtype) for y in found]
+    shaped = [y if y.shape == shape else y.reshape(shape) for y, shape in zip(narrow, shapes, strict=True)]
+    return {result: y for (result, _, _), y in zip(results, shaped, strict=True)}
+
+
+def _common_batch(given: Sequence[Tensor], forms: Sequence[tuple[Shape, int, bool]]) -> Shape | None:
+    """Batch axes of tensors that all have them, without broadcasting; None: they differ, or other axes do not fit."""
+    batch = None
+    for x, (axes, _, uniform) in zip(given, forms, strict=True):
+        own, last = x.shape[: x.ndim - len(axes)], x.shape[x.ndim - len(axes) :]
+        batch = own if batch is None and not uniform else batch
+        if last != axes or not (uniform or own == batch):
+            return None
+    return None if batch is None else tuple(batch)
+
+
+@constant_in_graphs
+def _known(
+    kind: type,
+    looks: Sequence[tuple[str, int, torch.dtype, torch.device]],
+    backend: BackendName | None,
+    double: bool,
+    *fields: Any,
+) -> tuple | None:
+    """Parts of a call in a graph that do not depend on the sizes of its tensors; None: the tensors do not fit.
+
+    Args:
+        kind, fields: type and fields of the computation.
+        looks: name, number of axes, dtype and device of every tensor.
+        backend, double: as in `evaluate`.
+    Returns:
+        forms: trailing axes and their size, and whether it is one row for all samples, of every tensor.
+        dtype: that of the program.
+        name: name of the program in a graph, or "" if it runs as torch operations.
+        program: program that runs as torch operations, or None.
+        results: name, whether it is summed over the samples, and trailing axes of every result.
+    """
+    what = kind(*fields)
+    try:
+        with with_values():
+            one = {
+                name: torch.empty(((1,) * ndim + what.axes(name))[len(what.axes(name)) :], dtype=dtype, device=device)
+                for name, ndim, dtype, device in looks
+            }
+            arguments, _, _ = _arranged(what, one)
+    except TorchdqError:
+        return None
+    _, _, dtype, device = looks[0]
+    forms = tuple([(what.axes(a.name), a.width, a.uniform) for a in arguments])
+    program, chosen = _recorded(what, arguments), choose_for_graph(backend, device)
+    results, dtype = _shapes(what, program), torch.float64 if double else dtype
+    if chosen.differentiable:
+        return forms, dtype, "", program, results
+    return forms, dtype, named(Guarded(chosen), program), None, results

@@ -1,0 +1,1 @@
+"""Checks, files, optional packages, caches and progress: general tools that know no robot."""

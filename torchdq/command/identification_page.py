@@ -1,0 +1,138 @@
+"""Page about an identified robot: one HTML file with its picture in it, which opens without a network."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from html import escape
+
+from torchdq.base.optional import imported
+from torchdq.learning.bodies.payload import IdentifiedPayload
+from torchdq.learning.evaluate import MEANING, TorqueTrial, torques_by
+from torchdq.learning.identification.identified import Identified
+from torchdq.learning.logs.motions import Motion
+from torchdq.learning.plots import plot_torques
+
+BY_FILE = " By the file: of a description with the numbers found, whose friction is viscous and Coulomb alone."
+MOST = 40_000  # numbers that are drawn as lines; more are drawn as points of a picture, which do not grow with them
+DPI = 150  # points per inch of these
+STYLE = """
+:root { color-scheme: light dark; --ink: #1c2733; --paper: #ffffff; --line: #d5dbe2; --soft: #f2f5f8; }
+@media (prefers-color-scheme: dark) { :root { --ink: #dfe6ee; --paper: #14191f; --line: #36414d; --soft: #1e262f; } }
+body { font: 16px/1.5 system-ui, sans-serif; color: var(--ink); background: var(--paper);
+       max-width: 62rem; margin: 2rem auto; padding: 0 1rem; }
+h1 { font-size: 1.6rem; margin-bottom: 0; } h2 { font-size: 1.15rem; margin-top: 2.2rem; }
+.verdict { background: var(--soft); border-left: 4px solid #0072b2; padding: .7rem 1rem; }
+.wide { overflow-x: auto; } .picture { background: #ffffff; border-radius: 6px; padding: .5rem; }
+.picture svg { width: 100%; height: auto; display: block; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .92rem; }
+th, td { text-align: left; padding: .2rem 1rem .2rem 0; border-bottom: 1px solid var(--line); vertical-align: top; }
+pre { background: var(--soft); padding: .7rem 1rem; overflow-x: auto; font-size: .85rem; }
+summary { cursor: pointer; }
+"""
+
+
+def page(
+    found: Identified,
+    measured: TorqueTrial,
+    test: Sequence[Motion],
+    sources: Sequence[str] = (),
+    doubts: Sequence[str] = (),
+    payload: IdentifiedPayload | None = None,
+) -> str:
+    """HTML text about an identified robot: verdict, errors, picture, parameters with errors, what is not told.
+
+    Args:
+        found: from `identify`.
+        measured: its trial.
+        test: motions of the trial.
+        sources: lines about where the numbers come from, e.g. names of the logs.
+        doubts: warnings that were given on the way.
+        payload: what the arm holds in other motions; None: nothing was sought.
+    Raises:
+        MissingLibraryError: matplotlib is not installed.
+    """
+    name = found.robot.name
+    parts = [
+        f"<h1>{escape(name)}, identified</h1>",
+        f"<p>{'<br>'.join(map(escape, sources))}</p>" if sources else "",
+        f'<p class="verdict">{escape(measured.verdict)}</p>\n<p>{escape(MEANING)}</p>',
+        _section("Warnings", "".join(f"<p>{escape(x)}</p>" for x in doubts)) if doubts else "",
+        _section(
+            "Torques in motions that were not learned from",
+            "<p>Errors are root mean squares over the standard deviation of the measured torque."
+            f"{BY_FILE if measured.file is not None else ''} The picture shows what was identified, with bands that "
+            f"should hold 95 % of the measurements.</p>{_table(measured.header, measured.rows())}"
+            f'<div class="picture">{_picture(found.by_these_gains(), torques_by(found, test))}</div>',
+        ),
+        _section("Payload", f"<pre>{escape(str(payload))}</pre>") if payload is not None else "",
+        _section("What the data tell", _told(found)),
+        _section("What the data cannot tell", _untold(found)),
+        _section("All numbers", f"<details><summary>Parameters</summary><pre>{escape(str(found))}</pre></details>"),
+    ]
+    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(name)}</title>'
+    body = "\n".join(part for part in parts if part)
+    head = f"<head>{head}<style>{STYLE}</style></head>"
+    return f'<!doctype html>\n<html lang="en">\n{head}\n<body>\n{body}\n</body>\n</html>\n'
+
+
+def _section(title: str, content: str) -> str:
+    return f"<h2>{escape(title)}</h2>\n{content}"
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    head = "".join(f"<th>{escape(cell)}</th>" for cell in header)
+    lines = "\n".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+    return f'<div class="wide"><table>\n<tr>{head}</tr>\n{lines}\n</table></div>'
+
+
+def _picture(found: Identified, motions: Sequence[Motion]) -> str:
+    """Element <svg> of measured and predicted torques."""
+    matplotlib = imported("matplotlib", "matplotlib", "the page", "'torchdq[viz]'")
+    file = io.StringIO()
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": "torchdq", "font.size": 8}):
+        figure = plot_torques(found, motions)
+        if sum(motion.q.size for motion in motions) > MOST:
+            for panel in figure.axes:
+                for drawn in (*panel.lines, *panel.collections):
+                    drawn.set_rasterized(True)
+        figure.savefig(file, format="svg", dpi=DPI, metadata={"Date": None, "Creator": None})
+    text = file.getvalue()
+    return text[text.index("<svg") :]
+
+
+def _told(found: Identified) -> str:
+    """Sections of what was chosen and found: friction, gains, and combinations of inertial parameters with errors."""
+    parts = [] if found.report is None else [f"<pre>{escape(str(found.report))}</pre>"]
+    first = 10 * len(found.robot.link_names)
+    units = [term.units[not joint.turns] for term in found.terms for joint in found.robot.joint_types]
+    rest = zip(found.names[first:], *(x[first:].tolist() for x in (found.parameters, found.errors)), units, strict=True)
+    if joints := [(name, f"{x:.4g}", f"{error:.2g}", unit) for name, x, error, unit in rest if x or error]:
+        parts.append(f"<p>Joints</p>{_table(('parameter', 'estimate', 'standard error', 'unit'), joints)}")
+    if found.gains is not None:
+        rows = [
+            (name, f"{x:.4g}", f"{error:.2g}")
+            for name, x, error in zip(found.robot.joint_names, *(y.tolist() for y in found.gains), strict=True)
+        ]
+        parts.append(f"<p>Gains of the drives</p>{_table(('joint', 'torque per unit', 'standard error'), rows)}")
+    values = (found.base @ found.parameters).tolist()
+    base = zip(found.base_names, values, found.base_errors.tolist(), strict=True)
+    rows = [(name, f"{x:.4g}", f"{error:.2g}") for name, x, error in base]
+    combinations = _table(("combination", "estimate", "standard error"), rows)
+    parts.append(f"<details><summary>{len(rows)} combinations of parameters</summary>{combinations}</details>")
+    return "\n".join(parts)
+
+
+def _untold(found: Identified) -> str:
+    """Parameters that stayed near the description, since no sample speaks of them."""
+    untold = () if found.report is None else found.report.untold
+    if not untold:
+        alone = [name for name, told in zip(found.names, found.excited.tolist(), strict=True) if not told]
+        untold = (", ".join(alone),) if alone else ()
+    if not untold:
+        return "<p>Nothing: every parameter is told by the samples.</p>"
+    lines = "".join(f"<li>{escape(line)}</li>" for line in untold)
+    return (
+        "<p>These inertial parameters alone are not told by the samples, and stay near the description; only the "
+        f"combinations above are. Torques do not depend on them.</p><ul>{lines}</ul>"
+    )

@@ -1,0 +1,206 @@
+"""State of an installation: what runs, what is slower than it could be, what is broken, and how to mend it."""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import torch
+
+from torchdq.backends import cache, nvrtc
+from torchdq.backends.choice import backend
+from torchdq.backends.compiler import BuildError, compiler
+from torchdq.base import machine
+from torchdq.base.caches import clear_caches
+from torchdq.base.progress import Notice
+from torchdq.errors import TorchdqError
+from torchdq.functions.compile import compile
+from torchdq.robot import shipped
+
+Severity = Literal["ok", "warning", "broken"]
+CACHE = "TORCHDQ_CACHE"  # variable that names the folder of compiled programs
+NEEDED = ("numpy", "torch", "gymnasium", "rich", "tyro")
+# what optional packages are for, and how they are installed
+OPTIONAL = {
+    "scipy": ("logs", "torchdq[learn]"),
+    "matplotlib": ("pictures", "torchdq[viz]"),
+    "viser": ("torchdq view", "torchdq[viz]"),
+    "mujoco": ("MJCF files", "torchdq[mujoco]"),
+    "xacrodoc": ("xacro files", "torchdq[xacro]"),
+    "robot_descriptions": ("robots by name", "torchdq[names]"),
+    "casadi": ("running exports to CasADi", "casadi"),
+    "onnx": ("exports to ONNX", "torchdq[onnx]"),
+    "stable_baselines3": ("training of policies", "torchdq[rl]"),
+}
+EXTRA = "torchdq["  # beginning of the names of extras
+POSITION = (0.3, 0.4)  # [rad]
+# what holds the double pendulum of unit rods there [N m]: the moments of its weights about the joints
+OUTER = 9.81 * 0.5 * math.cos(0.7)
+TORQUES = (9.81 * 1.5 * math.cos(0.3) + OUTER, OUTER)
+TOLERANCE = 1e-12  # relative
+
+
+class Finding(NamedTuple):
+    """Something that was looked at, its state, and how it is mended."""
+
+    what: str
+    state: Severity
+    found: str
+    cure: str = ""
+
+
+def findings() -> list[Finding]:
+    """All that an installation depends on.
+
+    >>> {finding.state for finding in findings()} <= {"ok", "warning", "broken"}
+    True
+    """
+    with Notice("looking at the installation"):
+        found = [_python(), _packages(), _optional(), _processor(), _threads()]
+        for look in (_compiler, _cache, _gpu):
+            found.append(_caught(look))
+        return [*found, _known_torque()]
+
+
+def _caught(look: Callable[[], Finding]) -> Finding:
+    """Finding of a check that may warn: what it warns of is part of it."""
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
+        finding = look()
+    if not said:
+        return finding
+    told = "; ".join(str(one.message) for one in said)
+    worse: Severity = "warning" if finding.state == "ok" else finding.state
+    return finding._replace(state=worse, found=f"{finding.found}; {told}")
+
+
+def _python() -> Finding:
+    return Finding("python", "ok", f"{platform.python_version()}, {sys.executable}")
+
+
+def _packages() -> Finding:
+    found = {name: machine.version_of(name) for name in NEEDED}
+    words = ", ".join(f"{name} {version or 'missing'}" for name, version in found.items())
+    if lost := [name for name, version in found.items() if version is None]:
+        return Finding("packages", "broken", words, f"pip install {' '.join(lost)}")
+    return Finding("packages", "ok", words)
+
+
+def _optional() -> Finding:
+    """Optional packages; it is no fault that some are not there."""
+    found = {name: machine.version_of(name) for name in OPTIONAL}
+    there = ", ".join(f"{name} {version}" for name, version in found.items() if version)
+    absent = [f"{name} for {OPTIONAL[name][0]}" for name, version in found.items() if not version]
+    lost = {OPTIONAL[name][1] for name, version in found.items() if not version}
+    if not absent:
+        return Finding("optional packages", "ok", there)
+    extras = sorted(one[len(EXTRA) : -1] for one in lost if one.startswith(EXTRA))
+    alone = sorted(one for one in lost if not one.startswith(EXTRA))
+    together = [f"'{EXTRA}{','.join(extras)}]'"] if extras else []
+    how = f"pip install {' '.join([*together, *alone])}"
+    return Finding("optional packages", "ok", f"{there or 'none'}; not installed: {', '.join(absent)} ({how})")
+
+
+def _processor() -> Finding:
+    vectors = machine.vector_instructions()
+    return Finding(
+        "processor", "ok", f"{machine.processor()}, vector instructions: {vectors or 'none that torch knows'}"
+    )
+
+
+def _threads() -> Finding:
+    used, there = torch.get_num_threads(), os.cpu_count() or 1
+    stated = os.environ.get("OMP_NUM_THREADS")
+    words = f"{used} of {there} processors" + (f", OMP_NUM_THREADS={stated}" if stated else "")
+    if used > there:
+        cure = "set OMP_NUM_THREADS or torch.set_num_threads to at most that many"
+        return Finding("threads", "warning", f"{words}: they wait for each other", cure)
+    return Finding("threads", "ok", words)
+
+
+def _compiler() -> Finding:
+    found = compiler()
+    if found is None:
+        words = "none; programs run as torch operations, which is slower"
+        return Finding("C compiler", "warning", words, "install gcc or clang (apt install gcc), or name one in $CC")
+    version = found.version.strip().splitlines()
+    return Finding("C compiler", "ok", f"{' '.join(found.command)}, {version[0] if version else 'of no version'}")
+
+
+def _cache() -> Finding:
+    """Folder of compiled programs, and its size."""
+    try:
+        folder = cache.directory()
+    except BuildError as error:
+        return Finding("cache", "broken", str(error), f"name a folder that only you can write in ${CACHE}")
+    files = [entry.stat().st_size for entry in _files(folder)]
+    words = f"{folder}, {len(files)} programs, {sum(files) / 2**20:.1f} MiB of at most {cache.LARGEST / 2**20:.0f} MiB"
+    return Finding("cache", "ok", words)
+
+
+def _files(folder: Path) -> list[Path]:
+    return [entry for entry in folder.iterdir() if entry.is_file() and not entry.name.startswith(".")]
+
+
+def _gpu() -> Finding:
+    if not torch.cuda.is_available():
+        if Path("/dev/nvidia0").exists():
+            words = f"there is one, which torch {torch.__version__} cannot use"
+            return Finding(
+                "GPU", "warning", words, "install a build of torch for CUDA: https://pytorch.org/get-started"
+            )
+        return Finding("GPU", "ok", "none; everything runs on the processor")
+    names = ", ".join(torch.cuda.get_device_name(k) for k in range(torch.cuda.device_count()))
+    found = nvrtc.found()
+    if isinstance(found, str):
+        return Finding("GPU", "warning", f"{names}; programs run there as torch operations, which is slower", found)
+    return Finding("GPU", "ok", f"{names}, {found!r}")
+
+
+def _known_torque() -> Finding:
+    """Torques of a known arm, computed by a program that is compiled now."""
+    what = "compiled program"
+    q = torch.tensor(POSITION, dtype=torch.float64)
+    expected = torch.tensor(TORQUES, dtype=torch.float64)
+    try:
+        with _empty_cache(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a missing compiler has a finding of its own
+            start = time.perf_counter()
+            tau = torch.empty_like(q)
+            with backend("auto" if compiler() is None else "c"):  # "auto" would hide that a compiler fails
+                compile(shipped.load("two_link"), "inverse_dynamics", arguments=("q",))(q, out=tau)
+            seconds = time.perf_counter() - start
+    except (TorchdqError, OSError) as fault:
+        cure = "the message of the compiler says why; another one is named in $CC"
+        return Finding(what, "broken", f"a small program cannot be compiled: {fault}", cure)
+    error = float(((tau - expected) / expected).abs().max())
+    if not error < TOLERANCE:
+        words = f"torques of a double pendulum must be {TORQUES} N m, found {tuple(tau.tolist())}"
+        return Finding(what, "broken", words, "try another compiler, named in $CC, and report this with its version")
+    how = "compiled and run" if compiler() else "run as torch operations"
+    return Finding(what, "ok", f"{how} in {seconds:.2f} s; torques of a double pendulum are right to {error:.0e}")
+
+
+@contextmanager
+def _empty_cache() -> Iterator[None]:
+    """Context in which nothing is compiled yet."""
+    before = os.environ.get(CACHE)
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        clear_caches()
+        os.environ[CACHE] = folder
+        try:
+            yield
+        finally:
+            clear_caches()
+            os.environ.pop(CACHE)
+            if before is not None:
+                os.environ[CACHE] = before

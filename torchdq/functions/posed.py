@@ -1,0 +1,170 @@
+"""Robot at one configuration, in numbers to record: constants, and arguments for tensors that were replaced."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.inertia import Moments
+from torchdq.algebra.quaternion import Number
+from torchdq.algebra.screw import Screw
+from torchdq.dynamics import conditioning
+from torchdq.dynamics.aligned.posed import Aligned
+from torchdq.dynamics.aligned.regroup import regrouped
+from torchdq.dynamics.coupling import Coupled, Coupling
+from torchdq.dynamics.joints import Coordinate, Free, along_z
+from torchdq.dynamics.paper.posed import Paper
+from torchdq.dynamics.posed import Factors, Posed
+from torchdq.dynamics.tree import Tree, on_base
+from torchdq.errors import SingularInertiaError
+from torchdq.functions import mdh
+from torchdq.numbers.functions import cos, sin
+from torchdq.robot.description import JointMap
+from torchdq.robot.fields import BASE_BODY, BODIES, SHAPES
+from torchdq.robot.robot import Robot
+from torchdq.robot.tree import general_tree, plain
+
+# flat components of tensors that replace those of the robot, by name; None: absent
+Overrides = Mapping[str, Sequence[Number] | None]
+
+GEOMETRY = ("X_PB_home", "screw")
+BASE = 6  # degrees of freedom of a free base, which come first
+
+
+def field(robot: Robot, name: str, overrides: Overrides):
+    """Tensor of the robot as nested tuples of numbers; None: absent."""
+    if name in overrides:
+        row, shape = overrides[name], SHAPES[name]
+        if row is None:
+            return None
+        flat = tuple(row)
+        if not shape:
+            return flat[0]
+        if len(shape) == 1:
+            return flat
+        width = int(shape[1])
+        return tuple(flat[k : k + width] for k in range(0, len(flat), width))
+    return plain(robot, name)
+
+
+def tree(robot: Robot, overrides: Overrides, free: bool = False) -> Tree:
+    """Tree of the robot in the link frames of its description."""
+    return general_tree(robot, lambda name: field(robot, name, overrides), free)
+
+
+def coupling(joint_map: JointMap) -> Coupling:
+    """Map from coordinates to all joints, in numbers."""
+    return Coupling(tuple(tuple(x or None for x in row) for row in joint_map.S.tolist()))
+
+
+def displacements(robot: Robot, q: Sequence[Number], overrides: Overrides) -> list[Number]:
+    """Positions of all joints relative to home."""
+    home = field(robot, "home", overrides)
+    if robot.joint_map is not None:
+        q = coupling(robot.joint_map).joints(q)
+    return list(q) if home is None else [x - h for x, h in zip(q, home, strict=True)]
+
+
+def coordinates(robot: Robot, q: Sequence[Number], overrides: Overrides, X_WB: DualQuaternion | None) -> list[Any]:
+    """Coordinates of all joints, beginning with the base."""
+    halves = [(x, 0.5 * x) for x in displacements(robot, q, overrides)]
+    return [X_WB, *(Coordinate(x, cos(half), sin(half)) for x, half in halves)]
+
+
+def aligned(
+    robot: Robot, q: Sequence[Number], overrides: Overrides, group: bool, X_WB: DualQuaternion | None = None
+) -> Aligned:
+    """Robot at q in aligned frames; its geometry must be constant.
+
+    Args:
+        group: whether inertial parameters are regrouped; it saves operations if they do not depend on the sample.
+        X_WB: pose of a free base; None: the base is fixed.
+    """
+    described = tree(robot, {"gravity": None, "armature": None})
+    alignments, coms = mdh.align(described), field(robot, "com", overrides)
+    masses, inertias = field(robot, "mass", overrides), field(robot, "inertia", overrides)
+    found = on_base(
+        robot.parents,
+        [along_z(link.joint) for link in described.links[1:]],
+        [at.placement for at in alignments],
+        [
+            Moments.from_com(m, at.point_from_own(com), at.inertia_from_own(inertia))
+            for at, m, com, inertia in zip(alignments, masses, coms, inertias, strict=True)
+        ],
+        None if robot.joint_map else field(robot, "armature", overrides),
+        field(robot, "gravity", overrides),
+        *(() if X_WB is None else (Free(), _base_body(robot, overrides))),
+    )
+    x = displacements(robot, q, overrides)
+    return Aligned.at(regrouped(found) if group else found, alignments, coms, x, X_WB)
+
+
+def _base_body(robot: Robot, overrides: Overrides) -> Moments:
+    return Moments.from_com(*(field(robot, name, overrides) for name in BASE_BODY))
+
+
+def paper(robot: Robot, q: Sequence[Number], overrides: Overrides, X_WB: DualQuaternion | None = None) -> Paper:
+    """Robot at q in the paper's form, in the link frames of its description; every tensor may be an argument."""
+    found = tree(robot, overrides, free=X_WB is not None)
+    return Paper.at(found, field(robot, "com", overrides), coordinates(robot, q, overrides, X_WB))
+
+
+def posed(
+    robot: Robot,
+    q: Sequence[Number],
+    overrides: Overrides,
+    per_sample: Sequence[str],
+    X_WB: DualQuaternion | None = None,
+) -> Posed:
+    """Robot at q, in aligned frames if its geometry is constant, otherwise in the paper's form.
+
+    Args:
+        per_sample: names of the tensors of the robot that depend on the sample.
+        X_WB: pose of a free base; None: the base is fixed.
+    """
+    at: Posed
+    if any(name in overrides for name in GEOMETRY):
+        at = paper(robot, q, overrides, X_WB)
+    else:
+        at = aligned(robot, q, overrides, not any(name in per_sample for name in BODIES), X_WB)
+    if robot.joint_map is None:
+        return at
+    before, rotors = 0 if X_WB is None else BASE, field(robot, "armature", overrides)
+    return Coupled(at, coupling(robot.joint_map).after(before), rotors and (0.0,) * before + tuple(rotors))
+
+
+def factors(robot: Robot, at: Posed, linear: bool) -> Factors:
+    """Factors of the mass matrix; raises `SingularInertiaError` if a joint moves no inertia."""
+    try:
+        return at.factors(linear)
+    except conditioning.NoInertiaError as error:
+        joint = error.joint - (BASE if robot.floating else 0)
+        what = "the free base" if joint < 0 else f"joint {robot.joint_names[joint]!r}"
+        raise SingularInertiaError(
+            f"{what} of robot {robot.name!r} moves no inertia, so its acceleration is undefined; give the links beyond "
+            "it mass, or the joint armature"
+        ) from error
+
+
+def solve(robot: Robot, at: Posed, b: Sequence[Number], linear: bool) -> tuple[Sequence[Number], Number]:
+    """Solution x of M x = b, and the factor by which it magnifies rounding errors."""
+    parts = factors(robot, at, linear)
+    return parts.solve(b), parts.growth
+
+
+def constant_pose(x) -> DualQuaternion:
+    """Pose as numbers, from a tensor."""
+    components = tuple(x.tolist())
+    return components[:4], components[4:]
+
+
+def frame(robot: Robot, name: str) -> tuple[int, DualQuaternion]:
+    """Index in the tree of the link that a frame of the robot is fixed to, and the pose of the frame in the link."""
+    found = robot.frame(name)
+    return found.link + 1, constant_pose(found.X_BF)
+
+
+def as_screw(x: Sequence[Number]) -> Screw:
+    """Six components as a screw."""
+    return tuple(x[:3]), tuple(x[3:])

@@ -1,0 +1,1 @@
+"""Machinery of the layers: parameters that stay physical, friction, recorded programs."""

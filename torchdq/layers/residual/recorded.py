@@ -1,0 +1,157 @@
+"""Learned torques as a function of torques that change the acceleration, for `torchdq.effects.Residual`."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from torchdq.layers.residual.networks import Perceptrons
+from torchdq.layers.residual.smooth import limit_slope, limited, smooth_step, step_slope
+from torchdq.program.transforms import load_forward_mode
+
+if TYPE_CHECKING:
+    from torchdq.layers.residual.dynamics import ResidualDynamics
+
+
+class Learned:
+    """Torques of a `ResidualDynamics` as a function of torques r [..., n], of which its accelerations are linear.
+
+    Of every joint's features, r changes the last two: its acceleration and the model's torque.
+
+    Args:
+        dynamics: the model and the network.
+        features: features [..., n, 6 or 8] without r.
+        directions: what r subtracts from the accelerations and from the model's torques, [..., n, 2, n].
+    """
+
+    def __init__(self, dynamics: ResidualDynamics, features: Tensor, directions: Tensor):
+        self.dynamics, self.size = dynamics, features.shape[-1]
+        n, x = features.shape[-2], dynamics.scaled(features)  # [..., groups, features]
+        self.one = torch.eye(n, dtype=features.dtype, device=features.device)
+        self.offset = dynamics.model.offset.to(features) if "offset" in dynamics.model.learn else None
+        self.largest = dynamics.largest.to(x)
+        self.factor = dynamics.weight.to(x) * dynamics.domain(dynamics.of_state(x))  # [..., n], which r does not change
+        scales = (dynamics.feature_spread, dynamics.feature_middle, dynamics.feature_range)
+        spread, self.middle, self.range = (self._last(y.to(x).reshape(x.shape[-2:])) for y in scales)
+        self.still, self.moving = self._first(x), self._last(x)  # features that r does not change, and that it does
+        # what r subtracts from those, [..., groups, changes, n]
+        self.columns = directions.to(x).reshape(*directions.shape[:-3], *spread.shape, n) / spread.unsqueeze(-1)
+
+    def torques(self, r: Tensor) -> Tensor:
+        """Torques [..., n]."""
+        moved = self._moved(r)
+        gate = 1 - smooth_step(self.dynamics.past_torque(self._torque(moved)))
+        return self._with_offset((self.factor * gate * limited(self._network(moved), self.largest)).to(r))
+
+    def linearised(self, r: Tensor) -> tuple[Tensor, Tensor]:
+        """Torques [..., n], and J = 1 - their derivatives by r, [..., n, n]."""
+        moved = self._moved(r)
+        bent = limit_slope(moved - self.middle, self.range)
+        y, change = self._linearised(moved, bent.unsqueeze(-1) * self.columns)
+        found, z = limited(y, self.largest), self._torque(moved)
+        past = self.dynamics.past_torque(z)
+        gate = 1 - smooth_step(past)
+        slope = -step_slope(past) / self.dynamics.room.to(z) * (z - self._torque(self.middle)).sign()
+        fading = slope.unsqueeze(-1) * self.columns[..., 1::2, :].flatten(-3, -2)  # [..., n, n]
+        change = (gate * limit_slope(y, self.largest)).unsqueeze(-1) * change + found.unsqueeze(-1) * fading
+        J = self.one + (self.factor.unsqueeze(-1) * change).to(r)
+        return self._with_offset((self.factor * gate * found).to(r)), J
+
+    def _network(self, moved: Tensor) -> Tensor:
+        """Torques [..., n] of the network without limit."""
+        x = self._joined(self._within_range(moved), self._first(self.dynamics.within_range(self._joined(moved))))
+        return self.dynamics.raw(x, self.dynamics.network)
+
+    def _linearised(self, moved: Tensor, along: Tensor) -> tuple[Tensor, Tensor]:
+        """`_network`, and how it changes along directions [..., groups, changes, n] of the features, [..., n, n]."""
+        x = self._joined(self._within_range(moved), self._first(self.dynamics.within_range(self._joined(moved))))
+
+        def network(x: Tensor) -> Tensor:
+            return self.dynamics.raw(x, self.dynamics.network)
+
+        def changed(direction: Tensor) -> Tensor:
+            return torch.func.jvp(network, (x,), (self._joined(direction, torch.zeros_like(self.still)),))[1]
+
+        if not torch.compiler.is_compiling():
+            load_forward_mode()
+        # forward mode, because torch refuses reverse mode inside of a checkpoint
+        return network(x), torch.func.vmap(changed)(along.movedim(-1, 0)).movedim(0, -1)
+
+    def _moved(self, r: Tensor) -> Tensor:
+        """Features [..., groups, changes] that r changes, scaled."""
+        return self.moving - (self.columns @ r.to(self.columns)[..., None, :, None]).squeeze(-1)
+
+    def _within_range(self, moved: Tensor) -> Tensor:
+        """Features that r changes, as the network sees them."""
+        return self.middle + limited(moved - self.middle, self.range)
+
+    def _first(self, x: Tensor) -> Tensor:
+        """Of the features in the last axis those of every joint that r does not change."""
+        return x.unflatten(-1, (-1, self.size))[..., :-2].flatten(-2)
+
+    def _last(self, x: Tensor) -> Tensor:
+        """Of the features in the last axis those of every joint that r changes."""
+        return x.unflatten(-1, (-1, self.size))[..., -2:].flatten(-2)
+
+    def _torque(self, moved: Tensor) -> Tensor:
+        """Torques [..., n] of the model among the features that r changes."""
+        return moved[..., 1::2].flatten(-2)
+
+    def _joined(self, moved: Tensor, still: Tensor | None = None) -> Tensor:
+        """All features [..., groups, features]."""
+        joints = (moved.shape[-1] // 2, -1)
+        parts = (self.still if still is None else still, moved)
+        return torch.cat([x.unflatten(-1, joints) for x in parts], -1).flatten(-2)
+
+    def _with_offset(self, torques: Tensor) -> Tensor:
+        return torques if self.offset is None else torques + self.offset
+
+
+class Prepared(Learned):
+    """`Learned` of `Perceptrons`: all that r does not change is computed before, derivatives are products backwards."""
+
+    def __init__(self, dynamics: ResidualDynamics, features: Tensor, directions: Tensor, network: Perceptrons):
+        super().__init__(dynamics, features, directions)
+        weights, biases = list(network.weights), list(network.biases)
+        self.groups, self.n = weights[0].shape[0], features.shape[-2]
+        scale = dynamics.torque_scale.to(weights[0]).reshape(self.groups, -1, 1)
+        for k, weight in enumerate(weights):
+            # tanh y = 2 s(2 y) - 1, as in `Perceptrons`; the torques in N m
+            factor = scale if k == len(weights) - 1 else 2.0
+            biases[k] = factor * (biases[k] - weight.sum(-1, keepdim=True) if k else biases[k])
+            weights[k] = factor * (2 * weight if k else weight)
+        still = self._first(dynamics.within_range(self._joined(self.moving)))
+        self.start = torch.baddbmm(biases[0], self._first(weights[0]), _samples_last(still))
+        self.first, self.weights, self.biases = self._last(weights[0]), weights[1:], biases[1:]
+
+    def _network(self, moved: Tensor) -> Tensor:
+        """Torques [..., n] of the network without limit."""
+        return self._layers(moved)[0]
+
+    def _linearised(self, moved: Tensor, along: Tensor) -> tuple[Tensor, Tensor]:
+        """`_network`, and how it changes along directions [..., groups, changes, n] of the features, [..., n, n]."""
+        found, hidden = self._layers(moved)
+        # [groups, width, outputs, samples], from the outputs backwards; the derivative of s is s (1 - s)
+        weights = [self.first, *self.weights]
+        J = weights.pop().mT.unsqueeze(-1)
+        for s in reversed(hidden):
+            backwards = torch.ops.aten.sigmoid_backward(J, s.unsqueeze(2))
+            J = (weights.pop().mT @ backwards.flatten(2)).unflatten(2, backwards.shape[2:])
+        J = J.permute(3, 0, 2, 1)  # [samples, groups, outputs, changes]
+        J = J.expand(found.shape[:-1].numel(), -1, -1, -1).reshape(*found.shape[:-1], *J.shape[1:])
+        return found, (J @ along).flatten(-3, -2)
+
+    def _layers(self, moved: Tensor) -> tuple[Tensor, list[Tensor]]:
+        """Torques [..., n] without limit, and the logistic functions of the hidden layers [groups, width, samples]."""
+        y, hidden = torch.baddbmm(self.start, self.first, _samples_last(self._within_range(moved))), []
+        for weight, bias in zip(self.weights, self.biases, strict=True):
+            hidden.append(y.sigmoid_())
+            y = torch.baddbmm(bias, weight, y)
+        return y.flatten(0, 1).mT.reshape(*moved.shape[:-2], self.n), hidden
+
+
+def _samples_last(x: Tensor) -> Tensor:
+    """Rows [groups, features, samples] of features [..., groups, features]."""
+    return x.reshape(-1, *x.shape[-2:]).permute(1, 2, 0)

@@ -1,0 +1,235 @@
+"""Base of the modules that hold a robot: what they learn, their friction, their programs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NoReturn, get_args
+
+import torch
+from torch import Tensor, nn
+from torch.nn.utils import parametrize
+
+from torchdq.backends.choice import BackendName
+from torchdq.base.checks import require_choice, require_number, require_tensor
+from torchdq.effects.friction import Friction
+from torchdq.effects.resistance import friction
+from torchdq.errors import ArgumentError
+from torchdq.layers.layer_friction import LayerFriction, layer_friction
+from torchdq.layers.layer_program import Parameters, program
+from torchdq.layers.learnable import initial_values, learnable
+from torchdq.layers.parametrizations import PhysicalInertia, Positive, restored
+from torchdq.program.program import Program
+from torchdq.robot import Robot
+from torchdq.robot.argument import require_robot
+from torchdq.robot.robot import SHAPES
+
+# parametrisation of each constrained quantity
+CONSTRAINED: dict[str, type[Positive | PhysicalInertia]] = {
+    "mass": Positive,
+    "armature": Positive,
+    "inertia": PhysicalInertia,
+}
+SMALLEST_SIZE = 1e-2  # least size of a body, against which `prior` measures the shift of its centre of mass [m]
+
+
+class RobotModule(nn.Module):
+    """Module that holds a robot and learns the quantities that `learn` names.
+
+    What may be learned, and the arguments, are those of `torchdq.DQRNEA`, the first of these modules.
+
+    Raises:
+        ArgumentError: `learn` names something else, or a quantity that the robot does not have.
+    """
+
+    viscous: Tensor  # [n], if friction is learned
+    coulomb: Tensor  # [n], if friction is learned
+    offset: Tensor  # [n], if it is learned
+    _function: str  # name of the function without friction and offset
+
+    def __init__(
+        self,
+        robot: Robot,
+        learn: Sequence[str] = (),
+        backend: BackendName | None = None,
+        friction_width: float = 1e-2,
+        friction: Sequence[Friction] = (),
+    ):
+        super().__init__()
+        require_number("friction_width", friction_width, positive=True)
+        require_choice("backend", backend, (None, *get_args(BackendName)))
+        if require_robot(robot).floating:
+            raise ArgumentError(
+                f"robot of {type(self).__name__} must have a fixed base, found {robot.name!r} with a free one; "
+                "torchdq.floating has functions for it"
+            )
+        self._robot = robot
+        self.learn = learnable(robot, learn)
+        self.backend = backend
+        self.friction_width = float(friction_width)
+        self._friction = layer_friction(robot, friction, "friction" in self.learn, self.friction_width)
+        forms = {**CONSTRAINED, **{name: self._friction.constraint(name) for name in self._friction.learned}}
+        self._initial: dict[str, Tensor] = {}  # unconstrained numbers by quantity, from which `prior` measures
+        for name in self.learn:
+            start = self._friction.initial() if name == "friction" else initial_values(robot, name)
+            for quantity, value in start.items():
+                self.register_parameter(quantity, nn.Parameter(value))
+                form = forms.get(quantity)
+                if form is not None:
+                    parametrize.register_parametrization(self, quantity, form(quantity))
+                if form is not None or quantity == "com":
+                    self._initial[quantity] = self._unconstrained(quantity).detach().clone()
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Assign; raises if the robot's quantity is not learned or of another shape. A parameter takes the numbers."""
+        if name in (*SHAPES, "viscous", "coulomb", "offset") and "learn" in self.__dict__:
+            source = "friction" if name in ("viscous", "coulomb") else name
+            if source not in self.learn or (source == "friction" and name not in self._friction.learned):
+                raise ArgumentError(
+                    f"{name} is not learned by this layer, so assigning to it would change nothing; make the layer "
+                    f"with learn={(*self.learn, source)}, or with robot.replace(...)"
+                )
+        if isinstance(value, Tensor) and "_initial" in self.__dict__ and name in self._learned_quantities():
+            present = getattr(self, name)
+            joints = value.shape[-present.ndim :][:1]
+            if joints != present.shape[:1] and value.ndim:
+                expected = ", ".join(["...", *map(str, present.shape)])
+                raise ArgumentError(f"{name} must have the shape [{expected}], found {tuple(value.shape)}")
+            if not isinstance(value, nn.Parameter):
+                value = value.to(present)
+                if name in self._parameters and value.shape == present.shape:
+                    with torch.no_grad():
+                        present.copy_(value)  # an optimiser goes on with it
+                    return
+        super().__setattr__(name, value)
+
+    def _learned_quantities(self) -> set[str]:
+        """Names of the tensors that are learned."""
+        constrained = self._modules.get("parametrizations", nn.ModuleDict())
+        return {*self._parameters, *constrained}  # type: ignore[misc]
+
+    @property
+    def robot(self) -> Robot:
+        """Robot with the module's present parameters."""
+        changes = {name: getattr(self, name) for name in self.learn if name in SHAPES}
+        return self._robot._with(**changes) if changes else self._robot
+
+    @property
+    def friction(self) -> tuple[Friction, ...]:
+        """Friction effects with the module's present coefficients, for a scene with the same friction."""
+        return self._friction.present(self._coefficients())
+
+    def _coefficients(self) -> dict[str, Tensor]:
+        """Friction that is learned, by quantity."""
+        return {name: getattr(self, name) for name in self._friction.learned}
+
+    def friction_torque(self, qd: Tensor, q: Tensor | None = None, load: Tensor | None = None) -> Tensor:
+        """Torque [..., n] that overcomes the friction at velocities qd [..., n], in its dtype and on its device.
+
+        Zero without friction. A scene with the same effects exerts the opposite on its joints.
+
+        Args:
+            qd: velocities [rad/s or m/s], shape [..., n].
+            q: positions [rad or m], shape [..., n], for friction that depends on them; None: zero.
+            load: torques of the rigid bodies [N m or N], shape [..., n], for friction that depends on them; None: zero.
+
+        >>> import torchdq
+        >>> layer = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn="friction")
+        >>> layer.viscous = torch.tensor([2.0, 3.0], dtype=torch.float64)
+        >>> layer.friction_torque(torch.tensor([10.0, -10.0])).detach()
+        tensor([ 20.0100, -30.0100])
+        """
+        require_tensor("qd", qd)
+        zeros = torch.zeros_like(qd)
+        if not self._friction.effects:
+            return zeros
+        of = self._friction.parts(self._coefficients())
+        return friction(of, zeros if q is None else q, qd, zeros if load is None else load, self.backend)
+
+    def _with_motors(self, tau: Tensor, q: Tensor, qd: Tensor | None) -> Tensor:
+        """Torques of the motors, of those of the rigid bodies: with friction and offset."""
+        if self._friction.effects:
+            tau = tau + self.friction_torque(torch.zeros_like(q) if qd is None else qd, q, tau)
+        return tau + self.offset.to(tau) if "offset" in self.learn else tau
+
+    def program(self, *wrenches: str, parameters: Parameters = "constants") -> Program:
+        """Program of the layer, with learned friction and offset, for `torchdq.compile` and its `export`.
+
+        Its arguments are those of `forward`; "f_tip" and "f_ext" are there if they are named.
+
+        Args:
+            wrenches: their names.
+            parameters: "constants": all quantities have their present values. "arguments": those that are learned, and
+                those that were replaced in the robot, are arguments, in SI units.
+
+        >>> import torchdq
+        >>> layer = torchdq.DQRNEA(torchdq.robots.load("two_link"), learn=("mass", "friction"))
+        >>> [a.name for a in layer.program(parameters="arguments").arguments]
+        ['q', 'qd', 'qdd', 'mass', 'viscous', 'coulomb']
+        """
+        fixed, learned = self._beside()
+        return program(self.robot, self._function, wrenches, parameters, fixed, learned, self._rubbing())
+
+    def _beside(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
+        """Quantities of its program that are no tensors of the robot: those that are fixed, and those it learns."""
+        offset = {"offset": self.offset} if "offset" in self.learn else {}
+        return {}, {**self._coefficients(), **offset}
+
+    def _rubbing(self) -> LayerFriction:
+        """Friction in its program."""
+        return self._friction
+
+    def prior(self) -> Tensor:
+        """Distance of the learned quantities from their initial values: a number >= 0 without units.
+
+        The sum of the mean squares, over links or joints and over robots, of the logarithms of the factors of masses,
+        rotor inertias and frictions; of the shifts of centres of mass, relative to the size of the body, the root of
+        its second moments over its mass, at least 1 cm; and of the changes of the six unconstrained numbers of
+        `torchdq.layers.parametrizations.PhysicalInertia`. Gravity, geometry, home and offset are not part of it.
+
+        >>> import torchdq
+        >>> layer = torchdq.DQRNEA(torchdq.robots.load("panda"), learn=("mass", "com", "inertia"))
+        >>> layer.mass = 1.1 * layer.mass.detach()
+        >>> f"{layer.prior().item():.6f}", f"{torch.tensor(1.1).log().square():.6f}"
+        ('0.009084', '0.009084')
+        """
+        terms = []
+        for quantity, initial in self._initial.items():
+            present = self._unconstrained(quantity)
+            square = (present - initial.to(present)).square()
+            if quantity == "com":
+                square = square / self._sizes_squared(square).unsqueeze(-1)
+            terms.append(square.sum(-1).mean() if quantity in ("com", "inertia") else square.mean())
+        return torch.stack(terms).sum() if terms else torch.zeros((), dtype=torch.float64)
+
+    def _unconstrained(self, quantity: str) -> Tensor:
+        """Unconstrained numbers behind a quantity."""
+        if parametrize.is_parametrized(self, quantity):
+            return self.parametrizations[quantity].original  # type: ignore[union-attr,index]
+        return getattr(self, quantity)
+
+    def _sizes_squared(self, like: Tensor) -> Tensor:
+        """Second moments of every described body over its mass [..., n] [m^2]."""
+        inertia, mass = (x.detach().to(like) for x in (self._robot.inertia, self._robot.mass))
+        spread = inertia[..., (0, 2, 5)].sum(-1) / 2
+        # without a mass the ratio is undefined, and the least size is as good as any
+        return (spread / mass.where(mass > 0, torch.inf)).clamp(min=SMALLEST_SIZE**2)
+
+    def __prepare_scriptable__(self) -> NoReturn:
+        kind = parametrize.type_before_parametrizations(self).__name__
+        raise ArgumentError(
+            f"torch.jit.script cannot compile a {kind}, which runs a program that is compiled for its robot already; "
+            f"use torch.compile, torch.export.export, or torch.jit.trace with example inputs"
+        )
+
+    def extra_repr(self) -> str:
+        """Robot, for `print(module)`."""
+        return repr(self._robot)
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Parts for pickle, since torch cannot pickle a module whose class it made for its parametrizations."""
+        if not parametrize.is_parametrized(self):
+            return super().__reduce_ex__(protocol)
+        modules = dict(self._modules)
+        lists = dict(modules.pop("parametrizations").items())  # type: ignore[union-attr,operator]
+        state = {**self.__dict__, "_modules": modules}
+        return restored, (parametrize.type_before_parametrizations(self), state, lists)

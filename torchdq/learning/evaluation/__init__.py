@@ -1,0 +1,1 @@
+"""Evaluation of logs and models: diagnostics, blocks of samples, correlation and coverage."""

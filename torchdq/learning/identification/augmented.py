@@ -1,0 +1,95 @@
+"""Least squares for what a fit lacks: further unknowns, sought together with changes of all its parameters.
+
+The residual of the fit is r = Z dphi + E x + noise, with the torques per unit E of unknowns x that were not sought.
+Least squares for dphi and x together show how large x is, even where the fitted parameters, above all friction, have
+taken its place.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.learning.evaluation.correlation import correlation_times
+from torchdq.learning.identification.evidence import Evidence
+from torchdq.learning.identification.regression import columns
+from torchdq.learning.identification.solution import Solution
+from torchdq.learning.identification.terms import ROTOR
+
+ROWS = 2000  # most rows that are looked at
+EXACT = 1e-6  # least variance of what is left, relative to that of the residual
+
+
+class Sought(NamedTuple):
+    """Further unknowns, and the change of the parameters beside them."""
+
+    y: Tensor  # [t] change of the fit
+    x: Tensor  # [e]
+    error: Tensor  # [e] standard errors of x
+    left: Tensor  # [rows, n] residuals
+
+
+class Beside(NamedTuple):
+    """Rows of a fit that are looked at, and the weight of its prior."""
+
+    evidence: Evidence
+    found: Solution
+    rows: Tensor  # [rows] numbers of the rows
+    motion: Tensor  # [rows] numbers of their motions
+    residual: Tensor  # [rows, n] of the fit
+    slope: Tensor  # [t] of the prior
+    curvature: Tensor  # [t, t] of the prior
+
+    @classmethod
+    def of(cls, evidence: Evidence, found: Solution, prior: float, residual: Tensor) -> Beside:
+        """Some rows of a fit.
+
+        Args:
+            evidence: of all terms that were sought.
+            found: the fit.
+            prior: weight of its prior.
+            residual: its residuals [rows, n].
+        """
+        lengths = evidence.recording.lengths
+        rows = torch.arange(0, len(residual), -(-len(residual) // ROWS))
+        motion = torch.repeat_interleave(torch.arange(len(lengths)), torch.tensor(lengths))[rows]
+        slope, curvature = (prior / 2 * part for part in found.near.slopes(found.y))
+        return cls(evidence, found, rows, motion, residual.cpu()[rows], slope, curvature)
+
+    @property
+    def lengths(self) -> list[int]:
+        """Rows of each motion that are looked at."""
+        return self.motion.bincount(minlength=len(self.evidence.recording.lengths)).tolist()
+
+    @property
+    def square(self) -> Tensor:
+        """Mean squares of the residuals [n]."""
+        return self.residual.square().mean(0).clamp_min(torch.finfo(self.residual.dtype).tiny)
+
+    def columns(self, q: Tensor, qd: Tensor, qdd: Tensor, own: Tensor) -> tuple[Tensor, Tensor]:
+        """Torques per unit of y [rows, n, t], and torques of the fit [rows, n], in some states."""
+        robot, at = self.evidence.robot, self.evidence.at
+        Z = columns(robot, q, qd, qdd, own)
+        tau = torch.einsum("rjp,jp->rj", Z, self.found.parameters[at].to(q))
+        if ROTOR not in self.evidence.terms and robot.armature is not None:
+            tau = tau + robot.armature.to(q) * qdd
+        return torch.einsum("rjp,jpt->rjt", Z, self.found.near.S[at].to(q)).cpu(), tau.cpu()
+
+    def sought(self, Z: Tensor, r: Tensor, E: Tensor) -> Sought:
+        """Unknowns of torques per unit [rows, n, e] that explain residuals [rows, n], beside a change of the fit."""
+        left, A, t = r, torch.cat([Z, E], -1), Z.shape[-1]
+        step = len(self.evidence.own) / len(self.rows)
+        for _ in range(2):  # what is noise is seen beside the unknowns
+            variance = left.square().mean(0).maximum(EXACT * self.square)
+            weight = 1 / (variance * correlation_times(left, self.lengths))
+            b = torch.einsum("rjk,rj->k", A, r * weight)
+            H = torch.einsum("rjk,rjl->kl", A, A * weight[:, None])
+            H[:t, :t] += self.curvature / step
+            b[:t] -= self.slope / step
+            size = H.diagonal().clamp_min(torch.finfo(H.dtype).tiny).sqrt()
+            inverse = torch.linalg.pinv(H / size / size[:, None], rtol=1e-12, hermitian=True) / size / size[:, None]
+            x = inverse @ b
+            left = r - A @ x
+        return Sought(x[:t], x[t:], inverse.diagonal()[t:].clamp_min(0).sqrt(), left)

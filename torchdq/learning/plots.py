@@ -1,0 +1,109 @@
+"""Pictures of motions and of predicted torques, one panel per joint; matplotlib is imported when one is drawn."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from torch import Tensor
+
+from torchdq.base.optional import imported
+from torchdq.errors import ArgumentError
+from torchdq.learning.excitation.limits import Bounds
+from torchdq.learning.identification.identified import Identified
+from torchdq.learning.logs.motions import Motion, samples
+from torchdq.robot import Robot
+
+BLUE, GREY = "#0072B2", "#8A8A8A"
+TURNS, SLIDES = ("q [rad]", "qd [rad/s]", "tau [N m]"), ("q [m]", "qd [m/s]", "tau [N]")
+APART = 0.1  # [s] between rows, from which a line is broken: rows at rest are not in a motion
+PAUSE = 1.0  # [s] between motions in a picture
+STYLE = {
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#E4E4E4",
+    "axes.axisbelow": True,
+    "legend.frameon": False,
+}
+
+
+def _panels(rows: int, columns: int, purpose: str, width: float = 4.5) -> tuple[Any, Any]:
+    """Figure and panels [rows, columns] over one axis of time, without a window: `savefig` writes it."""
+    matplotlib = imported("matplotlib", "matplotlib", purpose, "torchdq[viz]")
+    figures = imported("matplotlib.figure", "matplotlib", purpose, "torchdq[viz]")
+    with matplotlib.rc_context(STYLE):
+        figure = figures.Figure(figsize=(width * columns, 1.6 * rows + 0.6), layout="constrained")
+        return figure, figure.subplots(rows, columns, sharex=True, squeeze=False)
+
+
+def picture_of_motion(robot: Robot, time: Tensor, q: Tensor, qd: Tensor, tau: Tensor, bounds: Bounds) -> Any:
+    """Figure of positions, velocities and torques [rows, n] beside the limits that they keep, a row per joint."""
+    figure, panels = _panels(robot.n, 3, "plot")
+    most = (bounds.upper, bounds.velocity, bounds.effort)
+    least = (bounds.lower, -bounds.velocity, -bounds.effort)
+    for j, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_types, strict=True)):
+        names = TURNS if kind.turns else SLIDES
+        for k, x in enumerate((q, qd, tau)):
+            panel = panels[j, k]
+            panel.plot(time, x[:, j], color=BLUE)
+            for limit in (least[k][j], most[k][j]):
+                panel.axhline(float(limit), color=GREY, linestyle="--")
+            panel.set_ylabel(names[k])
+        panels[j, 0].set_title(name)
+    for panel in panels[-1]:
+        panel.set_xlabel("time [s]")
+    return figure
+
+
+def plot_torques(identified: Identified, motions: Motion | Sequence[Motion]) -> Any:
+    """Figure of measured and predicted torques over time, one panel per joint, by matplotlib.
+
+    The band holds 95 % of the measurements in motions of the kinds that were identified, see `Identified.predict`. A
+    title says how large the residual is, as a part of the torque's standard deviation.
+
+    Args:
+        identified: from `identify`.
+        motions: motions from `smooth`, drawn one after the other; best such that were not identified from.
+    Raises:
+        ArgumentError: the motions are of another arm.
+        MissingLibraryError: matplotlib is not installed.
+
+    >>> figure = plot_torques(identify(robot, *samples(before)), after)  # doctest: +SKIP
+    >>> figure.savefig("torques.png")  # doctest: +SKIP
+    """
+    if not isinstance(identified, Identified):
+        raise ArgumentError(f"identified must be what identify returns, found {type(identified).__name__}")
+    several = [motions] if isinstance(motions, Motion) else motions
+    tau, robot = samples(several).tau, identified.robot
+    if tau.shape[1] != robot.n:
+        raise ArgumentError(f"motions must be of the {robot.n} joints of {robot.name!r}, found {tau.shape[1]}")
+    told = identified.predict(several)
+    left = (tau - told.tau).square().mean(0).sqrt() / tau.std(0)
+    time, breaks = _one_axis(several)
+    signals = (np.insert(x.numpy(), breaks, np.nan, axis=0) for x in (tau, told.tau, told.low, told.high))
+    measured, predicted, lower, upper = signals
+    figure, panels = _panels(robot.n, 1, "plot_torques", width=9.0)
+    for j, panel in enumerate(panels[:, 0]):
+        panel.fill_between(time, lower[:, j], upper[:, j], color=BLUE, alpha=0.25, linewidth=0, label="95 %")
+        panel.plot(time, measured[:, j], color="black", linewidth=0.8, label="measured")
+        panel.plot(time, predicted[:, j], color=BLUE, linewidth=1.2, label="predicted")
+        panel.set_title(f"{robot.joint_names[j]}: {float(left[j]):.3f} of a standard deviation unexplained")
+        panel.set_ylabel("[N m]" if robot.joint_types[j].turns else "[N]")
+    panels[-1, 0].set_xlabel("time [s]")
+    figure.legend(*panels[0, 0].get_legend_handles_labels(), loc="outside upper right", ncols=3)
+    return figure
+
+
+def _one_axis(motions: Sequence[Motion]) -> tuple[np.ndarray, np.ndarray]:
+    """Times of the rows of all motions, one motion after the other, and the rows before which a line is broken.
+
+    The times have a NaN at every break.
+    """
+    times, start = [], 0.0
+    for motion in motions:
+        times.append(motion.time - motion.time[0] + start)
+        start = times[-1][-1] + PAUSE
+    time = np.concatenate(times)
+    breaks = 1 + np.flatnonzero(np.diff(time) > APART)
+    return np.insert(time, breaks, np.nan), breaks

@@ -1,0 +1,224 @@
+"""Recommendation of precision, integrator and step for a requested error, found by trials on the scene itself.
+
+Trajectories from random states are compared with ones of steps so small that smaller ones change nothing, as far as
+these can be held. Every integrator is refined until it meets the error in float64; then it is tried whether
+float32 still does. The one with the fewest operations per simulated second is recommended, an operation in float32
+counting half. When the time is up, it is the best of those that were tried.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchdq.backends.choice import BackendName, choose
+from torchdq.base.checks import require_number
+from torchdq.base.progress import Notice
+from torchdq.base.timing import medians
+from torchdq.effects import Gravity, RotorInertia
+from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.functional import error_growth, forward_dynamics, inverse_dynamics
+from torchdq.functions.compile import compile
+from torchdq.program.program import Program
+from torchdq.recommend.recommendation import Candidate, Recommendation, SceneRecommendation
+from torchdq.recommend.search import repeated_share, search
+from torchdq.recommend.time_budget import Budget
+from torchdq.recommend.trials import ARITHMETICS, SAFETY, Trial, random_states
+from torchdq.robot import Robot
+from torchdq.scene.integrators import Repeated
+from torchdq.scene.scene import Scene
+from torchdq.scene.state import State
+
+STATES = 256  # states at which accelerations are tried
+TYPICAL = 100.0  # errors of accelerations in units of eps times `error_growth`; measured on robots and chains
+MOST_SUBSTEPS = 16  # substeps in one program
+BATCH = 4096  # samples per timed call
+SECONDS = 0.05  # time of measuring [s]
+
+
+def recommend_settings(
+    what: Robot | Scene,
+    error: float = 1e-3,
+    horizon: float | None = 1.0,
+    state: State | None = None,
+    seconds: float = 10.0,
+    **inputs: Tensor,
+) -> Recommendation:
+    """The cheapest precision, integrator and step that keep an error, found by trials on the robot or scene itself.
+
+    Args:
+        what: a robot, which moves under gravity and no torques; or a scene. Its effects, controller and substance stay;
+            precision, integrator and step are searched. A scene with controller, actuators or sensors keeps its dt, for
+            they act once in it, and gets substeps.
+        error: largest error of a joint's position [rad or m] at the end of any of the scene's steps up to the horizon,
+            or of eighths of the horizon for a robot; without a horizon, of the accelerations that `forward_dynamics`
+            finds, relative to the largest of them.
+        horizon: duration of the trajectories [s], rounded to steps of the scene; None: accelerations alone, of a robot.
+        state: initial states, float64, shape [samples, n]; None: 64 random ones within the limits, moving at up to
+            1 rad/s.
+        seconds: time for the search [s], compiling included; when it is up, the best so far is returned, and what was
+            not tried is `untried`. It may end later, by the trials of up to 2048 steps that are made until something
+            is found, and by the compilation of the recommended step, whose time is measured. Answers are kept for the
+            process: asked again, it knows them at once.
+        inputs: inputs of the scene at a step, held over the horizon; None: torques are zero, and a controller's
+            reference is to stay.
+
+    Where an arm falls without damping, small errors grow exponentially. A trajectory is not held any longer once they
+    have grown a million times: the recommendation is then for a shorter horizon, and a warning says why.
+
+    Returns:
+        A `SceneRecommendation` with a scene, integrator and step, and the horizon up to which the error is kept;
+        without a horizon, a `Recommendation`.
+
+    Raises:
+        ArgumentError: nothing reaches the error, or trajectories cannot be computed over the horizon; it says what can.
+
+    >>> import torchdq
+    >>> found = recommend_settings(torchdq.robots.load("two_link"), error=1e-3, horizon=0.2)
+    >>> found.scene.step(found.scene.start(torch.zeros(8, 2, dtype=found.dtype))).q.shape
+    torch.Size([8, 2])
+    """
+    require_number("error", error, positive=True)
+    require_number("seconds", seconds, positive=True)
+    if horizon is not None:
+        require_number("horizon", horizon, positive=True)
+    if horizon is None and not isinstance(what, Robot):
+        raise ArgumentError("a scene needs a horizon; without a horizon, pass scene.robot")
+    if horizon is None and (state is not None or inputs):
+        raise ArgumentError("state and inputs are those of a trajectory, and without a horizon there is none")
+    scene = _falling(what, horizon or 1.0) if isinstance(what, Robot) else what
+    if not isinstance(scene, Scene):
+        raise ArgumentError(
+            f"what must be a torchdq.Robot or a torchdq.envs.Scene, found {type(what).__name__}; load a robot with "
+            "Robot.from_urdf(...) or torchdq.robots.load(...)"
+        )
+    if scene.robot.floating:
+        raise ArgumentError(
+            f"robot {scene.robot.name!r} must have a fixed base, found a free one: errors of poses have no measure; "
+            "scene.check says which steps hold"
+        )
+    for name in inputs:
+        if name not in scene.inputs:
+            raise UnknownNameError("input of the scene", name, scene.inputs)
+    for name, batch in scene.batches.items():
+        if batch:
+            raise ArgumentError(
+                f"recommend tries one robot at a time, found batch axes {batch} of {name}; "
+                f"give it the one that is hardest to simulate, with the lightest links or the stiffest joints"
+            )
+    if scene.spec.computed():
+        raise ArgumentError(
+            "recommend keeps answers by the numbers of a scene, and a network of effects.Residual has none; "
+            "ask about the scene without it, and halve dt until the motion with it stays the same"
+        )
+    with torch.no_grad(), Notice(f"recommend for {scene.robot.name!r}") as notice:
+        if horizon is None:
+            return _for_accelerations(scene.robot, error)
+        budget = Budget(seconds, notice)
+        return _for_trajectories(Trial.of(scene, horizon, state, inputs, budget), error, what is not scene)
+
+
+def _falling(robot: Robot, horizon: float) -> Scene:
+    """Scene of the robot as `forward_dynamics` knows it."""
+    rotors = () if robot.armature is None else (RotorInertia(),)
+    return Scene(robot, (Gravity(), *rotors), dt=horizon / 8)
+
+
+# --- trajectories -----------------------------------------------------------------------------------------------------
+
+
+def _for_trajectories(trial: Trial, error: float, divisible: bool) -> SceneRecommendation:
+    answer = search(trial, error, divisible)
+    best, tried = answer.found[0], answer.trial
+    if answer.limit:
+        warnings.warn(f"{answer.limit}; the recommendation is for {tried.horizon:.3g} s", stacklevel=3)
+    times, precision = best.times, best.arithmetic.precision
+    scene = tried.scene.replace(integrator=best.integrator, precision=precision, substeps=1)
+    if not tried.sampled:
+        scene = scene.replace(dt=best.step)
+    elif times <= MOST_SUBSTEPS:
+        scene = scene.replace(substeps=times)
+    else:  # more than a program should hold
+        scene = scene.replace(integrator=Repeated(best.integrator, times))
+    trial.budget.at("time of the recommended step")
+    (nanoseconds,) = medians([_step(scene, best.arithmetic.dtype, tried)], BATCH, SECONDS)
+    return SceneRecommendation(
+        **_common(best, scene.robot, scene.backend),
+        nanoseconds=nanoseconds / times if tried.sampled else nanoseconds,
+        others=answer.found,
+        integrator=best.integrator,
+        step=best.step,
+        scene=scene,
+        repeats=1 if tried.sampled else times,
+        horizon=tried.horizon,
+        limit=answer.limit,
+        growth=answer.growth,
+        untried=answer.untried,
+    )
+
+
+def _step(scene: Scene, dtype: torch.dtype, trial: Trial) -> Callable[[], State]:
+    """Step of a batch, to be timed."""
+
+    def many(x: Tensor) -> Tensor:
+        return x.to(dtype).expand(BATCH, -1) if x.ndim < 2 else x.to(dtype).repeat(-(-BATCH // len(x)), 1)[:BATCH]
+
+    state = State(**{name: many(x) for name, x in trial.state.rows().items()})
+    inputs = {name: many(x) for name, x in trial.inputs.items()}
+    return lambda: scene.step(state, **inputs)
+
+
+# --- accelerations ----------------------------------------------------------------------------------------------------
+
+
+def _for_accelerations(robot: Robot, error: float) -> Recommendation:
+    q, qd = random_states(robot, STATES)
+    generator = torch.Generator().manual_seed(1)
+    wanted = 2 * torch.rand(q.shape, generator=generator, dtype=q.dtype) - 1
+    # numbers that float32 can hold, so that only the operations on them make errors
+    x = [y.float().double() for y in (q, qd, inverse_dynamics(robot, q, qd, wanted))]
+    exact = forward_dynamics(robot, x[0], x[1], x[2])
+    rounding = TYPICAL * 2.0**-53 * float(error_growth(robot, q).max())
+    operations, repeated = _program(robot).count().total, repeated_share(robot, q)
+    found = []
+    for arithmetic in ARITHMETICS:
+        made = rounding
+        if arithmetic.dtype == torch.float32:
+            q, qd, tau = (y.float() for y in x)
+            y = forward_dynamics(robot, q, qd, tau, precision=arithmetic.precision).double()
+            made += float(((y - exact).abs().amax(-1) / exact.abs().amax(-1)).max())
+        found.append(Candidate(arithmetic, made, arithmetic.cost(repeated) * operations))
+    good = sorted((c for c in found if c.error <= SAFETY * error), key=lambda c: c.operations)
+    if not good:
+        raise ArgumentError(
+            f"accelerations of robot {robot.name!r} can be found to {min(c.error for c in found) / SAFETY:.1e} at "
+            f"best, not to {error:.1e}"
+        )
+    best = good[0]
+    q, qd, tau = (y.to(best.arithmetic.dtype).repeat(BATCH // STATES, 1) for y in x)
+    call = partial(forward_dynamics, robot, q, qd, tau, precision=best.arithmetic.precision)
+    (nanoseconds,) = medians([call], BATCH, SECONDS)
+    return Recommendation(**_common(best, robot, None), nanoseconds=nanoseconds, others=tuple(good))
+
+
+# --- both -------------------------------------------------------------------------------------------------------------
+
+
+def _program(robot: Robot) -> Program:
+    return compile(robot, "forward_dynamics").program
+
+
+def _common(best: Candidate, robot: Robot, backend: BackendName | None) -> dict[str, Any]:
+    """Fields that both recommendations have."""
+    return {
+        "dtype": best.arithmetic.dtype,
+        "precision": best.arithmetic.precision,
+        "backend": choose(backend, torch.device("cpu")).name,
+        "method": "articulated bodies" if "articulated" in _program(robot).name else "mass matrix",
+        "error": best.error / SAFETY,
+    }

@@ -1,0 +1,101 @@
+"""Recommendations and the candidates they were chosen from; all of them can be printed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from torchdq.functional import Precision
+from torchdq.recommend.trials import Arithmetic
+from torchdq.scene.integrators import Integrator
+from torchdq.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An arithmetic with its cost and its error."""
+
+    arithmetic: Arithmetic
+    error: float
+    operations: float  # weighted; per simulated second, or per call
+
+    def __str__(self) -> str:
+        return f"{self.arithmetic}: error {self.error:.1e}, {self.operations:.2e} operations"
+
+
+@dataclass(frozen=True)
+class Stepping(Candidate):
+    """An arithmetic with an integrator and its step."""
+
+    integrator: Integrator
+    step: float  # [s]
+    times: int  # steps in an interval of the scene
+
+    def __str__(self) -> str:
+        return f"{type(self.integrator).__name__}, steps of {self.step:.3g} s, {super().__str__()}"
+
+
+@dataclass(frozen=True)
+class Recommendation:
+    """Recommended way to compute accelerations; `print` it."""
+
+    dtype: torch.dtype
+    """dtype of states and inputs."""
+    precision: Precision
+    """`precision` to give to `forward_dynamics`, `ForwardDynamics` or `Scene`."""
+    backend: str
+    """Backend that runs it here: "c" or "eager"."""
+    method: str
+    """Algorithm of the accelerations: "mass matrix" or "articulated bodies". The program chooses it by itself."""
+    error: float
+    """Predicted error up to the horizon [rad or m]; without a horizon, of accelerations, relative."""
+    nanoseconds: float
+    """Measured time of an integrator's step, or of a call, per robot of a batch of 4096, on this machine."""
+    others: tuple[Candidate, ...]
+    """Candidates that meet the error, the cheapest first."""
+
+    def __str__(self) -> str:
+        return self._text((), "call")
+
+    def _text(self, stepping: tuple[str, ...], unit: str) -> str:
+        lines = [
+            f"dtype       {str(self.dtype).removeprefix('torch.')}, precision {self.precision!r}",
+            *stepping,
+            f"backend     {self.backend}, accelerations by {self.method}",
+            f"error       {self.error:.1e} predicted",
+            f"time        {self.nanoseconds:.0f} ns per robot and {unit}",
+        ]
+        others = [f"- {other}" for other in self.others[1:]]
+        return "\n".join([*lines, "alternatives", *others] if others else lines)
+
+
+@dataclass(frozen=True)
+class SceneRecommendation(Recommendation):
+    """Recommended way to compute trajectories; `print` it."""
+
+    integrator: Integrator
+    """Integrator of the scene."""
+    step: float
+    """Step of the integrator [s]."""
+    scene: Scene
+    """Scene with all of this; torques are held for `repeats` of its steps if the scene that was given is longer."""
+    repeats: int
+    """Steps of `scene` in one of the scene that was given, or in one of the parts of the horizon for a robot."""
+    horizon: float
+    """Time up to which the error is kept [s]."""
+    limit: str
+    """Why that is shorter than the horizon that was asked for; "": it is not."""
+    growth: float
+    """Factor by which a small change of the start grows until then; a large one asks for small steps."""
+    untried: tuple[str, ...]
+    """Candidates that there was no time to try."""
+
+    def __str__(self) -> str:
+        lines = [f"integrator  {type(self.integrator).__name__}, steps of {self.step:.3g} s"]
+        if self.limit:
+            lines.append(f"horizon     {self.horizon:.3g} s only: {self.limit}")
+        text = self._text(tuple(lines), "step")
+        if not self.untried:
+            return text
+        return "\n".join([text, "not tried, for lack of time", *[f"- {name}" for name in self.untried]])

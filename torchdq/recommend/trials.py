@@ -1,0 +1,234 @@
+"""Trials of integrators and precisions on a scene, against a reference."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.errors import ArgumentError
+from torchdq.functional import Precision, require_finite
+from torchdq.recommend.time_budget import ESSENTIAL, Budget, TimeIsUp
+from torchdq.robot import Robot
+from torchdq.scene.integrators import Integrator, LinearlyImplicit, Repeated, RungeKutta4, SemiImplicitEuler
+from torchdq.scene.scene import Scene
+from torchdq.scene.state import State
+
+SAMPLES = 64  # trajectories
+SAFETY = 0.3  # share of the requested error that trials may make, since other states are not among the samples
+MOST_STEPS = 2**15  # steps of a trajectory
+CLOSE = 1.3  # ratio of a number of steps that is enough to one that is not, at which the search ends
+REPEATED = 1.5  # cost of an operation that is repeated in float64, with gathering and scattering, relative to float64
+
+
+class Arithmetic(NamedTuple):
+    """Precision of the states, and of the operations on them."""
+
+    dtype: torch.dtype
+    precision: Precision
+    weight: float  # cost of an operation, relative to float64
+
+    def cost(self, repeated: float) -> float:
+        """Cost of an operation if that share of the samples is recomputed in float64."""
+        again = self.dtype == torch.float32 and self.precision == "auto"
+        return self.weight + repeated * REPEATED if again else self.weight
+
+    def __str__(self) -> str:
+        state = str(self.dtype).removeprefix("torch.")
+        return f"{state} states, computed in float64" if self.precision == "double" else state
+
+
+ARITHMETICS = (
+    Arithmetic(torch.float32, "auto", 0.5),
+    Arithmetic(torch.float32, "double", 1.1),
+    Arithmetic(torch.float64, "auto", 1.0),
+)
+EXACT = ARITHMETICS[-1]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A scene with initial states, inputs and a horizon."""
+
+    scene: Scene
+    state: State
+    inputs: dict[str, Tensor]
+    intervals: int  # number of the scene's dt until the horizon
+    budget: Budget = field(default_factory=Budget, compare=False)
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        horizon: float,
+        state: State | None,
+        inputs: Mapping[str, Tensor],
+        budget: Budget | None = None,
+    ) -> Trial:
+        """Trial over a horizon, which is rounded to whole intervals."""
+        intervals = max(1, round(horizon / scene.dt))
+        if intervals > MOST_STEPS:
+            raise ArgumentError(
+                f"the horizon holds {intervals} steps of the scene, and {MOST_STEPS} are the most; shorten it"
+            )
+        noise = torch.full((scene.noises,), 0.5, dtype=torch.float64)
+        if state is None:
+            limits = next((e for e in scene.effects if "limits.lower" in e.DESCRIBED.values()), None)
+            q, qd = random_states(scene.robot, limits=limits)
+            state = scene.start(q, qd, noise=noise)
+        elif not (isinstance(state, State) and state.q.ndim == 2 and len(state.q)):
+            raise ArgumentError(
+                "state must be a torchdq.envs.State with q of the shape [samples, n]; `Scene.start` makes one"
+            )
+        given = {name: x for name, x in inputs.items() if x is not None}
+        require_finite(**{"q": state.q, "qd": state.qd, **given})
+        if scene.controller is not None and "reference" not in given:
+            given["reference"] = torch.cat([state.q, torch.zeros_like(state.q).repeat(1, 2)], -1)
+        if scene.noises:
+            given["noise"] = noise
+        return cls(scene, state, given, intervals, budget or Budget())
+
+    @property
+    def horizon(self) -> float:
+        """Duration of the trajectories [s]."""
+        return self.intervals * self.scene.dt
+
+    @property
+    def name(self) -> str:
+        """Words for the trajectories in messages."""
+        return f"trajectories of {self.scene.robot.name!r}"
+
+    def beside(self, shift: Tensor) -> Trial:
+        """Trial with every trajectory twice: as it is, and from a start whose positions are shifted."""
+        samples = len(self.state.q)
+        rows = {name: x.expand(samples, -1) for name, x in self.state.rows().items()}
+        state = State(**{name: torch.cat([x, x + shift if name == "q" else x]) for name, x in rows.items()})
+        inputs = {name: x if x.ndim < 2 else torch.cat([x.expand(samples, -1)] * 2) for name, x in self.inputs.items()}
+        return replace(self, state=state, inputs=inputs)
+
+    @property
+    def sampled(self) -> bool:
+        """True if something acts once per dt, so that dt must stay."""
+        return self.scene.controller is not None or any(e.SLOT in ("actuator", "sensor") for e in self.scene.effects)
+
+    @property
+    def integrators(self) -> list[Integrator]:
+        """Integrators to try, those first that most surely stay finite."""
+        found: list[Integrator] = [RungeKutta4(), SemiImplicitEuler()]
+        # where joints may be stiff, explicit integrators would take long to show that they are
+        stiff = any(effect.SLOT == "joint" for effect in self.scene.effects)
+        return [LinearlyImplicit(), *found] if stiff else found
+
+    def path(self, integrator: Integrator, times: int, arithmetic: Arithmetic) -> Tensor:
+        """Positions at the ends of all intervals, [intervals, samples, n], with `times` steps in each."""
+        # a scene rounds its state at the end of its step, which is an interval if something acts once per dt
+        dt, inner, outer = self.scene.dt, times, 1
+        if not self.sampled:
+            dt, inner, outer = dt / times, 1, times
+        scene = self.scene.replace(
+            dt=dt, integrator=Repeated(integrator, inner), substeps=1, precision=arithmetic.precision
+        )
+        state = self.state.to(arithmetic.dtype)
+        inputs = {name: x.to(arithmetic.dtype) for name, x in self.inputs.items()}
+        self.budget.at(f"{type(integrator).__name__}, {times * self.intervals} steps, {arithmetic}")
+        found = []
+        start, calls = 0.0, self.intervals * outer
+        for k in range(calls):
+            if k == 1:  # the first call may have compiled something
+                start = time.monotonic()
+            state = scene.step(state, **inputs)
+            if (k + 1) % outer == 0:
+                found.append(state.q.double())
+        if calls > 1:
+            self.budget.took((integrator, arithmetic), (calls - 1) * inner, time.monotonic() - start)
+        return torch.stack(found)
+
+    def allows(self, integrator: Integrator, times: int, arithmetic: Arithmetic, share: float = 1.0) -> bool:
+        """True if there is time for a path, in a share of the time that is left."""
+        return self.budget.allows((integrator, arithmetic), times * self.intervals, share)
+
+    def error(self, integrator: Integrator, times: int, arithmetic: Arithmetic, reference: Tensor) -> float:
+        """Largest error of the positions; infinite if one is not finite."""
+        return distance(self.path(integrator, times, arithmetic), reference)
+
+    def steps_needed(
+        self,
+        integrator: Integrator,
+        reference: Tensor,
+        error: float,
+        most: float,
+        known: Mapping[int, float] | None = None,
+        essential: bool = True,
+    ) -> tuple[int, float] | None:
+        """Steps per interval by which an integrator meets an error in float64, and the error it then makes.
+
+        Args:
+            most: number of steps per interval beyond which the search is given up; the result is None.
+            known: errors that numbers of steps are known to make; None: of none.
+            essential: True: short trials are made even if the time is up.
+
+        Raises:
+            TimeIsUp: there was no time to reach the error.
+        """
+        known = {} if known is None else known
+
+        def allowed(times: int) -> bool:
+            short = essential and times * self.intervals <= ESSENTIAL
+            return short or self.allows(integrator, times, EXACT)
+
+        def made_by(times: int) -> float:
+            if times in known:
+                return known[times]
+            if not allowed(times):
+                raise TimeIsUp
+            return self.error(integrator, times, EXACT, reference)
+
+        too_few = max((times for times, made in known.items() if made > error), default=0)
+        enough = min((times for times in known if times > too_few), default=MOST_STEPS)
+        times = too_few or 1
+        found = made_by(times)
+        while found > error:
+            too_few = times
+            # as far as the order promises, but never trusting it beyond a factor of eight
+            factor = (found / error) ** (1 / integrator.order) if found < 0.1 else 8.0
+            if times * (factor if found < 0.01 else 1.0) >= most:
+                return None
+            times = min(math.ceil(times * min(max(1.1 * factor, 1.25), 8.0)), math.ceil(most), enough)
+            found = made_by(times)
+        # the last jump may have been far: first to where the order promises to end, then to the middle
+        promised = math.ceil(1.05 * times * (found / error) ** (1 / integrator.order))
+        between = max(promised, too_few + 1)
+        while too_few and times > CLOSE * too_few and between < times and allowed(between):
+            made = made_by(between)
+            times, too_few, found = (between, too_few, made) if made <= error else (times, between, found)
+            between = math.ceil(math.sqrt(times * too_few))
+        return times, found
+
+
+def random_states(robot: Robot, samples: int = SAMPLES, limits: object | None = None) -> tuple[Tensor, Tensor]:
+    """Positions within the limits, or within half a turn or half a metre, and velocities up to 1.
+
+    The limits are those of the robot, or of the effect that simulates limits.
+    """
+    generator = torch.Generator().manual_seed(0)
+    unit = torch.rand(2, samples, robot.n, generator=generator, dtype=torch.float64)
+    revolute = torch.tensor([joint.turns for joint in robot.joint_types], dtype=torch.bool)
+    reach = torch.where(revolute, math.pi / 2, 0.25).double()
+    of: object = robot.limits if limits is None else limits
+    lower, upper = (torch.as_tensor(getattr(of, name), dtype=torch.float64) for name in ("lower", "upper"))
+    bounded = lower.isfinite() & upper.isfinite()
+    lower, upper = torch.where(bounded, lower, -reach), torch.where(bounded, upper, reach)
+    # away from the limits, which a trajectory would leave at once
+    middle, half = (lower + upper) / 2, 0.8 * (upper - lower) / 2
+    return middle + half * (2 * unit[0] - 1), 2 * unit[1] - 1
+
+
+def distance(x: Tensor, y: Tensor) -> float:
+    """Largest difference; infinite if one is not finite."""
+    difference = (x - y).abs()
+    return float(difference.max()) if bool(difference.isfinite().all()) else math.inf

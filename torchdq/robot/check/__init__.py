@@ -1,0 +1,1 @@
+"""Checks of robots: consistency, units, and reports of both."""

@@ -1,0 +1,178 @@
+"""Physical consistency of a robot: finite numbers, masses that are not negative, inertias that a body can have."""
+
+import math
+import warnings
+from collections.abc import Sequence
+from typing import Literal, NoReturn, get_args
+
+import torch
+from torch import Tensor
+
+from torchdq.algebra import dual_quaternion
+from torchdq.algebra import quaternion as quat
+from torchdq.base.checks import require_choice
+from torchdq.dynamics import crba
+from torchdq.dynamics.joints import Coordinate
+from torchdq.dynamics.paper.posed import Paper
+from torchdq.dynamics.tree import Tree
+from torchdq.errors import UnphysicalError
+
+OnUnphysical = Literal["error", "warn", "repair", "ignore"]
+TOLERANCE = 1e-6  # relative to the trace: descriptions are printed with about six digits
+# Moments of inertia that are rounding, of a mass m: a ball as dense as osmium has 1e-3 m^(5/3).
+POINT = 1e-14
+NOTHING = 1e-30  # the same without mass [kg m^2]: a bacterium has a hundred times more
+NEAREST = "on_unphysical='repair' takes the nearest inertias that bodies have"
+
+
+class Massless(str):
+    """Fault of a body that has an inertia and no mass."""
+
+    __slots__ = ()
+
+
+class Misshapen(str):
+    """Fault of an inertia that no body has; a repair takes the nearest that one has, if the body has mass."""
+
+    __slots__ = ()
+
+
+class Lopsided(Misshapen):
+    """Fault of an inertia that only breaks the triangle inequality: torques and accelerations are right."""
+
+    __slots__ = ()
+
+
+def bodies(links: Sequence[str], mass: Tensor, inertia: Tensor) -> list[str]:
+    """Faults of links of these masses [..., n] [kg] and inertias about their centres of mass [..., n, 3, 3] [kg m^2].
+
+    Principal moments must not be negative, and none may exceed the sum of the other two. Equality is possible (a
+    point, a rod, a plate) and is accepted. In a batch of robots a link has the fault of the first robot that has one.
+    """
+    batch = torch.broadcast_shapes(mass.shape[:-1], inertia.shape[:-3])
+    mass, inertia = (x.to("cpu", torch.float64) for x in (mass, inertia))
+    mass, inertia = mass.expand(*batch, -1), inertia.expand(*batch, -1, -1, -1)
+    finite = mass.isfinite() & inertia.isfinite().all(-1).all(-1)
+    moments = torch.linalg.eigvalsh(inertia.where(finite[..., None, None], 0.0))
+    slack = (TOLERANCE * moments.abs().sum(-1)).maximum(rounding(mass))
+    shown = "found principal moments {shown} kg m^2"
+    triangle = "the largest principal moment must not exceed the sum of the others (triangle inequality)"
+    wrong: dict[str, tuple[type[str], Tensor]] = {
+        "mass and inertia must be finite, found mass {mass} and inertia {inertia}": (str, ~finite),
+        "mass must not be negative, found {mass:g} kg": (str, mass < 0),
+        f"inertia must be positive definite, {shown}": (Misshapen, moments[..., 0] < -slack),
+        f"it has no mass, so its inertia must be zero, {shown}": (
+            Massless,
+            (mass == 0) & (moments.abs().amax(-1) > NOTHING),
+        ),
+        f"{triangle}, found {{shown}} kg m^2": (Lopsided, moments[..., 2] > moments[..., 0] + moments[..., 1] + slack),
+    }
+    if not bool(torch.stack([mask for _, mask in wrong.values()]).any()):
+        return []
+    faults: list[str] = []
+    for i, link in enumerate(links):
+        for words, (kind, mask) in wrong.items():
+            rows = mask[..., i].nonzero().tolist()
+            if rows:
+                at = tuple(rows[0])
+                values = ", ".join(f"{x:.6g}" for x in moments[at][i].tolist())
+                found = words.format(mass=float(mass[at][i]), inertia=inertia[at][i].tolist(), shown=values)
+                faults.append(kind(f"link {link!r}{f' of robot {list(at)}' if at else ''}: {found}"))
+                break
+    return faults
+
+
+def rounding(mass: Tensor) -> Tensor:
+    """Largest moment of inertia [kg m^2] of a mass [kg] that is taken for rounding."""
+    return torch.where(mass == 0, NOTHING, POINT * mass.abs() ** (5 / 3))
+
+
+def repaired(links: Sequence[str], mass: Tensor, inertia: Tensor) -> tuple[Tensor, list[str]]:
+    """Inertias [n, 3, 3] with those that no body has replaced by the nearest that one has, and notes of the changes.
+
+    Nearest is meant for the second moments E = tr(I)/2 1 - I, in the Frobenius norm: negative eigenvalues become zero.
+    Masses [n] are those of the links; one that cannot be is left to the faults of `bodies`.
+    """
+    one = torch.eye(3, dtype=torch.float64)
+    new, notes = inertia.clone(), []
+    for i, link in enumerate(links):
+        if (
+            not bool(inertia[i].isfinite().all())
+            or not float(mass[i]) > 0
+            or not bodies((link,), mass[[i]], inertia[[i]])
+        ):
+            continue
+        E = inertia[i].trace() / 2 * one - inertia[i]
+        values, axes = torch.linalg.eigh(E)
+        E = axes @ torch.diag(values.clamp(min=0)) @ axes.T
+        new[i] = E.trace() * one - E
+        before, after = (", ".join(f"{x:.6g}" for x in torch.linalg.eigvalsh(I)) for I in (inertia[i], new[i]))
+        part = float((new[i] - inertia[i]).norm() / inertia[i].norm())
+        notes.append(
+            f"link {link!r}: inertia repaired by {100 * part:.3g} %, principal moments {before} to {after} kg m^2"
+        )
+    return new, notes
+
+
+def inert_joints(names: Sequence[str], tree: Tree) -> dict[str, str]:
+    """Faults, by name, of joints that move no inertia in any position: the mass matrix is singular everywhere.
+
+    Args:
+        names: names of the joints.
+        tree: with floats as numbers; tensors of one number each would take a thousand times as long.
+    """
+    links, n = tree.links, len(tree.links)
+    inertias, sizes = [0.0] * n, [0.0] * n
+    # an inertia may vanish in one position only, so a few positions with nothing special are tried
+    for seed in range(3):
+        angles = [math.sin(1.0 + 12.9898 * i + 78.233 * seed) for i in range(n - 1)]
+        at = Paper.at(tree, (), [None, *(Coordinate(x, math.cos(0.5 * x), math.sin(0.5 * x)) for x in angles)])
+        composites = at.composites()
+        # the same sums without signs
+        spread = [0.0 if x.inertia is None else sum(abs(x.inertia.rotational[k][k]) for k in range(3)) for x in links]
+        diagonal = crba.diagonal(tree, composites)
+        for i in reversed(range(1, n)):
+            (a,), mass, k = links[i].joint.columns, composites[i].mass, links[i].v.start
+            inertias[i] = max(inertias[i], diagonal[k])
+            sizes[i] = max(sizes[i], quat.norm2(a[0]) * spread[i] + quat.norm2(a[1]) * abs(mass))
+            spread[links[i].parent] += spread[i] + abs(mass) * quat.norm2(dual_quaternion.translation(at.X_PB[i]))
+        enough = 1e-24 * max(sizes)
+        if all(inertia > max(1e-10 * size, enough) for inertia, size in zip(inertias[1:], sizes[1:], strict=True)):
+            break  # most robots need one position only
+    # Below this part of its terms an inertia is rounding, and below that part of the robot's it is the square of the
+    # rounding of a distance. An absolute bound would reject a microrobot, or its hand on a crane.
+    square = 1e-28 * max(sizes)
+    return {
+        name: f"joint {name!r}: it moves no inertia, so its acceleration is undefined; give the links beyond it mass"
+        for name, inertia, size in zip(names, inertias[1:], sizes[1:], strict=True)
+        if not inertia > max(1e-14 * size, square)
+    }
+
+
+def complain(robot: str, faults: Sequence[str], on_unphysical: OnUnphysical) -> None:
+    """Raise, warn or do nothing about faults, those left by a repair.
+
+    "error" and "repair" raise for those that give wrong numbers, and warn of the others.
+    """
+    require_choice("on_unphysical", on_unphysical, get_args(OnUnphysical))
+    if not faults or on_unphysical == "ignore":
+        return
+    if on_unphysical != "warn" and not all(isinstance(fault, Lopsided) for fault in faults):
+        refuse(robot, faults, repaired=on_unphysical == "repair")
+    advice = f"\nNumbers are those of the inertias as they are; {NEAREST}."
+    said = advice if any(isinstance(fault, Lopsided) for fault in faults) else ""
+    warnings.warn(_listed(robot, faults) + said, stacklevel=4)  # where a public function was called
+
+
+def refuse(robot: str, faults: Sequence[str], repaired: bool = False) -> NoReturn:
+    """Raise for faults, with what can be done about them; `repaired`: whether inertias have been repaired."""
+    if repaired:
+        cure = "only inertias of bodies with mass can be repaired"
+    else:
+        cure = "on_unphysical='warn' computes with these numbers all the same"
+        cure += f", and {NEAREST}" if any(isinstance(fault, Misshapen) for fault in faults) else ""
+    raise UnphysicalError(f"{_listed(robot, faults)}\nCorrect the description; {cure}.")
+
+
+def _listed(robot: str, faults: Sequence[str]) -> str:
+    return f"robot {robot!r} is unphysical:\n  " + "\n  ".join(faults)

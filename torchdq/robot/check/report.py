@@ -1,0 +1,54 @@
+"""Report of a robot: the content of its description, and how each part is used."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+from torchdq.robot.check.changes import require_unchanged
+
+if TYPE_CHECKING:
+    from torchdq.robot.robot import Robot
+
+
+HEADER = ("joint", "kind", "link", "mass", "limits (not enforced)")
+
+
+class Report(NamedTuple):
+    """Report of a robot; `str` lays it out as a table."""
+
+    summary: str
+    joints: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...]
+
+    @classmethod
+    def of(cls, robot: Robot) -> Report:
+        """Report of a robot."""
+        require_unchanged(robot)
+        used = ["mass, centre of mass and inertia of the links", "joint axes and placements"]
+        used += [] if robot.gravity is None else [f"gravity {robot.gravity.tolist()} m/s^2"]
+        used += [] if robot.armature is None else ["rotor inertia"]
+        base = robot.base_mass
+        used += [] if base is None else [f"a free base of {float(base.detach().mean()):.4g} kg"]
+        joints = tuple(
+            (name, kind, link, f"{float(robot.mass.detach()[..., i].mean()):.4g} kg", _range(robot, name))
+            for i, (name, kind, link) in enumerate(zip(robot.every_joint, robot.kinds, robot.link_names, strict=True))
+        )
+        return cls(f"{robot!r}\nused: {'; '.join(used)}", joints, robot.notes)
+
+    def __str__(self) -> str:
+        rows = [HEADER, *self.joints]
+        widths = [max(len(row[k]) for row in rows) for k in range(len(HEADER))]
+        table = "\n".join(
+            "  ".join(cell.ljust(w) for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows
+        )
+        notes = "\n".join(f"- {note}" for note in self.notes) or "- nothing else in the description"
+        return f"{self.summary}\n\n{table}\n\nnotes:\n{notes}"
+
+
+def _range(robot: Robot, joint: str) -> str:
+    """Limits of a joint that is a coordinate; of another one, the coordinates that it follows."""
+    followed = f"1 {joint}" if robot.joint_map is None else robot.joint_map.followed(joint, robot.joint_names)
+    if followed != f"1 {joint}":
+        return f"follows {followed}"
+    i = robot.joint_index(joint)
+    return f"[{float(robot.limits.lower[..., i].min()):.4g}, {float(robot.limits.upper[..., i].max()):.4g}]"

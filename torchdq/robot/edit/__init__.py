@@ -1,0 +1,1 @@
+"""Robots made from robots: locked, cut, combined and coupled joints, changed bodies."""

@@ -1,0 +1,252 @@
+"""Robots with more on them: payloads, tools, and other robots."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from torchdq import dq
+from torchdq.dynamics.tree import BASE
+from torchdq.errors import ArgumentError
+from torchdq.robot import fields
+from torchdq.robot.arrays import matrices, poses
+from torchdq.robot.check import consistency, units
+from torchdq.robot.check.changes import doubted
+from torchdq.robot.description import Frame, JointMap, Limits
+from torchdq.robot.edit.bodies import RigidBody, lumped
+from torchdq.robot.edit.reduced import factors
+from torchdq.robot.fields import BASE_BODY, LINK_BODY
+
+if TYPE_CHECKING:
+    from torchdq.robot.robot import Robot
+
+JOINED = {"screw": 2, "home": 1, "armature": 1, "damping": 1, "friction": 1}  # fields that are joined as they are
+NAMED = {"link_names": "links", "frame_names": "frames"}
+ABSENT = (0.0,) * 6  # inertia of a point
+
+
+def with_payload(
+    robot: Robot, mass: Any, com: Any = (0.0, 0.0, 0.0), inertia: Any = ABSENT, frame: str | None = None
+) -> Robot:
+    """Robot that holds a body, which becomes part of the link, or of the free base, that carries a frame.
+
+    The inertial parameters become arguments of the programs, as by `replace`: another payload, a batch of them and
+    gradients in their tensors need no new program. Numbers that seem to be in mm or kg mm^2 are warned of.
+
+    Args:
+        robot: the robot.
+        mass: [kg], shape [...].
+        com: centre of mass in the frame [m], shape [..., 3].
+        inertia: about the centre of mass, axes of the frame: xx xy yy xz yz zz [kg m^2], shape [..., 6].
+        frame: name of the frame; None: the end effector.
+
+    >>> import torchdq
+    >>> torchdq.robots.load("two_link").with_payload(0.5).mass.tolist()
+    [1.0, 1.5]
+    """
+    return _holding(robot, mass, com, inertia, robot.end_effector() if frame is None else robot.frame(frame))
+
+
+def _holding(robot: Robot, mass: Any, com: Any, inertia: Any, at: Frame) -> Robot:
+    """Robot with a payload in a frame, for the functions that users call."""
+    if at.link == BASE and not robot.floating:
+        raise ArgumentError(
+            f"frame must be one that a joint of robot {robot.name!r} moves, found {at.name!r} on the fixed base, where "
+            "a payload changes nothing"
+        )
+    given = {"mass": (mass, ()), "com": (com, (3,)), "inertia": (inertia, (6,))}
+    held = RigidBody(*(_numbers(robot, name, x, shape) for name, (x, shape) in given.items()))
+    for (name, (_, shape)), x in zip(given.items(), held, strict=True):
+        _require_batch(robot, name, tuple(x.shape[: x.ndim - len(shape)]))
+    if all(fields.readable(x, False) for x in held):
+        faults = consistency.bodies(("payload",), held.mass.unsqueeze(-1), matrices(held.inertia).unsqueeze(-3))
+        if faults:
+            raise ArgumentError(f"mass and inertia must be those of a body, xx xy yy xz yz zz: {faults[0]}")
+    changes: dict[str, Any] = {**_held(robot, at.link, at.X_BF, held)}
+    told = doubted(robot, *held) and units.doubts_of_payload(robot, at.name, held, stacklevel=3)
+    # a doubtful payload is not told of again as a doubtful link
+    return robot.replace(**changes, on_unphysical="ignore" if told else "error")
+
+
+def with_tool(
+    robot: Robot,
+    name: str,
+    pose: Any,
+    mass: Any = 0.0,
+    com: Any = (0.0, 0.0, 0.0),
+    inertia: Any = ABSENT,
+    frame: str | None = None,
+) -> Robot:
+    """Robot whose end effector is a new frame, the tip of a tool that another frame holds.
+
+    Args:
+        robot: the robot.
+        name: name of the new frame.
+        pose: its pose in the frame that holds the tool, a unit dual quaternion [8].
+        mass, com, inertia: body of the tool, in the frame that holds it, as in `with_payload`.
+        frame: name of the frame that holds the tool; None: the end effector.
+
+    >>> import torchdq
+    >>> robot = torchdq.robots.load("two_link").with_tool("pen", [1, 0, 0, 0, 0, 0.1, 0, 0], mass=0.2)
+    >>> robot.tip, robot.mass.tolist()
+    ('pen', [1.0, 1.2])
+    """
+    if not isinstance(name, str) or name in robot.frame_names:
+        raise ArgumentError(f"name must be that of a new frame of robot {robot.name!r}, found {name!r}")
+    at = robot.end_effector() if frame is None else robot.frame(frame)
+    tip = Frame(name, at.link, dq.mul(at.X_BF, poses("pose", pose, 8, error=ArgumentError).to(at.X_BF)))
+    weightless = not isinstance(mass, Tensor) and mass == 0 and inertia is ABSENT
+    carrier = robot if weightless else _holding(robot, mass, com, inertia, at)
+    return carrier.replace(frames=(*carrier.frames, tip), tip=name)
+
+
+def attach(robot: Robot, other: Robot, frame: str, prefix: str | None = None, base_pose: Any = None) -> Robot:
+    """Robot with the base of another one fixed to a frame: all links, joints, limits and frames of both.
+
+    Gravity is that of the first; the end effector is that of the other if it has one. The body of the other's base,
+    such as the palm of a hand, becomes part of what carries the frame. It is known only if the other one was read with
+    `base="floating"`; without it there is a warning, as its mass may be missing.
+
+    Args:
+        robot: the robot that carries the other.
+        other: the robot that is attached.
+        frame: name of the frame of `robot` that carries it.
+        prefix: beginning of the names of the other's joints, links and frames, such as "left_"; None: as they are.
+        base_pose: pose of the other's base in the frame, a unit dual quaternion [8]; None: they coincide.
+
+    >>> import torchdq
+    >>> arm, hand = torchdq.robots.load("panda"), torchdq.robots.load("two_link")
+    >>> palm = {"base_mass": torch.tensor(0.5), "base_com": torch.zeros(3), "base_inertia": torch.zeros(6)}
+    >>> both = arm.attach(hand.replace(**palm), "tip", prefix="hand_")
+    >>> both.joint_names[-2:], (both.mass[6] - arm.mass[6]).item()
+    (('hand_joint1', 'hand_joint2'), 0.5)
+    """
+    if not isinstance(other, type(robot)):
+        raise ArgumentError(f"other must be a torchdq.Robot, found {type(other).__name__}; load it first")
+    at, start = robot.frame(frame), "" if prefix is None else prefix
+    X = at.X_BF
+    if base_pose is not None:
+        X = dq.mul(X, poses("base_pose", base_pose, 8, error=ArgumentError).to(X))
+    names = _joined_names(robot, other, start)
+    other, count = other.to(robot.mass.dtype, robot.mass.device), len(robot.link_names)
+    link = {BASE: at.link} | {i: i + count for i in range(len(other.link_names))}
+    X_PB_home = [
+        dq.mul(X, x) if p == BASE else x for x, p in zip(other.X_PB_home.unbind(-2), other.parents, strict=True)
+    ]
+    frames = (
+        Frame(start + x.name, link[x.link], dq.mul(X, x.X_BF) if x.link == BASE else x.X_BF) for x in other.frames
+    )
+    carrier, known = {name: getattr(robot, name) for name in (*LINK_BODY, *BASE_BODY)}, set(robot._arguments)
+    if lumps := other.floating and (at.link != BASE or robot.floating):
+        changed = _held(robot, at.link, X, RigidBody.at(other, BASE))
+        carrier |= changed
+        known |= set(changed) if known & set(changed) or set(other._arguments) & set(BASE_BODY) else set()
+    if not other.floating and (at.link != BASE or robot.floating):
+        warnings.warn(
+            f"robot {other.name!r} has no body of its base, so {at.name!r} carries no mass of it; the base link of a "
+            'file has mass only if the file is read with base="floating"',
+            stacklevel=2,
+        )
+    told = f"{other.name!r} attached to {at.name!r}"
+    told += "" if lumps else "; the mass of its base is left out" if other.floating else ", without a mass of its base"
+    changes: dict[str, Any] = {
+        **names,
+        **{name: _both(robot, other, name, axes) for name, axes in JOINED.items()},
+        **{name: carrier[name] for name in BASE_BODY},
+        **{name: _cat((carrier[name], getattr(other, name)), len(fields.SHAPES[name])) for name in LINK_BODY},
+        "kinds": (*robot.kinds, *other.kinds),
+        "parents": (*robot.parents, *(link[parent] for parent in other.parents)),
+        "X_PB_home": _cat((robot.X_PB_home, _together(X_PB_home, 2)), 2) if X_PB_home else robot.X_PB_home,
+        "limits": Limits(*(_cat(pair, 1) for pair in zip(robot.limits, other.limits, strict=True))),
+        "frames": (*robot.frames, *frames),
+        "tip": robot.tip if other.tip is None else start + other.tip,
+        "notes": (*robot.notes, *(type(note)(f"{other.name}: {note}") for note in other.notes), told),
+        "_arguments": (*known, *(name for name in other._arguments if name not in (*BASE_BODY, "gravity"))),
+    }
+    made = type(robot)(**{"name": robot.name, "gravity": robot.gravity, **changes})
+    # those of the other's links were accepted when it was loaded
+    faults = [fault for fault in fields.faults(made, ("mass", "inertia")) if fault not in made.notes]
+    return made._with(notes=(*made.notes, *faults)) if faults else made
+
+
+def _joined_names(robot: Robot, other: Robot, prefix: str) -> dict[str, Any]:
+    """Names of both robots; raises where one stands for two things."""
+    joints = [(*x.every_joint, *(name for name in x.joint_names if name not in x.every_joint)) for x in (robot, other)]
+    names = {"joints": joints, **{kind: [getattr(x, field) for x in (robot, other)] for field, kind in NAMED.items()}}
+    for kind, (ours, theirs) in names.items():
+        both = [prefix + name for name in theirs if prefix + name in ours]
+        if both:
+            way = "give another prefix" if prefix else "pass prefix="
+            raise ArgumentError(
+                f"names of {kind} of robots {robot.name!r} and {other.name!r} must differ, found {', '.join(both)} in "
+                f"both; {way}, which the names of the attached robot will begin with"
+            )
+
+    def together(field: str) -> tuple[str, ...]:
+        return (*getattr(robot, field), *(prefix + name for name in getattr(other, field)))
+
+    joint_map = None
+    if robot.joint_map is not None or other.joint_map is not None:
+        joint_map = JointMap(together("every_joint"), torch.block_diag(factors(robot), factors(other).to(robot.mass)))
+    return {**{field: together(field) for field in ("joint_names", "link_names")}, "joint_map": joint_map}
+
+
+def _numbers(robot: Robot, name: str, x: Any, shape: tuple[int, ...]) -> Tensor:
+    """Numbers of a payload, in the dtype and on the device of the robot."""
+    try:
+        found = (x if isinstance(x, Tensor) else torch.as_tensor(x, dtype=torch.float64)).to(robot.mass)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise ArgumentError(f"{name} must be numbers: {error}") from error
+    if tuple(found.shape[found.ndim - len(shape) :]) != shape:
+        expected = ", ".join(["...", *map(str, shape)])
+        raise ArgumentError(f"{name} must have the shape [{expected}], found {tuple(found.shape)}")
+    return found
+
+
+def _require_batch(robot: Robot, name: str, axes: tuple[int, ...]) -> None:
+    """Raise unless batch axes of a payload fit those of a robot."""
+    for field, own in fields.batches(robot).items():
+        try:
+            torch.broadcast_shapes(own, axes)
+        except RuntimeError as error:
+            raise ArgumentError(
+                f"{name} must have batch axes that fit those of {field} of robot {robot.name!r}, {own}, found {axes}"
+            ) from error
+
+
+def _held(robot: Robot, link: int, X_BF: Tensor, held: RigidBody) -> dict[str, Tensor]:
+    """Inertial parameters of a robot one of whose links, or free base, holds a body at a pose."""
+    whole = lumped(RigidBody.at(robot, link), [(X_BF, held)])
+    if link == BASE:
+        return dict(zip(BASE_BODY, whole, strict=True))
+    found = {}
+    for name, row in zip(LINK_BODY, whole, strict=True):
+        rows = list(getattr(robot, name).unbind(-len(fields.SHAPES[name])))
+        rows[link] = row
+        found[name] = _together(rows, len(fields.SHAPES[name]))
+    return found
+
+
+def _together(rows: Sequence[Tensor], axes: int) -> Tensor:
+    """Rows, each with batch axes of its own, as one tensor with one or two trailing axes."""
+    return torch.stack(torch.broadcast_tensors(*rows), -axes)
+
+
+def _cat(parts: Iterable[Tensor], axes: int) -> Tensor:
+    """Rows of all parts, each with batch axes of its own and one or two trailing axes."""
+    found = tuple(parts)
+    batch = torch.broadcast_shapes(*(x.shape[:-axes] for x in found))
+    return torch.cat([x.expand(*batch, *x.shape[-axes:]) for x in found], -axes)
+
+
+def _both(robot: Robot, other: Robot, name: str, axes: int) -> Tensor | None:
+    """Field of both robots; it is zero where only the other one has it."""
+    found = [getattr(x, name) for x in (robot, other)]
+    if found[0] is None and found[1] is None:
+        return None
+    missing = (x.mass.new_zeros(x.sizes["links" if name == "home" else "n"]) for x in (robot, other))
+    return _cat((zero if x is None else x for x, zero in zip(found, missing, strict=True)), axes)

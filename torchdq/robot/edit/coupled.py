@@ -1,0 +1,197 @@
+"""Robots in other coordinates, each of which may move several joints: differentials, motor-coupled wrists, mimics."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from torchdq.base.checks import require_number
+from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.robot import fields
+from torchdq.robot.arrays import double, numbers, table, words
+from torchdq.robot.check import consistency
+from torchdq.robot.description import JointMap, Limits
+
+if TYPE_CHECKING:
+    from torchdq.robot.robot import Robot
+
+SAME = 1e-12  # part of the largest number below which a number of S is rounding
+
+
+def couple(
+    robot: Robot,
+    S: Mapping[str, Mapping[str, float]] | Any,
+    names: Sequence[str] | None = None,
+    offset: Mapping[str, float] | None = None,
+    *,
+    limits: Sequence[Any] | None = None,
+    damping: Any = None,
+    friction: Any = None,
+    armature: Any = None,
+) -> Robot:
+    """Robot in other coordinates z, which move those of before linearly: q = S z + offset.
+
+    A joint that follows one coordinate hands it its damping and armature, times the factor squared, and its friction,
+    times the factor's magnitude; they add up. Of the limits of position and velocity the narrowest count. The effort
+    limit is that of the joint with the coordinate's name, whose motor moves the others; without one, those of all
+    joints add up, as if each had its motor. A joint that follows several coordinates hands nothing on: its damping,
+    friction, armature and limits must be absent, or those of all new coordinates be given here.
+
+    Args:
+        robot: the robot.
+        S: factors by name, {joint: {coordinate: factor}}, where a joint that is not named stays a coordinate; or a
+            matrix [n, coordinates] with `names`.
+        names: names of the coordinates of a matrix.
+        offset: positions [rad or m] of joints where the coordinates are zero, by name; None: zero.
+        limits: those of the new coordinates, four rows (lower, upper, velocity, effort) as in `Robot.limits`, each
+            [coordinates], infinite where there is none; None: those that are handed on.
+        damping, friction, armature: those of the new coordinates, [coordinates]; None: those that are handed on.
+
+    >>> import torchdq
+    >>> robot = torchdq.robots.load("two_link")
+    >>> robot.couple({"joint2": {"joint1": -1.0}}).joint_names  # a forearm that keeps its direction
+    ('joint1',)
+    >>> robot.couple([[0.5, 0.5], [0.5, -0.5]], ["left", "right"]).joint_names  # a differential
+    ('left', 'right')
+    """
+    known = robot.joint_names
+    factors, names = _by_name(robot, S) if isinstance(S, Mapping) else _matrix(robot, S, names)
+    shift = double([0.0] * robot.n)
+    for name, value in ({} if offset is None else offset).items():
+        require_number(f"offset[{name!r}]", value)
+        shift[robot.joint_index(name)] = value
+    inert = [name for name, column in zip(names, factors.T, strict=True) if not bool(column.any())]
+    if inert:
+        raise ArgumentError(f"S must have a factor for every coordinate, found none for {', '.join(inert)}")
+    _require_independent(factors, names)
+    several = [name for name, row in zip(known, factors, strict=True) if int(row.count_nonzero()) > 1]
+    alone = factors * (factors.count_nonzero(-1) == 1).unsqueeze(-1)
+    given: dict[str, Any] = {"damping": damping, "friction": friction, "armature": armature}
+    new: dict[str, Any] = {}
+    for name, value in given.items():
+        before, weights = getattr(robot, name), alone.abs() if name == "friction" else alone.square()
+        if value is not None:
+            new[name] = table(name, value, len(names), error=ArgumentError).to(robot.mass)
+        elif before is not None:
+            _require_absent(robot, name, before != 0, several)
+            new[name] = before @ weights.to(before)
+    if limits is None:
+        for bound in Limits._fields:
+            _require_absent(robot, f"limits.{bound}", getattr(robot.limits, bound).isfinite(), several, "limits")
+        new["limits"] = _limits(robot, alone, shift, names)
+    else:
+        new["limits"] = _given_limits(robot, limits, len(names))
+    before = torch.eye(robot.n, dtype=factors.dtype) if robot.joint_map is None else robot.joint_map.S.to(factors)
+    if bool(shift.any()):
+        home, moved = robot.home, (before @ shift).to(robot.mass)
+        new["home"] = (0.0 if home is None else home) - moved
+    new["joint_map"] = JointMap(robot.every_joint, (before @ factors).to(robot.mass))
+    made = dataclasses.replace(robot, joint_names=names, **new, _constants=None, _storages=())
+    fields.require_structure(made, {name: getattr(made, name) for name in ("joint_names", *new)})
+    consistency.complain(robot.name, fields.faults(made, new), "error")
+    return made
+
+
+def _require_independent(factors: Tensor, names: Sequence[str]) -> None:
+    """Raise if some of the coordinates together move no joint: accelerations would be undefined everywhere."""
+    if not factors.numel() or not bool(factors.isfinite().all()):
+        return
+    # neither the units nor the sizes of the coordinates matter
+    scaled = factors / torch.linalg.vector_norm(factors, dim=0)
+    _, sizes, directions = torch.linalg.svd(scaled)
+    rank = int((sizes > SAME * sizes[0]).sum())
+    if rank < len(names):
+        still = directions[-1]
+        moved = [(name, x) for name, x in zip(names, still.tolist(), strict=True) if abs(x) > SAME * still.abs().max()]
+        raise ArgumentError(
+            f"S must have independent columns, found that a motion of {', '.join(name for name, _ in moved)} together "
+            "moves no joint; leave out one of these coordinates"
+        )
+
+
+def _by_name(robot: Robot, S: Mapping[str, Mapping[str, float]]) -> tuple[Tensor, tuple[str, ...]]:
+    """Factors [n, coordinates], and names of the coordinates."""
+    for joint, row in S.items():
+        if joint not in robot.joint_names:
+            raise UnknownNameError(f"joint of robot {robot.name!r}", joint, robot.joint_names)
+        if not isinstance(row, Mapping):
+            raise ArgumentError(f"S[{joint!r}] must hold factors by coordinate, found {row!r}")
+        for name, factor in row.items():
+            require_number(f"S[{joint!r}][{name!r}]", factor)
+            if name in S and name not in S[name]:
+                raise ArgumentError(
+                    f"S[{joint!r}] must name coordinates, found {name!r}, a joint that follows others itself; name "
+                    "those, or couple twice"
+                )
+    rows = [S.get(name, {name: 1.0}) for name in robot.joint_names]
+    names = tuple(dict.fromkeys(name for row in rows for name in row))
+    return double([[float(row.get(name, 0.0)) for name in names] for row in rows]), names
+
+
+def _matrix(robot: Robot, S: Any, names: Sequence[str] | None) -> tuple[Tensor, tuple[str, ...]]:
+    """Factors [n, coordinates], and names of the coordinates."""
+    factors = numbers("S", S, ArgumentError)
+    factors = table("S", factors, robot.n, factors.shape[-1] if factors.ndim else 1, error=ArgumentError)
+    count, expected = factors.shape[1], "different names, one for each column of S"
+    found = words("names", names, count, expected, ArgumentError)
+    if len(set(found)) != count:
+        raise ArgumentError(f"names must be {count} {expected}, found {found}")
+    return factors, found
+
+
+def _require_absent(
+    robot: Robot, what: str, there: Tensor, several: Sequence[str], argument: str | None = None
+) -> None:
+    """Raise if a quantity is there at a joint that follows several coordinates."""
+    for name in several:
+        if bool(there[..., robot.joint_index(name)].any()):
+            raise ArgumentError(
+                f"{what} of joint {name!r} of robot {robot.name!r} must be absent, since the joint follows several "
+                f"coordinates and none of them would have it alone; pass {argument or what}= for the new coordinates"
+            )
+
+
+def _given_limits(robot: Robot, given: Sequence[Any], count: int) -> Limits:
+    """Limits of coordinates from four rows."""
+    rows = tuple(given) if isinstance(given, list | tuple) else ()
+    if len(rows) != len(Limits._fields):
+        raise ArgumentError(
+            f"limits must be four rows (lower, upper, velocity, effort), each of {count} numbers, found {given!r}"
+        )
+    named = {f"limits.{name}": row for name, row in zip(Limits._fields, rows, strict=True)}
+    found = {name: numbers(name, row, ArgumentError).to(robot.mass) for name, row in named.items()}
+    for name, x in found.items():
+        if x.shape[-1:] != (count,):
+            raise ArgumentError(f"{name} must have the shape [..., {count}], found {tuple(x.shape)}")
+    return Limits(*found.values())
+
+
+def _limits(robot: Robot, alone: Tensor, shift: Tensor, names: Sequence[str]) -> Limits:
+    """Limits of the coordinates of joints that follow one each."""
+    lower, upper, velocity, effort = robot.limits
+    columns: list[list[Tensor]] = []
+    for name, column in zip(names, alone.T.tolist(), strict=True):
+        joints = [(i, s) for i, s in enumerate(column) if s]
+        free = torch.full_like(lower[..., 0], torch.inf) if robot.n else double(torch.inf)
+        bound = [-free, free, free, free if not joints else torch.zeros_like(free)]
+        for i, s in joints:
+            ends = (lower[..., i] - shift[i]) / s, (upper[..., i] - shift[i]) / s
+            low, high = ends if s > 0 else ends[::-1]
+            bound = [
+                torch.maximum(bound[0], low),
+                torch.minimum(bound[1], high),
+                torch.minimum(bound[2], velocity[..., i] / abs(s)),
+                bound[3] + effort[..., i] * abs(s),
+            ]
+        if name in (own := [robot.joint_names[i] for i, _ in joints]):
+            i, s = joints[own.index(name)]
+            bound[3] = effort[..., i] * abs(s)
+        if bool((bound[0] > bound[1]).any()):
+            moved = ", ".join(robot.joint_names[i] for i, _ in joints)
+            raise ArgumentError(f"limits of the joints {moved} leave no position to coordinate {name!r}; pass limits=")
+        columns.append(bound)
+    return Limits(*(torch.stack(rows, -1) for rows in zip(*columns, strict=True)))

@@ -1,0 +1,241 @@
+"""Robots with some joints locked, and chains between two frames of a robot.
+
+Masses, centres of mass and inertias keep their batch axes and gradients, so a batch of robots is reduced as a whole.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Collection, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor
+
+from torchdq import dq
+from torchdq.dynamics.tree import BASE
+from torchdq.errors import ArgumentError
+from torchdq.robot.arrays import IDENTITY
+from torchdq.robot.description import Frame, JointMap, Limits
+from torchdq.robot.edit.bodies import RigidBody, lumped, mixed
+from torchdq.robot.edit.locking import positions, require_free, tell_if_beyond, told
+from torchdq.robot.fields import BASE_BODY, batches
+
+if TYPE_CHECKING:
+    from torchdq.robot.robot import Robot
+
+PER_LINK = {"screw": -2, "home": -1}  # fields by the axis of the links
+PER_COORDINATE = {"armature": -1, "damping": -1, "friction": -1}  # fields by the axis of the coordinates
+
+
+def lock(robot: Robot, lock: Mapping[str, float] | Sequence[str] | str) -> Robot:
+    """Robot with some joints fixed, whose links become parts of those before them, or of a free base.
+
+    Joints that follow only locked coordinates are fixed with them.
+
+    Args:
+        robot: the robot.
+        lock: positions [rad or m] of the joints, by name or pattern ("finger*"), or names or patterns alone: at home.
+            Positions beyond the limits are warned of. Joints that mimic a locked one are locked with it, unless the
+            robot was loaded with mimic="independent".
+
+    >>> import torchdq
+    >>> torchdq.robots.load("two_link").lock({"joint2": 0.5}).joint_names
+    ('joint1',)
+    """
+    _require_constant_geometry(robot)
+    _require_coordinates(robot, lock)
+    given = positions(lock, robot.joint_names)
+    require_free(robot.joint_names, given)
+    S = factors(robot)
+    fixed = [name for name in robot.joint_names if name in given]
+    at = {name: home_of(robot, name) if (x := given[name]) is None else x for name in fixed}
+    placed = S @ S.new_tensor([at.get(name, 0.0) for name in robot.joint_names])  # by the locked coordinates alone
+    coordinates = [k for k, name in enumerate(robot.joint_names) if name not in given]
+    own = IDENTITY.to(robot.screw)
+    carrier, X_CB = {BASE: BASE}, {BASE: own}  # link that each link is part of, and its pose there
+    links: list[int] = []
+    home_poses: list[Tensor] = []  # poses of the free links in the carriers of their parents
+    for i, parent in enumerate(robot.parents):
+        X = dq.mul(X_CB[parent], robot.X_PB_home[i])
+        if S[i, coordinates].any():
+            carrier[i], X_CB[i] = i, own
+            links.append(i)
+            home_poses.append(X)
+        else:
+            displacement = placed[i] if robot.home is None else placed[i] - robot.home[i]
+            carrier[i], X_CB[i] = carrier[parent], dq.mul(X, dq.exp(0.5 * displacement * robot.screw[i]))
+    new = {BASE: BASE} | {old: i for i, old in enumerate(links)}
+    parts = {link: [i for i in X_CB if carrier[i] == link and i != link] for link in carrier.values()}
+
+    def whole(link: int) -> RigidBody:
+        return lumped(RigidBody.at(robot, link), [(X_CB[i], RigidBody.at(robot, i)) for i in parts[link]])
+
+    bodies = [whole(link) for link in links]
+    masses, coms, inertias = zip(*bodies, strict=True) if bodies else ((), (), ())
+    changes: dict[str, Any] = {}
+    if robot.floating:
+        changes |= zip(BASE_BODY, whole(BASE), strict=True)
+    stand = {name: float(placed[i]) for i, name in enumerate(robot.every_joint) if i not in links} | at
+    moved = placed[links]
+    if moved.any():
+        changes["home"] = (0.0 if robot.home is None else robot.home[links]) - moved
+    lower, upper = (x.reshape(-1, robot.n) for x in robot.limits[:2])  # the narrowest, if robots differ
+    ranges = dict(zip(robot.joint_names, zip(lower.amax(0).tolist(), upper.amin(0).tolist(), strict=True), strict=True))
+    limits = {name: ranges[name] for name in at}
+    tell_if_beyond(robot.name, given, limits, stacklevel=2)
+    return _made(
+        robot,
+        links,
+        coordinates,
+        parents=tuple(new[carrier[robot.parents[i]]] for i in links),
+        X_PB_home=_stacked(home_poses, robot.X_PB_home[:0]),
+        mass=_stacked(masses, robot.mass[..., :0], -1),
+        com=_stacked(coms, robot.com[..., :0, :]),
+        inertia=_stacked(inertias, robot.inertia[..., :0, :]),
+        frames=tuple(Frame(x.name, new[carrier[x.link]], dq.mul(X_CB[x.link], x.X_BF)) for x in robot.frames),
+        notes=(*robot.notes, *told(stand, limits)),
+        _arguments=mixed(robot._arguments),
+        **changes,
+    )
+
+
+def subchain(robot: Robot, base: str, tip: str) -> Robot:
+    """Chain of the joints between two frames, as a robot fixed at the first of them; all other links are left out.
+
+    Gravity is turned into the axes of the new base, which stands where it is with all joints at home and a free base
+    at the origin.
+
+    Args:
+        robot: the robot.
+        base: name of the frame that becomes the base.
+        tip: name of the frame of the end effector.
+
+    >>> import torchdq
+    >>> torchdq.robots.load("panda").subchain("panda_link3", "panda_link6").joint_names
+    ('panda_joint4', 'panda_joint5', 'panda_joint6')
+    """
+    _require_constant_geometry(robot)
+    first, last = robot.frame(base), robot.frame(tip)
+    chain: list[int] = []
+    link = last.link
+    while link not in (first.link, BASE):
+        chain.insert(0, link)
+        link = robot.parents[link]
+    if link != first.link or not chain:
+        raise ArgumentError(f"tip must be a frame that joints carry from the frame {base!r} on, found {tip!r}")
+    before: list[int] = []
+    X_WF = first.X_BF  # pose of the new base in the old one at home
+    while link != BASE:
+        before.append(link)
+        X_WF, link = dq.mul(robot.X_PB_home[link], X_WF), robot.parents[link]
+    X_FB = dq.conj(first.X_BF)
+    new = {first.link: BASE} | {old: i for i, old in enumerate(chain)}
+    frames = [Frame(x.name, new[x.link], x.X_BF) for x in robot.frames if x.link in new]
+    left_out = ", ".join(name for i, name in enumerate(robot.every_joint) if i not in chain)
+    notes = [f"chain from {base!r} to {tip!r}, without the joints {left_out}"] if left_out else []
+    notes += ["the base, which was free, is fixed"] if robot.floating else []
+    return _made(
+        robot,
+        chain,
+        _coordinates_of(robot, chain, before),
+        parents=tuple(range(BASE, len(chain) - 1)),
+        X_PB_home=torch.stack([dq.mul(X_FB, robot.X_PB_home[chain[0]]), *robot.X_PB_home[chain[1:]]]),
+        mass=robot.mass[..., chain],
+        com=robot.com[..., chain, :],
+        inertia=robot.inertia[..., chain, :],
+        gravity=None if robot.gravity is None else dq.rotate(dq.conj(X_WF[:4]), robot.gravity),
+        frames=tuple(x._replace(X_BF=dq.mul(X_FB, x.X_BF)) if x.link == BASE else x for x in frames),
+        tip=tip,
+        notes=(*robot.notes, *notes),
+        **dict.fromkeys(BASE_BODY),
+    )
+
+
+def _coordinates_of(robot: Robot, chain: Sequence[int], before: Sequence[int]) -> list[int]:
+    """Coordinates that the joints of a chain follow; raises if one of them belongs to other joints.
+
+    Args:
+        robot: the robot.
+        chain: links of the chain.
+        before: links between the base of the robot and the chain, which would have to stand still.
+    """
+    S, known = factors(robot), robot.every_joint
+    found = [k for k in range(robot.n) if S[chain, k].any()]
+    for k in found:
+        name = robot.joint_names[k]
+        moved = next(known[i] for i in chain if S[i, k])
+        ahead = [known[i] for i in before if S[i, k]]
+        if ahead:
+            raise ArgumentError(
+                f"base must be a frame that stands still while the chain moves, but coordinate {name!r} moves both "
+                f"joint {moved!r} of the chain and {ahead[0]!r} before it; choose a base before {ahead[0]!r}"
+            )
+        if name in known and known.index(name) not in chain:
+            raise ArgumentError(
+                f"tip must be a frame whose joints follow joints of the chain, but {moved!r} follows {name!r}, which "
+                f"would be left out; choose a tip that {name!r} moves"
+            )
+    return found
+
+
+def _require_constant_geometry(robot: Robot) -> None:
+    for name in ("X_PB_home", "screw", "home"):
+        if name in robot._arguments:
+            several = name in batches(robot)
+            way = "change the robots one by one and stack them afterwards" if several else "use bake() first"
+            raise ArgumentError(f"{name} of robot {robot.name!r} must be constant, as its frames are; {way}")
+
+
+def _require_coordinates(robot: Robot, lock: Any) -> None:
+    """Raise if joints to lock are named that follow coordinates."""
+    if robot.joint_map is None or not isinstance(lock, Collection):
+        return
+    for name in (lock,) if isinstance(lock, str) else lock:
+        if name in robot.every_joint and name not in robot.joint_names:
+            row = robot.joint_map.S[robot.every_joint.index(name)].tolist()
+            leaders = [repr(leader) for leader, factor in zip(robot.joint_names, row, strict=True) if factor]
+            hold = "which hold it too" if len(leaders) > 1 else "which holds it too"
+            raise ArgumentError(
+                f"lock must not name joint {name!r}, which is no coordinate: it follows "
+                f"{robot.joint_map.followed(name, robot.joint_names)}; lock {' and '.join(leaders)}, {hold}"
+            )
+
+
+def _made(robot: Robot, links: Sequence[int], coordinates: Sequence[int], **changes: Any) -> Robot:
+    """Robot with some of the links and of the coordinates, and with other fields changed."""
+    fields: dict[str, Any] = {x.name: getattr(robot, x.name) for x in dataclasses.fields(robot) if x.name[0] != "_"}
+    for kept, axes in ((links, PER_LINK), (coordinates, PER_COORDINATE)):
+        rows = torch.tensor(kept, dtype=torch.long, device=robot.mass.device)
+        fields |= {k: None if fields[k] is None else fields[k].index_select(axis, rows) for k, axis in axes.items()}
+    fields |= {name: tuple(getattr(robot, name)[i] for i in links) for name in ("link_names", "kinds")}
+    fields["joint_names"] = tuple(robot.joint_names[k] for k in coordinates)
+    fields["limits"] = Limits(*(x.index_select(-1, rows) for x in robot.limits))
+    if robot.joint_map is not None:
+        S, names = robot.joint_map.S[links][:, coordinates], tuple(robot.every_joint[i] for i in links)
+        trivial = names == fields["joint_names"] and torch.equal(S, torch.eye(len(names)).to(S))
+        fields["joint_map"] = None if trivial else JointMap(names, S)
+    return type(robot)(**({**fields, "_arguments": robot._arguments} | changes))
+
+
+def _stacked(rows: Sequence[Tensor], none: Tensor, axis: int = -2) -> Tensor:
+    return torch.stack(torch.broadcast_tensors(*rows), axis) if rows else none
+
+
+# --- also for robots that are put together ---------------------------------------------------------------------------
+
+
+def factors(robot: Robot) -> Tensor:
+    """Positions of all joints per coordinate, [links, n]."""
+    if robot.joint_map is not None:
+        return robot.joint_map.S
+    return torch.eye(robot.n, dtype=robot.screw.dtype, device=robot.screw.device)
+
+
+def home_of(robot: Robot, name: str) -> float:
+    """Position at home [rad or m] of a coordinate: of the joint with its name if it moves that one alone, else zero."""
+    if robot.home is None or name not in robot.every_joint:
+        return 0.0
+    i = robot.every_joint.index(name)
+    unit = [float(known == name) for known in robot.joint_names]
+    return float(robot.home[i]) if factors(robot)[i].tolist() == unit else 0.0

@@ -1,0 +1,158 @@
+"""Joints of a model that MuJoCo compiled, and the linear couplings between them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+from torchdq.algebra import dual_quaternion
+from torchdq.algebra import quaternion as quat
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.screw import Screw
+from torchdq.dynamics.joints import KINDS, Coordinate
+from torchdq.robot.edit.couplings import JointCoupling
+from torchdq.robot.mjcf.source import MjcfModel
+
+FREE, BALL = "free", "ball"
+
+
+class MjcfJoint(NamedTuple):
+    """Joint of a model; one of a kind without a single coordinate has no numbers but zeros."""
+
+    row: int  # among the joints of the model
+    name: str
+    kind: str  # "revolute", "prismatic", FREE or BALL
+    body: int
+    screw: Screw  # in the frame of the body
+    home: float  # [rad or m]
+    lower: float  # [rad or m]
+    upper: float  # [rad or m]
+    effort: float | None  # greatest that its actuators reach [N m or N]; None: it has no actuator
+    damping: float
+    friction: float
+    armature: float
+
+    @property
+    def single(self) -> bool:
+        """Truth of having one coordinate."""
+        return self.kind in KINDS
+
+    def displaced(self, x: float) -> DualQuaternion:
+        """Pose of the body that is displaced by x [rad or m], in the frame of the body at home."""
+        motion = KINDS[self.kind](self.screw).motion(Coordinate(x, math.cos(0.5 * x), math.sin(0.5 * x)))
+        return dual_quaternion.ONE if motion is None else motion
+
+
+def joints_of(of: MjcfModel) -> list[MjcfJoint]:
+    """Joints of a model, in its order."""
+    kinds = {
+        of.mujoco.mjtJoint.mjJNT_HINGE: "revolute",
+        of.mujoco.mjtJoint.mjJNT_SLIDE: "prismatic",
+        of.mujoco.mjtJoint.mjJNT_BALL: BALL,
+        of.mujoco.mjtJoint.mjJNT_FREE: FREE,
+    }
+    names = names_of(of, "JOINT", of.model.njnt)
+    return [_joint(of, i, name, kinds[of.mujoco.mjtJoint(of.model.jnt_type[i])]) for i, name in enumerate(names)]
+
+
+def names_of(of: MjcfModel, kind: str, count: int) -> list[str]:
+    """Names of all elements of a kind; one without a name is called by its kind and number, as in joint3."""
+    kinds = of.mujoco.mjtObj.__members__
+    found = [of.mujoco.mj_id2name(of.model, kinds[f"mjOBJ_{kind}"], i) or "" for i in range(count)]
+    return [name or _new(f"{kind.lower()}{i}", found) for i, name in enumerate(found)]
+
+
+def _new(name: str, taken: list[str]) -> str:
+    while name in taken:
+        name += "_"
+    return name
+
+
+def _joint(of: MjcfModel, i: int, name: str, kind: str) -> MjcfJoint:
+    m = of.model
+    body = int(m.jnt_bodyid[i])
+    if kind in (FREE, BALL):
+        none = (quat.ZERO, quat.ZERO)
+        return MjcfJoint(i, name, kind, body, none, 0.0, -math.inf, math.inf, None, 0.0, 0.0, 0.0)
+    axis, point = tuple(m.jnt_axis[i].tolist()), tuple(m.jnt_pos[i].tolist())
+    length = math.sqrt(quat.norm2(axis))
+    axis = quat.scale(1.0 / length, axis)
+    at, dof = int(m.jnt_qposadr[i]), int(m.jnt_dofadr[i])
+    lower, upper = m.jnt_range[i].tolist() if m.jnt_limited[i] else (-math.inf, math.inf)
+    effort, damping, armature = _actuated(of, i)
+    return MjcfJoint(
+        i,
+        name,
+        kind,
+        body,
+        (axis, quat.cross(point, axis)) if kind == "revolute" else (quat.ZERO, axis),
+        float(m.qpos0[at]),
+        lower,
+        upper,
+        effort,
+        float(m.dof_damping[dof]) + damping,
+        float(m.dof_frictionloss[dof]),
+        float(m.dof_armature[dof]) + armature,
+    )
+
+
+def actuators_at(of: MjcfModel, joint: int) -> list[int]:
+    """Actuators that act on a joint directly."""
+    # arrays hold plain numbers, which no enumeration of MuJoCo's is equal to
+    direct = (int(of.mujoco.mjtTrn.mjTRN_JOINT), int(of.mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    m = of.model
+    return [k for k in range(m.nactuator) if m.actuator_trntype[k] in direct and m.actuator_trnid[k, 0] == joint]
+
+
+def _actuated(of: MjcfModel, joint: int) -> tuple[float | None, float, float]:
+    """Greatest effort of the actuators of a joint, and their damping and rotor inertia, all at the joint."""
+    m, found = of.model, actuators_at(of, joint)
+    gears = [abs(float(m.actuator_gear[m.actuator_outadr[k], 0])) for k in found]
+    effort = sum(gear * _force(of, k) for k, gear in zip(found, gears, strict=True) if gear) if found else None
+    if m.jnt_actfrclimited[joint]:
+        bound = float(abs(m.jnt_actfrcrange[joint]).max())
+        effort = bound if effort is None else min(bound, effort)
+
+    def reflected(numbers: Any) -> float:
+        return sum(gear * gear * float(numbers[k]) for k, gear in zip(found, gears, strict=True))
+
+    return effort, reflected(m.actuator_damping), reflected(m.actuator_armature)
+
+
+def _force(of: MjcfModel, k: int) -> float:
+    """Greatest force of an actuator before its gear; infinite where nothing limits it."""
+    m = of.model
+    out, control = int(m.actuator_outadr[k]), int(m.actuator_ctrladr[k])
+    bound = float(abs(m.actuator_forcerange[out]).max()) if m.actuator_forcelimited[out] else math.inf
+    motor = m.actuator_ctrlnum[k] == 1 and m.actuator_gaintype[k] == int(of.mujoco.mjtGain.mjGAIN_FIXED)
+    motor = motor and m.actuator_biastype[k] == int(of.mujoco.mjtBias.mjBIAS_NONE)
+    if motor and m.actuator_ctrllimited[control]:
+        bound = min(bound, abs(float(m.actuator_gainprm[k, 0])) * float(abs(m.actuator_ctrlrange[control]).max()))
+    return bound
+
+
+class Equalities(NamedTuple):
+    """Equality constraints of a model that are active from the start."""
+
+    couplings: list[JointCoupling]
+    others: list[str]  # kind and name of those that are no linear couplings of joints, or are disabled by a flag
+
+
+def equalities(of: MjcfModel, joints: list[MjcfJoint]) -> Equalities:
+    """Equality constraints between joints that are linear, and the names of the others."""
+    m, found, others = of.model, [], []
+    flags = of.mujoco.mjtDisableBit
+    off = bool(m.opt.disableflags & int(flags.mjDSBL_EQUALITY | flags.mjDSBL_CONSTRAINT))
+    for i, name in enumerate(names_of(of, "EQUALITY", m.neq)):
+        if not m.eq_active0[i]:
+            continue
+        a0, a1, *more = m.eq_data[i, :5].tolist()
+        first, second = int(m.eq_obj1id[i]), int(m.eq_obj2id[i])
+        kind = of.mujoco.mjtEq(m.eq_type[i])
+        linear = kind == of.mujoco.mjtEq.mjEQ_JOINT and (second < 0 or not any(more))
+        if linear and not off and joints[first].single and (second < 0 or joints[second].single):
+            leader, factor = (None, 0.0) if second < 0 else (second, a1)
+            found.append(JointCoupling(name, first, leader, factor, a0))
+        else:
+            others.append(f"{kind.name.removeprefix('mjEQ_').lower()} {name!r}")
+    return Equalities(found, others)

@@ -1,0 +1,1 @@
+"""Robots from and to URDF and xacro."""

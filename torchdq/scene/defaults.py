@@ -1,0 +1,68 @@
+"""Defaults of an environment: its effects, and the model that its controller knows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from torchdq import effects as kinds
+from torchdq.effects import Effect
+from torchdq.effects.effect import owned
+from torchdq.robot import Robot
+from torchdq.robot.robot import SHAPES, batches
+from torchdq.scene.scene import Scene
+
+ROTOR = 0.1  # where a description has none; common for geared arms [kg m^2 or kg]
+DAMPING = 1.0  # likewise [N m s/rad or N s/m]
+
+
+def usual(robot: Robot) -> tuple[Effect, ...]:
+    """Effects of an ordinary arm: gravity, and joints with rotors, friction, limits and motors.
+
+    Numbers are those of the description. Where it has none, rotors and damping are `ROTOR` and `DAMPING`, since
+    without them small joints would turn faster than any motor does. Motors lose torque with speed if the limits of
+    torque and velocity of all joints are known; if not, torques are only limited.
+    """
+    limits, rotors = robot.limits, owned(robot, robot.armature)
+    found: list[Effect] = [
+        kinds.Gravity(),
+        kinds.RotorInertia((ROTOR,) * robot.n if rotors is None else rotors),
+        kinds.Viscous(owned(robot, robot.damping.where(robot.damping > 0, DAMPING))),
+    ]
+    if bool((robot.friction > 0).any()):
+        found.append(kinds.Coulomb())
+    if bool((limits.lower.isfinite() | limits.upper.isfinite()).any()):
+        found.append(kinds.Limits())
+    both = torch.stack([limits.effort, limits.velocity])
+    if bool((both.isfinite() & (both > 0)).all()):
+        found.append(kinds.TorqueSpeed())
+    elif bool(limits.effort.isfinite().any()):
+        found.append(kinds.Saturation())
+    return tuple(found)
+
+
+def nominal(scene: Scene) -> Robot:
+    """Rigid bodies as a controller may know them: as described, with the scene's gravity and rotors.
+
+    It does not know friction, payloads, or what differs between episodes or robots.
+    """
+    known: dict[str, Any] = {"gravity": None, "armature": None}
+    for effect in scene.effects:
+        if effect.SLOT == "model":
+            known.update({source: _mean(getattr(effect, name), 1) for name, source in effect.DESCRIBED.items()})
+    return one_of(scene.robot).replace(**known).bake()
+
+
+def one_of(robot: Robot) -> Robot:
+    """Robot without batch axes: of several, the mean of every tensor."""
+    means: dict[str, Any] = {name: _mean(getattr(robot, name), len(SHAPES[name])) for name in batches(robot)}
+    return robot.replace(**means) if means else robot
+
+
+def _mean(x: Tensor | Sequence[float], axes: int) -> Tensor:
+    """One value of a parameter with some trailing axes; the mean of those that differ from sample to sample."""
+    x = torch.as_tensor(x, dtype=torch.float64)
+    return x.reshape(-1, *x.shape[x.ndim - axes :]).mean(0)

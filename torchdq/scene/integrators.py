@@ -1,0 +1,335 @@
+"""Integrators: the state at the end of a step from the state at its start.
+
+All but the last two are recorded into the program of a scene, so their formulas are written for numbers of any type. A
+system has positions x and velocities v (of the joints, and of the rotors of elastic joints) and accelerations.
+
+| integrator | order | evaluations | energy of a conservative arm |
+|---|---|---|---|
+| ExplicitEuler | 1 | 1 | grows |
+| SemiImplicitEuler | 1 | 1 | drifts: the mass matrix depends on q, so it is not symplectic in (q, qd) |
+| LinearlyImplicit (default) | 1 | 1 | drifts; damping, stiffness and friction of joints cannot make it unstable |
+| RungeKutta4 | 4 | 4 | falls slowly |
+| StoermerVerlet | 2 | about 2 + 2 iterations | stays within a band of width dt^2: symplectic in (q, p) |
+| Repeated | that of another | its times a number | that of another |
+| DormandPrince | 5 | adaptive | to tolerance |
+
+All but StoermerVerlet serve robots with a free base, whose pose moves on its group; see `free_base`.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Protocol
+
+import torch
+from torch import Tensor
+
+from torchdq.algebra.quaternion import Number
+from torchdq.base.attributes import refusing
+from torchdq.base.checks import require_count, require_number
+from torchdq.base.progress import Notice
+from torchdq.dynamics.posed import Row
+from torchdq.errors import ArgumentError
+
+
+class System(Protocol):
+    """Equations of motion, as integrators evaluate them.
+
+    Positions need not have as many numbers as velocities: the pose of a free base has eight, its twist six, and what
+    friction remembers is among the velocities alone.
+    """
+
+    def moved(self, x: Row, h: Number, rate: Row) -> list[Number]:
+        """Positions at a displacement h times `rate` from x."""
+        return _plus(x, h, rate)
+
+    def rates(self, h: Number, rate: Row, v: Row) -> Row:
+        """Rates, at velocities v, of the displacement of the positions, which is h times `rate`."""
+        return v
+
+    def sizes(self, x: Row) -> Row:
+        """Sizes that errors of a displacement from x are relative to."""
+        return [abs(y) for y in x]
+
+    def accelerations(self, x: Row, v: Row) -> list[Number]:
+        """Accelerations in a state."""
+
+    def implicit_accelerations(self, x: Row, v: Row, h: Number) -> list[Number]:
+        """Mean accelerations over a step h whose impedances act on the state at its end."""
+
+    def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
+        """M(x)^-1 (dL/dx + forces): the rate of the momentum at (x, v), as an acceleration."""
+
+    def velocities_at(self, x: Row, v: Row, to: Row) -> list[Number]:
+        """Velocities at the positions `to` that have the momentum of (x, v)."""
+
+
+@dataclass(frozen=True)
+class Integrator:
+    """Base of the integrators."""
+
+    order: ClassVar[int]
+    FIXED: ClassVar[str] = ""  # reason why it is for robots with a fixed base only; "": it is for all
+
+    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+        """State after a step h [s]."""
+        raise NotImplementedError
+
+
+def _plus(a: Row, h: Number, b: Row) -> list[Number]:
+    """Row a + h b."""
+    return [x + h * y for x, y in zip(a, b, strict=True)]
+
+
+@dataclass(frozen=True)
+class ExplicitEuler(Integrator):
+    """Explicit Euler method, x + h v, v + h a; for comparison only."""
+
+    order = 1
+
+    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+        """Positions and velocities, both with the rates at the start of the step."""
+        return system.moved(x, h, v), _plus(v, h, system.accelerations(x, v))
+
+
+@dataclass(frozen=True)
+class SemiImplicitEuler(Integrator):
+    """Semi-implicit Euler method, v' = v + h a(x, v), x' = x + h v'. The cheapest; most simulators call it Euler."""
+
+    order = 1
+
+    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+        """Velocities first, positions with the new ones."""
+        v = _plus(v, h, system.accelerations(x, v))
+        return system.moved(x, h, v), v
+
+
+@dataclass(frozen=True)
+class LinearlyImplicit(Integrator):
+    """Linearly implicit Euler method: (M + h D + h^2 K)(v' - v) = h (forces(x, v) - h K v), x' = x + h v'.
+
+    D and K are the damping and stiffness of the joint effects, on the diagonal, where they cost an addition each. For
+    stiff friction, servos and limits; wrenches on bodies and actuators stay explicit.
+
+    >>> import torchdq
+    >>> from torchdq.envs import Scene
+    >>> from torchdq.scene import integrators
+    >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.LinearlyImplicit(), dt=0.01)
+    """
+
+    order = 1
+
+    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+        """Velocities first, the impedances acting on the end of the step; positions with the new ones."""
+        v = _plus(v, h, system.implicit_accelerations(x, v, h))
+        return system.moved(x, h, v), v
+
+
+@dataclass(frozen=True)
+class RungeKutta4(Integrator):
+    """Classical Runge-Kutta method of order 4.
+
+    >>> import torchdq
+    >>> from torchdq.envs import Scene
+    >>> from torchdq.scene import integrators
+    >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.RungeKutta4(), dt=0.01)
+    """
+
+    order = 4
+
+    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+        """State plus increments."""
+        dx, dv = self.increments(system, x, v, h)
+        return system.moved(x, 1.0, dx), _plus(v, 1.0, dv)
+
+    def increments(self, system: System, x: Row, v: Row, h: Number) -> tuple[Row, Row]:
+        """Displacement and increments of the velocities: the step times the weighted mean of four rates."""
+        a, half = system.accelerations, 0.5 * h
+        a1 = a(x, v)
+        v2 = _plus(v, half, a1)
+        a2, k2 = a(system.moved(x, half, v), v2), system.rates(half, v, v2)
+        v3 = _plus(v, half, a2)
+        a3, k3 = a(system.moved(x, half, k2), v3), system.rates(half, k2, v3)
+        v4 = _plus(v, h, a3)
+        a4, k4 = a(system.moved(x, h, k3), v4), system.rates(h, k3, v4)
+
+        def mean(k1: Row, k2: Row, k3: Row, k4: Row) -> list[Number]:
+            return [h / 6.0 * (p + 2.0 * (q + r) + s) for p, q, r, s in zip(k1, k2, k3, k4, strict=True)]
+
+        return mean(v, k2, k3, k4), mean(a1, a2, a3, a4)
+
+
+@dataclass(frozen=True)
+class StoermerVerlet(Integrator):
+    """Generalised leapfrog in positions and momenta p = M(x) v, symplectic and symmetric.
+
+        p1 = p + h/2 f(x, v1),  M(x) v1 = p1;   x' = x + h/2 (v1 + v2),  M(x') v2 = p1;   p' = p1 + h/2 f(x', v2)
+
+    with f = dL/dx + forces. The two implicit lines are iterated a fixed number of times; each iteration takes a factor
+    of order h off their error. For energies over long times; over short ones RungeKutta4 is more accurate at the same
+    cost.
+
+    Source: E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, section VI.3.
+
+    Args:
+        iterations: number of iterations of the implicit lines.
+
+    >>> import torchdq
+    >>> from torchdq.envs import Scene
+    >>> from torchdq.scene import integrators
+    >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.StoermerVerlet(), dt=0.01)
+    """
+
+    order = 2
+    FIXED = "its momenta are those of joint positions"
+    iterations: int = 3
+
+    def __post_init__(self) -> None:
+        require_count(f"iterations of {type(self).__name__}", self.iterations)
+
+    def step(self, system: System, x: Row, v: Row, h: float) -> tuple[Row, Row]:
+        """Half a kick, a drift with the velocities of both ends, half a kick."""
+        v1: Row = v
+        for _ in range(self.iterations):
+            v1 = _plus(v, 0.5 * h, system.momentum_accelerations(x, v1))
+        v2, to = v1, x
+        for _ in range(self.iterations):
+            to = system.moved(system.moved(x, 0.5 * h, v1), 0.5 * h, v2)
+            v2 = system.velocities_at(x, v1, to)
+        return to, _plus(v2, 0.5 * h, system.momentum_accelerations(to, v2))
+
+
+class Unrecorded(Integrator):
+    """An integrator that is not recorded into the scene's program, but calls those of the scene's accelerations."""
+
+    def flow(self, system: System, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
+        """State [..., n] after the time T [s]; the rows of the system are lists of one tensor [..., n]."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Repeated(Unrecorded):
+    """A recorded integrator in a number of equal steps, called one by one: slower, but any number needs no new program.
+
+    For more steps than a program can hold, and to find the number that is needed (`recommend_settings`).
+    """
+
+    integrator: Integrator
+    times: int
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.integrator, Integrator) or isinstance(self.integrator, Unrecorded):
+            raise ArgumentError(f"integrator of Repeated must be one that can be recorded, found {self.integrator!r}")
+        require_count("times of Repeated", self.times)
+
+    @property
+    def order(self) -> int:  # type: ignore[override]
+        """Order of the repeated integrator."""
+        return self.integrator.order
+
+    def flow(self, system: System, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
+        """State after all steps."""
+        rows: tuple[Row, Row] = [x], [v]
+        for _ in range(self.times):
+            rows = self.integrator.step(system, *rows, T / self.times)
+        return rows[0][0], rows[1][0]
+
+
+@dataclass(frozen=True)
+class DormandPrince(Unrecorded):
+    """The embedded pair of order 5(4), every sample with steps of its own; for references, not for speed.
+
+    The step sizes are not differentiated: gradients are those of the steps that were taken.
+
+    Source: J. R. Dormand, P. J. Prince, "A family of embedded Runge-Kutta formulae", 1980.
+
+    Args:
+        rtol, atol: tolerated error of a step, relative to the state and absolute; an rtol below 100 roundings cannot be
+            met: it is raised to that, with a warning.
+        most: number of steps after which a sample that has not reached the end becomes NaN, as does one that fails
+            at any step size.
+
+    >>> import torchdq
+    >>> from torchdq.envs import Scene
+    >>> from torchdq.scene import integrators
+    >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.DormandPrince(), dt=0.1)
+    """
+
+    order = 5
+    rtol: float = 1e-9
+    atol: float = 1e-12
+    most: int = 100_000
+
+    def __post_init__(self) -> None:
+        require_number("rtol", self.rtol, positive=True)
+        require_number("atol", self.atol, positive=True)
+        require_count("most", self.most)
+
+    def flow(self, system: System, x: Tensor, v: Tensor, T: float) -> tuple[Tensor, Tensor]:
+        """State after the time T, of rows [..., n]; rows that have arrived wait for the others."""
+        if torch.compiler.is_compiling():
+            raise ArgumentError(
+                "integrator must not be DormandPrince in a graph of torch.compile or torch.export: its steps depend on "
+                "values, of which a graph has none; RungeKutta4 has steps of one size"
+            )
+        floor = 100 * torch.finfo(x.dtype).eps
+        rtol = max(self.rtol, floor)
+        if rtol > self.rtol:
+            warnings.warn(f"rtol {self.rtol:g} is below the rounding of {x.dtype}; {rtol:.1g} is kept", stacklevel=2)
+        n = v.shape[-1]  # numbers of velocities, and of displacements of the positions over a step
+
+        def slope(increment: Tensor) -> Tensor:
+            d, w = [increment[..., :n]], [v + increment[..., n:]]
+            return torch.cat([*system.rates(1.0, d, w), *system.accelerations(system.moved([x], 1.0, d), w)], -1)
+
+        t = x.new_zeros(x.shape[:-1])
+        h = torch.full_like(t, T / 16)
+        failed = torch.zeros_like(t, dtype=torch.bool)
+        with Notice(f"steps of DormandPrince over {T:g} s") as notice:
+            for count in range(self.most):
+                notice.at(f"{count} of at most {self.most}")
+                going = ~failed & (t < T * (1 - floor))
+                if not bool(going.any()):
+                    break
+                step = torch.where(going, torch.minimum(h, T - t), 0.0)
+                end = v.new_zeros(*v.shape[:-1], 2 * n)
+                k = [slope(end)]
+                for row in _TABLEAU:
+                    end = step[..., None] * _combined(row, k)
+                    k.append(slope(end))
+                (to,), w = system.moved([x], 1.0, [end[..., :n]]), v + end[..., n:]
+                with torch.no_grad():
+                    sizes = [torch.cat([*system.sizes([y]), u.abs()], -1) for y, u in ((x, v), (to, w))]
+                    size = self.atol + rtol * torch.maximum(*sizes)
+                    error = (step[..., None] * _combined(_ERROR, k) / size).square().mean(-1).sqrt()
+                    good = going & (error <= 1)
+                    factor = (0.9 * error.clamp(min=1e-10) ** -0.2).clamp(0.2, 5.0)
+                    failed = failed | going & ~good & (step <= floor * T)
+                    # the last step was cut to end on time, and does not suggest the size of the next
+                    kept = good & (step < h)
+                    h = torch.where(kept | ~going, h, step * torch.where(error.isfinite(), factor, 0.2))
+                    t = torch.where(good, t + step, t)
+                x, v = (torch.where(good[..., None], new, old) for new, old in ((to, x), (w, v)))
+        lost = (failed | (t < T * (1 - floor)))[..., None]
+        return torch.where(lost, torch.nan, x), torch.where(lost, torch.nan, v)
+
+
+def _combined(weights: Sequence[float], k: Sequence[Tensor]) -> Tensor:
+    """Weighted sum of slopes."""
+    return sum((w * s for w, s in zip(weights, k, strict=True) if w), torch.zeros_like(k[0]))
+
+
+_TABLEAU = (
+    (1 / 5,),
+    (3 / 40, 9 / 40),
+    (44 / 45, -56 / 15, 32 / 9),
+    (19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729),
+    (9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656),
+    (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
+)
+_ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
+
+if not TYPE_CHECKING:  # type checkers know the names
+    __getattr__ = refusing(__name__, RK4="RungeKutta4", Euler="ExplicitEuler, or SemiImplicitEuler")

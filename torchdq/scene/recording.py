@@ -1,0 +1,280 @@
+"""Programs of a scene: its step as a computation on numbers, recorded.
+
+A step has three stages. `drive` turns commands into torques at the transmission: controller, then actuators. `flow`
+carries positions x and velocities v over the step under those torques. `sense` makes a state of them and reads it. They
+are recorded as one program, unless the integrator is not recorded: then `drive` and `sense` are programs, and so is
+each evaluation of the integrator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+from torchdq.backends.call import Computation
+from torchdq.base.caches import PROGRAMS, remembered
+from torchdq.base.checks import Named
+from torchdq.dynamics.posed import Row
+from torchdq.effects.actuator import Actuator
+from torchdq.effects.sensor import Sensor
+from torchdq.errors import ArgumentError
+from torchdq.export.meaning import heading, part
+from torchdq.functions.recipe import worth_recording
+from torchdq.program.program import Argument, Program, record
+from torchdq.robot.fields import trailing
+from torchdq.scene.contributions import row_and_memory
+from torchdq.scene.free_base import POSE, TWIST
+from torchdq.scene.integrators import Integrator
+from torchdq.scene.spec import Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
+from torchdq.scene.system import SceneSystem, motion, with_growths
+
+MOST_OPERATIONS = 400_000  # recorded for the substeps in one program; compiling more takes many minutes
+
+
+def drive(scene: RecordedScene) -> tuple[Row, Row, Row, Memory]:
+    """Actuator torques u, positions x and velocities v to integrate, and the memory, by controller and actuators."""
+    inputs, spec = scene.inputs, scene.spec
+    n, q, qd = spec.robot.n, inputs["q"], inputs["qd"]
+    memory = spec.split(inputs.get("memory", ()))
+    u: Row = inputs.get("torque") or [0.0] * n
+    if spec.controller is not None:
+        reading, reference = inputs.get("reading", (*q, *qd)), inputs["reference"]
+        control = spec.controller.torques(scene.posed(reading[:n]), reference, reading[:n], reading[n:])
+        if len(control) != n:
+            raise ArgumentError(
+                f"torques of {type(spec.controller).__name__} must return {n} numbers, found {len(control)}"
+            )
+        u = [a + b for a, b in zip(u, control, strict=True)]
+    x, v = scene.packed(q, qd, memory)
+    for i, actuator in spec.of(Actuator):
+        driven = actuator.driven(u, v[-n:], memory[i], spec.dt)  # motors turn with the rotors
+        u, memory[i] = row_and_memory(actuator, "driven", driven, n, actuator.memory(n))
+    return u, *scene.with_base(x, scene.with_inner(v, memory)), memory
+
+
+def flow(system: SceneSystem, x: Row, v: Row) -> tuple[Row, Row]:
+    """Positions and velocities at the end of a step."""
+    spec, operations = system.scene.spec, x[0].tape.ops if x else ()
+    before = len(operations)
+    for k in range(spec.substeps):
+        x, v = spec.integrator.step(system, x, v, spec.dt / spec.substeps)
+        if not k and (expected := (len(operations) - before) * spec.substeps) > MOST_OPERATIONS:
+            raise ArgumentError(
+                f"substeps must be few enough for a program of {MOST_OPERATIONS} operations, found {spec.substeps}, "
+                f"which would record {expected}; give substeps=1 and "
+                f"integrator=integrators.Repeated({spec.integrator}, {spec.substeps}), which calls one step that often"
+            )
+    return x, v
+
+
+def sense(scene: RecordedScene, task: Task | None, u: Row, x: Row, v: Row, memory: Memory) -> Rows:
+    """State at the end of a step, and the task's rows; sensors without a memory start with what they sense."""
+    moved, memory = scene.unpacked(x, v, memory)
+    q, qd = moved["q"], moved["qd"]
+    n, used = len(q), 0
+    reading: Row = (*q, *qd)
+    noise = scene.inputs.get("noise", ())
+    for i, sensor in scene.spec.of(Sensor):
+        before = memory[i] if i in memory else sensor.start(reading[:n], reading[n:])
+        width = sensor.noises(n)
+        read = sensor.read(reading, before, noise[used : used + width])
+        reading, memory[i] = row_and_memory(sensor, "read", read, 2 * n, sensor.memory(n))
+        used += width
+    rows: Rows = {**moved, **_remembered(memory)}
+    if scene.spec.senses:
+        rows["reading"] = reading
+    if task is not None:
+        rows.update(task.rows(View(scene, q, qd, reading, u, scene.inputs)))
+    return rows
+
+
+def _remembered(memory: Memory) -> Rows:
+    """Row of the memory, if there is any."""
+    row = [x for i in sorted(memory) for x in memory[i]]
+    return {"memory": row} if row else {}
+
+
+# --- stages ----------------------------------------------------------------------------------------------------------
+
+
+def _step(scene: RecordedScene, task: Task | None) -> Rows:
+    u, x, v, memory = drive(scene)
+    return with_growths(scene, u, lambda system: sense(scene, task, u, *flow(system, x, v), memory))
+
+
+def _drive(scene: RecordedScene, task: Task | None) -> Rows:
+    u, x, v, memory = drive(scene)
+    return {"u": u, "x": x, "v": v, **_remembered(memory)}
+
+
+def _sense(scene: RecordedScene, task: Task | None) -> Rows:
+    given = scene.inputs
+    return sense(scene, task, given["u"], given["x"], given["v"], scene.spec.split(given.get("memory", ())))
+
+
+def _begin(scene: RecordedScene, task: Task | None) -> Rows:
+    q, qd = scene.inputs["q"], scene.inputs["qd"]
+    sensors = {i for i, _ in scene.spec.of(Sensor)}
+    memory = {i: e.start(q, qd) for i, e in enumerate(scene.spec.effects) if i not in sensors}
+    x, v = scene.packed(q, qd, memory)
+    return sense(scene, task, [0.0] * len(q), *scene.with_base(x, scene.with_inner(v, memory)), memory)
+
+
+def _energy(scene: RecordedScene, task: Task | None) -> Rows:
+    x, v = scene.with_base(scene.inputs["q"], scene.inputs["qd"])
+    at = scene.posed(scene.inputs["q"], scene.base_of(x))
+    return {"E": (at.kinetic_energy(motion(scene, v)), at.potential_energy())}
+
+
+def _bodies(scene: RecordedScene, task: Task | None) -> Rows:
+    return {name: row for name, row in scene.overrides.items() if row is not None}
+
+
+def _evaluation(method: Callable[..., Row], *names: str) -> Callable[[RecordedScene, Task | None], Rows]:
+    """Stage of an evaluation of the equations of motion, with the inputs of those names as its arguments."""
+
+    def stage(scene: RecordedScene, task: Task | None) -> Rows:
+        given = [scene.inputs[name] for name in names]
+        return with_growths(scene, scene.inputs["u"], lambda system: {"a": method(system, *given)})
+
+    return stage
+
+
+def _frozen(scene: RecordedScene, task: Task | None) -> Rows:
+    x, v = scene.inputs["x"], scene.inputs["v"]
+    return with_growths(scene, scene.inputs["u"], lambda system: system.frozen(x, v))
+
+
+EVALUATIONS = {
+    "frozen": _frozen,
+    "accelerations": _evaluation(SceneSystem.accelerations, "x", "v"),
+    "implicit_accelerations": _evaluation(lambda s, x, v, h: s.implicit_accelerations(x, v, h[0]), "x", "v", "h"),
+    "momentum_accelerations": _evaluation(SceneSystem.momentum_accelerations, "x", "v"),
+    "velocities_at": _evaluation(SceneSystem.velocities_at, "x", "v", "to"),
+}
+STAGES = {
+    "step": _step,
+    "drive": _drive,
+    "sense": _sense,
+    "begin": _begin,
+    "energy": _energy,
+    "bodies": _bodies,
+    **EVALUATIONS,
+}
+
+
+# --- programs --------------------------------------------------------------------------------------------------------
+
+
+class _StageFields(NamedTuple):
+    """Fields of `Stage`."""
+
+    spec: SceneSpec
+    stage: str  # one of STAGES
+    task: Task | None = None
+
+
+class Stage(_StageFields, Computation):
+    """A stage of a scene's step, as a computation of `torchdq.backends.call`; parameters are named "owner.name"."""
+
+    def axes(self, name: str) -> tuple[int, ...]:
+        """Trailing axes of an input or a parameter."""
+        owned = owner_of(name)
+        if owned is not None:
+            owner, parameter = owned
+            return trailing(self.spec.shapes(owner)[parameter], self.spec.robot.sizes)
+        known = self.widths()
+        if name not in known:
+            raise ArgumentError(f"{name} is no input of this scene; it has {', '.join(self.spec.inputs())}")
+        return (known[name],)
+
+    def widths(self) -> dict[str, int]:
+        """Width of every input that a program of the scene may have."""
+        spec, n = self.spec, self.spec.robot.n
+        moving = n + spec.transmission[1].memory(n) // 2
+        asked = {} if self.task is None else self.task.inputs(n)
+        poses, twists = (POSE, TWIST) if spec.robot.floating else (0, 0)
+        evaluated = {"u": n, "x": moving + poses, "v": moving + spec.inner + twists, "to": moving + poses, "h": 1}
+        return {**spec.state, "noise": spec.noises, **spec.inputs(), **spec.computed(), **asked, **evaluated}
+
+    def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
+        """Trailing axes of the results; one number of a task, such as its reward, has none."""
+        if self.stage not in ("step", "sense", "begin"):
+            return super().results(program)
+        rows = (*self.spec.state, "observation", "reference")
+        widths = [(result.name, len(result.values)) for result in program.results]
+        return tuple([(width,) if width > 1 or name in rows else () for name, width in widths])
+
+    def shared(self, name: str) -> bool:
+        """True for a parameter."""
+        return "." in name
+
+    def label(self, name: str) -> str:
+        """Name without its owner."""
+        return name.rpartition(".")[2]
+
+    def subject(self) -> str:
+        """Robot that shapes are for, in error messages."""
+        return f" for robot {self.spec.robot.name!r}"
+
+    def check(self, tensors: Mapping[str, Any]) -> None:
+        """Raise, naming the input that is missing, or the parameter that would broadcast against the batch."""
+        spec, known = self.spec, self.widths()
+        if self.stage in ("step", "drive"):
+            for name in spec.state:
+                if name not in tensors:
+                    raise ArgumentError(f"{name} must be part of the state; `start` makes one that has it")
+        if self.stage in ("step", "drive", *EVALUATIONS):
+            needed = [name for effect in spec.effects for name in effect.needs(spec.robot.n)]
+            needed += ["reference"] if spec.controller is not None and self.stage not in EVALUATIONS else []
+            for name in needed:
+                if name not in tensors:
+                    raise ArgumentError(f"{name} must be given, shape [..., {known[name]}]; the scene asks for it")
+        batch: tuple[int, ...] = ()
+        for name, x in tensors.items():
+            if not self.shared(name) and x.ndim - 1 > len(batch):
+                batch = tuple(x.shape[:-1])
+        for name, x in tensors.items():
+            # a [batch, 1] parameter would broadcast against the batch axis to [batch, batch]
+            column = self.shared(name) and not self.axes(name) and tuple(x.shape) == (*batch, 1)
+            if column and batch and batch[-1] > 1:
+                raise ArgumentError(
+                    f"{self.label(name)} is one number for each sample: shape {batch}, found {tuple(x.shape)}"
+                )
+
+    def program(self, arguments: tuple[Argument, ...]) -> Program:
+        """Program of the stage, recorded once."""
+        if self.stage not in EVALUATIONS:
+            return _program(self, arguments)
+        # independent of controller and time step
+        spec = replace(self.spec, integrator=Integrator(), dt=1.0, substeps=1, controller=None)
+        return _program(self._replace(spec=spec), arguments)
+
+
+@remembered(PROGRAMS)
+def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
+    spec = what.spec
+    owners = [owner_of(a.name) for a in arguments]
+    per_sample = [owner for owner, a in zip(owners, arguments, strict=True) if owner and not a.uniform]
+
+    def by(linear: bool) -> Program:
+        def algorithm(*rows: Row) -> Rows:
+            given = {a.name: row for a, owner, row in zip(arguments, owners, rows, strict=True) if not owner}
+            inputs = Named("input of the scene", given)
+            tensors = {owner: row for owner, row in zip(owners, rows, strict=True) if owner}
+            return STAGES[what.stage](recorded(spec, linear, inputs, tensors, per_sample), what.task)
+
+        return record(f"{what.stage}_{spec.robot.name}", arguments, algorithm)
+
+    best = min(map(by, worth_recording(spec.robot.n, (False, True))), key=lambda p: p.count().total)
+    steps = f"{what.stage} of {spec.dt:g} s" if what.stage == "step" else what.stage
+    about = [f"effect {k}: {part(effect)}" for k, effect in enumerate(spec.effects)]
+    about += [] if spec.controller is None else [f"controller: {part(spec.controller)}"]
+    return replace(best, about=(*heading(steps, spec.robot.name, spec.robot.joint_names), *about))
+
+
+def owner_of(name: str) -> tuple[int, str] | None:
+    """Owner and name of a parameter; None for an input."""
+    owner, dot, parameter = name.partition(".")
+    return (int(owner), parameter) if dot else None

@@ -1,0 +1,400 @@
+"""Scenes: a robot and the effects that are simulated, stepped on tensors.
+
+A scene assumes nothing: a bare one has no gravity, no friction and no limits. Every effect is named, belongs to one
+slot, and costs what it adds to the one program that a step is recorded into.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import reduce
+from operator import and_
+from typing import Any, get_args
+
+import torch
+from torch import Tensor
+
+from torchdq.backends.call import evaluate
+from torchdq.backends.choice import BackendName
+from torchdq.base.caches import PROGRAMS, Bounded
+from torchdq.base.checks import frozen, require_choice, require_count, require_number, require_object
+from torchdq.effects.effect import Effect
+from torchdq.errors import ArgumentError
+from torchdq.functional import Precision, check_precision
+from torchdq.program.program import Argument, Count, Program
+from torchdq.robot import Robot
+from torchdq.robot.argument import require_robot
+from torchdq.robot.robot import arguments, constants, recorded
+from torchdq.scene.controllers import Controller
+from torchdq.scene.describe import Description, describe
+from torchdq.scene.effect_order import require_free, together
+from torchdq.scene.initial_state import motion_at_start, outside_limits
+from torchdq.scene.integrators import Integrator, LinearlyImplicit, Unrecorded
+from torchdq.scene.linearize import Linearization, linearize
+from torchdq.scene.recording import Stage
+from torchdq.scene.rollout import Lost, Policy, rollout
+from torchdq.scene.spec import CONTROLLER, ROBOT, SceneSpec, Task
+from torchdq.scene.stability import Check, check
+from torchdq.scene.state import State, require_state
+from torchdq.scene.tensor_inputs import driven, with_held
+
+_interned: Bounded[SceneSpec, SceneSpec] = Bounded(PROGRAMS)  # equal scenes share their programs
+
+
+@frozen
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A robot, the effects that are simulated, and how time passes.
+
+        state = scene.start(q)
+        state = scene.step(state, torque)
+
+    A step is one program: controller, actuators, forces, forward dynamics, integrator and sensors. It is differentiable
+    in the state, the inputs, and every parameter that is a tensor.
+
+    Args:
+        robot: its gravity and rotor inertia only act if `effects.Gravity()` and `effects.RotorInertia()` are there.
+        effects: simulated effects; see `torchdq.effects`. Actuators and sensors act in their order.
+        controller: turns the input `reference` into torques; None: the given torques act alone.
+        integrator: see `torchdq.scene.integrators`. The default holds damping, friction, springs, servos and limits of
+            joints at any step; what an explicit one holds, `check` says.
+        dt: duration of a step [s]; torques are constant over it.
+        substeps: steps of the integrator within a step, in one program; for hundreds, `integrators.Repeated`.
+        backend: as in `torchdq.functional`.
+        precision: "auto": in the dtype of the state; a sample whose mass matrix would cost float32 half of its digits
+            takes that step in float64, one whose mass matrix is singular becomes NaN. "double": a float32 state, and
+            everything computed in float64.
+
+    >>> import torch, torchdq
+    >>> from torchdq.envs import Scene, effects
+    >>> scene = Scene(torchdq.robots.load("two_link"), (effects.Gravity(), effects.Viscous(0.1)), dt=0.01)
+    >>> state = scene.start(torch.zeros(3, 2))
+    >>> scene.step(state, torque=torch.zeros(2)).q.shape
+    torch.Size([3, 2])
+    """
+
+    robot: Robot
+    effects: Sequence[Effect] = ()
+    controller: Controller | None = None
+    integrator: Integrator = field(default_factory=LinearlyImplicit)
+    dt: float = 0.01
+    substeps: int = 1
+    backend: BackendName | None = None
+    precision: Precision = "auto"
+    spec: SceneSpec = field(init=False, repr=False)
+    noises: int = field(init=False, repr=False)  # random numbers that a step consumes
+    _parameters: dict[str, Tensor] = field(init=False, repr=False)  # by "owner.name"
+
+    def __post_init__(self) -> None:
+        require_robot(self.robot)
+        if self.controller is not None:
+            require_object("controller", self.controller, Controller, "torchdq.scene.controllers", "PD(kp=9.0, kd=1.0)")
+        require_object("integrator", self.integrator, Integrator, "torchdq.scene.integrators", "RungeKutta4()")
+        require_number("dt", self.dt, positive=True)
+        require_count("substeps", self.substeps)
+        check_precision(self.precision)
+        require_choice("backend", self.backend, (None, *get_args(BackendName)))
+        if self.substeps > 1 and isinstance(self.integrator, Unrecorded):
+            raise ArgumentError(
+                f"substeps are those of a recorded integrator, found {self.substeps} with {self.integrator!r}; "
+                f"give them to Repeated, DormandPrince chooses its own"
+            )
+        require_free(self.robot, self.controller, self.integrator)
+        resolved = together(self.effects, self.robot)
+        controller = None if self.controller is None else self.controller.resolved(self.robot)
+        spec = SceneSpec(
+            recorded(constants(self.robot)),
+            tuple(name for name in arguments(self.robot) if name not in ("gravity", "armature")),
+            tuple(effect.template() for effect in resolved),
+            None if controller is None else controller.template(),
+            self.integrator,
+            float(self.dt),
+            self.substeps,
+        )
+        object.__setattr__(self, "effects", resolved)
+        object.__setattr__(self, "controller", controller)
+        object.__setattr__(self, "spec", _interned.setdefault(spec, spec))
+        found = {f"{ROBOT}.{name}": getattr(self.robot, name) for name in spec.arguments}
+        parts = () if controller is None else ((CONTROLLER, controller),)
+        for owner, part in (*parts, *enumerate(resolved)):
+            found.update({f"{owner}.{name}": x for name, x in part.tensors().items()})
+        object.__setattr__(self, "noises", spec.noises)
+        object.__setattr__(self, "_parameters", found)
+
+    # --- inputs and parameters ---
+
+    @property
+    def n(self) -> int:
+        """Number of joints."""
+        return self.robot.n
+
+    @property
+    def inputs(self) -> dict[str, int]:
+        """Names and widths of everything that may be given at a step."""
+        return self.spec.inputs()
+
+    @property
+    def batches(self) -> dict[str, tuple[int, ...]]:
+        """Batch axes of the tensors of robot, controller and effects by their names; () where samples share one."""
+        stage, found = Stage(self.spec, "step"), self._parameters
+        return {stage.label(name): tuple(x.shape[: x.ndim - len(stage.axes(name))]) for name, x in found.items()}
+
+    def replace(self, **changes: Any) -> Scene:
+        """Scene with some fields replaced; tensors of equal shapes need no new program."""
+        return replace(self, **changes)
+
+    def to(self, device: torch.device | str) -> Scene:
+        """Scene whose parameters that are tensors are on a device; a step would copy them there every time."""
+        if all(x.device == torch.device(device) for x in self._parameters.values()):
+            return self
+        robot = self.robot.replace(**{name: getattr(self.robot, name).to(device) for name in arguments(self.robot)})
+        controller, *effects = [
+            None if part is None else replace(part, **{name: x.to(device) for name, x in part.tensors().items()})
+            for part in (self.controller, *self.effects)
+        ]
+        return self.replace(robot=robot, controller=controller, effects=effects)
+
+    # --- time ---
+
+    def start(
+        self,
+        q: Tensor,
+        qd: Tensor | None = None,
+        noise: Tensor | None = None,
+        X_WB: Tensor | None = None,
+        V_WB_B: Tensor | None = None,
+    ) -> State:
+        """Initial state, effects at rest, sensors read once; positions far outside `effects.Limits` are warned of.
+
+        Args:
+            q: positions [rad or m], shape [..., n].
+            qd: velocities [rad/s or m/s], shape [..., n]; None: at rest.
+            noise: random numbers for the sensors, as in `step`.
+            X_WB: pose of a free base in the world, shape [..., 8]; None: at the origin.
+            V_WB_B: twist (angular, linear) of a free base in its axes [rad/s, m/s], shape [..., 6]; None: at rest.
+        """
+        moved = motion_at_start(self, {"q": q, "qd": qd, "X_WB": X_WB, "V_WB_B": V_WB_B})
+        if found := outside_limits(self, moved["q"]):
+            warnings.warn(found, stacklevel=2)
+        return self.begin(moved, {}, noise)[0]
+
+    def begin(
+        self,
+        moved: Mapping[str, Tensor],
+        inputs: Mapping[str, Tensor],
+        noise: Tensor | None = None,
+        task: Task | None = None,
+    ) -> tuple[State, dict[str, Tensor]]:
+        """Initial state, and rows that a task computes from it.
+
+        Args:
+            moved: positions and velocities, by their names in a state.
+            inputs, noise, task: as in `advance`.
+        """
+        if task is None and not self.spec.senses and not self.spec.remembers:
+            return State(**moved), {}
+        state, rows = _split(self.evaluate("begin", self._with_noise({**moved, **inputs}, noise), task))
+        return state._replace(**moved), rows
+
+    def step(self, state: State, torque: Tensor | None = None, noise: Tensor | None = None, **inputs: Tensor) -> State:
+        """State after `dt`.
+
+        Args:
+            state: from `start` or an earlier step.
+            torque: commanded torques [N m or N], shape [..., n], constant over the step; they add to the controller's.
+                None: none.
+            noise: uniform random numbers in (0, 1), shape [..., `noises`]; None: drawn from torch's generator if the
+                sensors need them.
+            inputs: inputs of controller and effects, by name; see `inputs`.
+        """
+        return self.advance(state, {"torque": torque, **inputs}, noise)[0]
+
+    def advance(
+        self,
+        state: State,
+        inputs: Mapping[str, Tensor | None],
+        noise: Tensor | None = None,
+        task: Task | None = None,
+    ) -> tuple[State, dict[str, Tensor]]:
+        """State after `dt`, and rows that a task computes from it in the same program."""
+        require_state(state)
+        self.spec.require_inputs(inputs, task)
+        present = {name: x for name, x in inputs.items() if x is not None}
+        if not isinstance(self.integrator, Unrecorded):
+            present = {**with_held(self, state, present, task)}
+            return _split(self.evaluate("step", self._with_noise({**state.rows(), **present}, noise), task))
+        dtype = state.q.dtype
+        if self.precision != "double" or dtype != torch.float32:
+            return self._unrecorded(self.integrator, state, present, noise, task)
+        # the integrator's own arithmetic is double as well
+        given = {name: x.double() for name, x in present.items()}
+        noise = None if noise is None else noise.double()
+        state, rows = self._unrecorded(self.integrator, state.to(torch.float64), given, noise, task)
+        return state.to(dtype), {name: x.to(dtype) for name, x in rows.items()}
+
+    def rollout(
+        self,
+        state: State,
+        torque: Tensor | None = None,
+        steps: int | None = None,
+        checkpoint: int = 0,
+        policy: Policy | None = None,
+        lost: Lost = "warn",
+        **inputs: Tensor,
+    ) -> State:
+        """States after each of a number of steps, shape [steps, ...].
+
+        Args:
+            state: initial state; it is not part of the result.
+            torque: [steps, ..., n]; None: none, for `steps` steps.
+            steps: number of steps; None: as many as there are torques.
+            checkpoint: for the gradient, one state in so many is kept, and the others are computed again; 0 keeps the
+                inputs of every step.
+            policy: function of the state that returns the torques of a step, shape [..., n], instead of `torque`; a
+                module, for instance. Where there are sensors it should look at `state.measured`. With a checkpoint it
+                is called again for the gradient, and must remember nothing: no filter, counter or batch norm.
+            lost: "warn": warn if rows are not finite at the start, or no longer at the end; "stop": end before the step
+                that loses one; "keep": say nothing.
+            inputs: as in `step`, shape [steps, ...].
+
+        >>> import torch, torchdq
+        >>> scene = Scene(torchdq.robots.load("two_link"))
+        >>> scene.rollout(scene.start(torch.ones(3, 2)), steps=50, policy=lambda s: -4 * s.q - s.qd).q.shape
+        torch.Size([50, 3, 2])
+        """
+        self.spec.require_inputs(name for name in inputs if name != "noise")
+        series = {name: x for name, x in (("torque", torque), *inputs.items()) if x is not None}
+        return rollout(self, state, series, steps, policy, checkpoint, lost)
+
+    def finite(self, state: State) -> Tensor:
+        """True for every row of a state whose numbers are all finite, shape [...]."""
+        require_state(state)
+        return reduce(and_, [x.isfinite().all(-1) for x in state.rows().values()])
+
+    def energy(self, state: State) -> Tensor:
+        """Kinetic and potential energy [J] of the rigid bodies, without springs and their rotors, shape [..., 2]."""
+        require_state(state)
+        return self.evaluate("energy", {name: x for name, x in state.rows().items() if name in self.spec.moving})["E"]
+
+    def linearize(
+        self, state: State, torque: Tensor | None = None, noise: Tensor | None = None, **inputs: Tensor
+    ) -> Linearization:
+        """Derivatives of the state after a step, with respect to the state before it and the torques: `A, B`.
+
+        A free base is refused, since its pose has 8 components for 6 directions. There `torch.func.jacrev` of `step`
+        gives the derivatives in these components.
+
+        Args:
+            state: states, shape [..., n]; derivatives are those of every row by itself.
+            torque, noise, inputs: as in `step`.
+
+        >>> import torch, torchdq
+        >>> scene = Scene(torchdq.robots.load("two_link"), dt=0.01)
+        >>> A, B = scene.linearize(scene.start(torch.zeros(5, 2)))
+        >>> A.shape, B.shape
+        (torch.Size([5, 4, 4]), torch.Size([5, 4, 2]))
+        """
+        return linearize(self, state, {"torque": torque, "noise": noise, **inputs})
+
+    def check(self, state: State, seconds: float = 1.0, **inputs: Tensor) -> Check:
+        """Whether the steps are short enough for the stiffness and damping that is there; if not, what holds.
+
+        A step must let the springs and dampers at the joints settle, as they are at the state and along a trial run
+        from it; and all rows of that run must stay below 1e6 rad or m, and 1e6 rad/s or m/s. Computed in float64.
+
+        Args:
+            state: states to start from.
+            seconds: duration of the trial run [s].
+            inputs: as in `step`, the same at every step; a controller without `reference` holds the start.
+
+        >>> import torch, torchdq
+        >>> from torchdq.envs import effects
+        >>> from torchdq.scene import integrators
+        >>> parts = (effects.Viscous(500.0),)
+        >>> scene = Scene(torchdq.robots.load("two_link"), parts, integrator=integrators.SemiImplicitEuler())
+        >>> print(scene.check(scene.start(torch.zeros(2)), seconds=0.1))  # doctest: +ELLIPSIS
+        steps of 0.01 s with SemiImplicitEuler() do not hold...
+        """
+        return check(self, state, seconds, inputs)
+
+    # --- cost ---
+
+    def program(self, *present: str, task: Task | None = None) -> Program:
+        """Program of a step at which the inputs of those names are given; by default, all."""
+        if isinstance(self.integrator, Unrecorded):
+            name = type(self.integrator).__name__
+            raise ArgumentError(f"a step of {name} is no program of its own")
+        stage = Stage(self.spec, "step", task)
+        wanted = [
+            *self.spec.state,
+            *(present or self.inputs),
+            *self.spec.computed(),
+            *(["noise"] if self.noises else []),
+        ]
+        taken = [Argument(name, math.prod(stage.axes(name))) for name in wanted]
+        if self.controller is not None and "reference" not in wanted:
+            raise ArgumentError("reference must be among the inputs of a scene with a controller")
+        for name, x in self._parameters.items():
+            axes = stage.axes(name)
+            taken.append(Argument(name, math.prod(axes), x.ndim == len(axes)))
+        return stage.program(tuple(taken))
+
+    def count(self) -> Count:
+        """Operations of a step."""
+        return self.program().count()
+
+    def describe(
+        self, batch: int = 4096, dtype: torch.dtype | str = torch.float64, seconds: float = 10.0
+    ) -> Description:
+        """Simulated effects, the cost of each in a step, and what the scene leaves out of the description.
+
+        Effects are added one after the other to the bare step; each costs the difference it makes. The times are
+        medians of differences of steps that took turns; a cost within their spread prints as a bound, "< 3.1".
+
+        Args:
+            batch: samples per step of which the time is taken, on torch's present number of threads; that of the
+                parameters if they differ from sample to sample.
+            dtype: dtype of those samples.
+            seconds: time for all of it, compiling included [s]; effects it does not last for print "-". 0: no times.
+        """
+        return describe(self, batch, dtype, seconds)
+
+    # --- internals ---
+
+    def evaluate(self, stage: str, given: Mapping[str, Tensor], task: Task | None = None) -> dict[str, Tensor]:
+        """Rows of a stage's program, with the batch axes of everything that goes in; the state's inputs come first."""
+        constants(self.robot)  # raises if they were changed in place
+        tensors = {**given, **self._parameters}
+        return evaluate(Stage(self.spec, stage, task), tensors, self.backend, self.precision == "double")
+
+    def _with_noise(self, given: dict[str, Tensor], noise: Tensor | None) -> dict[str, Tensor]:
+        """Inputs with the random numbers that the sensors need."""
+        if not self.noises:
+            return given
+        if noise is None:
+            like = next(iter(given.values()))
+            # 1 - [0, 1) lies in (0, 1], and the logarithm of 0 is infinite
+            noise = 1 - torch.rand(*like.shape[:-1], self.noises, dtype=like.dtype, device=like.device)
+        return {**given, "noise": noise}
+
+    def _unrecorded(
+        self,
+        integrator: Unrecorded,
+        state: State,
+        inputs: Mapping[str, Tensor],
+        noise: Tensor | None,
+        task: Task | None,
+    ) -> tuple[State, dict[str, Tensor]]:
+        """Step of an integrator that is not recorded; its three stages are programs of their own."""
+        system, x, v, rows = driven(self, state, inputs, task)
+        x, v = integrator.flow(system, x, v, self.dt)
+        given = self._with_noise({"x": x, "v": v, **rows, **inputs}, noise)
+        return _split(self.evaluate("sense", given, task))
+
+
+def _split(rows: dict[str, Tensor]) -> tuple[State, dict[str, Tensor]]:
+    """State and the task's rows, of the rows of a program."""
+    return State(**{name: rows.pop(name) for name in State._fields if name in rows}), rows

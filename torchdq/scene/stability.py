@@ -1,0 +1,240 @@
+"""Stability of a scene's steps: whether they are short enough for its stiffness and damping.
+
+With mass matrix, damping and stiffness frozen as they are in a state, the joints are a linear system of springs and
+dampers, M a + D v + K x = 0, whose motions never grow. A step of an integrator multiplies them by a matrix; if one of
+its eigenvalues is larger than 1, the integrator makes them grow. That is asked at the start and along a trial run, in
+which all rows must stay within bounds, whatever else acts: contacts, controllers, speed.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
+from torch import Tensor
+
+from torchdq.base.checks import require_number
+from torchdq.base.progress import Notice
+from torchdq.dynamics.posed import Row
+from torchdq.errors import ArgumentError
+from torchdq.scene.initial_state import not_finite
+from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, Repeated, System
+from torchdq.scene.rollout import rollout
+from torchdq.scene.state import State, require_state
+from torchdq.scene.tensor_inputs import driven
+
+if TYPE_CHECKING:
+    from torchdq.scene.scene import Scene
+
+GROWTH = 1.001  # factor per step from which motions count as growing
+MOST = 2**15  # steps of a trial run
+ENOUGH = 2**11  # shorter steps within which springs and dampers that do not settle show it
+FEW = 2**13  # steps of a trial run of shorter steps where something else is lost, which may take its time
+SHORTEST = 2**12  # shorter steps that are tried, in one of the scene's
+FAR = 1e6  # positions and velocities beyond which a row is lost, though it may stay finite [rad, m, s]
+STATES = 16  # states of a trial run that are looked at
+
+
+class Holding(NamedTuple):
+    """An integrator, and a number of its steps within one of the scene, that hold."""
+
+    integrator: Integrator
+    substeps: int
+    step: float  # duration of each [s]
+
+    def __str__(self) -> str:
+        steps = f"substeps={self.substeps}, " if self.substeps > 1 else ""
+        return f"integrator={self.integrator}, {steps}steps of {self.step:.3g} s"
+
+
+@dataclass(frozen=True)
+class Check:
+    """Whether the steps of a scene are short enough; true if they are. `print` it."""
+
+    integrator: Integrator
+    step: float  # duration of a step of the integrator [s]
+    seconds: float  # duration of the trial run [s]
+    growth: float  # largest factor by which a step magnifies a motion of the springs and dampers; up to 1 they settle
+    joint: str  # joint that moves most in it
+    lost: Tensor  # [...] rows that are beyond 1e6 rad, m or rad/s at the end of the trial run, or not finite
+    alternatives: tuple[Holding, ...]  # that hold, where this one does not
+
+    @property
+    def holds(self) -> bool:
+        """True if springs and dampers settle, and no row is lost."""
+        return self.growth <= GROWTH and not bool(self.lost.any())
+
+    def __bool__(self) -> bool:
+        return self.holds
+
+    def __str__(self) -> str:
+        lines = [f"steps of {self.step:.3g} s with {self.integrator} {'hold' if self.holds else 'do not hold'}"]
+        if self.growth > GROWTH:
+            lines.append(f"- stiffness and damping: a step magnifies a motion {self.growth:.3g} times, of {self.joint}")
+        if bool(self.lost.any()):
+            lost = f"{int(self.lost.sum())} of {self.lost.numel()} rows"
+            lines.append(f"- {lost} are out of bounds after {self.seconds:g} s")
+        if not self.holds:
+            lines += [f"- this holds: {found}" for found in self.alternatives]
+        if not (self.holds or self.alternatives):
+            lines.append("- none of the shorter steps that were tried holds; is the motion itself stable?")
+        return "\n".join(lines)
+
+
+def check(scene: Scene, state: State, seconds: float, inputs: Mapping[str, Tensor | None]) -> Check:
+    """Stability of a scene's steps from a state on; see `Scene.check`."""
+    require_state(state)
+    require_number("seconds", seconds, positive=True)
+    scene.spec.require_inputs(inputs)
+    intervals = max(1, round(seconds / scene.dt))
+    if intervals > MOST:
+        raise ArgumentError(f"seconds={seconds:g} are {intervals} steps, and {MOST} are the most; shorten them")
+    if unusable := not_finite(scene, state):
+        if not bool(scene.finite(state).any()):
+            raise ArgumentError(f"state must be finite to start a trial run from, found: {unusable}")
+        warnings.warn(f"{unusable}; the others are checked", stacklevel=3)
+    given = {name: x.double() for name, x in inputs.items() if x is not None}
+    trial = _Trial(scene.replace(substeps=1), state.to(torch.float64), given, intervals)
+    integrator, times = scene.integrator, scene.substeps
+    if isinstance(scene.integrator, Repeated):
+        integrator, times = scene.integrator.integrator, scene.integrator.times
+    with Notice(f"checking {intervals} steps of a scene of robot {scene.robot.name!r}") as notice:
+        growth, joint, lost = trial.run(integrator, times)
+        found = Check(integrator, scene.dt / times, seconds, growth, joint, lost, ())
+        if found.holds:
+            return found
+        candidates: list[tuple[Integrator, int]] = []
+        if not isinstance(integrator, DormandPrince):
+            implicit = isinstance(integrator, LinearlyImplicit)
+            candidates = [*([] if implicit else [(LinearlyImplicit(), times)]), (integrator, 2 * times)]
+        holding: list[Holding] = []
+        for other, first in candidates:
+            notice.at(f"trying shorter steps of {other}")
+            holding += trial.shortened(other, first, stiff=growth > GROWTH)
+    return Check(integrator, scene.dt / times, seconds, growth, joint, lost, tuple(holding))
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A scene with an initial state and inputs that stay, over a number of its steps."""
+
+    scene: Scene
+    state: State
+    inputs: Mapping[str, Tensor]
+    intervals: int
+
+    def shortened(self, integrator: Integrator, times: int, stiff: bool) -> list[Holding]:
+        """The first power of two of shorter steps that holds, if one does."""
+        while times <= SHORTEST:
+            intervals = min(self.intervals, max(1, ENOUGH // times)) if stiff else self.intervals
+            if not stiff and times * intervals > FEW:
+                break
+            # a look at the start alone saves most trial runs
+            if self._growth(integrator, times, self.state)[0] <= GROWTH:
+                growth, _, lost = replace(self, intervals=intervals).run(integrator, times)
+                if growth <= GROWTH and not bool(lost.any()):
+                    return [Holding(integrator, times, self.scene.dt / times)]
+            times *= 2
+        return []
+
+    def run(self, integrator: Integrator, times: int) -> tuple[float, str, Tensor]:
+        """Largest growth of a motion, the joint that moves in it, and the rows that are lost."""
+        adaptive = isinstance(integrator, DormandPrince)
+        scene = self.scene.replace(integrator=integrator if adaptive else Repeated(integrator, times))
+        series = {name: x.expand(self.intervals, *x.shape) for name, x in self._inputs().items()}
+        with torch.no_grad():
+            path = rollout(scene, self.state, series, self.intervals, None, 0, "keep")
+        begins = scene.finite(self.state)
+        moving = [x for name, x in path.rows().items() if name in scene.spec.moving]
+        ends = scene.finite(path) & (torch.cat(moving, -1).abs() < FAR).all(-1)
+        lost = begins & ~ends[-1]
+        if adaptive:
+            return 1.0, "", lost
+        at = torch.linspace(0, self.intervals - 1, min(STATES, self.intervals)).long()
+        kept = ends[at][..., None]
+        seen = State._make(
+            None if x is None or first is None else torch.cat([first.expand_as(x[:1]), torch.where(kept, x[at], first)])
+            for x, first in zip(path, self.state, strict=True)
+        )
+        return *self._growth(integrator, times, seen), lost
+
+    def _inputs(self) -> dict[str, Tensor]:
+        """Inputs of a step; where nothing else is given, sensors read without noise and controllers hold the start."""
+        found = dict(self.inputs)
+        if self.scene.controller is not None and "reference" not in found:
+            found["reference"] = torch.cat([self.state.q, *[torch.zeros_like(self.state.q)] * 2], -1)
+        if self.scene.noises:
+            found.setdefault("noise", self.state.q.new_full((self.scene.noises,), 0.5))
+        return found
+
+    def _growth(self, integrator: Integrator, times: int, states: State) -> tuple[float, str]:
+        """Largest factor by which a step magnifies a motion of frozen springs and dampers, and the joint that moves."""
+        if not self.scene.n:
+            return 1.0, ""
+        inputs = {name: x for name, x in self._inputs().items() if name != "noise"}
+        with torch.no_grad():
+            system, x, v, _ = driven(self.scene, states, inputs)
+            rows = self.scene.evaluate("frozen", {"x": x, "v": v, **system.inputs})
+        there = self.scene.finite(states).expand(rows["D"].shape[:-1])
+        if not bool(there.any()):
+            return 0.0, ""
+        found = _Frozen.of({name: x[there] for name, x in rows.items()}).transition(integrator, self.scene.dt / times)
+        if not bool(found.isfinite().all()):
+            return math.inf, self.scene.robot.joint_names[0]
+        factors = torch.linalg.eigvals(found).abs().amax(-1)
+        worst, m = int(factors.argmax()), found.shape[-1] // 2
+        values, vectors = torch.linalg.eig(found[worst])
+        mode = vectors[m:, values.abs().argmax()].abs()
+        return float(factors[worst]), self.scene.robot.joint_names[int(mode.argmax()) % self.scene.n]
+
+
+@dataclass(frozen=True)
+class _Frozen(System):
+    """Linear system M a + D v + K x = 0 of the springs and dampers in some states; its rows are one tensor [..., m]."""
+
+    M: Tensor  # [samples, m, m]
+    D: Tensor
+    K: Tensor
+
+    @classmethod
+    def of(cls, rows: Mapping[str, Tensor]) -> _Frozen:
+        """System of joints and, if there are any, of the rotors behind them."""
+        n = rows["D"].shape[-1]
+        whole = rows["M"].unflatten(-1, (math.isqrt(rows["M"].shape[-1]), -1)).flatten(0, -3)
+        free, M = whole.shape[-1] - n, whole[:, -n:, -n:]
+        if free:  # a base that may move takes inertia off its joints
+            M = M - whole[:, free:, :free] @ torch.linalg.solve(whole[:, :free, :free], whole[:, :free, free:])
+        D, K = (torch.diag_embed(rows[name].reshape(-1, n)) for name in "DK")
+        if "inertia" in rows:
+            d, k, J = (torch.diag_embed(rows[name].reshape(-1, n)) for name in ("damping", "stiffness", "inertia"))
+            none = torch.zeros_like(M)
+            M = torch.cat([torch.cat([M, none], -1), torch.cat([none, J.expand_as(M)], -1)], -2)
+            D, K = (
+                torch.cat([torch.cat([own + c, -c], -1), torch.cat([-c, c], -1)], -2) for own, c in ((D, d), (K, k))
+            )
+        return cls(M, D, K)
+
+    def transition(self, integrator: Integrator, h: float) -> Tensor:
+        """Matrix [samples, 2 m, 2 m] that takes (x, v) over a step h."""
+        units = torch.eye(2 * self.M.shape[-1], dtype=self.M.dtype, device=self.M.device)
+        x, v = units.expand(len(self.M), *units.shape).chunk(2, -1)
+        return torch.cat(Repeated(integrator, 1).flow(self, x, v, h), -1).mT
+
+    def _solved(self, M: Tensor, D: Tensor, x: Tensor, v: Tensor) -> list[Tensor]:
+        return [-torch.linalg.solve(M, self.K @ x.mT + D @ v.mT).mT]
+
+    def accelerations(self, x: Row, v: Row) -> list[Tensor]:
+        return self._solved(self.M, self.D, x[0], v[0])
+
+    def implicit_accelerations(self, x: Row, v: Row, h: float) -> list[Tensor]:
+        at_end = self.D + h * self.K
+        return self._solved(self.M + h * at_end, at_end, x[0], v[0])
+
+    momentum_accelerations = accelerations
+
+    def velocities_at(self, x: Row, v: Row, to: Row) -> list[Tensor]:
+        return list(v)

@@ -1,0 +1,234 @@
+"""Equations of motion of a scene: the moving bodies and rotors that integrators integrate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from operator import add as plus
+from operator import mul
+from typing import Any, NamedTuple
+
+from torchdq.algebra import matrix
+from torchdq.algebra.quaternion import Number
+from torchdq.algebra.screw import Screw
+from torchdq.algebra.structural import add, difference, neg
+from torchdq.dynamics.posed import Posed, Row
+from torchdq.effects.body import Bodies, BodyEffect
+from torchdq.effects.joint import Impedance, JointEffect, load_size, total
+from torchdq.effects.transmission import Transmission
+from torchdq.functions.posed import posed, solve
+from torchdq.numbers.record import Recorded
+from torchdq.program import autodiff as derive
+from torchdq.program.program import GROWTH, Argument, record, replay
+from torchdq.scene import contributions, free_base
+from torchdq.scene.integrators import System
+from torchdq.scene.spec import RecordedScene, Rows
+
+
+class _Forces(NamedTuple):
+    """Forces of the joints."""
+
+    passed: Row  # torques that the transmission passes on [N m or N]
+    damping: list[Number]  # [N m s/rad or N s/m]
+    torques: list[Number]  # all that acts on the joints [N m or N]
+
+
+@dataclass(frozen=True)
+class SceneSystem(System):
+    """Joints, and rotors behind them, under actuator torques u that are constant over a step."""
+
+    scene: RecordedScene
+    u: Row
+    watch: Callable[[Number], object]  # receives the factor by which a solution magnifies rounding errors
+
+    # --- mechanics ---
+
+    def moved(self, x: Row, h: Number, rate: Row) -> list[Number]:
+        """Positions at a displacement: joints and rotors along straight lines, a free base along a screw."""
+        n = self._moving
+        joints = super().moved(x[:n], h, rate[:n])
+        if not self.scene.spec.robot.floating:
+            return joints
+        return [*joints, *free_base.moved(x[-free_base.POSE :], h, rate[-free_base.TWIST :])]
+
+    def rates(self, h: Number, rate: Row, v: Row) -> Row:
+        """Rates of the displacement: the velocities, up to terms of the displacement of a free base."""
+        if not self.scene.spec.robot.floating:
+            return v
+        displacement = [h * x for x in rate[-free_base.TWIST :]]
+        return [*v[: -free_base.TWIST], *free_base.rate(displacement, v[-free_base.TWIST :])]
+
+    def _at(self, x: Row) -> Posed:
+        return self.scene.posed(x[: self._n], self.scene.base_of(x))
+
+    def _exerted(self, at: Posed, v: Row) -> list[Screw | None] | None:
+        """Wrenches of the links on the environment; None: there are no body effects."""
+        effects = self.scene.spec.of(BodyEffect)
+        if not effects:
+            return None
+        robot = self.scene.spec.robot
+        bodies = Bodies(robot, at, at.twists(motion(self.scene, v)))
+        wrenches: list[Screw | None] = [None] * (len(robot.link_names) + 1)  # the base's first
+        for _, effect in effects:
+            given = effect.wrenches(bodies, self.scene.inputs)
+            for i, wrench in contributions.wrenches(effect, given, len(robot.link_names)).items():
+                wrenches[i] = add(wrenches[i], wrench)
+        return [neg(f) for f in wrenches]
+
+    def _solved(self, at: Posed, b: Row) -> tuple[Sequence[Number], Sequence[Number]]:
+        """Solution of M x = b: the rows of the joints, and those of a free base."""
+        x, growth = solve(self.scene.spec.robot, at, b, self.scene.linear)
+        self.watch(growth)
+        return x[-self._n :] if self._n else (), x[: len(x) - self._n]
+
+    def _net(self, at: Posed, forces: Row, x: Row, v: Row) -> list[Number]:
+        """Forces on a free base and on the joints, less those of velocities, gravity and wrenches."""
+        return difference([*self._free, *forces], at.torques(motion(self.scene, v), None, self._exerted(at, v)))
+
+    # --- forces at the joints ---
+
+    @property
+    def _n(self) -> int:
+        return self.scene.spec.robot.n
+
+    @property
+    def _moving(self) -> int:
+        """Number of joints and of rotors behind them."""
+        return self._n + self._transmission.memory(self._n) // 2
+
+    @property
+    def _free(self) -> Row:
+        """Zeros for the twist of a free base; none if the base is fixed."""
+        return (0.0,) * free_base.TWIST if self.scene.spec.robot.floating else ()
+
+    @property
+    def _transmission(self) -> Transmission:
+        return self.scene.spec.transmission[1]
+
+    def _inner(self, v: Row) -> list[tuple[JointEffect, Row]]:
+        """Effects at the joints, each with what it remembers."""
+        result, at = [], self._moving
+        for _, effect in self.scene.spec.of(JointEffect):
+            size = effect.memory(self._n)
+            result.append((effect, v[at : at + size]))
+            at += size
+        return result
+
+    def _impedances(self, q: Row, v: Row, h: Number = 0.0) -> list[list[Impedance]]:
+        """Impedances of every joint, at the end of a step."""
+        qd, found = v[: self._n], []
+        for effect, memory in self._inner(v):
+            row = effect.impedances_at_end(q, qd, self.scene.inputs, memory, h)
+            found.append(contributions.impedances(effect, row, len(q)))
+        return [list(joint) for joint in zip(*found, strict=True)] if found else [[] for _ in q]
+
+    def _inner_rates(self, q: Row, v: Row, ends: Row, h: Number = 0.0) -> list[Number]:
+        """Mean rates, over a step, of what effects at the joints remember; `ends` are the velocities at its end."""
+        qd, inputs = v[: self._n], self.scene.inputs
+        return [
+            rate for effect, memory in self._inner(v) for rate in effect.memory_rates(q, qd, inputs, memory, ends, h)
+        ]
+
+    def frozen(self, x: Row, v: Row) -> Rows:
+        """Mass matrix M, damping D and stiffness K of the joints in a state, and the rotors behind them."""
+        impedances = self._impedances(x[: self._n], v)
+        rows: Rows = {
+            "M": [0.0 if a is None else a for row in self._at(x).mass_matrix() for a in row],
+            "D": self._explicit(x, v).damping,
+            "K": [sum((z.stiffness * z.active for z in joint), 0.0) for joint in impedances],
+        }
+        rotors = self._transmission.rotors()
+        return {**rows, **rotors._asdict()} if rotors.inertia else rows
+
+    def _forces(self, passed: Row, impedances: Sequence[Sequence[Impedance]], qd: Row, h: Number = 0.0) -> _Forces:
+        """Forces of the joints, of torques that the transmission passes on, damping being that at the end of a step."""
+        damping, torques = [], []
+        for t, joint, v in zip(passed, impedances, qd, strict=True):
+            D, f, g = total(joint, h)
+            free = t - (D * v + f)
+            grip = g * load_size(free, g, v)
+            damping.append(D + grip)
+            torques.append(free - grip * v)
+        return _Forces(passed, damping, torques)
+
+    def _explicit(self, x: Row, v: Row) -> _Forces:
+        """Forces of the joints in a state."""
+        q, qd = x[: self._n], v[: self._n]
+        return self._forces(self._transmission.torques(self.u, x, v), self._impedances(q, v), qd)
+
+    # --- evaluations of integrators ---
+
+    def accelerations(self, x: Row, v: Row) -> list[Number]:
+        """Accelerations in a state."""
+        at = self._at(x)
+        forces = self._explicit(x, v)
+        qdd, base = self._solved(at, self._net(at, forces.torques, x, v))
+        rotors = self._transmission.accelerations(self.u, forces.passed)
+        return [*qdd, *rotors, *self._inner_rates(x[: self._n], v, v[: self._n]), *base]
+
+    def implicit_accelerations(self, x: Row, v: Row, h: Number) -> list[Number]:
+        """Mean accelerations over a step whose impedances and transmission act on the state at its end."""
+        q, qd = x[: self._n], v[: self._n]
+        at = self._at(x)
+        joints = self._transmission.eliminated(self.u, x, v[: self._moving], h)
+        forces = self._forces(joints.torques, self._impedances(q, v, h), qd, h)
+        inertia = [a + h * d for a, d in zip(joints.inertia, forces.damping, strict=True)]
+        qdd, base = self._solved(at.with_armature([*self._free, *inertia]), self._net(at, forces.torques, x, v))
+        ends = [w + h * a for w, a in zip(qd, qdd, strict=True)]
+        return [*qdd, *joints.rotors(qdd), *self._inner_rates(q, v, ends, h), *base]
+
+    def momentum_accelerations(self, x: Row, v: Row) -> list[Number]:
+        """Accelerations M(q)^-1 (dL/dq + forces), and those of the rotors."""
+        q, qd = x[: self._n], v[: self._n]
+        explicit = self._explicit(x, v)
+        at, forces = self.scene.posed(q), explicit.torques
+        exerted = self._exerted(at, v)
+        if exerted is not None:
+            # inverse dynamics at rest without gravity: the wrenches alone
+            forces = difference(forces, at.without_gravity().torques(None, None, exerted))
+        rate = [f + g for f, g in zip(forces, lagrangian_gradient(self.scene, q, qd), strict=True)]
+        rotors = self._transmission.accelerations(self.u, explicit.passed)
+        return [*self._solved(at, rate)[0], *rotors, *self._inner_rates(q, v, qd)]
+
+    def velocities_at(self, x: Row, v: Row, to: Row) -> list[Number]:
+        """Velocities at the positions `to` that have the momentum of (x, v); rotors keep theirs."""
+        n = self._n
+        # by the mass matrix, whose rounding is that of the solution, and not by the cheaper inverse dynamics
+        momentum = matrix.matvec(self.scene.posed(x[:n]).mass_matrix(), v[:n], mul, plus)
+        return [*self._solved(self.scene.posed(to[:n]), momentum)[0], *v[n:]]
+
+
+def motion(scene: RecordedScene, v: Row) -> Row:
+    """Velocities of a free base and of the coordinates, in the order of the dynamics, among integrated velocities."""
+    n = scene.spec.robot.n
+    return [*v[-free_base.TWIST :], *v[:n]] if scene.spec.robot.floating else v[:n]
+
+
+def with_growths(scene: RecordedScene, u: Row, rows: Callable[[SceneSystem], Rows]) -> Rows:
+    """Rows computed from the equations of motion, with the factors by which their solutions magnify rounding errors."""
+    growths: list[Number] = []
+    return {**rows(SceneSystem(scene, u, growths.append)), GROWTH: growths}
+
+
+def lagrangian_gradient(scene: RecordedScene, q: Row, qd: Row) -> list[Number]:
+    """Gradient dL/dq of L = T - U, by reverse mode on the recorded energies."""
+    robot = scene.spec.robot
+    given = {name: row for name, row in scene.overrides.items() if row is not None}
+    known = [(name, k) for name, row in given.items() for k, x in enumerate(row) if isinstance(x, Recorded)]
+    arguments = [Argument("q", robot.n), Argument("qd", robot.n), Argument("overrides", len(known))]
+
+    def lagrangian(q: Row, qd: Row, numbers: Row) -> Rows:
+        overrides: dict[str, Any] = {name: None if row is None else list(row) for name, row in scene.overrides.items()}
+        for (name, k), x in zip(known, numbers, strict=True):
+            overrides[name][k] = x
+        at = posed(robot, q, overrides, scene.per_sample)
+        return {"L": [at.kinetic_energy(qd) - at.potential_energy()]}
+
+    program = record("lagrangian", arguments, lagrangian)
+    (value,) = program.results[0].values
+    if isinstance(value, float):
+        return [0.0] * robot.n
+    rows = [q, qd, [given[name][k] for name, k in known]]
+    values = replay(program, rows)
+    found = derive.cotangents(program, values, {value[0]: -1.0 if value[1] else 1.0})
+    return [found.get((0, i), 0.0) for i in range(robot.n)]
