@@ -1,0 +1,37 @@
+"""Findings: faults, notes and doubts as values, put into words once for Python and once for the command line."""
+
+from __future__ import annotations
+
+from typing import Literal, NamedTuple
+
+Severity = Literal["ok", "note", "warning", "error"]
+
+
+class Finding(NamedTuple):
+    """A fault, a note or a doubt: what it is about, what was expected and found, and what to do about it.
+
+    Compare findings by `code` and `subject`; the words may change.
+
+    >>> found = Finding("mass.negative", "link 'forearm'", "mass must not be negative", "-1 kg", "correct its <mass>")
+    >>> print(found)
+    link 'forearm': mass must not be negative, found -1 kg; correct its <mass>
+    """
+
+    code: str  # stable name of the kind of finding: "inertia.triangle"
+    subject: str = ""  # joint, link, signal, parameter or file that it is about; empty: the whole
+    expected: str = ""
+    found: str = ""
+    cure: str = ""
+    option: str | None = None  # the cure in options of the command line, where Python's words would not serve
+    severity: Severity = "warning"
+    value: float | None = None  # the number that was found, where there is one
+
+    def __str__(self) -> str:
+        return self.text()
+
+    def text(self, command_line: bool = False) -> str:
+        """Sentence for a person, with the cure in Python's words or in options of the command line."""
+        cure = self.option if command_line and self.option is not None else self.cure
+        claim = ", found ".join(part for part in (self.expected, self.found) if part)
+        sentence = f"{self.subject}: {claim}" if self.subject else claim
+        return f"{sentence}; {cure}" if cure else sentence
