@@ -306,7 +306,7 @@ JOINT_KINDS = {"revolute", "prismatic", "helical", "fixed", "free"}
 DEFAULTS = ".defaults"  # modules of this name build the effects that there are by default
 # public on both sides: a layer and a controller; an effect and the limits of a description
 TWO_MEANINGS = {"ComputedTorque", "Limits"}
-DEPENDENCIES = {"torch", "numpy", "pinocchio", "gymnasium", "rich", "tyro"}
+DEPENDENCIES = {"torch", "numpy", "gymnasium", "rich", "tyro"}
 OPTIONAL = "torchdq.base.optional"
 NO_NOUN = ("What ", "The same", "Those ", "That of ", "Whether it ", "How it ")
 

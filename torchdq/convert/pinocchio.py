@@ -33,7 +33,7 @@ def to_pinocchio(x: Tensor) -> pinocchio.SE3:
     >>> to_pinocchio(x).translation
     array([1., 2., 3.])
     """
-    pinocchio = imported("pinocchio", "pin", "to_pinocchio")
+    pinocchio = imported("pinocchio", "pin", "to_pinocchio", "'torchdq[pinocchio]'")
     if checked("x", x, 8).ndim != 1:
         raise ArgumentError(f"x must be one pose of shape (8,), found {tuple(x.shape)}; convert row by row")
     x = x.detach().cpu().double()
