@@ -5,7 +5,7 @@
     with warned(UserWarning):
         ...
 
-`pytest --update-messages` (with `-n` as well) writes anew what the tests that ran have said; its diff is to be read. What
+`pytest --update-messages` (with `-n` as well) writes what the tests that ran have said; its diff is to be read. What
 differs between machines is normalised: folders, addresses, lines of tests, versions, and digits of rounded results.
 """
 
