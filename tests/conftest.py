@@ -13,6 +13,7 @@ import json
 import math
 from pathlib import Path
 
+import messages
 import pytest
 import torch
 
@@ -52,10 +53,12 @@ def margin(request, record_property):
 
 def pytest_addoption(parser):
     parser.addoption("--margins", metavar="FILE", help="write observed and allowed of every criterion to a JSON file")
+    parser.addoption("--update-messages", action="store_true", help="write what tests say to tests/messages.json")
 
 
 def pytest_configure(config):
     config.addinivalue_line("markers", "case(*ids): cases of tests/claims/hard_cases/catalogue.py that a test holds")
+    messages.install(config)
     gc.disable()  # until the tests are collected: there is little garbage in a million new objects
 
 

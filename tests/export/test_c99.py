@@ -3,10 +3,10 @@
 import ctypes
 import dataclasses
 import math
-import os
 import re
 import shutil
 import subprocess
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -293,14 +293,15 @@ def test_a_header_has_the_numbers_of_controller_and_friction(tmp_path):
 def test_a_full_disk_leaves_the_files_of_before(tmp_path, monkeypatch):
     compiled = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
     before = {path: path.read_text() for path in compiled.export(tmp_path, "f")[1:]}
-    calls = []
+    calls, write = [], Path.write_bytes
 
-    def full(number):
-        calls.append(number)
+    def full(path, data):
+        calls.append(path)
         if len(calls) == 3:
             raise OSError(28, "No space left on device")
+        write(path, data)
 
-    monkeypatch.setattr(os, "fsync", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(ArgumentError, match=r"folder must be one that files can be written to, .*: No space left"):
         compiled.export(tmp_path, "f", "own", batch=True)
     assert {path: path.read_text() for path in before} == before

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import selectors
 import shlex
 import shutil
 import signal
@@ -19,9 +18,6 @@ from torchdq.base.progress import warn_once
 from torchdq.errors import TorchdqError
 
 ASKED = 5.0  # time in which a compiler must state its version [s]
-MOST = 2**22  # bytes that a compiler prints at most
-# Ends groups of processes when its input ends, as it does when this process is killed, in whatever way.
-GUARD = ("/bin/sh", "-c", 'read _; kill -s KILL -- "$@"', "guard")
 
 
 class BuildError(TorchdqError, RuntimeError):
@@ -65,7 +61,7 @@ def _asked(name: str) -> Compiler:
 def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = None) -> str:
     """Output of commands that run at the same time.
 
-    None of their processes outlives the call if one fails, takes too long or is interrupted, nor this process.
+    None of their processes outlives the call if one fails, takes too long or is interrupted.
 
     Args:
         limit: time in which all of them must end [s].
@@ -76,7 +72,6 @@ def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = N
     program, deadline = commands[0][0], time.monotonic() + limit
     environment = {**os.environ, "TMPDIR": str(folder)} if folder else None
     running: list[subprocess.Popen[bytes]] = []
-    guards: list[subprocess.Popen[bytes]] = []
     output = b""
     try:
         for command in commands:
@@ -87,13 +82,11 @@ def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = N
                     stdout=subprocess.PIPE,
                     stderr=subprocess.STDOUT,
                     env=environment,
-                    process_group=0,
+                    start_new_session=True,
                 )
             )
-        groups = [f"-{process.pid}" for process in running]
-        guards.append(subprocess.Popen([*GUARD, *groups], stdin=subprocess.PIPE, process_group=0))
         for process in running:
-            output += _output(process, deadline)
+            output += process.communicate(timeout=max(0.0, deadline - time.monotonic()))[0]
             if process.returncode != 0:
                 said = output.decode(errors="replace")[-2000:]
                 raise BuildError(f"{program} failed with exit status {process.returncode}:\n{said}")
@@ -102,37 +95,9 @@ def run(commands: Sequence[Sequence[str]], limit: float, folder: Path | None = N
     except subprocess.TimeoutExpired as error:
         raise BuildError(f"{program} did not end within {limit:.0f} s") from error
     finally:
-        for process in (*guards, *running):
-            _end(process)
+        for process in running:
+            with suppress(ProcessLookupError):  # it, and all that it started
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            process.stdout.close()  # type: ignore[union-attr]
     return output.decode(errors="replace")
-
-
-def _output(process: subprocess.Popen[bytes], deadline: float) -> bytes:
-    """Output of a process, after its end.
-
-    Raises:
-        BuildError: it is longer than any compiler's.
-        TimeoutExpired: the process does not end in time.
-    """
-    found = b""
-    with selectors.DefaultSelector() as selector:
-        selector.register(process.stdout, selectors.EVENT_READ)  # type: ignore[arg-type]
-        while selector.select(left := max(0.0, deadline - time.monotonic())):
-            piece = os.read(process.stdout.fileno(), 2**16)  # type: ignore[union-attr]
-            if not piece:
-                process.wait(left)
-                return found
-            found += piece
-            if len(found) > MOST:
-                raise BuildError(f"{process.args[0]!r} printed more than {MOST} bytes")  # type: ignore[index]
-    raise subprocess.TimeoutExpired(process.args, 0.0)
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a process, and all that it started."""
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    for stream in (process.stdin, process.stdout):
-        if stream is not None:
-            stream.close()

@@ -69,7 +69,7 @@ def _first(paths: Iterable[str], refused: list[str]) -> Nvrtc | None:
         try:
             return Nvrtc(path)
         except BuildError as error:
-            if f" {path}: cannot open shared object file" not in str(error):  # else the loader knows no such name
+            if Path(path).is_file():  # else the loader knows no such name
                 refused.append(str(error))
     return None
 

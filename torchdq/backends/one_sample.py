@@ -1,8 +1,9 @@
 """Calls of a compiled program with one sample, in a few microseconds.
 
-What a call of any batch looks at one by one takes longer than the program itself. Here torch compares type, dtype,
-device, sizes and strides of all tensors at once, as it does for its compiled graphs, and the sample's rows are passed
-on where they are.
+Checking the tensors of a call one by one takes longer than the program itself. Here torch compares type, dtype, device,
+sizes and strides of all tensors at once, as it does for its compiled graphs, and the sample's rows are passed on where
+they are. That comparison is private to torch (`transforms.alike`): where it is absent every call takes the common way,
+and a test of `alike` pins what it means in the torch that is installed.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Fallback to float64 for rows whose rounding errors are too large.
 
 The last output of a program is the factor by which it magnifies rounding errors. Rows over the float32 limit are
-recomputed in float64 and rounded; rows over the float64 limit become NaN. Other rows do not change. The host looks at
-the factors; on a GPU, where that would make it wait, the kernels of the backend do all of this.
+recomputed in float64 and rounded; rows over the float64 limit become NaN. Other rows do not change. The host
+reads the factors; on a GPU, where that would be a synchronisation, the kernels of the backend do all of this.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def guarded(backend: Backend, program: Program, inputs: Sequence[Tensor]) -> lis
         # values cannot be read here, so all rows are computed in float64
         return [y.to(dtype) for y in guarded(backend, program, [x.double() for x in inputs])]
     *results, growth = _outputs(backend, program, inputs, samples)
-    if readable and _withinlargest_growth(growth, samples):
+    if readable and _within_limit(growth, samples):
         return results
     over = ~(growth[:, 0].detach() <= largest_growth(dtype))
     if dtype == torch.float64:
@@ -82,7 +82,7 @@ def unguarded(
     direct.into(inputs, found, samples)
     if program.growth is None or backend.guards:
         return found
-    return found if _withinlargest_growth(found.pop(), samples) else None
+    return found if _within_limit(found.pop(), samples) else None
 
 
 def contiguous(shape: tuple[int, ...], dtype: torch.dtype) -> Form:
@@ -90,7 +90,7 @@ def contiguous(shape: tuple[int, ...], dtype: torch.dtype) -> Form:
     return shape, tuple([math.prod(shape[k + 1 :]) for k in range(len(shape))]), dtype
 
 
-def _withinlargest_growth(growth: Tensor, samples: int) -> bool:
+def _within_limit(growth: Tensor, samples: int) -> bool:
     """Whether the errors of all rows grow less than the limit; False if one of them is NaN."""
     return (growth if samples == 1 else growth.amax()).item() <= largest_growth(growth.dtype)
 

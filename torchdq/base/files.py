@@ -1,9 +1,7 @@
 """Files that are whole at any moment: written beside their places, and moved there in one step."""
 
 import os
-import re
 from collections.abc import Mapping
-from contextlib import suppress
 from pathlib import Path
 
 
@@ -28,7 +26,7 @@ def write_whole(path: Path, content: str | bytes) -> None:
 
 
 def write_together(contents: Mapping[Path, str | bytes]) -> None:
-    """Write several files as `write_whole` does; none of them changes before all are on the disk."""
+    """Write several files as `write_whole` does; none of them changes before all are written."""
     beside: dict[Path, Path] = {}
     path = Path()
     try:
@@ -40,34 +38,11 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
                     continue
                 place = path.resolve()
                 beside[place] = place.with_name(f".{place.name}.{os.getpid()}.tmp")
-                with beside[place].open("wb") as file:
-                    file.write(data)
-                    file.flush()
-                    os.fsync(file.fileno())  # a name must not reach the disk before the content
+                beside[place].write_bytes(data)
             for path, part in beside.items():
                 os.replace(part, path)
-            for folder in {place.parent for place in beside}:
-                _flush(folder)
         finally:
             for part in beside.values():
                 part.unlink(missing_ok=True)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from error
-
-
-def remove_parts(path: Path) -> None:
-    """Remove what killed processes left beside a file; nobody else may be writing it."""
-    place = path.resolve()
-    for part in place.parent.iterdir():
-        if re.fullmatch(rf"\.{re.escape(place.name)}\.\d+\.tmp", part.name):
-            part.unlink(missing_ok=True)
-
-
-def _flush(folder: Path) -> None:
-    """New names in a folder, brought to the disk where its file system can do that."""
-    with suppress(OSError):
-        number = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(number)
-        finally:
-            os.close(number)

@@ -1,7 +1,8 @@
 """State of torch's transforms, which torch has no public functions for: all of its private symbols are used here.
 
 They exist in torch 2.6 to 2.13. Where one is missing, a transform is taken to be active, which costs time and changes
-no result.
+no result. Of one that torch keeps and gives another meaning results could be wrong, so tests pin the meaning of each
+that decides whether a compiled program may run: `alike` above all.
 """
 
 import sys
@@ -29,7 +30,7 @@ def _private(name: str, missing: Any) -> Any:
 
 
 _functional = _private("_are_functorch_transforms_active", lambda: True)
-# whether one of the tensors requires grad, in half of the time that a look at each of them takes
+# whether one of the tensors requires grad, in half of the time that asking each of them takes
 any_requires_grad: Callable[..., bool] = _private(
     "_any_requires_grad", lambda *tensors: any([x.requires_grad for x in tensors])
 )

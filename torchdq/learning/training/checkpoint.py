@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchdq.base.files import remove_parts, write_whole
+from torchdq.base.files import write_whole
 from torchdq.errors import TorchdqError
 from torchdq.learning.training.attributes import attributes
 
@@ -35,14 +35,13 @@ class CheckpointError(TorchdqError, RuntimeError):
 def write(path: Path, state: dict[str, Any]) -> None:
     """Write a state to a file, which holds the old state or the new one at any moment, never a part.
 
-    Parts that killed writes left are removed. If writing fails, for example on a full disk, the old checkpoint stays.
+    If writing fails, for example on a full disk, the old checkpoint stays.
 
     Args:
         path: the checkpoint.
         state: numbers, strings, tensors, and lists and dicts of these.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    remove_parts(path)
     content = io.BytesIO()
     torch.save({"version": VERSION, **state}, content)
     write_whole(path, content.getvalue() + _digest(content.getvalue()))
