@@ -18,7 +18,7 @@ import torchdq
 from torchdq import functional
 from torchdq.backends import c, c_library
 from torchdq.base import progress as notice
-from torchdq.base.progress import Notice, warn_once
+from torchdq.base.progress import Progress, warn_once
 from torchdq.envs import Scene
 from torchdq.learning import MotionLimits, Samples, excite, fit, read
 from torchdq.learning.training.run import Run
@@ -47,14 +47,14 @@ def told_until(capfd, pattern: str) -> str:
 def test_quick_work_is_silent(capfd, monkeypatch):
     monkeypatch.setattr(notice, "FIRST", 60.0)
     before = threading.active_count()
-    with Notice("counting"):
+    with Progress("counting"):
         pass
     time.sleep(0.1)
     assert capfd.readouterr().err == "" and threading.active_count() == before
 
 
 def test_long_work_says_what_it_is_and_how_far(capfd):
-    with Notice("counting") as told:
+    with Progress("counting") as told:
         first = told_until(capfd, r" \.\.\.$")
         told.at("2 of 3")
         later = told_until(capfd, "2 of 3(.|\n)*2 of 3")
@@ -67,7 +67,7 @@ def test_long_work_says_what_it_is_and_how_far(capfd):
 
 def test_where_the_work_is_can_be_asked_when_a_line_is_written(capfd):
     counted = []
-    with Notice("counting") as told:
+    with Progress("counting") as told:
         told.at(lambda: f"{len(counted)} so far")
         counted.append(1)
         assert "torchdq: counting, 1 so far, " in told_until(capfd, "so far")
@@ -80,7 +80,7 @@ def test_the_first_line_comes_after_two_seconds_and_the_others_every_five():
 
 
 def test_errors_pass_and_end_the_lines(capfd):
-    with pytest.raises(ValueError, match="broken"), Notice("counting"):
+    with pytest.raises(ValueError, match="broken"), Progress("counting"):
         raise ValueError("broken")
     time.sleep(0.3)
     assert capfd.readouterr().err == ""
@@ -90,9 +90,9 @@ def test_an_interrupt_ends_the_work():
     # a shell starts what runs in the background with interrupts ignored, and this suite perhaps, too
     code = """
 import signal, time
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 signal.signal(signal.SIGINT, signal.default_int_handler)
-with Notice("sleeping"):
+with Progress("sleeping"):
     print("here", flush=True)
     time.sleep(60)
 """
@@ -110,7 +110,7 @@ def test_a_stream_that_is_closed_or_absent_stops_nothing(monkeypatch):
         failed = []
         monkeypatch.setattr(threading, "excepthook", failed.append)
         monkeypatch.setattr(sys, "stderr", stream)
-        with Notice("counting"):
+        with Progress("counting"):
             time.sleep(0.2)
         assert failed == []
 
@@ -134,13 +134,13 @@ def test_programs_that_take_long_to_record_and_to_write_are_told_with_their_oper
     torchdq.clear_caches()
     told = {}
 
-    class Told(Notice):
+    class Told(Progress):
         def __exit__(self, *error):
             super().__exit__(*error)
             told[self.what] = self.where if isinstance(self.where, str) else self.where()
 
     for module in (programs, c):
-        monkeypatch.setattr(module, "Notice", Told)
+        monkeypatch.setattr(module, "Progress", Told)
     monkeypatch.setattr(c_library, "load", lambda *_: None)
     program = Scene(torchdq.robots.load("two_link"), substeps=3).program()
     autodiff.vjp(program, (0,))
@@ -175,9 +175,9 @@ def test_substeps_that_no_program_can_hold_are_refused_after_the_first(monkeypat
 def told(monkeypatch):
     """Lines that could be written, in their order: what is being done, and how far it is."""
     lines = []
-    monkeypatch.setattr(Notice, "__enter__", lambda self: lines.append(self.what) or self)
-    monkeypatch.setattr(Notice, "__exit__", lambda *_: None)
-    monkeypatch.setattr(Notice, "at", lambda self, where: lines.append(f"{self.what}, {where}"))
+    monkeypatch.setattr(Progress, "__enter__", lambda self: lines.append(self.what) or self)
+    monkeypatch.setattr(Progress, "__exit__", lambda *_: None)
+    monkeypatch.setattr(Progress, "at", lambda self, where: lines.append(f"{self.what}, {where}"))
     return lines
 
 

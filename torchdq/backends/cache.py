@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from torchdq.backends.compiler import BuildError
-from torchdq.base.progress import Notice, warn_once
+from torchdq.base.progress import Progress, warn_once
 
 Suffix = Literal[".so", ".cubin"]
 LIMIT = 600.0  # time in which a file must be made [s]
@@ -163,7 +163,7 @@ def _found(path: Path, key: str, name: str, make: Callable[[Path], None]) -> Pat
     """File that is intact, made unless it was there."""
     try:
         if not _intact(path, key):
-            with Notice(f"compiling {name}, once for this machine"), _alone(path.parent / f".build-{key}.lock"):
+            with Progress(f"compiling {name}, once for this machine"), _alone(path.parent / f".build-{key}.lock"):
                 if not _intact(path, key):  # another thread or process may have made it meanwhile
                     _make(path, key, make)
         os.utime(path)  # used now

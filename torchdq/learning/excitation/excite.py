@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import require_count, require_number, tensor_of
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.base.tables import table
 from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics
@@ -186,7 +186,7 @@ def excite(
     generator = torch.Generator().manual_seed(seed)
     states = _states(bounds, generator)
     parameters = BaseParameters.of(robot, coefficients, width, _noise(robot, noise, bounds), states)
-    with Notice(f"finding a motion for {robot.name}") as notice:
+    with Progress(f"finding a motion for {robot.name}") as notice:
         family = Family(bounds, harmonics)
         numbers = family.start(restarts, generator)
         w = (2 * math.pi / seconds * repeats)[torch.arange(restarts) % len(repeats)]

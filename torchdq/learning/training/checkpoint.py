@@ -18,7 +18,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from torchdq.base.files import remove_parts, write_whole
+from torchdq.base.files import write_atomically
 from torchdq.errors import TorchdqError
 from torchdq.learning.training.attributes import attributes
 
@@ -42,10 +42,9 @@ def write(path: Path, state: dict[str, Any]) -> None:
         state: numbers, strings, tensors, and lists and dicts of these.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    remove_parts(path)
     content = io.BytesIO()
     torch.save({"version": VERSION, **state}, content)
-    write_whole(path, content.getvalue() + _digest(content.getvalue()))
+    write_atomically({path: content.getvalue() + _digest(content.getvalue())})
 
 
 def read(path: Path) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.layers.residual import Domain, Posterior, ResidualDynamics
 from torchdq.layers.residual.networks import perceptrons
 from torchdq.learning.evaluation.blocks import MotionRows, blocks, regions
@@ -63,7 +63,7 @@ def measure(
             model.cover(*rows)
             learn_posterior(model, model.network, model.posterior, rows, correlation)
         if valid is None:
-            with Notice("measuring the residual on left-out rows") as notice:
+            with Progress("measuring the residual on left-out rows") as notice:
                 left, apart = _by_copies(model, train, rows, lengths, correlation, how, notice)
         else:
             x, residual = _rows(model, valid)
@@ -172,7 +172,7 @@ def _by_copies(
     lengths: Sequence[int],
     correlation: Tensor,
     how: Training,
-    notice: Notice,
+    notice: Progress,
 ) -> tuple[list[LeftOut], list[LeftOut]]:
     """Torques that copies find for blocks, in the order of time, and for regions, trained without those."""
     recording = _motion_rows(train, lengths)

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from torchdq.base.optional import imported
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress as Lines
 
 if TYPE_CHECKING:
     from torchdq.learning.training.run import History
@@ -24,7 +24,7 @@ class Progress:
 
     def __init__(self, last: int, step: int, tensorboard: str | Path | None, bar: bool | None):
         self._last, self._errors = last, ""
-        self._notice = Notice("fitting") if bar is None else None
+        self._notice = Lines("fitting") if bar is None else None
         self._bar: Any = None
         self._writer: Any = None
         if tensorboard is not None:
