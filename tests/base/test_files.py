@@ -1,10 +1,7 @@
-"""Files that are whole at any moment, and Ctrl-C while the command line is loaded."""
+"""Files that are whole at any moment."""
 
 import errno
 import os
-import signal
-import subprocess
-import sys
 
 import pytest
 
@@ -51,24 +48,10 @@ def test_a_file_is_written_where_a_link_leads_and_nowhere_else(tmp_path):
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a.csv", "link.csv"]
 
 
-LOAD = """
-import importlib.abc, os, signal, sys
-
-class Interrupted(importlib.abc.MetaPathFinder):
-    def find_spec(self, name, path, target=None):
-        if name == "torch":
-            os.kill(os.getpid(), signal.SIGINT)
-
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a process in the background of a shell ignores it
-sys.meta_path.insert(0, Interrupted())
-sys.argv = [{argument!r}]
-import torchdq.command.main
-"""
-
-
-@pytest.mark.parametrize("argument, quiet", [("/usr/bin/torchdq", True), ("train.py", False)])
-def test_ctrl_c_while_the_command_is_loaded_is_quiet(argument, quiet):
-    code = LOAD.format(argument=argument)
-    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert found.returncode == -signal.SIGINT  # 130 for a shell
-    assert ("Traceback" not in found.stderr) == quiet
+def test_content_reaches_the_disk_before_it_takes_the_name(tmp_path, monkeypatch):
+    done = []
+    for name in ("fsync", "replace"):
+        real = getattr(os, name)
+        monkeypatch.setattr(os, name, lambda *x, real=real, name=name: (done.append(name), real(*x))[1])
+    write_atomically({tmp_path / "a.csv": "1,2"})
+    assert done == ["fsync", "replace", "fsync"]
