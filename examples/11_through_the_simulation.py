@@ -18,9 +18,9 @@ from pathlib import Path
 import torch
 import tyro
 from devices import OnDevice
-from processes import Team, team
 from matplotlib import pyplot as plt
 from pictures import BLUE, ORANGE, prepare, save
+from processes import Team, team
 from torch import Tensor, nn
 
 import torchdq

@@ -20,7 +20,7 @@ from torchdq.backends import c, c_library
 from torchdq.base import progress
 from torchdq.base.progress import Progress, warn_once
 from torchdq.envs import Scene
-from torchdq.learning import MotionLimits, Samples, excite, fit, read
+from torchdq.learning import MotionLimits, Samples, excitation_trajectory, fit, read
 from torchdq.program import autodiff
 from torchdq.program import program as programs
 from torchdq.scene import recording
@@ -209,9 +209,9 @@ def test_cross_validation_of_a_residual_shows_its_networks_and_steps(shown):
 
 
 def test_the_search_for_a_motion_tells_its_stages_and_steps(shown, monkeypatch):
-    monkeypatch.setattr(importlib.import_module("torchdq.learning.excitation.excite"), "STAGES", ((1, 2), (2, 3)))
+    monkeypatch.setattr(importlib.import_module("torchdq.learning.excitation.search"), "STAGES", ((1, 2), (2, 3)))
     limits = MotionLimits(lower=[-1.0, -1.0], upper=[1.0, 1.0], velocity=2.0, effort=100.0)
-    excite(torchdq.robots.load("two_link"), 2.0, limits, restarts=4, harmonics=2)
+    excitation_trajectory(torchdq.robots.load("two_link"), 2.0, limits, restarts=4, harmonics=2)
     steps = [f"stage 1 of 2, step {i} of 2" for i in (1, 2)] + [f"stage 2 of 2, step {i} of 3" for i in (1, 2, 3)]
     shown = [line.partition(", ")[2] for line in shown if line.startswith("finding a motion")]
     assert shown == ["", *steps, "checking the limits"]

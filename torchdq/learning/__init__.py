@@ -16,8 +16,8 @@ from torchdq.base.attributes import refusing
 from torchdq.learning.bodies.payload import IdentifiedPayload, identify_payload
 from torchdq.learning.bodies.posterior import Sampled, sample
 from torchdq.learning.evaluation.diagnostics import LogWarning
-from torchdq.learning.excitation.excite import Excitation, excite
 from torchdq.learning.excitation.limits import Box, HalfSpace, MotionLimits
+from torchdq.learning.excitation.trajectory import Excitation, excitation_trajectory
 from torchdq.learning.identification.identified import Identified, Prediction
 from torchdq.learning.identification.identify import identify
 from torchdq.learning.identification.model_selection import Ladder, Rung
@@ -59,7 +59,7 @@ __all__ = [
     "TrainingError",
     "cut",
     "directions",
-    "excite",
+    "excitation_trajectory",
     "fit",
     "fit_rollout",
     "hold_out",
