@@ -1,14 +1,13 @@
-"""How much more does the motion of `excite` tell than motions that were recorded? On a Panda and a UR10e.
+"""Standard errors from `excitation_trajectory` compared with those from recorded motions of a Panda and a UR10e.
 
     python benchmarks/excitation.py [--quick] [--data FOLDER] [--json FILE]
 
 Standard errors of all base parameters, friction included (and rotor inertia on the UR10e, whose torques are those of
-motors), that 20 s at 100 Hz leave, of each recorded motion and of the one that `excite` finds within 90 % of the limits
-of the robot and above the table, for the same noise, 1 % of the greatest torques. Some errors cannot be halved: dry
-friction acts in every motion, and gravity on a body is no larger than it is. Those are counted which would not be half
-the recorded motion's even if every sample were as good as the best of many random states within the limits. The search
-takes one thread, and its processor time is given, which other work on the machine does not change.
-"""
+motors), that 20 s at 100 Hz leave, of each recorded motion and of the one that `excitation_trajectory` finds within 90
+% of the limits of the robot and above the table, for the same noise, 1 % of the greatest torques. Some errors cannot be
+halved: dry friction acts in every motion, and gravity on a body is no larger than it is. Those are counted which would
+not be half the recorded motion's even if every sample were as good as the best of many random states within the limits.
+The search takes one thread, and its processor time is given, which other work on the machine does not change. """
 
 import os
 
@@ -23,7 +22,7 @@ import report
 import torch
 
 import torchdq
-from torchdq.learning import Excitation, HalfSpace, LogError, MotionLimits, excite, read, smooth
+from torchdq.learning import Excitation, HalfSpace, LogError, MotionLimits, excitation_trajectory, read, smooth
 from torchdq.learning.identification.base import BaseParameters
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
@@ -64,9 +63,9 @@ def main() -> None:
     for name, (folder, pattern, rotors) in ARMS.items():
         robot = torchdq.robots.load(name)
         limits = MotionLimits(workspace=(TABLE,))
-        excite(robot, SECONDS, limits, restarts=1, armature=rotors)  # compiles the programs
+        excitation_trajectory(robot, SECONDS, limits, restarts=1, armature=rotors)  # compiles the programs
         start = time.process_time()
-        found = excite(robot, SECONDS, limits, restarts=32 if arguments.quick else 256, armature=rotors)
+        found = excitation_trajectory(robot, SECONDS, limits, restarts=32 if arguments.quick else 256, armature=rotors)
         seconds = time.process_time() - start
         own, bound = errors(found.parameters, found.q, found.qd, found.qdd), least(found)
         print(f"\n{found!r}: {seconds:.1f} s of one thread, condition number {found.condition:.0f}")

@@ -51,13 +51,13 @@ from torchdq.learning import (
     samples,
     smooth,
 )
-from torchdq.learning.training.validation_gain import Worth
+from torchdq.learning.training.validation_gain import ValidationGain
 
 SIX = ("02_06-20sec_5harm", "02_06-20sec_10harm", "02_05-20sec_12harm", "02_10-20sec_7harm", "02_10-30sec_12harm")
 SIX = (*SIX, "02_12-40sec_12harm")
 PENDULUM = {"mass": (0.5594, 0.6043), "com": (-0.3, 0.1838), "inertia": (0.05347, 0.02392)}  # the authors' model 2.0
 PASS = 12.84  # time after which the motion of the Panda repeats itself [s]
-TRAINING = {"steps": 400, "batch": 256, "rate": 1e-2, "progress": False}  # of the networks
+TRAINING = {"steps": 400, "batch": 256, "rate": 1e-2}  # of the networks
 DECAYS = (1e-2, 3.0)  # weight decays, of which left-out rows of the training motions choose one
 SEEN = 0.05  # distance of states that count as the same, in units of their spread
 ROWS = (6000, 600)  # most states that the distances are computed from and to
@@ -103,10 +103,10 @@ class Models(NamedTuple):
 
 
 class Trained(NamedTuple):
-    """Network beside what was chosen, what it is worth on rows that were left out, and how long that took [s]."""
+    """Network beside what was chosen, what it gains on held-out rows, and how long that took [s]."""
 
     model: ResidualDynamics
-    worth: Worth
+    gain: ValidationGain
     seconds: float
 
 
@@ -267,16 +267,16 @@ def trained(split: Split, found: Identified) -> Trained:
         torch.manual_seed(0)
         model = ResidualDynamics(layer)
         model.standardise(*(torch.cat(x) for x in zip(*train, strict=True)))
-        worth = fit(model, train, decay=decay, **TRAINING).residual
-        assert worth is not None
-        candidates.append((model, worth))
+        gain = fit(model, train, decay=decay, **TRAINING).residual
+        assert gain is not None
+        candidates.append((model, gain))
     best = min(candidates, key=lambda one: float(one[1].error.square().mean()))
     return Trained(*best, time.perf_counter() - start)
 
 
 def with_network(split: Split, found: Identified, network: Trained) -> Network:
     """Scores with the network beside what was chosen."""
-    model, worth, seconds = network
+    model, gain, seconds = network
     rows = map(IdentifiedWithResidual(found, model).samples, split.test)
     test = Samples(*(torch.cat(x) for x in zip(*rows, strict=True)))
     told = model.predict(*test[:3])
@@ -284,8 +284,8 @@ def with_network(split: Split, found: Identified, network: Trained) -> Network:
     without, error = (x.square().mean(0).sqrt() for x in left)
     return Network(
         *(scores(x, split.test) for x in left),
-        float(worth.standard_errors.square().sum().sqrt() / len(without)),
-        tuple(worth.weight.tolist()),
+        float(gain.standard_errors.square().sum().sqrt() / len(without)),
+        tuple(gain.weight.tolist()),
         tuple((error / without).tolist()),
         float(inside(told, test.tau).mean()),
         seconds,

@@ -332,8 +332,8 @@ def learned(choices: Sequence[Candidate], train: Samples, valid: Samples, args: 
     """The best of several models by their validation error, trained."""
     errors = []
     for model, rate, decay, prior in choices:
-        options = {"rate": rate, "decay": decay, "prior": prior, "seed": seed, "progress": False}
-        history = fit_on(args.place, model, train, valid, steps=args.steps, every=100, **options)
+        options = {"rate": rate, "decay": decay, "prior": prior, "seed": seed}
+        history = fit_on(args.place, model, train, valid, steps=args.steps, **options)
         errors.append(min(history.valid))
     return choices[int(np.argmin(errors))].model
 

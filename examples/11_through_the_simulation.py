@@ -20,11 +20,11 @@ import tyro
 from devices import OnDevice
 from matplotlib import pyplot as plt
 from pictures import BLUE, ORANGE, prepare, save
+from processes import Team, team
 from torch import Tensor, nn
 
 import torchdq
 from torchdq.envs import Scene, State, effects
-from torchdq.learning.training.distributed import Team, team
 
 ROBOT = torchdq.robots.load("panda")
 WANTED = (0.0, -0.5, 0.0, -2.0, 0.0, 1.5, 0.8)  # [rad]

@@ -3,11 +3,11 @@
     python examples/19_what_to_record.py
     python examples/19_what_to_record.py --robot arm.urdf --table 0.05
 
-`excite` finds a motion within 90 % of the arm's limits and above a table, writes it to a file for the controller and
-predicts the standard errors. Here an arm that differs from its description stands for the real one: its torques along
-the motion, with noise, are identified, and the errors turn out as predicted. `sample` then draws arms from what is
-left open, each of which can exist; simulated together under the same torques, they show how much that matters.
-"""
+`excitation_trajectory` finds a motion within 90 % of the arm's limits and above a table, writes it to a file for the
+controller and predicts the standard errors. Here an arm that differs from its description stands for the real one: its
+torques along the motion, with noise, are identified, and the errors turn out as predicted. `sample` then draws arms
+from what is left open, each of which can exist; simulated together under the same torques, they show how much that
+matters. """
 
 import sys
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ from torch import Tensor
 
 import torchdq
 from torchdq.envs import Scene
-from torchdq.learning import Excitation, HalfSpace, MotionLimits, Sampled, excite, identify, sample
+from torchdq.learning import Excitation, HalfSpace, MotionLimits, Sampled, excitation_trajectory, identify, sample
 from torchdq.learning.excitation.fourier import Family
 from torchdq.scene import integrators
 
@@ -93,7 +93,7 @@ def main(args: Args) -> Result:
     named = args.robot in torchdq.robots.names()
     described = torchdq.robots.load(args.robot) if named else torchdq.Robot.from_urdf(args.robot)
     limits = MotionLimits(workspace=[HalfSpace(described.end_effector().name, (0, 0, 1), args.table)])
-    found = excite(described, args.seconds, limits, restarts=16 if args.quick else 256, seed=args.seed)
+    found = excitation_trajectory(described, args.seconds, limits, restarts=16 if args.quick else 256, seed=args.seed)
     args.out.mkdir(parents=True, exist_ok=True)
     found.to_csv(args.out / "motion.csv", rate=1000.0)
     save(found.plot(), args.out / "motion.png")

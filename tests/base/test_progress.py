@@ -17,11 +17,10 @@ import torch
 import torchdq
 from torchdq import functional
 from torchdq.backends import c, c_library
-from torchdq.base import progress as notice
-from torchdq.base.progress import Notice, warn_once
+from torchdq.base import progress
+from torchdq.base.progress import Progress, warn_once
 from torchdq.envs import Scene
-from torchdq.learning import MotionLimits, Samples, excite, fit, read
-from torchdq.learning.training.run import Run
+from torchdq.learning import MotionLimits, Samples, excitation_trajectory, fit, read
 from torchdq.program import autodiff
 from torchdq.program import program as programs
 from torchdq.scene import recording
@@ -30,11 +29,11 @@ from torchdq.scene.integrators import LinearlyImplicit, Repeated
 
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
-    monkeypatch.setattr(notice, "FIRST", 0.1)
-    monkeypatch.setattr(notice, "EVERY", 0.1)
+    monkeypatch.setattr(progress, "FIRST", 0.1)
+    monkeypatch.setattr(progress, "EVERY", 0.1)
 
 
-def told_until(capfd, pattern: str) -> str:
+def written_until(capfd, pattern: str) -> str:
     """What was written up to a line that matches, however late it comes."""
     written, end = "", time.monotonic() + 300
     while not re.search(pattern, written, re.MULTILINE):
@@ -45,19 +44,19 @@ def told_until(capfd, pattern: str) -> str:
 
 
 def test_quick_work_is_silent(capfd, monkeypatch):
-    monkeypatch.setattr(notice, "FIRST", 60.0)
+    monkeypatch.setattr(progress, "FIRST", 60.0)
     before = threading.active_count()
-    with Notice("counting"):
+    with Progress("counting"):
         pass
     time.sleep(0.1)
     assert capfd.readouterr().err == "" and threading.active_count() == before
 
 
 def test_long_work_says_what_it_is_and_how_far(capfd):
-    with Notice("counting") as told:
-        first = told_until(capfd, r" \.\.\.$")
-        told.at("2 of 3")
-        later = told_until(capfd, "2 of 3(.|\n)*2 of 3")
+    with Progress("counting") as shown:
+        first = written_until(capfd, r" \.\.\.$")
+        shown.at("2 of 3")
+        later = written_until(capfd, "2 of 3(.|\n)*2 of 3")
     assert re.fullmatch(r"(torchdq: counting, \d+ s \.\.\.\n)+", first)
     assert re.fullmatch(r"(torchdq: counting, \d+ s \.\.\.\n)*(torchdq: counting, 2 of 3, \d+ s \.\.\.\n){2,}", later)
     capfd.readouterr()
@@ -67,20 +66,20 @@ def test_long_work_says_what_it_is_and_how_far(capfd):
 
 def test_where_the_work_is_can_be_asked_when_a_line_is_written(capfd):
     counted = []
-    with Notice("counting") as told:
-        told.at(lambda: f"{len(counted)} so far")
+    with Progress("counting") as shown:
+        shown.at(lambda: f"{len(counted)} so far")
         counted.append(1)
-        assert "torchdq: counting, 1 so far, " in told_until(capfd, "so far")
+        assert "torchdq: counting, 1 so far, " in written_until(capfd, "so far")
 
 
 def test_the_first_line_comes_after_two_seconds_and_the_others_every_five():
-    assert (notice.FIRST, notice.EVERY) == (0.1, 0.1)  # here
-    said = runpy.run_path(notice.__file__)
+    assert (progress.FIRST, progress.EVERY) == (0.1, 0.1)  # here
+    said = runpy.run_path(progress.__file__)
     assert (said["FIRST"], said["EVERY"]) == (2.0, 5.0)
 
 
 def test_errors_pass_and_end_the_lines(capfd):
-    with pytest.raises(ValueError, match="broken"), Notice("counting"):
+    with pytest.raises(ValueError, match="broken"), Progress("counting"):
         raise ValueError("broken")
     time.sleep(0.3)
     assert capfd.readouterr().err == ""
@@ -90,9 +89,9 @@ def test_an_interrupt_ends_the_work():
     # a shell starts what runs in the background with interrupts ignored, and this suite perhaps, too
     code = """
 import signal, time
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 signal.signal(signal.SIGINT, signal.default_int_handler)
-with Notice("sleeping"):
+with Progress("sleeping"):
     print("here", flush=True)
     time.sleep(60)
 """
@@ -110,7 +109,7 @@ def test_a_stream_that_is_closed_or_absent_stops_nothing(monkeypatch):
         failed = []
         monkeypatch.setattr(threading, "excepthook", failed.append)
         monkeypatch.setattr(sys, "stderr", stream)
-        with Notice("counting"):
+        with Progress("counting"):
             time.sleep(0.2)
         assert failed == []
 
@@ -132,15 +131,15 @@ def test_a_topic_is_warned_about_once_until_the_caches_are_cleared():
 
 def test_programs_that_take_long_to_record_and_to_write_are_told_with_their_operations(monkeypatch):
     torchdq.clear_caches()
-    told = {}
+    shown = {}
 
-    class Told(Notice):
+    class Kept(Progress):
         def __exit__(self, *error):
             super().__exit__(*error)
-            told[self.what] = self.where if isinstance(self.where, str) else self.where()
+            shown[self.what] = self.where if isinstance(self.where, str) else self.where()
 
     for module in (programs, c):
-        monkeypatch.setattr(module, "Notice", Told)
+        monkeypatch.setattr(module, "Progress", Kept)
     monkeypatch.setattr(c_library, "load", lambda *_: None)
     program = Scene(torchdq.robots.load("two_link"), substeps=3).program()
     autodiff.vjp(program, (0,))
@@ -148,9 +147,9 @@ def test_programs_that_take_long_to_record_and_to_write_are_told_with_their_oper
     autodiff.jacobian(program, (0,))
     c.CompiledKernel(program, torch.float32)
     for ending in ("", "_vjp", "_jvp", "_jacobian"):
-        number, words = told[f"recording step_two_link{ending}"].split()
+        number, words = shown[f"recording step_two_link{ending}"].split()
         assert int(number) > 100 and words == "operations"
-    assert told["writing step_two_link in C"] == ""
+    assert shown["writing step_two_link in C"] == ""
 
 
 def test_substeps_that_no_program_can_hold_are_refused_after_the_first(monkeypatch):
@@ -168,16 +167,16 @@ def test_substeps_that_no_program_can_hold_are_refused_after_the_first(monkeypat
     assert time.monotonic() - start < 5
 
 
-# --- work that tells how far it is, and that Ctrl-C ends without loss -------------------------------------------------
+# --- work that shows how far it is ----------------------------------------------------------------------------------
 
 
 @pytest.fixture
-def told(monkeypatch):
+def shown(monkeypatch):
     """Lines that could be written, in their order: what is being done, and how far it is."""
     lines = []
-    monkeypatch.setattr(Notice, "__enter__", lambda self: lines.append(self.what) or self)
-    monkeypatch.setattr(Notice, "__exit__", lambda *_: None)
-    monkeypatch.setattr(Notice, "at", lambda self, where: lines.append(f"{self.what}, {where}"))
+    monkeypatch.setattr(Progress, "__enter__", lambda self: lines.append(self.what) or self)
+    monkeypatch.setattr(Progress, "__exit__", lambda *_: None)
+    monkeypatch.setattr(Progress, "at", lambda self, where: lines.append(f"{self.what}, {where}"))
     return lines
 
 
@@ -197,75 +196,36 @@ def two_link_samples():
     return Samples(q, qd, torch.zeros_like(q), tau)
 
 
-def test_what_is_left_out_to_measure_a_residual_tells_its_networks_and_steps(told):
+def test_cross_validation_of_a_residual_shows_its_networks_and_steps(shown):
     model = torchdq.ResidualDynamics(torchdq.DQRNEA(torchdq.robots.load("two_link")), hidden=(4,))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         fit(model, two_link_samples(), steps=3, batch=64)
-    said = [line for line in told if line.startswith("measuring the residual")]
-    assert said[0] == "measuring the residual on left-out rows"
+    said = [line for line in shown if line.startswith("measuring the residual")]
+    assert said[0] == "measuring the residual on held-out rows"
     networks = int(said[1].split(" of ")[1].split(",")[0])
     expected = [f"network {k + 1} of {networks}, step {i + 1} of 3" for k in range(networks) for i in range(3)]
-    assert networks > 1 and said[1:] == [f"measuring the residual on left-out rows, {where}" for where in expected]
+    assert networks > 1 and said[1:] == [f"measuring the residual on held-out rows, {where}" for where in expected]
 
 
-def test_the_search_for_a_motion_tells_its_stages_and_steps(told, monkeypatch):
-    monkeypatch.setattr(importlib.import_module("torchdq.learning.excitation.excite"), "STAGES", ((1, 2), (2, 3)))
+def test_the_search_for_a_motion_tells_its_stages_and_steps(shown, monkeypatch):
+    monkeypatch.setattr(importlib.import_module("torchdq.learning.excitation.search"), "STAGES", ((1, 2), (2, 3)))
     limits = MotionLimits(lower=[-1.0, -1.0], upper=[1.0, 1.0], velocity=2.0, effort=100.0)
-    excite(torchdq.robots.load("two_link"), 2.0, limits, restarts=4, harmonics=2)
+    excitation_trajectory(torchdq.robots.load("two_link"), 2.0, limits, restarts=4, harmonics=2)
     steps = [f"stage 1 of 2, step {i} of 2" for i in (1, 2)] + [f"stage 2 of 2, step {i} of 3" for i in (1, 2, 3)]
-    told = [line.partition(", ")[2] for line in told if line.startswith("finding a motion")]
-    assert told == ["", *steps, "checking the limits"]
+    shown = [line.partition(", ")[2] for line in shown if line.startswith("finding a motion")]
+    assert shown == ["", *steps, "checking the limits"]
 
 
-def test_reading_a_log_is_told(told, tmp_path):
+def test_reading_a_log_is_told(shown, tmp_path):
     data = motion()
     path = tmp_path / "log.csv"
     columns = np.column_stack([data[name] for name in ("time", "q", "qd", "tau")])
     np.savetxt(path, columns, delimiter=",", header="time,q1,q2,qd1,qd2,tau1,tau2", comments="", fmt="%.12g")
     read(path)
-    assert told == [f"reading {path}"]
+    assert shown == [f"reading {path}"]
     read(data)
-    assert told[1:] == ["reading a log"]
-
-
-def interrupted_after(monkeypatch, steps):
-    """Make the step after so many the one at which Ctrl-C is pressed."""
-    done, advance = [], Run.advance
-
-    def pressed(run, rate):
-        if len(done) == steps:
-            raise KeyboardInterrupt
-        done.append(advance(run, rate))
-
-    monkeypatch.setattr(Run, "advance", pressed)
-
-
-@pytest.mark.parametrize("kept", [False, True])
-@pytest.mark.parametrize("steps", [2, 7])
-def test_an_interrupted_fit_says_what_is_left_and_goes_on_from_there(kept, steps, monkeypatch, tmp_path):
-    data, robot = two_link_samples(), torchdq.robots.load("two_link")
-    path = tmp_path / "run.pt" if kept else None
-    how = dict(steps=10, every=5, batch=64, checkpoint=path)
-    whole = torchdq.DQRNEA(robot, learn="mass")
-    fit(whole, data, **(how | {"checkpoint": None}))
-
-    model = torchdq.DQRNEA(robot, learn="mass")
-    interrupted_after(monkeypatch, steps)
-    with pytest.raises(KeyboardInterrupt) as stopped:
-        fit(model, data, **how)
-    (note,) = stopped.value.__notes__
-    assert note.startswith(f"fit stopped at step {steps} of 10: the model has the weights of that step; with ")
-    if not kept:
-        assert note.endswith("with checkpoint=..., the same call would go on")
-        return
-    found = "goes on from its last evaluation" if steps >= 5 else "begins anew: none was written yet"
-    assert note.endswith(f"with the checkpoint {path}, the same call {found}")
-    assert {file.name for file in tmp_path.iterdir()} == ({"run.pt"} if steps >= 5 else set())
-    monkeypatch.undo()
-    again = torchdq.DQRNEA(robot, learn="mass")
-    assert fit(again, data, **how).step == [5, 10]
-    torch.testing.assert_close(again.robot.mass, whole.robot.mass, rtol=1e-12, atol=0)
+    assert shown[1:] == ["reading a log"]
 
 
 # --- programs of single frames ---------------------------------------------------------------------------------------

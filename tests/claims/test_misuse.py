@@ -20,7 +20,7 @@ from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.effects.model import ModelEffect
 from torchdq.envs import ArmEnv, ArmVectorEnv, Scene, TorchTask, effects
 from torchdq.errors import nearest
-from torchdq.learning import LogError, Recording, Samples, cut, excite, fit, fit_rollout, identify, read
+from torchdq.learning import LogError, Recording, Samples, cut, excitation_trajectory, fit, fit_rollout, identify, read
 from torchdq.scene import controllers, integrators
 
 F64 = torch.float64
@@ -203,7 +203,7 @@ LEARNING = [
     (lambda: read(LOG | {"q": [["a", "b"]] * 400}), LogError, "'q'", "convert it by .astype(float)"),
     (lambda: cut(read(LOG), 0.5), ArgumentError, "motion must be a Motion, found Log; smooth(log) makes one"),
     (lambda: identify("panda", SAMPLES.q), ArgumentError, "robot must be a torchdq.Robot, found str"),
-    (lambda: excite("panda", 5.0), ArgumentError, "robot must be a torchdq.Robot, found str"),
+    (lambda: excitation_trajectory("panda", 5.0), ArgumentError, "robot must be a torchdq.Robot, found str"),
     (lambda: fit(ARM, SAMPLES, steps=1), ArgumentError, "model must be a torch module", "DQRNEA(robot, learn="),
     (
         lambda: fit_rollout(ARM, Recording(TIME, Q, {}), "mass"),

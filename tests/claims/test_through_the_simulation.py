@@ -19,7 +19,7 @@ SHARED = """
 import sys
 sys.path[:] = {paths}
 from claims.test_through_the_simulation import found
-from torchdq.learning.training.distributed import team
+from processes import team
 import torch
 with team(torch.device("cpu")) as share:
     torch.save(found(share), f"{folder}/{{share.rank}}.pt")
@@ -64,7 +64,7 @@ def test_two_processes_have_the_gradients_of_one(tmp_path):
         _, errors = process.communicate(timeout=300)
         assert process.returncode == 0, errors
     ranks = [torch.load(tmp_path / f"{rank}.pt") for rank in (0, 1)]
-    share = import_module("torchdq.learning.training.distributed").Team()
+    share = import_module("processes").Team()
     for one, two, alone in zip(*ranks, found(share), strict=True):
         assert torch.equal(one, two)
         torch.testing.assert_close(one, alone, rtol=1e-10, atol=1e-12)

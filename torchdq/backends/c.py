@@ -14,7 +14,7 @@ from torchdq.backends.compiler import BuildError, compiler, no_compiler
 from torchdq.backends.memory import dense
 from torchdq.backends.torch import InterpretedKernel
 from torchdq.base.caches import PROGRAMS, remembered
-from torchdq.base.progress import Notice, warn_once
+from torchdq.base.progress import Progress, warn_once
 from torchdq.errors import ArgumentError, TorchdqError
 from torchdq.program.program import Program, outputs
 from torchdq.program.transforms import empty_on_cpu
@@ -71,7 +71,7 @@ class CompiledKernel:
         self.program, self.dtype = program, dtype
         results = outputs(program)
         pointers = len(program.arguments) + len(results)
-        with Notice(f"writing {program.name} in C"):
+        with Progress(f"writing {program.name} in C"):
             code = source(program, dtype == torch.float32)
         self.function = c_library.load(code, program.name, pointers)
         self.operations = program.count().total

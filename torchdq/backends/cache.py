@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Literal
 
 from torchdq.backends.compiler import BuildError
-from torchdq.base.progress import Notice, warn_once
+from torchdq.base.progress import Progress, warn_once
 
 Suffix = Literal[".so", ".cubin"]
 LARGEST = 2**30  # size of all files in the directory [bytes]
@@ -118,7 +118,7 @@ def kept(key: str, suffix: Suffix, name: str, make: Callable[[Path], None]) -> P
             if not _intact(path, key):
                 _sweep(folder)
                 with (
-                    Notice(f"compiling {name}, once for this machine"),
+                    Progress(f"compiling {name}, once for this machine"),
                     tempfile.TemporaryDirectory(prefix=".build-", dir=folder, ignore_cleanup_errors=True) as building,
                 ):
                     new = Path(building) / f"program{suffix}"

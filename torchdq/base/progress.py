@@ -1,4 +1,4 @@
-"""Words to the user: lines on stderr about work that takes long, and warnings that are given once."""
+"""Progress of long work as lines on stderr, and warnings that are given once."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ def warn_once(topic: str, text: str, stacklevel: int = 3) -> None:
         warnings.warn(text, stacklevel=stacklevel)
 
 
-class Notice:
+class Progress:
     """Context that writes what is being done, and how far it is, after 2 s and then every 5 s.
 
     Nothing is written about work that ends before. The lines come from a thread of their own, so they also come while
     another program or a long operation runs; KeyboardInterrupt ends the work as always.
 
-    >>> with Notice("counting") as notice:
+    >>> with Progress("counting") as progress:
     ...     for k in range(3):
-    ...         notice.at(f"{k} of 3")
+    ...         progress.at(f"{k} of 3")
     """
 
     def __init__(self, what: str):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.command.command import Command
 from torchdq.command.outcome import Outcome, Verbatim
 from torchdq.paper import cost, ladder
@@ -21,7 +21,7 @@ class CostCommand(Command):
 
     def outcome(self) -> Outcome:
         """Tables in Markdown."""
-        with Notice("compiling and timing the steps from Algorithm 1 to the program"):
+        with Progress("compiling and timing the steps from Algorithm 1 to the program"):
             times = ladder.times(JOINTS)
         table = ladder.table(JOINTS, times)
         tables = {

@@ -11,8 +11,8 @@ import torch
 import tyro
 
 from torchdq.base.checks import names_of
-from torchdq.base.files import write_whole
-from torchdq.base.progress import Notice
+from torchdq.base.files import write_atomically
+from torchdq.base.progress import Progress
 from torchdq.command.command import Dtype, RobotCommand
 from torchdq.command.outcome import Grid, Outcome
 from torchdq.errors import ArgumentError
@@ -59,7 +59,7 @@ class ExportCommand(RobotCommand):
         """Names of the files."""
         names_of("function", self.function, FUNCTIONS, "function")
         robot = self.load().robot
-        with Notice(f"exporting {self.function}"):
+        with Progress(f"exporting {self.function}"):
             if self.language == "torch":
                 files, function = [self._graph(robot)], self.function
             else:
@@ -92,5 +92,5 @@ class ExportCommand(RobotCommand):
         graph = torch.export.export(layer, sample, dynamic_shapes=({0: torch.export.Dim("batch")},) * 3)
         content = io.BytesIO()
         torch.export.save(graph, content)
-        write_whole(path, content.getvalue())
+        write_atomically({path: content.getvalue()})
         return path

@@ -12,9 +12,9 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import tyro
 
-from torchdq.base.files import write_whole
+from torchdq.base.files import write_atomically
 from torchdq.base.optional import require_packages
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.command.command import RobotCommand, numbers
 from torchdq.command.identification_page import page
 from torchdq.command.outcome import Grid, Outcome, Verbatim
@@ -116,7 +116,7 @@ class IdCommand(RobotCommand):
         doubts = list(dict.fromkeys(self.words(str(one.message)) for one in said))
         for doubt in doubts:
             warnings.warn(doubt, stacklevel=2)
-        with Notice("drawing the page"):
+        with Progress("drawing the page"):
             text = page(found, measured, test, self._sources(), doubts, payload)
         files = self._written(source, text, description)
         return _outcome(found, measured, payload, files, description.lost)
@@ -189,7 +189,7 @@ class IdCommand(RobotCommand):
             ending = {"urdf": "urdf", "mjcf": "xml"}[source.format]
             texts[source.format] = (f"{name}_identified.{ending}", description.text)
         for file, content in texts.values():
-            write_whole(self.out / file, content)
+            write_atomically({self.out / file: content})
         return {kind: self.out / file for kind, (file, _) in texts.items()}
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 from torchdq.base.checks import matching
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError, MissingFileError, MissingLibraryError, UnknownNameError
 from torchdq.robot import Robot, shipped
 from torchdq.robot.check.consistency import OnUnphysical
@@ -48,7 +48,7 @@ def robot_of(
         locked = [joint for joint in robot.joint_names if joint not in kept]
         robot = robot.lock(locked) if joints else robot
         return NamedRobot(robot if tip is None else robot.with_tip(tip), "shipped", "")
-    with Notice(f"reading {name}"):
+    with Progress(f"reading {name}"):
         if _is_file(name):
             return _read(name, options)
         return _by_name(name, options)

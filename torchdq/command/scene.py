@@ -15,8 +15,8 @@ from torch import Tensor
 from torchdq import effects
 from torchdq.base import machine
 from torchdq.base.checks import names_of, require_number
-from torchdq.base.files import write_whole
-from torchdq.base.progress import Notice
+from torchdq.base.files import write_atomically
+from torchdq.base.progress import Progress
 from torchdq.command.command import RobotCommand
 from torchdq.command.outcome import Grid, Outcome
 from torchdq.errors import ArgumentError
@@ -138,7 +138,7 @@ class SceneCommand(RobotCommand):
             still = torch.zeros_like(start.q)
             held = {"reference": torch.cat([start.q, still, still])}
         parts, state = [], start
-        with torch.no_grad(), Notice(f"simulating {scene.robot.name!r}") as notice:
+        with torch.no_grad(), Progress(f"simulating {scene.robot.name!r}") as notice:
             for done in range(0, steps, AT_ONCE):
                 notice.at(f"{done} of {steps} steps")
                 count = min(AT_ONCE, steps - done)
@@ -160,7 +160,7 @@ class SceneCommand(RobotCommand):
         head = ",".join([*header, "kinetic", "potential"])
         text = io.StringIO()
         np.savetxt(text, table, "%.12g", ",", header=head, comments="")
-        write_whole(path, text.getvalue())
+        write_atomically({path: text.getvalue()})
 
 
 def effects_of(text: str, robot: Robot) -> list[effects.Effect]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from torchdq.base.files import write_together
+from torchdq.base.files import write_atomically
 from torchdq.errors import ArgumentError
 
 
@@ -21,7 +21,7 @@ def write(folder: Path, texts: Mapping[str, str]) -> list[Path]:
     files: dict[Path, str | bytes] = {folder / name: text.encode("ascii") for name, text in texts.items()}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        write_together(files)
+        write_atomically(files)
     except OSError as error:
         cause = error.strerror or error
         raise ArgumentError(

@@ -4,10 +4,10 @@
     # columns of other names: Layout(columns={"time": "stamp", "q": "position_{0}", "tau": ["shoulder", "elbow"]})
     # arrays: read({"time": t, "q": q, "qd": None, "tau": tau}); None: not recorded, smooth differentiates the positions
     train, test = (samples(part) for part in cut(motion, 0.6))
-    fit(model, train, epochs=100, checkpoint="run.pt")  # `training`: a plain loop that survives being killed
+    fit(model, train, steps=2000, checkpoint="run.pt")  # `training`: a plain loop that survives being killed
     fit_rollout(scene, Recording(time, q, {"torque": tau}), "Viscous.coefficient")  # parameters of a scene, by shooting
 
-Nothing here is imported by `import torchdq`; scipy, rich and tensorboard are imported by the functions that need them.
+Nothing here is imported by `import torchdq`; scipy is imported by the functions that need it.
 """
 
 from typing import TYPE_CHECKING
@@ -16,8 +16,8 @@ from torchdq.base.attributes import refusing
 from torchdq.learning.bodies.payload import IdentifiedPayload, identify_payload
 from torchdq.learning.bodies.posterior import Sampled, sample
 from torchdq.learning.evaluation.diagnostics import LogWarning
-from torchdq.learning.excitation.excite import Excitation, excite
 from torchdq.learning.excitation.limits import Box, HalfSpace, MotionLimits
+from torchdq.learning.excitation.trajectory import Excitation, excitation_trajectory
 from torchdq.learning.identification.identified import Identified, Prediction
 from torchdq.learning.identification.identify import identify
 from torchdq.learning.identification.model_selection import Ladder, Rung
@@ -29,9 +29,8 @@ from torchdq.learning.plots import plot_torques
 from torchdq.learning.rollout.fit import fit_rollout
 from torchdq.learning.rollout.recordings import Recording
 from torchdq.learning.rollout.result import RolloutFit
-from torchdq.learning.training.checkpoint import CheckpointError
-from torchdq.learning.training.fit import fit
-from torchdq.learning.training.run import History, TrainingError
+from torchdq.learning.training.fit import CheckpointError, History, fit
+from torchdq.learning.training.loop import TrainingError
 from torchdq.learning.with_residual import IdentifiedWithResidual
 
 __all__ = [
@@ -60,7 +59,7 @@ __all__ = [
     "TrainingError",
     "cut",
     "directions",
-    "excite",
+    "excitation_trajectory",
     "fit",
     "fit_rollout",
     "hold_out",

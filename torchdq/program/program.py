@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import reduce
 from typing import Any, NamedTuple
 
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.errors import NumberError
 from torchdq.numbers.functions import maximum
 from torchdq.numbers.ops import OPS, apply
@@ -150,7 +150,7 @@ def record(
 def recording(name: str) -> Iterator[Tape]:
     """Tape for a program; what takes long is announced, with the number of operations so far."""
     tape = Tape()
-    with Notice(f"recording {name}") as notice:
+    with Progress(f"recording {name}") as notice:
         notice.at(lambda: f"{len(tape.ops)} operations")
         yield tape
 

@@ -18,7 +18,7 @@ from torch import Tensor
 
 from torchdq.backends.choice import BackendName, choose
 from torchdq.base.checks import require_number
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.base.timing import medians
 from torchdq.effects import Gravity, RotorInertia
 from torchdq.errors import ArgumentError, UnknownNameError
@@ -116,7 +116,7 @@ def recommend_settings(
             "recommend keeps answers by the numbers of a scene, and a network of effects.Residual has none; "
             "ask about the scene without it, and halve dt until the motion with it stays the same"
         )
-    with torch.no_grad(), Notice(f"recommend for {scene.robot.name!r}") as notice:
+    with torch.no_grad(), Progress(f"recommend for {scene.robot.name!r}") as notice:
         if horizon is None:
             return _for_accelerations(scene.robot, error)
         budget = Budget(seconds, notice)

@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Hashable
 
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 
 ESSENTIAL = 2**11  # steps up to which a trajectory is computed even if the time is up, so that something is found
 
@@ -23,7 +23,7 @@ class Budget:
         notice: told what is being tried.
     """
 
-    def __init__(self, seconds: float = math.inf, notice: Notice | None = None):
+    def __init__(self, seconds: float = math.inf, notice: Progress | None = None):
         self.seconds = seconds
         self._notice = notice
         self._end = time.monotonic() + seconds

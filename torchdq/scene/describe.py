@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import dtype_of, require_count, require_number
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.base.timing import measure
 from torchdq.effects.effect import Effect
 from torchdq.robot import Robot
@@ -83,7 +83,7 @@ def describe(scene: Scene, batch: int, dtype: torch.dtype | str, seconds: float)
     if scene.controller is not None:
         scenes.append(scene)
         labels.append((type(scene.controller).__name__, "controller"))
-    with Notice(f"describe the scene of {scene.robot.name!r}") as notice:
+    with Progress(f"describe the scene of {scene.robot.name!r}") as notice:
         counts = [part.count().total for part in scenes]
         times = _times([partial(_step, part, batch, dtype) for part in scenes], batch, end, notice)
     costs = [
@@ -97,7 +97,7 @@ def describe(scene: Scene, batch: int, dtype: torch.dtype | str, seconds: float)
 
 
 def _times(
-    steps: Sequence[Callable[[], Callable[[], State]]], batch: int, end: float, notice: Notice
+    steps: Sequence[Callable[[], Callable[[], State]]], batch: int, end: float, notice: Progress
 ) -> list[list[float]]:
     """Times of steps that take turns [ns], one in each round; none of those that there was no time to compile."""
     calls: dict[str, Callable[[], object]] = {}

@@ -29,7 +29,7 @@ from torch import Tensor
 from torchdq.algebra.quaternion import Number
 from torchdq.base.attributes import refusing
 from torchdq.base.checks import require_count, require_number
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.dynamics.posed import Row
 from torchdq.errors import ArgumentError
 
@@ -287,7 +287,7 @@ class DormandPrince(Unrecorded):
         t = x.new_zeros(x.shape[:-1])
         h = torch.full_like(t, T / 16)
         failed = torch.zeros_like(t, dtype=torch.bool)
-        with Notice(f"steps of DormandPrince over {T:g} s") as notice:
+        with Progress(f"steps of DormandPrince over {T:g} s") as notice:
             for count in range(self.most):
                 notice.at(f"{count} of at most {self.most}")
                 going = ~failed & (t < T * (1 - floor))

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint as checkpointed
 
 from torchdq.base.checks import require_choice, require_count, require_tensor
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
 from torchdq.scene.initial_state import not_finite
@@ -47,7 +47,7 @@ def rollout(
             "lost='stop' reads values, which tensors have none of inside a transform, a trace or a graph"
         )
     start = scene.finite(state) if read else state.q.new_zeros((), dtype=torch.bool)
-    notice = Notice(f"rollout of {total} steps")
+    notice = Progress(f"rollout of {total} steps")
     if lost == "warn" and read and (unusable := not_finite(scene, state)):
         warnings.warn(unusable, stacklevel=3)
 

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import require_number
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.dynamics.posed import Row
 from torchdq.errors import ArgumentError
 from torchdq.scene.initial_state import not_finite
@@ -102,7 +102,7 @@ def check(scene: Scene, state: State, seconds: float, inputs: Mapping[str, Tenso
     integrator, times = scene.integrator, scene.substeps
     if isinstance(scene.integrator, Repeated):
         integrator, times = scene.integrator.integrator, scene.integrator.times
-    with Notice(f"checking {intervals} steps of a scene of robot {scene.robot.name!r}") as notice:
+    with Progress(f"checking {intervals} steps of a scene of robot {scene.robot.name!r}") as notice:
         growth, joint, lost = trial.run(integrator, times)
         found = Check(integrator, scene.dt / times, seconds, growth, joint, lost, ())
         if found.holds:

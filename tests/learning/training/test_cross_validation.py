@@ -10,13 +10,14 @@ from oracles import shipped
 from places import DATA, ROOT
 
 import torchdq
+import torchdq.learning.training.fit as fitting
 from torchdq.learning import LogWarning, Samples, cut, fit, identify, read, samples, smooth
-from torchdq.learning.training.run import Run
-from torchdq.learning.training.validation_gain import LEAST, LeftOut, decide
+from torchdq.learning.training.loop import Optimiser
+from torchdq.learning.training.validation_gain import LEAST, HeldOut, validation_gain
 
 F64 = torch.float64
 TWO = shipped("two_link").robot
-OPTIONS = {"batch": 128, "rate": 1e-2, "decay": 1e-2, "progress": False}
+OPTIONS = {"batch": 128, "rate": 1e-2, "decay": 1e-2}
 
 
 def motion(seed, friction, seconds=20.0, speed=1.0, noise=0.2, correlated=8):
@@ -65,24 +66,24 @@ def fitted():
 
 def test_a_residual_that_helps_is_kept_and_brings_the_error_down(fitted):
     model, history, _ = fitted
-    assert history.residual.kept and (history.residual.weight > 0.9).all()
+    assert history.residual.active and (history.residual.weight > 0.9).all()
     assert (history.residual.error < 0.5 * history.residual.without).all()
     test = motion(99, stribeck)
     assert (error(model, test) < 2 * 0.2).all() and (error(model.model, test) > 1.0).all()
 
 
-def test_the_history_tells_what_the_residual_is_worth(fitted):
+def test_the_history_shows_the_gain_of_the_residual(fitted):
     text = str(fitted[1])
-    assert "residual on left-out rows: kept" in text
+    assert "residual on held-out rows: active" in text
     assert [line.split()[0] for line in text.splitlines()[-2:]] == ["joint1", "joint2"]
 
 
 def test_a_residual_that_finds_nothing_is_silent():
     parts = [motion(k, nothing, seconds=6.0, noise=0.5) for k in range(4)]
     model = layer(parts)
-    with pytest.warns(LogWarning, match="the residual helps little on left-out rows at joint1, joint2"):
+    with pytest.warns(LogWarning, match="the residual helps little on held-out rows at joint1, joint2"):
         history = fit(model, parts, steps=200, **OPTIONS)
-    assert not history.residual.kept and not model.weight.any()
+    assert not history.residual.active and not model.weight.any()
     test = motion(99, nothing)
     assert torch.equal(model(*test[:3]), model.model(*test[:3]))
 
@@ -93,7 +94,7 @@ def test_a_joint_where_it_helps_has_it_and_the_other_has_little():
 
     parts = [motion(k, first, seconds=8.0, noise=0.3) for k in range(4)]
     model = layer(parts)
-    with pytest.warns(LogWarning, match="left-out rows at joint2,"):
+    with pytest.warns(LogWarning, match="held-out rows at joint2,"):
         fit(model, parts, steps=300, **OPTIONS)
     assert model.weight[0] > 0.8 and model.weight[1] < 0.5
 
@@ -131,10 +132,10 @@ def of_positions(seed, seconds, passes=1, speed=1.0):
 def test_three_seconds_are_too_few_independent_samples_for_a_network(seed):
     parts = [of_positions(seed, 3.0)]
     model = layer(parts)
-    with pytest.warns(LogWarning, match="for each left-out block are needed"):
-        worth = fit(model, parts, steps=150, **OPTIONS).residual
-    few = worth.independent < LEAST * worth.blocks
-    assert few.any() and not worth.weight[few].any() and not model.weight[few].any()
+    with pytest.warns(LogWarning, match="for each held-out block are needed"):
+        gain = fit(model, parts, steps=150, **OPTIONS).residual
+    few = gain.independent < LEAST * gain.blocks
+    assert few.any() and not gain.weight[few].any() and not model.weight[few].any()
     for k in range(3):
         test = of_positions(90 + k, 15.0)
         assert (error(model, test)[few] == error(model.model, test)[few]).all()
@@ -161,11 +162,11 @@ def test_regions_are_judged_by_themselves(sign, kept):
     def part(sign):
         residual = torch.randn(200, 2, generator=random, dtype=torch.float64)
         near = torch.zeros(200, model.domain.reach.shape[0], dtype=torch.float64)
-        return LeftOut(sign * residual, residual, near, torch.full_like(residual, -1.0), near)
+        return HeldOut(sign * residual, residual, near, torch.full_like(residual, -1.0), near)
 
-    worth = decide(model, [part(1.0) for _ in range(8)], [part(sign) for _ in range(2)], double(1.0, 1.0))
-    assert (worth.weight > 0).tolist() == [kept, kept]
-    assert ((worth.gains > worth.standard_errors) == kept).all()
+    gain = validation_gain(model, [part(1.0) for _ in range(8)], [part(sign) for _ in range(2)], double(1.0, 1.0))
+    assert (gain.weight > 0).tolist() == [kept, kept]
+    assert ((gain.gains > gain.standard_errors) == kept).all()
 
 
 def test_a_joint_that_does_not_gain_by_more_than_chance_has_no_weight():
@@ -173,25 +174,25 @@ def test_a_joint_that_does_not_gain_by_more_than_chance_has_no_weight():
     model = layer(parts)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        worth = fit(model, parts, steps=300, **OPTIONS).residual
-    chance = worth.gains <= worth.standard_errors
+        gain = fit(model, parts, steps=300, **OPTIONS).residual
+    chance = gain.gains <= gain.standard_errors
     assert chance.tolist() == [False, True]
     assert model.weight[0] > 0.8 and model.weight[1] == 0
-    assert "squares fall by" in str(worth)
+    assert "squares fall by" in str(gain)
 
 
 def test_too_few_rows_to_leave_any_out_keep_nothing_and_are_told():
     parts = [motion(0, stribeck, seconds=0.8)]
     model = layer(parts)
-    with pytest.warns(LogWarning, match="too few to leave blocks of them out"):
+    with pytest.warns(LogWarning, match="too few to hold blocks of them out"):
         history = fit(model, parts, steps=20, **OPTIONS)
-    assert not history.residual.kept and not model.weight.any()
+    assert not history.residual.active and not model.weight.any()
 
 
 def test_validation_samples_serve_instead_of_left_out_blocks():
     parts = [motion(k, stribeck) for k in range(2)]
     model = layer(parts)
-    history = fit(model, parts, motion(8, stribeck), steps=300, every=100, **OPTIONS)
+    history = fit(model, parts, motion(8, stribeck), steps=300, **OPTIONS)
     assert history.valid and (model.weight > 0.8).all() and model.posterior.measured
 
 
@@ -201,7 +202,7 @@ def test_a_network_of_ones_own_is_measured_too(inputs):
     network = torch.nn.Sequential(torch.nn.Linear(shape[0], 12), torch.nn.Tanh(), torch.nn.Linear(12, shape[1]))
     parts = [motion(k, stribeck, seconds=10.0) for k in range(3)]
     model = layer(parts, network=network, inputs=inputs)
-    assert fit(model, parts, steps=300, **OPTIONS).residual.kept
+    assert fit(model, parts, steps=300, **OPTIONS).residual.active
     found = model.predict(*parts[0][:3])
     assert found.tau.shape == found.error.shape == (500, 2) and (found.low < found.high).all()
 
@@ -212,7 +213,7 @@ def test_rows_of_motions_are_one_after_the_other_and_physics_takes_them_too():
     found = []
     for given in (parts, whole):
         model = torchdq.DQRNEA(TWO.replace(mass=1.2 * TWO.mass), learn=("mass",))
-        history = fit(model, given, steps=20, batch=64, progress=False)
+        history = fit(model, given, steps=20, batch=64)
         assert history.residual is None
         found.append(model.mass.detach())
     assert torch.equal(*found)
@@ -269,30 +270,32 @@ def test_the_error_of_the_weights_is_that_of_networks_trained_on_other_noise(fit
 
 @pytest.mark.parametrize("killed", [7, 30, 41])
 def test_a_killed_run_ends_with_the_same_bits(tmp_path, monkeypatch, killed):
+    """Killed before its first checkpoint, after one, and while the residual is measured."""
+    monkeypatch.setattr(fitting, "LOOK", 1)  # six batches of 128 rows make an epoch
     parts = [motion(k, stribeck, seconds=5.0) for k in range(3)]
-    options = {**OPTIONS, "steps": 40, "every": 10}
-    model = layer(parts)
+    model, again, options = layer(parts), layer(parts), {**OPTIONS, "steps": 40}
     fit(model, parts, **options)
-    advance = Run.advance
+    steps = [0]
 
-    def interrupted(self, rate):
-        if self.step == killed:
+    def counted(step):
+        if steps[0] == killed:
             raise KeyboardInterrupt
-        advance(self, rate)
+        steps[0] += 1
 
-    again = layer(parts)
+    epoch = Optimiser.epoch
     with monkeypatch.context() as patched:
-        patched.setattr(Run, "advance", interrupted)
-        try:
+        patched.setattr(
+            Optimiser, "epoch", lambda self, rows, error, say, *prior: epoch(self, rows, error, counted, *prior)
+        )
+        with pytest.raises(KeyboardInterrupt):
             fit(again, parts, checkpoint=tmp_path / "run.pt", **options)
-        except KeyboardInterrupt:
-            again = layer(parts)
-    with torch.random.fork_rng():
-        torch.manual_seed(123)
-        again.network.reset_parameters()
+    again = layer(parts)
+    if killed > 7:
+        with torch.random.fork_rng():
+            torch.manual_seed(123)
+            again.network.reset_parameters()
+    assert (tmp_path / "run.pt").exists()
     fit(again, parts, checkpoint=tmp_path / "run.pt", **options)
-    if killed < 10:
-        return  # nothing was saved: another start
     for name, x in model.state_dict().items():
         assert torch.equal(again.state_dict()[name], x), name
 
@@ -324,7 +327,7 @@ def test_a_real_panda_is_explained_better_within_honest_intervals():
         model.standardise(*train)
         history = fit(model, train, steps=250, **OPTIONS)
     spread = test.tau.std(0)
-    assert history.residual.kept
+    assert history.residual.active
     assert float((error(model, test) / spread).mean()) < 0.8 * float((error(physics, test) / spread).mean())
-    told = model.predict(*test[:3])
-    assert 0.93 < float(((test.tau >= told.low) & (test.tau <= told.high)).double().mean()) < 0.98
+    found = model.predict(*test[:3])
+    assert 0.93 < float(((test.tau >= found.low) & (test.tau <= found.high)).double().mean()) < 0.98

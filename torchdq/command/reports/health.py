@@ -21,7 +21,7 @@ from torchdq.backends.choice import backend
 from torchdq.backends.compiler import BuildError, compiler
 from torchdq.base import machine
 from torchdq.base.caches import clear_caches
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.errors import TorchdqError
 from torchdq.functions.compile import compile
 from torchdq.robot import shipped
@@ -65,7 +65,7 @@ def findings() -> list[Finding]:
     >>> {finding.state for finding in findings()} <= {"ok", "warning", "broken"}
     True
     """
-    with Notice("looking at the installation"):
+    with Progress("looking at the installation"):
         found = [_python(), _packages(), _optional(), _processor(), _threads()]
         for look in (_compiler, _cache, _gpu):
             found.append(_caught(look))

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchdq import floating, functional
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.base.tables import table
 from torchdq.errors import SingularInertiaError
 from torchdq.functions.catalogue import FLOATING, RECIPES, Function
@@ -71,7 +71,7 @@ def overview(robot: Robot) -> Overview:
     >>> "inverse_dynamics" in page and "largest growth" in page
     True
     """
-    with Notice(f"counting operations of robot {robot.name!r}") as notice:
+    with Progress(f"counting operations of robot {robot.name!r}") as notice:
         operations = {}
         for name in SHOWN:
             notice.at(name)

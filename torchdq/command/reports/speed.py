@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import dtype_of, require_count, require_number
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.base.timing import measure
 from torchdq.errors import SingularInertiaError
 from torchdq.functions.catalogue import FLOATING
@@ -61,7 +61,7 @@ def speeds(
         require_count("batches", batch)
     require_number("seconds", seconds, least=0)
     dtype = dtype_of("dtype", dtype)
-    with Notice(f"measuring the speed of {robot.name!r}") as notice:
+    with Progress(f"measuring the speed of {robot.name!r}") as notice:
         programs = _programs(robot.bake(), dtype, notice.at)
         found = []
         for batch in batches:

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import require_number
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.base.tables import table
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.dynamics.tree import BASE
@@ -149,7 +149,7 @@ def identify_payload(
     at = robot.end_effector() if frame is None else robot.frame(frame)
     if at.link == BASE:
         raise ArgumentError(f"frame must be one that a joint moves, found {at.name!r} on the base")
-    with torch.no_grad(), Notice("identifying the payload"):
+    with torch.no_grad(), Progress("identifying the payload"):
         alone = empty.predict(motions, qd, qdd).tau
         q, qd, qdd, tau = (x.cpu() for x in (rows.q, rows.qd, rows.qdd, rows.measured))
         Y = regressor(robot.to(DTYPE, "cpu"), q, qd, qdd)

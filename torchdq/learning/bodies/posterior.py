@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import require_count, require_number
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.base.tables import summary
 from torchdq.effects import Effect, Gravity, RotorInertia
 from torchdq.errors import ArgumentError
@@ -96,7 +96,7 @@ def sample(identified: Identified, n: int, most: float = 1.0, seed: int = 0) -> 
     require_count("seed", seed, 0)
     generator = torch.Generator().manual_seed(seed)
     draws = torch.randn(n, identified.spread.shape[1], dtype=DTYPE, generator=generator)
-    with torch.no_grad(), Notice(f"drawing robots from {identified.robot.name}") as notice:
+    with torch.no_grad(), Progress(f"drawing robots from {identified.robot.name}") as notice:
         space = _Space(identified, most)
         parts = []
         for i in range(0, n, TOGETHER):

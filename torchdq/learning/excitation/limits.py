@@ -181,9 +181,9 @@ class MotionLimits:
 
 
 def _wider(robot: Robot, found: Mapping[str, Tensor]) -> str:
-    """Words for limits [n] that are wider than those of the description, or than joints turn; "" for none."""
+    """Warning of limits [n] that are wider than those of the description, or than joints turn; "" for none."""
     described = {name: x.double().cpu() for name, x in robot.limits._asdict().items()}
-    told = list[str]()
+    wide = list[str]()
     for j, (joint, kind) in enumerate(zip(robot.joint_names, robot.joint_types, strict=True)):
         low, high = float(described["lower"][j]), float(described["upper"][j])
         low, high = max(low, -TURNS if kind.turns else low), min(high, TURNS if kind.turns else high)
@@ -191,15 +191,15 @@ def _wider(robot: Robot, found: Mapping[str, Tensor]) -> str:
         unit = "rad" if kind.turns else "m"
         if found["lower"][j] < low - slack or found["upper"][j] > high + slack:
             span = f"{float(found['lower'][j]):.4g} to {float(found['upper'][j]):.4g} {unit}"
-            told.append(f"{joint} {span} instead of {low:.3g} to {high:.3g}")
+            wide.append(f"{joint} {span} instead of {low:.3g} to {high:.3g}")
         fast = float(described["velocity"][j])
         fast = min(fast, FAST) if kind.turns else fast
         if found["velocity"][j] > WIDER * fast:
-            told.append(f"{joint} {float(found['velocity'][j]):.4g} {unit}/s instead of {fast:.3g}")
-    if not told:
+            wide.append(f"{joint} {float(found['velocity'][j]):.4g} {unit}/s instead of {fast:.3g}")
+    if not wide:
         return ""
     cure = "give radians and metres, or the robot's own limits, by None"
-    return f"limits are wider than those of the description: {', '.join(told)}; are they in degrees? {cure}"
+    return f"limits are wider than those of the description: {', '.join(wide)}; are they in degrees? {cure}"
 
 
 def _require_three(name: str, x: Any, finite: bool = True) -> None:

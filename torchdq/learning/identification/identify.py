@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import require_number
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.effects.friction import Friction
 from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics, require_finite
@@ -140,7 +140,7 @@ def identify(
     if not (gains or bool(known.all())):
         raise ArgumentError("tau of the motions must be torques, found efforts of unknown gains; give gains=True")
     left_out = blocks(rows) if friction == "choose" or prior is None else []
-    with torch.no_grad(), _solvable(rows.signals()), Notice(f"identifying {robot.name}") as notice:
+    with torch.no_grad(), _solvable(rows.signals()), Progress(f"identifying {robot.name}") as notice:
         drives = None
         if gains:
             motors = [ROTOR] * (armature or robot.armature is not None) + plain + [OFFSET] * (offset is True)

@@ -20,7 +20,7 @@ import numpy as np
 
 from torchdq.base import sources
 from torchdq.base.checks import require_number
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.base.tables import summary
 from torchdq.errors import ArgumentError
 from torchdq.learning.evaluation.diagnostics import LogWarning
@@ -117,7 +117,7 @@ def read(
         raise ArgumentError(f"rows must be a first row and a greater one after the last, whole numbers, found {rows!r}")
     if rate is not None:
         require_number("rate", rate, positive=True)
-    with Notice(f"reading {path}" if isinstance(path, str | PathLike) else "reading a log"):
+    with Progress(f"reading {path}" if isinstance(path, str | PathLike) else "reading a log"):
         table = _table(path, layout, rows)
         require_numbers(table)
         table = joint_side(table)

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from torchdq.base.checks import require_count, require_number
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.effects.actuator import Actuator
 from torchdq.errors import ArgumentError
 from torchdq.learning.evaluation.diagnostics import LogWarning
@@ -107,7 +107,7 @@ def fit_rollout(
     problem = Problem(StepMap(whole, tuple(data[0].inputs)), sought, data, pieces)
     named = ", ".join(part.name for part in sought.parts)
     # where a trial step loses the scene, its numbers are not finite
-    with torch.no_grad(), np.errstate(all="ignore"), Notice(f"fitting {named}") as notice:
+    with torch.no_grad(), np.errstate(all="ignore"), Progress(f"fitting {named}") as notice:
         end = _search(problem, problem.first(), iterations, notice)
         followed = end.at.gap <= NEARLY
         doubt = (end.ended or problem.uneven(end.at)) if followed else f"{end.ended}; {APART}"
@@ -138,7 +138,7 @@ class _Found(NamedTuple):
     ended: str  # reason why it ended early; "": it did not
 
 
-def _search(problem: Problem, at: Iterate, iterations: int, notice: Notice) -> _Found:
+def _search(problem: Problem, at: Iterate, iterations: int, notice: Progress) -> _Found:
     """Best iterate near one."""
     linear, tried, count = problem.linearised(at), [at], 0
     try:

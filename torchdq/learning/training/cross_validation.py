@@ -1,163 +1,86 @@
-"""Copies of a residual network that are trained without some rows, and what they say about those.
+"""Cross-validation of a residual network: copies of it are trained without some rows, and predict those.
 
-The rows are left out in blocks (`blocks`), and the blocks in a few groups; for each group a copy of the network, with
+The rows are held out in blocks (`blocks`), and the blocks in a few groups; for each group a copy of the network, with
 new weights, is trained on the other rows for as many steps. The physical model stays as it is. A motion that repeats
 itself shows a copy the states of its block in another part, so where there are fewer than three motions, regions of the
-states are left out, too (`regions`). What the copies say about the rows that they have not seen decides what the
-network is worth (`worth`). With validation samples, on which the network was not trained, no copies are needed.
+states are held out, too (`regions`). The predictions for held-out rows decide how far the network is trusted
+(`validation_gain`). With validation samples, on which the network was not trained, no copies are needed.
 """
 
 from __future__ import annotations
 
 import copy
-import functools
-import math
-import warnings
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
-from torchdq.base.progress import Notice
+from torchdq.base.progress import Progress
 from torchdq.layers.residual import Domain, Posterior, ResidualDynamics
 from torchdq.layers.residual.networks import perceptrons
 from torchdq.learning.evaluation.blocks import MotionRows, blocks, regions
 from torchdq.learning.evaluation.correlation import correlation_times
-from torchdq.learning.evaluation.diagnostics import LogWarning
 from torchdq.learning.logs.samples import Samples, torque_variance
-from torchdq.learning.training.validation_gain import LEAST, LeftOut, Worth, decide
+from torchdq.learning.training.loop import Optimiser, Training, learned, seeded
+from torchdq.learning.training.validation_gain import HeldOut, ValidationGain, validation_gain
 
-GROUPS = 5  # groups of blocks, each left out by one copy of the network
+GROUPS = 5  # groups of blocks, each held out from one copy of the network
 ROWS = 4096  # rows that are computed at a time
 
 
-class Training(NamedTuple):
-    """How the network was trained."""
-
-    steps: int
-    batch: int
-    rate: float
-    decay: float
-    seed: int
-
-
-def measure(
-    model: ResidualDynamics, train: Samples, lengths: Sequence[int], valid: Samples | None, how: Training
-) -> Worth:
-    """Worth of a trained residual; its domain, bound, weights and errors are set from it.
+def cross_validation(
+    model: ResidualDynamics, train: Samples, lengths: Sequence[int], valid: Samples | None, training: Training
+) -> ValidationGain:
+    """Gain of a trained residual on held-out rows; its domain, bound, weights and errors are set from it.
 
     Args:
         model: trained on `train`, with an open gate and weights one.
         train: rows in the order of time, motion after motion.
         lengths: rows of each motion.
-        valid: rows that it was not trained on; None: blocks of `train` are left out.
-        how: the training that the copies repeat.
+        valid: rows that it was not trained on; None: blocks of `train` are held out.
+        training: the training that the copies repeat.
     """
     was_training = model.training
     model.eval()
     try:
-        rows = _rows(model, train)
-        correlation = correlation_times(rows[1], lengths).to(rows[1])
+        x, residual = _inputs_and_residuals(model, train)
+        correlation = correlation_times(residual, lengths).to(residual)
+        own = _Copy(model, model.network, model.domain, model.posterior)
         with torch.no_grad():
-            model.cover(*rows)
-            learn_posterior(model, model.network, model.posterior, rows, correlation)
+            model.cover(x, residual)
+            own.learn_posterior(x, residual, correlation)
+        regional: list[HeldOut] = []
         if valid is None:
-            with Notice("measuring the residual on left-out rows") as notice:
-                left, apart = _by_copies(model, train, rows, lengths, correlation, how, notice)
+            copies = _Copies(model, x, residual, torque_variance(train.tau).to(x), correlation, training)
+            with Progress("measuring the residual on held-out rows") as progress:
+                held_out, regional = copies.predictions(_motion_rows(train, lengths), progress)
         else:
-            x, residual = _rows(model, valid)
-            parts = [block.rows for block in blocks(_motion_rows(valid, (len(valid.q),)))]
-            see = functools.partial(_seen_by, model, model.network, model.domain, model.posterior)
-            left, apart = [see(x[rows], residual[rows]) for rows in parts], []
+            x, residual = _inputs_and_residuals(model, valid)
+            parts = blocks(_motion_rows(valid, (len(valid.q),)))
+            held_out = [own.predictions(x[block.rows], residual[block.rows]) for block in parts]
         with torch.no_grad():
-            return decide(model, left, apart, torque_variance(train.tau).double())
+            return validation_gain(model, held_out, regional, torque_variance(train.tau).double())
     finally:
         model.train(was_training)
 
 
-def beside_fixed_physics(model: ResidualDynamics, train: Samples) -> Callable[[Tensor], Tensor]:
+def with_fixed_physics(model: ResidualDynamics, train: Samples) -> Callable[[Tensor], Tensor]:
     """Torques of rows of `train` as a function of the rows, with those of the physical model computed here."""
-    x, residual = _rows(model, train)
-    described = train.tau - residual.to(train.tau)
-    return lambda rows: described[rows] + model.of_scaled(x[rows]).to(described)
+    x, residual = _inputs_and_residuals(model, train)
+    physical = train.tau - residual.to(train.tau)
+    return lambda rows: physical[rows] + model.of_scaled(x[rows]).to(physical)
 
 
-def tell(worth: Worth) -> None:
-    """Warn where the residual does not help, or the rows are too few to say so."""
-    if math.isinf(float(worth.standard_errors.amax())):
-        warnings.warn(
-            "the rows are too few to leave blocks of them out, so that nothing is known about the residual where it "
-            "was not trained: it is not kept, its weight is 0; record some tens of seconds",
-            LogWarning,
-            stacklevel=3,
-        )
-        return
-    named = list(zip(worth.joints, worth.weight.tolist(), worth.independent.tolist(), strict=True))
-    few = [f"{name} ({math.floor(count)})" for name, _, count in named if count < LEAST * worth.blocks]
-    if few:
-        warnings.warn(
-            f"the residual has no weight at {', '.join(few)}: its rows say as much as so many independent "
-            f"samples there, and {LEAST} for each left-out block are needed, {LEAST * worth.blocks}; record longer",
-            LogWarning,
-            stacklevel=3,
-        )
-    poor = [name for name, weight, count in named if weight < 0.5 and count >= LEAST * worth.blocks]
-    if poor:
-        warnings.warn(
-            f"the residual helps little on left-out rows at {', '.join(poor)}, and acts there with weights below 0.5 "
-            "or not at all; record more and other motions, or improve the model below it",
-            LogWarning,
-            stacklevel=3,
-        )
-
-
-def _rows(model: ResidualDynamics, samples: Samples) -> tuple[Tensor, Tensor]:
-    """Scaled features [rows, groups, features], and torques [rows, n] that the model leaves."""
+def _inputs_and_residuals(model: ResidualDynamics, samples: Samples) -> tuple[Tensor, Tensor]:
+    """Scaled features [rows, groups, features] of the network, and torques [rows, n] that the model leaves."""
     features, residuals = [], []
     with torch.no_grad():
-        for part in zip(*(x.split(ROWS) for x in samples), strict=True):
-            q, qd, qdd, tau = part
-            described = model.model(q, qd, qdd)
-            features.append(model.scaled(model.features(q, qd, qdd, described)))
-            residuals.append((tau - described).double())
+        for q, qd, qdd, tau in zip(*(x.split(ROWS) for x in samples), strict=True):
+            physical = model.model(q, qd, qdd)
+            features.append(model.scaled(model.features(q, qd, qdd, physical)))
+            residuals.append((tau - physical).double())
     return torch.cat(features), torch.cat(residuals)
-
-
-def learn_posterior(
-    model: ResidualDynamics, network: nn.Module, posterior: Posterior, rows: tuple[Tensor, Tensor], correlation: Tensor
-) -> None:
-    """Posterior of a network's last layer, given its rows; nothing if the layer is not known."""
-    inner = perceptrons(network)
-    if inner is None:
-        return
-    x, residual = rows
-    left = _by_parts(lambda x: model.ungated(x, network), x) - residual
-    last = inner.weights[-1].detach().double()
-    spread = last.square().mean(-1).reshape(-1) * model.torque_scale.to(last).square()  # variance of a weight
-    ridge = (left.square().mean(0) * correlation) / spread.clamp_min(1e-12 * float(model.torque_scale.max()) ** 2)
-    groups = posterior.root.shape[0]
-    posterior.learn(_by_parts(lambda x: inner.last_hidden(model.within_range(x)), x), ridge.reshape(groups, -1).mean(1))
-
-
-def _seen_by(
-    model: ResidualDynamics, network: nn.Module, domain: Domain, posterior: Posterior, x: Tensor, residual: Tensor
-) -> LeftOut:
-    """`LeftOut` of a network and rows that it was not trained on."""
-    inner = perceptrons(network)
-    with torch.no_grad():
-        torque = _by_parts(lambda x: model.ungated(x, network), x)
-        distance = _by_parts(lambda x: domain.squared_distance(model.of_state(x)), x)
-        past = _by_parts(lambda x: model.past_torque(model.of_torque(x)), x)
-        leverage = torch.zeros_like(distance)
-        if inner is not None:
-            leverage = _by_parts(lambda x: posterior.leverage(inner.last_hidden(model.within_range(x))), x)
-    return LeftOut(torque, residual, distance, past, leverage)
-
-
-def _by_parts(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
-    """Values of a function of rows, as float64."""
-    return torch.cat([function(part).double() for part in x.split(ROWS)])
 
 
 def _motion_rows(samples: Samples, lengths: Sequence[int]) -> MotionRows:
@@ -165,75 +88,98 @@ def _motion_rows(samples: Samples, lengths: Sequence[int]) -> MotionRows:
     return MotionRows(q, qd, qdd, tuple(lengths), tau)
 
 
-def _by_copies(
-    model: ResidualDynamics,
-    train: Samples,
-    rows: tuple[Tensor, Tensor],
-    lengths: Sequence[int],
-    correlation: Tensor,
-    how: Training,
-    notice: Notice,
-) -> tuple[list[LeftOut], list[LeftOut]]:
-    """Torques that copies find for blocks, in the order of time, and for regions, trained without those."""
-    recording = _motion_rows(train, lengths)
-    found, (x, residual) = blocks(recording), rows
-    scale = torque_variance(train.tau).to(x)
-    halves = [half.cpu() for pair in regions(recording) for half in pair] if found else []
-    groups = min(GROUPS, len(found))
+def _by_parts(function: Callable[[Tensor], Tensor], x: Tensor) -> Tensor:
+    """Values of a function of rows, as float64."""
+    return torch.cat([function(part).double() for part in x.split(ROWS)])
 
-    def without(unused: Sequence[slice | Tensor], shown: Sequence[slice | Tensor], k: int) -> list[LeftOut]:
-        """Torques that a copy finds for some rows, trained without others."""
-        used = torch.ones(len(x), dtype=torch.bool)
-        for some in unused:
-            used[some] = False
-        seen = used.nonzero()[:, 0].to(x.device)
-        number = k + 1 if k < GROUPS else groups + k - GROUPS + 1
-        say = notice.within(f"network {number} of {groups + len(halves)}")
-        network = _trained(model, x, residual, scale, seen, how._replace(seed=how.seed + k), say)
-        domain, posterior = copy.deepcopy(model.domain), copy.deepcopy(model.posterior)
+
+@dataclass(frozen=True)
+class _Copy:
+    """Network, with the domain and the posterior of the rows that it was trained on."""
+
+    model: ResidualDynamics
+    network: nn.Module
+    domain: Domain
+    posterior: Posterior
+
+    def learn_posterior(self, x: Tensor, residual: Tensor, correlation: Tensor) -> None:
+        """Set the posterior of the last layer from training rows; nothing if the layer is not known."""
+        inner = perceptrons(self.network)
+        if inner is None:
+            return
+        left = _by_parts(lambda x: self.model.ungated(x, self.network), x) - residual
+        last, scale = inner.weights[-1].detach().double(), self.model.torque_scale
+        spread = last.square().mean(-1).reshape(-1) * scale.to(last).square()  # variance of a weight
+        ridge = (left.square().mean(0) * correlation) / spread.clamp_min(1e-12 * float(scale.max()) ** 2)
+        hidden = _by_parts(lambda x: inner.last_hidden(self.model.within_range(x)), x)
+        self.posterior.learn(hidden, ridge.reshape(len(self.posterior.root), -1).mean(1))
+
+    @torch.no_grad()
+    def predictions(self, x: Tensor, residual: Tensor) -> HeldOut:
+        """Torques for rows that it was not trained on, and how far these are from those that it was trained on."""
+        model, inner = self.model, perceptrons(self.network)
+        torque = _by_parts(lambda x: model.ungated(x, self.network), x)
+        distance = _by_parts(lambda x: self.domain.squared_distance(model.of_state(x)), x)
+        past = _by_parts(lambda x: model.past_torque(model.of_torque(x)), x)
+        leverage = torch.zeros_like(distance)
+        if inner is not None:
+            leverage = _by_parts(lambda x: self.posterior.leverage(inner.last_hidden(model.within_range(x))), x)
+        return HeldOut(torque, residual, distance, past, leverage)
+
+
+@dataclass(frozen=True)
+class _Copies:
+    """Copies of the network of a model, trained on some of the rows."""
+
+    model: ResidualDynamics
+    x: Tensor  # [rows, groups, features]
+    residual: Tensor  # [rows, n]
+    variance: Tensor  # [n] of the torques
+    correlation: Tensor  # [n]
+    training: Training
+
+    def predictions(self, motions: MotionRows, progress: Progress) -> tuple[list[HeldOut], list[HeldOut]]:
+        """Predictions for blocks, in the order of time, and for regions, by copies trained without those."""
+        found = blocks(motions)
+        halves = [half.cpu() for pair in regions(motions) for half in pair] if found else []
+        groups = min(GROUPS, len(found))
+
+        def say(number: int) -> Callable[[str], None]:
+            return progress.within(f"network {number + 1} of {groups + len(halves)}")
+
+        held_out: dict[int, HeldOut] = {}
+        for k in range(groups):
+            unused = [rows for block in found[k::GROUPS] for rows in (block.rows, *block.beside)]
+            trained = self._trained_without(unused, k, say(k))
+            for block in found[k::GROUPS]:
+                held_out[block.rows.start] = trained.predictions(self.x[block.rows], self.residual[block.rows])
+        regional = []
+        for k, half in enumerate(halves):
+            trained = self._trained_without([half], GROUPS + k, say(groups + k))
+            regional.append(trained.predictions(self.x[half], self.residual[half]))
+        return [held_out[start] for start in sorted(held_out)], regional
+
+    def _trained_without(self, unused: Sequence[slice | Tensor], number: int, say: Callable[[str], None]) -> _Copy:
+        """Copy with new weights, trained on the other rows; its seed follows from its number."""
+        used = torch.ones(len(self.x), dtype=torch.bool)
+        for rows in unused:
+            used[rows] = False
+        seen = used.nonzero()[:, 0].to(self.x.device)
+        model, training = self.model, self.training._replace(seed=self.training.seed + number)
+        network, target = copy.deepcopy(model.network).train(), self.residual.to(self.x)
+
+        def error(rows: Tensor) -> Tensor:
+            return ((model.ungated(self.x[rows], network) - target[rows]).square() / self.variance).mean()
+
+        with seeded(self.x.device, training.seed), torch.enable_grad():
+            for part in network.modules():
+                if callable(reset := getattr(part, "reset_parameters", None)):
+                    reset()
+            optimiser = Optimiser(learned(network), training)
+            while optimiser.step < training.steps:
+                optimiser.epoch(seen, error, say)
+        trained = _Copy(model, network.eval(), copy.deepcopy(model.domain), copy.deepcopy(model.posterior))
         with torch.no_grad():
-            domain.cover(model.of_state(x[seen]))
-            learn_posterior(model, network, posterior, (x[seen], residual[seen]), correlation)
-        return [_seen_by(model, network, domain, posterior, x[some], residual[some]) for some in shown]
-
-    left: dict[int, LeftOut] = {}
-    for k in range(groups):
-        mine = found[k::GROUPS]
-        unused = [some for block in mine for some in (block.rows, *block.beside)]
-        parts = without(unused, [block.rows for block in mine], k)
-        left |= {block.rows.start: part for block, part in zip(mine, parts, strict=True)}
-    apart = [part for k, half in enumerate(halves) for part in without([half], [half], GROUPS + k)]
-    return [left[start] for start in sorted(left)], apart
-
-
-def _trained(
-    model: ResidualDynamics,
-    x: Tensor,
-    residual: Tensor,
-    variance: Tensor,
-    seen: Tensor,
-    how: Training,
-    say: Callable[[str], None],
-) -> nn.Module:
-    """Copy of the network with new weights, trained on rows of scaled features and what the model leaves there."""
-    network = copy.deepcopy(model.network).train()
-    target = residual.to(x)
-    with torch.random.fork_rng([x.device] if x.device.type == "cuda" else []), torch.enable_grad():
-        torch.manual_seed(how.seed)
-        for part in network.modules():
-            if callable(reset := getattr(part, "reset_parameters", None)):
-                reset()
-        learned = [p for p in network.parameters() if p.requires_grad]
-        optimiser = torch.optim.AdamW(learned, lr=how.rate, weight_decay=how.decay)
-        for step in range(how.steps):
-            say(f"step {step + 1} of {how.steps}")
-            at = step * how.batch % len(seen)
-            if at < how.batch:
-                order = seen[torch.randperm(len(seen)).to(seen.device)]
-            rows = order[at : at + how.batch]
-            for group in optimiser.param_groups:
-                group["lr"] = how.rate / 2 * (1 + math.cos(math.pi * step / how.steps))
-            optimiser.zero_grad()
-            ((model.ungated(x[rows], network) - target[rows]).square() / variance).mean().backward()
-            optimiser.step()
-    return network.eval()
+            trained.domain.cover(model.of_state(self.x[seen]))
+            trained.learn_posterior(self.x[seen], self.residual[seen], self.correlation)
+        return trained

@@ -1,38 +1,74 @@
-"""Fitting a model of joint torques to samples: a training loop that a killed process can resume.
+"""Fitting a model of joint torques to samples: a training loop that goes on where it was interrupted.
 
-    history = fit(model, train, valid, epochs=200, patience=10, checkpoint="run.pt", progress=True)
+    history = fit(model, train, valid, steps=2000, checkpoint="run.pt")
 
 A run that is killed at any moment and called again with the same arguments continues from its last checkpoint; on a CPU
-the weights come out the same to the last bit. Started by `torchrun`, the same call shares every batch among the
-processes.
+the weights come out the same to the last bit. Several processes, progress bars and curves are a trainer's: a model of
+torchdq is a `torch.nn.Module`, which any trainer takes.
 """
 
 import inspect
+import io
 import math
-import os
+import textwrap
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
-from torchdq.base.checks import require_choice, require_count, require_number
-from torchdq.errors import ArgumentError
+from torchdq.base.checks import require_count, require_number
+from torchdq.base.files import write_atomically
+from torchdq.base.progress import Progress
+from torchdq.base.tables import table
+from torchdq.errors import ArgumentError, TorchdqError
 from torchdq.layers.residual import ResidualDynamics
 from torchdq.learning.evaluation.diagnostics import LogWarning, doubts
-from torchdq.learning.logs.samples import Samples, of_motions, validated
-from torchdq.learning.training import checkpoint as checkpoints
-from torchdq.learning.training import cross_validation as left_out
-from torchdq.learning.training.distributed import team
-from torchdq.learning.training.progress import Progress
-from torchdq.learning.training.run import History, Run
+from torchdq.learning.logs.samples import Samples, of_motions, torque_variance, validated
+from torchdq.learning.training.cross_validation import cross_validation, with_fixed_physics
+from torchdq.learning.training.loop import Optimiser, Training, TrainingError, learned, seeded
+from torchdq.learning.training.validation_gain import ValidationGain, warn_of_little_gain
 from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics
 from torchdq.robot import Robot
-from torchdq.robot.robot import batches
+from torchdq.robot.robot import SHAPES, batches
+
+VALIDATION_ROWS = 4096  # rows of the validation data computed at a time
+LOOK = 100  # least steps between two evaluations
+ROWS = 10  # rows of a history that are printed
+
+
+class CheckpointError(TorchdqError, RuntimeError):
+    """Checkpoint that is damaged, or of another model, other data or other settings."""
+
+
+@dataclass
+class History:
+    """Course of a run, with an entry for every evaluation: after an epoch, or as many as make 100 steps."""
+
+    step: list[int] = field(default_factory=list)  # steps done
+    # error on the batches since the last evaluation: mean over joints of squared error / variance of the torque
+    train: list[float] = field(default_factory=list)
+    valid: list[float] = field(default_factory=list)  # error on the validation data; empty without such data
+    residual: ValidationGain | None = None  # what a residual network gains on held-out rows, once the run has ended
+
+    @property
+    def best_step(self) -> int:
+        """Step of the weights that the model has in the end: of the least `valid`, or the last one."""
+        return self.step[self.valid.index(min(self.valid)) if self.valid else -1]
+
+    def __str__(self) -> str:
+        if not self.step:
+            return "no steps"
+        shown = sorted({round(k * (len(self.step) - 1) / (ROWS - 1)) for k in range(ROWS)})
+        errors = {"train": self.train, **({"valid": self.valid} if self.valid else {})}
+        rows = [(str(self.step[k]), *(f"{error[k]:.3g}" for error in errors.values())) for k in shown]
+        title = f"{self.step[-1]} steps, weights of step {self.best_step}"
+        gain = "" if self.residual is None else f"\n\n{self.residual}"
+        return f"{title}\n\n{table(('step', *errors), rows)}{gain}"
 
 
 def fit(
@@ -40,50 +76,40 @@ def fit(
     train: Samples | Sequence[Samples],
     valid: Samples | None = None,
     *,
-    steps: int | None = None,
-    epochs: int | None = None,
+    steps: int,
     batch: int = 256,
     rate: float = 1e-3,
     decay: float = 0.0,
     prior: float = 0.0,
     seed: int = 0,
-    patience: int | None = None,
-    every: int | None = None,
     checkpoint: str | Path | None = None,
-    tensorboard: str | Path | None = None,
-    progress: bool | None = None,
 ) -> History:
     """History of a fit of a model's parameters, which are changed in place.
 
     The loss is the mean over joints of squared torque error / variance of the joint's torque in `train`, plus
     `prior` * `model.prior()` if the model has a prior. AdamW, its rate falling to zero along half a cosine; every epoch
-    goes through all rows in a new order. Under `torchrun` every process calls this with the same arguments: each takes
-    its share of every batch, and all end with the weights that one process would find, but for rounding.
+    goes through all rows in a new order. An evaluation on `valid` and a checkpoint follow every epoch, or as many as
+    make 100 steps.
 
     The network of a `ResidualDynamics` is then measured on rows that it was not trained on: `valid`, or blocks of
     `train` that copies of it are trained without, and regions of the states where there are fewer than three motions.
     There are at most nine copies. Where the network may act, with what weight at each joint, and the errors of
     `predict` follow from that. A joint gets no weight unless its squared error falls by more than one standard error,
-    on rows that say as much as two independent ones for each block. `History.residual` tells, a `LogWarning` names
-    joints where it helps little and those with too few rows.
+    on rows that say as much as two independent ones for each block. `History.residual` holds the gains, a `LogWarning`
+    names joints where it helps little and those with too few rows.
 
     Args:
-        model: called as model(q, qd, qdd), returns tau [N, n] [N m]; lies on the device to compute on, which under
-            `torchrun` is another one for every process.
+        model: called as model(q, qd, qdd), returns tau [N, n] [N m]; lies on the device to compute on.
         train: samples to fit, [N, n], or one for each motion. Their order means something for a `ResidualDynamics`
-            alone: that of time, of which contiguous blocks are left out, or whole motions if there are three.
-        valid: samples to choose by: the model is left with the weights of the least error on them.
-        steps, epochs: length of the run, one of the two.
-        batch: rows per step, over all processes.
+            alone: that of time, of which contiguous blocks are held out, or whole motions if there are three.
+        valid: samples to choose by: the model has the weights of the least error on them in the end.
+        steps: number of batches to train on.
+        batch: rows per step.
         rate: first learning rate.
         decay: weight decay of AdamW; it pulls parameters to zero, which suits networks, not masses.
         prior: weight of `model.prior()`.
         seed: seed of the order of the rows, and of torch's generators while the model runs.
-        patience: evaluations without a better `valid` after which to stop; None: never.
-        every: steps from one evaluation on `valid` and one checkpoint to the next; None: an epoch.
         checkpoint: file to save the run in, and to resume it from if it is there.
-        tensorboard: folder to log the losses and the rate to, for TensorBoard.
-        progress: show a progress bar; None: lines on stderr once the run takes more than two seconds; False: nothing.
     Raises:
         ArgumentError: an argument has the wrong shape or value, or the model has nothing to learn.
         TrainingError: the loss or a gradient is not finite; the checkpoint is left as it was.
@@ -99,140 +125,190 @@ def fit(
     >>> bool((model.robot.mass / robot.mass - 1).abs().max() < 0.01)
     True
     """
-    if not isinstance(model, nn.Module):
-        cure = '; torchdq.DQRNEA(robot, learn=("mass",)) is one' if isinstance(model, Robot) else ""
-        raise ArgumentError(f"model must be a torch module of torques, found {type(model).__name__}{cure}")
+    # its ten arguments are the data and plain numbers of one training, which a value would only wrap
+    parameters = _parameters(model)
     train, lengths = of_motions("train", train)
     valid = None if valid is None else validated("valid", valid)
-    parameters = {name: p for name, p in model.named_parameters() if p.requires_grad}
-    if not parameters:
-        raise ArgumentError("model has no parameters to fit; name tensors of the robot in its learn=(...)")
-    _require_torques(model)
     if valid is not None and valid.q.shape[1] != train.q.shape[1]:
         raise ArgumentError(f"valid must have the {train.q.shape[1]} joints of train, found {valid.q.shape[1]}")
-    if valid is None and patience is not None:
-        raise ArgumentError("patience needs samples in valid to wait for; found none")
-    require_count("batch", batch)
-    require_count("seed", seed, least=0)
-    for name, count in {"steps": steps, "epochs": epochs, "patience": patience, "every": every}.items():
-        if count is not None:
-            require_count(name, count)
+    for name, count, least in (("steps", steps, 1), ("batch", batch, 1), ("seed", seed, 0)):
+        require_count(name, count, least=least)
     require_number("rate", rate, positive=True)
     for name, weight in {"decay": decay, "prior": prior}.items():
         require_number(name, weight, least=0)
-    rate, decay, prior = float(rate), float(decay), float(prior)  # checkpoints hold no numbers of numpy
-    require_choice("progress", progress, (None, True, False))
-    if (steps is None) == (epochs is None):
-        raise ArgumentError(f"one of steps and epochs must be given, found steps={steps} and epochs={epochs}")
-    per_epoch = -(-len(train.q) // batch)
-    last, every = steps or (epochs or 0) * per_epoch, every or per_epoch
-
+    training = Training(steps, batch, float(rate), float(decay), seed)
     device = next(iter(parameters.values())).device
     train, valid = train.to(device), None if valid is None else valid.to(device)
-    path = _checkpoint(checkpoint)
-    identity: dict[str, Any] = {}
-    if path is not None:
-        identity = checkpoints.described(model)
-        identity |= {"train": train.fingerprint(), "valid": valid and valid.fingerprint(), "steps": last}
-        identity |= {"batch": batch, "rate": rate, "decay": decay, "prior": prior, "seed": seed}
-        identity |= {"patience": patience, "every": every}
-
     residual = model if isinstance(model, ResidualDynamics) else None
-    if residual is not None:
-        residual.open()
     was_training = model.training
     try:
-        with team(device) as ours, _own_randomness(device, seed), torch.enable_grad():
-            run = Run(model, parameters, train, ours, path, batch, prior, decay, seed)
-            if ours.leads and (doubt := _doubts(model, train)):
-                warnings.warn(doubt, LogWarning, stacklevel=2)
-            run.resume(identity, last)
-            if residual is not None and not any(p.requires_grad for p in residual.model.parameters()):
-                run.known = left_out.beside_fixed_physics(residual, train)
-            bar = progress if ours.leads else False
-            with Progress(last, run.step, tensorboard if ours.leads else None, bar) as shown, _stoppable(run, last):
-                while run.step < last and not run.history.stopped_early:
-                    rate_now = rate / 2 * (1 + math.cos(math.pi * run.step / last))
-                    run.advance(rate_now)
-                    if run.step % every == 0 or run.step == last:
-                        run.evaluate(valid, patience)
-                        if path is not None and ours.leads:
-                            checkpoints.write(path, {"identity": checkpoints.still(identity, model), **run.state()})
-                        shown.evaluation(run.history, rate_now)
-                    shown.step(run.step)
-            if run.best is not None:
-                model.load_state_dict(run.best)
+        with seeded(device, seed), torch.enable_grad():
+            _warn_of(model, train)
             if residual is not None:
-                how = left_out.Training(run.step, batch, rate, decay, seed)
-                worth = left_out.measure(residual, train, lengths, valid, how) if ours.leads else None
-                state = residual.state_dict() if ours.size > 1 else None
-                run.history.residual, state = ours.broadcast((worth, state))
-                if state is not None:
-                    residual.load_state_dict(state)
+                residual.open()
+            run = _Run(model, Optimiser(parameters, training), train, valid, float(prior))
+            run.train(None if checkpoint is None else Path(checkpoint))
+            if residual is not None:
+                run.history.residual = cross_validation(residual, train, lengths, valid, training)
     finally:
         model.train(was_training)
-    if run.history.residual is not None and ours.leads:
-        left_out.tell(run.history.residual)
+    if run.history.residual is not None:
+        warn_of_little_gain(run.history.residual)
     return run.history
 
 
-def _require_torques(model: nn.Module) -> None:
-    """Raise unless a model takes motions and may return torques."""
+class _Run:
+    """Model, its data, and what a checkpoint holds: weights, optimiser, best weights and history."""
+
+    def __init__(self, model: nn.Module, optimiser: Optimiser, train: Samples, valid: Samples | None, prior: float):
+        self.model, self.optimiser, self.samples, self.valid, self.prior = model, optimiser, train, valid, prior
+        self.variance = torque_variance(train.tau)
+        self.history = History()
+        self.best: dict[str, Any] | None = None  # weights of the least error on the validation data
+        self.torques: Callable[[Tensor], Tensor] = lambda rows: model(*(x[rows] for x in train[:3]))
+        if isinstance(model, ResidualDynamics) and not learned(model.model):
+            self.torques = with_fixed_physics(model, train)
+
+    def train(self, path: Path | None) -> None:
+        """Train, from the checkpoint if there is one, and leave the model with the best weights."""
+        identity = {} if path is None else self._identity()
+        if path is not None and path.exists():
+            self._resume(path, identity)
+        weigh: Callable[[], Tensor] | None = getattr(self.model, "prior", None) if self.prior else None
+        prior = None if weigh is None else lambda: self.prior * weigh()
+        optimiser, rows = self.optimiser, torch.arange(len(self.samples.q), device=self.samples.q.device)
+        epochs = -(-LOOK // -(-len(rows) // optimiser.training.batch))
+        shown = "no evaluation yet"
+        with Progress("fitting") as progress:
+            while optimiser.step < optimiser.training.steps:
+                self.model.train()
+                say = progress.within(shown)
+                losses = [loss for _ in range(epochs) for loss in optimiser.epoch(rows, self._error, say, prior)]
+                self.history.train.append(sum(losses) / len(losses))
+                self.history.step.append(optimiser.step)
+                self._validate()
+                errors = {"train": self.history.train, "valid": self.history.valid}
+                shown = ", ".join(f"{name} {error[-1]:.3g}" for name, error in errors.items() if error)
+                if path is not None:
+                    content = io.BytesIO()
+                    torch.save({"identity": identity, **self._state()}, content)
+                    path.parent.mkdir(parents=True, exist_ok=True)
+                    write_atomically({path: content.getvalue()})
+        if self.best is not None:
+            self.model.load_state_dict(self.best)
+
+    def _error(self, rows: Tensor) -> Tensor:
+        """Error of a batch."""
+        error = self._weighted(self.torques(rows), self.samples.tau[rows])
+        if not error.requires_grad:
+            raise ArgumentError("the torques of the model do not depend on its parameters; nothing can be fitted")
+        return error
+
+    def _weighted(self, predicted: Tensor, tau: Tensor) -> Tensor:
+        """Mean squared error over the variance of each joint."""
+        if predicted.shape != tau.shape:
+            raise ArgumentError(f"model must return torques {list(tau.shape)}, found {list(predicted.shape)}")
+        return ((predicted - tau).square() / self.variance).mean()
+
+    def _validate(self) -> None:
+        """Note the error on the validation data, and the weights if they are the best so far."""
+        if self.valid is None:
+            return
+        self.model.eval()
+        with torch.no_grad():
+            parts = [x.split(VALIDATION_ROWS) for x in self.valid]
+            errors = [
+                self._weighted(self.model(q, qd, qdd), tau) * len(q) for q, qd, qdd, tau in zip(*parts, strict=True)
+            ]
+        error = float(sum(errors)) / len(self.valid.q)
+        if not math.isfinite(error):
+            raise TrainingError(f"step {self.optimiser.step}: the error on valid is {error}; a smaller rate may help")
+        if error < min(self.history.valid, default=math.inf):
+            self.best = {name: x.clone() for name, x in self.model.state_dict().items()}
+        self.history.valid.append(error)
+
+    # --- checkpoints ---
+
+    def _state(self) -> dict[str, Any]:
+        history = asdict(self.history)
+        del history["residual"]
+        return {
+            "model": self.model.state_dict(),
+            "optimiser": self.optimiser.state(),
+            "best": self.best,
+            "history": history,
+        }
+
+    def _identity(self) -> dict[str, Any]:
+        """Plain values that must agree for a run to go on: the model, the robots in it, the data and the settings."""
+        robots = [robot for part in self.model.modules() if isinstance(robot := getattr(part, "_robot", None), Robot)]
+        return {
+            "model": repr(self.model),
+            **{
+                f"{name} of robot {robot.name!r}": None if (x := getattr(robot, name)) is None else x.tolist()
+                for robot in robots
+                for name in (*SHAPES, "damping", "friction")
+            },
+            "train": self.samples.fingerprint(),
+            "valid": None if self.valid is None else self.valid.fingerprint(),
+            "prior": self.prior,
+            **self.optimiser.training._asdict(),
+        }
+
+    def _resume(self, path: Path, identity: dict[str, Any]) -> None:
+        """Go on from a checkpoint of this run; the model is as it was if it is none."""
+        try:
+            state = torch.load(path, map_location="cpu", weights_only=True)  # a file from elsewhere runs nothing
+            found = dict(state["identity"])
+        except Exception as fault:  # torch raises errors of many kinds on bytes that it has not written
+            raise CheckpointError(f"{path} is damaged, or not a checkpoint of fit; remove it to start again") from fault
+        for name, here in identity.items():
+            if found.get(name) != here:
+                there, here = (textwrap.shorten(str(x), 200) for x in (found.get(name), here))
+                raise CheckpointError(
+                    f"checkpoint {path} is of another run: {name} is {there} there and {here} here; call fit as that "
+                    "run did, or name another file"
+                )
+        before = {name: x.clone() for name, x in self.model.state_dict().items()}
+        try:
+            self.model.load_state_dict(state["model"])
+            self.optimiser.load(state["optimiser"])
+            self.history, self.best = History(**state["history"]), state["best"]
+        except (RuntimeError, ValueError, TypeError, LookupError) as fault:
+            self.model.load_state_dict(before)
+            raise CheckpointError(f"checkpoint {path} does not fit the model: {fault}; name another file") from fault
+
+
+def _parameters(model: nn.Module) -> dict[str, nn.Parameter]:
+    """Parameters to fit; raises unless the model has some, takes motions and may return torques."""
+    if not isinstance(model, nn.Module):
+        cure = '; torchdq.DQRNEA(robot, learn=("mass",)) is one' if isinstance(model, Robot) else ""
+        raise ArgumentError(f"model must be a torch module of torques, found {type(model).__name__}{cure}")
     kind = parametrize.type_before_parametrizations(model).__name__
     if isinstance(model, ForwardDynamics | ComputedTorque):
         raise ArgumentError(
             f"model must return the torques of motions (q, qd, qdd), found a {kind}; fit a DQRNEA or a "
             f"ResidualDynamics, and make the {kind} of its `robot`"
         )
-    try:
-        taken = inspect.signature(model.forward)
-    except (TypeError, ValueError):  # a script has none
-        return
-    try:
-        taken.bind("q", "qd", "qdd")
-    except TypeError as error:
-        raise ArgumentError(
-            f"model must be called as model(q, qd, qdd), found {kind}, whose forward takes {taken}; "
-            "torchdq.ResidualDynamics(robot, ...) holds a network for torques"
-        ) from error
+    if not (parameters := learned(model)):
+        raise ArgumentError("model has no parameters to fit; name tensors of the robot in its learn=(...)")
+    if not isinstance(model, torch.jit.ScriptModule):
+        try:
+            (taken := inspect.signature(model.forward)).bind("q", "qd", "qdd")
+        except TypeError as error:
+            raise ArgumentError(
+                f"model must be called as model(q, qd, qdd), found {kind}, whose forward takes {taken}; "
+                "torchdq.ResidualDynamics(robot, ...) holds a network for torques"
+            ) from error
+    return parameters
 
 
 @torch.no_grad()
-def _doubts(model: nn.Module, train: Samples) -> str:
-    """Words for what is wrong with samples that a robot in the model does not explain; "" for nothing, or no robot."""
+def _warn_of(model: nn.Module, train: Samples) -> None:
+    """Warn of samples that the robot in a model, if there is one, does not explain."""
     rigid = next((part for part in model.modules() if isinstance(part, DQRNEA)), None)
     if rigid is None or any(batches(rigid.robot).values()) or rigid.robot.n != train.q.shape[1]:
-        return ""
+        return
     model.eval()
-    return doubts(rigid.robot, rigid, train, rigid.friction_width)
-
-
-def _checkpoint(path: Any) -> Path | None:
-    """Path of the checkpoint; raises unless it is one, and no folder's."""
-    if path is not None and not isinstance(path, str | os.PathLike):
-        raise ArgumentError(f"checkpoint must be a path, found {type(path).__name__}")
-    if path is not None and Path(path).is_dir():
-        raise ArgumentError(f"checkpoint must be a file, found the folder {path}; name a file in it")
-    return None if path is None else Path(path)
-
-
-@contextmanager
-def _stoppable(run: Run, last: int) -> Iterator[None]:
-    """Context in which Ctrl-C says what is left of a run."""
-    try:
-        yield
-    except KeyboardInterrupt as stop:
-        kept = "; with checkpoint=..., the same call would go on"
-        if run.path is not None:
-            found = "goes on from its last evaluation" if run.path.exists() else "begins anew: none was written yet"
-            kept = f"; with the checkpoint {run.path}, the same call {found}"
-        stop.add_note(f"fit stopped at step {run.step} of {last}: the model has the weights of that step{kept}")
-        raise
-
-
-@contextmanager
-def _own_randomness(device: torch.device, seed: int) -> Iterator[None]:
-    """Torch's own generators, which dropout uses, seeded; the caller's states come back afterwards."""
-    with torch.random.fork_rng([device] if device.type == "cuda" else []):
-        torch.manual_seed(seed)
-        yield
+    if doubt := doubts(rigid.robot, rigid, train, rigid.friction_width):
+        warnings.warn(doubt, LogWarning, stacklevel=3)

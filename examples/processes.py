@@ -1,9 +1,9 @@
-"""Several processes that share one training run, as `torchrun` starts them."""
+"""Several processes that share one training run, as `torchrun` starts them; for the other examples."""
 
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 import torch.distributed as dist
@@ -33,14 +33,6 @@ class Team(NamedTuple):
         dist.all_reduce(flat)
         parts = flat.split([x.numel() for x in tensors])
         return [part.view_as(x).to(x.dtype) for part, x in zip(parts, tensors, strict=True)]
-
-    def broadcast(self, value: Any) -> Any:
-        """Value of the leading process, in every process; tensors in it lie on the CPU."""
-        if self.size == 1:
-            return value
-        values = [value]
-        dist.broadcast_object_list(values, src=0)
-        return values[0]
 
 
 @contextmanager

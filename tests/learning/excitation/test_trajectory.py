@@ -16,8 +16,8 @@ import torch
 
 import torchdq
 from torchdq.errors import ArgumentError, MissingLibraryError
-from torchdq.learning import Box, HalfSpace, Motion, MotionLimits, excite, identify, plot_torques, read
-from torchdq.learning.excitation import excite as search
+from torchdq.learning import Box, HalfSpace, Motion, MotionLimits, excitation_trajectory, identify, plot_torques, read
+from torchdq.learning.excitation import search
 from torchdq.learning.excitation.fourier import Family, grid
 from torchdq.learning.identification.base import BaseParameters
 
@@ -50,7 +50,7 @@ def exciting(panda):
     limits = MotionLimits(
         workspace=(HalfSpace("tip", (0, 0, 2), 0.3), Box("panda_link5", (-0.4,) * 3, (math.inf,) * 3))
     )
-    return excite(panda, 10.0, limits, restarts=8), limits
+    return excitation_trajectory(panda, 10.0, limits, restarts=8), limits
 
 
 # --- series ----------------------------------------------------------------------------------------------------------
@@ -120,7 +120,7 @@ def test_torques_that_bind_are_kept_between_the_rows():
     described = torchdq.robots.load("two_link")
     robot = described.replace(damping=double([1.0, 2.0]), friction=double([0.5, 0.2]))
     limits = MotionLimits(lower=-1.0, upper=1.0, velocity=8.0, effort=[36.0, 10.0], share=1.0)
-    found = excite(robot, 8.0, limits, restarts=16)
+    found = excitation_trajectory(robot, 8.0, limits, restarts=16)
     *_, tau = torques_at(found, robot, random_times(found, 100_000))
     used = (tau / double([36.0, 10.0])).amax(0)
     assert bool((used <= 1).all()) and float(used.max()) > 0.93
@@ -146,7 +146,7 @@ def test_own_functions_keep_the_arm_where_they_say():
     limits = MotionLimits(
         lower=-1.0, upper=1.0, velocity=2.0, effort=60.0, workspace=[lambda _, q: -0.6 - q[..., :1] - q[..., 1:]]
     )
-    found = excite(robot, 5.0, limits, restarts=8)
+    found = excitation_trajectory(robot, 5.0, limits, restarts=8)
     q, *_ = found.series.at(found.series.rate * random_times(found))
     assert -0.8 < float(q.sum(-1).max()) <= -0.6
 
@@ -169,7 +169,7 @@ def test_own_functions_keep_the_arm_where_they_say():
 )
 def test_limits_that_are_missing_or_cannot_be_kept_are_named(limits, words):
     with pytest.raises(ArgumentError, match=words):
-        excite(torchdq.robots.load("two_link"), 5.0, limits, restarts=4)
+        excitation_trajectory(torchdq.robots.load("two_link"), 5.0, limits, restarts=4)
 
 
 @pytest.mark.parametrize(
@@ -184,7 +184,9 @@ def test_limits_that_are_missing_or_cannot_be_kept_are_named(limits, words):
 )
 def test_other_arguments_are_checked(changes, words):
     with pytest.raises(ArgumentError, match=words):
-        excite(torchdq.robots.load("two_link"), **{"seconds": 5.0, "limits": LIMITS, "restarts": 4} | changes)
+        excitation_trajectory(
+            torchdq.robots.load("two_link"), **{"seconds": 5.0, "limits": LIMITS, "restarts": 4} | changes
+        )
 
 
 @pytest.mark.parametrize(
@@ -243,7 +245,7 @@ def test_errors_are_those_of_least_squares_on_pinocchios_regressor(panda, exciti
 def test_identification_from_the_motion_errs_as_predicted():
     """Mean square over the base parameters and 30 draws of the noise, in predicted variances."""
     robot = torchdq.robots.load("two_link")
-    found = excite(robot, 5.0, LIMITS, restarts=8, noise=[0.5, 0.2], rate=50.0)
+    found = excitation_trajectory(robot, 5.0, LIMITS, restarts=8, noise=[0.5, 0.2], rate=50.0)
     friction = found.qd + 2 * found.qd / (found.qd**2 + 1e-4).sqrt()
     rigid = torchdq.inverse_dynamics(robot, found.q, found.qd, found.qdd)
     rng, base = np.random.default_rng(0), found.parameters.base
@@ -282,7 +284,7 @@ def test_the_search_improves_on_random_motions(panda, exciting):
 def test_seeds_reproduce_motions(monkeypatch):
     monkeypatch.setattr(search, "STAGES", ((1, 5), (2, 5)))
     robot = torchdq.robots.load("two_link")
-    one, same, other = (excite(robot, 5.0, LIMITS, restarts=4, seed=seed) for seed in (1, 1, 2))
+    one, same, other = (excitation_trajectory(robot, 5.0, LIMITS, restarts=4, seed=seed) for seed in (1, 1, 2))
     assert torch.equal(one.q, same.q) and not torch.equal(one.q, other.q)
 
 
