@@ -154,7 +154,7 @@ def noisy(runs: int) -> list[float]:
         fit: RolloutFit = fit_rollout(
             guess,
             Recording(t, q + noise, {"torque": torque}),
-            ("Viscous.coefficient", "Coulomb.level", "RotorInertia.inertia"),
+            ("Viscous.coefficient", "Coulomb.coulomb", "RotorInertia.inertia"),
         )
         off = fit.estimate - true
         found.append(float(off @ torch.linalg.solve(fit.covariance, off)))

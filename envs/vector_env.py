@@ -43,7 +43,7 @@ from torchdq.envs.torch_task import Functions, TorchTask
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import Robot
 from torchdq.scene.controllers import ComputedTorque, Controller
-from torchdq.scene.defaults import nominal, usual
+from torchdq.scene.defaults import default_effects, nominal
 from torchdq.scene.integrators import Integrator, LinearlyImplicit
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
@@ -67,7 +67,7 @@ class ArmVectorEnv(VectorEnv):
         num_envs: number of environments.
         task: "reach", "track", an object like those of `torchdq.envs.tasks`, or a `torchdq.envs.TorchTask`.
         robot: name of a shipped robot, path of a URDF file, or a robot; it needs an end effector to reach.
-        effects: effects of the scene; None: `torchdq.scene.defaults.usual(robot)`.
+        effects: effects of the scene; None: `torchdq.scene.defaults.default_effects(robot)`.
         action: meaning of the actions. "torque": fractions of the torque limits. "residual": fractions of a fifth of
             them, on top of a controller that follows the task's reference. "reference": offsets of the position that
             the controller follows, full ones as far as the joint gets in 0.2 s. The reference of "reach" is to stand
@@ -140,7 +140,7 @@ class ArmVectorEnv(VectorEnv):
         like = torch.empty(0, dtype=self.dtype, device=self.device)
         scene = Scene(
             self.robot,
-            usual(self.robot) if effects is None else effects,
+            default_effects(self.robot) if effects is None else effects,
             integrator=integrator or LinearlyImplicit(),
             dt=dt,
             substeps=substeps,

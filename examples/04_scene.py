@@ -43,11 +43,11 @@ PARTS = (
     effects.Payload(1.5, com=(0.0, 0.0, 0.1)),
     effects.Viscous(0.5),
     effects.Coulomb(1.0),
-    effects.Limits(),
+    effects.JointLimits(),
     effects.Drag(linear=0.2, quadratic=0.1),
     effects.Contact(height=-0.2, friction=0.5),
     effects.Saturation(),
-    effects.Lag(0.01),
+    effects.FirstOrderLag(0.01),
     effects.Noise(position=1e-4, velocity=1e-3),
 )
 

@@ -50,7 +50,7 @@ import torchdq
 from torchdq.envs import ArmVectorEnv, Scene, effects
 from torchdq.envs.sb3 import StableBaselinesVecEnv
 from torchdq.scene.controllers import ComputedTorque
-from torchdq.scene.defaults import nominal, usual
+from torchdq.scene.defaults import default_effects, nominal
 
 ROBOT = torchdq.robots.load("panda")
 N = ROBOT.n
@@ -65,11 +65,11 @@ FRICTION = (
     effects.Stribeck([3.0] * 4 + [1.0] * 3, [5.0] * 4 + [1.6] * 3),  # [N m]
 )
 PLANT = (
-    *[effect for effect in usual(ROBOT) if not isinstance(effect, effects.Viscous)],
+    *[effect for effect in default_effects(ROBOT) if not isinstance(effect, effects.Viscous)],
     *FRICTION,
     effects.Payload(2.0),  # [kg]
-    effects.Delay(1),  # steps
-    effects.Lag(0.04),  # [s]
+    effects.CommandDelay(1),  # steps
+    effects.FirstOrderLag(0.04),  # [s]
 )
 CHECKS = 10  # how often a policy is evaluated while it learns
 JOINT = 5  # joint in the picture, from 0

@@ -28,7 +28,7 @@ KP = (9e3, 9e3, 6e3, 2e3, 2e3, 1.5e3)  # [N m/rad]
 KD = (900.0, 900.0, 500.0, 120.0, 120.0, 90.0)  # [N m s/rad]
 RUBBING = (25.0, 30.0, 18.0, 6.0, 5.0, 4.0)  # [N m]
 ROTORS = (4.0, 4.0, 3.0, 0.6, 0.6, 0.6)  # [kg m^2], from a data sheet
-LEARN = ("Servo.kp", "Servo.kd", "Coulomb.level", "Payload.mass", "delay")
+LEARN = ("Servo.kp", "Servo.kd", "Coulomb.coulomb", "Payload.mass", "delay")
 
 
 @dataclass

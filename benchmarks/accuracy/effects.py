@@ -20,10 +20,10 @@ def measured(quick: bool) -> dict[str, Any]:
         effects.Payload(1.0, (0.0, 0.0, 0.1)),
         effects.Viscous(0.5),
         effects.Coulomb(0.5),
-        effects.Limits(-2.8, 2.8),
+        effects.JointLimits(-2.8, 2.8),
         effects.Drag(0.1, 0.1, 0.02),
         effects.Saturation(80.0),
-        effects.Lag(0.01),
+        effects.FirstOrderLag(0.01),
         effects.Noise(1e-3, 1e-2),
     )
     scene = Scene(

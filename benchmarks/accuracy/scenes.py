@@ -239,7 +239,7 @@ def rough() -> Case:
             effects.Gravity(),
             effects.Viscous(damping),
             effects.Coulomb(level, width),
-            effects.Limits(-bound, bound, stiffness, dissipation),
+            effects.JointLimits(-bound, bound, stiffness, dissipation),
         ),
         q,
         0 * q,

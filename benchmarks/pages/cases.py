@@ -100,7 +100,7 @@ CASES: dict[str, Case] = {
     "Coulomb": _case(
         "effects.Coulomb(0.5)",
         """
-        scene = Scene(robot, (effects.Coulomb(level=2.0),))
+        scene = Scene(robot, (effects.Coulomb(coulomb=2.0),))
         state = scene.rollout(scene.start(torch.zeros(2), torch.ones(2)), steps=200)
         assert state.qd[-1].abs().max() < 1e-3  # it has come to rest
         """,
@@ -137,9 +137,9 @@ CASES: dict[str, Case] = {
     "LuGre": _case(
         "effects.LuGre(0.5)",
         """
-        scene = Scene(robot, (effects.LuGre(level=0.5, deflection=1e-3),))
+        scene = Scene(robot, (effects.LuGre(coulomb=0.5, deflection=1e-3),))
         state = scene.rollout(scene.start(torch.zeros(2)), torch.full((100, 2), 0.2))
-        assert state.q[-1].abs().max() < 1e-2  # it holds below its level
+        assert state.q[-1].abs().max() < 1e-2  # it holds below its Coulomb friction
         assert state.memory.shape == (100, 2)  # the deflections
         """,
     ),
@@ -169,14 +169,14 @@ CASES: dict[str, Case] = {
         """,
         "effects.Servo(0.0)",
     ),
-    "Limits": _case(
-        "effects.Limits()",
+    "JointLimits": _case(
+        "effects.JointLimits()",
         """
-        scene = Scene(robot, (effects.Limits(lower=-1.0, upper=1.0),))
+        scene = Scene(robot, (effects.JointLimits(lower=-1.0, upper=1.0),))
         state = scene.rollout(scene.start(torch.zeros(2), torch.ones(2)), steps=300)
         assert state.q.abs().max() < 1.1
         """,
-        'effects.Limits(-float("inf"), float("inf"))',
+        'effects.JointLimits(-float("inf"), float("inf"))',
     ),
     "Elastic": _case(
         "effects.Elastic(1000.0, 1.0, 0.1)",
@@ -241,17 +241,17 @@ CASES: dict[str, Case] = {
         """,
         'effects.TorqueSpeed(float("inf"), 1.0)',
     ),
-    "Lag": _case(
-        "effects.Lag(0.02)",
+    "FirstOrderLag": _case(
+        "effects.FirstOrderLag(0.02)",
         """
-        scene = Scene(robot, (effects.Lag(time=0.02),))
+        scene = Scene(robot, (effects.FirstOrderLag(time=0.02),))
         state = scene.rollout(scene.start(torch.zeros(2)), torch.ones(20, 2))
         """,
     ),
-    "Delay": _case(
-        "effects.Delay(2)",
+    "CommandDelay": _case(
+        "effects.CommandDelay(2)",
         """
-        scene = Scene(robot, (effects.Delay(steps=2),))
+        scene = Scene(robot, (effects.CommandDelay(steps=2),))
         state = scene.rollout(scene.start(torch.zeros(2)), torch.ones(3, 2))
         assert state.qd[1].abs().max() == 0 and state.qd[2].abs().max() > 0
         """,
@@ -298,10 +298,10 @@ CASES: dict[str, Case] = {
         q, qd = state.measured
         """,
     ),
-    "ReadingDelay": _case(
-        "effects.ReadingDelay(2)",
+    "MeasurementDelay": _case(
+        "effects.MeasurementDelay(2)",
         """
-        scene = Scene(robot, (effects.ReadingDelay(steps=2),))
+        scene = Scene(robot, (effects.MeasurementDelay(steps=2),))
         state = scene.rollout(scene.start(torch.zeros(2), torch.ones(2)), steps=3)
         q, qd = state.measured
         """,

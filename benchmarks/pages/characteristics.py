@@ -191,7 +191,7 @@ def _bristles() -> Picture:
     curves = {}
     for words, ratio in (("ratio 1", 1.0), ("ratio 1.5", 1.5)):
         effect = effects.LuGre(1.0, deflection=5e-4, ratio=ratio)
-        torque = columns(body("wheel"), effect, q, qd, time=t[:, 0])["level"]
+        torque = columns(body("wheel"), effect, q, qd, time=t[:, 0])["coulomb"]
         last = slice(-3 * POINTS, None)
         curves[words] = Curve(1e3 * column(q)[last], -column(torque)[last])
     return Picture("position, to and fro [mrad]", TORQUE, curves)
@@ -199,7 +199,7 @@ def _bristles() -> Picture:
 
 def _limits() -> Picture:
     q = grid(0.99, 1.02)
-    limit = effects.Limits(-1.0, 1.0, stiffness=1e4, dissipation=1.0)
+    limit = effects.JointLimits(-1.0, 1.0, stiffness=1e4, dissipation=1.0)
     speeds = {"at rest": 0.0, "inwards at 0.5 rad/s": -0.5, "outwards at 0.5 rad/s": 0.5}
     return Picture(
         POSITION, TORQUE, {k: Curve(column(q), column(felt("wheel", [limit], q=q, qd=v))) for k, v in speeds.items()}
@@ -276,9 +276,11 @@ CHARACTERISTICS: dict[str, Callable[[], Picture]] = {
     "Quadratic": lambda: over_velocity(
         2.0, coefficient__0_5=effects.Quadratic(0.5), coefficient__1=effects.Quadratic(1.0)
     ),
-    "Coulomb": lambda: over_velocity(0.5, width__0_01=effects.Coulomb(1.0, 0.01), width__0_1=effects.Coulomb(1.0, 0.1)),
+    "Coulomb": lambda: over_velocity(
+        0.5, sign_width__0_01=effects.Coulomb(1.0, 0.01), sign_width__0_1=effects.Coulomb(1.0, 0.1)
+    ),
     "Directional": lambda: over_velocity(
-        0.5, width__0_01=effects.Directional(1.0, 0.5), width__0_1=effects.Directional(1.0, 0.5, 0.1)
+        0.5, sign_width__0_01=effects.Directional(1.0, 0.5), sign_width__0_1=effects.Directional(1.0, 0.5, 0.1)
     ),
     "Stribeck": lambda: over_velocity(
         0.5, velocity__0_1=effects.Stribeck(0.5, 1.0, 0.1), velocity__0_03=effects.Stribeck(0.5, 1.0, 0.03)
@@ -290,7 +292,7 @@ CHARACTERISTICS: dict[str, Callable[[], Picture]] = {
     ),
     "Spring": lambda: over_position(-1.0, 1.0, rest__0=[effects.Spring(5.0)], rest__0_5=[effects.Spring(5.0, 0.5)]),
     "Servo": _servo,
-    "Limits": _limits,
+    "JointLimits": _limits,
     "Elastic": _elastic,
     "Residual": _residual,
     "Push": _push,
@@ -298,12 +300,14 @@ CHARACTERISTICS: dict[str, Callable[[], Picture]] = {
     "Contact": _contact,
     "Saturation": lambda: over_command(4.0, limit__2=effects.Saturation(2.0)),
     "TorqueSpeed": _motor,
-    "Lag": lambda: after_a_command(time__0_02=effects.Lag(0.02), time__0_05=effects.Lag(0.05)),
-    "Delay": lambda: after_a_command(steps__5=effects.Delay(5)),
+    "FirstOrderLag": lambda: after_a_command(
+        time__0_02=effects.FirstOrderLag(0.02), time__0_05=effects.FirstOrderLag(0.05)
+    ),
+    "CommandDelay": lambda: after_a_command(steps__5=effects.CommandDelay(5)),
     "DeadBand": lambda: over_command(4.0, width__1=effects.DeadBand(1.0)),
     "QuantisedCommand": lambda: over_command(2.0, step__0_5=effects.QuantisedCommand(0.5)),
     "Noise": lambda: read("read, position 0.05", effects.Noise(0.05)),
     "Bias": lambda: read("read, position 0.2", effects.Bias(0.2)),
     "QuantisedReading": lambda: read("read, position 0.2", effects.QuantisedReading(0.2)),
-    "ReadingDelay": lambda: read("read, steps 10", effects.ReadingDelay(10)),
+    "MeasurementDelay": lambda: read("read, steps 10", effects.MeasurementDelay(10)),
 }

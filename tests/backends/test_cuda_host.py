@@ -285,7 +285,7 @@ def test_a_scene_with_sensors_steps_as_with_the_c_backend(dtype):
         effects.Viscous(0.5),
         effects.Coulomb(0.3),
         effects.Saturation(30.0),
-        effects.Lag(0.02),
+        effects.FirstOrderLag(0.02),
         effects.Noise(1e-3, 1e-3),
     )
     torque, noise = random(20, 7, dtype=dtype), 0.5 + 0.1 * random(20, 14, dtype=dtype).tanh()

@@ -80,7 +80,13 @@ def test_programs_give_the_same_numbers_on_arm(function, dtype, tmp_path):
 
 def test_a_step_of_a_scene_gives_the_same_numbers_on_arm(tmp_path):
     """With roots, exponentials, logarithms and comparisons in it."""
-    parts = (effects.Gravity(), effects.Coulomb(1.0), effects.Limits(), effects.Lag(0.02), effects.Noise(0.1, 0.1))
+    parts = (
+        effects.Gravity(),
+        effects.Coulomb(1.0),
+        effects.JointLimits(),
+        effects.FirstOrderLag(0.02),
+        effects.Noise(0.1, 0.1),
+    )
     program = Scene(torchdq.robots.load("panda"), parts).program()
     torch.manual_seed(0)
     inputs = [torch.rand(37, a.width, dtype=torch.float64) for a in program.arguments]

@@ -499,7 +499,7 @@ def test_robots_effects_and_layers_are_made_on_the_cpu_whatever_the_default_devi
     parts = [
         effects.Contact("tip"),
         effects.Payload(1.0),
-        effects.Limits(),
+        effects.JointLimits(),
         effects.Viscous(1.0),
         effects.Elastic(9.0, inertia=1.0),
     ]

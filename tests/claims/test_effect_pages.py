@@ -28,7 +28,7 @@ FOLDER = benchmark.FOLDER
 NAMES = [name for name in effects.__all__ if name != "Effect"]
 EVERY = pytest.mark.parametrize("name", NAMES)
 ARM = torchdq.robots.load("two_link")
-DRAWN = ("Coulomb", "Limits", "Noise")  # quick ones of each kind
+DRAWN = ("Coulomb", "JointLimits", "Noise")  # quick ones of each kind
 
 
 def text(name):
@@ -163,8 +163,8 @@ def test_layers_take_friction_that_remembers_nothing():
 
 def test_tensors_stand_where_numbers_were_given():
     made = tensors_of(effects.Coulomb(0.5), arm(), 3)
-    assert made.level.shape == (3, 7) and made.width == 0.01
-    limits = tensors_of(effects.Limits(), arm(), 2)
+    assert made.coulomb.shape == (3, 7) and made.sign_width == 0.01
+    limits = tensors_of(effects.JointLimits(), arm(), 2)
     assert limits.lower.shape == (2, 7) and torch.equal(limits.lower[0], arm().limits.lower)
 
 
@@ -239,7 +239,7 @@ def test_an_argument_is_taken_apart():
 
 
 def test_a_signature_shows_defaults():
-    assert signature(effects.Coulomb) == "effects.Coulomb(level=None, width=0.01, *, warming=0.0)"
+    assert signature(effects.Coulomb) == "effects.Coulomb(coulomb=None, sign_width=0.01, *, warming=0.0)"
     assert signature(effects.Spring) == "effects.Spring(stiffness, rest=0.0)"
 
 

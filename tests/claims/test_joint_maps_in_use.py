@@ -255,8 +255,11 @@ def test_a_scene_moves_as_the_full_robot_that_is_held_to_the_map(group):
 ORDER = [2, 0, 1]
 PER_JOINT = {
     "friction": lambda p: (effects.Gravity(), effects.Coulomb(), effects.Viscous(), effects.RotorInertia()),
-    "limits": lambda p: (effects.Gravity(), effects.Limits(), effects.Saturation(), effects.TorqueSpeed()),
-    "servo": lambda p: (effects.Servo(double([50.0, 40.0, 30.0])[p], double([5.0, 4.0, 3.0])[p]), effects.Lag(0.02)),
+    "limits": lambda p: (effects.Gravity(), effects.JointLimits(), effects.Saturation(), effects.TorqueSpeed()),
+    "servo": lambda p: (
+        effects.Servo(double([50.0, 40.0, 30.0])[p], double([5.0, 4.0, 3.0])[p]),
+        effects.FirstOrderLag(0.02),
+    ),
     "elastic": lambda p: (effects.Elastic(double([9e3, 8e3, 7e3])[p], double([0.1, 0.2, 0.3])[p]),),
     "residual": lambda p: (effects.Residual(lambda q, qd: 0.3 * q - 0.2 * qd), effects.Spring(2.0)),
 }
@@ -296,7 +299,7 @@ def test_gears_do_not_push_a_free_body():
         "base_inertia": double([0.3, 0, 0.4, 0, 0, 0.5]),
     }
     robot = geared().replace(**base, armature=None).bake()
-    scene = Scene(robot, (effects.Viscous(), effects.Limits()), integrator=integrators.RungeKutta4(), dt=0.002)
+    scene = Scene(robot, (effects.Viscous(), effects.JointLimits()), integrator=integrators.RungeKutta4(), dt=0.002)
     z, zd, torque = 0.3 * rows(3)
     state = scene.start(z, zd, X_WB=dq.exp(rows(6)[0]), V_WB_B=rows(6)[1])
     before = torchdq.floating.momentum(robot, state.X_WB, state.q, state.V_WB_B, state.qd)
@@ -327,7 +330,7 @@ def test_energy_is_kept(integrator, drift):
 
 
 def test_scenes_are_linearized_checked_and_described():
-    scene = Scene(geared(), (effects.Gravity(), effects.Viscous(), effects.Limits()), dt=0.005)
+    scene = Scene(geared(), (effects.Gravity(), effects.Viscous(), effects.JointLimits()), dt=0.005)
     state = scene.start(0.1 * rows(3)[0])
     A, B = scene.linearize(state)
     assert A.shape == (4, 6, 6) and B.shape == (4, 6, 3)

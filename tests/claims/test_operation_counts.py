@@ -125,7 +125,7 @@ EFFECTS = {
     "LuGre": (effects.LuGre(1.0),),
     "warming Viscous": (effects.Viscous(1.0, warming=-0.01),),
     "Spring": (effects.Spring(10.0),),
-    "Limits": (effects.Limits(),),
+    "JointLimits": (effects.JointLimits(),),
     "Elastic": (effects.Elastic(1e3, 1.0, 0.1),),
     "Push": (effects.Push(),),
     "Drag": (DRAG,),

@@ -17,7 +17,7 @@ BACKEND = "auto"
 
 
 SOME = ("Gravity", "Viscous", "Coulomb", "Contact", "Noise")  # those in the picture, and a sensor
-ALL = (*SOME, "RotorInertia", "Payload", "Limits", "Drag", "Saturation", "Lag")
+ALL = (*SOME, "RotorInertia", "Payload", "JointLimits", "Drag", "Saturation", "FirstOrderLag")
 
 
 @pytest.mark.parametrize("kept", [SOME, pytest.param(ALL, marks=pytest.mark.exhaustive)], ids=len)

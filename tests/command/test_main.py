@@ -560,8 +560,8 @@ def test_a_scene_that_leaves_all_bounds_has_failed(here, capsys):
 
 def test_a_scene_has_the_effects_that_are_named(here, capsys):
     short = ("--price", "0", "--seconds", "0.1")
-    out, _ = told(capsys, "scene", "arm.urdf", "--effects", "gravity", "viscous=2", "limits", *short)
-    assert "Gravity, Viscous, Limits" in " ".join(out.split()) and max(map(len, out.splitlines())) <= WIDE
+    out, _ = told(capsys, "scene", "arm.urdf", "--effects", "gravity", "viscous=2", "joint-limits", *short)
+    assert "Gravity, Viscous, JointLimits" in " ".join(out.split()) and max(map(len, out.splitlines())) <= WIDE
     found = data(capsys, "scene", "arm.urdf", "--effects", *short, "--hold", "20", "5")
     assert not found["effects"] and [cost["slot"] for cost in found["costs"]][-1] == "controller"
     assert found["end"]["q"] == [0, 0]

@@ -171,22 +171,24 @@ def over_width(qd, width):
 JOINT = {
     "Viscous": ({"coefficient": (0.1, 2.0)}, lambda q, qd, coefficient: (coefficient, 0 * q, 0 * q)),
     "Coulomb": (
-        {"level": (0.1, 2.0), "width": (0.1, 1.0)},
-        lambda q, qd, level, width: (level * over_width(qd, width), 0 * q, 0 * q),
+        {"coulomb": (0.1, 2.0), "sign_width": (0.1, 1.0)},
+        lambda q, qd, coulomb, sign_width: (coulomb * over_width(qd, sign_width), 0 * q, 0 * q),
     ),
     "Quadratic": ({"coefficient": (0.1, 2.0)}, lambda q, qd, coefficient: (coefficient * np.abs(qd), 0 * q, 0 * q)),
     "Directional": (
-        {"forward": (0.5, 1.0), "backward": (1.0, 2.0), "width": (0.1, 1.0)},
-        lambda q, qd, forward, backward, width: (
-            0.5 * (forward + backward + (forward - backward) * qd * over_width(qd, width)) * over_width(qd, width),
+        {"forward": (0.5, 1.0), "backward": (1.0, 2.0), "sign_width": (0.1, 1.0)},
+        lambda q, qd, forward, backward, sign_width: (
+            0.5
+            * (forward + backward + (forward - backward) * qd * over_width(qd, sign_width))
+            * over_width(qd, sign_width),
             0 * q,
             0 * q,
         ),
     ),
     "Stribeck": (
-        {"coulomb": (0.5, 1.0), "static": (1.0, 2.0), "velocity": (0.5, 2.0), "width": (0.1, 1.0)},
-        lambda q, qd, coulomb, static, velocity, width: (
-            (coulomb + (static - coulomb) / (1 + (qd / velocity) ** 2)) * over_width(qd, width),
+        {"coulomb": (0.5, 1.0), "static": (1.0, 2.0), "velocity": (0.5, 2.0), "sign_width": (0.1, 1.0)},
+        lambda q, qd, coulomb, static, velocity, sign_width: (
+            (coulomb + (static - coulomb) / (1 + (qd / velocity) ** 2)) * over_width(qd, sign_width),
             0 * q,
             0 * q,
         ),
@@ -196,7 +198,7 @@ JOINT = {
         lambda q, qd, stiffness, rest: (0 * q, stiffness, rest),
     ),
     "Servo": ({"kp": (1.0, 20.0), "kd": (0.1, 2.0)}, lambda q, qd, kp, kd: (kd, kp, TARGET[:, : q.shape[-1]])),
-    "Limits": (
+    "JointLimits": (
         {"lower": (-0.5, -0.1), "upper": (0.1, 0.5), "stiffness": (10.0, 50.0), "dissipation": (0.1, 2.0)},
         limits_impedance,
     ),
@@ -207,11 +209,11 @@ TARGET = np.random.default_rng(5).normal(size=(SAMPLES, 7))
 def joint_effect(b, kind, form):
     """An effect, its inputs, and the damping, stiffness and rest that its formula gives in the states."""
     ranges, formula = JOINT[kind]
-    if form == "list" and "width" in ranges:  # a single number has no list
-        ranges = {**ranges, "width": ranges["width"]}
-    parameters, values = forms_of(ranges, form, b.n, {"width": None})
-    if form == "list" and "width" in parameters:
-        parameters["width"] = float(values["width"][0])
+    if form == "list" and "sign_width" in ranges:  # a single number has no list
+        ranges = {**ranges, "sign_width": ranges["sign_width"]}
+    parameters, values = forms_of(ranges, form, b.n, {"sign_width": None})
+    if form == "list" and "sign_width" in parameters:
+        parameters["sign_width"] = float(values["sign_width"][0])
     inputs = {"target": double(TARGET[:, : b.n])} if kind == "Servo" else {}
     return getattr(effects, kind)(**parameters), inputs, formula(b.q.numpy(), b.qd.numpy(), **values)
 
@@ -284,9 +286,9 @@ def described_as(key):
     "silent, spoken",
     [
         (effects.Viscous(), effects.Viscous(described_as("damping"))),
-        (effects.Coulomb(width=0.1), effects.Coulomb(described_as("friction"), width=0.1)),
+        (effects.Coulomb(sign_width=0.1), effects.Coulomb(described_as("friction"), sign_width=0.1)),
         (effects.Stribeck(static=1.0), effects.Stribeck(described_as("friction"), 1.0)),
-        (effects.Limits(), effects.Limits(described_as("lower"), described_as("upper"))),
+        (effects.JointLimits(), effects.JointLimits(described_as("lower"), described_as("upper"))),
         (effects.Saturation(), effects.Saturation(described_as("effort"))),
         (effects.TorqueSpeed(), effects.TorqueSpeed(described_as("effort"), described_as("velocity"))),
         (effects.Gravity(), effects.Gravity((0.0, 0.0, -9.81))),
@@ -336,7 +338,7 @@ NEEDED = {
     "Directional": {"forward": 1.0, "backward": 1.0},
     "LoadDependent": {"coefficient": 0.5},
     "Ripple": {"period": 1.0, "sine": 1.0, "cosine": 1.0},
-    "Limits": {"lower": -math.inf, "upper": math.inf},
+    "JointLimits": {"lower": -math.inf, "upper": math.inf},
     "Payload": {"mass": 1.0},
     "Elastic": {"stiffness": 1.0, "inertia": 1.0},
 }
@@ -400,7 +402,7 @@ def limit_torque(q, qd, **parameters):
     """Torque of limits at -1 and 1 on a joint, from the acceleration it causes alone."""
     x = [double([[float(value), 0.0]]) for value in (q, qd)]
     robot = CASES["two_link"].robot
-    made = Scene(robot, (effects.Limits(-1.0, 1.0, **parameters),), integrator=ExplicitEuler(), dt=1.0)
+    made = Scene(robot, (effects.JointLimits(-1.0, 1.0, **parameters),), integrator=ExplicitEuler(), dt=1.0)
     difference = made.step(State(*x)).qd - Scene(robot, integrator=ExplicitEuler(), dt=1.0).step(State(*x)).qd
     return float((torchdq.mass_matrix(robot, x[0])[0] @ difference[0])[0])
 
@@ -433,9 +435,9 @@ def test_infinite_limits_cost_nothing():
     robot = CASES["two_link"].robot
     assert not robot.limits.upper.isfinite().any()
     bare = Scene(robot, integrator=SemiImplicitEuler())
-    assert bare.replace(effects=(effects.Limits(),)).program().ops == bare.program().ops
-    one = bare.replace(effects=(effects.Limits([-1.0, -math.inf], [1.0, math.inf]),)).count().total
-    both = bare.replace(effects=(effects.Limits(-1.0, 1.0),)).count().total
+    assert bare.replace(effects=(effects.JointLimits(),)).program().ops == bare.program().ops
+    one = bare.replace(effects=(effects.JointLimits([-1.0, -math.inf], [1.0, math.inf]),)).count().total
+    both = bare.replace(effects=(effects.JointLimits(-1.0, 1.0),)).count().total
     assert both - one == one - bare.count().total > 0
 
 
@@ -632,19 +634,19 @@ def test_a_push_that_is_not_given_is_none_and_costs_nothing():
 @pytest.mark.parametrize("name", CASES)
 def test_drag_resists_the_motion_of_every_link(name, form):
     b = bare(name)
-    ranges = {"linear": (0.1, 1.0), "quadratic": (0.1, 1.0), "angular": (0.01, 0.2), "width": (0.01, 0.5)}
-    parameters, values = forms_of(ranges, form, b.n, {"width": None})
+    ranges = {"linear": (0.1, 1.0), "quadratic": (0.1, 1.0), "angular": (0.01, 0.2), "sign_width": (0.01, 0.5)}
+    parameters, values = forms_of(ranges, form, b.n, {"sign_width": None})
     torques = np.zeros((SAMPLES, b.n))
     for k, i in itertools.product(range(SAMPLES), range(b.n)):
         at = at_frame(b, b.robot.link_names[i], k)
         arm = at.rotation @ b.robot.com[i].numpy()
         v = at.velocity + np.cross(at.spin, arm)
-        speed = np.sqrt(v @ v + values["width"][k] ** 2)
+        speed = np.sqrt(v @ v + values["sign_width"][k] ** 2)
         force = -(values["linear"][k, i] + values["quadratic"][k, i] * speed) * v
         moment = np.cross(arm, force) - values["angular"][k, i] * at.spin
         torques[k] += at.jacobian.T @ np.concatenate([force, moment])
     if form == "list":
-        parameters["width"] = float(values["width"][0])
+        parameters["sign_width"] = float(values["sign_width"][0])
     assert agrees(b, effects.Drag(**parameters), torques=torques)
 
 
@@ -656,7 +658,7 @@ def contact(b, values, k, frame):
     rate = -(n @ at.velocity)
     f_n = max(values["stiffness"][k] * depth * (1 + values["dissipation"][k] * rate), 0.0)
     sliding = at.velocity - (n @ at.velocity) * n
-    f = f_n * n - values["friction"][k] * f_n * sliding / np.sqrt(sliding @ sliding + values["width"][k] ** 2)
+    f = f_n * n - values["friction"][k] * f_n * sliding / np.sqrt(sliding @ sliding + values["sign_width"][k] ** 2)
     return f, at.jacobian[:3].T @ f
 
 
@@ -668,7 +670,7 @@ def test_contact_pushes_along_the_normal_and_rubs_across_it(name, tensors):
     rng = np.random.default_rng(4)
     normal = rng.normal(size=3)
     normal /= np.linalg.norm(normal)
-    single = {"stiffness": 100.0, "dissipation": 0.3, "friction": 0.7, "width": 0.2}
+    single = {"stiffness": 100.0, "dissipation": 0.3, "friction": 0.7, "sign_width": 0.2}
     values = {name: np.full(SAMPLES, x) for name, x in single.items()} | {"normal": np.tile(normal, (SAMPLES, 1))}
     heights = np.array([at_frame(b, frame, k).position @ normal for k in range(SAMPLES)])
     if tensors:
@@ -783,7 +785,7 @@ def test_commands_are_rounded_to_steps(form):
 @pytest.mark.parametrize("parameter", [0.05, [0.05, 0.05], double([0.05, 0.05]), double(0.05)])
 def test_a_lag_is_the_mean_of_the_exponential_of_its_time(parameter):
     """T tau' = u - tau has the solution tau + (1 - exp(-t/T)) (u - tau) while u is constant; its mean over dt acts."""
-    found, tau, expected = driven(effects.Lag(parameter), U), np.zeros(2), []
+    found, tau, expected = driven(effects.FirstOrderLag(parameter), U), np.zeros(2), []
     decay = math.exp(-0.02 / 0.05)
     for u in U.numpy():
         expected.append(u + 0.05 / 0.02 * (1 - decay) * (tau - u))
@@ -797,7 +799,7 @@ def test_a_lag_is_the_mean_of_the_exponential_of_its_time(parameter):
 def test_the_impulse_of_a_lag_is_exact_at_any_step(dt, substeps, integrator):
     """A slide of 2 kg under a torque of 2 N from rest has the velocity t - T (1 - exp(-t/T))."""
     slide = torchdq.Robot.from_screws([(0, 0, 0, 1, 0, 0)], [2.0], [[0.0] * 3], [torch.eye(3)], gravity=None)
-    scene = Scene(slide, (effects.Lag(0.02),), integrator=integrator, dt=dt, substeps=substeps)
+    scene = Scene(slide, (effects.FirstOrderLag(0.02),), integrator=integrator, dt=dt, substeps=substeps)
     state = scene.start(double([0.0]))
     for k in range(1, 4):
         state = scene.step(state, double([2.0]))
@@ -809,7 +811,9 @@ def test_the_impulse_of_a_lag_is_exact_at_any_step(dt, substeps, integrator):
 @pytest.mark.parametrize("time", [1e-3, 0.39, 0.41, 10.0, 1e9])
 def test_a_lag_keeps_its_digits_whatever_its_time(time, dtype):
     robot = CASES["two_link"].robot
-    tensor, number = (Scene(robot, (effects.Lag(x),), dt=0.02) for x in (torch.tensor(time, dtype=dtype), time))
+    tensor, number = (
+        Scene(robot, (effects.FirstOrderLag(x),), dt=0.02) for x in (torch.tensor(time, dtype=dtype), time)
+    )
     q, u = torch.zeros(2, dtype=dtype), torch.ones(2, dtype=dtype)
     found, expected = (scene.step(scene.start(q), u).qd for scene in (tensor, number))
     free = Scene(robot, dt=0.02)
@@ -818,18 +822,18 @@ def test_a_lag_keeps_its_digits_whatever_its_time(time, dtype):
 
 
 def test_a_lag_of_no_time_is_none():
-    assert (driven(effects.Lag(0.0), U) - U).abs().max() < 1e-11
-    assert (driven(effects.Lag([0.0, 1.0]), U) - U)[:, 0].abs().max() < 1e-11
+    assert (driven(effects.FirstOrderLag(0.0), U) - U).abs().max() < 1e-11
+    assert (driven(effects.FirstOrderLag([0.0, 1.0]), U) - U)[:, 0].abs().max() < 1e-11
 
 
 @pytest.mark.parametrize("steps", [1, 3, 20])
 def test_a_delay_shifts_by_whole_steps(steps):
     expected = torch.cat([torch.zeros(steps, 2, dtype=torch.float64), U])[: len(U)]
-    assert (driven(effects.Delay(steps), U) - expected).abs().max() < 1e-11
+    assert (driven(effects.CommandDelay(steps), U) - expected).abs().max() < 1e-11
 
 
 def test_what_is_delayed_is_exactly_what_was_commanded():
-    scene = Scene(CASES["two_link"].robot, (effects.Delay(2),))
+    scene = Scene(CASES["two_link"].robot, (effects.CommandDelay(2),))
     state = scene.start(torch.zeros(2, dtype=torch.float64))
     for u in U[:5]:
         state = scene.step(state, u)
@@ -938,7 +942,7 @@ def test_readings_in_steps_of_zero_are_exact_and_cost_nothing():
 
 @pytest.mark.parametrize("steps", [1, 3])
 def test_a_reading_delay_shows_the_state_of_so_many_steps_ago(steps):
-    scene = Scene(CASES["two_link"].robot, (effects.ReadingDelay(steps),))
+    scene = Scene(CASES["two_link"].robot, (effects.MeasurementDelay(steps),))
     state = scene.start(double([0.3, 0.4]), double([1.0, -1.0]))
     truth, shown = [torch.cat([state.q, state.qd])], [state.reading]
     for u in U:
@@ -1031,8 +1035,8 @@ def test_a_very_stiff_elastic_joint_is_a_rotor():
 
 FRICTION = {
     "Viscous": effects.Viscous([0.3, 0.1]),
-    "Coulomb": effects.Coulomb([0.5, 2.0], width=1e-3),
-    "Stribeck": effects.Stribeck([0.5, 1.0], [1.0, 1.5], width=1e-3),
+    "Coulomb": effects.Coulomb([0.5, 2.0], sign_width=1e-3),
+    "Stribeck": effects.Stribeck([0.5, 1.0], [1.0, 1.5], sign_width=1e-3),
     "Drag": effects.Drag(0.5, 0.5, 0.1),
 }
 
@@ -1062,7 +1066,7 @@ def test_an_arm_never_gains_energy_from_friction_when_integrated_implicitly(kind
     The arm moves slowly, so that Coriolis torques, which a first-order step gets wrong by dt |v|^3, are small.
     """
     robot = CASES["two_link"].robot
-    effect = FRICTION[kind] if kind == "Viscous" else dataclasses.replace(FRICTION[kind], width=width)
+    effect = FRICTION[kind] if kind == "Viscous" else dataclasses.replace(FRICTION[kind], sign_width=width)
     generator = torch.Generator().manual_seed(2)
     q, qd = torch.randn(2, 50, 2, generator=generator, dtype=torch.float64)
     scene = Scene(robot, (effect,), integrator=LinearlyImplicit(), dt=1e-3)
@@ -1109,7 +1113,7 @@ TENSORS = {
     "Ripple": lambda: (effects.Ripple(p(0.3, 0.5), p(0.3, -0.5), p(-0.2, 0.1), warming=p(0.02, 0.01)), warm()),
     "Spring": lambda: (effects.Spring(p(3.0, 5.0), p(0.1, -0.2)), {}),
     "Servo": lambda: (effects.Servo(p(3.0, 5.0), p(0.2, 0.1)), {"target": p(0.5, 0.1)}),
-    "Limits": lambda: (effects.Limits(p(-0.5, -0.6), p(0.2, 0.5), p(30.0, 50.0), p(1.0, 2.0)), {}),
+    "JointLimits": lambda: (effects.JointLimits(p(-0.5, -0.6), p(0.2, 0.5), p(30.0, 50.0), p(1.0, 2.0)), {}),
     "Elastic": lambda: (effects.Elastic(p(30.0, 50.0), p(0.3, 0.1), p(0.2, 0.3)), {}),
     "Push": lambda: (effects.Push(axes="body"), {"push": p(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)}),
     "Drag": lambda: (effects.Drag(p(0.3, 0.1), p(0.2, 0.4), p(0.01, 0.02), p(0.1)), {}),
@@ -1119,12 +1123,12 @@ TENSORS = {
     ),
     "Saturation": lambda: (effects.Saturation(p(1.0, 5.0)), {}),
     "TorqueSpeed": lambda: (effects.TorqueSpeed(p(1.0, 5.0), p(3.0, 4.0)), {}),
-    "Lag": lambda: (effects.Lag(p(0.05, 0.1)), {}),
-    "Delay": lambda: (effects.Delay(1), {}),
+    "FirstOrderLag": lambda: (effects.FirstOrderLag(p(0.05, 0.1)), {}),
+    "CommandDelay": lambda: (effects.CommandDelay(1), {}),
     "DeadBand": lambda: (effects.DeadBand(p(0.3, 0.4)), {}),
     "Noise": lambda: (effects.Noise(p(0.1, 0.2), p(0.3, 0.4)), {"noise": double([0.3, 0.6, 0.2, 0.9])}),
     "Bias": lambda: (effects.Bias(p(0.1, 0.2), p(0.3, 0.4)), {}),
-    "ReadingDelay": lambda: (effects.ReadingDelay(1), {}),
+    "MeasurementDelay": lambda: (effects.MeasurementDelay(1), {}),
     "QuantisedCommand": lambda: (effects.QuantisedCommand(p(0.3, 0.4)), {}),
     "Residual": lambda: (effects.Residual(torch.mul), {}),
     "QuantisedReading": lambda: (effects.QuantisedReading(p(0.03, 0.04), p(0.3, 0.4)), {}),
@@ -1165,7 +1169,7 @@ def test_gradients_of_a_step_are_right(kind, integrator):
 
 @pytest.mark.parametrize("kind", sorted(set(TENSORS) - set(STEPPED)))
 def test_gradients_of_a_rollout_are_right(kind):
-    integrator = LinearlyImplicit() if kind in ("Elastic", "Limits") else SemiImplicitEuler()
+    integrator = LinearlyImplicit() if kind in ("Elastic", "JointLimits") else SemiImplicitEuler()
     assert torch.autograd.gradcheck(*differentiable(*TENSORS[kind](), integrator, 4), atol=1e-7, fast_mode=True)
 
 
@@ -1227,8 +1231,8 @@ def test_gradients_of_dry_friction_stay_finite_as_its_width_shrinks(width, qd, t
             effects.Stribeck(torch.tensor([1.0, 2.0]), 1.5),
             "coulomb of Stribeck must not be above static, found 2 and 1.5 at joint 'elbow'",
         ),
-        (effects.Limits(torch.tensor([1.0, 1.0]), torch.tensor([2.0, -1.0])), "found 1 and -1 at joint 'elbow'"),
-        (effects.Delay(10**7), "steps of Delay must be at most 500"),
+        (effects.JointLimits(torch.tensor([1.0, 1.0]), torch.tensor([2.0, -1.0])), "found 1 and -1 at joint 'elbow'"),
+        (effects.CommandDelay(10**7), "steps of CommandDelay must be at most 500"),
         (effects.TorqueSpeed(torch.tensor([math.inf, 5.0]), 3.0), "stall of TorqueSpeed must be finite as a tensor"),
     ],
 )

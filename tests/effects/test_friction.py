@@ -377,7 +377,7 @@ def test_bristles_along_a_log_are_those_of_the_simulation():
     q, qd, z = (torch.stack([getattr(s, name) for s in states]) for name in ("q", "qd", "memory"))
     time = torch.arange(1500, dtype=F64) * 2e-4
     unit = effects.LuGre(None, 5e-4, 1.5, 0.3)  # whose torque is its deflection
-    found = columns(WHEEL, unit, q, qd, time=time)["level"]
+    found = columns(WHEEL, unit, q, qd, time=time)["coulomb"]
     assert z.abs().max() > 1.05 and (found - z).abs().max() < 0.02
     with pytest.raises(ArgumentError, match="time must be given for LuGre, which remembers"):
         columns(WHEEL, unit, q, qd)

@@ -152,7 +152,7 @@ def test_it_is_held_over_a_step_as_a_commanded_torque_is(integrator):
 
 @pytest.mark.parametrize("integrator", EVERY, ids=called)
 def test_a_model_that_sees_accelerations_works_with_every_integrator_and_behind_elastic_joints(integrator):
-    for parts in ((), (effects.Elastic(50.0, 0.1, 0.2), effects.Lag(0.05), effects.Noise(0.01))):
+    for parts in ((), (effects.Elastic(50.0, 0.1, 0.2), effects.FirstOrderLag(0.05), effects.Noise(0.01))):
         scene = Scene(ARM, (*parts, effects.Residual(imitated(4, 0.2))), integrator=integrator, dt=1e-4)
         true = Scene(ARM, (*parts, effects.RotorInertia(0.2)), integrator=integrator, dt=1e-4)
         noise = torch.full((scene.noises,), 0.5, dtype=torch.float64)

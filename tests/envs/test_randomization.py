@@ -153,7 +153,7 @@ def fills(x, lower, upper):
 
 WAYS = {
     "mass": lambda envs: drawn(envs, effects.MassScale, "factor"),
-    "friction": lambda envs: drawn(envs, effects.Coulomb, "level") / 0.5,
+    "friction": lambda envs: drawn(envs, effects.Coulomb, "coulomb") / 0.5,
     "damping": lambda envs: drawn(envs, effects.Viscous, "coefficient") / 2.0,
     "armature": lambda envs: drawn(envs, effects.RotorInertia, "inertia") / 0.1,
     "gravity": lambda envs: drawn(envs, effects.Gravity, "acceleration").sum(1) / -9.81,
@@ -233,7 +233,7 @@ def test_start_and_goal_are_those_of_the_robot_as_described(task, name):
 
 @pytest.mark.parametrize("steps", [1, 2, 3])
 def test_a_drawn_delay_of_whole_steps_is_the_delay(steps):
-    plain = make({}, 5, effects=(effects.Gravity(), effects.Delay(steps)))
+    plain = make({}, 5, effects=(effects.Gravity(), effects.CommandDelay(steps)))
     late = make({"delay": (steps, steps)}, 5, effects=(effects.Gravity(),))
     for k in range(6):
         action = torch.full((5, 2), 0.3 * (-1) ** k)

@@ -23,7 +23,7 @@ from torchdq.envs import ArmEnv, ArmVectorEnv, TorchTask, effects
 from torchdq.envs.tasks import Reach, Track
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.scene import controllers
-from torchdq.scene.defaults import nominal, usual
+from torchdq.scene.defaults import default_effects, nominal
 
 BACKEND = "auto"
 ROBOT = torchdq.robots.load("two_link")
@@ -295,8 +295,8 @@ def test_without_a_seed_episodes_differ():
         {"robot": "panda", "scale": None},
         {"task": "track", "action": "residual"},
         {"task": "track", "action": "reference", "randomise": {"mass": 0.3, "friction": 0.5, "payload": 1.0}},
-        {"effects": (effects.Gravity(), effects.Viscous(1.0), effects.Lag(0.05), effects.Delay(2), effects.Noise(0.01),
-                     effects.ReadingDelay(2))},
+        {"effects": (effects.Gravity(), effects.Viscous(1.0), effects.FirstOrderLag(0.05), effects.CommandDelay(2),
+                     effects.Noise(0.01), effects.MeasurementDelay(2))},
     ],
     ids=["panda", "residual", "randomised", "memory"],
 )  # fmt: skip
@@ -341,7 +341,7 @@ def test_a_row_whose_seed_is_none_goes_on():
 
 
 def test_effects_remember_at_the_beginning_what_they_do_in_a_scene():
-    envs = make(effects=(effects.ReadingDelay(2), effects.Elastic(100.0, 1.0, 0.1), effects.Delay(1)))
+    envs = make(effects=(effects.MeasurementDelay(2), effects.Elastic(100.0, 1.0, 0.1), effects.CommandDelay(1)))
     envs.reset(seed=0)
     expected = envs.scene.start(envs._buffers["q"], envs._buffers["qd"])
     assert torch.equal(envs._buffers["memory"], expected.memory) and torch.equal(
@@ -373,7 +373,7 @@ def test_finished_rows_begin_anew_in_the_same_step():
 
 
 def test_finished_rows_begin_anew_at_the_next_step():
-    noisy = (*usual(ROBOT), effects.Noise(0.01, 0.01))
+    noisy = (*default_effects(ROBOT), effects.Noise(0.01, 0.01))
     envs, at_once = (make(max_episode_steps=3, autoreset_mode=mode, effects=noisy) for mode in ("NextStep", "SameStep"))
     assert envs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
     assert same(envs.reset(seed=0), at_once.reset(seed=0))
@@ -426,7 +426,10 @@ IN_TORCH = TorchTask("reach", reward=lambda now: -now.q.square().sum(1))
 @pytest.mark.parametrize("mode", AutoresetMode)
 @pytest.mark.parametrize("task", ["reach", IN_TORCH], ids=["recorded", "in torch"])
 def test_rows_are_the_same_where_the_host_does_not_look(mode, task):
-    options = {"randomise": {"mass": 0.2, "friction": 0.3}, "effects": (*usual(ROBOT), effects.Noise(0.01, 0.01))}
+    options = {
+        "randomise": {"mass": 0.2, "friction": 0.3},
+        "effects": (*default_effects(ROBOT), effects.Noise(0.01, 0.01)),
+    }
     looking, blind = (make(task=task, max_episode_steps=4, autoreset_mode=mode, **options) for _ in range(2))
     blind._looks = False
     for envs in (looking, blind):
@@ -607,7 +610,12 @@ def test_saved_environments_go_on_as_if_nothing_had_been(task, tmp_path):
         "action": "residual",
         "max_episode_steps": 30,
         "randomise": {"mass": 0.2, "friction": 0.2, "payload": 1.0},
-        "effects": (*usual(ROBOT), effects.Lag(0.05), effects.Noise(0.01, 0.01), effects.ReadingDelay(1)),
+        "effects": (
+            *default_effects(ROBOT),
+            effects.FirstOrderLag(0.05),
+            effects.Noise(0.01, 0.01),
+            effects.MeasurementDelay(1),
+        ),
     }
     envs = make(**made)
     envs.reset(seed=0)
@@ -645,12 +653,17 @@ def test_wrong_states_are_refused():
 
 
 def test_a_state_that_other_effects_remember_is_refused():
-    lagging, late = (make(effects=(*usual(ROBOT), effect)) for effect in (effects.Lag(0.05), effects.Delay(1)))
+    lagging, late = (
+        make(effects=(*default_effects(ROBOT), effect))
+        for effect in (effects.FirstOrderLag(0.05), effects.CommandDelay(1))
+    )
     for envs in (lagging, late):
         envs.reset(seed=0)
     state = lagging.get_state()
-    assert state["memory of Lag"].shape == late.get_state()["memory of Delay"].shape
-    with pytest.raises(torchdq.ArgumentError, match=r"'memory of Delay'.*, found .*'memory of Lag'.*other effects"):
+    assert state["memory of FirstOrderLag"].shape == late.get_state()["memory of CommandDelay"].shape
+    with pytest.raises(
+        torchdq.ArgumentError, match=r"'memory of CommandDelay'.*, found .*'memory of FirstOrderLag'.*other effects"
+    ):
         late.set_state(state)
 
 

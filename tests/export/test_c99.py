@@ -30,7 +30,7 @@ F64 = torch.float64
 
 
 def scene_step(dtype="float64"):
-    parts = (effects.Gravity(), effects.Viscous(1.0), effects.Coulomb(0.5), effects.Limits(-1.0, 1.0))
+    parts = (effects.Gravity(), effects.Viscous(1.0), effects.Coulomb(0.5), effects.JointLimits(-1.0, 1.0))
     scene = Scene(torchdq.robots.load("two_link"), parts, integrator=integrators.RungeKutta4())
     return torchdq.compile(scene.program("torque"), dtype=dtype)
 
@@ -284,7 +284,7 @@ def test_a_header_has_the_numbers_of_controller_and_friction(tmp_path):
     assert " * friction: Viscous(" in text["layer"] and "coefficient=(0.25, 0.5))" in text["layer"]
     assert "coefficient=argument)" in text["arguments"] and "in   viscous[2]  viscous friction" in text["arguments"]
     assert "effect 0: Viscous(" in text["step"] and "coefficient=(0.1, 0.2))" in text["step"]
-    assert "level=argument" in text["step"] and "controller: PD(kp=9, kd=1.5)" in text["step"]
+    assert "coulomb=argument" in text["step"] and "controller: PD(kp=9, kd=1.5)" in text["step"]
     assert "PD(kp=9, kd=(1.5, 2))" in text["pd"] and all(
         "joints in the order of q: joint1, joint2" in x for x in text.values()
     )

@@ -148,7 +148,7 @@ SCENES = {
     "integrators": lambda: Scene(TWO, FELT, integrator=integrators.RungeKutta4()),
     "conserving": lambda: Scene(TWO, FELT[:1], integrator=integrators.StoermerVerlet()),
     "repeated": lambda: Scene(TWO, FELT, integrator=integrators.Repeated(integrators.SemiImplicitEuler(), 3)),
-    "memory": lambda: Scene(TWO, (*FELT, effects.Lag(0.05), effects.Elastic(100.0, inertia=0.1))),
+    "memory": lambda: Scene(TWO, (*FELT, effects.FirstOrderLag(0.05), effects.Elastic(100.0, inertia=0.1))),
     "sensors": lambda: Scene(TWO, (*FELT, effects.Bias(0.01), effects.QuantisedReading(0.01))),
     "learned": lambda: Scene(TWO, (effects.Gravity(), effects.Viscous(torch.tensor([0.1, 0.2], dtype=F64)))),
     "controlled": lambda: Scene(TWO, FELT, controller=controllers.PD(20.0, 2.0)),

@@ -159,7 +159,9 @@ def test_long_chains_are_recommended_articulated_bodies():
 
 
 def test_starts_are_within_the_limits_that_are_simulated():
-    scene = Scene(ROBOTS["two_link"], (effects.Gravity(), effects.Viscous(0.5), effects.Limits(-1.0, 1.0)), dt=0.05)
+    scene = Scene(
+        ROBOTS["two_link"], (effects.Gravity(), effects.Viscous(0.5), effects.JointLimits(-1.0, 1.0)), dt=0.05
+    )
     assert Trial.of(scene, 0.1, None, {}).state.q.abs().max() <= 1
     found = recommend_settings(scene, 1e-3, 0.2)
     fine = scene.replace(integrator=integrators.Repeated(integrators.RungeKutta4(), 512))

@@ -74,10 +74,10 @@ def everything(robot):
         effects.RotorInertia(0.3),
         effects.Payload(double(0.5).squeeze(), (0.1, 0.0, 0.1)),
         effects.Viscous(0.3),
-        effects.Stribeck(0.2, 0.4, velocity=1.0, width=1.0),
+        effects.Stribeck(0.2, 0.4, velocity=1.0, sign_width=1.0),
         effects.Spring(3.0, 0.2),
         effects.Servo(2.0, 0.1),
-        effects.Drag(0.1, 0.1, 0.02, width=0.5),
+        effects.Drag(0.1, 0.1, 0.02, sign_width=0.5),
         effects.Push(),
         effects.Elastic(30.0, 0.2, 0.5),
     )
@@ -202,7 +202,9 @@ def test_a_sample_does_not_depend_on_those_beside_it():
     q, qd = random(2, 5, 2, seed=1)
     qd[3] *= 20
     q[4, 0] = math.nan
-    scene = Scene(ARM, (effects.Gravity(), effects.Limits(-1.0, 1.0, 1e5)), integrator=DormandPrince(1e-5), dt=0.02)
+    scene = Scene(
+        ARM, (effects.Gravity(), effects.JointLimits(-1.0, 1.0, 1e5)), integrator=DormandPrince(1e-5), dt=0.02
+    )
     together = scene.step(State(q, qd))
     for i in range(5):
         alone = scene.step(State(q[i : i + 1], qd[i : i + 1]))
@@ -246,12 +248,12 @@ def test_an_adaptive_step_drives_and_senses_as_a_recorded_one_does(compiled):
     parts = (
         effects.Gravity(),
         effects.Elastic(30.0, 0.2, 0.5),
-        effects.Lag(0.05),
-        effects.Delay(1),
+        effects.FirstOrderLag(0.05),
+        effects.CommandDelay(1),
         effects.Saturation(2.0),
         effects.Push(),
         effects.Bias(0.1, 0.2),
-        effects.ReadingDelay(2),
+        effects.MeasurementDelay(2),
     )
     adaptive = Scene(ARM, parts, integrator=DormandPrince(1e-11, 1e-12), dt=0.02)
     recorded = adaptive.replace(integrator=RungeKutta4(), substeps=8)
@@ -405,7 +407,7 @@ def test_a_bounce_off_stiff_limits_gains_no_energy(stiffness, dissipation, dt):
     """Wheels thrown at all speeds come back no faster than they came, and go no deeper than a step takes them."""
     speed = torch.logspace(-3, 2, 60, dtype=torch.float64)[:, None]
     scene = Scene(
-        WHEEL, (effects.Limits(-math.inf, 0.1, stiffness, dissipation),), integrator=LinearlyImplicit(), dt=dt
+        WHEEL, (effects.JointLimits(-math.inf, 0.1, stiffness, dissipation),), integrator=LinearlyImplicit(), dt=dt
     )
     state = State(0.1 - 2.5 * dt * speed, speed)
     for _ in range(60):
@@ -420,7 +422,7 @@ def test_a_bounce_off_stiff_limits_gains_no_energy(stiffness, dissipation, dt):
 def test_an_arm_falling_on_its_limits_stays_within_them(compiled):
     scene = Scene(
         ARM,
-        (effects.Gravity(), effects.Limits(-0.5, 0.5, 1e8)),
+        (effects.Gravity(), effects.JointLimits(-0.5, 0.5, 1e8)),
         integrator=LinearlyImplicit(),
         dt=2e-3,
     )
@@ -440,7 +442,7 @@ def test_an_arm_falling_on_its_limits_stays_within_them(compiled):
 def test_the_speed_after_a_bounce_is_that_of_hunt_and_crossley():
     """v1^2 = 2 (v0 / c - log(1 + c v0) / c^2) for a contact that is damped while it grows, whatever its stiffness."""
     speed, c = double(0.1, 0.5, 1.0, 3.0)[:, None], double(0.5, 2.0, 10.0)[:, None, None]
-    scene = Scene(WHEEL, (effects.Limits(-1.0, 0.0, 1e4, c),), integrator=RungeKutta4(), dt=4e-6)
+    scene = Scene(WHEEL, (effects.JointLimits(-1.0, 0.0, 1e4, c),), integrator=RungeKutta4(), dt=4e-6)
     with torch.no_grad():
         state = rolled(scene, State(torch.zeros_like(speed), speed), 1500)
     assert (state.q < 0).all()
@@ -538,7 +540,7 @@ ORDINARY = {
     "Stribeck": (effects.Stribeck(0.5, 1.0), {}),
     "Servo": (effects.Servo(1e3, 1e2), {"target": double(*HOME)}),
     "Spring": (effects.Spring(1e3, HOME), {}),
-    "Limits": (effects.Limits(), {}),
+    "JointLimits": (effects.JointLimits(), {}),
 }
 
 

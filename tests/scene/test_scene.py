@@ -58,8 +58,8 @@ NOTHING = {
     "Ripple": effects.Ripple(0.1, 0.0, 0.0),
     "Spring": effects.Spring(0.0, 0.3),
     "Servo": effects.Servo(0.0, 0.0),
-    "Limits": effects.Limits(-math.inf, math.inf),
-    "Limits without stiffness": effects.Limits(-1.0, 1.0, 0.0),
+    "JointLimits": effects.JointLimits(-math.inf, math.inf),
+    "JointLimits without stiffness": effects.JointLimits(-1.0, 1.0, 0.0),
     "Drag": effects.Drag(0.0, 0.0, 0.0),
     "Contact": effects.Contact(stiffness=0.0),
     "RotorInertia": effects.RotorInertia(0.0),
@@ -86,7 +86,7 @@ def test_an_effect_of_no_size_is_no_operation(kind, robot):
 
 
 @pytest.mark.case("T14")
-@pytest.mark.parametrize("kind", ["Viscous", "Coulomb", "Spring", "Limits", "Saturation", "RotorInertia"])
+@pytest.mark.parametrize("kind", ["Viscous", "Coulomb", "Spring", "JointLimits", "Saturation", "RotorInertia"])
 @pytest.mark.parametrize("integrator", FIXED, ids=called)
 def test_an_effect_of_no_size_leaves_the_very_same_program(kind, integrator):
     bare = Scene(TREE, integrator=integrator)
@@ -108,7 +108,7 @@ SOMETHING = (
     effects.LuGre(0.1),
     effects.Spring(0.3),
     effects.Servo(3.0),
-    effects.Limits(-1.0, 1.0),
+    effects.JointLimits(-1.0, 1.0),
     effects.Elastic(30.0),
     effects.Residual(torch.mul),
     effects.Push(),
@@ -116,14 +116,14 @@ SOMETHING = (
     effects.Contact(),
     effects.Saturation(1.0),
     effects.TorqueSpeed(1.0, 1.0),
-    effects.Lag(0.1),
-    effects.Delay(1),
+    effects.FirstOrderLag(0.1),
+    effects.CommandDelay(1),
     effects.DeadBand(0.1),
     effects.QuantisedCommand(0.1),
     effects.Noise(0.1),
     effects.Bias(0.1),
     effects.QuantisedReading(0.1),
-    effects.ReadingDelay(1),
+    effects.MeasurementDelay(1),
 )
 
 
@@ -154,12 +154,12 @@ def test_an_effect_costs_what_its_description_says(effect):
     assert sum(cost.operations for cost in description.costs) == description.total.operations
     assert description.total.operations == Scene(TREE, (effects.Viscous(0.2), effect)).count().total
     # moved, or folded into constants, as a second viscous friction is into the first
-    free = (effects.Delay, effects.ReadingDelay, effects.Payload, effects.MassScale, effects.Viscous)
+    free = (effects.CommandDelay, effects.MeasurementDelay, effects.Payload, effects.MassScale, effects.Viscous)
     assert (second.operations == 0) == isinstance(effect, free)
 
 
 def test_a_description_of_a_scene_with_limits_warns_of_nothing():
-    scene = Scene(PANDA, (effects.Gravity(), effects.Limits()))
+    scene = Scene(PANDA, (effects.Gravity(), effects.JointLimits()))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert scene.describe(64, seconds=0.1).costs
@@ -205,7 +205,7 @@ ASKED = {
     "gravity": (effects.Gravity(),),
     "damping of shoulder": (effects.Viscous(),),
     "dry friction of shoulder": (effects.Coulomb(), effects.Stribeck(static=1.0)),
-    "position limits of shoulder": (effects.Limits(),),
+    "position limits of shoulder": (effects.JointLimits(),),
     "torque limits of shoulder": (effects.Saturation(), effects.TorqueSpeed()),
     "velocity limits of shoulder": (effects.TorqueSpeed(),),
 }
@@ -503,9 +503,9 @@ def test_a_model_that_requires_grad_is_refused(controller):
 # parts of a description, and what the shipped arm without friction and limits says of each
 TAKING = {
     effects.Viscous(): ("coefficient from", "no damping", "coefficient is 0"),
-    effects.Coulomb(): ("level from", "no friction", "level is 0"),
+    effects.Coulomb(): ("coulomb from", "no friction", "coulomb is 0"),
     effects.Stribeck(static=0.0): ("coulomb from", "no friction", "coulomb is 0, static is 0"),
-    effects.Limits(): ("lower and upper from", "no limits.lower and limits.upper", "lower is -inf, upper is inf"),
+    effects.JointLimits(): ("lower and upper from", "no limits.lower and limits.upper", "lower is -inf, upper is inf"),
     effects.Saturation(): ("limit from", "no limits.effort", "limit is inf"),
     effects.TorqueSpeed(): ("stall and speed from", "no limits.effort and limits.velocity", "stall is inf"),
 }
@@ -533,8 +533,8 @@ def test_effects_that_act_are_not_told():
         warnings.simplefilter("error")
         for effect in (effects.Viscous(0.0), effects.Stribeck(static=1.0), effects.Saturation(0.0), effects.Gravity()):
             Scene(ARM, (effect,))
-        Scene(PANDA, (effects.Viscous(double(*[0.0] * 7)), effects.Saturation(), effects.Limits()))
-    held = Scene(ARM, (effects.Saturation(0.0), effects.Limits(0.0, 0.0))).describe(batch=1, seconds=0.0).left_out
+        Scene(PANDA, (effects.Viscous(double(*[0.0] * 7)), effects.Saturation(), effects.JointLimits()))
+    held = Scene(ARM, (effects.Saturation(0.0), effects.JointLimits(0.0, 0.0))).describe(batch=1, seconds=0.0).left_out
     assert not any("acts on no joint" in line for line in held)
 
 
@@ -555,7 +555,7 @@ def test_effects_that_act_are_not_told():
         ({"dt": "fast"}, "dt must be a positive number"),
         ({"dt": True}, "dt must be a positive number, found True"),
         ({"substeps": True}, "substeps must be a whole number from 1, found True"),
-        ({"effects": (effects.Delay(True),)}, "steps of Delay must be a whole number from 1, found True"),
+        ({"effects": (effects.CommandDelay(True),)}, "steps of CommandDelay must be a whole number from 1, found True"),
         ({"substeps": 0}, "substeps must be a whole number"),
         ({"substeps": 1.5}, "substeps must be a whole number"),
         ({"effects": (effects.Elastic(1.0, 0.0, 1.0),) * 2}, "must not hold Elastic twice"),
@@ -563,8 +563,8 @@ def test_effects_that_act_are_not_told():
         ({"effects": (effects.Servo(1.0), effects.Servo(2.0))}, "the input 'target' belongs to 2 effects"),
         ({"effects": (effects.Push("base"),)}, "frame of Push is 'base', which is fixed to the base"),
         ({"effects": (effects.Push(axes="tool"),)}, "axes of Push must be 'world' or 'body'"),
-        ({"effects": (effects.Delay(0),)}, "steps of Delay must be a whole number from 1"),
-        ({"effects": (effects.ReadingDelay(1.5),)}, "steps of ReadingDelay must be a whole number from 1"),
+        ({"effects": (effects.CommandDelay(0),)}, "steps of CommandDelay must be a whole number from 1"),
+        ({"effects": (effects.MeasurementDelay(1.5),)}, "steps of MeasurementDelay must be a whole number from 1"),
         ({"effects": (effects.Viscous(-1.0),)}, "coefficient of Viscous must not be negative"),
         ({"effects": (effects.Viscous(math.nan),)}, "coefficient of Viscous must be finite"),
         ({"effects": (effects.Viscous([1.0, 2.0, 3.0]),)}, "coefficient of Viscous must be one number or 2, found 3"),
@@ -574,12 +574,12 @@ def test_effects_that_act_are_not_told():
             "coefficient of Viscous must be a floating",
         ),
         ({"effects": (effects.Viscous("much"),)}, "coefficient of Viscous must be a number"),
-        ({"effects": (effects.Coulomb(1.0, 0.0),)}, "width of Coulomb must be positive"),
+        ({"effects": (effects.Coulomb(1.0, 0.0),)}, "sign_width of Coulomb must be positive"),
         ({"effects": (effects.Stribeck(1.0, 2.0, velocity=0.0),)}, "velocity of Stribeck must be positive"),
         ({"effects": (effects.Stribeck(1.0),)}, "static of Stribeck must be given"),
         ({"effects": (effects.Elastic(1.0, 0.0, [0.1, 0.0]),)}, "inertia of Elastic must be positive"),
-        ({"effects": (effects.Drag(1.0, width=0.0),)}, "width of Drag must be positive"),
-        ({"effects": (effects.Contact(width=0.0),)}, "width of Contact must be positive"),
+        ({"effects": (effects.Drag(1.0, sign_width=0.0),)}, "sign_width of Drag must be positive"),
+        ({"effects": (effects.Contact(sign_width=0.0),)}, "sign_width of Contact must be positive"),
         ({"effects": (effects.TorqueSpeed(1.0, 0.0),)}, "speed of TorqueSpeed must be positive"),
         ({"effects": (effects.QuantisedCommand(0.0),)}, "step of QuantisedCommand must be positive"),
         ({"effects": (effects.Gravity((0.0, 9.81)),)}, "acceleration of Gravity must be one number or 3, found 2"),
@@ -596,7 +596,7 @@ def test_an_unknown_frame_is_refused_by_name():
             Scene(ARM, (effect,))
 
 
-STRICT = Scene(ARM, (effects.Servo(1.0), effects.Push(), effects.Delay(1), effects.Noise(0.1)), PD(1.0, 1.0))
+STRICT = Scene(ARM, (effects.Servo(1.0), effects.Push(), effects.CommandDelay(1), effects.Noise(0.1)), PD(1.0, 1.0))
 ZERO = torch.zeros(2, dtype=torch.float64)
 
 
@@ -682,14 +682,14 @@ RICH = (
     effects.RotorInertia(0.1),
     effects.Viscous(0.3),
     effects.Coulomb(0.2),
-    effects.Limits(-1.0, 1.0, 100.0),
+    effects.JointLimits(-1.0, 1.0, 100.0),
     effects.Drag(0.1, 0.1, 0.1),
     effects.Contact(height=0.3, stiffness=100.0, friction=0.5),
     effects.Push(),
-    effects.Lag(0.05),
+    effects.FirstOrderLag(0.05),
     effects.Saturation(5.0),
     effects.Noise(0.1, 0.2),
-    effects.ReadingDelay(2),
+    effects.MeasurementDelay(2),
 )
 
 
@@ -742,7 +742,9 @@ def test_batch_axes_broadcast(integrator):
 
     def end(q, qd, torque, push, d, g):
         scene = Scene(
-            ARM, (effects.Viscous(d), effects.Gravity(g), effects.Push(), effects.Lag(0.1)), integrator=integrator
+            ARM,
+            (effects.Viscous(d), effects.Gravity(g), effects.Push(), effects.FirstOrderLag(0.1)),
+            integrator=integrator,
         )
         return scene.step(scene.start(q, qd), torque, push=push)
 
@@ -763,7 +765,7 @@ def test_an_adaptive_step_broadcasts_too():
 @pytest.mark.parametrize("shape", [(0,), (3, 0), (0, 4)])
 @pytest.mark.parametrize("integrator", [*FIXED, DormandPrince()], ids=called)
 def test_a_batch_may_be_empty(integrator, shape):
-    scene = Scene(ARM, (effects.Gravity(), effects.Lag(0.1), effects.Bias(0.1)), integrator=integrator)
+    scene = Scene(ARM, (effects.Gravity(), effects.FirstOrderLag(0.1), effects.Bias(0.1)), integrator=integrator)
     q = torch.zeros(*shape, 2, dtype=torch.float64, requires_grad=True)
     after = scene.step(scene.start(q), ZERO)
     assert [tuple(x.shape) for x in after.rows().values()] == [(*shape, 2), (*shape, 2), (*shape, 2), (*shape, 4)]
@@ -893,7 +895,7 @@ def test_a_rollout_is_its_steps():
 
 @pytest.mark.parametrize("checkpoint", [0, 2])
 def test_a_rollout_of_no_steps_is_empty(checkpoint):
-    scene = Scene(ARM, (effects.Lag(0.1),))
+    scene = Scene(ARM, (effects.FirstOrderLag(0.1),))
     found = scene.rollout(scene.start(random(4, 2)), steps=0, checkpoint=checkpoint)
     assert [tuple(x.shape) for x in found.rows().values()] == [(0, 4, 2), (0, 4, 2), (0, 4, 2)]
 
@@ -996,7 +998,7 @@ def test_a_rotor_is_not_counted_twice():
 
 @pytest.mark.parametrize("order", [(0, 1), (1, 0)])
 def test_readings_are_the_same_from_the_first_in_any_order_of_bias_and_delay(order):
-    sensors = (effects.Bias(0.1), effects.ReadingDelay(2))
+    sensors = (effects.Bias(0.1), effects.MeasurementDelay(2))
     scene = Scene(ARM, [sensors[i] for i in order])
     state = scene.start(double(0.3, -0.2))
     for _ in range(4):
@@ -1066,5 +1068,5 @@ def test_a_state_does_not_follow_later_changes_of_what_it_was_made_from():
 
 
 def test_limits_that_leave_nothing_between_them_are_refused():
-    with pytest.raises(torchdq.ArgumentError, match="lower of Limits must not be above upper, found 1 and -1"):
-        Scene(torchdq.robots.load("two_link"), (effects.Limits(1.0, -1.0),))
+    with pytest.raises(torchdq.ArgumentError, match="lower of JointLimits must not be above upper, found 1 and -1"):
+        Scene(torchdq.robots.load("two_link"), (effects.JointLimits(1.0, -1.0),))

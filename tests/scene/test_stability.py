@@ -80,13 +80,13 @@ def test_friction_at_rest_is_as_stiff_as_its_width_is_small():
 STIFF = {
     "Viscous": (effects.Viscous(500.0), {}),
     "Servo": (effects.Servo(1e5, 1e3), {"target": double(0.3, 0.3)}),
-    "Limits": (effects.Limits(-0.5, 0.5, 1e6), {}),
+    "JointLimits": (effects.JointLimits(-0.5, 0.5, 1e6), {}),
     "Spring": (effects.Spring(1e6), {}),
     "Elastic": (effects.Elastic(1e6, 1.0, 0.1), {}),
 }
 
 
-@pytest.mark.parametrize("kind", thinned(STIFF, [kind for kind in STIFF if kind != "Limits"]))
+@pytest.mark.parametrize("kind", thinned(STIFF, [kind for kind in STIFF if kind != "JointLimits"]))
 def test_what_does_not_hold_says_what_does(kind):
     effect, inputs = STIFF[kind]
     scene = Scene(ARM, (effects.Gravity(), effect), integrator=SemiImplicitEuler())
@@ -167,7 +167,7 @@ def losing():
 def test_finite_tells_rows_apart():
     q, qd = double((0.0, 0.0), (math.inf, 0.0), (0.0, 0.0)), double((0.0, 0.0), (0.0, 0.0), (math.nan, 0.0))
     assert Scene(ARM).finite(State(q, qd)).tolist() == [True, False, False]
-    remembering = Scene(ARM, (effects.Lag(0.1),))
+    remembering = Scene(ARM, (effects.FirstOrderLag(0.1),))
     state = remembering.start(torch.zeros(2, 2, dtype=torch.float64))
     assert remembering.finite(state._replace(memory=double((0.0, 0.0), (0.0, math.nan)))).tolist() == [True, False]
 
@@ -381,7 +381,9 @@ LINEARIZED = {
     "tree": (Scene(TREE, (effects.Gravity(), effects.Coulomb(0.3, 0.5), effects.Drag(0.1, 0.1, 0.1))), {}),
     "of its own in every sample": (Scene(ARM, (effects.Payload(torch.linspace(0.1, 2.0, 4).double()),)), {}),
     "remembering and sensing": (
-        Scene(ARM, (effects.Elastic(50.0, 0.5, 0.1), effects.Lag(0.05), effects.Bias(0.1, 0.2)), PD(5.0, 1.0)),
+        Scene(
+            ARM, (effects.Elastic(50.0, 0.5, 0.1), effects.FirstOrderLag(0.05), effects.Bias(0.1, 0.2)), PD(5.0, 1.0)
+        ),
         {"reference": random(4, 6, seed=9)},
     ),
     "RungeKutta4": (Scene(ARM, (effects.Gravity(),), integrator=RungeKutta4()), {}),

@@ -29,7 +29,7 @@ from torchdq.backends.cuda import Cuda
 from torchdq.envs import ArmVectorEnv, Scene, TorchTask, effects
 from torchdq.program import transforms
 from torchdq.scene.controllers import ComputedTorque
-from torchdq.scene.defaults import usual
+from torchdq.scene.defaults import default_effects
 
 _setup_privateuseone_for_python_backend("far")
 FAR = torch.device("far", 0)
@@ -184,7 +184,7 @@ def ahead() -> Iterator[None]:
 # --- claims ----------------------------------------------------------------------------------------------------------
 
 ROBOT = torchdq.robots.load("two_link")
-PARTS = (*usual(ROBOT), effects.Noise(0.01, 0.01), effects.Delay(2))
+PARTS = (*default_effects(ROBOT), effects.Noise(0.01, 0.01), effects.CommandDelay(2))
 N = 7
 
 
@@ -279,7 +279,7 @@ def a_step_is_repeated_by_a_graph():
 
 
 def a_rollout_is_repeated_by_a_graph():
-    scene = Scene(ROBOT, (effects.Gravity(), effects.Viscous(1.0), effects.Limits(-2.0, 2.0)))
+    scene = Scene(ROBOT, (effects.Gravity(), effects.Viscous(1.0), effects.JointLimits(-2.0, 2.0)))
     policy = nn.Linear(4, 2, dtype=torch.float64).to(FAR)
     q, graph = torch.zeros(N, 2, dtype=torch.float64, device=FAR), Graph()
 

@@ -8,7 +8,7 @@ from pathlib import Path
 def write_atomically(contents: Mapping[Path, str | bytes]) -> None:
     """Write files, each of which holds its old content or the new one, never a part, even if this is interrupted.
 
-    None of them changes before all are on the disk. What is no regular file, such as /dev/stdout, is written as it is;
+    None of them changes before all are written. What is no regular file, such as /dev/stdout, is written as it is;
     of a link, the file that it leads to.
 
     Args:

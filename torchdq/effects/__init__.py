@@ -3,40 +3,40 @@
 from typing import TYPE_CHECKING
 
 from torchdq.base.attributes import refusing
-from torchdq.effects.actuator import DeadBand, Delay, Lag, QuantisedCommand, Saturation, TorqueSpeed
+from torchdq.effects.actuator import CommandDelay, DeadBand, FirstOrderLag, QuantisedCommand, Saturation, TorqueSpeed
 from torchdq.effects.body import Contact, Drag, Push
 from torchdq.effects.effect import Effect
 from torchdq.effects.friction import Coulomb, Directional, LoadDependent, Quadratic, Ripple, Stribeck, Viscous
-from torchdq.effects.joint import Limits, Servo, Spring
+from torchdq.effects.joint import JointLimits, Servo, Spring
 from torchdq.effects.model import Gravity, MassScale, Payload, RotorInertia
 from torchdq.effects.presliding import LuGre
 from torchdq.effects.residual import Residual
-from torchdq.effects.sensor import Bias, Noise, QuantisedReading, ReadingDelay
+from torchdq.effects.sensor import Bias, MeasurementDelay, Noise, QuantisedReading
 from torchdq.effects.transmission import Elastic
 
 __all__ = [
     "Bias",
+    "CommandDelay",
     "Contact",
     "Coulomb",
     "DeadBand",
-    "Delay",
     "Directional",
     "Drag",
     "Effect",
     "Elastic",
+    "FirstOrderLag",
     "Gravity",
-    "Lag",
-    "Limits",
+    "JointLimits",
     "LoadDependent",
     "LuGre",
     "MassScale",
+    "MeasurementDelay",
     "Noise",
     "Payload",
     "Push",
     "Quadratic",
     "QuantisedCommand",
     "QuantisedReading",
-    "ReadingDelay",
     "Residual",
     "Ripple",
     "RotorInertia",

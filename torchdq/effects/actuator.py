@@ -95,7 +95,7 @@ class TorqueSpeed(Actuator):
 
 
 @dataclass(frozen=True)
-class Lag(Actuator):
+class FirstOrderLag(Actuator):
     """A first-order lag: T tau' = u - tau, solved exactly over a step in which u is constant.
 
     The torque that acts over the step is the mean of that solution, so that its impulse is exact at any length of the
@@ -123,7 +123,7 @@ class Lag(Actuator):
 
 
 @dataclass(frozen=True)
-class Delay(Late, Actuator):
+class CommandDelay(Late, Actuator):
     """Torques that arrive a whole number of steps late: tau(t) = u(t - steps dt); before that, none.
 
     Args:

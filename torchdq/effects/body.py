@@ -97,23 +97,23 @@ class Push(BodyEffect):
 
 @dataclass(frozen=True)
 class Drag(BodyEffect):
-    """Resistance of a medium at every link: f = -(a + b |v|) v at the centre of mass, moment -c w.
+    """Drag of a medium on every link: f = -(a + b |v|) v at the centre of mass, moment -c w.
 
-    A free base, which is no link, feels none.
+    A free base is not a link and has no drag.
 
     Args:
         linear: a [N s/m], shape [..., links]; Stokes.
         quadratic: b [N s^2/m^2], shape [..., links]; half density times area times drag coefficient.
         angular: c [N m s/rad], shape [..., links].
-        width: speed below which |v| is rounded off [m/s].
+        sign_width: speed below which |v| is smooth [m/s], a number or [...].
     """
 
-    SHAPES: ClassVar[Shapes] = {"linear": ("links",), "quadratic": ("links",), "angular": ("links",), "width": ()}
-    DIVIDING = frozenset({"width"})
+    SHAPES: ClassVar[Shapes] = {"linear": ("links",), "quadratic": ("links",), "angular": ("links",), "sign_width": ()}
+    DIVIDING = frozenset({"sign_width"})
     linear: Parameter = 0.0
     quadratic: Parameter = 0.0
     angular: Parameter = 0.0
-    width: Parameter = 1e-3
+    sign_width: Parameter = 1e-3
 
     def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
         """The resistance to every link."""
@@ -121,7 +121,7 @@ class Drag(BodyEffect):
         for i, (a, b, angular) in enumerate(zip(self.linear, self.quadratic, self.angular, strict=True), 1):
             c = bodies.posed.com(i)
             v = bodies.velocity(i, c)
-            speed = sqrt(quat.dot(v, v) + self.width * self.width)
+            speed = sqrt(quat.dot(v, v) + self.sign_width * self.sign_width)
             force = quat.scale(-(a + b * speed), v)
             moment = quat.scale(-angular, bodies.V[i][0])
             result[i] = (force, quat.add(moment, quat.cross(c, force)))
@@ -132,7 +132,7 @@ class Drag(BodyEffect):
 class Contact(BodyEffect):
     """Compliant contact of a frame's origin with a half-space: normal force k d (1 + c dd), friction mu times it.
 
-        d = height - n . p,   f = f_n n - mu f_n v_t / sqrt(|v_t|^2 + width^2),   f_n = max(k d (1 + c dd), 0)
+        d = height - n . p,   f = f_n n - mu f_n v_t / sqrt(|v_t|^2 + w^2),   f_n = max(k d (1 + c dd), 0)
 
     Source of the normal force: Hunt and Crossley 1975. The force is continuous and the ground never pulls.
 
@@ -143,7 +143,7 @@ class Contact(BodyEffect):
         stiffness: k [N/m], a number or [...].
         dissipation: c [s/m], a number or [...].
         friction: mu, a number or [...].
-        width: sliding velocity below which friction is viscous [m/s], a number or [...].
+        sign_width: w, the sliding speed below which friction is viscous [m/s], a number or [...].
     """
 
     SHAPES: ClassVar[Shapes] = {
@@ -152,17 +152,17 @@ class Contact(BodyEffect):
         "stiffness": (),
         "dissipation": (),
         "friction": (),
-        "width": (),
+        "sign_width": (),
     }
     SIGNED = frozenset({"height", "normal"})
-    DIVIDING = frozenset({"width"})
+    DIVIDING = frozenset({"sign_width"})
     frame: str | None = None
     height: Parameter = 0.0
     normal: Parameter = (0.0, 0.0, 1.0)
     stiffness: Parameter = 1e4
     dissipation: Parameter = 1.0
     friction: Parameter = 0.0
-    width: Parameter = 1e-2
+    sign_width: Parameter = 1e-2
 
     def described(self, robot: Robot) -> Self:
         """Copy with the frame named."""
@@ -187,6 +187,6 @@ class Contact(BodyEffect):
         f_n = maximum(self.stiffness * depth * (1.0 - self.dissipation * approach), 0.0)
         force = quat.scale(f_n, n)
         sliding = quat.sub(v, quat.scale(approach, n))
-        speed = sqrt(quat.dot(sliding, sliding) + self.width * self.width)
+        speed = sqrt(quat.dot(sliding, sliding) + self.sign_width * self.sign_width)
         force = quat.sub(force, quat.scale(self.friction * f_n / speed, sliding))
         return {link: (force, quat.cross(p, force))}

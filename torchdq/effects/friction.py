@@ -55,8 +55,8 @@ class Friction(JointEffect):
                 f"{name} of {type(self).__name__} must be below 1, found {max(numbers):g}: such a joint would lock"
             )
 
-    def steady(self, width: float) -> Friction:
-        """Friction without memory that resists steady motion alike; `width` is that of dry friction [rad/s or m/s]."""
+    def steady(self, sign_width: float) -> Friction:
+        """Memoryless friction with the same torque in steady motion; Coulomb friction gets that `sign_width`."""
         return self
 
     def bristles(self) -> float:
@@ -127,71 +127,72 @@ class Quadratic(Friction):
 
 @dataclass(frozen=True)
 class Coulomb(Friction):
-    """Dry friction, regularised: tau = -level qd / sqrt(qd^2 + width^2).
+    """Coulomb friction with a smooth sign: tau = -c qd / sqrt(qd^2 + w^2).
 
-    Below the width the joint creeps, at width tau / sqrt(level^2 - tau^2) under a torque tau smaller than the level; it
-    never sticks for good. An explicit integrator chatters once dt level / (inertia width) exceeds 2; the linearly
-    implicit one does not at any width, but a joint at rest under a torque tau above the level leaves the width only by
-    a factor tau/level per step.
+    The joint never sticks: under a torque tau below c it creeps at the speed w tau / sqrt(c^2 - tau^2). Explicit
+    integrators chatter once dt c / (inertia w) exceeds 2. The linearly implicit integrator is stable at any w, but a
+    joint at rest under a torque tau above c leaves the smooth zone only by a factor tau/c per step.
 
     Args:
-        level: Coulomb friction [N m or N], shape [..., n]; None: the friction of the robot's description.
-        width: velocity below which it is viscous [rad/s or m/s], a number or [...].
+        coulomb: c, friction of a sliding joint [N m or N], shape [..., n]; None: the friction of the robot's
+            description.
+        sign_width: w, the speed below which the sign is smooth and friction viscous [rad/s or m/s], a number or [...].
         warming: as in `Friction`.
     """
 
-    SHAPES: ClassVar[Shapes] = {"level": ("n",), "width": (), **Friction.SHAPES}
-    LINEAR = SCALES = ("level",)
-    LEARNED_AS: ClassVar[Mapping[str, str]] = {"level": "coulomb"}
-    DIVIDING = frozenset({"width"})
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"level": "friction"}
-    level: Parameter = None
-    width: Parameter = 1e-2
+    SHAPES: ClassVar[Shapes] = {"coulomb": ("n",), "sign_width": (), **Friction.SHAPES}
+    LINEAR = SCALES = ("coulomb",)
+    LEARNED_AS: ClassVar[Mapping[str, str]] = {"coulomb": "coulomb"}
+    DIVIDING = frozenset({"sign_width"})
+    DESCRIBED: ClassVar[Mapping[str, str]] = {"coulomb": "friction"}
+    coulomb: Parameter = None
+    sign_width: Parameter = 1e-2
 
     def law(self, q: Number, qd: Number) -> Impedance:
-        """D = level / sqrt(qd^2 + width^2)."""
-        return Impedance(self.level / smooth_speed(qd, self.width))
+        """D = c / sqrt(qd^2 + w^2)."""
+        return Impedance(self.coulomb / smooth_speed(qd, self.sign_width))
 
 
 @dataclass(frozen=True)
 class Directional(Friction):
-    """Dry friction with a level for each direction, regularised by the smooth sign s = qd / sqrt(qd^2 + width^2).
+    """Coulomb friction that differs between the two directions, with the smooth sign s = qd / sqrt(qd^2 + w^2).
 
         tau = -(forward (1 + s)/2 + backward (1 - s)/2) s
 
     Args:
-        forward: level where qd > 0 [N m or N], shape [..., n].
-        backward: level where qd < 0 [N m or N], shape [..., n].
-        width: velocity below which it is viscous [rad/s or m/s], a number or [...].
+        forward: Coulomb friction where qd > 0 [N m or N], shape [..., n].
+        backward: Coulomb friction where qd < 0 [N m or N], shape [..., n].
+        sign_width: w, the speed below which the sign is smooth [rad/s or m/s], a number or [...].
         warming: as in `Friction`.
     """
 
-    SHAPES: ClassVar[Shapes] = {"forward": ("n",), "backward": ("n",), "width": (), **Friction.SHAPES}
+    SHAPES: ClassVar[Shapes] = {"forward": ("n",), "backward": ("n",), "sign_width": (), **Friction.SHAPES}
     LINEAR = SCALES = ("forward", "backward")
-    DIVIDING = frozenset({"width"})
+    DIVIDING = frozenset({"sign_width"})
     forward: Parameter = None
     backward: Parameter = None
-    width: Parameter = 1e-2
+    sign_width: Parameter = 1e-2
 
     def law(self, q: Number, qd: Number) -> Impedance:
-        """D = (forward (1 + s) + backward (1 - s)) / (2 sqrt(qd^2 + width^2))."""
-        speed = smooth_speed(qd, self.width)
+        """D = (forward (1 + s) + backward (1 - s)) / (2 sqrt(qd^2 + w^2))."""
+        speed = smooth_speed(qd, self.sign_width)
         mean, half = 0.5 * (self.forward + self.backward), 0.5 * (self.forward - self.backward)
         return Impedance((mean + half * (qd / speed)) / speed)
 
 
 @dataclass(frozen=True)
 class Stribeck(Friction):
-    """Dry friction that is higher at rest: tau = -(c + (s - c) / (1 + (qd/v)^2)) qd / sqrt(qd^2 + width^2).
+    """Coulomb friction that is higher near rest: tau = -(c + (s - c) / (1 + (qd/v)^2)) qd / sqrt(qd^2 + w^2).
 
     Source: D. P. Hess, A. Soom, "Friction at a lubricated line contact operating at oscillating sliding velocities",
     Journal of Tribology 112 (1990), without its viscous term, which is `Viscous`.
 
     Args:
-        coulomb: c, friction of a moving joint [N m or N], shape [..., n]; None: the friction of the description.
-        static: s, friction at rest [N m or N], shape [..., n], at least c.
-        velocity: v at which the excess has halved [rad/s or m/s], shape [..., n].
-        width: velocity below which it is viscous [rad/s or m/s], a number or [...].
+        coulomb: c, friction of a sliding joint [N m or N], shape [..., n]; None: the friction of the robot's
+            description.
+        static: s, friction near rest [N m or N], shape [..., n], at least c.
+        velocity: v, the Stribeck velocity, at which the excess s - c has halved [rad/s or m/s], shape [..., n].
+        sign_width: w, the speed below which the sign is smooth [rad/s or m/s], a number or [...].
         warming: as in `Friction`.
     """
 
@@ -199,17 +200,17 @@ class Stribeck(Friction):
         "coulomb": ("n",),
         "static": ("n",),
         "velocity": ("n",),
-        "width": (),
+        "sign_width": (),
         **Friction.SHAPES,
     }
     ORDERED = ("coulomb", "static")
     LINEAR = SCALES = ("coulomb", "static")
-    DIVIDING = frozenset({"velocity", "width"})
+    DIVIDING = frozenset({"velocity", "sign_width"})
     DESCRIBED: ClassVar[Mapping[str, str]] = {"coulomb": "friction"}
     coulomb: Parameter = None
     static: Parameter = None
     velocity: Parameter = 0.1
-    width: Parameter = 1e-2
+    sign_width: Parameter = 1e-2
 
     def idle(self) -> tuple[str, ...]:
         """Friction parameters, if both are zero."""
@@ -218,40 +219,40 @@ class Stribeck(Friction):
 
     def parts(self) -> list[tuple[Friction, str]]:
         """Dry friction of a moving joint, and what is more at rest, so that the friction at rest is at least that."""
-        return [(Coulomb(width=self.width), "level"), (super().parts()[-1][0], "static")]
+        return [(Coulomb(sign_width=self.sign_width), "coulomb"), (super().parts()[-1][0], "static")]
 
     def law(self, q: Number, qd: Number) -> Impedance:
-        """D = level(qd) / sqrt(qd^2 + width^2)."""
+        """D = (c + (s - c) / (1 + (qd/v)^2)) / sqrt(qd^2 + w^2)."""
         ratio = qd / self.velocity
-        level = self.coulomb + (self.static - self.coulomb) / (1.0 + ratio * ratio)
-        return Impedance(level / smooth_speed(qd, self.width))
+        friction = self.coulomb + (self.static - self.coulomb) / (1.0 + ratio * ratio)
+        return Impedance(friction / smooth_speed(qd, self.sign_width))
 
 
 @dataclass(frozen=True)
 class LoadDependent(Friction):
-    """Dry friction in proportion to the load, as in gears: tau = -coefficient |load| qd / sqrt(qd^2 + width^2).
+    """Coulomb friction in proportion to the load, as in gears: tau = -g |load| qd / sqrt(qd^2 + w^2).
 
     The load is the torque that moves the bodies and the rotor, inverse dynamics without friction. In a scene it follows
-    from all other torques u' at the joint: load = u' / (1 + m sign(u')), m being coefficient times the smooth sign.
+    from all other torques u' at the joint: load = u' / (1 + m sign(u')), with m = g times the smooth sign.
     The coefficient is below 1, so that a load can always turn the joint backwards.
 
     Args:
-        coefficient: friction over load, below 1, shape [..., n].
-        width: velocity below which it is viscous [rad/s or m/s], a number or [...].
+        coefficient: g, friction over load, below 1, shape [..., n].
+        sign_width: w, the speed below which the sign is smooth [rad/s or m/s], a number or [...].
         warming: as in `Friction`.
     """
 
-    SHAPES: ClassVar[Shapes] = {"coefficient": ("n",), "width": (), **Friction.SHAPES}
+    SHAPES: ClassVar[Shapes] = {"coefficient": ("n",), "sign_width": (), **Friction.SHAPES}
     LINEAR = SCALES = ("coefficient",)
-    DIVIDING = frozenset({"width"})
+    DIVIDING = frozenset({"sign_width"})
     FRACTIONS = frozenset({"coefficient"})
     ONCE = "their coefficients add up to one"
     coefficient: Parameter = None
-    width: Parameter = 1e-2
+    sign_width: Parameter = 1e-2
 
     def law(self, q: Number, qd: Number) -> Impedance:
-        """g = coefficient / sqrt(qd^2 + width^2)."""
-        return Impedance(per_load=self.coefficient / smooth_speed(qd, self.width))
+        """g / sqrt(qd^2 + w^2) per load."""
+        return Impedance(per_load=self.coefficient / smooth_speed(qd, self.sign_width))
 
 
 @dataclass(frozen=True)

@@ -136,7 +136,7 @@ class Servo(JointEffect):
 
 
 @dataclass(frozen=True)
-class Limits(JointEffect):
+class JointLimits(JointEffect):
     """Compliant joint limits: tau = -k p (1 + c pd) beyond a limit by the distance p, with pd only while it grows.
 
     The torque is continuous, never pulls towards the limit, and takes energy out (after K. H. Hunt and F. R. E.

@@ -30,35 +30,36 @@ class Bristle(NamedTuple):
 
 @dataclass(frozen=True)
 class LuGre(Friction):
-    """Dry friction of elastic bristles, which holds a joint like a spring before it slides: tau = -level (z + T zd).
+    """LuGre friction: elastic bristles hold a joint like a spring before it slides, tau = -c (z + T zd).
 
-        zd = (qd - |qd| z / g) / deflection,   g = 1 + (ratio - 1) exp(-(qd/velocity)^2)
+        zd = (qd - |qd| z / g) / b,   g = 1 + (r - 1) exp(-(qd/v)^2)
 
-    The state remembers z, and at a constant velocity z = g sign(qd): the level, or ratio times as much near rest. In
-    the terms of the source the stiffness of the bristles is sigma_0 = level / deflection and their damping is
-    sigma_1 = T sigma_0; here T = settling / (1 + (settling qd / (8 deflection))^2), since a constant one would let
-    friction drive fast motions. The term sigma_2 is `Viscous`.
+    The state remembers z. At a constant velocity z = g sign(qd), so that friction is c, and r c near rest. In the
+    source's terms the stiffness of the bristles is sigma_0 = c / b and their damping is sigma_1 = T sigma_0; here
+    T = s / (1 + (s qd / (8 b))^2), since friction with a constant T could accelerate a fast joint. The term sigma_2 is
+    `Viscous`.
 
     Source: C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky, "A new model for control of systems with
     friction", IEEE Transactions on Automatic Control 40 (1995).
 
     Args:
-        level: friction of a sliding joint [N m or N], shape [..., n]; None: the friction of the robot's description.
-        deflection: of the bristles when they slide [rad or m], shape [..., n].
-        ratio: friction near rest over that of a sliding joint, at least 1, shape [..., n].
-        velocity: at which that excess has fallen to 1/e [rad/s or m/s], shape [..., n].
-        settling: time in which bent bristles of a free joint without inertia relax [s], shape [..., n].
+        coulomb: c, friction of a sliding joint [N m or N], shape [..., n]; None: the friction of the robot's
+            description.
+        deflection: b, of the bristles when they slide [rad or m], shape [..., n].
+        ratio: r, friction near rest over that of a sliding joint, at least 1, shape [..., n].
+        velocity: v, the Stribeck velocity, at which that excess has fallen to 1/e [rad/s or m/s], shape [..., n].
+        settling: s, the time in which bent bristles of a free joint without inertia relax [s], shape [..., n].
         warming: as in `Friction`.
     """
 
     SHAPES: ClassVar[Shapes] = {
-        **{name: ("n",) for name in ("level", "deflection", "ratio", "velocity", "settling")},
+        **{name: ("n",) for name in ("coulomb", "deflection", "ratio", "velocity", "settling")},
         **Friction.SHAPES,
     }
-    LINEAR = SCALES = ("level",)
+    LINEAR = SCALES = ("coulomb",)
     DIVIDING = frozenset({"deflection", "velocity"})
-    DESCRIBED: ClassVar[Mapping[str, str]] = {"level": "friction"}
-    level: Parameter = None
+    DESCRIBED: ClassVar[Mapping[str, str]] = {"coulomb": "friction"}
+    coulomb: Parameter = None
     deflection: Parameter = 5e-4
     ratio: Parameter = 1.0
     velocity: Parameter = 0.1
@@ -69,9 +70,9 @@ class LuGre(Friction):
         if name == "ratio" and min(numbers) < 1:
             raise ArgumentError(f"ratio of LuGre must be at least 1, found {min(numbers):g}")
 
-    def steady(self, width: float) -> Friction:
-        """Coulomb friction of the same level; near rest it lacks the ratio."""
-        return Coulomb(self.level, width, warming=self.warming)
+    def steady(self, sign_width: float) -> Friction:
+        """Coulomb friction of the same size, without the excess near rest."""
+        return Coulomb(self.coulomb, sign_width, warming=self.warming)
 
     def bristles(self) -> float:
         """The deflection, if it is that of all joints, ratio is 1 and settling 0; raises otherwise."""
@@ -99,13 +100,13 @@ class LuGre(Friction):
         return self.impedances_at_end(q, qd, inputs, (0.0,) * len(q), 0.0)
 
     def impedances_at_end(self, q: Row, qd: Row, inputs: Inputs, memory: Row, h: Number) -> Sequence[Impedance]:
-        """Impedances of the torque level (z + (h + T) (a qd' - b z)), of which h a is the stiffness times the step."""
+        """Impedances of the torque c (z + (h + T) (a qd' - b z)), of which h a is the stiffness times the step."""
         result = []
         for one, v, z in zip(self.joints(len(q), inputs), qd, memory, strict=True):
             a, b = one.bristle(v, h)
             fast = one.settling * v / (8.0 * one.deflection)
             T = one.settling / (1.0 + fast * fast)
-            result.append(Impedance(one.level * T * a, one.level * (z - (h + T) * b * z), one.level * a))
+            result.append(Impedance(one.coulomb * T * a, one.coulomb * (z - (h + T) * b * z), one.coulomb * a))
         return result
 
     def memory_rates(self, q: Row, qd: Row, inputs: Inputs, memory: Row, ends: Row, h: Number) -> Row:

@@ -106,7 +106,7 @@ class QuantisedReading(Sensor):
 
 
 @dataclass(frozen=True)
-class ReadingDelay(Late, Sensor):
+class MeasurementDelay(Late, Sensor):
     """Readings that arrive a whole number of steps late: y(t) = x(t - steps dt); the first ones show the initial state.
 
     Args:

@@ -61,7 +61,7 @@ def layer_friction(robot: Robot, effects: Sequence[Friction], learn: bool, width
         width: of that Coulomb friction [rad/s or m/s].
     """
     if learn and not effects:
-        effects = (Viscous(), Coulomb(width=width))
+        effects = (Viscous(), Coulomb(sign_width=width))
     resolved = of_layers(effects, robot, learn)
     learned: dict[str, tuple[int, str]] = {}
     for k, effect in enumerate(resolved if learn else ()):
@@ -85,4 +85,4 @@ def layer_friction(robot: Robot, effects: Sequence[Friction], learn: bool, width
 def described(robot: Robot, width: float) -> LayerFriction:
     """Friction of a robot's description; none if all of it is zero."""
     there = bool((robot.damping != 0).any() or (robot.friction != 0).any())
-    return layer_friction(robot, (Viscous(), Coulomb(width=width)) if there else (), False, width)
+    return layer_friction(robot, (Viscous(), Coulomb(sign_width=width)) if there else (), False, width)

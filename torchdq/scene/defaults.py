@@ -19,7 +19,7 @@ ROTOR = 0.1  # where a description has none; common for geared arms [kg m^2 or k
 DAMPING = 1.0  # likewise [N m s/rad or N s/m]
 
 
-def usual(robot: Robot) -> tuple[Effect, ...]:
+def default_effects(robot: Robot) -> tuple[Effect, ...]:
     """Effects of an ordinary arm: gravity, and joints with rotors, friction, limits and motors.
 
     Numbers are those of the description. Where it has none, rotors and damping are `ROTOR` and `DAMPING`, since
@@ -35,7 +35,7 @@ def usual(robot: Robot) -> tuple[Effect, ...]:
     if bool((robot.friction > 0).any()):
         found.append(kinds.Coulomb())
     if bool((limits.lower.isfinite() | limits.upper.isfinite()).any()):
-        found.append(kinds.Limits())
+        found.append(kinds.JointLimits())
     both = torch.stack([limits.effort, limits.velocity])
     if bool((both.isfinite() & (both > 0)).all()):
         found.append(kinds.TorqueSpeed())

@@ -154,7 +154,7 @@ def left_out(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
         ("armature", one & (robot.armature is not None), "rotor inertia", "RotorInertia()"),
         ("damping", robot.damping > 0, "damping of {}", "Viscous()"),
         ("friction", robot.friction > 0, "dry friction of {}", "Coulomb()"),
-        ("limits.lower", limits.lower.isfinite() | limits.upper.isfinite(), "position limits of {}", "Limits()"),
+        ("limits.lower", limits.lower.isfinite() | limits.upper.isfinite(), "position limits of {}", "JointLimits()"),
         ("limits.effort", limits.effort.isfinite(), "torque limits of {}", "Saturation()"),
         (
             "limits.velocity",

@@ -84,8 +84,8 @@ def outside_limits(scene: Scene, q: Tensor) -> str:
         at_limit, value = torch.where(q < low, low, high)[at], q.expand_as(beyond)[at]
         name = scene.robot.joint_names[int(at[-1])]
         return (
-            f"{int(rows.sum())} of {rows.numel()} rows start far outside their Limits: joint {name!r} is at "
+            f"{int(rows.sum())} of {rows.numel()} rows start far outside their JointLimits: joint {name!r} is at "
             f"{float(value):.3g}, its limit {float(at_limit):.3g}; the spring of the limit throws it back, faster than "
-            f"a step can follow. Start within the limits, or give Limits(lower, upper) that allow it"
+            f"a step can follow. Start within the limits, or give JointLimits(lower, upper) that allow it"
         )
     return ""

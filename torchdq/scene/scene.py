@@ -167,7 +167,7 @@ class Scene:
         X_WB: Tensor | None = None,
         V_WB_B: Tensor | None = None,
     ) -> State:
-        """Initial state, effects at rest, sensors read once; positions far outside `effects.Limits` are warned of.
+        """Initial state, effects at rest, sensors read once; positions far outside `effects.JointLimits` are warned of.
 
         Args:
             q: positions [rad or m], shape [..., n].

@@ -332,7 +332,7 @@ def test_limits_of_nothing_are_limits():
     assert torch.equal(held.step(held.start(q), torque).qd, torch.zeros(2, dtype=F64))
     with pytest.raises(torchdq.ArgumentError, match="speed of TorqueSpeed must be positive"):
         Scene(robot, (effects.TorqueSpeed(),))
-    pushed = Scene(robot, (effects.Limits(),)).step(held.start(q)).qd
+    pushed = Scene(robot, (effects.JointLimits(),)).step(held.start(q)).qd
     assert pushed[0] > 0  # back to the only place that is allowed
 
 

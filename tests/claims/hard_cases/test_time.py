@@ -609,7 +609,7 @@ def test_an_arm_under_dry_friction_never_gains_energy(dtype, backend, margin):
 def test_no_bounce_gains_speed_or_goes_deeper_than_a_step(stiffness, dissipation, dtype, backend, margin):
     """Restitution at most 1 + 1e-6, which the rounding of positions must not spoil in single precision either."""
     h, speed = 1e-2, torch.logspace(-3, 2, 60, dtype=F64)[:, None].to(dtype)
-    parts = (effects.Limits(-math.inf, 0.1, double(stiffness), double(dissipation)),)
+    parts = (effects.JointLimits(-math.inf, 0.1, double(stiffness), double(dissipation)),)
     scene = Scene(WHEEL, parts, integrator=LinearlyImplicit(), dt=h, backend=backend)
     with torch.no_grad():
         q, qd = trace(scene, State(0.1 - 2.5 * h * speed, speed), 60)[:2]
@@ -622,7 +622,7 @@ def test_no_bounce_gains_speed_or_goes_deeper_than_a_step(stiffness, dissipation
 
 def limit_torque(q, qd, stiffness, dissipation):
     """Torque of limits at -1 and 1, from the acceleration it causes."""
-    parts = (effects.Limits(-1.0, 1.0, stiffness, dissipation),)
+    parts = (effects.JointLimits(-1.0, 1.0, stiffness, dissipation),)
     scene = Scene(WHEEL, parts, integrator=ExplicitEuler(), dt=1.0)
     return INERTIA * (scene.step(State(q, qd)).qd - qd)
 
@@ -655,7 +655,7 @@ def test_gradients_through_a_bounce_are_finite_differences(backend, margin):
     """Of the state after it, in speed, stiffness and dissipation."""
 
     def end(x):
-        parts = (effects.Limits(-10.0, 0.1, x[..., 1:2], x[..., 2:3]),)
+        parts = (effects.JointLimits(-10.0, 0.1, x[..., 1:2], x[..., 2:3]),)
         scene = Scene(WHEEL, parts, integrator=LinearlyImplicit(), dt=1e-3, backend=backend)
         state = rolled(scene, State(torch.zeros(1, dtype=F64), x[..., :1]), 150)
         return (state.q + state.qd)[..., 0]
@@ -675,7 +675,7 @@ def test_gradients_through_a_bounce_are_finite_differences(backend, margin):
 @pytest.mark.parametrize("qd", [-1.0, 0.0, 1.0])
 def test_derivatives_exactly_at_a_limit_are_finite(qd, dtype, backend):
     x = torch.tensor([1.0, qd, 1e4, 2.0], dtype=dtype).requires_grad_()
-    parts = (effects.Limits(-1.0, 1.0, x[2:3], x[3:]),)
+    parts = (effects.JointLimits(-1.0, 1.0, x[2:3], x[3:]),)
     scene = Scene(WHEEL, parts, integrator=LinearlyImplicit(), dt=1e-2, backend=backend)
     state = rolled(scene, State(x[:1], x[1:2]), 2)
     (slope,) = torch.autograd.grad(state.q[0] + state.qd[0], x, create_graph=True)
@@ -774,7 +774,7 @@ def test_a_tumbling_body_is_the_same_operation_by_operation(margin):
 
 # --- T13: a state that stops being finite ----------------------------------------------------------------------------
 
-LOSING = (effects.Gravity(), effects.Viscous(0.3), effects.Coulomb(0.2, 1e-3), effects.Limits(-2.0, 2.0))
+LOSING = (effects.Gravity(), effects.Viscous(0.3), effects.Coulomb(0.2, 1e-3), effects.JointLimits(-2.0, 2.0))
 
 
 LOSERS = [LinearlyImplicit(), RungeKutta4()]
@@ -843,7 +843,7 @@ OFF = {
     "LoadDependent": lambda zero: effects.LoadDependent(zero),
     "Ripple": lambda zero: effects.Ripple(0.1, zero, zero),
     "Spring": lambda zero: effects.Spring(zero, 0.3),
-    "Limits": lambda zero: effects.Limits(-0.1, 0.1, zero),
+    "JointLimits": lambda zero: effects.JointLimits(-0.1, 0.1, zero),
     "RotorInertia": lambda zero: effects.RotorInertia(zero),
     "Drag": lambda zero: effects.Drag(zero, zero, zero),
 }
@@ -890,7 +890,7 @@ def test_so_it_is_compiled(kind, dtype, backend, margin):
 @every_dtype
 def test_an_effect_that_was_taken_out_is_gone_to_the_bit(dtype, backend):
     """Values and gradients."""
-    parts = (effects.Gravity(), effects.Coulomb(0.3), effects.Drag(0.1), effects.Limits(-0.1, 0.1))
+    parts = (effects.Gravity(), effects.Coulomb(0.3), effects.Drag(0.1), effects.JointLimits(-0.1, 0.1))
     scene = Scene(ARM, parts, integrator=SemiImplicitEuler(), backend=backend).replace(effects=parts[:1])
     expected = stepped((), SemiImplicitEuler(), dtype, backend)
     assert all(map(torch.equal, stepped((), SemiImplicitEuler(), dtype, backend, scene), expected))

@@ -33,7 +33,7 @@ def loaded(share):
     load = torchdq.inverse_dynamics(described, q, qd, qdd)
     tau = load + share * load.abs() * qd / torch.hypot(qd, torch.tensor(WIDTH).double())
     tau = tau + 0.01 * tau.std(0) * torch.randn(tau.shape, generator=torch.Generator().manual_seed(0)).double()
-    friction = (effects.Viscous(), effects.Coulomb(width=WIDTH), effects.LoadDependent(width=WIDTH))
+    friction = (effects.Viscous(), effects.Coulomb(sign_width=WIDTH), effects.LoadDependent(sign_width=WIDTH))
     found = identify(described, q, qd, qdd, tau, friction=friction, prior=1.0, width=WIDTH)
     signals = (x.numpy() for x in (q, qd, qdd, tau))
     return described, found, Motion(STEP * np.arange(len(q)), *signals), (q, qd, qdd, tau)

@@ -131,7 +131,7 @@ def test_friction_effects_that_are_given_are_fitted_and_no_others():
     q, qd, qdd = states(5, 500)
     extra = 0.6 * qd * qd.abs() + 0.5 * (2 * math.pi * q / 0.7).cos()
     tau = torques(REAL, q, qd, qdd, size=0.03) + extra
-    asked = (effects.Viscous(), effects.Coulomb(width=WIDTH), effects.Quadratic(), effects.Ripple(period=0.7))
+    asked = (effects.Viscous(), effects.Coulomb(sign_width=WIDTH), effects.Quadratic(), effects.Ripple(period=0.7))
     for prior in (1.0, None):
         found = identify(ROBOT, q, qd, qdd, tau, friction=asked, prior=prior, width=WIDTH, offset=False)
         names = [term.name for term in found.terms]
@@ -148,15 +148,15 @@ def test_effects_have_terms_of_their_own_laws():
     def names(*friction):
         return [term.name for term in identify(ROBOT, q, qd, qdd, tau, friction, prior=1.0, width=WIDTH).terms]
 
-    assert names(effects.Stribeck(velocity=0.25, width=WIDTH)) == ["coulomb", "stribeck 0.25"]
-    assert names(effects.Stribeck(velocity=0.1, width=WIDTH), effects.Coulomb(width=WIDTH)) == [
+    assert names(effects.Stribeck(velocity=0.25, sign_width=WIDTH)) == ["coulomb", "stribeck 0.25"]
+    assert names(effects.Stribeck(velocity=0.1, sign_width=WIDTH), effects.Coulomb(sign_width=WIDTH)) == [
         "coulomb",
         "stribeck 0.1",
     ]
-    assert names(effects.Coulomb(width=0.5)) == ["coulomb 0.5"] and names(effects.LuGre(deflection=0.02)) == [
+    assert names(effects.Coulomb(sign_width=0.5)) == ["coulomb 0.5"] and names(effects.LuGre(deflection=0.02)) == [
         "lugre 0.02"
     ]
-    assert names(effects.Directional(width=WIDTH), effects.LoadDependent(width=WIDTH)) == [
+    assert names(effects.Directional(sign_width=WIDTH), effects.LoadDependent(sign_width=WIDTH)) == [
         "forward",
         "backward",
         "load",
@@ -177,7 +177,7 @@ def test_effects_have_terms_of_their_own_laws():
 def test_robots_that_are_drawn_have_all_friction_found():
     q, qd, qdd = states(5, 500)
     tau = torques(REAL, q, qd, qdd, size=0.05) + 0.6 * qd * qd.abs() + 0.4 * (3 * q).sin()
-    asked = (effects.Viscous(), effects.Coulomb(width=WIDTH), effects.Quadratic(), effects.Ripple(2 * math.pi / 3))
+    asked = (effects.Viscous(), effects.Coulomb(sign_width=WIDTH), effects.Quadratic(), effects.Ripple(2 * math.pi / 3))
     found = identify(ROBOT, q, qd, qdd, tau, asked, prior=1.0, width=WIDTH)
     drawn = sample(found, 8)
     kinds = [type(effect) for effect in drawn.effects()]

@@ -174,7 +174,7 @@ def test_friction_by_load_stays_below_one():
     q, qd, qdd = states(5, 400)
     load = torchdq.inverse_dynamics(ROBOT, q, qd, qdd)
     tau = load + 1.4 * load.abs() * sign(qd) + 0.1 * noise(q.shape, 0.8)
-    friction = (effects.Viscous(), effects.LoadDependent(width=WIDTH))
+    friction = (effects.Viscous(), effects.LoadDependent(sign_width=WIDTH))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = identify(ROBOT, q, qd, qdd, tau, friction, prior=math.inf, width=WIDTH)

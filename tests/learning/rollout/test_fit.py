@@ -56,7 +56,7 @@ def noisy(q, seed, size=NOISE):
     return q + size * torch.randn(q.shape, dtype=q.dtype, generator=torch.Generator().manual_seed(seed))
 
 
-FRICTION = ("Viscous.coefficient", "Coulomb.level", "RotorInertia.inertia")
+FRICTION = ("Viscous.coefficient", "Coulomb.coulomb", "RotorInertia.inertia")
 TRUE = double(0.5, 0.3, 0.4, 0.2, 0.05, 0.03)
 
 
@@ -76,7 +76,7 @@ def guess():
 
 def test_derivatives_of_a_step_are_finite_differences():
     robot = torchdq.robots.load("puma560")
-    parts = (effects.Gravity(), effects.Lag(double(*[0.02] * 6)), effects.Servo(double(*[60.0] * 6), 5.0))
+    parts = (effects.Gravity(), effects.FirstOrderLag(double(*[0.02] * 6)), effects.Servo(double(*[60.0] * 6), 5.0))
     scene = Scene(robot, (*parts, effects.Coulomb(double(*[0.3] * 6), 0.1)), dt=0.01)
     step = StepMap(scene, ("target", "torque"))
     rng = torch.Generator().manual_seed(0)
@@ -216,7 +216,7 @@ def test_stiff_friction():
     real, wrong = (Scene(ROBOT, parts, dt=dt) for parts in both)
     inputs = {"torque": driving(time)}
     log = Recording(time, noisy(moved(real, inputs, rows=601), 1, 1e-4), inputs)
-    found = fit_rollout(wrong, log, ("Coulomb.level", "Viscous.coefficient"))
+    found = fit_rollout(wrong, log, ("Coulomb.coulomb", "Viscous.coefficient"))
     z = (found.estimate - double(1.5, 1.0, 0.2, 0.2)) / found.covariance.diagonal().sqrt()
     assert float(z.abs().max()) < 4
     assert float(found.rms.max()) < 1.1e-4
@@ -225,7 +225,7 @@ def test_stiff_friction():
 @pytest.fixture(scope="module")
 def late():
     """A scene with a lag, and the function that logs it behind a delay that is no number of steps."""
-    scene = Scene(ROBOT, (effects.Viscous(0.5), effects.Lag(0.02)), dt=DT)
+    scene = Scene(ROBOT, (effects.Viscous(0.5), effects.FirstOrderLag(0.02)), dt=DT)
 
     def log(speed, size):
         torque = driving(speed * TIME)
@@ -237,8 +237,8 @@ def late():
 
 def test_delay_and_lag_are_told_apart_by_fast_commands(late):
     scene, log = late
-    start = scene.replace(effects=(effects.Viscous(0.1), effects.Lag(0.005)))
-    found = fit_rollout(start, log(1.0, 1e-4), ("delay", "Lag.time", "Viscous.coefficient"))
+    start = scene.replace(effects=(effects.Viscous(0.1), effects.FirstOrderLag(0.005)))
+    found = fit_rollout(start, log(1.0, 1e-4), ("delay", "FirstOrderLag.time", "Viscous.coefficient"))
     z = (found.estimate - double(0.0137, 0.02, 0.02, 0.5, 0.5)) / found.covariance.diagonal().sqrt()
     assert float(z.abs().max()) < 4 and not found.untold
     assert found.delay == float(found.values["delay"]) and 0 < float(found.errors["delay"]) < 1e-3
@@ -246,9 +246,9 @@ def test_delay_and_lag_are_told_apart_by_fast_commands(late):
 
 def test_delay_and_lag_are_named_where_slow_commands_do_not_tell_them_apart(late):
     scene, log = late
-    found = fit_rollout(scene, log(0.1, 1e-2), ("delay", "Lag.time"))
-    assert found.values["delay"].isnan() and found.values["Lag.time"].isnan().all()
-    assert any("delay by" in text and "Lag.time" in text for text in found.untold)
+    found = fit_rollout(scene, log(0.1, 1e-2), ("delay", "FirstOrderLag.time"))
+    assert found.values["delay"].isnan() and found.values["FirstOrderLag.time"].isnan().all()
+    assert any("delay by" in text and "FirstOrderLag.time" in text for text in found.untold)
     assert "not told" in str(found)
 
 
@@ -410,11 +410,11 @@ def test_a_log_that_does_not_fit_is_refused(log, error, words):
 def test_what_cannot_be_learned_is_refused():
     scene = Scene(ROBOT, (effects.Viscous(0.1), effects.Coulomb(0.0)), dt=DT)
     with pytest.raises(
-        UnknownNameError, match=r"'Viscos.coefficient'.*known: delay, Viscous.coefficient, Coulomb.level"
+        UnknownNameError, match=r"'Viscos.coefficient'.*known: delay, Viscous.coefficient, Coulomb.coulomb"
     ):
         fit_rollout(scene, LOG, "Viscos.coefficient")
-    with pytest.raises(ArgumentError, match=r"Coulomb.level\[joint1\] must start from a positive number"):
-        fit_rollout(scene, LOG, "Coulomb.level")
+    with pytest.raises(ArgumentError, match=r"Coulomb.coulomb\[joint1\] must start from a positive number"):
+        fit_rollout(scene, LOG, "Coulomb.coulomb")
     with pytest.raises(ArgumentError, match="learn must be a name or several"):
         fit_rollout(scene, LOG, 3)
     with pytest.raises(ArgumentError, match="segment must be a positive number"):
@@ -461,12 +461,16 @@ def test_a_delay_needs_inputs():
 
 def test_actuators_through_which_no_torque_goes_are_refused():
     """A servo is no command to the actuators: a lag would follow the noise of the positions."""
-    scene = Scene(ROBOT, (effects.Servo(100.0, 10.0), effects.Lag(0.01)), dt=DT)
+    scene = Scene(ROBOT, (effects.Servo(100.0, 10.0), effects.FirstOrderLag(0.01)), dt=DT)
     log = LOG._replace(inputs={"target": torch.zeros(20, 2)})
-    with pytest.raises(ArgumentError, match=r"Lag\.time cannot be learned: the recordings command no torque, and"):
-        fit_rollout(scene, log, "Lag.time")
-    with pytest.raises(ArgumentError, match=r"Lag\.time cannot be learned"):
-        fit_rollout(scene, LOG._replace(inputs={"target": torch.zeros(20, 2), "torque": torch.zeros(20, 2)}), "Lag.*")
+    with pytest.raises(
+        ArgumentError, match=r"FirstOrderLag\.time cannot be learned: the recordings command no torque, and"
+    ):
+        fit_rollout(scene, log, "FirstOrderLag.time")
+    with pytest.raises(ArgumentError, match=r"FirstOrderLag\.time cannot be learned"):
+        fit_rollout(
+            scene, LOG._replace(inputs={"target": torch.zeros(20, 2), "torque": torch.zeros(20, 2)}), "FirstOrderLag.*"
+        )
 
 
 def test_positive_numbers_stay_positive_however_long_the_step():

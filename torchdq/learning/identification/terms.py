@@ -151,16 +151,16 @@ def _dry(name: str, effect: Callable[[float], Friction], parameter: str) -> Term
 
 
 def _stribeck(velocity: float) -> Term:
-    return _dry(f"stribeck {velocity:g}", lambda w: effects.Stribeck(velocity=velocity, width=w), "static")
+    return _dry(f"stribeck {velocity:g}", lambda w: effects.Stribeck(velocity=velocity, sign_width=w), "static")
 
 
 def _saturating(width: float) -> Term:
-    return Term(f"saturating {width:g}", FORCE, lambda _: effects.Coulomb(width=width), "level")
+    return Term(f"saturating {width:g}", FORCE, lambda _: effects.Coulomb(sign_width=width), "coulomb")
 
 
 def _bristles(distance: float) -> Term:
     effect = effects.LuGre(deflection=distance)
-    return Term(f"lugre {distance:g}", FORCE, lambda _: effect, "level", bristles=distance)
+    return Term(f"lugre {distance:g}", FORCE, lambda _: effect, "coulomb", bristles=distance)
 
 
 def _ripple(parameter: str) -> Term:
@@ -169,16 +169,16 @@ def _ripple(parameter: str) -> Term:
 
 ROTOR = Term("rotor", ("kg m^2", "kg"), described="armature")
 VISCOUS = Term("viscous", ("N m s/rad", "N s/m"), lambda _: effects.Viscous(), "coefficient", "damping")
-COULOMB = Term("coulomb", FORCE, lambda w: effects.Coulomb(width=w), "level", "friction", dry=True)
+COULOMB = Term("coulomb", FORCE, lambda w: effects.Coulomb(sign_width=w), "coulomb", "friction", dry=True)
 OFFSET = Term("offset", FORCE, signed=True)
 
 SHAPES = (  # friction of other shapes
-    Term("load", ("1", "1"), lambda w: effects.LoadDependent(width=w), "coefficient", dry=True, loaded=True),
+    Term("load", ("1", "1"), lambda w: effects.LoadDependent(sign_width=w), "coefficient", dry=True, loaded=True),
     *(_stribeck(v) for v in (0.03, 0.1, 0.3, 1.0)),
     *(_saturating(v) for v in (0.03, 0.1, 0.3, 1.0)),
     Term("quadratic", ("N m s^2/rad^2", "N s^2/m^2"), lambda _: effects.Quadratic(), "coefficient"),
-    _dry("forward", lambda w: effects.Directional(width=w), "forward"),
-    _dry("backward", lambda w: effects.Directional(width=w), "backward"),
+    _dry("forward", lambda w: effects.Directional(sign_width=w), "forward"),
+    _dry("backward", lambda w: effects.Directional(sign_width=w), "backward"),
     *(_bristles(x) for x in (5e-4, 2e-3, 1e-2)),
     _ripple("sine"),
     _ripple("cosine"),
@@ -207,17 +207,17 @@ def _term(law: Friction, parameter: str, width: float) -> Term:
         if known == law and term.parameter == parameter:
             return term
         alike = term if type(known) is type(law) and term.parameter == parameter else alike
-    if not is_number(own.get("width", width)):
-        raise ArgumentError(f"width of {name} must be one number to be identified, found {law!r}")
-    dry, bristles = alike.dry and own.get("width") == width, law.bristles()
+    if not is_number(own.get("sign_width", width)):
+        raise ArgumentError(f"sign_width of {name} must be one number to be identified, found {law!r}")
+    dry, bristles = alike.dry and own.get("sign_width") == width, law.bristles()
     if bristles:
         own = {"deflection": bristles}
-    numbers = [x for key, x in own.items() if not (dry and key == "width")]
+    numbers = [x for key, x in own.items() if not (dry and key == "sign_width")]
     words = [word for word in alike.name.split() if not word[0].isdigit()]
     words += ["/".join(f"{one:g}" for one in (x if isinstance(x, Sequence) else (x,))) for x in numbers]
     return alike._replace(
         name=" ".join(words),
-        effect=(lambda w: replace(law, **{"width": w})) if dry else (lambda _: law),
+        effect=(lambda w: replace(law, **{"sign_width": w})) if dry else (lambda _: law),
         described="",
         dry=dry,
         bristles=bristles,
