@@ -22,6 +22,7 @@ not define from a recorded one, runs after the step, and needs no number-generic
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -34,9 +35,12 @@ from torch import Tensor
 from torchdq.base.checks import Named, floating, is_number, require_count, require_tensor
 from torchdq.envs.tasks import SENSIBLE, EpisodeTask
 from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.program.program import Argument
 from torchdq.robot import Robot
+from torchdq.robot.fields import trailing
+from torchdq.robot.robot import SHAPES, batches
+from torchdq.scene.recording import Stage
 from torchdq.scene.scene import Scene
-from torchdq.scene.scene_robot import Simulated
 from torchdq.scene.state import State
 
 
@@ -135,19 +139,56 @@ def _pairs(bounds: Any) -> tuple[tuple[float, float], ...]:
     return tuple((float(low), float(high)) for low, high in given)
 
 
+@dataclass(frozen=True, eq=False)
+class SimulatedRobot:
+    """Robot of a scene with its gravity and rotors, its payloads, and all that is drawn for an episode.
+
+    Args:
+        robot: with everything that all episodes share.
+        differing: names of the tensors that differ from episode to episode, or from row to row.
+    """
+
+    robot: Robot
+    differing: tuple[str, ...]
+
+    @classmethod
+    def of(cls, scene: Scene, device: torch.device) -> SimulatedRobot:
+        """Robot of a scene, with tensors on a device."""
+        stage, n = Stage(scene.spec, "bodies"), scene.n
+        taken = [Argument("q", n), *(Argument(name, math.prod(stage.axes(name))) for name in scene.parameters)]
+        found = {result.name: result.values for result in stage.program(tuple(taken)).results}
+        same = {name: row for name, row in found.items() if all(isinstance(x, float) for x in row)}
+        known: dict[str, Any] = {"gravity": None, "armature": None}
+        for name, row in same.items():
+            known[name] = torch.tensor(row, dtype=torch.float64).reshape(trailing(SHAPES[name], scene.robot.sizes))
+        differing = tuple(name for name in found if name not in same)
+        described = scene.robot._with(**{name: x for name, x in known.items() if name not in differing})
+        whole = described if batches(described) else described.bake()
+        return cls(whole.to(device=device), differing)
+
+    def __call__(self, scene: Scene, q: Tensor) -> Robot:
+        """Robot of the rows of a scene, in the dtype of their positions q [N, n]."""
+        if not self.differing:
+            return self.robot
+        rows = scene.evaluate("bodies", {"q": q})
+        sizes = self.robot.sizes
+        changes = {name: rows[name].reshape(-1, *trailing(SHAPES[name], sizes)) for name in self.differing}
+        return self.robot._with(**changes)
+
+
 class Functions(NamedTuple):
     """Functions of a task for the scene of its environments."""
 
     task: TorchTask
     scene: Scene
     robot: Robot  # as described
-    simulated: Simulated
+    simulated: SimulatedRobot
 
     @classmethod
     def of(cls, task: TorchTask, robot: Robot, scene: Scene, device: torch.device) -> Functions:
         """Functions of a task for a scene, which may simulate more than the robot as described."""
         near = robot if robot.mass.device == device else robot.to(device=device)
-        return cls(task, scene, near, Simulated.of(scene, device))
+        return cls(task, scene, near, SimulatedRobot.of(scene, device))
 
     def now(
         self,

@@ -42,8 +42,8 @@ from torchdq.envs.tasks import Checked, EpisodeTask
 from torchdq.envs.torch_task import Functions, TorchTask
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import Robot
-from torchdq.scene.controllers import ComputedTorque, Controller
-from torchdq.scene.defaults import nominal, usual
+from torchdq.scene.controllers import ComputedTorqueController, Controller
+from torchdq.scene.defaults import default_effects, nominal_robot
 from torchdq.scene.integrators import Integrator, LinearlyImplicit
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
@@ -67,7 +67,7 @@ class ArmVectorEnv(VectorEnv):
         num_envs: number of environments.
         task: "reach", "track", an object like those of `torchdq.envs.tasks`, or a `torchdq.envs.TorchTask`.
         robot: name of a shipped robot, path of a URDF file, or a robot; it needs an end effector to reach.
-        effects: effects of the scene; None: `torchdq.scene.defaults.usual(robot)`.
+        effects: effects of the scene; None: `torchdq.scene.defaults.default_effects(robot)`.
         action: meaning of the actions. "torque": fractions of the torque limits. "residual": fractions of a fifth of
             them, on top of a controller that follows the task's reference. "reference": offsets of the position that
             the controller follows, full ones as far as the joint gets in 0.2 s. The reference of "reach" is to stand
@@ -140,7 +140,7 @@ class ArmVectorEnv(VectorEnv):
         like = torch.empty(0, dtype=self.dtype, device=self.device)
         scene = Scene(
             self.robot,
-            usual(self.robot) if effects is None else effects,
+            default_effects(self.robot) if effects is None else effects,
             integrator=integrator or LinearlyImplicit(),
             dt=dt,
             substeps=substeps,
@@ -152,7 +152,7 @@ class ArmVectorEnv(VectorEnv):
             "render_fps": max(1, round(1 / dt)),
         }
         if action != "torque":
-            scene = scene.replace(controller=controller or ComputedTorque(KP, KD, nominal(scene)))
+            scene = scene.replace(controller=controller or ComputedTorqueController(KP, KD, nominal_robot(scene)))
         elif controller is not None:
             raise ArgumentError("controller must be None for torque actions; did you mean action='residual'?")
         self.scene, self._randomised = randomised(scene.to(self.device), randomise or {}, num_envs, like)

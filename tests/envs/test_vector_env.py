@@ -23,7 +23,7 @@ from torchdq.envs import ArmEnv, ArmVectorEnv, TorchTask, effects
 from torchdq.envs.tasks import Reach, Track
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.scene import controllers
-from torchdq.scene.defaults import nominal, usual
+from torchdq.scene.defaults import default_effects, nominal_robot
 
 BACKEND = "auto"
 ROBOT = torchdq.robots.load("two_link")
@@ -138,7 +138,7 @@ def test_robots_of_a_stack_are_each_simulated(task, action):
     """A row moves as its own robot; a controller of the environment knows the mean of all."""
     robot = torchdq.robots.load("panda")
     robots = [robot, robot.replace(mass=1.5 * robot.mass, damping=robot.damping + 2.0)]
-    controller = None if action == "torque" else controllers.ComputedTorque(100.0, 20.0, robot)
+    controller = None if action == "torque" else controllers.ComputedTorqueController(100.0, 20.0, robot)
     given = {"task": task, "action": action, "dtype": torch.float64, "controller": controller, "backend": "eager"}
     several = make(2, robot=torchdq.Robot.stack(robots), **given)
     several.reset(seed=3)
@@ -373,7 +373,7 @@ def test_finished_rows_begin_anew_in_the_same_step():
 
 
 def test_finished_rows_begin_anew_at_the_next_step():
-    noisy = (*usual(ROBOT), effects.Noise(0.01, 0.01))
+    noisy = (*default_effects(ROBOT), effects.Noise(0.01, 0.01))
     envs, at_once = (make(max_episode_steps=3, autoreset_mode=mode, effects=noisy) for mode in ("NextStep", "SameStep"))
     assert envs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
     assert same(envs.reset(seed=0), at_once.reset(seed=0))
@@ -426,7 +426,7 @@ IN_TORCH = TorchTask("reach", reward=lambda now: -now.q.square().sum(1))
 @pytest.mark.parametrize("mode", AutoresetMode)
 @pytest.mark.parametrize("task", ["reach", IN_TORCH], ids=["recorded", "in torch"])
 def test_rows_are_the_same_where_the_host_does_not_look(mode, task):
-    options = {"randomise": {"mass": 0.2, "friction": 0.3}, "effects": (*usual(ROBOT), effects.Noise(0.01, 0.01))}
+    options = {"randomise": {"mass": 0.2, "friction": 0.3}, "effects": (*default_effects(ROBOT), effects.Noise(0.01, 0.01))}
     looking, blind = (make(task=task, max_episode_steps=4, autoreset_mode=mode, **options) for _ in range(2))
     blind._looks = False
     for envs in (looking, blind):
@@ -607,7 +607,7 @@ def test_saved_environments_go_on_as_if_nothing_had_been(task, tmp_path):
         "action": "residual",
         "max_episode_steps": 30,
         "randomise": {"mass": 0.2, "friction": 0.2, "payload": 1.0},
-        "effects": (*usual(ROBOT), effects.Lag(0.05), effects.Noise(0.01, 0.01), effects.ReadingDelay(1)),
+        "effects": (*default_effects(ROBOT), effects.Lag(0.05), effects.Noise(0.01, 0.01), effects.ReadingDelay(1)),
     }
     envs = make(**made)
     envs.reset(seed=0)
@@ -645,7 +645,7 @@ def test_wrong_states_are_refused():
 
 
 def test_a_state_that_other_effects_remember_is_refused():
-    lagging, late = (make(effects=(*usual(ROBOT), effect)) for effect in (effects.Lag(0.05), effects.Delay(1)))
+    lagging, late = (make(effects=(*default_effects(ROBOT), effect)) for effect in (effects.Lag(0.05), effects.Delay(1)))
     for envs in (lagging, late):
         envs.reset(seed=0)
     state = lagging.get_state()
@@ -819,7 +819,7 @@ def test_a_reference_action_moves_the_arm_on():
 
 
 def test_the_controller_may_be_ones_own():
-    pd = controllers.PD(200.0, 40.0, nominal(make(1, effects=(effects.Gravity(),)).scene))
+    pd = controllers.PD(200.0, 40.0, nominal_robot(make(1, effects=(effects.Gravity(),)).scene))
     envs = make(4, "track", action="residual", controller=pd)
     envs.reset(seed=0)
     steps(envs, 3)

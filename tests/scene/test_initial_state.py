@@ -59,7 +59,7 @@ def test_rows_that_are_not_finite_at_the_start_are_named(value):
         scene.rollout(start, steps=1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        scene.rollout(start, steps=1, lost="keep")
+        scene.rollout(start, steps=1, nonfinite="ignore")
         scene.rollout(scene.start(HOME), steps=1)
     with pytest.warns(UserWarning, match=r"1 of 1 rows are not finite at the start: qd of joint 'panda_joint1' is nan"):
         scene.rollout(scene.start(HOME[0], moved(0, 0, math.nan)[0]), steps=1)

@@ -22,7 +22,7 @@ from torchdq.command.outcome import Grid, Outcome
 from torchdq.errors import ArgumentError
 from torchdq.robot import Robot
 from torchdq.scene import controllers, integrators
-from torchdq.scene.defaults import usual
+from torchdq.scene.defaults import default_effects
 from torchdq.scene.integrators import Integrator, Unrecorded
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
@@ -37,20 +37,20 @@ STEPPERS = {
     and all(entry.default is not MISSING for entry in fields(kind))
 }
 AT_ONCE = 500  # steps between two lines about progress
-USUAL = "usual"
+DEFAULT = "default"
 
 
 @dataclass(kw_only=True)
 class SceneCommand(RobotCommand):
     """Simulation with the effects that you name: energies, operations and nanoseconds of a step, and a CSV file.
 
-    Effects: usual (what the description has), gravity, viscous=0.5, coulomb=2, limits, saturation, lag=0.02,
+    Effects: default (those of the description), gravity, viscous=0.5, coulomb=2, limits, saturation, lag=0.02,
     delay=0.01, rotorinertia=0.1, noise=0.001 and all others of torchdq.effects; a number is the first parameter.
 
     Example: torchdq scene panda --effects gravity viscous=2 --seconds 5 --csv fall.csv
     """
 
-    effects: tuple[str, ...] = (USUAL,)
+    effects: tuple[str, ...] = (DEFAULT,)
     """Effects, each NAME or NAME=NUMBER; none: rigid bodies alone."""
     seconds: float = 2.0
     """Duration [s]."""
@@ -166,10 +166,10 @@ class SceneCommand(RobotCommand):
 def effects_of(text: str, robot: Robot) -> list[effects.Effect]:
     """Effects that an option names: NAME, or NAME=NUMBER for the first parameter."""
     name, equals, value = text.partition("=")
-    if name == USUAL and not equals:
-        return list(usual(robot))
+    if name == DEFAULT and not equals:
+        return list(default_effects(robot))
     key = name.lower().replace("_", "").replace("-", "")
-    names_of("effects", key, (*KINDS, USUAL), "effect")
+    names_of("effects", key, (*KINDS, DEFAULT), "effect")
     given: list[Any] = []
     try:
         given = [float(x) for x in value.split(",")] if equals else []

@@ -80,7 +80,7 @@ def search(trial: Trial, error: float, divisible: bool) -> Answer:
 def _question(trial: Trial, error: float) -> _Question:
     scene = trial.scene.replace(integrator=SemiImplicitEuler(), substeps=1)
     digest = sha256()
-    for name, x in {**scene._parameters, **trial.state.rows(), **trial.inputs}.items():
+    for name, x in {**scene.parameters, **trial.state.rows(), **trial.inputs}.items():
         digest.update(f"{name} {list(x.shape)} {x.dtype}".encode())
         digest.update(x.cpu().contiguous().view(torch.uint8).numpy().tobytes())
     return _Question(scene.spec, scene.backend, digest.hexdigest(), trial.intervals, error)

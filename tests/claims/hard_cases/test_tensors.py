@@ -21,7 +21,7 @@ from torchdq.backends import c_library as build
 from torchdq.envs import ArmVectorEnv, Scene, State, effects
 from torchdq.envs.render import Skeleton
 from torchdq.errors import ArgumentError, DtypeError
-from torchdq.scene.defaults import usual
+from torchdq.scene.defaults import default_effects
 from torchdq.scene.integrators import LinearlyImplicit
 
 F32, F64 = torch.float32, torch.float64
@@ -161,7 +161,7 @@ def test_a_robot_without_joints_has_a_backward(backend):
 @pytest.mark.case("P1")
 @every_backend
 def test_a_scene_of_a_free_body_without_joints_takes_steps(backend):
-    scene = Scene(STONE, usual(STONE), backend=backend)
+    scene = Scene(STONE, default_effects(STONE), backend=backend)
     state = scene.rollout(scene.start(torch.zeros(4, 0)), steps=3)
     assert state.q.shape == state.qd.shape == (3, 4, 0) and bool((state.V_WB_B[-1, :, 5] < -0.2).all())
     assert scene.describe(seconds=0).left_out == ()
