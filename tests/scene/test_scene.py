@@ -605,9 +605,9 @@ ZERO = torch.zeros(2, dtype=torch.float64)
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"trgt": ZERO}, "trgt is no input of this scene; it has torque, reference, target, push"),
-        ({"trgt": None}, "trgt is no input of this scene; it has torque, reference, target, push"),
-        ({"q": ZERO}, "q is no input of this scene"),
+        ({"trgt": ZERO}, "trgt is not an input of this scene; it has torque, reference, target, push"),
+        ({"trgt": None}, "trgt is not an input of this scene; it has torque, reference, target, push"),
+        ({"q": ZERO}, "q is not an input of this scene"),
         ({"target": None}, "target must be given"),
         ({"reference": None}, "reference must be given"),
         ({"target": torch.zeros(3, dtype=torch.float64)}, r"target must have the shape \[..., 2\] .*\(3,\)"),
@@ -641,7 +641,7 @@ def test_a_misspelt_input_is_refused_even_if_it_is_none():
     scene = Scene(torchdq.robots.load("two_link"))
     state = scene.start(ZERO)
     for use in (scene.check, scene.linearize, lambda state, **inputs: scene.rollout(state, steps=2, **inputs)):
-        with pytest.raises(torchdq.ArgumentError, match="trgt is no input of this scene; it has torque"):
+        with pytest.raises(torchdq.ArgumentError, match="trgt is not an input of this scene; it has torque"):
             use(state, trgt=None)
 
 

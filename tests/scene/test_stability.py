@@ -93,7 +93,7 @@ def test_what_does_not_hold_says_what_does(kind):
     start = scene.start(double(0.45, 0.45), double(1.0, 1.0))
     found = scene.check(start, **inputs)
     assert not found
-    assert bool(found.lost)
+    assert bool(found.diverged)
     first, second = found.alternatives
     assert (first.integrator, first.substeps) == (LinearlyImplicit(), 1)
     assert (second.integrator, second.step) == (SemiImplicitEuler(), 0.01 / second.substeps)
@@ -121,9 +121,9 @@ def test_rows_are_lost_one_by_one():
     damping = double(0.1, 500.0, 0.1)[:, None].expand(3, 2)
     scene = Scene(ARM, (effects.Viscous(damping),), integrator=SemiImplicitEuler())
     start = scene.start(double((0.1, 0.2), (0.1, 0.2), (math.nan, 0.2)), double(0.1, 0.2))
-    with pytest.warns(UserWarning, match="1 of 3 rows are not finite"):
+    with pytest.warns(UserWarning, match="1 of 3 rows have a non-finite initial state"):
         found = scene.check(start, seconds=2.0)
-    assert found.lost.tolist() == [False, True, False]
+    assert found.diverged.tolist() == [False, True, False]
     assert len(found.alternatives) == 2
 
 
@@ -132,7 +132,7 @@ def test_controllers_hold_the_start_and_are_run():
     calm, wild = (Scene(ARM, (effects.Gravity(),), ComputedTorqueController(100.0, kd)) for kd in (20.0, 500.0))
     assert calm.check(calm.start(double(0.3, 0.4)))
     found = wild.check(wild.start(double(0.3, 0.4), double(0.1, 0.1)), seconds=6.0)
-    assert not found and found.growth <= 1.001 and bool(found.lost)
+    assert not found and found.growth <= 1.001 and bool(found.diverged)
 
 
 def test_adaptive_steps_are_only_run():
@@ -187,7 +187,7 @@ def test_a_rollout_that_loses_rows_says_so():
         assert LOSING.rollout(losing(), steps=300, nonfinite="ignore").q.shape == (300, 2, 2)
         assert LOSING.rollout(losing(), steps=3).q.shape == (3, 2, 2)
     lost_before = losing()._replace(q=double((0.0, 0.0), (math.nan, 0.0)))
-    with pytest.warns(UserWarning, match="1 of 2 rows are not finite at the start") as found:
+    with pytest.warns(UserWarning, match="1 of 2 rows have a non-finite initial state") as found:
         LOSING.rollout(lost_before, steps=3)
     assert len(found) == 1
 
