@@ -20,7 +20,7 @@ from torchdq.envs.torch_task import Functions
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
 from torchdq.robot.robot import SHAPES, arguments
-from torchdq.scene.defaults import one_of
+from torchdq.scene.defaults import mean_robot
 from torchdq.scene.scene import Scene
 from torchdq.scene.spec import Task
 
@@ -46,7 +46,7 @@ class Reset:
     def __post_init__(self) -> None:
         acting = [e for e in self.scene.effects if e.SLOT == "sensor" or e.memory(self.scene.n)]
         object.__setattr__(self, "opening", self.scene.replace(effects=acting, controller=None))
-        object.__setattr__(self, "robot", one_of(self.scene.robot))
+        object.__setattr__(self, "robot", mean_robot(self.scene.robot))
 
     def __call__(self, rows: SomeRows, streams: Streams, dtype: torch.dtype) -> dict[str, Tensor]:
         """Buffers of new episodes, by name, shape [k, ...]; drawn parameters are written into the scene.

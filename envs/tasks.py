@@ -11,24 +11,20 @@ reward, and the reference that the robot follows without the policy. A task of o
 
     envs = ArmVectorEnv(4096, Gentle(), "panda")
 
-Its numbers are recorded, so it uses + - * /, and the functions of `torchdq.numbers.functions` in the place of torch's,
+Its numbers are recorded, so it uses + - * /, and the functions of `torchdq.numbers.functions` instead of torch's,
 and no comparisons; `torchdq.envs.torch_task` has no such limits, and is slower.
 """
 
 from __future__ import annotations
 
 import math
-import numbers
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from enum import Enum
-from types import FunctionType
+from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number, Pure
-from torchdq.base.checks import Named
 from torchdq.dynamics.joints import KINDS
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.errors import ArgumentError, UnknownNameError
@@ -46,8 +42,6 @@ CLOSE = 0.05  # distance at which half of the bonus is earned [m]
 TIGHT = 0.1  # root mean square error at which half of the reward is earned [rad or m]
 HIGHEST = 2.0  # largest rate of the sinusoids of a reference [rad/s]
 SENSIBLE = 1e6  # bound of velocities and rewards; beyond it the simulation has failed
-# kinds of class attributes that tell programs apart
-PLAIN = (numbers.Number, str, bytes, Enum, FunctionType, type, property, classmethod, staticmethod)
 RESERVED = ("q", "qd", "memory", "reading", "valid", GROWTH, "clipped", "nonfinite", "final_obs", "final_info")
 
 
@@ -60,10 +54,9 @@ class EpisodeTask(Task, Protocol):
     "time" [1] since the start of the episode [s]; at the start of an episode there is no action. A goal of three
     numbers is drawn as a point.
 
-    A task is recorded once, when its first environment is reset, and what it reads is part of the program from then on.
-    Its fields and the attributes of its class tell programs apart: environments that are made after a change of either
-    have the new value. A change of a module's global, of a tensor or of an object inside cannot be seen and has no
-    effect until `torchdq.clear_caches()`; make such a number a field.
+    A task is recorded once, when its first environment is reset, and its numbers are part of the program from then on.
+    Its class and its fields tell programs apart: make a number that may change a field. A change of anything else, such
+    as a global or an attribute of the class, has no effect until `torchdq.clear_caches()`.
     """
 
     def __hash__(self) -> int: ...
@@ -216,102 +209,52 @@ class Checked:
     """
 
     task: EpisodeTask
-    attributes: tuple[tuple[str, Any], ...] = field(init=False, repr=False)  # those of the class, when this was made
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "attributes", attributes_of(type(self.task)))
-
-    def require_unchanged(self) -> None:
-        """Raise if an attribute of the task's class has changed since the environment was made."""
-        before, now = dict(self.attributes), dict(attributes_of(type(self.task)))
-        changed = [name for name in {**before, **now} if before.get(name) != now.get(name)]
-        if changed:
-            raise ArgumentError(
-                f"{self._named(changed[0])} must not change between the making of an environment and its first reset, "
-                f"found that it did; make the environment again"
-            )
 
     def inputs(self, n: int) -> dict[str, int]:
         """Inputs of the task."""
-        found, known = self.task.inputs(n), {"goal": None, "action": n, "time": 1}
-        for name, width in found.items():
-            if name not in known:
-                raise UnknownNameError(f"input of tasks that {self._named('inputs')} may ask for", name, known)
-            if known[name] not in (None, width):
-                raise ArgumentError(
-                    f"{self._named('inputs')} must give {name!r} the width {known[name]}, found {width}"
-                )
-        if "goal" not in found:
-            raise ArgumentError(f"{self._named('inputs')} must name the width of 'goal', found {sorted(found)}")
+        found, known = self.task.inputs(n), {"action": n, "time": 1}
+        if "goal" not in found or any(known.get(name) != width for name, width in found.items() if name != "goal"):
+            raise ArgumentError(
+                f"{type(self.task).__name__}.inputs must give the width of 'goal', and may ask for {known}, found "
+                f"{found}"
+            )
         return found
 
     def start(self, robot: Robot, u: Row) -> Rows:
         """Rows of the task at a start."""
-        self.require_unchanged()
-        n = robot.n
-        widths = {"q": n, "qd": n, "goal": self.inputs(n)["goal"]}
+        widths = {"q": robot.n, "qd": robot.n, "goal": self.inputs(robot.n)["goal"]}
         rows = self._rows("start", self.task.start(robot, u), widths)
         for name in rows:
             if name not in widths:
-                raise UnknownNameError(f"row of a start that {self._named('start')} may return", name, widths)
+                raise UnknownNameError(f"row of a start that {type(self.task).__name__}.start may return", name, widths)
         return rows
 
     def rows(self, view: View) -> Rows:
         """Rows of the task, and "valid"."""
-        self.require_unchanged()
-        kind = f"entry of view.inputs, which are those of {self._named('inputs')}, at a start without the action,"
-        robot, found = view.scene.spec.robot, self.task.rows(view._replace(inputs=Named(kind, view.inputs)))
+        robot = view.scene.spec.robot
         widths = {"observation": len(self.task.bounds(robot)), "reward": 1, "reference": 3 * robot.n}
-        rows = self._rows("rows", found, widths)
-        for name in rows:
-            if name in RESERVED:
-                raise ArgumentError(
-                    f"{self._named('rows')} must not return a row {name!r}: the environment has its own"
-                )
+        rows = self._rows("rows", self.task.rows(view), widths)
         # NaN and infinity survive sums; positions follow the velocities
         squares = [x * x for x in (*view.qd, *rows["reward"], sum(rows["observation"], 0.0))]
         return {**rows, "valid": [at_least(SENSIBLE**2, sum(squares, 0.0))]}
 
-    def _named(self, method: str) -> str:
-        return f"{type(self.task).__name__}.{method}"
-
-    def _rows(
-        self, method: str, rows: Any, needed: Mapping[str, int], optional: Mapping[str, int] | None = None
-    ) -> Rows:
-        """Rows that a method of the task returned; raises unless those that are needed are there, with their widths."""
-        what = self._named(method)
-        if not isinstance(rows, Mapping):
-            raise ArgumentError(f"{what} must return a dict of rows, {', '.join(needed)}, found {type(rows).__name__}")
-        for name in needed:
-            if name not in rows:
-                raise ArgumentError(f"{what} must return a row {name!r} [{needed[name]}], found {', '.join(rows)}")
-        widths = {"terminated": 1, **needed}
+    def _rows(self, method: str, rows: Any, widths: Mapping[str, int]) -> Rows:
+        """Rows that a method of the task returned; raises unless those of the widths are there, as lists of numbers."""
+        what = f"{type(self.task).__name__}.{method}"
+        if not isinstance(rows, Mapping) or not widths.keys() <= rows.keys():
+            found = ", ".join(rows) if isinstance(rows, Mapping) else type(rows).__name__
+            raise ArgumentError(f"{what} must return a dict of rows with {', '.join(widths)}, found {found}")
+        widths = {"terminated": 1, **widths}
         for name, row in rows.items():
-            listed = isinstance(row, list | tuple)
-            for x in row if listed else (row,):
-                if not (listed and isinstance(x, Recorded | float | int)):
-                    raise ArgumentError(
-                        f"{what} must return {name!r} as a list of numbers, found a {type(x).__name__}"
-                        f"{' in it' if listed else ''}; a single number x is the row [x]"
-                    )
+            if method == "rows" and name in RESERVED:
+                raise ArgumentError(f"{what} must not return a row {name!r}: the environment has its own")
+            if not isinstance(row, list | tuple) or not all(isinstance(x, Recorded | float | int) for x in row):
+                raise ArgumentError(
+                    f"{what} must return {name!r} as a list of numbers, found {row!r:.80}; a number x is the row [x]"
+                )
             if len(row) != widths.get(name, len(row)):
                 raise ArgumentError(f"{what} must return {name!r} of width {widths[name]}, found {len(row)}")
         return dict(rows)
-
-
-def attributes_of(kind: type) -> tuple[tuple[str, Any], ...]:
-    """Attributes of a class and of those that it derives from, by name, methods among them, as hashable values."""
-    found = {name: x for base in reversed(kind.__mro__[:-1]) for name, x in vars(base).items()}
-    return tuple((name, _frozen(x)) for name, x in found.items() if not name.startswith("__"))
-
-
-def _frozen(x: Any) -> Any:
-    """Numbers, words, functions, and lists and dicts of them, as a value that changes with them; a type for others."""
-    if isinstance(x, Mapping):
-        return tuple((name, _frozen(value)) for name, value in x.items())
-    if isinstance(x, list | tuple | set | frozenset):
-        return (type(x), *map(_frozen, x))
-    return x if x is None or isinstance(x, PLAIN) else type(x)
 
 
 # --- terms of tasks ---------------------------------------------------------------------------------------

@@ -1,10 +1,10 @@
-"""Tasks whose reward, observation, end or start are functions of tensors, for everything that torch can compute.
+"""Tasks whose reward, observation, end or start are functions of tensors.
 
 Recorded tasks (`torchdq.envs.tasks`) are part of the program of a step and are faster. A `TorchTask` takes what it does
 not define from a recorded one, runs after the step, and needs no number-generic code:
 
-    def reward(now: Now) -> Tensor:  # [N]
-        return torch.exp(-10 * now.rows["distance"]) - 0.01 * now.action.square().mean(1)
+    def reward(now: Now) -> dict[str, Tensor]:  # terms [N], which also are in `info`
+        return {"near": torch.exp(-10 * now.rows["distance"]), "effort": -0.01 * now.action.square().mean(1)}
 
     def observation(now: Now) -> Tensor:  # [N, k]
         tip = torchdq.forward_kinematics(now.robot, now.q_measured, now.robot.end_effector().name)
@@ -22,6 +22,7 @@ not define from a recorded one, runs after the step, and needs no number-generic
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -31,12 +32,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from torchdq.base.checks import Named, floating, is_number, require_count, require_tensor
-from torchdq.envs.tasks import SENSIBLE, EpisodeTask
+from torchdq.base.checks import floating, require_count, require_tensor
+from torchdq.envs.tasks import RESERVED, SENSIBLE, EpisodeTask
 from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.program.program import Argument
 from torchdq.robot import Robot
+from torchdq.robot.fields import trailing
+from torchdq.robot.robot import SHAPES, batches
+from torchdq.scene.recording import Stage
 from torchdq.scene.scene import Scene
-from torchdq.scene.scene_robot import Simulated
 from torchdq.scene.state import State
 
 
@@ -69,11 +73,13 @@ class TorchTask:
     """A recorded task, parts of which are replaced by functions of tensors that are called after every step.
 
     Functions take rows that are independent of each other, and must return tensors whose row i depends on row i alone.
-    They are called without gradients. A reward or an observation that is not finite ends the episode as a failure.
+    They are called without gradients, and must not change tensors in place. A reward or an observation that is not
+    finite ends the episode as a failure.
 
     Args:
         recorded: the task that defines everything else, above all goal and reference; by its name or by itself.
-        reward: function of a `Now` that returns [N]; None: that of the recorded task.
+        reward: function of a `Now` that returns [N], or a dict of terms [N] by name, of which the reward is the sum and
+            which `info` has, too; None: that of the recorded task.
         observation: function of a `Now` that returns [N, k], also called at starts; None: likewise.
         terminated: function of a `Now` that returns a bool [N]; None: likewise.
         start: function of the robot, as described, and of random numbers in (0, 1) [N, draws] that returns
@@ -93,7 +99,7 @@ class TorchTask:
     """
 
     recorded: str | EpisodeTask = "reach"
-    reward: Callable[[Now], Tensor] | None = None
+    reward: Callable[[Now], Tensor | Mapping[str, Tensor]] | None = None
     observation: Callable[[Now], Tensor] | None = None
     terminated: Callable[[Now], Tensor] | None = None
     start: Callable[[Robot, Tensor], Mapping[str, Tensor]] | None = None
@@ -101,38 +107,56 @@ class TorchTask:
     draws: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("reward", "observation", "terminated", "start"):
-            if (function := getattr(self, name)) is not None and not callable(function):
-                raise ArgumentError(f"{name} must be a function or None, found {function!r}")
-        if self.observation is not None and self.bounds is None:
+        require_count("draws", self.draws, least=0)
+        if (self.observation is None) != (self.bounds is None):
             raise ArgumentError(
-                "bounds must be given with an observation: a pair (lower, upper) for each of its k numbers, such as "
-                "bounds=[(-10, 10)] * k"
-            )
-        if self.observation is None and self.bounds is not None:
-            raise ArgumentError(
-                "bounds must be None without an observation: they are those of its numbers, and the recorded task has "
-                "its own"
+                "bounds must be given with an observation, and only then: a pair (lower, upper) for each of its k "
+                "numbers, such as bounds=[(-10, 10)] * k"
             )
         if self.bounds is not None:
-            object.__setattr__(self, "bounds", _pairs(self.bounds))
-        require_count("draws", self.draws, least=0)
-        if self.draws and self.start is None:
-            raise ArgumentError(f"draws must be 0 without a start, which takes them, found {self.draws!r}")
+            pairs = np.asarray(self.bounds, dtype=float)
+            if pairs.ndim != 2 or pairs.shape[1] != 2 or not (pairs[:, 0] <= pairs[:, 1]).all():
+                raise ArgumentError(
+                    f"bounds must be pairs (lower, upper), one for each number of an observation, found {self.bounds!r}"
+                )
+            object.__setattr__(self, "bounds", tuple(map(tuple, pairs.tolist())))
 
 
-def _pairs(bounds: Any) -> tuple[tuple[float, float], ...]:
-    """Bounds as pairs of numbers."""
-    given = bounds.tolist() if isinstance(bounds, np.ndarray | Tensor) else bounds
-    if not isinstance(given, Sequence) or isinstance(given, str):
-        raise ArgumentError(f"bounds must be a sequence of pairs (lower, upper), found {bounds!r}")
-    for pair in given:
-        numbers = isinstance(pair, Sequence) and len(pair) == 2 and all(map(is_number, pair))
-        if not numbers or not pair[0] <= pair[1]:
-            raise ArgumentError(
-                f"bounds must be pairs (lower, upper), one for each number of an observation, found {pair!r} among them"
-            )
-    return tuple((float(low), float(high)) for low, high in given)
+@dataclass(frozen=True, eq=False)
+class SimulatedRobot:
+    """Robot of a scene with its gravity and rotors, its payloads, and all that is drawn for an episode.
+
+    Args:
+        robot: with everything that all episodes share.
+        differing: names of the tensors that differ from episode to episode, or from row to row.
+    """
+
+    robot: Robot
+    differing: tuple[str, ...]
+
+    @classmethod
+    def of(cls, scene: Scene, device: torch.device) -> SimulatedRobot:
+        """Robot of a scene, with tensors on a device."""
+        stage, n = Stage(scene.spec, "bodies"), scene.n
+        taken = [Argument("q", n), *(Argument(name, math.prod(stage.axes(name))) for name in scene.parameters)]
+        found = {result.name: result.values for result in stage.program(tuple(taken)).results}
+        same = {name: row for name, row in found.items() if all(isinstance(x, float) for x in row)}
+        known: dict[str, Any] = {"gravity": None, "armature": None}
+        for name, row in same.items():
+            known[name] = torch.tensor(row, dtype=torch.float64).reshape(trailing(SHAPES[name], scene.robot.sizes))
+        differing = tuple(name for name in found if name not in same)
+        described = scene.robot._with(**{name: x for name, x in known.items() if name not in differing})
+        whole = described if batches(described) else described.bake()
+        return cls(whole.to(device=device), differing)
+
+    def __call__(self, scene: Scene, q: Tensor) -> Robot:
+        """Robot of the rows of a scene, in the dtype of their positions q [N, n]."""
+        if not self.differing:
+            return self.robot
+        rows = scene.evaluate("bodies", {"q": q})
+        sizes = self.robot.sizes
+        changes = {name: rows[name].reshape(-1, *trailing(SHAPES[name], sizes)) for name in self.differing}
+        return self.robot._with(**changes)
 
 
 class Functions(NamedTuple):
@@ -141,13 +165,13 @@ class Functions(NamedTuple):
     task: TorchTask
     scene: Scene
     robot: Robot  # as described
-    simulated: Simulated
+    simulated: SimulatedRobot
 
     @classmethod
     def of(cls, task: TorchTask, robot: Robot, scene: Scene, device: torch.device) -> Functions:
         """Functions of a task for a scene, which may simulate more than the robot as described."""
         near = robot if robot.mass.device == device else robot.to(device=device)
-        return cls(task, scene, near, Simulated.of(scene, device))
+        return cls(task, scene, near, SimulatedRobot.of(scene, device))
 
     def now(
         self,
@@ -162,30 +186,17 @@ class Functions(NamedTuple):
         q, qd = state.measured
         time = steps.to(state.q.dtype) * self.scene.dt
         action = torch.zeros_like(state.q) if action is None else action
-        named = Named("row in now.rows", rows)
 
         def simulated() -> Robot:
             return self.simulated(self.scene if scene is None else scene(), state.q)
 
-        return Now(state.q, state.qd, q, qd, goal, time, action, named, simulated)
-
-    def _called(self, name: str, *arguments: Any) -> Any:
-        """Result of a function of the task."""
-        try:
-            return getattr(self.task, name)(*arguments)
-        except RuntimeError as error:
-            if "Boolean value of Tensor" not in str(error):
-                raise
-            raise ArgumentError(
-                f"{name} of the task must not decide by if, and, or, not on a tensor, which has one value for each "
-                f"environment, found that it does; use torch.where(condition, a, b), and & | ~ in the condition"
-            ) from error
+        return Now(state.q, state.qd, q, qd, goal, time, action, rows, simulated)
 
     def started(self, u: Tensor, looks: bool) -> dict[str, Tensor]:
         """Rows of the start that the task defines, of random numbers [N, draws]; `looks`: as in `first`."""
         if self.task.start is None:
             return {}
-        found, widths = self._called("start", self.robot, u), {"q": self.robot.n, "qd": self.robot.n, "goal": None}
+        found, widths = self.task.start(self.robot, u), {"q": self.robot.n, "qd": self.robot.n, "goal": None}
         if not isinstance(found, Mapping):
             raise ArgumentError(f"start must return a dict of {', '.join(widths)}, found {type(found).__name__}")
         for name in found:
@@ -210,34 +221,26 @@ class Functions(NamedTuple):
         """Observation [N, k]."""
         if self.task.observation is None:
             return now.rows["observation"]
-        found, number = self._called("observation", now), len(self.task.bounds or ())
-        if isinstance(found, Tensor) and found.ndim == 2 and found.shape[1] != number:
-            raise ArgumentError(
-                f"observation of the task must have a number for each of its {number} bounds, found "
-                f"{found.shape[1]}; give bounds=[(lower, upper), ...] with {found.shape[1]} pairs"
-            )
-        return _row("observation", found, (len(now.q), number), now.q)
+        return _row("observation", self.task.observation(now), (len(now.q), len(self.task.bounds or ())), now.q)
 
     def after(self, now: Now) -> dict[str, Tensor]:
         """Rows of a step; "valid" is 0 where a function returned what is not finite."""
-        versions = _versions(now)
         rows = {**now.rows, "observation": self.observed(now)}
         if self.task.reward is not None:
-            rows["reward"] = _row("reward", self._called("reward", now), (len(now.q),), now.q)
+            reward = self.task.reward(now)
+            terms = reward if isinstance(reward, Mapping) else {"reward": reward}
+            for name in terms.keys() & {*RESERVED, *(now.rows if isinstance(reward, Mapping) else ())}:
+                raise ArgumentError(f"reward of the task must not name a term {name!r}: there is a row of that name")
+            found = {name: _row(name, x, (len(now.q),), now.q) for name, x in terms.items()}
+            rows |= {**found, "reward": sum(found.values(), torch.zeros_like(now.time))}
         if self.task.terminated is not None:
-            ended = self._called("terminated", now)
+            rows["terminated"] = ended = self.task.terminated(now)
             require_tensor("terminated of the task", ended)
             if ended.dtype != torch.bool or ended.shape != now.q.shape[:1]:
                 raise ArgumentError(
                     f"terminated must return a bool tensor of shape ({len(now.q)},), found {ended.dtype} of shape "
                     f"{tuple(ended.shape)}"
                 )
-            rows["terminated"] = ended
-        if versions != _versions(now):
-            raise ArgumentError(
-                "functions of a TorchTask must not change tensors in place, which would change the simulation; write "
-                "x + 1 instead of x.add_(1), or x.clone() first"
-            )
         sound = rows["observation"].isfinite().all(1) & (rows["reward"].abs() <= SENSIBLE)
         if now.q.is_cpu and not bool(sound.all()):  # other devices are not waited for
             _warn_of_faults(now, rows)
@@ -247,8 +250,7 @@ class Functions(NamedTuple):
 def _warn_of_faults(now: Now, rows: Mapping[str, Tensor]) -> None:
     """Warn where a reward or an observation is NaN although the simulation has not failed: the function is wrong."""
     simulated = (rows["valid"] != 0) & torch.cat([now.q, now.qd], 1).isfinite().all(1)
-    lost = {"reward": rows["reward"].isnan(), "observation": rows["observation"].isnan().any(1)}
-    for name, nan in lost.items():
+    for name, nan in {"reward": rows["reward"].isnan(), "observation": rows["observation"].isnan().any(1)}.items():
         if bool((nan & simulated).any()):
             found = f"{int(nan.sum())} of {len(nan)} rows whose positions and velocities are finite"
             warnings.warn(
@@ -256,12 +258,6 @@ def _warn_of_faults(now: Now, rows: Mapping[str, Tensor]) -> None:
                 "a negative number?",
                 stacklevel=4,
             )
-
-
-def _versions(now: Now) -> list[int]:
-    """Numbers of changes in place of all tensors that the functions see."""
-    seen = [*now, *now.rows.values()]
-    return [x._version for x in seen if isinstance(x, Tensor) and not x.is_inference()]
 
 
 def _require_finite(name: str, x: Tensor) -> None:

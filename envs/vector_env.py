@@ -17,6 +17,7 @@ Other libraries take an `ArmVectorEnv`:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from numbers import Integral
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -30,24 +31,27 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.base.checks import device_of, dtype_of, require_choice, require_count
+from torchdq.base.checks import device_of, dtype_of, require_choice, require_count, require_tensor
 from torchdq.effects import Effect
 from torchdq.envs.actions import Actions, Kind, full
-from torchdq.envs.arguments import autoreset_of, check_scene, reset_mask_of, robot_of, saved, state_of, task_of
 from torchdq.envs.randomization import Randomise, randomised
 from torchdq.envs.reset import Reset, task_inputs
 from torchdq.envs.rng import Streams, seeded, seeds_of
 from torchdq.envs.row_selection import Indexed, Masked, SomeRows, column
-from torchdq.envs.tasks import Checked, EpisodeTask
+from torchdq.envs.tasks import Checked, EpisodeTask, Reach, Track
 from torchdq.envs.torch_task import Functions, TorchTask
 from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.functions.posed import GEOMETRY
 from torchdq.robot import Robot
-from torchdq.scene.controllers import ComputedTorque, Controller
-from torchdq.scene.defaults import default_effects, nominal
+from torchdq.robot.robot import SHAPES
+from torchdq.robot.shipped import load
+from torchdq.scene.controllers import ComputedTorqueController, Controller
+from torchdq.scene.defaults import default_effects, nominal_robot
 from torchdq.scene.integrators import Integrator, LinearlyImplicit
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
 
+TASKS: dict[str, EpisodeTask] = {"reach": Reach(), "track": Track()}
 KP, KD = 100.0, 20.0  # gains of the default controller [1/s^2, 1/s]
 WORST = -1000.0  # reward of a step that failed, worse than any episode
 _HANDED_OUT = ("observation", "finished")  # buffers that callers may hold, and that are never written into
@@ -133,10 +137,12 @@ class ArmVectorEnv(VectorEnv):
         require_choice("render_mode", render_mode, (None, "rgb_array", "human"))
         self.num_envs, self.max_episode_steps, self.output = num_envs, max_episode_steps, output
         functions = task if isinstance(task, TorchTask) else None
-        self.task = task_of(task.recorded if isinstance(task, TorchTask) else task)
-        self.robot = robot_of(robot)
+        self.task = _task_of(task.recorded if isinstance(task, TorchTask) else task)
+        self.robot = _robot_of(robot)
         self.dtype, self.device = dtype_of("dtype", dtype), device_of("device", device)
-        self.autoreset_mode, self.render_mode = autoreset_of(autoreset_mode), render_mode
+        modes = AutoresetMode.__members__
+        self.autoreset_mode = modes[autoreset_mode] if autoreset_mode in modes else AutoresetMode(autoreset_mode)  # type: ignore[index]
+        self.render_mode = render_mode
         like = torch.empty(0, dtype=self.dtype, device=self.device)
         scene = Scene(
             self.robot,
@@ -152,11 +158,11 @@ class ArmVectorEnv(VectorEnv):
             "render_fps": max(1, round(1 / dt)),
         }
         if action != "torque":
-            scene = scene.replace(controller=controller or ComputedTorque(KP, KD, nominal(scene)))
+            scene = scene.replace(controller=controller or ComputedTorqueController(KP, KD, nominal_robot(scene)))
         elif controller is not None:
             raise ArgumentError("controller must be None for torque actions; did you mean action='residual'?")
         self.scene, self._randomised = randomised(scene.to(self.device), randomise or {}, num_envs, like)
-        check_scene(self.scene, num_envs)
+        _check_scene(self.scene, num_envs)
         self._actions = Actions(action, self.robot, torch.as_tensor(full(self.robot, action, scale)).to(like))
         self._checked = Checked(self.task)
         self._functions = None if functions is None else Functions.of(functions, self.robot, self.scene, self.device)
@@ -193,11 +199,15 @@ class ArmVectorEnv(VectorEnv):
         for name in options or {}:
             if name != "reset_mask":
                 raise UnknownNameError("option of reset", name, ("reset_mask",))
-        mask = reset_mask_of((options or {}).get("reset_mask"), self.num_envs, self.device, self._looks)
-        if mask is None:
-            mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
-        elif not self._buffers:
-            raise ResetNeeded("a first reset must be of all environments; call reset() without a reset_mask")
+        mask = torch.ones(self.num_envs, dtype=torch.bool, device=self.device)
+        if options and options["reset_mask"] is not None:
+            mask = torch.as_tensor(options["reset_mask"], device=self.device)
+            if mask.dtype != torch.bool or mask.shape != (self.num_envs,):
+                raise ArgumentError(
+                    f"reset_mask must be a bool of shape ({self.num_envs},), found {mask.dtype} of {tuple(mask.shape)}"
+                )
+            if not self._buffers:
+                raise ResetNeeded("a first reset must be of all environments; call reset() without a reset_mask")
         buffers = dict(self._buffers) or self._blank()
         if seed is not None:
             buffers.update(self._seeded(buffers, seed, mask)._asdict())
@@ -293,7 +303,7 @@ class ArmVectorEnv(VectorEnv):
     def get_state(self) -> dict[str, Tensor]:
         """Copy of all that steps change: states, goals, random numbers, parameters; for `set_state`."""
         self._started("get_state")
-        return {name: x.clone() for name, x in saved({**self._buffers, **self._drawn()}, self.scene).items()}
+        return {self._saved(name): x.clone() for name, x in {**self._buffers, **self._drawn()}.items()}
 
     def set_state(self, state: Mapping[str, Tensor]) -> None:
         """Continue from a state of an environment that was constructed alike.
@@ -302,11 +312,36 @@ class ArmVectorEnv(VectorEnv):
             state: from `get_state`, or from `torch.load` of such.
         """
         self._open()
-        state = state_of(state, {**self._blank(), **self._drawn()}, self.scene)
+        own = {self._saved(name): (name, x) for name, x in {**self._blank(), **self._drawn()}.items()}
+        if not isinstance(state, Mapping) or set(state) != set(own):
+            found = sorted(state) if isinstance(state, Mapping) else type(state).__name__
+            raise ArgumentError(
+                f"state must be a dict with the entries {sorted(own)}, found {found}; was it saved by an environment "
+                "with other effects?"
+            )
+        rows: dict[str, Tensor] = {}
+        for label, (name, like) in own.items():
+            rows[name] = x = state[label]
+            require_tensor(f"state[{label!r}]", x)
+            if x.shape != like.shape or x.dtype != like.dtype:
+                raise ArgumentError(
+                    f"state[{label!r}] must be {like.dtype} of shape {tuple(like.shape)}, found {x.dtype} of shape "
+                    f"{tuple(x.shape)}; was it saved by an environment with other arguments?"
+                )
+            wrong = x.isnan() if "." in name else ~x.isfinite()  # a parameter may be an infinite limit
+            if len(bad := wrong.nonzero()):
+                raise ArgumentError(
+                    f"state[{label!r}] must be finite, found {x[tuple(bad[0])].item()} in row {bad[0, 0].item()}"
+                )
         for name, x in self._drawn().items():
-            x.copy_(state[name])
-        self._keep({name: x.to(self.device, copy=True) for name, x in state.items() if "." not in name})
+            x.copy_(rows[name])
+        self._keep({name: x.to(self.device, copy=True) for name, x in rows.items() if "." not in name})
         self._unreset = self._any(self._buffers["finished"]) and self.autoreset_mode != AutoresetMode.SAME_STEP
+
+    def _saved(self, name: str) -> str:
+        """Name of a buffer in a saved state; that of a memory says whose it is, so that no other effect takes it."""
+        owners = ", ".join(type(effect).__name__ for effect in self.scene.effects if effect.memory(self.scene.n))
+        return f"{name} of {owners}" if name == "memory" else name
 
     def _drawn(self) -> dict[str, Tensor]:
         """The scene's own tensors that are drawn for every episode."""
@@ -392,6 +427,59 @@ class ArmVectorEnv(VectorEnv):
 
     def _streams(self, buffers: Mapping[str, Tensor]) -> Streams:
         return Streams(buffers["key"], buffers["counter"])
+
+
+def _task_of(task: str | EpisodeTask) -> EpisodeTask:
+    """Task, by its name or by itself."""
+    if isinstance(task, str):
+        if task not in TASKS:
+            raise UnknownNameError("task", task, TASKS)
+        return TASKS[task]
+    if isinstance(task, type) or not hasattr(task, "rows"):
+        raise ArgumentError(
+            f"task must be the name of one or an object like those of torchdq.envs.tasks, found {task!r}"
+            + (f"; {task.__name__} is a class, call it" if isinstance(task, type) else "")
+        )
+    known = {entry.name for entry in fields(task)} if is_dataclass(task) else set()
+    if unknown := getattr(task, "__dict__", {}).keys() - known:
+        raise ArgumentError(
+            f"task has the attributes {', '.join(unknown)}, which are not fields, so tasks that differ in them would "
+            f"share a program; make {type(task).__name__} a dataclass(frozen=True) with these fields"
+        )
+    return task
+
+
+def _robot_of(robot: str | Path | Robot) -> Robot:
+    """Robot with one geometry: a shipped one by its name, one of a URDF file, or itself."""
+    if isinstance(robot, str) and not robot.lstrip().startswith("<") and Path(robot).suffix == "":
+        robot = load(robot)
+    found = robot if isinstance(robot, Robot) else Robot.from_urdf(robot)
+    if found.floating:
+        raise ArgumentError(
+            f"robot {found.name!r} must have a fixed base in environments, found a free one, which a Scene can step"
+        )
+    one = {name: (getattr(found, name), len(SHAPES[name])) for name in (*GEOMETRY, "home")}
+    one["limits"] = (max(found.limits, key=Tensor.dim), 1)
+    for name, (x, axes) in one.items():
+        if x is not None and x.ndim > axes:
+            raise ArgumentError(
+                f"{name} of robot {found.name!r} must be one for all environments, found batch axes; give one by "
+                f"robot.replace({name}=...), or make environments for each robot"
+            )
+    return found
+
+
+def _check_scene(scene: Scene, num_envs: int) -> None:
+    """Raise if an effect takes an input that an environment cannot supply, or has another number of rows."""
+    for effect in scene.effects:
+        for wanted in effect.inputs(scene.n):
+            raise ArgumentError(
+                f"effects: {type(effect).__name__} takes the input {wanted!r}, which an environment cannot supply; "
+                "leave it out"
+            )
+    for name, batch in scene.batches.items():
+        if batch not in ((), (1,), (num_envs,)):
+            raise ArgumentError(f"{name} must be one for all or have {num_envs} rows, found the batch axes {batch}")
 
 
 def made_by_gymnasium(**arguments: Any) -> ArmVectorEnv:

@@ -63,7 +63,7 @@ class Policy(nn.Module):
 def rolled_out(policy: Policy, q: Tensor, steps: int) -> State:
     """States [steps, arms, ...] of arms under the policy."""
     scene = Scene(ROBOT, (effects.Gravity(), effects.Viscous(2.0), effects.RotorInertia(0.1)), dt=STEP)
-    return scene.rollout(scene.start(q), steps=steps, policy=policy, lost="keep")
+    return scene.rollout(scene.start(q), steps=steps, policy=policy, nonfinite="ignore")
 
 
 def starts(arms: int) -> Tensor:

@@ -7,7 +7,7 @@
 controller and predicts the standard errors. Here an arm that differs from its description stands for the real one: its
 torques along the motion, with noise, are identified, and the errors turn out as predicted. `sample` then draws arms
 from what is left open, each of which can exist; simulated together under the same torques, they show how much that
-matters. """
+matters."""
 
 import sys
 from dataclasses import dataclass

@@ -25,9 +25,7 @@ def measured(trajectories: list[dict[str, Any]]) -> list[dict[str, Any]]:
         whole = Scene(case.robot, case.effects, dt=case.horizon / PERIODS)
         for error in ERRORS:
             inputs = {"torque": case.torque[0], **case.inputs}
-            found = torchdq.recommend_settings(
-                whole, error, case.horizon, State(case.q, case.qd), seconds=600.0, **inputs
-            )
+            found = torchdq.recommend_settings(whole, error, case.horizon, State(case.q, case.qd), **inputs)
             precision = "mixed" if found.precision == "double" else str(found.dtype).removeprefix("torch.")
             name = type(found.integrator).__name__
             points = [p for p in table.usable(scene) if p["precision"] in OFFERED and p["error_max"] <= error]

@@ -304,8 +304,7 @@ LONGEST_FILE = 400  # lines
 CORE = ("torchdq.numbers", "torchdq.program", "torchdq.backends")
 JOINT_KINDS = {"revolute", "prismatic", "helical", "fixed", "free"}
 DEFAULTS = ".defaults"  # modules of this name build the effects that there are by default
-# public on both sides: a layer and a controller; an effect and the limits of a description
-TWO_MEANINGS = {"ComputedTorque", "Limits"}
+TWO_MEANINGS: set[str] = set()
 DEPENDENCIES = {"torch", "numpy", "gymnasium", "rich", "tyro"}
 OPTIONAL = "torchdq.base.optional"
 NO_NOUN = ("What ", "The same", "Those ", "That of ", "Whether it ", "How it ")

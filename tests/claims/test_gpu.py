@@ -133,10 +133,10 @@ def test_a_training_iteration_is_captured_in_a_graph():
 def test_a_rollout_is_captured_in_a_graph():
     scene = Scene(PANDA, (effects.Gravity(), effects.Viscous(1.0)), integrator=integrators.SemiImplicitEuler(), dt=1e-3)
     q, torque = random(64, 7, dtype=F32).to(GPU), random(10, 64, 7, seed=1, dtype=F32).to(GPU)
-    expected = scene.rollout(scene.start(q), torque, lost="keep").q
+    expected = scene.rollout(scene.start(q), torque, nonfinite="ignore").q
     graph = torch.cuda.CUDAGraph()
     with torch.cuda.graph(graph):
-        found = scene.rollout(scene.start(q), torque, lost="keep").q
+        found = scene.rollout(scene.start(q), torque, nonfinite="ignore").q
     graph.replay()
     same([found], [expected])
 
@@ -152,7 +152,9 @@ def test_a_training_iteration_through_a_rollout_is_captured_in_a_graph():
 
         def iteration():
             optimiser.zero_grad(set_to_none=False)
-            states = scene.rollout(scene.start(q), steps=5, policy=lambda s: net(torch.cat(s[:2], 1)), lost="keep")
+            states = scene.rollout(
+                scene.start(q), steps=5, policy=lambda s: net(torch.cat(s[:2], 1)), nonfinite="ignore"
+            )
             loss = states.q.square().mean()
             loss.backward()
             optimiser.step()

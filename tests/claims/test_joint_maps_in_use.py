@@ -440,7 +440,7 @@ def test_fingers_are_drawn_where_they_are():
 
 
 def test_recommendations_are_made():
-    assert recommend_settings(geared(), 1e-2, 0.1, seconds=2.0).error <= 1e-2
+    assert recommend_settings(geared(), 1e-2, 0.1).error <= 1e-2
 
 
 def test_a_coupling_by_hand_is_that_of_the_file():

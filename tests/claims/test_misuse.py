@@ -21,7 +21,7 @@ from torchdq.effects.model import ModelEffect
 from torchdq.envs import ArmEnv, ArmVectorEnv, Scene, TorchTask, effects
 from torchdq.errors import nearest
 from torchdq.learning import LogError, Recording, Samples, cut, excitation_trajectory, fit, fit_rollout, identify, read
-from torchdq.scene import controllers, integrators
+from torchdq.scene import controllers
 
 F64 = torch.float64
 ARM = torchdq.robots.load("two_link")
@@ -48,14 +48,9 @@ NAMES = [
     (torchdq, "qwzx", "help(torchdq) lists what there is"),
     (torchdq.effects, "Stribek", "did you mean Stribeck?"),
     (torchdq.effects, "CoulombFriction", "did you mean Coulomb?"),
-    (torchdq.envs, "Sceen", "did you mean Scene?"),
-    (torchdq.envs, "make", 'its name here is gymnasium.make("torchdq/Reach-v0")'),
     (torchdq.learning, "fit_rolout", "did you mean fit_rollout or "),
     (torchdq.learning, "load", "its name here is read"),
     (torchdq.learning, "qwzx", "help(torchdq.learning) lists what there is"),
-    (controllers, "pd", "did you mean PD?"),
-    (integrators, "RungeKuta4", "did you mean RungeKutta4?"),
-    (integrators, "RK4", "its name here is RungeKutta4"),
     (dq, "multiply", "its name here is mul"),
     (dq, "from_poes", "did you mean from_pose?"),
     (convert, "to_scippy", "did you mean to_scipy or "),

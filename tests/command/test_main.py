@@ -577,7 +577,7 @@ def test_every_effect_and_every_integrator_can_be_named():
 
 
 def test_accuracy_recommends(here, capsys):
-    found = data(capsys, "accuracy", "arm.urdf", "--error", "1e-2", "--horizon", "0.1", "--seconds", "1")
+    found = data(capsys, "accuracy", "arm.urdf", "--error", "1e-2", "--horizon", "0.1", "--most-steps", "4096")
     assert found["error"] <= 1e-2 and found["step"] > 0 and found["integrator"] in STEPPERS
     out, _ = told(capsys, "accuracy", "arm.urdf", "--accelerations", "--error", "1e-3")
     assert "dtype" in out and "predicted" in out

@@ -160,7 +160,7 @@ WAYS = {
     "gains": lambda envs: torch.cat([envs.scene.controller.kp / 100, envs.scene.controller.kd / 20], 1),
     "com": lambda envs: envs.scene.robot.com - BOT.com,
     "Noise.position": lambda envs: drawn(envs, effects.Noise, "position") / 0.01,
-    "ComputedTorque.kp": lambda envs: envs.scene.controller.kp / 100,
+    "ComputedTorqueController.kp": lambda envs: envs.scene.controller.kp / 100,
     "payload": lambda envs: drawn(envs, effects.Payload, "mass"),
     "delay": lambda envs: next(e.late for e in envs.scene.effects if hasattr(e, "late")),
 }
@@ -250,7 +250,7 @@ def test_a_delay_between_steps_mixes_the_nearest_torques():
 def test_an_unknown_name_lists_all():
     with pytest.raises(UnknownNameError, match="did you mean 'mass'") as caught:
         make({"masses": 7.0})
-    for name in (*SHORT, "Viscous.coefficient", "Noise.velocity", "ComputedTorque.kd"):
+    for name in (*SHORT, "Viscous.coefficient", "Noise.velocity", "ComputedTorqueController.kd"):
         assert name in str(caught.value)
 
 

@@ -23,7 +23,7 @@ from torchdq.envs import ArmEnv, ArmVectorEnv, TorchTask, effects
 from torchdq.envs.tasks import Reach, Track
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.scene import controllers
-from torchdq.scene.defaults import default_effects, nominal
+from torchdq.scene.defaults import default_effects, nominal_robot
 
 BACKEND = "auto"
 ROBOT = torchdq.robots.load("two_link")
@@ -138,7 +138,7 @@ def test_robots_of_a_stack_are_each_simulated(task, action):
     """A row moves as its own robot; a controller of the environment knows the mean of all."""
     robot = torchdq.robots.load("panda")
     robots = [robot, robot.replace(mass=1.5 * robot.mass, damping=robot.damping + 2.0)]
-    controller = None if action == "torque" else controllers.ComputedTorque(100.0, 20.0, robot)
+    controller = None if action == "torque" else controllers.ComputedTorqueController(100.0, 20.0, robot)
     given = {"task": task, "action": action, "dtype": torch.float64, "controller": controller, "backend": "eager"}
     several = make(2, robot=torchdq.Robot.stack(robots), **given)
     several.reset(seed=3)
@@ -832,7 +832,7 @@ def test_a_reference_action_moves_the_arm_on():
 
 
 def test_the_controller_may_be_ones_own():
-    pd = controllers.PD(200.0, 40.0, nominal(make(1, effects=(effects.Gravity(),)).scene))
+    pd = controllers.PD(200.0, 40.0, nominal_robot(make(1, effects=(effects.Gravity(),)).scene))
     envs = make(4, "track", action="residual", controller=pd)
     envs.reset(seed=0)
     steps(envs, 3)

@@ -185,7 +185,7 @@ def test_what_is_no_gain_is_refused_by_name_everywhere(gain, bad):
     for made in (
         lambda: torchdq.ComputedTorque(robot, **gains),
         lambda: torchdq.computed_torque(robot, *state, **gains),
-        lambda: torchdq.envs.Scene(robot, controller=controllers.ComputedTorque(**gains)),
+        lambda: torchdq.envs.Scene(robot, controller=controllers.ComputedTorqueController(**gains)),
         lambda: torchdq.envs.Scene(robot, controller=controllers.PD(**gains)),
     ):
         with pytest.raises((torchdq.ArgumentError, torchdq.DtypeError), match=rf"^{gain} (of \w+ )?must"):

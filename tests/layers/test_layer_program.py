@@ -142,8 +142,8 @@ def test_robots_and_friction_with_batch_axes_are_arguments_or_refused():
 @pytest.mark.parametrize(
     "make",
     [
-        lambda robot: controllers.ComputedTorque(30.0, (9.0, 8.0)),
-        lambda robot: controllers.ComputedTorque(30.0, 9.0, model=robot.replace(mass=1.5 * robot.mass)),
+        lambda robot: controllers.ComputedTorqueController(30.0, (9.0, 8.0)),
+        lambda robot: controllers.ComputedTorqueController(30.0, 9.0, model=robot.replace(mass=1.5 * robot.mass)),
         lambda robot: controllers.PD(30.0, torch.tensor([9.0, 8.0])),
         lambda robot: controllers.PD(30.0, 9.0, model=robot),
     ],
@@ -158,7 +158,7 @@ def test_the_program_of_a_controller_is_its_part_of_a_scene(make):
     found = torchdq.compile(program)(torch.cat(desired, -1), q, qd, *gains)
     kp, kd = (torch.as_tensor(x, dtype=F64) for x in (controller.kp, controller.kd))
     model = controller.model
-    if isinstance(controller, controllers.ComputedTorque):
+    if isinstance(controller, controllers.ComputedTorqueController):
         expected = torchdq.computed_torque(model or robot, q, qd, *desired, kp.expand(2), kd.expand(2))
     else:
         weight = 0.0 if model is None else torchdq.inverse_dynamics(model, q)

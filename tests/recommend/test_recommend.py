@@ -1,8 +1,8 @@
 """What is recommended keeps the error that was asked for, and nothing that costs less does."""
 
 import math
-import types
-import warnings
+import re
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -15,12 +15,10 @@ from scipy.integrate import solve_ivp
 
 import torchdq
 from torchdq.backends import c_library as build
-from torchdq.base import progress as notice
+from torchdq.base import progress
 from torchdq.envs import Scene, State, effects
-from torchdq.recommend import reference, trials
-from torchdq.recommend import time_budget as budget
 from torchdq.recommend.recommend import recommend_settings
-from torchdq.recommend.reference import held
+from torchdq.recommend.reference import predictable, reference
 from torchdq.recommend.trials import ARITHMETICS, SAFETY, SAMPLES, Trial, random_states
 from torchdq.scene import controllers, integrators
 
@@ -115,14 +113,14 @@ def test_stiff_joints_are_given_to_the_implicit_integrator():
 
 def test_a_scene_with_a_controller_keeps_its_interval():
     robot = ROBOTS["two_link"]
-    scene = Scene(robot, (effects.Gravity(),), controllers.ComputedTorque(400.0, 40.0), dt=0.02)
+    scene = Scene(robot, (effects.Gravity(),), controllers.ComputedTorqueController(400.0, 40.0), dt=0.02)
     q, qd = others(robot)
-    reference = torch.cat([q + 0.3, 0 * q, 0 * q], -1)
-    found = recommend_settings(scene, 1e-6, 0.2, State(q, qd), reference=reference)
+    wanted = torch.cat([q + 0.3, 0 * q, 0 * q], -1)
+    found = recommend_settings(scene, 1e-6, 0.2, State(q, qd), reference=wanted)
     assert found.scene.dt == scene.dt and found.repeats == 1
     assert found.step == pytest.approx(scene.dt / found.scene.substeps)
     fine = scene.replace(integrator=integrators.Repeated(integrators.RungeKutta4(), 64))
-    ends = [end(s, State(q, qd), 0.2, d, reference=reference) for s, d in ((found.scene, found.dtype), (fine, F64))]
+    ends = [end(s, State(q, qd), 0.2, d, reference=wanted) for s, d in ((found.scene, found.dtype), (fine, F64))]
     assert (ends[0] - ends[1]).abs().max() <= 1e-6
 
 
@@ -175,35 +173,14 @@ def test_a_chain_that_float32_cannot_bear_is_recommended_double_precision_at_onc
     assert (found.dtype, found.precision) in ((torch.float64, "auto"), (torch.float32, "double"))
 
 
-# --- time, and how far trajectories can be held ---------------------------------------------------------------------
+# --- how far trajectories can be held ---------------------------------------------------------------------
 
 PANDA = torchdq.robots.load("panda")
-LONG = 200.0  # more time than is needed, on a busy machine as well [s]
-
-
-class Clock:
-    """Clock that only steps of scenes move on."""
-
-    def __init__(self, monkeypatch, seconds):
-        self.now, self.steps = 0.0, 0
-        step = Scene.step
-
-        def slow(*args, **inputs):
-            self.now += seconds
-            self.steps += 1
-            return step(*args, **inputs)
-
-        monkeypatch.setattr(Scene, "step", slow)
-        for module in (budget, trials):
-            monkeypatch.setattr(module, "time", types.SimpleNamespace(monotonic=lambda: self.now))
-        # the time of the recommended step is measured by another clock
-        monkeypatch.setattr("torchdq.recommend.recommend.medians", lambda calls, batch, seconds: [1.0])
-        torchdq.clear_caches()
 
 
 @pytest.mark.exhaustive
 def test_the_panda_keeps_the_error_for_a_second_on_other_states():
-    found = recommend_settings(PANDA, 1e-3, 1.0, seconds=LONG)
+    found = recommend_settings(PANDA, 1e-3, 1.0)
     assert found.horizon == 1.0 and not found.limit
     assert found.step > 2e-4
     q, qd = others(PANDA, 3)
@@ -211,38 +188,9 @@ def test_the_panda_keeps_the_error_for_a_second_on_other_states():
     assert made <= 1e-3
 
 
-@pytest.mark.parametrize(
-    ("name", "horizon", "seconds"),
-    thinned([("panda", 1.0, 10.0), ("panda", 100.0, 5.0), ("two_link", 4.0, 3.0)], [("two_link", 4.0, 3.0)]),
-)
-def test_a_search_ends_when_its_time_is_up(monkeypatch, name, horizon, seconds):
-    clock = Clock(monkeypatch, 5e-4)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        recommend_settings(torchdq.robots.load(name), 1e-3, horizon, seconds=seconds)
-    assert clock.now <= 1.05 * seconds
-
-
-def test_a_short_time_gives_the_best_so_far_and_says_what_was_not_tried(monkeypatch):
-    clock = Clock(monkeypatch, 1.0)
-    found = recommend_settings(ROBOTS["ur10e"], 1e-3, 0.3, seconds=1.0)
-    assert clock.steps <= 3 * budget.ESSENTIAL
-    assert "RungeKutta4, float32" in found.untried
-    assert "not tried, for lack of time\n- " in str(found) and "\n- RungeKutta4, float32" in str(found)
-    q, qd = others(ROBOTS["ur10e"])
-    made = end(found.scene, State(q, qd), found.horizon, found.dtype) - truth(ROBOTS["ur10e"], q, qd, found.horizon)
-    assert made.abs().max() <= 1e-3
-
-
-def test_no_reference_in_time_is_an_error_that_asks_for_more(monkeypatch):
-    Clock(monkeypatch, 1.0)
-    with pytest.raises(torchdq.ArgumentError, match=r"in 1 s; scene.check.* more seconds try shorter"):
-        recommend_settings(ROBOTS["two_link"], 1e-6, 20.0, seconds=1.0)
-
-
 def test_a_falling_arm_is_held_no_longer_than_it_can_be():
     with pytest.warns(UserWarning, match="'panda' cannot be held beyond 1.* s.*the recommendation is for 1"):
-        found = recommend_settings(PANDA, 0.1, 1000.0, seconds=LONG)
+        found = recommend_settings(PANDA, 0.1, 1000.0)
     assert 1.0 <= found.horizon <= 1.5 and 1e5 < found.growth <= 1e6
     assert found.step > 2e-4
     assert f"{found.horizon:.3g} s only: trajectories of 'panda' cannot be held" in str(found)
@@ -259,70 +207,27 @@ def test_the_growth_of_errors_is_that_of_a_small_change():
 
 def test_damping_lets_a_trajectory_be_held():
     robot = ROBOTS["two_link"]
-    undamped, limit = held(Trial.of(Scene(robot, (effects.Gravity(),), dt=2.5), 20.0, None, {}))
+    undamped, limit = predictable(Trial.of(Scene(robot, (effects.Gravity(),), dt=2.5), 20.0, None, {}))
     assert 2.0 < undamped.horizon < 15.0 and "'two_link' cannot be held beyond" in limit
-    found = recommend_settings(Scene(robot, (effects.Gravity(), effects.Viscous(2.0)), dt=2.5), 0.1, 20.0, seconds=LONG)
+    found = recommend_settings(Scene(robot, (effects.Gravity(), effects.Viscous(2.0)), dt=2.5), 0.1, 20.0)
     assert found.horizon == 20.0 and not found.limit and found.growth < 100
 
 
 def test_a_scene_is_held_for_some_of_its_steps():
     scene = Scene(PANDA, (effects.Gravity(),), dt=0.2)
     with pytest.warns(UserWarning, match="cannot be held beyond 1"):
-        found = recommend_settings(scene, 0.1, 1.6, seconds=LONG)
+        found = recommend_settings(scene, 0.1, 1.6)
     assert found.scene.dt * found.repeats == pytest.approx(0.2)
     assert 0.9 <= found.horizon <= 1.4
 
 
-def test_an_answer_is_kept_until_the_caches_are_emptied(monkeypatch):
-    robot = ROBOTS["two_link"]
-    clock = Clock(monkeypatch, 1e-9)
-    found = recommend_settings(robot, 1e-3, 0.2)
-    tried, clock.steps = clock.steps, 0
-    again = recommend_settings(torchdq.robots.load("two_link"), 1e-3, 0.2, seconds=20.0)
-    assert clock.steps == 0 and again.others == found.others
-    for different in (
-        lambda: recommend_settings(robot.replace(mass=2 * robot.mass), 1e-3, 0.2),
-        lambda: recommend_settings(robot, 1e-4, 0.2),
-        lambda: recommend_settings(robot, 1e-3, 0.2, torque=torch.ones(2, dtype=F64)),
-        lambda: recommend_settings(robot, 1e-3, 0.2, State(*others(robot))),
-    ):
-        clock.steps = 0
-        different()
-        assert clock.steps
-    clock.steps = 0
-    torchdq.clear_caches()
-    recommend_settings(robot, 1e-3, 0.2)
-    assert clock.steps == tried
-
-
-def test_an_answer_that_ended_early_is_searched_again_with_more_time(monkeypatch):
-    clock = Clock(monkeypatch, 1e-2)
-    first = recommend_settings(ROBOTS["two_link"], 1e-3, 0.2, seconds=0.5)
-    assert first.untried
-    clock.steps = 0
-    assert recommend_settings(ROBOTS["two_link"], 1e-3, 0.2, seconds=0.5).untried and not clock.steps
-    assert not recommend_settings(ROBOTS["two_link"], 1e-3, 0.2, seconds=500.0).untried and clock.steps
-
-
 def test_it_says_what_it_is_doing(monkeypatch, capsys):
     torchdq.clear_caches()
-    monkeypatch.setattr(notice, "FIRST", 0.01)
-    monkeypatch.setattr(notice, "EVERY", 0.01)
+    monkeypatch.setattr(progress, "FIRST", 0.01)
+    monkeypatch.setattr(progress, "EVERY", 0.01)
     recommend_settings(ROBOTS["ur10e"], 1e-3, 0.2)
     lines = capsys.readouterr().err.splitlines()
     assert any(line.startswith("torchdq: recommend for 'ur10e', RungeKutta4, ") and "steps" in line for line in lines)
-
-
-def test_an_interrupt_ends_it(monkeypatch):
-    torchdq.clear_caches()
-
-    def interrupted(*args, **inputs):
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
-        patched.setattr(Scene, "step", interrupted)
-        recommend_settings(ROBOTS["two_link"], 1e-3, 0.1)
-    assert recommend_settings(ROBOTS["two_link"], 1e-3, 0.1).step  # nothing of it was kept
 
 
 def test_it_says_what_it_recommends():
@@ -336,8 +241,7 @@ def test_it_says_what_it_recommends():
     [
         (lambda robot: recommend_settings(robot, 0.0), "error must be a positive number"),
         (lambda robot: recommend_settings(robot, 1e-3, -1.0), "horizon must be"),
-        (lambda robot: recommend_settings(robot, 1e-3, seconds=0), "seconds must be a positive number"),
-        (lambda robot: recommend_settings(robot, 1e-3, seconds=math.inf), "seconds must be a positive number"),
+        (lambda robot: recommend_settings(robot, 1e-3, most_steps=0), "most_steps must be a whole number from 1"),
         (lambda robot: recommend_settings(Scene(robot), 1e-3, None), "a scene needs a horizon"),
         (lambda robot: recommend_settings("panda"), "torchdq.Robot"),
         (lambda robot: recommend_settings(robot, True), "error must be a positive number"),
@@ -371,14 +275,15 @@ def test_it_is_found_at_the_top():
     assert torchdq.recommend_settings is recommend_settings
 
 
-def test_a_reference_that_does_not_stay_finite_in_time_names_its_steps():
-    robot = torchdq.robots.load("two_link")
-    trial = Trial.of(Scene(robot, dt=0.01), 0.02, None, {}, budget.Budget(3.0))
-    far = torch.full((2, 2 * SAMPLES, 2), math.inf).double()
-    now = reference._Refinement(trial, integrators.RungeKutta4(), (far, far), (far,), (far,))
-    with pytest.raises(torchdq.ArgumentError, match="do not stay finite with RungeKutta4") as found:
-        reference._in_time(now, 1e-3, "")
-    assert "steps of 0.005 s" in str(found.value) and "inf " not in str(found.value)
+def test_no_trajectory_has_more_steps_than_are_allowed():
+    """Neither that of a reference nor that of a candidate; where these are too few, it says how small an error is."""
+    robot, tried = ROBOTS["two_link"], []
+    trial = replace(Trial.of(Scene(robot, (effects.Gravity(),), dt=0.05), 0.2, None, {}, 256), report=tried.append)
+    reference(trial, SAFETY * 1e-3)
+    assert max(int(re.search(r"(\d+) steps", text)[1]) for text in tried) <= 256
+    assert recommend_settings(robot, 1e-3, 0.2, most_steps=2048).others == recommend_settings(robot, 1e-3, 0.2).others
+    with pytest.raises(torchdq.ArgumentError, match=r"can be computed to .* at best, not to 1\.0e-12"):
+        recommend_settings(robot, 1e-12, 0.2, most_steps=64)
 
 
 def test_inputs_that_a_scene_does_not_have_are_named():

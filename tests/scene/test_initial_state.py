@@ -56,22 +56,26 @@ def test_limits_that_are_tensors_are_compared_row_by_row():
 def test_rows_that_are_not_finite_at_the_start_are_named(value):
     scene = Scene(PANDA, (effects.Gravity(),))
     start = scene.start(moved(1, 3, value))
-    expected = f"1 of 3 rows are not finite at the start, the first row 1, where q of joint 'panda_joint4' is {value:g}"
+    expected = f"1 of 3 rows have a non-finite initial state .*: the first is row 1, where q of joint 'panda_joint4' is {value:g}"
     with pytest.warns(UserWarning, match=expected):
         scene.rollout(start, steps=1)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        scene.rollout(start, steps=1, lost="keep")
+        scene.rollout(start, steps=1, nonfinite="ignore")
         scene.rollout(scene.start(HOME), steps=1)
-    with pytest.warns(UserWarning, match=r"1 of 1 rows are not finite at the start: qd of joint 'panda_joint1' is nan"):
+    with pytest.warns(
+        UserWarning, match=r"1 of 1 rows have a non-finite initial state .*: qd of joint 'panda_joint1' is nan"
+    ):
         scene.rollout(scene.start(HOME[0], moved(0, 0, math.nan)[0]), steps=1)
 
 
 def test_a_check_takes_no_state_that_is_not_finite():
     for q in (moved(1, 2, math.nan), moved(0, 3, math.inf)):
         state = SCENE.begin({"q": q, "qd": torch.zeros_like(q)}, {})[0]
-        with pytest.warns(UserWarning, match="1 of 3 rows are not finite at the start.*; the others are checked"):
+        with pytest.warns(UserWarning, match="1 of 3 rows have a non-finite initial state.*; the others are checked"):
             SCENE.check(state, seconds=0.05)
         bad = state._replace(q=state.q[[0, 1]] + math.nan, qd=state.qd[[0, 1]])
-        with pytest.raises(torchdq.ArgumentError, match=r"state must be finite .* 2 of 2 rows are not finite"):
+        with pytest.raises(
+            torchdq.ArgumentError, match=r"state must be finite .* 2 of 2 rows have a non-finite initial state"
+        ):
             SCENE.check(bad)

@@ -24,7 +24,7 @@ from torchdq.base import progress as notice
 from torchdq.envs import Scene, State, effects
 from torchdq.errors import ArgumentError, DtypeError
 from torchdq.scene import recording as plans
-from torchdq.scene.controllers import PD, ComputedTorque
+from torchdq.scene.controllers import PD, ComputedTorqueController
 from torchdq.scene.integrators import (
     DormandPrince,
     ExplicitEuler,
@@ -166,9 +166,9 @@ def test_a_description_of_a_scene_with_limits_warns_of_nothing():
 
 
 def test_the_cost_of_the_controller_is_described():
-    scene = Scene(TREE, (effects.Gravity(),), ComputedTorque(25.0, 10.0))
+    scene = Scene(TREE, (effects.Gravity(),), ComputedTorqueController(25.0, 10.0))
     costs = scene.describe(batch=2, seconds=0.0).costs
-    assert [cost.effect for cost in costs] == ["bare step", "Gravity", "ComputedTorque"]
+    assert [cost.effect for cost in costs] == ["bare step", "Gravity", "ComputedTorqueController"]
     assert sum(cost.operations for cost in costs) == scene.count().total
 
 
@@ -370,7 +370,7 @@ HELD = (effects.Gravity(), effects.RotorInertia(0.2), effects.Payload(double(0.3
 def test_computed_torque_makes_any_arm_a_double_integrator(robot, integrator):
     """Gravity, rotors and payload of the scene included, Euler's steps are those of q'' = commanded, to 1e-9."""
     n, h, q, qd = robot.n, 0.01, random(3, robot.n) * 0.3, random(3, robot.n, seed=1)
-    scene = Scene(robot, HELD, ComputedTorque(KP, KD), integrator, dt=h)
+    scene = Scene(robot, HELD, ComputedTorqueController(KP, KD), integrator, dt=h)
     state = scene.start(q, qd)
     for k in range(100):
         r = reference(k * h, n)
@@ -384,7 +384,7 @@ def test_computed_torque_makes_any_arm_a_double_integrator(robot, integrator):
 
 def tracking_error(dt, integrator):
     """Of the arm after a second, less that of e'' + kd e' + kp e = 0 by a matrix exponential."""
-    scene = Scene(ARM, (effects.Gravity(),), ComputedTorque(KP, KD), integrator, dt)
+    scene = Scene(ARM, (effects.Gravity(),), ComputedTorqueController(KP, KD), integrator, dt)
     state = scene.start(double(0.5, -0.3), double(0.2, 0.1))
     start = torch.stack([reference(0.0, 2)[:2] - state.q, reference(0.0, 2)[2:4] - state.qd])
     for k in range(round(1 / dt)):
@@ -405,7 +405,7 @@ def test_a_wrong_model_degrades_smoothly():
     errors, h = [], 0.005
     for wrong in (0.0, 0.02, 0.05, 0.1):
         believed = ARM.replace(mass=ARM.mass * (1 - wrong), inertia=ARM.inertia * (1 - wrong)).bake()
-        scene = Scene(ARM, (effects.Gravity(),), ComputedTorque(KP, KD, believed), dt=h)
+        scene = Scene(ARM, (effects.Gravity(),), ComputedTorqueController(KP, KD, believed), dt=h)
         state = scene.start(double(0.0, 0.0), reference(0.0, 2)[2:4])
         found = []
         for k in range(600):
@@ -424,7 +424,7 @@ def test_computed_torque_of_the_robots_own_model_is_the_function(robot):
     q, qd, r = random(4, robot.n), random(4, robot.n, seed=1), random(4, 3 * robot.n, seed=2)
     tau = torchdq.computed_torque(robot, q, qd, *r.split(robot.n, -1), 20.0, 5.0)
     gravity = (effects.Gravity(),)
-    found = Scene(robot, gravity, ComputedTorque(20.0, 5.0, robot)).step(State(q, qd), reference=r)
+    found = Scene(robot, gravity, ComputedTorqueController(20.0, 5.0, robot)).step(State(q, qd), reference=r)
     expected = Scene(robot, gravity).step(State(q, qd), tau)
     assert torch.allclose(found.qd, expected.qd, rtol=1e-11, atol=1e-11)
 
@@ -452,14 +452,14 @@ def test_gains_may_be_learned():
     q, qd, r = random(5, 2), random(5, 2, seed=1), random(5, 6, seed=2)
 
     def end(kp, kd):
-        return Scene(ARM, (effects.Gravity(),), ComputedTorque(kp, kd)).step(State(q, qd), reference=r).qd
+        return Scene(ARM, (effects.Gravity(),), ComputedTorqueController(kp, kd)).step(State(q, qd), reference=r).qd
 
     assert torch.autograd.gradcheck(
         end, [double(3.0, 4.0).requires_grad_(), random(5, 2, seed=3).abs().requires_grad_()]
     )
 
 
-@pytest.mark.parametrize("controller", [ComputedTorque, PD])
+@pytest.mark.parametrize("controller", [ComputedTorqueController, PD])
 def test_a_model_that_is_no_single_robot_with_these_joints_is_refused(controller):
     with pytest.raises(torchdq.ArgumentError, match=f"model of {controller.__name__} must have the 2 joints"):
         Scene(ARM, controller=controller(1.0, 1.0, PANDA))
@@ -468,7 +468,7 @@ def test_a_model_that_is_no_single_robot_with_these_joints_is_refused(controller
         Scene(ARM, controller=controller(1.0, 1.0, many))
 
 
-@pytest.mark.parametrize("controller", [ComputedTorque, PD])
+@pytest.mark.parametrize("controller", [ComputedTorqueController, PD])
 def test_a_model_is_copied_when_a_scene_is_made(controller):
     """Writing into its mass changes no scene that is there, and every later one, although the object is the same."""
     mass = ARM.mass.clone()
@@ -490,7 +490,7 @@ def test_a_model_is_copied_when_a_scene_is_made(controller):
     assert not torch.equal(stepped(made(given)), found)
 
 
-@pytest.mark.parametrize("controller", [ComputedTorque, PD])
+@pytest.mark.parametrize("controller", [ComputedTorqueController, PD])
 def test_a_model_that_requires_grad_is_refused(controller):
     learned = ARM.replace(mass=ARM.mass.clone().requires_grad_())
     with pytest.raises(ArgumentError, match=rf"model of {controller.__name__} must have constants.* mass .*model.bake"):
@@ -605,9 +605,9 @@ ZERO = torch.zeros(2, dtype=torch.float64)
 @pytest.mark.parametrize(
     "change, message",
     [
-        ({"trgt": ZERO}, "trgt is no input of this scene; it has torque, reference, target, push"),
-        ({"trgt": None}, "trgt is no input of this scene; it has torque, reference, target, push"),
-        ({"q": ZERO}, "q is no input of this scene"),
+        ({"trgt": ZERO}, "trgt is not an input of this scene; it has torque, reference, target, push"),
+        ({"trgt": None}, "trgt is not an input of this scene; it has torque, reference, target, push"),
+        ({"q": ZERO}, "q is not an input of this scene"),
         ({"target": None}, "target must be given"),
         ({"reference": None}, "reference must be given"),
         ({"target": torch.zeros(3, dtype=torch.float64)}, r"target must have the shape \[..., 2\] .*\(3,\)"),
@@ -641,7 +641,7 @@ def test_a_misspelt_input_is_refused_even_if_it_is_none():
     scene = Scene(torchdq.robots.load("two_link"))
     state = scene.start(ZERO)
     for use in (scene.check, scene.linearize, lambda state, **inputs: scene.rollout(state, steps=2, **inputs)):
-        with pytest.raises(torchdq.ArgumentError, match="trgt is no input of this scene; it has torque"):
+        with pytest.raises(torchdq.ArgumentError, match="trgt is not an input of this scene; it has torque"):
             use(state, trgt=None)
 
 
@@ -694,7 +694,7 @@ RICH = (
 
 
 def rich(robot, **fields):
-    return Scene(robot, RICH, ComputedTorque(KP, KD), LinearlyImplicit(), **fields)
+    return Scene(robot, RICH, ComputedTorqueController(KP, KD), LinearlyImplicit(), **fields)
 
 
 def inputs_of(scene, *batch, seed=0, dtype=torch.float64):
@@ -853,7 +853,9 @@ def test_compiled_scenes_agree_with_eager_ones(which, dtype):
 def test_new_values_of_tensors_need_no_new_recording():
     def scene(k):
         parts = (effects.Viscous(random(2, seed=k).abs()), effects.Payload(random(4, seed=k).abs()))
-        return Scene(ARM.replace(mass=ARM.mass * (1 + k)), parts, ComputedTorque(random(2, seed=k).abs(), 1.0))
+        return Scene(
+            ARM.replace(mass=ARM.mass * (1 + k)), parts, ComputedTorqueController(random(2, seed=k).abs(), 1.0)
+        )
 
     def step(k):
         return scene(k).step(State(random(4, 2), random(4, 2, seed=1)), reference=random(6)).qd

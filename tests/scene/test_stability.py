@@ -10,7 +10,7 @@ from oracles import random_tree, shipped
 
 import torchdq
 from torchdq.envs import Scene, State, effects
-from torchdq.scene.controllers import PD, ComputedTorque
+from torchdq.scene.controllers import PD, ComputedTorqueController
 from torchdq.scene.integrators import (
     DormandPrince,
     ExplicitEuler,
@@ -93,7 +93,7 @@ def test_what_does_not_hold_says_what_does(kind):
     start = scene.start(double(0.45, 0.45), double(1.0, 1.0))
     found = scene.check(start, **inputs)
     assert not found
-    assert bool(found.lost)
+    assert bool(found.diverged)
     first, second = found.alternatives
     assert (first.integrator, first.substeps) == (LinearlyImplicit(), 1)
     assert (second.integrator, second.step) == (SemiImplicitEuler(), 0.01 / second.substeps)
@@ -121,18 +121,18 @@ def test_rows_are_lost_one_by_one():
     damping = double(0.1, 500.0, 0.1)[:, None].expand(3, 2)
     scene = Scene(ARM, (effects.Viscous(damping),), integrator=SemiImplicitEuler())
     start = scene.start(double((0.1, 0.2), (0.1, 0.2), (math.nan, 0.2)), double(0.1, 0.2))
-    with pytest.warns(UserWarning, match="1 of 3 rows are not finite"):
+    with pytest.warns(UserWarning, match="1 of 3 rows have a non-finite initial state"):
         found = scene.check(start, seconds=2.0)
-    assert found.lost.tolist() == [False, True, False]
+    assert found.diverged.tolist() == [False, True, False]
     assert len(found.alternatives) == 2
 
 
 def test_controllers_hold_the_start_and_are_run():
     """Gains that a sampled controller cannot have are no stiffness of the joints, but the rows are lost."""
-    calm, wild = (Scene(ARM, (effects.Gravity(),), ComputedTorque(100.0, kd)) for kd in (20.0, 500.0))
+    calm, wild = (Scene(ARM, (effects.Gravity(),), ComputedTorqueController(100.0, kd)) for kd in (20.0, 500.0))
     assert calm.check(calm.start(double(0.3, 0.4)))
     found = wild.check(wild.start(double(0.3, 0.4), double(0.1, 0.1)), seconds=6.0)
-    assert not found and found.growth <= 1.001 and bool(found.lost)
+    assert not found and found.growth <= 1.001 and bool(found.diverged)
 
 
 def test_adaptive_steps_are_only_run():
@@ -184,18 +184,18 @@ def test_a_rollout_that_loses_rows_says_so():
     assert LOSING.finite(states)[-1].tolist() == [True, False]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert LOSING.rollout(losing(), steps=300, lost="keep").q.shape == (300, 2, 2)
+        assert LOSING.rollout(losing(), steps=300, nonfinite="ignore").q.shape == (300, 2, 2)
         assert LOSING.rollout(losing(), steps=3).q.shape == (3, 2, 2)
     lost_before = losing()._replace(q=double((0.0, 0.0), (math.nan, 0.0)))
-    with pytest.warns(UserWarning, match="1 of 2 rows are not finite at the start") as found:
+    with pytest.warns(UserWarning, match="1 of 2 rows have a non-finite initial state") as found:
         LOSING.rollout(lost_before, steps=3)
     assert len(found) == 1
 
 
 @pytest.mark.parametrize("checkpoint", [0, 7])
 def test_a_rollout_may_stop_before_the_step_that_loses_a_row(checkpoint):
-    whole = LOSING.rollout(losing(), steps=300, lost="keep")
-    stopped = LOSING.rollout(losing(), steps=300, lost="stop", checkpoint=checkpoint)
+    whole = LOSING.rollout(losing(), steps=300, nonfinite="ignore")
+    stopped = LOSING.rollout(losing(), steps=300, nonfinite="stop", checkpoint=checkpoint)
     length = int(LOSING.finite(whole).all(-1).sum())
     assert 0 < length < 300
     assert stopped.q.shape == (length, 2, 2)
@@ -210,8 +210,8 @@ def test_transforms_have_no_values_to_look_at():
 
     q = random(4, 2)
     assert torch.equal(torch.func.vmap(end)(q), end(q))
-    with pytest.raises(torchdq.ArgumentError, match="lost='stop' reads values"):
-        torch.func.vmap(lambda q: end(q, lost="stop"))(q)
+    with pytest.raises(torchdq.ArgumentError, match="nonfinite='stop' reads values"):
+        torch.func.vmap(lambda q: end(q, nonfinite="stop"))(q)
 
 
 # --- policies --------------------------------------------------------------------------------------------------------
@@ -348,7 +348,7 @@ Q = torch.zeros(3, 2, dtype=torch.float64)
             lambda s: s.rollout(s.start(Q), steps=2, policy=lambda x: x.reading[..., :2]),
             "policy must not use state.reading and state.memory, which is None, .*state.measured is there",
         ),
-        (lambda s: s.rollout(s.start(Q), steps=2, lost="ignore"), "lost must be one of 'warn', 'stop', 'keep'"),
+        (lambda s: s.rollout(s.start(Q), steps=2, nonfinite="keep"), "lost must be one of 'warn', 'stop', 'keep'"),
     ],
 )
 def test_what_is_no_state_and_no_rollout_is_refused(call, message):

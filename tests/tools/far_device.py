@@ -28,7 +28,7 @@ from torchdq.backends import call, choice
 from torchdq.backends.cuda import Cuda
 from torchdq.envs import ArmVectorEnv, Scene, TorchTask, effects
 from torchdq.program import transforms
-from torchdq.scene.controllers import ComputedTorque
+from torchdq.scene.controllers import ComputedTorqueController
 from torchdq.scene.defaults import default_effects
 
 _setup_privateuseone_for_python_backend("far")
@@ -251,7 +251,7 @@ def steps_of_a_task_in_torch():
 
 
 def steps_with_tensors_that_were_given_on_the_cpu():
-    controller = ComputedTorque(torch.full((2,), 50.0), torch.full((2,), 10.0), None)
+    controller = ComputedTorqueController(torch.full((2,), 50.0), torch.full((2,), 10.0), None)
     parts = (effects.Viscous(torch.ones(2)), effects.Payload(torch.tensor(0.5)))
     robot = ROBOT.replace(mass=ROBOT.mass.clone())
     same_steps(robot=robot, action="residual", controller=controller, effects=parts)
@@ -304,7 +304,9 @@ def a_training_iteration_is_repeated_by_a_graph():
 
     def iteration(net, optimiser):
         optimiser.zero_grad(set_to_none=False)
-        states = scene.rollout(scene.start(q), steps=4, policy=lambda s: net(torch.cat([s.q, s.qd], 1)), lost="keep")
+        states = scene.rollout(
+            scene.start(q), steps=4, policy=lambda s: net(torch.cat([s.q, s.qd], 1)), nonfinite="ignore"
+        )
         loss = states.q.square().mean()
         loss.backward()
         optimiser.step()

@@ -9,6 +9,7 @@ from torchdq.command.command import RobotCommand
 from torchdq.command.outcome import Outcome
 from torchdq.recommend.recommend import recommend_settings
 from torchdq.recommend.recommendation import SceneRecommendation
+from torchdq.recommend.trials import MOST_STEPS
 
 
 @dataclass(kw_only=True)
@@ -24,14 +25,14 @@ class AccuracyCommand(RobotCommand):
     """Time over which it must be kept [s]."""
     accelerations: bool = False
     """Accelerations alone, without an integrator."""
-    seconds: float = 10.0
-    """Time for the search [s]."""
+    most_steps: int = MOST_STEPS
+    """Largest number of steps of a trajectory that is tried; fewer shorten the search."""
 
     def outcome(self) -> Outcome:
         """Recommendation with its alternatives."""
         robot = self.load_moving().robot
         found = recommend_settings(
-            robot, self.error, None if self.accelerations else self.horizon, seconds=self.seconds
+            robot, self.error, None if self.accelerations else self.horizon, most_steps=self.most_steps
         )
         data = {
             "robot": robot.name,
@@ -51,7 +52,6 @@ class AccuracyCommand(RobotCommand):
                 "horizon": found.horizon,
                 "limit": found.limit,
                 "growth": found.growth,
-                "untried": found.untried,
             }
         asked = "accelerations" if self.accelerations else f"{self.horizon:g} s under gravity, without torques"
         title = f"{robot.name}, error of {self.error:g} at most: {asked}"

@@ -3,40 +3,43 @@
 Trajectories from random states are compared with ones of steps so small that smaller ones change nothing, as far as
 these can be held. Every integrator is refined until it meets the error in float64; then it is tried whether
 float32 still does. The one with the fewest operations per simulated second is recommended, an operation in float32
-counting half. When the time is up, it is the best of those that were tried.
+counting half.
 """
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName, choose
-from torchdq.base.checks import require_number
+from torchdq.base.checks import require_count, require_number
 from torchdq.base.progress import Progress
 from torchdq.base.timing import medians
 from torchdq.effects import Gravity, RotorInertia
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functional import error_growth, forward_dynamics, inverse_dynamics
 from torchdq.functions.compile import compile
-from torchdq.program.program import Program
-from torchdq.recommend.recommendation import Candidate, Recommendation, SceneRecommendation
-from torchdq.recommend.search import repeated_share, search
-from torchdq.recommend.time_budget import Budget
-from torchdq.recommend.trials import ARITHMETICS, SAFETY, Trial, random_states
+from torchdq.program.program import LARGEST_GROWTH, Program
+from torchdq.recommend.recommendation import Candidate, Recommendation, SceneRecommendation, Stepping
+from torchdq.recommend.reference import Reference, predictable, reference
+from torchdq.recommend.trials import ARITHMETICS, EXACT, MOST_STEPS, SAFETY, Trial, random_states
 from torchdq.robot import Robot
-from torchdq.scene.integrators import Repeated
+from torchdq.scene.integrators import Integrator, Repeated
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State
 
 STATES = 256  # states at which accelerations are tried
 TYPICAL = 100.0  # errors of accelerations in units of eps times `error_growth`; measured on robots and chains
 MOST_SUBSTEPS = 16  # substeps in one program
+PROBE = 512  # steps of a trajectory by which the promise of an integrator is judged
+PRUNE = 4.0  # candidates costing more than this times the best are dropped
 BATCH = 4096  # samples per timed call
 SECONDS = 0.05  # time of measuring [s]
 
@@ -46,7 +49,7 @@ def recommend_settings(
     error: float = 1e-3,
     horizon: float | None = 1.0,
     state: State | None = None,
-    seconds: float = 10.0,
+    most_steps: int = MOST_STEPS,
     **inputs: Tensor,
 ) -> Recommendation:
     """The cheapest precision, integrator and step that keep an error, found by trials on the robot or scene itself.
@@ -61,10 +64,7 @@ def recommend_settings(
         horizon: duration of the trajectories [s], rounded to steps of the scene; None: accelerations alone, of a robot.
         state: initial states, float64, shape [samples, n]; None: 64 random ones within the limits, moving at up to
             1 rad/s.
-        seconds: time for the search [s], compiling included; when it is up, the best so far is returned, and what was
-            not tried is `untried`. It may end later, by the trials of up to 2048 steps that are made until something
-            is found, and by the compilation of the recommended step, whose time is measured. Answers are kept for the
-            process: asked again, it knows them at once.
+        most_steps: largest number of steps of a trajectory that is tried; a search of fewer is shorter, and may fail.
         inputs: inputs of the scene at a step, held over the horizon; None: torques are zero, and a controller's
             reference is to stay.
 
@@ -84,7 +84,7 @@ def recommend_settings(
     torch.Size([8, 2])
     """
     require_number("error", error, positive=True)
-    require_number("seconds", seconds, positive=True)
+    require_count("most_steps", most_steps)
     if horizon is not None:
         require_number("horizon", horizon, positive=True)
     if horizon is None and not isinstance(what, Robot):
@@ -108,19 +108,19 @@ def recommend_settings(
     for name, batch in scene.batches.items():
         if batch:
             raise ArgumentError(
-                f"recommend tries one robot at a time, found batch axes {batch} of {name}; "
+                f"recommend_settings tries one robot at a time, found batch axes {batch} of {name}; "
                 f"give it the one that is hardest to simulate, with the lightest links or the stiffest joints"
             )
     if scene.spec.computed():
         raise ArgumentError(
-            "recommend keeps answers by the numbers of a scene, and a network of effects.Residual has none; "
-            "ask about the scene without it, and halve dt until the motion with it stays the same"
+            "a scene must be without effects.Residual, whose torque is held over dt whatever the integrator; ask about "
+            "the scene without it, and halve dt until the motion with it stays the same"
         )
     with torch.no_grad(), Progress(f"recommend for {scene.robot.name!r}") as notice:
         if horizon is None:
             return _for_accelerations(scene.robot, error)
-        budget = Budget(seconds, notice)
-        return _for_trajectories(Trial.of(scene, horizon, state, inputs, budget), error, what is not scene)
+        trial = replace(Trial.of(scene, horizon, state, inputs, most_steps), report=notice.at)
+        return _for_trajectories(trial, error, what is not scene)
 
 
 def _falling(robot: Robot, horizon: float) -> Scene:
@@ -133,10 +133,14 @@ def _falling(robot: Robot, horizon: float) -> Scene:
 
 
 def _for_trajectories(trial: Trial, error: float, divisible: bool) -> SceneRecommendation:
-    answer = search(trial, error, divisible)
-    best, tried = answer.found[0], answer.trial
-    if answer.limit:
-        warnings.warn(f"{answer.limit}; the recommendation is for {tried.horizon:.3g} s", stacklevel=3)
+    """Recommendation for a trial; `divisible`: the duration of an interval may be shortened."""
+    trial, limit = predictable(trial) if divisible else (trial, "")
+    exact = reference(trial, SAFETY * error)
+    tried, limit = exact.trial, "; ".join(filter(None, (limit, exact.limit)))
+    found = _steppings(exact, SAFETY * error)
+    if limit:
+        warnings.warn(f"{limit}; the recommendation is for {tried.horizon:.3g} s", stacklevel=3)
+    best = found[0]
     times, precision = best.times, best.arithmetic.precision
     scene = tried.scene.replace(integrator=best.integrator, precision=precision, substeps=1)
     if not tried.sampled:
@@ -145,21 +149,76 @@ def _for_trajectories(trial: Trial, error: float, divisible: bool) -> SceneRecom
         scene = scene.replace(substeps=times)
     else:  # more than a program should hold
         scene = scene.replace(integrator=Repeated(best.integrator, times))
-    trial.budget.at("time of the recommended step")
+    tried.report("time of the recommended step")
     (nanoseconds,) = medians([_step(scene, best.arithmetic.dtype, tried)], BATCH, SECONDS)
     return SceneRecommendation(
         **_common(best, scene.robot, scene.backend),
         nanoseconds=nanoseconds / times if tried.sampled else nanoseconds,
-        others=answer.found,
+        others=found,
         integrator=best.integrator,
         step=best.step,
         scene=scene,
         repeats=1 if tried.sampled else times,
         horizon=tried.horizon,
-        limit=answer.limit,
-        growth=answer.growth,
-        untried=answer.untried,
+        limit=limit,
+        growth=exact.growth,
     )
+
+
+class _Promise(NamedTuple):
+    """Integrator with its expected cost."""
+
+    operations: float  # in an interval
+    per_step: int  # operations
+    integrator: Integrator
+    known: dict[int, float]  # errors by the number of steps per interval
+
+
+def _promise(exact: Reference, integrator: Integrator, error: float) -> _Promise:
+    """Promise of an integrator, judged by the error of a short trial."""
+    trial = exact.trial
+    per_step = trial.scene.replace(integrator=integrator, substeps=1).count().total
+    times = 2 ** max(0, int(math.log2(PROBE / trial.intervals)))
+    known = exact.known[1] if integrator == exact.known[0] else {}
+    if times not in known:
+        known = {times: trial.error(integrator, times, EXACT, exact.positions)}
+    return _Promise(times * (known[times] / error) ** (1 / integrator.order) * per_step, per_step, integrator, known)
+
+
+def _steppings(exact: Reference, error: float) -> tuple[Stepping, ...]:
+    """Candidates that meet the error, the cheapest first; integrators that promise most are tried first."""
+    found: list[Stepping] = []
+    trial, dt = exact.trial, exact.trial.scene.dt
+    repeated = _repeated_share(trial.scene.robot, trial.state.q)
+    promises = [_promise(exact, integrator, error) for integrator in trial.integrators]
+    for promise in sorted(promises, key=lambda promise: promise.operations):
+        integrator, per_step = promise.integrator, promise.per_step
+        most = trial.most_steps / trial.intervals
+        if found:
+            most = min(most, PRUNE * found[0].operations * dt / per_step)
+        needed = trial.steps_needed(integrator, exact.positions, error, most, promise.known)
+        if needed is None:
+            continue
+        times, in_float64 = needed
+        for arithmetic in ARITHMETICS:
+            made = in_float64
+            if arithmetic is not EXACT:
+                made = trial.error(integrator, times, arithmetic, exact.positions)
+            if made <= error:
+                operations = arithmetic.cost(repeated) * per_step * times / dt
+                found.append(Stepping(arithmetic, made, operations, integrator, dt / times, times))
+        found.sort(key=lambda c: c.operations)
+    if not found:
+        raise ArgumentError(
+            f"no candidate was found in {trial.most_steps} steps that keeps {trial.name} over {trial.horizon:.3g} s to "
+            f"{error / SAFETY:.1e}; give more steps, shorten the horizon or raise the error"
+        )
+    return tuple(found)
+
+
+def _repeated_share(robot: Robot, q: Tensor) -> float:
+    """Share of the positions that float32 recomputes in float64."""
+    return float((error_growth(robot, q) > LARGEST_GROWTH.single).double().mean())
 
 
 def _step(scene: Scene, dtype: torch.dtype, trial: Trial) -> Callable[[], State]:
@@ -184,7 +243,7 @@ def _for_accelerations(robot: Robot, error: float) -> Recommendation:
     x = [y.float().double() for y in (q, qd, inverse_dynamics(robot, q, qd, wanted))]
     exact = forward_dynamics(robot, x[0], x[1], x[2])
     rounding = TYPICAL * 2.0**-53 * float(error_growth(robot, q).max())
-    operations, repeated = _program(robot).count().total, repeated_share(robot, q)
+    operations, repeated = _program(robot).count().total, _repeated_share(robot, q)
     found = []
     for arithmetic in ARITHMETICS:
         made = rounding

@@ -88,14 +88,9 @@ class SceneRecommendation(Recommendation):
     """Why that is shorter than the horizon that was asked for; "": it is not."""
     growth: float
     """Factor by which a small change of the start grows until then; a large one asks for small steps."""
-    untried: tuple[str, ...]
-    """Candidates that there was no time to try."""
 
     def __str__(self) -> str:
         lines = [f"integrator  {type(self.integrator).__name__}, steps of {self.step:.3g} s"]
         if self.limit:
             lines.append(f"horizon     {self.horizon:.3g} s only: {self.limit}")
-        text = self._text(tuple(lines), "step")
-        if not self.untried:
-            return text
-        return "\n".join([text, "not tried, for lack of time", *[f"- {name}" for name in self.untried]])
+        return self._text(tuple(lines), "step")

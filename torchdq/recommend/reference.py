@@ -15,16 +15,13 @@ import torch
 from torch import Tensor
 
 from torchdq.errors import ArgumentError
-from torchdq.recommend.time_budget import ESSENTIAL
-from torchdq.recommend.trials import EXACT, MOST_STEPS, SAFETY, Trial, distance
+from torchdq.recommend.trials import EXACT, SAFETY, Trial, distance
 from torchdq.scene.integrators import DormandPrince, Integrator
 
 MOST_GROWTH = 1e6  # growth of a small error up to which a trajectory is held
 SHIFT = 1e-9  # change of the start, above rounding and below curvature [rad or m]
 NEAR = 0.1  # change by halved steps below which a path shows how errors grow [rad or m]
 EXACTNESS = 20  # ratio of the error to the change by the last halving, which is more than the reference's own error
-IN_TIME = 5  # that ratio where there is no time for another halving
-SHARE = 0.6  # share of the time that is left, for the next halving
 FIRST, FACTOR = 1e-3, 1.5  # first time to which growth is followed [s], and ratio of the next ones
 TOLERANCE = 1e-6  # tolerated error of a step along which it is followed [rad or m]
 
@@ -57,7 +54,7 @@ class _Refinement:
 
     def refined(self, shift: Tensor) -> _Refinement:
         """Refinement with one path more."""
-        row = [self.trial.beside(shift).path(self.integrator, self.times, EXACT)]
+        row = [self.trial.with_shifted(shift).path(self.integrator, self.times, EXACT)]
         # an error that is a series in the step, from the power of the order on, loses a term with every column
         for j, coarser in enumerate(self.row[:4]):
             row.append(row[j] + (row[j] - coarser) / (2 ** (self.integrator.order + j) - 1))
@@ -85,18 +82,18 @@ class _Refinement:
         return Reference(self.trial, exact, float(self.growth()[-1]), limit, (self.integrator, known))
 
 
-def held(trial: Trial) -> tuple[Trial, str]:
-    """Trial up to the time until which its trajectories can be held, in as many intervals, and words for why.
+def predictable(trial: Trial) -> tuple[Trial, str]:
+    """Trial up to the time until which its trajectories can be held, in as many intervals, and the reason.
 
     The growth of a small change is followed along coarse trajectories: there is one like them that is exact.
     """
     integrator = DormandPrince(TOLERANCE, TOLERANCE)
-    pair = trial.beside(_shift(trial))
+    pair = trial.with_shifted(_shift(trial))
     state, time, growth = pair.state, 0.0, 1.0
-    while time < trial.horizon and trial.budget.left > 0:
+    while time < trial.horizon:
         before, grown_before = time, growth
         time = min(max(FIRST, FACTOR * time), trial.horizon)
-        trial.budget.at(f"growth of errors until {time:.2g} s")
+        trial.report(f"growth of errors until {time:.2g} s")
         state = pair.scene.replace(dt=time - before, integrator=integrator).step(state, **pair.inputs)
         at, shifted = state.q.chunk(2)
         growth = float((shifted - at).abs().max()) / SHIFT
@@ -104,7 +101,7 @@ def held(trial: Trial) -> tuple[Trial, str]:
             share = math.log(MOST_GROWTH / grown_before) / math.log(growth / grown_before)
             until = before + share * (time - before)
             until = float(f"{0.95 * until:.2g}")
-            return replace(trial, scene=trial.scene.replace(dt=until / trial.intervals)), _not_held(trial, until)
+            return replace(trial, scene=trial.scene.replace(dt=until / trial.intervals)), _unpredictable(trial, until)
     return trial, ""
 
 
@@ -112,23 +109,20 @@ def reference(trial: Trial, error: float) -> Reference:
     """Reference that is exact to a small part of the error, extrapolated from steps that are halved.
 
     Raises:
-        ArgumentError: not even the first interval can be held, no steps are short enough, or there is no time for them.
+        ArgumentError: not even the first interval can be held, or no steps are short enough.
     """
     shift = _shift(trial)
     limit, closest = "", math.inf
     for integrator in trial.integrators[:2]:
         now, stuck = _Refinement(trial, integrator), 0
-        while now.times * trial.intervals <= MOST_STEPS:
-            essential = not now.before or now.times * trial.intervals <= ESSENTIAL
-            if not essential and not trial.allows(integrator, now.times, EXACT, SHARE):
-                return _in_time(now, error, limit)
+        while now.times * trial.intervals <= trial.most_steps:
             now = now.refined(shift)
             if not now.before:
                 continue
             growth = now.growth()[: _first(now.changes(-1) <= NEAR)]
             until = _first(growth <= MOST_GROWTH)
             if until < len(growth):
-                limit = _not_held(trial, until * trial.scene.dt)
+                limit = _unpredictable(trial, until * trial.scene.dt)
                 if not until:
                     raise ArgumentError(f"{limit}; give the scene damping, a controller or a shorter dt")
                 now = now.until(until)
@@ -160,32 +154,8 @@ def _shift(trial: Trial) -> Tensor:
     return SHIFT * (2 * torch.randint(0, 2, trial.state.q.shape, generator=generator) - 1).double()
 
 
-def _not_held(trial: Trial, until: float) -> str:
+def _unpredictable(trial: Trial, until: float) -> str:
     return f"{trial.name} cannot be held beyond {until:.3g} s, for small errors soon grow {MOST_GROWTH:.0e} times"
-
-
-def _in_time(now: _Refinement, error: float, limit: str) -> Reference:
-    """Reference of the intervals for which there was time."""
-    ready = _first(now.changes(-1) <= error / IN_TIME)
-    trial = now.trial
-    seconds = f"{trial.budget.seconds:g} s"
-    if not ready:
-        made = float(now.changes(-1)[0]) * IN_TIME / SAFETY
-        if not math.isfinite(made):
-            raise ArgumentError(
-                f"{trial.name} do not stay finite with {type(now.integrator).__name__} in steps of "
-                f"{2 * trial.scene.dt / now.times:.2g} s, the shortest there was time for in {seconds}; "
-                "scene.check(state) says which steps hold, and more seconds try shorter ones"
-            )
-        raise ArgumentError(
-            f"{trial.name} over {trial.scene.dt:.3g} s were computed to {made:.1e} in {seconds}, not to "
-            f"{error / SAFETY:.1e}; give more seconds, shorten the horizon or raise the error"
-        )
-    if ready < trial.intervals:
-        limit = (
-            f"{trial.name} were computed exactly up to {ready * trial.scene.dt:.3g} s in {seconds}; give more seconds"
-        )
-    return now.until(ready).reference(-1, limit)
 
 
 def _largest(differences: Tensor) -> Tensor:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -13,7 +12,6 @@ from torch import Tensor
 
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, require_finite
-from torchdq.recommend.time_budget import ESSENTIAL, Budget, TimeIsUp
 from torchdq.robot import Robot
 from torchdq.scene.integrators import Integrator, LinearlyImplicit, Repeated, RungeKutta4, SemiImplicitEuler
 from torchdq.scene.scene import Scene
@@ -21,7 +19,7 @@ from torchdq.scene.state import State
 
 SAMPLES = 64  # trajectories
 SAFETY = 0.3  # share of the requested error that trials may make, since other states are not among the samples
-MOST_STEPS = 2**15  # steps of a trajectory
+MOST_STEPS = 2**15  # steps of a trajectory, by default
 CLOSE = 1.3  # ratio of a number of steps that is enough to one that is not, at which the search ends
 REPEATED = 1.5  # cost of an operation that is repeated in float64, with gathering and scattering, relative to float64
 
@@ -59,7 +57,8 @@ class Trial:
     state: State
     inputs: dict[str, Tensor]
     intervals: int  # number of the scene's dt until the horizon
-    budget: Budget = field(default_factory=Budget, compare=False)
+    most_steps: int = MOST_STEPS  # of a trajectory
+    report: Callable[[str], object] = field(default=str, compare=False)  # is called with what is being tried
 
     @classmethod
     def of(
@@ -68,13 +67,13 @@ class Trial:
         horizon: float,
         state: State | None,
         inputs: Mapping[str, Tensor],
-        budget: Budget | None = None,
+        most_steps: int = MOST_STEPS,
     ) -> Trial:
         """Trial over a horizon, which is rounded to whole intervals."""
         intervals = max(1, round(horizon / scene.dt))
-        if intervals > MOST_STEPS:
+        if intervals > most_steps:
             raise ArgumentError(
-                f"the horizon holds {intervals} steps of the scene, and {MOST_STEPS} are the most; shorten it"
+                f"the horizon holds {intervals} steps of the scene, and {most_steps} are the most; shorten it"
             )
         noise = torch.full((scene.noises,), 0.5, dtype=torch.float64)
         if state is None:
@@ -91,7 +90,7 @@ class Trial:
             given["reference"] = torch.cat([state.q, torch.zeros_like(state.q).repeat(1, 2)], -1)
         if scene.noises:
             given["noise"] = noise
-        return cls(scene, state, given, intervals, budget or Budget())
+        return cls(scene, state, given, intervals, most_steps)
 
     @property
     def horizon(self) -> float:
@@ -100,10 +99,10 @@ class Trial:
 
     @property
     def name(self) -> str:
-        """Words for the trajectories in messages."""
+        """Name of the trajectories in messages."""
         return f"trajectories of {self.scene.robot.name!r}"
 
-    def beside(self, shift: Tensor) -> Trial:
+    def with_shifted(self, shift: Tensor) -> Trial:
         """Trial with every trajectory twice: as it is, and from a start whose positions are shifted."""
         samples = len(self.state.q)
         rows = {name: x.expand(samples, -1) for name, x in self.state.rows().items()}
@@ -135,61 +134,33 @@ class Trial:
         )
         state = self.state.to(arithmetic.dtype)
         inputs = {name: x.to(arithmetic.dtype) for name, x in self.inputs.items()}
-        self.budget.at(f"{type(integrator).__name__}, {times * self.intervals} steps, {arithmetic}")
+        self.report(f"{type(integrator).__name__}, {times * self.intervals} steps, {arithmetic}")
         found = []
-        start, calls = 0.0, self.intervals * outer
-        for k in range(calls):
-            if k == 1:  # the first call may have compiled something
-                start = time.monotonic()
+        for k in range(self.intervals * outer):
             state = scene.step(state, **inputs)
             if (k + 1) % outer == 0:
                 found.append(state.q.double())
-        if calls > 1:
-            self.budget.took((integrator, arithmetic), (calls - 1) * inner, time.monotonic() - start)
         return torch.stack(found)
-
-    def allows(self, integrator: Integrator, times: int, arithmetic: Arithmetic, share: float = 1.0) -> bool:
-        """True if there is time for a path, in a share of the time that is left."""
-        return self.budget.allows((integrator, arithmetic), times * self.intervals, share)
 
     def error(self, integrator: Integrator, times: int, arithmetic: Arithmetic, reference: Tensor) -> float:
         """Largest error of the positions; infinite if one is not finite."""
         return distance(self.path(integrator, times, arithmetic), reference)
 
     def steps_needed(
-        self,
-        integrator: Integrator,
-        reference: Tensor,
-        error: float,
-        most: float,
-        known: Mapping[int, float] | None = None,
-        essential: bool = True,
+        self, integrator: Integrator, reference: Tensor, error: float, most: float, known: Mapping[int, float]
     ) -> tuple[int, float] | None:
         """Steps per interval by which an integrator meets an error in float64, and the error it then makes.
 
         Args:
             most: number of steps per interval beyond which the search is given up; the result is None.
-            known: errors that numbers of steps are known to make; None: of none.
-            essential: True: short trials are made even if the time is up.
-
-        Raises:
-            TimeIsUp: there was no time to reach the error.
+            known: errors that numbers of steps are known to make.
         """
-        known = {} if known is None else known
-
-        def allowed(times: int) -> bool:
-            short = essential and times * self.intervals <= ESSENTIAL
-            return short or self.allows(integrator, times, EXACT)
 
         def made_by(times: int) -> float:
-            if times in known:
-                return known[times]
-            if not allowed(times):
-                raise TimeIsUp
-            return self.error(integrator, times, EXACT, reference)
+            return known[times] if times in known else self.error(integrator, times, EXACT, reference)
 
         too_few = max((times for times, made in known.items() if made > error), default=0)
-        enough = min((times for times in known if times > too_few), default=MOST_STEPS)
+        enough = min((times for times in known if times > too_few), default=self.most_steps)
         times = too_few or 1
         found = made_by(times)
         while found > error:
@@ -201,9 +172,8 @@ class Trial:
             times = min(math.ceil(times * min(max(1.1 * factor, 1.25), 8.0)), math.ceil(most), enough)
             found = made_by(times)
         # the last jump may have been far: first to where the order promises to end, then to the middle
-        promised = math.ceil(1.05 * times * (found / error) ** (1 / integrator.order))
-        between = max(promised, too_few + 1)
-        while too_few and times > CLOSE * too_few and between < times and allowed(between):
+        between = max(math.ceil(1.05 * times * (found / error) ** (1 / integrator.order)), too_few + 1)
+        while too_few and times > CLOSE * too_few and between < times:
             made = made_by(between)
             times, too_few, found = (between, too_few, made) if made <= error else (times, between, found)
             between = math.ceil(math.sqrt(times * too_few))

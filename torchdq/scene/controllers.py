@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 from torchdq.algebra.quaternion import Number
-from torchdq.base.attributes import refusing
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.dynamics.tracking import commanded
 from torchdq.effects.effect import Parameter, Parametric, Shapes, undefined
@@ -96,7 +95,7 @@ class Feedback(Controller):
 
 
 @dataclass(frozen=True)
-class ComputedTorque(Feedback):
+class ComputedTorqueController(Feedback):
     """Feedback linearisation: tau = M a + c + g, a = qdd_des + kd (qd_des - qd) + kp (q_des - q), equations (73)-(78).
 
     With the scene's own model and small steps the error obeys e'' + kd e' + kp e = 0; friction, and everything else
@@ -109,9 +108,9 @@ class ComputedTorque(Feedback):
             are copied when a scene is made. None: as it is in the scene, payload and gravity included.
 
     >>> import torch, torchdq
-    >>> from torchdq.envs import Scene, effects
-    >>> from torchdq.scene import controllers
-    >>> robot, control = torchdq.robots.load("two_link"), controllers.ComputedTorque(kp=100.0, kd=20.0)
+    >>> from torchdq import effects
+    >>> from torchdq.scene import Scene, controllers
+    >>> robot, control = torchdq.robots.load("two_link"), controllers.ComputedTorqueController(kp=100.0, kd=20.0)
     >>> scene = Scene(robot, (effects.Gravity(),), controller=control, dt=0.01)
     >>> end = scene.rollout(scene.start(torch.ones(2)), reference=torch.zeros(200, 6)).q[-1]
     >>> bool((end.abs() < 1e-3).all())
@@ -135,8 +134,8 @@ class PD(Feedback):
         model: the robot whose gravity torques are added, copied likewise; None: none are.
 
     >>> import torchdq
-    >>> from torchdq.envs import Scene, effects
-    >>> from torchdq.scene import controllers
+    >>> from torchdq import effects
+    >>> from torchdq.scene import Scene, controllers
     >>> robot = torchdq.robots.load("two_link")
     >>> scene = Scene(robot, (effects.Gravity(),), controller=controllers.PD(kp=50.0, kd=10.0, model=robot))
     """
@@ -149,7 +148,3 @@ class PD(Feedback):
             return tau
         weight = posed(self.model, q, {}, ()).torques(None, None, None)
         return [t if w is None else t + w for t, w in zip(tau, weight, strict=True)]
-
-
-if not TYPE_CHECKING:  # type checkers know the names
-    __getattr__ = refusing(__name__)

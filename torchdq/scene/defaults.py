@@ -44,7 +44,7 @@ def default_effects(robot: Robot) -> tuple[Effect, ...]:
     return tuple(found)
 
 
-def nominal(scene: Scene) -> Robot:
+def nominal_robot(scene: Scene) -> Robot:
     """Rigid bodies as a controller may know them: as described, with the scene's gravity and rotors.
 
     It does not know friction, payloads, or what differs between episodes or robots.
@@ -53,10 +53,10 @@ def nominal(scene: Scene) -> Robot:
     for effect in scene.effects:
         if effect.SLOT == "model":
             known.update({source: _mean(getattr(effect, name), 1) for name, source in effect.DESCRIBED.items()})
-    return one_of(scene.robot).replace(**known).bake()
+    return mean_robot(scene.robot).replace(**known).bake()
 
 
-def one_of(robot: Robot) -> Robot:
+def mean_robot(robot: Robot) -> Robot:
     """Robot without batch axes: of several, the mean of every tensor."""
     means: dict[str, Any] = {name: _mean(getattr(robot, name), len(SHAPES[name])) for name in batches(robot)}
     return robot.replace(**means) if means else robot

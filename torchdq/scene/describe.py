@@ -7,7 +7,7 @@ import statistics
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,12 +18,8 @@ from torchdq.base.timing import measure
 from torchdq.effects.effect import Effect
 from torchdq.robot import Robot
 from torchdq.robot.description import Unsimulated
-from torchdq.scene.initial_state import motion_at_start
-from torchdq.scene.state import State
-
-if TYPE_CHECKING:
-    from torchdq.scene.scene import Scene
-
+from torchdq.scene.scene import Scene
+from torchdq.scene.state import State, initial_motion
 
 MEASURED = 0.2  # longest time of measuring each effect [s]
 
@@ -39,7 +35,7 @@ class EffectCost(NamedTuple):
 
     @property
     def time(self) -> str:
-        """Nanoseconds in words: a bound if the cost is within the spread, "-" if it was not measured."""
+        """Nanoseconds as text: a bound if the cost is within the spread, "-" if it was not measured."""
         if math.isnan(self.nanoseconds):
             return "-"
         if self.nanoseconds > self.spread:
@@ -54,7 +50,7 @@ class Description(NamedTuple):
     total: EffectCost
     left_out: tuple[str, ...]
     measured_on: str
-    outside: tuple[str, ...] = ()  # what torch computes beside the program of a step
+    outside: tuple[str, ...] = ()  # computations of torch outside the program of a step
 
     def __str__(self) -> str:
         rows = [("effect", "slot", "operations", "ns per step")]
@@ -138,7 +134,7 @@ def _step(scene: Scene, batch: int, dtype: torch.dtype) -> Callable[[], State]:
         return torch.rand(batch, width, generator=generator, dtype=dtype)
 
     # not `start`, which warns of positions outside the limits
-    moved = motion_at_start(scene, {"q": random(scene.n), "qd": random(scene.n)})
+    moved = initial_motion(scene.spec, {"q": random(scene.n), "qd": random(scene.n)})
     state, _ = scene.begin(moved, {}, random(scene.noises))
     inputs = {name: random(width) for name, width in scene.inputs.items()}
     noise = random(scene.noises)

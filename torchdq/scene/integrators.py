@@ -21,13 +21,12 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
-from torchdq.base.attributes import refusing
 from torchdq.base.checks import require_count, require_number
 from torchdq.base.progress import Progress
 from torchdq.dynamics.posed import Row
@@ -114,8 +113,7 @@ class LinearlyImplicit(Integrator):
     stiff friction, servos and limits; wrenches on bodies and actuators stay explicit.
 
     >>> import torchdq
-    >>> from torchdq.envs import Scene
-    >>> from torchdq.scene import integrators
+    >>> from torchdq.scene import Scene, integrators
     >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.LinearlyImplicit(), dt=0.01)
     """
 
@@ -132,8 +130,7 @@ class RungeKutta4(Integrator):
     """Classical Runge-Kutta method of order 4.
 
     >>> import torchdq
-    >>> from torchdq.envs import Scene
-    >>> from torchdq.scene import integrators
+    >>> from torchdq.scene import Scene, integrators
     >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.RungeKutta4(), dt=0.01)
     """
 
@@ -177,8 +174,7 @@ class StoermerVerlet(Integrator):
         iterations: number of iterations of the implicit lines.
 
     >>> import torchdq
-    >>> from torchdq.envs import Scene
-    >>> from torchdq.scene import integrators
+    >>> from torchdq.scene import Scene, integrators
     >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.StoermerVerlet(), dt=0.01)
     """
 
@@ -252,8 +248,7 @@ class DormandPrince(Unrecorded):
             at any step size.
 
     >>> import torchdq
-    >>> from torchdq.envs import Scene
-    >>> from torchdq.scene import integrators
+    >>> from torchdq.scene import Scene, integrators
     >>> scene = Scene(torchdq.robots.load("two_link"), integrator=integrators.DormandPrince(), dt=0.1)
     """
 
@@ -277,43 +272,74 @@ class DormandPrince(Unrecorded):
         floor = 100 * torch.finfo(x.dtype).eps
         rtol = max(self.rtol, floor)
         if rtol > self.rtol:
-            warnings.warn(f"rtol {self.rtol:g} is below the rounding of {x.dtype}; {rtol:.1g} is kept", stacklevel=2)
+            warnings.warn(f"rtol {self.rtol:g} is below the rounding of {x.dtype}; {rtol:.1g} is used", stacklevel=2)
         n = v.shape[-1]  # numbers of velocities, and of displacements of the positions over a step
 
         def slope(increment: Tensor) -> Tensor:
             d, w = [increment[..., :n]], [v + increment[..., n:]]
             return torch.cat([*system.rates(1.0, d, w), *system.accelerations(system.moved([x], 1.0, d), w)], -1)
 
-        t = x.new_zeros(x.shape[:-1])
-        h = torch.full_like(t, T / 16)
-        failed = torch.zeros_like(t, dtype=torch.bool)
+        sizes = StepSizes.start(T, x.new_zeros(x.shape[:-1]), floor)
         with Progress(f"steps of DormandPrince over {T:g} s") as notice:
             for count in range(self.most):
                 notice.at(f"{count} of at most {self.most}")
-                going = ~failed & (t < T * (1 - floor))
-                if not bool(going.any()):
+                if not bool(sizes.going.any()):
                     break
-                step = torch.where(going, torch.minimum(h, T - t), 0.0)
+                step = sizes.step[..., None]
                 end = v.new_zeros(*v.shape[:-1], 2 * n)
                 k = [slope(end)]
                 for row in _TABLEAU:
-                    end = step[..., None] * _combined(row, k)
+                    end = step * _combined(row, k)
                     k.append(slope(end))
                 (to,), w = system.moved([x], 1.0, [end[..., :n]]), v + end[..., n:]
                 with torch.no_grad():
-                    sizes = [torch.cat([*system.sizes([y]), u.abs()], -1) for y, u in ((x, v), (to, w))]
-                    size = self.atol + rtol * torch.maximum(*sizes)
-                    error = (step[..., None] * _combined(_ERROR, k) / size).square().mean(-1).sqrt()
-                    good = going & (error <= 1)
-                    factor = (0.9 * error.clamp(min=1e-10) ** -0.2).clamp(0.2, 5.0)
-                    failed = failed | going & ~good & (step <= floor * T)
-                    # the last step was cut to end on time, and does not suggest the size of the next
-                    kept = good & (step < h)
-                    h = torch.where(kept | ~going, h, step * torch.where(error.isfinite(), factor, 0.2))
-                    t = torch.where(good, t + step, t)
+                    states = [torch.cat([*system.sizes([y]), u.abs()], -1) for y, u in ((x, v), (to, w))]
+                    error = step * _combined(_ERROR, k) / (self.atol + rtol * torch.maximum(*states))
+                    good, sizes = sizes.after(error.square().mean(-1).sqrt())
                 x, v = (torch.where(good[..., None], new, old) for new, old in ((to, x), (w, v)))
-        lost = (failed | (t < T * (1 - floor)))[..., None]
-        return torch.where(lost, torch.nan, x), torch.where(lost, torch.nan, v)
+        stuck = ~sizes.arrived[..., None]
+        return torch.where(stuck, torch.nan, x), torch.where(stuck, torch.nan, v)
+
+
+class StepSizes(NamedTuple):
+    """Time that each sample has reached on its way to T, and the size of its next step, by the errors so far."""
+
+    T: float  # [s]
+    t: Tensor  # [...] time reached [s]
+    h: Tensor  # [...] size that the next step would have, were it not cut at T [s]
+    failed: Tensor  # [...] samples whose error is too large at any step size
+    floor: float  # relative rounding of times
+
+    @classmethod
+    def start(cls, T: float, t: Tensor, floor: float) -> StepSizes:
+        """Sixteenths of the way as first steps."""
+        return cls(T, t, torch.full_like(t, T / 16), torch.zeros_like(t, dtype=torch.bool), floor)
+
+    @property
+    def going(self) -> Tensor:
+        """Samples that go on."""
+        return ~self.failed & (self.t < self.T * (1 - self.floor))
+
+    @property
+    def arrived(self) -> Tensor:
+        """Samples that have reached T."""
+        return ~self.failed & (self.t >= self.T * (1 - self.floor))
+
+    @property
+    def step(self) -> Tensor:
+        """Sizes of the next steps, zero for samples that do not go on."""
+        return torch.where(self.going, torch.minimum(self.h, self.T - self.t), 0.0)
+
+    def after(self, error: Tensor) -> tuple[Tensor, StepSizes]:
+        """Samples whose step is accepted, its error being at most 1, and the sizes after it."""
+        going, step = self.going, self.step
+        good = going & (error <= 1)
+        factor = (0.9 * error.clamp(min=1e-10) ** -0.2).clamp(0.2, 5.0)
+        # the last step was cut to end on time, and does not suggest the size of the next
+        kept = ~going | (good & (step < self.h))
+        h = torch.where(kept, self.h, step * torch.where(error.isfinite(), factor, 0.2))
+        failed = self.failed | (going & ~good & (step <= self.floor * self.T))
+        return good, self._replace(t=torch.where(good, self.t + step, self.t), h=h, failed=failed)
 
 
 def _combined(weights: Sequence[float], k: Sequence[Tensor]) -> Tensor:
@@ -330,6 +356,3 @@ _TABLEAU = (
     (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
 )
 _ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
-
-if not TYPE_CHECKING:  # type checkers know the names
-    __getattr__ = refusing(__name__, RK4="RungeKutta4", Euler="ExplicitEuler, or SemiImplicitEuler")

@@ -1,20 +1,26 @@
-"""Linearization of a step: Jacobian matrices of the state after it, by reverse mode through its program."""
+"""Derivatives of a step: its linearization on tensors, and one compiled program of the state and its Jacobian matrix.
+
+`linearize` serves every scene, by reverse mode through the program of a step. `StepMap` differentiates the program
+itself, by forward mode: every column of the Jacobian matrix is recorded with the others, so that they share their
+common terms, and the many that vanish cost nothing.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from torchdq.backends.call import batch_of
+from torchdq.backends.call import batch_of, evaluate
 from torchdq.errors import ArgumentError
+from torchdq.scene.integrators import Unrecorded
 from torchdq.scene.recording import Stage
+from torchdq.scene.scene import Scene
 from torchdq.scene.state import State, require_state
-
-if TYPE_CHECKING:
-    from torchdq.scene.scene import Scene
 
 
 class Linearization(NamedTuple):
@@ -56,3 +62,52 @@ def linearize(scene: Scene, state: State, given: Mapping[str, Tensor | None]) ->
     (found,) = torch.func.vmap(pull)(units.expand(s, *ends.shape))
     A, B = found.movedim(0, -2).split([s, scene.n], -1)
     return Linearization(A, B)
+
+
+@dataclass(frozen=True)
+class StepMap:
+    """Step of a scene as a function of rows [N, s], each the q, qd and memory of a state, and its derivatives.
+
+    Args:
+        scene: of a robot with a fixed base, without sensors, with an integrator that is recorded.
+        inputs: names of the inputs that are given at every step.
+    """
+
+    scene: Scene
+    inputs: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        scene, spec = self.scene, self.scene.spec
+        if scene.robot.floating:
+            raise ArgumentError(f"robot {scene.robot.name!r} must have a fixed base for derivatives of a step")
+        if isinstance(scene.integrator, Unrecorded):
+            kind = type(scene.integrator).__name__
+            raise ArgumentError(f"integrator must be one that is recorded, for derivatives of a step, found {kind}")
+        if found := [type(e).__name__ for e in scene.effects if e.SLOT == "sensor" or e.computed(scene.n)]:
+            raise ArgumentError(f"effects of the scene must be without {found[0]}, for derivatives of a step")
+        if found := [name for name, batch in scene.batches.items() if batch]:
+            raise ArgumentError(f"{found[0]} of the scene must be without batch axes, for derivatives of a step")
+        Stage(spec, "step").check(dict.fromkeys((*spec.state, *self.inputs), torch.zeros(1)))
+
+    @cached_property
+    def widths(self) -> dict[str, int]:
+        """Names and widths of the parts of a row."""
+        return self.scene.spec.state
+
+    def _given(self, s: Tensor, inputs: Mapping[str, Tensor], parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        parts = s.split(list(self.widths.values()), -1)
+        given = dict(zip(self.widths, parts, strict=True)) | {name: inputs[name] for name in self.inputs}
+        return given | self.scene.parameters | dict(parameters)
+
+    def after(self, s: Tensor, inputs: Mapping[str, Tensor], parameters: Mapping[str, Tensor]) -> Tensor:
+        """Rows after a step [N, s]; `parameters`, by "owner.name", replace those of the scene."""
+        found = evaluate(Stage(self.scene.spec, "step"), self._given(s, inputs, parameters), self.scene.backend)
+        return torch.cat([found[name] for name in self.widths], -1)
+
+    def linearised(
+        self, s: Tensor, inputs: Mapping[str, Tensor], parameters: Mapping[str, Tensor], wrt: tuple[str, ...]
+    ) -> tuple[Tensor, Tensor]:
+        """Rows after a step [N, s], and derivatives [N, s, s + w] in those before, and in inputs and parameters."""
+        what = Stage(self.scene.spec, "step", wrt=(*self.widths, *wrt))
+        found = evaluate(what, self._given(s, inputs, parameters), self.scene.backend)
+        return found["after"], found["J"]

@@ -21,9 +21,10 @@ from torchdq.effects.sensor import Sensor
 from torchdq.errors import ArgumentError
 from torchdq.export.meaning import heading, part
 from torchdq.functions.recipe import worth_recording
-from torchdq.program.program import Argument, Program, record
+from torchdq.program.autodiff import jacobian
+from torchdq.program.program import Argument, Program, Result, record
 from torchdq.robot.fields import trailing
-from torchdq.scene.contributions import row_and_memory
+from torchdq.scene.effect_checks import row_and_memory
 from torchdq.scene.free_base import POSE, TWIST
 from torchdq.scene.integrators import Integrator
 from torchdq.scene.spec import Memory, RecordedScene, Rows, SceneSpec, Task, View, recorded
@@ -173,6 +174,7 @@ class _StageFields(NamedTuple):
     spec: SceneSpec
     stage: str  # one of STAGES
     task: Task | None = None
+    wrt: tuple[str, ...] = ()  # arguments for derivatives: the results are "after" [s] and its Jacobian matrix "J"
 
 
 class Stage(_StageFields, Computation):
@@ -186,7 +188,7 @@ class Stage(_StageFields, Computation):
             return trailing(self.spec.shapes(owner)[parameter], self.spec.robot.sizes)
         known = self.widths()
         if name not in known:
-            raise ArgumentError(f"{name} is no input of this scene; it has {', '.join(self.spec.inputs())}")
+            raise ArgumentError(f"{name} is not an input of this scene; it has {', '.join(self.spec.inputs())}")
         return (known[name],)
 
     def widths(self) -> dict[str, int]:
@@ -200,6 +202,9 @@ class Stage(_StageFields, Computation):
 
     def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
         """Trailing axes of the results; one number of a task, such as its reward, has none."""
+        if self.wrt:
+            after, J = (len(result.values) for result in program.results)
+            return (after,), (after, J // after)
         if self.stage not in ("step", "sense", "begin"):
             return super().results(program)
         rows = (*self.spec.state, "observation", "reference")
@@ -245,6 +250,8 @@ class Stage(_StageFields, Computation):
 
     def program(self, arguments: tuple[Argument, ...]) -> Program:
         """Program of the stage, recorded once."""
+        if self.wrt:
+            return _with_jacobian(self, arguments)
         if self.stage not in EVALUATIONS:
             return _program(self, arguments)
         # independent of controller and time step
@@ -272,6 +279,24 @@ def _program(what: Stage, arguments: tuple[Argument, ...]) -> Program:
     about = [f"effect {k}: {part(effect)}" for k, effect in enumerate(spec.effects)]
     about += [] if spec.controller is None else [f"controller: {part(spec.controller)}"]
     return replace(best, about=(*heading(steps, spec.robot.name, spec.robot.joint_names), *about))
+
+
+@remembered(PROGRAMS)
+def _with_jacobian(what: Stage, arguments: tuple[Argument, ...]) -> Program:
+    """Program of the rows of a stage, joined, and their Jacobian matrix, row by row, by forward mode."""
+    step = what._replace(wrt=()).program(arguments)
+    taken = [next(k for k, a in enumerate(arguments) if a.name == name) for name in what.wrt]
+    derived = jacobian(step, taken, values=True)
+    block = {result.name: result.values for result in derived.results}
+    rows = [
+        value
+        for result in step.results
+        for i in range(len(result.values))
+        for a in (arguments[k] for k in taken)
+        for value in block[f"d{result.name}/d{a.name}"][i * a.width : (i + 1) * a.width]
+    ]
+    after = [value for result in step.results for value in block[result.name]]
+    return replace(derived, results=(Result("after", tuple(after)), Result("J", tuple(rows))))
 
 
 def owner_of(name: str) -> tuple[int, str] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor, nn
@@ -15,15 +15,12 @@ from torchdq.base.checks import require_choice, require_count, require_tensor
 from torchdq.base.progress import Progress
 from torchdq.errors import ArgumentError
 from torchdq.program.transforms import without_values
-from torchdq.scene.initial_state import not_finite
-from torchdq.scene.state import State, require_state
+from torchdq.scene.scene import Scene
+from torchdq.scene.state import State, nonfinite_rows, require_state
 
-if TYPE_CHECKING:
-    from torchdq.scene.scene import Scene
-
-LONG = 50  # steps from which a rollout says how far it is
+LONG = 50  # steps from which a rollout reports its progress
 Policy = Callable[[State], Tensor]
-Lost = Literal["warn", "stop", "keep"]
+Nonfinite = Literal["warn", "stop", "ignore"]
 
 
 def rollout(
@@ -31,29 +28,29 @@ def rollout(
     state: State,
     series: Mapping[str, Tensor],
     steps: int | None,
-    policy: Policy | None,
-    checkpoint: int,
-    lost: Lost,
+    policy: Policy | None = None,
+    checkpoint: int = 0,
+    nonfinite: Nonfinite = "warn",
 ) -> State:
     """States after each step; see `Scene.rollout`."""
     require_state(state)
-    require_choice("lost", lost, get_args(Lost))
+    require_choice("nonfinite", nonfinite, get_args(Nonfinite))
     total = _length(series, steps, policy)
     require_count("checkpoint", checkpoint, least=0)
     unseen = without_values((state.q,))
-    read = lost != "keep" and not unseen
-    if lost == "stop" and not read:
+    if nonfinite == "stop" and unseen:
         raise ArgumentError(
-            "lost='stop' reads values, which tensors have none of inside a transform, a trace or a graph"
+            "nonfinite='stop' reads values, which tensors have none of inside a transform, a trace or a graph"
         )
-    start = scene.finite(state) if read else state.q.new_zeros((), dtype=torch.bool)
+    warned = nonfinite == "warn" and not unseen
+    start = state.finite() if nonfinite != "ignore" and not unseen else state.q.new_zeros((), dtype=torch.bool)
     notice = Progress(f"rollout of {total} steps")
-    if lost == "warn" and read and (unusable := not_finite(scene, state)):
-        warnings.warn(unusable, stacklevel=3)
+    if warned and (message := nonfinite_rows(state, scene.robot)):
+        warnings.warn(message, stacklevel=3)
 
-    def gone(state: State) -> Tensor:
+    def diverged(state: State) -> Tensor:
         """Rows that were finite at the start, and are not."""
-        return start & ~scene.finite(state)
+        return start & ~state.finite()
 
     recomputed = bool(checkpoint) and torch.is_grad_enabled() and not unseen
     commands: dict[int, Tensor] = {}  # torques of the policy by step, if they are computed again
@@ -64,12 +61,12 @@ def rollout(
             notice.at(f"step {k + 1} of {total}")
             given = {name: x[k] for name, x in series.items()}
             if policy is not None:
-                before = _memory(policy) if recomputed else []
+                before = _buffers(policy) if recomputed else []
                 given["torque"] = torque = _commanded(policy, state, scene.n)
                 if recomputed:
                     _require_memoryless(policy, before, commands.setdefault(k, torque.detach().clone()), torque)
             state = scene.step(state, **given)
-            if lost == "stop" and bool(gone(state).any()):
+            if nonfinite == "stop" and bool(diverged(state).any()):
                 break
             found.append(state)
         return found
@@ -79,20 +76,19 @@ def rollout(
     with notice if total >= LONG and not unseen else nullcontext():
         for first in range(0, total, stride):
             last = min(first + stride, total)
-            if checkpoint:
-                found += checkpointed(part, first, last, state, use_reentrant=False)
-            else:
-                found += part(first, last, state)
+            found += (
+                checkpointed(part, first, last, state, use_reentrant=False) if checkpoint else part(first, last, state)
+            )
             if len(found) < last:
                 break
             state = found[-1]
     if not found:
         return State._make(None if x is None else x[None][:0] for x in state)
-    if lost == "warn" and read and bool((rows := gone(found[-1])).any()):
-        step = next(k for k, x in enumerate(found, 1) if bool(gone(x).any()))
+    if warned and bool((rows := diverged(found[-1])).any()):
+        step = next(k for k, x in enumerate(found, 1) if bool(diverged(x).any()))
         warnings.warn(
             f"{int(rows.sum())} of {rows.numel()} rows left the finite range, the first at step {step} of {total}; "
-            f"scene.check(state, seconds) says which step or integrator holds",
+            f"scene.check(state, seconds) finds a step or an integrator that is stable",
             stacklevel=3,
         )
     return State._make(None if rows[0] is None else torch.stack(rows) for rows in zip(*found, strict=True))
@@ -120,7 +116,7 @@ def _length(series: Mapping[str, Tensor], steps: int | None, policy: Policy | No
     return total
 
 
-def _memory(policy: Policy) -> list[tuple[str, Tensor, int]]:
+def _buffers(policy: Policy) -> list[tuple[str, Tensor, int]]:
     """Buffers of a policy that is a module, by name, and how often each was changed in place."""
     found = policy.named_buffers() if isinstance(policy, nn.Module) else ()
     return [(name, x, x._version) for name, x in found if not x.is_inference()]
@@ -128,7 +124,7 @@ def _memory(policy: Policy) -> list[tuple[str, Tensor, int]]:
 
 def _require_memoryless(policy: Policy, before: list[tuple[str, Tensor, int]], first: Tensor, torque: Tensor) -> None:
     """Raise if a policy changed a buffer, or returned other torques in this pass than in the first one."""
-    after = _memory(policy)
+    after = _buffers(policy)
     changed = [a[0] for a, b in zip(before, after, strict=False) if a[1] is not b[1] or a[2] != b[2]]
     other = first.shape != torque.shape or bool(((first != torque) & ~(first.isnan() & torque.isnan())).any())
     if changed or other:
@@ -141,19 +137,10 @@ def _require_memoryless(policy: Policy, before: list[tuple[str, Tensor, int]], f
 
 def _commanded(policy: Policy, state: State, n: int) -> Tensor:
     """Torques of a policy."""
-    expected = f"torques, a tensor [..., {n}] of {state.q.dtype} like state.q"
-    try:
-        torque = policy(state)
-    except (TypeError, AttributeError) as error:
-        absent = [name for name in ("reading", "memory") if getattr(state, name) is None]
-        if not absent or "NoneType" not in str(error):
-            raise
-        raise ArgumentError(
-            f"policy must not use state.{' and state.'.join(absent)}, which is None, since the scene has no sensors or "
-            f"no effect with a memory, found that it may: {error}; state.measured is there without sensors, too"
-        ) from error
-    if not isinstance(torque, Tensor):
-        raise ArgumentError(f"policy must return {expected}, found {type(torque).__name__}")
-    if torque.shape[-1:] != (n,) or torque.dtype != state.q.dtype:
-        raise ArgumentError(f"policy must return {expected}, found {torque.dtype} of shape {tuple(torque.shape)}")
+    torque = policy(state)
+    if not isinstance(torque, Tensor) or torque.shape[-1:] != (n,) or torque.dtype != state.q.dtype:
+        found = (
+            f"{torque.dtype} of shape {tuple(torque.shape)}" if isinstance(torque, Tensor) else type(torque).__name__
+        )
+        raise ArgumentError(f"policy must return torques, a tensor [..., {n}] of {state.q.dtype}, found {found}")
     return torque

@@ -10,9 +10,8 @@ import math
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import reduce
-from operator import and_
-from typing import Any, get_args
+from functools import partial
+from typing import TYPE_CHECKING, Any, get_args
 
 import torch
 from torch import Tensor
@@ -29,17 +28,18 @@ from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import arguments, constants, recorded
 from torchdq.scene.controllers import Controller
-from torchdq.scene.describe import Description, describe
-from torchdq.scene.effect_order import require_free, together
-from torchdq.scene.initial_state import motion_at_start, outside_limits
+from torchdq.scene.effect_checks import require_supported_base, resolved_effects
 from torchdq.scene.integrators import Integrator, LinearlyImplicit, Unrecorded
-from torchdq.scene.linearize import Linearization, linearize
 from torchdq.scene.recording import Stage
-from torchdq.scene.rollout import Lost, Policy, rollout
 from torchdq.scene.spec import CONTROLLER, ROBOT, SceneSpec, Task
-from torchdq.scene.stability import Check, check
-from torchdq.scene.state import State, require_state
-from torchdq.scene.tensor_inputs import driven, with_held
+from torchdq.scene.state import State, initial_motion, outside_limits, require_state
+from torchdq.scene.system import TensorSystem
+
+if TYPE_CHECKING:  # these import Scene
+    from torchdq.scene.describe import Description
+    from torchdq.scene.linearize import Linearization
+    from torchdq.scene.rollout import Nonfinite, Policy
+    from torchdq.scene.stability import Check
 
 _interned: Bounded[SceneSpec, SceneSpec] = Bounded(PROGRAMS)  # equal scenes share their programs
 
@@ -60,7 +60,7 @@ class Scene:
         effects: simulated effects; see `torchdq.effects`. Actuators and sensors act in their order.
         controller: turns the input `reference` into torques; None: the given torques act alone.
         integrator: see `torchdq.scene.integrators`. The default holds damping, friction, springs, servos and limits of
-            joints at any step; what an explicit one holds, `check` says.
+            joints at any step; `check` says which steps an explicit one holds.
         dt: duration of a step [s]; torques are constant over it.
         substeps: steps of the integrator within a step, in one program; for hundreds, `integrators.Repeated`.
         backend: as in `torchdq.functional`.
@@ -69,7 +69,7 @@ class Scene:
             everything computed in float64.
 
     >>> import torch, torchdq
-    >>> from torchdq.envs import Scene, effects
+    >>> from torchdq import Scene, effects
     >>> scene = Scene(torchdq.robots.load("two_link"), (effects.Gravity(), effects.Viscous(0.1)), dt=0.01)
     >>> state = scene.start(torch.zeros(3, 2))
     >>> scene.step(state, torque=torch.zeros(2)).q.shape
@@ -86,7 +86,7 @@ class Scene:
     precision: Precision = "auto"
     spec: SceneSpec = field(init=False, repr=False)
     noises: int = field(init=False, repr=False)  # random numbers that a step consumes
-    _parameters: dict[str, Tensor] = field(init=False, repr=False)  # by "owner.name"
+    parameters: dict[str, Tensor] = field(init=False, repr=False)  # tensors of all parts, by "owner.name"
 
     def __post_init__(self) -> None:
         require_robot(self.robot)
@@ -102,8 +102,8 @@ class Scene:
                 f"substeps are those of a recorded integrator, found {self.substeps} with {self.integrator!r}; "
                 f"give them to Repeated, DormandPrince chooses its own"
             )
-        require_free(self.robot, self.controller, self.integrator)
-        resolved = together(self.effects, self.robot)
+        require_supported_base(self.robot, self.controller, self.integrator)
+        resolved = resolved_effects(self.effects, self.robot)
         controller = None if self.controller is None else self.controller.resolved(self.robot)
         spec = SceneSpec(
             recorded(constants(self.robot)),
@@ -122,7 +122,7 @@ class Scene:
         for owner, part in (*parts, *enumerate(resolved)):
             found.update({f"{owner}.{name}": x for name, x in part.tensors().items()})
         object.__setattr__(self, "noises", spec.noises)
-        object.__setattr__(self, "_parameters", found)
+        object.__setattr__(self, "parameters", found)
 
     # --- inputs and parameters ---
 
@@ -139,7 +139,7 @@ class Scene:
     @property
     def batches(self) -> dict[str, tuple[int, ...]]:
         """Batch axes of the tensors of robot, controller and effects by their names; () where samples share one."""
-        stage, found = Stage(self.spec, "step"), self._parameters
+        stage, found = Stage(self.spec, "step"), self.parameters
         return {stage.label(name): tuple(x.shape[: x.ndim - len(stage.axes(name))]) for name, x in found.items()}
 
     def replace(self, **changes: Any) -> Scene:
@@ -148,7 +148,7 @@ class Scene:
 
     def to(self, device: torch.device | str) -> Scene:
         """Scene whose parameters that are tensors are on a device; a step would copy them there every time."""
-        if all(x.device == torch.device(device) for x in self._parameters.values()):
+        if all(x.device == torch.device(device) for x in self.parameters.values()):
             return self
         robot = self.robot.replace(**{name: getattr(self.robot, name).to(device) for name in arguments(self.robot)})
         controller, *effects = [
@@ -176,9 +176,9 @@ class Scene:
             X_WB: pose of a free base in the world, shape [..., 8]; None: at the origin.
             V_WB_B: twist (angular, linear) of a free base in its axes [rad/s, m/s], shape [..., 6]; None: at rest.
         """
-        moved = motion_at_start(self, {"q": q, "qd": qd, "X_WB": X_WB, "V_WB_B": V_WB_B})
-        if found := outside_limits(self, moved["q"]):
-            warnings.warn(found, stacklevel=2)
+        moved = initial_motion(self.spec, {"q": q, "qd": qd, "X_WB": X_WB, "V_WB_B": V_WB_B})
+        if message := outside_limits(moved["q"], self.effects, self.robot):
+            warnings.warn(message, stacklevel=2)
         return self.begin(moved, {}, noise)[0]
 
     def begin(
@@ -224,16 +224,88 @@ class Scene:
         self.spec.require_inputs(inputs, task)
         present = {name: x for name, x in inputs.items() if x is not None}
         if not isinstance(self.integrator, Unrecorded):
-            present = {**with_held(self, state, present, task)}
+            if self.spec.computed():
+                system, *_ = self.drive(state, present, task)
+                present |= {name: system.inputs[name] for name in self.spec.computed()}
             return _split(self.evaluate("step", self._with_noise({**state.rows(), **present}, noise), task))
         dtype = state.q.dtype
-        if self.precision != "double" or dtype != torch.float32:
-            return self._unrecorded(self.integrator, state, present, noise, task)
-        # the integrator's own arithmetic is double as well
-        given = {name: x.double() for name, x in present.items()}
-        noise = None if noise is None else noise.double()
-        state, rows = self._unrecorded(self.integrator, state.to(torch.float64), given, noise, task)
-        return state.to(dtype), {name: x.to(dtype) for name, x in rows.items()}
+        if self.precision == "double" and dtype == torch.float32:
+            # the integrator's own arithmetic is double as well
+            present, state = {name: x.double() for name, x in present.items()}, state.to(torch.float64)
+            noise = None if noise is None else noise.double()
+        system, x, v, rows = self.drive(state, present, task)
+        x, v = self.integrator.flow(system, x, v, self.dt)
+        sensed = self.evaluate("sense", self._with_noise({"x": x, "v": v, **rows, **present}, noise), task)
+        return _split({name: x.to(dtype) for name, x in sensed.items()})
+
+    def drive(
+        self, state: State, inputs: Mapping[str, Tensor], task: Task | None = None
+    ) -> tuple[TensorSystem, Tensor, Tensor, dict[str, Tensor]]:
+        """Equations of motion over a step, the positions x and velocities v to integrate, and the rows for `sense`."""
+        rows = self.evaluate("drive", {**state.rows(), **inputs}, task)
+        x, v = rows.pop("x"), rows.pop("v")
+        acting = {name: inputs[name] for effect in self.effects for name in effect.inputs(self.n) if name in inputs}
+        system = TensorSystem(self.spec, self.evaluate, {**acting, "u": rows["u"]})
+        for effect in self.effects:
+            for name in effect.computed(self.n):
+                accelerations = partial(system.under, x, v, name)
+                torques = effect.torques(state.q, state.qd, accelerations)  # type: ignore[attr-defined]
+                system = replace(system, inputs={**system.inputs, name: torques})
+        return system, x, v, rows
+
+    def finite(self, state: State) -> Tensor:
+        """True for every row of a state whose numbers are all finite, shape [...]."""
+        require_state(state)
+        return state.finite()
+
+    def energy(self, state: State) -> Tensor:
+        """Kinetic and potential energy [J] of the rigid bodies, without springs and their rotors, shape [..., 2]."""
+        require_state(state)
+        return self.evaluate("energy", {name: x for name, x in state.rows().items() if name in self.spec.moving})["E"]
+
+    # --- programs ---
+
+    def program(self, *present: str, task: Task | None = None) -> Program:
+        """Program of a step at which the inputs of those names are given; by default, all."""
+        if isinstance(self.integrator, Unrecorded):
+            name = type(self.integrator).__name__
+            raise ArgumentError(f"a step of {name} is no program of its own")
+        stage = Stage(self.spec, "step", task)
+        wanted = [
+            *self.spec.state,
+            *(present or self.inputs),
+            *self.spec.computed(),
+            *(["noise"] if self.noises else []),
+        ]
+        taken = [Argument(name, math.prod(stage.axes(name))) for name in wanted]
+        if self.controller is not None and "reference" not in wanted:
+            raise ArgumentError("reference must be among the inputs of a scene with a controller")
+        for name, x in self.parameters.items():
+            axes = stage.axes(name)
+            taken.append(Argument(name, math.prod(axes), x.ndim == len(axes)))
+        return stage.program(tuple(taken))
+
+    def count(self) -> Count:
+        """Operations of a step."""
+        return self.program().count()
+
+    def evaluate(self, stage: str, given: Mapping[str, Tensor], task: Task | None = None) -> dict[str, Tensor]:
+        """Rows of a stage's program, with the batch axes of everything that goes in; the state's inputs come first."""
+        constants(self.robot)  # raises if they were changed in place
+        tensors = {**given, **self.parameters}
+        return evaluate(Stage(self.spec, stage, task), tensors, self.backend, self.precision == "double")
+
+    def _with_noise(self, given: dict[str, Tensor], noise: Tensor | None) -> dict[str, Tensor]:
+        """Inputs with the random numbers that the sensors need."""
+        if not self.noises:
+            return given
+        if noise is None:
+            like = next(iter(given.values()))
+            # 1 - [0, 1) lies in (0, 1], and the logarithm of 0 is infinite
+            noise = 1 - torch.rand(*like.shape[:-1], self.noises, dtype=like.dtype, device=like.device)
+        return {**given, "noise": noise}
+
+    # --- algorithms on scenes, each in a module of its own, which imports this one ---
 
     def rollout(
         self,
@@ -242,7 +314,7 @@ class Scene:
         steps: int | None = None,
         checkpoint: int = 0,
         policy: Policy | None = None,
-        lost: Lost = "warn",
+        nonfinite: Nonfinite = "warn",
         **inputs: Tensor,
     ) -> State:
         """States after each of a number of steps, shape [steps, ...].
@@ -256,8 +328,8 @@ class Scene:
             policy: function of the state that returns the torques of a step, shape [..., n], instead of `torque`; a
                 module, for instance. Where there are sensors it should look at `state.measured`. With a checkpoint it
                 is called again for the gradient, and must remember nothing: no filter, counter or batch norm.
-            lost: "warn": warn if rows are not finite at the start, or no longer at the end; "stop": end before the step
-                that loses one; "keep": say nothing.
+            nonfinite: "warn": warn if rows are not finite at the start, or no longer at the end; "stop": end before
+                the first step after which a row is no longer finite; "ignore": neither.
             inputs: as in `step`, shape [steps, ...].
 
         >>> import torch, torchdq
@@ -265,19 +337,11 @@ class Scene:
         >>> scene.rollout(scene.start(torch.ones(3, 2)), steps=50, policy=lambda s: -4 * s.q - s.qd).q.shape
         torch.Size([50, 3, 2])
         """
+        from torchdq.scene.rollout import rollout
+
         self.spec.require_inputs(name for name in inputs if name != "noise")
         series = {name: x for name, x in (("torque", torque), *inputs.items()) if x is not None}
-        return rollout(self, state, series, steps, policy, checkpoint, lost)
-
-    def finite(self, state: State) -> Tensor:
-        """True for every row of a state whose numbers are all finite, shape [...]."""
-        require_state(state)
-        return reduce(and_, [x.isfinite().all(-1) for x in state.rows().values()])
-
-    def energy(self, state: State) -> Tensor:
-        """Kinetic and potential energy [J] of the rigid bodies, without springs and their rotors, shape [..., 2]."""
-        require_state(state)
-        return self.evaluate("energy", {name: x for name, x in state.rows().items() if name in self.spec.moving})["E"]
+        return rollout(self, state, series, steps, policy, checkpoint, nonfinite)
 
     def linearize(
         self, state: State, torque: Tensor | None = None, noise: Tensor | None = None, **inputs: Tensor
@@ -297,6 +361,8 @@ class Scene:
         >>> A.shape, B.shape
         (torch.Size([5, 4, 4]), torch.Size([5, 4, 2]))
         """
+        from torchdq.scene.linearize import linearize
+
         return linearize(self, state, {"torque": torque, "noise": noise, **inputs})
 
     def check(self, state: State, seconds: float = 1.0, **inputs: Tensor) -> Check:
@@ -311,40 +377,16 @@ class Scene:
             inputs: as in `step`, the same at every step; a controller without `reference` holds the start.
 
         >>> import torch, torchdq
-        >>> from torchdq.envs import effects
+        >>> from torchdq import effects
         >>> from torchdq.scene import integrators
         >>> parts = (effects.Viscous(500.0),)
         >>> scene = Scene(torchdq.robots.load("two_link"), parts, integrator=integrators.SemiImplicitEuler())
         >>> print(scene.check(scene.start(torch.zeros(2)), seconds=0.1))  # doctest: +ELLIPSIS
         steps of 0.01 s with SemiImplicitEuler() do not hold...
         """
+        from torchdq.scene.stability import check
+
         return check(self, state, seconds, inputs)
-
-    # --- cost ---
-
-    def program(self, *present: str, task: Task | None = None) -> Program:
-        """Program of a step at which the inputs of those names are given; by default, all."""
-        if isinstance(self.integrator, Unrecorded):
-            name = type(self.integrator).__name__
-            raise ArgumentError(f"a step of {name} is no program of its own")
-        stage = Stage(self.spec, "step", task)
-        wanted = [
-            *self.spec.state,
-            *(present or self.inputs),
-            *self.spec.computed(),
-            *(["noise"] if self.noises else []),
-        ]
-        taken = [Argument(name, math.prod(stage.axes(name))) for name in wanted]
-        if self.controller is not None and "reference" not in wanted:
-            raise ArgumentError("reference must be among the inputs of a scene with a controller")
-        for name, x in self._parameters.items():
-            axes = stage.axes(name)
-            taken.append(Argument(name, math.prod(axes), x.ndim == len(axes)))
-        return stage.program(tuple(taken))
-
-    def count(self) -> Count:
-        """Operations of a step."""
-        return self.program().count()
 
     def describe(
         self, batch: int = 4096, dtype: torch.dtype | str = torch.float64, seconds: float = 10.0
@@ -360,39 +402,9 @@ class Scene:
             dtype: dtype of those samples.
             seconds: time for all of it, compiling included [s]; effects it does not last for print "-". 0: no times.
         """
+        from torchdq.scene.describe import describe
+
         return describe(self, batch, dtype, seconds)
-
-    # --- internals ---
-
-    def evaluate(self, stage: str, given: Mapping[str, Tensor], task: Task | None = None) -> dict[str, Tensor]:
-        """Rows of a stage's program, with the batch axes of everything that goes in; the state's inputs come first."""
-        constants(self.robot)  # raises if they were changed in place
-        tensors = {**given, **self._parameters}
-        return evaluate(Stage(self.spec, stage, task), tensors, self.backend, self.precision == "double")
-
-    def _with_noise(self, given: dict[str, Tensor], noise: Tensor | None) -> dict[str, Tensor]:
-        """Inputs with the random numbers that the sensors need."""
-        if not self.noises:
-            return given
-        if noise is None:
-            like = next(iter(given.values()))
-            # 1 - [0, 1) lies in (0, 1], and the logarithm of 0 is infinite
-            noise = 1 - torch.rand(*like.shape[:-1], self.noises, dtype=like.dtype, device=like.device)
-        return {**given, "noise": noise}
-
-    def _unrecorded(
-        self,
-        integrator: Unrecorded,
-        state: State,
-        inputs: Mapping[str, Tensor],
-        noise: Tensor | None,
-        task: Task | None,
-    ) -> tuple[State, dict[str, Tensor]]:
-        """Step of an integrator that is not recorded; its three stages are programs of their own."""
-        system, x, v, rows = driven(self, state, inputs, task)
-        x, v = integrator.flow(system, x, v, self.dt)
-        given = self._with_noise({"x": x, "v": v, **rows, **inputs}, noise)
-        return _split(self.evaluate("sense", given, task))
 
 
 def _split(rows: dict[str, Tensor]) -> tuple[State, dict[str, Tensor]]:

@@ -17,8 +17,8 @@ from torchdq.functions.posed import Overrides, posed
 from torchdq.robot import Robot
 from torchdq.robot.fields import BODIES
 from torchdq.robot.robot import SHAPES
-from torchdq.scene import contributions
 from torchdq.scene.controllers import Controller
+from torchdq.scene.effect_checks import changes
 from torchdq.scene.free_base import POSE, TWIST, unit
 from torchdq.scene.integrators import Integrator
 
@@ -101,7 +101,7 @@ class SceneSpec:
             if name in computed:
                 raise ArgumentError(f"{name} is computed by the scene before every step; leave it out")
             if name not in known:
-                raise ArgumentError(f"{name} is no input of this scene; it has {', '.join(self.inputs())}")
+                raise ArgumentError(f"{name} is not an input of this scene; it has {', '.join(self.inputs())}")
 
     @property
     def noises(self) -> int:
@@ -139,7 +139,7 @@ class SceneSpec:
 class RecordedScene:
     """A scene while it is recorded: its tensors and inputs are rows of numbers."""
 
-    spec: SceneSpec  # with numbers in the place of its tensors
+    spec: SceneSpec  # with numbers instead of its tensors
     overrides: Overrides  # the robot's tensors that are not its own constants
     per_sample: tuple[str, ...]  # names of those that differ from sample to sample
     linear: bool  # True: accelerations by articulated bodies, in O(n)
@@ -202,7 +202,7 @@ def recorded(
     tensors: Mapping[tuple[int, str], Row],
     per_sample: Sequence[tuple[int, str]],
 ) -> RecordedScene:
-    """Scene with rows of numbers in the place of inputs and tensors, which are given by owner and name."""
+    """Scene whose inputs and tensors are rows of numbers; tensors are given by owner and name."""
     own = {name: row for (owner, name), row in tensors.items() if owner == ROBOT}
     overrides: dict[str, Any] = {"gravity": None, "armature": None, **own}
     differing = {name for owner, name in per_sample if owner == ROBOT}
@@ -216,8 +216,8 @@ def recorded(
         controller=None if spec.controller is None else bound(CONTROLLER, spec.controller),
     )
     for i, effect in sorted(spec.of(ModelEffect), key=lambda found: found[1].LATE):
-        changes = contributions.changes(effect, effect.changed(spec.robot, overrides), spec.robot)
-        overrides.update(changes)
+        changed = changes(effect, effect.changed(spec.robot, overrides), spec.robot)
+        overrides.update(changed)
         if any(owner == i for owner, _ in per_sample):
-            differing.update(changes)
+            differing.update(changed)
     return RecordedScene(spec, overrides, tuple(name for name in BODIES if name in differing), linear, inputs)

@@ -12,7 +12,7 @@ import math
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -21,21 +21,17 @@ from torchdq.base.checks import require_number
 from torchdq.base.progress import Progress
 from torchdq.dynamics.posed import Row
 from torchdq.errors import ArgumentError
-from torchdq.scene.initial_state import not_finite
 from torchdq.scene.integrators import DormandPrince, Integrator, LinearlyImplicit, Repeated, System
 from torchdq.scene.rollout import rollout
-from torchdq.scene.state import State, require_state
-from torchdq.scene.tensor_inputs import driven
-
-if TYPE_CHECKING:
-    from torchdq.scene.scene import Scene
+from torchdq.scene.scene import Scene
+from torchdq.scene.state import State, nonfinite_rows, require_state
 
 GROWTH = 1.001  # factor per step from which motions count as growing
 MOST = 2**15  # steps of a trial run
 ENOUGH = 2**11  # shorter steps within which springs and dampers that do not settle show it
-FEW = 2**13  # steps of a trial run of shorter steps where something else is lost, which may take its time
+FEW = 2**13  # steps of a trial run of shorter steps where rows diverge for another reason, which may take its time
 SHORTEST = 2**12  # shorter steps that are tried, in one of the scene's
-FAR = 1e6  # positions and velocities beyond which a row is lost, though it may stay finite [rad, m, s]
+FAR = 1e6  # positions and velocities beyond which a row has diverged, though it may stay finite [rad, m, s]
 STATES = 16  # states of a trial run that are looked at
 
 
@@ -60,13 +56,13 @@ class Check:
     seconds: float  # duration of the trial run [s]
     growth: float  # largest factor by which a step magnifies a motion of the springs and dampers; up to 1 they settle
     joint: str  # joint that moves most in it
-    lost: Tensor  # [...] rows that are beyond 1e6 rad, m or rad/s at the end of the trial run, or not finite
+    diverged: Tensor  # [...] rows that are beyond 1e6 rad, m or rad/s at the end of the trial run, or not finite
     alternatives: tuple[Holding, ...]  # that hold, where this one does not
 
     @property
     def holds(self) -> bool:
-        """True if springs and dampers settle, and no row is lost."""
-        return self.growth <= GROWTH and not bool(self.lost.any())
+        """True if springs and dampers settle, and no row diverges."""
+        return self.growth <= GROWTH and not bool(self.diverged.any())
 
     def __bool__(self) -> bool:
         return self.holds
@@ -75,9 +71,9 @@ class Check:
         lines = [f"steps of {self.step:.3g} s with {self.integrator} {'hold' if self.holds else 'do not hold'}"]
         if self.growth > GROWTH:
             lines.append(f"- stiffness and damping: a step magnifies a motion {self.growth:.3g} times, of {self.joint}")
-        if bool(self.lost.any()):
-            lost = f"{int(self.lost.sum())} of {self.lost.numel()} rows"
-            lines.append(f"- {lost} are out of bounds after {self.seconds:g} s")
+        if bool(self.diverged.any()):
+            rows = f"{int(self.diverged.sum())} of {self.diverged.numel()} rows"
+            lines.append(f"- {rows} are out of bounds after {self.seconds:g} s")
         if not self.holds:
             lines += [f"- this holds: {found}" for found in self.alternatives]
         if not (self.holds or self.alternatives):
@@ -93,8 +89,8 @@ def check(scene: Scene, state: State, seconds: float, inputs: Mapping[str, Tenso
     intervals = max(1, round(seconds / scene.dt))
     if intervals > MOST:
         raise ArgumentError(f"seconds={seconds:g} are {intervals} steps, and {MOST} are the most; shorten them")
-    if unusable := not_finite(scene, state):
-        if not bool(scene.finite(state).any()):
+    if unusable := nonfinite_rows(state, scene.robot):
+        if not bool(state.finite().any()):
             raise ArgumentError(f"state must be finite to start a trial run from, found: {unusable}")
         warnings.warn(f"{unusable}; the others are checked", stacklevel=3)
     given = {name: x.double() for name, x in inputs.items() if x is not None}
@@ -103,8 +99,8 @@ def check(scene: Scene, state: State, seconds: float, inputs: Mapping[str, Tenso
     if isinstance(scene.integrator, Repeated):
         integrator, times = scene.integrator.integrator, scene.integrator.times
     with Progress(f"checking {intervals} steps of a scene of robot {scene.robot.name!r}") as notice:
-        growth, joint, lost = trial.run(integrator, times)
-        found = Check(integrator, scene.dt / times, seconds, growth, joint, lost, ())
+        growth, joint, diverged = trial.run(integrator, times)
+        found = Check(integrator, scene.dt / times, seconds, growth, joint, diverged, ())
         if found.holds:
             return found
         candidates: list[tuple[Integrator, int]] = []
@@ -115,7 +111,7 @@ def check(scene: Scene, state: State, seconds: float, inputs: Mapping[str, Tenso
         for other, first in candidates:
             notice.at(f"trying shorter steps of {other}")
             holding += trial.shortened(other, first, stiff=growth > GROWTH)
-    return Check(integrator, scene.dt / times, seconds, growth, joint, lost, tuple(holding))
+    return Check(integrator, scene.dt / times, seconds, growth, joint, diverged, tuple(holding))
 
 
 @dataclass(frozen=True)
@@ -135,32 +131,32 @@ class _Trial:
                 break
             # a look at the start alone saves most trial runs
             if self._growth(integrator, times, self.state)[0] <= GROWTH:
-                growth, _, lost = replace(self, intervals=intervals).run(integrator, times)
-                if growth <= GROWTH and not bool(lost.any()):
+                growth, _, diverged = replace(self, intervals=intervals).run(integrator, times)
+                if growth <= GROWTH and not bool(diverged.any()):
                     return [Holding(integrator, times, self.scene.dt / times)]
             times *= 2
         return []
 
     def run(self, integrator: Integrator, times: int) -> tuple[float, str, Tensor]:
-        """Largest growth of a motion, the joint that moves in it, and the rows that are lost."""
+        """Largest growth of a motion, the joint that moves in it, and the rows that diverge."""
         adaptive = isinstance(integrator, DormandPrince)
         scene = self.scene.replace(integrator=integrator if adaptive else Repeated(integrator, times))
         series = {name: x.expand(self.intervals, *x.shape) for name, x in self._inputs().items()}
         with torch.no_grad():
-            path = rollout(scene, self.state, series, self.intervals, None, 0, "keep")
-        begins = scene.finite(self.state)
+            path = rollout(scene, self.state, series, self.intervals, nonfinite="ignore")
+        begins = self.state.finite()
         moving = [x for name, x in path.rows().items() if name in scene.spec.moving]
-        ends = scene.finite(path) & (torch.cat(moving, -1).abs() < FAR).all(-1)
-        lost = begins & ~ends[-1]
+        ends = path.finite() & (torch.cat(moving, -1).abs() < FAR).all(-1)
+        diverged = begins & ~ends[-1]
         if adaptive:
-            return 1.0, "", lost
+            return 1.0, "", diverged
         at = torch.linspace(0, self.intervals - 1, min(STATES, self.intervals)).long()
         kept = ends[at][..., None]
         seen = State._make(
             None if x is None or first is None else torch.cat([first.expand_as(x[:1]), torch.where(kept, x[at], first)])
             for x, first in zip(path, self.state, strict=True)
         )
-        return *self._growth(integrator, times, seen), lost
+        return *self._growth(integrator, times, seen), diverged
 
     def _inputs(self) -> dict[str, Tensor]:
         """Inputs of a step; where nothing else is given, sensors read without noise and controllers hold the start."""
@@ -177,9 +173,9 @@ class _Trial:
             return 1.0, ""
         inputs = {name: x for name, x in self._inputs().items() if name != "noise"}
         with torch.no_grad():
-            system, x, v, _ = driven(self.scene, states, inputs)
+            system, x, v, _ = self.scene.drive(states, inputs)
             rows = self.scene.evaluate("frozen", {"x": x, "v": v, **system.inputs})
-        there = self.scene.finite(states).expand(rows["D"].shape[:-1])
+        there = states.finite().expand(rows["D"].shape[:-1])
         if not bool(there.any()):
             return 0.0, ""
         found = _Frozen.of({name: x[there] for name, x in rows.items()}).transition(integrator, self.scene.dt / times)

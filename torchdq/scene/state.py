@@ -1,13 +1,28 @@
-"""State of a scene."""
+"""State of a scene, and checks of initial states: unit poses, finite rows, positions near the joint limits."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from functools import reduce
+from operator import and_
 from typing import Any, NamedTuple
 
+import torch
 from torch import Tensor, dtype
 
-from torchdq.base.checks import require_tensor
+from torchdq.backends.call import batch_of
+from torchdq.base.checks import require_tensor, tensor_of
+from torchdq.effects.effect import Effect
 from torchdq.errors import ArgumentError
+from torchdq.program.transforms import without_values
+from torchdq.robot import Robot
+from torchdq.robot.arrays import unit
+from torchdq.scene.free_base import POSE
+from torchdq.scene.recording import Stage
+from torchdq.scene.spec import SceneSpec
+
+UNIT = 1e-4  # error of a pose that is taken for a unit dual quaternion: finite differences stay below
+OUTSIDE = 0.5  # distance beyond a limit from which its spring throws the joint back at speeds of no real arm [rad or m]
 
 
 class State(NamedTuple):
@@ -15,7 +30,7 @@ class State(NamedTuple):
 
     q: Tensor  # [..., n] positions [rad or m]
     qd: Tensor  # [..., n] velocities [rad/s or m/s]
-    memory: Tensor | None = None  # [..., m] what the effects of its scene remember, in their order; None: nothing
+    memory: Tensor | None = None  # [..., m] memory of the scene's effects, in their order; None: they have none
     reading: Tensor | None = None  # [..., 2 n] measured positions and velocities; None: there are no sensors
     X_WB: Tensor | None = None  # [..., 8] pose of a free base; None: the base is fixed
     V_WB_B: Tensor | None = None  # [..., 6] twist (angular, linear) of a free base in its axes [rad/s, m/s]
@@ -32,6 +47,10 @@ class State(NamedTuple):
         """Tensors of the state that are there, by name."""
         return {name: x for name, x in zip(self._fields, self, strict=True) if x is not None}
 
+    def finite(self) -> Tensor:
+        """True for every row whose numbers are all finite, shape [...]."""
+        return reduce(and_, [x.isfinite().all(-1) for x in self.rows().values()])
+
     def to(self, dtype: dtype) -> State:
         """State in another dtype."""
         return State._make(None if x is None else x.to(dtype) for x in self)
@@ -45,3 +64,69 @@ def require_state(x: Any) -> None:
         )
     for name in ("q", "qd"):
         require_tensor(f"{name} of the state", getattr(x, name))
+
+
+def initial_motion(spec: SceneSpec, given: Mapping[str, Tensor | None]) -> dict[str, Tensor]:
+    """Positions and velocities of a state, by name, with common batch axes; those not given are zero, a pose is 1."""
+    require_tensor("q", given["q"])
+    present = {name: x for name, x in given.items() if x is not None}
+    batch = batch_of(Stage(spec, "start"), present)
+    q = present["q"]
+    moved = {name: q.new_zeros(width) for name, width in spec.moving.items()}
+    if "X_WB" in present:
+        _require_unit(present["X_WB"])
+    if "X_WB" in moved:
+        moved["X_WB"] = torch.eye(1, POSE, dtype=q.dtype, device=q.device)[0]
+    # clones, so that later changes of q do not move the state
+    return {name: x.clone().expand(*batch, x.shape[-1]) for name, x in {**moved, **present}.items()}
+
+
+def _require_unit(X_WB: Tensor) -> None:
+    """Raise unless poses, except those with NaN, are unit dual quaternions up to their rounding."""
+    if without_values((X_WB,)) or not X_WB.numel():
+        return
+    wrong = ~(unit(X_WB.detach(), UNIT) | X_WB.isnan().any(-1))
+    if bool(wrong.any()):
+        found = X_WB[tuple(wrong.nonzero()[0].tolist())].tolist()
+        raise ArgumentError(f"X_WB must be unit dual quaternions (see torchdq.dq.normalize), found {found}")
+
+
+def nonfinite_rows(state: State, robot: Robot) -> str:
+    """Message about rows of an initial state that are not finite; "" if there are none."""
+    bad = ~state.finite()
+    if not bool(bad.any()):
+        return ""
+    row = tuple(bad.nonzero()[0].tolist())
+    found = "the memory of the effects is not finite"
+    for name, x in (("qd", state.qd), ("q", state.q)):
+        wrong = ~x[row].isfinite()
+        if bool(wrong.any()):
+            joint = int(wrong.long().argmax())
+            found = f"{name} of joint {robot.joint_names[joint]!r} is {float(x[row][joint]):g}"
+    where = f"the first is row {', '.join(map(str, row))}, where {found}" if row else found
+    return f"{int(bad.sum())} of {bad.numel()} rows have a non-finite initial state and will remain non-finite: {where}"
+
+
+def outside_limits(q: Tensor, effects: Sequence[Effect], robot: Robot) -> str:
+    """Message about a position far outside the limits that effects simulate; "" if there is none."""
+    if without_values((q,)) or not q.numel():
+        return ""
+    q = q.detach()
+    for bounds in [found for effect in effects if (found := effect.free_range()) is not None]:
+        low, high = (tensor_of(x).detach() for x in bounds)
+        if without_values((low,)) or without_values((high,)):
+            continue
+        low, high = low.to(q), high.to(q)
+        beyond = torch.maximum(low - q, q - high)
+        rows = (beyond > OUTSIDE).any(-1)
+        if not bool(rows.any()):
+            continue
+        at = torch.unravel_index(beyond.nan_to_num(0.0).argmax(), beyond.shape)
+        at_limit, value = torch.where(q < low, low, high)[at], q.expand_as(beyond)[at]
+        return (
+            f"{int(rows.sum())} of {rows.numel()} rows start far outside their JointLimits: joint "
+            f"{robot.joint_names[int(at[-1])]!r} is at {float(value):.3g}, its limit {float(at_limit):.3g}; the spring "
+            f"of the limit throws it back, faster than a step can follow. Start within the limits, or give "
+            f"JointLimits(lower, upper) that allow it"
+        )
+    return ""

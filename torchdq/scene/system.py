@@ -1,13 +1,17 @@
-"""Equations of motion of a scene: the moving bodies and rotors that integrators integrate."""
+"""Equations of motion of a scene, which integrators integrate: recorded into a program, and on tensors."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from operator import add as plus
 from operator import mul
 from typing import Any, NamedTuple
 
+import torch
+from torch import Tensor
+
+from torchdq import dq
 from torchdq.algebra import matrix
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
@@ -20,9 +24,10 @@ from torchdq.functions.posed import posed, solve
 from torchdq.numbers.record import Recorded
 from torchdq.program import autodiff as derive
 from torchdq.program.program import GROWTH, Argument, record, replay
-from torchdq.scene import contributions, free_base
+from torchdq.scene import effect_checks, free_base
+from torchdq.scene.free_base import POSE, TWIST
 from torchdq.scene.integrators import System
-from torchdq.scene.spec import RecordedScene, Rows
+from torchdq.scene.spec import RecordedScene, Rows, SceneSpec
 
 
 class _Forces(NamedTuple):
@@ -49,14 +54,14 @@ class SceneSystem(System):
         joints = super().moved(x[:n], h, rate[:n])
         if not self.scene.spec.robot.floating:
             return joints
-        return [*joints, *free_base.moved(x[-free_base.POSE :], h, rate[-free_base.TWIST :])]
+        return [*joints, *free_base.moved(x[-POSE:], h, rate[-TWIST:])]
 
     def rates(self, h: Number, rate: Row, v: Row) -> Row:
         """Rates of the displacement: the velocities, up to terms of the displacement of a free base."""
         if not self.scene.spec.robot.floating:
             return v
-        displacement = [h * x for x in rate[-free_base.TWIST :]]
-        return [*v[: -free_base.TWIST], *free_base.rate(displacement, v[-free_base.TWIST :])]
+        displacement = [h * x for x in rate[-TWIST:]]
+        return [*v[:-TWIST], *free_base.rate(displacement, v[-TWIST:])]
 
     def _at(self, x: Row) -> Posed:
         return self.scene.posed(x[: self._n], self.scene.base_of(x))
@@ -71,7 +76,7 @@ class SceneSystem(System):
         wrenches: list[Screw | None] = [None] * (len(robot.link_names) + 1)  # the base's first
         for _, effect in effects:
             given = effect.wrenches(bodies, self.scene.inputs)
-            for i, wrench in contributions.wrenches(effect, given, len(robot.link_names)).items():
+            for i, wrench in effect_checks.wrenches(effect, given, len(robot.link_names)).items():
                 wrenches[i] = add(wrenches[i], wrench)
         return [neg(f) for f in wrenches]
 
@@ -99,7 +104,7 @@ class SceneSystem(System):
     @property
     def _free(self) -> Row:
         """Zeros for the twist of a free base; none if the base is fixed."""
-        return (0.0,) * free_base.TWIST if self.scene.spec.robot.floating else ()
+        return (0.0,) * TWIST if self.scene.spec.robot.floating else ()
 
     @property
     def _transmission(self) -> Transmission:
@@ -119,7 +124,7 @@ class SceneSystem(System):
         qd, found = v[: self._n], []
         for effect, memory in self._inner(v):
             row = effect.impedances_at_end(q, qd, self.scene.inputs, memory, h)
-            found.append(contributions.impedances(effect, row, len(q)))
+            found.append(effect_checks.impedances(effect, row, len(q)))
         return [list(joint) for joint in zip(*found, strict=True)] if found else [[] for _ in q]
 
     def _inner_rates(self, q: Row, v: Row, ends: Row, h: Number = 0.0) -> list[Number]:
@@ -201,7 +206,7 @@ class SceneSystem(System):
 def motion(scene: RecordedScene, v: Row) -> Row:
     """Velocities of a free base and of the coordinates, in the order of the dynamics, among integrated velocities."""
     n = scene.spec.robot.n
-    return [*v[-free_base.TWIST :], *v[:n]] if scene.spec.robot.floating else v[:n]
+    return [*v[-TWIST:], *v[:n]] if scene.spec.robot.floating else v[:n]
 
 
 def with_growths(scene: RecordedScene, u: Row, rows: Callable[[SceneSystem], Rows]) -> Rows:
@@ -232,3 +237,67 @@ def lagrangian_gradient(scene: RecordedScene, q: Row, qd: Row) -> list[Number]:
     values = replay(program, rows)
     found = derive.cotangents(program, values, {value[0]: -1.0 if value[1] else 1.0})
     return [found.get((0, i), 0.0) for i in range(robot.n)]
+
+
+# --- on tensors ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class TensorSystem(System):
+    """Equations of motion on rows that are lists of one tensor [..., n]; each evaluation is a program of its own.
+
+    For integrators that are not recorded into the program of a step, and for the analysis of their stability.
+    """
+
+    spec: SceneSpec
+    evaluate: Callable[[str, Mapping[str, Tensor]], Mapping[str, Tensor]]  # rows of a stage of the scene
+    inputs: Mapping[str, Tensor]
+
+    def _evaluated(self, stage: str, **given: Tensor) -> list[Tensor]:
+        return [self.evaluate(stage, {**given, **self.inputs})["a"]]
+
+    def under(self, x: Tensor, v: Tensor, name: str, torques: Tensor | None) -> Tensor:
+        """Accelerations of the joints [..., n] under torques that the scene computes, or under none."""
+        given = {} if torques is None else {name: torques}
+        return replace(self, inputs={**self.inputs, **given}).accelerations([x], [v])[0][..., : self.spec.robot.n]
+
+    def moved(self, x: Row, h: Number, rate: Row) -> list[Number]:
+        """Positions at a displacement."""
+        displacement, joints = h * rate[0], self._joints(x[0])
+        joints = joints + displacement[..., : joints.shape[-1]]
+        if not self.spec.robot.floating:
+            return [joints]
+        return [torch.cat([joints, dq.mul(x[0][..., -POSE:], dq.exp(0.5 * displacement[..., -TWIST:]))], -1)]
+
+    def _joints(self, x: Tensor) -> Tensor:
+        """Positions of joints and rotors."""
+        return x[..., :-POSE] if self.spec.robot.floating else x
+
+    def rates(self, h: Number, rate: Row, v: Row) -> Row:
+        """Rates of the displacement."""
+        if not self.spec.robot.floating:
+            return v
+        displacement, twist = (y[..., -TWIST:].unbind(-1) for y in (h * rate[0], v[0]))
+        base = torch.stack(free_base.rate(displacement, twist, free_base.EXACT), -1)
+        return [torch.cat([v[0][..., :-TWIST].expand(*base.shape[:-1], -1), base], -1)]
+
+    def sizes(self, x: Row) -> Row:
+        """Sizes of positions; 1 for a twist and for the memory of joint effects."""
+        joints, others = self._joints(x[0]).abs(), self.spec.inner + (TWIST if self.spec.robot.floating else 0)
+        return [torch.cat([joints, joints.new_ones(*joints.shape[:-1], others)], -1)]
+
+    def accelerations(self, x: Row, v: Row) -> list[Tensor]:
+        """Accelerations in a state."""
+        return self._evaluated("accelerations", x=x[0], v=v[0])
+
+    def implicit_accelerations(self, x: Row, v: Row, h: float) -> list[Tensor]:
+        """Mean accelerations over a step whose impedances act on the state at its end."""
+        return self._evaluated("implicit_accelerations", x=x[0], v=v[0], h=x[0].new_full((1,), h))
+
+    def momentum_accelerations(self, x: Row, v: Row) -> list[Tensor]:
+        """Rate of the momentum, as an acceleration."""
+        return self._evaluated("momentum_accelerations", x=x[0], v=v[0])
+
+    def velocities_at(self, x: Row, v: Row, to: Row) -> list[Tensor]:
+        """Velocities at the positions `to` that have the momentum of (x, v)."""
+        return self._evaluated("velocities_at", x=x[0], v=v[0], to=to[0])

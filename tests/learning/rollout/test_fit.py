@@ -22,7 +22,7 @@ from torchdq.learning.rollout import shooting, unknowns
 from torchdq.learning.rollout.problem import Problem
 from torchdq.learning.rollout.recordings import Commands
 from torchdq.scene import controllers, integrators
-from torchdq.scene.sensitivity import StepMap
+from torchdq.scene.linearize import StepMap
 
 ROBOT = torchdq.robots.load("two_link")
 DT, ROWS = 0.01, 301

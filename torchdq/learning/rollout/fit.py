@@ -88,8 +88,8 @@ def fit_rollout(
     >>> [round(x, 6) for x in found.values["Viscous.coefficient"].tolist()]
     [0.5, 0.5]
     """
+    from torchdq.scene.linearize import StepMap
     from torchdq.scene.scene import Scene
-    from torchdq.scene.sensitivity import StepMap
 
     if not isinstance(scene, Scene):
         cure = "; torchdq.envs.Scene(robot, effects) makes one" if isinstance(scene, Robot) else ""

@@ -17,7 +17,7 @@ from torchdq.learning.rollout.shooting import Linear, Motions, Segments
 from torchdq.learning.rollout.unknowns import Unknowns
 
 if TYPE_CHECKING:
-    from torchdq.scene.sensitivity import StepMap
+    from torchdq.scene.linearize import StepMap
 
 PRIOR = 10.0  # standard deviation of a parameter around its start, relative to its size: for what nothing tells
 EXACT = 1e-9  # least deviation of a measurement, relative to its motion
