@@ -16,7 +16,8 @@ from torchdq.envs.tasks import EpisodeTask, Reach, Track
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functions.posed import GEOMETRY
 from torchdq.robot import Robot
-from torchdq.robot.robot import SHAPES, batches
+from torchdq.robot.fields import SHAPES
+from torchdq.robot.model import batches
 from torchdq.robot.shipped import ROBOTS, load
 from torchdq.scene.scene import Scene
 

@@ -11,8 +11,7 @@ from torchdq.effects.effect import Effect
 from torchdq.effects.joint import Impedance
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import Robot
-from torchdq.robot.fields import trailing
-from torchdq.robot.robot import SHAPES
+from torchdq.robot.fields import SHAPES, trailing
 
 
 def impedances(effect: Effect, found: Any, n: int) -> Sequence[Impedance]:

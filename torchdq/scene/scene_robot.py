@@ -11,8 +11,8 @@ from torch import Tensor
 
 from torchdq.program.program import Argument
 from torchdq.robot import Robot
-from torchdq.robot.fields import trailing
-from torchdq.robot.robot import SHAPES, batches
+from torchdq.robot.fields import SHAPES, trailing
+from torchdq.robot.model import batches
 from torchdq.scene.recording import Stage
 from torchdq.scene.scene import Scene
 

@@ -34,7 +34,7 @@ from torchdq.learning.plots import picture_of_motion
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_bodies, require_robot
-from torchdq.robot.robot import batches
+from torchdq.robot.model import batches
 
 STAGES = ((1, 10), (4, 30), (16, 60), (64, 240))  # part of the starts, one in so many, and the steps that it takes
 LEFT = 4  # starts that take all steps, at least

@@ -32,7 +32,7 @@ from torchdq.learning.training.progress import Progress
 from torchdq.learning.training.run import History, Run
 from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics
 from torchdq.robot import Robot
-from torchdq.robot.robot import batches
+from torchdq.robot.model import batches
 
 
 def fit(
