@@ -22,7 +22,8 @@ from torchdq.errors import ArgumentError
 from torchdq.functional import forward_kinematics
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
-from torchdq.robot.robot import SHAPES, arguments
+from torchdq.robot.fields import SHAPES
+from torchdq.robot.robot import arguments
 
 MOST_ARMS = 16  # arms in one image
 

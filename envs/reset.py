@@ -19,7 +19,8 @@ from torchdq.envs.tasks import Checked
 from torchdq.envs.torch_task import Functions
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
-from torchdq.robot.robot import SHAPES, arguments
+from torchdq.robot.fields import SHAPES
+from torchdq.robot.robot import arguments
 from torchdq.scene.defaults import mean_robot
 from torchdq.scene.scene import Scene
 from torchdq.scene.spec import Task

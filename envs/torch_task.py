@@ -37,8 +37,8 @@ from torchdq.envs.tasks import RESERVED, SENSIBLE, EpisodeTask
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.program.program import Argument
 from torchdq.robot import Robot
-from torchdq.robot.fields import trailing
-from torchdq.robot.robot import SHAPES, batches
+from torchdq.robot.fields import SHAPES, trailing
+from torchdq.robot.model import batches
 from torchdq.scene.recording import Stage
 from torchdq.scene.scene import Scene
 from torchdq.scene.state import State

@@ -43,7 +43,7 @@ from torchdq.envs.torch_task import Functions, TorchTask
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.functions.posed import GEOMETRY
 from torchdq.robot import Robot
-from torchdq.robot.robot import SHAPES
+from torchdq.robot.fields import SHAPES
 from torchdq.robot.shipped import load
 from torchdq.scene.controllers import ComputedTorqueController, Controller
 from torchdq.scene.defaults import default_effects, nominal_robot

@@ -1,14 +1,24 @@
 """Errors of this package, each also an instance of the built-in error a caller would expect."""
 
+from __future__ import annotations
+
 import dataclasses
 from collections.abc import Iterable
 from difflib import SequenceMatcher, get_close_matches
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from torchdq.base.findings import Finding
 
 NEAR = 0.5  # share of letters in common from which a known name may be meant
 
 
 class TorchdqError(Exception):
-    """Base class of all torchdq errors."""
+    """Base class of all torchdq errors; `findings` are the faults that it is raised for, as values."""
+
+    def __init__(self, *args: object, findings: Iterable[Finding] = ()):
+        super().__init__(*args)
+        self.findings = tuple(findings)
 
 
 class ArgumentError(TorchdqError, ValueError):

@@ -102,7 +102,7 @@ screwed = partial(
 def test_a_pitch_is_that_of_the_screw(pitch):
     robot = screwed([[0, 0, 1.0, 0, 0, pitch]])
     assert robot.kinds == ("helical",) and robot.screw[0, 5] == pitch
-    assert not any("pitch" in note for note in robot.notes)
+    assert not any("pitch" in note for note in map(str, robot.notes))
     position = dq.translation(torchdq.forward_kinematics(robot, double(2.0), "link1"))
     assert abs(position[2] - 2.0 * pitch) <= 4 * EPS[F64] * abs(pitch)
 
@@ -125,4 +125,4 @@ def test_a_line_far_from_the_base_has_no_pitch(seed, distance):
     axis, point = torch.randn(2, 3, generator=generator, dtype=F64)
     axis = axis / axis.norm()
     robot = screwed(torch.cat([axis, torch.linalg.cross(distance * point, axis)])[None])
-    assert robot.kinds == ("revolute",) and not any("pitch" in note for note in robot.notes)
+    assert robot.kinds == ("revolute",) and not any("pitch" in note for note in map(str, robot.notes))

@@ -14,7 +14,7 @@ from oracles import random_tree, shipped, states
 
 import torchdq
 from torchdq import dq
-from torchdq.robot.robot import Frame
+from torchdq.robot.description import Frame
 
 EPS = 2.0**-52
 ROBOTS = {name: shipped(name).robot for name in torchdq.robots.names()}

@@ -8,10 +8,11 @@ Both are about the origin of the frame in which they are given, and I = tr(E) 1 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+from torchdq.algebra import dual_quaternion, screw
 from torchdq.algebra import quaternion as quat
-from torchdq.algebra import screw
+from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.elementary import Angle, turn
 from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Adjoint, Columns, Screw
@@ -90,6 +91,32 @@ class Inertia(NamedTuple):
             first = quat.add(self.first, other.first)
         a, b, c = (quat.add(x, y) for x, y in zip(self.rotational, other.rotational, strict=True))
         return Inertia(self.mass + other.mass, first, (a, b, c))
+
+
+class RigidBody(NamedTuple):
+    """Body by its mass, its centre of mass and the inertia about that, in one frame.
+
+    The last two are tuples of numbers; a robot's tensors are split into bodies with rows of tensors in their place.
+    """
+
+    mass: Number  # [kg]
+    com: Any  # three numbers [m]
+    inertia: Any  # xx xy yy xz yz zz [kg m^2]
+
+    def moved(self, X: DualQuaternion) -> RigidBody:
+        """Body in frame A of one in frame B, where X = X_AB."""
+        R = quat.rotation_columns(X[0])
+        com = quat.add(dual_quaternion.translation(X), screw.columns_times(R, self.com))
+        return RigidBody(self.mass, com, six(rotated(R, square(self.inertia))))
+
+    def plus(self, other: RigidBody, share: Number) -> RigidBody:
+        """Two bodies of the same frame as one; `share` is the fraction of their mass that the other has."""
+        apart = quat.sub(other.com, self.com)
+        x, y, z = apart
+        reduced = self.mass * share  # reduced mass
+        parallel = (y * y + z * z, -(x * y), x * x + z * z, -(x * z), -(y * z), x * x + y * y)
+        about_com = tuple(i + o + reduced * s for i, o, s in zip(self.inertia, other.inertia, parallel, strict=True))
+        return RigidBody(self.mass + other.mass, quat.add(self.com, quat.scale(share, apart)), about_com)
 
 
 class Moments(NamedTuple):
@@ -177,18 +204,3 @@ def turn_symmetric(axis: int, angle: Angle, m: Six) -> Six:
     for k, x in zip(order, (*turned, c * xz - s * yz, s * xz + c * yz, zz), strict=True):
         result[k] = x
     return tuple(result)
-
-
-def merged(a: tuple[Number, Pure, Six], b: tuple[Number, Pure, Six], share: Number) -> tuple[Number, Pure, Six]:
-    """Two bodies as one, each as mass, centre of mass, and rotational inertia about that, all in the same frame.
-
-    Args:
-        share: fraction of both masses that b has.
-    """
-    (m, c, inertia), (mass, com, other) = a, b
-    apart = quat.sub(com, c)
-    x, y, z = apart
-    reduced = m * share  # reduced mass
-    parallel = (y * y + z * z, -(x * y), x * x + z * z, -(x * z), -(y * z), x * x + y * y)
-    about_com = tuple(i + o + reduced * s for i, o, s in zip(inertia, other, parallel, strict=True))
-    return m + mass, quat.add(c, quat.scale(share, apart)), about_com

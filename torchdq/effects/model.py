@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
-from torchdq.algebra.inertia import merged
+from torchdq.algebra.inertia import RigidBody
 from torchdq.algebra.quaternion import Number
 from torchdq.base.checks import tensor_of
 from torchdq.dynamics.tree import BASE
@@ -17,7 +17,6 @@ from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 from torchdq.robot.arrays import matrices
 from torchdq.robot.check.consistency import bodies
-from torchdq.robot.edit.lumps import moved
 from torchdq.robot.loading import GRAVITY
 
 
@@ -128,10 +127,10 @@ class Payload(ModelEffect):
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
         """Inertial parameters, those of one link merged with the payload."""
         frame = robot.frame(str(self.frame))
-        i, held = frame.link, moved(constant_pose(frame.X_BF), (self.mass, self.com, self.inertia))
+        i, held = frame.link, RigidBody(self.mass, self.com, self.inertia).moved(constant_pose(frame.X_BF))
         masses, coms, inertias = (list(field(robot, name, overrides)) for name in ("mass", "com", "inertia"))
         share = self.mass / (masses[i] + self.mass)
-        masses[i], coms[i], inertias[i] = merged((masses[i], coms[i], inertias[i]), held, share)
+        masses[i], coms[i], inertias[i] = RigidBody(masses[i], coms[i], inertias[i]).plus(held, share)
         return {"mass": masses, "com": flat(coms), "inertia": flat(inertias)}
 
 

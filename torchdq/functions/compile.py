@@ -33,8 +33,9 @@ from torchdq.program.autograd import vjp
 from torchdq.program.program import Argument, Count, Program
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
-from torchdq.robot.robot import SHAPES, constants
+from torchdq.robot.fields import SHAPES
 from torchdq.robot.robot import arguments as tensors_of
+from torchdq.robot.robot import constants
 
 CPU = torch.device("cpu")
 Language = Literal["c", "cuda"]

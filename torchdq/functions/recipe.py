@@ -40,7 +40,8 @@ class RecipeInputs(NamedTuple):
             return
         found = inert_joints(self.robot)
         if found:
-            raise SingularInertiaError(f"robot {self.robot.name!r} cannot be accelerated: {'; '.join(found)}")
+            listed = "; ".join(map(str, found))
+            raise SingularInertiaError(f"robot {self.robot.name!r} cannot be accelerated: {listed}", findings=found)
 
     def posed(self) -> Posed:
         """Robot at q, and at X_WB if its base is free."""

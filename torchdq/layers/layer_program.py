@@ -21,7 +21,8 @@ from torchdq.functions.catalogue import RECIPES, Function
 from torchdq.layers.layer_friction import LayerFriction
 from torchdq.program.program import GROWTH, Argument, Program, growths, record, replay, results
 from torchdq.robot import Robot
-from torchdq.robot.robot import SHAPES, arguments, constants
+from torchdq.robot.fields import SHAPES
+from torchdq.robot.robot import arguments, constants
 
 Parameters = Literal["constants", "arguments"]
 GAINS = ("kp", "kd")  # those of computed torque control

@@ -11,7 +11,7 @@ from torch import Tensor
 from torchdq.errors import ArgumentError, nearest
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_bodies
-from torchdq.robot.robot import SHAPES
+from torchdq.robot.fields import SHAPES
 
 # initial value of what the description does not give [SI]
 INITIAL = {"armature": 1e-3}

@@ -21,7 +21,7 @@ from torchdq.layers.parametrizations import PhysicalInertia, Positive, restored
 from torchdq.program.program import Program
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
-from torchdq.robot.robot import SHAPES
+from torchdq.robot.fields import SHAPES
 
 # parametrisation of each constrained quantity
 CONSTRAINED: dict[str, type[Positive | PhysicalInertia]] = {

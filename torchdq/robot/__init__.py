@@ -1,5 +1,6 @@
 """Robots: their frozen description, its sources (URDF, screws, Denavit-Hartenberg), and its physical consistency."""
 
-from torchdq.robot.robot import Frame, Limits, Robot
+from torchdq.robot.description import Frame, Limits
+from torchdq.robot.robot import Robot
 
 __all__ = ["Frame", "Limits", "Robot"]

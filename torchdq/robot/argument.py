@@ -31,9 +31,10 @@ def require_bodies(robot: Robot, what: str) -> None:
         return
     mass, inertia = robot.mass.detach(), matrices(robot.inertia.detach())
     faults = consistency.bodies(robot.link_names, mass, inertia)
-    if faults := [fault for fault in faults if isinstance(fault, consistency.Misshapen)]:
+    if faults := [fault for fault in faults if fault.code in consistency.MISSHAPEN]:
         raise UnphysicalError(
             f"{what} needs inertias that bodies can have, found in robot {robot.name!r}\n  "
-            + "\n  ".join(faults)
-            + f"\nCorrect them; {consistency.NEAREST}, where a robot is loaded and in robot.replace."
+            + "\n  ".join(map(str, faults))
+            + f"\nCorrect them; {consistency.NEAREST}, where a robot is loaded and in robot.replace.",
+            findings=faults,
         )

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from torchdq import dq
+from torchdq.base.findings import Finding
 from torchdq.errors import ArgumentError, DescriptionError
 
 UNIT = 1e-9  # largest distance from 0 or 1 of a number that is taken as 0 or 1
@@ -70,7 +71,7 @@ def poses(name: str, value: Any, *shape: int, error: Fault = DescriptionError) -
     """Value, which must be unit dual quaternions of that shape, with the rounding of its dtype removed."""
     x = table(name, value, *shape, error=error)
     if fault := not_unit(name, x.detach(), slack(value)):
-        raise error(fault)
+        raise error(str(fault))
     return dq.normalize(x)
 
 
@@ -85,14 +86,14 @@ def unit(x: Tensor, slack: float) -> Tensor:
     return ((r.norm(dim=-1) - 1).abs() <= slack) & ((r * d).sum(-1).abs() <= slack * (1 + d.norm(dim=-1)))
 
 
-def not_unit(name: str, x: Tensor, slack: float) -> str:
-    """Fault of poses [..., 8] that are not unit dual quaternions; "": there is none."""
+def not_unit(name: str, x: Tensor, slack: float, subject: str = "") -> Finding | None:
+    """Fault of poses [..., 8] that are not unit dual quaternions; None: there is none."""
     fits = unit(x, slack)
     if bool(fits.all()):
-        return ""
+        return None
     at, found = first(x, ~fits)
-    where = f" at {at}" if at else ""
-    return f"{name} must be unit dual quaternions (see torchdq.dq.normalize), found {found}{where}"
+    expected = f"{name} must be unit dual quaternions (see torchdq.dq.normalize)"
+    return Finding("pose.unit", subject, expected, f"{found} at {at}" if at else f"{found}", severity="error")
 
 
 def first(x: Tensor, mask: Tensor) -> tuple[tuple[int, ...], Any]:
@@ -130,6 +131,15 @@ def words(name: str, value: Any, n: int, expected: str, error: Fault = Descripti
     if len(found) != n or not all(isinstance(word, str) for word in found):
         raise error(f"{name} must be {n} {expected}, found {reprlib.repr(value)}")
     return found
+
+
+def equal(a: Any, b: Any) -> bool:
+    """Whether two values of a field are equal; a tensor that requires grad equals only itself."""
+    if isinstance(a, Tensor) and isinstance(b, Tensor):
+        return a is b or (not (a.requires_grad or b.requires_grad or a.dtype != b.dtype) and torch.equal(a, b))
+    if isinstance(a, tuple) and isinstance(b, tuple):
+        return len(a) == len(b) and all(map(equal, a, b))
+    return type(a) is type(b) and bool(a == b)
 
 
 def distinct(kind: str, names: Sequence[str] | None, n: int) -> tuple[str, ...]:

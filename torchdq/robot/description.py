@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from torchdq.base.findings import Finding
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, SIX, distinct, inertias, matrices, table
@@ -75,7 +76,7 @@ class RobotDescription:
     base_com: Tensor | None = None
     base_inertia: Tensor | None = None
     joint_map: JointMap | None = None
-    notes: tuple[str, ...] = ()
+    notes: tuple[Finding | str, ...] = ()
 
 
 def assemble(
@@ -93,7 +94,7 @@ def assemble(
     inertia: Any,
     home: Any = None,
     repair: bool = False,
-) -> tuple[RobotDescription, list[str]]:
+) -> tuple[RobotDescription, list[Finding]]:
     """Description without limits or friction, with a frame per link, one at the tip and one at the base; its faults."""
     n = len(parents)
     if not isinstance(name, str):

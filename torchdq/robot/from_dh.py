@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchdq import dq
 from torchdq.backends.choice import backend
+from torchdq.base.findings import Finding
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, distinct, double, numbers, poses, table, words
@@ -45,7 +46,7 @@ def read(
     tip_pose: Any,
     joint_names: Sequence[str] | None,
     **bodies: Any,
-) -> tuple[RobotDescription, list[str]]:
+) -> tuple[RobotDescription, list[Finding]]:
     """Description and its faults; `Robot.from_dh` says what is expected."""
     n = numbers("a", a).numel()
     if n == 0:

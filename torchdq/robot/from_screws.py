@@ -10,6 +10,7 @@ from torch import Tensor
 
 from torchdq import dq
 from torchdq.backends.choice import backend
+from torchdq.base.findings import Finding
 from torchdq.dynamics.joints import HELICAL, PRISMATIC, REVOLUTE
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
@@ -46,7 +47,7 @@ def read(
     parents: Sequence[int] | None,
     joint_names: Sequence[str] | None,
     **bodies: Any,
-) -> tuple[RobotDescription, list[str]]:
+) -> tuple[RobotDescription, list[Finding]]:
     """Description and its faults; `Robot.from_screws` says what is expected."""
     s = numbers("joint_screws", joint_screws)
     n = s.shape[0] if s.ndim else 0

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Literal, get_args
 
 from torchdq.base.checks import require_choice
+from torchdq.base.findings import Finding
 from torchdq.base.sources import file_name
 from torchdq.errors import DescriptionError
 from torchdq.robot import from_dh as dh
@@ -20,12 +21,13 @@ from torchdq.robot.arrays import finite
 from torchdq.robot.check import consistency, units
 from torchdq.robot.check.consistency import OnUnphysical
 from torchdq.robot.description import RobotDescription
+from torchdq.robot.edit.replaced import with_tip
 from torchdq.robot.mjcf import read as mjcf
 from torchdq.robot.tree import inert_joints
 from torchdq.robot.urdf import read as urdf
 from torchdq.robot.urdf import xacro as xacro_file
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # checkers of types cannot bind generic class methods
     from torchdq.robot.robot import Robot
 
 Base = Literal["fixed", "floating"]
@@ -49,9 +51,9 @@ def from_urdf(
 
     Links on fixed joints are merged with their parents and stay as frames; the coordinate of a continuous joint is
     its angle. Meshes are never opened. Joint friction, damping and limits are read but are not part of the rigid-body
-    dynamics. What is wrong in the file, but stops no reader,
-    is noted; `report()` lists it. Words that seem misspelt, elements given twice and mimic joints whose drivers are not
-    in the file may change the dynamics: a warning names them.
+    dynamics. Non-fatal errors of the file are recorded in `notes`; `report()` lists them. Words that seem misspelt,
+    elements given twice and mimic joints whose drivers are not in the file may change the dynamics: a warning names
+    them.
 
     Args:
         source: path of the file, a file:// or package:// address, an open file, or the XML text itself.
@@ -264,13 +266,13 @@ def _named(source: Any) -> Iterator[None]:
         name = file_name(source)
         if not 0 < len(name) <= LONGEST_NAME or Path(name).name in str(error):
             raise
-        raise type(error)(f"{name}: {error}") from error
+        raise type(error)(f"{name}: {error}", findings=error.findings) from error
 
 
 def _finish(
     cls: type[Robot],
     description: RobotDescription,
-    faults: list[str],
+    faults: Sequence[Finding],
     tip: str | None,
     gravity: Sequence[float] | None,
     on_unphysical: OnUnphysical,
@@ -281,7 +283,7 @@ def _finish(
     g = None if gravity is None else finite("gravity", gravity)
     robot = cls(**vars(description), gravity=g)
     if tip is not None:
-        robot = robot.with_tip(tip)
+        robot = with_tip(robot, tip)
     consistency.complain(robot.name, faults, on_unphysical)
     # torques and poses need no inertia; accelerations raise
     inert = inert_joints(robot)

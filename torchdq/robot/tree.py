@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from torchdq.algebra.inertia import Inertia
+from torchdq.base.findings import Finding
 from torchdq.dynamics.joints import KINDS, Free
 from torchdq.dynamics.tree import Tree, on_base
 from torchdq.robot.check import consistency
 from torchdq.robot.fields import BASE_BODY, SHAPES
-
-if TYPE_CHECKING:
-    from torchdq.robot.robot import Robot
+from torchdq.robot.model import RobotModel, require_unchanged
 
 
-def general_tree(robot: Robot, values: Callable[[str], Any], free: bool = False) -> Tree:
+def general_tree(robot: RobotModel, values: Callable[[str], Any], free: bool = False) -> Tree:
     """Tree of all joints of a robot, in the link frames of the description.
 
     Args:
@@ -36,7 +35,13 @@ def general_tree(robot: Robot, values: Callable[[str], Any], free: bool = False)
     )
 
 
-def inert_joints(robot: Robot) -> list[str]:
+def tree(robot: RobotModel) -> Tree:
+    """Tree of the robot, with numbers that are tensors of the batch axes."""
+    require_unchanged(robot)
+    return general_tree(robot, partial(unbound, robot), robot.floating)
+
+
+def inert_joints(robot: RobotModel) -> list[Finding]:
     """Faults of coordinates that move no inertia in any position, whatever the base does."""
     known = robot.every_joint
     faults = consistency.inert_joints(known, general_tree(robot, partial(plain, robot)))
@@ -51,7 +56,7 @@ def inert_joints(robot: Robot) -> list[str]:
     ]
 
 
-def plain(robot: Robot, name: str) -> Any:
+def plain(robot: RobotModel, name: str) -> Any:
     """Tensor of a robot without batch axes as nested tuples of numbers; None: absent."""
     value = getattr(robot, name)
     if value is None:
@@ -61,7 +66,7 @@ def plain(robot: Robot, name: str) -> Any:
     return tuple(tuple(row) if isinstance(row, list) else row for row in value.tolist())
 
 
-def unbound(robot: Robot, name: str) -> Any:
+def unbound(robot: RobotModel, name: str) -> Any:
     """Tensor of a robot as nested lists of tensors of the batch axes; None: absent."""
     x = getattr(robot, name)
     if x is None or not SHAPES[name]:

@@ -16,7 +16,8 @@ from torchdq.functions.posed import posed
 from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
-from torchdq.robot.robot import SHAPES, arguments, constants, recorded
+from torchdq.robot.fields import SHAPES
+from torchdq.robot.robot import arguments, constants, recorded
 
 
 @dataclass(frozen=True)

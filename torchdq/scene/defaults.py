@@ -12,7 +12,8 @@ from torchdq import effects as kinds
 from torchdq.effects import Effect
 from torchdq.effects.effect import owned
 from torchdq.robot import Robot
-from torchdq.robot.robot import SHAPES, batches
+from torchdq.robot.fields import SHAPES
+from torchdq.robot.model import batches
 from torchdq.scene.scene import Scene
 
 ROTOR = 0.1  # where a description has none; common for geared arms [kg m^2 or kg]

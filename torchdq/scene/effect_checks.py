@@ -22,8 +22,7 @@ from torchdq.effects.sensor import Sensor
 from torchdq.effects.transmission import Transmission
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.robot import Robot
-from torchdq.robot.fields import trailing
-from torchdq.robot.robot import SHAPES
+from torchdq.robot.fields import SHAPES, trailing
 from torchdq.scene.controllers import Controller
 from torchdq.scene.integrators import Integrator
 

@@ -15,8 +15,7 @@ from torchdq.effects.transmission import Transmission
 from torchdq.errors import ArgumentError
 from torchdq.functions.posed import Overrides, posed
 from torchdq.robot import Robot
-from torchdq.robot.fields import BODIES
-from torchdq.robot.robot import SHAPES
+from torchdq.robot.fields import BODIES, SHAPES
 from torchdq.scene.controllers import Controller
 from torchdq.scene.effect_checks import changes
 from torchdq.scene.free_base import POSE, TWIST, unit

@@ -376,7 +376,7 @@ def test_an_axis_of_a_file_becomes_a_unit_vector_and_the_report_says_so(kind, le
     unit, along = screw_defects(robot)
     margin(unit, 2 * EPS[F64], "unit")
     margin(along, 2 * EPS[F64], "moment along the axis")
-    assert any("axes scaled" in note for note in robot.notes) == (abs(length - 1) > 1e-6)
+    assert any("axes scaled" in note for note in map(str, robot.notes)) == (abs(length - 1) > 1e-6)
 
 
 @pytest.mark.case("G14")

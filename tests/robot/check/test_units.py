@@ -50,7 +50,7 @@ def test_a_body_in_other_units_is_named_when_loaded_and_when_checked(scaled, fou
     with pytest.warns(UserWarning, match=found) as seen:
         robot.check()
     assert len(seen) == 1 and seen[0].filename == __file__
-    (note,) = (note for note in robot.notes if note.startswith("link 'link2'"))
+    (note,) = (note for note in map(str, robot.notes) if note.startswith("link 'link2'"))
     assert note in str(robot.report())
 
 
@@ -75,7 +75,7 @@ def test_replaced_numbers_in_other_units_are_named_once(field, factor, found):
     with pytest.warns(UserWarning, match=f"may have numbers in other units:\n  {found}") as seen:
         changed = robot.replace(**{field: value})
     assert len(seen) == 1 and seen[0].filename == __file__
-    assert any(found.split(",")[0].replace("\\", "") in note for note in changed.notes)
+    assert any(found.split(",")[0].replace("\\", "") in note for note in map(str, changed.notes))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         changed.replace(mass=2 * robot.mass)  # known by the notes

@@ -243,7 +243,7 @@ def test_numbers_of_joints_are_the_files():
 
 
 def test_parts_that_are_not_used_are_noted():
-    notes = "\n".join(torchdq.Robot.from_mjcf(ARM).notes)
+    notes = "\n".join(map(str, torchdq.Robot.from_mjcf(ARM).notes))
     for words in (
         "viscous damping given but not simulated: turn, tilt, slide, yaw",
         "Coulomb friction given but not simulated: tilt",
@@ -263,7 +263,7 @@ def test_parts_that_are_not_used_are_noted():
       <joint name="curve" joint1="k" joint2="j" polycoef="0 1 2 0 0"/></equality>
       <actuator><general name="pull" tendon="t"/></actuator></mujoco>"""
     with pytest.warns(UserWarning, match="gravcomp ignored: b"):
-        notes = "\n".join(torchdq.Robot.from_mjcf(extras).notes)
+        notes = "\n".join(map(str, torchdq.Robot.from_mjcf(extras).notes))
     for words in (
         "springs given but not simulated: j",
         "actuators that act on no joint, not used: pull",
@@ -289,7 +289,7 @@ def test_bodies_that_are_all_compensated_for_gravity_feel_none():
     text = "<mujoco><worldbody><body gravcomp='1'><joint/><geom size='1'/>{}</body></worldbody></mujoco>"
     robot = torchdq.Robot.from_mjcf(text.format(""))
     assert robot.gravity is None
-    assert any("gravcomp" in note for note in robot.notes)
+    assert any("gravcomp" in note for note in map(str, robot.notes))
     heavy = "<body name='heavy' pos='1 0 0'><joint/><geom size='1'/></body>"
     with pytest.warns(UserWarning, match="gravcomp ignored: body1: gravity acts on them in full"):
         assert torchdq.Robot.from_mjcf(text.format(heavy)).gravity is not None
@@ -374,7 +374,7 @@ def test_joints_that_are_coupled_to_a_locked_one_are_locked():
     found = coupled(lock={"left": 0.4})
     assert found.joint_names == ("lift",)
     assert found.joint_map is None
-    (note,) = [note for note in found.notes if note.startswith("locked: ")]
+    (note,) = [note for note in map(str, found.notes) if note.startswith("locked: ")]
     assert note == "locked: left at 0.4, tip at 0.075, right at -0.25"
     assert coupled(kept="right").joint_names == ("left",)
     still = COUPLED.replace('joint2="left" polycoef="0.05 -2', 'polycoef="0.05 0')
@@ -432,7 +432,9 @@ def test_couplings_that_a_flag_disables_are_noted_and_not_used(flag):
     text = COUPLED.replace("<worldbody>", f"<option><flag {flag}='disable'/></option><worldbody>", 1)
     robot = torchdq.Robot.from_mjcf(text)
     assert robot.joint_map is None and "right" in robot.joint_names
-    assert any(note.startswith("equality constraints not used: ") and "joint 'both'" in note for note in robot.notes)
+    assert any(
+        note.startswith("equality constraints not used: ") and "joint 'both'" in note for note in map(str, robot.notes)
+    )
 
 
 # --- free bases ------------------------------------------------------------------------------------------------------
@@ -465,7 +467,7 @@ def test_a_free_base_is_held_on_request():
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     near(transform(torchdq.forward_kinematics(robot, torch.zeros(1).double(), "head")), xpose(data.body("head")))
-    assert any(note == "held where the file puts them: root" for note in robot.notes)
+    assert any(note == "held where the file puts them: root" for note in map(str, robot.notes))
     assert torchdq.Robot.from_mjcf(FREE, lock=["root"]).base_mass is None
 
 

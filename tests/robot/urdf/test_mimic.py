@@ -38,7 +38,7 @@ def test_followers_have_no_coordinates():
     assert found.link_names == ("index_link", "little_link", "ring_link", "thumb_link")
     assert len(found.kinds) == len(found.parents) == len(found.mass) == 4
     note = "mimic joints follow others: index = -2 thumb + 0.25, little = 1 thumb, ring = -1 thumb + 0.125"
-    assert note in found.notes and not any("independent" in note for note in found.notes)
+    assert note in found.notes and not any("independent" in note for note in map(str, found.notes))
 
 
 def test_a_robot_without_followers_has_no_map():
@@ -105,7 +105,7 @@ def test_a_follower_of_nobody_is_independent(mimic):
     found = read(hand("", mimic, '<mimic joint="index"/>'))
     assert found.joint_names == ("index", "little", "thumb") and len(found.joint_map.S) == 4
     told = "mimic joints whose drivers are not in the file, taken as independent: index mimics "
-    assert any(note.startswith(told) for note in found.notes)
+    assert any(note.startswith(told) for note in map(str, found.notes))
 
 
 def test_followers_of_a_circle_bring_no_other_faults():
@@ -161,7 +161,9 @@ def pair(driver, follower, mimic):
 def test_limits_of_a_coordinate_keep_its_followers_within_theirs(follower, mimic, expected):
     found = read(pair(limits(), follower, f'<mimic joint="driver"{mimic}/>'))
     assert [float(x) for x in found.limits] == [*expected, 4]
-    narrowed = [note for note in found.notes if note.startswith("limits narrowed to those of followers: driver ")]
+    narrowed = [
+        note for note in map(str, found.notes) if note.startswith("limits narrowed to those of followers: driver ")
+    ]
     left_out = "limits of followers that leave their drivers no room, left out: follower" in found.notes
     assert bool(narrowed) == (expected != [-1, 2, 3])
     assert left_out == (follower in (limits(5, 6, 3, 1), limits(0, 0, 0, 0)))
@@ -291,7 +293,7 @@ def test_a_free_base_without_mass_is_told():
 def test_a_free_base_with_inertia_alone_is_no_fault():
     found = read(tree().replace(link("base", None), link("base", 0.0)), base="floating")
     assert found.base_mass == 0.0 and float(found.base_inertia[0]) == 0.04
-    assert any("'base': it has no mass, so its inertia must be zero" in note for note in found.notes)
+    assert any("'base': it has no mass, so its inertia must be zero" in note for note in map(str, found.notes))
 
 
 def test_a_free_base_is_judged():

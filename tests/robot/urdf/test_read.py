@@ -278,7 +278,9 @@ def test_an_axis_may_have_any_length(length):
         for size in (1.0, length)
     )
     assert same(torques(scaled), torques(unit))
-    assert "axes scaled to unit length: j" in scaled.notes and not any("scaled" in note for note in unit.notes)
+    assert "axes scaled to unit length: j" in scaled.notes and not any(
+        "scaled" in note for note in map(str, unit.notes)
+    )
 
 
 @pytest.mark.case("U6")
@@ -494,7 +496,7 @@ def test_joints_are_locked_by_names_and_patterns(lock):
 
 def test_a_name_to_lock_goes_before_a_pattern():
     robot = Robot.from_urdf(tree(), lock={"left_*": 0.5, "left_a": 0.0})
-    assert any(note.startswith("locked: left_a at 0, left_b at 0.5") for note in robot.notes)
+    assert any(note.startswith("locked: left_a at 0, left_b at 0.5") for note in map(str, robot.notes))
 
 
 def test_locked_at_zero_means_where_the_file_was_drawn():
@@ -552,14 +554,14 @@ FOLLOWING = hand(
 
 
 def lock_of(robot):
-    return next(note for note in robot.notes if note.startswith("locked: "))
+    return next(note for note in map(str, robot.notes) if note.startswith("locked: "))
 
 
 def test_the_followers_of_a_locked_joint_are_locked_where_the_file_puts_them():
     robot = Robot.from_urdf(beside(FOLLOWING), lock={"thumb": 0.5})
     assert lock_of(robot) == "locked: thumb at 0.5, index at -0.75, ring at -0.375, little at 0.5"
     assert robot.joint_names == ("other",) and same(position(robot, [0.0], "index_link"), [0, 0, -0.75])
-    assert not any("independent" in note for note in robot.notes)
+    assert not any("independent" in note for note in map(str, robot.notes))
 
 
 def test_a_follower_that_is_named_itself_does_not_follow():
@@ -630,7 +632,7 @@ def test_among_several_leaves_none_is_the_tip():
     assert not any(note in str(x.report()) for x in chosen)
     with pytest.warns(UserWarning, match="has no body of its base"):
         other = Robot.from_urdf(arm()).attach(robot, "lower", prefix="b_")
-    assert other.tip == "lower" and not any("no tip chosen" in x for x in other.notes)
+    assert other.tip == "lower" and not any("no tip chosen" in x for x in map(str, other.notes))
 
 
 def test_the_tip_can_be_named():
@@ -969,7 +971,9 @@ def test_a_point_on_the_axis_of_its_joint_has_no_inertia():
     text = re.sub(r'<origin xyz="0.02[^>]*>', "", WITHOUT_INERTIA).replace("upper", "hub")
     text = text.replace('<joint name="elbow" type="revolute">', '<joint name="elbow" type="fixed">')
     text = re.sub(r'(<link name="lower">).*?</link>', r"\1</link>", text)
-    assert any(note.startswith("joint 'shoulder': it moves no inertia") for note in Robot.from_urdf(text).notes)
+    assert any(
+        note.startswith("joint 'shoulder': it moves no inertia") for note in map(str, Robot.from_urdf(text).notes)
+    )
 
 
 # --- malformed: links and joints -------------------------------------------------------------------------------------
@@ -1384,7 +1388,7 @@ def test_every_unphysical_body_is_told_at_once():
 def test_numbers_printed_with_six_digits_are_believed():
     # a thin plate: xx + yy = zz, each rounded where the file was written
     robot = Robot.from_urdf(arm(inertia=("0.333333", 0, "0.666667", 0, 0, "1.00000049")))
-    assert not any("triangle" in note for note in robot.notes)
+    assert not any("triangle" in note for note in map(str, robot.notes))
 
 
 TURN = rotation((1, 2, 3))
@@ -1474,7 +1478,9 @@ def test_a_joint_that_moves_nothing_has_torques_and_poses_but_no_accelerations(c
     finger, how = NO_INERTIA[case]
     more = finger + joint("knuckle", "lower", "finger", **how)
     robot = Robot.from_urdf(arm().replace("</robot>", more + "</robot>"))
-    assert [note.partition(":")[0] for note in robot.notes if "moves no inertia" in note] == ["joint 'knuckle'"]
+    assert [note.partition(":")[0] for note in map(str, robot.notes) if "moves no inertia" in note] == [
+        "joint 'knuckle'"
+    ]
     q, qd, qdd = states(3)
     tau = torchdq.inverse_dynamics(robot, q, qd, qdd, backend="eager")
     assert bool(tau.isfinite().all())
@@ -1490,7 +1496,7 @@ def test_an_inertia_that_is_only_rounding_is_none():
     more += link("mid", None) + fixed("a", "finger", "mid", (0.2, 0, 0)) + fixed("b", "mid", "tip", (-0.3, 0, 0))
     robot = Robot.from_urdf(arm().replace("</robot>", more + "</robot>"), on_unphysical="ignore")
     assert 0 < abs(float(robot.com[2, 0])) < 1e-16
-    assert any("'knuckle': it moves no inertia" in note for note in robot.notes)
+    assert any("'knuckle': it moves no inertia" in note for note in map(str, robot.notes))
 
 
 def test_links_that_never_move_are_not_judged():

@@ -32,7 +32,7 @@ from torchdq.learning.plots import picture_of_motion
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_bodies, require_robot
-from torchdq.robot.robot import batches
+from torchdq.robot.model import batches
 
 FASTEST = 1.0  # [Hz] highest frequency of a motion, where no period is given: drives follow it, filters pass it
 LENGTHS = 4  # periods that are tried, where none is given

@@ -44,7 +44,7 @@ from torchdq.learning.logs.motions import Motion
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_bodies, require_robot
-from torchdq.robot.robot import batches
+from torchdq.robot.model import batches
 
 EXCITED = 0.9  # least part of a parameter's variance that the samples take away where they excite it
 

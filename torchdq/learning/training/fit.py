@@ -34,7 +34,8 @@ from torchdq.learning.training.loop import Optimiser, Training, TrainingError, l
 from torchdq.learning.training.validation_gain import ValidationGain, warn_of_little_gain
 from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics
 from torchdq.robot import Robot
-from torchdq.robot.robot import SHAPES, batches
+from torchdq.robot.fields import SHAPES
+from torchdq.robot.model import batches
 
 VALIDATION_ROWS = 4096  # rows of the validation data computed at a time
 LOOK = 100  # least steps between two evaluations

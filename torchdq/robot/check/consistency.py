@@ -11,6 +11,7 @@ from torch import Tensor
 from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
 from torchdq.base.checks import require_choice
+from torchdq.base.findings import Finding, Severity
 from torchdq.dynamics import crba
 from torchdq.dynamics.joints import Coordinate
 from torchdq.dynamics.paper.posed import Paper
@@ -22,28 +23,19 @@ TOLERANCE = 1e-6  # relative to the trace: descriptions are printed with about s
 # Moments of inertia that are rounding, of a mass m: a ball as dense as osmium has 1e-3 m^(5/3).
 POINT = 1e-14
 NOTHING = 1e-30  # the same without mass [kg m^2]: a bacterium has a hundred times more
+INDEFINITE, MASSLESS, TRIANGLE = "inertia.indefinite", "inertia.massless", "inertia.triangle"
+MISSHAPEN = (INDEFINITE, TRIANGLE)  # inertias that no body has; a repair takes the nearest possible ones
+EXPECTED = {
+    "body.finite": "mass and inertia must be finite",
+    "mass.negative": "mass must not be negative",
+    INDEFINITE: "inertia must be positive definite",
+    MASSLESS: "it has no mass, so its inertia must be zero",
+    TRIANGLE: "the largest principal moment must not exceed the sum of the others (triangle inequality)",
+}
 NEAREST = "on_unphysical='repair' takes the nearest inertias that bodies have"
 
 
-class Massless(str):
-    """Fault of a body that has an inertia and no mass."""
-
-    __slots__ = ()
-
-
-class Misshapen(str):
-    """Fault of an inertia that no body has; a repair takes the nearest that one has, if the body has mass."""
-
-    __slots__ = ()
-
-
-class Lopsided(Misshapen):
-    """Fault of an inertia that only breaks the triangle inequality: torques and accelerations are right."""
-
-    __slots__ = ()
-
-
-def bodies(links: Sequence[str], mass: Tensor, inertia: Tensor) -> list[str]:
+def bodies(links: Sequence[str], mass: Tensor, inertia: Tensor) -> list[Finding]:
     """Faults of links of these masses [..., n] [kg] and inertias about their centres of mass [..., n, 3, 3] [kg m^2].
 
     Principal moments must not be negative, and none may exceed the sum of the other two. Equality is possible (a
@@ -55,31 +47,35 @@ def bodies(links: Sequence[str], mass: Tensor, inertia: Tensor) -> list[str]:
     finite = mass.isfinite() & inertia.isfinite().all(-1).all(-1)
     moments = torch.linalg.eigvalsh(inertia.where(finite[..., None, None], 0.0))
     slack = (TOLERANCE * moments.abs().sum(-1)).maximum(rounding(mass))
-    shown = "found principal moments {shown} kg m^2"
-    triangle = "the largest principal moment must not exceed the sum of the others (triangle inequality)"
-    wrong: dict[str, tuple[type[str], Tensor]] = {
-        "mass and inertia must be finite, found mass {mass} and inertia {inertia}": (str, ~finite),
-        "mass must not be negative, found {mass:g} kg": (str, mass < 0),
-        f"inertia must be positive definite, {shown}": (Misshapen, moments[..., 0] < -slack),
-        f"it has no mass, so its inertia must be zero, {shown}": (
-            Massless,
-            (mass == 0) & (moments.abs().amax(-1) > NOTHING),
-        ),
-        f"{triangle}, found {{shown}} kg m^2": (Lopsided, moments[..., 2] > moments[..., 0] + moments[..., 1] + slack),
+    wrong = {
+        "body.finite": ~finite,
+        "mass.negative": mass < 0,
+        INDEFINITE: moments[..., 0] < -slack,
+        MASSLESS: (mass == 0) & (moments.abs().amax(-1) > NOTHING),
+        TRIANGLE: moments[..., 2] > moments[..., 0] + moments[..., 1] + slack,
     }
-    if not bool(torch.stack([mask for _, mask in wrong.values()]).any()):
+    if not bool(torch.stack([*wrong.values()]).any()):
         return []
-    faults: list[str] = []
+    faults: list[Finding] = []
     for i, link in enumerate(links):
-        for words, (kind, mask) in wrong.items():
+        for code, mask in wrong.items():
             rows = mask[..., i].nonzero().tolist()
             if rows:
                 at = tuple(rows[0])
-                values = ", ".join(f"{x:.6g}" for x in moments[at][i].tolist())
-                found = words.format(mass=float(mass[at][i]), inertia=inertia[at][i].tolist(), shown=values)
-                faults.append(kind(f"link {link!r}{f' of robot {list(at)}' if at else ''}: {found}"))
+                found = f"principal moments {_listed(moments[at][i])} kg m^2"
+                if code == "body.finite":
+                    found = f"mass {float(mass[at][i])} and inertia {inertia[at][i].tolist()}"
+                if code == "mass.negative":
+                    found = f"{float(mass[at][i]):g} kg"
+                subject = f"link {link!r}{f' of robot {list(at)}' if at else ''}"
+                severity: Severity = "warning" if code == TRIANGLE else "error"
+                faults.append(Finding(code, subject, EXPECTED[code], found, severity=severity))
                 break
     return faults
+
+
+def _listed(moments: Tensor) -> str:
+    return ", ".join(f"{x:.6g}" for x in moments.tolist())
 
 
 def rounding(mass: Tensor) -> Tensor:
@@ -87,14 +83,14 @@ def rounding(mass: Tensor) -> Tensor:
     return torch.where(mass == 0, NOTHING, POINT * mass.abs() ** (5 / 3))
 
 
-def repaired(links: Sequence[str], mass: Tensor, inertia: Tensor) -> tuple[Tensor, list[str]]:
+def repaired(links: Sequence[str], mass: Tensor, inertia: Tensor) -> tuple[Tensor, list[Finding]]:
     """Inertias [n, 3, 3] with those that no body has replaced by the nearest that one has, and notes of the changes.
 
     Nearest is meant for the second moments E = tr(I)/2 1 - I, in the Frobenius norm: negative eigenvalues become zero.
     Masses [n] are those of the links; one that cannot be is left to the faults of `bodies`.
     """
     one = torch.eye(3, dtype=torch.float64)
-    new, notes = inertia.clone(), []
+    new, notes = inertia.clone(), list[Finding]()
     for i, link in enumerate(links):
         if (
             not bool(inertia[i].isfinite().all())
@@ -106,15 +102,14 @@ def repaired(links: Sequence[str], mass: Tensor, inertia: Tensor) -> tuple[Tenso
         values, axes = torch.linalg.eigh(E)
         E = axes @ torch.diag(values.clamp(min=0)) @ axes.T
         new[i] = E.trace() * one - E
-        before, after = (", ".join(f"{x:.6g}" for x in torch.linalg.eigvalsh(I)) for I in (inertia[i], new[i]))
+        before, after = (_listed(torch.linalg.eigvalsh(I)) for I in (inertia[i], new[i]))
         part = float((new[i] - inertia[i]).norm() / inertia[i].norm())
-        notes.append(
-            f"link {link!r}: inertia repaired by {100 * part:.3g} %, principal moments {before} to {after} kg m^2"
-        )
+        change = f"inertia repaired by {100 * part:.3g} %, principal moments {before} to {after} kg m^2"
+        notes.append(Finding("inertia.repaired", f"link {link!r}", change, severity="note", value=part))
     return new, notes
 
 
-def inert_joints(names: Sequence[str], tree: Tree) -> dict[str, str]:
+def inert_joints(names: Sequence[str], tree: Tree) -> dict[str, Finding]:
     """Faults, by name, of joints that move no inertia in any position: the mass matrix is singular everywhere.
 
     Args:
@@ -143,13 +138,19 @@ def inert_joints(names: Sequence[str], tree: Tree) -> dict[str, str]:
     # rounding of a distance. An absolute bound would reject a microrobot, or its hand on a crane.
     square = 1e-28 * max(sizes)
     return {
-        name: f"joint {name!r}: it moves no inertia, so its acceleration is undefined; give the links beyond it mass"
+        name: Finding(
+            "joint.inert",
+            f"joint {name!r}",
+            "it moves no inertia, so its acceleration is undefined",
+            cure="give the links beyond it mass",
+            severity="error",
+        )
         for name, inertia, size in zip(names, inertias[1:], sizes[1:], strict=True)
         if not inertia > max(1e-14 * size, square)
     }
 
 
-def complain(robot: str, faults: Sequence[str], on_unphysical: OnUnphysical) -> None:
+def complain(robot: str, faults: Sequence[Finding], on_unphysical: OnUnphysical) -> None:
     """Raise, warn or do nothing about faults, those left by a repair.
 
     "error" and "repair" raise for those that give wrong numbers, and warn of the others.
@@ -157,22 +158,22 @@ def complain(robot: str, faults: Sequence[str], on_unphysical: OnUnphysical) -> 
     require_choice("on_unphysical", on_unphysical, get_args(OnUnphysical))
     if not faults or on_unphysical == "ignore":
         return
-    if on_unphysical != "warn" and not all(isinstance(fault, Lopsided) for fault in faults):
+    if on_unphysical != "warn" and not all(fault.code == TRIANGLE for fault in faults):
         refuse(robot, faults, repaired=on_unphysical == "repair")
     advice = f"\nNumbers are those of the inertias as they are; {NEAREST}."
-    said = advice if any(isinstance(fault, Lopsided) for fault in faults) else ""
-    warnings.warn(_listed(robot, faults) + said, stacklevel=4)  # where a public function was called
+    said = advice if any(fault.code == TRIANGLE for fault in faults) else ""
+    warnings.warn(_unphysical(robot, faults) + said, stacklevel=4)  # where a public function was called
 
 
-def refuse(robot: str, faults: Sequence[str], repaired: bool = False) -> NoReturn:
+def refuse(robot: str, faults: Sequence[Finding], repaired: bool = False) -> NoReturn:
     """Raise for faults, with what can be done about them; `repaired`: whether inertias have been repaired."""
     if repaired:
         cure = "only inertias of bodies with mass can be repaired"
     else:
         cure = "on_unphysical='warn' computes with these numbers all the same"
-        cure += f", and {NEAREST}" if any(isinstance(fault, Misshapen) for fault in faults) else ""
-    raise UnphysicalError(f"{_listed(robot, faults)}\nCorrect the description; {cure}.")
+        cure += f", and {NEAREST}" if any(fault.code in MISSHAPEN for fault in faults) else ""
+    raise UnphysicalError(f"{_unphysical(robot, faults)}\nCorrect the description; {cure}.", findings=faults)
 
 
-def _listed(robot: str, faults: Sequence[str]) -> str:
-    return f"robot {robot!r} is unphysical:\n  " + "\n  ".join(faults)
+def _unphysical(robot: str, faults: Sequence[Finding]) -> str:
+    return "\n  ".join((f"robot {robot!r} is unphysical:", *map(str, faults)))

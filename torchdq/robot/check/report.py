@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-from torchdq.robot.check.changes import require_unchanged
-
-if TYPE_CHECKING:
-    from torchdq.robot.robot import Robot
-
+from torchdq.base.findings import Finding
+from torchdq.robot.model import RobotModel, require_unchanged
 
 HEADER = ("joint", "kind", "link", "mass", "limits (not enforced)")
 
@@ -18,22 +15,7 @@ class Report(NamedTuple):
 
     summary: str
     joints: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...]
-
-    @classmethod
-    def of(cls, robot: Robot) -> Report:
-        """Report of a robot."""
-        require_unchanged(robot)
-        used = ["mass, centre of mass and inertia of the links", "joint axes and placements"]
-        used += [] if robot.gravity is None else [f"gravity {robot.gravity.tolist()} m/s^2"]
-        used += [] if robot.armature is None else ["rotor inertia"]
-        base = robot.base_mass
-        used += [] if base is None else [f"a free base of {float(base.detach().mean()):.4g} kg"]
-        joints = tuple(
-            (name, kind, link, f"{float(robot.mass.detach()[..., i].mean()):.4g} kg", _range(robot, name))
-            for i, (name, kind, link) in enumerate(zip(robot.every_joint, robot.kinds, robot.link_names, strict=True))
-        )
-        return cls(f"{robot!r}\nused: {'; '.join(used)}", joints, robot.notes)
+    notes: tuple[Finding | str, ...]
 
     def __str__(self) -> str:
         rows = [HEADER, *self.joints]
@@ -45,7 +27,22 @@ class Report(NamedTuple):
         return f"{self.summary}\n\n{table}\n\nnotes:\n{notes}"
 
 
-def _range(robot: Robot, joint: str) -> str:
+def report(robot: RobotModel) -> Report:
+    """Report of what is used and not used of the description, and of unphysical bodies; `print` it."""
+    require_unchanged(robot)
+    used = ["mass, centre of mass and inertia of the links", "joint axes and placements"]
+    used += [] if robot.gravity is None else [f"gravity {robot.gravity.tolist()} m/s^2"]
+    used += [] if robot.armature is None else ["rotor inertia"]
+    base = robot.base_mass
+    used += [] if base is None else [f"a free base of {float(base.detach().mean()):.4g} kg"]
+    joints = tuple(
+        (name, kind, link, f"{float(robot.mass.detach()[..., i].mean()):.4g} kg", _range(robot, name))
+        for i, (name, kind, link) in enumerate(zip(robot.every_joint, robot.kinds, robot.link_names, strict=True))
+    )
+    return Report(f"{robot!r}\nused: {'; '.join(used)}", joints, robot.notes)
+
+
+def _range(robot: RobotModel, joint: str) -> str:
     """Limits of a joint that is a coordinate; of another one, the coordinates that it follows."""
     followed = f"1 {joint}" if robot.joint_map is None else robot.joint_map.followed(joint, robot.joint_names)
     if followed != f"1 {joint}":

@@ -11,17 +11,14 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
+from torchdq.algebra.inertia import RigidBody
 from torchdq.dynamics.joints import KINDS
 from torchdq.program.transforms import without_values
-
-if TYPE_CHECKING:
-    from torchdq.robot.edit.bodies import RigidBody
-    from torchdq.robot.robot import Robot
+from torchdq.robot.model import RobotModel
 
 # None of the 70 robots of example-robot-data and of this package has a centre of mass farther than 0.8 lengths of the
 # robot: a factor of ten and more below what is doubted. None has a body larger than 1.6 lengths, or bodies that are
@@ -45,7 +42,7 @@ def without_numbers(fault: str) -> str:
     return fault.partition(", found")[0]
 
 
-def doubts(robot: Robot, quiet: bool = False, known: Collection[str] = (), said: Sequence[str] = ()) -> list[str]:
+def doubts(robot: RobotModel, quiet: bool = False, known: Collection[str] = (), said: Sequence[str] = ()) -> list[str]:
     """Numbers that seem to be in other units than m, rad, kg and kg m^2, and why; warns unless `quiet`.
 
     Numbers that cannot be read, inside a transform, are not doubted, nor is what is `known`: doubts without their
@@ -60,7 +57,7 @@ def doubts(robot: Robot, quiet: bool = False, known: Collection[str] = (), said:
     return found
 
 
-def _doubts(robot: Robot) -> Iterator[str]:
+def _doubts(robot: RobotModel) -> Iterator[str]:
     length = _length(robot)
     step = max(_steps(robot), default=0.0)
     if length > LONG and step > STEP:
@@ -83,7 +80,7 @@ def _doubts(robot: Robot) -> Iterator[str]:
             yield f"joint {name!r}: limits must be in rad, found {ends[0]:g} to {ends[1]:g}; are they in degrees?"
 
 
-def doubts_of_payload(robot: Robot, frame: str, body: RigidBody, stacklevel: int) -> list[str]:
+def doubts_of_payload(robot: RobotModel, frame: str, body: RigidBody, stacklevel: int) -> list[str]:
     """Numbers of a payload in a frame, [...], that seem to be in other units than m, kg and kg m^2; warns."""
     bodies = {"payload": f"frame {frame!r}"}
     mass, com, inertia = body.mass.unsqueeze(-1), body.com.unsqueeze(-2), body.inertia.unsqueeze(-2)
@@ -143,7 +140,7 @@ def _unit(factor: float) -> str:
     return "kg mm^2" if factor > LARGE else "g m^2 or in kg cm^2"
 
 
-def _length(robot: Robot) -> float:
+def _length(robot: RobotModel) -> float:
     """Longest way [m] from the base along the joints to a frame, with sliding joints at their ends."""
     steps = _steps(robot)
     axes = _largest(robot.screw[..., 3:].norm(dim=-1))
@@ -156,7 +153,7 @@ def _length(robot: Robot) -> float:
     return max(ways + [ways[frame.link] + 2 * float(frame.X_BF[4:].norm()) for frame in robot.frames])
 
 
-def _steps(robot: Robot) -> list[float]:
+def _steps(robot: RobotModel) -> list[float]:
     """Distances [m] of the links' frames from those of their parents, at home, [n]."""
     return _largest(2 * robot.X_PB_home[..., 4:].norm(dim=-1))  # |translation| is twice the norm of the dual part
 

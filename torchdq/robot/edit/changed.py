@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchdq.algebra.inertia import RigidBody
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot import fields
-from torchdq.robot.check.changes import require_unchanged, values
-from torchdq.robot.edit.bodies import RigidBody
-from torchdq.robot.edit.lumps import NOTHING, Lump, without
-
-if TYPE_CHECKING:
-    from torchdq.robot.robot import Robot
+from torchdq.robot.arrays import equal
+from torchdq.robot.bodies import NOTHING, body_at, without
+from torchdq.robot.model import RobotModel, batches, require_unchanged, values
 
 # fields that a writer writes; gravity, tip, name and notes are no part of a file's bodies and joints
 WRITTEN = (*fields.BODIES, "limits", "damping", "friction", "armature")
@@ -34,17 +32,17 @@ class ChangedJoint(NamedTuple):
     new: float
 
 
-def require_same_tree(robot: Robot, original: Robot) -> None:
+def require_same_tree(robot: RobotModel, original: RobotModel) -> None:
     """Raise unless a robot has the links, joints and frames of the original, and no batch axes."""
     require_unchanged(robot)
-    for name, axes in fields.batches(robot).items():
+    for name, axes in batches(robot).items():
         raise ArgumentError(
             f"{name} of robot {robot.name!r} must have no batch axes to be written, found {axes}; write "
             "the robots one by one"
         )
     theirs = values(original.to(robot.mass.dtype, robot.mass.device))
     for name, own in values(robot).items():
-        if name not in (*WRITTEN, *BESIDE) and not _equal(own, theirs[name]):
+        if name not in (*WRITTEN, *BESIDE) and not equal(own, theirs[name]):
             found = f", found {own}, in the original {theirs[name]}" if name in ("joint_names", "link_names") else ""
             raise ArgumentError(
                 f"{name} of robot {robot.name!r} must be that of the original{found}; only masses, centres of mass, "
@@ -53,28 +51,20 @@ def require_same_tree(robot: Robot, original: Robot) -> None:
             )
 
 
-def _equal(a: Any, b: Any) -> bool:
-    if isinstance(a, Tensor) and isinstance(b, Tensor):
-        return a.shape == b.shape and bool((a.detach() == b).all())
-    if isinstance(a, tuple) and isinstance(b, tuple):
-        return len(a) == len(b) and all(map(_equal, a, b))
-    return type(a) is type(b) and bool(a == b)
-
-
-def changed_bodies(robot: Robot, original: Robot) -> Iterator[tuple[int, Lump, tuple[bool, bool, bool]]]:
+def changed_bodies(robot: RobotModel, original: RobotModel) -> Iterator[tuple[int, RigidBody, tuple[bool, bool, bool]]]:
     """Links whose bodies were changed: the link or BASE, the new body, and whether each of its parts was changed."""
     links = [*range(len(robot.link_names)), *([BASE] if robot.floating else [])]
     for link in links:
-        own, theirs = RigidBody.at(robot, link), RigidBody.at(original, link)
-        changed = tuple(not _equal(a, b.to(a)) for a, b in zip(own, theirs, strict=True))
+        own, theirs = body_at(robot, link), body_at(original, link)
+        changed = tuple(not equal(a.detach(), b.to(a)) for a, b in zip(own, theirs, strict=True))
         if any(changed):
             mass, com, inertia = (x.detach().double().tolist() for x in own)
-            yield link, (mass, tuple(com), tuple(inertia)), changed  # type: ignore[misc]
+            yield link, RigidBody(mass, tuple(com), tuple(inertia)), changed  # type: ignore[misc]
 
 
 def own_body(
-    own: Lump, carried: Lump, new: Lump, changed: tuple[bool, bool, bool], name: str, parts: str
-) -> tuple[Lump, bool]:
+    own: RigidBody, carried: RigidBody, new: RigidBody, changed: tuple[bool, bool, bool], name: str, parts: str
+) -> tuple[RigidBody, bool]:
     """Body that an element of a file must have, and whether it carries no others.
 
     Args:
@@ -91,13 +81,13 @@ def own_body(
     alone = carried == NOTHING
     left = new if alone else without(new, carried)
     # what did not change stays without the rounding of a sum and a difference
-    mass = left[0] if changed[0] else own[0]
+    mass = left.mass if changed[0] else own.mass
     if mass < 0:
         raise ArgumentError(
-            f"mass of {name} must be at least that of the {parts} that it carries, {carried[0]:g} kg, found "
-            f"{new[0]:g} kg; change their masses in the file"
+            f"mass of {name} must be at least that of the {parts} that it carries, {carried.mass:g} kg, found "
+            f"{new.mass:g} kg; change their masses in the file"
         )
-    return (mass, left[1] if any(changed[:2]) else own[1], left[2]), alone
+    return RigidBody(mass, left.com if any(changed[:2]) else own.com, left.inertia), alone
 
 
 def digits(numbers: Iterable[float]) -> str:
@@ -105,7 +95,7 @@ def digits(numbers: Iterable[float]) -> str:
     return " ".join(map(repr, numbers))
 
 
-def changed_joints(robot: Robot, original: Robot) -> Iterator[ChangedJoint]:
+def changed_joints(robot: RobotModel, original: RobotModel) -> Iterator[ChangedJoint]:
     """Numbers of joints that were changed; raises if one is no number to write."""
     for name, own, theirs in _per_joint(robot, original):
         for joint, old, new, differs in zip(
@@ -128,7 +118,7 @@ def grouped(changes: Iterable[ChangedJoint]) -> dict[str, list[ChangedJoint]]:
     return found
 
 
-def _per_joint(robot: Robot, original: Robot) -> Iterator[tuple[str, Tensor, Tensor]]:
+def _per_joint(robot: RobotModel, original: RobotModel) -> Iterator[tuple[str, Tensor, Tensor]]:
     """Name, own numbers and those of the original of every field with a number per joint."""
     for name in ("damping", "friction", "armature"):
         own, theirs = getattr(robot, name), getattr(original, name)
@@ -139,7 +129,7 @@ def _per_joint(robot: Robot, original: Robot) -> Iterator[tuple[str, Tensor, Ten
         yield name, own, theirs
 
 
-def require_read_back(robot: Robot, again: Robot) -> None:
+def require_read_back(robot: RobotModel, again: RobotModel) -> None:
     """Raise unless a robot that was written and read again has the numbers of the robot."""
     for name in WRITTEN:
         own, theirs = getattr(robot, name), getattr(again, name)

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchdq import dq
+from torchdq.algebra.inertia import RigidBody
+from torchdq.base.findings import Finding
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot import fields
 from torchdq.robot.arrays import matrices, poses
-from torchdq.robot.check import consistency, units
-from torchdq.robot.check.changes import doubted
+from torchdq.robot.bodies import body_at, lumped
+from torchdq.robot.check import consistency, faults, units
 from torchdq.robot.description import Frame, JointMap, Limits
-from torchdq.robot.edit.bodies import RigidBody, lumped
 from torchdq.robot.edit.reduced import factors
+from torchdq.robot.edit.replaced import measurable, replace
 from torchdq.robot.fields import BASE_BODY, LINK_BODY
-
-if TYPE_CHECKING:
-    from torchdq.robot.robot import Robot
+from torchdq.robot.model import AnyRobot, RobotModel, batches
 
 JOINED = {"screw": 2, "home": 1, "armature": 1, "damping": 1, "friction": 1}  # fields that are joined as they are
 NAMED = {"link_names": "links", "frame_names": "frames"}
@@ -30,8 +30,8 @@ ABSENT = (0.0,) * 6  # inertia of a point
 
 
 def with_payload(
-    robot: Robot, mass: Any, com: Any = (0.0, 0.0, 0.0), inertia: Any = ABSENT, frame: str | None = None
-) -> Robot:
+    robot: AnyRobot, mass: Any, com: Any = (0.0, 0.0, 0.0), inertia: Any = ABSENT, frame: str | None = None
+) -> AnyRobot:
     """Robot that holds a body, which becomes part of the link, or of the free base, that carries a frame.
 
     The inertial parameters become arguments of the programs, as by `replace`: another payload, a batch of them and
@@ -51,7 +51,7 @@ def with_payload(
     return _holding(robot, mass, com, inertia, robot.end_effector() if frame is None else robot.frame(frame))
 
 
-def _holding(robot: Robot, mass: Any, com: Any, inertia: Any, at: Frame) -> Robot:
+def _holding(robot: AnyRobot, mass: Any, com: Any, inertia: Any, at: Frame) -> AnyRobot:
     """Robot with a payload in a frame, for the functions that users call."""
     if at.link == BASE and not robot.floating:
         raise ArgumentError(
@@ -63,24 +63,26 @@ def _holding(robot: Robot, mass: Any, com: Any, inertia: Any, at: Frame) -> Robo
     for (name, (_, shape)), x in zip(given.items(), held, strict=True):
         _require_batch(robot, name, tuple(x.shape[: x.ndim - len(shape)]))
     if all(fields.readable(x, False) for x in held):
-        faults = consistency.bodies(("payload",), held.mass.unsqueeze(-1), matrices(held.inertia).unsqueeze(-3))
-        if faults:
-            raise ArgumentError(f"mass and inertia must be those of a body, xx xy yy xz yz zz: {faults[0]}")
+        found = consistency.bodies(("payload",), held.mass.unsqueeze(-1), matrices(held.inertia).unsqueeze(-3))
+        if found:
+            raise ArgumentError(
+                f"mass and inertia must be those of a body, xx xy yy xz yz zz: {found[0]}", findings=found
+            )
     changes: dict[str, Any] = {**_held(robot, at.link, at.X_BF, held)}
-    told = doubted(robot, *held) and units.doubts_of_payload(robot, at.name, held, stacklevel=3)
-    # a doubtful payload is not told of again as a doubtful link
-    return robot.replace(**changes, on_unphysical="ignore" if told else "error")
+    doubtful = measurable(robot, *held) and units.doubts_of_payload(robot, at.name, held, stacklevel=3)
+    # a warning of the payload is not repeated for the link
+    return replace(robot, **changes, on_unphysical="ignore" if doubtful else "error")
 
 
 def with_tool(
-    robot: Robot,
+    robot: AnyRobot,
     name: str,
     pose: Any,
     mass: Any = 0.0,
     com: Any = (0.0, 0.0, 0.0),
     inertia: Any = ABSENT,
     frame: str | None = None,
-) -> Robot:
+) -> AnyRobot:
     """Robot whose end effector is a new frame, the tip of a tool that another frame holds.
 
     Args:
@@ -101,10 +103,10 @@ def with_tool(
     tip = Frame(name, at.link, dq.mul(at.X_BF, poses("pose", pose, 8, error=ArgumentError).to(at.X_BF)))
     weightless = not isinstance(mass, Tensor) and mass == 0 and inertia is ABSENT
     carrier = robot if weightless else _holding(robot, mass, com, inertia, at)
-    return carrier.replace(frames=(*carrier.frames, tip), tip=name)
+    return replace(carrier, frames=(*carrier.frames, tip), tip=name)
 
 
-def attach(robot: Robot, other: Robot, frame: str, prefix: str | None = None, base_pose: Any = None) -> Robot:
+def attach(robot: AnyRobot, other: AnyRobot, frame: str, prefix: str | None = None, base_pose: Any = None) -> AnyRobot:
     """Robot with the base of another one fixed to a frame: all links, joints, limits and frames of both.
 
     Gravity is that of the first; the end effector is that of the other if it has one. The body of the other's base,
@@ -125,7 +127,7 @@ def attach(robot: Robot, other: Robot, frame: str, prefix: str | None = None, ba
     >>> both.joint_names[-2:], (both.mass[6] - arm.mass[6]).item()
     (('hand_joint1', 'hand_joint2'), 0.5)
     """
-    if not isinstance(other, type(robot)):
+    if not isinstance(other, RobotModel):
         raise ArgumentError(f"other must be a torchdq.Robot, found {type(other).__name__}; load it first")
     at, start = robot.frame(frame), "" if prefix is None else prefix
     X = at.X_BF
@@ -141,8 +143,8 @@ def attach(robot: Robot, other: Robot, frame: str, prefix: str | None = None, ba
         Frame(start + x.name, link[x.link], dq.mul(X, x.X_BF) if x.link == BASE else x.X_BF) for x in other.frames
     )
     carrier, known = {name: getattr(robot, name) for name in (*LINK_BODY, *BASE_BODY)}, set(robot._arguments)
-    if lumps := other.floating and (at.link != BASE or robot.floating):
-        changed = _held(robot, at.link, X, RigidBody.at(other, BASE))
+    if with_base := other.floating and (at.link != BASE or robot.floating):
+        changed = _held(robot, at.link, X, body_at(other, BASE))
         carrier |= changed
         known |= set(changed) if known & set(changed) or set(other._arguments) & set(BASE_BODY) else set()
     if not other.floating and (at.link != BASE or robot.floating):
@@ -151,8 +153,9 @@ def attach(robot: Robot, other: Robot, frame: str, prefix: str | None = None, ba
             'file has mass only if the file is read with base="floating"',
             stacklevel=2,
         )
-    told = f"{other.name!r} attached to {at.name!r}"
-    told += "" if lumps else "; the mass of its base is left out" if other.floating else ", without a mass of its base"
+    note = f"{other.name!r} attached to {at.name!r}"
+    if not with_base:
+        note += "; the mass of its base is left out" if other.floating else ", without a mass of its base"
     changes: dict[str, Any] = {
         **names,
         **{name: _both(robot, other, name, axes) for name, axes in JOINED.items()},
@@ -164,16 +167,23 @@ def attach(robot: Robot, other: Robot, frame: str, prefix: str | None = None, ba
         "limits": Limits(*(_cat(pair, 1) for pair in zip(robot.limits, other.limits, strict=True))),
         "frames": (*robot.frames, *frames),
         "tip": robot.tip if other.tip is None else start + other.tip,
-        "notes": (*robot.notes, *(type(note)(f"{other.name}: {note}") for note in other.notes), told),
+        "notes": (*robot.notes, *(_of(other, x) for x in other.notes), note),
         "_arguments": (*known, *(name for name in other._arguments if name not in (*BASE_BODY, "gravity"))),
     }
     made = type(robot)(**{"name": robot.name, "gravity": robot.gravity, **changes})
     # those of the other's links were accepted when it was loaded
-    faults = [fault for fault in fields.faults(made, ("mass", "inertia")) if fault not in made.notes]
-    return made._with(notes=(*made.notes, *faults)) if faults else made
+    found = [fault for fault in faults.faults(made, ("mass", "inertia")) if fault not in made.notes]
+    return made._with(notes=(*made.notes, *found)) if found else made
 
 
-def _joined_names(robot: Robot, other: Robot, prefix: str) -> dict[str, Any]:
+def _of(other: RobotModel, note: Finding | str) -> Finding | str:
+    """Note of an attached robot, with its name."""
+    if isinstance(note, Finding):
+        return note._replace(subject=": ".join(filter(None, (other.name, note.subject))))
+    return type(note)(f"{other.name}: {note}")
+
+
+def _joined_names(robot: RobotModel, other: RobotModel, prefix: str) -> dict[str, Any]:
     """Names of both robots; raises where one stands for two things."""
     joints = [(*x.every_joint, *(name for name in x.joint_names if name not in x.every_joint)) for x in (robot, other)]
     names = {"joints": joints, **{kind: [getattr(x, field) for x in (robot, other)] for field, kind in NAMED.items()}}
@@ -195,7 +205,7 @@ def _joined_names(robot: Robot, other: Robot, prefix: str) -> dict[str, Any]:
     return {**{field: together(field) for field in ("joint_names", "link_names")}, "joint_map": joint_map}
 
 
-def _numbers(robot: Robot, name: str, x: Any, shape: tuple[int, ...]) -> Tensor:
+def _numbers(robot: RobotModel, name: str, x: Any, shape: tuple[int, ...]) -> Tensor:
     """Numbers of a payload, in the dtype and on the device of the robot."""
     try:
         found = (x if isinstance(x, Tensor) else torch.as_tensor(x, dtype=torch.float64)).to(robot.mass)
@@ -207,9 +217,9 @@ def _numbers(robot: Robot, name: str, x: Any, shape: tuple[int, ...]) -> Tensor:
     return found
 
 
-def _require_batch(robot: Robot, name: str, axes: tuple[int, ...]) -> None:
+def _require_batch(robot: RobotModel, name: str, axes: tuple[int, ...]) -> None:
     """Raise unless batch axes of a payload fit those of a robot."""
-    for field, own in fields.batches(robot).items():
+    for field, own in batches(robot).items():
         try:
             torch.broadcast_shapes(own, axes)
         except RuntimeError as error:
@@ -218,9 +228,9 @@ def _require_batch(robot: Robot, name: str, axes: tuple[int, ...]) -> None:
             ) from error
 
 
-def _held(robot: Robot, link: int, X_BF: Tensor, held: RigidBody) -> dict[str, Tensor]:
+def _held(robot: RobotModel, link: int, X_BF: Tensor, held: RigidBody) -> dict[str, Tensor]:
     """Inertial parameters of a robot one of whose links, or free base, holds a body at a pose."""
-    whole = lumped(RigidBody.at(robot, link), [(X_BF, held)])
+    whole = lumped(body_at(robot, link), [(X_BF, held)])
     if link == BASE:
         return dict(zip(BASE_BODY, whole, strict=True))
     found = {}
@@ -243,7 +253,7 @@ def _cat(parts: Iterable[Tensor], axes: int) -> Tensor:
     return torch.cat([x.expand(*batch, *x.shape[-axes:]) for x in found], -axes)
 
 
-def _both(robot: Robot, other: Robot, name: str, axes: int) -> Tensor | None:
+def _both(robot: RobotModel, other: RobotModel, name: str, axes: int) -> Tensor | None:
     """Field of both robots; it is zero where only the other one has it."""
     found = [getattr(x, name) for x in (robot, other)]
     if found[0] is None and found[1] is None:

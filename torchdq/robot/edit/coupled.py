@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchdq.base.checks import require_number
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.robot import fields
 from torchdq.robot.arrays import double, numbers, table, words
-from torchdq.robot.check import consistency
+from torchdq.robot.check import consistency, faults
 from torchdq.robot.description import JointMap, Limits
-
-if TYPE_CHECKING:
-    from torchdq.robot.robot import Robot
+from torchdq.robot.model import AnyRobot, RobotModel
 
 SAME = 1e-12  # part of the largest number below which a number of S is rounding
 
 
 def couple(
-    robot: Robot,
+    robot: AnyRobot,
     S: Mapping[str, Mapping[str, float]] | Any,
     names: Sequence[str] | None = None,
     offset: Mapping[str, float] | None = None,
@@ -32,7 +29,7 @@ def couple(
     damping: Any = None,
     friction: Any = None,
     armature: Any = None,
-) -> Robot:
+) -> AnyRobot:
     """Robot in other coordinates z, which move those of before linearly: q = S z + offset.
 
     A joint that follows one coordinate hands it its damping and armature, times the factor squared, and its friction,
@@ -91,8 +88,8 @@ def couple(
         new["home"] = (0.0 if home is None else home) - moved
     new["joint_map"] = JointMap(robot.every_joint, (before @ factors).to(robot.mass))
     made = dataclasses.replace(robot, joint_names=names, **new, _constants=None, _storages=())
-    fields.require_structure(made, {name: getattr(made, name) for name in ("joint_names", *new)})
-    consistency.complain(robot.name, fields.faults(made, new), "error")
+    faults.require_structure(made, {name: getattr(made, name) for name in ("joint_names", *new)})
+    consistency.complain(robot.name, faults.faults(made, new), "error")
     return made
 
 
@@ -113,7 +110,7 @@ def _require_independent(factors: Tensor, names: Sequence[str]) -> None:
         )
 
 
-def _by_name(robot: Robot, S: Mapping[str, Mapping[str, float]]) -> tuple[Tensor, tuple[str, ...]]:
+def _by_name(robot: RobotModel, S: Mapping[str, Mapping[str, float]]) -> tuple[Tensor, tuple[str, ...]]:
     """Factors [n, coordinates], and names of the coordinates."""
     for joint, row in S.items():
         if joint not in robot.joint_names:
@@ -132,7 +129,7 @@ def _by_name(robot: Robot, S: Mapping[str, Mapping[str, float]]) -> tuple[Tensor
     return double([[float(row.get(name, 0.0)) for name in names] for row in rows]), names
 
 
-def _matrix(robot: Robot, S: Any, names: Sequence[str] | None) -> tuple[Tensor, tuple[str, ...]]:
+def _matrix(robot: RobotModel, S: Any, names: Sequence[str] | None) -> tuple[Tensor, tuple[str, ...]]:
     """Factors [n, coordinates], and names of the coordinates."""
     factors = numbers("S", S, ArgumentError)
     factors = table("S", factors, robot.n, factors.shape[-1] if factors.ndim else 1, error=ArgumentError)
@@ -144,7 +141,7 @@ def _matrix(robot: Robot, S: Any, names: Sequence[str] | None) -> tuple[Tensor, 
 
 
 def _require_absent(
-    robot: Robot, what: str, there: Tensor, several: Sequence[str], argument: str | None = None
+    robot: RobotModel, what: str, there: Tensor, several: Sequence[str], argument: str | None = None
 ) -> None:
     """Raise if a quantity is there at a joint that follows several coordinates."""
     for name in several:
@@ -155,7 +152,7 @@ def _require_absent(
             )
 
 
-def _given_limits(robot: Robot, given: Sequence[Any], count: int) -> Limits:
+def _given_limits(robot: RobotModel, given: Sequence[Any], count: int) -> Limits:
     """Limits of coordinates from four rows."""
     rows = tuple(given) if isinstance(given, list | tuple) else ()
     if len(rows) != len(Limits._fields):
@@ -170,7 +167,7 @@ def _given_limits(robot: Robot, given: Sequence[Any], count: int) -> Limits:
     return Limits(*found.values())
 
 
-def _limits(robot: Robot, alone: Tensor, shift: Tensor, names: Sequence[str]) -> Limits:
+def _limits(robot: RobotModel, alone: Tensor, shift: Tensor, names: Sequence[str]) -> Limits:
     """Limits of the coordinates of joints that follow one each."""
     lower, upper, velocity, effort = robot.limits
     columns: list[list[Tensor]] = []

@@ -7,28 +7,27 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Collection, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from torchdq import dq
+from torchdq.algebra.inertia import RigidBody
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import IDENTITY
+from torchdq.robot.bodies import body_at, lumped, mixed
 from torchdq.robot.description import Frame, JointMap, Limits
-from torchdq.robot.edit.bodies import RigidBody, lumped, mixed
 from torchdq.robot.edit.locking import positions, require_free, tell_if_beyond, told
-from torchdq.robot.fields import BASE_BODY, batches
-
-if TYPE_CHECKING:
-    from torchdq.robot.robot import Robot
+from torchdq.robot.fields import BASE_BODY
+from torchdq.robot.model import AnyRobot, RobotModel, batches
 
 PER_LINK = {"screw": -2, "home": -1}  # fields by the axis of the links
 PER_COORDINATE = {"armature": -1, "damping": -1, "friction": -1}  # fields by the axis of the coordinates
 
 
-def lock(robot: Robot, lock: Mapping[str, float] | Sequence[str] | str) -> Robot:
+def lock(robot: AnyRobot, lock: Mapping[str, float] | Sequence[str] | str) -> AnyRobot:
     """Robot with some joints fixed, whose links become parts of those before them, or of a free base.
 
     Joints that follow only locked coordinates are fixed with them.
@@ -69,7 +68,7 @@ def lock(robot: Robot, lock: Mapping[str, float] | Sequence[str] | str) -> Robot
     parts = {link: [i for i in X_CB if carrier[i] == link and i != link] for link in carrier.values()}
 
     def whole(link: int) -> RigidBody:
-        return lumped(RigidBody.at(robot, link), [(X_CB[i], RigidBody.at(robot, i)) for i in parts[link]])
+        return lumped(body_at(robot, link), [(X_CB[i], body_at(robot, i)) for i in parts[link]])
 
     bodies = [whole(link) for link in links]
     masses, coms, inertias = zip(*bodies, strict=True) if bodies else ((), (), ())
@@ -100,7 +99,7 @@ def lock(robot: Robot, lock: Mapping[str, float] | Sequence[str] | str) -> Robot
     )
 
 
-def subchain(robot: Robot, base: str, tip: str) -> Robot:
+def subchain(robot: AnyRobot, base: str, tip: str) -> AnyRobot:
     """Chain of the joints between two frames, as a robot fixed at the first of them; all other links are left out.
 
     Gravity is turned into the axes of the new base, which stands where it is with all joints at home and a free base
@@ -152,7 +151,7 @@ def subchain(robot: Robot, base: str, tip: str) -> Robot:
     )
 
 
-def _coordinates_of(robot: Robot, chain: Sequence[int], before: Sequence[int]) -> list[int]:
+def _coordinates_of(robot: RobotModel, chain: Sequence[int], before: Sequence[int]) -> list[int]:
     """Coordinates that the joints of a chain follow; raises if one of them belongs to other joints.
 
     Args:
@@ -179,7 +178,7 @@ def _coordinates_of(robot: Robot, chain: Sequence[int], before: Sequence[int]) -
     return found
 
 
-def _require_constant_geometry(robot: Robot) -> None:
+def _require_constant_geometry(robot: RobotModel) -> None:
     for name in ("X_PB_home", "screw", "home"):
         if name in robot._arguments:
             several = name in batches(robot)
@@ -187,7 +186,7 @@ def _require_constant_geometry(robot: Robot) -> None:
             raise ArgumentError(f"{name} of robot {robot.name!r} must be constant, as its frames are; {way}")
 
 
-def _require_coordinates(robot: Robot, lock: Any) -> None:
+def _require_coordinates(robot: RobotModel, lock: Any) -> None:
     """Raise if joints to lock are named that follow coordinates."""
     if robot.joint_map is None or not isinstance(lock, Collection):
         return
@@ -202,7 +201,7 @@ def _require_coordinates(robot: Robot, lock: Any) -> None:
             )
 
 
-def _made(robot: Robot, links: Sequence[int], coordinates: Sequence[int], **changes: Any) -> Robot:
+def _made(robot: AnyRobot, links: Sequence[int], coordinates: Sequence[int], **changes: Any) -> AnyRobot:
     """Robot with some of the links and of the coordinates, and with other fields changed."""
     fields: dict[str, Any] = {x.name: getattr(robot, x.name) for x in dataclasses.fields(robot) if x.name[0] != "_"}
     for kept, axes in ((links, PER_LINK), (coordinates, PER_COORDINATE)):
@@ -225,14 +224,14 @@ def _stacked(rows: Sequence[Tensor], none: Tensor, axis: int = -2) -> Tensor:
 # --- also for robots that are put together ---------------------------------------------------------------------------
 
 
-def factors(robot: Robot) -> Tensor:
+def factors(robot: RobotModel) -> Tensor:
     """Positions of all joints per coordinate, [links, n]."""
     if robot.joint_map is not None:
         return robot.joint_map.S
     return torch.eye(robot.n, dtype=robot.screw.dtype, device=robot.screw.device)
 
 
-def home_of(robot: Robot, name: str) -> float:
+def home_of(robot: RobotModel, name: str) -> float:
     """Position at home [rad or m] of a coordinate: of the joint with its name if it moves that one alone, else zero."""
     if robot.home is None or name not in robot.every_joint:
         return 0.0

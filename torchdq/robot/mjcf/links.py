@@ -8,12 +8,13 @@ from typing import NamedTuple
 from torchdq.algebra import dual_quaternion
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.inertia import RigidBody
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import double
+from torchdq.robot.bodies import NOTHING, merged
 from torchdq.robot.description import Frame
 from torchdq.robot.edit.couplings import Follows
-from torchdq.robot.edit.lumps import NOTHING, Lump, moved, together
 from torchdq.robot.mjcf.joints import MjcfJoint, names_of
 from torchdq.robot.mjcf.source import MjcfModel
 
@@ -33,7 +34,7 @@ class Links(NamedTuple):
     """Links of a model, and everything that is fixed to them."""
 
     links: list[MovingLink]
-    bodies: dict[int, Lump]  # by link; those of the base too
+    bodies: dict[int, RigidBody]  # by link; those of the base too
     frames: list[Frame]
     leaves: list[str]  # moving bodies that carry no others
     lumped: int  # bodies that are part of others
@@ -53,7 +54,7 @@ def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows
     m = of.model
     names = names_of(of, "BODY", m.nbody)
     links: list[MovingLink] = []
-    bodies: dict[int, Lump] = {}
+    bodies: dict[int, RigidBody] = {}
     placed = [(BASE if base is None else WORLD, dual_quaternion.ONE)]  # link of each body, and its pose there
     lumped = 0
     for body in range(1, m.nbody):
@@ -75,7 +76,7 @@ def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows
         elif not moving:
             lumped += 1
         placed.append((link, X))
-        bodies[link] = together(bodies.get(link, NOTHING), moved(X, body_of(of, body)))
+        bodies[link] = merged(bodies.get(link, NOTHING), body_of(of, body).moved(X))
     sites = _sites(of, names, placed)
     everything = [*zip(names, placed, strict=True), *sites]
     found = [(name, *at) for name, at in everything]
@@ -116,10 +117,10 @@ def _pose(rotation, position) -> DualQuaternion:
     return dual_quaternion.from_pose(tuple(rotation.tolist()), tuple(position.tolist()))
 
 
-def body_of(of: MjcfModel, body: int) -> Lump:
+def body_of(of: MjcfModel, body: int) -> RigidBody:
     """Mass, centre of mass and inertia of one body in its own frame."""
     m = of.model
     turned = (tuple(m.body_iquat[body].tolist()), (0.0,) * 4)
     xx, yy, zz = m.body_inertia[body].tolist()
-    inertia = moved(turned, (0.0, quat.ZERO, (xx, 0.0, yy, 0.0, 0.0, zz)))[2]
-    return float(m.body_mass[body]), tuple(m.body_ipos[body].tolist()), inertia
+    inertia = RigidBody(0.0, quat.ZERO, (xx, 0.0, yy, 0.0, 0.0, zz)).moved(turned).inertia
+    return RigidBody(float(m.body_mass[body]), tuple(m.body_ipos[body].tolist()), inertia)

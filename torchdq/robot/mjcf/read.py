@@ -15,14 +15,15 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import require_choice
+from torchdq.base.findings import Finding
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError, DescriptionError
 from torchdq.robot.arrays import MOST, double, matrices
+from torchdq.robot.bodies import NOTHING
 from torchdq.robot.check import consistency
 from torchdq.robot.description import NO_TIP, JointMap, Limits, RobotDescription, Unsimulated
 from torchdq.robot.edit.couplings import Follows, JointCoupling, solved
 from torchdq.robot.edit.locking import positions, require_free, tell_if_beyond, to_keep, told
-from torchdq.robot.edit.lumps import NOTHING
 from torchdq.robot.mjcf import notes as mjcf_notes
 from torchdq.robot.mjcf.joints import BALL, FREE, MjcfJoint, equalities, joints_of
 from torchdq.robot.mjcf.links import Links, links_of
@@ -35,7 +36,7 @@ class Mjcf(NamedTuple):
     """Contents of a file."""
 
     description: RobotDescription
-    faults: list[str]
+    faults: list[Finding]
     gravity: Any  # [m/s^2], as it was given or as the file has it; None: none
     of: MjcfModel
     joints: list[MjcfJoint]

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from torchdq.algebra import quaternion as quat
+from torchdq.algebra.inertia import RigidBody
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import double, matrices
+from torchdq.robot.bodies import NOTHING, merged
 from torchdq.robot.edit.changed import (
     ChangedJoint,
     changed_bodies,
@@ -22,23 +24,20 @@ from torchdq.robot.edit.changed import (
     require_read_back,
     require_same_tree,
 )
-from torchdq.robot.edit.lumps import NOTHING, Lump, moved, together
 from torchdq.robot.mjcf import read as mjcf
 from torchdq.robot.mjcf.joints import actuators_at
 from torchdq.robot.mjcf.links import body_of
 from torchdq.robot.mjcf.read import Mjcf
 from torchdq.robot.mjcf.source import MjcfText
+from torchdq.robot.model import RobotModel
 from torchdq.robot.xml_text import Element, XmlText
-
-if TYPE_CHECKING:
-    from torchdq.robot.robot import Robot
 
 JOINTS = ("joint", "freejoint")
 ATTRIBUTES = {"damping": "damping", "friction": "frictionloss", "armature": "armature"}
 OTHER_AXES = ("fullinertia", "axisangle", "xyaxes", "zaxis", "euler")  # other ways to say quat and diaginertia
 
 
-def to_mjcf(robot: Robot, original: Any) -> str:
+def to_mjcf(robot: RobotModel, original: Any) -> str:
     """Text of the MJCF file that a robot was read from, with the numbers of the robot.
 
     Only masses, centres of mass, inertias, armature, damping, friction loss and ranges that differ from the file's are
@@ -77,7 +76,7 @@ def to_mjcf(robot: Robot, original: Any) -> str:
     return written
 
 
-def _robot(robot: Robot, of: Mjcf) -> Robot:
+def _robot(robot: RobotModel, of: Mjcf) -> RobotModel:
     return type(robot)(**vars(of.description), gravity=None)
 
 
@@ -110,7 +109,7 @@ def _carrier(element: Element) -> Any:
 
 
 def _write_body(
-    xml: XmlText, first: Mjcf, elements: Sequence[Element], link: int, body: Lump, changed: tuple[bool, bool, bool]
+    xml: XmlText, first: Mjcf, elements: Sequence[Element], link: int, body: RigidBody, changed: tuple[bool, bool, bool]
 ) -> None:
     """Write the body of a link, less the bodies without joints that are part of it."""
     placed = first.links.placed
@@ -129,7 +128,7 @@ def _write_body(
     # the body itself comes before those that it carries
     carrying, rest = parts[0], NOTHING
     for i in parts[1:]:
-        rest = together(rest, moved(placed[i][1], body_of(first.of, i)))
+        rest = merged(rest, body_of(first.of, i).moved(placed[i][1]))
     own = body_of(first.of, carrying)
     new, alone = own_body(own, rest, body, changed, f"body {name!r}", "bodies without joints")
     words: dict[str, str | None] = {"pos": digits(new[1])} if changed[1] or (changed[0] and not alone) else {}
@@ -157,7 +156,12 @@ def _principal(inertia: Sequence[float]) -> dict[str, str | None]:
 
 
 def _write_joint(
-    xml: XmlText, first: Mjcf, elements: Sequence[Element], before: Robot, name: str, changes: Sequence[ChangedJoint]
+    xml: XmlText,
+    first: Mjcf,
+    elements: Sequence[Element],
+    before: RobotModel,
+    name: str,
+    changes: Sequence[ChangedJoint],
 ) -> None:
     m, joint = first.of.model, next(joint for joint in first.joints if joint.name == name)
     own = [x for x in elements[joint.body].under(*JOINTS) if _carrier(x) is elements[joint.body]]

@@ -10,7 +10,8 @@ Limits: the manufacturer's data sheet.
 from math import pi
 
 from torchdq.robot.arrays import double
-from torchdq.robot.robot import Limits, Robot
+from torchdq.robot.description import Limits
+from torchdq.robot.robot import Robot
 
 # mass [kg] | centre of mass [m] | xx xy yy xz yz zz about it [kg m^2], in the DH frames
 LINKS = [

@@ -13,7 +13,8 @@ its others. Torques and accelerations do not suffer; `report()` lists both.
 from math import inf, pi, radians
 
 from torchdq.robot.arrays import double
-from torchdq.robot.robot import Limits, Robot
+from torchdq.robot.description import Limits
+from torchdq.robot.robot import Robot
 
 # mass [kg] | centre of mass [m] | principal moments xx yy zz about it [kg m^2], in the DH frames
 LINKS = [

@@ -11,7 +11,8 @@ import torch
 from torchdq import dq
 from torchdq.backends.choice import backend
 from torchdq.robot.arrays import double
-from torchdq.robot.robot import Limits, Robot
+from torchdq.robot.description import Limits
+from torchdq.robot.robot import Robot
 
 # joint | axis in the base frame | link | position [m] and orientation in the base frame, all at home
 IDENTITY, QUARTER, HALF = (1.0, 0.0, 0.0, 0.0), (sqrt(0.5), 0.0, sqrt(0.5), 0.0), (0.0, 0.0, 1.0, 0.0)  # about y

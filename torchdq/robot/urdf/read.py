@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 from torchdq.algebra.quaternion import ZERO
+from torchdq.base.findings import Finding
 from torchdq.dynamics.tree import BASE
 from torchdq.robot.arrays import SIX, double, matrices
 from torchdq.robot.check import consistency
@@ -23,7 +24,7 @@ from torchdq.robot.urdf.tree import lumped, tree_of
 
 def read(
     source: Any, kept: Any, lock: Any, base: str = "fixed", mimic: str = "coupled", repair: bool = False
-) -> tuple[RobotDescription, list[str], tuple[str, ...], tuple[str, ...]]:
+) -> tuple[RobotDescription, list[Finding], tuple[str, ...], tuple[str, ...]]:
     """Description, its faults, doubts about units, and notes on what is ignored though it may change the dynamics.
 
     `Robot.from_urdf` says what is expected.
@@ -42,8 +43,14 @@ def read(
     mass, com, inertia = zip(*bodies, strict=True) if n else ((), (), ())
     if free and not any((base_mass, *base_inertia)):
         faults.append(
-            f"link {document.base!r}: a free base must have mass, found none on it and on links that are fixed to it; "
-            "give it mass, or pass base='fixed'"
+            Finding(
+                "base.massless",
+                f"link {document.base!r}",
+                "a free base must have mass",
+                "none on it and on links that are fixed to it",
+                "give it mass, or pass base='fixed'",
+                severity="error",
+            )
         )
     children = {joint.parent for joint in document.joints.values()}
     leaves = [name for name in moving if name not in children]
@@ -77,22 +84,26 @@ def _screw(joint: UrdfJoint) -> tuple[float, ...]:
     return (*joint.axis, *ZERO) if MOVING[joint.kind] == "revolute" else (*ZERO, *joint.axis)
 
 
-def _physical(links: dict[str, Inertial], repair: bool) -> tuple[dict[str, Inertial], list[str], list[str]]:
+def _physical(
+    links: dict[str, Inertial], repair: bool
+) -> tuple[dict[str, Inertial], list[Finding], list[Finding | str]]:
     """Bodies whose inertias are not rounding, and are repaired on request; faults, and notes of all that changed."""
     names = tuple(links)
     mass = double([body.mass for body in links.values()])
     six = double([body.inertia for body in links.values()]).reshape(-1, 6)
     tiny = ((six != 0).any(-1) & (six.abs().amax(-1) <= consistency.rounding(mass))).tolist() if names else []
     six = torch.where(double(tiny).bool()[:, None], 0.0, six)
-    notes = ["inertia that is rounding taken as zero: " + ", ".join(itertools.compress(names, tiny))] * any(tiny)
+    notes: list[Finding | str] = [
+        "inertia that is rounding taken as zero: " + ", ".join(itertools.compress(names, tiny))
+    ] * any(tiny)
     I = matrices(six)
     if repair:
         I, more = consistency.repaired(names, mass, I)
         notes += more
     found = consistency.bodies(names, mass, I)
-    faults = [fault for fault in found if not isinstance(fault, consistency.Massless)]
+    faults = [fault for fault in found if fault.code != consistency.MASSLESS]
     # the numbers are well defined, and other readers use them as well
-    notes += [fault for fault in found if isinstance(fault, consistency.Massless)]
+    notes += [fault for fault in found if fault.code == consistency.MASSLESS]
     new = {
         name: body._replace(inertia=tuple(row))
         for (name, body), row in zip(links.items(), I[:, *SIX].tolist(), strict=True)

@@ -12,9 +12,10 @@ from typing import NamedTuple
 from torchdq.algebra import dual_quaternion, screw
 from torchdq.algebra import quaternion as quat
 from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.inertia import RigidBody
 from torchdq.algebra.quaternion import Pure, Quaternion
 from torchdq.dynamics.tree import BASE
-from torchdq.robot.edit.lumps import NOTHING, Lump, moved, together
+from torchdq.robot.bodies import NOTHING, merged
 from torchdq.robot.urdf.document import Document
 from torchdq.robot.urdf.elements import MOVING, Inertial, Origin, UrdfJoint
 
@@ -88,11 +89,12 @@ def _unit(X: DualQuaternion) -> DualQuaternion:
     return (quat.scale(s, r), quat.scale(s, d))
 
 
-def lumped(places: Mapping[str, Place], bodies: Mapping[str, Inertial], n: int) -> list[Lump]:
+def lumped(places: Mapping[str, Place], bodies: Mapping[str, Inertial], n: int) -> list[RigidBody]:
     """Bodies of the n moving links and, last, of the base, with all bodies that are fixed to them."""
     found = [NOTHING] * (n + 1)
     for name, (link, X) in places.items():
         if (inertial := bodies.get(name)) is not None:
             X = dual_quaternion.mul(X, pose(inertial.origin))
-            found[link] = together(found[link], moved(X, (inertial.mass, quat.ZERO, inertial.inertia)))
+            body = RigidBody(inertial.mass, quat.ZERO, inertial.inertia)
+            found[link] = merged(found[link], body.moved(X))
     return found

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from torchdq.algebra import quaternion as quat
+from torchdq.algebra.inertia import RigidBody
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
+from torchdq.robot.bodies import NOTHING, merged
 from torchdq.robot.edit.changed import (
     ChangedJoint,
     changed_bodies,
@@ -18,7 +20,6 @@ from torchdq.robot.edit.changed import (
     require_read_back,
     require_same_tree,
 )
-from torchdq.robot.edit.lumps import NOTHING, Lump, moved, together
 from torchdq.robot.urdf.document import text_of
 from torchdq.robot.urdf.tree import pose
 from torchdq.robot.xml_text import Element, XmlText
@@ -84,7 +85,12 @@ def to_urdf(robot: Robot, original: Any) -> str:
 
 
 def _write_body(
-    xml: XmlText, first: Robot, links: dict[str, Element], link: int, body: Lump, changed: tuple[bool, bool, bool]
+    xml: XmlText,
+    first: Robot,
+    links: dict[str, Element],
+    link: int,
+    body: RigidBody,
+    changed: tuple[bool, bool, bool],
 ) -> None:
     """Write the body of a link, less the links on fixed joints that are part of it."""
     poses = {f.name: (tuple(f.X_BF[:4].tolist()), tuple(f.X_BF[4:].tolist())) for f in first.frames if f.link == link}
@@ -92,11 +98,11 @@ def _write_body(
     rest = NOTHING
     for name, X in poses.items():
         if name != carrying and name in links:
-            rest = together(rest, moved(X, _read(links[name].find("inertial"))[0]))
+            rest = merged(rest, _read(links[name].find("inertial"))[0].moved(X))
     inertial = links[carrying].find("inertial")
     own, r = _read(inertial)
     new, alone = own_body(own, rest, body, changed, f"link {carrying!r}", "links on fixed joints")
-    turned = new[2] if r == quat.ONE else moved((quat.conj(r), (0.0,) * 4), (0.0, quat.ZERO, new[2]))[2]
+    turned = new[2] if r == quat.ONE else RigidBody(0.0, quat.ZERO, new[2]).moved((quat.conj(r), (0.0,) * 4)).inertia
     words = {
         "origin": {"xyz": digits(new[1])} if changed[1] or (changed[0] and not alone) else {},
         "mass": {"value": repr(new[0])} if changed[0] or inertial is None else {},
@@ -135,7 +141,7 @@ def _tag(tag: str, attributes: dict[str, str]) -> str:
     return f"<{tag} " + " ".join(f'{key}="{x}"' for key, x in attributes.items()) + "/>"
 
 
-def _read(inertial: Element | None) -> tuple[Lump, quat.Quaternion]:
+def _read(inertial: Element | None) -> tuple[RigidBody, quat.Quaternion]:
     """Body of an <inertial> element in the frame of its link, and the rotation of the axes of its inertia there."""
     if inertial is None:
         return NOTHING, quat.ONE
@@ -143,7 +149,8 @@ def _read(inertial: Element | None) -> tuple[Lump, quat.Quaternion]:
     values = {} if origin is None else origin.attributes
     X = pose({key: tuple(map(float, values.get(key, "0 0 0").split())) for key in ("xyz", "rpy")})
     moments = tuple(0.0 if inertia is None else float(inertia.attributes[key]) for key in SIX)
-    return moved(X, (0.0 if mass is None else float(mass.attributes["value"]), quat.ZERO, moments)), X[0]
+    body = RigidBody(0.0 if mass is None else float(mass.attributes["value"]), quat.ZERO, moments)
+    return body.moved(X), X[0]
 
 
 # --- joints ----------------------------------------------------------------------------------------------------------
