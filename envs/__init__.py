@@ -1,11 +1,8 @@
 """Scenes and gymnasium environments of torchdq; imported as `torchdq.envs`, never as `envs`."""
 
-from typing import TYPE_CHECKING
-
 from gymnasium import register
 
 from torchdq import effects
-from torchdq.base.attributes import refusing
 from torchdq.envs.env import ArmEnv
 from torchdq.envs.torch_task import TorchTask
 from torchdq.envs.vector_env import ArmVectorEnv
@@ -23,6 +20,3 @@ for _task in ("Reach", "Track"):
         max_episode_steps=250,
         kwargs={"task": _task.lower()},
     )
-
-if not TYPE_CHECKING:  # type checkers know the names
-    __getattr__ = refusing(__name__, make='gymnasium.make("torchdq/Reach-v0")')

@@ -14,12 +14,11 @@ from torch import Tensor
 from torch.compiler import is_compiling
 
 from torchdq.algebra.inertia import six
-from torchdq.base.attributes import no_member
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import destination, frozen
 from torchdq.dynamics.joints import KINDS, Helical, Prismatic, Revolute
 from torchdq.dynamics.tree import BASE, Tree
-from torchdq.errors import ArgumentError, UnknownNameError
+from torchdq.errors import ArgumentError, UnknownNameError, no_attribute
 from torchdq.program.transforms import any_requires_grad
 from torchdq.robot import loading
 from torchdq.robot.check.changes import check, complaints, repaired, require_fields, require_unchanged, stacked, values
@@ -128,7 +127,7 @@ class Robot:
     if not TYPE_CHECKING:  # type checkers know the names
 
         def __getattr__(self, name: str) -> Any:
-            raise no_member(self, name, _ELSEWHERE)
+            raise no_attribute("'Robot' object", name, [*dir(Robot), *vars(self)], _ELSEWHERE, "help(torchdq.Robot)")
 
     # --- names ---
 

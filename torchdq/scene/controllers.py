@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import ClassVar, Self
 
 from torchdq.algebra.quaternion import Number
-from torchdq.base.attributes import refusing
 from torchdq.dynamics.posed import Posed, Row
 from torchdq.dynamics.tracking import commanded
 from torchdq.effects.effect import Parameter, Parametric, Shapes, undefined
@@ -149,7 +148,3 @@ class PD(Feedback):
             return tau
         weight = posed(self.model, q, {}, ()).torques(None, None, None)
         return [t if w is None else t + w for t, w in zip(tau, weight, strict=True)]
-
-
-if not TYPE_CHECKING:  # type checkers know the names
-    __getattr__ = refusing(__name__)

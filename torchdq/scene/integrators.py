@@ -21,13 +21,12 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import torch
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
-from torchdq.base.attributes import refusing
 from torchdq.base.checks import require_count, require_number
 from torchdq.base.progress import Notice
 from torchdq.dynamics.posed import Row
@@ -330,6 +329,3 @@ _TABLEAU = (
     (35 / 384, 0.0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84),
 )
 _ERROR = (71 / 57600, 0.0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40)
-
-if not TYPE_CHECKING:  # type checkers know the names
-    __getattr__ = refusing(__name__, RK4="RungeKutta4", Euler="ExplicitEuler, or SemiImplicitEuler")
