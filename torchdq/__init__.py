@@ -57,7 +57,6 @@ from typing import TYPE_CHECKING
 
 from torchdq import convert, dq, floating
 from torchdq.backends.choice import backend
-from torchdq.base.attributes import no_attribute as _no_attribute
 from torchdq.base.caches import clear_caches
 from torchdq.control import computed_torque
 from torchdq.errors import (
@@ -73,6 +72,7 @@ from torchdq.errors import (
     UnknownNameError,
     UnphysicalError,
 )
+from torchdq.errors import no_attribute as _no_attribute
 from torchdq.functional import (
     closed_form,
     dynamics_jacobian,
@@ -184,7 +184,7 @@ def __getattr__(name: str) -> object:
         from torchdq.recommend.recommend import recommend_settings
 
         return recommend_settings
-    raise _no_attribute("torchdq", name, __all__, _ELSEWHERE)
+    raise _no_attribute("module 'torchdq'", name, __all__, _ELSEWHERE, "help(torchdq)")
 
 
 def __dir__() -> list[str]:

@@ -13,12 +13,11 @@ converters from and to the configurations of Pinocchio, MuJoCo and Isaac.
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.base.attributes import refusing
 from torchdq.base.checks import names_of
 from torchdq.errors import ArgumentError
 from torchdq.functional import Precision, check_precision, function_of
@@ -387,7 +386,3 @@ def jacobian(
     """
     options = options_of(require_robot(robot), "jacobian", (frame, expressed))
     return _of("jacobian", robot, {"X_WB": X_WB, "q": q}, backend, options)[0]
-
-
-if not TYPE_CHECKING:  # type checkers know the names
-    __getattr__ = refusing(__name__)

@@ -15,9 +15,6 @@ for the order of a model, found by names. These are differentiable.
 scipy and Pinocchio are imported when their converters are called. Nothing is differentiated through those two.
 """
 
-from typing import TYPE_CHECKING
-
-from torchdq.base.attributes import refusing
 from torchdq.convert.isaac import (
     acceleration_from_isaac,
     acceleration_to_isaac,
@@ -91,6 +88,3 @@ __all__ = [
     "wrench_from_isaac",
     "wrench_to_isaac",
 ]
-
-if not TYPE_CHECKING:  # type checkers know the names
-    __getattr__ = refusing(__name__)

@@ -7,9 +7,6 @@ explog      exponential and logarithm as programs, accurate to rounding at every
 components  conversion between tensors and tuples of components
 """
 
-from typing import TYPE_CHECKING
-
-from torchdq.base.attributes import refusing
 from torchdq.dq.components import stack
 from torchdq.dq.poses import (
     ScrewParameters,
@@ -93,6 +90,3 @@ __all__ = [
     "translation_body",
     "transpose",
 ]
-
-if not TYPE_CHECKING:  # type checkers know the names
-    __getattr__ = refusing(__name__, multiply="mul", inverse="conj, of what has norm 1", conjugate="conj")

@@ -1,8 +1,5 @@
 """Effects that a scene can simulate, each an object that belongs to one slot."""
 
-from typing import TYPE_CHECKING
-
-from torchdq.base.attributes import refusing
 from torchdq.effects.actuator import CommandDelay, DeadBand, FirstOrderLag, QuantisedCommand, Saturation, TorqueSpeed
 from torchdq.effects.body import Contact, Drag, Push
 from torchdq.effects.effect import Effect
@@ -47,6 +44,3 @@ __all__ = [
     "TorqueSpeed",
     "Viscous",
 ]
-
-if not TYPE_CHECKING:  # type checkers know the names
-    __getattr__ = refusing(__name__)

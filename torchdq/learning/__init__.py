@@ -10,9 +10,6 @@
 Nothing here is imported by `import torchdq`; scipy is imported by the functions that need it.
 """
 
-from typing import TYPE_CHECKING
-
-from torchdq.base.attributes import refusing
 from torchdq.learning.bodies.payload import IdentifiedPayload, identify_payload
 from torchdq.learning.bodies.posterior import Sampled, sample
 from torchdq.learning.evaluation.diagnostics import LogWarning
@@ -71,6 +68,3 @@ __all__ = [
     "samples",
     "smooth",
 ]
-
-if not TYPE_CHECKING:  # type checkers know the names
-    __getattr__ = refusing(__name__, load="read")

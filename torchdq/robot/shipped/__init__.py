@@ -1,9 +1,7 @@
 """Robots that ship with the package, each with the source of its numbers."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
-from torchdq.base.attributes import refusing
 from torchdq.errors import UnknownNameError
 from torchdq.robot.robot import Robot
 from torchdq.robot.shipped import panda, puma560, two_link, ur10e
@@ -39,7 +37,3 @@ def load(name: str) -> Robot:
     if name not in ROBOTS:
         raise UnknownNameError("shipped robot", name, ROBOTS)
     return ROBOTS[name]()
-
-
-if not TYPE_CHECKING:  # type checkers know the names
-    __getattr__ = refusing(__name__)
