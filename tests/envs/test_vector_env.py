@@ -81,6 +81,8 @@ def test_results_have_their_shapes_and_are_within_their_spaces(task, action):
             assert terminated.dtype == truncated.dtype == torch.bool
             assert envs.observation_space.contains(observations.numpy())
             assert info["clipped"].shape == info["nonfinite"].shape == (5,)
+    assert envs.single_observation_space.is_bounded()
+    assert envs.single_action_space == gymnasium.spaces.Box(-1, 1, (2,), np.float32)
 
 
 @pytest.mark.parametrize("robot", ["panda", "ur10e", "puma560"])
@@ -89,14 +91,6 @@ def test_shipped_arms_need_no_arguments(robot):
     envs = ArmVectorEnv(2, robot=robot, **({"scale": 50.0} if robot == "puma560" else {}))
     envs.reset(seed=0)
     assert not any(bool(terminated.any()) for _, _, terminated, _, _ in steps(envs, 30))
-
-
-def test_spaces_are_bounded():
-    for task in ("reach", "track"):
-        envs = make(3, task)
-        assert envs.single_observation_space.is_bounded()
-        assert envs.single_action_space == gymnasium.spaces.Box(-1, 1, (2,), np.float32)
-        assert envs.observation_space.shape == (3, *envs.single_observation_space.shape)
 
 
 def test_numpy_in_and_numpy_out():
@@ -120,17 +114,13 @@ def test_what_was_returned_does_not_change():
     assert same(results, kept)
 
 
-def test_double_precision_throughout():
-    envs = make(2, dtype=torch.float64)
+@pytest.mark.parametrize("dtype", [torch.float64, "float64", np.float64])
+def test_double_precision_throughout(dtype):
+    envs = make(2, dtype=dtype)
     observations, _ = envs.reset(seed=0)
     _, rewards, *_ = envs.step(torch.zeros(2, 2))
     assert observations.dtype == rewards.dtype == torch.float64
     assert envs.single_observation_space.dtype == np.float64
-
-
-@pytest.mark.parametrize("dtype", ["float64", np.float64])
-def test_a_dtype_may_have_the_name_that_numpy_gives_it(dtype):
-    assert make(2, dtype=dtype).dtype == torch.float64
 
 
 @pytest.mark.parametrize(("task", "action"), [("reach", "torque"), ("track", "residual"), ("reach", "reference")])
@@ -168,6 +158,10 @@ def test_gymnasium_makes_them():
         env.reset(seed=0)
         ends = [env.step(np.zeros(2, np.float32))[2:4] for _ in range(4)]
         assert ends == [(False, False)] * 3 + [(False, True)]
+    asked = {"output": "torch", "autoreset_mode": AutoresetMode.SAME_STEP}
+    envs = gymnasium.make_vec("torchdq/Track-v0", num_envs=2, robot=ROBOT, scale=20.0, **asked)
+    assert (envs.output, envs.autoreset_mode) == (make().output, make().autoreset_mode) == tuple(asked.values())
+    assert isinstance(envs.reset(seed=0)[0], torch.Tensor)
 
 
 @TASKS
@@ -185,14 +179,6 @@ def test_gymnasiums_wrappers_accept_them():
     for _ in range(4):
         observations, rewards, *_ = envs.step(np.zeros((5, 2), np.float32))
     assert isinstance(observations, np.ndarray) and isinstance(rewards, np.ndarray)
-
-
-def test_gymnasium_makes_what_it_is_asked_for():
-    asked = {"output": "torch", "autoreset_mode": AutoresetMode.SAME_STEP}
-    envs = gymnasium.make_vec("torchdq/Track-v0", num_envs=2, robot=ROBOT, scale=20.0, **asked)
-    assert (envs.output, envs.autoreset_mode) == ("torch", AutoresetMode.SAME_STEP)
-    assert isinstance(envs.reset(seed=0)[0], torch.Tensor)
-    assert (make().output, make().autoreset_mode) == ("torch", AutoresetMode.SAME_STEP)
 
 
 WRAPPERS = gymnasium.wrappers.vector
@@ -326,12 +312,9 @@ def test_rows_do_not_depend_on_their_number():
         assert same(a[:4], [x[:3] for x in b[:4]])
 
 
-def test_every_row_may_have_its_own_seed():
-    one, other = make(3).reset(seed=[4, 9, 5])[0], make(6).reset(seed=4)[0]
+def test_every_row_may_have_its_own_seed_and_one_whose_seed_is_none_continues():
+    one, other = make(3).reset(seed=np.array([4, 9, 5]))[0], make(6).reset(seed=4)[0]
     assert torch.equal(one, other[[0, 5, 1]])
-
-
-def test_a_row_whose_seed_is_none_goes_on():
     envs, plain = make(3), make(3)
     envs.reset(seed=0)
     plain.reset(seed=0)
@@ -426,7 +409,10 @@ IN_TORCH = TorchTask("reach", reward=lambda now: -now.q.square().sum(1))
 @pytest.mark.parametrize("mode", AutoresetMode)
 @pytest.mark.parametrize("task", ["reach", IN_TORCH], ids=["recorded", "in torch"])
 def test_rows_are_the_same_where_the_host_does_not_look(mode, task):
-    options = {"randomise": {"mass": 0.2, "friction": 0.3}, "effects": (*default_effects(ROBOT), effects.Noise(0.01, 0.01))}
+    options = {
+        "randomise": {"mass": 0.2, "friction": 0.3},
+        "effects": (*default_effects(ROBOT), effects.Noise(0.01, 0.01)),
+    }
     looking, blind = (make(task=task, max_episode_steps=4, autoreset_mode=mode, **options) for _ in range(2))
     blind._looks = False
     for envs in (looking, blind):
@@ -449,14 +435,6 @@ def test_rows_are_the_same_where_the_host_does_not_look(mode, task):
         torch.testing.assert_close(states[1][name], x, rtol=0, atol=0, equal_nan=True)
 
 
-def test_centres_of_mass_are_randomised():
-    envs = make(randomise={"com": 0.1})
-    envs.reset(seed=0)
-    drawn = envs.scene.robot.com - ROBOT.com.float()
-    assert drawn.shape == (5, 2, 3) and (drawn.abs() <= 0.1).all() and drawn.std(0).min() > 0.01
-    steps(envs, 3)
-
-
 def test_a_mask_resets_only_its_rows():
     envs = make()
     envs.reset(seed=0)
@@ -468,9 +446,7 @@ def test_a_mask_resets_only_its_rows():
     assert set(options) == {"reset_mask"}  # as it was given
 
 
-@pytest.mark.parametrize(
-    "mask", [np.ones(4, bool), np.ones(5), np.zeros(5, bool), torch.ones(5, 1, dtype=torch.bool)], ids=str
-)
+@pytest.mark.parametrize("mask", [np.ones(4, bool), np.ones(5), torch.ones(5, 1, dtype=torch.bool)], ids=str)
 def test_wrong_masks_are_refused(mask):
     envs = make()
     envs.reset(seed=0)
@@ -550,14 +526,8 @@ def test_actions_out_of_range_are_clipped_and_counted():
     assert result[4].pop("clipped").tolist() == [0, 1, 2, 0, 1]
     assert expected[4].pop("clipped").tolist() == [0] * 5
     assert same(result, expected)
-
-
-def test_integers_and_gradients_do_no_harm():
-    envs = make()
-    envs.reset(seed=0)
     envs.step(np.zeros((5, 2), dtype=int))
-    observations, *_ = envs.step(torch.zeros(5, 2, requires_grad=True))
-    assert not observations.requires_grad
+    assert not envs.step(torch.zeros(5, 2, requires_grad=True))[0].requires_grad
 
 
 def test_a_full_action_is_the_limit_of_the_torque():
@@ -625,41 +595,31 @@ def test_wrong_states_are_refused():
     envs = make()
     envs.reset(seed=0)
     state = envs.get_state()
-    with pytest.raises(torchdq.ArgumentError, match="state must have the entries"):
-        envs.set_state({"q": state["q"]})
-    with pytest.raises(torchdq.ArgumentError, match=r"state\['q'\] must be torch.float32 of shape \(5, 2\)"):
-        envs.set_state({**state, "q": state["q"][:3]})
-    with pytest.raises(torchdq.ArgumentError, match=r"state\['q'\] must be torch.float32"):
-        envs.set_state({**state, "q": state["q"].double()})
-    for bad in (None, 5, [state]):
-        with pytest.raises(torchdq.ArgumentError, match="state must be a dict of tensors"):
-            envs.set_state(bad)
-    with pytest.raises(torchdq.ArgumentError, match=r"state\['q'\] must be a tensor, found int"):
-        envs.set_state({**state, "q": 5})
-    for name in ("q", "goal"):
-        x = state[name].clone()
-        x[3, 1] = math.nan
-        with pytest.raises(torchdq.ArgumentError, match=rf"state\['{name}'\] must be finite, found nan in row 3"):
-            envs.set_state({**state, name: x})
+    missing, nan = {"q": state["q"]}, state["goal"].clone()
+    nan[3, 1] = math.nan
+    for wrong, message in (
+        (missing, "state must be a dict with the entries .*, found .*'q'"),
+        (None, "state must be a dict .*, found NoneType"),
+        ({**state, "q": state["q"][:3]}, r"state\['q'\] must be torch.float32 of shape \(5, 2\)"),
+        ({**state, "q": state["q"].double()}, r"state\['q'\] must be torch.float32"),
+        ({**state, "q": 5}, r"state\['q'\] must be a tensor, found int"),
+        ({**state, "goal": nan}, r"state\['goal'\] must be finite, found nan in row 3"),
+    ):
+        with pytest.raises(torchdq.ArgumentError, match=message):
+            envs.set_state(wrong)
     assert same(envs.get_state(), state)
 
 
 def test_a_state_that_other_effects_remember_is_refused():
-    lagging, late = (make(effects=(*default_effects(ROBOT), effect)) for effect in (effects.Lag(0.05), effects.Delay(1)))
+    lagging, late = (
+        make(effects=(*default_effects(ROBOT), effect)) for effect in (effects.Lag(0.05), effects.Delay(1))
+    )
     for envs in (lagging, late):
         envs.reset(seed=0)
     state = lagging.get_state()
     assert state["memory of Lag"].shape == late.get_state()["memory of Delay"].shape
     with pytest.raises(torchdq.ArgumentError, match=r"'memory of Delay'.*, found .*'memory of Lag'.*other effects"):
         late.set_state(state)
-
-
-def test_a_state_whose_counters_or_masks_were_changed_is_refused():
-    envs = make()
-    envs.reset(seed=0)
-    state = envs.get_state()
-    with pytest.raises(torchdq.ArgumentError, match=r"state\['steps'\] must not be negative"):
-        envs.set_state({**state, "steps": state["steps"] - 1})
 
 
 @pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda x: pickle.loads(pickle.dumps(x))], ids=["copy", "pickle"])
@@ -691,21 +651,6 @@ def test_randomised_rows_differ_and_need_no_new_program(monkeypatch):
     ):  # fmt: skip
         x = found[kind]
         assert lower <= x.min() < lower + 0.1 * (upper - lower) and upper - 0.1 * (upper - lower) < x.max() <= upper
-
-
-def test_randomised_parameters_act():
-    light, heavy = make(2, randomise={"payload": 0.0}), make(2, randomise={"payload": 5.0})
-    assert same(light.reset(seed=0), heavy.reset(seed=0))
-    assert not torch.equal(light.step(torch.zeros(2, 2))[0], heavy.step(torch.zeros(2, 2))[0])
-
-
-def test_wrong_variations_are_refused():
-    with pytest.raises(torchdq.UnknownNameError, match="did you mean 'mass'"):
-        make(randomise={"masses": 0.1})
-    with pytest.raises(torchdq.ArgumentError, match=r"randomise\['mass'\] must be a fraction"):
-        make(randomise={"mass": 1.5})
-    with pytest.raises(torchdq.ArgumentError, match="needs effects with friction"):
-        make(effects=(), randomise={"friction": 0.1})
 
 
 # --- tasks -----------------------------------------------------------------------------------------------------------
@@ -866,85 +811,48 @@ def test_a_reward_that_is_not_a_number_is_a_failure():
     assert info["where"].shape == (5, 2)
 
 
-@dataclass(frozen=True)
-class Changed(Reach):
-    """A task whose rows are changed by a function of a name."""
-
-    change: str = ""
-
-    def inputs(self, n):
-        """Inputs, changed."""
-        return INPUTS.get(self.change, lambda x: x)(super().inputs(n))
-
-    def start(self, robot, u):
-        """Start, changed."""
-        return STARTS.get(self.change, lambda x: x)(super().start(robot, u))
-
-    def rows(self, view):
-        """Rows, changed."""
-        return ROWS.get(self.change, lambda x: x)(super().rows(view))
-
-
 def without(name):
     """Function that leaves a row out."""
     return lambda x: {k: v for k, v in x.items() if k != name}
 
 
-ROWS = {
-    "reference is missing": without("reference"),
-    "reward is missing": without("reward"),
-    "observation is missing": without("observation"),
-    "no dict": lambda x: None,
-    "observation is short": lambda x: {**x, "observation": x["observation"][:-1]},
-    "reference is short": lambda x: {**x, "reference": x["reference"][:-1]},
-    "reward is a number": lambda x: {**x, "reward": x["distance"][0]},
-    "reward is a tensor": lambda x: {**x, "reward": torch.zeros(1)},
-    "reward holds a tensor": lambda x: {**x, "reward": [torch.zeros(1)]},
-    "reward has two": lambda x: {**x, "reward": [x["distance"][0]] * 2},
-    "end has two": lambda x: {**x, "terminated": [1.0, 0.0]},
-    "a row of the state": lambda x: {**x, "q": [0.0, 0.0]},
-    "a row of info": lambda x: {**x, "clipped": [0.0]},
-}
-STARTS = {
-    "goal is missing": without("goal"),
-    "goal is short": lambda x: {**x, "goal": x["goal"][:2]},
-    "start is a list": lambda x: list(x),
-    "start has more": lambda x: {**x, "torque": [0.0]},
-}
-INPUTS = {
-    "no goal": without("goal"),
-    "action is wide": lambda x: {**x, "action": 7},
-    "unknown input": lambda x: {**x, "velocity": 2},
-}
-MESSAGES = {
-    "reference is missing": r"Changed.rows must return a row 'reference' \[6\], found observation, reward, distance",
-    "reward is missing": r"must return a row 'reward' \[1\]",
-    "observation is missing": r"must return a row 'observation' \[12\]",
-    "no dict": "Changed.rows must return a dict of rows, observation, reward, reference, found NoneType",
-    "observation is short": "must return 'observation' of width 12, found 11",
-    "reference is short": "must return 'reference' of width 6, found 5",
-    "reward is a number": r"'reward' as a list of numbers, found a Recorded; a single number x is the row \[x\]",
-    "reward is a tensor": "must return 'reward' as a list of numbers, found a Tensor;",
-    "reward holds a tensor": "must return 'reward' as a list of numbers, found a Tensor in it",
-    "reward has two": "must return 'reward' of width 1, found 2",
-    "end has two": "must return 'terminated' of width 1, found 2",
-    "a row of the state": "Changed.rows must not return a row 'q'",
-    "a row of info": "Changed.rows must not return a row 'clipped'",
-    "goal is missing": r"Changed.start must return a row 'goal' \[3\], found q, qd",
-    "goal is short": "Changed.start must return 'goal' of width 3, found 2",
-    "start is a list": "Changed.start must return a dict of rows, q, qd, goal, found list",
-    "start has more": "no row of a start that Changed.start may return named 'torque'",
-    "no goal": "Changed.inputs must name the width of 'goal', found",
-    "action is wide": "Changed.inputs must give 'action' the width 2, found 7",
-    "unknown input": "no input of tasks that Changed.inputs may ask for named 'velocity'",
-}
+ROWS = [
+    (without("reference"), r"Changed.rows must return a dict of rows with observation, reward, reference, found obs"),
+    (lambda x: None, "Changed.rows must return a dict of rows with observation, reward, reference, found NoneType"),
+    (lambda x: {**x, "observation": x["observation"][:-1]}, "must return 'observation' of width 12, found 11"),
+    (lambda x: {**x, "reference": x["reference"][:-1]}, "must return 'reference' of width 6, found 5"),
+    (lambda x: {**x, "reward": [x["distance"][0]] * 2}, "must return 'reward' of width 1, found 2"),
+    (lambda x: {**x, "terminated": [1.0, 0.0]}, "must return 'terminated' of width 1, found 2"),
+    (
+        lambda x: {**x, "reward": x["distance"][0]},
+        r"'reward' as a list of numbers, found .*; a number x is the row \[x\]",
+    ),
+    (lambda x: {**x, "reward": [torch.zeros(1)]}, r"must return 'reward' as a list of numbers, found \[tensor"),
+    (lambda x: {**x, "q": [0.0, 0.0]}, "Changed.rows must not return a row 'q'"),
+    (lambda x: {**x, "clipped": [0.0]}, "Changed.rows must not return a row 'clipped'"),
+]
+STARTS = [
+    (without("goal"), r"Changed.start must return a dict of rows with q, qd, goal, found q, qd"),
+    (lambda x: {**x, "goal": x["goal"][:2]}, "Changed.start must return 'goal' of width 3, found 2"),
+    (lambda x: list(x), "Changed.start must return a dict of rows with q, qd, goal, found list"),
+    (lambda x: {**x, "torque": [0.0]}, "no row of a start that Changed.start may return named 'torque'"),
+]
+INPUTS = [
+    (without("goal"), "Changed.inputs must give the width of 'goal'"),
+    (lambda x: {**x, "action": 7}, "Changed.inputs .* may ask for {'action': 2, 'time': 1}, found .*7"),
+    (lambda x: {**x, "velocity": 2}, "Changed.inputs .* may ask for {'action': 2, 'time': 1}, found .*'velocity': 2"),
+]
+CHANGES = [(name, *row) for name, rows in (("rows", ROWS), ("start", STARTS), ("inputs", INPUTS)) for row in rows]
 
 
-@pytest.mark.parametrize("change", MESSAGES)
-def test_a_task_that_returns_other_rows_is_told_which(change):
-    assert {*ROWS, *STARTS, *INPUTS} == set(MESSAGES)
-    with pytest.raises(torchdq.TorchdqError, match=MESSAGES[change]):
-        make(2, Changed(change=change)).reset(seed=0)
+@pytest.mark.parametrize("method, change, message", CHANGES)
+def test_a_task_that_returns_other_rows_is_refused(method, change, message):
+    def changed(self, *given):
+        return change(getattr(Reach, method)(self, *given))
+
+    task = dataclass(frozen=True)(type("Changed", (Reach,), {method: changed}))()
+    with pytest.raises(torchdq.TorchdqError, match=message):
+        make(2, task).reset(seed=0)
 
 
 def test_limits_hold_a_usual_arm():
@@ -960,12 +868,6 @@ def test_limits_hold_a_usual_arm():
     assert bool((fastest < 6 * velocity).all())  # light joints are thrown about by heavy ones
 
 
-class Unhashable(Reach):
-    """A task that cannot be part of a key."""
-
-    __hash__ = None
-
-
 @pytest.mark.parametrize(
     "arguments, message",
     [
@@ -976,19 +878,16 @@ class Unhashable(Reach):
         ({"render_mode": "ansi"}, "render_mode must be one of"),
         ({"task": 3}, "task must be the name of one"),
         ({"task": Reach}, "Reach is a class, call it"),
-        ({"task": Unhashable()}, "task must be hashable, found Unhashable"),
-        ({"autoreset_mode": "later"}, "autoreset_mode must be one of .*'DISABLED' or 'Disabled'.* found 'later'"),
-        ({"autoreset_mode": ["Disabled"]}, "autoreset_mode must be one of"),
         ({"device": "cuda:99"}, "device must be a device that torch has on this machine, .*found 'cuda:99'"),
         ({"device": "gpu"}, "device must be a device that torch has on this machine, which are cpu.*found 'gpu'"),
         ({"robot": torchdq.robots.load("panda").with_tip(None)}, r"^tip of robot 'panda' must be chosen .*with_tip\("),
         (
             {"robot": stacked(limits=True)},
-            "limits of robot 'panda' have batch axes; environments need one set of",
+            "limits of robot 'panda' must be one for all environments, found batch axes",
         ),
         (
             {"robot": stacked()},
-            r"mass of robot 'panda' must be one for all or have 5 rows, found .* axes \(2,\)",
+            r"mass must be one for all or have 5 rows, found the batch axes \(2,\)",
         ),
         ({"dt": 0.0}, "dt must be a positive number"),
         ({"effects": (effects.Gravity,)}, "it is a class, call it"),
@@ -1030,17 +929,18 @@ def test_stable_baselines_trains():
     library.PPO("MlpPolicy", envs, n_steps=16, batch_size=32, device="cpu").learn(128)
 
 
-def test_torchrl_wraps_them():
-    library = pytest.importorskip("torchrl.envs")
-    envs = library.GymWrapper(make(4, max_episode_steps=10), convert_actions_to_numpy=False)
-    assert envs.rollout(5)["observation"].shape == (4, 5, make(4).single_observation_space.shape[0])
-
-
-def test_skrl_wraps_them():
-    library = pytest.importorskip("skrl.envs.wrappers.torch")
-    envs = library.wrap_env(make(4), wrapper="gymnasium")
-    observations, _ = envs.reset()
-    assert observations.shape[0] == 4
+@pytest.mark.parametrize(
+    "module, wrapped",
+    [
+        ("torchrl.envs", lambda library, envs: library.GymWrapper(envs, convert_actions_to_numpy=False)),
+        ("skrl.envs.wrappers.torch", lambda library, envs: library.wrap_env(envs, wrapper="gymnasium")),
+    ],
+    ids=["torchrl", "skrl"],
+)
+def test_other_libraries_wrap_them(module, wrapped):
+    envs = wrapped(pytest.importorskip(module), make(4, max_episode_steps=10))
+    found = envs.rollout(5)["observation"] if hasattr(envs, "rollout") else envs.reset()[0]
+    assert found.shape[0] == 4
 
 
 # --- what strangers trip over ----------------------------------------------------------------------------------------
@@ -1050,11 +950,6 @@ def test_an_unknown_option_of_reset_is_refused():
     envs = ArmVectorEnv(2)
     with pytest.raises(UnknownNameError, match="did you mean 'reset_mask'"):
         envs.reset(options={"mask": torch.tensor([True, False])})
-
-
-def test_seeds_may_be_an_array():
-    a, b = ArmVectorEnv(3), ArmVectorEnv(3)
-    assert torch.equal(a.reset(seed=np.arange(4, 7))[0], b.reset(seed=[4, 5, 6])[0])
 
 
 def test_effects_that_nobody_serves_are_refused():
