@@ -234,8 +234,7 @@ def test_an_adaptive_step_has_no_count_of_operations():
 
 def energies(integrator, steps, dt):
     scene = Scene(ARM, (effects.Gravity(),), integrator=integrator, dt=dt)
-    q, qd = trace(scene, swinging(), steps)
-    total = scene.energy(State(q, qd)).sum(-1)
+    total = scene.energy(trace(scene, swinging(), steps)).sum(-1)
     scale = float(
         scene.energy(swinging()).sum() - scene.energy(State(double(-math.pi / 2, 0.0), double(0.0, 0.0))).sum()
     )
@@ -258,14 +257,11 @@ def test_a_motion_of_semi_implicit_euler_played_back_does_not(compiled):
 # --- dry friction ----------------------------------------------------------------------------------------------------
 
 
-def rubbing(integrator, width):
-    return Scene(WHEEL, (effects.Coulomb(1.0, width),), integrator=integrator, dt=0.01)
-
-
 @pytest.mark.case("T10")
 def test_explicit_dry_friction_chatters_on_a_light_joint():
     """Beyond a ratio of 2 the velocity changes its sign at every step and never dies."""
-    _, qd = trace(rubbing(SemiImplicitEuler(), 0.01), State(double(0.0), double(1e-3)), 100)
+    scene = Scene(WHEEL, (effects.Coulomb(1.0, 0.01),), integrator=SemiImplicitEuler(), dt=0.01)
+    qd = trace(scene, State(double(0.0), double(1e-3)), 100).qd[1:]
     signs = qd[20:, 0].sign()
     assert (signs[1:] == -signs[:-1]).all()
     kick = 0.01 * 1.0 / INERTIA
@@ -279,8 +275,7 @@ def test_a_joint_breaks_loose_by_the_ratio_of_torque_and_level_per_step():
     From there its acceleration is that of the net torque.
     """
     scene = Scene(WHEEL, (effects.Coulomb(1.0, 1e-6),), integrator=LinearlyImplicit(), dt=0.001)
-    _, qd = trace(scene, State(double(0.0), double(0.0)), 400, double(1.25))
-    qd = qd[:, 0]
+    qd = trace(scene, State(double(0.0), double(0.0)), 400, double(1.25)).qd[1:, 0]
     creeping = qd[10:30]
     assert torch.allclose(creeping[1:] / creeping[:-1], torch.full((19,), 1.25, dtype=torch.float64), rtol=1e-2)
     assert float(qd[-1] - qd[-2]) == pytest.approx(0.25 / INERTIA * 0.001, rel=0.03)
@@ -330,7 +325,7 @@ def test_a_servo_of_any_gain_is_stable_when_integrated_implicitly():
     target = double(0.7, -0.4)
     scene = Scene(ARM, (effects.Gravity(), effects.Servo(1e5)), integrator=LinearlyImplicit(), dt=1e-2)
     start = State(double(0.0, 0.0), double(1.0, -2.0))
-    q, _ = trace(scene, start, 300, target=target)
+    q = trace(scene, start, 300, target=target).q
     assert q.abs().max() < 1.0
     holding = torchdq.inverse_dynamics(ARM, target, torch.zeros_like(target), torch.zeros_like(target))
     assert (q[-1] - target).abs().max() < 1.1 * holding.abs().max() / 1e5  # gravity hangs on the spring

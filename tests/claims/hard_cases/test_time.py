@@ -1,4 +1,4 @@
-"""Hard cases of time: orders, energy, reversal, adaptive steps, long gradients, stiffness, friction, limits, rows that diverge.
+"""Hard cases of time: orders, energy, reversal, adaptive steps, long gradients, stiffness, friction, limits, NaN.
 
 What test_integrators.py, test_effects.py and test_scene.py hold already is marked there; here is single precision, the
 compiled programs, second derivatives, and physics that those do not ask for. References are closed solutions, mpmath,
