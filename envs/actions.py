@@ -38,7 +38,7 @@ class Actions:
             require_tensor("actions", actions)
         try:
             if actions.is_complex() if isinstance(actions, Tensor) else np.iscomplexobj(actions):
-                raise TypeError("complex numbers, whose imaginary parts would be lost")
+                raise TypeError("complex numbers, whose imaginary parts would be dropped")
             found = torch.as_tensor(actions, dtype=self.scale.dtype, device=self.scale.device)
         except (TypeError, ValueError, RuntimeError) as error:
             raise ArgumentError(

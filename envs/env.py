@@ -35,7 +35,7 @@ class ArmEnv(gymnasium.Env):
     def __init__(self, max_episode_steps: int | None = None, render_mode: str | None = None, **arguments: Any) -> None:
         for name in ("num_envs", "autoreset_mode", "output"):
             if name in arguments:
-                raise ArgumentError(f"{name} is no argument of a single environment; use ArmVectorEnv")
+                raise ArgumentError(f"{name} is not an argument of a single environment; use ArmVectorEnv")
         self.envs = ArmVectorEnv(
             num_envs=1,
             max_episode_steps=max_episode_steps,

@@ -7,9 +7,9 @@ frame. This looks like the robot if link frames lie on the links, as those of UR
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -26,13 +26,9 @@ from torchdq.robot.fields import SHAPES
 from torchdq.robot.robot import arguments
 
 MOST_ARMS = 16  # arms in one image
-
-PAPER, GROUND, GRID, SHADOW, INK = "#f7f8fa", "#eef1f4", "#d9dfe6", "#cfd6de", "#2f4156"
+PAPER, GROUND, SHADOW, INK = "#f7f8fa", "#eef1f4", "#cfd6de", "#2f4156"
 LINK, JOINT, TIP, TARGET = "#7d9fc0", "#f7f8fa", "#f2a541", "#d1344b"
-
-AZIMUTH, ELEVATION = math.radians(-55.0), math.radians(25.0)  # direction of the camera [rad]
-DISTANCE = 5.0  # distance of the camera [radii of the view]
-MARGIN = 1.04  # radius of the image [radii of the view]
+AZIMUTH, ELEVATION = math.radians(-55.0), math.radians(25.0)  # direction of the camera, which is far away [rad]
 PIECES = 6  # pieces of a line, each drawn at its own depth
 
 
@@ -125,15 +121,6 @@ class Skeleton:
         return middle, float(np.linalg.norm(points - middle, axis=-1).max())
 
 
-class _Strokes(NamedTuple):
-    """Lines with round ends, with their widths and colours."""
-
-    artist: Any
-    widths: np.ndarray  # [strokes], radii of the view
-    colours: np.ndarray  # [strokes, 4]
-    biases: np.ndarray  # [strokes] toward the camera, radii of the view
-
-
 class Painter:
     """Draws images of a robot, or of up to 16 of them side by side.
 
@@ -148,100 +135,33 @@ class Painter:
     def __init__(self, robot: Robot, size: tuple[int, int] = (400, 400)):
         if len(size) != 2 or not all(isinstance(x, int) and x >= 16 for x in size):
             raise ArgumentError(f"size must be (width, height), whole numbers from 16, found {size!r}")
-        self.size = size
-        self.skeleton = Skeleton(robot)
+        self.size, self.skeleton = size, Skeleton(robot)
         self.middle, self.radius = self.skeleton.view()
-
         right = np.array([-math.sin(AZIMUTH), math.cos(AZIMUTH), 0.0])
         toward = np.array([math.cos(AZIMUTH), math.sin(AZIMUTH), math.tan(ELEVATION)]) * math.cos(ELEVATION)
         self._camera = np.stack([right, np.cross(toward, right), toward], -1)
-
-        figure, self._collections = _library("matplotlib.figure"), _library("matplotlib.collections")
-        width, height = size
-        self._figure = figure.Figure(figsize=(width / 72, height / 72), dpi=72)  # a point is a pixel
+        self._artists = _library("matplotlib.collections")
+        # a point is a pixel
+        self._figure = _library("matplotlib.figure").Figure(figsize=(size[0] / 72, size[1] / 72), dpi=72)
         self._canvas = _library("matplotlib.backends.backend_agg").FigureCanvasAgg(self._figure)
-        self._axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0, width), ylim=(0, height))
-        self._axes.set_axis_off()
-        self._figure.set_facecolor(PAPER)
-        self._text = self._figure.text(0.03, 0.97, "", va="top", color=INK, size=max(8.0, min(size) / 28))
-        self._ground: list[Any] = []
-        self._centres = np.zeros((0, 2))
-        self._scale = 1.0  # pixels per metre
-        lines, joints, tips = len(self.skeleton.lines), len(self.skeleton.joints), int(self.skeleton.tip is not None)
-        # number, width, colour and bias toward the camera; lengths in radii of the view
-        self._shadows = self._strokes(2, (lines, 0.06, SHADOW, 0.0), (1, 0.07, SHADOW, 0.0))
-        self._bodies = self._strokes(
-            4,
-            (1, 0.008, TARGET, -0.01),  # from the target to the ground
-            (lines * PIECES, 0.085, INK, -0.06),
-            (lines * PIECES, 0.06, LINK, 0.0),
-            (joints, 0.075, INK, 0.06),
-            (joints, 0.045, JOINT, 0.061),
-            (tips, 0.09, INK, 0.06),
-            (tips, 0.065, TIP, 0.062),
-            (1, 0.1, TARGET, 0.06),
-            (1, 0.06, JOINT, 0.061),
-            (1, 0.03, TARGET, 0.062),
-        )
-
-    def _strokes(self, zorder: int, *rows: tuple[int, float, str, float]) -> _Strokes:
-        numbers, widths, colours, biases = zip(*rows, strict=True)
-        artist = self._collections.LineCollection([], capstyle="round", snap=False, zorder=zorder)
-        self._axes.add_collection(artist, autolim=False)
-        rgba = _library("matplotlib.colors").to_rgba_array(colours)
-        return _Strokes(artist, np.repeat(widths, numbers), np.repeat(rgba, numbers, 0), np.repeat(biases, numbers))
-
-    def _draw(self, strokes: _Strokes, ends: np.ndarray) -> None:
-        """Move strokes to their ends [k, strokes, 2, 3], those farthest from the camera first."""
-        pixels, nearness = self.project(ends)
-        pixels[..., 1, 0] += 0.01  # a stroke without length would not be drawn
-        nearness = nearness.mean(-1)
-        order = np.argsort((nearness + strokes.biases).ravel(), kind="stable")
-        width = strokes.widths * self._scale * self.radius * DISTANCE / (DISTANCE - nearness)
-        strokes.artist.set_segments(pixels.reshape(-1, 2, 2)[order])
-        strokes.artist.set_linewidths(width.ravel()[order])
-        strokes.artist.set_color(np.tile(strokes.colours, (len(ends), 1))[order])
 
     def project(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Pixels [k, ..., 2] from the lower left corner, and nearness [k, ...], of positions [k, ..., 3] of k arms.
 
-        Nearness is measured toward the camera from the middle of the view, in its radii. Points at the camera or behind
-        it are NaN.
+        Nearness is measured toward the camera from the middle of the view, in its radii.
         """
-        seen = (x - self.middle) @ self._camera / self.radius
-        nearness = np.where(seen[..., 2] < DISTANCE - 1, seen[..., 2], np.nan)
-        scale = self._scale * self.radius * DISTANCE / (DISTANCE - nearness)
-        centres = self._centres.reshape(-1, *(1,) * (x.ndim - 2), 2)
-        return centres + seen[..., :2] * scale[..., None], nearness
-
-    def _arrange(self, arms: int) -> None:
-        """Place a number of arms, and draw the ground that they stand on."""
-        (width, height), counts = self.size, range(1, arms + 1)
-        columns = max(counts, key=lambda c: min(width / c, height / math.ceil(arms / c)))
-        rows = math.ceil(arms / columns)
-        cell = np.array([width / columns, height / rows])
+        arms, (width, height) = len(x), self.size
+        columns = max(range(1, arms + 1), key=lambda c: min(width / c, height / math.ceil(arms / c)))
+        cell = np.array([width / columns, height / math.ceil(arms / columns)])
         at = np.arange(arms)
-        self._centres = (np.stack([at % columns, rows - 1 - at // columns], -1) + 0.5) * cell
-        self._scale = cell.min() / (2 * MARGIN * self.radius)
+        centres = np.array([0.0, height]) + (np.stack([at % columns, -1 - at // columns], -1) + 0.5) * cell
+        seen = (x - self.middle) @ self._camera / self.radius
+        return centres.reshape(-1, *(1,) * (x.ndim - 2), 2) + seen[..., :2] * self._scale(arms), seen[..., 2]
 
-        for artist in self._ground:
-            artist.remove()
-        reach = math.sqrt(max(self.radius**2 - self.middle[2] ** 2, 0.3 * self.radius**2))  # radius of the ground
-        turn = np.linspace(0.0, 2 * np.pi, 97)
-        disc = reach * np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
-        offset = np.linspace(-1.0, 1.0, 9)[1:-1] * reach
-        half = np.sqrt(reach**2 - offset**2)
-        along = np.stack([np.stack([offset, s * half, 0 * half], -1) for s in (-1, 1)], 1)
-        grid = np.concatenate([along, along[..., [1, 0, 2]]])
-        base = 0.09 * self.radius * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]])
-        discs, grids, bases = (self.project(np.broadcast_to(x, (arms, *x.shape)))[0] for x in (disc, grid, base))
-        self._ground = [
-            self._collections.PolyCollection(discs, facecolor=GROUND, edgecolor="none", zorder=0),
-            self._collections.LineCollection(grids.reshape(-1, 2, 2), colors=GRID, linewidths=0.8, zorder=1),
-            self._collections.PolyCollection(bases, facecolor=INK, edgecolor="none", zorder=3),
-        ]
-        for artist in self._ground:
-            self._axes.add_collection(artist, autolim=False)
+    def _scale(self, arms: int) -> float:
+        """Pixels of a radius of the view."""
+        rows = ((c, math.ceil(arms / c)) for c in range(1, arms + 1))
+        return max(min(self.size[0] / c, self.size[1] / r) for c, r in rows) / 2.1
 
     def frame(self, q: Any, target: Any = None, text: str | None = None) -> np.ndarray:
         """Image [height, width, 3], uint8, of one robot or of k <= 16 of them.
@@ -256,22 +176,62 @@ class Painter:
         goal = np.full((1, 3), np.nan) if target is None else _rows("target", target, 3, arms).numpy()
         if len(goal) not in (1, arms):
             raise ArgumentError(f"target must have one row or one for each of the {arms} robots, found {len(goal)}")
-        if arms != len(self._centres):
-            self._arrange(arms)
-        goal = np.broadcast_to(goal, (arms, 3))[:, None]
-        lines, joints = points[:, self.skeleton.lines], points[:, self.skeleton.joints]  # [k, lines, 2, 3]
-        tips = points[:, [] if self.skeleton.tip is None else [self.skeleton.tip]]
+        mark = np.broadcast_to(goal, (arms, 3))[:, None, None].repeat(2, 2)  # [k, 1, 2, 3], a line without length
+        lines, flat = points[:, self.skeleton.lines], np.array([1.0, 1.0, 0.0])
+        joints, tips = (
+            points[:, at, None].repeat(2, 2)
+            for at in (self.skeleton.joints, [] if self.skeleton.tip is None else [self.skeleton.tip])
+        )
         t = np.linspace(0.0, 1.0, PIECES + 1)[:, None]
         cuts = lines[:, :, :1] * (1 - t) + lines[:, :, 1:] * t
         pieces = np.stack([cuts[:, :, :-1], cuts[:, :, 1:]], -2).reshape(arms, -1, 2, 3)
-        joint, tip, mark = (np.stack([x, x], -2) for x in (joints, tips, goal))
-        flat = np.array([1.0, 1.0, 0.0])
-        fall = np.stack([goal, goal * flat], -2)
-        self._draw(self._shadows, np.concatenate([lines * flat, mark * flat], 1))
-        self._draw(self._bodies, np.concatenate([fall, pieces, pieces, joint, joint, tip, tip, mark, mark, mark], 1))
-        self._text.set_text(text or "")
+        turn = np.linspace(0.0, 2 * np.pi, 97)
+        disc = self.radius * np.stack([np.cos(turn), np.sin(turn), 0 * turn], -1)
+        self._figure.clear(keep_observers=False)
+        self._figure.set_facecolor(PAPER)
+        axes = self._figure.add_axes((0.0, 0.0, 1.0, 1.0), xlim=(0, self.size[0]), ylim=(0, self.size[1]))
+        axes.set_axis_off()
+        ground = self.project(np.broadcast_to(disc, (arms, *disc.shape)))[0]
+        axes.add_collection(self._artists.PolyCollection(ground, facecolor=GROUND), autolim=False)
+        self._draw(axes, [(lines * flat, 0.06, SHADOW, 0.0), (mark * flat, 0.07, SHADOW, 0.0)])
+        self._draw(
+            axes,
+            [
+                (pieces, 0.085, INK, -0.06),
+                (pieces, 0.06, LINK, 0.0),
+                (joints, 0.075, INK, 0.06),
+                (joints, 0.045, JOINT, 0.061),
+                (tips, 0.09, INK, 0.06),
+                (tips, 0.065, TIP, 0.062),
+                (mark, 0.1, TARGET, 0.06),
+                (mark, 0.06, JOINT, 0.061),
+                (mark, 0.03, TARGET, 0.062),
+            ],
+        )
+        axes.text(
+            0.03, 0.97, text or "", va="top", color=INK, size=max(8.0, min(self.size) / 28), transform=axes.transAxes
+        )
         self._canvas.draw()
         return np.asarray(self._canvas.buffer_rgba())[..., :3].copy()
+
+    def _draw(self, axes: Any, strokes: Sequence[tuple[np.ndarray, float, str, float]]) -> None:
+        """Draw lines [k, lines, 2, 3] of a width, colour and bias toward the camera, the farthest first.
+
+        Widths and biases are in radii of the view.
+        """
+        pixels, nearness = self.project(np.concatenate([ends for ends, *_ in strokes], 1))
+        pixels[..., 1, 0] += 0.01  # a stroke without length would not be drawn
+        numbers, arms = [ends.shape[1] for ends, *_ in strokes], len(pixels)
+        widths, colours, biases = (np.repeat(column, numbers) for column in list(zip(*strokes, strict=True))[1:])
+        order = np.argsort((nearness.mean(-1) + biases).ravel(), kind="stable")
+        lines = self._artists.LineCollection(
+            pixels.reshape(-1, 2, 2)[order],
+            linewidths=np.tile(widths, arms)[order] * self._scale(arms),
+            colors=np.tile(colours, arms)[order],
+            capstyle="round",
+            snap=False,
+        )
+        axes.add_collection(lines, autolim=False)
 
 
 class Viewer:

@@ -62,8 +62,8 @@ class Now(NamedTuple):
         """Rigid bodies as they are simulated, a row for each environment where they differ.
 
         They have the gravity, the rotors and the payloads of the scene's effects, and masses, centres of mass and
-        gravity as they were drawn. Friction and delays are no part of them. An observation of what depends on them
-        tells a policy what no sensor of a real arm does; close over the robot as described where that is not meant.
+        gravity as they were drawn. Friction and delays are not part of them. An observation that depends on them gives
+        a policy what no sensor of a real arm measures; close over the robot as described where that is not meant.
         """
         return self.simulated()
 

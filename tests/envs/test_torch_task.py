@@ -1,4 +1,4 @@
-"""Tasks of functions of tensors, beside the recorded ones."""
+"""Tasks of functions of tensors, compared with recorded ones."""
 
 import math
 import warnings
@@ -55,6 +55,16 @@ def test_a_reward_of_tensors_is_the_recorded_one():
         a, b = recorded.step(action), torched.step(action)
         assert torch.equal(a[0], b[0]) and torch.allclose(a[1], b[1], rtol=1e-6, atol=1e-6)
         assert torch.allclose(a[4]["energy"], torched._buffers["qd"].square().sum(1), rtol=1e-5)
+
+
+def test_terms_of_a_reward_are_summed_and_land_in_info():
+    terms = {"closer": lambda now: -now.rows["distance"], "slower": lambda now: -0.1 * now.qd.square().sum(1)}
+    named = make(TorchTask("reach", lambda now: {name: term(now) for name, term in terms.items()}))
+    summed = make(TorchTask("reach", lambda now: sum(term(now) for term in terms.values())))
+    for action in actions(named, 3):
+        (_, found, *_, info), (_, expected, *_) = named.step(action), summed.step(action)
+        assert torch.equal(found, expected) and torch.equal(info["closer"] + info["slower"], found)
+        assert torch.equal(info["closer"], -info["distance"])
 
 
 def test_functions_see_the_state_after_the_step():
@@ -169,10 +179,8 @@ def test_a_function_that_fails_ends_that_row_alone(name, bad):
     "task, message",
     [
         (lambda: TorchTask("push"), "no task named 'push'"),
-        (lambda: TorchTask(reward=3), "reward must be a function or None, found 3"),
         (lambda: TorchTask(observation=state), "bounds must be given with an observation"),
         (lambda: TorchTask(observation=state, bounds=[(1, -1)]), r"bounds must be pairs \(lower, upper\)"),
-        (lambda: TorchTask(draws=2), "draws must be 0 without a start, which takes them, found 2"),
         (lambda: TorchTask(start=lambda robot, u: {}, draws=True), "draws must be a whole number from 0, found True"),
         (lambda: TorchTask(reward=lambda now: 1.0), "reward of the task must be a tensor, found float"),
         (lambda: TorchTask(reward=lambda now: now.q), r"reward of the task must have the shape \[5\], found \(5, 2\)"),
@@ -182,8 +190,10 @@ def test_a_function_that_fails_ends_that_row_alone(name, bad):
         ),
         (
             lambda: TorchTask(observation=state, bounds=BOUNDS[:3]),
-            "for each of its 3 bounds, found 4",
+            r"observation of the task must have the shape \[5, 3\], found \(5, 4\)",
         ),
+        (lambda: TorchTask(reward=lambda now: {"distance": now.q[:, 0]}), "must not name a term 'distance'"),
+        (lambda: TorchTask(reward=lambda now: {"clipped": now.q[:, 0]}), "must not name a term 'clipped'"),
         (lambda: TorchTask(terminated=lambda now: now.q[:, 0]), "terminated must return a bool tensor of shape"),
         (lambda: TorchTask(start=lambda robot, u: u), "start must return a dict of q, qd, goal, found Tensor"),
         (lambda: TorchTask(start=lambda robot, u: {"x": u}), "no row that start may return named 'x'"),
@@ -223,104 +233,3 @@ def test_a_policy_is_found_by_trying():
         mean, spread = best.mean(0), best.std(0) + 0.05
         returns.append(total.mean().item())
     assert mean[0] > 0.5 and returns[-1] > 0.4 * returns[0]  # from swinging about to staying there
-
-
-@pytest.mark.parametrize("name", ["reward", "observation", "terminated"])
-def test_an_unknown_row_is_refused_with_those_there_are(name):
-    task = TorchTask(**{name: lambda now: now.rows["energy"]}, **({"bounds": BOUNDS} if name == "observation" else {}))
-    with pytest.raises(torchdq.UnknownNameError, match=r"no row in now\.rows named 'energy'.*known: .*distance"):
-        envs = make(task)
-        envs.reset(seed=0)
-        envs.step(torch.zeros(5, 2))
-
-
-@pytest.mark.parametrize("name", ["reward", "observation", "terminated", "start"])
-def test_a_function_that_decides_for_all_rows_at_once_is_told_of_where(name):
-    def decides(now, u=None):
-        return now.q if (now.q if u is None else u)[:, 0] > 0 else now.qd
-
-    more = {"observation": {"bounds": BOUNDS}, "start": {"draws": 2}}.get(name, {})
-    task = TorchTask(**{name: decides}, **more)
-    with pytest.raises(torchdq.ArgumentError, match=rf"^{name} of the task must not decide by if.* use torch\.where"):
-        envs = make(task)
-        envs.reset(seed=0)
-        envs.step(torch.zeros(5, 2))
-
-
-def test_another_error_of_a_function_stays_what_it_is():
-    envs = make(TorchTask(reward=lambda now: now.q @ now.q))
-    envs.reset(seed=0)
-    with pytest.raises(RuntimeError, match="shapes cannot be multiplied"):
-        envs.step(torch.zeros(5, 2))
-
-
-@dataclass(frozen=True)
-class Timed(Reach):
-    """A recorded task that reads an input that it did not ask for."""
-
-    def rows(self, view):
-        return super().rows(view) | {"late": view.inputs["time"]}
-
-
-def test_an_input_that_a_recorded_task_did_not_ask_for_is_named():
-    with pytest.raises(torchdq.UnknownNameError, match=r"those of Timed\.inputs, .* named 'time'; .*goal"):
-        make(Timed()).reset(seed=0)
-
-
-def test_a_function_that_writes_in_place_is_refused():
-    envs = ArmVectorEnv(2, TorchTask("reach", lambda now: now.q.mul_(0).sum(1)), "two_link", scale=10.0)
-    envs.reset(seed=0)
-    with pytest.raises(torchdq.ArgumentError, match="must not change tensors in place"):
-        envs.step(torch.zeros(2, 2))
-
-
-# --- class attributes of recorded tasks ------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Priced(Reach):
-    """A recorded task with numbers in its class."""
-
-    PRICE = 1.0
-    _table = ({"not": torch.ones(2)}, torch.ones(2))  # cannot be compared, and is left out
-    prices = [1.0, {"all": [2.0]}]  # noqa: RUF012
-
-    def rows(self, view):
-        return super().rows(view) | {"reward": [self.PRICE * self.prices[0] * self.prices[1]["all"][0] + 0.0]}
-
-
-@dataclass(frozen=True)
-class Cheap(Priced):
-    """One whose numbers are those of another class."""
-
-
-@pytest.mark.parametrize("kind", [Priced, Cheap])
-def test_a_class_attribute_that_changed_is_recorded_anew(kind, monkeypatch):
-    def reward(envs):
-        return envs.step(torch.zeros(5, 2))[1].tolist()
-
-    old = make(kind())
-    assert reward(old) == [2.0] * 5
-    monkeypatch.setattr(Priced, "PRICE", 3.0)
-    assert reward(make(kind())) == [6.0] * 5
-    monkeypatch.setattr(Priced, "prices", [5.0, {"all": [1.0]}])
-    assert reward(make(kind())) == [15.0] * 5
-    monkeypatch.setattr(Priced, "rows", lambda self, view: Reach.rows(self, view) | {"reward": [7.0]})
-    assert reward(make(kind())) == [7.0] * 5
-    assert reward(old) == [2.0] * 5  # an environment keeps the task that it was made with
-    monkeypatch.undo()
-    assert reward(make(kind())) == [2.0] * 5
-
-
-def test_a_list_of_a_class_that_is_written_into_is_recorded_anew(monkeypatch):
-    make(Priced()).step(torch.zeros(5, 2))
-    monkeypatch.setitem(Priced.prices[1], "all", [11.0])
-    assert make(Priced()).step(torch.zeros(5, 2))[1].tolist() == [11.0] * 5
-
-
-def test_a_class_that_changes_before_the_first_reset_is_refused(monkeypatch):
-    envs = ArmVectorEnv(2, Priced(), BOT, scale=20.0)
-    monkeypatch.setattr(Priced, "PRICE", 4.0)
-    torchdq.clear_caches()
-    with pytest.raises(torchdq.ArgumentError, match=r"^Priced\.PRICE must not change between .*; make the environment"):
-        envs.reset(seed=0)

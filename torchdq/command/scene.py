@@ -84,7 +84,13 @@ class SceneCommand(RobotCommand):
         if self.csv is not None:
             self._write(self.csv, start, states, energies)
         first, last, extreme = energies[0], energies[-1], energies.sum(-1)
-        lost = "" if bool(extreme.isfinite().all()) else self._lost(extreme)
+        failure = ""
+        if not bool(extreme.isfinite().all()):
+            at = self.dt * int((~extreme.isfinite()).nonzero()[0])
+            failure = (
+                f"The simulation has failed: from {at:g} s on its state is not finite. A smaller --dt, another "
+                "--integrator, or a start within the limits may help."
+            )
         rows = [
             ("kinetic", *(f"{float(x):.6g}" for x in (first[0], energies[:, 0].max(), last[0]))),
             ("potential", *(f"{float(x):.6g}" for x in (first[1], energies[:, 1].max(), last[1]))),
@@ -96,7 +102,7 @@ class SceneCommand(RobotCommand):
         text: list[str | Grid] = [about, Grid(("energy [J]", "start", "most", "end"), rows)]
         text += [_positions(robot, start, states), "price of a step:", str(price)]
         text += [Grid((), [("wrote", str(self.csv))])] if self.csv is not None else []
-        text += [lost] if lost else []
+        text += [failure] if failure else []
         data = {
             "robot": robot.name,
             "machine": machine.words(),
@@ -111,15 +117,9 @@ class SceneCommand(RobotCommand):
             "costs": [cost._asdict() for cost in price.costs],
             "left_out": price.left_out,
             "files": {} if self.csv is None else {"csv": self.csv},
-            "lost": lost,
+            "failure": failure,
         }
-        return Outcome(tuple(text), data, bool(lost))
-
-    def _lost(self, energies: Tensor) -> str:
-        """Words for a simulation that has left all bounds."""
-        at = self.dt * int((~energies.isfinite()).nonzero()[0])
-        cure = "A smaller --dt, another --integrator, or a start within the limits may help."
-        return f"The simulation has failed: from {at:g} s on its numbers are no motion. {cure}"
+        return Outcome(tuple(text), data, bool(failure))
 
     def _scene(self, robot: Robot) -> Scene:
         names_of("integrator", self.integrator, STEPPERS, "integrator")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -97,6 +97,16 @@ def recommend_settings(
             f"what must be a torchdq.Robot or a torchdq.envs.Scene, found {type(what).__name__}; load a robot with "
             "Robot.from_urdf(...) or torchdq.robots.load(...)"
         )
+    _require_supported(scene, inputs)
+    with torch.no_grad(), Progress(f"recommend for {scene.robot.name!r}") as notice:
+        if horizon is None:
+            return _for_accelerations(scene.robot, error)
+        trial = replace(Trial.of(scene, horizon, state, inputs, most_steps), report=notice.at)
+        return _for_trajectories(trial, error, what is not scene)
+
+
+def _require_supported(scene: Scene, inputs: Mapping[str, Tensor]) -> None:
+    """Raise unless a scene is one of a single robot with a fixed base, recorded whole, and has these inputs."""
     if scene.robot.floating:
         raise ArgumentError(
             f"robot {scene.robot.name!r} must have a fixed base, found a free one: errors of poses have no measure; "
@@ -116,11 +126,6 @@ def recommend_settings(
             "a scene must be without effects.Residual, whose torque is held over dt whatever the integrator; ask about "
             "the scene without it, and halve dt until the motion with it stays the same"
         )
-    with torch.no_grad(), Progress(f"recommend for {scene.robot.name!r}") as notice:
-        if horizon is None:
-            return _for_accelerations(scene.robot, error)
-        trial = replace(Trial.of(scene, horizon, state, inputs, most_steps), report=notice.at)
-        return _for_trajectories(trial, error, what is not scene)
 
 
 def _falling(robot: Robot, horizon: float) -> Scene:

@@ -70,7 +70,7 @@ class Feedback(Controller):
     model: Robot | None = None
 
     def described(self, robot: Robot) -> Self:
-        """Copy whose model keeps the numbers of now; raises if they are no constants of one robot with these joints."""
+        """Copy whose model is a constant copy; raises unless it is one robot with these joints, without gradients."""
         believed, what = self.model, f"model of {type(self).__name__}"
         if believed is None:
             return self

@@ -144,7 +144,7 @@ def _step(scene: Scene, batch: int, dtype: torch.dtype) -> Callable[[], State]:
 def left_out(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
     """Lines, one for each part of a robot's description that no effect simulates."""
     limits, one = robot.limits, torch.ones(1, dtype=torch.bool)
-    # attribute of the description, joints that have it, words for it, and the effect that simulates it
+    # attribute of the description, joints that have it, its name, and the effect that simulates it
     parts = (
         ("gravity", one & (robot.gravity is not None), "gravity", "Gravity()"),
         ("armature", one & (robot.armature is not None), "rotor inertia", "RotorInertia()"),

@@ -5,7 +5,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
-from typing import Literal, get_args
+from functools import partial
+from typing import Literal, NamedTuple, get_args
 
 import torch
 from torch import Tensor, nn
@@ -52,33 +53,29 @@ def rollout(
         """Rows that were finite at the start, and are not."""
         return start & ~state.finite()
 
-    recomputed = bool(checkpoint) and torch.is_grad_enabled() and not unseen
-    commands: dict[int, Tensor] = {}  # torques of the policy by step, if they are computed again
+    again = bool(checkpoint) and torch.is_grad_enabled() and not unseen
+    commands = None if policy is None else _Commands(policy, scene.n, again, {})
 
     def part(first: int, last: int, state: State) -> list[State]:
         found: list[State] = []
         for k in range(first, last):
             notice.at(f"step {k + 1} of {total}")
             given = {name: x[k] for name, x in series.items()}
-            if policy is not None:
-                before = _buffers(policy) if recomputed else []
-                given["torque"] = torque = _commanded(policy, state, scene.n)
-                if recomputed:
-                    _require_memoryless(policy, before, commands.setdefault(k, torque.detach().clone()), torque)
+            if commands is not None:
+                given["torque"] = commands.at(k, state)
             state = scene.step(state, **given)
             if nonfinite == "stop" and bool(diverged(state).any()):
                 break
             found.append(state)
         return found
 
+    run = partial(checkpointed, part, use_reentrant=False) if checkpoint else part
     stride = checkpoint or max(total, 1)
     found: list[State] = []
     with notice if total >= LONG and not unseen else nullcontext():
         for first in range(0, total, stride):
             last = min(first + stride, total)
-            found += (
-                checkpointed(part, first, last, state, use_reentrant=False) if checkpoint else part(first, last, state)
-            )
+            found += run(first, last, state)
             if len(found) < last:
                 break
             state = found[-1]
@@ -116,31 +113,38 @@ def _length(series: Mapping[str, Tensor], steps: int | None, policy: Policy | No
     return total
 
 
-def _buffers(policy: Policy) -> list[tuple[str, Tensor, int]]:
-    """Buffers of a policy that is a module, by name, and how often each was changed in place."""
-    found = policy.named_buffers() if isinstance(policy, nn.Module) else ()
-    return [(name, x, x._version) for name, x in found if not x.is_inference()]
+class _Commands(NamedTuple):
+    """Torques of a policy, which must depend on the state alone where it is called again for the gradient."""
 
+    policy: Policy
+    n: int
+    again: bool
+    first: dict[int, Tensor]  # torques of the first call by step, if there is another
 
-def _require_memoryless(policy: Policy, before: list[tuple[str, Tensor, int]], first: Tensor, torque: Tensor) -> None:
-    """Raise if a policy changed a buffer, or returned other torques in this pass than in the first one."""
-    after = _buffers(policy)
-    changed = [a[0] for a, b in zip(before, after, strict=False) if a[1] is not b[1] or a[2] != b[2]]
-    other = first.shape != torque.shape or bool(((first != torque) & ~(first.isnan() & torque.isnan())).any())
-    if changed or other:
-        found = f"that it changes its buffer {changed[0]!r}" if changed else "other torques the second time"
-        raise ArgumentError(
-            f"policy must depend on the state alone where checkpoint is not 0, since it is called again for the "
-            f"gradient, found {found}; use checkpoint=0, or a policy that remembers nothing, as after policy.eval()"
-        )
+    def _buffers(self) -> list[tuple[str, Tensor, int]]:
+        """Buffers of a policy that is a module, by name, and how often each was changed in place."""
+        found = self.policy.named_buffers() if self.again and isinstance(self.policy, nn.Module) else ()
+        return [(name, x, x._version) for name, x in found if not x.is_inference()]
 
-
-def _commanded(policy: Policy, state: State, n: int) -> Tensor:
-    """Torques of a policy."""
-    torque = policy(state)
-    if not isinstance(torque, Tensor) or torque.shape[-1:] != (n,) or torque.dtype != state.q.dtype:
-        found = (
-            f"{torque.dtype} of shape {tuple(torque.shape)}" if isinstance(torque, Tensor) else type(torque).__name__
-        )
-        raise ArgumentError(f"policy must return torques, a tensor [..., {n}] of {state.q.dtype}, found {found}")
-    return torque
+    def at(self, k: int, state: State) -> Tensor:
+        """Torques of a step."""
+        before, torque = self._buffers(), self.policy(state)
+        if not isinstance(torque, Tensor) or torque.shape[-1:] != (self.n,) or torque.dtype != state.q.dtype:
+            found = type(torque).__name__
+            if isinstance(torque, Tensor):
+                found = f"{torque.dtype} of shape {tuple(torque.shape)}"
+            raise ArgumentError(
+                f"policy must return torques, a tensor [..., {self.n}] of {state.q.dtype}, found {found}"
+            )
+        if not self.again:
+            return torque
+        changed = [a[0] for a, b in zip(before, self._buffers(), strict=False) if a[1] is not b[1] or a[2] != b[2]]
+        first = self.first.setdefault(k, torque.detach().clone())
+        other = first.shape != torque.shape or bool(((first != torque) & ~(first.isnan() & torque.isnan())).any())
+        if changed or other:
+            found = f"that it changes its buffer {changed[0]!r}" if changed else "other torques the second time"
+            raise ArgumentError(
+                f"policy must depend on the state alone where checkpoint is not 0, since it is called again for the "
+                f"gradient, found {found}; use checkpoint=0, or a policy that remembers nothing, as after policy.eval()"
+            )
+        return torque

@@ -269,7 +269,7 @@ class Scene:
         """Program of a step at which the inputs of those names are given; by default, all."""
         if isinstance(self.integrator, Unrecorded):
             name = type(self.integrator).__name__
-            raise ArgumentError(f"a step of {name} is no program of its own")
+            raise ArgumentError(f"a step of {name} is not one program, and has no count of operations")
         stage = Stage(self.spec, "step", task)
         wanted = [
             *self.spec.state,

@@ -1,4 +1,4 @@
-"""Hard cases of time: orders, energy, reversal, adaptive steps, long gradients, stiffness, friction, limits, lost rows.
+"""Hard cases of time: orders, energy, reversal, adaptive steps, long gradients, stiffness, friction, limits, NaN.
 
 What test_integrators.py, test_effects.py and test_scene.py hold already is marked there; here is single precision, the
 compiled programs, second derivatives, and physics that those do not ask for. References are closed solutions, mpmath,
@@ -13,8 +13,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import torch
-from helpers import FIXED, called, double, one_thread, random  # noqa: F401
+from helpers import FIXED, INERTIA, WHEEL, called, double, one_thread, random  # noqa: F401
 from oracles import EPS, pinocchio_model, shipped
+from scenes import ARM, rolled, swinging, trace
 from scipy.integrate import solve_ivp
 from torch.utils._python_dispatch import TorchDispatchMode
 
@@ -38,26 +39,6 @@ every_backend = pytest.mark.parametrize("backend", ["eager", C])
 every_dtype = pytest.mark.parametrize("dtype", [F64, F32], ids=["f64", "f32"])
 compiled = pytest.mark.parametrize("backend", [C])
 
-ARM = shipped("two_link").robot
-INERTIA = 0.01
-WHEEL = torchdq.Robot.from_screws(
-    [[0.0, 0.0, 1.0, 0.0, 0.0, 0.0]], [1.0], [[0.0, 0.0, 0.0]], [np.diag([INERTIA] * 3)], name="wheel"
-)
-
-
-def rolled(scene, state, steps, torque=None, **inputs):
-    for _ in range(steps):
-        state = scene.step(state, torque, **inputs)
-    return state
-
-
-def trace(scene, state, steps, torque=None, **inputs):
-    """States at the beginning and after every step."""
-    found = [state]
-    for _ in range(steps):
-        found.append(scene.step(found[-1], torque, **inputs))
-    return State(*(torch.stack(x) for x in list(zip(*found, strict=True))[:2]))
-
 
 def cast(state, dtype):
     return State(state.q.to(dtype), state.qd.to(dtype))
@@ -66,11 +47,6 @@ def cast(state, dtype):
 def largest(a, b):
     """Largest difference of two states, or of rows of tensors."""
     return float(np.max([float((x.double() - y.double()).abs().max()) for x, y in zip(a, b, strict=True)]))
-
-
-def swinging(dtype=F64):
-    """The double pendulum let go from where it swings regularly."""
-    return cast(State(double(-math.pi / 2 + 0.6, 0.4), double(0.0, 0.0)), dtype)
 
 
 # --- T1: orders ------------------------------------------------------------------------------------------------------
@@ -224,13 +200,17 @@ def test_a_momentum_that_nothing_acts_on_is_kept(robot, integrator, dtype, backe
 
 @pytest.mark.case("T3")
 @compiled
+@every_dtype
 @pytest.mark.parametrize("integrator, factor", [(StoermerVerlet(), 2.0), (RungeKutta4(), 0.05)], ids=["Verlet", "RK4"])
-def test_in_single_precision_a_motion_played_back_returns_to_rounding(integrator, factor, backend, margin):
+def test_a_motion_played_back_returns_to_rounding(integrator, factor, dtype, backend, margin):
+    """In double precision, Runge-Kutta to 1e-9 of its order, and Verlet to that of its iterations."""
     scene = Scene(ARM, (effects.Gravity(),), integrator=integrator, dt=1e-3, backend=backend)
     with torch.no_grad():
-        there = rolled(scene, swinging(F32), 1000)
+        there = rolled(scene, swinging(dtype), 1000)
         back = rolled(scene, State(there.q, -there.qd), 1000)
-    margin(largest([back.q, -back.qd], swinging()[:2]), factor * 1000 * EPS[F32], called(integrator))
+    assert (there.q - swinging(dtype).q).abs().max() > 0.1
+    allowed = 1e-9 if dtype == F64 else factor * 1000 * EPS[dtype]
+    margin(largest([back.q, -back.qd], swinging()[:2]), allowed, f"{called(integrator)}, {dtype}")
 
 
 # --- T5, T6, T7: adaptive steps --------------------------------------------------------------------------------------
@@ -265,7 +245,7 @@ def test_a_tolerance_below_rounding_ends_and_costs_no_more_than_one_at_it(dtype,
 
 
 @pytest.mark.case("T5")
-def test_a_tolerance_below_rounding_is_told():
+def test_a_tolerance_below_rounding_is_reported():
     with pytest.warns(UserWarning, match="rtol"):
         evaluations(1e-12, 1e-30, F32, T=0.1)
 
@@ -503,14 +483,14 @@ def creeping(level, tau, width):
 @every_dtype
 def test_creep_is_that_of_the_width_and_so_are_its_derivatives(dtype, backend, margin):
     """Speed, and its first and second derivatives in torque, level and width, when it has settled."""
-    tau, level = (x.to(dtype) for x in (double(0.1, 0.5, 0.9)[:, None, None], double(1.0)))
+    tau, level = (x.to(dtype) for x in (double(0.1, 0.5, 0.9, 0.99)[:, None, None], double(1.0)))
     width = double(1e-2, 1e-4, 1e-6)[:, None].to(dtype)
-    x = [v.expand(3, 3, 1).clone().requires_grad_() for v in (tau, level, width)]
+    x = [v.expand(4, 3, 1).clone().requires_grad_() for v in (tau, level, width)]
     # the width is a number per sample, without an axis for the joints
     parts = (effects.Coulomb(x[1], x[2][..., 0]),)
     scene = Scene(WHEEL, parts, integrator=LinearlyImplicit(), dt=0.01, backend=backend)
-    state = State(torch.zeros(3, 3, 1, dtype=dtype), torch.zeros(3, 3, 1, dtype=dtype))
-    for _ in range(200):
+    state = State(torch.zeros(4, 3, 1, dtype=dtype), torch.zeros(4, 3, 1, dtype=dtype))
+    for _ in range(1500):
         state = scene.step(state, x[0])
     slopes = torch.autograd.grad(state.qd.sum(), x, create_graph=True)
     curves = torch.autograd.grad(slopes[0].sum(), x)
@@ -571,13 +551,13 @@ def test_a_step_from_rest_has_the_derivatives_of_its_formula_however_steep(width
 
 @pytest.mark.case("T10")
 @every_backend
+@every_dtype
 @pytest.mark.parametrize("width", [1e-2, 1e-4, 1e-6])
-def test_in_single_precision_friction_brings_a_joint_to_rest_without_chatter(width, backend):
+def test_friction_brings_a_joint_to_rest_without_chatter(width, dtype, backend):
     parts = (effects.Coulomb(1.0, torch.tensor(width)),)
     scene = Scene(WHEEL, parts, integrator=LinearlyImplicit(), dt=0.01, backend=backend)
-    start = State(torch.zeros(1), torch.ones(1))
     with torch.no_grad():
-        qd = trace(scene, start, 150).qd[:, 0]
+        qd = trace(scene, State(torch.zeros(1, dtype=dtype), torch.ones(1, dtype=dtype)), 150).qd[:, 0]
     assert (qd >= 0).all()
     assert (qd[1:] <= qd[:-1]).all()
     assert qd[-1] < 1e-6 * width
@@ -605,14 +585,17 @@ def test_an_arm_under_dry_friction_never_gains_energy(dtype, backend, margin):
 @every_backend
 @every_dtype
 @pytest.mark.parametrize("dissipation", [0.0, 1.0])
-@pytest.mark.parametrize("stiffness", [1e6, 1e8])
-def test_no_bounce_gains_speed_or_goes_deeper_than_a_step(stiffness, dissipation, dtype, backend, margin):
+@pytest.mark.parametrize("stiffness, h", [(1e6, 1e-2), (1e7, 1e-3), (1e8, 1e-2)])
+def test_no_bounce_gains_speed_or_goes_deeper_than_a_step(stiffness, h, dissipation, dtype, backend, margin):
     """Restitution at most 1 + 1e-6, which the rounding of positions must not spoil in single precision either."""
-    h, speed = 1e-2, torch.logspace(-3, 2, 60, dtype=F64)[:, None].to(dtype)
+    speed = torch.logspace(-3, 2, 60, dtype=F64)[:, None].to(dtype)
     parts = (effects.JointLimits(-math.inf, 0.1, double(stiffness), double(dissipation)),)
     scene = Scene(WHEEL, parts, integrator=LinearlyImplicit(), dt=h, backend=backend)
     with torch.no_grad():
-        q, qd = trace(scene, State(0.1 - 2.5 * h * speed, speed), 60)[:2]
+        start = State(0.1 - 2.5 * h * speed, speed)
+        q, qd = trace(scene, start, 60)[:2]
+        explicit = rolled(scene.replace(integrator=SemiImplicitEuler()), start, 60)
+    assert not (explicit.qd.abs() <= 1.5 * speed).all()  # as many a simulator does
     # the place of the limit is known to a rounding of the positions, which a step divides by its duration
     rounding = 8 * EPS[dtype] * (0.1 + 2.5 * h * speed.double()) / h / speed.double()
     beyond = (qd.double().abs() / speed.double() - rounding).max() - 1.0
@@ -774,10 +757,10 @@ def test_a_tumbling_body_is_the_same_operation_by_operation(margin):
 
 # --- T13: a state that stops being finite ----------------------------------------------------------------------------
 
-LOSING = (effects.Gravity(), effects.Viscous(0.3), effects.Coulomb(0.2, 1e-3), effects.JointLimits(-2.0, 2.0))
+SIMULATED = (effects.Gravity(), effects.Viscous(0.3), effects.Coulomb(0.2, 1e-3), effects.JointLimits(-2.0, 2.0))
 
 
-LOSERS = [LinearlyImplicit(), RungeKutta4()]
+DIVERGING = [LinearlyImplicit(), RungeKutta4()]
 
 
 @pytest.mark.case("T13")
@@ -786,14 +769,14 @@ LOSERS = [LinearlyImplicit(), RungeKutta4()]
     "integrator, backend",
     [
         (LinearlyImplicit(), "eager"),
-        *(pytest.param(i, "c", marks=C.marks) for i in (*LOSERS, DormandPrince(1e-4, 1e-6))),
+        *(pytest.param(i, "c", marks=C.marks) for i in (*DIVERGING, DormandPrince(1e-4, 1e-6))),
     ],
     ids=lambda x: x if isinstance(x, str) else called(x),
 )
-def test_a_row_that_is_lost_takes_no_other_with_it_in_a_hundred_steps(integrator, dtype, backend):
+def test_a_row_that_diverges_takes_no_other_with_it_in_a_hundred_steps(integrator, dtype, backend):
     """One from the beginning, one that is infinite, one by a torque at step 50; and when is there to be seen."""
     steps = 20 if isinstance(integrator, DormandPrince) else 100
-    scene = Scene(ARM, LOSING, integrator=integrator, dt=2e-3, backend=backend)
+    scene = Scene(ARM, SIMULATED, integrator=integrator, dt=2e-3, backend=backend)
     q, qd = random(2, 7, 2, seed=1, dtype=dtype)
     torque = random(steps, 7, 2, seed=2, dtype=dtype)
     bad = State(q.clone(), qd.clone())
@@ -843,7 +826,7 @@ OFF = {
     "LoadDependent": lambda zero: effects.LoadDependent(zero),
     "Ripple": lambda zero: effects.Ripple(0.1, zero, zero),
     "Spring": lambda zero: effects.Spring(zero, 0.3),
-    "JointLimits": lambda zero: effects.JointLimits(-0.1, 0.1, zero),
+    "Limits": lambda zero: effects.JointLimits(-0.1, 0.1, zero),
     "RotorInertia": lambda zero: effects.RotorInertia(zero),
     "Drag": lambda zero: effects.Drag(zero, zero, zero),
 }
@@ -883,17 +866,6 @@ def test_so_it_is_compiled(kind, dtype, backend, margin):
     bare = stepped((), SemiImplicitEuler(), dtype, backend)
     for what, zero in (("constant", 0.0), ("tensor", torch.zeros(2, dtype=F64))):
         off(bare, stepped((OFF[kind](zero),), SemiImplicitEuler(), dtype, backend), dtype, margin, f"{kind}, {what}")
-
-
-@pytest.mark.case("T14")
-@every_backend
-@every_dtype
-def test_an_effect_that_was_taken_out_is_gone_to_the_bit(dtype, backend):
-    """Values and gradients."""
-    parts = (effects.Gravity(), effects.Coulomb(0.3), effects.Drag(0.1), effects.JointLimits(-0.1, 0.1))
-    scene = Scene(ARM, parts, integrator=SemiImplicitEuler(), backend=backend).replace(effects=parts[:1])
-    expected = stepped((), SemiImplicitEuler(), dtype, backend)
-    assert all(map(torch.equal, stepped((), SemiImplicitEuler(), dtype, backend, scene), expected))
 
 
 @pytest.mark.case("T14")

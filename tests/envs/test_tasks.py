@@ -1,0 +1,246 @@
+"""Tasks: what is observed, rewarded and followed, and a task of one's own."""
+
+import math
+from dataclasses import dataclass
+
+import pytest
+import torch
+from small_envs import ROBOT, actions_of, make, steps
+
+import torchdq
+from torchdq.envs import ArmVectorEnv, effects
+from torchdq.envs.tasks import Reach, Track
+from torchdq.errors import ArgumentError
+from torchdq.scene import controllers
+from torchdq.scene.defaults import nominal_robot
+
+BACKEND = "auto"
+
+
+def test_the_end_effector_is_observed_where_it_is_and_the_goal_is_within_reach():
+    envs = ArmVectorEnv(200, robot="panda", dtype=torch.float64)
+    observations, _ = envs.reset(seed=0)
+    q = envs._buffers["q"]
+    tip = torchdq.dq.translation(torchdq.forward_kinematics(envs.robot, q, "tip"))
+    sines = torch.stack([q.sin(), q.cos()], -1).flatten(1)
+    assert torch.allclose(observations[:, :14], sines, atol=1e-14)
+    assert torch.allclose(observations[:, -3:], tip, atol=1e-12)
+    assert torch.allclose(observations[:, -6:-3], envs._buffers["goal"] - tip, atol=1e-12)
+    assert (envs._buffers["goal"] - torch.tensor([0, 0, 0.333])).norm(
+        dim=1
+    ).max() < 1.2  # an arm's length from its shoulder
+    lower, upper = envs.robot.limits[:2]
+    assert bool(((q > lower) & (q < upper)).all())
+
+
+def test_reaching_is_rewarded_by_distance():
+    envs = make(50, dtype=torch.float64)
+    envs.reset(seed=0)
+    action = next(actions_of(envs)).double()
+    observations, rewards, _, _, info = envs.step(action)
+    d = observations[:, -6:-3].norm(dim=1)
+    assert torch.allclose(info["distance"], d, atol=1e-6)
+    expected = 1 / (1 + (d / 0.05) ** 2) - d - 0.01 * action.square().mean(1)
+    assert torch.allclose(rewards, expected, atol=1e-6)
+
+
+def test_what_is_seen_is_measured_and_what_is_rewarded_is_true():
+    envs = make(5, effects=(effects.Gravity(), effects.Bias(0.3, 0.1)), dtype=torch.float64)
+    observations, _ = envs.reset(seed=0)
+    assert torch.allclose(observations[:, 0], (envs._buffers["q"][:, 0] + 0.3).sin(), atol=1e-12)
+    observations, *_, info = envs.step(torch.zeros(5, 2))
+    assert torch.allclose(observations[:, 0], (envs._buffers["q"][:, 0] + 0.3).sin(), atol=1e-12)
+    tip = torchdq.dq.translation(torchdq.forward_kinematics(ROBOT, envs._buffers["q"], ROBOT.tip))
+    assert torch.allclose(info["distance"], (envs._buffers["goal"] - tip).norm(dim=1), atol=1e-6)
+
+
+def test_a_goal_can_be_reached():
+    # by the damped inverse of the Jacobian, with offsets as actions
+    envs = ArmVectorEnv(50, robot="panda", action="reference")
+    observations, _ = envs.reset(seed=0)
+    for _ in range(150):
+        way, q = observations[:, -6:-3, None], envs._buffers["q"]
+        J = torchdq.jacobian(envs.robot, q, "tip", expressed="world")[:, 3:]
+        offset = J.mT @ torch.linalg.solve(J @ J.mT + 0.01 * torch.eye(3), way)
+        observations, rewards, _, _, info = envs.step((offset[..., 0] / envs._actions.scale).clamp(-1, 1))
+    assert info["distance"].quantile(0.9) < 0.01 and rewards.quantile(0.1) > 0.9
+
+
+def test_the_reference_is_smooth_and_within_limits():
+    robot, task = torchdq.robots.load("panda"), Track()
+    envs = ArmVectorEnv(300, "track", robot, dtype=torch.float64, action="reference")
+    envs.reset(seed=0)
+    lower, upper, velocity, _ = robot.limits
+    positions = []
+    for _ in range(100):
+        q, qd, qdd = envs._buffers["reference"].split(7, 1)
+        assert bool(((q > lower) & (q < upper)).all()) and bool((qd.abs() <= velocity / 2).all())
+        assert bool((qdd.abs() <= velocity).all())
+        positions.append((q, qd, qdd))
+        envs.step(torch.zeros(300, 7))
+    q, qd, qdd = (torch.stack(x) for x in zip(*positions, strict=True))
+    h = envs.scene.dt
+    assert torch.allclose((q[2:] - q[:-2]) / (2 * h), qd[1:-1], atol=1e-3)
+    assert torch.allclose((q[2:] - 2 * q[1:-1] + q[:-2]) / h**2, qdd[1:-1], atol=1e-3)
+    assert task.inputs(7) == {"goal": 49, "action": 7, "time": 1}
+
+
+def errors(**arguments):
+    """Root mean square error after two seconds of a controller that is left alone."""
+    envs = make(20, "track", action="residual", **arguments)
+    envs.reset(seed=0)
+    for _ in range(100):
+        *_, info = envs.step(torch.zeros(20, 2))
+    return info["error"].square().mean().sqrt().item()
+
+
+def test_a_controller_that_is_left_alone_tracks_with_the_true_model_and_not_with_a_wrong_one():
+    right = errors(effects=(effects.Gravity(),))
+    heavy = errors(effects=(effects.Gravity(), effects.Payload(1.0)))
+    stuck = errors(effects=(effects.Gravity(), effects.Coulomb(1.0)))
+    varied = errors(effects=(effects.Gravity(),), randomise={"mass": 0.3})
+    assert right < 3e-3
+    assert min(heavy, stuck, varied) > 3 * right
+
+
+def test_a_residual_pushes_an_arm_that_stands_still_by_itself():
+    envs = make(10, "reach", action="residual", effects=(effects.Gravity(),))
+    envs.reset(seed=0)
+    start = envs._buffers["q"].clone()
+    for _ in range(50):
+        envs.step(torch.zeros(10, 2))
+    assert torch.allclose(envs._buffers["q"], start, atol=1e-3)
+    envs.step(torch.ones(10, 2))
+    assert bool((envs._buffers["q"][:, 1] != start[:, 1]).all())
+
+
+def test_a_reference_action_moves_the_arm_on():
+    envs = make(10, "reach", action="reference", effects=(effects.Gravity(),), scale=None)
+    envs.reset(seed=0)
+    start = envs._buffers["q"].clone()
+    for _ in range(50):
+        envs.step(torch.tensor([1.0, -0.5]).expand(10, 2))
+    moved = envs._buffers["q"] - start  # in a second, at five times an offset of 0.4 and -0.2
+    assert torch.allclose(moved, torch.tensor([2.0, -1.0]), rtol=0.2)
+
+
+def test_the_controller_may_be_ones_own():
+    pd = controllers.PD(200.0, 40.0, nominal_robot(make(1, effects=(effects.Gravity(),)).scene))
+    envs = make(4, "track", action="residual", controller=pd)
+    envs.reset(seed=0)
+    steps(envs, 3)
+    with pytest.raises(torchdq.ArgumentError, match="did you mean action='residual'"):
+        make(4, controller=pd)
+
+
+@dataclass(frozen=True)
+class Fall(Reach):
+    """An episode that ends when the first joint turns beyond an angle."""
+
+    def rows(self, view):
+        """With an end."""
+        from torchdq.numbers.functions import at_least
+
+        return {**super().rows(view), "terminated": [at_least(-0.5, view.q[0])]}
+
+
+def test_a_task_may_be_ones_own_and_end_episodes():
+    envs = make(5, Fall(), effects=(effects.Gravity(),))
+    envs.reset(seed=0)
+    ended = torch.zeros(5, dtype=torch.bool)
+    for _ in range(200):
+        _, _, terminated, _, info = envs.step(torch.zeros(5, 2))
+        assert not bool(info["nonfinite"].any())
+        ended |= terminated
+    assert bool(ended.any())
+
+
+@dataclass(frozen=True)
+class Undefined(Reach):
+    """A reward that is not a number."""
+
+    def rows(self, view):
+        """Without a reward, and with a row of two for `info`."""
+        return {**super().rows(view), "reward": [math.nan], "where": view.q}
+
+
+def test_a_reward_that_is_not_a_number_is_a_failure():
+    envs = make(5, Undefined(), effects=())
+    envs.reset(seed=0)
+    _, rewards, terminated, _, info = envs.step(torch.zeros(5, 2))
+    assert bool(info["nonfinite"].all()) and bool(terminated.all()) and rewards.tolist() == [-1000] * 5
+    assert info["where"].shape == (5, 2)
+
+
+def without(name):
+    """Function that leaves a row out."""
+    return lambda x: {k: v for k, v in x.items() if k != name}
+
+
+ROWS = [
+    (without("reference"), r"Changed.rows must return a dict of rows with observation, reward, reference, found obs"),
+    (lambda x: None, "Changed.rows must return a dict of rows with observation, reward, reference, found NoneType"),
+    (lambda x: {**x, "observation": x["observation"][:-1]}, "must return 'observation' of width 12, found 11"),
+    (lambda x: {**x, "reference": x["reference"][:-1]}, "must return 'reference' of width 6, found 5"),
+    (lambda x: {**x, "reward": [x["distance"][0]] * 2}, "must return 'reward' of width 1, found 2"),
+    (lambda x: {**x, "terminated": [1.0, 0.0]}, "must return 'terminated' of width 1, found 2"),
+    (
+        lambda x: {**x, "reward": x["distance"][0]},
+        r"'reward' as a list of numbers, found .*; a number x is the row \[x\]",
+    ),
+    (lambda x: {**x, "reward": [torch.zeros(1)]}, r"must return 'reward' as a list of numbers, found \[tensor"),
+    (lambda x: {**x, "q": [0.0, 0.0]}, "Changed.rows must not return a row 'q'"),
+    (lambda x: {**x, "clipped": [0.0]}, "Changed.rows must not return a row 'clipped'"),
+]
+
+
+STARTS = [
+    (without("goal"), r"Changed.start must return a dict of rows with q, qd, goal, found q, qd"),
+    (lambda x: {**x, "goal": x["goal"][:2]}, "Changed.start must return 'goal' of width 3, found 2"),
+    (lambda x: list(x), "Changed.start must return a dict of rows with q, qd, goal, found list"),
+    (lambda x: {**x, "torque": [0.0]}, "no row of a start that Changed.start may return named 'torque'"),
+]
+
+
+INPUTS = [
+    (without("goal"), "Changed.inputs must give the width of 'goal'"),
+    (lambda x: {**x, "action": 7}, "Changed.inputs .* may ask for {'action': 2, 'time': 1}, found .*7"),
+    (lambda x: {**x, "velocity": 2}, "Changed.inputs .* may ask for {'action': 2, 'time': 1}, found .*'velocity': 2"),
+]
+
+
+CHANGES = [(name, *row) for name, rows in (("rows", ROWS), ("start", STARTS), ("inputs", INPUTS)) for row in rows]
+
+
+@pytest.mark.parametrize("method, change, message", CHANGES)
+def test_a_task_that_returns_other_rows_is_refused(method, change, message):
+    def changed(self, *given):
+        return change(getattr(Reach, method)(self, *given))
+
+    task = dataclass(frozen=True)(type("Changed", (Reach,), {method: changed}))()
+    with pytest.raises(torchdq.TorchdqError, match=message):
+        make(2, task).reset(seed=0)
+
+
+def test_limits_hold_a_usual_arm():
+    envs = ArmVectorEnv(32, robot="panda", max_episode_steps=None)
+    envs.reset(seed=0)
+    lower, upper, velocity, _ = envs.robot.limits
+    fastest = torch.zeros(7)
+    for _ in range(100):
+        *_, info = envs.step(torch.ones(32, 7))
+        fastest = torch.maximum(fastest, envs._buffers["qd"].abs().amax(0))
+    assert not bool(info["nonfinite"].any())
+    assert bool((envs._buffers["q"] > lower - 0.1).all()) and bool((envs._buffers["q"] < upper + 0.1).all())
+    assert bool((fastest < 6 * velocity).all())  # light joints are thrown about by heavy ones
+
+
+def test_a_task_whose_attributes_are_no_fields_is_refused():
+    """Two such tasks would be equal, and share the program of the first."""
+
+    class Weighted(Reach):
+        def __init__(self, weight):
+            object.__setattr__(self, "weight", weight)
+
+    with pytest.raises(ArgumentError, match=r"task has the attributes weight.*make Weighted a dataclass"):
+        ArmVectorEnv(2, Weighted(5.0), "two_link", scale=10.0)

@@ -1,0 +1,160 @@
+"""Controllers: their equations, the model that they believe in, and gains that may be learned."""
+
+import dataclasses
+
+import pytest
+import torch
+from helpers import called, double, random
+from scenes import ARM, KD, KP, PANDA, TREE
+
+import torchdq
+from torchdq.envs import Scene, State, effects
+from torchdq.errors import ArgumentError
+from torchdq.scene.controllers import PD, ComputedTorqueController
+from torchdq.scene.integrators import ExplicitEuler, RungeKutta4, SemiImplicitEuler
+
+
+def wanted(t):
+    """Reference of seven joints, positions, velocities and accelerations."""
+    w = torch.arange(1, 8, dtype=torch.float64) / 3
+    return torch.cat([0.5 * (w * t).sin(), 0.5 * w * (w * t).cos(), -0.5 * w**2 * (w * t).sin()])
+
+
+def reference(t, n):
+    return wanted(t).reshape(3, 7)[:, :n].flatten()
+
+
+HELD = (effects.Gravity(), effects.RotorInertia(0.2), effects.Payload(double(0.3, 1.0, 2.0), (0.0, 0.05, 0.1)))
+
+
+@pytest.mark.parametrize("integrator", [ExplicitEuler(), SemiImplicitEuler()], ids=called)
+@pytest.mark.parametrize("robot", [ARM, PANDA], ids=["two_link", "panda"])
+def test_computed_torque_makes_any_arm_a_double_integrator(robot, integrator):
+    """Gravity, rotors and payload of the scene included, Euler's steps are those of q'' = commanded, to 1e-9."""
+    n, h, q, qd = robot.n, 0.01, random(3, robot.n) * 0.3, random(3, robot.n, seed=1)
+    scene = Scene(robot, HELD, ComputedTorqueController(KP, KD), integrator, dt=h)
+    state = scene.start(q, qd)
+    for k in range(100):
+        r = reference(k * h, n)
+        state = scene.step(state, reference=r)
+        a = r[2 * n :] + KD * (r[n : 2 * n] - qd) + KP * (r[:n] - q)
+        q, qd = (q + h * qd, qd + h * a) if integrator == ExplicitEuler() else (q + h * (qd + h * a), qd + h * a)
+        assert (state.q - q).abs().max() < 1e-9
+        assert (state.qd - qd).abs().max() < 1e-9
+    assert (q - reference(1.0, n)[:n]).abs().max() < 0.1
+
+
+def tracking_error(dt, integrator):
+    """Of the arm after a second, less that of e'' + kd e' + kp e = 0 by a matrix exponential."""
+    scene = Scene(ARM, (effects.Gravity(),), ComputedTorqueController(KP, KD), integrator, dt)
+    state = scene.start(double(0.5, -0.3), double(0.2, 0.1))
+    start = torch.stack([reference(0.0, 2)[:2] - state.q, reference(0.0, 2)[2:4] - state.qd])
+    for k in range(round(1 / dt)):
+        state = scene.step(state, reference=reference(k * dt, 2))
+    e = (torch.matrix_exp(double((0.0, 1.0), (-KP, -KD))) @ start)[0]
+    return reference(1.0, 2)[:2] - state.q - e
+
+
+@pytest.mark.parametrize("integrator", [SemiImplicitEuler(), RungeKutta4()], ids=called)
+def test_the_error_equation_holds_up_to_holding_the_torque_over_a_step(integrator):
+    errors = [float(tracking_error(dt, integrator).norm()) for dt in (0.02, 0.01, 0.005)]
+    assert errors[0] < 0.02
+    assert [errors[0] / errors[1], errors[1] / errors[2]] == pytest.approx([2.0, 2.0], rel=0.15)
+
+
+def test_a_wrong_model_degrades_smoothly():
+    """Masses believed 0, 2, 5 and 10 % too small leave an error that grows with them and stays below tau / (kp M)."""
+    errors, h = [], 0.005
+    for wrong in (0.0, 0.02, 0.05, 0.1):
+        believed = ARM.replace(mass=ARM.mass * (1 - wrong), inertia=ARM.inertia * (1 - wrong)).bake()
+        scene = Scene(ARM, (effects.Gravity(),), ComputedTorqueController(KP, KD, believed), dt=h)
+        state = scene.start(double(0.0, 0.0), reference(0.0, 2)[2:4])
+        found = []
+        for k in range(600):
+            state = scene.step(state, reference=reference(k * h, 2))
+            found.append(float((state.q - reference((k + 1) * h, 2)[:2]).abs().max()))
+        errors.append(max(found))
+    exact, *others = errors
+    assert exact < 0.02  # of the step
+    assert exact < others[0] < others[1] < others[2] < 0.3
+    slopes = [(e - exact) / wrong for e, wrong in zip(others, (0.02, 0.05, 0.1), strict=True)]
+    assert max(slopes) < 2 * min(slopes)
+
+
+@pytest.mark.parametrize("robot", [ARM, TREE], ids=["two_link", "tree"])
+def test_computed_torque_of_the_robots_own_model_is_the_function(robot):
+    q, qd, r = random(4, robot.n), random(4, robot.n, seed=1), random(4, 3 * robot.n, seed=2)
+    tau = torchdq.computed_torque(robot, q, qd, *r.split(robot.n, -1), 20.0, 5.0)
+    gravity = (effects.Gravity(),)
+    found = Scene(robot, gravity, ComputedTorqueController(20.0, 5.0, robot)).step(State(q, qd), reference=r)
+    expected = Scene(robot, gravity).step(State(q, qd), tau)
+    assert torch.allclose(found.qd, expected.qd, rtol=1e-11, atol=1e-11)
+
+
+def test_pd_is_its_formula_and_torques_add_to_it():
+    q, qd, r, u = random(4, 3), random(4, 3, seed=1), random(4, 9, seed=2), random(4, 3, seed=3)
+    kp, kd = [1.0, 2.0, 3.0], double(0.1, 0.2, 0.3)
+    tau = u + double(*kp) * (r[:, :3] - q) + kd * (r[:, 3:6] - qd)
+    gravity = torchdq.inverse_dynamics(TREE, q, torch.zeros_like(q), torch.zeros_like(q))
+    for model, more in ((None, 0.0), (TREE, gravity)):
+        found = Scene(TREE, controller=PD(kp, kd, model)).step(State(q, qd), u, reference=r)
+        assert torch.allclose(found.qd, Scene(TREE).step(State(q, qd), tau + more).qd, rtol=1e-12, atol=1e-11)
+
+
+def test_a_controller_sees_readings():
+    """A position read a tenth too large is a reference a tenth too small."""
+    q, qd, r = double(0.3, -0.4), double(0.5, 0.6), random(6)
+    biased = Scene(ARM, (effects.Bias(0.1, -0.2),), PD(10.0, 1.0))
+    shifted = r - double(0.1, 0.1, -0.2, -0.2, 0.0, 0.0)
+    found = biased.step(biased.start(q, qd), reference=r)
+    assert torch.allclose(found.qd, Scene(ARM, controller=PD(10.0, 1.0)).step(State(q, qd), reference=shifted).qd)
+
+
+def test_gains_may_be_learned():
+    q, qd, r = random(5, 2), random(5, 2, seed=1), random(5, 6, seed=2)
+
+    def end(kp, kd):
+        return Scene(ARM, (effects.Gravity(),), ComputedTorqueController(kp, kd)).step(State(q, qd), reference=r).qd
+
+    assert torch.autograd.gradcheck(
+        end, [double(3.0, 4.0).requires_grad_(), random(5, 2, seed=3).abs().requires_grad_()]
+    )
+
+
+@pytest.mark.parametrize("controller", [ComputedTorqueController, PD])
+def test_a_model_that_is_no_single_robot_with_these_joints_is_refused(controller):
+    with pytest.raises(torchdq.ArgumentError, match=f"model of {controller.__name__} must have the 2 joints"):
+        Scene(ARM, controller=controller(1.0, 1.0, PANDA))
+    many = ARM.replace(mass=ARM.mass * double(1.0, 2.0)[:, None])
+    with pytest.raises(torchdq.ArgumentError, match=rf"model of {controller.__name__} must be one robot, .* its mass"):
+        Scene(ARM, controller=controller(1.0, 1.0, many))
+
+
+@pytest.mark.parametrize("controller", [ComputedTorqueController, PD])
+def test_a_model_is_copied_when_a_scene_is_made(controller):
+    """Writing into its mass changes no scene that is there, and every later one, although the object is the same."""
+    mass = ARM.mass.clone()
+    given = controller(20.0, 5.0, ARM.replace(mass=mass))
+
+    def stepped(scene):
+        return scene.step(State(double(0.3, -0.4), double(0.0, 0.0)), reference=random(6)).qd
+
+    def made(controller):
+        return Scene(ARM, (effects.Gravity(),), controller, dt=0.05)
+
+    before = made(given)
+    found = stepped(before)
+    mass.mul_(2)
+    assert torch.equal(stepped(before), found)
+    assert torch.equal(before.controller.model.mass, ARM.mass)
+    later = dataclasses.replace(given, model=ARM.replace(mass=2 * ARM.mass))
+    assert torch.equal(stepped(made(given)), stepped(made(later)))
+    assert not torch.equal(stepped(made(given)), found)
+
+
+@pytest.mark.parametrize("controller", [ComputedTorqueController, PD])
+def test_a_model_that_requires_grad_is_refused(controller):
+    learned = ARM.replace(mass=ARM.mass.clone().requires_grad_())
+    with pytest.raises(ArgumentError, match=rf"model of {controller.__name__} must have constants.* mass .*model.bake"):
+        Scene(ARM, controller=controller(1.0, 1.0, learned))
+    Scene(ARM, controller=controller(1.0, 1.0, learned.bake()))

@@ -1,0 +1,34 @@
+"""Small vector environments, random actions for them, and equality of what they return, for several test files."""
+
+import torch
+
+import torchdq
+from torchdq.envs import ArmVectorEnv
+
+ROBOT = torchdq.robots.load("two_link")
+
+
+def make(num_envs=5, task="reach", **arguments):
+    """Vector environment of a small robot."""
+    return ArmVectorEnv(num_envs, task, **{"robot": ROBOT, "scale": 20.0, **arguments})
+
+
+def actions_of(envs, seed=0):
+    """Random actions, within their bounds, that do not end."""
+    generator = torch.Generator().manual_seed(seed)
+    while True:
+        yield 2 * torch.rand(envs.num_envs, envs.robot.n, generator=generator) - 1
+
+
+def steps(envs, number, seed=0):
+    """Results of a number of steps with random actions."""
+    return [envs.step(action) for action, _ in zip(actions_of(envs, seed), range(number), strict=False)]
+
+
+def same(a, b):
+    """Whether nested results are equal to the bit."""
+    if isinstance(a, dict):
+        return a.keys() == b.keys() and all(same(a[k], b[k]) for k in a)
+    if isinstance(a, list | tuple):
+        return len(a) == len(b) and all(map(same, a, b))
+    return torch.equal(torch.as_tensor(a), torch.as_tensor(b))
