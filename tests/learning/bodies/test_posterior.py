@@ -14,8 +14,8 @@ import torchdq
 from torchdq.envs import Scene, effects
 from torchdq.errors import ArgumentError
 from torchdq.learning import identify, sample
-from torchdq.learning.bodies.nearest import curvature, nearest, relative
-from torchdq.learning.bodies.pseudo_inertia import pseudo_inertia
+from torchdq.learning.bodies.nearest import curvature, nearest
+from torchdq.robot.pseudo_inertia import pseudo_inertia, relative
 from torchdq.scene import integrators
 
 WIDTH = 0.02
@@ -45,7 +45,7 @@ def distance(y, links, positive):
     """Distance of one robot, as its formula reads."""
     total = 0
     for i in range(links):
-        B = relative(y[None], links)[0, i]
+        B = relative(y[10 * i : 10 * i + 10])
         total = total + 2 * (B.trace() - torch.logdet(B) - 4)
     x, rest = 1 + y[10 * links : 10 * links + positive], y[10 * links + positive :]
     return total + 2 * (x - x.log() - 1).sum() + rest.square().sum()
@@ -62,7 +62,9 @@ def test_the_nearest_robot_is_a_minimum_where_bodies_can_exist():
     generator = torch.Generator().manual_seed(1)
     A, offset = (torch.randn(*shape, dtype=torch.float64, generator=generator) for shape in ((40, 9, 24), (40, 9)))
     y = nearest(30 * A, 100 * offset, 2, 3)  # such offsets would take most bodies where none can exist
-    assert bool((torch.linalg.eigvalsh(relative(y, 2)) > 0).all()) and bool((y[:, 20:23] > -1).all())
+    assert bool((torch.linalg.eigvalsh(relative(y[:, :20].unflatten(1, (2, 10)))) > 0).all()) and bool(
+        (y[:, 20:23] > -1).all()
+    )
     gradient = curvature(y, 2, 3)[0] + 2 * ((100 * offset + (30 * A @ y[..., None])[..., 0])[:, None] @ (30 * A))[:, 0]
     assert float(gradient.abs().max()) < 1e-3 * float((3000 * A.mT @ offset[..., None]).abs().max())
 

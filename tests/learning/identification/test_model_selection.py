@@ -18,12 +18,12 @@ import torchdq.envs
 from torchdq import effects
 from torchdq.errors import ArgumentError
 from torchdq.learning import Layout, LogWarning, Motion, identify, read, sample, samples, smooth
-from torchdq.learning.bodies.pseudo_inertia import central, pseudo_inertia
 from torchdq.learning.evaluation.blocks import blocks, of_motions, of_tensors, regions, too_few
 from torchdq.learning.evaluation.correlation import correlation_times
 from torchdq.learning.identification import model_selection as ladder
 from torchdq.learning.identification import terms
-from torchdq.learning.identification.feasible import ENTRIES, Neighbourhood
+from torchdq.learning.identification.feasible import Neighbourhood
+from torchdq.robot.pseudo_inertia import BASIS, bodies_of, pseudo_inertia
 
 WIDTH, STEP = 1e-2, 0.02
 ROBOT = torchdq.robots.load("two_link")
@@ -436,9 +436,9 @@ def real_arm(described, seed, size=0.1):
     """Arm whose bodies differ from those described as much as gains expect: by a common factor, and each by itself."""
     g = np.random.default_rng(seed)
     C = torch.linalg.cholesky(pseudo_inertia(described.inertial_parameters.reshape(-1, 10)))
-    change = size * torch.einsum("li,ijk->ljk", torch.from_numpy(g.normal(size=(len(C), 10))), ENTRIES)
+    change = size * torch.einsum("li,ijk->ljk", torch.from_numpy(g.normal(size=(len(C), 10))), BASIS)
     J = (1 + size * g.normal()) * C @ (torch.eye(4).double() + change) @ C.mT
-    mass, com, inertia = central(J)
+    mass, com, inertia = bodies_of(torch.linalg.cholesky(J))
     return described.replace(mass=mass, com=com, inertia=inertia)
 
 

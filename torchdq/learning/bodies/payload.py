@@ -25,16 +25,15 @@ from torchdq.dynamics.friction import smooth_sign
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics, regressor, require_finite
-from torchdq.learning.bodies.nearest import curvature, nearest, relative
-from torchdq.learning.bodies.pseudo_inertia import central, inertial_parameters, moved, pseudo_inertia
+from torchdq.learning.bodies.nearest import curvature, nearest
 from torchdq.learning.evaluation.diagnostics import LogWarning, doubts
-from torchdq.learning.identification.feasible import ENTRIES
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
 from torchdq.learning.identification.naming import sums
 from torchdq.learning.identification.regression import base_parameters
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
+from torchdq.robot.pseudo_inertia import BASIS, bodies_of, inertial_parameters, moved, pseudo_inertia, relative
 
 ROUNDS = 20  # most times that joints are weighted anew
 WORSE = 3.0  # residual over that of the empty arm, from which a joint is doubted: on good logs it is below 2
@@ -168,7 +167,7 @@ def identify_payload(
         usual = torch.hypot(variance.sqrt(), empty.model)
         if doubt := _doubts(empty, (q, qd, qdd, tau), rms, usual):
             warnings.warn(doubt, LogWarning, stacklevel=3)
-    quantities = central(pseudo_inertia(pi))
+    quantities = bodies_of(torch.linalg.cholesky(pseudo_inertia(pi)))
     slopes = torch.autograd.functional.jacobian(_quantities, pi)
     errors = (slopes @ covariance @ slopes.T).diagonal().sqrt()
     mass, com, inertia = (x.to(robot.mass) for x in quantities)
@@ -218,7 +217,7 @@ def _doubts(empty: Identified, rows: Sequence[Tensor], rms: Tensor, usual: Tenso
 
 def _quantities(pi: Tensor) -> Tensor:
     """Mass, centre of mass and inertia about it [10] of inertial parameters [10]."""
-    mass, com, inertia = central(pseudo_inertia(pi))
+    mass, com, inertia = bodies_of(torch.linalg.cholesky(pseudo_inertia(pi)))
     return torch.cat([mass[None], com, inertia])
 
 
@@ -297,7 +296,7 @@ def _found(
     is the body that is expected, and `model` [rows, n, t] are the errors of the empty arm's torques.
     """
     C = torch.linalg.cholesky(J)
-    blocks = inertial_parameters(C @ ENTRIES @ C.T)  # [10 entries, 10 parameters]
+    blocks = inertial_parameters(C @ BASIS @ C.T)  # [10 entries, 10 parameters]
     typical = residual.square().mean().sqrt() / rest.square().mean((0, 1)).sqrt().clamp_min(1e-30)
     Z = torch.cat([own @ blocks.T, rest * (typical / NUISANCE)], -1)
     off = own @ inertial_parameters(J) - residual
@@ -310,5 +309,5 @@ def _found(
     inverse = size[:, None] * torch.cholesky_inverse(torch.linalg.cholesky(size[:, None] * H * size)) * size
     errors = inverse @ (R.T @ (Q.T @ model))
     covariance = (inverse + errors @ errors.T)[:10, :10]
-    pi = inertial_parameters(C @ relative(y, 1)[0, 0] @ C.T)
+    pi = inertial_parameters(C @ relative(y[0, :10]) @ C.T)
     return pi, blocks.T @ covariance @ blocks

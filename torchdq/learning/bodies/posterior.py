@@ -19,13 +19,12 @@ from torchdq.base.progress import Progress
 from torchdq.base.tables import summary
 from torchdq.effects import Effect, Gravity, RotorInertia
 from torchdq.errors import ArgumentError
-from torchdq.learning.bodies.nearest import nearest, relative
-from torchdq.learning.bodies.pseudo_inertia import central, inertial_parameters, pseudo_inertia
-from torchdq.learning.identification.feasible import ENTRIES
+from torchdq.learning.bodies.nearest import nearest
 from torchdq.learning.identification.identified import Identified
 from torchdq.learning.identification.terms import ROTOR, Term
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
+from torchdq.robot.pseudo_inertia import BASIS, bodies_of, inertial_parameters, pseudo_inertia, relative
 
 KAPPA = 100.0  # weight of the base parameters: so many times that of the bodies that are drawn
 MOST = 0.99  # most of a number that is below one, such as friction over load
@@ -103,7 +102,7 @@ def sample(identified: Identified, n: int, most: float = 1.0, seed: int = 0) -> 
             notice.at(f"{i} of {n}")
             parts.append(space.nearest(draws[i : i + TOGETHER]))
     parameters = torch.cat([part[0] for part in parts])
-    mass, com, inertia = central(torch.cat([part[1] for part in parts]))
+    mass, com, inertia = bodies_of(torch.linalg.cholesky(torch.cat([part[1] for part in parts])))
     robot = identified.robot
     at = space.links
     changes: dict[str, Any] = {
@@ -159,9 +158,7 @@ class _Space:
         phi[:, self.positive] *= (ratio * (self.most / width.clamp_min(max(self.most, 1e-300)))).exp()
         phi[:, self.signed] += gaussian[:, self.signed]
 
-        blocks = inertial_parameters(
-            torch.einsum("nlij,ejk,nlmk->nleim", C, ENTRIES, C)
-        )  # [samples, links, entries, 10]
+        blocks = inertial_parameters(torch.einsum("nlij,ejk,nlmk->nleim", C, BASIS, C))  # [samples, links, entries, 10]
         count, links = len(draws), len(self.links)
         A = self.white.new_zeros(count, len(self.white), 10 * links + len(self.positive) + len(self.signed))
         white = self.white[:, self.bodies].reshape(len(self.white), links, 10)
@@ -171,7 +168,7 @@ class _Space:
         A[..., 10 * links :] = self.white[:, at] * scale[:, None]
         offset = (phi - self.phi - gaussian) @ self.white.T
         y = nearest(math.sqrt(KAPPA) * A, math.sqrt(KAPPA) * offset, links, len(self.positive))
-        J = C @ relative(y, links) @ C.mT
+        J = C @ relative(y[:, : 10 * links].unflatten(1, (links, 10))) @ C.mT
         phi[:, self.bodies] = inertial_parameters(J).flatten(1)
         phi[:, at] += scale * y[:, 10 * links :]
         phi[:, self.fraction] = phi[:, self.fraction].clamp_max(MOST)
