@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 from torchdq.base.attributes import refusing
 from torchdq.learning.bodies.payload import IdentifiedPayload, identify_payload
-from torchdq.learning.bodies.posterior import Sampled, sample
+from torchdq.learning.bodies.posterior import PosteriorSamples, posterior_samples
 from torchdq.learning.evaluation.diagnostics import LogWarning
 from torchdq.learning.excitation.limits import Box, HalfSpace, MotionLimits
 from torchdq.learning.excitation.trajectory import Excitation, excitation_trajectory
@@ -50,11 +50,11 @@ __all__ = [
     "MissingLogError",
     "Motion",
     "MotionLimits",
+    "PosteriorSamples",
     "Prediction",
     "Recording",
     "RolloutFit",
     "Rung",
-    "Sampled",
     "Samples",
     "TrainingError",
     "cut",
@@ -66,8 +66,8 @@ __all__ = [
     "identify",
     "identify_payload",
     "plot_torques",
+    "posterior_samples",
     "read",
-    "sample",
     "samples",
     "smooth",
 ]

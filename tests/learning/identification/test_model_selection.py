@@ -17,7 +17,7 @@ import torchdq
 import torchdq.envs
 from torchdq import effects
 from torchdq.errors import ArgumentError
-from torchdq.learning import Layout, LogWarning, Motion, identify, read, sample, samples, smooth
+from torchdq.learning import Layout, LogWarning, Motion, identify, posterior_samples, read, samples, smooth
 from torchdq.learning.evaluation.blocks import blocks, of_motions, of_tensors, regions, too_few
 from torchdq.learning.evaluation.correlation import correlation_times
 from torchdq.learning.identification import model_selection as ladder
@@ -184,7 +184,7 @@ def test_friction_by_load_stays_below_one():
     for one in (found, chosen):
         assert len(one.effects()) > 1 and one.layer()(q, qd, qdd).shape == q.shape
     wide = found._replace(spread=torch.cat([found.spread, 0.3 * torch.eye(24, dtype=torch.float64)[:, -2:]], 1))
-    assert bool((sample(wide, 8).coefficients("load") < 1).all()) and sample(wide, 8).effects()
+    assert bool((posterior_samples(wide, 8).coefficients("load") < 1).all()) and posterior_samples(wide, 8).effects()
 
 
 def test_nothing_is_made_worse_by_little_data_and_a_wrong_guess():
@@ -475,7 +475,7 @@ def test_errors_hold_those_of_the_gains(known, runs):
         inside = (tau / gains * found.gains.value - told.tau).abs() < 2 * alone.noise
         far.setdefault("inside", []).append(float(inside.double().mean()))
         if not seed:
-            drawn = sample(found, 100).coefficients("viscous").std(0)
+            drawn = posterior_samples(found, 100).coefficients("viscous").std(0)
             assert torch.allclose(drawn, found.errors[-4:-2], rtol=0.4)
     mean = {name: float(np.mean(x)) for name, x in far.items()}
     least, most = (0.8, 1.25) if runs > 100 else (0.3, 3.0)
