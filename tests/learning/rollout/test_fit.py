@@ -126,7 +126,7 @@ def test_exact_logs_give_the_exact_parameters(motion, guess, segment):
     log = Recording(TIME, motion, {"torque": driving(TIME)})
     found = fit_rollout(guess, log, FRICTION, segment=segment)
     torch.testing.assert_close(found.estimate, TRUE, rtol=1e-7, atol=0)
-    assert not found.untold and not found.doubt and float(found.rms.max()) < 1e-12
+    assert not found.unidentifiable and not found.warning and float(found.rms.max()) < 1e-12
     again = moved(found.scene, {"torque": driving(TIME)})
     torch.testing.assert_close(again, motion, rtol=0, atol=1e-8)
 
@@ -240,7 +240,7 @@ def test_delay_and_lag_are_told_apart_by_fast_commands(late):
     start = scene.replace(effects=(effects.Viscous(0.1), effects.Lag(0.005)))
     found = fit_rollout(start, log(1.0, 1e-4), ("delay", "Lag.time", "Viscous.coefficient"))
     z = (found.estimate - double(0.0137, 0.02, 0.02, 0.5, 0.5)) / found.covariance.diagonal().sqrt()
-    assert float(z.abs().max()) < 4 and not found.untold
+    assert float(z.abs().max()) < 4 and not found.unidentifiable
     assert found.delay == float(found.values["delay"]) and 0 < float(found.errors["delay"]) < 1e-3
 
 
@@ -248,8 +248,8 @@ def test_delay_and_lag_are_named_where_slow_commands_do_not_tell_them_apart(late
     scene, log = late
     found = fit_rollout(scene, log(0.1, 1e-2), ("delay", "Lag.time"))
     assert found.values["delay"].isnan() and found.values["Lag.time"].isnan().all()
-    assert any("delay by" in text and "Lag.time" in text for text in found.untold)
-    assert "not told" in str(found)
+    assert any("delay by" in text and "Lag.time" in text for text in found.unidentifiable)
+    assert "unidentifiable" in str(found)
 
 
 def test_scales_that_positions_cannot_tell_are_named():
@@ -261,15 +261,15 @@ def test_scales_that_positions_cannot_tell_are_named():
     wrong = real.replace(effects=(effects.Servo(60.0, 5.0), effects.RotorInertia(0.3), effects.MassScale(1.2)))
     found = fit_rollout(wrong, log, ("Servo.*", "RotorInertia.inertia", "MassScale.factor"))
     # the scale of all, and what the first link adds to its rotor
-    assert len(found.untold) == 2 and all(x.isnan().all() for x in found.values.values())
+    assert len(found.unidentifiable) == 2 and all(x.isnan().all() for x in found.values.values())
     names = ("Servo.kp[joint1]", "Servo.kd[joint2]", "RotorInertia.inertia[joint2]", "MassScale.factor[link2]")
-    assert any(all(name in text for name in names) for text in found.untold)
+    assert any(all(name in text for name in names) for text in found.unidentifiable)
     assert float(found.rms.max()) < 1.1e-4
     torch.testing.assert_close(
         found.scene.effects[0].kp / found.scene.effects[0].kd, double(10.0, 10.0), rtol=2e-3, atol=0
     )
     known = fit_rollout(wrong.replace(effects=(effects.Servo(60.0, 5.0), effects.RotorInertia(0.5))), log, "Servo.*")
-    assert not known.untold
+    assert not known.unidentifiable
     torch.testing.assert_close(known.estimate, double(100.0, 100.0, 10.0, 10.0), rtol=5e-3, atol=0)
 
 
@@ -293,7 +293,7 @@ def test_links_stay_bodies_and_what_torques_do_not_tell_is_named():
     log = Recording(time, noisy(moved(scene, {"torque": target}, rows=101), 0, 1e-5), {"torque": target})
     wrong = scene.replace(robot=robot.replace(mass=1.2 * robot.mass))
     found = fit_rollout(wrong, log, "mass")
-    assert float((found.estimate - robot.mass).abs().max()) < 0.1 or found.untold
+    assert float((found.estimate - robot.mass).abs().max()) < 0.1 or found.unidentifiable
     assert (found.scene.robot.mass > 0).all() and float(found.rms.max()) < 2e-5
 
 
@@ -355,7 +355,7 @@ def test_an_interrupted_search_returns_what_it_found(motion, guess, monkeypatch)
     monkeypatch.setattr(Problem, "linearised", interrupted)
     with pytest.warns(LogWarning, match="interrupted after 2 iterations"):
         found = fit_rollout(guess, Recording(TIME, noisy(motion, 0), {"torque": driving(TIME)}), FRICTION)
-    assert torch.isfinite(found.estimate).all() and "interrupted" in found.doubt
+    assert torch.isfinite(found.estimate).all() and "interrupted" in found.warning
 
 
 def test_a_part_that_the_scene_cannot_follow_is_named(motion, guess):
@@ -449,7 +449,7 @@ def test_a_scene_that_cannot_follow_tells_nothing():
     with pytest.warns(LogWarning, match="does not move as recorded.*check signs"):
         found = fit_rollout(guess, Recording(t, q, {"torque": -torque}), "Viscous.coefficient", iterations=1)
     assert all(x.isnan().all() for x in (*found.values.values(), *found.errors.values()))
-    assert "does not move" in found.doubt
+    assert "does not move" in found.warning
 
 
 def test_a_delay_needs_inputs():
