@@ -43,7 +43,7 @@ GAIN = 0.02  # gain of a step that ends the search, in the logarithm of the like
 NEARLY = 1e-5  # defects before a last step
 APART = (
     "the scene does not move as recorded, so nothing is identifiable and all values are NaN; check signs, units and "
-    "order of positions and inputs; take shorter segments, as sharp friction needs, or start from a scene that is nearer"
+    "order of positions and inputs; take shorter segments, as sharp friction needs, or start from a nearer scene"
 )
 
 
