@@ -555,7 +555,7 @@ def test_a_scene_keeps_its_energy_and_writes_a_log(here, capsys):
 def test_a_scene_that_leaves_all_bounds_has_failed(here, capsys):
     options = ("--price", "0", "--seconds", "1", "--effects", "gravity", "spring=1e9", "--integrator", "ExplicitEuler")
     found = data(capsys, "scene", "arm.urdf", *options, code=MISTAKE)
-    assert found["lost"].startswith("The simulation has failed: from ") and found["energies"]["end"] == [None, None]
+    assert found["failure"].startswith("The simulation has failed: from ") and found["energies"]["end"] == [None, None]
 
 
 def test_a_scene_has_the_effects_that_are_named(here, capsys):

@@ -128,7 +128,7 @@ def _run(command: Command) -> int:
     with warnings.catch_warnings():
         warnings.showwarning = show
         try:
-            with redirect_stdout(sys.stderr):  # what libraries print is no result
+            with redirect_stdout(sys.stderr):  # output of libraries does not belong to the result
                 outcome = command.outcome()
         except (TorchdqError, OSError) as error:
             if isinstance(error, BrokenPipeError):

@@ -83,7 +83,7 @@ class SceneCommand(RobotCommand):
         if self.csv is not None:
             self._write(self.csv, start, states, energies)
         first, last, extreme = energies[0], energies[-1], energies.sum(-1)
-        lost = "" if bool(extreme.isfinite().all()) else self._lost(extreme)
+        failure = "" if bool(extreme.isfinite().all()) else self._diverged(extreme)
         rows = [
             ("kinetic", *(f"{float(x):.6g}" for x in (first[0], energies[:, 0].max(), last[0]))),
             ("potential", *(f"{float(x):.6g}" for x in (first[1], energies[:, 1].max(), last[1]))),
@@ -95,7 +95,7 @@ class SceneCommand(RobotCommand):
         text: list[str | Grid] = [about, Grid(("energy [J]", "start", "most", "end"), rows)]
         text += [_positions(robot, start, states), "price of a step:", str(price)]
         text += [Grid((), [("wrote", str(self.csv))])] if self.csv is not None else []
-        text += [lost] if lost else []
+        text += [failure] if failure else []
         data = {
             "robot": robot.name,
             "machine": machine.words(),
@@ -110,15 +110,15 @@ class SceneCommand(RobotCommand):
             "costs": [cost._asdict() for cost in price.costs],
             "left_out": price.left_out,
             "files": {} if self.csv is None else {"csv": self.csv},
-            "lost": lost,
+            "failure": failure,
         }
-        return Outcome(tuple(text), data, bool(lost))
+        return Outcome(tuple(text), data, bool(failure))
 
-    def _lost(self, energies: Tensor) -> str:
-        """Words for a simulation that has left all bounds."""
+    def _diverged(self, energies: Tensor) -> str:
+        """Sentence on a simulation that diverged."""
         at = self.dt * int((~energies.isfinite()).nonzero()[0])
         cure = "A smaller --dt, another --integrator, or a start within the limits may help."
-        return f"The simulation has failed: from {at:g} s on its numbers are no motion. {cure}"
+        return f"The simulation has failed: from {at:g} s on its numbers are not finite. {cure}"
 
     def _scene(self, robot: Robot) -> Scene:
         names_of("integrator", self.integrator, STEPPERS, "integrator")

@@ -1,6 +1,6 @@
 """C99 text of a program behind CasADi's interface for external functions, with first and second derivatives.
 
-CasADi asks a library for NAME, for NAME_n_in, NAME_sparsity_in and so on beside it, and for derivatives in the same
+CasADi asks a library for NAME, for NAME_n_in, NAME_sparsity_in and so on, and for derivatives in the same
 way: jac_NAME, the Jacobians of every result in every argument; adj1_NAME, the gradient of the results weighted with
 seeds; and jac_adj1_NAME, its Jacobians, which are the second derivatives that Ipopt takes. A missing argument stands
 for zeros, a missing result is not wanted. Numbers are stored column by column; of a Jacobian, only those that are not
@@ -41,7 +41,7 @@ class Stored(NamedTuple):
     columns: int
     stored: tuple[int, ...]  # places that are stored, counted down one column after the other
 
-    def beside(self, knots: int) -> Stored:
+    def side_by_side(self, knots: int) -> Stored:
         """Matrices of several knots side by side."""
         size = self.rows * self.columns
         stored = tuple(k * size + place for k in range(knots) for place in self.stored)
@@ -73,8 +73,8 @@ class Interface(NamedTuple):
 
     def of_knots(self, knots: int) -> tuple[tuple[Stored, ...], tuple[Stored, ...]]:
         """Arguments and results of several knots."""
-        found = [m.on_a_diagonal(knots) if self.diagonal else m.beside(knots) for m in self.outputs]
-        return tuple(m.beside(knots) for m in self.inputs), tuple(found)
+        found = [m.on_a_diagonal(knots) if self.diagonal else m.side_by_side(knots) for m in self.outputs]
+        return tuple(m.side_by_side(knots) for m in self.inputs), tuple(found)
 
     def text(self, library: Library, knots: int, patterns: Mapping[tuple[int, ...], str]) -> str:
         """Functions in C that CasADi asks for.

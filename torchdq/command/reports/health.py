@@ -91,7 +91,7 @@ def _packages() -> Finding:
 
 
 def _optional() -> Finding:
-    """Optional packages; it is no fault that some are not there."""
+    """Optional packages, of which some may be missing."""
     found = {name: machine.version_of(name) for name in OPTIONAL}
     there = ", ".join(f"{name} {version}" for name, version in found.items() if version)
     absent = [OPTIONAL[name] for name, version in found.items() if not version]

@@ -37,7 +37,7 @@ from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
 from torchdq.robot.pseudo_inertia import BASIS, bodies_of, inertial_parameters, moved, pseudo_inertia, relative
 
-ROUNDS = 20  # most times that joints are weighted anew
+ROUNDS = 20  # most times that joints are weighted again
 WORSE = 3.0  # residual over that of the empty arm, from which a joint is reported: on good logs it is below 2
 MATTERS = 0.03  # the same, over the joint's torques, below which it does not matter
 INDEPENDENT = 1e-12  # least eigenvalue of an identifiable combination, relative to the largest: beyond rounding
@@ -105,7 +105,7 @@ def identify_payload(
         motions: motions with payload, from `smooth`; or joint positions [rows, n] [rad or m], one row after the other
             in time: their correlation is part of the errors.
         qd, qdd, tau: joint velocities [rad/s or m/s], accelerations [rad/s^2 or m/s^2] and measured torques [N m or N],
-            [rows, n], beside positions.
+            [rows, n], with positions.
         frame: name of the frame that holds it; None: the end effector.
         friction, offset: allow viscous and Coulomb friction and the offset of every joint to have changed since, for
             motions of 10 s and more: in shorter ones they take some of the payload.

@@ -27,7 +27,7 @@ from torchdq.errors import ArgumentError
 from torchdq.learning.rollout.recordings import CheckedRecording
 
 SMOOTHED = 0.02  # time to both sides of a node over which its first velocity is that of a cubic [s]
-HELD = 1e-7  # weight of a start where it is, relative to what the measurements say of it: for what they do not see
+HELD = 1e-7  # weight of a start where it is, relative to the information of the measurements: for what they do not see
 
 
 class Segments(NamedTuple):
@@ -46,7 +46,7 @@ class Segments(NamedTuple):
 
 
 class Motions(NamedTuple):
-    """Nodes at some parameters, and what they lack."""
+    """Nodes at some parameters, with their defects and residuals."""
 
     nodes: np.ndarray  # [K, T, s]
     defects: np.ndarray  # [K, T, s] from the next node to the state that follows
@@ -164,7 +164,7 @@ def commands(
 
 
 def motions(pieces: Segments, nodes: np.ndarray, after: np.ndarray) -> Motions:
-    """Nodes [K, T, s] and what they lack, from the states after the step of each."""
+    """Nodes [K, T, s] with defects and residuals, from the states after the step of each."""
     defects = np.zeros_like(nodes)
     np.subtract(after[:, :-1], nodes[:, 1:], out=defects[:, :-1], where=pieces.follows[:, :-1])
     return Motions(nodes, defects, pieces.y - seen(pieces, nodes))
