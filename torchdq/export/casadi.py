@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -102,13 +102,14 @@ class Interface(NamedTuple):
             + "".join(
                 f"\nlong long {name}_n_{way}(void)\n{{\n    return {len(matrices)};\n}}\n\n"
                 f"const char *{name}_name_{way}(long long i)\n{{\n"
-                f"    static const char *const names[] = {{{', '.join(_quoted(matrices))}}};\n"
+                f"    static const char *const names[] = {{{quoted}}};\n"
                 f"    return 0 <= i && i < {len(matrices)} ? names[i] : 0;\n}}\n\n"
                 f"const long long *{name}_sparsity_{way}(long long i)\n{{\n"
                 f"    static const long long *const patterns[] = {{{listed}}};\n"
                 f"    return 0 <= i && i < {len(matrices)} ? patterns[i] : 0;\n}}\n"
                 for way, matrices in (("in", inputs), ("out", results))
                 for listed in [", ".join(patterns[m.sparsity()] for m in matrices)]
+                for quoted in [", ".join(f'"{m.name}"' for m in matrices)]
             )
         )
 
@@ -270,7 +271,3 @@ def _dense(name: str, rows: int, columns: int) -> Stored:
 def _by_columns(result: Result, rows: int, columns: int) -> Result:
     """Result that is a matrix, row by row, in the order of its columns."""
     return result._replace(values=tuple(result.values[i * columns + j] for j in range(columns) for i in range(rows)))
-
-
-def _quoted(matrices: Sequence[Stored]) -> list[str]:
-    return [f'"{m.name}"' for m in matrices]
