@@ -100,7 +100,7 @@ def test_friction_and_offset_may_have_changed(arm, empty):
 
 
 @pytest.mark.filterwarnings("ignore:no payload explains")
-def test_a_payload_can_exist_however_little_is_told(arm, empty):
+def test_a_payload_can_exist_however_few_the_samples(arm, empty):
     q, qd, qdd = moving(4, seed=5)
     noise = 5 * torch.randn(q.shape, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     for sign in (1, -1):
@@ -198,8 +198,8 @@ def test_a_frame_from_whose_motion_a_mass_is_unidentifiable_is_refused(arm, empt
         identify_payload(empty, *held(arm), frame=frame)
 
 
-def test_what_the_motion_of_the_frame_does_not_tell_is_listed():
-    """In a plane, one moment of inertia is told, and the mass with it; the plane does not show what is across it."""
+def test_unidentifiable_parameters_of_the_payload_are_listed():
+    """In a plane, one moment of inertia is identifiable, and the mass with it; those across the plane are not."""
     robot = torchdq.robots.load("two_link")
     q, qd, qdd = moving(300, n=2)
     empty = identify(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd), friction=False, prior=1.0)
@@ -240,7 +240,7 @@ def test_a_known_mass_is_found_but_for_the_gains_of_the_drives(recorded):
     assert float(found.rms[1]) < 0.25 * float(found.before[1])
 
 
-def test_seconds_of_motion_tell_the_same_within_their_errors(recorded):
+def test_seconds_of_motion_agree_within_their_errors(recorded):
     empty, loaded, unloaded = recorded
     parts = [[x[i : i + 500] for x in loaded] for i in range(0, 2000, 500)]
     found = [identify_payload(empty, *part, reference=unloaded) for part in parts]

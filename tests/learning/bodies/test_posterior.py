@@ -32,13 +32,13 @@ def found_on(name, rows, noise, seed=0, prior=1.0, **options):
 
 
 @pytest.fixture(scope="module")
-def told():
+def found():
     return found_on("two_link", 500, 0.02, prior=16.0, offset=True)
 
 
 @pytest.fixture(scope="module")
-def drawn(told):
-    return posterior_samples(told, 600)
+def drawn(found):
+    return posterior_samples(found, 600)
 
 
 def distance(y, links, positive):
@@ -69,9 +69,9 @@ def test_the_nearest_robot_is_a_minimum_where_bodies_can_exist():
     assert float(gradient.abs().max()) < 1e-3 * float((3000 * A.mT @ offset[..., None]).abs().max())
 
 
-def test_base_parameters_have_the_mean_and_the_covariance_found(told, drawn):
-    F = told.base @ told.spread
-    off = (drawn.parameters - told.parameters) @ told.base.T
+def test_base_parameters_have_the_mean_and_the_covariance_found(found, drawn):
+    F = found.base @ found.spread
+    off = (drawn.parameters - found.parameters) @ found.base.T
     z = torch.linalg.solve_triangular(torch.linalg.cholesky(F @ F.T), off.T, upper=False)
     rows, rank = len(off), len(F)
     assert float(z.mean(1).abs().max()) < 4 / math.sqrt(rows)
@@ -81,28 +81,28 @@ def test_base_parameters_have_the_mean_and_the_covariance_found(told, drawn):
     assert 0.85 * (1 - edge) ** 2 < float(e[0]) and float(e[-1]) < 1.15 * (1 + edge) ** 2
 
 
-def test_torques_spread_as_predicted(told, drawn):
+def test_torques_spread_as_predicted(found, drawn):
     q, qd, qdd = torch.randn(3, 40, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(5))
     viscous, coulomb, offset = (drawn.coefficients(name)[:, None] for name in ("viscous", "coulomb", "offset"))
     robot = drawn.robot.replace(**{x: getattr(drawn.robot, x)[:, None] for x in ("mass", "com", "inertia")})
     tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + viscous * qd + offset
     tau = tau + coulomb * qd / (qd**2 + WIDTH**2).sqrt()
-    expected = told.predict(q, qd, qdd)
+    expected = found.predict(q, qd, qdd)
     assert torch.allclose(tau.std(0), expected.error, rtol=0.2)
     assert float(((tau.mean(0) - expected.tau) / expected.error).abs().max()) < 0.3
 
 
-def test_bodies_that_torques_do_not_tell_have_the_width_of_the_prior(told, drawn):
+def test_unidentifiable_bodies_have_the_width_of_the_prior(found, drawn):
     """The links move in a plane: where mass is along the axes, and the mass of the first, is in no torque."""
-    at = [told.names.index(f"link1 {name}") for name in ("mz", "Ixz", "Iyz")]
-    assert not bool(told.excited[at].any())
-    assert torch.allclose(drawn.parameters[:, at].std(0), told.errors[at], rtol=0.15)
-    mass, width = drawn.robot.mass[:, 0], float(told.errors[0] / told.parameters[0])
+    at = [found.names.index(f"link1 {name}") for name in ("mz", "Ixz", "Iyz")]
+    assert not bool(found.excited[at].any())
+    assert torch.allclose(drawn.parameters[:, at].std(0), found.errors[at], rtol=0.15)
+    mass, width = drawn.robot.mass[:, 0], float(found.errors[0] / found.parameters[0])
     assert 0.05 < float(mass.log().std()) == pytest.approx(width, rel=0.15)
 
 
 @pytest.mark.parametrize("name", ["two_link", "ur10e"])
-def test_every_robot_can_exist_however_little_is_told(name):
+def test_every_robot_can_exist_however_few_the_samples(name):
     found = found_on(name, 40, 0.5, prior=0.05)
     drawn = posterior_samples(found, 60, seed=3)
     generator = torch.Generator().manual_seed(0)
@@ -117,13 +117,13 @@ def test_every_robot_can_exist_however_little_is_told(name):
     assert oracles.worst(drawn.robot.inertial_parameters, pi, size) < 1e-12
 
 
-def test_less_width_is_less_spread_of_what_is_not_told(told, drawn):
-    narrow = posterior_samples(told, 100, most=0.05)
-    none = posterior_samples(told, 100, most=0.0)
+def test_less_width_is_less_spread_of_what_is_unidentifiable(found, drawn):
+    narrow = posterior_samples(found, 100, most=0.05)
+    none = posterior_samples(found, 100, most=0.0)
     widths = [float(x.robot.mass[:, 0].log().std()) for x in (drawn, narrow, none)]
     assert widths[0] > 2 * widths[1] > 2 * widths[2]
-    off = (none.parameters - told.parameters) @ told.base.T
-    assert torch.allclose(off.std(0), told.base_errors, rtol=0.35)  # what is told spreads as before
+    off = (none.parameters - found.parameters) @ found.base.T
+    assert torch.allclose(off.std(0), found.base_errors, rtol=0.35)  # what is identifiable spreads as before
 
 
 def test_links_without_mass_stay_without():
@@ -138,17 +138,17 @@ def test_links_without_mass_stay_without():
     assert float(drawn.robot.mass[:, 1].std()) > 0
 
 
-def test_robots_of_which_only_friction_was_sought_share_their_bodies(told):
-    spread = told.spread.clone()
-    spread[: 10 * told.robot.n] = 0
-    rows = told.base[:, : 10 * told.robot.n].abs().sum(1) == 0
-    drawn = posterior_samples(told._replace(spread=spread, base=told.base[rows]), 50)
-    assert bool((drawn.robot.mass == told.robot.mass).all())
-    assert torch.allclose(drawn.coefficients("viscous").std(0), told.errors[-6:-4], rtol=0.4)
+def test_robots_of_which_only_friction_was_estimated_share_their_bodies(found):
+    spread = found.spread.clone()
+    spread[: 10 * found.robot.n] = 0
+    rows = found.base[:, : 10 * found.robot.n].abs().sum(1) == 0
+    drawn = posterior_samples(found._replace(spread=spread, base=found.base[rows]), 50)
+    assert bool((drawn.robot.mass == found.robot.mass).all())
+    assert torch.allclose(drawn.coefficients("viscous").std(0), found.errors[-6:-4], rtol=0.4)
 
 
-def test_seeds_reproduce_robots(told):
-    one, same, other = (posterior_samples(told, 3, seed=seed).parameters for seed in (1, 1, 2))
+def test_seeds_reproduce_robots(found):
+    one, same, other = (posterior_samples(found, 3, seed=seed).parameters for seed in (1, 1, 2))
     assert torch.equal(one, same) and not torch.equal(one, other)
 
 
@@ -172,9 +172,14 @@ def test_a_scene_simulates_all_of_them_at_once():
     assert float(state.q.std(0).min()) > 1e-5
 
 
-def test_other_arguments_are_refused(told):
-    for arguments, words in [((3, 5), "identified must be what identify returns, found int"), ((told, 0), "n must be")]:
-        with pytest.raises(ArgumentError, match=words):
-            posterior_samples(*arguments)
-    with pytest.raises(ArgumentError, match="most must be a finite number from 0"):
-        posterior_samples(told, 3, most=-1.0)
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"identified": 3}, "identified must be what identify returns, found int"),
+        ({"n": 0}, "n must be"),
+        ({"most": -1.0}, "most must be a finite number from 0"),
+    ],
+)
+def test_other_arguments_are_refused(found, arguments, words):
+    with pytest.raises(ArgumentError, match=words):
+        posterior_samples(**{"identified": found, "n": 3, **arguments})
