@@ -5,9 +5,10 @@
 
 `excitation_trajectory` finds a motion within 90 % of the arm's limits and above a table, writes it to a file for the
 controller and predicts the standard errors. Here an arm that differs from its description stands for the real one: its
-torques along the motion, with noise, are identified, and the errors turn out as predicted. `sample` then draws arms
-from what is left open, each of which can exist; simulated together under the same torques, they show how much that
-matters."""
+torques along the motion, with noise, are identified, and the errors turn out as predicted. `posterior_samples` then
+draws arms from what is left open, each of which can exist; simulated together under the same torques, they show how
+much that matters.
+"""
 
 import sys
 from dataclasses import dataclass
@@ -23,7 +24,15 @@ from torch import Tensor
 
 import torchdq
 from torchdq.envs import Scene
-from torchdq.learning import Excitation, HalfSpace, MotionLimits, Sampled, excitation_trajectory, identify, sample
+from torchdq.learning import (
+    Excitation,
+    HalfSpace,
+    MotionLimits,
+    PosteriorSamples,
+    excitation_trajectory,
+    identify,
+    posterior_samples,
+)
 from torchdq.learning.excitation.fourier import Family
 from torchdq.scene import integrators
 
@@ -53,7 +62,7 @@ class Result(NamedTuple):
 
     chi_square: float  # mean square of the base parameters' deviations over the predicted errors
     gain: float  # mean standard error of random motions over that of the one found
-    drawn: Sampled
+    drawn: PosteriorSamples
     spread: Tensor  # [time, n] standard deviation of the drawn arms' positions [rad]
 
 
@@ -73,7 +82,7 @@ def random_errors(found: Excitation, limits: MotionLimits, args: Args) -> float:
     return float(torch.stack(errors).log().mean(1).median().exp() / found.base_errors.log().mean().exp())
 
 
-def fanned(drawn: Sampled, tau: Tensor, q: Tensor) -> Tensor:
+def fanned(drawn: PosteriorSamples, tau: Tensor, q: Tensor) -> Tensor:
     """Positions [time, arms, n] of the drawn arms that start alike and feel the same torques."""
     scene = Scene(drawn.robot, drawn.effects(), integrator=integrators.LinearlyImplicit(), dt=STEP)
     many = (len(drawn.parameters), len(q))
@@ -115,7 +124,7 @@ def main(args: Args) -> Result:
     chi_square = float(off.square().mean())
     console.print(f"mean square of the deviations over the predicted errors: {chi_square:.2f}")
 
-    drawn = sample(identified, 10 if args.quick else args.arms, most=0.2, seed=args.seed)
+    drawn = posterior_samples(identified, 10 if args.quick else args.arms, most=0.2, seed=args.seed)
     states = found.series.at(found.series.rate * STEP * torch.arange(1000).double())
     positions = fanned(drawn, torques(*states), states[0][0])
     draw((positions - states[0][:, None]).norm(dim=-1), off, args)

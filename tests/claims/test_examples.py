@@ -130,7 +130,7 @@ def test_positions_only(tmp_path, capsys):
     found, true, before, after = module.main(module.Args(quick=True, out=tmp_path))
     z = (found.estimate - true) / found.covariance.diagonal().sqrt()
     assert float(z.abs().max()) < 4 and float(z.square().mean()) < 2
-    assert not found.untold and not found.doubt
+    assert not found.unidentifiable and not found.warning
     assert float(after.max()) < 5 * module.NOISE < 1e-3 < float(before.mean())
     assert "Payload.mass" in capsys.readouterr().out
     assert_drawn(tmp_path / "positions_only.png")

@@ -22,10 +22,10 @@ from places import ROOT
 
 import torchdq
 from torchdq.base import machine
+from torchdq.base.findings import Finding
 from torchdq.command.main import ABOUT, COMMANDS, INTERRUPTED, MISTAKE, USAGE, WELL, main
 from torchdq.command.outcome import Grid, Outcome, plain, write
 from torchdq.command.reports import health
-from torchdq.command.reports.health import Finding
 from torchdq.command.scene import KINDS, STEPPERS
 from torchdq.learning import read
 
@@ -647,7 +647,7 @@ def test_the_doctor_finds_this_installation_well(here, capsys):
 def test_the_doctor_compiles_and_leaves_the_cache_as_it_was(tmp_path, monkeypatch):
     monkeypatch.setenv(health.CACHE, str(tmp_path))
     tmp_path.chmod(0o700)
-    assert {finding.what: finding.state for finding in health.findings()}["compiled program"] == "ok"
+    assert {finding.subject: finding.severity for finding in health.findings()}["compiled program"] == "ok"
     assert os.environ[health.CACHE] == str(tmp_path) and list(tmp_path.iterdir()) == []
 
 
@@ -689,22 +689,22 @@ def test_no_compiler_is_a_warning(here, capsys, monkeypatch):
 
 def test_wrong_torques_are_found(monkeypatch):
     monkeypatch.setattr(health, "TORQUES", (17.8, 3.75))
-    found = {finding.what: finding for finding in health.findings()}["compiled program"]
-    assert found.state == "broken" and "must be (17.8, 3.75)" in found.found and found.cure
+    found = {finding.subject: finding for finding in health.findings()}["compiled program"]
+    assert found.severity == "error" and "must be (17.8, 3.75)" in found.found and found.cure
 
 
 def test_more_threads_than_processors_are_a_warning(monkeypatch):
     monkeypatch.setattr(torch, "get_num_threads", lambda: 10_000)
-    found = {finding.what: finding for finding in health.findings()}["threads"]
-    assert found.state == "warning" and "OMP_NUM_THREADS" in found.cure
+    found = {finding.subject: finding for finding in health.findings()}["threads"]
+    assert found.severity == "warning" and "OMP_NUM_THREADS" in found.cure
 
 
 def test_everything_that_is_not_well_has_a_cure(monkeypatch):
     monkeypatch.setattr(machine, "version_of", lambda package: None)
     found = health.findings()
-    assert all(finding.cure for finding in found if finding.state == "broken")
-    packages = next(finding for finding in found if finding.what == "packages")
-    assert packages.state == "broken" and packages.cure.startswith("pip install ")
+    assert all(finding.cure for finding in found if finding.severity == "error")
+    packages = next(finding for finding in found if finding.subject == "packages")
+    assert packages.severity == "error" and packages.cure.startswith("pip install ")
     assert isinstance(packages, Finding)
 
 

@@ -4,13 +4,13 @@ import ctypes
 import dataclasses
 import math
 import re
-import shutil
 import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from exporting import COMPILERS, F64, STRICT, TWO, free, loaded, needs, passes_its_test, run, step, two_link
 
 import torchdq
 from torchdq.envs import Scene, effects
@@ -19,62 +19,44 @@ from torchdq.export import c99
 from torchdq.functions.compile import CompiledProgram
 from torchdq.numbers.functions import exp, sqrt
 from torchdq.program.program import Argument, outputs, record, replay
-from torchdq.scene import controllers, integrators
+from torchdq.scene import controllers
 
-STRICT = ("-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O2")
-COMPILERS = [
-    pytest.param(name, marks=pytest.mark.skipif(not shutil.which(name), reason=f"no {name}"))
-    for name in ("gcc", "clang")
-]
-F64 = torch.float64
+GCC = needs("gcc")
 
 
 def scene_step(dtype="float64"):
     parts = (effects.Gravity(), effects.Viscous(1.0), effects.Coulomb(0.5), effects.JointLimits(-1.0, 1.0))
-    scene = Scene(torchdq.robots.load("two_link"), parts, integrator=integrators.RungeKutta4())
-    return torchdq.compile(scene.program("torque"), dtype=dtype)
+    return torchdq.compile(step(*parts), dtype=dtype)
 
 
-def free():
-    body = {"base_mass": 3.0, "base_com": [0.1, -0.05, 0.2], "base_inertia": [0.3, 0.02, 0.4, -0.03, 0.01, 0.5]}
-    robot = torchdq.robots.load("two_link")
-    return robot.replace(**{name: torch.tensor(x, dtype=F64) for name, x in body.items()}).bake()
-
-
-def loaded():
-    panda = torchdq.robots.load("panda")
-    return panda.replace(mass=panda.mass, com=panda.com)
-
-
-def two_links():
-    robot = torchdq.robots.load("two_link")
-    return robot.replace(mass=robot.mass)
+def panda():
+    robot = torchdq.robots.load("panda")
+    return robot.replace(mass=robot.mass, com=robot.com)
 
 
 def trained():
-    return torchdq.ForwardDynamics(torchdq.robots.load("two_link"), ("mass", "inertia", "armature", "friction"))
+    return torchdq.ForwardDynamics(TWO, ("mass", "inertia", "armature", "friction"))
 
 
+def program(robot, function):
+    return lambda dtype: torchdq.compile(robot, function, dtype)
+
+
+PANDA = torchdq.robots.load("panda")
 PROGRAMS = {
-    "inverse dynamics": lambda dtype: torchdq.compile(torchdq.robots.load("panda"), "inverse_dynamics", dtype),
-    "forward dynamics": lambda dtype: torchdq.compile(torchdq.robots.load("panda"), "forward_dynamics", dtype),
-    "computed torque": lambda dtype: torchdq.compile(torchdq.robots.load("panda"), "computed_torque", dtype),
-    "closed form": lambda dtype: torchdq.compile(torchdq.robots.load("two_link"), "closed_form", dtype),
-    "gradient": lambda dtype: torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics", dtype).vjp(),
-    "jacobian": lambda dtype: torchdq.compile(torchdq.robots.load("two_link"), "forward_dynamics", dtype).jacobian(),
-    "parameters": lambda dtype: torchdq.compile(loaded(), "inverse_dynamics", dtype),
-    "gradient in parameters": lambda dtype: torchdq.compile(two_links(), "inverse_dynamics", dtype).vjp(),
-    "free base": lambda dtype: torchdq.compile(free(), "floating.forward_dynamics", dtype),
+    "inverse dynamics": program(PANDA, "inverse_dynamics"),
+    "forward dynamics": program(PANDA, "forward_dynamics"),
+    "computed torque": program(PANDA, "computed_torque"),
+    "closed form": program(TWO, "closed_form"),
+    "gradient": lambda dtype: torchdq.compile(TWO, "inverse_dynamics", dtype).vjp(),
+    "jacobian": lambda dtype: torchdq.compile(TWO, "forward_dynamics", dtype).jacobian(),
+    "parameters": program(panda(), "inverse_dynamics"),
+    "gradient in parameters": lambda dtype: torchdq.compile(two_link("mass"), "inverse_dynamics", dtype).vjp(),
+    "free base": program(free(), "floating.forward_dynamics"),
     "scene": scene_step,
     "a trained layer": lambda dtype: torchdq.compile(trained().program(parameters="arguments"), dtype=dtype),
     "a controller": lambda dtype: torchdq.compile(controllers.PD(9.0, 3.0).program(trained().robot), dtype=dtype),
 }
-
-
-def run(*command: str) -> str:
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
@@ -82,9 +64,7 @@ def run(*command: str) -> str:
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_files_are_strict_c99_and_their_test_of_a_sample_and_of_a_batch_passes(name, dtype, compiler, tmp_path):
     made = PROGRAMS[name](dtype).export(tmp_path, "exported", batch=True)
-    test = str(tmp_path / "test")
-    run(compiler, *STRICT, "-I", str(tmp_path), str(made.source), str(made.test), "-o", test, "-lm")
-    assert "largest relative difference" in run(test)
+    assert "largest relative difference" in passes_its_test(made, "-O2", compiler=compiler)
 
 
 @pytest.mark.parametrize("compiler", COMPILERS)
@@ -97,28 +77,22 @@ def test_the_loop_over_samples_becomes_vector_instructions(compiler, tmp_path):
     assert re.search(rf"exported\.c:{line}:.*vectorized", done.stderr), done.stderr
 
 
-@pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
+@GCC
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_nothing_is_read_or_written_out_of_bounds(name, tmp_path):
-    compiled = PROGRAMS[name]("float64")
-    made = compiled.export(tmp_path, "exported", "own", batch=True)
-    test = str(tmp_path / "test")
-    sanitized = ("-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g")
-    run("gcc", *STRICT, "-O0", *sanitized, "-I", str(tmp_path), str(made.source), str(made.test), "-o", test, "-lm")
-    run(test)
+    made = PROGRAMS[name]("float64").export(tmp_path, "exported", "own", batch=True)
+    passes_its_test(made, "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-g")
 
 
-def called(made, program, rows, tmp_path):
+def called(made, program, rows):
     """Status and outputs of an exported function on one sample."""
-    library = str(tmp_path / "exported.so")
-    run("gcc", "-std=c99", "-O2", "-shared", "-fPIC", "-I", str(tmp_path), str(made.source), "-o", library, "-lm")
-    function = getattr(ctypes.CDLL(library), made.function)
+    function = getattr(loaded(made), made.function)
     given = [(ctypes.c_double * len(row))(*row) for row in rows]
     found = [(ctypes.c_double * len(r.values))() for r in outputs(program) if r.values]
     return function(*given, *found), [list(x) for x in found]
 
 
-@pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
+@GCC
 @pytest.mark.parametrize("name", PROGRAMS)
 def test_results_are_those_of_the_program_in_pythons_arithmetic_bit_for_bit(name, tmp_path):
     compiled = PROGRAMS[name]("float64")
@@ -132,16 +106,16 @@ def test_results_are_those_of_the_program_in_pythons_arithmetic_bit_for_bit(name
         for result in outputs(program)
         if result.values
     ]
-    status, found = called(made, program, rows, tmp_path)
+    status, found = called(made, program, rows)
     assert status == 0 and found == expected
 
 
-@pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
+@GCC
 def test_own_sine_and_cosine_are_within_an_ulp_and_undefined_far_away(tmp_path):
-    compiled = torchdq.compile(torchdq.robots.load("two_link"), "forward_kinematics", options=("tip",))
+    compiled = torchdq.compile(TWO, "forward_kinematics", options=("tip",))
     made = compiled.export(tmp_path, "exported", "own")
     for q in ([0.3, -0.7], [1e4, -9e4], [3.0, math.pi]):
-        _, (found,) = called(made, compiled.program, [q], tmp_path)
+        _, (found,) = called(made, compiled.program, [q])
         expected = replay(compiled.program, [q])
         row = [
             values if isinstance(values, float) else expected[values[0]] * (-1) ** values[1]
@@ -149,9 +123,9 @@ def test_own_sine_and_cosine_are_within_an_ulp_and_undefined_far_away(tmp_path):
         ]
         assert max(abs(a - b) for a, b in zip(found, row, strict=True)) <= 4 * 2.0**-52 * max(map(abs, row))
     for far in ([1e6, 1e6], [0.1, -1e6], [math.nan, 0.0], [0.0, math.inf]):
-        status, (found,) = called(made, compiled.program, [far], tmp_path)
+        status, (found,) = called(made, compiled.program, [far])
         assert status == 1 and math.isnan(found[0])
-    assert called(made, compiled.program, [[1e5, -1e5]], tmp_path)[0] == 0
+    assert called(made, compiled.program, [[1e5, -1e5]])[0] == 0
     assert (
         "Returns 1 where a result is not finite or an angle is NaN or beyond 1e5 rad, else 0."
         in made.header.read_text()
@@ -182,32 +156,28 @@ def test_own_roots_are_within_an_ulp_and_correctly_rounded_but_close_to_midpoint
     program = record("roots", [Argument("x", 1)], lambda x: {"y": (sqrt(x[0]),)})
     made = CompiledProgram(program, getattr(torch, dtype), ((1,),)).export(tmp_path, "exported", "own", batch=True)
     assert "math.h" not in made.source.read_text()
-    library = str(tmp_path / "exported.so")
-    warnings = ["-Wall", "-Wextra", "-Wpedantic", "-Werror"]
-    run(compiler, *flags.split(), *warnings, "-shared", "-fPIC", str(made.source), "-o", library)
-    loaded, real = ctypes.CDLL(library), ctypes.c_float if single else ctypes.c_double
+    library = loaded(made, *flags.split(), *STRICT[1:], compiler=compiler)
+    real = ctypes.c_float if single else ctypes.c_double
     x = hard_roots(single)
     for batch in (True, False):
         y = np.zeros_like(x)
         given = [v.ctypes.data_as(ctypes.POINTER(real)) for v in (x, y)]
         if batch:
-            assert loaded.exported_batch(ctypes.c_size_t(len(x)), *given) == 0
+            assert library.exported_batch(ctypes.c_size_t(len(x)), *given) == 0
         else:
             for k in range(0, len(x), 17):
-                assert (
-                    loaded.exported(*[ctypes.cast(ctypes.byref(p.contents, k * x.itemsize), type(p)) for p in given])
-                    == 0
-                )
+                at = [ctypes.cast(ctypes.byref(p.contents, k * x.itemsize), type(p)) for p in given]
+                assert library.exported(*at) == 0
         expected = np.sqrt(x)
         off = np.abs(y - expected)[:: 1 if batch else 17] / np.spacing(expected)[:: 1 if batch else 17]
         assert off.max() <= 1 and (off == 0).mean() > 0.95
     for odd, root in ((math.inf, math.inf), (0.0, 0.0), (-0.0, -0.0), (-1.0, math.nan), (math.nan, math.nan)):
         x, y = real(odd), real(5.0)
-        loaded.exported(ctypes.byref(x), ctypes.byref(y))
+        library.exported(ctypes.byref(x), ctypes.byref(y))
         assert str(y.value) == str(root)
 
 
-@pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
+@GCC
 def test_a_step_with_friction_needs_no_library(tmp_path):
     compiled = scene_step()
     rows = [[0.3, -0.2], [0.1, 0.0], [1.0, -2.0]][: len(compiled.program.arguments)]
@@ -216,18 +186,16 @@ def test_a_step_with_friction_needs_no_library(tmp_path):
     for library in ("math.h", "own"):
         made = compiled.export(tmp_path / library, "exported", library)
         assert ("#include <math.h>" in made.source.read_text()) == (library == "math.h")
-        status, values = called(made, compiled.program, rows, tmp_path / library)
+        status, values = called(made, compiled.program, rows)
         assert status == 0
         found.append([v for row in values for v in row])
     assert max(abs(a - b) for a, b in zip(*found, strict=True)) <= 16 * 2.0**-52 * max(map(abs, found[0]))
 
 
-@pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
+@GCC
 def test_a_batch_with_an_angle_out_of_reach_is_told_by_the_status(tmp_path):
     made = PROGRAMS["inverse dynamics"]("float64").export(tmp_path, "exported", batch=True)
-    library = str(tmp_path / "exported.so")
-    run("gcc", "-std=c99", "-O2", "-shared", "-fPIC", "-I", str(tmp_path), str(made.source), "-o", library, "-lm")
-    function = ctypes.CDLL(library).exported_batch
+    function = loaded(made).exported_batch
     for samples in (1, 16, 37):
         rows = [(ctypes.c_double * (7 * samples))() for _ in range(4)]
         assert function(ctypes.c_size_t(samples), *rows) == 0
@@ -235,48 +203,44 @@ def test_a_batch_with_an_angle_out_of_reach_is_told_by_the_status(tmp_path):
         assert function(ctypes.c_size_t(samples), *rows) == 1
 
 
-@pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
+@GCC
 @pytest.mark.parametrize("library", ["math.h", "own"])
 @pytest.mark.parametrize("name", ["a controller with friction", "a step", "computed torque"])
 def test_what_is_not_a_number_stays_so_and_is_told_by_the_status(name, library, tmp_path):
-    arm = torchdq.robots.load("two_link")
     compiled = {
         "a controller with friction": lambda: torchdq.compile(
-            torchdq.ComputedTorque(arm, 25.0, 10.0, friction=(effects.Viscous(0.2), effects.Coulomb(0.5))).program()
+            torchdq.ComputedTorque(TWO, 25.0, 10.0, friction=(effects.Viscous(0.2), effects.Coulomb(0.5))).program()
         ),
         "a step": lambda: scene_step(),
-        "computed torque": lambda: torchdq.compile(arm, "computed_torque", options=("kp", "kd")),
+        "computed torque": lambda: torchdq.compile(TWO, "computed_torque", options=("kp", "kd")),
     }[name]()
     made, program = compiled.export(tmp_path, "exported", library, batch=True), compiled.program
     assert "Returns 1 where a result is not finite" in made.header.read_text()
-    path = str(tmp_path / "exported.so")
-    run("gcc", "-std=c99", "-O2", "-shared", "-fPIC", "-I", str(tmp_path), str(made.source), "-o", path, "-lm")
-    loaded, wide = ctypes.CDLL(path), [a for a in program.arguments if a.width]
+    functions, wide = loaded(made), [a for a in program.arguments if a.width]
     sizes = [len(r.values) for r in outputs(program) if r.values]
     for k, a in enumerate(wide):
         for bad in (math.nan, math.inf, 0.1):
             rows = [(ctypes.c_double * a.width)(*[0.2] * a.width) for a in wide]
             rows[k][a.width - 1] = bad
             found = [(ctypes.c_double * size)() for size in sizes]
-            status = loaded.exported(*rows, *found)
+            status = functions.exported(*rows, *found)
             assert status == (0 if bad == 0.1 else 1)
             assert all(math.isfinite(x) for row in found for x in row) == (bad == 0.1)
             many = [(ctypes.c_double * (11 * a.width))(*[0.2] * (11 * a.width)) for a in wide]
             many[k][9 * a.width - 1] = bad  # in the second block
             room = [(ctypes.c_double * (11 * size))() for size in sizes]
-            assert loaded.exported_batch(ctypes.c_size_t(11), *many, *room) == status
+            assert functions.exported_batch(ctypes.c_size_t(11), *many, *room) == status
 
 
 def test_a_header_has_the_numbers_of_controller_and_friction(tmp_path):
-    arm = torchdq.robots.load("two_link")
-    learned = torchdq.DQRNEA(arm, learn="friction")
+    learned = torchdq.DQRNEA(TWO, learn="friction")
     learned.viscous = torch.tensor([0.25, 0.5], dtype=F64)
     layer = torchdq.ComputedTorque(learned, torch.tensor([25.0, 16.0]), 10.0)
-    step = Scene(arm, (effects.Viscous((0.1, 0.2)), effects.Coulomb(torch.ones(2))), controllers.PD(9.0, 1.5)).program()
+    step = Scene(TWO, (effects.Viscous((0.1, 0.2)), effects.Coulomb(torch.ones(2))), controllers.PD(9.0, 1.5)).program()
     programs = {"layer": layer.program(), "arguments": layer.program(parameters="arguments"), "step": step}
     text = {
         name: torchdq.compile(program).export(tmp_path / name, "f").header.read_text()
-        for name, program in {**programs, "pd": controllers.PD(9.0, (1.5, 2.0)).program(arm)}.items()
+        for name, program in {**programs, "pd": controllers.PD(9.0, (1.5, 2.0)).program(TWO)}.items()
     }
     for line in ("kp = 25, 16: gains of the position errors [1/s^2]", "kd = 10: gains of the velocity errors [1/s]"):
         assert f" * {line}\n" in text["layer"]
@@ -291,7 +255,7 @@ def test_a_header_has_the_numbers_of_controller_and_friction(tmp_path):
 
 
 def test_a_full_disk_leaves_the_files_of_before(tmp_path, monkeypatch):
-    compiled = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
+    compiled = torchdq.compile(TWO, "inverse_dynamics")
     before = {path: path.read_text() for path in compiled.export(tmp_path, "f")[1:]}
     calls, write = [], Path.write_bytes
 
@@ -323,7 +287,7 @@ FLAGS = (
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 @pytest.mark.parametrize("flags", FLAGS)
 def test_flags_that_break_sine_and_cosine_are_refused_or_harmless(flags, dtype, compiler, tmp_path):
-    compiled = torchdq.compile(torchdq.robots.load("two_link"), "forward_kinematics", dtype, options=("tip",))
+    compiled = torchdq.compile(TWO, "forward_kinematics", dtype, options=("tip",))
     made = compiled.export(tmp_path, "exported", "own", batch=True)
     compiled_file, library = (str(tmp_path / f"exported.{kind}") for kind in ("o", "so"))
     build = (compiler, *flags.split(), "-fPIC", "-I", str(tmp_path), "-c", str(made.source), "-o", compiled_file)
@@ -333,16 +297,16 @@ def test_flags_that_break_sine_and_cosine_are_refused_or_harmless(flags, dtype, 
         return
     # linked without these flags, with which gcc would turn off subnormal numbers in the process of the tests
     run(compiler, "-shared", compiled_file, "-o", library, "-lm")
-    loaded, real = ctypes.CDLL(library), ctypes.c_double if dtype == "float64" else ctypes.c_float
+    functions, real = ctypes.CDLL(library), ctypes.c_double if dtype == "float64" else ctypes.c_float
     eps = 2.0**-52 if dtype == "float64" else 2.0**-23
     angles = [0.3, -0.7, 3.0, 1234.5, 3999.0, -2000.25]
     for far in (False, True):
         q = (real * 6)(*angles[:5], 1e6 if far else angles[5])
-        X, status = (real * 24)(), loaded.exported_batch
+        X, status = (real * 24)(), functions.exported_batch
         assert status(ctypes.c_size_t(3), q, X) == far
     for k in (0, 2, 4):
         q, X = (real * 2)(*angles[k : k + 2]), (real * 8)()
-        assert loaded.exported(q, X) == 0
+        assert functions.exported(q, X) == 0
         # the arm turns about z: the pose is a turn by the sum of the angles
         half = (q[0] + q[1]) / 2
         assert abs(abs(X[0]) - abs(math.cos(half))) <= 16 * eps and abs(abs(X[3]) - abs(math.sin(half))) <= 16 * eps
@@ -374,7 +338,7 @@ def test_everything_in_a_header_has_words_and_the_joints_have_an_order(tmp_path)
 ARM = ("arm-none-eabi-gcc", "-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard", "-Wdouble-promotion")
 
 
-@pytest.mark.skipif(not shutil.which(ARM[0]), reason=f"no {ARM[0]}")
+@needs(ARM[0])
 @pytest.mark.parametrize("library", ["math.h", "own"])
 def test_torques_and_controller_of_the_panda_fit_into_a_cortex_m7(library, tmp_path):
     total = 0
@@ -390,42 +354,34 @@ def test_torques_and_controller_of_the_panda_fit_into_a_cortex_m7(library, tmp_p
     assert total <= 32 * 1024
 
 
-@pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
+@GCC
 def test_a_mass_matrix_that_is_not_positive_is_told_by_the_status(tmp_path):
-    robot = torchdq.robots.load("two_link")
-    compiled = torchdq.compile(robot.replace(mass=robot.mass, inertia=robot.inertia), "forward_dynamics")
+    compiled = torchdq.compile(two_link("mass", "inertia"), "forward_dynamics")
     made = compiled.export(tmp_path, "exported")
     rows = {"q": [0.1, 0.2], "qd": [0.0, 0.0], "tau": [1.0, 1.0], "mass": [1.0, -1.0], "inertia": [0.0] * 12}
-    status, _ = called(made, compiled.program, [rows[a.name] for a in compiled.program.arguments], tmp_path)
+    status, _ = called(made, compiled.program, [rows[a.name] for a in compiled.program.arguments])
     assert status == 1
 
 
-@pytest.mark.parametrize("name", ["two words", "double", "1st", "größe", "class", ""])
-def test_names_are_those_that_c_and_cpp_accept(name, tmp_path):
-    compiled = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
-    if not name:
-        assert compiled.export(tmp_path).function == "inverse_dynamics_two_link"
-        return
+@pytest.mark.parametrize("name", ["two words", "double", "1st", "größe", "class"])
+def test_names_that_c_and_cpp_do_not_accept_are_refused(name, tmp_path):
+    compiled = torchdq.compile(TWO, "inverse_dynamics")
     with pytest.raises(ArgumentError, match="must be a name that C accepts"):
         compiled.export(tmp_path, name)
+    assert compiled.export(tmp_path).function == "inverse_dynamics_two_link"
 
 
 @pytest.mark.parametrize("name", ["tgamma", "printf", "fmaxf", "SIN", "ROUND", "math", "in_q", "worst", "found_tau"])
 def test_names_that_the_exported_files_use_are_refused(name, tmp_path):
-    compiled = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
     with pytest.raises(ArgumentError, match="name must"):
-        compiled.export(tmp_path, name)
+        torchdq.compile(TWO, "inverse_dynamics").export(tmp_path, name)
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
+@GCC
 @pytest.mark.parametrize("name", ["tau", "q", "expected", "first_", "largest", "x1"])
 def test_a_function_may_have_the_name_of_an_argument_or_a_result(name, tmp_path):
-    compiled = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
-    made = compiled.export(tmp_path, name, "own", batch=True)
-    test = str(tmp_path / "test")
-    run("gcc", *STRICT, "-I", str(tmp_path), str(made.source), str(made.test), "-o", test, "-lm")
-    run(test)
+    passes_its_test(torchdq.compile(TWO, "inverse_dynamics").export(tmp_path, name, "own", batch=True), "-O2")
 
 
 ODD = ("größe", "Δ*/int", "/* x", "line\nbreak", "x??/", "end\\", "\u202eabc", "%s%n")
@@ -435,7 +391,7 @@ ODD = ("größe", "Δ*/int", "/* x", "line\nbreak", "x??/", "end\\", "\u202eabc"
 @pytest.mark.parametrize("language", ["c", "casadi"])
 def test_any_names_of_joints_and_robots_make_files_in_ascii_that_build(language, compiler, tmp_path):
     for name in ODD:
-        compiled = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
+        compiled = torchdq.compile(TWO, "inverse_dynamics")
         lines = (f"robot {name}", f"joints in the order of q: {name}, {name}")
         made = dataclasses.replace(compiled, about=lines).export(tmp_path, "exported", language=language)
         assert made.source.read_bytes().isascii()
@@ -443,9 +399,9 @@ def test_any_names_of_joints_and_robots_make_files_in_ascii_that_build(language,
     assert r"robot gr\xf6\xdfe" in c99.comment(["robot größe"])
 
 
-@pytest.mark.skipif(not shutil.which("cmake"), reason="no cmake")
+@needs("cmake")
 def test_two_functions_in_one_folder_are_built_and_tested_together(tmp_path):
-    compiled = torchdq.compile(torchdq.robots.load("two_link"), "inverse_dynamics")
+    compiled = torchdq.compile(TWO, "inverse_dynamics")
     for name, library in (("torques", "own"), ("control", "math.h")):
         made = compiled.export(tmp_path, name, library, batch=True)
     assert made.cmake == tmp_path / "CMakeLists.txt"
@@ -468,36 +424,37 @@ def test_the_header_says_order_shapes_and_units(tmp_path):
     assert 'extern "C"' in text and "int exported(const double q[7]," in text
 
 
-@pytest.mark.skipif(not shutil.which("g++"), reason="no g++")
+def cpp(made, text, standard="-std=c++20"):
+    """Output of a program in C++ with an exported function."""
+    folder = made.source.parent
+    (folder / "main.cpp").write_text(f'#include "{made.spans.name}"\n#include "{made.spans.name}"\n{text}\n')
+    run("gcc", *STRICT, "-O2", "-c", "-I", str(folder), str(made.source), "-o", str(folder / "f.o"))
+    flags = (standard, "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I", str(folder))
+    run("g++", *flags, str(folder / "main.cpp"), str(folder / "f.o"), "-o", str(folder / "main"), "-lm")
+    return run(str(folder / "main"))
+
+
+@needs("g++")
 def test_spans_of_cpp_call_the_function(tmp_path):
     made = PROGRAMS["closed form"]("float64").export(tmp_path, "exported")
-    main = tmp_path / "main.cpp"
     arrays = re.findall(r"std::span<(?:const )?double, (\d+)>", made.spans.read_text())
     declared = "".join(f"double x{k}[{size}]={{}};" for k, size in enumerate(arrays))
     passed = ",".join(f"std::span<double,{size}>(x{k})" for k, size in enumerate(arrays))
-    main.write_text(f'#include "{made.spans.name}"\nint main(){{{declared} return torchdq::exported({passed});}}\n')
-    run("gcc", *STRICT, "-c", "-I", str(tmp_path), str(made.source), "-o", str(tmp_path / "f.o"))
-    strict = ("-std=c++20", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
-    run("g++", *strict, "-I", str(tmp_path), str(main), str(tmp_path / "f.o"), "-o", str(tmp_path / "main"), "-lm")
-    run(str(tmp_path / "main"))
+    cpp(made, f"int main(){{{declared} return torchdq::exported({passed});}}")
 
 
-@pytest.mark.skipif(not shutil.which("g++"), reason="no g++")
+@needs("g++")
 def test_spans_of_a_batch_that_are_too_short_are_refused(tmp_path):
     made = PROGRAMS["inverse dynamics"]("float64").export(tmp_path, "exported", batch=True)
-    main = tmp_path / "main.cpp"
-    main.write_text(
-        f'#include "{made.spans.name}"\n#include "{made.spans.name}"\n#include <cassert>\n#include <vector>\n'
+    text = (
+        "#include <cassert>\n#include <vector>\n"
         "int main(){std::vector<double> q(21),v(21),a(21),t(21),s(20);using torchdq::exported_batch;\n"
         "assert(exported_batch(3,q,v,a,t)==0);assert(exported_batch(3,s,v,a,t)==2);assert(exported_batch(3,q,v,a,s)==2);\n"
-        "assert(exported_batch(static_cast<std::size_t>(-1),q,v,a,t)==2);return 0;}\n"
+        "assert(exported_batch(static_cast<std::size_t>(-1),q,v,a,t)==2);return 0;}"
     )
-    run("gcc", *STRICT, "-c", "-I", str(tmp_path), str(made.source), "-o", str(tmp_path / "f.o"))
-    strict = ("-Wall", "-Wextra", "-Wpedantic", "-Werror", "-I", str(tmp_path), str(main))
-    run("g++", "-std=c++20", *strict, str(tmp_path / "f.o"), "-o", str(tmp_path / "main"), "-lm")
-    run(str(tmp_path / "main"))
-    old = subprocess.run(["g++", "-std=c++17", *strict, "-fsyntax-only"], capture_output=True, text=True, timeout=300)
-    assert old.returncode and "exported.hpp needs C++20" in old.stderr
+    cpp(made, text)
+    with pytest.raises(AssertionError, match=r"exported\.hpp needs C\+\+20"):
+        cpp(made, text, "-std=c++17")
 
 
 def test_a_recorded_program_takes_no_function():

@@ -17,7 +17,7 @@ F64 = torch.float64
 TWO = shipped("two_link").robot
 STEP, BRISTLES = 0.02, 0.05
 REMEMBERS = (effects.Viscous(), effects.LuGre(deflection=BRISTLES))
-OPTIONS = {"batch": 128, "rate": 1e-2, "decay": 1e-2, "progress": False}
+OPTIONS = {"batch": 128, "rate": 1e-2, "decay": 1e-2}
 
 
 def bent(q):
@@ -116,8 +116,8 @@ def test_intervals_hold_their_share(bumpy):
     inside = []
     for seed in range(50, 56):
         test = motion(seed, stribeck)
-        told = whole.predict(*test[:3])
-        inside.append(((told.low <= test.tau) & (test.tau <= told.high)).double().mean())
+        predicted = whole.predict(*test[:3])
+        inside.append(((predicted.low <= test.tau) & (test.tau <= predicted.high)).double().mean())
     assert 0.92 < float(torch.stack(inside).mean()) < 0.98
 
 
@@ -126,14 +126,14 @@ def test_without_weight_it_is_what_was_identified_with_its_errors(bumpy):
     weight = whole.residual.weight.clone()
     try:
         whole.residual.weight[1] = 0
-        told, alone = whole.predict(*parts[0][:3]), found.predict(*parts[0][:3])
+        predicted, alone = whole.predict(*parts[0][:3]), found.predict(*parts[0][:3])
         both = whole.residual.predict(*parts[0][:3])
     finally:
         whole.residual.weight.copy_(weight)
-    assert torch.equal(told.tau[:, 1], alone.tau[:, 1]) and (told.tau != alone.tau)[:, 0].any()
-    assert torch.equal(told.low[:, 1], alone.low[:, 1]) and torch.equal(told.high[:, 1], alone.high[:, 1])
-    assert torch.allclose(told.error, torch.stack([both.error[:, 0], alone.error.hypot(found.noise)[:, 1]], 1))
-    assert torch.allclose((told.high - told.low)[:, 0], (both.high - both.low)[:, 0])
+    assert torch.equal(predicted.tau[:, 1], alone.tau[:, 1]) and (predicted.tau != alone.tau)[:, 0].any()
+    assert torch.equal(predicted.low[:, 1], alone.low[:, 1]) and torch.equal(predicted.high[:, 1], alone.high[:, 1])
+    assert torch.allclose(predicted.error, torch.stack([both.error[:, 0], alone.error.hypot(found.noise)[:, 1]], 1))
+    assert torch.allclose((predicted.high - predicted.low)[:, 0], (both.high - both.low)[:, 0])
 
 
 def test_an_offset_that_was_learned_is_predicted_where_the_network_has_no_weight(bumpy):
@@ -143,9 +143,9 @@ def test_an_offset_that_was_learned_is_predicted_where_the_network_has_no_weight
     with torch.no_grad():
         model.weight.zero_()
         model.model.offset.copy_(torch.tensor([0.3, -0.2]))
-    told, alone = (x.predict(*parts[0][:3]) for x in (IdentifiedWithResidual(found, model), found))
+    predicted, alone = (x.predict(*parts[0][:3]) for x in (IdentifiedWithResidual(found, model), found))
     for name in ("tau", "low", "high"):
-        moved = getattr(told, name) - getattr(alone, name)
+        moved = getattr(predicted, name) - getattr(alone, name)
         assert torch.allclose(moved, model.model.offset.expand_as(moved), atol=1e-12)
 
 
@@ -179,10 +179,10 @@ def test_motions_and_tensors_are_alike_and_rows_of_motions_follow_each_other(bum
     several = [as_motion(part) for part in parts[:2]]
     found = whole.samples(several)
     assert torch.equal(found.tau, torch.cat([whole.samples(*part).tau for part in parts[:2]]))
-    told = whole.predict(several)
-    assert torch.equal(told.low, torch.cat([whole.predict(*part[:3]).low for part in parts[:2]]))
+    predicted = whole.predict(several)
+    assert torch.equal(predicted.low, torch.cat([whole.predict(*part[:3]).low for part in parts[:2]]))
     stacked = whole.predict(*(torch.stack(x) for x in zip(*(part[:3] for part in parts[:2]), strict=True)))
-    assert stacked.tau.shape == (2, len(parts[0].q), 2) and torch.equal(stacked.tau.reshape(-1, 2), told.tau)
+    assert stacked.tau.shape == (2, len(parts[0].q), 2) and torch.equal(stacked.tau.reshape(-1, 2), predicted.tau)
 
 
 def test_a_scene_moves_as_it_predicts(bumpy):
@@ -196,9 +196,9 @@ def test_a_scene_moves_as_it_predicts(bumpy):
     states = scene.rollout(scene.start(torch.zeros(2, dtype=F64)), torque)
     q, qd = states.q.detach(), states.qd.detach()
     qdd = torch.diff(qd, dim=0) / dt
-    told = whole.predict(q[1:], qd[1:], qdd)
+    predicted = whole.predict(q[1:], qd[1:], qdd)
     assert (qd.amax(0) > 0.2).all() and (qd.amin(0) < -0.2).all()  # both joints turn round
-    off = (told.tau - torque[1:]).square().mean(0).sqrt()
+    off = (predicted.tau - torque[1:]).square().mean(0).sqrt()
     with torch.no_grad():
         steady = whole.residual(q[1:], qd[1:], qdd)
     assert (off < 0.3).all() and (off < 0.3 * (steady - torque[1:]).square().mean(0).sqrt()).all()

@@ -58,10 +58,10 @@ def everything(robot):
         effects.RotorInertia(0.3),
         effects.Payload(double(0.5).squeeze(), (0.1, 0.0, 0.1)),
         effects.Viscous(0.3),
-        effects.Stribeck(0.2, 0.4, velocity=1.0, width=1.0),
+        effects.Stribeck(0.2, 0.4, velocity=1.0, sign_width=1.0),
         effects.Spring(3.0, 0.2),
         effects.Servo(2.0, 0.1),
-        effects.Drag(0.1, 0.1, 0.02, width=0.5),
+        effects.Drag(0.1, 0.1, 0.02, sign_width=0.5),
         effects.Push(),
         effects.Elastic(30.0, 0.2, 0.5),
     )

@@ -1,4 +1,4 @@
-"""Files that are whole at any moment: written beside their places, and moved there in one step."""
+"""Files that are whole at any moment: written next to their places, and moved there in one step."""
 
 import os
 from collections.abc import Mapping
@@ -8,8 +8,8 @@ from pathlib import Path
 def write_atomically(contents: Mapping[Path, str | bytes]) -> None:
     """Write files, each of which holds its old content or the new one, never a part, even if this is interrupted.
 
-    None of them changes before all are written. What is no regular file, such as /dev/stdout, is written as it is;
-    of a link, the file that it leads to.
+    None of them changes before all are written. /dev/stdout and others that are not regular files are written
+    directly, and of a link the file that it leads to.
 
     Args:
         contents: text, in UTF-8, or bytes, by path.

@@ -12,7 +12,7 @@ NAMES = ("model name", "Model", "Hardware")  # entries that hold the name of the
 
 
 def processor() -> str:
-    """Name of the processor, or its architecture where the system does not tell the name."""
+    """Name of the processor, or its architecture where the system does not know the name."""
     try:
         lines = [line.partition(":") for line in CPUS.read_text(encoding="utf-8", errors="replace").splitlines()]
     except OSError:

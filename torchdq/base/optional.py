@@ -34,13 +34,13 @@ def require_packages(purpose: str, extras: Mapping[str, str]) -> None:
     Raises:
         MissingLibraryError: one is not installed.
     """
-    lost = []
+    missing = []
     for package in extras:
         try:
             importlib.import_module(package)
         except ImportError:
-            lost.append(package)
-    if lost:
-        those = f"{' and '.join(lost)}, which {'is' if len(lost) == 1 else 'are'} not installed"
-        brought = ",".join(sorted({extras[package] for package in lost}))
-        raise MissingLibraryError(f"{purpose} needs {those}; pip install 'torchdq[{brought}]'")
+            missing.append(package)
+    if missing:
+        found = f"{' and '.join(missing)}, which {'is' if len(missing) == 1 else 'are'} not installed"
+        wanted = ",".join(sorted({extras[package] for package in missing}))
+        raise MissingLibraryError(f"{purpose} needs {found}; pip install 'torchdq[{wanted}]'")

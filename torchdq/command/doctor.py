@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 
 from torchdq import __version__
 from torchdq.command.command import Command
 from torchdq.command.outcome import Grid, Outcome
 from torchdq.command.reports.health import findings
+
+STATES = {"ok": "ok", "note": "ok", "warning": "warning", "error": "broken"}  # of findings, by severity
 
 
 @dataclass(kw_only=True)
@@ -19,17 +22,16 @@ class DoctorCommand(Command):
 
     def outcome(self) -> Outcome:
         """Table of findings; it failed if something is broken."""
-        found = findings()
-        cures = [(finding.what, finding.cure) for finding in found if finding.cure]
-        counts = {state: sum(finding.state == state for finding in found) for state in ("warning", "broken")}
+        found = [{"what": f.subject, "state": STATES[f.severity], "found": f.found, "cure": f.cure} for f in findings()]
+        counts = Counter(one["state"] for one in found)
+        verdict = "all is well"
         if counts["broken"]:
-            verdict = f"broken: {', '.join(finding.what for finding in found if finding.state == 'broken')}"
+            verdict = f"broken: {', '.join(one['what'] for one in found if one['state'] == 'broken')}"
         elif counts["warning"]:
             verdict = f"it works; {counts['warning']} warning{'s' * (counts['warning'] > 1)}"
-        else:
-            verdict = "all is well"
-        rows = [(finding.state, finding.what, finding.found) for finding in found]
-        mend = ("to do:", Grid((), [("-", f"{what}:", cure) for what, cure in cures])) if cures else ()
+        rows = [(one["state"], one["what"], one["found"]) for one in found]
+        cures = [("-", f"{one['what']}:", one["cure"]) for one in found if one["cure"]]
+        mend = ("to do:", Grid((), cures)) if cures else ()
         text = (f"torchdq {__version__}", Grid(("state", "what", "found"), rows), *mend, verdict)
-        data = {"version": __version__, "verdict": verdict, "findings": [finding._asdict() for finding in found]}
+        data = {"version": __version__, "verdict": verdict, "findings": found}
         return Outcome(text, data, counts["broken"] > 0)

@@ -118,17 +118,17 @@ def _apart(given: Sequence[str]) -> list[str]:
 
 def _run(command: Command) -> int:
     """Exit code of a command, after its output."""
-    told: list[str] = []
+    shown: list[str] = []
 
     def show(message: Warning | str, *rest: Any, **others: Any) -> None:
-        if (words := command.words(str(message))) not in told:
-            told.append(words)
+        if (words := command.words(_words(message))) not in shown:
+            shown.append(words)
             _say("warning", words)
 
     with warnings.catch_warnings():
         warnings.showwarning = show
         try:
-            with redirect_stdout(sys.stderr):  # what libraries print is no result
+            with redirect_stdout(sys.stderr):  # output of libraries does not belong to the result
                 outcome = command.outcome()
         except (TorchdqError, OSError) as error:
             if isinstance(error, BrokenPipeError):
@@ -138,13 +138,15 @@ def _run(command: Command) -> int:
                 write_json({"error": words, "kind": type(error).__name__})
             _say("error", words)
             return MISTAKE
-    write(outcome, command.json, told)
+    write(outcome, command.json, shown)
     sys.stdout.flush()
     return MISTAKE if outcome.failed else WELL
 
 
-def _words(error: Exception) -> str:
-    """Message of an error; one of the system names the file first."""
+def _words(error: Exception | str) -> str:
+    """Message of an error or a warning, in words of the command line; one of the system names the file first."""
+    if callable(text := getattr(error, "text", None)):  # findings, whose cures are options here
+        return str(text(command_line=True))
     if isinstance(error, TorchdqError) or not isinstance(error, OSError) or error.filename is None:
         return str(error)
     return f"{str(error.filename)!r} cannot be used: {error.strerror}"

@@ -34,7 +34,7 @@ def robot_of(
 
     Raises:
         MissingFileError: there is nothing of that name.
-        DescriptionError: a file cannot be read, or is no description of a robot.
+        DescriptionError: a file cannot be read, or does not describe a robot.
     """
     options: dict[str, Any] = {"on_unphysical": on_unphysical}
     options |= {"base": base} if base else {}

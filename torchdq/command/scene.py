@@ -84,13 +84,7 @@ class SceneCommand(RobotCommand):
         if self.csv is not None:
             self._write(self.csv, start, states, energies)
         first, last, extreme = energies[0], energies[-1], energies.sum(-1)
-        failure = ""
-        if not bool(extreme.isfinite().all()):
-            at = self.dt * int((~extreme.isfinite()).nonzero()[0])
-            failure = (
-                f"The simulation has failed: from {at:g} s on its state is not finite. A smaller --dt, another "
-                "--integrator, or a start within the limits may help."
-            )
+        failure = "" if bool(extreme.isfinite().all()) else self._diverged(extreme)
         rows = [
             ("kinetic", *(f"{float(x):.6g}" for x in (first[0], energies[:, 0].max(), last[0]))),
             ("potential", *(f"{float(x):.6g}" for x in (first[1], energies[:, 1].max(), last[1]))),
@@ -120,6 +114,12 @@ class SceneCommand(RobotCommand):
             "failure": failure,
         }
         return Outcome(tuple(text), data, bool(failure))
+
+    def _diverged(self, energies: Tensor) -> str:
+        """Sentence on a simulation that diverged."""
+        at = self.dt * int((~energies.isfinite()).nonzero()[0])
+        cure = "A smaller --dt, another --integrator, or a start within the limits may help."
+        return f"The simulation has failed: from {at:g} s on its numbers are not finite. {cure}"
 
     def _scene(self, robot: Robot) -> Scene:
         names_of("integrator", self.integrator, STEPPERS, "integrator")

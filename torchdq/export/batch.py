@@ -130,7 +130,7 @@ def function(
         program, name, single: as it is exported.
         library: source of square roots.
         linkage: words before its declaration.
-        finite: whether its status tells of results that are not finite.
+        finite: whether its status reports results that are not finite.
     """
     taken, given = rows(program)
     several = [a for a in taken if not a.shared]

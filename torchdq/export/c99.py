@@ -40,8 +40,8 @@ _WITH_NAN = """#if defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__
 #endif
 """
 
-# rounding by adding and subtracting a large number, and pi/2 in parts, are what compilers are told they may leave out;
-# clang has no macro for that, but is told here not to
+# rounding by adding and subtracting a large number, and pi/2 in parts, are removed by compilers with these options;
+# clang has no macro for them, and a pragma that forbids it
 _EXACT = """#include <float.h>
 #if defined(__FAST_MATH__) || defined(__ASSOCIATIVE_MATH__) || defined(_M_FP_FAST)
 #error "sines and roots are wrong with -ffast-math or -fassociative-math; compile this file without it"
@@ -234,7 +234,7 @@ def in_rows(array: Array, component: int, uniform: bool) -> str:
 
 
 def function(program: Program, name: str, single: bool, library: Library = "math.h", finite: bool = True) -> str:
-    """Text of the function of a program, without `preamble`; its status tells of results that are not `finite`."""
+    """Text of the function of a program, without `preamble`; its status reports results that are not `finite`."""
     taken, given = arrays(program)
     printer = Printer(program, single, library, in_rows, root(single, library))
     read = {op.payload[0] for op in program.ops if op.code == "in"}
@@ -267,7 +267,7 @@ def status(program: Program, single: bool, growth: str, angles: str, wrong: str 
         single: whether it is in single precision.
         growth: name of the error growth; "": there is none.
         angles: name of the sum of `angles`, NaN if one is out of reach; "": there is none.
-        wrong: name of a number that is 0 if all results are finite, and NaN otherwise; "": it is not told.
+        wrong: name of a number that is 0 if all results are finite, and NaN otherwise; "": none.
     """
     limit = literal(LARGEST_GROWTH.single if single else LARGEST_GROWTH.double, single)
     good = [*([f"{growth} <= {limit}"] if growth else []), *([f"{x} == {x}" for x in (angles, wrong) if x])]

@@ -1,6 +1,6 @@
 """C99 text of a program behind CasADi's interface for external functions, with first and second derivatives.
 
-CasADi asks a library for NAME, for NAME_n_in, NAME_sparsity_in and so on beside it, and for derivatives in the same
+CasADi asks a library for NAME, for NAME_n_in, NAME_sparsity_in and so on, and for derivatives in the same
 way: jac_NAME, the Jacobians of every result in every argument; adj1_NAME, the gradient of the results weighted with
 seeds; and jac_adj1_NAME, its Jacobians, which are the second derivatives that Ipopt takes. A missing argument stands
 for zeros, a missing result is not wanted. Numbers are stored column by column; of a Jacobian, only those that are not
@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import re
 from bisect import bisect_left
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -41,7 +41,7 @@ class Stored(NamedTuple):
     columns: int
     stored: tuple[int, ...]  # places that are stored, counted down one column after the other
 
-    def beside(self, knots: int) -> Stored:
+    def side_by_side(self, knots: int) -> Stored:
         """Matrices of several knots side by side."""
         size = self.rows * self.columns
         stored = tuple(k * size + place for k in range(knots) for place in self.stored)
@@ -73,8 +73,8 @@ class Interface(NamedTuple):
 
     def of_knots(self, knots: int) -> tuple[tuple[Stored, ...], tuple[Stored, ...]]:
         """Arguments and results of several knots."""
-        found = [m.on_a_diagonal(knots) if self.diagonal else m.beside(knots) for m in self.outputs]
-        return tuple(m.beside(knots) for m in self.inputs), tuple(found)
+        found = [m.on_a_diagonal(knots) if self.diagonal else m.side_by_side(knots) for m in self.outputs]
+        return tuple(m.side_by_side(knots) for m in self.inputs), tuple(found)
 
     def text(self, library: Library, knots: int, patterns: Mapping[tuple[int, ...], str]) -> str:
         """Functions in C that CasADi asks for.
@@ -102,13 +102,14 @@ class Interface(NamedTuple):
             + "".join(
                 f"\nlong long {name}_n_{way}(void)\n{{\n    return {len(matrices)};\n}}\n\n"
                 f"const char *{name}_name_{way}(long long i)\n{{\n"
-                f"    static const char *const names[] = {{{', '.join(_quoted(matrices))}}};\n"
+                f"    static const char *const names[] = {{{quoted}}};\n"
                 f"    return 0 <= i && i < {len(matrices)} ? names[i] : 0;\n}}\n\n"
                 f"const long long *{name}_sparsity_{way}(long long i)\n{{\n"
                 f"    static const long long *const patterns[] = {{{listed}}};\n"
                 f"    return 0 <= i && i < {len(matrices)} ? patterns[i] : 0;\n}}\n"
                 for way, matrices in (("in", inputs), ("out", results))
                 for listed in [", ".join(patterns[m.sparsity()] for m in matrices)]
+                for quoted in [", ".join(f'"{m.name}"' for m in matrices)]
             )
         )
 
@@ -270,7 +271,3 @@ def _dense(name: str, rows: int, columns: int) -> Stored:
 def _by_columns(result: Result, rows: int, columns: int) -> Result:
     """Result that is a matrix, row by row, in the order of its columns."""
     return result._replace(values=tuple(result.values[i * columns + j] for j in range(columns) for i in range(rows)))
-
-
-def _quoted(matrices: Sequence[Stored]) -> list[str]:
-    return [f'"{m.name}"' for m in matrices]

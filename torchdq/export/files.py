@@ -143,7 +143,7 @@ class Export(NamedTuple):
             )
         guard = f"{self.name.upper()}_HPP"
         return (
-            f"/* {self.name}.h with spans in the place of pointers */\n#ifndef {guard}\n#define {guard}\n\n"
+            f"/* {self.name}.h with spans instead of pointers */\n#ifndef {guard}\n#define {guard}\n\n"
             "#include <cstddef>\n#include <span>\n#ifndef __cpp_lib_span\n"
             f'#error "{self.name}.hpp needs C++20; compile with -std=c++20"\n#endif\n'
             f'#include "{self.name}.h"\n\nnamespace torchdq {{\n\n{text}}}\n\n#endif\n'

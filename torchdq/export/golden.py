@@ -85,17 +85,13 @@ def _batch(name: str, scalar: str, taken: Sequence[BatchRow], given: Sequence[Ba
         f"compare(found_{a.name}[k], out_{a.name}[k % {CASES}], {a.size}, worst);" for a in given if not a.shared
     ]
     sums = [f"compare(found_{a.name}[0], sum_of_{a.name}, {a.size}, worst);" for a in given if a.shared]
-    several = f"    for (k = 0; k < {SAMPLES}; k++) {{\n{_lines(compared, 8)}    }}\n" if compared else ""
+    several = f"    for (k = 0; k < {SAMPLES}; k++) {{\n{c99.indented(compared, 8)}    }}\n" if compared else ""
     return (
-        f"\nstatic void batch({scalar} *worst)\n{{\n{_lines(arrays, 4)}    int j, k;\n"
-        f"    for (k = 0; k < {SAMPLES}; k++) {{\n{_lines(filled, 8)}    }}\n"
+        f"\nstatic void batch({scalar} *worst)\n{{\n{c99.indented(arrays, 4)}    int j, k;\n"
+        f"    for (k = 0; k < {SAMPLES}; k++) {{\n{c99.indented(filled, 8)}    }}\n"
         f"    (void){name}_batch({', '.join([str(SAMPLES), *(f'found_{a.name}[0]' for a in (*taken, *given))])});\n"
-        f"{several}{_lines(sums, 4)}}}\n"
+        f"{several}{c99.indented(sums, 4)}}}\n"
     )
-
-
-def _lines(lines: Sequence[str], by: int) -> str:
-    return "".join(f"{' ' * by}{line}\n" for line in lines)
 
 
 def _table(name: str, scalar: str, rows: Tensor) -> str:

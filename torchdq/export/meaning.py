@@ -31,7 +31,7 @@ WORDS = {
     "T": "kinetic energy [J]",
     "U": "potential energy [J]",
     "growth": "factor by which rounding errors are magnified; the function returns 1 where it is too large",
-    "memory": "what the effects remember from step to step; see the scene's effects, in their order",
+    "memory": "memory of the effects from step to step; see the scene's effects, in their order",
     "reading": "measured joint positions, then velocities [rad or m, rad/s or m/s]",
     "reference": "desired joint positions, velocities and accelerations, one after the other",
     "noise": "uniform random numbers in (0, 1)",
@@ -110,6 +110,6 @@ def _row(row: Sequence[float]) -> str:
 
 
 def described(shown: Sequence[str], names: Sequence[str], way: str) -> list[str]:
-    """Lines about arguments or results: each as it is shown in the language, and the words for its name."""
+    """Lines about arguments or results: each as it is shown in the language, and its meaning."""
     width = max(map(len, shown), default=0)
     return [f"{way}  {text:<{width}}  {words(name)}".rstrip() for text, name in zip(shown, names, strict=True)]

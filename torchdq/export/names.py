@@ -54,7 +54,7 @@ def identifier(name: str, what: str, variables: Collection[str] = ()) -> str:
 
     Args:
         name: the name.
-        what: words for it in errors.
+        what: name of the argument in errors.
         variables: names that the exported files use already.
     """
     if not isinstance(name, str) or not _IDENTIFIER.fullmatch(name) or name in KEYWORDS:
@@ -67,7 +67,7 @@ def identifier(name: str, what: str, variables: Collection[str] = ()) -> str:
 
 
 def distinct(names: Iterable[str]) -> list[str]:
-    """Names that C accepts, in the place of names of a program, all different."""
+    """Names that C accepts instead of those of a program, all different."""
     found: list[str] = []
     for name in names:
         last = name.rpartition(".")[2].replace("'", "_bar")

@@ -77,7 +77,7 @@ def _parameter(array: Array, read: bool, shared: bool) -> str:
 def function(program: Program, name: str, library: Library) -> str:
     """Text of the function of a program in double precision, in parts, without `c99.preamble`.
 
-    Its status does not tell of results that are not finite, which its callers look for themselves.
+    Its status does not report results that are not finite: its callers check them.
     """
     whole = parts(
         program,

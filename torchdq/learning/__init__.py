@@ -11,7 +11,7 @@ Nothing here is imported by `import torchdq`; scipy is imported by the functions
 """
 
 from torchdq.learning.bodies.payload import IdentifiedPayload, identify_payload
-from torchdq.learning.bodies.posterior import Sampled, sample
+from torchdq.learning.bodies.posterior import PosteriorSamples, posterior_samples
 from torchdq.learning.evaluation.diagnostics import LogWarning
 from torchdq.learning.excitation.limits import Box, HalfSpace, MotionLimits
 from torchdq.learning.excitation.trajectory import Excitation, excitation_trajectory
@@ -47,11 +47,11 @@ __all__ = [
     "MissingLogError",
     "Motion",
     "MotionLimits",
+    "PosteriorSamples",
     "Prediction",
     "Recording",
     "RolloutFit",
     "Rung",
-    "Sampled",
     "Samples",
     "TrainingError",
     "cut",
@@ -63,8 +63,8 @@ __all__ = [
     "identify",
     "identify_payload",
     "plot_torques",
+    "posterior_samples",
     "read",
-    "sample",
     "samples",
     "smooth",
 ]

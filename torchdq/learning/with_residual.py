@@ -1,7 +1,7 @@
 """Identified robot with a residual network, for friction that depends on the motion before.
 
-A layer computes torques from one state, so it takes friction with a memory as that of steady sliding. A network beside
-the layer cannot learn the difference, because it does not see the motion before, either. Here the identified robot
+A layer computes torques from one state, so it takes friction with a memory as that of steady sliding. A network added
+to the layer cannot learn the difference, because it does not see the motion before, either. Here the identified robot
 predicts with its memory, and the network adds what is left.
 """
 
@@ -37,7 +37,7 @@ class IdentifiedWithResidual:
 
     Args:
         identified: from `identify`.
-        residual: network beside `identified.layer()`, or beside `identified.layer(learn="offset")`: the offset is all
+        residual: network around `identified.layer()`, or `identified.layer(learn="offset")`: the offset is all
             that the layer may go on learning.
 
     Raises:
@@ -96,7 +96,7 @@ class IdentifiedWithResidual:
             motions: motions from `smooth`, whose rows follow each other; or joint positions [..., n] [rad or m], as in
                 `Identified.predict`.
             qd, qdd, tau: joint velocities [rad/s or m/s], accelerations [rad/s^2 or m/s^2] and measured torques [N m or
-                N], [..., n], beside positions; torques in the unit of the identification, where gains were sought.
+                N], [..., n], with positions; torques in the unit of the identification, where gains were estimated.
 
         Raises:
             ArgumentError: there are no torques, or efforts of unknown gains that were not identified.

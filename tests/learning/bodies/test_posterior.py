@@ -13,9 +13,9 @@ import torch
 import torchdq
 from torchdq.envs import Scene, effects
 from torchdq.errors import ArgumentError
-from torchdq.learning import identify, sample
-from torchdq.learning.bodies.nearest import curvature, nearest, relative
-from torchdq.learning.bodies.pseudo_inertia import pseudo_inertia
+from torchdq.learning import identify, posterior_samples
+from torchdq.learning.bodies.nearest import curvature, nearest
+from torchdq.robot.pseudo_inertia import pseudo_inertia, relative
 from torchdq.scene import integrators
 
 WIDTH = 0.02
@@ -32,20 +32,20 @@ def found_on(name, rows, noise, seed=0, prior=1.0, **options):
 
 
 @pytest.fixture(scope="module")
-def told():
+def found():
     return found_on("two_link", 500, 0.02, prior=16.0, offset=True)
 
 
 @pytest.fixture(scope="module")
-def drawn(told):
-    return sample(told, 600)
+def drawn(found):
+    return posterior_samples(found, 600)
 
 
 def distance(y, links, positive):
     """Distance of one robot, as its formula reads."""
     total = 0
     for i in range(links):
-        B = relative(y[None], links)[0, i]
+        B = relative(y[10 * i : 10 * i + 10])
         total = total + 2 * (B.trace() - torch.logdet(B) - 4)
     x, rest = 1 + y[10 * links : 10 * links + positive], y[10 * links + positive :]
     return total + 2 * (x - x.log() - 1).sum() + rest.square().sum()
@@ -62,14 +62,16 @@ def test_the_nearest_robot_is_a_minimum_where_bodies_can_exist():
     generator = torch.Generator().manual_seed(1)
     A, offset = (torch.randn(*shape, dtype=torch.float64, generator=generator) for shape in ((40, 9, 24), (40, 9)))
     y = nearest(30 * A, 100 * offset, 2, 3)  # such offsets would take most bodies where none can exist
-    assert bool((torch.linalg.eigvalsh(relative(y, 2)) > 0).all()) and bool((y[:, 20:23] > -1).all())
+    assert bool((torch.linalg.eigvalsh(relative(y[:, :20].unflatten(1, (2, 10)))) > 0).all()) and bool(
+        (y[:, 20:23] > -1).all()
+    )
     gradient = curvature(y, 2, 3)[0] + 2 * ((100 * offset + (30 * A @ y[..., None])[..., 0])[:, None] @ (30 * A))[:, 0]
     assert float(gradient.abs().max()) < 1e-3 * float((3000 * A.mT @ offset[..., None]).abs().max())
 
 
-def test_base_parameters_have_the_mean_and_the_covariance_found(told, drawn):
-    F = told.base @ told.spread
-    off = (drawn.parameters - told.parameters) @ told.base.T
+def test_base_parameters_have_the_mean_and_the_covariance_found(found, drawn):
+    F = found.base @ found.spread
+    off = (drawn.parameters - found.parameters) @ found.base.T
     z = torch.linalg.solve_triangular(torch.linalg.cholesky(F @ F.T), off.T, upper=False)
     rows, rank = len(off), len(F)
     assert float(z.mean(1).abs().max()) < 4 / math.sqrt(rows)
@@ -79,30 +81,30 @@ def test_base_parameters_have_the_mean_and_the_covariance_found(told, drawn):
     assert 0.85 * (1 - edge) ** 2 < float(e[0]) and float(e[-1]) < 1.15 * (1 + edge) ** 2
 
 
-def test_torques_spread_as_predicted(told, drawn):
+def test_torques_spread_as_predicted(found, drawn):
     q, qd, qdd = torch.randn(3, 40, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(5))
     viscous, coulomb, offset = (drawn.coefficients(name)[:, None] for name in ("viscous", "coulomb", "offset"))
     robot = drawn.robot.replace(**{x: getattr(drawn.robot, x)[:, None] for x in ("mass", "com", "inertia")})
     tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + viscous * qd + offset
     tau = tau + coulomb * qd / (qd**2 + WIDTH**2).sqrt()
-    expected = told.predict(q, qd, qdd)
+    expected = found.predict(q, qd, qdd)
     assert torch.allclose(tau.std(0), expected.error, rtol=0.2)
     assert float(((tau.mean(0) - expected.tau) / expected.error).abs().max()) < 0.3
 
 
-def test_bodies_that_torques_do_not_tell_have_the_width_of_the_prior(told, drawn):
+def test_unidentifiable_bodies_have_the_width_of_the_prior(found, drawn):
     """The links move in a plane: where mass is along the axes, and the mass of the first, is in no torque."""
-    at = [told.names.index(f"link1 {name}") for name in ("mz", "Ixz", "Iyz")]
-    assert not bool(told.excited[at].any())
-    assert torch.allclose(drawn.parameters[:, at].std(0), told.errors[at], rtol=0.15)
-    mass, width = drawn.robot.mass[:, 0], float(told.errors[0] / told.parameters[0])
+    at = [found.names.index(f"link1 {name}") for name in ("mz", "Ixz", "Iyz")]
+    assert not bool(found.excited[at].any())
+    assert torch.allclose(drawn.parameters[:, at].std(0), found.errors[at], rtol=0.15)
+    mass, width = drawn.robot.mass[:, 0], float(found.errors[0] / found.parameters[0])
     assert 0.05 < float(mass.log().std()) == pytest.approx(width, rel=0.15)
 
 
 @pytest.mark.parametrize("name", ["two_link", "ur10e"])
-def test_every_robot_can_exist_however_little_is_told(name):
+def test_every_robot_can_exist_however_few_the_samples(name):
     found = found_on(name, 40, 0.5, prior=0.05)
-    drawn = sample(found, 60, seed=3)
+    drawn = posterior_samples(found, 60, seed=3)
     generator = torch.Generator().manual_seed(0)
     normal = found.parameters + torch.randn(60, found.spread.shape[1], generator=generator).double() @ found.spread.T
     pi = normal[:, : 10 * found.robot.n].reshape(60, -1, 10)
@@ -115,13 +117,13 @@ def test_every_robot_can_exist_however_little_is_told(name):
     assert oracles.worst(drawn.robot.inertial_parameters, pi, size) < 1e-12
 
 
-def test_less_width_is_less_spread_of_what_is_not_told(told, drawn):
-    narrow = sample(told, 100, most=0.05)
-    none = sample(told, 100, most=0.0)
+def test_less_width_is_less_spread_of_what_is_unidentifiable(found, drawn):
+    narrow = posterior_samples(found, 100, most=0.05)
+    none = posterior_samples(found, 100, most=0.0)
     widths = [float(x.robot.mass[:, 0].log().std()) for x in (drawn, narrow, none)]
     assert widths[0] > 2 * widths[1] > 2 * widths[2]
-    off = (none.parameters - told.parameters) @ told.base.T
-    assert torch.allclose(off.std(0), told.base_errors, rtol=0.35)  # what is told spreads as before
+    off = (none.parameters - found.parameters) @ found.base.T
+    assert torch.allclose(off.std(0), found.base_errors, rtol=0.35)  # what is identifiable spreads as before
 
 
 def test_links_without_mass_stay_without():
@@ -131,27 +133,27 @@ def test_links_without_mass_stay_without():
     q, qd, qdd, noise = torch.randn(4, 300, 2, dtype=torch.float64)
     tau = torchdq.inverse_dynamics(described, q, qd, qdd) + 0.1 * noise
     found = identify(described, q, qd, qdd, tau, friction=True, prior=1.0)
-    drawn = sample(found, 20)
+    drawn = posterior_samples(found, 20)
     assert bool((drawn.robot.mass[:, 0] == 0).all()) and bool((drawn.robot.inertia[:, 0] == 0).all())
     assert float(drawn.robot.mass[:, 1].std()) > 0
 
 
-def test_robots_of_which_only_friction_was_sought_share_their_bodies(told):
-    spread = told.spread.clone()
-    spread[: 10 * told.robot.n] = 0
-    rows = told.base[:, : 10 * told.robot.n].abs().sum(1) == 0
-    drawn = sample(told._replace(spread=spread, base=told.base[rows]), 50)
-    assert bool((drawn.robot.mass == told.robot.mass).all())
-    assert torch.allclose(drawn.coefficients("viscous").std(0), told.errors[-6:-4], rtol=0.4)
+def test_robots_of_which_only_friction_was_estimated_share_their_bodies(found):
+    spread = found.spread.clone()
+    spread[: 10 * found.robot.n] = 0
+    rows = found.base[:, : 10 * found.robot.n].abs().sum(1) == 0
+    drawn = posterior_samples(found._replace(spread=spread, base=found.base[rows]), 50)
+    assert bool((drawn.robot.mass == found.robot.mass).all())
+    assert torch.allclose(drawn.coefficients("viscous").std(0), found.errors[-6:-4], rtol=0.4)
 
 
-def test_seeds_reproduce_robots(told):
-    one, same, other = (sample(told, 3, seed=seed).parameters for seed in (1, 1, 2))
+def test_seeds_reproduce_robots(found):
+    one, same, other = (posterior_samples(found, 3, seed=seed).parameters for seed in (1, 1, 2))
     assert torch.equal(one, same) and not torch.equal(one, other)
 
 
 def test_a_scene_simulates_all_of_them_at_once():
-    some = sample(found_on("two_link", 200, 0.2, armature=True), 5)
+    some = posterior_samples(found_on("two_link", 200, 0.2, armature=True), 5)
     scene = Scene(some.robot, some.effects(), integrator=integrators.RungeKutta4(), dt=1e-3)
     q = torch.zeros(5, 2, dtype=torch.float64)
     state = scene.start(q, q)
@@ -170,9 +172,14 @@ def test_a_scene_simulates_all_of_them_at_once():
     assert float(state.q.std(0).min()) > 1e-5
 
 
-def test_other_arguments_are_refused(told):
-    for arguments, words in [((3, 5), "identified must be what identify returns, found int"), ((told, 0), "n must be")]:
-        with pytest.raises(ArgumentError, match=words):
-            sample(*arguments)
-    with pytest.raises(ArgumentError, match="most must be a finite number from 0"):
-        sample(told, 3, most=-1.0)
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"identified": 3}, "identified must be what identify returns, found int"),
+        ({"n": 0}, "n must be"),
+        ({"most": -1.0}, "most must be a finite number from 0"),
+    ],
+)
+def test_other_arguments_are_refused(found, arguments, words):
+    with pytest.raises(ArgumentError, match=words):
+        posterior_samples(**{"identified": found, "n": 3, **arguments})

@@ -16,7 +16,7 @@ import torchdq
 from torchdq import effects
 from torchdq.envs import Scene
 from torchdq.errors import ArgumentError
-from torchdq.learning import Layout, Log, LogWarning, identify, sample, samples, smooth
+from torchdq.learning import Layout, Log, LogWarning, identify, posterior_samples, samples, smooth
 
 CONSTANT = torch.tensor([1.5, -0.8], dtype=torch.float64)
 
@@ -179,7 +179,7 @@ def test_robots_that_are_drawn_have_all_friction_found():
     tau = torques(REAL, q, qd, qdd, size=0.05) + 0.6 * qd * qd.abs() + 0.4 * (3 * q).sin()
     asked = (effects.Viscous(), effects.Coulomb(sign_width=WIDTH), effects.Quadratic(), effects.Ripple(2 * math.pi / 3))
     found = identify(ROBOT, q, qd, qdd, tau, asked, prior=1.0, width=WIDTH)
-    drawn = sample(found, 8)
+    drawn = posterior_samples(found, 8)
     kinds = [type(effect) for effect in drawn.effects()]
     assert kinds == [
         effects.Gravity,

@@ -17,13 +17,13 @@ import torchdq
 import torchdq.envs
 from torchdq import effects
 from torchdq.errors import ArgumentError
-from torchdq.learning import Layout, LogWarning, Motion, identify, read, sample, samples, smooth
-from torchdq.learning.bodies.pseudo_inertia import central, pseudo_inertia
+from torchdq.learning import Layout, LogWarning, Motion, identify, posterior_samples, read, samples, smooth
 from torchdq.learning.evaluation.blocks import blocks, of_motions, of_tensors, regions, too_few
 from torchdq.learning.evaluation.correlation import correlation_times
 from torchdq.learning.identification import model_selection as ladder
 from torchdq.learning.identification import terms
-from torchdq.learning.identification.feasible import ENTRIES, Neighbourhood
+from torchdq.learning.identification.feasible import Neighbourhood
+from torchdq.robot.pseudo_inertia import BASIS, bodies_of, pseudo_inertia
 
 WIDTH, STEP = 1e-2, 0.02
 ROBOT = torchdq.robots.load("two_link")
@@ -184,7 +184,7 @@ def test_friction_by_load_stays_below_one():
     for one in (found, chosen):
         assert len(one.effects()) > 1 and one.layer()(q, qd, qdd).shape == q.shape
     wide = found._replace(spread=torch.cat([found.spread, 0.3 * torch.eye(24, dtype=torch.float64)[:, -2:]], 1))
-    assert bool((sample(wide, 8).coefficients("load") < 1).all()) and sample(wide, 8).effects()
+    assert bool((posterior_samples(wide, 8).coefficients("load") < 1).all()) and posterior_samples(wide, 8).effects()
 
 
 def test_nothing_is_made_worse_by_little_data_and_a_wrong_guess():
@@ -436,9 +436,9 @@ def real_arm(described, seed, size=0.1):
     """Arm whose bodies differ from those described as much as gains expect: by a common factor, and each by itself."""
     g = np.random.default_rng(seed)
     C = torch.linalg.cholesky(pseudo_inertia(described.inertial_parameters.reshape(-1, 10)))
-    change = size * torch.einsum("li,ijk->ljk", torch.from_numpy(g.normal(size=(len(C), 10))), ENTRIES)
+    change = size * torch.einsum("li,ijk->ljk", torch.from_numpy(g.normal(size=(len(C), 10))), BASIS)
     J = (1 + size * g.normal()) * C @ (torch.eye(4).double() + change) @ C.mT
-    mass, com, inertia = central(J)
+    mass, com, inertia = bodies_of(torch.linalg.cholesky(J))
     return described.replace(mass=mass, com=com, inertia=inertia)
 
 
@@ -475,7 +475,7 @@ def test_errors_hold_those_of_the_gains(known, runs):
         inside = (tau / gains * found.gains.value - told.tau).abs() < 2 * alone.noise
         far.setdefault("inside", []).append(float(inside.double().mean()))
         if not seed:
-            drawn = sample(found, 100).coefficients("viscous").std(0)
+            drawn = posterior_samples(found, 100).coefficients("viscous").std(0)
             assert torch.allclose(drawn, found.errors[-4:-2], rtol=0.4)
     mean = {name: float(np.mean(x)) for name, x in far.items()}
     least, most = (0.8, 1.25) if runs > 100 else (0.3, 3.0)

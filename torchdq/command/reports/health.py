@@ -12,7 +12,6 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Literal, NamedTuple
 
 import torch
 
@@ -21,12 +20,12 @@ from torchdq.backends.choice import backend
 from torchdq.backends.compiler import BuildError, compiler
 from torchdq.base import machine
 from torchdq.base.caches import clear_caches
+from torchdq.base.findings import Finding, Severity
 from torchdq.base.progress import Progress
 from torchdq.errors import TorchdqError
 from torchdq.functions.compile import compile
 from torchdq.robot import shipped
 
-Severity = Literal["ok", "warning", "broken"]
 CACHE = "TORCHDQ_CACHE"  # variable that names the folder of compiled programs
 NEEDED = ("numpy", "torch", "gymnasium", "rich", "tyro")
 # what optional packages are for, and how they are installed
@@ -50,26 +49,27 @@ TORQUES = (9.81 * 1.5 * math.cos(0.3) + OUTER, OUTER)
 TOLERANCE = 1e-12  # relative
 
 
-class Finding(NamedTuple):
-    """Something that was looked at, its state, and how it is mended."""
-
-    what: str
-    state: Severity
-    found: str
-    cure: str = ""
+def _finding(subject: str, found: str, severity: Severity = "ok", cure: str = "") -> Finding:
+    """Finding about a part of the installation."""
+    return Finding(f"health.{subject.replace(' ', '_')}", subject, "", found, cure, severity=severity)
 
 
 def findings() -> list[Finding]:
-    """All that an installation depends on.
+    """Parts of an installation as subjects, with what was found of each and how it is mended.
 
-    >>> {finding.state for finding in findings()} <= {"ok", "warning", "broken"}
+    >>> {finding.severity for finding in findings()} <= {"ok", "warning", "error"}
     True
     """
-    with Progress("looking at the installation"):
-        found = [_python(), _packages(), _optional(), _processor(), _threads()]
-        for look in (_compiler, _cache, _gpu):
-            found.append(_caught(look))
-        return [*found, _known_torque()]
+    with Progress("checking the installation"):
+        vectors = machine.vector_instructions() or "none that torch knows"
+        found = [
+            _finding("python", f"{platform.python_version()}, {sys.executable}"),
+            _packages(),
+            _optional(),
+            _finding("processor", f"{machine.processor()}, vector instructions: {vectors}"),
+            _threads(),
+        ]
+        return [*found, *map(_caught, (_compiler, _cache, _gpu)), _known_torque()]
 
 
 def _caught(look: Callable[[], Finding]) -> Finding:
@@ -79,43 +79,30 @@ def _caught(look: Callable[[], Finding]) -> Finding:
         finding = look()
     if not said:
         return finding
-    told = "; ".join(str(one.message) for one in said)
-    worse: Severity = "warning" if finding.state == "ok" else finding.state
-    return finding._replace(state=worse, found=f"{finding.found}; {told}")
-
-
-def _python() -> Finding:
-    return Finding("python", "ok", f"{platform.python_version()}, {sys.executable}")
+    severity: Severity = "warning" if finding.severity == "ok" else finding.severity
+    return finding._replace(severity=severity, found="; ".join([finding.found, *(str(one.message) for one in said)]))
 
 
 def _packages() -> Finding:
     found = {name: machine.version_of(name) for name in NEEDED}
     words = ", ".join(f"{name} {version or 'missing'}" for name, version in found.items())
-    if lost := [name for name, version in found.items() if version is None]:
-        return Finding("packages", "broken", words, f"pip install {' '.join(lost)}")
-    return Finding("packages", "ok", words)
+    if missing := [name for name, version in found.items() if version is None]:
+        return _finding("packages", words, "error", f"pip install {' '.join(missing)}")
+    return _finding("packages", words)
 
 
 def _optional() -> Finding:
-    """Optional packages; it is no fault that some are not there."""
+    """Optional packages, of which some may be missing."""
     found = {name: machine.version_of(name) for name in OPTIONAL}
     there = ", ".join(f"{name} {version}" for name, version in found.items() if version)
-    absent = [f"{name} for {OPTIONAL[name][0]}" for name, version in found.items() if not version]
-    lost = {OPTIONAL[name][1] for name, version in found.items() if not version}
+    absent = [OPTIONAL[name] for name, version in found.items() if not version]
     if not absent:
-        return Finding("optional packages", "ok", there)
-    extras = sorted(one[len(EXTRA) : -1] for one in lost if one.startswith(EXTRA))
-    alone = sorted(one for one in lost if not one.startswith(EXTRA))
-    together = [f"'{EXTRA}{','.join(extras)}]'"] if extras else []
-    how = f"pip install {' '.join([*together, *alone])}"
-    return Finding("optional packages", "ok", f"{there or 'none'}; not installed: {', '.join(absent)} ({how})")
-
-
-def _processor() -> Finding:
-    vectors = machine.vector_instructions()
-    return Finding(
-        "processor", "ok", f"{machine.processor()}, vector instructions: {vectors or 'none that torch knows'}"
-    )
+        return _finding("optional packages", there)
+    purposes = ", ".join(f"{name} for {OPTIONAL[name][0]}" for name, version in found.items() if not version)
+    extras = sorted({one[len(EXTRA) : -1] for _, one in absent if one.startswith(EXTRA)})
+    packages = sorted({one for _, one in absent if not one.startswith(EXTRA)})
+    how = " ".join(["pip install", *([f"'{EXTRA}{','.join(extras)}]'"] if extras else []), *packages])
+    return _finding("optional packages", f"{there or 'none'}; not installed: {purposes} ({how})")
 
 
 def _threads() -> Finding:
@@ -124,17 +111,18 @@ def _threads() -> Finding:
     words = f"{used} of {there} processors" + (f", OMP_NUM_THREADS={stated}" if stated else "")
     if used > there:
         cure = "set OMP_NUM_THREADS or torch.set_num_threads to at most that many"
-        return Finding("threads", "warning", f"{words}: they wait for each other", cure)
-    return Finding("threads", "ok", words)
+        return _finding("threads", f"{words}: they wait for each other", "warning", cure)
+    return _finding("threads", words)
 
 
 def _compiler() -> Finding:
     found = compiler()
     if found is None:
         words = "none; programs run as torch operations, which is slower"
-        return Finding("C compiler", "warning", words, "install gcc or clang (apt install gcc), or name one in $CC")
+        cure = "install gcc or clang (apt install gcc), or name one in $CC"
+        return _finding("C compiler", words, "warning", cure)
     version = found.version.strip().splitlines()
-    return Finding("C compiler", "ok", f"{' '.join(found.command)}, {version[0] if version else 'of no version'}")
+    return _finding("C compiler", f"{' '.join(found.command)}, {version[0] if version else 'of unknown version'}")
 
 
 def _cache() -> Finding:
@@ -142,29 +130,26 @@ def _cache() -> Finding:
     try:
         folder = cache.directory()
     except BuildError as error:
-        return Finding("cache", "broken", str(error), f"name a folder that only you can write in ${CACHE}")
-    files = [entry.stat().st_size for entry in _files(folder)]
+        return _finding("cache", str(error), "error", f"name a folder that only you can write in ${CACHE}")
+    programs = (entry for entry in folder.iterdir() if entry.is_file() and not entry.name.startswith("."))
+    files = [entry.stat().st_size for entry in programs]
     words = f"{folder}, {len(files)} programs, {sum(files) / 2**20:.1f} MiB of at most {cache.LARGEST / 2**20:.0f} MiB"
-    return Finding("cache", "ok", words)
-
-
-def _files(folder: Path) -> list[Path]:
-    return [entry for entry in folder.iterdir() if entry.is_file() and not entry.name.startswith(".")]
+    return _finding("cache", words)
 
 
 def _gpu() -> Finding:
     if not torch.cuda.is_available():
         if Path("/dev/nvidia0").exists():
             words = f"there is one, which torch {torch.__version__} cannot use"
-            return Finding(
-                "GPU", "warning", words, "install a build of torch for CUDA: https://pytorch.org/get-started"
-            )
-        return Finding("GPU", "ok", "none; everything runs on the processor")
+            cure = "install a build of torch for CUDA: https://pytorch.org/get-started"
+            return _finding("GPU", words, "warning", cure)
+        return _finding("GPU", "none; everything runs on the processor")
     names = ", ".join(torch.cuda.get_device_name(k) for k in range(torch.cuda.device_count()))
     found = nvrtc.found()
     if isinstance(found, str):
-        return Finding("GPU", "warning", f"{names}; programs run there as torch operations, which is slower", found)
-    return Finding("GPU", "ok", f"{names}, {found!r}")
+        words = f"{names}; programs run there as torch operations, which is slower"
+        return _finding("GPU", words, "warning", found)
+    return _finding("GPU", f"{names}, {found!r}")
 
 
 def _known_torque() -> Finding:
@@ -182,13 +167,13 @@ def _known_torque() -> Finding:
             seconds = time.perf_counter() - start
     except (TorchdqError, OSError) as fault:
         cure = "the message of the compiler says why; another one is named in $CC"
-        return Finding(what, "broken", f"a small program cannot be compiled: {fault}", cure)
+        return _finding(what, f"a small program cannot be compiled: {fault}", "error", cure)
     error = float(((tau - expected) / expected).abs().max())
     if not error < TOLERANCE:
         words = f"torques of a double pendulum must be {TORQUES} N m, found {tuple(tau.tolist())}"
-        return Finding(what, "broken", words, "try another compiler, named in $CC, and report this with its version")
+        return _finding(what, words, "error", "try another compiler, named in $CC, and report this with its version")
     how = "compiled and run" if compiler() else "run as torch operations"
-    return Finding(what, "ok", f"{how} in {seconds:.2f} s; torques of a double pendulum are right to {error:.0e}")
+    return _finding(what, f"{how} in {seconds:.2f} s; torques of a double pendulum are right to {error:.0e}")
 
 
 @contextmanager

@@ -5,8 +5,8 @@ factor, the minimum of
 
     |offset + A y|^2 + sum over links of 2 (tr B - log det B - 4) + sum over coefficients of 2 (x - log x - 1)
 
-is sought in the coordinates y of `feasible`. It is convex, and infinite where a body cannot exist: Newton's method with
-steps that stay inside finds it.
+is found by Newton's method with steps that stay where it is finite: it is convex, and infinite where a body cannot
+exist. The coordinates y are the entries of B - 1 of each link (`torchdq.robot.pseudo_inertia`), then the x - 1.
 """
 
 import warnings
@@ -14,31 +14,22 @@ import warnings
 import torch
 from torch import Tensor
 
-from torchdq.learning.identification.feasible import ENTRIES
+from torchdq.robot.pseudo_inertia import divergence, divergence_slopes, relative
 
 STEPS = 100  # most Newton steps
 SETTLED = 1e-6  # decrease of the cost that ends the search
 SHORTEST = 1e-9  # step that changes nothing but by rounding
 
 
-def relative(y: Tensor, links: int) -> Tensor:
-    """B [rows, links, 4, 4] of coordinates [rows, t], whose first ten per link are its entries."""
-    bodies = y[:, : 10 * links].reshape(len(y), links, 10)
-    return torch.eye(4, dtype=y.dtype) + torch.einsum("nle,eij->nlij", bodies, ENTRIES)
-
-
 def curvature(y: Tensor, links: int, positive: int) -> tuple[Tensor, Tensor]:
     """Gradient [rows, t] and Hessian [rows, t, t] of the distance."""
     first, second = 10 * links, 10 * links + positive
-    inverse = torch.linalg.inv(relative(y, links))
-    products = inverse[:, :, None] @ ENTRIES
-    slope = 2 * torch.einsum("nlij,eji->nle", torch.eye(4, dtype=y.dtype) - inverse, ENTRIES).flatten(1)
-    blocks = 2 * torch.einsum("nleij,nlfji->nlef", products, products)
+    slope, blocks = divergence_slopes(relative(y[:, :first].unflatten(1, (links, 10))))
     x = 1 + y[:, first:second]
-    H = torch.diag_embed(torch.cat([torch.zeros_like(slope), 2 / x.square(), torch.full_like(y[:, second:], 2.0)], 1))
+    H = torch.diag_embed(torch.cat([0 * y[:, :first], 2 / x.square(), torch.full_like(y[:, second:], 2.0)], 1))
     for i in range(links):
         H[:, 10 * i : 10 * i + 10, 10 * i : 10 * i + 10] += blocks[:, i]
-    return torch.cat([slope, 2 - 2 / x, 2 * y[:, second:]], 1), H
+    return torch.cat([slope.flatten(1), 2 - 2 / x, 2 * y[:, second:]], 1), H
 
 
 def nearest(A: Tensor, offset: Tensor, links: int, positive: int) -> Tensor:
@@ -55,14 +46,11 @@ def nearest(A: Tensor, offset: Tensor, links: int, positive: int) -> Tensor:
     first, second = 10 * links, 10 * links + positive
 
     def cost(y: Tensor) -> Tensor:
-        B = relative(y, links)
-        L, info = torch.linalg.cholesky_ex(B)
         x = 1 + y[:, first:second]
-        inside = (info == 0).all(1) & (x > 0).all(1)
-        distance = 2 * (B.diagonal(dim1=-2, dim2=-1) - 1 - 2 * L.diagonal(dim1=-2, dim2=-1).log()).sum((1, 2))
+        distance = divergence(relative(y[:, :first].unflatten(1, (links, 10)))).sum(1)
         distance = distance + 2 * (x - 1 - x.log()).sum(1) + y[:, second:].square().sum(1)
         residual = offset + (A @ y[..., None])[..., 0]
-        return torch.where(inside, residual.square().sum(1) + distance, torch.inf)
+        return (residual.square().sum(1) + distance).nan_to_num(nan=torch.inf, posinf=torch.inf)
 
     moving = torch.ones(len(y), dtype=torch.bool)
     for _ in range(STEPS):

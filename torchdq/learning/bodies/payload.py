@@ -6,7 +6,7 @@ What a payload adds to the torques is linear in its ten inertial parameters abou
 
 Y being the columns of the link that carries the frame, moved there. The empty arm is an identified one: its torques
 bring their own errors. Minimised is the sum of squares over the noise, with the distance to a body of the size that is
-expected as prior (`nearest`), so that the payload can exist, however little the motion tells about it.
+expected as prior (`nearest`), so that the payload can exist, however little is identifiable from the motion.
 """
 
 import math
@@ -19,27 +19,28 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import require_number
+from torchdq.base.findings import Finding
 from torchdq.base.progress import Progress
 from torchdq.base.tables import table
 from torchdq.dynamics.friction import smooth_sign
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics, regressor, require_finite
-from torchdq.learning.bodies.nearest import curvature, nearest, relative
-from torchdq.learning.bodies.pseudo_inertia import central, inertial_parameters, moved, pseudo_inertia
+from torchdq.learning.bodies.nearest import curvature, nearest
+from torchdq.learning.evaluation.correlation import correlation_times
 from torchdq.learning.evaluation.diagnostics import LogWarning, doubts
-from torchdq.learning.identification.feasible import ENTRIES
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
 from torchdq.learning.identification.naming import sums
 from torchdq.learning.identification.regression import base_parameters
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
+from torchdq.robot.pseudo_inertia import BASIS, bodies_of, inertial_parameters, moved, pseudo_inertia, relative
 
-ROUNDS = 20  # most times that joints are weighted anew
-WORSE = 3.0  # residual over that of the empty arm, from which a joint is doubted: on good logs it is below 2
+ROUNDS = 20  # most times that joints are weighted again
+WORSE = 3.0  # residual over that of the empty arm, from which a joint is reported: on good logs it is below 2
 MATTERS = 0.03  # the same, over the joint's torques, below which it does not matter
-INDEPENDENT = 1e-12  # least eigenvalue of a combination that is told, relative to the largest: beyond rounding
+INDEPENDENT = 1e-12  # least eigenvalue of an identifiable combination, relative to the largest: beyond rounding
 NUISANCE = 1e-3  # part of its expected size that a change of friction or offset has at most: it is free
 PARTS = ("x", "y", "z"), ("xx", "xy", "yy", "xz", "yz", "zz")
 DTYPE = torch.float64
@@ -60,8 +61,9 @@ class IdentifiedPayload(NamedTuple):
     com_error: Tensor  # [3] [m]
     inertia_error: Tensor  # [6] [kg m^2]
     rms: Tensor  # [n] root mean square of the residual torque [N m or N]
-    before: Tensor  # [n] the same without payload, with those changes of friction and offset that are sought [N m or N]
-    untold: tuple[str, ...] = ()  # inertial parameters about the frame that its motion does not tell one by one
+    before: Tensor  # [n] the same without payload, with the estimated changes of friction and offset [N m or N]
+    unidentifiable: tuple[str, ...] = ()  # inertial parameters about the frame that are not identifiable one by one
+    findings: tuple[Finding, ...] = ()  # joints whose torques no payload explains, with the factor of their residuals
 
     def __repr__(self) -> str:
         return f"IdentifiedPayload({float(self.mass):.4g} +- {float(self.mass_error):.2g} kg at {self.frame!r})"
@@ -74,9 +76,9 @@ class IdentifiedPayload(NamedTuple):
                 (f"{kind} {x}", f"{v:.4g}", f"{e:.2g}", unit) for x, v, e in zip(names, values, errors, strict=True)
             ]
         found = table((f"payload at {self.frame}", "estimate", "standard error", "unit"), rows)
-        if not self.untold:
+        if not self.unidentifiable:
             return found
-        return f"{found}\n\nnot told one by one, but as expected of the size: {', '.join(self.untold)}"
+        return f"{found}\n\nnot identifiable one by one, so as expected of the size: {', '.join(self.unidentifiable)}"
 
 
 @one_thread()
@@ -103,11 +105,11 @@ def identify_payload(
         motions: motions with payload, from `smooth`; or joint positions [rows, n] [rad or m], one row after the other
             in time: their correlation is part of the errors.
         qd, qdd, tau: joint velocities [rad/s or m/s], accelerations [rad/s^2 or m/s^2] and measured torques [N m or N],
-            [rows, n], beside positions.
+            [rows, n], with positions.
         frame: name of the frame that holds it; None: the end effector.
-        friction, offset: allow viscous and Coulomb friction and the offset of every joint to have changed since, where
-            the motion is long enough to tell: of less than 10 s they take some of the payload.
-        size: extent of the payload [m] that is expected where the motion does not tell: radius of gyration about its
+        friction, offset: allow viscous and Coulomb friction and the offset of every joint to have changed since, for
+            motions of 10 s and more: in shorter ones they take some of the payload.
+        size: extent of the payload [m] that is expected where it is not identifiable: radius of gyration about its
             centre of mass in each direction.
         prior: weight of this expectation, positive, as in `identify`.
         reference: q, qd, qdd and tau of the empty arm, long enough to show by how much and for how long its torques are
@@ -115,8 +117,8 @@ def identify_payload(
             small without.
 
     Raises:
-        ArgumentError: a shape, a value that is not finite, or a frame that no joint moves, or whose motion does not
-            tell a mass, as that of the first links.
+        ArgumentError: a shape, a value that is not finite, or a frame that no joint moves, or from whose motion a mass
+            is not identifiable, as that of the first links.
     Warns:
         LogWarning: no payload explains the torques of some joints, which are named: their columns, signs or gains may
             be others than those of the empty arm.
@@ -153,87 +155,101 @@ def identify_payload(
         alone = empty.predict(motions, qd, qdd).tau
         q, qd, qdd, tau = (x.cpu() for x in (rows.q, rows.qd, rows.qdd, rows.measured))
         Y = regressor(robot.to(DTYPE, "cpu"), q, qd, qdd)
-        own = Y[..., 10 * at.link : 10 * at.link + 10] @ moved(at.X_BF.to("cpu", DTYPE))
-        untold = _untold(robot, at.name, own)
+        body = Y[..., 10 * at.link : 10 * at.link + 10] @ moved(at.X_BF.to("cpu", DTYPE))
+        unidentifiable = _unidentifiable(robot, at.name, body)
         sign = smooth_sign(qd, empty.width) if rows.direction is None else rows.direction.cpu()
         units = [qd, sign] * friction + [torch.ones_like(qd)] * offset
-        rest = torch.cat([torch.diag_embed(x) for x in units], -1) if units else own[..., :0]
+        changes = torch.cat([torch.diag_embed(x) for x in units], -1) if units else body[..., :0]
         residual = tau - alone.to(tau)
-        variance, correlation = _wrong(empty, reference)
-        weight, point = _weighted(torch.cat([own[..., :4], rest], -1), residual, variance, correlation)
-        mass = point[0].maximum(_error(torch.cat([own[..., :4], rest], -1), weight))
+        variance, correlation = _empty_residual(empty, reference)
+        Z = torch.cat([body[..., :4], changes], -1)  # of a point mass
+        weight, point = _reweighted(Z, residual, rows.lengths, variance, correlation)
+        mass = point[0].maximum(_error(Z, weight))
         J = _expected(mass, (point[1:4] / mass).clamp(-10 * size, 10 * size), size)
-        pi, covariance = _found(own, rest, residual, weight, J, prior, Y @ empty.by_these_gains().spread[: Y.shape[-1]])
-        rms, before = (_left(Z, residual, weight) for Z in (torch.cat([own, rest], -1), rest))
-        usual = torch.hypot(variance.sqrt(), empty.model)
-        if doubt := _doubts(empty, (q, qd, qdd, tau), rms, usual):
-            warnings.warn(doubt, LogWarning, stacklevel=3)
-    quantities = central(pseudo_inertia(pi))
+        model = Y @ empty.by_these_gains().spread[: Y.shape[-1]]
+        pi, covariance = _estimate(body, changes, residual, weight, J, prior, model)
+        rms, before = (_rms(Z, residual, weight) for Z in (torch.cat([body, changes], -1), changes))
+        findings = _unexplained(robot, tau, rms, torch.hypot(variance.sqrt(), empty.model))
+        if findings:
+            _warn(empty, (q, qd, qdd, tau), findings)
     slopes = torch.autograd.functional.jacobian(_quantities, pi)
-    errors = (slopes @ covariance @ slopes.T).diagonal().sqrt()
-    mass, com, inertia = (x.to(robot.mass) for x in quantities)
-    held = robot.with_payload(mass, com, inertia, at.name)
-    return IdentifiedPayload(held, at.name, *quantities, errors[0], errors[1:4], errors[4:], rms, before, untold)
+    quantities, errors = _quantities(pi), (slopes @ covariance @ slopes.T).diagonal().sqrt()
+    mass, com, inertia = quantities[0], quantities[1:4], quantities[4:]
+    held = robot.with_payload(mass.to(robot.mass), com.to(robot.mass), inertia.to(robot.mass), at.name)
+    own_errors = errors[0], errors[1:4], errors[4:]
+    return IdentifiedPayload(held, at.name, mass, com, inertia, *own_errors, rms, before, unidentifiable, findings)
 
 
-def _untold(robot: Robot, frame: str, own: Tensor) -> tuple[str, ...]:
-    """Inertial parameters that torques per unit of them [rows, n, 10] do not tell alone; raises if the mass is one."""
-    Z = own.flatten(0, 1)
+def _unidentifiable(robot: Robot, frame: str, body: Tensor) -> tuple[str, ...]:
+    """Parameters that torques per unit of them [rows, n, 10] do not decide one by one; raises if the mass is one."""
+    Z = body.flatten(0, 1)
     size = Z.square().mean(0).sqrt()
     size = torch.where(size > 1e-9 * size.max(), size, 0.0)
     Z = Z / torch.where(size > 0, size, torch.inf)
     e, V = torch.linalg.eigh(Z.T @ Z)
     inverse = torch.where(size > 0, 1 / size, 0.0)
     base = base_parameters(V[:, e > INDEPENDENT * e[-1]].T * size, inverse)
-    alone = ((base != 0).sum(1) == 1).nonzero()[:, 0].tolist()
-    told = {int(base[row].argmax()) for row in alone}
-    if 0 not in told:
+    single = base[(base != 0).sum(1) == 1].argmax(1).tolist()
+    if 0 not in single:
         found = ", ".join(sums(base, INERTIAL, inverse)) or "nothing"
-        expected = f"one of {robot.name!r} whose motion tells the mass of what it holds"
         raise ArgumentError(
-            f"frame must be {expected}, found {frame!r}, whose motion tells {found} of its parameters about the frame; "
-            "give one nearer to the end effector, or longer motion"
+            f"frame must be one of {robot.name!r} from whose motion the mass that it holds is identifiable, found "
+            f"{frame!r}, from whose motion {found} of the parameters about the frame are; give one nearer to the end "
+            "effector, or longer motion"
         )
-    return tuple(name for k, name in enumerate(INERTIAL) if k not in told)
+    return tuple(name for k, name in enumerate(INERTIAL) if k not in single)
 
 
-def _doubts(empty: Identified, rows: Sequence[Tensor], rms: Tensor, usual: Tensor) -> str:
-    """Words for what is probably wrong with rows (q, qd, qdd, tau) that no payload explains; "" for nothing."""
-    robot, tau = empty.robot.to(DTYPE, "cpu"), rows[3]
-    rigid = partial(inverse_dynamics, robot)
-    told = (rms > WORSE * usual) & (rms > MATTERS * tau.square().mean(0).sqrt())
-    if not bool(told.any()):
-        return ""
-    off = [
-        f"{name} ({x:.1f} times)"
-        for name, x, yes in zip(robot.joint_names, (rms / usual).tolist(), told.tolist(), strict=True)
-        if yes
-    ]
-    found = f"no payload explains the torques: residuals are larger than those of the empty arm at {', '.join(off)}"
-    cure = (
-        doubts(robot, rigid, rows, empty.width) or "is a sign, gain or column another than then, or the body elsewhere?"
+def _unexplained(robot: Robot, tau: Tensor, rms: Tensor, usual: Tensor) -> tuple[Finding, ...]:
+    """Joints whose residual torques [n] are far larger than those of the empty arm, with the factor as value."""
+    far = (rms > WORSE * usual) & (rms > MATTERS * tau.square().mean(0).sqrt())
+    return tuple(
+        Finding(
+            "payload.unexplained",
+            joint,
+            "residual torques must be like those of the empty arm",
+            f"{factor:.1f} times as large",
+            "is a sign, gain or column another than then, or the body elsewhere?",
+            value=factor,
+        )
+        for joint, factor, beyond in zip(robot.joint_names, (rms / usual).tolist(), far.tolist(), strict=True)
+        if beyond
     )
-    return f"{found}; the payload may be wrong beyond its errors: {cure}"
+
+
+def _warn(empty: Identified, rows: Sequence[Tensor], findings: Sequence[Finding]) -> None:
+    """Warn of joints whose torques no payload explains, with what may be the cause in rows (q, qd, qdd, tau)."""
+    robot = empty.robot.to(DTYPE, "cpu")
+    joints = ", ".join(f"{finding.subject} ({finding.value:.1f} times)" for finding in findings)
+    cause = doubts(robot, partial(inverse_dynamics, robot), rows, empty.width) or findings[0].cure
+    warnings.warn(
+        f"no payload explains the torques: residuals are larger than those of the empty arm at {joints}; the payload "
+        f"may be wrong beyond its errors: {cause}",
+        LogWarning,
+        stacklevel=4,
+    )
 
 
 def _quantities(pi: Tensor) -> Tensor:
     """Mass, centre of mass and inertia about it [10] of inertial parameters [10]."""
-    mass, com, inertia = central(pseudo_inertia(pi))
+    mass, com, inertia = bodies_of(torch.linalg.cholesky(pseudo_inertia(pi)))
     return torch.cat([mass[None], com, inertia])
 
 
-def _wrong(empty: Identified, reference: Sequence[Tensor] | None) -> tuple[Tensor, Tensor]:
-    """Least variance [n] of the residual torques and their least correlation time [n], in rows."""
+def _empty_residual(empty: Identified, reference: Sequence[Tensor] | None) -> tuple[Tensor, Tensor]:
+    """Variance [n] of the residual torques of the empty arm, and their correlation time [n] in rows."""
     if reference is None:
         return empty.noise.square(), torch.ones_like(empty.noise)
     if len(reference) != 4:
         raise ArgumentError(f"reference must be q, qd, qdd and tau of the empty arm, found {len(reference)} tensors")
     q, qd, qdd, tau = (x.detach().to("cpu", DTYPE) for x in reference)
     left = tau - empty.predict(q, qd, qdd).tau
-    return left.square().mean(0), _correlation(left)
+    return left.square().mean(0), correlation_times(left - left.mean(0), [len(left)], clear=0.0)
 
 
-def _weighted(Z: Tensor, residual: Tensor, variance: Tensor, correlation: Tensor) -> tuple[Tensor, Tensor]:
+def _reweighted(
+    Z: Tensor, residual: Tensor, lengths: Sequence[int], variance: Tensor, correlation: Tensor
+) -> tuple[Tensor, Tensor]:
     """Weights [n] of the joints, one over variance and correlation time of what is left, and least squares with them.
 
     `Z` are torques per unit [rows, n, p], `residual` is [rows, n]; variance and correlation time are at least as given.
@@ -241,16 +257,16 @@ def _weighted(Z: Tensor, residual: Tensor, variance: Tensor, correlation: Tensor
     weight = 1 / (variance * correlation)
     for _ in range(ROUNDS):
         x = _solved(Z, residual, weight)
-        left = residual - Z @ x
-        before = weight
-        weight = 1 / (left.square().mean(0).maximum(variance) * _correlation(left).maximum(correlation))
+        left, before = residual - Z @ x, weight
+        times = correlation_times(left - left.mean(0), lengths, clear=0.0)
+        weight = 1 / (left.square().mean(0).maximum(variance) * times.maximum(correlation))
         if float((weight / before - 1).abs().max()) < 1e-3:
             break
     return weight, x
 
 
 def _solved(Z: Tensor, residual: Tensor, weight: Tensor) -> Tensor:
-    """Weighted least squares [p], the smallest of them where some combination is not told."""
+    """Weighted least squares [p], the smallest of them where some combination is unidentifiable."""
     A = (weight.sqrt()[:, None] * Z).flatten(0, 1)
     size = A.norm(dim=0)
     size = torch.where(size > 0, size, 1.0)
@@ -265,19 +281,10 @@ def _error(Z: Tensor, weight: Tensor) -> Tensor:
     return torch.linalg.pinv((A / size).T @ (A / size), hermitian=True)[0, 0].sqrt() / size[0]
 
 
-def _left(Z: Tensor, residual: Tensor, weight: Tensor) -> Tensor:
+def _rms(Z: Tensor, residual: Tensor, weight: Tensor) -> Tensor:
     """Root mean squares [n] of what least squares leave."""
     left = residual - Z @ _solved(Z, residual, weight) if Z.shape[-1] else residual
     return left.square().mean(0).sqrt()
-
-
-def _correlation(x: Tensor) -> Tensor:
-    """Correlation times [n] of signals [rows, n], in rows: 1 + 2 times the correlations while they are positive."""
-    x = x - x.mean(0)
-    spectrum = torch.fft.rfft(x, n=2 * len(x), dim=0).abs().square()
-    r = torch.fft.irfft(spectrum, dim=0)[: len(x)]
-    r = r / r[0].clamp_min(1e-300)
-    return 1 + 2 * (r[1:] * (r[1:] > 0).cumprod(0)).sum(0)
 
 
 def _expected(mass: Tensor, com: Tensor, size: float) -> Tensor:
@@ -288,19 +295,19 @@ def _expected(mass: Tensor, com: Tensor, size: float) -> Tensor:
     return J
 
 
-def _found(
-    own: Tensor, rest: Tensor, residual: Tensor, weight: Tensor, J: Tensor, prior: float, model: Tensor
+def _estimate(
+    body: Tensor, changes: Tensor, residual: Tensor, weight: Tensor, J: Tensor, prior: float, model: Tensor
 ) -> tuple[Tensor, Tensor]:
     """Inertial parameters [10] of the payload with their covariance.
 
-    `own` [rows, n, 10] and `rest` [rows, n, p] are torques per unit of the payload's parameters and of the changes, `J`
-    is the body that is expected, and `model` [rows, n, t] are the errors of the empty arm's torques.
+    `body` [rows, n, 10] and `changes` [rows, n, p] are torques per unit of the payload's parameters and of the changes,
+    `J` is the body that is expected, and `model` [rows, n, t] are the errors of the empty arm's torques.
     """
     C = torch.linalg.cholesky(J)
-    blocks = inertial_parameters(C @ ENTRIES @ C.T)  # [10 entries, 10 parameters]
-    typical = residual.square().mean().sqrt() / rest.square().mean((0, 1)).sqrt().clamp_min(1e-30)
-    Z = torch.cat([own @ blocks.T, rest * (typical / NUISANCE)], -1)
-    off = own @ inertial_parameters(J) - residual
+    blocks = inertial_parameters(C @ BASIS @ C.T)  # [10 entries, 10 parameters]
+    typical = residual.square().mean().sqrt() / changes.square().mean((0, 1)).sqrt().clamp_min(1e-30)
+    Z = torch.cat([body @ blocks.T, changes * (typical / NUISANCE)], -1)
+    off = body @ inertial_parameters(J) - residual
     A, b, model = ((weight.sqrt()[:, None] * x).flatten(0, 1) for x in (Z, off[..., None], model))
     Q, R = torch.linalg.qr(A)
     scale = 1 / math.sqrt(prior)
@@ -310,5 +317,5 @@ def _found(
     inverse = size[:, None] * torch.cholesky_inverse(torch.linalg.cholesky(size[:, None] * H * size)) * size
     errors = inverse @ (R.T @ (Q.T @ model))
     covariance = (inverse + errors @ errors.T)[:10, :10]
-    pi = inertial_parameters(C @ relative(y, 1)[0, 0] @ C.T)
+    pi = inertial_parameters(C @ relative(y[0, :10]) @ C.T)
     return pi, blocks.T @ covariance @ blocks

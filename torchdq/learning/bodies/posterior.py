@@ -1,11 +1,11 @@
 """Robots drawn from what recordings leave open about one: for training on all that it may be.
 
-Along directions that the recordings tell, the base parameters, a draw is one of the normal distribution with the
-covariance of `Identified`. Where they do not tell, that distribution knows nothing of bodies: a mass may come out
-negative. So each link is drawn as J' = C exp(s) C^T, with the pseudo-inertia J = C C^T found and s the symmetric matrix
-that is the drawn change of J in its own axes: to first order the same, and positive definite always. Then the robot
-is sought that has the drawn base parameters, kappa (base phi - drawn)^T covariance^-1 (base phi - drawn) being small,
-and is nearest to these bodies (`nearest`).
+In the identifiable directions, the base parameters, a draw is one of the normal distribution with the covariance of
+`Identified`. In the others, that distribution knows nothing of bodies: a mass may come out negative. So each link is
+drawn as J' = C exp(s) C^T, with the pseudo-inertia J = C C^T found and s the symmetric matrix that is the drawn change
+of J in its own axes: to first order the same, and positive definite always. Then the robot is found that has the drawn
+base parameters, kappa (base phi - drawn)^T covariance^-1 (base phi - drawn) being small, and is nearest to these bodies
+(`nearest`).
 """
 
 import math
@@ -19,13 +19,12 @@ from torchdq.base.progress import Progress
 from torchdq.base.tables import summary
 from torchdq.effects import Effect, Gravity, RotorInertia
 from torchdq.errors import ArgumentError
-from torchdq.learning.bodies.nearest import nearest, relative
-from torchdq.learning.bodies.pseudo_inertia import central, inertial_parameters, pseudo_inertia
-from torchdq.learning.identification.feasible import ENTRIES
+from torchdq.learning.bodies.nearest import nearest
 from torchdq.learning.identification.identified import Identified
 from torchdq.learning.identification.terms import ROTOR, Term
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
+from torchdq.robot.pseudo_inertia import BASIS, bodies_of, inertial_parameters, pseudo_inertia, relative
 
 KAPPA = 100.0  # weight of the base parameters: so many times that of the bodies that are drawn
 MOST = 0.99  # most of a number that is below one, such as friction over load
@@ -33,20 +32,20 @@ TOGETHER = 256  # robots at a time
 DTYPE = torch.float64
 
 
-class Sampled(NamedTuple):
+class PosteriorSamples(NamedTuple):
     """Robots drawn from the posterior of an identification, as one robot with a batch axis, and their friction."""
 
-    robot: Robot  # [samples] in mass, com, inertia and, if it was sought, armature
+    robot: Robot  # [samples] in mass, com, inertia and, if it was estimated, armature
     terms: tuple[Term, ...]  # kinds of the parameters that are not those of bodies
     names: tuple[str, ...]  # [k]
     parameters: Tensor  # [samples, k], as in `Identified`
     width: float  # velocity below which dry friction is viscous [rad/s or m/s]
 
     def __repr__(self) -> str:
-        return summary(f"Sampled {self.robot.name}", {"mass": (self.robot.mass, "kg")})
+        return summary(f"PosteriorSamples {self.robot.name}", {"mass": (self.robot.mass, "kg")})
 
     def coefficients(self, kind: str) -> Tensor | None:
-        """Coefficients [samples, n] of the joints, of one kind as in `Identified.coefficients`; None: not sought."""
+        """Coefficients [samples, n] of the joints, of one kind as in `Identified.coefficients`; None: not estimated."""
         kinds, n = [term.name for term in self.terms], self.robot.n
         if kind not in kinds:
             return None
@@ -65,16 +64,16 @@ class Sampled(NamedTuple):
 
 
 @one_thread()
-def sample(identified: Identified, n: int, most: float = 1.0, seed: int = 0) -> Sampled:
+def posterior_samples(identified: Identified, n: int, most: float = 1.0, seed: int = 0) -> PosteriorSamples:
     """Robots drawn from the posterior of `identify`, each of which can exist, with their friction.
 
-    Base parameters have the mean and the covariance found. What the recordings do not tell, such as how mass is shared
+    Base parameters have the mean and the covariance found. What is not identifiable, such as how mass is shared
     between links, has the width that the prior leaves it, as a factor: exp(normal number).
 
     Args:
         identified: from `identify`.
         n: number of robots.
-        most: greatest standard deviation of a link's relative change where the recordings do not tell: 1 is a mass that
+        most: greatest standard deviation of a link's relative change where it is not identifiable: 1 is a mass that
             is e times as large or as small; 0 leaves all as found that the base parameters allow.
         seed: seed of the draws.
     Raises:
@@ -85,7 +84,7 @@ def sample(identified: Identified, n: int, most: float = 1.0, seed: int = 0) -> 
     >>> robot = torchdq.robots.load("two_link")
     >>> q, qd, qdd = torch.randn(3, 200, 2, dtype=torch.float64)
     >>> tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.1 * torch.randn(200, 2, dtype=torch.float64)
-    >>> drawn = sample(identify(robot, q, qd, qdd, tau, friction=True, prior=1.0), 16)
+    >>> drawn = posterior_samples(identify(robot, q, qd, qdd, tau, friction=True, prior=1.0), 16)
     >>> drawn.robot.mass.shape, bool((drawn.robot.mass > 0).all()), len(drawn.effects())
     (torch.Size([16, 2]), True, 3)
     """
@@ -103,14 +102,14 @@ def sample(identified: Identified, n: int, most: float = 1.0, seed: int = 0) -> 
             notice.at(f"{i} of {n}")
             parts.append(space.nearest(draws[i : i + TOGETHER]))
     parameters = torch.cat([part[0] for part in parts])
-    mass, com, inertia = central(torch.cat([part[1] for part in parts]))
+    mass, com, inertia = bodies_of(torch.linalg.cholesky(torch.cat([part[1] for part in parts])))
     robot = identified.robot
     at = space.links
     changes: dict[str, Any] = {
         name: torch.index_copy(getattr(robot, name).double().expand(n, *getattr(robot, name).shape), 1, at, x)
         for name, x in (("mass", mass), ("com", com), ("inertia", inertia))
     }
-    drawn = Sampled(robot, identified.terms, identified.names, parameters, identified.width)
+    drawn = PosteriorSamples(robot, identified.terms, identified.names, parameters, identified.width)
     if (rotors := drawn.coefficients(ROTOR.name)) is not None:
         changes["armature"] = rotors
     return drawn._replace(robot=robot.replace(**{name: x.to(robot.mass) for name, x in changes.items()}))
@@ -159,9 +158,7 @@ class _Space:
         phi[:, self.positive] *= (ratio * (self.most / width.clamp_min(max(self.most, 1e-300)))).exp()
         phi[:, self.signed] += gaussian[:, self.signed]
 
-        blocks = inertial_parameters(
-            torch.einsum("nlij,ejk,nlmk->nleim", C, ENTRIES, C)
-        )  # [samples, links, entries, 10]
+        blocks = inertial_parameters(torch.einsum("nlij,ejk,nlmk->nleim", C, BASIS, C))  # [samples, links, entries, 10]
         count, links = len(draws), len(self.links)
         A = self.white.new_zeros(count, len(self.white), 10 * links + len(self.positive) + len(self.signed))
         white = self.white[:, self.bodies].reshape(len(self.white), links, 10)
@@ -171,7 +168,7 @@ class _Space:
         A[..., 10 * links :] = self.white[:, at] * scale[:, None]
         offset = (phi - self.phi - gaussian) @ self.white.T
         y = nearest(math.sqrt(KAPPA) * A, math.sqrt(KAPPA) * offset, links, len(self.positive))
-        J = C @ relative(y, links) @ C.mT
+        J = C @ relative(y[:, : 10 * links].unflatten(1, (links, 10))) @ C.mT
         phi[:, self.bodies] = inertial_parameters(J).flatten(1)
         phi[:, at] += scale * y[:, 10 * links :]
         phi[:, self.fraction] = phi[:, self.fraction].clamp_max(MOST)

@@ -8,12 +8,13 @@ from torch import Tensor
 CLEAR = 2.0  # correlations below so many standard errors of none are taken for none
 
 
-def correlation_times(residual: Tensor, lengths: Sequence[int]) -> Tensor:
+def correlation_times(residual: Tensor, lengths: Sequence[int], clear: float = CLEAR) -> Tensor:
     """Correlation times [n] in rows, at least one: 1 + 2 (sum of the correlations up to the first that is not clear).
 
     Args:
         residual: residuals of motions, one after the other [rows, n].
         lengths: rows of each motion.
+        clear: standard errors of no correlation from which one is clear; 0 for seconds of motion, where few are.
 
     >>> white = torch.randn(1000, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     >>> held = white.repeat_interleave(4, 0)  # in runs of four equal rows
@@ -26,6 +27,6 @@ def correlation_times(residual: Tensor, lengths: Sequence[int]) -> Tensor:
         power += torch.fft.rfft(part, size, dim=0).abs().square()
     products = torch.fft.irfft(power, size, dim=0)[: max(lengths)]
     correlation = products / products[:1].clamp_min(torch.finfo(torch.float64).tiny)
-    clear = (correlation >= CLEAR / len(residual) ** 0.5).cummin(0).values
-    times = 1 + 2 * (correlation * clear)[1:].sum(0)
+    summed = (correlation >= clear / len(residual) ** 0.5).cummin(0).values
+    times = 1 + 2 * (correlation * summed)[1:].sum(0)
     return times.clamp(1.0, max(1.0, len(residual) / 4))

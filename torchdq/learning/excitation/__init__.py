@@ -1,1 +1,1 @@
-"""Excitation: motions whose torques tell most about an arm, within its limits."""
+"""Excitation: motions whose torques have the most information about an arm, within its limits."""

@@ -119,7 +119,7 @@ class Search(NamedTuple):
             needed = f"{float(used[0, joint] * effort[joint]):.3g} of {float(effort[joint]):.3g} N m"
             found = f"joint {robot.joint_names[joint]!r} needs {needed}"
         cure = "give MotionLimits with a larger effort, or a range of positions that the arm can hold in its workspace"
-        raise ArgumentError(f"limits of robot {robot.name!r} let no motion be: at its middle, {found}; {cure}")
+        raise ArgumentError(f"limits of robot {robot.name!r} allow no motion: at its middle, {found}; {cure}")
 
 
 def described_torques(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:

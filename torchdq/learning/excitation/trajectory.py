@@ -106,7 +106,7 @@ class Excitation(NamedTuple):
         np.savetxt(path, rows, fmt="%.12g", delimiter=",", header=",".join(heads), comments="")
 
     def plot(self) -> Any:
-        """Figure of positions, velocities and torques of all joints beside their limits, by matplotlib."""
+        """Figure of positions, velocities and torques of all joints with their limits, by matplotlib."""
         return picture_of_motion(self.parameters.robot, self.time, self.q, self.qd, self.tau, self.bounds)
 
 

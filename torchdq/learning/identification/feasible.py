@@ -1,18 +1,11 @@
 """Physically consistent robots around a described one: their parameters, and their distance to the description.
 
-A link can exist if its pseudo-inertia J = integral of (1, p) (1, p)^T dm is positive definite, which says that the mass
-is positive and the inertia obeys the triangle inequality. The distance of a link is
-
-    2 (tr B - log det B - 4),   B = J described by J_0 = C C^T:  B = C^-1 J C^-T,
-
-about |B - 1|^2 for small changes, the same in all axes and units, and infinite where a body cannot exist (T. Lee, P.
-Wensing, F. C. Park, "Geometric robot dynamic identification: a convex programming approach", T-RO 36 (2020)). The
-distance of a coefficient of friction is 2 (x - log x - 1), x being its ratio to the described one. Where a coefficient
-t x must be below one, 2 (log((1 - t) / (1 - t x)) - (x - 1) t / (1 - t)) is added: nothing at x = 1, infinite at
-t x = 1.
+The distance of a link is the divergence of its pseudo-inertia from the described one (`torchdq.robot.pseudo_inertia`).
+The distance of a coefficient of friction is 2 (x - log x - 1), x being its ratio to the described one. Where a
+coefficient t x must be below one, 2 (log((1 - t) / (1 - t x)) - (x - 1) t / (1 - t)) is added: nothing at x = 1,
+infinite at t x = 1.
 """
 
-import itertools
 import math
 from collections.abc import Sequence
 
@@ -23,6 +16,14 @@ from torchdq.errors import ArgumentError
 from torchdq.learning.identification.terms import Term
 from torchdq.robot import Robot
 from torchdq.robot.arrays import second_moments
+from torchdq.robot.pseudo_inertia import (
+    BASIS,
+    bodies_of,
+    divergence,
+    divergence_slopes,
+    inertial_parameters,
+    relative,
+)
 
 THIN = 1e-2  # least extent of a body relative to its size: coordinates of points, rods and plates would be infinite
 SMALL = 0.1  # prior scale of an undescribed effect, relative to the joint's RMS torque
@@ -67,12 +68,14 @@ class Neighbourhood:
         k = 10 * len(mass) + len(self.start)
         self.described = torch.zeros(k, dtype=torch.float64)
         pi = self.described[: 10 * len(mass)].reshape(-1, 10)
-        pi[massive] = _parameters(factor @ factor.mT)
+        pi[massive] = inertial_parameters(factor @ factor.mT)
         self.described[10 * len(mass) :] = torch.where(signed, 0.0, self.start)
         self.S = torch.zeros(k, 10 * len(self.links) + len(self.effects), dtype=torch.float64)
         self.inverse = torch.zeros_like(self.S).T  # y of a change of phi
         C = self.factor[:, None]
-        blocks = _parameters(C @ ENTRIES @ C.mT).mT / math.sqrt(self.strength)  # [links, 10 parameters, 10 entries]
+        blocks = inertial_parameters(C @ BASIS @ C.mT).mT / math.sqrt(
+            self.strength
+        )  # [links, 10 parameters, 10 entries]
         for i, link in enumerate(self.links.tolist()):
             own, columns = slice(10 * i, 10 * i + 10), slice(10 * link, 10 * link + 10)
             self.S[columns, own], self.inverse[own, columns] = blocks[i], torch.linalg.inv(blocks[i])
@@ -89,8 +92,7 @@ class Neighbourhood:
         """B [links, 4, 4] and the ratio of every coefficient to its size."""
         bodies = 10 * len(self.links)
         change = y[:bodies].reshape(-1, 10) / math.sqrt(self.strength)
-        B = torch.eye(4, dtype=y.dtype) + torch.einsum("li,ijk->ljk", change, ENTRIES)
-        return B, 1 + y[bodies:]
+        return relative(change), 1 + y[bodies:]
 
     def distance(self, y: Tensor) -> float:
         """Distance to the description; infinite where no robot can exist."""
@@ -100,20 +102,17 @@ class Neighbourhood:
             return math.inf
         below_one = 2 * (((1 - t) / (1 - t * x)).log() - (x - 1) * t / (1 - t))
         coefficients = torch.where(self.signed, (x - 1).square(), 2 * (x - 1 - x.abs().log()) + below_one).sum()
-        return self.strength * _apart(B) + float(coefficients)
+        return self.strength * float(divergence(B).sum()) + float(coefficients)
 
     def apart(self, y: Tensor) -> float:
         """Distance of the bodies alone, were the strength one."""
-        return _apart(self._split(y)[0])
+        return float(divergence(self._split(y)[0]).sum())
 
     def slopes(self, y: Tensor) -> tuple[Tensor, Tensor]:
         """Gradient [t] and Hessian [t, t] of the distance."""
         B, x = self._split(y)
-        inverse = torch.cholesky_inverse(torch.linalg.cholesky(B))
-        products = inverse[:, None] @ ENTRIES
-        slopes = torch.einsum("ljk,ijk->li", torch.eye(4, dtype=y.dtype) - inverse, ENTRIES).flatten()
-        gradient = 2 * math.sqrt(self.strength) * slopes
-        H = 2 * torch.einsum("lijk,lmkj->lim", products, products)
+        slopes, H = divergence_slopes(B)
+        gradient = math.sqrt(self.strength) * slopes.flatten()
         x = torch.where(self.signed, 1.0, x)
         t = self.fraction
         rest = torch.where(self.signed, 2 * y[len(gradient) :], 2 - 2 / x + 2 * t / (1 - t * x) - 2 * t / (1 - t))
@@ -122,31 +121,10 @@ class Neighbourhood:
 
     def bodies(self, y: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Mass [n], centre of mass [n, 3] and inertia about it [n, 6] of the links."""
-        L = self.factor @ torch.linalg.cholesky(self._split(y)[0])
         mass, com, inertia = self.mass.clone(), self.com.clone(), self.inertia.clone()
-        mass[self.links] = L[:, 0, 0] ** 2
-        com[self.links] = L[:, 1:, 0] / L[:, :1, 0]
-        inertia[self.links] = _inertia(L[:, 1:, 1:] @ L[:, 1:, 1:].mT)  # a square, so it can exist, rounded or not
+        found = bodies_of(self.factor @ torch.linalg.cholesky(self._split(y)[0]))
+        mass[self.links], com[self.links], inertia[self.links] = found
         return mass, com, inertia
-
-
-def _apart(B: Tensor) -> float:
-    """Sum of 2 (tr B - log det B - 4) over bodies B [links, 4, 4]; infinite where one cannot exist."""
-    L, info = torch.linalg.cholesky_ex(B)
-    if bool((info != 0).any()):
-        return math.inf
-    return float(2 * (B.diagonal(dim1=1, dim2=2) - 1 - 2 * L.diagonal(dim1=1, dim2=2).log()).sum())
-
-
-def _entries() -> Tensor:
-    """Orthonormal basis [10, 4, 4] of the symmetric matrices."""
-    basis = torch.zeros(10, 4, 4, dtype=torch.float64)
-    for k, (i, j) in enumerate(itertools.combinations_with_replacement(range(4), 2)):
-        basis[k, i, j] = basis[k, j, i] = 1.0 if i == j else math.sqrt(0.5)
-    return basis
-
-
-ENTRIES = _entries()
 
 
 def _factor(mass: Tensor, com: Tensor, inertia: Tensor) -> Tensor:
@@ -175,15 +153,3 @@ def _scales(robot: Robot, terms: Sequence[Term], torque: Tensor, unit: Tensor) -
         known = torch.zeros_like(large) if x is None else x.detach().double().cpu()
         scales.append(large if term.signed else torch.where(known > 0, known, SMALL * large))
     return torch.cat(scales)
-
-
-def _parameters(J: Tensor) -> Tensor:
-    """Inertial parameters [..., 10] of pseudo-inertias [..., 4, 4], the mass in their first entry."""
-    return torch.cat([J[..., 0], _inertia(J[..., 1:, 1:])], -1)
-
-
-def _inertia(second: Tensor) -> Tensor:
-    """Inertia [..., 6] (xx xy yy xz yz zz) of second moments [..., 3, 3]."""
-    x, y, z = second.diagonal(dim1=-2, dim2=-1).unbind(-1)
-    xy, xz, yz = second[..., 0, 1], second[..., 0, 2], second[..., 1, 2]
-    return torch.stack([y + z, -xy, x + z, -xz, -yz, x + y], -1)

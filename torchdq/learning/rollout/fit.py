@@ -3,7 +3,7 @@
 The scene is simulated through the recordings (`shooting`), and its parameters and the states at which the segments
 start are those of the greatest likelihood (`rollout_problem`). Iterations are steps of Gauss-Newton with exact
 derivatives of the scene's step. A step is accepted if, compared with each of the steps accepted before, it closes the
-gaps between the nodes or raises the likelihood (R. Fletcher, S. Leyffer, "Nonlinear programming without a penalty
+defects between the nodes or raises the likelihood (R. Fletcher, S. Leyffer, "Nonlinear programming without a penalty
 function", Mathematical Programming 91 (2002)).
 """
 
@@ -31,19 +31,19 @@ from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
 
 if TYPE_CHECKING:
-    from torchdq.envs import Scene
+    from torchdq.scene.scene import Scene
 
-CLOSED = 1e-9  # gaps between nodes that count as none, relative to the motion
-MARGIN = 1e-3  # part of a gap by which an accepted step must be better
+CLOSED = 1e-9  # defects between nodes that count as none, relative to the motion
+MARGIN = 1e-3  # part of a defect by which an accepted step must be better
 TRIALS = 16  # most trials of a step, each half as long as the last and more damped
 DAMPED = 1e-6  # damping of the second trial, relative to the information
 SETTLED = 1e-2  # length of a step that ends the search, in standard deviations of all measurements together
 STILL = 1e-6  # length of a step that does so too, relative to the parameters: for measurements without noise
 GAIN = 0.02  # gain of a step that ends the search, in the logarithm of the likelihood
-NEARLY = 1e-5  # gaps before a last step
+NEARLY = 1e-5  # defects before a last step
 APART = (
-    "the scene does not move as recorded, so nothing is told and all values are NaN; check signs, units and order of "
-    "positions and inputs; take shorter segments, as sharp friction needs, or start from a scene that is nearer"
+    "the scene does not move as recorded, so nothing is identifiable and all values are NaN; check signs, units and "
+    "order of positions and inputs; take shorter segments, as sharp friction needs, or start from a nearer scene"
 )
 
 
@@ -57,15 +57,17 @@ def fit_rollout(
 ) -> RolloutFit:
     """Scene with the parameters under which it moves as recorded.
 
-    The search starts from the scene as it is, whose parameters are also the scale of what is large: a friction that is
-    sought must be in the scene, and may be ten times too small or too large.
+    The search starts from the scene as it is, whose parameters are also the scale of what is large: a friction to be
+    estimated must be in the scene, and may be ten times too small or too large.
 
     Args:
         scene: of a robot with a fixed base, without sensors; its `dt` need not be that of the recordings.
         logs: positions and commands of one motion or several; see `Recording`.
         learn: names or patterns: "Viscous.coefficient", "Servo.*", "RotorInertia.inertia", "Payload.mass"; "mass",
-            "com" and "inertia" of the links; "delay" [s] of all inputs. An unknown name raises an error with all.
-        segment: time after which a motion starts anew from an unknown state [s], so that errors of the scene do not
+            "com" and "inertia" of the links; "delay" [s] of all inputs. A name is that of an effect's or controller's
+            class and of its parameter; the second of two effects of a class is "Viscous2". An unknown name raises an
+            error with all.
+        segment: time after which a motion starts again from an unknown state [s], so that errors of the scene do not
             add up; None: the motion of every recording is one.
         iterations: most of them.
     Raises:
@@ -77,7 +79,7 @@ def fit_rollout(
             those found until then.
 
     >>> import torchdq
-    >>> from torchdq.envs import Scene, effects
+    >>> from torchdq.scene.scene import Scene, effects
     >>> two_link, t = torchdq.robots.load("two_link"), 0.01 * torch.arange(201.0, dtype=torch.float64)
     >>> torque = 5 * torch.stack([(5 * t).sin(), (7 * t).cos()], -1)
     >>> scene = Scene(two_link, (effects.Gravity(), effects.Viscous(0.5)), dt=0.01)
@@ -97,33 +99,33 @@ def fit_rollout(
     if segment is not None:
         require_number("segment", segment, positive=True)
     require_count("iterations", iterations)
-    sought = unknowns(scene, learn)
+    variables = unknowns(scene, learn)
     data = checked(logs, scene.n, scene.inputs)
-    if sought.delayed and not data[0].inputs:
+    if variables.delayed and not data[0].inputs:
         raise ArgumentError("delay cannot be learned: the recordings have no inputs that could come late")
-    _require_driven(scene, sought, data)
-    whole = changed(scene, sought.parameters(sought.start))
+    _require_driven(scene, variables, data)
+    whole = changed(scene, variables.parameters(variables.start))
     pieces = shooting.segments(data, scene.dt, segment)
-    problem = Problem(StepMap(whole, tuple(data[0].inputs)), sought, data, pieces)
-    named = ", ".join(part.name for part in sought.parts)
-    # where a trial step loses the scene, its numbers are not finite
+    problem = Problem(StepMap(whole, tuple(data[0].inputs)), variables, data, pieces)
+    named = ", ".join(part.name for part in variables.parts)
+    # a trial step may diverge: its numbers are not finite then
     with torch.no_grad(), np.errstate(all="ignore"), Progress(f"fitting {named}") as notice:
         end = _search(problem, problem.first(), iterations, notice)
-        followed = end.at.gap <= NEARLY
-        doubt = (end.ended or problem.uneven(end.at)) if followed else f"{end.ended}; {APART}"
-        found = result(problem, end.at, end.linear, end.steps, doubt, followed)
-    if doubt:
-        warnings.warn(f"the parameters may not be the best: {doubt}", LogWarning, stacklevel=2)
+        followed = end.at.defect <= NEARLY
+        warning = (end.ended or problem.uneven(end.at)) if followed else f"{end.ended}; {APART}"
+        found = result(problem, end.at, end.linear, end.steps, warning, followed)
+    if warning:
+        warnings.warn(f"the parameters may not be the best: {warning}", LogWarning, stacklevel=2)
     return found
 
 
-def _require_driven(scene: Scene, sought: Unknowns, data: Sequence[CheckedRecording]) -> None:
-    """Raise if an actuator is sought through which no torque ever goes: its memory would follow the noise."""
+def _require_driven(scene: Scene, variables: Unknowns, data: Sequence[CheckedRecording]) -> None:
+    """Raise if an actuator is unknown through which no torque ever goes: its memory would follow the noise."""
     commanded = any(bool((log.inputs["torque"].values != 0).any()) for log in data if "torque" in log.inputs)
     if commanded or scene.controller is not None:
         return
     actuators = {str(owner) for owner, _ in scene.spec.of(Actuator)}
-    for part in sought.parts:
+    for part in variables.parts:
         if part.key.partition(".")[0] in actuators:
             cause = "the recordings command no torque, and the scene has no controller"
             raise ArgumentError(f"{part.name} cannot be learned: {cause}, so that nothing goes through its actuator")
@@ -139,41 +141,36 @@ class _Found(NamedTuple):
 
 
 def _search(problem: Problem, at: Iterate, iterations: int, notice: Progress) -> _Found:
-    """Best iterate near one."""
+    """Best iterate near one, by steps of Gauss-Newton."""
     linear, tried, count = problem.linearised(at), [at], 0
     try:
         while True:
             done = f"iteration {count + 1} of at most {iterations}"
-            notice.at(f"{done}, residuals {np.linalg.norm(at.spread):.3g}, gaps {at.gap:.2g}")
+            notice.at(f"{done}, residuals {np.linalg.norm(at.spread):.3g}, defects {at.defect:.2g}")
             step = problem.step(at, linear, 0.0)
-            last = _last(problem, at, step)
+            relative = abs(step.values / problem.unknowns.sizes(at.values)).max()
+            # the next step, about the square of this one, would not matter
+            last = bool(at.defect <= NEARLY and (step.length < SETTLED or relative < STILL))
             if count == iterations:
                 return _Found(at, linear, count, "" if last else f"{iterations} iterations were not enough")
             after = _accepted(problem, at, linear, step, tried)
             if after is None:
-                return _Found(
-                    at, linear, count, "" if at.gap <= CLOSED else "no step closes the gaps between the states"
-                )
-            settled = after.gap <= NEARLY and 0 <= at.cost - after.cost < GAIN
+                ended = "" if at.defect <= CLOSED else "no step closes the defects between the states"
+                return _Found(at, linear, count, ended)
+            settled = after.defect <= NEARLY and 0 <= at.cost - after.cost < GAIN
             at, count = after, count + 1
             if last or settled:
                 return _Found(at, linear, count, "")
-            tried = [other for other in tried if other.gap < at.gap or other.cost < at.cost] + [at]
+            tried = [other for other in tried if other.defect < at.defect or other.cost < at.cost] + [at]
             linear = problem.linearised(at)
     except KeyboardInterrupt:
         return _Found(at, linear, count, f"interrupted after {count} iterations")
 
 
-def _last(problem: Problem, at: Iterate, step: Change) -> bool:
-    """Whether a step is so short that the next one, about its square, does not matter."""
-    relative = abs(step.values / problem.unknowns.sizes(at.values)).max()
-    return bool(at.gap <= NEARLY and (step.length < SETTLED or relative < STILL))
-
-
 def _accepted(problem: Problem, at: Iterate, linear: Linear, step: Change, tried: Sequence[Iterate]) -> Iterate | None:
     """Iterate after the longest trial that is better than all before in one of the two ways; None: none is.
 
-    Where friction is stiff, linearised steps do not close the gaps, but simulation from the starts does.
+    Where friction is stiff, linearised steps do not close the defects, but simulation from the starts does.
     """
     for k in range(TRIALS):
         if k:
@@ -188,6 +185,6 @@ def _accepted(problem: Problem, at: Iterate, linear: Linear, step: Change, tried
 
 
 def _better(one: Iterate, other: Iterate) -> bool:
-    """Whether an iterate has smaller gaps than another, or less cost."""
-    gap = max(other.gap, CLOSED)
-    return max(one.gap, CLOSED) <= (1 - MARGIN) * gap or one.cost < other.cost - MARGIN * min(one.gap, 1.0)
+    """Whether an iterate has smaller defects than another, or less cost."""
+    defect = max(other.defect, CLOSED)
+    return max(one.defect, CLOSED) <= (1 - MARGIN) * defect or one.cost < other.cost - MARGIN * min(one.defect, 1.0)

@@ -19,7 +19,7 @@ from torchdq.learning.rollout.unknowns import Unknowns
 if TYPE_CHECKING:
     from torchdq.scene.linearize import StepMap
 
-PRIOR = 10.0  # standard deviation of a parameter around its start, relative to its size: for what nothing tells
+PRIOR = 10.0  # standard deviation of a parameter around its start, relative to its size: for what is not identifiable
 EXACT = 1e-9  # least deviation of a measurement, relative to its motion
 UNEVEN = 1e-3  # motion of a joint that hardly moves, relative to that of the one that moves most
 FAR = 6.0  # times the usual residuals from which those of a block are far larger
@@ -33,7 +33,7 @@ class Iterate(NamedTuple):
 
     values: np.ndarray  # [p] numbers of the unknowns
     motions: Motions
-    gap: float  # root mean square of the gaps between nodes, relative to the motion
+    defect: float  # root mean square of the defects between nodes, relative to the motion
     cost: float  # negative logarithm of the likelihood and the prior
     spread: np.ndarray  # [c] root mean square of the residuals
 
@@ -64,18 +64,18 @@ class Problem:
     def at(self, values: np.ndarray, nodes: np.ndarray) -> Iterate:
         """Iterate at parameters and nodes."""
         moved = shooting.motions(self.pieces, nodes, self._after(values, nodes, self._inputs(values)))
-        gap = float(np.linalg.norm(moved.gaps / self._motion)) / math.sqrt(nodes.size)
+        defect = float(np.linalg.norm(moved.defects / self._motion)) / math.sqrt(nodes.size)
         spread = np.sqrt(np.square(moved.residual).sum((0, 1)) / self.rows)
         prior = np.square(self.unknowns.offset(values) / (PRIOR * self.unknowns.sizes(values))).sum()
         cost = self.rows * np.log(self._least(spread)).sum() + 0.5 * prior
-        return Iterate(values, moved, gap, float(cost), spread)
+        return Iterate(values, moved, defect, float(cost), spread)
 
     def moved(self, at: Iterate, step: Change, share: float) -> Iterate:
         """Iterate after a share of a step."""
         return self.at(self.unknowns.moved(at.values, share * step.values), at.motions.nodes + share * step.nodes)
 
     def simulated(self, at: Iterate) -> Iterate:
-        """Iterate whose nodes follow from each other within a block; there are gaps between blocks only."""
+        """Iterate whose nodes follow from each other within a block; there are defects between blocks only."""
         nodes, size = at.motions.nodes, self.pieces.block
         blocks = nodes.reshape(-1, size, nodes.shape[-1])
         given = {name: x.reshape(-1, size, x.shape[-1]) for name, x in self._inputs(at.values).items()}
@@ -114,15 +114,15 @@ class Problem:
 
     def _inputs(self, values: np.ndarray) -> dict[str, np.ndarray]:
         delay = self.unknowns.delay(values)
-        return shooting.commands(self.pieces, self.logs, delay) if delay else self._prompt
+        return shooting.commands(self.pieces, self.logs, delay) if delay else self._undelayed
 
     def _slopes(self, values: np.ndarray) -> dict[str, np.ndarray]:
         """Derivatives of the commands of all steps by their delay, if it is unknown."""
-        sought = self.unknowns
-        return shooting.commands(self.pieces, self.logs, sought.delay(values), slope=True) if sought.delayed else {}
+        unknowns = self.unknowns
+        return shooting.commands(self.pieces, self.logs, unknowns.delay(values), slope=True) if unknowns.delayed else {}
 
     @cached_property
-    def _prompt(self) -> dict[str, np.ndarray]:
+    def _undelayed(self) -> dict[str, np.ndarray]:
         """Commands of all steps without a delay."""
         return shooting.commands(self.pieces, self.logs, 0.0)
 
@@ -132,7 +132,7 @@ class Problem:
         return self.step_map.after(torch.from_numpy(nodes), given, self.unknowns.parameters(values)).numpy()
 
     def uneven(self, at: Iterate) -> str:
-        """Words for the part of a log whose residuals are far larger than most; "": there is none."""
+        """Warning of the part of a log whose residuals are far larger than most; "": there is none."""
         size, c = self.pieces.block, at.spread.size
         count = self.pieces.used.reshape(-1, size, 1).sum(1)
         squares = np.square(at.motions.residual).reshape(-1, size, c).sum(1) / np.maximum(count, 1.0)
@@ -158,8 +158,8 @@ class Problem:
         That is least squares of accelerations, cheap and in few iterations from far away; its errors are those of
         numerical derivatives. With a memory among the states, which nothing measures, they are those of the scene.
         """
-        n, sought = self.pieces.n, self.unknowns
-        values = sought.start
+        n, unknowns = self.pieces.n, self.unknowns
+        values = unknowns.start
         if nodes.shape[-1] > 2 * n:
             return values
         steps = np.flatnonzero(self.pieces.follows[:, :-1])
@@ -170,26 +170,26 @@ class Problem:
             return x.reshape(-1, x.shape[-1])[chosen]
 
         before, after = picked(nodes[:, :-1]), picked(nodes[:, 1:, n:])
-        prompt = {name: picked(x[:, :-1]) for name, x in self._prompt.items()}
+        undelayed = {name: picked(x[:, :-1]) for name, x in self._undelayed.items()}
 
         def linear(values: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             """Gaps of the velocities, their norms [n], and their slopes in the parameters."""
-            inputs, slopes = prompt, {}
-            if sought.delayed:
+            inputs, slopes = undelayed, {}
+            if unknowns.delayed:
                 inputs = {name: picked(x[:, :-1]) for name, x in self._inputs(values).items()}
                 slopes = {name: picked(x[:, :-1]) for name, x in self._slopes(values).items()}
             reached, _, B = self._linear_steps(values, before, inputs, slopes)
-            gaps = after - reached[:, n:]
-            return gaps, np.sqrt(np.square(gaps).sum(0)), B[:, n:]
+            defects = after - reached[:, n:]
+            return defects, np.sqrt(np.square(defects).sum(0)), B[:, n:]
 
-        gaps, norms, B = linear(values)
+        defects, norms, B = linear(values)
         for _ in range(SINGLE_STEPS):
-            sizes, rows = sought.sizes(values), math.sqrt(len(gaps)) / np.maximum(norms, 1e-300)
+            sizes, rows = unknowns.sizes(values), math.sqrt(len(defects)) / np.maximum(norms, 1e-300)
             Z = (B * rows[:, None] * sizes).reshape(-1, len(sizes))
-            right = Z.T @ (gaps * rows).ravel() - sought.offset(values) / sizes
+            right = Z.T @ (defects * rows).ravel() - unknowns.offset(values) / sizes
             change = sizes * np.linalg.solve(Z.T @ Z + np.eye(len(sizes)), right)
-            trial, least = sought.moved(values, change), np.log(norms).sum()
-            gaps, norms, B = linear(trial)
+            trial, least = unknowns.moved(values, change), np.log(norms).sum()
+            defects, norms, B = linear(trial)
             if not np.log(norms).sum() < least:
                 break
             values = trial
@@ -200,7 +200,7 @@ class Problem:
     # --- steps ---
 
     def noise(self, at: Iterate) -> np.ndarray:
-        """Standard deviations [c] of the measurements, those of the residuals for as many as there are beside states.
+        """Standard deviations [c] of the measurements, those of the residuals for as many as there are but states.
 
         Nodes that start where the measurements are have none; then the signals count by how large their motion is.
         """
@@ -224,22 +224,22 @@ class Problem:
         slopes: Mapping[str, np.ndarray],
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """States after the steps, and their derivatives in the states [..., s, s] and in the unknowns [..., s, p]."""
-        sought, s = self.unknowns, nodes.shape[-1]
-        parameters = sought.parameters(values)
+        unknowns, s = self.unknowns, nodes.shape[-1]
+        parameters = unknowns.parameters(values)
         given = {name: torch.from_numpy(x) for name, x in inputs.items()}
-        wrt = (*parameters, *(given if sought.delayed else ()))
+        wrt = (*parameters, *(given if unknowns.delayed else ()))
         after, J = (x.numpy() for x in self.step_map.linearised(torch.from_numpy(nodes), given, parameters, wrt))
         A, B = J[..., :s], J[..., s:]
-        if sought.direct:
+        if unknowns.direct:
             return after, A, B
         widths = [parameters[name].numel() if name in parameters else inputs[name].shape[-1] for name in wrt]
         blocks, columns = dict(zip(wrt, np.split(B, np.cumsum(widths)[:-1], -1), strict=True)), []
-        for part in sought.parts:
+        for part in unknowns.parts:
             if part.key:
                 columns.append(blocks[part.key][..., part.at])
             else:
                 columns.append(sum(blocks[name] @ u[..., None] for name, u in slopes.items()))
-        return after, A, np.concatenate(columns, -1) @ sought.slopes(values)
+        return after, A, np.concatenate(columns, -1) @ unknowns.slopes(values)
 
     def information(self, at: Iterate, linear: Linear) -> np.ndarray:
         """Triangular factor [p + 1, p + 1] of the measurements and the prior: a step, and what is left."""

@@ -1,4 +1,4 @@
-"""Result of a fit of rollouts: the scene, and what the recordings tell of its parameters and what not."""
+"""Result of a fit of rollouts: the scene, its parameters with standard errors, and what is not identifiable."""
 
 from __future__ import annotations
 
@@ -14,36 +14,36 @@ from torchdq.learning.rollout.shooting import Linear
 from torchdq.learning.rollout.unknowns import changed
 
 if TYPE_CHECKING:
-    from torchdq.envs import Scene
+    from torchdq.scene.scene import Scene
 
-TOLD = 1.0  # greatest standard error of a combination that is told, relative to the sizes of its parameters
+IDENTIFIABLE = 1.0  # greatest standard error of an identifiable combination, relative to the sizes of its parameters
 EXCITED = 1e-10  # least information of one, relative to the greatest: beyond rounding
-PART = 0.05  # part of a combination that is not told from which a parameter is not told either
+PART = 0.05  # part of an unidentifiable combination from which a parameter is unidentifiable, too
 
 
 class RolloutFit(NamedTuple):
     """Scene that moves as recorded, and how well its parameters are known.
 
-    A parameter that the recordings do not tell is NaN in `values` and `errors`; in `scene` it is where the others are
-    best while it stays near its start. `untold` names what can change without changing the recorded motions. Where the
-    scene does not come to move as recorded, all are NaN, and `doubt` says so.
+    An unidentifiable parameter is NaN in `values` and `errors`; in `scene` it is where the others are best while it
+    stays near its start. `unidentifiable` names changes of parameters that do not change the recorded motions. Where
+    the scene does not come to move as recorded, all are NaN, and `warning` says so.
 
     The standard errors are those of independent errors of the measurements. Errors of the scene itself are not among
     them: where `rms` is far above the noise of the sensors, the parameters are less certain than they say.
     """
 
     scene: Scene
-    values: dict[str, Tensor]  # by name in `learn`; NaN where not told
-    errors: dict[str, Tensor]  # standard errors of the values; NaN where not told
+    values: dict[str, Tensor]  # by name in `learn`; NaN where unidentifiable
+    errors: dict[str, Tensor]  # standard errors of the values; NaN where unidentifiable
     names: tuple[str, ...]  # [p] of single numbers, such as "Viscous.coefficient[elbow]"
     estimate: Tensor  # [p] single numbers, those of the scene
-    covariance: Tensor  # [p, p] of the numbers, as far as they are told
-    untold: tuple[str, ...]  # combinations that nothing tells
+    covariance: Tensor  # [p, p] of the numbers, as far as they are identifiable
+    unidentifiable: tuple[str, ...]  # changes of parameters that do not change the motions
     delay: float  # by which the inputs come late [s]; it is not part of the scene
     residuals: tuple[np.ndarray, ...]  # [rows, n] of each log, measured less predicted positions [rad or m]
     noise: Tensor  # [n] standard deviation of the measured positions [rad or m]
     iterations: int
-    doubt: str  # reason why the parameters may not be the best; "": there is none
+    warning: str  # reason why the parameters may not be the best; "": there is none
 
     @property
     def rms(self) -> Tensor:
@@ -52,33 +52,33 @@ class RolloutFit(NamedTuple):
 
     def __repr__(self) -> str:
         known = sum(int(x.isfinite().sum()) for x in self.values.values())
-        return f"RolloutFit({self.scene.robot.name}: {known} of {len(self.names)} parameters told)"
+        return f"RolloutFit({self.scene.robot.name}: {known} of {len(self.names)} parameters identified)"
 
     def __str__(self) -> str:
         values, errors = (torch.cat([x.flatten() for x in part.values()]) for part in (self.values, self.errors))
-        title = f"{self.scene.robot.name}, {int(values.isfinite().sum())} of {len(self.names)} parameters told"
+        title = f"{self.scene.robot.name}, {int(values.isfinite().sum())} of {len(self.names)} parameters identified"
         rows = [
-            (name, f"{x:.4g}", f"{e:.2g}") if x == x else (name, "not told", "-")
+            (name, f"{x:.4g}", f"{e:.2g}") if x == x else (name, "unidentifiable", "-")
             for name, x, e in zip(self.names, values.tolist(), errors.tolist(), strict=True)
         ]
         parts = [title, table(("parameter", "estimate", "standard error"), rows)]
-        if self.untold:
-            parts.append("\n".join(("nothing tells these changes:", *self.untold)))
+        if self.unidentifiable:
+            parts.append("\n".join(("unidentifiable changes:", *self.unidentifiable)))
         parts.append(summary("residual", {"rms": (self.rms, "rad or m"), "noise": (self.noise, "rad or m")}))
         return "\n\n".join(parts)
 
 
-def result(problem: Problem, at: Iterate, linear: Linear, iterations: int, doubt: str, followed: bool) -> RolloutFit:
+def result(problem: Problem, at: Iterate, linear: Linear, iterations: int, warning: str, followed: bool) -> RolloutFit:
     """Result of a fit that ended at an iterate; `followed`: whether the scene moves from state to state there."""
-    sought, p = problem.unknowns, len(at.values)
-    sizes = sought.sizes(at.values)
+    unknowns, p = problem.unknowns, len(at.values)
+    sizes = unknowns.sizes(at.values)
     R = problem.information(at, linear)[:p, :p] * sizes  # in changes relative to the sizes
     _, e, V = np.linalg.svd(R)
-    told = (e > 1 / TOLD) & (e > EXCITED * e[0])
-    spread = sizes[:, None] * V[told].T / e[told]
-    slopes = sought.slopes(at.values)
+    identifiable = (e > 1 / IDENTIFIABLE) & (e > EXCITED * e[0])
+    spread = sizes[:, None] * V[identifiable].T / e[identifiable]
+    slopes = unknowns.slopes(at.values)
     covariance = slopes @ spread @ spread.T @ slopes.T
-    hidden = (V[~told] * sizes) @ slopes.T / sought.scales(at.values)
+    hidden = (V[~identifiable] * sizes) @ slopes.T / unknowns.scales(at.values)
     known = (np.square(hidden).sum(0) < PART**2) & followed
     errors = np.where(known, np.sqrt(covariance.diagonal()), np.nan)
     values = np.where(known, at.values, np.nan)
@@ -89,22 +89,22 @@ def result(problem: Problem, at: Iterate, linear: Linear, iterations: int, doubt
 
     def by_name(numbers: np.ndarray) -> dict[str, Tensor]:
         """Numbers [p] of every unknown."""
-        parts = zip(sought.parts, sought.split(numbers), strict=True)
+        parts = zip(unknowns.parts, unknowns.split(numbers), strict=True)
         return {part.name: torch.from_numpy(x) for part, x in parts}
 
     return RolloutFit(
-        changed(problem.step_map.scene, sought.parameters(at.values)),
+        changed(problem.step_map.scene, unknowns.parameters(at.values)),
         by_name(values),
         by_name(errors),
-        sought.labels,
+        unknowns.labels,
         torch.from_numpy(at.values),
         torch.from_numpy(covariance),
-        _combinations(hidden, sought.labels),
-        sought.delay(at.values),
+        _combinations(hidden, unknowns.labels),
+        unknowns.delay(at.values),
         residuals,
         torch.from_numpy(problem.noise(at)[:n]),
         iterations,
-        doubt,
+        warning,
     )
 
 

@@ -1,10 +1,10 @@
 """Multiple shooting: motions of a scene through measured positions, the state before every step a node of its own.
 
-The nodes of a segment need not follow from each other while they are sought. A step of Gauss-Newton moves them, the
-starts of the segments and the parameters at once, to where the linearised steps of the scene follow from each other
-and come closest to the measurements:
+The nodes of a segment need not follow from each other until the end: what they lack are defects. A step of Gauss-Newton
+moves them, the starts of the segments and the parameters at once, to where the linearised steps of the scene follow
+from each other and come closest to the measurements:
 
-    minimise |W (y - H x)|^2   over parameters p and starts, with x' = A x + B p + gap.
+    minimise |W (y - H x)|^2   over parameters p and starts, with x' = A x + B p + defect.
 
 All steps are rows of one batch, for the program of a step and for that of its Jacobian matrix. What follows is done on
 arrays of numpy, whose products of small matrices take a third of the time of torch's. A segment is blocks of nodes side
@@ -27,7 +27,7 @@ from torchdq.errors import ArgumentError
 from torchdq.learning.rollout.recordings import CheckedRecording
 
 SMOOTHED = 0.02  # time to both sides of a node over which its first velocity is that of a cubic [s]
-HELD = 1e-7  # weight of a start where it is, relative to what the measurements say of it: for what they do not see
+HELD = 1e-7  # weight of a start where it is, relative to the information of the measurements: for what they do not see
 
 
 class Segments(NamedTuple):
@@ -46,15 +46,15 @@ class Segments(NamedTuple):
 
 
 class Motions(NamedTuple):
-    """Nodes at some parameters, and what they lack."""
+    """Nodes at some parameters, with their defects and residuals."""
 
     nodes: np.ndarray  # [K, T, s]
-    gaps: np.ndarray  # [K, T, s] from the next node to the state that follows
+    defects: np.ndarray  # [K, T, s] from the next node to the state that follows
     residual: np.ndarray  # [K, T, c] measured less predicted, zero where nothing was measured
 
 
 class Linear(NamedTuple):
-    """Linearised motions: changes, of columns s + p + 1, by those of a start, of the parameters, and by the gaps."""
+    """Linearised motions: changes, of columns s + p + 1, by those of a start, of the parameters, and by the defects."""
 
     inner: np.ndarray  # [size, K blocks, s, s + p + 1] of the nodes of blocks, by the states at which the blocks start
     starts: np.ndarray  # [blocks, K, s + p + 1, s + p + 1] of those, by the states at which the segments start
@@ -164,10 +164,10 @@ def commands(
 
 
 def motions(pieces: Segments, nodes: np.ndarray, after: np.ndarray) -> Motions:
-    """Nodes [K, T, s] and what they lack, from the states after the step of each."""
-    gaps = np.zeros_like(nodes)
-    np.subtract(after[:, :-1], nodes[:, 1:], out=gaps[:, :-1], where=pieces.follows[:, :-1])
-    return Motions(nodes, gaps, pieces.y - seen(pieces, nodes))
+    """Nodes [K, T, s] with defects and residuals, from the states after the step of each."""
+    defects = np.zeros_like(nodes)
+    np.subtract(after[:, :-1], nodes[:, 1:], out=defects[:, :-1], where=pieces.follows[:, :-1])
+    return Motions(nodes, defects, pieces.y - seen(pieces, nodes))
 
 
 def seen(pieces: Segments, nodes: np.ndarray) -> np.ndarray:
@@ -198,7 +198,7 @@ def linearised(pieces: Segments, moved: Motions, A: np.ndarray, B: np.ndarray, w
 
     inner = np.empty((size + 1, K * blocks, s, width))
     inner[0], inner[1:, ..., :s] = np.eye(s, width), 0.0
-    inner[1:, ..., s:-1], inner[1:, ..., -1] = by_block(B), by_block(moved.gaps)
+    inner[1:, ..., s:-1], inner[1:, ..., -1] = by_block(B), by_block(moved.defects)
     for j, through in enumerate(by_block(A)):
         inner[j + 1] += through @ inner[j]
     starts = _chained(inner[size].reshape(K, blocks, s, width))
@@ -248,5 +248,5 @@ def changes(linear: Linear, step: np.ndarray) -> np.ndarray:
 
 def solved(R: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solutions [..., w] of triangular systems, R x = right; not finite where R is singular."""
-    given, wanted = torch.from_numpy(R), torch.from_numpy(right[..., None])
-    return torch.linalg.solve_triangular(given, wanted, upper=True).numpy()[..., 0]
+    factor, sides = torch.from_numpy(R), torch.from_numpy(right[..., None])
+    return torch.linalg.solve_triangular(factor, sides, upper=True).numpy()[..., 0]

@@ -1,5 +1,8 @@
 """Unknown parameters of a scene, by name, and how a step of least squares changes them.
 
+The names are those of `fit_rollout(learn=...)`: "Viscous.coefficient", "PD.kp", "Coulomb2.level" for the second of two
+effects of a class, "mass", "com" and "inertia" of the links with mass, and "delay" of all inputs.
+
 A step is taken in the parameters themselves where they may have any sign. Positive ones grow along the step and fall
 along the exponential with the same slope, so that they stay positive, and friction, which enters linearly, is still
 found in few steps, however small it was. Inertias move in the coordinates of `torchdq.layers.parametrizations`.
@@ -8,7 +11,6 @@ found in few steps, however small it was. Inertias move in the coordinates of `t
 from __future__ import annotations
 
 import itertools
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -23,11 +25,10 @@ from torchdq.base.checks import tensor_of
 from torchdq.effects.effect import Effect, Parametric
 from torchdq.errors import ArgumentError, UnknownNameError
 from torchdq.layers.parametrizations import PhysicalInertia
-from torchdq.robot import Robot
 from torchdq.robot.fields import trailing
 
 if TYPE_CHECKING:
-    from torchdq.envs import Scene
+    from torchdq.scene.scene import Scene
 
 DELAY = "delay"
 BODIES = ("mass", "com", "inertia")  # parameters of the links
@@ -95,7 +96,7 @@ class Inertias(SignedNumbers):
         return np.ones_like(value)
 
     def scales(self, value: np.ndarray, start: np.ndarray) -> np.ndarray:
-        """Principal entries, and the roots of the products of two for those beside the diagonal."""
+        """Principal entries, and the roots of the products of two for those off the diagonal."""
         x, y, z = np.sqrt(np.maximum(value, start).reshape(-1, 6)[:, [0, 2, 5]]).T
         return np.stack([x * x, x * y, y * y, x * z, y * z, z * z], 1).ravel()
 
@@ -110,22 +111,22 @@ class Inertias(SignedNumbers):
 
 @dataclass(frozen=True)
 class Unknown:
-    """Parameter of a scene that is sought."""
+    """Parameter of a scene that is estimated."""
 
     name: str  # "Viscous.coefficient"
     key: str  # its name in the programs of the scene, "1.coefficient"; "": the delay of the inputs
     labels: tuple[str, ...]  # one for each number, "Viscous.coefficient[elbow]"
     coordinates: SignedNumbers
     whole: np.ndarray  # the parameter with all its numbers, at the start
-    at: np.ndarray  # [w] places of the sought numbers among them
+    at: np.ndarray  # [w] places of the estimated numbers among them
 
     @property
     def start(self) -> np.ndarray:
-        """Sought numbers [w] at the start."""
+        """Estimated numbers [w] at the start."""
         return self.whole.ravel()[self.at]
 
     def filled(self, value: np.ndarray) -> Tensor:
-        """Parameter with the sought numbers [w] in their places."""
+        """Parameter with the estimated numbers [w] in their places."""
         flat = self.whole.flatten()
         flat[self.at] = value
         return torch.from_numpy(flat.reshape(self.whole.shape))
@@ -178,7 +179,7 @@ class Unknowns:
 
     def moved(self, values: np.ndarray, step: np.ndarray) -> np.ndarray:
         """Numbers [p] after a step [p]."""
-        return np.concatenate([kind.moved(v, d) for kind, v, d in self._each(values, step)])
+        return self._each("moved", values, step)
 
     def slopes(self, values: np.ndarray) -> np.ndarray:
         """Derivatives [p, p] of the numbers by a step."""
@@ -189,20 +190,20 @@ class Unknowns:
 
     def sizes(self, values: np.ndarray) -> np.ndarray:
         """Steps [p] as large as the numbers, or as they were at the start."""
-        return np.concatenate([kind.sizes(v, start) for kind, v, start in self._each(values, self.start)])
+        return self._each("sizes", values, self.start)
 
     def scales(self, values: np.ndarray) -> np.ndarray:
         """Sizes [p] of the numbers."""
-        return np.concatenate([kind.scales(v, start) for kind, v, start in self._each(values, self.start)])
+        return self._each("scales", values, self.start)
 
     def offset(self, values: np.ndarray) -> np.ndarray:
         """Step [p] from the start to the numbers."""
-        return np.concatenate([kind.offset(v, start) for kind, v, start in self._each(values, self.start)])
+        return self._each("offset", values, self.start)
 
-    def _each(self, *numbers: np.ndarray) -> list[tuple[Any, ...]]:
-        """Coordinates of every unknown, and its part of some numbers [p]."""
+    def _each(self, method: str, *numbers: np.ndarray) -> np.ndarray:
+        """Results of a method of the coordinates of every unknown, on its part of some numbers [p]."""
         places = zip(self.parts, self._places, strict=True)
-        return [(part.coordinates, *(x[at] for x in numbers)) for part, at in places]
+        return np.concatenate([getattr(part.coordinates, method)(*(x[at] for x in numbers)) for part, at in places])
 
 
 def unknowns(scene: Scene, learn: str | Sequence[str]) -> Unknowns:
@@ -232,24 +233,18 @@ def _candidates(scene: Scene) -> dict[str, Callable[[], Unknown]]:
     """Everything of a scene that can be learned, by name, as functions that return it."""
     found = {DELAY: lambda: Unknown(DELAY, "", (DELAY,), SignedNumbers(scene.dt), np.zeros(1), np.arange(1))}
     kinds = [type(effect).__name__ for effect in scene.effects]
-    count, numbers = Counter(kinds), {kind: itertools.count(1) for kind in kinds}
     for owner, (kind, effect) in enumerate(zip(kinds, scene.effects, strict=True)):
-        title = kind if count[kind] == 1 else f"{kind}{next(numbers[kind])}"
+        title = kind if kinds.count(kind) == 1 else f"{kind}{kinds[: owner + 1].count(kind)}"
         found.update(_parameters(scene, title, owner, effect))
     if scene.controller is not None:
         found.update(_parameters(scene, type(scene.controller).__name__, -1, scene.controller))
     robot = scene.robot
     for name in BODIES:
-        if getattr(robot, name).ndim == 1 + (name != "mass") and robot.mass.ndim == 1:
-            found[name] = partial(_of_links, robot, name)
+        x = getattr(robot, name).detach().double()
+        if x.ndim == 1 + (name != "mass") and robot.mass.ndim == 1:
+            places = np.arange(x.numel()).reshape(x.shape)[(robot.mass > 0).numpy()].ravel()
+            found[name] = partial(_unknown, name, f"-2.{name}", x, name, places, robot.link_names)
     return found
-
-
-def _of_links(robot: Robot, name: str) -> Unknown:
-    """Parameter of the links that have a mass."""
-    x = getattr(robot, name).detach().double()
-    at = np.arange(x.numel()).reshape(x.shape)[(robot.mass > 0).numpy()].ravel()
-    return _unknown(name, f"-2.{name}", x, name, at, robot.link_names)
 
 
 def _parameters(scene: Scene, title: str, owner: int, part: Parametric) -> dict[str, Callable[[], Unknown]]:
@@ -258,22 +253,21 @@ def _parameters(scene: Scene, title: str, owner: int, part: Parametric) -> dict[
     One that is absent, and with which the scene would ask for a further input, cannot.
     """
     found: dict[str, Callable[[], Unknown]] = {}
+
+    def inputs(part: Parametric) -> dict[str, int]:
+        return part.inputs(scene.n) if isinstance(part, Effect) else {}
+
     for name, axes in part.SHAPES.items():
         value = tensor_of(getattr(part, name)).detach().double()
         if tuple(value.shape) != trailing(axes, scene.robot.sizes) or not bool(value.isfinite().all()):
             continue
-        if _asked(part, scene.n) == _asked(replace(part, **{name: value}), scene.n):
+        if inputs(part) == inputs(replace(part, **{name: value})):
             body = (name, axes) in (("inertia", (6,)), ("com", (3,)))
             kind = name if body else "" if name in part.SIGNED else "mass"
             labels = scene.robot.joint_names if axes == ("n",) else scene.robot.link_names if axes == ("links",) else ()
             called, at = f"{title}.{name}", np.arange(value.numel())
             found[called] = partial(_unknown, called, f"{owner}.{name}", value, kind, at, labels)
     return found
-
-
-def _asked(part: Parametric, n: int) -> dict[str, int]:
-    """Inputs that an effect asks for."""
-    return part.inputs(n) if isinstance(part, Effect) else {}
 
 
 def _unknown(name: str, key: str, value: Tensor, kind: str, at: np.ndarray, owners: Sequence[str]) -> Unknown:
@@ -292,7 +286,7 @@ def _unknown(name: str, key: str, value: Tensor, kind: str, at: np.ndarray, owne
 
 
 def changed(scene: Scene, found: Mapping[str, Tensor]) -> Scene:
-    """Scene with parameters in the place of its own, by "owner.name"; two that have an order are kept in it."""
+    """Scene with parameters instead of its own, by "owner.name"; two that have an order are kept in it."""
     parts: dict[int, dict[str, Any]] = {}
     for key, value in found.items():
         owner, _, name = key.partition(".")

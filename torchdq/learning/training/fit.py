@@ -96,7 +96,7 @@ def fit(
     `train` that copies of it are trained without, and regions of the states where there are fewer than three motions.
     There are at most nine copies. Where the network may act, with what weight at each joint, and the errors of
     `predict` follow from that. A joint gets no weight unless its squared error falls by more than one standard error,
-    on rows that say as much as two independent ones for each block. `History.residual` holds the gains, a `LogWarning`
+    on rows as informative as two independent ones for each block. `History.residual` holds the gains, a `LogWarning`
     names joints where it helps little and those with too few rows.
 
     Args:

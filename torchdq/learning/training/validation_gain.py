@@ -1,13 +1,13 @@
 """Validation gain of a residual network: how much its torques lower the error on rows that it was not trained on.
 
-Each part of those rows is judged by what the others chose, so that no part has a say in its own choice:
+Each part of those rows is judged by what the others chose, so that no part decides about itself:
 
 * how far from the trained states the network may act (`torchdq.layers.residual.Domain`): as far as it helps;
 * the weight of each joint, from 0 to 1: that of the least squared error;
 * whether it may act at a joint: only if the squared error there falls by more than one standard error, over the blocks
   and, where regions of the states were held out, over these by themselves: blocks of a motion that repeats itself say
-  nothing about other motions; and if its rows say as much as two independent ones for each block: shorter blocks
-  resemble those beside them, and a network that has seen these says nothing about its gain at other times;
+  nothing about other motions; and if its rows are as informative as two independent ones for each block: shorter
+  blocks resemble their neighbours, and a network that has seen these shows nothing about its gain at other times;
 * the errors of predicted torques (`torchdq.layers.residual.Posterior`).
 """
 
@@ -40,7 +40,7 @@ class ValidationGain(NamedTuple):
     error: Tensor  # [n] error with the residual, at its weight
     weight: Tensor  # [n] from 0 to 1
     covered: Tensor  # [n] share of torques in the 95 % intervals
-    independent: Tensor  # [n] rows that say as much as all do, being correlated
+    independent: Tensor  # [n] effective number of independent rows
     blocks: int  # parts of the motions that were held out in turn
     gains: Tensor  # [n] how much the squared error falls, over blocks or regions, where less; in units of the variance
     standard_errors: Tensor  # [n] standard errors of these gains; infinite if there are fewer than two blocks
@@ -130,8 +130,8 @@ def warn_of_little_gain(gain: ValidationGain) -> None:
     few = [f"{name} ({math.floor(count)})" for name, _, count in named if count < needed]
     if few:
         warnings.warn(
-            f"the residual has no weight at {', '.join(few)}: its rows say as much as so many independent samples "
-            f"there, and {LEAST} for each held-out block are needed, {needed}; record longer",
+            f"the residual has no weight at {', '.join(few)}: its rows are as informative as so many independent "
+            f"samples there, and {LEAST} for each held-out block are needed, {needed}; record longer",
             LogWarning,
             stacklevel=3,
         )
