@@ -21,7 +21,7 @@ from torchdq.effects.model import ModelEffect
 from torchdq.envs import ArmEnv, ArmVectorEnv, Scene, TorchTask, effects
 from torchdq.errors import nearest
 from torchdq.learning import LogError, Recording, Samples, cut, excite, fit, fit_rollout, identify, read
-from torchdq.scene import controllers, integrators
+from torchdq.scene import controllers
 
 F64 = torch.float64
 ARM = torchdq.robots.load("two_link")

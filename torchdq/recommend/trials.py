@@ -11,8 +11,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchdq.base.checks import require_finite
 from torchdq.errors import ArgumentError
-from torchdq.functional import Precision, require_finite
+from torchdq.functions.call import Precision
 from torchdq.recommend.time_budget import ESSENTIAL, Budget, TimeIsUp
 from torchdq.robot import Robot
 from torchdq.scene.integrators import Integrator, LinearlyImplicit, Repeated, RungeKutta4, SemiImplicitEuler

@@ -13,12 +13,12 @@ from torchdq.dynamics.friction import smooth_sign
 from torchdq.effects import Effect, Gravity, Residual, RotorInertia
 from torchdq.errors import ArgumentError
 from torchdq.functional import mass_matrix
+from torchdq.layers.inverse_dynamics import InverseDynamics
 from torchdq.layers.residual.domain import OPEN, Domain
 from torchdq.layers.residual.networks import Joined, Perceptrons, perceptrons
 from torchdq.layers.residual.posterior import Posterior, PredictedTorques
 from torchdq.layers.residual.recorded import Learned, Prepared
 from torchdq.layers.residual.smooth import BEYOND, limited, smooth_step
-from torchdq.nn import DQRNEA
 from torchdq.program.transforms import number
 from torchdq.robot import Robot
 
@@ -69,7 +69,7 @@ class ResidualDynamics(nn.Module):
         ArgumentError: an argument is none of these.
 
     >>> import torchdq
-    >>> layer = ResidualDynamics(DQRNEA(torchdq.robots.load("panda"), learn="friction"))
+    >>> layer = ResidualDynamics(InverseDynamics(torchdq.robots.load("panda"), learn=("friction",)))
     >>> layer(*torch.ones(3, 100, 7, dtype=torch.float64)).shape
     torch.Size([100, 7])
     """
@@ -85,15 +85,17 @@ class ResidualDynamics(nn.Module):
 
     def __init__(
         self,
-        model: DQRNEA,
+        model: InverseDynamics,
         network: nn.Module | None = None,
         inputs: Grouping = "joint",
         hidden: Sequence[int] = (32, 32),
         position: bool = False,
     ):
         super().__init__()
-        if not isinstance(model, DQRNEA):
-            raise ArgumentError(f"model must be a torchdq.DQRNEA, found {type(model).__name__}; make one of the robot")
+        if not isinstance(model, InverseDynamics):
+            raise ArgumentError(
+                f"model must be a torchdq.InverseDynamics, found {type(model).__name__}; make one of the robot"
+            )
         require_choice("inputs", inputs, get_args(Grouping))
         require_choice("position", position, (True, False))
         for width in hidden:
@@ -134,7 +136,7 @@ class ResidualDynamics(nn.Module):
         )
 
     def prior(self) -> Tensor:
-        """Prior of the model, which concerns its physical parameters; see `DQRNEA.prior`."""
+        """Prior of the model, which concerns its physical parameters; see `InverseDynamics.prior`."""
         return self.model.prior()
 
     def forward(
@@ -201,7 +203,7 @@ class ResidualDynamics(nn.Module):
         The network itself is always the present one.
 
         >>> import torchdq
-        >>> model = ResidualDynamics(DQRNEA(torchdq.robots.load("panda"), learn="friction"))
+        >>> model = ResidualDynamics(InverseDynamics(torchdq.robots.load("panda"), learn=("friction",)))
         >>> print(*[type(effect).__name__ for effect in model.effects()])
         Gravity Viscous Coulomb Residual
         """

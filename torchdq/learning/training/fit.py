@@ -30,7 +30,7 @@ from torchdq.learning.training import cross_validation as left_out
 from torchdq.learning.training.distributed import team
 from torchdq.learning.training.progress import Progress
 from torchdq.learning.training.run import History, Run
-from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics
+from torchdq.nn import ComputedTorque, ForwardDynamics, InverseDynamics
 from torchdq.robot import Robot
 from torchdq.robot.robot import batches
 
@@ -90,17 +90,17 @@ def fit(
         CheckpointError: the checkpoint is damaged, or of another model, other data or other settings.
 
     >>> import torchdq
-    >>> from torchdq.nn import DQRNEA
+    >>> from torchdq.nn import InverseDynamics
     >>> robot = torchdq.robots.load("two_link")
     >>> q, qd, qdd = torch.randn(3, 64, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     >>> train = Samples(q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd))
-    >>> model = DQRNEA(robot.replace(mass=1.2 * robot.mass), learn=("mass",))
+    >>> model = InverseDynamics(robot.replace(mass=1.2 * robot.mass), learn=("mass",))
     >>> history = fit(model, train, steps=100, batch=32, rate=0.02)
     >>> bool((model.robot.mass / robot.mass - 1).abs().max() < 0.01)
     True
     """
     if not isinstance(model, nn.Module):
-        cure = '; torchdq.DQRNEA(robot, learn=("mass",)) is one' if isinstance(model, Robot) else ""
+        cure = '; torchdq.InverseDynamics(robot, learn=("mass",)) is one' if isinstance(model, Robot) else ""
         raise ArgumentError(f"model must be a torch module of torques, found {type(model).__name__}{cure}")
     train, lengths = of_motions("train", train)
     valid = None if valid is None else validated("valid", valid)
@@ -181,7 +181,7 @@ def _require_torques(model: nn.Module) -> None:
     kind = parametrize.type_before_parametrizations(model).__name__
     if isinstance(model, ForwardDynamics | ComputedTorque):
         raise ArgumentError(
-            f"model must return the torques of motions (q, qd, qdd), found a {kind}; fit a DQRNEA or a "
+            f"model must return the torques of motions (q, qd, qdd), found a {kind}; fit an InverseDynamics or a "
             f"ResidualDynamics, and make the {kind} of its `robot`"
         )
     try:
@@ -200,7 +200,7 @@ def _require_torques(model: nn.Module) -> None:
 @torch.no_grad()
 def _doubts(model: nn.Module, train: Samples) -> str:
     """Words for what is wrong with samples that a robot in the model does not explain; "" for nothing, or no robot."""
-    rigid = next((part for part in model.modules() if isinstance(part, DQRNEA)), None)
+    rigid = next((part for part in model.modules() if isinstance(part, InverseDynamics)), None)
     if rigid is None or any(batches(rigid.robot).values()) or rigid.robot.n != train.q.shape[1]:
         return ""
     model.eval()
