@@ -164,15 +164,15 @@ class ClosedForm(NamedTuple):
 
 
 def closed_form(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None = None) -> ClosedForm:
-    """Terms M, c, g, J^T of the equations of motion: mass matrix, Coriolis and gravity torques, transposed Jacobian.
+    """Terms M [..., n, n], c, g [..., n], J^T [..., n, 6] of the equations of motion.
 
         tau = M qdd + c + g + Jt f_tip   (63)
 
-        shapes   M [..., n, n], c and g [..., n], Jt [..., n, 6]
+        M, c, g  mass matrix, Coriolis and centrifugal torques, gravity torques
         f_tip    enters with +: the wrench the end effector exerts on the environment
         f_ext    enters with - where there is one: wrenches the environment exerts on the links, as in Pinocchio
-        Jt       columns in the order of a wrench, (force, moment), in the axes of the tip frame; the rows of `jacobian`
-                 are in the order of a twist, (angular, linear)
+        Jt       transposed Jacobian of the tip, columns in the order of a wrench, (force, moment), in the axes of the
+                 tip frame; the rows of `jacobian` are in the order of a twist, (angular, linear)
         names    Pinocchio: `computeAllTerms`, with nle = c + g, and Jt the transpose of the LOCAL Jacobian of the tip
 
     The recorded program computes every term by itself: M by composite bodies, c and g by the recursion without gravity

@@ -65,7 +65,7 @@ RECIPES: dict[str, Recipe] = {
     ),
     "jacobian": Recipe(joints("q"), (fixed.jacobian,), lambda frame, expressed: ((6, "n"),)),
 }
-_BEFORE = {"q": ("X_WB", (8,)), "qd": ("V_WB_B", (6,)), "qdd": ("A_WB_B", (6,))}  # of the base, before the joints
+_BEFORE = {"q": ("X_WB", (8,)), "qd": ("V_WB_B", (6,)), "qdd": ("A_WB_B", (6,))}  # what the base has before the joints
 
 
 def _free(name: str, *formulas: Callable[..., Results], results: Callable[..., tuple[Axes, ...]]) -> Recipe:

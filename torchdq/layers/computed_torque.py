@@ -78,10 +78,8 @@ class ComputedTorque(RobotModule):
         known = require_robot(robot if model is None else model.robot)
         if model is not None:
             _require_torques(model, learn if others else (), effects)
-            backend, friction_width = (
-                getattr(model, "backend", backend),
-                getattr(model, "friction_width", friction_width),
-            )
+            backend = getattr(model, "backend", backend)
+            friction_width = getattr(model, "friction_width", friction_width)
         super().__init__(known, others, backend, friction_width, effects)
         self.model, self._rigid = model, False
         if isinstance(model, InverseDynamics):

@@ -44,7 +44,7 @@ class RobotModule(nn.Module):
     viscous: Tensor  # [n], if friction is learned
     coulomb: Tensor  # [n], if friction is learned
     offset: Tensor  # [n], if it is learned
-    _function: str  # of the catalogue, without friction and offset
+    _function: str  # in the catalogue, without friction and offset
     precision: Precision = "auto"
 
     def __init__(

@@ -20,8 +20,10 @@ import torch
 from torch import Tensor, nn
 
 from torchdq.base.progress import Notice
-from torchdq.layers.residual import Domain, Posterior, ResidualDynamics
+from torchdq.layers.residual import ResidualDynamics
+from torchdq.layers.residual.domain import Domain
 from torchdq.layers.residual.networks import perceptrons
+from torchdq.layers.residual.posterior import Posterior
 from torchdq.learning.evaluation.blocks import MotionRows, blocks, regions
 from torchdq.learning.evaluation.correlation import correlation_times
 from torchdq.learning.evaluation.diagnostics import LogWarning
@@ -137,7 +139,8 @@ def learn_posterior(
     spread = last.square().mean(-1).reshape(-1) * model.torque_scale.to(last).square()  # variance of a weight
     ridge = (left.square().mean(0) * correlation) / spread.clamp_min(1e-12 * float(model.torque_scale.max()) ** 2)
     groups = posterior.root.shape[0]
-    posterior.learn(_by_parts(lambda x: inner.last_hidden(model.within_range(x)), x), ridge.reshape(groups, -1).mean(1))
+    hidden = _by_parts(lambda x: inner.last_hidden(model.scales.within_range(x)), x)
+    posterior.learn(hidden, ridge.reshape(groups, -1).mean(1))
 
 
 def _seen_by(
@@ -147,11 +150,11 @@ def _seen_by(
     inner = perceptrons(network)
     with torch.no_grad():
         torque = _by_parts(lambda x: model.ungated(x, network), x)
-        distance = _by_parts(lambda x: domain.squared_distance(model.of_state(x)), x)
-        past = _by_parts(lambda x: model.past_torque(model.of_torque(x)), x)
+        distance = _by_parts(lambda x: domain.squared_distance(model.scales.of_state(x)), x)
+        past = _by_parts(lambda x: model.scales.past_torque(model.scales.of_torque(x)), x)
         leverage = torch.zeros_like(distance)
         if inner is not None:
-            leverage = _by_parts(lambda x: posterior.leverage(inner.last_hidden(model.within_range(x))), x)
+            leverage = _by_parts(lambda x: posterior.leverage(inner.last_hidden(model.scales.within_range(x))), x)
     return LeftOut(torque, residual, distance, past, leverage)
 
 
@@ -192,7 +195,7 @@ def _by_copies(
         network = _trained(model, x, residual, scale, seen, how._replace(seed=how.seed + k), say)
         domain, posterior = copy.deepcopy(model.domain), copy.deepcopy(model.posterior)
         with torch.no_grad():
-            domain.cover(model.of_state(x[seen]))
+            domain.cover(model.scales.of_state(x[seen]))
             learn_posterior(model, network, posterior, (x[seen], residual[seen]), correlation)
         return [_seen_by(model, network, domain, posterior, x[some], residual[some]) for some in shown]
 
