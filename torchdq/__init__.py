@@ -58,7 +58,6 @@ from typing import TYPE_CHECKING
 from torchdq import convert, dq, floating
 from torchdq.backends.choice import backend
 from torchdq.base.caches import clear_caches
-from torchdq.control import computed_torque
 from torchdq.errors import (
     ArgumentError,
     DescriptionError,
@@ -75,6 +74,7 @@ from torchdq.errors import (
 from torchdq.errors import no_attribute as _no_attribute
 from torchdq.functional import (
     closed_form,
+    computed_torque,
     dynamics_jacobian,
     error_growth,
     forward_dynamics,
@@ -88,8 +88,7 @@ from torchdq.functional import (
     require_finite,
 )
 from torchdq.functions.compile import compile
-from torchdq.layers.residual import ResidualDynamics
-from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics, InverseDynamics
+from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics, InverseDynamics, ResidualDynamics
 from torchdq.robot import Robot
 from torchdq.robot import shipped as robots
 

@@ -7,9 +7,10 @@ Accelerations are the rate A_WB_B of that twist, and qdd. No orientation is spec
 
     (moment, force, tau) = M(q) (A_WB_B, qdd) + c(q, V_WB_B, qd) + g(X_WB, q)
 
-Functions broadcast, run and differentiate as those of `torchdq` do. A gradient in X_WB is one in its eight numbers; the
-derivative in a displacement X_WB exp(xi/2) is its product with d X_WB / d xi = X_WB xi / 2. `torchdq.convert` has
-converters from and to the configurations of Pinocchio, MuJoCo and Isaac.
+Functions are those of `torchdq` with the same arguments in the same order, each with that of the base before it: X_WB
+before q, V_WB_B before qd, A_WB_B before qdd. They broadcast, run and differentiate as those do. A gradient in X_WB is
+one in its eight numbers; the derivative in a displacement X_WB exp(xi/2) is its product with d X_WB / d xi =
+X_WB xi / 2. `torchdq.convert` has converters from and to the configurations of Pinocchio, MuJoCo and Isaac.
 """
 
 from collections.abc import Sequence
@@ -18,13 +19,29 @@ from typing import Literal, NamedTuple
 from torch import Tensor
 
 from torchdq.backends.choice import BackendName
-from torchdq.base.checks import names_of
-from torchdq.errors import ArgumentError
-from torchdq.functional import Precision, check_precision, function_of
-from torchdq.functions.catalogue import FLOATING
-from torchdq.functions.options import options_of
+from torchdq.functions.call import Precision, function_of, of_one_frame, poses
 from torchdq.robot import Robot
-from torchdq.robot.argument import require_robot
+
+__all__ = [
+    "Accelerations",
+    "Forces",
+    "FreeClosedForm",
+    "MassMatrix",
+    "Momentum",
+    "centre_of_mass",
+    "closed_form",
+    "error_growth",
+    "forward_dynamics",
+    "forward_kinematics",
+    "inverse_dynamics",
+    "jacobian",
+    "kinetic_energy",
+    "mass_matrix",
+    "momentum",
+    "momentum_rate",
+    "potential_energy",
+    "regressor",
+]
 
 
 class Forces(NamedTuple):
@@ -65,17 +82,6 @@ class Momentum(NamedTuple):
     angular: Tensor  # [..., 3] [N m s], or [N m] for the rate
 
 
-def _of(
-    name: str,
-    robot: Robot,
-    given: dict[str, Tensor | None],
-    backend: BackendName | None,
-    options: tuple[str, ...] = (),
-    double: bool = False,
-) -> list[Tensor]:
-    return function_of(FLOATING + name, robot, given, backend, options, double)
-
-
 def inverse_dynamics(
     robot: Robot,
     X_WB: Tensor,
@@ -113,16 +119,16 @@ def inverse_dynamics(
     """
     given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "A_WB_B": A_WB_B, "qdd": qdd}
     wrenches = {"f_tip": f_tip, "f_ext": f_ext, "f_base": f_base}
-    return Forces(*_of("inverse_dynamics", robot, given | wrenches, backend))
+    return Forces(*function_of("floating.inverse_dynamics", robot, given | wrenches, backend))
 
 
 def forward_dynamics(
     robot: Robot,
     X_WB: Tensor,
     q: Tensor,
-    V_WB_B: Tensor | None = None,
-    qd: Tensor | None = None,
-    tau: Tensor | None = None,
+    V_WB_B: Tensor | None,
+    qd: Tensor | None,
+    tau: Tensor,
     f_tip: Tensor | None = None,
     f_ext: Tensor | None = None,
     f_base: Tensor | None = None,
@@ -132,7 +138,7 @@ def forward_dynamics(
     """Rate of the twist of the base [..., 6] and joint accelerations [..., n] that torques produce.
 
     Args:
-        tau: joint torques [N m] or forces [N], shape [..., n]; None: zero.
+        tau: joint torques [N m] or forces [N], shape [..., n].
         robot, X_WB, q, V_WB_B, qd, f_tip, f_ext: as in `inverse_dynamics`.
         f_base: wrench (force, moment) the environment exerts on the base, shape [..., 6]; None: the base is free.
         precision: as in `torchdq.forward_dynamics`.
@@ -140,13 +146,14 @@ def forward_dynamics(
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),
     ...     base_inertia=torch.tensor([0.1, 0.0, 0.1, 0.0, 0.0, 0.1]))
-    >>> forward_dynamics(robot, torch.eye(8)[0], torch.zeros(2)).A_WB_B[4]  # it falls
+    >>> forward_dynamics(robot, torch.eye(8)[0], torch.zeros(2), None, None, torch.zeros(2)).A_WB_B[4]  # it falls
     tensor(-9.8100)
     """
     given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "tau": tau}
     wrenches = {"f_tip": f_tip, "f_ext": f_ext, "f_base": f_base}
-    double = check_precision(precision) == "double"
-    return Accelerations(*_of("forward_dynamics", robot, given | wrenches, backend, double=double))
+    return Accelerations(
+        *function_of("floating.forward_dynamics", robot, given | wrenches, backend, precision=precision)
+    )
 
 
 def mass_matrix(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | None = None) -> MassMatrix:
@@ -162,7 +169,7 @@ def mass_matrix(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | No
     >>> mass_matrix(robot, X_WB, q).base[3:, 3:].diagonal()  # 2 kg and two links of 1 kg
     tensor([4., 4., 4.])
     """
-    (M,) = _of("mass_matrix", robot, {"X_WB": X_WB, "q": q}, backend)
+    (M,) = function_of("floating.mass_matrix", robot, {"X_WB": X_WB, "q": q}, backend)
     return MassMatrix(M, M[..., :6, :6], M[..., :6, 6:], M[..., 6:, 6:])
 
 
@@ -181,7 +188,9 @@ def closed_form(
     >>> closed_form(robot, X_WB, q, torch.zeros(6), torch.zeros(2)).g[4]  # the weight of 4 kg
     tensor(39.2400)
     """
-    return FreeClosedForm(*_of("closed_form", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend))
+    return FreeClosedForm(
+        *function_of("floating.closed_form", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend)
+    )
 
 
 def error_growth(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | None = None) -> Tensor:
@@ -197,7 +206,7 @@ def error_growth(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | N
     >>> error_growth(robot, X_WB, q) > 1
     tensor(True)
     """
-    return _of("error_growth", robot, {"X_WB": X_WB, "q": q}, backend)[0]
+    return function_of("floating.error_growth", robot, {"X_WB": X_WB, "q": q}, backend)[0]
 
 
 def regressor(
@@ -223,7 +232,7 @@ def regressor(
     torch.Size([8, 30])
     """
     given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "A_WB_B": A_WB_B, "qdd": qdd}
-    return _of("regressor", robot, given, backend)[0]
+    return function_of("floating.regressor", robot, given, backend)[0]
 
 
 # --- energy and momentum ---------------------------------------------------------------------------------------------
@@ -244,7 +253,7 @@ def kinetic_energy(
     >>> kinetic_energy(robot, X_WB, q, torch.tensor([0.0, 0, 0, 1, 0, 0]), torch.zeros(2))  # 4 kg at 1 m/s
     tensor(2.)
     """
-    return _of("kinetic_energy", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend)[0]
+    return function_of("floating.kinetic_energy", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend)[0]
 
 
 def potential_energy(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | None = None) -> Tensor:
@@ -260,7 +269,7 @@ def potential_energy(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName
     >>> potential_energy(robot, high, torch.zeros(2)) - potential_energy(robot, low, torch.zeros(2))  # along y
     tensor(39.2400)
     """
-    return _of("potential_energy", robot, {"X_WB": X_WB, "q": q}, backend)[0]
+    return function_of("floating.potential_energy", robot, {"X_WB": X_WB, "q": q}, backend)[0]
 
 
 def centre_of_mass(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName | None = None) -> Tensor:
@@ -276,7 +285,7 @@ def centre_of_mass(robot: Robot, X_WB: Tensor, q: Tensor, backend: BackendName |
     >>> centre_of_mass(robot, X_WB, q)
     tensor([0.5000, 0.0000, 0.0000])
     """
-    return _of("centre_of_mass", robot, {"X_WB": X_WB, "q": q}, backend)[0]
+    return function_of("floating.centre_of_mass", robot, {"X_WB": X_WB, "q": q}, backend)[0]
 
 
 def momentum(
@@ -294,7 +303,9 @@ def momentum(
     >>> momentum(robot, X_WB, q, torch.tensor([0.0, 0, 0, 1, 0, 0]), torch.zeros(2)).linear  # 4 kg at 1 m/s
     tensor([4., 0., 0.])
     """
-    return Momentum(*_of("momentum", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend))
+    return Momentum(
+        *function_of("floating.momentum", robot, {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd}, backend)
+    )
 
 
 def momentum_rate(
@@ -320,7 +331,7 @@ def momentum_rate(
     tensor([4., 0., 0.])
     """
     given = {"X_WB": X_WB, "q": q, "V_WB_B": V_WB_B, "qd": qd, "A_WB_B": A_WB_B, "qdd": qdd}
-    return Momentum(*_of("momentum_rate", robot, given, backend))
+    return Momentum(*function_of("floating.momentum_rate", robot, given, backend))
 
 
 # --- kinematics ------------------------------------------------------------------------------------------------------
@@ -349,15 +360,7 @@ def forward_kinematics(
     >>> torchdq.dq.translation(forward_kinematics(robot, X_WB, q, robot.tip))
     tensor([2., 0., 0.])
     """
-    known = require_robot(robot).frame_names
-    if isinstance(frame, str):
-        names = options_of(robot, "forward_kinematics", (frame,))
-    else:
-        names = known if frame is None else names_of("frame", frame, known, f"frame of robot {robot.name!r}")
-    if not names:
-        raise ArgumentError(f"frame must name one frame at least, found none; known: {', '.join(known)}")
-    (X,) = _of("forward_kinematics", robot, {"X_WB": X_WB, "q": q}, backend, names)
-    return X.squeeze(-2) if isinstance(frame, str) else X
+    return poses("floating.forward_kinematics", robot, {"X_WB": X_WB, "q": q}, frame, backend)
 
 
 def jacobian(
@@ -384,5 +387,4 @@ def jacobian(
     >>> jacobian(robot, X_WB, q, robot.tip).shape
     torch.Size([6, 8])
     """
-    options = options_of(require_robot(robot), "jacobian", (frame, expressed))
-    return _of("jacobian", robot, {"X_WB": X_WB, "q": q}, backend, options)[0]
+    return of_one_frame("floating.jacobian", robot, {"X_WB": X_WB, "q": q}, (frame, expressed), backend)

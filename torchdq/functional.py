@@ -8,110 +8,39 @@ finite and does not change another.
 `backend` names what runs the program that is recorded for the robot: "c", compiled for the CPU; "cuda", compiled for
 NVIDIA GPUs; "eager", torch operations, on any device; "auto", the first of these that can run on the device; None, that
 of the innermost `torchdq.backend` block, or "auto".
+
+Functions of robots with a free base are those of `torchdq.floating`, with the same arguments in the same order, each
+with that of the base before it.
 """
 
-import time
-from collections.abc import Mapping, Sequence
-from typing import Literal, NamedTuple, get_args
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
 
 from torch import Tensor
-from torch.compiler import is_compiling
 
-from torchdq.backends.call import batch_of, evaluate
 from torchdq.backends.choice import BackendName
-from torchdq.base.caches import PROGRAMS, Bounded
-from torchdq.base.checks import names_of, require_tensor
-from torchdq.base.progress import FIRST, warn_once
-from torchdq.errors import ArgumentError
-from torchdq.functions.catalogue import Function, recordings
+from torchdq.base.checks import require_finite, require_tensor
+from torchdq.functions.call import Precision, function_of, gain, of_one_frame, poses
 from torchdq.functions.options import options_of
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
-from torchdq.robot.constants import Constants
-from torchdq.robot.fields import SHAPES, trailing
-from torchdq.robot.robot import arguments, constants
 
-# --- arguments -------------------------------------------------------------------------------------------------------
-
-Precision = Literal["auto", "double"]
-
-
-def require_finite(**arguments: Tensor | None) -> None:
-    """Raise `ArgumentError`, naming the argument and its first bad entry, unless all `arguments` are finite.
-
-    The dynamics functions do not check values: a row with NaN gives a row with NaN. Call this function where such a row
-    must be an error.
-
-    >>> import torch
-    >>> require_finite(q=torch.zeros(3), qd=None)
-    """
-    for name, x in arguments.items():
-        if x is None:
-            continue
-        require_tensor(name, x)
-        bad = (~x.isfinite()).nonzero()
-        if len(bad):
-            at = tuple(bad[0].tolist())
-            raise ArgumentError(f"{name} must be finite, found {x[at].item()} at {at}, and {len(bad) - 1} more")
-
-
-def check_precision(precision: Precision) -> Precision:
-    """Precision, after a check of its name."""
-    if precision not in get_args(Precision):
-        raise ArgumentError(f"precision must be 'auto' or 'double', found {precision!r}")
-    return precision
-
-
-class _Quantities(Function):
-    """Quantities of a robot's joints and the wrench at its tip, to be checked; it has no program."""
-
-    def axes(self, name: str) -> tuple[int, ...]:
-        """Trailing axes of a quantity, or of a tensor of the robot."""
-        return trailing({"f_tip": (6,), **SHAPES}.get(name, ("n",)), self.sizes)
-
-    def check(self, tensors: Mapping[str, Tensor]) -> None:
-        """Raise unless the base is fixed; any of them may be absent."""
-        if self.constants.fields["base_mass"] is not None:
-            raise ArgumentError(
-                f"robot {self.constants.fields['name']!r} must have a fixed base here, found a free one"
-            )
-
-
-def check(robot: Robot, optional: Sequence[str] = (), **quantities: Tensor | None) -> tuple[int, ...]:
-    """Broadcast batch axes of quantities and a robot.
-
-    Raises, naming the argument, unless all have their trailing axes, one dtype, one device, and batch axes that
-    broadcast with each other and with the robot's.
-
-    Args:
-        robot: the robot.
-        optional: names of the quantities that may be None.
-        quantities: [..., n] of the joints, and `f_tip` [..., 6].
-    """
-    for name, x in quantities.items():
-        if name not in optional:
-            require_tensor(name, x)
-    return batch_of(_Quantities(constants(require_robot(robot)), "check"), _with_tensors(robot, quantities))
-
-
-def _with_tensors(robot: Robot, given: dict[str, Tensor | None]) -> dict[str, Tensor | None]:
-    """Arguments of a function, together with the tensors of the robot that are arguments of its programs."""
-    names = arguments(robot)
-    return {**given, **{name: getattr(robot, name) for name in names}} if names else given
-
-
-def function_of(
-    name: str,
-    robot: Robot,
-    given: dict[str, Tensor | None],
-    backend: BackendName | None,
-    options: tuple[str, ...] = (),
-    double: bool = False,
-) -> list[Tensor]:
-    """Results of a function of the catalogue, with the broadcast batch axes of all tensors."""
-    what = Function(constants(require_robot(robot)), name, options)
-    return list(evaluate(what, _with_tensors(robot, given), backend, double).values())
-
+__all__ = [
+    "ClosedForm",
+    "closed_form",
+    "computed_torque",
+    "dynamics_jacobian",
+    "error_growth",
+    "forward_dynamics",
+    "forward_kinematics",
+    "inverse_dynamics",
+    "jacobian",
+    "kinetic_energy",
+    "mass_matrix",
+    "potential_energy",
+    "regressor",
+    "require_finite",
+]
 
 # --- dynamics --------------------------------------------------------------------------------------------------------
 
@@ -159,20 +88,6 @@ def inverse_dynamics(
     )[0]
 
 
-def mass_matrix(robot: Robot, q: Tensor, backend: BackendName | None = None) -> Tensor:
-    """Mass matrix M(q) [..., n, n], symmetric to the last bit, rotor inertia on its diagonal (69).
-
-    Args:
-        robot, q: the robot and its joint positions [rad or m], shape [..., n].
-
-    >>> import torch, torchdq
-    >>> mass_matrix(torchdq.robots.load("two_link"), torch.tensor([0.3, 0.0])).mul(12).round()
-    tensor([[32., 10.],
-            [10.,  4.]])
-    """
-    return function_of("mass_matrix", robot, {"q": q}, backend)[0]
-
-
 def forward_dynamics(
     robot: Robot,
     q: Tensor,
@@ -204,7 +119,7 @@ def forward_dynamics(
     tensor(True)
     """
     given = {"q": q, "qd": qd, "tau": tau, "f_tip": f_tip, "f_ext": f_ext}
-    return function_of("forward_dynamics", robot, given, backend, double=check_precision(precision) == "double")[0]
+    return function_of("forward_dynamics", robot, given, backend, precision=precision)[0]
 
 
 def error_growth(robot: Robot, q: Tensor, backend: BackendName | None = None) -> Tensor:
@@ -225,6 +140,20 @@ def error_growth(robot: Robot, q: Tensor, backend: BackendName | None = None) ->
     return function_of("error_growth", robot, {"q": q}, backend)[0]
 
 
+def mass_matrix(robot: Robot, q: Tensor, backend: BackendName | None = None) -> Tensor:
+    """Mass matrix M(q) [..., n, n], symmetric to the last bit, rotor inertia on its diagonal (69).
+
+    Args:
+        robot, q: the robot and its joint positions [rad or m], shape [..., n].
+
+    >>> import torch, torchdq
+    >>> mass_matrix(torchdq.robots.load("two_link"), torch.tensor([0.3, 0.0])).mul(12).round()
+    tensor([[32., 10.],
+            [10.,  4.]])
+    """
+    return function_of("mass_matrix", robot, {"q": q}, backend)[0]
+
+
 class ClosedForm(NamedTuple):
     """Terms of tau = M qdd + c + g + Jt f_tip (63)."""
 
@@ -235,9 +164,16 @@ class ClosedForm(NamedTuple):
 
 
 def closed_form(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None = None) -> ClosedForm:
-    """Mass matrix M [..., n, n], Coriolis and gravity torques c, g [..., n] and Jacobian Jt [..., n, 6].
+    """Terms M [..., n, n], c, g [..., n], J^T [..., n, 6] of the equations of motion.
 
         tau = M qdd + c + g + Jt f_tip   (63)
+
+        M, c, g  mass matrix, Coriolis and centrifugal torques, gravity torques
+        f_tip    enters with +: the wrench the end effector exerts on the environment
+        f_ext    enters with - where there is one: wrenches the environment exerts on the links, as in Pinocchio
+        Jt       transposed Jacobian of the tip, columns in the order of a wrench, (force, moment), in the axes of the
+                 tip frame; the rows of `jacobian` are in the order of a twist, (angular, linear)
+        names    Pinocchio: `computeAllTerms`, with nle = c + g, and Jt the transpose of the LOCAL Jacobian of the tip
 
     The recorded program computes every term by itself: M by composite bodies, c and g by the recursion without gravity
     and at rest. The matrices of dual quaternions of the paper (`torchdq.dynamics.paper.closed_form`) give the same.
@@ -252,13 +188,18 @@ def closed_form(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None
     >>> closed_form(robot, q, torch.zeros_like(q)).g
     tensor([18.5756,  4.5178], dtype=torch.float64)
     """
-    M, c, g, *Jt = function_of(
-        "closed_form", robot, {"q": q, "qd": qd}, backend, options_of(require_robot(robot), "closed_form", ())
-    )
+    options = options_of(require_robot(robot), "closed_form", ())
+    M, c, g, *Jt = function_of("closed_form", robot, {"q": q, "qd": qd}, backend, options)
     return ClosedForm(M, c, g, Jt[0] if Jt else None)
 
 
-def regressor(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, backend: BackendName | None = None) -> Tensor:
+def regressor(
+    robot: Robot,
+    q: Tensor,
+    qd: Tensor | None = None,
+    qdd: Tensor | None = None,
+    backend: BackendName | None = None,
+) -> Tensor:
     """Regressor Y [..., n, 10 n]: tau = Y pi, with pi = `robot.inertial_parameters`, without rotor inertia.
 
     Ten columns per link: mass, first moments m c (x y z) and inertia about the link frame's origin
@@ -267,7 +208,7 @@ def regressor(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, backend: Backend
     Args:
         robot: the robot; the regressor does not depend on its mass, com and inertia.
         q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2],
-            shape [..., n].
+            shape [..., n]; qd and qdd None: zero.
 
     >>> import torch, torchdq
     >>> robot, q = torchdq.robots.load("puma560"), torch.ones(6, dtype=torch.float64)
@@ -276,6 +217,25 @@ def regressor(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, backend: Backend
     True
     """
     return function_of("regressor", robot, {"q": q, "qd": qd, "qdd": qdd}, backend)[0]
+
+
+def dynamics_jacobian(
+    robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, backend: BackendName | None = None
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Derivatives (dtau/dq, dtau/dqd, M) of `inverse_dynamics`, each [..., n, n]; M is dtau/dqdd.
+
+    Args:
+        robot: the robot.
+        q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2],
+            shape [..., n].
+
+    >>> import torch, torchdq
+    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
+    >>> torch.equal(dynamics_jacobian(robot, q, q, q)[2], mass_matrix(robot, q))
+    True
+    """
+    dtau_dq, dtau_dqd, M = function_of("dynamics_jacobian", robot, {"q": q, "qd": qd, "qdd": qdd}, backend)
+    return dtau_dq, dtau_dqd, M
 
 
 def kinetic_energy(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None = None) -> Tensor:
@@ -308,27 +268,6 @@ def potential_energy(robot: Robot, q: Tensor, backend: BackendName | None = None
 
 # --- kinematics ------------------------------------------------------------------------------------------------------
 
-FEW = 2  # single frames of a robot, each with its own program, that need no warning
-_built: Bounded[tuple[str, Constants], tuple[int, float]] = Bounded(PROGRAMS)  # programs of single frames, and seconds
-
-
-def _of_one_frame(
-    name: str, robot: Robot, q: Tensor, options: tuple[str, ...], backend: BackendName | None, otherwise: str
-) -> Tensor:
-    """Result for one frame; warns once if the programs of single frames of a robot took more than 2 s in all."""
-    if is_compiling():
-        return function_of(name, robot, {"q": q}, backend, options)[0]
-    before, start = recordings(), time.perf_counter()
-    found = function_of(name, robot, {"q": q}, backend, options)[0]
-    if recordings() != before:
-        key = (name, constants(robot))
-        number, seconds = _built.get(key, (0, 0.0))
-        _built[key] = number, seconds = number + 1, seconds + time.perf_counter() - start
-        if number > FEW and seconds > FIRST:
-            text = f"{name} built {number} programs in {seconds:.1f} s, one for each frame of robot {robot.name!r}"
-            warn_once(f"{name} of {key[1].digest}", f"{text}; {otherwise}", stacklevel=4)
-    return found
-
 
 def forward_kinematics(
     robot: Robot, q: Tensor, frame: str | Sequence[str] | None = None, backend: BackendName | None = None
@@ -345,16 +284,7 @@ def forward_kinematics(
     >>> torchdq.dq.translation(X)
     tensor([2., 0., 0.])
     """
-    if not isinstance(frame, str):
-        names = robot_frames = require_robot(robot).frame_names
-        if frame is not None:
-            names = names_of("frame", frame, robot_frames, f"frame of robot {robot.name!r}")
-            if not names:
-                raise ArgumentError(f"frame must name one frame at least, found none; known: {', '.join(robot_frames)}")
-        return function_of("forward_kinematics", robot, {"q": q}, backend, names)[0]
-    names = options_of(require_robot(robot), "forward_kinematics", (frame,))
-    otherwise = "frame=[...] takes the names of all of them in one program"
-    return _of_one_frame("forward_kinematics", robot, q, names, backend, otherwise).squeeze(-2)
+    return poses("forward_kinematics", robot, {"q": q}, frame, backend)
 
 
 def jacobian(
@@ -366,35 +296,64 @@ def jacobian(
 ) -> Tensor:
     """Jacobian J [..., 6, n]: the twist (angular, linear) of a frame is J qd.
 
+        rows                 in the order of a twist, (angular, linear); Pinocchio has (linear, angular)
+        expressed="body"     V_WF_F, the twist of F's origin in the axes of F; Pinocchio: LOCAL
+        expressed="world"    the same twist of F's origin in the axes of the base frame; Pinocchio: LOCAL_WORLD_ALIGNED
+        torques of a wrench  J^T swap(f), since a wrench f is (force, moment); with + in the torques where the frame
+                             exerts it on the environment (f_tip), with - where the environment exerts it (f_ext)
+
     Args:
         robot, q: the robot and its joint positions [rad or m], shape [..., n].
         frame: name of the frame F.
-        expressed: "body": V_WF_F, the twist in F's own axes, of F's origin. "world": the same twist of F's origin in
-            the axes of the base frame.
+        expressed: "body" or "world", as above.
 
     >>> import torch, torchdq
     >>> jacobian(torchdq.robots.load("two_link"), torch.zeros(2), "tip")[4]  # the tip's velocity along y
     tensor([2., 1.])
     """
-    names = options_of(require_robot(robot), "jacobian", (frame, expressed))
-    otherwise = "they are kept on disk, and the next process finds them there"
-    return _of_one_frame("jacobian", robot, q, names, backend, otherwise)
+    return of_one_frame("jacobian", robot, {"q": q}, (frame, expressed), backend)
 
 
-def dynamics_jacobian(
-    robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, backend: BackendName | None = None
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Derivatives (dtau/dq, dtau/dqd, M) of `inverse_dynamics`, each [..., n, n]; M is dtau/dqdd.
+# --- control ---------------------------------------------------------------------------------------------------------
+
+
+def computed_torque(
+    robot: Robot,
+    q: Tensor,
+    qd: Tensor,
+    q_des: Tensor,
+    qd_des: Tensor,
+    qdd_des: Tensor,
+    kp: Tensor | float,
+    kd: Tensor | float,
+    f_tip: Tensor | None = None,
+    backend: BackendName | None = None,
+) -> Tensor:
+    """Torques tau [..., n] under which the tracking error e = q_des - q obeys e'' + kd e' + kp e = 0.
+
+        tau = M a + c + g + J^T f_tip,   a = qdd_des + kd (qd_des - qd) + kp (q_des - q)
+
+    that is inverse dynamics with the acceleration a, gravity of the robot included, as one program. If the model is
+    wrong, the error does not vanish, but is bounded by the model error divided by the gains.
 
     Args:
-        robot: the robot.
-        q, qd, qdd: joint positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2],
-            shape [..., n].
+        robot: the model of the robot that is controlled.
+        q, qd: measured positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
+        q_des, qd_des, qdd_des: desired positions, velocities and accelerations, shape [..., n].
+        kp: position gain [1/s^2], a number or shape [..., n].
+        kd: velocity gain [1/s], a number or shape [..., n]; 2 sqrt(kp) is critical damping.
+        f_tip: wrench the end effector exerts on the environment [N, N m], shape [..., 6], in the tip frame.
+
+    Source: (73)-(78); departure: erratum 75.
 
     >>> import torch, torchdq
-    >>> robot, q = torchdq.robots.load("two_link"), torch.tensor([0.3, -0.7], dtype=torch.float64)
-    >>> torch.equal(dynamics_jacobian(robot, q, q, q)[2], mass_matrix(robot, q))
-    True
+    >>> robot, q = torchdq.robots.load("two_link"), torch.zeros(2, dtype=torch.float64)
+    >>> tau = computed_torque(robot, q, q, q + 0.1, q, q, kp=100.0, kd=20.0)
+    >>> torchdq.forward_dynamics(robot, q, q, tau)  # kp times the error
+    tensor([10.0000, 10.0000], dtype=torch.float64)
     """
-    dtau_dq, dtau_dqd = function_of("inverse_dynamics_jacobian", robot, {"q": q, "qd": qd, "qdd": qdd}, backend)
-    return dtau_dq, dtau_dqd, mass_matrix(robot, q, backend).expand_as(dtau_dq)
+    require_tensor("q", q)
+    given = {"q": q, "qd": qd, "q_des": q_des, "qd_des": qd_des, "qdd_des": qdd_des}
+    gains = {"kp": gain("kp", kp, q), "kd": gain("kd", kd, q)}
+    single = tuple([name for name, x in gains.items() if not x.ndim])
+    return function_of("computed_torque", robot, {**given, **gains, "f_tip": f_tip}, backend, single)[0]

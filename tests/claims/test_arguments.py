@@ -33,7 +33,7 @@ FUNCTIONS = {
     "closed_form": ("q qd", "", {}),
     "forward_kinematics": ("q", "", {"frame": None}),
     "jacobian": ("q", "", {"frame": "tip", "expressed": "world"}),
-    "regressor": ("q qd qdd", "", {}),
+    "regressor": ("q qd qdd", "qd qdd", {}),
     "dynamics_jacobian": ("q qd qdd", "", {}),
     "kinetic_energy": ("q qd", "", {}),
     "potential_energy": ("q", "", {}),

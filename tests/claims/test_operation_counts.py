@@ -70,6 +70,7 @@ def recipes(name: str) -> dict[str, Callable[[], Program]]:
         "inverse_dynamics geometry arguments": {"fields": GEOMETRY},
         "inverse_dynamics vjp": {"derivative": True},
         "inverse_dynamics_jacobian": {},
+        "dynamics_jacobian": {},
         "forward_dynamics": {},
         "forward_dynamics wrenches": {"present": ("q", "qd", "tau", *WRENCHES)},
         "forward_dynamics geometry arguments": {"fields": GEOMETRY},

@@ -15,8 +15,8 @@ from places import ROOT
 
 import torchdq
 import torchdq.envs
-import torchdq.layers.residual
 import torchdq.learning
+import torchdq.nn
 from torchdq import effects
 from torchdq.scene import controllers, integrators
 
@@ -111,13 +111,14 @@ def public():
         "torchdq.convert": torchdq.convert,
         "torchdq.dq": torchdq.dq,
         "torchdq.learning": torchdq.learning,
-        "torchdq.layers.residual": torchdq.layers.residual,
+        "torchdq.nn": torchdq.nn,
+        "torchdq.functional": torchdq.functional,
+        "torchdq.floating": torchdq.floating,
         "torchdq.envs": torchdq.envs,
     }
     names = [f"{module}.{name}" for module, of in modules.items() for name in of.__all__]
     names += [f"torchdq.{name}" for name in dir(torchdq)]
     whole = {
-        "torchdq.floating": torchdq.floating,
         "torchdq.robots": torchdq.robots,
         "torchdq.scene.controllers": controllers,
         "torchdq.scene.integrators": integrators,

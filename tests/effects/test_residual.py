@@ -283,7 +283,8 @@ def test_the_closed_form_is_what_forward_mode_finds_of_any_network(inputs, learn
         tau = model.model(q, qd, qdd)
         directions = torch.stack((W, torchdq.mass_matrix(model.robot, q) @ W), -2)
         closed, features = model.line(q, qd, qdd, W), model._columns(q, qd, qdd, tau)
-        general = Learned(model, features, directions)
+        offset = model.model.offset if learn else None
+        general = Learned(model.scales, model.domain, model.network, model.scaled(features), directions, offset)
         assert type(closed) is Prepared
         moved = qdd - (W @ r[..., None])[..., 0]
         expected = model.unmodelled(q, qd, moved)

@@ -550,7 +550,12 @@ def test_saved_environments_go_on_as_if_nothing_had_been(task, tmp_path):
         "action": "residual",
         "max_episode_steps": 30,
         "randomise": {"mass": 0.2, "friction": 0.2, "payload": 1.0},
-        "effects": (*default_effects(ROBOT), effects.FirstOrderLag(0.05), effects.Noise(0.01, 0.01), effects.MeasurementDelay(1)),
+        "effects": (
+            *default_effects(ROBOT),
+            effects.FirstOrderLag(0.05),
+            effects.Noise(0.01, 0.01),
+            effects.MeasurementDelay(1),
+        ),
     }
     envs = make(**made)
     envs.reset(seed=0)
@@ -585,7 +590,8 @@ def test_wrong_states_are_refused():
 
 def test_a_state_that_other_effects_remember_is_refused():
     lagging, late = (
-        make(effects=(*default_effects(ROBOT), effect)) for effect in (effects.FirstOrderLag(0.05), effects.CommandDelay(1))
+        make(effects=(*default_effects(ROBOT), effect))
+        for effect in (effects.FirstOrderLag(0.05), effects.CommandDelay(1))
     )
     for envs in (lagging, late):
         envs.reset(seed=0)

@@ -423,7 +423,9 @@ def test_a_trained_model_is_taken_at_the_commanded_acceleration(kind):
     controller = torchdq.ComputedTorque(model, 25.0, double([10.0, 9.0]), learn="kp")
     tau = controller(q, qd, q_des, qd_des, qdd_des, wrench)
     a = commanded(q, qd, q_des, qd_des, qdd_des, 25.0, double([10.0, 9.0]))
-    assert torch.equal(tau, model(q, qd, a, wrench))
+    expected = model(q, qd, a, wrench)
+    # one program of a layer, which may round a product and a sum at once; a network is added to its model's torques
+    assert (tau - expected).abs().max() <= (8 * EPS * expected.abs().max() if kind == "layer" else 0.0)
     tau.sum().backward()
     assert controller.kp.grad is not None and all(p.grad is not None for p in model.parameters())
 

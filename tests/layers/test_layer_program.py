@@ -119,7 +119,7 @@ def test_networks_are_refused_with_the_way_to_export_them():
     layer = torchdq.ResidualDynamics(torchdq.DQRNEA(torchdq.robots.load("two_link")))
     with pytest.raises(ArgumentError, match=r"ResidualDynamics has no program.*torch\.export or torch\.onnx"):
         layer.program()
-    with pytest.raises(ArgumentError, match=r"found a ResidualDynamics, whose network is no program"):
+    with pytest.raises(ArgumentError, match=r"found a ResidualDynamics, whose network has no program"):
         torchdq.ComputedTorque(layer, 30.0, 9.0).program()
     with pytest.raises(UnknownNameError, match="f_base"):
         layer.model.program("f_base")

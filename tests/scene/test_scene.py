@@ -230,7 +230,9 @@ def test_batch_axes_broadcast(integrator):
 
     def end(q, qd, torque, push, d, g):
         scene = Scene(
-            ARM, (effects.Viscous(d), effects.Gravity(g), effects.Push(), effects.FirstOrderLag(0.1)), integrator=integrator
+            ARM,
+            (effects.Viscous(d), effects.Gravity(g), effects.Push(), effects.FirstOrderLag(0.1)),
+            integrator=integrator,
         )
         return scene.step(scene.start(q, qd), torque, push=push)
 

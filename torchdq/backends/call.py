@@ -137,7 +137,7 @@ def evaluate(
             batch_of(what, tensors)  # raises
         rows = [_row(x, layout.dtype, layout.device, row) for x, row in zip(given, layout.rows, strict=True)]
         found = run(layout.program, rows, layout.backend)
-    except (AttributeError, RuntimeError):
+    except (AttributeError, RuntimeError):  # no check before, which would cost every call
         batch_of(what, tensors)  # raises, naming an argument that is no tensor, or no dense one
         raise
     narrow = given[0].dtype
@@ -165,30 +165,40 @@ def _direct(layout: CallLayout, given: Sequence[Tensor], out: Sequence[Tensor]) 
 def batch_of(what: Computation, tensors: Tensors) -> Shape:
     """Broadcast batch axes of the arguments of a computation.
 
-    Raises, naming the argument, unless the inputs have their trailing axes, one dtype and one device, and the batch
-    axes of all tensors broadcast.
+    Raises, naming the argument, unless the tensors fit the computation and each other.
     """
     given = {name: x for name, x in tensors.items() if x is not None}
+    batch = common_batch(
+        [(what.label(name), x, what.axes(name), what.shared(name)) for name, x in given.items()], what.subject()
+    )
+    what.check(given)
+    return batch
+
+
+def common_batch(given: Sequence[tuple[str, Tensor, Shape, bool]], subject: str) -> Shape:
+    """Broadcast batch axes of tensors, each with its name, its trailing axes, and whether it is a parameter.
+
+    Raises, naming the argument, unless the inputs, all that are no parameters, have their trailing axes, one dtype and
+    one device, and the batch axes of all tensors broadcast. `subject` stands after a shape in error messages.
+    """
     batches: dict[str, Shape] = {}
-    first = ""
-    for name, x in given.items():
-        axes, label = what.axes(name), what.label(name)
+    if not given:
+        return ()
+    first, like = next(((label, x) for label, x, _, shared in given if not shared), given[0][:2])
+    for label, x, axes, shared in given:
         require_tensor(label, x)
-        if not what.shared(name):
-            first = first or name
-            _require_alike(label, x, first, given[first])
-        elif x.is_meta and not given[first].is_meta:
+        if not shared:
+            _require_alike(label, x, first, like)
+        elif x.is_meta and not like.is_meta:
             raise ArgumentError(
                 f"{label} is on the device 'meta', where tensors have no values, but {first} is on "
-                f"{given[first].device}; give it with values"
+                f"{like.device}; give it with values"
             )
         if x.ndim < len(axes) or tuple(x.shape[x.ndim - len(axes) :]) != axes:
             raise ArgumentError(
-                f"{label} must have the shape [{', '.join(['...', *map(str, axes)])}]{what.subject()}, "
-                f"found {tuple(x.shape)}"
+                f"{label} must have the shape [{', '.join(['...', *map(str, axes)])}]{subject}, found {tuple(x.shape)}"
             )
         batches[label] = tuple(x.shape[: x.ndim - len(axes)])
-    what.check(given)
     try:
         return tuple(torch.broadcast_shapes(*batches.values()))
     except RuntimeError as error:

@@ -63,6 +63,25 @@ def require_tensor(name: str, x: Any) -> None:
         raise ArgumentError(f"{name} must be a dense tensor, found a {found} one; convert it by {cure}")
 
 
+def require_finite(**arguments: Tensor | None) -> None:
+    """Raise `ArgumentError`, naming the argument and its first bad entry, unless all `arguments` are finite.
+
+    The dynamics functions do not check values: a row with NaN gives a row with NaN. Call this function where such a row
+    must be an error.
+
+    >>> import torch
+    >>> require_finite(q=torch.zeros(3), qd=None)
+    """
+    for name, x in arguments.items():
+        if x is None:
+            continue
+        require_tensor(name, x)
+        bad = (~x.isfinite()).nonzero()
+        if len(bad):
+            at = tuple(bad[0].tolist())
+            raise ArgumentError(f"{name} must be finite, found {x[at].item()} at {at}, and {len(bad) - 1} more")
+
+
 def floating(name: str, x: Any) -> Tensor:
     """Tensor x; raises unless it is one of floating-point numbers."""
     require_tensor(name, x)

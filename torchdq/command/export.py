@@ -19,11 +19,11 @@ from torchdq.errors import ArgumentError
 from torchdq.export.c99 import Library
 from torchdq.functions.catalogue import FLOATING, RECIPES
 from torchdq.functions.compile import compile
-from torchdq.nn import DQRNEA, ForwardDynamics
+from torchdq.nn import ForwardDynamics, InverseDynamics
 from torchdq.robot import Robot
 
 FUNCTIONS = tuple(name for name in RECIPES if not name.startswith(FLOATING) and name != "error_growth")
-LAYERS = {"inverse_dynamics": DQRNEA, "forward_dynamics": ForwardDynamics}  # functions that torch.export takes
+LAYERS = {"inverse_dynamics": InverseDynamics, "forward_dynamics": ForwardDynamics}  # functions that torch.export takes
 
 
 @dataclass(kw_only=True)

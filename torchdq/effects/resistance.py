@@ -23,7 +23,7 @@ from torchdq.program.program import Argument, Program, record
 from torchdq.robot import Robot
 from torchdq.robot.fields import trailing
 
-What = Literal["columns", "rates", "friction", "load"]  # what a program returns
+What = Literal["columns", "rates", "friction"]  # what a program returns
 
 
 def torques(
@@ -86,11 +86,6 @@ def friction(of: Parts, q: Tensor, qd: Tensor, load: Tensor, backend: BackendNam
         backend: as in `torchdq.functional`.
     """
     return _evaluated("friction", of, {"q": q, "qd": qd, "load": load}, backend)["tau"]
-
-
-def load_under(of: Parts, q: Tensor, qd: Tensor, tau: Tensor, backend: BackendName | None = None) -> Tensor:
-    """Torque [..., n] that moves the bodies and rotors, of the motors' torques tau; arguments as in `friction`."""
-    return _evaluated("load", of, {"q": q, "qd": qd, "tau": tau}, backend)["load"]
 
 
 def columns(
@@ -221,8 +216,6 @@ def _program(what: _Along, arguments: tuple[Argument, ...]) -> Program:
             case "rates":
                 h = given["h"][0]
                 return {str(k): effect.memory_rates(q, qd, given, memory, qd, h) for k, effect in enumerate(effects)}
-            case "friction":
-                return {"tau": torques(effects, q, qd, load, {})}
-        return {"load": loads(effects, q, qd, given["tau"])}
+        return {"tau": torques(effects, q, qd, load, {})}
 
     return record(f"friction_{what.what}", arguments, algorithm)

@@ -22,6 +22,7 @@ from torchdq.functions.recipe import (
     BASE_WRENCH,
     RATES,
     WRENCHES,
+    ArgumentSpec,
     Recipe,
     RecipeInputs,
     Results,
@@ -29,7 +30,7 @@ from torchdq.functions.recipe import (
     worth_recording,
 )
 from torchdq.program import autodiff as derive
-from torchdq.program.program import Argument, Program, record
+from torchdq.program.program import Argument, Program, record, replay, results
 from torchdq.robot.constants import Constants
 from torchdq.robot.fields import SHAPES, Axes, trailing
 from torchdq.robot.robot import recorded
@@ -39,6 +40,7 @@ RECIPES: dict[str, Recipe] = {
     "inverse_dynamics_jacobian": Recipe(
         joints("q", "qd", "qdd"), (fixed.inverse_dynamics,), lambda: (("n", "n"), ("n", "n"))
     ),
+    "dynamics_jacobian": Recipe(joints("q", "qd", "qdd"), (), lambda: (("n", "n"), ("n", "n"), ("n", "n"))),
     "computed_torque": Recipe(
         (*joints(*TRACKING), WRENCHES[0]), (fixed.computed_torque,), lambda *single: (("n",),), single=("kp", "kd")
     ),
@@ -52,7 +54,7 @@ RECIPES: dict[str, Recipe] = {
     "closed_form": Recipe(
         joints("q", "qd"), (fixed.closed_form,), lambda tip: (("n", "n"), ("n",), ("n",), *((("n", 6),) if tip else ()))
     ),
-    "regressor": Recipe(joints("q", "qd", "qdd"), (fixed.regressor,), lambda: (("n", "parameters"),)),
+    "regressor": Recipe((*joints("q"), *RATES), (fixed.regressor,), lambda: (("n", "parameters"),)),
     "kinetic_energy": Recipe(joints("q", "qd"), (fixed.kinetic_energy,), lambda: ((),)),
     "potential_energy": Recipe(joints("q"), (fixed.potential_energy,), lambda: ((),)),
     "forward_kinematics": Recipe(
@@ -63,33 +65,35 @@ RECIPES: dict[str, Recipe] = {
     ),
     "jacobian": Recipe(joints("q"), (fixed.jacobian,), lambda frame, expressed: ((6, "n"),)),
 }
-_PLACE: tuple[tuple[str, Axes, bool], ...] = (("X_WB", (8,), False), *joints("q"))
-_TWIST: tuple[tuple[str, Axes, bool], ...] = (("V_WB_B", (6,), False), *joints("qd"))
-_MOTION = (*_PLACE, ("V_WB_B", (6,), True), RATES[0])
-_CHANGE = (*_MOTION, ("A_WB_B", (6,), True), RATES[1])
+_BEFORE = {"q": ("X_WB", (8,)), "qd": ("V_WB_B", (6,)), "qdd": ("A_WB_B", (6,))}  # what the base has before the joints
+
+
+def _free(name: str, *formulas: Callable[..., Results], results: Callable[..., tuple[Axes, ...]]) -> Recipe:
+    """Recipe of a function with a free base: the arguments of `name`, each of the base before that of the joints."""
+    found: list[ArgumentSpec] = []
+    for argument, axes, optional in (like := RECIPES[name]).arguments:
+        found += [(*_BEFORE[argument], optional)] if argument in _BEFORE else []
+        found.append((argument, axes, optional))
+    wrench = BASE_WRENCH if WRENCHES[1] in found else ()
+    return Recipe((*found, *wrench), formulas or like.formulas, results, like.each)
+
+
 _FREE: dict[str, Recipe] = {
-    "inverse_dynamics": Recipe((*_CHANGE, *WRENCHES, *BASE_WRENCH), (free.inverse_dynamics,), lambda: ((6,), ("n",))),
-    "forward_dynamics": Recipe(
-        (*_MOTION, ("tau", ("n",), True), *WRENCHES, *BASE_WRENCH),
-        (free.forward_dynamics, free.forward_dynamics_articulated),
-        lambda: ((6,), ("n",)),
+    "inverse_dynamics": _free("inverse_dynamics", free.inverse_dynamics, results=lambda: ((6,), ("n",))),
+    "forward_dynamics": _free(
+        "forward_dynamics", free.forward_dynamics, free.forward_dynamics_articulated, results=lambda: ((6,), ("n",))
     ),
-    "mass_matrix": Recipe(_PLACE, (fixed.mass_matrix,), lambda: (("all", "all"),)),
-    "closed_form": Recipe((*_PLACE, *_TWIST), (free.closed_form,), lambda: (("all", "all"), ("all",), ("all",))),
-    "error_growth": Recipe(_PLACE, (fixed.error_growth, fixed.error_growth_articulated), lambda: ((),)),
-    "regressor": Recipe(_CHANGE, (fixed.regressor,), lambda: (("all", "parameters"),)),
-    "forward_kinematics": Recipe(
-        _PLACE,
-        (fixed.forward_kinematics, fixed.forward_kinematics_in_link_frames, fixed.forward_kinematics_from_base),
-        lambda *frames: ((len(frames), 8),),
-        each=True,
-    ),
-    "jacobian": Recipe(_PLACE, (fixed.jacobian,), lambda frame, expressed: ((6, "all"),)),
-    "kinetic_energy": Recipe((*_PLACE, *_TWIST), (fixed.kinetic_energy,), lambda: ((),)),
-    "potential_energy": Recipe(_PLACE, (fixed.potential_energy,), lambda: ((),)),
-    "centre_of_mass": Recipe(_PLACE, (free.centre_of_mass,), lambda: ((3,),)),
-    "momentum": Recipe((*_PLACE, *_TWIST), (free.momentum,), lambda: ((3,), (3,))),
-    "momentum_rate": Recipe(_CHANGE, (free.momentum_rate,), lambda: ((3,), (3,))),
+    "mass_matrix": _free("mass_matrix", results=lambda: (("all", "all"),)),
+    "closed_form": _free("closed_form", free.closed_form, results=lambda: (("all", "all"), ("all",), ("all",))),
+    "error_growth": _free("error_growth", results=lambda: ((),)),
+    "regressor": _free("regressor", results=lambda: (("all", "parameters"),)),
+    "forward_kinematics": _free("forward_kinematics", results=lambda *frames: ((len(frames), 8),)),
+    "jacobian": _free("jacobian", results=lambda frame, expressed: ((6, "all"),)),
+    "kinetic_energy": _free("kinetic_energy", results=lambda: ((),)),
+    "potential_energy": _free("potential_energy", results=lambda: ((),)),
+    "centre_of_mass": _free("mass_matrix", free.centre_of_mass, results=lambda: ((3,),)),
+    "momentum": _free("kinetic_energy", free.momentum, results=lambda: ((3,), (3,))),
+    "momentum_rate": _free("regressor", free.momentum_rate, results=lambda: ((3,), (3,))),
 }
 FLOATING = "floating."  # names of functions of robots with a free base begin so
 RECIPES |= {FLOATING + name: recipe for name, recipe in _FREE.items()}
@@ -172,6 +176,8 @@ def recordings() -> int:
 
 @remembered(PROGRAMS)
 def _program(what: Function, arguments: tuple[Argument, ...]) -> Program:
+    if what.name == "dynamics_jacobian":
+        return _with_mass_matrix(what, arguments)
     robot, recipe = recorded(what.constants), RECIPES[what.name]
     per_sample = tuple(a.name for a in arguments if a.name in SHAPES and not a.uniform)
 
@@ -187,3 +193,18 @@ def _program(what: Function, arguments: tuple[Argument, ...]) -> Program:
     best = min(map(by, known), key=lambda p: p.count().total)
     wrt = DERIVATIVES.get(what.name)
     return best if wrt is None else derive.jacobian(best, wrt)
+
+
+def _with_mass_matrix(what: Function, arguments: tuple[Argument, ...]) -> Program:
+    """Derivatives of the torques and the mass matrix, which share what depends on q alone."""
+    slopes = Function(what.constants, "inverse_dynamics_jacobian").program(arguments)
+    inertia = Function(what.constants, "mass_matrix").program(
+        tuple([a for a in arguments if a.name not in ("qd", "qdd")])
+    )
+
+    def algorithm(*rows: Sequence[Number]) -> Results:
+        named = {a.name: row for a, row in zip(arguments, rows, strict=True)}
+        parts = [(part, replay(part, [named[a.name] for a in part.arguments])) for part in (slopes, inertia)]
+        return {name: row for part, values in parts for name, row in results(part, values).items()}
+
+    return record(f"dynamics_jacobian_{what.constants.fields['name']}", arguments, algorithm)

@@ -91,23 +91,25 @@ def worth_recording(n: int, known: Sequence[Alternative]) -> Sequence[Alternativ
     return known[:1] if n < LONG else known if n < VERY_LONG else known[-1:]
 
 
+ArgumentSpec = tuple[str, Axes, bool]  # name, trailing axes, whether it may be absent
+
+
 class Recipe(NamedTuple):
     """Public function: its arguments, its candidate formulas, and the shapes of its results."""
 
-    arguments: tuple[tuple[str, Axes, bool], ...]  # name, trailing axes, whether it may be absent
+    arguments: tuple[ArgumentSpec, ...]
     # candidate formulas; the one with the fewest operations for the robot becomes the program
     formulas: tuple[Callable[..., Results], ...]
     results: Callable[..., tuple[Axes, ...]]  # trailing axes of the results, from the options
     each: bool = False  # whether all candidates are recorded, whatever the number of joints
     single: tuple[str, ...] = ()  # arguments that are one number for all joints if they are among the options
-    floating: bool = False  # whether it is a function of robots with a free base, not of those with a fixed one
 
 
-def joints(*names: str) -> tuple[tuple[str, Axes, bool], ...]:
+def joints(*names: str) -> tuple[ArgumentSpec, ...]:
     """Arguments with a number per coordinate, which may not be absent."""
     return tuple((name, ("n",), False) for name in names)
 
 
-WRENCHES: tuple[tuple[str, Axes, bool], ...] = (("f_tip", (6,), True), ("f_ext", ("links", 6), True))
-BASE_WRENCH: tuple[tuple[str, Axes, bool], ...] = (("f_base", (6,), True),)
-RATES: tuple[tuple[str, Axes, bool], ...] = (("qd", ("n",), True), ("qdd", ("n",), True))
+WRENCHES: tuple[ArgumentSpec, ...] = (("f_tip", (6,), True), ("f_ext", ("links", 6), True))
+BASE_WRENCH: tuple[ArgumentSpec, ...] = (("f_base", (6,), True),)
+RATES: tuple[ArgumentSpec, ...] = (("qd", ("n",), True), ("qdd", ("n",), True))

@@ -1,19 +1,21 @@
-"""Programs of layers: functions of rigid bodies, with the friction and the offset of the motors in the same program."""
+"""Program of a layer, which it runs and exports: a function of rigid bodies, with friction and offset of the motors."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
+from torchdq.backends.call import Computation
+from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import names_of, require_choice
 from torchdq.effects.effect import TENSOR
 from torchdq.effects.friction import Friction
-from torchdq.effects.resistance import loads, torques
+from torchdq.effects.resistance import Templates, loads, torques
 from torchdq.errors import ArgumentError
 from torchdq.export.meaning import constants as constants_of
 from torchdq.export.meaning import heading, part
@@ -21,12 +23,106 @@ from torchdq.functions.catalogue import RECIPES, Function
 from torchdq.layers.layer_friction import LayerFriction
 from torchdq.program.program import GROWTH, Argument, Program, growths, record, replay, results
 from torchdq.robot import Robot
-from torchdq.robot.fields import SHAPES
+from torchdq.robot.constants import Constants
+from torchdq.robot.fields import SHAPES, trailing
 from torchdq.robot.robot import arguments, constants
 
 Parameters = Literal["constants", "arguments"]
 GAINS = ("kp", "kd")  # those of computed torque control
+OWN = (*GAINS, "offset")  # parameters of a layer that are neither of its robot nor of its friction
 WRENCHES = ("f_tip", "f_ext")
+
+
+class _LayerFields(NamedTuple):
+    """Fields of `LayerFunction`."""
+
+    constants: Constants
+    name: str
+    options: tuple[str, ...]
+    friction: Templates
+
+
+class LayerFunction(_LayerFields, Computation):
+    """Function of rigid bodies with friction and offset, as a computation of `torchdq.backends.call`.
+
+    Tensors of friction are named after the position of their effect, "0.coefficient"; the offset is "offset".
+    """
+
+    @property
+    def rigid(self) -> Function:
+        """Function without friction and offset."""
+        return Function(self.constants, self.name, self.options)
+
+    def axes(self, name: str) -> tuple[int, ...]:
+        """Trailing axes of an argument or a parameter."""
+        owner, dot, parameter = name.partition(".")
+        if dot:
+            return trailing(self.friction.effects[int(owner)].SHAPES[parameter], self.rigid.sizes)
+        return (self.rigid.sizes["n"],) if name == "offset" else self.rigid.axes(name)
+
+    def shared(self, name: str) -> bool:
+        """True for parameters."""
+        return "." in name or name in OWN or name in SHAPES
+
+    def label(self, name: str) -> str:
+        """Name of a tensor in error messages."""
+        return name.partition(".")[2] if "." in name else self.rigid.label(name)
+
+    def subject(self) -> str:
+        """Words about the robot after a shape in error messages."""
+        return self.rigid.subject()
+
+    def check(self, tensors: Mapping[str, Tensor]) -> None:
+        """Raise unless all required arguments are present."""
+        self.rigid.check(tensors)
+
+    def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
+        """Trailing axes of the results."""
+        return self.rigid.results(program)
+
+    def program(self, arguments: tuple[Argument, ...]) -> Program:
+        """Program of the layer, recorded once."""
+        return _program(self, arguments)
+
+
+@remembered(PROGRAMS)
+def _program(what: LayerFunction, arguments: tuple[Argument, ...]) -> Program:
+    rigid = what.rigid.program(tuple([a for a in arguments if "." not in a.name and a.name != "offset"]))
+    if len(rigid.arguments) == len(arguments) and not what.friction.effects:
+        return rigid
+
+    def algorithm(*rows: Sequence[Number]) -> Mapping[str, Sequence[Number]]:
+        named = {a.name: row for a, row in zip(arguments, rows, strict=True)}
+        effects = []
+        for k, template in enumerate(what.friction.effects):
+            own = {name.partition(".")[2]: row for name, row in named.items() if name.startswith(f"{k}.")}
+            effects.append(template.bound(own))
+        return with_motors(rigid, named, effects)
+
+    return record(rigid.name, arguments, algorithm)
+
+
+def with_motors(
+    rigid: Program, given: Mapping[str, Sequence[Number]], effects: Sequence[Friction]
+) -> Mapping[str, Sequence[Number]]:
+    """Results of a program with the torques of the motors, which overcome friction and hold the offset.
+
+    Args:
+        rigid: program that takes or returns the torques of the rigid bodies, "tau".
+        given: its arguments, and "offset" if there is one.
+        effects: the friction, its tensors being numbers.
+    """
+    named, q = dict(given), given["q"]
+    qd, offset = given.get("qd", (0.0,) * len(q)), given.get("offset", (0.0,) * len(q))
+    if "tau" in named:
+        net = [tau - t for tau, t in zip(named["tau"], offset, strict=True)]
+        named["tau"] = loads(effects, q, qd, net)
+    values = replay(rigid, [named[a.name] for a in rigid.arguments])
+    found = results(rigid, values)
+    if "tau" in found:
+        friction = torques(effects, q, qd, found["tau"], {})
+        found["tau"] = [tau + (t + c) for tau, t, c in zip(found["tau"], friction, offset, strict=True)]
+    return {**found, GROWTH: growths(rigid, values)}
 
 
 def program(
@@ -34,29 +130,27 @@ def program(
     function: str,
     wrenches: Sequence[str],
     parameters: Parameters,
-    fixed: Mapping[str, Tensor],
-    learned: Mapping[str, Tensor],
+    own: Mapping[str, Tensor],
+    learned: Sequence[str],
     friction: LayerFriction,
 ) -> Program:
-    """Program of a layer.
+    """Program of a layer to compile and export, in which quantities have the names of the layer.
 
     Args:
         robot: the robot with the layer's present parameters.
         function: "inverse_dynamics", "forward_dynamics" or "computed_torque".
         wrenches: names of those that are arguments.
         parameters: whether what is learned, and what was replaced in the robot, is constant or an argument.
-        fixed, learned: values of the offset, of `GAINS`, and of what friction learns, those that there are, [n]; the
-            gains also [].
+        own: values [n] of the offset, of `GAINS` and of what friction learns, those that there are; gains also [].
+        learned: names of those that the layer learns.
         friction: the layer's.
     """
     require_choice("parameters", parameters, ("constants", "arguments"))
     known = [name for name, _, optional in RECIPES[function].arguments if optional and name in WRENCHES]
     wanted = names_of("wrenches", wrenches, known, f"wrench of {function}")
-    beside = {**fixed, **learned}
     if parameters == "constants":
-        robot, fixed, learned = robot.bake(), beside, {}
-    single = tuple([name for name in GAINS if name in beside and not beside[name].ndim])
-    what = Function(constants(robot), function, single)
+        robot, learned = robot.bake(), ()
+    what = Function(constants(robot), function, tuple([name for name in GAINS if name in own and not own[name].ndim]))
     inputs = [
         Argument(name, math.prod(what.axes(name)))
         for name, _, _ in RECIPES[function].arguments
@@ -66,45 +160,29 @@ def program(
         Argument(name, math.prod(what.axes(name)), getattr(robot, name).ndim == len(SHAPES[name]))
         for name in arguments(robot)
     ]
-    present = {name: Argument(name, x.shape[-1] if x.ndim else 1, x.ndim < 2) for name, x in beside.items()}
-    rigid = what.program((*inputs, *[present[name] for name in GAINS if name in beside], *replaced))
-    numbers = {name: _numbers(name, x) for name, x in fixed.items()}
+    present = {name: Argument(name, x.shape[-1] if x.ndim else 1, x.ndim < 2) for name, x in own.items()}
+    rigid = what.program((*inputs, *[present[name] for name in GAINS if name in own], *replaced))
+    numbers = {name: _numbers(name, x) for name, x in own.items() if name not in learned}
     taken = [*inputs, *replaced, *[present[name] for name in learned]]
 
     def algorithm(*rows: Sequence[Number]) -> Mapping[str, Sequence[Number]]:
         named = {**numbers, **{a.name: row for a, row in zip(taken, rows, strict=True)}}
-        q, qd = named["q"], named["qd"]
-        effects = [_of_numbers(effect) for effect in friction.present(named)]
-        offset = named.get("offset", [0.0] * len(qd))
-        if function == "forward_dynamics":
-            named["tau"] = [tau - t for tau, t in zip(named["tau"], offset, strict=True)]
-            named["tau"] = loads(effects, q, qd, named["tau"])
-        values = replay(rigid, [named[a.name] for a in rigid.arguments])
-        found = results(rigid, values)
-        if function != "forward_dynamics":
-            rubbing = torques(effects, q, qd, found["tau"], {})
-            found["tau"] = [tau + (t + c) for tau, t, c in zip(found["tau"], rubbing, offset, strict=True)]
-        return {**found, GROWTH: growths(rigid, values)}
+        return with_motors(rigid, named, [_of_numbers(effect) for effect in friction.present(named)])
 
-    about = heading(
-        f"{function} with the motors' torques" if friction.effects or "offset" in beside else function,
-        robot.name,
-        robot.joint_names,
-    )
-    rubbing = friction.present({name: numbers.get(name, TENSOR) for name in friction.learned})
-    own = {name: numbers[name] for name in (*GAINS, "offset") if name in numbers}
+    motors = " with the motors' torques" if friction.effects or "offset" in own else ""
+    effects = friction.present({name: numbers.get(name, TENSOR) for name in friction.learned})
+    written = {name: numbers[name] for name in OWN if name in numbers}
     if robot.gravity is not None and "gravity" not in arguments(robot):
-        own["gravity"] = _numbers("gravity", robot.gravity)
-    told = constants_of(own)
-    told += [f"friction: {part(_of_numbers(effect))}" for effect in rubbing] or ["friction: none"]
-    return replace(record(rigid.name, taken, algorithm), about=(*about, *told))
+        written["gravity"] = _numbers("gravity", robot.gravity)
+    about = (*heading(f"{function}{motors}", robot.name, robot.joint_names), *constants_of(written))
+    lines = [f"friction: {part(_of_numbers(effect))}" for effect in effects] or ["friction: none"]
+    return replace(record(rigid.name, taken, algorithm), about=(*about, *lines))
 
 
 def _of_numbers(effect: Friction) -> Friction:
     """Effect whose tensors are constants of a program."""
-    found = {f"{name} of {type(effect).__name__}": (name, x) for name, x in effect.tensors().items()}
-    rows = {name: _numbers(words, x) for words, (name, x) in found.items()}
-    return effect.bound(rows)
+    kind = type(effect).__name__
+    return effect.bound({name: _numbers(f"{name} of {kind}", x) for name, x in effect.tensors().items()})
 
 
 def _numbers(name: str, x: Tensor) -> tuple[float, ...]:

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
+from torchdq.base.checks import require_finite
 from torchdq.errors import ArgumentError
-from torchdq.functional import require_finite
 from torchdq.robot.arrays import second_moments
 
 SMALLEST = 1e-6  # positive quantity that replaces one that is not positive [SI units]

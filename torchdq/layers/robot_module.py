@@ -1,4 +1,4 @@
-"""Base of the modules that hold a robot: what they learn, their friction, their programs."""
+"""Base of all layers: the robot, the quantities that are learned, friction, and the program."""
 
 from __future__ import annotations
 
@@ -9,19 +9,22 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils import parametrize
 
+from torchdq.backends.call import evaluate
 from torchdq.backends.choice import BackendName
 from torchdq.base.checks import require_choice, require_number, require_tensor
 from torchdq.effects.friction import Friction
 from torchdq.effects.resistance import friction
 from torchdq.errors import ArgumentError
-from torchdq.layers.layer_friction import LayerFriction, layer_friction
-from torchdq.layers.layer_program import Parameters, program
+from torchdq.functions.call import Precision, function_of, with_tensors
+from torchdq.layers.layer_friction import layer_friction
+from torchdq.layers.layer_program import GAINS, OWN, LayerFunction, Parameters, program
 from torchdq.layers.learnable import initial_values, learnable
 from torchdq.layers.parametrizations import PhysicalInertia, Positive, restored
 from torchdq.program.program import Program
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.fields import SHAPES
+from torchdq.robot.robot import constants
 
 # parametrisation of each constrained quantity
 CONSTRAINED: dict[str, type[Positive | PhysicalInertia]] = {
@@ -33,18 +36,16 @@ SMALLEST_SIZE = 1e-2  # least size of a body, against which `prior` measures the
 
 
 class RobotModule(nn.Module):
-    """Module that holds a robot and learns the quantities that `learn` names.
+    """Module that holds a robot and learns the quantities that `learn` names; see `InverseDynamics` for the arguments.
 
-    What may be learned, and the arguments, are those of `torchdq.DQRNEA`, the first of these modules.
-
-    Raises:
-        ArgumentError: `learn` names something else, or a quantity that the robot does not have.
+    A layer runs one program, which is that of its function with friction and offset (`torchdq.layers.layer_program`).
     """
 
     viscous: Tensor  # [n], if friction is learned
     coulomb: Tensor  # [n], if friction is learned
     offset: Tensor  # [n], if it is learned
-    _function: str  # name of the function without friction and offset
+    _function: str  # in the catalogue, without friction and offset
+    precision: Precision = "auto"
 
     def __init__(
         self,
@@ -67,6 +68,7 @@ class RobotModule(nn.Module):
         self.backend = backend
         self.friction_width = float(friction_width)
         self._friction = layer_friction(robot, friction, "friction" in self.learn, self.friction_width)
+        self._rigid = not (self._friction.effects or "offset" in self.learn)  # its program is that of the function
         forms = {**CONSTRAINED, **{name: self._friction.constraint(name) for name in self._friction.learned}}
         self._initial: dict[str, Tensor] = {}  # unconstrained numbers by quantity, from which `prior` measures
         for name in self.learn:
@@ -145,11 +147,18 @@ class RobotModule(nn.Module):
         of = self._friction.parts(self._coefficients())
         return friction(of, zeros if q is None else q, qd, zeros if load is None else load, self.backend)
 
-    def _with_motors(self, tau: Tensor, q: Tensor, qd: Tensor | None) -> Tensor:
-        """Torques of the motors, of those of the rigid bodies: with friction and offset."""
-        if self._friction.effects:
-            tau = tau + self.friction_torque(torch.zeros_like(q) if qd is None else qd, q, tau)
-        return tau + self.offset.to(tau) if "offset" in self.learn else tau
+    def _evaluated(self, inputs: dict[str, Tensor | None]) -> Tensor:
+        """Result of the layer's program, of the arguments of its function."""
+        robot, friction = self.robot, self._friction
+        if self._rigid:
+            return function_of(self._function, robot, inputs, self.backend, (), self.precision)[0]
+        own, _ = self._own_quantities()
+        single = tuple([name for name in GAINS if name in own and not own[name].ndim])
+        what = LayerFunction(constants(robot), self._function, single, friction.fixed.templates)
+        parameters = {name: own[name] for name in OWN if name in own}
+        given = {**with_tensors(robot, inputs), **friction.parts(own).tensors, **parameters}
+        (result,) = evaluate(what, given, self.backend, self.precision == "double").values()
+        return result
 
     def program(self, *wrenches: str, parameters: Parameters = "constants") -> Program:
         """Program of the layer, with learned friction and offset, for `torchdq.compile` and its `export`.
@@ -166,17 +175,13 @@ class RobotModule(nn.Module):
         >>> [a.name for a in layer.program(parameters="arguments").arguments]
         ['q', 'qd', 'qdd', 'mass', 'viscous', 'coulomb']
         """
-        fixed, learned = self._beside()
-        return program(self.robot, self._function, wrenches, parameters, fixed, learned, self._rubbing())
+        own, learned = self._own_quantities()
+        return program(self.robot, self._function, wrenches, parameters, own, learned, self._friction)
 
-    def _beside(self) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
-        """Quantities of its program that are no tensors of the robot: those that are fixed, and those it learns."""
-        offset = {"offset": self.offset} if "offset" in self.learn else {}
-        return {}, {**self._coefficients(), **offset}
-
-    def _rubbing(self) -> LayerFriction:
-        """Friction in its program."""
-        return self._friction
+    def _own_quantities(self) -> tuple[dict[str, Tensor], list[str]]:
+        """Parameters of its program that are not the robot's, and the names of those that are learned."""
+        own = self._coefficients() | ({"offset": self.offset} if "offset" in self.learn else {})
+        return own, list(own)
 
     def prior(self) -> Tensor:
         """Distance of the learned quantities from their initial values: a number >= 0 without units.

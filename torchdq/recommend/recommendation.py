@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import torch
 
-from torchdq.functional import Precision
+from torchdq.functions.call import Precision
 from torchdq.recommend.trials import Arithmetic
 from torchdq.scene.integrators import Integrator
 from torchdq.scene.scene import Scene

@@ -10,8 +10,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from torchdq.base.checks import require_finite
 from torchdq.errors import ArgumentError
-from torchdq.functional import Precision, require_finite
+from torchdq.functions.call import Precision
 from torchdq.robot import Robot
 from torchdq.scene.integrators import Integrator, LinearlyImplicit, Repeated, RungeKutta4, SemiImplicitEuler
 from torchdq.scene.scene import Scene

@@ -22,7 +22,7 @@ from torchdq.base.caches import PROGRAMS, Bounded
 from torchdq.base.checks import frozen, require_choice, require_count, require_number, require_object
 from torchdq.effects.effect import Effect
 from torchdq.errors import ArgumentError
-from torchdq.functional import Precision, check_precision
+from torchdq.functions.call import Precision, check_precision
 from torchdq.program.program import Argument, Count, Program
 from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot

@@ -9,7 +9,8 @@ from oracles import shipped
 
 import torchdq
 from torchdq.envs import Scene, effects
-from torchdq.layers.residual import Domain, ResidualDynamics
+from torchdq.layers.residual import ResidualDynamics
+from torchdq.layers.residual.domain import Domain
 from torchdq.layers.residual.smooth import BEYOND, limit_slope, limited, smooth_step, step_slope
 
 F64 = torch.float64

@@ -11,7 +11,8 @@ from helpers import random
 from oracles import shipped, tree
 
 import torchdq
-from torchdq.layers.residual import Perceptrons, ResidualDynamics
+from torchdq.layers.residual import ResidualDynamics
+from torchdq.layers.residual.networks import Perceptrons
 
 F32, F64 = torch.float32, torch.float64
 PANDA, TWO = shipped("panda").robot, shipped("two_link").robot

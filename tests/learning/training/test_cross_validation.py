@@ -231,12 +231,12 @@ def test_the_error_of_the_weights_is_that_of_networks_trained_on_other_noise(fit
     """Leverage: more where rows are rare. The spread of the last layer over data sets, to a factor of two."""
     model, _, parts = fitted
     x = model.scaled(model.features(*parts[0][:3], parts[0].tau))
-    hidden = model.network.last_hidden(model.within_range(x)).double().detach()
+    hidden = model.network.last_hidden(model.scales.within_range(x)).double().detach()
     H = torch.cat([hidden, torch.ones_like(hidden[..., :1])], -1)
     g = torch.Generator().manual_seed(0)
     for j in range(2):
         every = [model.scaled(model.features(*part[:3], model.model(*part[:3]))) for part in parts]
-        A = torch.cat([model.network.last_hidden(model.within_range(y)).double().detach()[:, j] for y in every])
+        A = torch.cat([model.network.last_hidden(model.scales.within_range(y)).double().detach()[:, j] for y in every])
         A = torch.cat([A, torch.ones_like(A[:, :1])], -1)
         ridge = 1e-9 * float(A.square().sum())
         noise = torch.randn(len(A), 200, generator=g, dtype=F64)

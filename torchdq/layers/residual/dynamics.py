@@ -13,19 +13,18 @@ from torchdq.dynamics.friction import smooth_sign
 from torchdq.effects import Effect, Gravity, Residual, RotorInertia
 from torchdq.errors import ArgumentError
 from torchdq.functional import mass_matrix
+from torchdq.layers.inverse_dynamics import InverseDynamics
 from torchdq.layers.residual.domain import OPEN, Domain
+from torchdq.layers.residual.gate import CHANGED, Gate
 from torchdq.layers.residual.networks import Joined, Perceptrons, perceptrons
 from torchdq.layers.residual.posterior import Posterior, PredictedTorques
 from torchdq.layers.residual.recorded import Learned, Prepared
-from torchdq.layers.residual.smooth import BEYOND, limited, smooth_step
-from torchdq.nn import DQRNEA
+from torchdq.layers.residual.smooth import BEYOND, limited
 from torchdq.program.transforms import number
 from torchdq.robot import Robot
 
 Grouping = Literal["joint", "all"]
 WIDTHS = (1.0, 5.0, 20.0)  # widths of the smooth signs of the velocity, in units of the model's friction width
-CHANGED = 2  # features of a joint that depend on its acceleration: the last ones, qdd and the model's torque
-SLOWLY = 4.0  # least width of the gate's fall with the model's torque, in units of the bound: its slope is below a half
 WITHOUT_LIMIT = 1e30
 
 
@@ -69,7 +68,7 @@ class ResidualDynamics(nn.Module):
         ArgumentError: an argument is none of these.
 
     >>> import torchdq
-    >>> layer = ResidualDynamics(DQRNEA(torchdq.robots.load("panda"), learn="friction"))
+    >>> layer = ResidualDynamics(InverseDynamics(torchdq.robots.load("panda"), learn=("friction",)))
     >>> layer(*torch.ones(3, 100, 7, dtype=torch.float64)).shape
     torch.Size([100, 7])
     """
@@ -85,15 +84,17 @@ class ResidualDynamics(nn.Module):
 
     def __init__(
         self,
-        model: DQRNEA,
+        model: InverseDynamics,
         network: nn.Module | None = None,
         inputs: Grouping = "joint",
         hidden: Sequence[int] = (32, 32),
         position: bool = False,
     ):
         super().__init__()
-        if not isinstance(model, DQRNEA):
-            raise ArgumentError(f"model must be a torchdq.DQRNEA, found {type(model).__name__}; make one of the robot")
+        if not isinstance(model, InverseDynamics):
+            raise ArgumentError(
+                f"model must be a torchdq.InverseDynamics, found {type(model).__name__}; make one of the robot"
+            )
         require_choice("inputs", inputs, get_args(Grouping))
         require_choice("position", position, (True, False))
         for width in hidden:
@@ -134,7 +135,7 @@ class ResidualDynamics(nn.Module):
         )
 
     def prior(self) -> Tensor:
-        """Prior of the model, which concerns its physical parameters; see `DQRNEA.prior`."""
+        """Prior of the model, which concerns its physical parameters; see `InverseDynamics.prior`."""
         return self.model.prior()
 
     def forward(
@@ -191,7 +192,10 @@ class ResidualDynamics(nn.Module):
         M = mass_matrix(self.robot, q, self.model.backend)
         directions = torch.stack(torch.broadcast_tensors(W, M @ W), -2)
         features, inner = self._columns(q, qd, qdd, tau), perceptrons(self.network)
-        return Learned(self, features, directions) if inner is None else Prepared(self, features, directions, inner)
+        x, offset = self.scaled(features), self.model.offset if "offset" in self.model.learn else None
+        if inner is None:
+            return Learned(self.scales, self.domain, self.network, x, directions, offset)
+        return Prepared(self.scales, self.domain, inner, x, directions, offset)
 
     def effects(self) -> tuple[Effect, ...]:
         """Effects that simulate all that was learned, with `robot`: `Scene(model.robot, model.effects())`.
@@ -201,7 +205,7 @@ class ResidualDynamics(nn.Module):
         The network itself is always the present one.
 
         >>> import torchdq
-        >>> model = ResidualDynamics(DQRNEA(torchdq.robots.load("panda"), learn="friction"))
+        >>> model = ResidualDynamics(InverseDynamics(torchdq.robots.load("panda"), learn=("friction",)))
         >>> print(*[type(effect).__name__ for effect in model.effects()])
         Gravity Viscous Coulomb Residual
         """
@@ -231,11 +235,15 @@ class ResidualDynamics(nn.Module):
         """Torques [..., n] that are added to those of the model, for features [..., n, 6 or 8]."""
         return self.of_scaled(self.scaled(features)).to(features)
 
+    @property
+    def scales(self) -> Gate:
+        """Scales of the network, and the bounds within which it acts, as they are now."""
+        of_features = self.feature_mean, self.feature_spread, self.feature_middle, self.feature_range
+        return Gate(*of_features, self.torque_scale, self.largest, self.weight, joined=self.inputs == "all")
+
     def scaled(self, features: Tensor) -> Tensor:
         """Features in the units and the dtype of the network, [..., groups, features of a group]."""
-        x = (features - self.feature_mean.to(features)) / self.feature_spread.to(features)
-        x = x.to(next(self.network.parameters(), x).dtype)
-        return x if self.inputs == "joint" else x.flatten(-2).unsqueeze(-2)
+        return self.scales.scaled(features, next(self.network.parameters(), features))
 
     def of_scaled(self, x: Tensor) -> Tensor:
         """`correction` of scaled features, in the dtype of the network."""
@@ -243,51 +251,18 @@ class ResidualDynamics(nn.Module):
 
     def gate(self, x: Tensor) -> Tensor:
         """Factors [..., n] of the residual for scaled features: one where it was trained, zero far from there."""
-        return self.domain(self.of_state(x)) * (1 - smooth_step(self.past_torque(self.of_torque(x))))
+        scales = self.scales
+        return self.domain(scales.of_state(x)) * scales.factor(scales.of_torque(x))
 
     def distance(self, x: Tensor) -> Tensor:
         """Distance [..., n] of scaled features from what was trained, in units of the trained size."""
-        states = self.domain.squared_distance(self.of_state(x)).clamp_min(0.0).sqrt() / self.domain.reach.to(x)
-        return states + self.past_torque(self.of_torque(x)).clamp_min(0.0)
-
-    def past_torque(self, z: Tensor) -> Tensor:
-        """How far scaled torques [..., n] of the model are past their range: zero there, one where the gate is zero."""
-        return ((z - self.feature_middle[:, -1].to(z)).abs() - self.feature_range[:, -1].to(z)) / self.room.to(z)
-
-    @property
-    def room(self) -> Tensor:
-        """Scaled torque [n] past its range over which the gate falls to zero."""
-        return self.feature_range[:, -1].maximum(SLOWLY * BEYOND * self.largest / self.feature_spread[:, -1])
-
-    def of_state(self, x: Tensor) -> Tensor:
-        """Scaled features [..., groups, features] that the acceleration does not change."""
-        return x.unflatten(-1, (-1, self.features_of_a_joint))[..., :-CHANGED].flatten(-2)
-
-    def of_torque(self, x: Tensor) -> Tensor:
-        """Torques [..., n] of the model among the scaled features."""
-        return x.unflatten(-1, (-1, self.features_of_a_joint))[..., -1].flatten(-2)
+        scales = self.scales
+        states = self.domain.squared_distance(scales.of_state(x)).clamp_min(0.0).sqrt() / self.domain.reach.to(x)
+        return states + scales.past_torque(scales.of_torque(x)).clamp_min(0.0)
 
     def ungated(self, x: Tensor, network: nn.Module) -> Tensor:
         """Torques [..., n] of a network for scaled features, limited, as if the gate were open and the weight one."""
-        return limited(self.raw(self.within_range(x), network), self.largest.to(x))
-
-    def raw(self, x: Tensor, network: nn.Module) -> Tensor:
-        """Torques [..., n] of a network without any limit, for scaled features within their range."""
-        x = x if self.inputs == "joint" else x.squeeze(-2)
-        found = network(x)
-        expected = (*x.shape[:-1], 1) if self.inputs == "joint" else (*x.shape[:-1], len(self.weight))
-        if found.shape != expected:
-            raise ArgumentError(
-                f"network must return the shape {tuple(expected)} for inputs of the shape {tuple(x.shape)}, found "
-                f"{tuple(found.shape)}"
-            )
-        found = found.squeeze(-1) if self.inputs == "joint" else found
-        return found * self.torque_scale.to(found)
-
-    def within_range(self, x: Tensor) -> Tensor:
-        """Scaled features as those at the edge of the range trained on, where they are beyond it."""
-        middle, width = (y.to(x).reshape(x.shape[-2:]) for y in (self.feature_middle, self.feature_range))
-        return middle + limited(x - middle, width)
+        return limited(self.scales.torques(self.scales.within_range(x), network), self.largest.to(x))
 
     def leverage(self, x: Tensor) -> Tensor:
         """How little the training rows tell the network's last layer, for scaled features; see `Posterior.leverage`."""
@@ -295,7 +270,7 @@ class ResidualDynamics(nn.Module):
         return (
             x.new_zeros(x.shape[:-1])
             if inner is None
-            else self.posterior.leverage(inner.last_hidden(self.within_range(x)))
+            else self.posterior.leverage(inner.last_hidden(self.scales.within_range(x)))
         )
 
     @torch.no_grad()
@@ -335,7 +310,7 @@ class ResidualDynamics(nn.Module):
     @torch.no_grad()
     def cover(self, x: Tensor, residuals: Tensor) -> None:
         """Take scaled features [rows, ...] as the trained states, and residuals [rows, n] as those that can be."""
-        self.domain.cover(self.of_state(x))
+        self.domain.cover(self.scales.of_state(x))
         most = residuals.abs().amax(0)
         self.largest.copy_(torch.where(most > 0, most, WITHOUT_LIMIT))
 

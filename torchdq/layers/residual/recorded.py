@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from torchdq.layers.residual.domain import Domain
+from torchdq.layers.residual.gate import Gate
 from torchdq.layers.residual.networks import Perceptrons
-from torchdq.layers.residual.smooth import limit_slope, limited, smooth_step, step_slope
+from torchdq.layers.residual.smooth import limit_slope, limited, step_slope
 from torchdq.program.transforms import load_forward_mode
-
-if TYPE_CHECKING:
-    from torchdq.layers.residual.dynamics import ResidualDynamics
 
 
 class Learned:
@@ -21,20 +20,22 @@ class Learned:
     Of every joint's features, r changes the last two: its acceleration and the model's torque.
 
     Args:
-        dynamics: the model and the network.
-        features: features [..., n, 6 or 8] without r.
+        scales, domain, network: of the `ResidualDynamics`.
+        x: scaled features [..., groups, features] without r.
         directions: what r subtracts from the accelerations and from the model's torques, [..., n, 2, n].
+        offset: learned offset [n] of the model; None: none.
     """
 
-    def __init__(self, dynamics: ResidualDynamics, features: Tensor, directions: Tensor):
-        self.dynamics, self.size = dynamics, features.shape[-1]
-        n, x = features.shape[-2], dynamics.scaled(features)  # [..., groups, features]
-        self.one = torch.eye(n, dtype=features.dtype, device=features.device)
-        self.offset = dynamics.model.offset.to(features) if "offset" in dynamics.model.learn else None
-        self.largest = dynamics.largest.to(x)
-        self.factor = dynamics.weight.to(x) * dynamics.domain(dynamics.of_state(x))  # [..., n], which r does not change
-        scales = (dynamics.feature_spread, dynamics.feature_middle, dynamics.feature_range)
-        spread, self.middle, self.range = (self._last(y.to(x).reshape(x.shape[-2:])) for y in scales)
+    def __init__(
+        self, scales: Gate, domain: Domain, network: Any, x: Tensor, directions: Tensor, offset: Tensor | None
+    ):
+        self.scales, self.network, (n, self.size) = scales, network, scales.mean.shape
+        self.one = torch.eye(n, dtype=directions.dtype, device=directions.device)
+        self.offset = None if offset is None else offset.to(directions)
+        self.largest = scales.largest.to(x)
+        self.factor = scales.weight.to(x) * domain(scales.of_state(x))  # [..., n], which r does not change
+        of_features = (scales.spread, scales.middle, scales.range)
+        spread, self.middle, self.range = (self._last(y.to(x).reshape(x.shape[-2:])) for y in of_features)
         self.still, self.moving = self._first(x), self._last(x)  # features that r does not change, and that it does
         # what r subtracts from those, [..., groups, changes, n]
         self.columns = directions.to(x).reshape(*directions.shape[:-3], *spread.shape, n) / spread.unsqueeze(-1)
@@ -42,7 +43,7 @@ class Learned:
     def torques(self, r: Tensor) -> Tensor:
         """Torques [..., n]."""
         moved = self._moved(r)
-        gate = 1 - smooth_step(self.dynamics.past_torque(self._torque(moved)))
+        gate = self.scales.factor(self._torque(moved))
         return self._with_offset((self.factor * gate * limited(self._network(moved), self.largest)).to(r))
 
     def linearised(self, r: Tensor) -> tuple[Tensor, Tensor]:
@@ -51,9 +52,8 @@ class Learned:
         bent = limit_slope(moved - self.middle, self.range)
         y, change = self._linearised(moved, bent.unsqueeze(-1) * self.columns)
         found, z = limited(y, self.largest), self._torque(moved)
-        past = self.dynamics.past_torque(z)
-        gate = 1 - smooth_step(past)
-        slope = -step_slope(past) / self.dynamics.room.to(z) * (z - self._torque(self.middle)).sign()
+        gate, past = self.scales.factor(z), self.scales.past_torque(z)
+        slope = -step_slope(past) / self.scales.room.to(z) * (z - self._torque(self.middle)).sign()
         fading = slope.unsqueeze(-1) * self.columns[..., 1::2, :].flatten(-3, -2)  # [..., n, n]
         change = (gate * limit_slope(y, self.largest)).unsqueeze(-1) * change + found.unsqueeze(-1) * fading
         J = self.one + (self.factor.unsqueeze(-1) * change).to(r)
@@ -61,15 +61,15 @@ class Learned:
 
     def _network(self, moved: Tensor) -> Tensor:
         """Torques [..., n] of the network without limit."""
-        x = self._joined(self._within_range(moved), self._first(self.dynamics.within_range(self._joined(moved))))
-        return self.dynamics.raw(x, self.dynamics.network)
+        x = self._joined(self._within_range(moved), self._first(self.scales.within_range(self._joined(moved))))
+        return self.scales.torques(x, self.network)
 
     def _linearised(self, moved: Tensor, along: Tensor) -> tuple[Tensor, Tensor]:
         """`_network`, and how it changes along directions [..., groups, changes, n] of the features, [..., n, n]."""
-        x = self._joined(self._within_range(moved), self._first(self.dynamics.within_range(self._joined(moved))))
+        x = self._joined(self._within_range(moved), self._first(self.scales.within_range(self._joined(moved))))
 
         def network(x: Tensor) -> Tensor:
-            return self.dynamics.raw(x, self.dynamics.network)
+            return self.scales.torques(x, self.network)
 
         def changed(direction: Tensor) -> Tensor:
             return torch.func.jvp(network, (x,), (self._joined(direction, torch.zeros_like(self.still)),))[1]
@@ -112,17 +112,19 @@ class Learned:
 class Prepared(Learned):
     """`Learned` of `Perceptrons`: all that r does not change is computed before, derivatives are products backwards."""
 
-    def __init__(self, dynamics: ResidualDynamics, features: Tensor, directions: Tensor, network: Perceptrons):
-        super().__init__(dynamics, features, directions)
+    def __init__(
+        self, scales: Gate, domain: Domain, network: Perceptrons, x: Tensor, directions: Tensor, offset: Tensor | None
+    ):
+        super().__init__(scales, domain, network, x, directions, offset)
         weights, biases = list(network.weights), list(network.biases)
-        self.groups, self.n = weights[0].shape[0], features.shape[-2]
-        scale = dynamics.torque_scale.to(weights[0]).reshape(self.groups, -1, 1)
+        self.groups, self.n = weights[0].shape[0], len(scales.weight)
+        scale = scales.torque_scale.to(weights[0]).reshape(self.groups, -1, 1)
         for k, weight in enumerate(weights):
             # tanh y = 2 s(2 y) - 1, as in `Perceptrons`; the torques in N m
             factor = scale if k == len(weights) - 1 else 2.0
             biases[k] = factor * (biases[k] - weight.sum(-1, keepdim=True) if k else biases[k])
             weights[k] = factor * (2 * weight if k else weight)
-        still = self._first(dynamics.within_range(self._joined(self.moving)))
+        still = self._first(scales.within_range(self._joined(self.moving)))
         self.start = torch.baddbmm(biases[0], self._first(weights[0]), _samples_last(still))
         self.first, self.weights, self.biases = self._last(weights[0]), weights[1:], biases[1:]
 

@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 from torchdq.errors import ArgumentError
-from torchdq.functional import check
+from torchdq.functions.call import check
 from torchdq.learning.logs.motions import ENDS, Motion
 from torchdq.robot import Robot
 

@@ -23,7 +23,7 @@ from torchdq.learning.identification.naming import sums
 from torchdq.learning.identification.regression import chunks, columns, places, rigid
 from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, VISCOUS, Term, rows_of, unit_torques
 from torchdq.learning.logs.motions import Motion
-from torchdq.nn import DQRNEA
+from torchdq.nn import InverseDynamics
 from torchdq.robot import Robot
 
 INERTIAL = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")  # parameters of a link, about its frame
@@ -157,7 +157,7 @@ class Identified(NamedTuple):
         rotors = () if self.robot.armature is None else (effects.RotorInertia(),)
         return (effects.Gravity(), *rotors, *self.friction())
 
-    def layer(self, learn: Sequence[str] = ()) -> DQRNEA:
+    def layer(self, learn: Sequence[str] = ()) -> InverseDynamics:
         """Torques as a module: the robot found, with its friction, the width of dry friction, and the offset.
 
         A layer does not know the motion before, so friction that remembers is that of steady sliding there.
@@ -165,12 +165,12 @@ class Identified(NamedTuple):
         to friction that remembers.
 
         Args:
-            learn: quantities that the layer goes on learning, as in `torchdq.DQRNEA`; "friction" only if no two effects
-                of `friction()` are of one kind.
+            learn: quantities that the layer goes on learning, as in `torchdq.InverseDynamics`; "friction" only if no
+                two effects of `friction()` are of one kind.
         """
         friction = _together([one.steady(self.width) for one in self.friction()])
         names = [*learn, "offset"] if self.offset is not None else list(learn)
-        layer = DQRNEA(self.robot, tuple(dict.fromkeys(names)), friction_width=self.width, friction=friction)
+        layer = InverseDynamics(self.robot, tuple(dict.fromkeys(names)), friction_width=self.width, friction=friction)
         if self.offset is not None:
             layer.offset = self.offset
         return layer

@@ -17,8 +17,10 @@ import torch
 from torch import Tensor, nn
 
 from torchdq.base.progress import Progress
-from torchdq.layers.residual import Domain, Posterior, ResidualDynamics
+from torchdq.layers.residual import ResidualDynamics
+from torchdq.layers.residual.domain import Domain
 from torchdq.layers.residual.networks import perceptrons
+from torchdq.layers.residual.posterior import Posterior
 from torchdq.learning.evaluation.blocks import MotionRows, blocks, regions
 from torchdq.learning.evaluation.correlation import correlation_times
 from torchdq.learning.logs.samples import Samples, torque_variance
@@ -111,7 +113,7 @@ class _Copy:
         last, scale = inner.weights[-1].detach().double(), self.model.torque_scale
         spread = last.square().mean(-1).reshape(-1) * scale.to(last).square()  # variance of a weight
         ridge = (left.square().mean(0) * correlation) / spread.clamp_min(1e-12 * float(scale.max()) ** 2)
-        hidden = _by_parts(lambda x: inner.last_hidden(self.model.within_range(x)), x)
+        hidden = _by_parts(lambda x: inner.last_hidden(self.model.scales.within_range(x)), x)
         self.posterior.learn(hidden, ridge.reshape(len(self.posterior.root), -1).mean(1))
 
     @torch.no_grad()
@@ -119,11 +121,11 @@ class _Copy:
         """Torques for rows that it was not trained on, and how far these are from those that it was trained on."""
         model, inner = self.model, perceptrons(self.network)
         torque = _by_parts(lambda x: model.ungated(x, self.network), x)
-        distance = _by_parts(lambda x: self.domain.squared_distance(model.of_state(x)), x)
-        past = _by_parts(lambda x: model.past_torque(model.of_torque(x)), x)
+        distance = _by_parts(lambda x: self.domain.squared_distance(model.scales.of_state(x)), x)
+        past = _by_parts(lambda x: model.scales.past_torque(model.scales.of_torque(x)), x)
         leverage = torch.zeros_like(distance)
         if inner is not None:
-            leverage = _by_parts(lambda x: self.posterior.leverage(inner.last_hidden(model.within_range(x))), x)
+            leverage = _by_parts(lambda x: self.posterior.leverage(inner.last_hidden(model.scales.within_range(x))), x)
         return HeldOut(torque, residual, distance, past, leverage)
 
 
@@ -180,6 +182,6 @@ class _Copies:
                 optimiser.epoch(seen, error, say)
         trained = _Copy(model, network.eval(), copy.deepcopy(model.domain), copy.deepcopy(model.posterior))
         with torch.no_grad():
-            trained.domain.cover(model.of_state(self.x[seen]))
+            trained.domain.cover(model.scales.of_state(self.x[seen]))
             trained.learn_posterior(self.x[seen], self.residual[seen], self.correlation)
         return trained

@@ -32,7 +32,7 @@ from torchdq.learning.logs.samples import Samples, of_motions, torque_variance, 
 from torchdq.learning.training.cross_validation import cross_validation, with_fixed_physics
 from torchdq.learning.training.loop import Optimiser, Training, TrainingError, learned, seeded
 from torchdq.learning.training.validation_gain import ValidationGain, warn_of_little_gain
-from torchdq.nn import DQRNEA, ComputedTorque, ForwardDynamics
+from torchdq.nn import ComputedTorque, ForwardDynamics, InverseDynamics
 from torchdq.robot import Robot
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.model import batches
@@ -117,11 +117,11 @@ def fit(
         CheckpointError: the checkpoint is damaged, or of another model, other data or other settings.
 
     >>> import torchdq
-    >>> from torchdq.nn import DQRNEA
+    >>> from torchdq.nn import InverseDynamics
     >>> robot = torchdq.robots.load("two_link")
     >>> q, qd, qdd = torch.randn(3, 64, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     >>> train = Samples(q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd))
-    >>> model = DQRNEA(robot.replace(mass=1.2 * robot.mass), learn=("mass",))
+    >>> model = InverseDynamics(robot.replace(mass=1.2 * robot.mass), learn=("mass",))
     >>> history = fit(model, train, steps=100, batch=32, rate=0.02)
     >>> bool((model.robot.mass / robot.mass - 1).abs().max() < 0.01)
     True
@@ -283,12 +283,12 @@ class _Run:
 def _parameters(model: nn.Module) -> dict[str, nn.Parameter]:
     """Parameters to fit; raises unless the model has some, takes motions and may return torques."""
     if not isinstance(model, nn.Module):
-        cure = '; torchdq.DQRNEA(robot, learn=("mass",)) is one' if isinstance(model, Robot) else ""
+        cure = '; torchdq.InverseDynamics(robot, learn=("mass",)) is one' if isinstance(model, Robot) else ""
         raise ArgumentError(f"model must be a torch module of torques, found {type(model).__name__}{cure}")
     kind = parametrize.type_before_parametrizations(model).__name__
     if isinstance(model, ForwardDynamics | ComputedTorque):
         raise ArgumentError(
-            f"model must return the torques of motions (q, qd, qdd), found a {kind}; fit a DQRNEA or a "
+            f"model must return the torques of motions (q, qd, qdd), found a {kind}; fit an InverseDynamics or a "
             f"ResidualDynamics, and make the {kind} of its `robot`"
         )
     if not (parameters := learned(model)):
@@ -307,7 +307,7 @@ def _parameters(model: nn.Module) -> dict[str, nn.Parameter]:
 @torch.no_grad()
 def _warn_of(model: nn.Module, train: Samples) -> None:
     """Warn of samples that the robot in a model, if there is one, does not explain."""
-    rigid = next((part for part in model.modules() if isinstance(part, DQRNEA)), None)
+    rigid = next((part for part in model.modules() if isinstance(part, InverseDynamics)), None)
     if rigid is None or any(batches(rigid.robot).values()) or rigid.robot.n != train.q.shape[1]:
         return
     model.eval()

@@ -2,13 +2,13 @@
 
 Each part of those rows is judged by what the others chose, so that no part decides about itself:
 
-* how far from the trained states the network may act (`torchdq.layers.residual.Domain`): as far as it helps;
+* how far from the trained states the network may act (`torchdq.layers.residual.domain.Domain`): as far as it helps;
 * the weight of each joint, from 0 to 1: that of the least squared error;
 * whether it may act at a joint: only if the squared error there falls by more than one standard error, over the blocks
   and, where regions of the states were held out, over these by themselves: blocks of a motion that repeats itself say
   nothing about other motions; and if its rows are as informative as two independent ones for each block: shorter
   blocks resemble their neighbours, and a network that has seen these shows nothing about its gain at other times;
-* the errors of predicted torques (`torchdq.layers.residual.Posterior`).
+* the errors of predicted torques (`torchdq.layers.residual.posterior.Posterior`).
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class HeldOut(NamedTuple):
     torque: Tensor  # [rows, n] of the network, with an open gate and weight one [N m or N]
     residual: Tensor  # [rows, n] measured torque less the model's [N m or N]
     squared_distance: Tensor  # [rows, groups] from the trained states
-    past: Tensor  # [rows, n] how far the model's torque is past its range, see `ResidualDynamics.past_torque`
+    past: Tensor  # [rows, n] how far the model's torque is past its range, see `torchdq.layers.residual.gate.Gate`
     leverage: Tensor  # [rows, groups]
 
 

@@ -1,0 +1,135 @@
+"""Calls of public functions: from a robot, tensors and options to the results of a recorded program."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from numbers import Real
+from typing import Literal, get_args
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.compiler import is_compiling
+
+from torchdq.backends.call import Tensors, common_batch, evaluate
+from torchdq.backends.choice import BackendName
+from torchdq.base.caches import PROGRAMS, Bounded
+from torchdq.base.checks import names_of, require_number, require_tensor
+from torchdq.base.progress import FIRST, warn_once
+from torchdq.errors import ArgumentError
+from torchdq.functions.catalogue import Function, recordings
+from torchdq.functions.options import options_of
+from torchdq.robot import Robot
+from torchdq.robot.argument import require_robot
+from torchdq.robot.constants import Constants
+from torchdq.robot.fields import SHAPES, trailing
+from torchdq.robot.robot import arguments, constants
+
+Precision = Literal["auto", "double"]
+FEW = 2  # programs of single frames of a robot that need no warning
+_built: Bounded[tuple[str, Constants], tuple[int, float]] = Bounded(PROGRAMS)  # programs of single frames, and seconds
+
+
+def function_of(
+    name: str,
+    robot: Robot,
+    given: Tensors,
+    backend: BackendName | None,
+    options: tuple[str, ...] = (),
+    precision: Precision = "auto",
+) -> list[Tensor]:
+    """Results of a function of the catalogue, with the broadcast batch axes of all tensors."""
+    what = Function(constants(require_robot(robot)), name, options)
+    double = precision != "auto" and check_precision(precision) == "double"
+    return list(evaluate(what, with_tensors(robot, given), backend, double).values())
+
+
+def with_tensors(robot: Robot, given: Tensors) -> Tensors:
+    """Arguments of a function, together with the tensors of the robot that are arguments of its programs."""
+    names = arguments(robot)
+    return {**given, **{name: getattr(robot, name) for name in names}} if names else given
+
+
+def check_precision(precision: Precision) -> Precision:
+    """Precision, after a check of its name."""
+    if precision not in get_args(Precision):
+        raise ArgumentError(f"precision must be 'auto' or 'double', found {precision!r}")
+    return precision
+
+
+def check(robot: Robot, optional: Sequence[str] = (), **quantities: Tensor | None) -> tuple[int, ...]:
+    """Broadcast batch axes of quantities [..., n] of the joints, or `f_tip` [..., 6], and a robot with a fixed base.
+
+    Raises, naming the argument, unless all have their trailing axes, one dtype, one device, and batch axes that
+    broadcast with each other and with the robot's; those that `optional` names may be None.
+    """
+    sizes = require_robot(robot).sizes
+    if robot.floating:
+        raise ArgumentError(f"robot {robot.name!r} must have a fixed base here, found a free one")
+    for name, x in quantities.items():
+        if name not in optional:
+            require_tensor(name, x)
+    inputs = [
+        (name, x, (6,) if name == "f_tip" else (robot.n,), False) for name, x in quantities.items() if x is not None
+    ]
+    parameters = [
+        (f"robot.{name}", getattr(robot, name), trailing(SHAPES[name], sizes), True) for name in arguments(robot)
+    ]
+    return common_batch([*inputs, *parameters], f" for the {robot.n} joints of robot {robot.name!r}")
+
+
+def gain(name: str, value: Tensor | float, q: Tensor) -> Tensor:
+    """Gain of a controller as a tensor, one number in the dtype of q; entries of a tensor are not checked."""
+    if isinstance(value, Tensor) and value.ndim:
+        return value
+    if isinstance(value, Tensor):
+        if value.is_complex() or value.dtype == torch.bool:
+            raise ArgumentError(f"{name} must be a real number, found {value}")
+        return value.to(q)
+    if not isinstance(value, Real):
+        cure = "; use torch.as_tensor" if isinstance(value, list | tuple | np.ndarray) else ""
+        raise ArgumentError(f"{name} must be a number or a tensor, found {type(value).__name__}{cure}")
+    require_number(name, value)
+    if value < 0:
+        raise ArgumentError(f"{name} must not be negative, found {value!r}")
+    return torch.tensor(value, dtype=q.dtype, device=q.device)
+
+
+def poses(
+    name: str, robot: Robot, given: Tensors, frame: str | Sequence[str] | None, backend: BackendName | None
+) -> Tensor:
+    """Pose [..., 8] of one frame by its name, or [..., frames, 8] of several or all."""
+    known = require_robot(robot).frame_names
+    if isinstance(frame, str):
+        otherwise = "frame=[...] takes the names of all of them in one program"
+        return of_one_frame(name, robot, given, (frame,), backend, otherwise, 5).squeeze(-2)
+    names = known if frame is None else names_of("frame", frame, known, f"frame of robot {robot.name!r}")
+    if not names:
+        raise ArgumentError(f"frame must name one frame at least, found none; known: {', '.join(known)}")
+    return function_of(name, robot, given, backend, names)[0]
+
+
+def of_one_frame(
+    name: str,
+    robot: Robot,
+    given: Tensors,
+    options: tuple[str, ...],
+    backend: BackendName | None,
+    otherwise: str = "they are kept on disk, and the next process finds them there",
+    stacklevel: int = 4,
+) -> Tensor:
+    """Result for one frame; warns once if the programs of single frames of a robot took more than 2 s in all."""
+    names = options_of(require_robot(robot), name, options)
+    if is_compiling():
+        return function_of(name, robot, given, backend, names)[0]
+    before, start = recordings(), time.perf_counter()
+    found = function_of(name, robot, given, backend, names)[0]
+    if recordings() != before:
+        key = (name, constants(robot))
+        number, seconds = _built.get(key, (0, 0.0))
+        _built[key] = number, seconds = number + 1, seconds + time.perf_counter() - start
+        if number > FEW and seconds > FIRST:
+            text = f"{name} built {number} programs in {seconds:.1f} s, one for each frame of robot {robot.name!r}"
+            warn_once(f"{name} of {key[1].digest}", f"{text}; {otherwise}", stacklevel=stacklevel)
+    return found

@@ -1,0 +1,61 @@
+"""Inverse dynamics as a layer."""
+
+from torch import Tensor
+
+from torchdq.layers.robot_module import RobotModule
+
+
+class InverseDynamics(RobotModule):
+    """Inverse dynamics as a differentiable layer: `forward(q, qd, qdd, f_tip, f_ext)` returns tau [..., n].
+
+        tau = M(q) qdd + c(q, qd) + g(q) + J^T f_tip - sum of J_i^T f_ext_i + friction(q, qd) + offset
+
+    See `torchdq.inverse_dynamics` for the arguments of a call. dtype and device follow the inputs. Friction and learned
+    offset make the torques those of the motors. A layer without `friction` that learns none is the rigid bodies alone,
+    whatever damping and friction the description has. All of it is one program, that of `program()`.
+
+    Learned quantities stay physical, whatever an optimiser does: masses, rotor inertias and friction stay positive, and
+    inertias are those of bodies that can exist. `module.mass` and so on are the present quantities, and assigning to
+    them sets them; the parameters are the unconstrained numbers behind them (`torchdq.layers.parametrizations`, by
+    `torch.nn.utils.parametrize`), `module.parametrizations.mass.original`. Weight decay would pull those towards
+    1 kg; `prior` pulls towards the nominal values. Other quantities are constants of the compiled programs, and not
+    part of the state dict.
+
+    Args:
+        robot: the robot.
+        learn: names of quantities, such as ("mass", "friction"). Tensors of the robot: "mass", "com", "inertia",
+            "gravity", "armature", "home", "X_PB_home", "screw" (the last three and gravity are unconstrained);
+            "armature" starts at 1e-3 kg m^2 (or kg) if the robot has none. "friction": the coefficients in which the
+            effects of `friction` are linear, from their values, or 1e-2 (in SI units) where these are zero or absent;
+            without effects those of viscous and Coulomb friction, `viscous` and `coulomb`, from the damping and the
+            friction of the robot's description. "offset": a constant torque of every joint, from zero.
+        backend: as in `torchdq.functional`; None: as `torchdq.backend` says at the time of the call.
+        friction_width: velocity below which that Coulomb friction is viscous [rad/s or m/s].
+        friction: friction effects of `torchdq.effects` without a memory, the same as in a scene; learned coefficients
+            are named after effect and parameter, such as `quadratic_coefficient`.
+
+    Raises:
+        ArgumentError: `learn` names something else, or a quantity that the robot does not have.
+
+    >>> import torch, torchdq
+    >>> layer = torchdq.InverseDynamics(torchdq.robots.load("two_link"), learn=("mass",))
+    >>> layer(torch.zeros(5, 2), torch.zeros(5, 2), torch.zeros(5, 2)).shape
+    torch.Size([5, 2])
+    """
+
+    _function = "inverse_dynamics"
+
+    def forward(
+        self,
+        q: Tensor,
+        qd: Tensor | None = None,
+        qdd: Tensor | None = None,
+        f_tip: Tensor | None = None,
+        f_ext: Tensor | None = None,
+    ) -> Tensor:
+        """Joint torques [..., n]; see `torchdq.inverse_dynamics`."""
+        return self._evaluated({"q": q, "qd": qd, "qdd": qdd, "f_tip": f_tip, "f_ext": f_ext})
+
+
+class DQRNEA(InverseDynamics):
+    """`InverseDynamics` under the name of the paper's algorithm, dual-quaternion recursive Newton-Euler."""
