@@ -90,6 +90,7 @@ STOREYS = {
 NUMBER_GENERIC = ("torchdq.algebra", "torchdq.dynamics", "torchdq.numbers")
 NOT_AT_IMPORT = (
     *("pinocchio", "pytorch_kinematics", "mujoco", "matplotlib", "scipy", "gymnasium", "tyro", "rich"),
+    "torchdq.paper",
     *("sympy", "torch._dynamo"),  # torch imports them in more than a second, on first use of its compiler
 )
 
@@ -173,8 +174,8 @@ def test_a_module_imports_from_lower_floors_or_its_own_package(module):
     "module, other",
     [
         ("torchdq.algebra.screw", "torchdq.dq"),
-        ("torchdq.dynamics.paper.rnea", "torchdq.robot.robot"),
-        ("torchdq.dynamics.paper.rnea", "torchdq.dq"),
+        ("torchdq.dynamics.general.rnea", "torchdq.robot.robot"),
+        ("torchdq.dynamics.general.rnea", "torchdq.dq"),
         ("torchdq.dq", "torchdq.convert"),
         ("torchdq.robot.robot", "torchdq.convert"),
         ("torchdq.robot.robot", "torchdq.functional"),

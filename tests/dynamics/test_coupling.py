@@ -34,7 +34,7 @@ def dense(n: int, k: int, seed: int) -> Coupling:
 
 def coupled(robot, coupling: Coupling, z: torch.Tensor, form: str, offset=0.0) -> Coupled:
     q = (stack(coupling.joints(z.unbind(-1)), (B,)) + offset).unbind(-1)
-    at = posed.paper(robot, q, {}) if form == "paper" else posed.aligned(robot, q, {}, group=form == "grouped")
+    at = posed.general(robot, q, {}) if form == "paper" else posed.aligned(robot, q, {}, group=form == "grouped")
     return Coupled(at, coupling)
 
 

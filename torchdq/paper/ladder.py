@@ -52,7 +52,7 @@ def as_printed(robot: Robot, q: Row, qd: Row, qdd: Row) -> Sequence[Number]:
 
 def zeros_known(robot: Robot, q: Row, qd: Row, qdd: Row) -> Sequence[Number]:
     """Columns A_D as p x A_P, the base at rest, and each operator built once for both directions."""
-    return posed.paper(robot, q, {}).torques(qd, qdd, None)
+    return posed.general(robot, q, {}).torques(qd, qdd, None)
 
 
 def aligned_frames(robot: Robot, q: Row, qd: Row, qdd: Row) -> list[Number]:

@@ -13,8 +13,8 @@ from torchdq.algebra import quaternion as quat
 from torchdq.base.checks import require_choice
 from torchdq.base.findings import Finding, Severity
 from torchdq.dynamics import crba
+from torchdq.dynamics.general.posed import General
 from torchdq.dynamics.joints import Coordinate
-from torchdq.dynamics.paper.posed import Paper
 from torchdq.dynamics.tree import Tree
 from torchdq.errors import UnphysicalError
 
@@ -121,7 +121,7 @@ def inert_joints(names: Sequence[str], tree: Tree) -> dict[str, Finding]:
     # an inertia may vanish in one position only, so a few positions with nothing special are tried
     for seed in range(3):
         angles = [math.sin(1.0 + 12.9898 * i + 78.233 * seed) for i in range(n - 1)]
-        at = Paper.at(tree, (), [None, *(Coordinate(x, math.cos(0.5 * x), math.sin(0.5 * x)) for x in angles)])
+        at = General.at(tree, (), [None, *(Coordinate(x, math.cos(0.5 * x), math.sin(0.5 * x)) for x in angles)])
         composites = at.composites()
         # the same sums without signs
         spread = [0.0 if x.inertia is None else sum(abs(x.inertia.rotational[k][k]) for k in range(3)) for x in links]
