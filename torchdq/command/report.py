@@ -47,6 +47,6 @@ class ReportCommand(RobotCommand):
             "notes": notes,
             "operations": {name: None if count is None else count._asdict() for name, count in page.operations.items()},
             "error_growth": None if page.growth is None else page.growth._asdict(),
-            "doubt": page.doubt,
+            "reason": page.reason,
         }
         return Outcome(text, data)

@@ -208,7 +208,7 @@ def from_rotation_matrix(matrix: Tensor) -> Tensor:
     rotation is close to a singularity.
 
     Raises:
-        ArgumentError: a matrix is no rotation, where values can be read: not in transforms of functions.
+        ArgumentError: a matrix is not a rotation, where values can be read: not in transforms of functions.
 
     >>> from_rotation_matrix(torch.diag(torch.tensor([-1.0, -1, 1])))  # a half turn about z
     tensor([0., 0., 0., 1.])

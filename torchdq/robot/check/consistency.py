@@ -160,9 +160,9 @@ def complain(robot: str, faults: Sequence[Finding], on_unphysical: OnUnphysical)
         return
     if on_unphysical != "warn" and not all(fault.code == TRIANGLE for fault in faults):
         refuse(robot, faults, repaired=on_unphysical == "repair")
-    advice = f"\nNumbers are those of the inertias as they are; {NEAREST}."
-    said = advice if any(fault.code == TRIANGLE for fault in faults) else ""
-    warnings.warn(_unphysical(robot, faults) + said, stacklevel=4)  # where a public function was called
+    repairable = any(fault.code == TRIANGLE for fault in faults)
+    advice = f"\nNumbers are those of the inertias as they are; {NEAREST}." if repairable else ""
+    warnings.warn(_unphysical(robot, faults) + advice, stacklevel=4)  # where a public function was called
 
 
 def refuse(robot: str, faults: Sequence[Finding], repaired: bool = False) -> NoReturn:

@@ -69,9 +69,9 @@ def _holding(robot: AnyRobot, mass: Any, com: Any, inertia: Any, at: Frame) -> A
                 f"mass and inertia must be those of a body, xx xy yy xz yz zz: {found[0]}", findings=found
             )
     changes: dict[str, Any] = {**_held(robot, at.link, at.X_BF, held)}
-    doubtful = measurable(robot, *held) and units.doubts_of_payload(robot, at.name, held, stacklevel=3)
+    suspicious = measurable(robot, *held) and units.doubts_of_payload(robot, at.name, held, stacklevel=3)
     # a warning of the payload is not repeated for the link
-    return replace(robot, **changes, on_unphysical="ignore" if doubtful else "error")
+    return replace(robot, **changes, on_unphysical="ignore" if suspicious else "error")
 
 
 def with_tool(
