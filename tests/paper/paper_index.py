@@ -237,7 +237,7 @@ SECTION_5_1_2 = (
         "37",
         "end effector at home: the product of the home poses delta",
         "robot.from_screws:read",
-        "robot/test_robot.py::test_home_is_where_the_poses_hold",
+        "robot/test_from_screws.py::test_home_is_where_the_poses_hold",
         "(39) at home",
     ),
     Row(
@@ -251,7 +251,7 @@ SECTION_5_1_2 = (
         "end effector: the product of those poses",
         "dynamics.aligned.kinematics:poses dynamics.general.kinematics:link_poses functional:forward_kinematics "
         "paper.cost:udq_screw_kinematics",
-        "robot/test_robot.py::test_puma_has_the_toolbox_kinematics",
+        "robot/test_shipped.py::test_puma_has_the_toolbox_kinematics",
     ),
     Row(
         "40",
