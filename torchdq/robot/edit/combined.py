@@ -35,7 +35,8 @@ def with_payload(
     """Robot that holds a body, which becomes part of the link, or of the free base, that carries a frame.
 
     The inertial parameters become arguments of the programs, as by `replace`: another payload, a batch of them and
-    gradients in their tensors need no new program. Numbers that seem to be in mm or kg mm^2 are warned of.
+    gradients in their tensors need no new program. `effects.Payload` is for a body that a scene draws or learns.
+    Numbers that seem to be in mm or kg mm^2 are warned of.
 
     Args:
         robot: the robot.
