@@ -23,7 +23,7 @@ from torchdq.robot.bodies import NOTHING
 from torchdq.robot.check import consistency
 from torchdq.robot.description import NO_TIP, JointMap, Limits, RobotDescription, Unsimulated
 from torchdq.robot.edit.couplings import Follows, JointCoupling, solved
-from torchdq.robot.edit.locking import positions, require_free, tell_if_beyond, to_keep, told
+from torchdq.robot.edit.locking import lock_notes, positions, require_free, to_keep, warn_beyond_limits
 from torchdq.robot.mjcf import notes as mjcf_notes
 from torchdq.robot.mjcf.joints import BALL, FREE, MjcfJoint, equalities, joints_of
 from torchdq.robot.mjcf.links import Links, links_of
@@ -62,7 +62,7 @@ def read(source: Any, base: MjcfBase, kept: Any, lock: Any, gravity: Any = "file
     links = links_of(of, joints, moves, free)
     still = {j.name: at[j.name] for j in joints if j.name in at and freely[j.row].root is None and j.row not in held}
     locked = {name: x for name, x in at.items() if name not in still}
-    told_of = told(locked, {j.name: (j.lower, j.upper) for j in joints if j.name in locked})
+    told_of = lock_notes(locked, {j.name: (j.lower, j.upper) for j in joints if j.name in locked})
     notes = [*mjcf_notes.notes(of, joints, moves, links, found.others), *_held(joints, moves), *told_of]
     standing = ", ".join(f"{name} at {x:g}" for name, x in still.items())
     notes += [f"held by equality constraints: {standing}"] if standing else []
@@ -85,7 +85,7 @@ def _given(of: MjcfModel, joints: Sequence[MjcfJoint], base: MjcfBase, lock: Any
     by_name = {joint.name: joint for joint in joints}
     held = {joint.row: 0.0 for joint in joints if joint.kind == FREE and base == "fixed"}
     asked = positions(() if lock is None else lock, by_name)
-    tell_if_beyond(of.name, asked, {joint.name: (joint.lower, joint.upper) for joint in joints}, stacklevel=4)
+    warn_beyond_limits(of.name, asked, {joint.name: (joint.lower, joint.upper) for joint in joints}, stacklevel=4)
     for name, value in asked.items():
         joint = by_name[name]
         if value is not None and not joint.single:

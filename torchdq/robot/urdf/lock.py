@@ -7,7 +7,7 @@ from typing import Any
 
 from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import MOST
-from torchdq.robot.edit.locking import positions, require_free, tell_if_beyond, to_keep, told
+from torchdq.robot.edit.locking import lock_notes, positions, require_free, to_keep, warn_beyond_limits
 from torchdq.robot.urdf.document import Document
 from torchdq.robot.urdf.elements import MOVING, Mimic
 
@@ -22,7 +22,7 @@ def locked(document: Document, joints: Any, lock: Any) -> dict[str, float]:
     wanted = positions(() if lock is None else lock, movable)
     bounds = {name: document.joints[name].limits for name in wanted}
     limits = {name: (x["lower"], x["upper"]) for name, x in bounds.items()}
-    tell_if_beyond(document.name, wanted, limits, stacklevel=4)
+    warn_beyond_limits(document.name, wanted, limits, stacklevel=4)
     given = {name: value or 0.0 for name, value in wanted.items()}
     chosen = () if joints is None else to_keep(joints, movable, given)
     drivers = [name for name in movable if name not in document.followers]
@@ -57,7 +57,7 @@ def locked(document: Document, joints: Any, lock: Any) -> dict[str, float]:
 def notes_of(document: Document, lock: Mapping[str, float]) -> list[str]:
     """Notes about locked joints: their positions, those beyond their limits, and those that should follow others."""
     limits = {name: document.joints[name].limits for name in lock}
-    notes = told(lock, {name: (x["lower"], x["upper"]) for name, x in limits.items()})
+    notes = lock_notes(lock, {name: (x["lower"], x["upper"]) for name, x in limits.items()})
     held = {*lock, *document.stuck}
     moving = {name for name, joint in document.joints.items() if joint.kind in MOVING and name not in held}
     mimics = ((name, document.joints[name].mimics) for name in lock)
