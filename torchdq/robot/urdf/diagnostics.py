@@ -213,7 +213,6 @@ def _joints(
         note("limits.partial", partial, "left out of <limit>, taken as 0, as the format has it"),
         note("joint.planar", planar, "planar, taken as two slides, x and y, and a turn"),
         note("mimic.stuck", stuck, f"it follows nothing that moves: {stand}"),
-        *told(held, {name: (file.joints[name].lower, file.joints[name].upper) for name in held}),
         note("lock.mimic", apart, "locked although the joint that it mimics moves"),
         of("damping.unused", lambda j: j.damping, "viscous damping given but not simulated"),
         of("friction.unused", lambda j: j.friction, "Coulomb friction given but not simulated"),
@@ -222,7 +221,8 @@ def _joints(
         of("axis.scaled", lambda j: j.scaled, "axes scaled to unit length"),
         of(f"{UNSIMULATED}mimic", lambda j: j.mimic and not coupled, "<mimic> not used, independent"),
     )
-    return [x for x in notes if x.subject]
+    limits = {name: (file.joints[name].lower, file.joints[name].upper) for name in held}
+    return [*told(held, limits), *(x for x in notes if x.subject)]
 
 
 def _limited(joint: UrdfJoint) -> bool:
