@@ -29,8 +29,8 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number
 from torchdq.backends.c import COMPILED
 from torchdq.base.timing import measure
+from torchdq.dynamics.general import kinematics, rnea
 from torchdq.dynamics.joints import Coordinate
-from torchdq.dynamics.paper import kinematics, rnea
 from torchdq.dynamics.posed import Row
 from torchdq.dynamics.tree import Tree
 from torchdq.numbers.count import Cost

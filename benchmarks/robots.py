@@ -155,7 +155,10 @@ def examined(path: Path, base: str, seconds: float) -> Row:
         followers=len(robot.link_names) - n,
         multiplications=count.multiplications,
         additions=count.additions,
-        remarks=[*_refusal(path, base), *(note for note in map(str, robot.notes) if not any(word in note for word in USUAL))],
+        remarks=[
+            *_refusal(path, base),
+            *(note for note in map(str, robot.notes) if not any(word in note for word in USUAL)),
+        ],
         **numbers,
     )
 

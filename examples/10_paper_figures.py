@@ -24,11 +24,12 @@ from torch import Tensor
 
 import torchdq
 from torchdq.algebra import screw
+from torchdq.dynamics.general.posed import General
 from torchdq.dynamics.joints import Coordinate
-from torchdq.dynamics.paper.posed import Paper
 from torchdq.dynamics.tree import Tree
 from torchdq.functions.catalogue import Function
 from torchdq.paper import cost, homogeneous, printed, tables
+from torchdq.paper.closed_form import closed_form as printed_closed_form
 from torchdq.program.program import Argument
 from torchdq.robot.robot import constants
 
@@ -66,7 +67,8 @@ def reference(t: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 def closed_form(arm: torchdq.Robot, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
     """M qdd + c + g by matrices of dual quaternions."""
     halves = [None, *(Coordinate(x, (0.5 * x).cos(), (0.5 * x).sin()) for x in q.unbind(-1))]
-    terms = Paper.at(arm.tree(), (), halves).closed_form(qd.unbind(-1))
+    at = General.at(arm.tree(), (), halves)
+    terms = printed_closed_form(at.tree, at.Ad, qd.unbind(-1))
     tau = []
     for row, *bias in zip(terms.M, terms.c, terms.g, strict=True):
         present = [m * a for m, a in zip(row, qdd.unbind(-1), strict=True) if m is not None]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from difflib import SequenceMatcher, get_close_matches
 from typing import TYPE_CHECKING
 
@@ -90,3 +90,28 @@ def nearest(name: str, known: Iterable[str]) -> list[str]:
 
 def _plain(name: str) -> str:
     return name.casefold().replace("_", "")
+
+
+def no_attribute(
+    owner: str, name: str, known: Iterable[str], elsewhere: Mapping[str, str], listing: str
+) -> AttributeError:
+    """Error for an attribute that a module or an object lacks, with the name that may be meant.
+
+    Args:
+        owner, name: the module or the object, and the attribute.
+        known: attributes of the owner.
+        elsewhere: names here by those of other libraries.
+        listing: call that lists the attributes.
+
+    >>> print(no_attribute("module 'arm'", "bsae", ["base", "tip"], {"ee": "tip"}, "help(arm)"))
+    module 'arm' has no attribute 'bsae'; did you mean base?
+    """
+    hint = f"; {listing} lists what there is"
+    if name in elsewhere:
+        hint = f"; its name here is {elsewhere[name]}"
+    elif name.startswith("_"):
+        hint = ""
+    elif close := nearest(name, [one for one in known if not one.startswith("_")]):
+        hint = f"; did you mean {' or '.join(close)}?"
+    # with its name but not its object, so that Python adds no hint of its own
+    return AttributeError(f"{owner} has no attribute {name!r}{hint}", name=name)

@@ -240,7 +240,7 @@ def closed_form(robot: Robot, q: Tensor, qd: Tensor, backend: BackendName | None
         tau = M qdd + c + g + Jt f_tip   (63)
 
     The recorded program computes every term by itself: M by composite bodies, c and g by the recursion without gravity
-    and at rest. The matrices of dual quaternions of the paper (`torchdq.dynamics.paper.closed_form`) give the same.
+    and at rest. The matrices of dual quaternions of the paper (`torchdq.paper.closed_form`) give the same.
 
     Args:
         robot, q, qd: the robot, its joint positions [rad or m] and velocities [rad/s or m/s], shape [..., n].

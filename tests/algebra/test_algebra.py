@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from torchdq.algebra import dual_quaternion as dq
 from torchdq.algebra import elementary, matrix, screw
 from torchdq.algebra import quaternion as quat
-from torchdq.algebra.inertia import Inertia, Moments, merged, six
+from torchdq.algebra.inertia import Inertia, Moments, RigidBody, six
 from torchdq.numbers.count import cost
 from torchdq.paper.printed import accelerated, net_wrench
 from torchdq.paper.tables import body, dual_quaternion, motion, number, operator, quaternion, tensor, vector
@@ -560,7 +560,7 @@ def everything(r, p, v, w, mass, inertia):
         *(screw.ad(columns, v), screw.compose(columns, columns), body.momentum(v), moments.momentum(v)),
         *(body.carried(columns, p), body.plus(Inertia.from_com(mass, p, about_com)), moments.plus(moments)),
         *(moments.shifted(p), *moments.split(2), *(moments.turned(k, angle) for k in range(3))),
-        merged((mass, p, about_com), (mass, r[1:], about_com), mass),
+        RigidBody(mass, p, about_com).moved(x).plus(RigidBody(mass, r[1:], about_com), mass),
         *(elementary.ad(k, elementary.DualAngle(angle, mass), v) for k in range(3)),
         *(elementary.times(x, k, angle, mass) for k in range(3)),
         *(screw.exp_revolute(v, mass, mass), screw.exp_prismatic(p, mass), screw.exp_helical(v, mass, mass, mass)),

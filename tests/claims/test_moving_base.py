@@ -20,11 +20,12 @@ from torchdq.algebra import screw
 from torchdq.algebra.inertia import Inertia, Moments
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.aligned.regroup import regrouped
+from torchdq.dynamics.general.posed import General
 from torchdq.dynamics.joints import KINDS, Coordinate, Fixed, Free, along_z
-from torchdq.dynamics.paper.posed import Paper
 from torchdq.dynamics.posed import Posed, closed_form
 from torchdq.dynamics.tree import Tree, on_base
 from torchdq.functions import mdh, posed
+from torchdq.paper import closed_form as paper_closed_form
 
 B = 3  # samples
 F64 = torch.float64
@@ -35,7 +36,7 @@ class Moving(NamedTuple):
     """A random robot on a free base, in both forms, and Pinocchio's model of it."""
 
     robot: torchdq.Robot
-    paper: Paper
+    general: General
     aligned: Aligned
     model: pin.Model
     q: np.ndarray  # Pinocchio's configurations [B, nq]
@@ -87,7 +88,7 @@ def moving(n: int, seed: int, armature: bool = False) -> Moving:
     body = Inertia.from_com(mass, tuple(com), six)
     own = with_base(still, [link.placement for link in links], [link.inertia for link in links], body)
     coordinates = [X_WB, *(Coordinate(y, (0.5 * y).cos(), (0.5 * y).sin()) for y in x)]
-    paper = Paper.at(own, posed.field(robot, "com", {}), coordinates)
+    general = General.at(own, posed.field(robot, "com", {}), coordinates)
 
     alignments = mdh.align(still)
     fixed = posed.aligned(robot, s.q.unbind(-1), {}, group=False)
@@ -95,7 +96,7 @@ def moving(n: int, seed: int, armature: bool = False) -> Moving:
     body = Moments.from_com(mass, tuple(com), six)
     tree = with_base(still, [at.placement for at in alignments], bodies, body)
     aligned = Aligned.at(tree, alignments, posed.field(robot, "com", {}), x, X_WB)
-    return Moving(robot, paper, aligned, model, q, v, a)
+    return Moving(robot, general, aligned, model, q, v, a)
 
 
 def with_base(tree: Tree, placements, inertias, base: Inertia | Moments) -> Tree:
@@ -118,11 +119,15 @@ def to_pinocchio(m: Moving, x) -> np.ndarray:
 
 
 def forms(m: Moving) -> list[tuple[str, Posed]]:
-    return [("paper", m.paper), ("aligned", m.aligned), ("grouped", m.aligned._replace(tree=regrouped(m.aligned.tree)))]
+    return [
+        ("general", m.general),
+        ("aligned", m.aligned),
+        ("grouped", m.aligned._replace(tree=regrouped(m.aligned.tree))),
+    ]
 
 
 ROBOTS = [(1, 0, False), (4, 1, False), (7, 2, True), (12, 3, False)]
-FORMS = pytest.mark.parametrize("form", ["paper", "aligned", "grouped"])
+FORMS = pytest.mark.parametrize("form", ["general", "aligned", "grouped"])
 EVERY = pytest.mark.parametrize("robot", ROBOTS, ids=str)
 
 
@@ -162,7 +167,7 @@ def test_the_mass_matrix_equals_pinocchios(robot, form):
 @EVERY
 def test_the_closed_form_with_a_moving_base_is_the_recursion(robot):
     m = moving(*robot)
-    terms = m.paper.closed_form(m.v.unbind(-1))
+    terms = paper_closed_form.closed_form(m.general.tree, m.general.Ad, m.v.unbind(-1))
     M, c, g = (stack(x, (B,)) for x in terms[:3])
     expected = expected_forces(m, m.v, m.a)
     found = (M @ m.a[..., None])[..., 0] + c + g
@@ -175,7 +180,10 @@ def test_the_closed_form_with_a_moving_base_is_the_recursion(robot):
 @EVERY
 def test_the_terms_of_the_form_that_runs_are_those_of_the_paper(robot, form):
     m = moving(*robot)
-    found, expected = closed_form(posed_as(m, form), m.v.unbind(-1)), m.paper.closed_form(m.v.unbind(-1))
+    found, expected = (
+        closed_form(posed_as(m, form), m.v.unbind(-1)),
+        paper_closed_form.closed_form(m.general.tree, m.general.Ad, m.v.unbind(-1)),
+    )
     for ours, papers in zip(found, expected[:3], strict=True):
         ours, papers = stack(ours, (B,)), stack(papers, (B,))
         assert (ours - papers).abs().max() <= 1e-12 * papers.abs().max()
@@ -220,7 +228,7 @@ def test_jacobians_and_poses_equal_pinocchios(robot, form, world):
     J = stack([[0.0] * 6 if c is None else [*c[0], *c[1]] for c in J], (B,)).numpy()
     reference = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED if world else pin.ReferenceFrame.LOCAL
     frame = m.model.getFrameId("tool")
-    poses = [at.poses(), *([at.poses_in_chain()] if form != "paper" else [])]
+    poses = [at.poses(), *([at.poses_in_chain()] if form != "general" else [])]
     placed = [torchdq.dq.to_matrix(stack([*p, *d], (B,))).numpy() for p, d in (dq.mul(X[i], X_BT) for X in poses)]
     for k in range(B):
         expected = pin.computeFrameJacobian(m.model, data, m.q[k], frame, reference)

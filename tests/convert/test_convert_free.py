@@ -209,7 +209,7 @@ def test_quaternions_that_are_not_unit_are_named(name):
             torchdq.ArgumentError, match=rf"^{name} must hold unit quaternions, found \[.*torchdq.dq.normalize$"
         ):
             convert_row(bad)
-    with pytest.raises(torchdq.ArgumentError, match="zero is no rotation"):
+    with pytest.raises(torchdq.ArgumentError, match="zero is not a rotation"):
         convert_row(0 * rows)
     with pytest.raises(torchdq.ArgumentError, match=r"found \[1\.0, 1\.0, 0\.0, 0\.0\]"):
         convert_row(wrong)

@@ -34,11 +34,11 @@ def dense(n: int, k: int, seed: int) -> Coupling:
 
 def coupled(robot, coupling: Coupling, z: torch.Tensor, form: str, offset=0.0) -> Coupled:
     q = (stack(coupling.joints(z.unbind(-1)), (B,)) + offset).unbind(-1)
-    at = posed.paper(robot, q, {}) if form == "paper" else posed.aligned(robot, q, {}, group=form == "grouped")
+    at = posed.general(robot, q, {}) if form == "general" else posed.aligned(robot, q, {}, group=form == "grouped")
     return Coupled(at, coupling)
 
 
-FORMS = pytest.mark.parametrize("form", ["paper", "aligned", "grouped"])
+FORMS = pytest.mark.parametrize("form", ["general", "aligned", "grouped"])
 
 
 def coordinates(k: int, seed: int = 0) -> torch.Tensor:

@@ -108,7 +108,7 @@ SECTION_2_3 = (
     Row(
         "17",
         "entry-wise double geodesic product (*), of numbers",
-        "algebra.matrix:elementwise dynamics.paper.closed_form:closed_form",
+        "algebra.matrix:elementwise paper.closed_form:closed_form",
         ELEMENTWISE,
     ),
     Row(
@@ -196,14 +196,14 @@ SECTION_4 = (
     Row(
         "31",
         "motion of a free body, G(wd) + w x G(w) = f",
-        "dynamics.paper.rnea:inward",
+        "dynamics.general.rnea:inward",
         f"{GOLDEN}_two_link_wrenches",
         "as (45), link by link",
     ),
     Row(
         "32",
         "G of a column entry by entry, and of a matrix with the body of the row; G is linear",
-        "dynamics.paper.kinematics:momentum dynamics.paper.closed_form:closed_form",
+        "dynamics.general.kinematics:momentum paper.closed_form:closed_form",
         f"{OURS}[T1.4]",
     ),
     Row(
@@ -215,13 +215,13 @@ SECTION_4 = (
     Row(
         "34",
         "A_P, whose columns are x_P e x_P* for e = i, j, k: the rotation matrix",
-        "algebra.screw:columns dq.tensors:columns dynamics.paper.kinematics:adjoints paper.printed:columns",
+        "algebra.screw:columns dq.tensors:columns dynamics.general.kinematics:adjoints paper.printed:columns",
         f"{ALGEBRA}_the_columns_are_products_with_the_units",
     ),
     Row(
         "35",
         "A_D, whose columns are 2 Im(x_P e x_D*), computed as p x A_P e",
-        "algebra.screw:columns dq.tensors:columns dynamics.paper.kinematics:adjoints paper.printed:columns",
+        "algebra.screw:columns dq.tensors:columns dynamics.general.kinematics:adjoints paper.printed:columns",
         f"{ALGEBRA}_the_columns_are_products_with_the_units",
     ),
     Row(
@@ -237,32 +237,32 @@ SECTION_5_1_2 = (
         "37",
         "end effector at home: the product of the home poses delta",
         "robot.from_screws:read",
-        "robot/test_robot.py::test_home_is_where_the_poses_hold",
+        "robot/test_from_screws.py::test_home_is_where_the_poses_hold",
         "(39) at home",
     ),
     Row(
         "38",
         "pose of a link in the one before, delta_i^{i-1} exp(a_i dq_i/2)",
-        "dynamics.paper.kinematics:joint_poses paper.printed:rnea",
+        "dynamics.general.kinematics:joint_poses paper.printed:rnea",
         f"{OURS}[38]",
     ),
     Row(
         "39",
         "end effector: the product of those poses",
-        "dynamics.aligned.kinematics:poses dynamics.paper.kinematics:link_poses functional:forward_kinematics "
+        "dynamics.aligned.kinematics:poses dynamics.general.kinematics:link_poses functional:forward_kinematics "
         "paper.cost:udq_screw_kinematics",
-        "robot/test_robot.py::test_puma_has_the_toolbox_kinematics",
+        "robot/test_shipped.py::test_puma_has_the_toolbox_kinematics",
     ),
     Row(
         "40",
         "twist w_i = a_i qd_i + Ad(x_{i-1}^i) w_{i-1}",
-        "paper.ladder:aligned_frames dynamics.aligned.rnea:carried dynamics.paper.rnea:outward paper.printed:rnea",
+        "paper.ladder:aligned_frames dynamics.aligned.rnea:carried dynamics.general.rnea:outward paper.printed:rnea",
         f"{GOLDEN}_two_link_twists",
     ),
     Row(
         "41",
         "its rate, by the product rule",
-        "dynamics.paper.rnea:outward",
+        "dynamics.general.rnea:outward",
         f"{OURS}[40]",
         "a step to (44)",
         repeats=(40,),
@@ -270,43 +270,43 @@ SECTION_5_1_2 = (
     Row(
         "42",
         "rate of (38), 1/2 x_i^{i-1} a_i qd_i",
-        "dynamics.paper.kinematics:joint_poses",
+        "dynamics.general.kinematics:joint_poses",
         f"{OURS}[42]",
         "left to autograd",
     ),
-    Row("43", "(42) put into (41)", "dynamics.paper.rnea:outward", f"{OURS}[40]", "a step to (44)", repeats=(40, 42)),
+    Row("43", "(42) put into (41)", "dynamics.general.rnea:outward", f"{OURS}[40]", "a step to (44)", repeats=(40, 42)),
     Row(
         "44",
         "acceleration wd_i = a_i qdd_i + Ad(x_{i-1}^i) wd_{i-1} + (w_i x a_i) qd_i",
-        "paper.ladder:aligned_frames dynamics.aligned.rnea:carried dynamics.paper.rnea:outward paper.printed:rnea "
+        "paper.ladder:aligned_frames dynamics.aligned.rnea:carried dynamics.general.rnea:outward paper.printed:rnea "
         "paper.printed:accelerated",
         f"{GOLDEN}_two_link_accelerations",
     ),
     Row(
         "45",
         "net wrench of a link, w_i x G_i(w_i) + G_i(wd_i)",
-        "paper.ladder:aligned_frames dynamics.aligned.rnea:inverse_dynamics dynamics.paper.rnea:inward "
+        "paper.ladder:aligned_frames dynamics.aligned.rnea:inverse_dynamics dynamics.general.rnea:inward "
         "paper.printed:rnea paper.printed:net_wrench",
         f"{GOLDEN}_two_link_wrenches",
     ),
     Row(
         "46",
         "it is the wrench on the link less the one it passes on",
-        "dynamics.aligned.rnea:inverse_dynamics dynamics.paper.rnea:inward",
+        "dynamics.aligned.rnea:inverse_dynamics dynamics.general.rnea:inward",
         f"{OURS}[46]",
         "solved for f_i, (47)",
     ),
     Row(
         "47",
         "wrench on a link, f_i = f_R,i + Ad(x_{i+1}^i) f_{i+1}",
-        "dynamics.aligned.rnea:inverse_dynamics dynamics.paper.rnea:inward paper.printed:rnea",
+        "dynamics.aligned.rnea:inverse_dynamics dynamics.general.rnea:inward paper.printed:rnea",
         f"{OURS}[47]",
     ),
     Row(
         "48",
         "torque tau_i = f_i (.) (D(a_i) + eps P(a_i)), the power on the joint's screw",
         "dynamics.joints:Along.project dynamics.aligned.rnea:inverse_dynamics algebra.screw:power "
-        "dq.tensors:power dynamics.paper.rnea:rnea paper.printed:rnea",
+        "dq.tensors:power dynamics.general.rnea:rnea paper.printed:rnea",
         f"{ALGEBRA}_power_is_the_dual_part_of_the_inner_product {OURS}[A1]",
     ),
 )
@@ -327,34 +327,34 @@ ALGORITHM_1 = (
     Row(
         "start 3",
         "the base does not move, w_0 = 0",
-        "dynamics.paper.rnea:world_acceleration",
+        "dynamics.general.rnea:world_acceleration",
         f"{GOLDEN}_two_link_twists",
     ),
     Row(
         "start 4",
         "gravity is an acceleration of the base, wd_0 = -eps g",
-        "dynamics.paper.rnea:world_acceleration",
+        "dynamics.general.rnea:world_acceleration",
         f"{GOLDEN}_two_link_accelerations",
     ),
     Row(
         "start 5",
         "wrench f_EF of the end effector, on the environment",
-        "dynamics.paper.rnea:exerted_wrenches",
+        "dynamics.general.rnea:exerted_wrenches",
         f"{IDENTITIES}_what_the_tip_exerts_is_the_negative_of_what_its_link_feels",
     ),
-    Row("forward 1", "pose of the link, (38)", "dynamics.paper.kinematics:joint_poses", f"{OURS}[38]", repeats=(38,)),
+    Row("forward 1", "pose of the link, (38)", "dynamics.general.kinematics:joint_poses", f"{OURS}[38]", repeats=(38,)),
     Row(
         "forward 2",
         "A_P and A_D of it, (34), (35); once for both directions",
-        "dynamics.paper.kinematics:adjoints",
+        "dynamics.general.kinematics:adjoints",
         f"{OURS}[34]",
         repeats=(34, 35),
     ),
-    Row("forward 3", "twist, (40)", "dynamics.paper.rnea:outward", f"{OURS}[40]", repeats=(40,)),
-    Row("forward 4", "acceleration, (44)", "dynamics.paper.rnea:outward", f"{OURS}[40]", repeats=(44,)),
-    Row("backward 1", "net wrench, (45)", "dynamics.paper.rnea:inward", f"{OURS}[46]", repeats=(45,)),
-    Row("backward 2", "wrench, (47)", "dynamics.paper.rnea:inward", f"{OURS}[47]", repeats=(47,)),
-    Row("backward 3", "torque, (48)", "dynamics.paper.rnea:rnea", f"{OURS}[A1]", repeats=(48,)),
+    Row("forward 3", "twist, (40)", "dynamics.general.rnea:outward", f"{OURS}[40]", repeats=(40,)),
+    Row("forward 4", "acceleration, (44)", "dynamics.general.rnea:outward", f"{OURS}[40]", repeats=(44,)),
+    Row("backward 1", "net wrench, (45)", "dynamics.general.rnea:inward", f"{OURS}[46]", repeats=(45,)),
+    Row("backward 2", "wrench, (47)", "dynamics.general.rnea:inward", f"{OURS}[47]", repeats=(47,)),
+    Row("backward 3", "torque, (48)", "dynamics.general.rnea:rnea", f"{OURS}[A1]", repeats=(48,)),
 )
 
 SECTION_5_3 = (
@@ -363,12 +363,12 @@ SECTION_5_3 = (
     Row(
         "51",
         "column F_R of the net wrenches",
-        "dynamics.paper.rnea:inward",
+        "dynamics.general.rnea:inward",
         f"{OURS}[46]",
         "definition, one after another",
     ),
-    Row("52", "column F of the wrenches", "dynamics.paper.rnea:inward", f"{OURS}[47]", "definition, a list"),
-    Row("53", "column W of the twists", "dynamics.paper.rnea:outward", f"{OURS}[40]", "definition, a list"),
+    Row("52", "column F of the wrenches", "dynamics.general.rnea:inward", f"{OURS}[47]", "definition, a list"),
+    Row("53", "column W of the twists", "dynamics.general.rnea:outward", f"{OURS}[40]", "definition, a list"),
     Row("54", "column of the velocities qd", "functional:inverse_dynamics", TORQUES, "definition, a tensor [..., n]"),
     Row(
         "55", "column of the accelerations qdd", "functional:inverse_dynamics", TORQUES, "definition, a tensor [..., n]"
@@ -376,17 +376,17 @@ SECTION_5_3 = (
     Row(
         "56",
         "column Wd of the links' accelerations",
-        "dynamics.paper.rnea:outward",
+        "dynamics.general.rnea:outward",
         f"{OURS}[T1.2]",
         "definition, a list",
     ),
     Row(
         "57",
         "A = diag(a_i), and A_S, the column of D(a_i) + eps P(a_i)",
-        "dynamics.paper.closed_form:closed_form",
+        "paper.closed_form:closed_form",
         f"{OURS}[57]",
     ),
-    Row("58", "C = diag(w_i x a_i)", "dynamics.paper.closed_form:closed_form", f"{OURS}[70]"),
+    Row("58", "C = diag(w_i x a_i)", "paper.closed_form:closed_form", f"{OURS}[70]"),
     Row("59", "the adjoint once more", "algebra.screw:ad", f"{OURS}[34]", "(33), as (36)"),
     Row(
         "60",
@@ -398,89 +398,89 @@ SECTION_5_3 = (
     Row(
         "61",
         "Q: A_H(x_{i-1}^i) below the diagonal",
-        "dynamics.paper.closed_form:propagation",
+        "paper.closed_form:propagation",
         f"{OURS}[61]",
         "never formed; its entries make L",
     ),
     Row(
         "62",
         "L = (I - Q)^-1: A_H(x_j^i) on and below the diagonal; on a tree, along the path to the base",
-        "dynamics.paper.closed_form:propagation dynamics.paper.closed_form:closed_form",
+        "paper.closed_form:propagation paper.closed_form:closed_form",
         f"{OURS}[61]",
     ),
     Row(
         "63",
         "tau = M qdd + c + g + J^T F_EF",
-        "dynamics.paper.closed_form:closed_form functional:closed_form functions.formulas:accelerations",
+        "paper.closed_form:closed_form functional:closed_form functions.formulas:accelerations",
         f"{IDENTITIES}_torques_are_the_sum_of_their_causes",
     ),
-    Row("64", "tau = A_S (*) F", "dynamics.paper.closed_form:closed_form", f"{OURS}[57]"),
+    Row("64", "tau = A_S (*) F", "paper.closed_form:closed_form", f"{OURS}[57]"),
     Row(
         "65",
         "torques of the links and of the tip apart",
-        "dynamics.paper.closed_form:closed_form",
+        "paper.closed_form:closed_form",
         f"{OURS}[T1.4]",
         "a step to (69)-(72)",
     ),
-    Row("66", "F_R written out", "dynamics.paper.closed_form:closed_form", f"{OURS}[67]", "a step to (69)-(72)"),
-    Row("67", "W written out", "dynamics.paper.closed_form:closed_form", f"{OURS}[67]", "a step to (69)-(72)"),
+    Row("66", "F_R written out", "paper.closed_form:closed_form", f"{OURS}[67]", "a step to (69)-(72)"),
+    Row("67", "W written out", "paper.closed_form:closed_form", f"{OURS}[67]", "a step to (69)-(72)"),
     Row(
         "68",
         "G taken apart by its linearity",
-        "dynamics.paper.closed_form:closed_form",
+        "paper.closed_form:closed_form",
         f"{OURS}[68]",
         "its terms are (69)-(72)",
     ),
     Row(
         "69",
         "mass matrix M = A_S (*) [L^H G(L A)]",
-        "dynamics.paper.closed_form:closed_form functional:mass_matrix",
+        "paper.closed_form:closed_form functional:mass_matrix",
         f"{IDENTITIES}_composite_bodies_give_the_mass_matrix_of_the_closed_form",
     ),
     Row(
         "70",
         "c = A_S (*) [L^H (W (x) (G(L A) qd + G(L W_BASE)))] + A_S (*) [L^H G(L C)] qd",
-        "dynamics.paper.closed_form:closed_form",
+        "paper.closed_form:closed_form",
         f"{IDENTITIES}_coriolis_torques_are_the_christoffel_symbols_of_the_mass_matrix",
     ),
     Row(
         "71",
         "g = A_S (*) [L^H G(L Wd_BASE)]",
-        "dynamics.paper.closed_form:closed_form",
+        "paper.closed_form:closed_form",
         f"{IDENTITIES}_gravity_torques_are_the_gradient_of_potential_energy",
     ),
     Row(
         "72",
         "J^T = A_S (*) L^H, on the wrench of the tip carried to link n",
-        "functions.formulas:closed_form dynamics.paper.closed_form:tip_jacobian_transpose",
+        "functions.formulas:closed_form paper.closed_form:tip_jacobian_transpose",
         f"{IDENTITIES}_the_transposed_jacobian_is_the_transpose_of_the_jacobian",
     ),
 )
 
 TABLE_1 = (
-    Row("1.1", "W = L (A qd + W_BASE)", "dynamics.paper.closed_form:closed_form", f"{OURS}[68]"),
+    Row("1.1", "W = L (A qd + W_BASE)", "paper.closed_form:closed_form", f"{OURS}[68]"),
     Row(
         "1.2",
         "Wd = L (A qdd + C qd + Wd_BASE)",
-        "dynamics.paper.closed_form:closed_form",
+        "paper.closed_form:closed_form",
         f"{OURS}[T1.2]",
         "its three terms are in (69)-(71)",
     ),
     Row(
         "1.3",
         "F_R = W (x) G(W) + G(Wd)",
-        "dynamics.paper.closed_form:closed_form",
+        "paper.closed_form:closed_form",
         f"{OURS}[46]",
         "its terms are in (69)-(71)",
     ),
     Row(
         "1.4",
         "F = L^H (F_R + F_EF)",
-        "algebra.matrix:hermitian dynamics.paper.closed_form:closed_form",
+        "algebra.matrix:hermitian paper.closed_form:closed_form",
         f"{OURS}[T1.4]",
         "L^H, applied term by term",
     ),
-    Row("1.5", "tau = F (*) A_S", "dynamics.paper.closed_form:closed_form", f"{OURS}[57]", "(64)"),
+    Row("1.5", "tau = F (*) A_S", "paper.closed_form:closed_form", f"{OURS}[57]", "(64)"),
 )
 
 SECTION_5_4 = (

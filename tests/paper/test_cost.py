@@ -96,7 +96,7 @@ def test_the_command_prints_every_table(capsys):
     for title in tables.TABLES:
         assert title in said
     assert "323n-51, 242n-51" in said
-    assert all(f"| {rung.name} |" in said for rung in ladder.RUNGS) and " ns |" in said
+    assert all(f"| {form.name} |" in said for form in ladder.FORMS) and " ns |" in said
 
 
 # --- the counting number ----------------------------------------------------------------------------------------------

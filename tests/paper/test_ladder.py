@@ -19,23 +19,23 @@ CHAIN = ladder.example(7)
 TREE = random_tree(8, 5).robot.bake()  # its frames lie beside the centres of mass, which the print does not have
 
 
-def torques(rung: ladder.LadderForm, robot: torchdq.Robot, s) -> torch.Tensor:
+def torques(form: ladder.LadderForm, robot: torchdq.Robot, s) -> torch.Tensor:
     rows = [x.unbind(-1) for x in (s.q, s.qd, s.qdd)]
-    program = rung.program(robot)
+    program = form.program(robot)
     return torch.stack(results(program, replay(program, rows))["tau"], -1)
 
 
 @pytest.mark.parametrize(
-    ("robot", "rung"),
+    ("robot", "form"),
     [
-        (robot, rung)
+        (robot, form)
         for robot in (CHAIN, TREE, torchdq.robots.load("panda"))
-        for rung in ladder.RUNGS
-        if robot is CHAIN or rung.torques is not ladder.as_printed  # which knows frames at centres of mass only
+        for form in ladder.FORMS
+        if robot is CHAIN or form.torques is not ladder.as_printed  # which knows frames at centres of mass only
     ],
     ids=lambda x: x.name,
 )
-def test_torques_are_those_of_pinocchio_after_every_step(robot, rung):
+def test_torques_are_those_of_pinocchio_after_every_step(robot, form):
     s = states(robot, 4)
     case = Case(robot, pinocchio_model(robot))
     data = case.model.createData()
@@ -45,21 +45,21 @@ def test_torques_are_those_of_pinocchio_after_every_step(robot, rung):
             for q, qd, qdd in zip(s.q.numpy(), s.qd.numpy(), s.qdd.numpy(), strict=True)
         ]
     )
-    error = (torques(rung, robot, s) - torch.from_numpy(expected)).abs() / torch.from_numpy(size_of_torques(case, s))
+    error = (torques(form, robot, s) - torch.from_numpy(expected)).abs() / torch.from_numpy(size_of_torques(case, s))
     assert error.max() <= 256 * EPS[torch.float64]
 
 
 def test_no_step_adds_operations():
     for robot in (CHAIN, torchdq.robots.load("panda"), torchdq.robots.load("ur10e")):
-        rungs = ladder.RUNGS if robot is CHAIN else ladder.RUNGS[1:]
-        counts = [rung.program(robot).count() for rung in rungs]
+        forms = ladder.FORMS if robot is CHAIN else ladder.FORMS[1:]
+        counts = [form.program(robot).count() for form in forms]
         for before, after in pairwise(counts):
             assert after.total < before.total and after.sines == before.sines
 
 
 def test_the_last_step_is_the_program_that_runs():
     for robot in (CHAIN, torchdq.robots.load("ur10e")):
-        last = ladder.RUNGS[-1].program(robot)
+        last = ladder.FORMS[-1].program(robot)
         assert last.count() == torchdq.compile(robot, "inverse_dynamics").count()
 
 

@@ -22,9 +22,10 @@ from oracles import as_printed, stack
 import torchdq
 from torchdq import dq
 from torchdq.algebra import screw
+from torchdq.dynamics.general import kinematics, rnea
 from torchdq.dynamics.joints import Coordinate
-from torchdq.dynamics.paper import closed_form, kinematics, rnea
 from torchdq.functions.posed import constant_pose
+from torchdq.paper import closed_form
 
 COUNT, JOINTS = 20, 6
 FACTOR = 2.0  # between an error measured here and the one on record, which is the median of another twenty draws
@@ -671,7 +672,8 @@ def ours_in_closed_form():
     c = chains()
     q, qd, qdd, f_tip = tensors(c)
     tip = (JOINTS, screw.columns(constant_pose(c.robot.frame("tip").X_BF)))
-    terms = as_printed(c.robot, q).closed_form(qd.unbind(-1), tip)
+    at = as_printed(c.robot, q)
+    terms = closed_form.closed_form(at.tree, at.Ad, qd.unbind(-1), tip)
     M, g_c, g = (stack(x, q.shape[:1]) for x in terms[:3])
     Jt = stack([(*f, *m) for f, m in terms.Jt], q.shape[:1])
     tau = (M @ qdd[..., None] + Jt @ f_tip[..., None])[..., 0] + g_c + g

@@ -16,10 +16,10 @@ from places import ROOT
 
 import torchdq
 from torchdq.algebra import dual_quaternion, screw
+from torchdq.dynamics.general import kinematics
 from torchdq.dynamics.joints import KINDS, Coordinate
-from torchdq.dynamics.paper import kinematics
-from torchdq.dynamics.paper.closed_form import closed_form
 from torchdq.paper import cost, homogeneous, printed
+from torchdq.paper.closed_form import closed_form
 
 for needed in ("matplotlib", "tyro"):
     pytest.importorskip(needed, reason="the examples need the extra 'examples'")

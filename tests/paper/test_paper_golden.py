@@ -11,9 +11,9 @@ import pytest
 import torch
 
 import torchdq
+from torchdq.dynamics.general import rnea
+from torchdq.dynamics.general.kinematics import adjoints, joint_poses
 from torchdq.dynamics.joints import Coordinate
-from torchdq.dynamics.paper import rnea
-from torchdq.dynamics.paper.kinematics import adjoints, joint_poses
 
 BACKEND = "auto"
 

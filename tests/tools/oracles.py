@@ -19,8 +19,8 @@ import pinocchio as pin
 import torch
 
 import torchdq
+from torchdq.dynamics.general.posed import General
 from torchdq.dynamics.joints import Coordinate
-from torchdq.dynamics.paper.posed import Paper
 
 EPS = {torch.float64: 2.0**-52, torch.float32: 2.0**-23}
 
@@ -513,11 +513,11 @@ def worst(found, reference, size) -> float:
 # --- the paper's form on tensors -------------------------------------------------------------------------------------
 
 
-def as_printed(robot: torchdq.Robot, q: torch.Tensor) -> Paper:
+def as_printed(robot: torchdq.Robot, q: torch.Tensor) -> General:
     """The robot at positions [..., n] in the paper's form, its numbers tensors [...]."""
     x = q if robot.home is None else q - robot.home
     coordinates = [None, *(Coordinate(v, (0.5 * v).cos(), (0.5 * v).sin()) for v in x.unbind(-1))]
-    return Paper.at(robot.tree(), robot.com.unbind(-2), coordinates)
+    return General.at(robot.tree(), robot.com.unbind(-2), coordinates)
 
 
 def stack(rows, batch: tuple[int, ...]) -> torch.Tensor:

@@ -28,6 +28,6 @@ class CostCommand(Command):
             title: [{"operation": e.operation, "counted": e.counted._asdict()} for e in entries]
             for title, entries in cost.TABLES.items()
         }
-        steps = [{"step": rung.name, "nanoseconds": t} for rung, t in zip(ladder.RUNGS, times, strict=True)]
+        steps = [{"step": form.name, "nanoseconds": t} for form, t in zip(ladder.FORMS, times, strict=True)]
         text = f"{cost.report()}\n\n## From Algorithm 1 to the program that runs\n\n{table}\n\n{ladder.COUNTED}"
         return Outcome((Verbatim(text),), {"tables": tables, "steps": steps})

@@ -21,12 +21,12 @@ class ReportCommand(RobotCommand):
         """Page about the robot."""
         robot = self.load().robot
         page = overview(robot)
-        notes = page.report.notes or ("nothing else in the description",)
+        notes = [*map(str, page.report.notes)]
         text = (
             page.report.summary,
             Grid(HEADER, page.report.joints),
             "notes:",
-            Grid((), [("-", note) for note in notes]),
+            Grid((), [("-", note) for note in notes or ("nothing else in the description",)]),
             "operations per sample:",
             Grid(("function", *COUNTED), page.rows()),
             page.rounding(),
@@ -44,9 +44,9 @@ class ReportCommand(RobotCommand):
                 for name, mass, com in zip(robot.link_names, robot.mass, robot.com, strict=True)
             ],
             "frames": robot.frame_names,
-            "notes": page.report.notes,
+            "notes": notes,
             "operations": {name: None if count is None else count._asdict() for name, count in page.operations.items()},
             "error_growth": None if page.growth is None else page.growth._asdict(),
-            "doubt": page.doubt,
+            "reason": page.reason,
         }
         return Outcome(text, data)

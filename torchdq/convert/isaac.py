@@ -14,11 +14,10 @@ QuaternionOrder = Literal["wxyz", "xyzw"]
 
 
 def root_to_isaac(X_WB: Tensor, V_WB_B: Tensor, order: QuaternionOrder = "wxyz", com: Tensor | None = None) -> Tensor:
-    """Root state [..., 13] of Isaac: position, quaternion, linear and angular velocity, all in world axes.
+    """Root state [..., 13] of Isaac.
 
     Args:
-        X_WB: pose of the base in the world, shape [..., 8].
-        V_WB_B: twist (angular, linear) of the base, shape [..., 6].
+        X_WB, V_WB_B: pose [..., 8] and twist [..., 6] of the base.
         order: "wxyz" for Isaac Lab before 3.0 and Isaac Sim, "xyzw" for Isaac Gym and Isaac Lab from 3.0 on.
         com: point of the base [m], shape [..., 3], that the linear velocity is of; None: the origin, as in
             `root_link_state_w`. Isaac Lab's `root_state_w` has that of the centre of mass, `robot.base_com`.
@@ -38,13 +37,8 @@ def root_to_isaac(X_WB: Tensor, V_WB_B: Tensor, order: QuaternionOrder = "wxyz",
 def root_from_isaac(state: Tensor, order: QuaternionOrder = "wxyz", com: Tensor | None = None) -> tuple[Tensor, Tensor]:
     """Pose X_WB [..., 8] and twist V_WB_B [..., 6] of the base, from a root state [..., 13]; see `root_to_isaac`.
 
-    Its quaternion must be unit; `torchdq.dq.normalize` makes it so.
-
-    Args:
-        state: root state, shape [..., 13].
-        order, com: as in `root_to_isaac`.
     Raises:
-        ArgumentError: a quaternion is not unit.
+        ArgumentError: a quaternion is not unit; `torchdq.dq.normalize` makes it so.
 
     >>> import torch
     >>> X_WB, V_WB_B = root_from_isaac(torch.tensor([1.0, 2, 3, 1, 0, 0, 0, 4, 5, 6, 7, 8, 9]))
@@ -62,12 +56,6 @@ def root_from_isaac(state: Tensor, order: QuaternionOrder = "wxyz", com: Tensor 
 def acceleration_to_isaac(X_WB: Tensor, V_WB_B: Tensor, A_WB_B: Tensor, com: Tensor | None = None) -> Tensor:
     """Linear and angular acceleration [..., 6] of the base in world axes; `com` as in `root_to_isaac`.
 
-    Args:
-        X_WB: pose of the base in the world, shape [..., 8].
-        V_WB_B: twist (angular, linear) of the base in its own axes [rad/s, m/s], shape [..., 6].
-        A_WB_B: rate of that twist [rad/s^2, m/s^2], shape [..., 6].
-        com: as in `root_to_isaac`.
-
     >>> import torch
     >>> X_WB = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5, 0, 0, 0, 0])  # a quarter turn about z
     >>> turning, still = torch.tensor([0.0, 0, 2, 1, 0, 0]), torch.zeros(6)
@@ -83,12 +71,6 @@ def acceleration_to_isaac(X_WB: Tensor, V_WB_B: Tensor, A_WB_B: Tensor, com: Ten
 
 def acceleration_from_isaac(X_WB: Tensor, V_WB_B: Tensor, acceleration: Tensor, com: Tensor | None = None) -> Tensor:
     """Rate A_WB_B [..., 6] of the base's twist, from linear and angular acceleration [..., 6] in world axes.
-
-    Args:
-        X_WB: pose of the base in the world, shape [..., 8].
-        V_WB_B: twist (angular, linear) of the base in its own axes [rad/s, m/s], shape [..., 6].
-        acceleration: (linear [m/s^2], angular [rad/s^2]) in world axes, shape [..., 6].
-        com: as in `root_to_isaac`.
 
     >>> import torch
     >>> X_WB = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5, 0, 0, 0, 0])  # a quarter turn about z
@@ -106,10 +88,6 @@ def acceleration_from_isaac(X_WB: Tensor, V_WB_B: Tensor, acceleration: Tensor, 
 def wrench_to_isaac(F_B: Tensor, com: Tensor) -> tuple[Tensor, Tensor]:
     """Force and moment about the centre of mass `com` [..., 3], both in base axes, of a wrench F_B [..., 6].
 
-    Args:
-        F_B: wrench (force, moment) about the origin of the base, in its axes [N, N m], shape [..., 6].
-        com: centre of mass in the frame of the base [m], shape [..., 3].
-
     >>> import torch
     >>> wrench_to_isaac(torch.tensor([0.0, 0, 10, 0, 0, 0]), com=torch.tensor([0.5, 0, 0]))
     (tensor([ 0.,  0., 10.]), tensor([0., 5., 0.]))
@@ -120,11 +98,6 @@ def wrench_to_isaac(F_B: Tensor, com: Tensor) -> tuple[Tensor, Tensor]:
 
 def wrench_from_isaac(force: Tensor, moment: Tensor, com: Tensor) -> Tensor:
     """Wrench F_B [..., 6] about the origin of the base, from force and moment about its centre of mass.
-
-    Args:
-        force: force in base axes [N], shape [..., 3].
-        moment: moment about the centre of mass in base axes [N m], shape [..., 3].
-        com: centre of mass in the frame of the base [m], shape [..., 3].
 
     >>> import torch
     >>> force, moment = torch.tensor([0.0, 0, 10]), torch.tensor([0.0, 5, 0])

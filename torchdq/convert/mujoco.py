@@ -11,11 +11,6 @@ from torchdq.dq.components import unit
 def to_mujoco(x: Tensor) -> tuple[Tensor, Tensor]:
     """Position [..., 3] of B's origin in A [m] and unit quaternion (w, x, y, z) [..., 4] of the pose x = X_AB [..., 8].
 
-    For Isaac, pass the quaternion on to `to_xyzw`.
-
-    Args:
-        x: pose, shape [..., 8].
-
     >>> import torch
     >>> position, rotation = to_mujoco(torch.tensor([1.0, 0, 0, 0, 0, 0.5, 1, 1.5]))
     >>> position, rotation
@@ -25,11 +20,7 @@ def to_mujoco(x: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def from_mujoco(position: Tensor, rotation: Tensor) -> Tensor:
-    """Pose X_AB [..., 8] from MuJoCo's position and quaternion, e.g. `data.xpos` and `data.xquat`, with A the world.
-
-    Args:
-        position: position of B's origin in A [m], shape [..., 3], also as a numpy array.
-        rotation: unit quaternion (w, x, y, z), shape [..., 4], also as a numpy array.
+    """Pose X_AB [..., 8] from MuJoCo's position and quaternion, with A the world.
 
     >>> import torch
     >>> from_mujoco(torch.tensor([1.0, 2, 3]), torch.tensor([1.0, 0, 0, 0]))
@@ -41,16 +32,10 @@ def from_mujoco(position: Tensor, rotation: Tensor) -> Tensor:
 
 
 def configuration_to_mujoco(X_WB: Tensor, q: Tensor) -> Tensor:
-    """`qpos` [..., 7 + n] of MuJoCo: position, quaternion (w, x, y, z), joints; arguments as for Pinocchio.
-
-    Args:
-        X_WB: pose of the base in the world, shape [..., 8].
-        q: joint positions [rad or m], shape [..., n].
+    """`qpos` [..., 7 + n] of MuJoCo.
 
     >>> import torch
-    >>> from torchdq import dq
-    >>> x = dq.from_pose(torch.tensor([1.0, 0, 0, 0]), torch.tensor([1.0, 2, 3]))
-    >>> configuration_to_mujoco(x, torch.tensor([0.7]))
+    >>> configuration_to_mujoco(torch.tensor([1.0, 0, 0, 0, 0, 0.5, 1, 1.5]), torch.tensor([0.7]))
     tensor([1.0000, 2.0000, 3.0000, 1.0000, 0.0000, 0.0000, 0.0000, 0.7000])
     """
     return row(*to_mujoco(X_WB), q)
@@ -59,12 +44,8 @@ def configuration_to_mujoco(X_WB: Tensor, q: Tensor) -> Tensor:
 def configuration_from_mujoco(qpos: Tensor) -> tuple[Tensor, Tensor]:
     """Pose X_WB [..., 8] of the base and joint positions q [..., n], from `qpos` [..., 7 + n].
 
-    Its quaternion must be unit; `torchdq.dq.normalize` makes it so.
-
-    Args:
-        qpos: position [m], quaternion (w, x, y, z), joints [rad or m], shape [..., 7 + n], also as a numpy array.
     Raises:
-        ArgumentError: a quaternion is not unit.
+        ArgumentError: a quaternion is not unit; `torchdq.dq.normalize` makes it so.
 
     >>> import torch
     >>> from torchdq import dq
@@ -77,12 +58,7 @@ def configuration_from_mujoco(qpos: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def velocity_to_mujoco(X_WB: Tensor, V_WB_B: Tensor, qd: Tensor) -> Tensor:
-    """`qvel` [..., 6 + n]: velocity of the base's origin in world axes, angular velocity in base axes, joints.
-
-    Args:
-        X_WB: pose of the base in the world, shape [..., 8].
-        V_WB_B: twist (angular, linear) of the base in its own axes [rad/s, m/s], shape [..., 6].
-        qd: joint velocities [rad/s or m/s], shape [..., n].
+    """`qvel` [..., 6 + n] of MuJoCo.
 
     >>> import torch
     >>> quarter = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5, 0, 0, 0, 0])  # about z
@@ -96,10 +72,6 @@ def velocity_to_mujoco(X_WB: Tensor, V_WB_B: Tensor, qd: Tensor) -> Tensor:
 def velocity_from_mujoco(X_WB: Tensor, qvel: Tensor) -> tuple[Tensor, Tensor]:
     """Twist V_WB_B [..., 6] of the base and qd [..., n], from `qvel` [..., 6 + n].
 
-    Args:
-        X_WB: pose of the base in the world, shape [..., 8].
-        qvel: velocity of MuJoCo, shape [..., 6 + n], also as a numpy array.
-
     >>> import torch
     >>> X_WB = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5, 0, 0, 0, 0])  # a quarter turn about z
     >>> velocity_from_mujoco(X_WB, torch.tensor([0.0, 1, 0, 0, 0, 2, 5]))[0].round(decimals=4)
@@ -111,12 +83,6 @@ def velocity_from_mujoco(X_WB: Tensor, qvel: Tensor) -> tuple[Tensor, Tensor]:
 
 def acceleration_to_mujoco(X_WB: Tensor, V_WB_B: Tensor, A_WB_B: Tensor, qdd: Tensor) -> Tensor:
     """`qacc` [..., 6 + n]: rates of `qvel`; the velocity in world axes also changes as the base turns.
-
-    Args:
-        X_WB: pose of the base in the world, shape [..., 8].
-        V_WB_B: twist (angular, linear) of the base in its own axes [rad/s, m/s], shape [..., 6].
-        A_WB_B: rate of that twist [rad/s^2, m/s^2], shape [..., 6].
-        qdd: joint accelerations [rad/s^2 or m/s^2], shape [..., n].
 
     >>> import torch
     >>> X_WB = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5, 0, 0, 0, 0])  # a quarter turn about z
@@ -131,11 +97,6 @@ def acceleration_to_mujoco(X_WB: Tensor, V_WB_B: Tensor, A_WB_B: Tensor, qdd: Te
 def acceleration_from_mujoco(X_WB: Tensor, V_WB_B: Tensor, qacc: Tensor) -> tuple[Tensor, Tensor]:
     """Rate A_WB_B [..., 6] of the base's twist and qdd [..., n], from `qacc` [..., 6 + n].
 
-    Args:
-        X_WB: pose of the base in the world, shape [..., 8].
-        V_WB_B: twist (angular, linear) of the base in its own axes [rad/s, m/s], shape [..., 6].
-        qacc: acceleration of MuJoCo, shape [..., 6 + n], also as a numpy array.
-
     >>> import torch
     >>> X_WB = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5, 0, 0, 0, 0])  # a quarter turn about z
     >>> turning = torch.tensor([0.0, 0, 2, 1, 0, 0])
@@ -148,12 +109,7 @@ def acceleration_from_mujoco(X_WB: Tensor, V_WB_B: Tensor, qacc: Tensor) -> tupl
 
 
 def forces_to_mujoco(X_WB: Tensor, F_B: Tensor, tau: Tensor) -> Tensor:
-    """`qfrc_applied` or `qfrc_inverse` [..., 6 + n]: force in world axes, moment in base axes, torques.
-
-    Args:
-        X_WB: pose of the base in the world, shape [..., 8].
-        F_B: wrench (force, moment) on the base in its axes, about its origin [N, N m], shape [..., 6].
-        tau: joint torques [N m] or forces [N], shape [..., n].
+    """`qfrc_applied` or `qfrc_inverse` [..., 6 + n] of MuJoCo.
 
     >>> import torch
     >>> X_WB = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5, 0, 0, 0, 0])  # a quarter turn about z
@@ -166,10 +122,6 @@ def forces_to_mujoco(X_WB: Tensor, F_B: Tensor, tau: Tensor) -> Tensor:
 
 def forces_from_mujoco(X_WB: Tensor, qfrc: Tensor) -> tuple[Tensor, Tensor]:
     """Wrench F_B [..., 6] on the base and torques tau [..., n], from generalised forces [..., 6 + n] of MuJoCo.
-
-    Args:
-        X_WB: pose of the base in the world, shape [..., 8].
-        qfrc: generalised forces of MuJoCo [N, N m], shape [..., 6 + n], also as a numpy array.
 
     >>> import torch
     >>> X_WB = torch.tensor([0.5**0.5, 0, 0, 0.5**0.5, 0, 0, 0, 0])  # a quarter turn about z

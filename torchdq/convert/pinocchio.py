@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 def to_pinocchio(x: Tensor) -> pinocchio.SE3:
     """Placement aMb of Pinocchio for one pose x = X_AB [8].
 
-    Args:
-        x: one pose, shape [8].
     Raises:
         ArgumentError: x is a batch.
 
@@ -63,12 +61,7 @@ def from_pinocchio(
 
 
 def motion_to_pinocchio(twist: Tensor) -> Tensor:
-    """Motion [..., 6] in Pinocchio's order (linear [m/s], angular [rad/s]), from a twist or spatial acceleration.
-
-    The frame stays the same. Wrenches are not converted: their order is (force, moment) in both.
-
-    Args:
-        twist: (angular [rad/s], linear [m/s]), shape [..., 6].
+    """Motion [..., 6] (linear [m/s], angular [rad/s]) of Pinocchio in the same frame, from a twist or its rate.
 
     >>> import torch
     >>> motion_to_pinocchio(torch.tensor([1.0, 2, 3, 4, 5, 6]))
@@ -80,9 +73,6 @@ def motion_to_pinocchio(twist: Tensor) -> Tensor:
 def motion_from_pinocchio(motion: Tensor) -> Tensor:
     """Twist, or spatial acceleration, [..., 6] as (angular [rad/s], linear [m/s]), from Pinocchio's (linear, angular).
 
-    Args:
-        motion: (linear [m/s], angular [rad/s]), shape [..., 6].
-
     >>> import torch
     >>> motion_from_pinocchio(torch.tensor([4.0, 5, 6, 1, 2, 3]))
     tensor([1., 2., 3., 4., 5., 6.])
@@ -91,11 +81,7 @@ def motion_from_pinocchio(motion: Tensor) -> Tensor:
 
 
 def configuration_to_pinocchio(X_WB: Tensor, q: Tensor) -> Tensor:
-    """Configuration [..., 7 + n] of Pinocchio: position, quaternion (x, y, z, w), joints of one coordinate.
-
-    Args:
-        X_WB: pose of the base in the world, shape [..., 8].
-        q: joint positions, shape [..., n].
+    """Configuration [..., 7 + n] of Pinocchio, for joints of one coordinate.
 
     >>> import torch
     >>> configuration_to_pinocchio(torch.tensor([1.0, 0, 0, 0, 0, 0.5, 1, 1.5]), torch.tensor([0.7]))
@@ -107,12 +93,8 @@ def configuration_to_pinocchio(X_WB: Tensor, q: Tensor) -> Tensor:
 def configuration_from_pinocchio(configuration: Tensor) -> tuple[Tensor, Tensor]:
     """Pose X_WB [..., 8] of the base and joint positions q [..., n], from Pinocchio's configuration [..., 7 + n].
 
-    Its quaternion must be unit; `torchdq.dq.normalize` makes it so.
-
-    Args:
-        configuration: position [m], quaternion (x, y, z, w), joints [rad or m], shape [..., 7 + n].
     Raises:
-        ArgumentError: a quaternion is not unit.
+        ArgumentError: a quaternion is not unit; `torchdq.dq.normalize` makes it so.
 
     >>> import torch
     >>> from torchdq import dq
@@ -125,13 +107,7 @@ def configuration_from_pinocchio(configuration: Tensor) -> tuple[Tensor, Tensor]
 
 
 def velocity_to_pinocchio(V_WB_B: Tensor, qd: Tensor) -> Tensor:
-    """Velocity [..., 6 + n] of Pinocchio (linear, angular, joints), from the twist of the base and qd.
-
-    Accelerations are converted alike: Pinocchio's, too, are the rates of the twist in the axes of the base.
-
-    Args:
-        V_WB_B: twist (angular, linear) of the base in its own axes [rad/s, m/s], shape [..., 6].
-        qd: joint velocities [rad/s or m/s], shape [..., n].
+    """Velocity [..., 6 + n] of Pinocchio from the twist of the base and qd; accelerations are converted alike.
 
     >>> import torch
     >>> velocity_to_pinocchio(torch.tensor([1.0, 2, 3, 4, 5, 6]), torch.tensor([7.0]))
@@ -142,9 +118,6 @@ def velocity_to_pinocchio(V_WB_B: Tensor, qd: Tensor) -> Tensor:
 
 def velocity_from_pinocchio(velocity: Tensor) -> tuple[Tensor, Tensor]:
     """Twist V_WB_B [..., 6] of the base and qd [..., n], or accelerations, from Pinocchio's [..., 6 + n].
-
-    Args:
-        velocity: (linear [m/s], angular [rad/s], joints), shape [..., 6 + n].
 
     >>> import torch
     >>> velocity_from_pinocchio(torch.tensor([4.0, 5, 6, 1, 2, 3, 7]))
@@ -157,10 +130,6 @@ def velocity_from_pinocchio(velocity: Tensor) -> tuple[Tensor, Tensor]:
 def forces_to_pinocchio(F_B: Tensor, tau: Tensor) -> Tensor:
     """Generalised forces [..., 6 + n] of Pinocchio, from the wrench (force, moment) on the base and torques.
 
-    Args:
-        F_B: wrench (force, moment) on the base in its axes, about its origin [N, N m], shape [..., 6].
-        tau: joint torques [N m] or forces [N], shape [..., n].
-
     >>> import torch
     >>> forces_to_pinocchio(torch.tensor([1.0, 2, 3, 4, 5, 6]), torch.tensor([7.0]))
     tensor([1., 2., 3., 4., 5., 6., 7.])
@@ -170,9 +139,6 @@ def forces_to_pinocchio(F_B: Tensor, tau: Tensor) -> Tensor:
 
 def forces_from_pinocchio(forces: Tensor) -> tuple[Tensor, Tensor]:
     """Wrench F_B [..., 6] on the base and torques tau [..., n], from Pinocchio's generalised forces [..., 6 + n].
-
-    Args:
-        forces: (force [N], moment [N m], joints), shape [..., 6 + n].
 
     >>> import torch
     >>> forces_from_pinocchio(torch.tensor([1.0, 2, 3, 4, 5, 6, 7]))

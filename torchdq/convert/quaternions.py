@@ -8,9 +8,6 @@ from torchdq.dq.components import checked
 def to_xyzw(r: Tensor) -> Tensor:
     """Quaternion [..., 4] in the order (x, y, z, w), from (w, x, y, z).
 
-    Args:
-        r: quaternion (w, x, y, z), shape [..., 4].
-
     >>> import torch
     >>> to_xyzw(torch.tensor([1.0, 2, 3, 4]))
     tensor([2., 3., 4., 1.])
@@ -20,9 +17,6 @@ def to_xyzw(r: Tensor) -> Tensor:
 
 def from_xyzw(r: Tensor) -> Tensor:
     """Quaternion [..., 4] in the order (w, x, y, z), from (x, y, z, w).
-
-    Args:
-        r: quaternion (x, y, z, w), shape [..., 4].
 
     >>> import torch
     >>> from_xyzw(torch.tensor([2.0, 3, 4, 1]))

@@ -39,7 +39,7 @@ def unit(name: str, r: Tensor) -> Tensor:
         wrong = (r.detach().norm(dim=-1) - 1).abs() > _close(r)
         if bool(wrong.any()):
             found = _first(r, wrong)
-            cure = "normalize that part by torchdq.dq.normalize" if any(found) else "zero is no rotation"
+            cure = "normalize that part by torchdq.dq.normalize" if any(found) else "zero is not a rotation"
             raise ArgumentError(f"{name} must hold unit quaternions, found {found}; {cure}")
     return r
 

@@ -51,9 +51,6 @@ def log(x: Tensor) -> Tensor:
     `log_shortest` takes the shorter one. At P(x) = -1, a full turn, the axis is not unique: it is the line along the
     displacement, or along x if there is no displacement.
 
-    Args:
-        x: unit dual quaternion, shape [..., 8].
-
     >>> log(exp(torch.tensor([0.1, 0.2, 0.3, 1.0, 2.0, 3.0]))).mul(10).round().int().tolist()
     [1, 2, 3, 10, 20, 30]
     """
@@ -65,9 +62,6 @@ def log_shortest(x: Tensor) -> Tensor:
 
     Both signs of a pose give the same result, except where the angle is exactly pi (w = 0): there both turns are as
     long, and that of x is taken, so that -x gives the opposite turn. The gradient is discontinuous there.
-
-    Args:
-        x: unit dual quaternion, shape [..., 8].
 
     >>> x = exp(torch.tensor([0.0, 0, 0.5, 0, 0, 1]))
     >>> torch.allclose(log_shortest(-x), log(x))
@@ -160,9 +154,6 @@ def from_pose(rotation: Tensor, position: Tensor) -> Tensor:
 def rotation(x: Tensor) -> Tensor:
     """Unit quaternion r [..., 4] of the pose x [..., 8], the primary part.
 
-    Args:
-        x: pose, shape [..., 8].
-
     >>> rotation(from_pose(torch.tensor([0.0, 0, 0, 1]), torch.tensor([1.0, 2, 3])))
     tensor([0., 0., 0., 1.])
     """
@@ -172,9 +163,6 @@ def rotation(x: Tensor) -> Tensor:
 def translation(x: Tensor) -> Tensor:
     """Position p = 2 D P* [..., 3] of B's origin in A [m], of the pose x = X_AB [..., 8].
 
-    Args:
-        x: pose X_AB, shape [..., 8].
-
     >>> translation(torch.tensor([1.0, 0, 0, 0, 0, 0.5, 1, 1.5]))
     tensor([1., 2., 3.])
     """
@@ -183,9 +171,6 @@ def translation(x: Tensor) -> Tensor:
 
 def translation_body(x: Tensor) -> Tensor:
     """Position p^b = 2 P* D [..., 3] of B's origin in B's own axes [m], of the pose x = X_AB [..., 8] (28).
-
-    Args:
-        x: pose X_AB, shape [..., 8].
 
     >>> r = torch.tensor([0.0, 0, 0, 1])  # a half turn about z
     >>> translation_body(from_pose(r, torch.tensor([1.0, 2, 3])))
@@ -197,10 +182,6 @@ def translation_body(x: Tensor) -> Tensor:
 def rotate(r: Tensor, v: Tensor) -> Tensor:
     """Vector r v r* [..., 3]: v rotated by the unit quaternion r [..., 4].
 
-    Args:
-        r: unit quaternion, shape [..., 4].
-        v: vector, shape [..., 3].
-
     >>> r = torch.tensor([0.0, 0, 0, 1])  # a half turn about z
     >>> rotate(r, torch.tensor([1.0, 2, 3]))
     tensor([-1., -2.,  3.])
@@ -210,9 +191,6 @@ def rotate(r: Tensor, v: Tensor) -> Tensor:
 
 def to_rotation_matrix(r: Tensor) -> Tensor:
     """Rotation matrix [..., 3, 3] of a unit quaternion [..., 4].
-
-    Args:
-        r: unit quaternion, shape [..., 4].
 
     >>> r = torch.tensor([0.0, 0, 0, 1])  # a half turn about z
     >>> to_rotation_matrix(r)
@@ -229,10 +207,8 @@ def from_rotation_matrix(matrix: Tensor) -> Tensor:
     The largest of the four components is computed from the diagonal, and the others by a division by it, so that no
     rotation is close to a singularity.
 
-    Args:
-        matrix: rotation matrix, shape [..., 3, 3].
     Raises:
-        ArgumentError: a matrix is no rotation, where values can be read: not in transforms of functions.
+        ArgumentError: a matrix is not a rotation, where values can be read: not in transforms of functions.
 
     >>> from_rotation_matrix(torch.diag(torch.tensor([-1.0, -1, 1])))  # a half turn about z
     tensor([0., 0., 0., 1.])
@@ -250,9 +226,6 @@ def from_rotation_matrix(matrix: Tensor) -> Tensor:
 def to_matrix(x: Tensor) -> Tensor:
     """Homogeneous matrix [..., 4, 4] of the pose x [..., 8].
 
-    Args:
-        x: pose X_AB, shape [..., 8].
-
     >>> to_matrix(from_pose(torch.tensor([1.0, 0, 0, 0]), torch.tensor([1.0, 2, 3])))[:3, 3]
     tensor([1., 2., 3.])
     """
@@ -262,8 +235,6 @@ def to_matrix(x: Tensor) -> Tensor:
 def from_matrix(matrix: Tensor) -> Tensor:
     """Pose [..., 8] of a homogeneous matrix [..., 4, 4], with w >= 0.
 
-    Args:
-        matrix: homogeneous matrix, shape [..., 4, 4].
     Raises:
         ArgumentError: its rotation is none, or its last row is not 0, 0, 0, 1, where values can be read.
 

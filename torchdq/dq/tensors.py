@@ -42,9 +42,6 @@ def _lower(diagonal: Tensor, below: Tensor) -> Tensor:
 def mul(x: Tensor, y: Tensor) -> Tensor:
     """Product xy of two quaternions [..., 4] or two dual quaternions [..., 8]; of poses, X_AC = X_AB X_BC.
 
-    Args:
-        x, y: quaternions [..., 4], or dual quaternions [..., 8].
-
     >>> mul(torch.tensor([0.0, 1, 0, 0]), torch.tensor([0.0, 0, 1, 0]))  # i j = k
     tensor([0., 0., 0., 1.])
     """
@@ -54,9 +51,6 @@ def mul(x: Tensor, y: Tensor) -> Tensor:
 
 def conj(x: Tensor) -> Tensor:
     """Conjugate of a quaternion [..., 4], or of both parts of a dual quaternion [..., 8]; inverse if it is a unit one.
-
-    Args:
-        x: quaternion [..., 4], or dual quaternion [..., 8].
 
     >>> conj(torch.tensor([1.0, 2, 3, 4]))
     tensor([ 1., -2., -3., -4.])
@@ -94,9 +88,6 @@ def transpose(a: Tensor) -> Tensor:
 def dot(a: Tensor, b: Tensor) -> Tensor:
     """Inner product -(ab + ba)/2 of pure quaternions [..., 3] (3).
 
-    Args:
-        a, b: vectors, shape [..., 3].
-
     >>> dot(torch.tensor([1.0, 2, 3]), torch.tensor([4.0, 5, 6]))
     tensor(32.)
     """
@@ -105,9 +96,6 @@ def dot(a: Tensor, b: Tensor) -> Tensor:
 
 def cross(a: Tensor, b: Tensor) -> Tensor:
     """Cross product (ab - ba)/2 of pure quaternions [..., 3] (4) or of screws [..., 6] (6).
-
-    Args:
-        a, b: vectors [..., 3], or screws [..., 6].
 
     >>> cross(torch.tensor([1.0, 0, 0]), torch.tensor([0.0, 1, 0]))
     tensor([0., 0., 1.])
@@ -122,9 +110,6 @@ def inner(a: Tensor, b: Tensor) -> Tensor:
 
     Its dual part is P(a).D(b) + D(a).P(b): the power, if one is a wrench and the other a twist.
 
-    Args:
-        a, b: screws, shape [..., 6].
-
     >>> wrench, twist = torch.tensor([1.0, 0, 0, 0, 0, 2]), torch.tensor([0.0, 0, 3, 4, 0, 0])
     >>> inner(wrench, twist)  # the second is the power
     tensor([ 0., 10.])
@@ -137,9 +122,6 @@ def double_geodesic(a: Tensor, b: Tensor) -> Tensor:
 
     It depends on the frame; the power of a wrench on a twist, `power`, does not.
 
-    Args:
-        a, b: screws, shape [..., 6].
-
     >>> double_geodesic(torch.tensor([1.0, 0, 0, 0, 0, 2]), torch.tensor([3.0, 0, 0, 0, 0, 4]))
     tensor(11.)
     """
@@ -148,9 +130,6 @@ def double_geodesic(a: Tensor, b: Tensor) -> Tensor:
 
 def swap(a: Tensor) -> Tensor:
     """Screw [..., 6] with primary and dual parts exchanged, D(a) + eps P(a).
-
-    Args:
-        a: screw, shape [..., 6].
 
     >>> swap(torch.tensor([1.0, 2, 3, 4, 5, 6]))
     tensor([4., 5., 6., 1., 2., 3.])
@@ -253,9 +232,6 @@ def _moderate(x: Tensor) -> tuple[Tensor, Tensor]:
 def norm(x: Tensor) -> Tensor:
     """Norm [...] of a quaternion [..., 4], or the dual number [..., 2] (|P|, P.D/|P|) of a dual quaternion [..., 8].
 
-    Args:
-        x: quaternion [..., 4], or dual quaternion [..., 8].
-
     >>> norm(torch.tensor([1.0, 2, 2, 4]))
     tensor(5.)
     """
@@ -272,9 +248,6 @@ def normalize(x: Tensor) -> Tensor:
     """Closest unit quaternion [..., 4] or unit dual quaternion [..., 8] (|P| = 1, P.D = 0).
 
     A row whose primary part is zero is NaN.
-
-    Args:
-        x: quaternion [..., 4], or dual quaternion [..., 8].
 
     >>> normalize(torch.tensor([0.0, 3, 0, 4]))
     tensor([0.0000, 0.6000, 0.0000, 0.8000])
@@ -327,9 +300,6 @@ def _ad(x: dual_quaternion.DualQuaternion, m: screw.Screw) -> screw.Screw:
 
 def ad_matrix(x: Tensor) -> Tensor:
     """Matrix [..., 6, 6] of Ad(x) on screws, [[A_P, 0], [A_D, A_P]].
-
-    Args:
-        x: pose X_AB, shape [..., 8].
 
     >>> from torchdq import dq
     >>> X_AB = dq.from_pose(torch.tensor([1.0, 0, 0, 0]), torch.tensor([1.0, 0, 2]))

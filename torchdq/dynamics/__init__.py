@@ -3,7 +3,7 @@
     joints, tree      joint types; links, joints and coordinates of a robot
     posed             interface of a robot at one configuration
     aligned           the form that runs: frames whose z axes are the joint axes
-    paper             the reference: the paper's algorithms, in any link frames
+    general           the reference: the paper's algorithms, in any link frames
     crba, ltdl        mass matrix by composite rigid bodies, and its sparse factors
     energy, regressor, acceleration, conditioning, coupling    parts that both forms share
 

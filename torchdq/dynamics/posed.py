@@ -1,6 +1,6 @@
 """Interface of a robot at one configuration: kinematics and dynamics of its bodies.
 
-It is implemented by `aligned.posed`, the form that runs, and by `paper.posed`, the reference and the form for robots
+It is implemented by `aligned.posed`, the form that runs, and by `general.posed`, the reference and the form for robots
 whose geometry is an argument. Each form chooses a frame for every link, fixed to the link. Points, twists and wrenches
 of links are in these frames; frames of the robot's description are arguments, as poses in its link frames.
 

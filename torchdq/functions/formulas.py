@@ -11,7 +11,7 @@ from torchdq.algebra.screw import Screw
 from torchdq.dynamics import posed as mechanics
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.tracking import commanded
-from torchdq.functions.posed import factors, frame, paper, solve
+from torchdq.functions.posed import factors, frame, general, solve
 from torchdq.functions.recipe import RecipeInputs, Results
 from torchdq.program.program import GROWTH, Value
 
@@ -105,7 +105,7 @@ def forward_kinematics(x: RecipeInputs, *names: str) -> Results:
 
 def forward_kinematics_in_link_frames(x: RecipeInputs, *names: str) -> Results:
     """Poses of frames, joint by joint, in the link frames of the description."""
-    X_WB = paper(x.robot, x.arguments["q"], x.overrides, x.base()).poses()
+    X_WB = general(x.robot, x.arguments["q"], x.overrides, x.base()).poses()
     return _poses(x, names, lambda link, X_BF: dual_quaternion.mul(X_WB[link], X_BF))
 
 

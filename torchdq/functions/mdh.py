@@ -18,8 +18,8 @@ from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.elementary import Angle
 from torchdq.dynamics.aligned.placement import Alignment, Placement
+from torchdq.dynamics.general import kinematics
 from torchdq.dynamics.joints import Along
-from torchdq.dynamics.paper import kinematics
 from torchdq.dynamics.tree import Tree
 
 NEAR = 32 * np.finfo(float).eps  # direction cosines this close to 0 or 1 are set to 0 or 1

@@ -13,8 +13,8 @@ from torchdq.dynamics import conditioning
 from torchdq.dynamics.aligned.posed import Aligned
 from torchdq.dynamics.aligned.regroup import regrouped
 from torchdq.dynamics.coupling import Coupled, Coupling
+from torchdq.dynamics.general.posed import General
 from torchdq.dynamics.joints import Coordinate, Free, along_z
-from torchdq.dynamics.paper.posed import Paper
 from torchdq.dynamics.posed import Factors, Posed
 from torchdq.dynamics.tree import Tree, on_base
 from torchdq.errors import SingularInertiaError
@@ -104,10 +104,10 @@ def _base_body(robot: Robot, overrides: Overrides) -> Moments:
     return Moments.from_com(*(field(robot, name, overrides) for name in BASE_BODY))
 
 
-def paper(robot: Robot, q: Sequence[Number], overrides: Overrides, X_WB: DualQuaternion | None = None) -> Paper:
-    """Robot at q in the paper's form, in the link frames of its description; every tensor may be an argument."""
+def general(robot: Robot, q: Sequence[Number], overrides: Overrides, X_WB: DualQuaternion | None = None) -> General:
+    """Robot at q in the general form, in the link frames of its description; every tensor may be an argument."""
     found = tree(robot, overrides, free=X_WB is not None)
-    return Paper.at(found, field(robot, "com", overrides), coordinates(robot, q, overrides, X_WB))
+    return General.at(found, field(robot, "com", overrides), coordinates(robot, q, overrides, X_WB))
 
 
 def posed(
@@ -117,7 +117,7 @@ def posed(
     per_sample: Sequence[str],
     X_WB: DualQuaternion | None = None,
 ) -> Posed:
-    """Robot at q, in aligned frames if its geometry is constant, otherwise in the paper's form.
+    """Robot at q, in aligned frames if its geometry is constant, otherwise in the general form.
 
     Args:
         per_sample: names of the tensors of the robot that depend on the sample.
@@ -125,7 +125,7 @@ def posed(
     """
     at: Posed
     if any(name in overrides for name in GEOMETRY):
-        at = paper(robot, q, overrides, X_WB)
+        at = general(robot, q, overrides, X_WB)
     else:
         at = aligned(robot, q, overrides, not any(name in per_sample for name in BODIES), X_WB)
     if robot.joint_map is None:

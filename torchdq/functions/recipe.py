@@ -10,7 +10,7 @@ from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Screw
 from torchdq.dynamics.coupling import Coupled
-from torchdq.dynamics.paper.rnea import exerted_wrenches
+from torchdq.dynamics.general.rnea import exerted_wrenches
 from torchdq.dynamics.posed import Posed
 from torchdq.errors import SingularInertiaError
 from torchdq.functions.posed import GEOMETRY, Overrides, as_screw, frame, posed

@@ -16,8 +16,8 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra import screw
 from torchdq.algebra.dual_quaternion import DualQuaternion
 from torchdq.algebra.inertia import Inertia
+from torchdq.dynamics.general import kinematics, rnea
 from torchdq.dynamics.joints import KINDS, Coordinate
-from torchdq.dynamics.paper import kinematics, rnea
 from torchdq.dynamics.tree import Tree, on_base
 from torchdq.numbers.count import Cost, cost, dense, executed
 from torchdq.paper import homogeneous, printed

@@ -52,7 +52,7 @@ def as_printed(robot: Robot, q: Row, qd: Row, qdd: Row) -> Sequence[Number]:
 
 def zeros_known(robot: Robot, q: Row, qd: Row, qdd: Row) -> Sequence[Number]:
     """Columns A_D as p x A_P, the base at rest, and each operator built once for both directions."""
-    return posed.paper(robot, q, {}).torques(qd, qdd, None)
+    return posed.general(robot, q, {}).torques(qd, qdd, None)
 
 
 def aligned_frames(robot: Robot, q: Row, qd: Row, qdd: Row) -> list[Number]:
@@ -125,7 +125,7 @@ COUNTED = (
     "The first row counts the formulas as they are written, with a wrench at the tip, as the paper does. The others "
     "count recorded programs, in which equal operations are kept once, without that wrench."
 )
-RUNGS = (
+FORMS = (
     LadderForm("operators as printed", as_printed),
     LadderForm("zeros known, operators shared", zeros_known),
     LadderForm("aligned frames: elementary screws", aligned_frames),
@@ -145,7 +145,7 @@ def times(n: int, batch: int = 4096, seconds: float = 0.3) -> list[float]:
     robot, on = example(n), torch.device("cpu")
     generator = torch.Generator().manual_seed(0)
     rows = [2 * torch.rand(batch, n, generator=generator, dtype=torch.float64) - 1 for _ in range(3)]
-    calls = [partial(run, rung.program(robot), rows, choose(None, on)) for rung in RUNGS]
+    calls = [partial(run, form.program(robot), rows, choose(None, on)) for form in FORMS]
     return medians(calls, batch, seconds)
 
 
@@ -162,9 +162,9 @@ def table(n: int = 7, taken: Sequence[float] | None = None) -> str:
         [f"step, {n} general revolute joints", "multiplications", "additions"],
         ["nothing known, every product of the print", str(whole.multiplications), str(whole.additions)],
     ]
-    for rung in RUNGS:
-        count = rung.program(robot).count()
-        rows.append([rung.name, str(count.multiplications), str(count.additions)])
+    for form in FORMS:
+        count = form.program(robot).count()
+        rows.append([form.name, str(count.multiplications), str(count.additions)])
     if taken is not None:
         column = ["time per sample", "", *(f"{t:.1f} ns" for t in taken)]
         rows = [[*row, cell] for row, cell in zip(rows, column, strict=True)]

@@ -76,7 +76,7 @@ class RobotModel:
             object.__setattr__(self, name, value)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Parts for pickle and copy: all fields but the storages, which the copy makes anew."""
+        """Parts for pickle and copy: all fields but the storages, which the copy makes itself."""
         require_unchanged(self)
         return type(self), tuple(getattr(self, f.name) for f in dataclasses.fields(self)[:-2])
 

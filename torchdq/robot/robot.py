@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 import torch
 from torch import Tensor
 from torch.compiler import is_compiling
@@ -9,6 +11,7 @@ from torch.compiler import is_compiling
 from torchdq.algebra.inertia import six
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import frozen
+from torchdq.errors import no_attribute
 from torchdq.program.transforms import any_requires_grad
 from torchdq.robot import loading
 from torchdq.robot import tree as trees
@@ -19,6 +22,21 @@ from torchdq.robot.edit import combined, coupled, reduced, replaced, stacked
 from torchdq.robot.mjcf import writer as mjcf_writer
 from torchdq.robot.model import RobotModel, require_unchanged
 from torchdq.robot.urdf import writer as urdf_writer
+
+# names of other libraries
+_ELSEWHERE = {
+    **dict.fromkeys(("dof", "dofs", "ndof", "nq", "nv", "nu", "njoints", "num_joints", "num_dofs", "n_joints"), "n"),
+    **dict.fromkeys(("joints", "joint_list", "actuated_joint_names"), "joint_names"),
+    **dict.fromkeys(("links", "bodies", "body_names"), "link_names"),
+    **dict.fromkeys(("joint_limits", "q_min", "q_max", "lower", "upper", "qlim"), "limits, with lower and upper"),
+    **dict.fromkeys(("effort", "velocity", "torque_limits", "effort_limits"), "limits, with effort and velocity"),
+    **dict.fromkeys(("ee", "ee_link", "end_effector_name", "tool"), "tip, and end_effector() is that frame"),
+    **dict.fromkeys(("rnea", "inverse_dynamics", "id"), "torchdq.inverse_dynamics(robot, q, qd, qdd)"),
+    **dict.fromkeys(("aba", "forward_dynamics", "fd"), "torchdq.forward_dynamics(robot, q, qd, tau)"),
+    **dict.fromkeys(("crba", "mass_matrix", "M"), "torchdq.mass_matrix(robot, q)"),
+    **dict.fromkeys(("fk", "fkine", "forward_kinematics"), "torchdq.forward_kinematics(robot, q, frame)"),
+    **dict.fromkeys(("jacobian", "jacob0", "jacobe"), "torchdq.jacobian(robot, q, frame)"),
+}
 
 
 @frozen
@@ -37,6 +55,11 @@ class Robot(RobotModel):
     >>> robot.n, robot.joint_names
     (2, ('joint1', 'joint2'))
     """
+
+    if not TYPE_CHECKING:  # type checkers know the names
+
+        def __getattr__(self, name: str) -> Any:
+            raise no_attribute("'Robot' object", name, [*dir(Robot), *vars(self)], _ELSEWHERE, "help(torchdq.Robot)")
 
     from_urdf = classmethod(loading.from_urdf)
     from_xacro = classmethod(loading.from_xacro)

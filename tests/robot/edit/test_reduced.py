@@ -292,7 +292,7 @@ def test_a_coordinate_is_locked_where_its_own_joint_is_at_home():
 
 
 def test_a_follower_is_not_locked_by_itself():
-    told = "lock must not name joint 'j4', which is no coordinate: it follows 0.5 j3; lock 'j3', which holds it too"
+    told = "lock must not name joint 'j4', which is not a coordinate: it follows 0.5 j3; lock 'j3', which holds it too"
     for lock in (["j4"], {"j4": 0.1}, "j4"):
         with pytest.raises(ArgumentError, match=told):
             mapped("gears").lock(lock)

@@ -28,7 +28,7 @@ COUNTED = ("multiplications", "additions", "divisions", "sines", "roots")
 class Growth(NamedTuple):
     """Factors by which accelerations magnify rounding errors, at random positions within the limits."""
 
-    usual: float  # median
+    median: float
     worst: float
 
 
@@ -38,7 +38,7 @@ class Overview(NamedTuple):
     report: Report
     operations: dict[str, Count | None]  # per sample, by function; None: undefined, since a joint moves no inertia
     growth: Growth | None  # None: accelerations are undefined, or there are none
-    doubt: str  # why there is no growth; "" if there is
+    reason: str  # why there is no growth; "" if there is
 
     def rows(self) -> list[tuple[str, ...]]:
         """Cells of the table of operations, a row for each function."""
@@ -50,11 +50,11 @@ class Overview(NamedTuple):
         ]
 
     def rounding(self) -> str:
-        """Words for the growth of rounding errors."""
+        """Sentence about the growth of rounding errors."""
         if self.growth is None:
-            return f"rounding errors: {self.doubt}"
+            return f"rounding errors: {self.reason}"
         return (
-            f"rounding errors of accelerations, at {POSITIONS} random positions: magnified {self.growth.usual:.3g} "
+            f"rounding errors of accelerations, at {POSITIONS} random positions: magnified {self.growth.median:.3g} "
             f"times in the median, largest growth {self.growth.worst:.3g}; torques and kinematics keep all digits"
         )
 

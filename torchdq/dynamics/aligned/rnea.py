@@ -1,6 +1,6 @@
 """Recursive Newton-Euler algorithm: Algorithm 1 of the paper in aligned frames.
 
-It computes the torques of `paper.rnea` with fewer operations:
+It computes the torques of `general.rnea` with fewer operations:
 
 * Ad of a joint's pose is a product of elementary screws, planar rotations of both parts, instead of 3x3 matrices.
 * The dual part of the twists is not computed: V = (w, None). The wrenches do not depend on it, and the dual part of A

@@ -13,8 +13,8 @@ from torchdq.algebra import quaternion as quat
 from torchdq.base.checks import require_choice
 from torchdq.base.findings import Finding, Severity
 from torchdq.dynamics import crba
+from torchdq.dynamics.general.posed import General
 from torchdq.dynamics.joints import Coordinate
-from torchdq.dynamics.paper.posed import Paper
 from torchdq.dynamics.tree import Tree
 from torchdq.errors import UnphysicalError
 
@@ -121,7 +121,7 @@ def inert_joints(names: Sequence[str], tree: Tree) -> dict[str, Finding]:
     # an inertia may vanish in one position only, so a few positions with nothing special are tried
     for seed in range(3):
         angles = [math.sin(1.0 + 12.9898 * i + 78.233 * seed) for i in range(n - 1)]
-        at = Paper.at(tree, (), [None, *(Coordinate(x, math.cos(0.5 * x), math.sin(0.5 * x)) for x in angles)])
+        at = General.at(tree, (), [None, *(Coordinate(x, math.cos(0.5 * x), math.sin(0.5 * x)) for x in angles)])
         composites = at.composites()
         # the same sums without signs
         spread = [0.0 if x.inertia is None else sum(abs(x.inertia.rotational[k][k]) for k in range(3)) for x in links]
@@ -160,9 +160,9 @@ def complain(robot: str, faults: Sequence[Finding], on_unphysical: OnUnphysical)
         return
     if on_unphysical != "warn" and not all(fault.code == TRIANGLE for fault in faults):
         refuse(robot, faults, repaired=on_unphysical == "repair")
-    advice = f"\nNumbers are those of the inertias as they are; {NEAREST}."
-    said = advice if any(fault.code == TRIANGLE for fault in faults) else ""
-    warnings.warn(_unphysical(robot, faults) + said, stacklevel=4)  # where a public function was called
+    repairable = any(fault.code == TRIANGLE for fault in faults)
+    advice = f"\nNumbers are those of the inertias as they are; {NEAREST}." if repairable else ""
+    warnings.warn(_unphysical(robot, faults) + advice, stacklevel=4)  # where a public function was called
 
 
 def refuse(robot: str, faults: Sequence[Finding], repaired: bool = False) -> NoReturn:

@@ -77,7 +77,7 @@ def faults(robot: RobotModel, names: Collection[str], everything: bool = False) 
 
 
 def _geometry(robot: RobotModel, names: Collection[str], everything: bool) -> Iterator[Finding]:
-    """Faults of poses and screws: those that are no unit ones, and screws that are not of the kind of their joint."""
+    """Faults of poses that are not unit ones, and of screws that are not of the kind of their joint."""
     poses = [("X_PB_home", robot.X_PB_home, "")] if "X_PB_home" in names else []
     poses += [("pose X_BF", f.X_BF, f"frame {f.name!r}") for f in robot.frames if "frames" in names]
     for name, x, subject in poses:

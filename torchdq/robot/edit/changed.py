@@ -17,9 +17,9 @@ from torchdq.robot.arrays import equal
 from torchdq.robot.bodies import NOTHING, body_at, without
 from torchdq.robot.model import RobotModel, batches, require_unchanged, values
 
-# fields that a writer writes; gravity, tip, name and notes are no part of a file's bodies and joints
+# fields that a writer writes; gravity, tip, name and notes are not part of a file's bodies and joints
 WRITTEN = (*fields.BODIES, "limits", "damping", "friction", "armature")
-BESIDE = ("name", "gravity", "tip", "notes")
+UNWRITTEN = ("name", "gravity", "tip", "notes")
 CLOSE = {torch.float64: 1e-12, torch.float32: 1e-6}  # as parts of the largest number of a field
 
 
@@ -42,7 +42,7 @@ def require_same_tree(robot: RobotModel, original: RobotModel) -> None:
         )
     theirs = values(original.to(robot.mass.dtype, robot.mass.device))
     for name, own in values(robot).items():
-        if name not in (*WRITTEN, *BESIDE) and not equal(own, theirs[name]):
+        if name not in (*WRITTEN, *UNWRITTEN) and not equal(own, theirs[name]):
             found = f", found {own}, in the original {theirs[name]}" if name in ("joint_names", "link_names") else ""
             raise ArgumentError(
                 f"{name} of robot {robot.name!r} must be that of the original{found}; only masses, centres of mass, "
@@ -96,7 +96,7 @@ def digits(numbers: Iterable[float]) -> str:
 
 
 def changed_joints(robot: RobotModel, original: RobotModel) -> Iterator[ChangedJoint]:
-    """Numbers of joints that were changed; raises if one is no number to write."""
+    """Numbers of joints that were changed; raises if one is not finite."""
     for name, own, theirs in _per_joint(robot, original):
         for joint, old, new, differs in zip(
             robot.joint_names, theirs.tolist(), own.detach().double().tolist(), own != theirs.to(own), strict=True

@@ -35,7 +35,8 @@ def with_payload(
     """Robot that holds a body, which becomes part of the link, or of the free base, that carries a frame.
 
     The inertial parameters become arguments of the programs, as by `replace`: another payload, a batch of them and
-    gradients in their tensors need no new program. Numbers that seem to be in mm or kg mm^2 are warned of.
+    gradients in their tensors need no new program. `effects.Payload` is for a body that a scene draws or learns.
+    Numbers that seem to be in mm or kg mm^2 are warned of.
 
     Args:
         robot: the robot.
@@ -69,10 +70,10 @@ def _holding(robot: AnyRobot, mass: Any, com: Any, inertia: Any, at: Frame) -> A
                 f"mass and inertia must be those of a body, xx xy yy xz yz zz: {found[0]}", findings=found
             )
     changes: dict[str, Any] = {**_held(robot, at.link, at.X_BF, held)}
-    doubtful = units.of_payload(robot, held) if measurable(robot, *held) else []
-    units.warn(f"a payload of robot {robot.name!r}", doubtful, stacklevel=3)
+    suspicious = units.of_payload(robot, held) if measurable(robot, *held) else []
+    units.warn(f"a payload of robot {robot.name!r}", suspicious, stacklevel=3)
     # a warning of the payload is not repeated for the link
-    return replace(robot, **changes, on_unphysical="ignore" if doubtful else "error")
+    return replace(robot, **changes, on_unphysical="ignore" if suspicious else "error")
 
 
 def with_tool(

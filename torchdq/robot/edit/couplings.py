@@ -63,9 +63,9 @@ def solved(joints: int, held: Mapping[int, float], couplings: Sequence[JointCoup
             )
         else:
             continue
-        told = (*behind, f"the coupling {name!r}")
+        reasons = (*behind, f"the coupling {name!r}")
         moved = [x.root == joint for x in found]
-        causes = [(*dict.fromkeys((*x, *told)),) if moves else x for x, moves in zip(causes, moved, strict=True)]
+        causes = [(*dict.fromkeys((*x, *reasons)),) if moves else x for x, moves in zip(causes, moved, strict=True)]
         found = _with(found, joint, by)
     return found
 

@@ -1,4 +1,4 @@
-"""Positions of joints that are locked: read, checked and told, whatever the robot comes from."""
+"""Positions of joints that are locked: read, checked and noted, whatever the robot comes from."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def require_free(movable: Iterable[str], locked: Iterable[str]) -> None:
         )
 
 
-def told(lock: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> list[Finding]:
+def lock_notes(lock: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> list[Finding]:
     """Notes about positions [rad or m] of locked joints, and about those beyond their limits."""
     if not lock:
         return []
@@ -70,7 +70,7 @@ def told(lock: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -
     return notes
 
 
-def tell_if_beyond(
+def warn_beyond_limits(
     robot: str,
     lock: Mapping[str, float | None],
     limits: Mapping[str, tuple[float, float]],

@@ -20,7 +20,7 @@ from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import IDENTITY
 from torchdq.robot.bodies import body_at, lumped, mixed
 from torchdq.robot.description import Frame, JointMap, Limits
-from torchdq.robot.edit.locking import positions, require_free, tell_if_beyond, told
+from torchdq.robot.edit.locking import lock_notes, positions, require_free, warn_beyond_limits
 from torchdq.robot.fields import BASE_BODY
 from torchdq.robot.model import AnyRobot, RobotModel, batches
 
@@ -83,7 +83,7 @@ def lock(robot: AnyRobot, lock: Mapping[str, float] | Sequence[str] | str) -> An
     lower, upper = (x.reshape(-1, robot.n) for x in robot.limits[:2])  # the narrowest, if robots differ
     ranges = dict(zip(robot.joint_names, zip(lower.amax(0).tolist(), upper.amin(0).tolist(), strict=True), strict=True))
     limits = {name: ranges[name] for name in at}
-    tell_if_beyond(robot.name, given, limits, stacklevel=2)
+    warn_beyond_limits(robot.name, given, limits, stacklevel=2)
     return _made(
         robot,
         links,
@@ -94,7 +94,7 @@ def lock(robot: AnyRobot, lock: Mapping[str, float] | Sequence[str] | str) -> An
         com=_stacked(coms, robot.com[..., :0, :]),
         inertia=_stacked(inertias, robot.inertia[..., :0, :]),
         frames=tuple(Frame(x.name, new[carrier[x.link]], dq.mul(X_CB[x.link], x.X_BF)) for x in robot.frames),
-        notes=(*robot.notes, *told(stand, limits)),
+        notes=(*robot.notes, *lock_notes(stand, limits)),
         _arguments=mixed(robot._arguments),
         **changes,
     )
@@ -199,7 +199,7 @@ def _require_coordinates(robot: RobotModel, lock: Any) -> None:
             leaders = [repr(leader) for leader, factor in zip(robot.joint_names, row, strict=True) if factor]
             hold = "which hold it too" if len(leaders) > 1 else "which holds it too"
             raise ArgumentError(
-                f"lock must not name joint {name!r}, which is no coordinate: it follows "
+                f"lock must not name joint {name!r}, which is not a coordinate: it follows "
                 f"{robot.joint_map.followed(name, robot.joint_names)}; lock {' and '.join(leaders)}, {hold}"
             )
 

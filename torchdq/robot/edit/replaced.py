@@ -18,7 +18,7 @@ from torchdq.robot.constants import hold
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.model import AnyRobot, RobotModel, batches, present, require_unchanged, values
 
-# fields whose units can be doubted
+# fields whose units are checked
 MEASURED = ("X_PB_home", "screw", "mass", "com", "inertia", "limits", "frames")
 
 
@@ -39,7 +39,7 @@ def replace(robot: AnyRobot, *, on_unphysical: OnUnphysical = "error", **changes
             inertia and no mass. A file's link may have that, which is noted; a new mass of zero needs an inertia
             of zero.
 
-    >>> import torchdq
+    >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link")
     >>> heavier = robot.replace(mass=robot.mass * torch.tensor([[1.0], [1.1], [1.2]], dtype=torch.float64))
     >>> heavier.mass.shape  # three robots

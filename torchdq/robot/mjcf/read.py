@@ -21,7 +21,7 @@ from torchdq.robot.assembly import described
 from torchdq.robot.check import consistency
 from torchdq.robot.description import RobotDescription, note
 from torchdq.robot.edit.couplings import Follows, JointCoupling, solved
-from torchdq.robot.edit.locking import positions, require_free, tell_if_beyond, to_keep, told
+from torchdq.robot.edit.locking import lock_notes, positions, require_free, to_keep, warn_beyond_limits
 from torchdq.robot.mjcf import notes as mjcf_notes
 from torchdq.robot.mjcf.joints import BALL, FREE, MjcfJoint, equalities, joints_of
 from torchdq.robot.mjcf.links import Bodies, links_of
@@ -59,7 +59,7 @@ def read(source: Any, base: MjcfBase, kept: Any = None, lock: Any = None, gravit
     locked = {name: x for name, x in at.items() if name not in still}
     given = mjcf_notes.gravity(of) if isinstance(gravity, str) and gravity == "file" else gravity
     notes = mjcf_notes.diagnostics(of, joints, moves, bodies, found.others, given is not None)
-    notes += told(locked, {j.name: (j.lower, j.upper) for j in joints if j.name in locked})
+    notes += lock_notes(locked, {j.name: (j.lower, j.upper) for j in joints if j.name in locked})
     if still:
         standing = ", ".join(f"{name} at {x:g}" for name, x in still.items())
         notes.append(note("joint.stuck", [*still], f"held by equality constraints: {standing}"))
@@ -78,7 +78,7 @@ def _given(of: MjcfModel, joints: Sequence[MjcfJoint], base: MjcfBase, lock: Any
     by_name = {joint.name: joint for joint in joints}
     held = {joint.row: 0.0 for joint in joints if joint.kind == FREE and base == "fixed"}
     asked = positions(() if lock is None else lock, by_name)
-    tell_if_beyond(of.name, asked, {joint.name: (joint.lower, joint.upper) for joint in joints}, stacklevel=4)
+    warn_beyond_limits(of.name, asked, {joint.name: (joint.lower, joint.upper) for joint in joints}, stacklevel=4)
     for name, value in asked.items():
         joint = by_name[name]
         if value is not None and not joint.single:

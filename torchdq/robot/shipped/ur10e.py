@@ -36,7 +36,7 @@ BODIES = [
 ]
 
 
-@backend("eager")  # a few poses are not worth a compilation
+@backend("eager")  # a few poses need no compilation
 def build() -> Robot:
     """UR10e arm; its tip is the controller's tool frame."""
     joints, axes, links, positions, orientations = zip(*CHAIN, strict=True)

@@ -14,7 +14,7 @@ from torchdq.robot.assembly import Links
 from torchdq.robot.check.units import degrees
 from torchdq.robot.description import UNSIMULATED, note
 from torchdq.robot.edit.couplings import Follows
-from torchdq.robot.edit.locking import told
+from torchdq.robot.edit.locking import lock_notes
 from torchdq.robot.urdf.document import EXTENSIONS
 from torchdq.robot.urdf.elements import Elements, UrdfJoint
 
@@ -222,7 +222,7 @@ def _joints(
         of(f"{UNSIMULATED}mimic", lambda j: j.mimic and not coupled, "<mimic> not used, independent"),
     )
     limits = {name: (file.joints[name].lower, file.joints[name].upper) for name in held}
-    return [*told(held, limits), *(x for x in notes if x.subject)]
+    return [*lock_notes(held, limits), *(x for x in notes if x.subject)]
 
 
 def _limited(joint: UrdfJoint) -> bool:

@@ -9,7 +9,7 @@ from torchdq.base.findings import Finding
 from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import MOST
 from torchdq.robot.edit.couplings import Follows
-from torchdq.robot.edit.locking import positions, require_free, tell_if_beyond, to_keep
+from torchdq.robot.edit.locking import positions, require_free, to_keep, warn_beyond_limits
 from torchdq.robot.urdf.elements import Elements, UrdfJoint, listed
 
 STILL = Follows(None, 0.0, 0.0)
@@ -73,7 +73,7 @@ def locked(file: Elements, free: Sequence[Follows], coupled: bool, joints: Any, 
     movable = [name for name, x in zip(file.joints, free, strict=True) if x.root is not None]
     wanted = positions(() if lock is None else lock, movable)
     limits = {name: (file.joints[name].lower, file.joints[name].upper) for name in wanted}
-    tell_if_beyond(file.name, wanted, limits, stacklevel=4)
+    warn_beyond_limits(file.name, wanted, limits, stacklevel=4)
     given = {name: value or 0.0 for name, value in wanted.items()}
     kept = None if joints is None else to_keep(joints, movable, given)
     moves = motions(file.joints, coupled, [], given, kept)

@@ -17,7 +17,7 @@ from torchdq.algebra import quaternion as quat
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Adjoint, Screw
 from torchdq.algebra.structural import add, cross, neg
-from torchdq.dynamics.paper.kinematics import momentum, to_link, to_parent
+from torchdq.dynamics.general.kinematics import momentum, to_link, to_parent
 from torchdq.dynamics.tree import WORLD, Tree
 
 

@@ -1,6 +1,6 @@
-"""Robot at one configuration in the paper's form: any link frames, dual-quaternion poses, adjoint columns.
+"""Robot at one configuration in the general form: any link frames, dual-quaternion poses, adjoint columns.
 
-It is the reference for the form that runs, and the form for robots whose geometry is an argument.
+It is the reference for the aligned form, and the form that runs for robots whose geometry is an argument.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from torchdq.algebra.quaternion import Number, Pure
 from torchdq.algebra.screw import Adjoint, Screw
 from torchdq.dynamics import crba, energy, regressor
 from torchdq.dynamics.acceleration import tensor
-from torchdq.dynamics.paper import closed_form, kinematics, rnea
+from torchdq.dynamics.general import kinematics, rnea
 from torchdq.dynamics.posed import Exerted, Factors, Point, Row, factors_by_entries
 from torchdq.dynamics.tree import Tree
 
 
-class Paper(NamedTuple):
+class General(NamedTuple):
     """Robot at one configuration; implements `dynamics.posed.Posed`."""
 
     tree: Tree
@@ -32,7 +32,7 @@ class Paper(NamedTuple):
     coms: tuple[Pure, ...]  # centres of mass of the moving links
 
     @classmethod
-    def at(cls, tree: Tree, coms: Sequence[Pure], q: Sequence[Any]) -> Paper:
+    def at(cls, tree: Tree, coms: Sequence[Pure], q: Sequence[Any]) -> General:
         """Robot at coordinates of all joints, beginning with the base."""
         X_PB = kinematics.joint_poses(tree, q)
         return cls(tree, X_PB, kinematics.adjoints(X_PB), tuple(coms))
@@ -103,11 +103,11 @@ class Paper(NamedTuple):
         """Factors of the mass matrix, always entry by entry."""
         return factors_by_entries(self.tree.predecessors(), self.mass_matrix())
 
-    def with_armature(self, more: Row) -> Paper:
+    def with_armature(self, more: Row) -> General:
         """Posed robot with additional rotor inertia."""
         return self._replace(tree=self.tree.with_armature(more))
 
-    def without_gravity(self) -> Paper:
+    def without_gravity(self) -> General:
         """Posed robot without gravity."""
         return self._replace(tree=self.tree._replace(gravity=None))
 
@@ -120,10 +120,6 @@ class Paper(NamedTuple):
         whole = self.composites()[0]
         first = None if whole is None else self._carried(0, whole).first
         return energy.potential_energy(self.tree.gravity, first)
-
-    def closed_form(self, qd: Row, tip: tuple[int, Adjoint] | None = None) -> closed_form.Terms:
-        """Terms of (63) from dual-quaternion matrices; `tip` is the end effector's link and pose in it."""
-        return closed_form.closed_form(self.tree, self.Ad, qd, tip)
 
     def regressor(self, qd: Row | None, qdd: Row | None) -> list:
         """Factors of the inertial parameters about the link frames."""

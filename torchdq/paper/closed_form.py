@@ -18,8 +18,8 @@ from torchdq.algebra.matrix import Matrix
 from torchdq.algebra.quaternion import Number
 from torchdq.algebra.screw import Adjoint, Screw
 from torchdq.algebra.structural import add, cross
-from torchdq.dynamics.paper.kinematics import momentum, to_link
-from torchdq.dynamics.paper.rnea import world_acceleration
+from torchdq.dynamics.general.kinematics import momentum, to_link
+from torchdq.dynamics.general.rnea import world_acceleration
 from torchdq.dynamics.tree import WORLD, Tree, path
 
 

@@ -1,0 +1,178 @@
+"""Robots with some fields replaced: shapes, kinds and values of what is given are checked, as a file's are."""
+
+import dataclasses
+import math
+import re
+
+import pytest
+import torch
+from robots import F64, panda, row, same, torques, two
+
+import torchdq
+from torchdq import ArgumentError, DescriptionError, DtypeError, Robot, UnknownNameError, UnphysicalError, dq
+from torchdq.robot import Frame
+
+
+def test_replace_shares_the_rest():
+    robot = panda()
+    heavier = robot.replace(mass=2 * robot.mass)
+    assert heavier.com is robot.com and torch.equal(heavier.mass, 2 * robot.mass)
+
+
+SHAPES = {
+    ("mass", (6,)): "7",
+    ("mass", (7, 1)): "7",
+    ("mass", ()): "7",
+    ("com", (7,)): "7, 3",
+    ("inertia", (7, 3, 3)): "7, 6",
+    ("X_PB_home", (8,)): "7, 8",
+    ("screw", (6, 6)): "7, 6",
+    ("gravity", (2,)): "3",
+    ("home", (1,)): "7",
+    ("armature", (8,)): "7",
+}
+
+
+@pytest.mark.parametrize("field, shape", SHAPES)
+def test_replace_checks_shapes(field, shape):
+    expected = rf"\[\.\.\., {SHAPES[field, shape]}\]"
+    with pytest.raises(ArgumentError, match=rf"{field} of robot 'panda' must be a tensor of shape {expected}"):
+        panda().replace(**{field: torch.zeros(shape, dtype=F64)})
+
+
+@pytest.mark.case("P7")
+def test_replace_wants_tensors_of_floating_point():
+    for value in (None, [1.0] * 7, 3.0):
+        with pytest.raises(ArgumentError, match="mass of robot 'panda' must be a tensor"):
+            panda().replace(mass=value)
+    with pytest.raises(DtypeError, match="mass of robot 'panda' must be float32 or float64"):
+        panda().replace(mass=torch.ones(7, dtype=torch.int64))
+
+
+POSE = row(2, 0, 0, 0, 0, 0, 0, 0)
+UNPHYSICAL = {  # changed fields, code and subject of the fault, and the number found where the message has it
+    "negative mass": ({"mass": row(1, -1)}, "mass.negative", "link 'link2'", "-1 kg"),
+    "mass of nan": ({"mass": row(math.nan, 1)}, "body.finite", "link 'link1'", "mass nan"),
+    "negative inertia": ({"inertia": -two().inertia}, "inertia.indefinite", "link 'link1'", ""),
+    "inertia without mass": ({"mass": row(1, 0)}, "inertia.massless", "link 'link2'", ""),
+    "com of inf": ({"com": two().com + math.inf}, "com.value", "", "inf"),
+    "home of nan": ({"home": row(0, math.nan)}, "home.value", "", "nan at (1,)"),
+    "gravity of nan": ({"gravity": row(0, 0, math.nan)}, "gravity.value", "", "nan at (2,)"),
+    "armature": ({"armature": row(0, -1)}, "armature.value", "", "-1.0 at (1,)"),
+    "damping": ({"damping": row(0, -1)}, "damping.value", "", "-1.0 at (1,)"),
+    "friction": ({"friction": row(0, -1)}, "friction.value", "", "-1.0 at (1,)"),
+    "effort": ({"limits": two().limits._replace(effort=row(1, -1))}, "effort limit.value", "", "-1.0 at (1,)"),
+    "velocity": ({"limits": two().limits._replace(velocity=row(1, math.nan))}, "velocity limit.value", "", "nan"),
+    "long screw": ({"screw": 2 * two().screw}, "screw.kind", "joint 'joint1'", ""),
+    "screw with pitch": ({"screw": two().screw + row(0, 0, 0, 0, 0, 0.1)}, "screw.kind", "joint 'joint1'", "0.1"),
+    "no screw": ({"screw": 0 * two().screw}, "screw.kind", "joint 'joint1'", "0.0"),
+    "screw of nan": ({"screw": math.nan * two().screw}, "screw.kind", "joint 'joint1'", "nan"),
+    "kinds and screws": ({"kinds": ("revolute", "prismatic")}, "screw.kind", "joint 'joint2'", ""),
+    "long pose": ({"X_PB_home": 2 * two().X_PB_home}, "pose.unit", "", "2.0"),
+    "long frame": ({"frames": (Frame("tip", 1, POSE),)}, "pose.unit", "frame 'tip'", "2.0"),
+    "crossed": ({"limits": two().limits._replace(lower=row(9, 9), upper=row(0, 0))}, "lower limit.value", "", "9.0"),
+}
+
+
+@pytest.mark.parametrize("case", UNPHYSICAL)
+def test_replace_checks_values_as_a_file_is_checked(case):
+    changes, code, subject, number = UNPHYSICAL[case]
+
+    def one(findings):
+        fault = findings[0]
+        assert (fault.code, fault.subject) == (code, subject) and number in fault.found
+        return fault
+
+    with pytest.raises(UnphysicalError) as refused:
+        two().replace(**changes)
+    sentence = str(one(refused.value.findings))
+    with pytest.warns(UserWarning) as warned:
+        robot = two().replace(**changes, on_unphysical="warn")
+    assert sentence in str(warned[0].message) and warned[0].filename == __file__
+    one(robot.report().notes)
+    with pytest.raises(UnphysicalError) as refused:
+        two().replace(**changes, on_unphysical="ignore").check()
+    one(refused.value.findings)
+
+
+LONG, BENT = row(2, 0, 0, 0, 0, 0.2, 0, 0), row(1, 0, 0, 0, 0.5, 0, 0, 0)  # |r| = 2, and a dual part that is no pose's
+BODIES = {"mass": [1.0], "com": [[0.1, 0.0, 0.0]], "inertia": [[0.01, 0, 0.01, 0, 0, 0.01]]}
+GIVEN_POSES = {
+    "pose": lambda x: two().with_tool("pen", x),
+    "base_pose": lambda x: two().attach(two(), "tip", prefix="o_", base_pose=x),
+    "tip_pose": lambda x: Robot.from_screws([[0, 0, 1, 0, 0, 0]], **BODIES, tip_pose=x),
+    "link_poses": lambda x: Robot.from_screws([[0, 0, 1, 0, 0, 0]], **BODIES, link_poses=x.unsqueeze(0)),
+    "tip_pose of dh": lambda x: Robot.from_dh([0.1], [0.0], [0.0], [0.0], **BODIES, tip_pose=x),
+}
+
+
+@pytest.mark.filterwarnings("ignore:robot 'two_link' has no body of its base")
+@pytest.mark.parametrize("argument", GIVEN_POSES)
+def test_a_pose_that_is_not_unit_is_refused_not_normalised(argument):
+    make, name = GIVEN_POSES[argument], argument.partition(" ")[0]
+    error = ArgumentError if name in ("pose", "base_pose") else DescriptionError
+    for wrong in (LONG, BENT, LONG.to(torch.float32), 0 * LONG):
+        found = re.escape(str(wrong.double().tolist()))
+        with pytest.raises(error, match=rf"^{name} must be unit dual quaternions .*dq\.normalize\), found {found}"):
+            make(wrong)
+    with pytest.raises(error, match=rf"^{name} must have the shape \("):
+        make(LONG[:7])
+    # a pose in single precision is unit up to its rounding, which goes
+    turned = dq.exp(row(0.3, -0.2, 0.5, 0.1, 0.7, -0.4))
+    for robot in (make(turned), make(turned.float())):
+        assert all(abs(float(frame.X_BF[:4].norm()) - 1) < 1e-15 for frame in robot.frames)
+    for exact, rounded in zip(make(turned).frames, make(turned.float()).frames, strict=True):
+        assert torch.allclose(exact.X_BF, rounded.X_BF, rtol=0, atol=2**-23)
+
+
+BROKEN = {
+    "frame beyond": ({"frames": (Frame("tip", 2, two().frames[0].X_BF),)}, "frames of robot 'two_link' must be"),
+    "damping": ({"damping": torch.ones(5)}, r"damping of robot 'two_link' must be a tensor \[n\], with n = 2"),
+    "integers": ({"friction": torch.ones(2, dtype=torch.int64)}, "friction of robot 'two_link' must be"),
+    "limits": ({"limits": 5}, "limits of robot 'two_link' must be Limits"),
+    "name": ({"name": 3}, "name of robot 'two_link' must be a string, with n = 2, found 3"),
+    "joints": ({"joint_names": ("a", "a")}, "joint_names .* different names"),
+    "links": ({"link_names": ["a", "b"]}, "link_names .* different names"),
+    "parents": ({"parents": (1, 0)}, "parents .* earlier link or -1"),
+    "kinds": ({"kinds": ("ball", "ball")}, "kinds .* revolute, prismatic, helical"),
+    "tip": ({"tip": 3}, "tip .* name of a frame"),
+    "notes": ({"notes": "none"}, "notes .* strings"),
+}
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_replace_checks_structure(case):
+    changes, named = BROKEN[case]
+    with pytest.raises(ArgumentError, match=named):
+        two().replace(**changes)
+
+
+@pytest.mark.parametrize("name", torchdq.robots.names())
+def test_every_field_can_be_replaced_by_itself(name):
+    robot = torchdq.robots.load(name)
+    single = robot.to(torch.float32)
+    for field in (f.name for f in dataclasses.fields(robot) if not f.name.startswith("_")):
+        assert same(torques(robot.replace(**{field: getattr(robot, field)})), torques(robot))
+        assert single.replace(**{field: getattr(single, field)}).n == robot.n
+
+
+def test_an_unknown_field_names_the_closest():
+    with pytest.raises(UnknownNameError, match="no field of robot 'two_link' named 'masses'; did you mean 'mass'"):
+        two().replace(masses=two().mass)
+    with pytest.raises(UnknownNameError, match="no frame of robot 'two_link' named 'tool'"):
+        two().replace(tip="tool")
+
+
+def test_learned_and_transformed_values_are_not_read():
+    mass = -torch.ones(2, dtype=F64)
+    learned = two().replace(mass=mass.clone().requires_grad_())
+    torch.func.vmap(lambda m: torchdq.inverse_dynamics(two().replace(mass=m), torch.ones(2, dtype=F64)))(mass[None])
+    for robot in (learned, two().replace(mass=mass[None])):
+        with pytest.raises(UnphysicalError, match="mass must not be negative"):
+            robot.check()
+
+
+def test_a_check_finds_a_joint_without_inertia():
+    robot = two().replace(mass=row(1, 0), inertia=row(0, 0, 0, 0, 0, 0).expand(2, 6))
+    with pytest.raises(UnphysicalError, match="joint 'joint2': it moves no inertia"):
+        robot.check()

@@ -1,1 +1,0 @@
-"""The reference form: the algorithms of the paper, in dual quaternions and any link frames."""
