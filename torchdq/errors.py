@@ -1,14 +1,26 @@
 """Errors of this package, each also an instance of the built-in error a caller would expect."""
 
+from __future__ import annotations
+
 import dataclasses
 from collections.abc import Iterable
 from difflib import SequenceMatcher, get_close_matches
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from torchdq.base.findings import Finding
 
 NEAR = 0.5  # share of letters in common from which a known name may be meant
 
 
 class TorchdqError(Exception):
     """Base class of all torchdq errors."""
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        """Faults as values, `torchdq.base.findings.Finding`; empty if the error was raised with a message alone."""
+        return tuple(x for x in self.args if hasattr(x, "code") and hasattr(x, "cure"))
 
 
 class ArgumentError(TorchdqError, ValueError):

@@ -24,7 +24,7 @@ from torchdq.layers.residual import Domain, Posterior, ResidualDynamics
 from torchdq.layers.residual.networks import perceptrons
 from torchdq.learning.evaluation.blocks import MotionRows, blocks, regions
 from torchdq.learning.evaluation.correlation import correlation_times
-from torchdq.learning.evaluation.diagnostics import LogWarning
+from torchdq.learning.logs.errors import LogWarning
 from torchdq.learning.logs.samples import Samples, torque_variance
 from torchdq.learning.training.validation_gain import LEAST, LeftOut, Worth, decide
 
@@ -199,7 +199,7 @@ def _by_copies(
     left: dict[int, LeftOut] = {}
     for k in range(groups):
         mine = found[k::GROUPS]
-        unused = [some for block in mine for some in (block.rows, *block.beside)]
+        unused = [some for block in mine for some in (block.rows, *block.margins)]
         parts = without(unused, [block.rows for block in mine], k)
         left |= {block.rows.start: part for block, part in zip(mine, parts, strict=True)}
     apart = [part for k, half in enumerate(halves) for part in without([half], [half], GROUPS + k)]

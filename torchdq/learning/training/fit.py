@@ -21,9 +21,11 @@ from torch import nn
 from torch.nn.utils import parametrize
 
 from torchdq.base.checks import require_choice, require_count, require_number
+from torchdq.base.findings import Finding
 from torchdq.errors import ArgumentError
 from torchdq.layers.residual import ResidualDynamics
-from torchdq.learning.evaluation.diagnostics import LogWarning, doubts
+from torchdq.learning.evaluation.diagnostics import diagnose
+from torchdq.learning.logs.errors import LogWarning
 from torchdq.learning.logs.samples import Samples, of_motions, validated
 from torchdq.learning.training import checkpoint as checkpoints
 from torchdq.learning.training import cross_validation as left_out
@@ -144,8 +146,8 @@ def fit(
     try:
         with team(device) as ours, _own_randomness(device, seed), torch.enable_grad():
             run = Run(model, parameters, train, ours, path, batch, prior, decay, seed)
-            if ours.leads and (doubt := _doubts(model, train)):
-                warnings.warn(doubt, LogWarning, stacklevel=2)
+            if ours.leads and (findings := _diagnosed(model, train)):
+                warnings.warn(LogWarning(*findings), stacklevel=2)
             run.resume(identity, last)
             if residual is not None and not any(p.requires_grad for p in residual.model.parameters()):
                 run.known = left_out.beside_fixed_physics(residual, train)
@@ -198,13 +200,13 @@ def _require_torques(model: nn.Module) -> None:
 
 
 @torch.no_grad()
-def _doubts(model: nn.Module, train: Samples) -> str:
-    """Words for what is wrong with samples that a robot in the model does not explain; "" for nothing, or no robot."""
+def _diagnosed(model: nn.Module, train: Samples) -> list[Finding]:
+    """Findings about samples that a robot in the model does not explain; none without a robot."""
     rigid = next((part for part in model.modules() if isinstance(part, DQRNEA)), None)
     if rigid is None or any(batches(rigid.robot).values()) or rigid.robot.n != train.q.shape[1]:
-        return ""
+        return []
     model.eval()
-    return doubts(rigid.robot, rigid, train, rigid.friction_width)
+    return diagnose(rigid.robot, rigid, train, rigid.friction_width)
 
 
 def _checkpoint(path: Any) -> Path | None:
