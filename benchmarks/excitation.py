@@ -23,7 +23,7 @@ import report
 import torch
 
 import torchdq
-from torchdq.learning import Excitation, HalfSpace, LogError, MotionLimits, excite, read, smooth
+from torchdq.learning import Excitation, HalfSpace, LogError, MotionLimits, excite, read_log, smooth
 from torchdq.learning.identification.base import BaseParameters
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
@@ -74,7 +74,7 @@ def main() -> None:
         print("motion                             mean  median   most  above half, of these cannot be halved")
         for file in sorted((arguments.data / folder).glob(pattern)):
             try:
-                motion = smooth(read(file, LAYOUTS[name]))
+                motion = smooth(read_log(file, LAYOUTS[name]))
             except LogError as error:
                 print(f"{file.name:32}  not read: {str(error)[:60]} ...")
                 continue

@@ -22,8 +22,19 @@ from rich.console import Console
 from torch import Tensor
 
 import torchdq
+from torchdq import effects
 from torchdq.envs import Scene
-from torchdq.learning import Excitation, HalfSpace, MotionLimits, Sampled, excite, identify, sample
+from torchdq.learning import (
+    Excitation,
+    HalfSpace,
+    Model,
+    MotionLimits,
+    PosteriorSamples,
+    Samples,
+    excite,
+    identify,
+    posterior_samples,
+)
 from torchdq.learning.excitation.fourier import Family
 from torchdq.scene import integrators
 
@@ -53,7 +64,7 @@ class Result(NamedTuple):
 
     chi_square: float  # mean square of the base parameters' deviations over the predicted errors
     gain: float  # mean standard error of random motions over that of the one found
-    drawn: Sampled
+    drawn: PosteriorSamples
     spread: Tensor  # [time, n] standard deviation of the drawn arms' positions [rad]
 
 
@@ -73,7 +84,7 @@ def random_errors(found: Excitation, limits: MotionLimits, args: Args) -> float:
     return float(torch.stack(errors).log().mean(1).median().exp() / found.base_errors.log().mean().exp())
 
 
-def fanned(drawn: Sampled, tau: Tensor, q: Tensor) -> Tensor:
+def fanned(drawn: PosteriorSamples, tau: Tensor, q: Tensor) -> Tensor:
     """Positions [time, arms, n] of the drawn arms that start alike and feel the same torques."""
     scene = Scene(drawn.robot, drawn.effects(), integrator=integrators.LinearlyImplicit(), dt=STEP)
     many = (len(drawn.parameters), len(q))
@@ -101,7 +112,7 @@ def main(args: Args) -> Result:
     gain = random_errors(found, limits, args)
     console.print(f"random motions leave {gain:.1f} times the error; the motion is in {args.out / 'motion.csv'}")
 
-    real, n, width = other_arm(described), described.n, found.parameters.width
+    real, n, width = other_arm(described), described.n, found.parameters.sign_width
     viscous, coulomb = 1.0 + torch.rand(n).double(), 0.5 + torch.rand(n).double()
 
     def torques(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
@@ -109,13 +120,14 @@ def main(args: Args) -> Result:
 
     noise = found.parameters.noise * torch.randn(found.q.shape, dtype=torch.float64)
     tau = torques(found.q, found.qd, found.qdd) + noise
-    identified = identify(described, found.q, found.qd, found.qdd, tau, friction=True, prior=0.1, width=width)
+    plain = Model(friction=(effects.Viscous(), effects.Coulomb(width=width)))
+    identified = identify(described, Samples(found.q, found.qd, found.qdd, tau), plain, prior=0.1, sign_width=width)
     truth = found.base @ torch.cat([real.inertial_parameters, viscous, coulomb])
     off = (found.base @ identified.parameters - truth) / found.base_errors
     chi_square = float(off.square().mean())
     console.print(f"mean square of the deviations over the predicted errors: {chi_square:.2f}")
 
-    drawn = sample(identified, 10 if args.quick else args.arms, most=0.2, seed=args.seed)
+    drawn = posterior_samples(identified, 10 if args.quick else args.arms, most=0.2, seed=args.seed)
     states = found.series.at(found.series.rate * STEP * torch.arange(1000).double())
     positions = fanned(drawn, torques(*states), states[0][0])
     draw((positions - states[0][:, None]).norm(dim=-1), off, args)

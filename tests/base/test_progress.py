@@ -20,7 +20,7 @@ from torchdq.backends import c, c_library
 from torchdq.base import progress as notice
 from torchdq.base.progress import Notice, warn_once
 from torchdq.envs import Scene
-from torchdq.learning import MotionLimits, Samples, excite, fit, read
+from torchdq.learning import MotionLimits, Samples, excite, fit, read_log
 from torchdq.learning.training.run import Run
 from torchdq.program import autodiff
 from torchdq.program import program as programs
@@ -223,9 +223,9 @@ def test_reading_a_log_is_told(told, tmp_path):
     path = tmp_path / "log.csv"
     columns = np.column_stack([data[name] for name in ("time", "q", "qd", "tau")])
     np.savetxt(path, columns, delimiter=",", header="time,q1,q2,qd1,qd2,tau1,tau2", comments="", fmt="%.12g")
-    read(path)
+    read_log(path)
     assert told == [f"reading {path}"]
-    read(data)
+    read_log(data)
     assert told[1:] == ["reading a log"]
 
 

@@ -13,7 +13,7 @@ import torch
 import torchdq
 from torchdq.envs import Scene, effects
 from torchdq.errors import ArgumentError
-from torchdq.learning import identify, sample
+from torchdq.learning import Model, Samples, identify, posterior_samples
 from torchdq.learning.bodies.nearest import curvature, nearest, relative
 from torchdq.learning.bodies.pseudo_inertia import pseudo_inertia
 from torchdq.scene import integrators
@@ -28,7 +28,8 @@ def found_on(name, rows, noise, seed=0, prior=1.0, **options):
     tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + qd + 2 * qd / (qd**2 + WIDTH**2).sqrt()
     size = noise * tau.std(0)
     measured = tau + size * torch.randn(tau.shape, dtype=torch.float64, generator=generator)
-    return identify(robot, q, qd, qdd, measured, friction=True, prior=prior, width=WIDTH, **options)
+    model = Model((effects.Viscous(), effects.Coulomb(width=WIDTH)), **options)
+    return identify(robot, Samples(q, qd, qdd, measured), model, prior, WIDTH)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +39,7 @@ def told():
 
 @pytest.fixture(scope="module")
 def drawn(told):
-    return sample(told, 600)
+    return posterior_samples(told, 600)
 
 
 def distance(y, links, positive):
@@ -93,7 +94,7 @@ def test_torques_spread_as_predicted(told, drawn):
 def test_bodies_that_torques_do_not_tell_have_the_width_of_the_prior(told, drawn):
     """The links move in a plane: where mass is along the axes, and the mass of the first, is in no torque."""
     at = [told.names.index(f"link1 {name}") for name in ("mz", "Ixz", "Iyz")]
-    assert not bool(told.excited[at].any())
+    assert not bool(told.identifiable[at].any())
     assert torch.allclose(drawn.parameters[:, at].std(0), told.errors[at], rtol=0.15)
     mass, width = drawn.robot.mass[:, 0], float(told.errors[0] / told.parameters[0])
     assert 0.05 < float(mass.log().std()) == pytest.approx(width, rel=0.15)
@@ -102,7 +103,7 @@ def test_bodies_that_torques_do_not_tell_have_the_width_of_the_prior(told, drawn
 @pytest.mark.parametrize("name", ["two_link", "ur10e"])
 def test_every_robot_can_exist_however_little_is_told(name):
     found = found_on(name, 40, 0.5, prior=0.05)
-    drawn = sample(found, 60, seed=3)
+    drawn = posterior_samples(found, 60, seed=3)
     generator = torch.Generator().manual_seed(0)
     normal = found.parameters + torch.randn(60, found.spread.shape[1], generator=generator).double() @ found.spread.T
     pi = normal[:, : 10 * found.robot.n].reshape(60, -1, 10)
@@ -116,8 +117,8 @@ def test_every_robot_can_exist_however_little_is_told(name):
 
 
 def test_less_width_is_less_spread_of_what_is_not_told(told, drawn):
-    narrow = sample(told, 100, most=0.05)
-    none = sample(told, 100, most=0.0)
+    narrow = posterior_samples(told, 100, most=0.05)
+    none = posterior_samples(told, 100, most=0.0)
     widths = [float(x.robot.mass[:, 0].log().std()) for x in (drawn, narrow, none)]
     assert widths[0] > 2 * widths[1] > 2 * widths[2]
     off = (none.parameters - told.parameters) @ told.base.T
@@ -130,8 +131,8 @@ def test_links_without_mass_stay_without():
     described = robot.replace(mass=robot.mass * keep, inertia=robot.inertia * keep[:, None])
     q, qd, qdd, noise = torch.randn(4, 300, 2, dtype=torch.float64)
     tau = torchdq.inverse_dynamics(described, q, qd, qdd) + 0.1 * noise
-    found = identify(described, q, qd, qdd, tau, friction=True, prior=1.0)
-    drawn = sample(found, 20)
+    found = identify(described, Samples(q, qd, qdd, tau), Model((effects.Viscous(), effects.Coulomb())), prior=1.0)
+    drawn = posterior_samples(found, 20)
     assert bool((drawn.robot.mass[:, 0] == 0).all()) and bool((drawn.robot.inertia[:, 0] == 0).all())
     assert float(drawn.robot.mass[:, 1].std()) > 0
 
@@ -140,18 +141,18 @@ def test_robots_of_which_only_friction_was_sought_share_their_bodies(told):
     spread = told.spread.clone()
     spread[: 10 * told.robot.n] = 0
     rows = told.base[:, : 10 * told.robot.n].abs().sum(1) == 0
-    drawn = sample(told._replace(spread=spread, base=told.base[rows]), 50)
+    drawn = posterior_samples(told._replace(spread=spread, base=told.base[rows]), 50)
     assert bool((drawn.robot.mass == told.robot.mass).all())
     assert torch.allclose(drawn.coefficients("viscous").std(0), told.errors[-6:-4], rtol=0.4)
 
 
 def test_seeds_reproduce_robots(told):
-    one, same, other = (sample(told, 3, seed=seed).parameters for seed in (1, 1, 2))
+    one, same, other = (posterior_samples(told, 3, seed=seed).parameters for seed in (1, 1, 2))
     assert torch.equal(one, same) and not torch.equal(one, other)
 
 
 def test_a_scene_simulates_all_of_them_at_once():
-    some = sample(found_on("two_link", 200, 0.2, armature=True), 5)
+    some = posterior_samples(found_on("two_link", 200, 0.2, armature=True), 5)
     scene = Scene(some.robot, some.effects(), integrator=integrators.RungeKutta4(), dt=1e-3)
     q = torch.zeros(5, 2, dtype=torch.float64)
     state = scene.start(q, q)
@@ -161,7 +162,12 @@ def test_a_scene_simulates_all_of_them_at_once():
     names = ("mass", "com", "inertia", "armature")
     third = some.robot.replace(**{name: getattr(some.robot, name)[2] for name in names})
     viscous, coulomb = (some.coefficients(kind)[2] for kind in ("viscous", "coulomb"))
-    parts = effects.Gravity(), effects.RotorInertia(), effects.Viscous(viscous), effects.Coulomb(coulomb, some.width)
+    parts = (
+        effects.Gravity(),
+        effects.RotorInertia(),
+        effects.Viscous(viscous),
+        effects.Coulomb(coulomb, some.sign_width),
+    )
     alone = Scene(third, parts, integrator=integrators.RungeKutta4(), dt=1e-3)
     other = alone.start(q[2], q[2])
     for _ in range(20):
@@ -173,6 +179,6 @@ def test_a_scene_simulates_all_of_them_at_once():
 def test_other_arguments_are_refused(told):
     for arguments, words in [((3, 5), "identified must be what identify returns, found int"), ((told, 0), "n must be")]:
         with pytest.raises(ArgumentError, match=words):
-            sample(*arguments)
+            posterior_samples(*arguments)
     with pytest.raises(ArgumentError, match="most must be a finite number from 0"):
-        sample(told, 3, most=-1.0)
+        posterior_samples(told, 3, most=-1.0)
