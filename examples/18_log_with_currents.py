@@ -6,8 +6,8 @@
 The log is one of an arm that is simulated first, and differs from its description. Its drives write stamps, encoders at
 the motors and currents; velocities they do not. Gears reverse a joint, and the last two motors turn the wrist together.
 A `Layout` says all of it. Torques per ampere are those of a data sheet, from which the drives' own are off by up to a
-fifth: `Model(gains=True)` of `identify` finds the factor of each joint. One factor of them all cannot be told from masses; it
-comes from the description.
+fifth: `Model(gains=True)` of `identify` finds the factor of each joint. A common factor cannot be separated
+from the masses; it comes from the description.
 """
 
 import sys

@@ -232,6 +232,6 @@ def test_what_it_does_not_take(bumpy):
     fresh = IdentifiedWithResidual(found, torchdq.ResidualDynamics(found.layer()))
     with pytest.raises(torchdq.ArgumentError, match=r"train it by torchdq\.learning\.fit"):
         fresh.predict(*parts[0][:3])
-    with pytest.raises(torchdq.ArgumentError, match="tau must be given beside positions"):
+    with pytest.raises(torchdq.ArgumentError, match="tau must be given with positions"):
         fresh.samples(*parts[0][:3])
     assert math.isfinite(float(fresh.samples(*parts[0]).tau.sum()))
