@@ -25,9 +25,10 @@ def archive_table(path: Path, content: bytes, layout: Layout, rows: tuple[int, i
             inside = archive.zip.namelist()
             found = {signal: archive[name] for signal, name in called.items() if name in archive}
     except Exception as fault:  # numpy and zipfile raise errors of many kinds on damaged bytes
-        raise LogError(f"{path} is damaged or not an archive of numbers ({fault})") from fault
+        claim = f"damaged or not an archive of numbers ({fault})"
+        raise LogError(Finding("log.damaged", "", claim), where=str(path)) from fault
     if inside and not any(name.endswith(".npy") for name in inside):
-        raise LogError(f"{path} is a zip archive of {listed(inside)}; unpack it")
+        raise LogError(Finding("log.zip", "", f"a zip archive of {listed(inside)}", "", "unpack it"), where=str(path))
     return _table(path, found, called, [name.removesuffix(".npy") for name in inside], layout, rows)
 
 

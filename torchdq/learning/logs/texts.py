@@ -27,7 +27,7 @@ def text_table(path: Path, content: bytes, layout: Layout, rows: tuple[int, int]
     text = _decoded(path, content)
     ended, lines = text.endswith(("\n", "\r")), text.rstrip().splitlines()
     if not lines:
-        raise LogError(f"{path} is empty")
+        raise LogError(Finding("log.empty", "", "it is empty"), where=str(path))
     heads = [cell.strip() for cell in lines[0].split(",")] if layout.header else layout.order
     layout, names = find_columns(f"{path}, row 1", layout, heads)
     start = layout.header + (rows[0] if rows else 0)
@@ -70,4 +70,5 @@ def _decoded(path: Path, content: bytes) -> str:
         content = gzip.decompress(content) if content.startswith(b"\x1f\x8b") else content
         return content.decode(next((name for mark, name in MARKS.items() if content.startswith(mark)), "utf-8-sig"))
     except (OSError, EOFError, zlib.error, UnicodeDecodeError) as fault:
-        raise LogError(f"{path} is damaged or not a text ({fault}); save it as UTF-8 text") from fault
+        claim = f"damaged or not a text ({fault})"
+        raise LogError(Finding("log.damaged", "", claim, "", "save it as UTF-8 text"), where=str(path)) from fault
