@@ -7,7 +7,7 @@ motors), that 20 s at 100 Hz leave, of each recorded motion and of the one that 
 % of the limits of the robot and above the table, for the same noise, 1 % of the greatest torques. Some errors cannot be
 halved: dry friction acts in every motion, and gravity on a body is no larger than it is. Those are counted which would
 not be half the recorded motion's even if every sample were as good as the best of many random states within the limits.
-The search takes one thread, and its processor time is given, which other work on the machine does not change. """
+The search takes one thread, and its processor time is given, which other work on the machine does not change."""
 
 import os
 
@@ -22,7 +22,7 @@ import report
 import torch
 
 import torchdq
-from torchdq.learning import Excitation, HalfSpace, LogError, MotionLimits, excitation_trajectory, read, smooth
+from torchdq.learning import Excitation, HalfSpace, LogError, MotionLimits, excitation_trajectory, read_log, smooth
 from torchdq.learning.identification.base import BaseParameters
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "examples"))
@@ -73,7 +73,7 @@ def main() -> None:
         print("motion                             mean  median   most  above half, of these cannot be halved")
         for file in sorted((arguments.data / folder).glob(pattern)):
             try:
-                motion = smooth(read(file, LAYOUTS[name]))
+                motion = smooth(read_log(file, LAYOUTS[name]))
             except LogError as error:
                 print(f"{file.name:32}  not read: {str(error)[:60]} ...")
                 continue

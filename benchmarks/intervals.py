@@ -19,7 +19,7 @@ import report
 import splits
 import torch
 
-from torchdq.learning import LogWarning, Motion, cut, identify, samples
+from torchdq.learning import LogWarning, Model, Motion, identify, stack_samples, train_test_split
 from torchdq.robot import Robot
 
 FIFTHS = 5  # parts of the recording of the Panda
@@ -55,7 +55,7 @@ def panda(data: Path) -> Arm:
     robot, rest = splits.panda_recording(data)
     parts = []
     for left in range(FIFTHS, 1, -1):
-        part, rest = cut(rest, 1 / left)
+        (part,), (rest,) = train_test_split(rest, 1 / left)
         parts.append(part)
     return Arm("Panda", robot, [*parts, rest], True)
 
@@ -75,12 +75,12 @@ def others(arm: Arm, k: int) -> list[Motion]:
 def held(arm: Arm, k: int) -> Held:
     """Shares of the torques of one motion, by models of the others."""
     test = [arm.motions[k]]
-    found = identify(arm.robot, others(arm, k), armature=True, offset=True)
-    ladder = found.report
-    assert ladder is not None, "the recordings are long enough to leave blocks out"
-    told, tau = found.predict(test), samples(test).tau
+    found = identify(arm.robot, others(arm, k), Model(armature=True, offset=True))
+    selection = found.selection
+    assert selection is not None, "the recordings are long enough to leave blocks out"
+    predicted, tau = found.predict(test), stack_samples(test).tau
     name = f"part {k + 1}" if arm.pieces else Path(arm.motions[k].name).name.split(".")[0]
-    return Held(arm.name, name, len(tau), ladder.rung.name, tuple(splits.inside(told, tau).tolist()))
+    return Held(arm.name, name, len(tau), selection.chosen.name, tuple(splits.inside(predicted, tau).tolist()))
 
 
 def line(arm: str, found: Sequence[Held]) -> str:

@@ -35,21 +35,22 @@ import report
 import torch
 from recordings import LAYOUTS
 
-from torchdq import DQRNEA, ResidualDynamics, Robot
+from torchdq import DQRNEA, ResidualDynamics, Robot, effects
 from torchdq.layers.residual import PredictedTorques
 from torchdq.learning import (
     Identified,
     IdentifiedWithResidual,
     LogWarning,
+    Model,
     Motion,
     Prediction,
     Samples,
-    cut,
     fit,
     identify,
-    read,
-    samples,
+    read_log,
     smooth,
+    stack_samples,
+    train_test_split,
 )
 from torchdq.learning.training.validation_gain import ValidationGain
 
@@ -133,14 +134,14 @@ def ur10e(data: Path, quick: bool) -> list[Split]:
     robot = Robot.from_urdf(folder / "ur10e.urdf", on_unphysical="ignore")
 
     def motion(name: str) -> Motion:
-        return smooth(read(folder / f"ur-20_{name}.csv", LAYOUTS["ur10e"]))
+        return smooth(read_log(folder / f"ur-20_{name}.csv", LAYOUTS["ur10e"]))
 
     six = [motion(name) for name in (SIX[:3] if quick else SIX)]
     test = motion("02_19_14harm50sec")
     found = [Split("UR10e, six motions to another", robot, six, [test])]
     if quick:
         return found
-    first, last = cut(test, 0.5)
+    first, last = train_test_split(test, 0.5)
     slow = sorted(six, key=lambda one: float(abs(one.qd).mean()))
     one_joint = [motion(f"01_22-joint_{k}") for k in range(1, 6)]
     return [
@@ -150,16 +151,16 @@ def ur10e(data: Path, quick: bool) -> list[Split]:
         Split("UR10e, joints one by one to a motion", robot, one_joint, [test]),
         Split("UR10e, three slow motions to three fast ones", robot, slow[:3], slow[3:]),
         Split("UR10e, three fast motions to three slow ones", robot, slow[3:], slow[:3]),
-        Split("UR10e, first half of a motion to its last", robot, [first], [last]),
-        Split("UR10e, last half of a motion to its first", robot, [last], [first]),
-        Split("UR10e, 10 s to a motion of 50 s", robot, [cut(six[0], 0.5)[0]], [test]),
+        Split("UR10e, first half of a motion to its last", robot, first, last),
+        Split("UR10e, last half of a motion to its first", robot, last, first),
+        Split("UR10e, 10 s to a motion of 50 s", robot, train_test_split(six[0], 0.5)[0], [test]),
     ]
 
 
 def panda_recording(data: Path) -> tuple[Robot, Motion]:
     """Panda as its authors describe it, and the one recording of it."""
     folder = data / "panda_gaz2019"
-    motion = smooth(read(folder / "panda_exciting_traj1.csv", LAYOUTS["panda"]))
+    motion = smooth(read_log(folder / "panda_exciting_traj1.csv", LAYOUTS["panda"]))
     return Robot.from_urdf(folder / "panda_gaz2019.urdf"), motion
 
 
@@ -168,12 +169,13 @@ def panda(data: Path, quick: bool) -> list[Split]:
     robot, motion = panda_recording(data)
     found = []
     for share in (0.6,) if quick else (0.6, 0.3):
-        first, last = cut(motion, share)
-        found.append(Split(f"Panda, first {share:.0%} to the rest", robot, [first], [last]))
+        first, last = train_test_split(motion, share)
+        found.append(Split(f"Panda, first {share:.0%} to the rest", robot, first, last))
     if quick:
         return found
-    first, last = cut(cut(motion, PASS / float(motion.time[-1] - motion.time[0]))[0], 0.6)
-    return [*found, Split("Panda, first 60% of one pass to its rest", robot, [first], [last])]
+    once, _ = train_test_split(motion, PASS / float(motion.time[-1] - motion.time[0]))
+    first, last = train_test_split(once, 0.6)
+    return [*found, Split("Panda, first 60% of one pass to its rest", robot, first, last)]
 
 
 def pendulum(data: Path, quick: bool) -> list[Split]:
@@ -187,7 +189,7 @@ def pendulum(data: Path, quick: bool) -> list[Split]:
 
     @functools.cache
     def motion(k: int) -> Motion:
-        return smooth(read(folder / f"trajectory_{k:02d}.csv.gz", LAYOUTS["double_pendulum"]))
+        return smooth(read_log(folder / f"trajectory_{k:02d}.csv.gz", LAYOUTS["double_pendulum"]))
 
     def motions(*numbers: int) -> list[Motion]:
         return [motion(k) for k in numbers]
@@ -199,14 +201,14 @@ def pendulum(data: Path, quick: bool) -> list[Split]:
         Split(f"pendulum, {', '.join(map(str, a))} to {', '.join(map(str, b))}", robot, motions(*a), motions(*b))
         for a, b in pairs
     ]
-    first, last = cut(motions(0)[0], 0.5)
-    return [*found, Split("pendulum, first half of a motion to its last", robot, [first], [last])]
+    first, last = train_test_split(motions(0)[0], 0.5)
+    return [*found, Split("pendulum, first half of a motion to its last", robot, first, last)]
 
 
 def seen(split: Split) -> float:
     """Share of the test samples whose positions and velocities are also those of a training sample."""
     train, test = (
-        torch.cat([torch.cat([one.q, one.qd], 1) for one in map(samples, x)]) for x in (split.train, split.test)
+        torch.cat([torch.cat([one.q, one.qd], 1) for one in map(stack_samples, x)]) for x in (split.train, split.test)
     )
     spread = train.std(0)
     some, others = (x[:: -(-len(x) // most)] / spread for x, most in zip((train, test), ROWS, strict=True))
@@ -216,13 +218,13 @@ def seen(split: Split) -> float:
 
 def scores(left: torch.Tensor, tests: Sequence[Motion]) -> tuple[float, float]:
     """Mean over joints of squared residual over variance, and of its root."""
-    squares = left.square().mean(0) / samples(tests).tau.var(0)
+    squares = left.square().mean(0) / stack_samples(tests).tau.var(0)
     return float(squares.mean()), float(squares.sqrt().mean())
 
 
 def scored(found: Identified, tests: Sequence[Motion]) -> tuple[float, float]:
     """Scores of an identified robot."""
-    return scores(found.predict(tests).tau - samples(tests).tau, tests)
+    return scores(found.predict(tests).tau - stack_samples(tests).tau, tests)
 
 
 def inside(told: Prediction | PredictedTorques, tau: torch.Tensor) -> torch.Tensor:
@@ -232,28 +234,28 @@ def inside(told: Prediction | PredictedTorques, tau: torch.Tensor) -> torch.Tens
 
 def held(found: Identified, tests: Sequence[Motion]) -> float:
     """Share of the torques in the 95 % intervals of an identified robot."""
-    return float(inside(found.predict(tests), samples(tests).tau).mean())
+    return float(inside(found.predict(tests), stack_samples(tests).tau).mean())
 
 
 def learned(split: Split) -> Models:
     """Models of the training motions of a split."""
-    motors = {"armature": True, "offset": True}
-    friction = identify(split.robot, split.train, friction=True, prior=math.inf, **motors)
-    identified = identify(split.robot, split.train, friction=True, prior=1.0, **motors)
+    plain = Model(friction=(effects.Viscous(), effects.Coulomb()), offset=True, armature=True)
+    friction = identify(split.robot, split.train, plain, prior=math.inf)
+    identified = identify(split.robot, split.train, plain, prior=1.0)
     start = time.perf_counter()
-    chosen = identify(split.robot, split.train, **motors)
+    chosen = identify(split.robot, split.train, Model(offset=True, armature=True))
     return Models(friction, identified, chosen, time.perf_counter() - start)
 
 
 def measured(split: Split, models: Models) -> Row:
     """Row of a split."""
-    q, qd, qdd, tau = samples(split.test)
+    q, qd, qdd, tau = stack_samples(split.test)
     description = scores(DQRNEA(split.robot)(q, qd, qdd) - tau, split.test)
     three = (scored(one, split.test) for one in models[:3])
-    ladder = models.chosen.report
-    assert ladder is not None, "the recordings are long enough to leave blocks out"
-    rung = ladder.rung
-    expected = (rung.score, rung.error, rung.name)
+    selection = models.chosen.selection
+    assert selection is not None, "the recordings are long enough to leave blocks out"
+    best = selection.chosen
+    expected = (best.score, best.error, best.name)
     return Row(split.name, seen(split), description, *three, held(models.chosen, split.test), *expected, models.seconds)
 
 

@@ -33,7 +33,8 @@ from torch import Tensor
 from torch.utils.benchmark import Timer
 
 import torchdq
-from torchdq.learning import Log, LogError, Motion, read, smooth
+from torchdq import learning
+from torchdq.learning import Log, LogError, Motion, smooth
 from torchdq.learning.logs.checks import GAP
 
 EPS = {torch.float64: 2.0**-52, torch.float32: 2.0**-23}
@@ -474,7 +475,7 @@ def read_log(source: str, layout: str) -> Log:
     """Log of PATH or PATH:FIRST:LAST."""
     path, *rows = source.rsplit(":", 2) if source.count(":") >= 2 else (source,)
     kind = LAYOUTS[layout] if layout != "auto" else layout_of(Path(path))
-    log = read(path, kind, tuple(map(int, rows)) if rows else None)
+    log = learning.read_log(path, kind, tuple(map(int, rows)) if rows else None)
     if layout == "auto":
         name = next(name for name, arm in LAYOUTS.items() if arm is kind)
         found = f"recognised as {name} by its name and columns; --format csv if it is none of that data set"

@@ -37,17 +37,19 @@ from rich.table import Table
 from torch import Tensor, nn
 
 import torchdq
+from torchdq import effects
 from torchdq.learning import (
     Identified,
     IdentifiedWithResidual,
     LogError,
+    Model,
     Motion,
     Samples,
-    cut,
     identify,
-    read,
-    samples,
+    read_log,
     smooth,
+    stack_samples,
+    train_test_split,
 )
 
 BATCH, RATE, DECAY = 256, 1e-2, 1e-2  # rows of a step, learning rate and weight decay of every training
@@ -106,13 +108,13 @@ class BlackBox(nn.Module):
 def errors(model: Torques, tests: Sequence[Motion]) -> list[np.ndarray]:
     """RMSE over standard deviation of the torque, per joint, on every test."""
     with torch.no_grad():
-        pairs = [(model(test), samples(test).tau) for test in tests]
+        pairs = [(model(test), stack_samples(test).tau) for test in tests]
     return [((found - tau).square().mean(0).sqrt() / tau.std(0)).double().numpy() for found, tau in pairs]
 
 
 def of_states(model: nn.Module) -> Torques:
     """Torques of a motion by a module of q, qd and qdd."""
-    return lambda motion: model(*samples(motion)[:3])
+    return lambda motion: model(*stack_samples(motion)[:3])
 
 
 def of_motions(model: Identified | IdentifiedWithResidual) -> Torques:
@@ -122,19 +124,19 @@ def of_motions(model: Identified | IdentifiedWithResidual) -> Torques:
 
 def covered(model: IdentifiedWithResidual, test: Motion) -> np.ndarray:
     """Share of the torques in their 95 % intervals, per joint."""
-    told, tau = model.predict(test), samples(test).tau
-    return ((tau >= told.low) & (tau <= told.high)).double().mean(0).numpy()
+    predicted, tau = model.predict(test), stack_samples(test).tau
+    return ((tau >= predicted.low) & (tau <= predicted.high)).double().mean(0).numpy()
 
 
 def parts_of(args: Args) -> tuple[list[Motion], dict[str, Motion]]:
     """Motions to learn from, and those to test on by name."""
     layout = LAYOUTS[args.format]
-    motions = [smooth(read(path, layout)) for path in args.train]
+    motions = [smooth(read_log(path, layout)) for path in args.train]
     if args.test:
-        return motions, {p.name: smooth(read(p, layout)) for p in args.test}
-    halves = [cut(motion, args.split) for motion in motions]
+        return motions, {p.name: smooth(read_log(p, layout)) for p in args.test}
+    halves = [train_test_split(motion, args.split) for motion in motions]
     names = [f"{path.name}, last {1 - args.split:.0%}" for path in args.train]
-    return [a for a, _ in halves], {name: b for name, (_, b) in zip(names, halves, strict=True)}
+    return [a for (a,), _ in halves], {name: b for name, (_, (b,)) in zip(names, halves, strict=True)}
 
 
 def black_box(args: Args, candidate: tuple[int, float], data: Samples, steps: int, seed: int = 0) -> nn.Module:
@@ -151,9 +153,9 @@ def chosen_box(args: Args, motions: Sequence[Motion], steps: int, console: Conso
     candidates = [(64, 0.1)] if args.quick else [(w, d) for w in (64, 128) for d in (1e-2, 1e-1, 1.0)]
     if len(candidates) == 1:
         return candidates[0]
-    early, late = (motions[:-1], motions[-1]) if len(motions) > 1 else cut(motions[0], 0.8)
-    data = samples(early)
-    scores = {c: float(np.mean(errors(of_states(black_box(args, c, data, steps)), [late]))) for c in candidates}
+    early, late = (motions[:-1], motions[-1:]) if len(motions) > 1 else train_test_split(motions[0], 0.8)
+    data = stack_samples(early)
+    scores = {c: float(np.mean(errors(of_states(black_box(args, c, data, steps)), late))) for c in candidates}
     best = min(scores, key=scores.__getitem__)
     console.print(f"black box (width, decay): {best} chosen among {len(candidates)}")
     return best
@@ -174,7 +176,7 @@ def main(args: Args) -> Result:
     console, begin = Console(width=120), time.perf_counter()
     robot = torchdq.Robot.from_urdf(args.robot, on_unphysical="ignore")
     motions, held = parts_of(args)
-    tests, data = list(held.values()), samples(motions)
+    tests, data = list(held.values()), stack_samples(motions)
     steps, seeds = (200, 1) if args.quick else (args.steps, args.seeds)
     console.print(
         f"{robot.name}, {robot.n} joints: {len(data.q)} samples of {len(motions)} motions to learn from, "
@@ -188,11 +190,11 @@ def main(args: Args) -> Result:
         models[name] = model
 
     add("description", of_states(torchdq.DQRNEA(robot)))
-    options = {"offset": True, "armature": True}
-    add("+ friction", of_motions(identify(robot, motions, friction=True, prior=math.inf, **options)))
-    add("identified", of_motions(identify(robot, motions, friction=True, prior=1.0, **options)))
-    found = identify(robot, motions, **options)
-    console.print(str(found.report) if found.report is not None else "too few rows to choose by", highlight=False)
+    plain = Model(friction=(effects.Viscous(), effects.Coulomb()), offset=True, armature=True)
+    add("+ friction", of_motions(identify(robot, motions, plain, prior=math.inf)))
+    add("identified", of_motions(identify(robot, motions, plain, prior=1.0)))
+    found = identify(robot, motions, Model(offset=True, armature=True))
+    console.print(str(found.selection) if found.selection is not None else "too few rows to choose by", highlight=False)
     add("chosen", of_motions(found))
     box = chosen_box(args, motions, steps, console)
     inside: list[list[np.ndarray]] = []  # per seed, per test
@@ -242,7 +244,7 @@ def plot(robot: torchdq.Robot, test: Motion, models: dict[str, Torques], out: Pa
     shown = {"description": ORANGE, "+ friction": "#E69F00", "chosen + residual": BLUE}
     with torch.no_grad():
         torques = {name: models[name](test)[stretch] for name in shown}
-    measured = samples(test).tau[stretch]
+    measured = stack_samples(test).tau[stretch]
     figure, joints = panels(robot.n, 2, 1.7)
     for j, panel in enumerate(joints):
         panel.plot(measured[:, j], color="#B0B0B0", linewidth=4, label="measured")

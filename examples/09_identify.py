@@ -25,7 +25,7 @@ from torch import Tensor
 
 import torchdq
 from torchdq.envs import Scene, effects
-from torchdq.learning import Identified, identify
+from torchdq.learning import Identified, Model, Samples, identify
 from torchdq.scene import integrators
 
 
@@ -131,7 +131,7 @@ def main(args: Args) -> Result:
     with torch.inference_mode():
         every = recorded(scene, described, args, 1 + (2 if args.quick else args.motions))
     test, train = Motions(*(x[0] for x in every)), Motions(*(x[1:] for x in every))
-    found = identify(described, *train, armature=True, width=0.02)
+    found = identify(described, Samples(*train), Model(armature=True), sign_width=0.02)
 
     truth = torch.cat([true.inertial_parameters, true.armature, viscous, coulomb])
     start = torch.cat([described.inertial_parameters, torch.zeros(3 * n).double()])

@@ -29,7 +29,7 @@ from torch import Tensor
 
 import torchdq
 from torchdq.envs import Scene, effects
-from torchdq.learning import identify
+from torchdq.learning import Model, Samples, identify
 from torchdq.nn import ComputedTorque
 
 LOOP = Path(__file__).with_name("real_time.c")
@@ -138,7 +138,7 @@ def main(args: Args) -> Result:
         friction=0.5 + torch.rand(7).double(),
         armature=0.1 + 0.2 * torch.rand(7).double(),
     ).bake()
-    found = identify(described, *logged(true, args.noise), armature=True)
+    found = identify(described, Samples(*logged(true, args.noise)), Model(armature=True))
     scene = Scene(
         true, (effects.Gravity(), effects.RotorInertia(), effects.Viscous(), effects.Coulomb()), dt=args.period
     )

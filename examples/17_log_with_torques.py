@@ -6,8 +6,8 @@
 
 Without logs, an arm that differs from its description (masses, centres of mass, friction) is recorded first: a CSV file
 a motion, with columns and stamps as drivers write them. The rest is what any log needs: a `Layout` that names the
-columns, `read`, `smooth`, `identify`. The last log is kept for the test, which no number was found from; of a single
-log that is its last third. What is found is a robot, `found.robot`, with friction: `found.layer()` is a module of its
+columns, `read_log`, `smooth`, `identify`. The last log is for the test, which no number was found from; of a single log
+that is its last third. What is found is a robot, `found.robot`, with friction: `found.layer()` is a module of its
 torques, `Scene(found.robot, found.effects())` simulates it, and beside a URDF that was given, one with its numbers is
 written.
 """
@@ -26,7 +26,17 @@ from rich.console import Console
 from simulated_logs import real_arm, recorded, write
 
 import torchdq
-from torchdq.learning import Identified, Layout, LogError, Motion, cut, identify, read, samples, smooth
+from torchdq.learning import (
+    Identified,
+    Layout,
+    LogError,
+    Motion,
+    identify,
+    read_log,
+    smooth,
+    stack_samples,
+    train_test_split,
+)
 
 # columns of our own logs; joints are counted from 0 there
 NAMES = {"time": "stamp", "q": "position_{0}", "qd": "velocity_{0}", "tau": "effort_{0}"}
@@ -72,8 +82,8 @@ def split(motions: list[Motion]) -> tuple[list[Motion], Motion]:
     """Motions to learn from and one to test on."""
     if len(motions) > 1:
         return motions[:-1], motions[-1]
-    first, last = cut(motions[0], 2 / 3)
-    return [first], last
+    first, (last,) = train_test_split(motions[0], 2 / 3)
+    return first, last
 
 
 def main(args: Args) -> Result:
@@ -84,7 +94,7 @@ def main(args: Args) -> Result:
     columns = args.columns if args.logs else NAMES
 
     def motion(path: Path) -> Motion:
-        log = read(path, Layout(columns=columns) if columns else layout_of(path))
+        log = read_log(path, Layout(columns=columns) if columns else layout_of(path))
         console.print(log)
         return smooth(log, rate=20)
 
@@ -96,7 +106,7 @@ def main(args: Args) -> Result:
     console.print(str(found))
 
     with torch.no_grad():
-        described = torchdq.inverse_dynamics(robot, *samples(test)[:3])
+        described = torchdq.inverse_dynamics(robot, *stack_samples(test)[:3])
     torques = {"as described": described.numpy(), "as found": found.predict(test).tau.numpy()}
     errors = shares(test, torques)
     console.print(errors_table(errors))

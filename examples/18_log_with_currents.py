@@ -6,8 +6,8 @@
 The log is one of an arm that is simulated first, and differs from its description. Its drives write stamps, encoders at
 the motors and currents; velocities they do not. Gears reverse a joint, and the last two motors turn the wrist together.
 A `Layout` says all of it. Torques per ampere are those of a data sheet, from which the drives' own are off by up to a
-fifth: `identify(..., gains=True)` finds the factor of each joint. One factor of them all cannot be told from masses; it
-comes from the description.
+fifth: `Model(gains=True)` of `identify` finds the factor of each joint. A common factor cannot be separated
+from the masses; it comes from the description.
 """
 
 import sys
@@ -24,7 +24,7 @@ from rich.table import Table
 from simulated_logs import real_arm, recorded, write
 
 import torchdq
-from torchdq.learning import Identified, Layout, LogError, identify, read, samples, smooth
+from torchdq.learning import Identified, Layout, LogError, Model, identify, read_log, smooth, stack_samples
 
 RATIOS = (101.0, -101.0, 101.0, 101.0)  # gear ratios of the arm, negative where the joint turns against the motor
 WRIST = (
@@ -80,17 +80,17 @@ def main(args: Args) -> Result:
     robot = torchdq.robots.load("ur10e")
     paths, off = made_logs(robot, args)
     try:
-        read(paths[0], Layout(columns={"time": "stamp", "q": "encoder_{0}"}))
+        read_log(paths[0], Layout(columns={"time": "stamp", "q": "encoder_{0}"}))
     except (
         LogError
     ) as fault:  # there are neither velocities nor torques: the message says what is possible all the same
         console.print(f"{fault}\n", highlight=False)
-    logs = [read(path, DRIVES) for path in paths]
+    logs = [read_log(path, DRIVES) for path in paths]
     console.print(logs[0])
     *train, test = [smooth(log, rate=20) for log in logs]
     console.print(test)
 
-    found = identify(robot, train, armature=True, gains=True)  # currents drive the rotors, too
+    found = identify(robot, train, Model(armature=True, gains=True))  # currents drive the rotors, too
     console.print(str(found))
 
     factors = found.gains.value.numpy()
@@ -108,7 +108,7 @@ def main(args: Args) -> Result:
 
     test = test._replace(tau=test.tau * factors)
     with torch.no_grad():
-        described = torchdq.inverse_dynamics(robot, *samples(test)[:3])
+        described = torchdq.inverse_dynamics(robot, *stack_samples(test)[:3])
     torques = {"as described": described.numpy(), "as found": found.predict(test).tau.numpy()}
     errors = shares(test, torques)
     console.print(errors_table(errors))

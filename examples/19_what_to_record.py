@@ -23,12 +23,15 @@ from rich.console import Console
 from torch import Tensor
 
 import torchdq
+from torchdq import effects
 from torchdq.envs import Scene
 from torchdq.learning import (
     Excitation,
     HalfSpace,
+    Model,
     MotionLimits,
     PosteriorSamples,
+    Samples,
     excitation_trajectory,
     identify,
     posterior_samples,
@@ -110,7 +113,7 @@ def main(args: Args) -> Result:
     gain = random_errors(found, limits, args)
     console.print(f"random motions leave {gain:.1f} times the error; the motion is in {args.out / 'motion.csv'}")
 
-    real, n, width = other_arm(described), described.n, found.parameters.width
+    real, n, width = other_arm(described), described.n, found.parameters.sign_width
     viscous, coulomb = 1.0 + torch.rand(n).double(), 0.5 + torch.rand(n).double()
 
     def torques(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
@@ -118,7 +121,8 @@ def main(args: Args) -> Result:
 
     noise = found.parameters.noise * torch.randn(found.q.shape, dtype=torch.float64)
     tau = torques(found.q, found.qd, found.qdd) + noise
-    identified = identify(described, found.q, found.qd, found.qdd, tau, friction=True, prior=0.1, width=width)
+    plain = Model(friction=(effects.Viscous(), effects.Coulomb(width=width)))
+    identified = identify(described, Samples(found.q, found.qd, found.qdd, tau), plain, prior=0.1, sign_width=width)
     truth = found.base @ torch.cat([real.inertial_parameters, viscous, coulomb])
     off = (found.base @ identified.parameters - truth) / found.base_errors
     chi_square = float(off.square().mean())

@@ -155,7 +155,7 @@ _ELSEWHERE = {
     "joint_torque_regressor": "regressor",
     "from_urdf": "Robot.from_urdf",
     "load": "robots.load",
-    "read": "learning.read",
+    "read": "learning.read_log",
     "smooth": "learning.smooth",
     "identify": "learning.identify",
     "fit": "learning.fit",

@@ -18,7 +18,7 @@ class TorchdqError(Exception):
 
     def __init__(self, *args: object, findings: Iterable[Finding] = ()):
         super().__init__(*args)
-        self.findings = tuple(findings)
+        self.findings: tuple[Finding, ...] = (*findings, *(x for x in args if hasattr(x, "cure")))
 
 
 class ArgumentError(TorchdqError, ValueError):

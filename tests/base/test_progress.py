@@ -20,7 +20,7 @@ from torchdq.backends import c, c_library
 from torchdq.base import progress
 from torchdq.base.progress import Progress, warn_once
 from torchdq.envs import Scene
-from torchdq.learning import MotionLimits, Samples, excitation_trajectory, fit, read
+from torchdq.learning import MotionLimits, Samples, excitation_trajectory, fit, read_log
 from torchdq.program import autodiff
 from torchdq.program import program as programs
 from torchdq.scene import recording
@@ -222,9 +222,9 @@ def test_reading_a_log_is_told(shown, tmp_path):
     path = tmp_path / "log.csv"
     columns = np.column_stack([data[name] for name in ("time", "q", "qd", "tau")])
     np.savetxt(path, columns, delimiter=",", header="time,q1,q2,qd1,qd2,tau1,tau2", comments="", fmt="%.12g")
-    read(path)
+    read_log(path)
     assert shown == [f"reading {path}"]
-    read(data)
+    read_log(data)
     assert shown[1:] == ["reading a log"]
 
 

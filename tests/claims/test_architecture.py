@@ -78,6 +78,7 @@ STOREYS = {
     "torchdq.learning.logs": 1,
     "torchdq.learning.evaluation": 2,
     "torchdq.learning.identification": 3,
+    "torchdq.learning.read_log": 3,
     "torchdq.learning.training": 3,
     "torchdq.learning.rollout": 3,
     "torchdq.learning.bodies": 4,

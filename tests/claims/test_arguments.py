@@ -476,7 +476,7 @@ def test_tensors_that_are_not_dense_are_named(layout):
         "mass of robot 'two_link'": lambda x: robot.replace(mass=x),
         "coefficient of Viscous": lambda x: Scene(robot, (effects.Viscous(x),)),
         r"train\.tau": lambda x: fit(torchdq.DQRNEA(robot, learn="mass"), tables._replace(tau=x), steps=1),
-        "tau": lambda x: identify(robot, plain, plain, plain, x),
+        "tau": lambda x: identify(robot, Samples(plain, plain, plain, x)),
     }
     for name, use in uses.items():
         with contextlib.suppress(ArgumentError):  # samples that are all the same may be refused

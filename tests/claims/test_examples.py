@@ -15,7 +15,7 @@ import pytest
 from places import DATA, ROOT
 
 import torchdq
-from torchdq.learning import read
+from torchdq.learning import read_log
 
 EXAMPLES = ROOT / "examples"
 
@@ -118,7 +118,7 @@ def test_what_to_record(tmp_path, capsys):
     assert 0.3 < found.chi_square < 1.6  # a prior at the description makes it less than one
     assert found.gain > 1.5
     assert len(found.drawn.parameters) == 10 and float(found.spread[-1].max()) > 1e-3
-    assert read(tmp_path / "motion.csv").q.shape == (10_001, 7)
+    assert read_log(tmp_path / "motion.csv").q.shape == (10_001, 7)
     assert "panda_joint7 coulomb" in capsys.readouterr().out
     assert_drawn(tmp_path / "motion.png")
     assert_drawn(tmp_path / "possible_arms.png")

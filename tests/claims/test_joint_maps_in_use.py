@@ -12,7 +12,7 @@ import torchdq
 from torchdq import ArgumentError, Robot, UnknownNameError, dq
 from torchdq.envs import ArmVectorEnv, Scene, effects
 from torchdq.envs.render import Skeleton
-from torchdq.learning import identify
+from torchdq.learning import Model, Samples, identify
 from torchdq.recommend.recommend import recommend_settings
 from torchdq.robot.description import Limits
 from torchdq.scene import integrators
@@ -394,7 +394,12 @@ def test_a_log_of_a_geared_robot_identifies_it():
     real = described_robot.replace(mass=1.2 * described_robot.mass, armature=1.5 * described_robot.armature).bake()
     q, qd, qdd, more = torch.randn(4, 300, 3, dtype=F64, generator=torch.Generator().manual_seed(0))
     tau = torchdq.inverse_dynamics(real, q, qd, qdd) + 0.3 * qd
-    found = identify(described_robot, q, qd, qdd, tau, friction=True, armature=True, prior=1.0)
+    found = identify(
+        described_robot,
+        Samples(q, qd, qdd, tau),
+        Model((effects.Viscous(), effects.Coulomb()), armature=True),
+        prior=1.0,
+    )
     assert len(found.parameters) == 60 + 9 and found.names[0] == "b0 m" and found.names[-1] == "j3 coulomb"
     assert torch.allclose(found.viscous, double([0.3] * 3), rtol=1e-2)
     predicted, expected = found.predict(more, q, qd).tau, torchdq.inverse_dynamics(real, more, q, qd) + 0.3 * q

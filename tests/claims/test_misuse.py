@@ -18,7 +18,17 @@ from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.effects.model import ModelEffect
 from torchdq.envs import ArmEnv, ArmVectorEnv, Scene, TorchTask, effects
 from torchdq.errors import nearest
-from torchdq.learning import LogError, Recording, Samples, cut, excitation_trajectory, fit, fit_rollout, identify, read
+from torchdq.learning import (
+    LogError,
+    Recording,
+    Samples,
+    excitation_trajectory,
+    fit,
+    fit_rollout,
+    identify,
+    read_log,
+    train_test_split,
+)
 from torchdq.scene import controllers
 
 F64 = torch.float64
@@ -40,7 +50,7 @@ def refused(call, error, *parts):
 NAMES = [
     ("dqrnea", "did you mean DQRNEA?"),
     ("MassMatrix", "did you mean mass_matrix?"),
-    ("read", "its name here is learning.read"),
+    ("read", "its name here is learning.read_log"),
     ("crba", "its name here is mass_matrix"),
     ("qwzx", "help(torchdq) lists what there is"),
 ]
@@ -173,12 +183,16 @@ Q = np.stack([np.sin(3 * TIME), np.cos(2 * TIME)], 1)
 LOG = {"time": TIME, "q": Q, "qd": Q, "tau": Q}
 SAMPLES = Samples(*4 * [torch.tensor(Q)])
 LEARNING = [
-    (lambda: read(LOG | {"q": Q[:-1]}), LogError, "it has 400 rows and q has 399"),
-    (lambda: read(LOG | {"tau": Q[:-1]}), LogError, "'tau'", "it has 399 rows and q has 400"),
-    (lambda: read(LOG | {"q": Q.T, "qd": Q.T, "tau": Q.T}), LogError, "the 400 rows in the second: transpose"),
-    (lambda: read({name: x if x.ndim == 1 else x[:, 0] for name, x in LOG.items()}), LogError, "as q[:, None]"),
-    (lambda: read(LOG | {"q": [["a", "b"]] * 400}), LogError, "'q'", "convert it by .astype(float)"),
-    (lambda: cut(read(LOG), 0.5), ArgumentError, "motion must be a Motion, found Log; smooth(log) makes one"),
+    (lambda: read_log(LOG | {"q": Q[:-1]}), LogError, "it has 400 rows and q has 399"),
+    (lambda: read_log(LOG | {"tau": Q[:-1]}), LogError, "'tau'", "it has 399 rows and q has 400"),
+    (lambda: read_log(LOG | {"q": Q.T, "qd": Q.T, "tau": Q.T}), LogError, "the 400 rows in the second: transpose"),
+    (lambda: read_log({name: x if x.ndim == 1 else x[:, 0] for name, x in LOG.items()}), LogError, "as q[:, None]"),
+    (lambda: read_log(LOG | {"q": [["a", "b"]] * 400}), LogError, "'q'", "convert it by .astype(float)"),
+    (
+        lambda: train_test_split(read_log(LOG), 0.5),
+        ArgumentError,
+        "motions must be Motion objects, found Log; smooth(log)",
+    ),
     (lambda: identify("panda", SAMPLES.q), ArgumentError, "robot must be a torchdq.Robot, found str"),
     (lambda: excitation_trajectory("panda", 5.0), ArgumentError, "robot must be a torchdq.Robot, found str"),
     (lambda: fit(ARM, SAMPLES, steps=1), ArgumentError, "model must be a torch module", "DQRNEA(robot, learn="),

@@ -10,8 +10,7 @@ from oracles import shipped
 import torchdq
 from torchdq import effects
 from torchdq.envs import Scene
-from torchdq.learning import IdentifiedWithResidual, Motion, Samples, fit, identify, plot_torques
-from torchdq.learning.evaluate import trial
+from torchdq.learning import IdentifiedWithResidual, Model, Motion, Samples, evaluate, fit, identify, plot_torques
 
 F64 = torch.float64
 TWO = shipped("two_link").robot
@@ -75,7 +74,7 @@ def made(rest, steps=200):
     parts = [motion(k, rest) for k in range(3)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # it has doubts about the friction that no term has
-        found = identify(TWO, *map(torch.stack, zip(*parts, strict=True)), friction=REMEMBERS, prior=1.0)
+        found = identify(TWO, Samples(*map(torch.stack, zip(*parts, strict=True))), Model(REMEMBERS), prior=1.0)
     return found, trained(found, parts, steps), parts
 
 
@@ -168,7 +167,7 @@ def test_trials_and_pictures_predict_motion_by_motion(bumpy):
     on = found.predict(*(torch.cat(x) for x in list(zip(*tests, strict=True))[:3])).tau
     assert float((apart - on).abs().max()) > 0.1
     left = (tau - apart).square().mean(0).sqrt() / tau.std(0)
-    assert torch.allclose(trial(TWO, found, several).found, left, rtol=1e-12)
+    assert torch.allclose(evaluate(TWO, found, several).found, left, rtol=1e-12)
     for j, axes in enumerate(plot_torques(found, several).axes):
         drawn = torch.as_tensor(axes.lines[1].get_ydata())
         assert torch.equal(drawn[drawn.isfinite()], apart[:, j])
@@ -208,11 +207,11 @@ def test_gains_that_were_identified_scale_the_torques():
     parts = [motion(k, nothing, 10.0) for k in range(3)]
     drives = torch.tensor([4.0, 0.5], dtype=F64)
     motions = [as_motion(part, tau=(part.tau / drives).numpy(), known_gains=False) for part in parts]
-    found = identify(TWO, motions, friction=REMEMBERS, prior=1.0, gains=True)
+    found = identify(TWO, motions, Model(REMEMBERS, gains=True), prior=1.0)
     whole = IdentifiedWithResidual(found, torchdq.ResidualDynamics(found.layer()))
     ratio = whole.samples(motions[0]).tau + found.predict(motions[0]).tau - found.layer()(*parts[0][:3]).detach()
     assert torch.allclose(ratio, torch.as_tensor(motions[0].tau) * found.gains.value)
-    plain = identify(TWO, parts[0].q, parts[0].qd, parts[0].qdd, parts[0].tau, friction=True, prior=1.0)
+    plain = identify(TWO, parts[0], Model((effects.Viscous(), effects.Coulomb())), prior=1.0)
     other = IdentifiedWithResidual(plain, torchdq.ResidualDynamics(plain.layer()))
     with pytest.raises(torchdq.ArgumentError, match="efforts of unknown gains"):
         other.samples(motions[0])
@@ -233,6 +232,6 @@ def test_what_it_does_not_take(bumpy):
     fresh = IdentifiedWithResidual(found, torchdq.ResidualDynamics(found.layer()))
     with pytest.raises(torchdq.ArgumentError, match=r"train it by torchdq\.learning\.fit"):
         fresh.predict(*parts[0][:3])
-    with pytest.raises(torchdq.ArgumentError, match="tau must be given beside positions"):
+    with pytest.raises(torchdq.ArgumentError, match="tau must be given with positions"):
         fresh.samples(*parts[0][:3])
     assert math.isfinite(float(fresh.samples(*parts[0]).tau.sum()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
 Severity = Literal["ok", "note", "warning", "error"]
@@ -35,3 +36,24 @@ class Finding(NamedTuple):
         claim = ", found ".join(part for part in (self.expected, self.found) if part)
         sentence = f"{self.subject}: {claim}" if self.subject else claim
         return f"{sentence}; {cure}" if cure else sentence
+
+
+def merged(findings: Sequence[Finding], command_line: bool = False) -> str:
+    """Text of several findings; those that share their claim and cure are one sentence about all their subjects.
+
+    >>> wrong = [Finding("torque.sign", joint, "signs must agree", "-1") for joint in ("hip", "knee")]
+    >>> print(merged(wrong))
+    hip, knee: signs must agree, found -1, -1
+    """
+    groups: dict[tuple[str, str, str], list[Finding]] = {}
+    for one in findings:
+        groups.setdefault((one.code, one.expected, one.cure), []).append(one)
+    return "; ".join(
+        some[0]
+        ._replace(
+            subject=", ".join(dict.fromkeys(one.subject for one in some if one.subject)),
+            found=", ".join(one.found for one in some if one.found),
+        )
+        .text(command_line)
+        for some in groups.values()
+    )

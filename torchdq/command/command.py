@@ -29,10 +29,6 @@ class Command:
         """Result of the command."""
         raise NotImplementedError
 
-    def words(self, message: str) -> str:
-        """Error or warning in the words of a command line, with options in place of arguments of functions."""
-        return message
-
 
 @dataclass(kw_only=True)
 class RobotCommand(Command):

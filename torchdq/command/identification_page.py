@@ -8,7 +8,7 @@ from html import escape
 
 from torchdq.base.optional import imported
 from torchdq.learning.bodies.payload import IdentifiedPayload
-from torchdq.learning.evaluate import MEANING, TorqueTrial, torques_by
+from torchdq.learning.evaluate import MEANING, Evaluation, torques_by
 from torchdq.learning.identification.identified import Identified
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.plots import plot_torques
@@ -34,21 +34,21 @@ summary { cursor: pointer; }
 
 def page(
     found: Identified,
-    measured: TorqueTrial,
+    measured: Evaluation,
     test: Sequence[Motion],
     sources: Sequence[str] = (),
-    doubts: Sequence[str] = (),
+    messages: Sequence[str] = (),
     payload: IdentifiedPayload | None = None,
 ) -> str:
-    """HTML text about an identified robot: verdict, errors, picture, parameters with errors, what is not told.
+    """HTML text about an identified robot: verdict, errors, picture, parameters with errors, unidentifiable ones.
 
     Args:
         found: from `identify`.
-        measured: its trial.
-        test: motions of the trial.
+        measured: its evaluation.
+        test: motions of the evaluation.
         sources: lines about where the numbers come from, e.g. names of the logs.
-        doubts: warnings that were given on the way.
-        payload: what the arm holds in other motions; None: nothing was sought.
+        messages: warnings that were given on the way.
+        payload: what the arm holds in other motions; None: nothing was estimated.
     Raises:
         MissingLibraryError: matplotlib is not installed.
     """
@@ -56,8 +56,8 @@ def page(
     parts = [
         f"<h1>{escape(name)}, identified</h1>",
         f"<p>{'<br>'.join(map(escape, sources))}</p>" if sources else "",
-        f'<p class="verdict">{escape(measured.verdict)}</p>\n<p>{escape(MEANING)}</p>',
-        _section("Warnings", "".join(f"<p>{escape(x)}</p>" for x in doubts)) if doubts else "",
+        f'<p class="verdict">{escape(measured.summary)}</p>\n<p>{escape(MEANING)}</p>',
+        _section("Warnings", "".join(f"<p>{escape(x)}</p>" for x in messages)) if messages else "",
         _section(
             "Torques in motions that were not learned from",
             "<p>Errors are root mean squares over the standard deviation of the measured torque."
@@ -66,8 +66,8 @@ def page(
             f'<div class="picture">{_picture(found.by_these_gains(), torques_by(found, test))}</div>',
         ),
         _section("Payload", f"<pre>{escape(str(payload))}</pre>") if payload is not None else "",
-        _section("What the data tell", _told(found)),
-        _section("What the data cannot tell", _untold(found)),
+        _section("Identified model", _model(found)),
+        _section("Unidentifiable parameters", _unidentifiable(found)),
         _section("All numbers", f"<details><summary>Parameters</summary><pre>{escape(str(found))}</pre></details>"),
     ]
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(name)}</title>'
@@ -101,9 +101,9 @@ def _picture(found: Identified, motions: Sequence[Motion]) -> str:
     return text[text.index("<svg") :]
 
 
-def _told(found: Identified) -> str:
+def _model(found: Identified) -> str:
     """Sections of what was chosen and found: friction, gains, and combinations of inertial parameters with errors."""
-    parts = [] if found.report is None else [f"<pre>{escape(str(found.report))}</pre>"]
+    parts = [] if found.selection is None else [f"<pre>{escape(str(found.selection))}</pre>"]
     first = 10 * len(found.robot.link_names)
     units = [term.units[not joint.turns] for term in found.terms for joint in found.robot.joint_types]
     rest = zip(found.names[first:], *(x[first:].tolist() for x in (found.parameters, found.errors)), units, strict=True)
@@ -123,16 +123,12 @@ def _told(found: Identified) -> str:
     return "\n".join(parts)
 
 
-def _untold(found: Identified) -> str:
-    """Parameters that stayed near the description, since no sample speaks of them."""
-    untold = () if found.report is None else found.report.untold
-    if not untold:
-        alone = [name for name, told in zip(found.names, found.excited.tolist(), strict=True) if not told]
-        untold = (", ".join(alone),) if alone else ()
-    if not untold:
-        return "<p>Nothing: every parameter is told by the samples.</p>"
-    lines = "".join(f"<li>{escape(line)}</li>" for line in untold)
+def _unidentifiable(found: Identified) -> str:
+    """List of the inertial parameters that stayed near the description, by link."""
+    if not found.unidentifiable:
+        return "<p>None: the samples identify every parameter.</p>"
+    lines = "".join(f"<li>{escape(line)}</li>" for line in found.unidentifiable)
     return (
-        "<p>These inertial parameters alone are not told by the samples, and stay near the description; only the "
-        f"combinations above are. Torques do not depend on them.</p><ul>{lines}</ul>"
+        "<p>The samples do not identify these inertial parameters one by one, only the combinations above; they stay "
+        f"near the description. Torques do not depend on them.</p><ul>{lines}</ul>"
     )

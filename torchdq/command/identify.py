@@ -19,15 +19,24 @@ from torchdq.command.command import RobotCommand, numbers
 from torchdq.command.identification_page import page
 from torchdq.command.outcome import Grid, Outcome, Verbatim
 from torchdq.command.robots import ENDINGS, NamedRobot
-from torchdq.command.words import with_options
+from torchdq.effects import Coulomb, Viscous
 from torchdq.errors import ArgumentError, DescriptionError
-from torchdq.learning import identify as seek
-from torchdq.learning import identify_payload, read, smooth
-from torchdq.learning.bodies.payload import IdentifiedPayload
-from torchdq.learning.evaluate import MEANING, TorqueTrial, apart, torques_by, trial, with_file
-from torchdq.learning.identification.identified import Identified
-from torchdq.learning.logs.layouts import Layout
-from torchdq.learning.logs.motions import Motion
+from torchdq.learning import (
+    Evaluation,
+    Identified,
+    IdentifiedPayload,
+    Layout,
+    LogWarning,
+    Model,
+    Motion,
+    evaluate,
+    identify,
+    identify_payload,
+    read_log,
+    smooth,
+    train_test_split,
+)
+from torchdq.learning.evaluate import MEANING, torques_by
 from torchdq.robot import Robot
 
 # module, extra that brings it: looked for before the work, not after it
@@ -38,13 +47,13 @@ JOINT = "{joint}"  # in patterns of columns, the name of a joint
 
 @dataclass(kw_only=True)
 class IdCommand(RobotCommand):
-    """A robot identified from logs: errors, what the data tell and do not, a verdict, one HTML page, and its URDF.
+    """A robot identified from logs: errors, a verdict, identifiable parameters, one HTML page, and its URDF.
 
     A log is a CSV file with columns time [s], q1 ... [rad], qd1 ... [rad/s], tau1 ... [N m], or names by --columns.
     Tested is the last log, or the last third of the only one.
 
     Names in --columns: position_{0} reads position_0, position_1, ... for the joints, position_{1} begins with
-    position_1; in effort_{joint} the joint's own name takes the place of {joint}; a1,b2,c3 are the names of all
+    position_1; in effort_{joint} {joint} is replaced by the joint's own name; a1,b2,c3 are the names of all
     columns, in the robot's order of joints; none: not recorded.
 
     Example: torchdq id arm.urdf a.csv b.csv --columns q position_{0} qd velocity_{0} tau effort_{0}
@@ -62,30 +71,30 @@ class IdCommand(RobotCommand):
     """First row of each log that is used, and the one after the last, counted from 0."""
     gains: tuple[float, ...] = ()
     """Torque per unit of tau where it is a current, one for each joint [N m/A]."""
-    seek_gains: bool = False
-    """Seek these gains, too."""
-    friction: Literal["choose", "simple", "none"] = "choose"
-    """Friction: what the data ask for; viscous and Coulomb; or none."""
+    estimate_gains: bool = False
+    """Estimate these gains, too."""
+    friction: Literal["auto", "simple", "none"] = "auto"
+    """Friction: selected on blocks of the logs left out; viscous and Coulomb; or none."""
     offset: bool = False
-    """Seek a constant torque of every joint."""
+    """Estimate a constant torque of every joint."""
     rotors: bool = False
-    """Seek the rotor inertia of every joint."""
+    """Estimate the rotor inertia of every joint."""
     prior: float | None = None
-    """Weight of the description; by default chosen on blocks of the logs that are left out."""
+    """Weight of the description; by default chosen on blocks of the logs left out."""
     rate: float = 50.0
     """Rows per second that are learned from [Hz]."""
     cutoff: float | None = None
     """Low-pass filter of all signals [Hz]; by default 8, or less for slow logs."""
     delay: float = 0.0
     """Time by which the torques come after the positions in the logs [s]; a warning says if there is one."""
-    width: float | None = None
+    sign_width: float | None = None
     """Velocity below which dry friction is viscous [rad/s]; by default 0.001 in the logs, 0.01 in the result."""
     farthest: float = 8 * math.pi
     """Position beyond which a column is taken for one in degrees or millimetres [rad or m]."""
     fastest: float = 50.0
     """Speed beyond which it is, too [rad/s or m/s]."""
     payload: tuple[str, ...] = ()
-    """Logs with something in the hand, whose mass and inertia are sought."""
+    """Logs with something in the hand, whose mass and inertia are estimated."""
     frame: str | None = None
     """Frame that holds the payload; by default the end effector."""
     out: Path = Path(".")
@@ -101,29 +110,22 @@ class IdCommand(RobotCommand):
         source = self.load_moving()
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
-            motions = [self._motion(log, source.robot) for log in self.logs]
-            tests = [self._motion(log, source.robot) for log in self.test]
-            held = [self._motion(log, source.robot) for log in self.payload]
-            train, test = (motions, tests) if tests else self._apart(motions)
-            found = self._sought(source, train)
-            payload = None
-            if held:
-                payload = identify_payload(found, torques_by(found, held), frame=self.frame)
+            motions, tests, held = (
+                [self._motion(log, source.robot) for log in logs] for logs in (self.logs, self.test, self.payload)
+            )
+            train, test = (motions, tests) if tests else self._split(motions)
+            found = self._identified(source.robot, train)
+            payload = identify_payload(found, torques_by(found, held), frame=self.frame) if held else None
             description = _described(source, found)
-        measured = trial(source.robot, found, test)
-        if description.robot is not None:
-            measured = with_file(measured, description.robot, found, test)
-        doubts = list(dict.fromkeys(self.words(str(one.message)) for one in said))
-        for doubt in doubts:
-            warnings.warn(doubt, stacklevel=2)
+            measured = evaluate(source.robot, found, test, description.robot)
+        messages = list({str(one.message): one.message for one in said}.values())
+        for message in messages:
+            warnings.warn(message, stacklevel=2)
         with Progress("drawing the page"):
-            text = page(found, measured, test, self._sources(), doubts, payload)
+            words = [x.text(command_line=True) if isinstance(x, LogWarning) else str(x) for x in messages]
+            text = page(found, measured, test, self._sources(), words, payload)
         files = self._written(source, text, description)
-        return _outcome(found, measured, payload, files, description.lost)
-
-    def words(self, message: str) -> str:
-        """Message with options in place of arguments of functions."""
-        return with_options(message)
+        return _outcome(found, measured, payload, files, description.omitted)
 
     def _require_order(self) -> None:
         """Raise unless there is a robot first, and logs after it."""
@@ -142,39 +144,36 @@ class IdCommand(RobotCommand):
 
     def _motion(self, log: str, robot: Robot) -> Motion:
         """Motion of a log, filtered, with accelerations."""
-        recorded = read(log, self._layout(robot), self.rows)
-        width = {} if self.width is None else {"width": self.width}
-        motion = smooth(recorded, self.cutoff, self.cutoff, self.rate, delay=self.delay, **width)
-        if motion.q.shape[1] != robot.n:
+        recorded = read_log(log, self._layout(robot), self.rows)
+        if recorded.q.shape[1] != robot.n:
             cure = "--joints keeps some joints of the robot"
-            raise ArgumentError(f"{log} holds {motion.q.shape[1]} joints, the robot has {robot.n}; {cure}")
-        return motion
+            raise ArgumentError(f"{log} holds {recorded.q.shape[1]} joints, the robot has {robot.n}; {cure}")
+        width = {} if self.sign_width is None else {"sign_width": self.sign_width}
+        return smooth(recorded, self.cutoff, self.cutoff, self.rate, delay=self.delay, **width)
 
-    def _apart(self, motions: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:
-        """Motions to learn from, and to test on."""
-        try:
-            return apart(motions)
-        except ArgumentError as error:
-            cure = "give a longer one, or another one for the test by --test"
-            raise ArgumentError(f"{self.logs[0]} is too short to keep its last third for the test; {cure}") from error
+    def _split(self, motions: Sequence[Motion]) -> tuple[list[Motion], list[Motion]]:
+        """Motions to learn from, and to test on: the last one, or the last third of the only one."""
+        return train_test_split(motions) if len(motions) == 1 else ([*motions[:-1]], [motions[-1]])
 
     def _layout(self, robot: Robot) -> Layout:
         """Layout of the logs, as the options say."""
         if self.gains and len(self.gains) != robot.n:
             raise ArgumentError(f"gains must be {robot.n} numbers, one for each joint, found {len(self.gains)}")
+        if 0 in self.gains:
+            raise ArgumentError(f"gains must be numbers other than zero, found {self.gains}")
         options: dict[str, Any] = {"columns": {name: _names(x, robot) for name, x in self.columns.items()}}
         options |= {"farthest": self.farthest, "fastest": self.fastest}
-        options["gain"] = numbers(self.gains) or (None if self.seek_gains else ())
+        options["gain"] = numbers(self.gains) or (None if self.estimate_gains else ())
         if self.blocks:
             options |= {"blocks": self.blocks, "header": False, "joints": robot.n}
         return Layout(**options)
 
-    def _sought(self, source: NamedRobot, train: Sequence[Motion]) -> Identified:
-        friction: Any = {"choose": "choose", "simple": True, "none": False}[self.friction]
-        options: dict[str, Any] = {"offset": self.offset, "armature": self.rotors, "prior": self.prior}
-        options |= {"gains": self.seek_gains}
-        options |= {} if self.width is None else {"width": self.width}
-        return seek(source.robot, train, friction=friction, **options)
+    def _identified(self, robot: Robot, train: Sequence[Motion]) -> Identified:
+        """Robot identified with the model that the options ask for."""
+        width = 1e-2 if self.sign_width is None else self.sign_width
+        friction: Any = {"auto": "auto", "simple": (Viscous(), Coulomb(width=width)), "none": None}[self.friction]
+        model = Model(friction, self.offset, self.rotors, self.estimate_gains)
+        return identify(robot, train, model, self.prior, width)
 
     def _sources(self) -> list[str]:
         """Lines of the page about where its numbers come from."""
@@ -198,7 +197,7 @@ class RobotFile(NamedTuple):
 
     text: str  # "" if there is none
     robot: Robot | None  # robot that it holds, with its damping and friction
-    lost: str  # what it lacks, or why there is none; "" for nothing
+    omitted: str  # what it lacks, or why there is none; "" for nothing
 
 
 def _described(source: NamedRobot, found: Identified) -> RobotFile:
@@ -226,38 +225,37 @@ def _names(pattern: str, robot: Robot) -> str | list[str] | None:
 
 
 def _outcome(
-    found: Identified, measured: TorqueTrial, payload: IdentifiedPayload | None, files: dict[str, Path], lost: str
+    found: Identified, measured: Evaluation, payload: IdentifiedPayload | None, files: dict[str, Path], omitted: str
 ) -> Outcome:
     """Text and data of what was found."""
-    untold = () if found.report is None else found.report.untold
+    selection, unidentifiable = found.selection, found.unidentifiable
     text: list[str | Grid | Verbatim] = [Grid(measured.header, measured.rows())]
-    if found.report is not None:
-        text.append(f"model: {found.report.words}")
-    if untold:
-        text += ["not told by the data, left near the description:", Grid((), [("-", line) for line in untold])]
+    if selection is not None:
+        text.append(f"model: {selection.summary}")
+    if unidentifiable:
+        title = "not identifiable from these logs, kept near the description:"
+        text += [title, Grid((), [("-", line) for line in unidentifiable])]
     if payload is not None:
         text.append(str(payload))
-    text += [measured.verdict, MEANING]
+    text += [measured.summary, MEANING]
     text.append(Grid((), [("wrote", str(path)) for path in files.values()]))
-    text += [lost] if lost else []
-    rows = zip(found.names, found.parameters, found.errors, found.excited, strict=True)
+    text += [omitted] if omitted else []
+    rows = zip(found.names, found.parameters, found.errors, found.identifiable, strict=True)
+    base = zip(found.base_names, found.base @ found.parameters, found.base_errors, strict=True)
     data: dict[str, Any] = {
         "robot": found.robot.name,
-        "verdict": measured.verdict,
-        "trial": measured._asdict(),
-        "model": None if found.report is None else found.report.rung.name,
-        "parameters": [{"name": name, "estimate": x, "error": error, "told": told} for name, x, error, told in rows],
-        "base_parameters": [
-            {"combination": name, "estimate": x, "error": error}
-            for name, x, error in zip(found.base_names, found.base @ found.parameters, found.base_errors, strict=True)
-        ],
-        "untold": untold,
+        "verdict": measured.verdict.value,
+        "summary": measured.summary,
+        "evaluation": {name: x for name, x in measured._asdict().items() if name != "findings"},
+        "findings": [one._asdict() for one in (*found.findings, *measured.findings)],
+        "model": None if selection is None else selection.chosen.name,
+        "parameters": [{"name": name, "estimate": x, "error": e, "identifiable": known} for name, x, e, known in rows],
+        "base_parameters": [{"combination": name, "estimate": x, "error": error} for name, x, error in base],
+        "unidentifiable": unidentifiable,
         "noise": found.noise,
         "gains": None if found.gains is None else found.gains._asdict(),
-        "payload": None
-        if payload is None
-        else {name: x for name, x in payload._asdict().items() if name not in ("robot",)},
+        "payload": None if payload is None else {k: x for k, x in payload._asdict().items() if k != "robot"},
         "files": files,
-        "lost": lost,
+        "omitted": omitted,
     }
     return Outcome(tuple(text), data)

@@ -20,6 +20,7 @@ from typing import Any
 import tyro
 
 from torchdq import __version__
+from torchdq.base.findings import merged
 from torchdq.command.accuracy import AccuracyCommand
 from torchdq.command.bench import BenchCommand
 from torchdq.command.command import Command
@@ -32,6 +33,7 @@ from torchdq.command.report import ReportCommand
 from torchdq.command.scene import SceneCommand
 from torchdq.command.view import ViewCommand
 from torchdq.errors import TorchdqError, nearest
+from torchdq.learning import LogError, LogWarning
 
 COMMANDS: dict[str, type[Command]] = {
     "report": ReportCommand,
@@ -121,7 +123,7 @@ def _run(command: Command) -> int:
     shown: list[str] = []
 
     def show(message: Warning | str, *rest: Any, **others: Any) -> None:
-        if (words := command.words(_words(message))) not in shown:
+        if (words := _words(message)) not in shown:
             shown.append(words)
             _say("warning", words)
 
@@ -133,7 +135,7 @@ def _run(command: Command) -> int:
         except (TorchdqError, OSError) as error:
             if isinstance(error, BrokenPipeError):
                 raise
-            words = command.words(_words(error))
+            words = _words(error)
             if command.json:
                 write_json({"error": words, "kind": type(error).__name__})
             _say("error", words)
@@ -144,9 +146,11 @@ def _run(command: Command) -> int:
 
 
 def _words(error: Exception | str) -> str:
-    """Message of an error or a warning, in words of the command line; one of the system names the file first."""
-    if callable(text := getattr(error, "text", None)):  # findings, whose cures are options here
-        return str(text(command_line=True))
+    """Message of an error or a warning, with cures in options; one of the system names the file first."""
+    if isinstance(error, LogError | LogWarning):
+        return error.text(command_line=True)
+    if findings := getattr(error, "findings", ()):
+        return merged(findings, command_line=True)
     if isinstance(error, TorchdqError) or not isinstance(error, OSError) or error.filename is None:
         return str(error)
     return f"{str(error.filename)!r} cannot be used: {error.strerror}"

@@ -302,7 +302,7 @@ def parts_of(friction: Any, robot: Robot) -> list[tuple[Friction, str]]:
     for effect in friction if isinstance(friction, Sequence) else (friction,):
         if not isinstance(effect, Friction):
             cure = "or a sequence of friction effects, such as (effects.Viscous(), effects.Coulomb())"
-            raise ArgumentError(f"friction must be True, False, 'choose', {cure}, found {effect!r}")
+            raise ArgumentError(f"friction must be None, 'auto', {cure}, found {effect!r}")
         zeros: dict[str, Any] = dict.fromkeys(effect.LINEAR, 0.0)
         if replace(effect, **zeros).resolved(robot).inputs(robot.n):
             name = type(effect).__name__

@@ -10,12 +10,12 @@ from torchdq.base.optional import imported
 from torchdq.errors import ArgumentError
 from torchdq.learning.excitation.limits import Bounds
 from torchdq.learning.identification.identified import Identified
-from torchdq.learning.logs.motions import Motion, samples
+from torchdq.learning.logs.motions import Motion, stack_samples
 from torchdq.robot import Robot
 
 BLUE, GREY = "#0072B2", "#8A8A8A"
 TURNS, SLIDES = ("q [rad]", "qd [rad/s]", "tau [N m]"), ("q [m]", "qd [m/s]", "tau [N]")
-APART = 0.1  # [s] between rows, from which a line is broken: rows at rest are not in a motion
+BREAK = 0.1  # [s] between rows, from which a line is broken: rows at rest are not in a motion
 PAUSE = 1.0  # [s] between motions in a picture
 STYLE = {
     "axes.titlelocation": "left",
@@ -38,7 +38,7 @@ def _panels(rows: int, columns: int, purpose: str, width: float = 4.5) -> tuple[
 
 
 def picture_of_motion(robot: Robot, time: Tensor, q: Tensor, qd: Tensor, tau: Tensor, bounds: Bounds) -> Any:
-    """Figure of positions, velocities and torques [rows, n] beside the limits that they keep, a row per joint."""
+    """Figure of positions, velocities and torques [rows, n] with the limits that they keep, a row per joint."""
     figure, panels = _panels(robot.n, 3, "plot")
     most = (bounds.upper, bounds.velocity, bounds.effort)
     least = (bounds.lower, -bounds.velocity, -bounds.effort)
@@ -69,25 +69,27 @@ def plot_torques(identified: Identified, motions: Motion | Sequence[Motion]) -> 
         ArgumentError: the motions are of another arm.
         MissingLibraryError: matplotlib is not installed.
 
-    >>> figure = plot_torques(identify(robot, *samples(before)), after)  # doctest: +SKIP
+    >>> figure = plot_torques(identify(robot, before), after)  # doctest: +SKIP
     >>> figure.savefig("torques.png")  # doctest: +SKIP
     """
     if not isinstance(identified, Identified):
         raise ArgumentError(f"identified must be what identify returns, found {type(identified).__name__}")
     several = [motions] if isinstance(motions, Motion) else motions
-    tau, robot = samples(several).tau, identified.robot
+    tau, robot = stack_samples(several).tau, identified.robot
     if tau.shape[1] != robot.n:
         raise ArgumentError(f"motions must be of the {robot.n} joints of {robot.name!r}, found {tau.shape[1]}")
-    told = identified.predict(several)
-    left = (tau - told.tau).square().mean(0).sqrt() / tau.std(0)
+    predicted = identified.predict(several)
+    left = (tau - predicted.tau).square().mean(0).sqrt() / tau.std(0)
     time, breaks = _one_axis(several)
-    signals = (np.insert(x.numpy(), breaks, np.nan, axis=0) for x in (tau, told.tau, told.low, told.high))
-    measured, predicted, lower, upper = signals
+    signals = (
+        np.insert(x.numpy(), breaks, np.nan, axis=0) for x in (tau, predicted.tau, predicted.low, predicted.high)
+    )
+    measured, mean, lower, upper = signals
     figure, panels = _panels(robot.n, 1, "plot_torques", width=9.0)
     for j, panel in enumerate(panels[:, 0]):
         panel.fill_between(time, lower[:, j], upper[:, j], color=BLUE, alpha=0.25, linewidth=0, label="95 %")
         panel.plot(time, measured[:, j], color="black", linewidth=0.8, label="measured")
-        panel.plot(time, predicted[:, j], color=BLUE, linewidth=1.2, label="predicted")
+        panel.plot(time, mean[:, j], color=BLUE, linewidth=1.2, label="predicted")
         panel.set_title(f"{robot.joint_names[j]}: {float(left[j]):.3f} of a standard deviation unexplained")
         panel.set_ylabel("[N m]" if robot.joint_types[j].turns else "[N]")
     panels[-1, 0].set_xlabel("time [s]")
@@ -105,5 +107,5 @@ def _one_axis(motions: Sequence[Motion]) -> tuple[np.ndarray, np.ndarray]:
         times.append(motion.time - motion.time[0] + start)
         start = times[-1][-1] + PAUSE
     time = np.concatenate(times)
-    breaks = 1 + np.flatnonzero(np.diff(time) > APART)
+    breaks = 1 + np.flatnonzero(np.diff(time) > BREAK)
     return np.insert(time, breaks, np.nan), breaks

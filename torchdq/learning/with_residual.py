@@ -44,10 +44,12 @@ class IdentifiedWithResidual:
         ArgumentError: the layer of the residual is another one, or it goes on learning masses or friction.
 
     >>> import torch, torchdq
-    >>> from torchdq.learning import fit, identify
+    >>> from torchdq import effects
+    >>> from torchdq.learning import Model, Samples, fit, identify
     >>> robot, (q, qd, qdd) = torchdq.robots.load("two_link"), torch.randn(3, 300, 2, dtype=torch.float64)
     >>> tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.5 * qd.sin()
-    >>> found = identify(robot, q, qd, qdd, tau, friction=True, prior=1.0)
+    >>> plain = Model(friction=(effects.Viscous(), effects.Coulomb()))
+    >>> found = identify(robot, Samples(q, qd, qdd, tau), plain, prior=1.0)
     >>> whole = IdentifiedWithResidual(found, torchdq.ResidualDynamics(found.layer(), hidden=(8,)))
     >>> train = whole.samples(q, qd, qdd, tau)
     >>> whole.residual.standardise(*train)

@@ -13,7 +13,7 @@ import torch
 import torchdq
 from torchdq.envs import Scene, effects
 from torchdq.errors import ArgumentError
-from torchdq.learning import identify, posterior_samples
+from torchdq.learning import Model, Samples, identify, posterior_samples
 from torchdq.learning.bodies.nearest import curvature, nearest
 from torchdq.robot.pseudo_inertia import pseudo_inertia, relative
 from torchdq.scene import integrators
@@ -28,7 +28,8 @@ def found_on(name, rows, noise, seed=0, prior=1.0, **options):
     tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + qd + 2 * qd / (qd**2 + WIDTH**2).sqrt()
     size = noise * tau.std(0)
     measured = tau + size * torch.randn(tau.shape, dtype=torch.float64, generator=generator)
-    return identify(robot, q, qd, qdd, measured, friction=True, prior=prior, width=WIDTH, **options)
+    model = Model((effects.Viscous(), effects.Coulomb(width=WIDTH)), **options)
+    return identify(robot, Samples(q, qd, qdd, measured), model, prior, WIDTH)
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +96,7 @@ def test_torques_spread_as_predicted(found, drawn):
 def test_unidentifiable_bodies_have_the_width_of_the_prior(found, drawn):
     """The links move in a plane: where mass is along the axes, and the mass of the first, is in no torque."""
     at = [found.names.index(f"link1 {name}") for name in ("mz", "Ixz", "Iyz")]
-    assert not bool(found.excited[at].any())
+    assert not bool(found.identifiable[at].any())
     assert torch.allclose(drawn.parameters[:, at].std(0), found.errors[at], rtol=0.15)
     mass, width = drawn.robot.mass[:, 0], float(found.errors[0] / found.parameters[0])
     assert 0.05 < float(mass.log().std()) == pytest.approx(width, rel=0.15)
@@ -132,7 +133,7 @@ def test_links_without_mass_stay_without():
     described = robot.replace(mass=robot.mass * keep, inertia=robot.inertia * keep[:, None])
     q, qd, qdd, noise = torch.randn(4, 300, 2, dtype=torch.float64)
     tau = torchdq.inverse_dynamics(described, q, qd, qdd) + 0.1 * noise
-    found = identify(described, q, qd, qdd, tau, friction=True, prior=1.0)
+    found = identify(described, Samples(q, qd, qdd, tau), Model((effects.Viscous(), effects.Coulomb())), prior=1.0)
     drawn = posterior_samples(found, 20)
     assert bool((drawn.robot.mass[:, 0] == 0).all()) and bool((drawn.robot.inertia[:, 0] == 0).all())
     assert float(drawn.robot.mass[:, 1].std()) > 0
@@ -163,7 +164,12 @@ def test_a_scene_simulates_all_of_them_at_once():
     names = ("mass", "com", "inertia", "armature")
     third = some.robot.replace(**{name: getattr(some.robot, name)[2] for name in names})
     viscous, coulomb = (some.coefficients(kind)[2] for kind in ("viscous", "coulomb"))
-    parts = effects.Gravity(), effects.RotorInertia(), effects.Viscous(viscous), effects.Coulomb(coulomb, some.width)
+    parts = (
+        effects.Gravity(),
+        effects.RotorInertia(),
+        effects.Viscous(viscous),
+        effects.Coulomb(coulomb, some.sign_width),
+    )
     alone = Scene(third, parts, integrator=integrators.RungeKutta4(), dt=1e-3)
     other = alone.start(q[2], q[2])
     for _ in range(20):

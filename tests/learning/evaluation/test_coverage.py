@@ -4,9 +4,10 @@ import pytest
 import torch
 from helpers import double
 from oracles import shipped
+from recorded_logs import fitted
 
 import torchdq
-from torchdq.learning import identify
+from torchdq.learning import Samples, identify
 from torchdq.learning.evaluation.coverage import interval_factors
 
 TWO = shipped("two_link").robot
@@ -64,20 +65,24 @@ def motion(seed, noise):
 
 def test_intervals_of_an_identified_robot_hold_their_share_whatever_the_noise_is_like():
     motions = [torch.stack(x) for x in zip(*(motion(seed, 0.2) for seed in range(5)), strict=True)]
-    found = identify(TWO, *motions)
+    found = identify(TWO, Samples(*motions))
     q, qd, qdd, tau = (torch.stack(x) for x in zip(*(motion(seed, 0.2) for seed in range(50, 70)), strict=True))
-    told = found.predict(q, qd, qdd)
-    assert told.low.shape == told.tau.shape and torch.allclose(told.high - told.tau, told.tau - told.low)
-    inside = ((tau > told.low) & (tau < told.high)).double().mean((0, 1))
+    predicted = found.predict(q, qd, qdd)
+    assert predicted.low.shape == predicted.tau.shape and torch.allclose(
+        predicted.high - predicted.tau, predicted.tau - predicted.low
+    )
+    inside = ((tau > predicted.low) & (tau < predicted.high)).double().mean((0, 1))
     assert 0.93 < float(inside[0]) < 0.97 and float(inside[1]) > 0.93
-    normal = 1.96 * torch.hypot(told.error, found.noise)
-    assert float(((tau - told.tau).abs() < normal).double()[..., 0].mean()) > 0.97  # outliers make a deviation large
+    normal = 1.96 * torch.hypot(predicted.error, found.noise)
+    assert (
+        float(((tau - predicted.tau).abs() < normal).double()[..., 0].mean()) > 0.97
+    )  # outliers make a deviation large
     assert float(found.half_width[1]) < 1.3  # no torque is off by more than one standard deviation
 
 
 def test_a_model_that_was_given_has_the_intervals_of_normal_errors():
     q, qd, qdd, tau = motion(0, 0.1)
-    found = identify(TWO, q, qd, qdd, tau, friction=True, prior=1.0)
-    told = found.predict(q, qd, qdd)
+    found = fitted(TWO, q, qd, qdd, tau)
+    predicted = found.predict(q, qd, qdd)
     assert torch.equal(found.half_width, double(1.96, 1.96)) and not found.model.any()
-    assert torch.allclose(told.high - told.low, 2 * 1.96 * torch.hypot(told.error, found.noise))
+    assert torch.allclose(predicted.high - predicted.low, 2 * 1.96 * torch.hypot(predicted.error, found.noise))

@@ -15,14 +15,28 @@ import pytest
 import torch
 
 import torchdq
+from torchdq import effects
 from torchdq.errors import ArgumentError, MissingLibraryError
-from torchdq.learning import Box, HalfSpace, Motion, MotionLimits, excitation_trajectory, identify, plot_torques, read
+from torchdq.learning import (
+    Box,
+    HalfSpace,
+    Model,
+    Motion,
+    MotionLimits,
+    Samples,
+    excitation_trajectory,
+    identify,
+    plot_torques,
+    read_log,
+)
 from torchdq.learning.excitation import search
 from torchdq.learning.excitation.fourier import Family, grid
 from torchdq.learning.identification.base import BaseParameters
 
 LIMITS = MotionLimits(lower=-1.0, upper=[1.5, 0.5], velocity=[2.0, 3.0], effort=60.0)
 ROUNDING = 1 + 1e-12
+
+PLAIN = Model((effects.Viscous(), effects.Coulomb()))
 
 
 def double(x):
@@ -254,7 +268,7 @@ def test_identification_from_the_motion_errs_as_predicted():
     for _ in range(30):
         noise = double(rng.normal(size=rigid.shape)) * found.parameters.noise
         tau = rigid + friction + noise
-        again = identify(robot, found.q, found.qd, found.qdd, tau, friction=True, prior=1e-6)
+        again = identify(robot, Samples(found.q, found.qd, found.qdd, tau), PLAIN, prior=1e-6)
         assert again.rank == len(base) and again.names == found.names
         squares.append(((base @ (again.parameters - truth)) / found.base_errors) ** 2)
     assert [name.split()[:2] for name in again.base_names] == [name.split()[:2] for name in found.base_names]
@@ -295,7 +309,7 @@ def test_a_file_is_read_back(exciting, tmp_path):
     found, _ = exciting
     for rate, rows in ((None, 1001), (250.0, 2501)):
         found.to_csv(tmp_path / "motion.csv", rate)
-        log = read(tmp_path / "motion.csv")
+        log = read_log(tmp_path / "motion.csv")
         motion = found.sampled(rate or 100.0)
         assert len(log.time) == rows
         for name in ("time", "q", "qd", "qdd", "tau"):
@@ -321,7 +335,7 @@ def test_a_plot_shows_every_joint(exciting, tmp_path):
 def test_predicted_torques_are_drawn_beside_measured_ones(panda, exciting, tmp_path):
     pytest.importorskip("matplotlib")
     motion = exciting[0].sampled(50.0)
-    found = identify(panda, *(torch.as_tensor(x) for x in motion[1:5]), friction=True, prior=1.0)
+    found = identify(panda, motion, PLAIN, prior=1.0)
     apart = motion._replace(time=np.where(motion.time > 4, motion.time + 2, motion.time))  # a line is broken there
     figure = plot_torques(found, [motion, apart])
     titles = ["".join(axes.get_title(place) for place in ("left", "center")) for axes in figure.axes]

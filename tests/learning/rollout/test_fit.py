@@ -16,8 +16,7 @@ from scipy import optimize, signal, stats
 import torchdq
 from torchdq.envs import Scene, effects
 from torchdq.errors import ArgumentError, UnknownNameError
-from torchdq.learning import LogError, Recording, fit_rollout
-from torchdq.learning.evaluation.diagnostics import LogWarning
+from torchdq.learning import LogError, LogWarning, Recording, fit_rollout
 from torchdq.learning.rollout import shooting, unknowns
 from torchdq.learning.rollout.problem import Problem
 from torchdq.learning.rollout.recordings import Commands

@@ -11,7 +11,17 @@ from places import DATA, ROOT
 
 import torchdq
 import torchdq.learning.training.fit as fitting
-from torchdq.learning import LogWarning, Samples, cut, fit, identify, read, samples, smooth
+from torchdq.learning import (
+    LogWarning,
+    Model,
+    Samples,
+    fit,
+    identify,
+    read_log,
+    smooth,
+    stack_samples,
+    train_test_split,
+)
 from torchdq.learning.training.loop import Optimiser
 from torchdq.learning.training.validation_gain import LEAST, HeldOut, validation_gain
 
@@ -295,12 +305,14 @@ def test_a_real_panda_is_explained_better_within_honest_intervals():
     folder = DATA / "panda_gaz2019"
     robot = torchdq.Robot.from_urdf(folder / "panda_gaz2019.urdf", on_unphysical="ignore")
     train, test = (
-        samples(part)
-        for part in cut(smooth(read(folder / "panda_exciting_traj1.csv", LAYOUTS["panda"]), rate=100), 0.6)
+        stack_samples(part)
+        for part in train_test_split(
+            smooth(read_log(folder / "panda_exciting_traj1.csv", LAYOUTS["panda"]), rate=100), 0.6
+        )
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = identify(robot, *train, offset=True, armature=True, width=0.02)
+        found = identify(robot, train, Model(offset=True, armature=True), sign_width=0.02)
         physics = torchdq.DQRNEA(found.robot, learn=("friction", "offset"), friction_width=0.02)
         physics.viscous, physics.coulomb, physics.offset = found.viscous, found.coulomb, found.offset
         torch.manual_seed(0)

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from torchdq.base.checks import require_number
-from torchdq.base.findings import Finding
+from torchdq.base.findings import Finding, merged
 from torchdq.base.progress import Progress
 from torchdq.base.tables import table
 from torchdq.dynamics.friction import smooth_sign
@@ -28,10 +28,11 @@ from torchdq.errors import ArgumentError
 from torchdq.functional import inverse_dynamics, regressor, require_finite
 from torchdq.learning.bodies.nearest import curvature, nearest
 from torchdq.learning.evaluation.correlation import correlation_times
-from torchdq.learning.evaluation.diagnostics import LogWarning, doubts
+from torchdq.learning.evaluation.diagnostics import diagnose
 from torchdq.learning.identification.identified import INERTIAL, Identified, recorded
 from torchdq.learning.identification.naming import sums
 from torchdq.learning.identification.regression import base_parameters
+from torchdq.learning.logs.errors import LogWarning
 from torchdq.learning.logs.motions import Motion
 from torchdq.learning.threads import one_thread
 from torchdq.robot import Robot
@@ -113,8 +114,8 @@ def identify_payload(
             centre of mass in each direction.
         prior: weight of this expectation, positive, as in `identify`.
         reference: q, qd, qdd and tau of the empty arm, long enough to show by how much and for how long its torques are
-            wrong, as `samples(motion)` gives them: a few seconds with payload cannot, and their errors come out too
-            small without.
+            wrong, as `stack_samples(motion)` gives them: a few seconds with payload cannot, and their errors come out
+            too small without.
 
     Raises:
         ArgumentError: a shape, a value that is not finite, or a frame that no joint moves, or from whose motion a mass
@@ -124,11 +125,11 @@ def identify_payload(
             be others than those of the empty arm.
 
     >>> import torch, torchdq
-    >>> from torchdq.learning import identify
+    >>> from torchdq.learning import Model, Samples, identify
     >>> robot = torchdq.robots.load("ur10e")
     >>> q, qd, qdd = torch.randn(3, 500, 6, dtype=torch.float64)
     >>> tau = torchdq.inverse_dynamics(robot, q, qd, qdd)
-    >>> empty = identify(robot, q, qd, qdd, tau, friction=False, prior=1.0)
+    >>> empty = identify(robot, Samples(q, qd, qdd, tau), Model(friction=None), prior=1.0)
     >>> tau = torchdq.inverse_dynamics(robot.with_payload(2.0, (0.0, 0.0, 0.1)), q, qd, qdd)
     >>> found = identify_payload(empty, q[:100], qd[:100], qdd[:100], tau[:100])
     >>> bool((found.mass - 2).abs() < 0.01), bool((found.com[2] - 0.1).abs() < 0.01)
@@ -139,7 +140,7 @@ def identify_payload(
     robot = empty.robot
     batch, rows = recorded(robot, motions, qd, qdd, tau=tau)
     if not all(torch.tensor(rows.known_gains).expand(robot.n)):
-        cure = "multiply them by the gains that identify(..., gains=True) found"
+        cure = "multiply them by the gains that Model(gains=True) of identify found"
         raise ArgumentError(f"tau of the motions must be torques, found efforts of unknown gains; {cure}")
     if len(batch) != 1 or not batch[0]:
         raise ArgumentError(
@@ -157,7 +158,7 @@ def identify_payload(
         Y = regressor(robot.to(DTYPE, "cpu"), q, qd, qdd)
         body = Y[..., 10 * at.link : 10 * at.link + 10] @ moved(at.X_BF.to("cpu", DTYPE))
         unidentifiable = _unidentifiable(robot, at.name, body)
-        sign = smooth_sign(qd, empty.width) if rows.direction is None else rows.direction.cpu()
+        sign = smooth_sign(qd, empty.sign_width) if rows.direction is None else rows.direction.cpu()
         units = [qd, sign] * friction + [torch.ones_like(qd)] * offset
         changes = torch.cat([torch.diag_embed(x) for x in units], -1) if units else body[..., :0]
         residual = tau - alone.to(tau)
@@ -221,13 +222,9 @@ def _warn(empty: Identified, rows: Sequence[Tensor], findings: Sequence[Finding]
     """Warn of joints whose torques no payload explains, with what may be the cause in rows (q, qd, qdd, tau)."""
     robot = empty.robot.to(DTYPE, "cpu")
     joints = ", ".join(f"{finding.subject} ({finding.value:.1f} times)" for finding in findings)
-    cause = doubts(robot, partial(inverse_dynamics, robot), rows, empty.width) or findings[0].cure
-    warnings.warn(
-        f"no payload explains the torques: residuals are larger than those of the empty arm at {joints}; the payload "
-        f"may be wrong beyond its errors: {cause}",
-        LogWarning,
-        stacklevel=4,
-    )
+    found = f"no payload explains the torques: residuals are larger than those of the empty arm at {joints}"
+    cause = merged(diagnose(robot, partial(inverse_dynamics, robot), rows, empty.sign_width)) or findings[0].cure
+    warnings.warn(LogWarning(f"{found}; the payload may be wrong beyond its errors: {cause}"), stacklevel=4)
 
 
 def _quantities(pi: Tensor) -> Tensor:

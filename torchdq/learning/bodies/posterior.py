@@ -39,7 +39,7 @@ class PosteriorSamples(NamedTuple):
     terms: tuple[Term, ...]  # kinds of the parameters that are not those of bodies
     names: tuple[str, ...]  # [k]
     parameters: Tensor  # [samples, k], as in `Identified`
-    width: float  # velocity below which dry friction is viscous [rad/s or m/s]
+    sign_width: float  # velocity below which dry friction is viscous [rad/s or m/s]
 
     def __repr__(self) -> str:
         return summary(f"PosteriorSamples {self.robot.name}", {"mass": (self.robot.mass, "kg")})
@@ -60,7 +60,11 @@ class PosteriorSamples(NamedTuple):
         rotors = () if self.robot.armature is None else (RotorInertia(),)
         own = self.parameters[:, 10 * len(self.robot.link_names) :].unflatten(1, (len(self.terms), self.robot.n))
         rows = zip(self.terms, own.unbind(1), strict=True)
-        return (Gravity(), *rotors, *(effect for term, numbers in rows for effect in term.found(numbers, self.width)))
+        return (
+            Gravity(),
+            *rotors,
+            *(effect for term, numbers in rows for effect in term.found(numbers, self.sign_width)),
+        )
 
 
 @one_thread()
@@ -80,11 +84,13 @@ def posterior_samples(identified: Identified, n: int, most: float = 1.0, seed: i
         ArgumentError: an argument is of another type or not positive.
 
     >>> import torchdq
-    >>> from torchdq.learning import identify
+    >>> from torchdq import effects
+    >>> from torchdq.learning import Model, Samples, identify
     >>> robot = torchdq.robots.load("two_link")
     >>> q, qd, qdd = torch.randn(3, 200, 2, dtype=torch.float64)
     >>> tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.1 * torch.randn(200, 2, dtype=torch.float64)
-    >>> drawn = posterior_samples(identify(robot, q, qd, qdd, tau, friction=True, prior=1.0), 16)
+    >>> plain = Model(friction=(effects.Viscous(), effects.Coulomb()))
+    >>> drawn = posterior_samples(identify(robot, Samples(q, qd, qdd, tau), plain, prior=1.0), 16)
     >>> drawn.robot.mass.shape, bool((drawn.robot.mass > 0).all()), len(drawn.effects())
     (torch.Size([16, 2]), True, 3)
     """
@@ -109,7 +115,7 @@ def posterior_samples(identified: Identified, n: int, most: float = 1.0, seed: i
         name: torch.index_copy(getattr(robot, name).double().expand(n, *getattr(robot, name).shape), 1, at, x)
         for name, x in (("mass", mass), ("com", com), ("inertia", inertia))
     }
-    drawn = PosteriorSamples(robot, identified.terms, identified.names, parameters, identified.width)
+    drawn = PosteriorSamples(robot, identified.terms, identified.names, parameters, identified.sign_width)
     if (rotors := drawn.coefficients(ROTOR.name)) is not None:
         changes["armature"] = rotors
     return drawn._replace(robot=robot.replace(**{name: x.to(robot.mass) for name, x in changes.items()}))

@@ -1,7 +1,7 @@
-"""Rows of recorded motions, and the blocks of them that are left out to measure a model.
+"""Rows of recorded motions, and the blocks of them that are left out to validate a model.
 
 A block is a whole motion, or a contiguous part of one where there are fewer than three: rows of one moment resemble
-each other, so that rows left out at random would measure nothing. A filter mixes neighbours, so the rows beside a part
+each other, so that rows left out at random would show nothing. A filter mixes neighbours, so the rows next to a part
 that is left out are left out of the fit, too.
 
 A motion that repeats itself shows the same states in all its parts, and a model that is right in these alone would pass
@@ -20,16 +20,18 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from torchdq.base.findings import Finding
 from torchdq.errors import ArgumentError
 from torchdq.functions.call import check
 from torchdq.learning.logs.motions import ENDS, Motion
+from torchdq.learning.logs.samples import Samples
 from torchdq.robot import Robot
 
 MOST = 10  # most blocks; further motions share one
 PARTS = 6  # blocks, at least, that fewer than three motions are cut into
 LEAST = 20  # fewest rows of a block
-BESIDE = 0.02  # part of a motion without times that is left out on either side of a block
-KEPT = 0.25  # least part of the rows that a fit without a block has
+MARGIN = 0.02  # part of a motion without times that is left out on either side of a block
+FITTED = 0.25  # least part of the rows that a fit without a block has
 
 
 class MotionRows(NamedTuple):
@@ -71,50 +73,64 @@ class Block(NamedTuple):
     """Rows that are left out together."""
 
     rows: slice
-    beside: tuple[slice, ...]  # rows that neither measure nor are fitted meanwhile
+    margins: tuple[slice, ...]  # rows on either side that neither validate nor are fitted meanwhile
     motion: slice  # rows of the motions that it belongs to
 
 
-def of_motions(robot: Robot, motions: Motion | Sequence[Motion]) -> MotionRows:
-    """Rows of motions from `smooth`.
+def of_motions(robot: Robot, motions: Motion | Samples | Sequence[Motion | Samples]) -> MotionRows:
+    """Rows of motions from `smooth`, or of samples [..., rows, n], whose leading axes are those of motions.
 
     Raises:
-        ArgumentError: there is no motion, or one is of another arm or has no torques.
+        ArgumentError: there is no motion, or one is of another arm.
     """
     one = not isinstance(motions, Sequence) or hasattr(motions, "_fields")  # a Motion or a Log is a tuple, too
     several: list[Any] = [motions] if one else [*motions]
     if not several:
         raise ArgumentError("motions must be at least one, found none")
-    for motion in several:
-        if not isinstance(motion, Motion):
-            raise ArgumentError(f"motions must be Motion objects, found {type(motion).__name__}; smooth(log) makes one")
-        if motion.q.shape[1:] != (robot.n,):
-            found = f"found one with {motion.q.shape[1]}"
-            raise ArgumentError(f"motions must be of {robot.name!r}, which has {robot.n} joints, {found}")
-
-    def together(name: str) -> Tensor:
-        parts = [getattr(motion, name) for motion in several]
-        return torch.as_tensor(np.concatenate(parts), dtype=torch.float64, device=robot.mass.device)
+    parts = [_rows_of(robot, motion) for motion in several]
+    if len(parts) == 1:
+        return parts[0]
 
     def if_all(name: str) -> Tensor | None:
-        return None if any(getattr(motion, name) is None for motion in several) else together(name)
+        signals = [getattr(part, name) for part in parts]
+        return None if any(x is None for x in signals) else torch.cat(signals)
 
-    lengths = tuple(len(motion.q) for motion in several)
-    q, qd, qdd = together("q"), together("qd"), together("qdd")
-    known = tuple(np.all([np.broadcast_to(motion.known_gains, robot.n) for motion in several], axis=0).tolist())
-    names = tuple(motion.name for motion in several)
-    return MotionRows(q, qd, qdd, lengths, if_all("tau"), if_all("direction"), if_all("time"), known, names)
+    q, qd, qdd = (torch.cat([getattr(part, name) for part in parts]) for name in ("q", "qd", "qdd"))
+    lengths, names = (tuple(x for part in parts for x in getattr(part, name)) for name in ("lengths", "names"))
+    known = tuple(np.all([np.broadcast_to(part.known_gains, robot.n) for part in parts], axis=0).tolist())
+    tau, direction, time = (if_all(name) for name in ("tau", "direction", "time"))
+    names = names if all(part.names for part in parts) else ()
+    return MotionRows(q, qd, qdd, lengths, tau, direction, time, known, names)
+
+
+def _rows_of(robot: Robot, motion: Any) -> MotionRows:
+    """Rows of one motion, or of samples."""
+    if isinstance(motion, Samples):
+        return of_tensors(robot, **motion._asdict())
+    if not isinstance(motion, Motion):
+        cure = "smooth(log) makes one, and Samples(q, qd, qdd, tau) holds tensors"
+        raise ArgumentError(f"motions must be Motion objects or Samples, found {type(motion).__name__}; {cure}")
+    if motion.q.shape[1:] != (robot.n,):
+        found = f"found one with {motion.q.shape[1]}"
+        raise ArgumentError(f"motions must be of {robot.name!r}, which has {robot.n} joints, {found}")
+
+    def tensor(x: np.ndarray) -> Tensor:
+        return torch.as_tensor(x, dtype=torch.float64, device=robot.mass.device)
+
+    tau, direction = (None if x is None else tensor(x) for x in (motion.tau, motion.direction))
+    q, qd, qdd, time = (tensor(x) for x in (motion.q, motion.qd, motion.qdd, motion.time))
+    return MotionRows(q, qd, qdd, (len(q),), tau, direction, time, motion.known_gains, (motion.name,))
 
 
 def of_tensors(robot: Robot, **signals: Tensor) -> MotionRows:
-    """Rows of signals q, qd, qdd, tau and perhaps direction [..., rows, n]; leading axes are those of motions."""
+    """Rows of signals q, qd, qdd and perhaps tau [..., rows, n]; leading axes are those of motions."""
     batch = check(robot, (), **signals)
     rows = {
         name: x.detach().to(torch.float64).expand(*batch, robot.n).reshape(math.prod(batch), robot.n)
         for name, x in signals.items()
     }
     lengths = (batch[-1],) * math.prod(batch[:-1]) if batch else (1,)
-    return MotionRows(rows["q"], rows["qd"], rows["qdd"], lengths, tau=rows.get("tau"), direction=rows.get("direction"))
+    return MotionRows(rows["q"], rows["qd"], rows["qdd"], lengths, tau=rows.get("tau"))
 
 
 def blocks(recording: MotionRows) -> list[Block]:
@@ -127,24 +143,25 @@ def blocks(recording: MotionRows) -> list[Block]:
         whole = [Block(rows, (), rows) for rows in found]
     else:
         whole = [block for motion in motions for block in _parts(recording, motion, -(-PARTS // len(motions)))]
-    kept = min(len(recording.q) - sum(map(_length, (block.rows, *block.beside))) for block in whole)
-    enough = min(_length(block.rows) for block in whole) >= LEAST and kept >= KEPT * len(recording.q)
+    fitted = min(len(recording.q) - sum(map(_length, (block.rows, *block.margins))) for block in whole)
+    enough = min(_length(block.rows) for block in whole) >= LEAST and fitted >= FITTED * len(recording.q)
     return whole if enough else []
 
 
-def too_few(recording: MotionRows) -> str:
-    """Words for rows that are too few to leave blocks out, and for how many would do."""
+def too_few(recording: MotionRows) -> Finding:
+    """Finding about rows that are too few to leave blocks out, with the number of rows that would do."""
     motions, time = len(recording.lengths), recording.time
     parts = 1 if motions >= 3 else -(-PARTS // motions)
     rows, step = LEAST * parts, None if time is None or len(time) < 2 else float(time.diff().median())
     if step and motions == 1:  # a block in the middle, and the rows on either side of it, are left out
-        rows = max(rows, math.ceil(2 * ENDS / step / (1 - KEPT - 1 / parts)))
+        rows = max(rows, math.ceil(2 * ENDS / step / (1 - FITTED - 1 / parts)))
 
     def amount(rows: int) -> str:
         return f"{rows} rows" + (f" ({rows * step:.2g} s)" if step else "")
 
-    found = f"{amount(min(recording.lengths))} of motion are too few to leave any out and choose by them"
-    return f"{found}; {amount(rows)} would do" + (" for each motion" if motions > 1 else "")
+    needed = f"{amount(rows)} of motion are needed to choose a model by blocks left out"
+    claim = needed + (", for each motion" if motions > 1 else "")
+    return Finding("rows.few", "", claim, amount(min(recording.lengths)), "record longer motions", value=rows)
 
 
 def regions(recording: MotionRows) -> list[tuple[Tensor, Tensor]]:
@@ -160,18 +177,18 @@ def regions(recording: MotionRows) -> list[tuple[Tensor, Tensor]]:
 
 
 def _parts(recording: MotionRows, motion: slice, count: int) -> list[Block]:
-    """Contiguous parts of a motion, with the rows beside them."""
+    """Contiguous parts of a motion, with the rows next to them."""
     cuts = np.linspace(motion.start, motion.stop, count + 1).round().astype(int).tolist()
     time = recording.time
     found = []
     for first, last in pairwise(cuts):
         if time is None or last == first:
-            before = after = round(BESIDE * _length(motion))
+            before = after = round(MARGIN * _length(motion))
         else:
             before = int((time[motion.start : first] > time[first] - ENDS).sum())
             after = int((time[last : motion.stop] < time[last - 1] + ENDS).sum())
-        beside = (slice(max(motion.start, first - before), first), slice(last, min(motion.stop, last + after)))
-        found.append(Block(slice(first, last), beside, motion))
+        margins = (slice(max(motion.start, first - before), first), slice(last, min(motion.stop, last + after)))
+        found.append(Block(slice(first, last), margins, motion))
     return found
 
 

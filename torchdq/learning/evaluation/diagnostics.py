@@ -1,47 +1,64 @@
-"""Measurements held against the description: wrong units, signs and orders of columns, named with their joints.
+"""Diagnostics of measurements against a robot's description: wrong units, signs and orders of columns, by joint.
 
 A description that is off by tens of percent still explains most of a joint's torque, once friction, rotor inertia and
-an offset are allowed for. Where it does not, the measurements are tried with what goes wrong in logs undone: a sign,
-two joints exchanged, all joints reversed or sorted by name, in some of the signals. What explains them far better is
-named. Other mistakes are looked for before that: rows far away from those beside them, motions beyond the limits of the
-description, a torque that never changes, another unit, currents without a gain, and torques from which the drives have
-taken gravity away.
+an offset are allowed for. Where it does not, the measurements are tried with usual faults of logs undone: a sign, two
+joints exchanged, all joints reversed or sorted by name, in some of the signals. The fault that explains them far better
+is named. Other faults are looked for before that: outliers, motions beyond the limits of the description, a torque that
+never changes, another unit, currents without a gain, and torques from which the drives have taken gravity away.
 """
+
+from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import combinations, product
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from torchdq.base.findings import Finding
 from torchdq.dynamics.friction import smooth_sign
-from torchdq.learning.evaluation.nominal_range import beyond_limits
-from torchdq.learning.logs.outliers import spikes_told
+from torchdq.learning.logs.outliers import outlier_findings
 from torchdq.robot import Robot
 
-ROWS = 400  # rows that are looked at
-FACTOR = 45.0  # ratio of measured to described torques beyond which the unit is doubted; a payload makes one of 31
-CURRENT = 3.0  # ratio of described to measured torques, at most joints, from which they may be currents
-SHARED = 15.0  # the same ratio, of a joint that is named beside one whose unit is doubted
-LOADED = 0.1  # least variance of a joint's gravity, relative to that of its torque, for gravity to be missed
-WEIGHTLESS = 0.15  # most variance that is left, relative to that of gravity, where torques are without gravity
-LIKE = 10.0  # the same ratio, for other readings: torques that compensate friction alone are not of the opposite sign
-DOUBTFUL = 0.08  # part of a joint's torque that is left unexplained, from which other readings are tried
-GAIN = 0.15  # least sum of these parts that another reading must explain
-BETTER = 3.0  # times less that it must leave unexplained
-SHARE = 0.2  # least part of a joint's torque that only the description explains, for its factor to be trusted
-STILL = 1e-6  # change of a torque, relative to its size, that is none
-FEW = 100  # rows below which nothing is doubted: five coefficients a joint fit a few rows whatever they are
-MOVING = 0.1  # least part of the rows in which a joint must move to be judged by a fit
-FAINT = 1e-4  # variance of a torque, relative to the largest, below which it may be noise alone
-WIDTHS = (0.1, 1.0, 3.0, 10.0, 30.0)  # widths of dry friction that are tried, in multiples of the one assumed
-SHAPED = 0.9  # part of the residual torque left by dry friction of these widths, below which another shape is told
-SEEN = 0.02  # residual that they explain, relative to the joint's torques, below which the shape does not matter
-POOR = 0.5  # part of a joint's torque that a fit leaves unexplained, from which it is named
-WIDE = 12  # most joints of which every pair is tried; of more, neighbours alone
 
+@dataclass(frozen=True)
+class Thresholds:
+    """Thresholds of the diagnostics, chosen together.
+
+    They were set on robots with masses off by 30 % and dry friction of 30 % of the torque, of which none may have a
+    finding (tests/learning/evaluation/test_diagnostics.py), and on the recordings of benchmarks/splits.py.
+    """
+
+    rows: int = 400  # rows that are used
+    few: int = 100  # rows below which nothing is reported: five coefficients a joint fit a few rows whatever they are
+    unit: float = 45.0  # ratio of measured to described torques from which the unit is wrong; a payload makes one of 31
+    current: float = 3.0  # ratio of described to measured torques, at most joints, from which they may be currents
+    shared: float = 15.0  # the same ratio, of a joint that is named with one whose unit is wrong
+    trusted: float = 0.2  # least part of a joint's torque that only the description explains, to trust its factor
+    alike: float = 10.0  # most of that ratio for other readings: torques that compensate friction are not reversed
+    loaded: float = 0.1  # least variance of a joint's gravity, relative to that of its torque, for gravity to be missed
+    weightless: float = 0.15  # most variance left, relative to that of gravity, where torques are without gravity
+    unexplained: float = 0.08  # part of a joint's torque left unexplained, from which other readings are tried
+    gain: float = 0.15  # least sum of these parts that another reading must explain
+    better: float = 3.0  # times less that it must leave unexplained
+    still: float = 1e-6  # change of a torque, relative to its size, that is none
+    moving: float = 0.1  # least part of the rows in which a joint must move to be judged by a fit
+    faint: float = 1e-4  # variance of a torque, relative to the largest, below which it may be noise alone
+    poor: float = 0.5  # part of a joint's torque that a fit leaves unexplained, from which it is named
+    shaped: float = 0.9  # part of the residual left by dry friction of other widths, from which the shape is another
+    seen: float = 0.02  # residual that they explain, relative to the joint's torques, below which it does not matter
+    often: float = 0.01  # part of the rows in which a joint must be beyond its limits
+    past: float = 1.0  # farthest beyond a limit of position that is accepted, relative to the range between both limits
+    turns: float = 4 * math.pi  # the same of joints that may make a full turn, which often have no limit [rad]
+    faster: float = 3.0  # times the limit of velocity that are accepted: simulated motions do not keep it
+
+
+AT = Thresholds()
+WIDTHS = (0.1, 1.0, 3.0, 10.0, 30.0)  # widths of dry friction that are tried, in multiples of the one assumed
+WIDE = 12  # most joints of which every pair is tried; of more, neighbours alone
 SIGNALS = ("q", "qd", "qdd", "tau")
 GROUPS = {  # signals that a reading changes
     "torques": ("tau",),
@@ -53,17 +70,10 @@ GROUPS = {  # signals that a reading changes
 Torques = Callable[[Tensor, Tensor, Tensor], Tensor]
 
 
-class LogWarning(UserWarning):
-    """Measurements that the description of the robot cannot explain: a wrong unit, sign or order of columns, perhaps.
-
-    Silenced by `warnings.simplefilter("ignore", torchdq.learning.LogWarning)`.
-    """
-
-
 class _Reading(NamedTuple):
     """Another reading of the measurements: columns of some signals in another order, and times other factors."""
 
-    words: str
+    finding: Finding
     signals: tuple[str, ...]
     order: Tensor  # [n]
     factor: Tensor  # [n] signs, or changes of the unit
@@ -75,80 +85,123 @@ class _Reading(NamedTuple):
         ]
 
 
+class _Explained(NamedTuple):
+    """Fit of every joint's torque by that of the description, rotor inertia, friction and an offset."""
+
+    left: Tensor  # [n] part of the variance that the fit leaves
+    alone: Tensor  # [n] part that it leaves without the description
+    factor: Tensor  # [n] factor of the description
+
+    @property
+    def trusted(self) -> Tensor:
+        """Joints whose factor can be trusted [n]."""
+        return (self.alone - self.left > AT.trusted) & (self.left < AT.poor)
+
+
 def sampled(rows: Sequence[Tensor]) -> list[Tensor]:
-    """At most `ROWS` of the rows, evenly spaced."""
-    at = torch.linspace(0, len(rows[0]) - 1, min(ROWS, len(rows[0])), device=rows[0].device).round().long()
+    """Evenly spaced rows, a few hundred at most."""
+    at = torch.linspace(0, len(rows[0]) - 1, min(AT.rows, len(rows[0])), device=rows[0].device).round().long()
     return [x[at] for x in rows]
 
 
-def doubts(robot: Robot, torques: Torques, rows: Sequence[Tensor], width: float) -> str:
-    """Words for what is probably wrong with rows (q, qd, qdd, tau), [samples, n] each; "" if nothing seems to be.
+def diagnose(robot: Robot, torques: Torques, rows: Sequence[Tensor], sign_width: float) -> list[Finding]:
+    """Findings about measurements that the description of the robot does not explain.
 
-    `torques` are those of the description.
+    Args:
+        robot: the robot as described.
+        torques: its torques as a function of q, qd and qdd.
+        rows: measured q, qd, qdd and tau, [rows, n] each.
+        sign_width: velocity below which dry friction is viscous [rad/s or m/s].
     """
-    if len(rows[0]) < FEW:
-        return ""
+    if len(rows[0]) < AT.few:
+        return []
     names, few = robot.joint_names, sampled(rows)
-    leaps = spikes_told([f"tau of {name}" for name in names], rows[3].detach().cpu().numpy())
+    leaps = outlier_findings(names, rows[3].detach().cpu().numpy())
     if far := beyond_limits(robot, few[0], few[1]):
-        return "; ".join([*leaps, *far])
-    left, alone, factor = _compared(torques, few, width)
-    found = _scaled(names, left, alone, factor) or _currents(names, left, alone, factor)
-    weightless = [] if found else _weightless(torques, few, width)
-    if not weightless and bool((left > DOUBTFUL).any()):
-        found += _misread(torques, robot, few, width, left)
-    return "; ".join([*leaps, *_dead(torques, names, few, width), *found, *weightless])
+        return [*leaps, *far]
+    fit = _compared(torques, few, sign_width)
+    found = _units(names, fit) or _currents(names, fit)
+    weightless = [] if found else _weightless(torques, few, sign_width)
+    if not weightless and bool((fit.left > AT.unexplained).any()):
+        found += _misread(torques, robot, few, sign_width, fit.left)
+    return [*leaps, *_constant(torques, names, few, sign_width), *found, *weightless]
 
 
-def unexplained(names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, width: float) -> str:
-    """Words for joints that move, whose measured torques a fit hardly explains; "" if there are none."""
+def beyond_limits(robot: Robot, q: Tensor, qd: Tensor | None) -> list[Finding]:
+    """Findings about joints that positions and velocities [rows, n] take far beyond the limits of the description."""
+    lower, upper, velocity, _ = (x.double().cpu() for x in robot.limits)
+    q, qd = q.cpu(), torch.zeros_like(q).cpu() if qd is None else qd.cpu()
+    reach = upper - lower
+    past = torch.maximum(lower - q, q - upper)
+    turns = torch.tensor([kind.turns for kind in robot.joint_types]) & (reach > 1.99 * math.pi)
+    far = ((past > torch.where(turns, AT.turns, AT.past * reach)).double().mean(0) > AT.often) & (reach > 0)
+    fast = ((qd.abs() > AT.faster * velocity).double().mean(0) > AT.often) & (velocity > 0)
+    found = []
+    for j in (far | fast).nonzero()[:, 0].tolist():
+        place, other = ("rad", "degrees (multiply by pi/180)")
+        if not robot.joint_types[j].turns:
+            place, other = ("m", "millimetres (multiply by 0.001)")
+        if far[j]:
+            expected = f"its limits are {lower[j]:.3g} and {upper[j]:.3g} {place}"
+            value, moves = float(q[:, j].abs().max()), f"positions from {q[:, j].min():.3g} to {q[:, j].max():.3g}"
+        else:
+            value = float(qd[:, j].abs().max())
+            expected, moves = f"its limit is {velocity[j]:.3g} {place}/s", f"speeds up to {value:.3g}"
+        code = "position.limits" if far[j] else "velocity.limits"
+        found.append(
+            Finding(code, robot.joint_names[j], expected, moves, f"are these {other}, or of other joints?", value=value)
+        )
+    return found
+
+
+def unexplained(names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, sign_width: float) -> list[Finding]:
+    """Findings about joints that move, whose measured torques a fit hardly explains."""
     _, qd, _, tau = rows
-    if len(tau) < FEW:
-        return ""
+    if len(tau) < AT.few:
+        return []
     size = tau.var(0)
     part = (tau - fitted).var(0) / size.clamp_min(1e-12 * float(size.max()) + 1e-30)
-    told = _moves(qd, width) & (size > FAINT * size.max()) & (part > POOR)
-    poor = [
-        f"{name} ({max(0.0, 1 - p):.0%})"
-        for name, p, bad in zip(names, part.tolist(), told.tolist(), strict=True)
-        if bad
-    ]
-    if not poor:
-        return ""
+    poor = _moves(qd, sign_width) & (size > AT.faint * size.max()) & (part > AT.poor)
+    claim = "the fit must explain most of the torque's variance"
     cure = "are units, signs and the order of the joints those of the robot, and are torques measured at the joints?"
-    return f"the fit explains only these parts of the torques' variance: {', '.join(poor)}; {cure}"
+    explained = (1 - part).clamp_min(0).tolist()
+    return [
+        Finding("torque.unexplained", names[j], claim, f"{explained[j]:.0%}", cure, value=explained[j])
+        for j in poor.nonzero()[:, 0].tolist()
+    ]
 
 
 def misshapen(
-    names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, width: float, direction: Tensor | None
-) -> str:
-    """Words for joints whose dry friction has another shape than was fitted; "" if there are none.
+    names: Sequence[str], rows: Sequence[Tensor], fitted: Tensor, sign_width: float, direction: Tensor | None
+) -> list[Finding]:
+    """Findings about joints whose dry friction has another shape than was fitted.
 
     Residuals that functions of the velocity around zero explain, which change their signs more or less sharply, are
-    those of friction whose sign does. `direction` is the sign that was fitted; None: that of `width`.
+    those of friction whose sign does. `direction` is the sign that was fitted; None: that of `sign_width`.
     """
     _, qd, qdd, tau = (x.cpu() for x in rows)
-    if len(tau) < FEW:
-        return ""
-    left, told = tau - fitted.cpu(), []
-    own = smooth_sign(qd, width) if direction is None else direction.cpu()
-    for j in _moves(qd, width).nonzero()[:, 0].tolist():
-        v, known = qd[:, j], [own[:, j], qd[:, j], qdd[:, j], torch.ones_like(qd[:, j])]
-        # an offset or a rotor that was not sought is no friction
-        before = _rest(left[:, j], known)
-        after = _rest(left[:, j], [*known, *(smooth_sign(v, k * width) for k in WIDTHS)])
-        explained = math.sqrt(max(0.0, before**2 - after**2))
-        if after < SHAPED * before and explained > SEEN * float(tau[:, j].std()):
-            told.append(f"{names[j]} (residual {before:.2g}, {after:.2g} with another)")
-    if not told:
-        return ""
-    cure = "if the torques were filtered, give direction=directions(motion) of smooth(log)"
+    if len(tau) < AT.few:
+        return []
+    left, found = tau - fitted.cpu(), []
+    own = smooth_sign(qd, sign_width) if direction is None else direction.cpu()
+    cure, option = (
+        "if the torques were filtered, give identify the motions of smooth(log), which hold the filtered sign",
+        None,
+    )
     if direction is not None:
-        cure = (
-            "where it is rounder, as in a simulation, give smooth(log) its width; unless tau was filtered, no direction"
-        )
-    found = f"dry friction of {', '.join(told)} has another shape than the one fitted"
-    return f"{found}, which biases it and viscous friction; {cure}"
+        cure = "where it is rounder, as in a simulation, give smooth(log) its sign_width"
+        option = "where it is rounder, as in a simulation, give its --sign-width"
+    claim = "the shape of its dry friction must be the one fitted, or it biases dry and viscous friction"
+    for j in _moves(qd, sign_width).nonzero()[:, 0].tolist():
+        v, known = qd[:, j], [own[:, j], qd[:, j], qdd[:, j], torch.ones_like(qd[:, j])]
+        # an offset or a rotor that was not estimated is no friction
+        before = _rest(left[:, j], known)
+        after = _rest(left[:, j], [*known, *(smooth_sign(v, k * sign_width) for k in WIDTHS)])
+        explained = math.sqrt(max(0.0, before**2 - after**2))
+        if after < AT.shaped * before and explained > AT.seen * float(tau[:, j].std()):
+            better = f"a residual of {before:.2g}, {after:.2g} with another shape"
+            found.append(Finding("friction.shape", names[j], claim, better, cure, option, value=explained))
+    return found
 
 
 def _rest(x: Tensor, columns: Sequence[Tensor]) -> float:
@@ -157,64 +210,63 @@ def _rest(x: Tensor, columns: Sequence[Tensor]) -> float:
     return float((x - A @ torch.linalg.lstsq(A, x[:, None], driver="gelsd").solution[:, 0]).std())
 
 
-def _moves(qd: Tensor, width: float) -> Tensor:
+def _moves(qd: Tensor, sign_width: float) -> Tensor:
     """Joints that move in enough of the rows [n]."""
-    return (qd.abs() > width).double().mean(0) > MOVING
+    return (qd.abs() > sign_width).double().mean(0) > AT.moving
 
 
-def _dead(torques: Torques, names: Sequence[str], rows: Sequence[Tensor], width: float) -> list[str]:
-    """Words for joints that move, whose measured torque never changes although the described one does."""
+def _constant(torques: Torques, names: Sequence[str], rows: Sequence[Tensor], sign_width: float) -> list[Finding]:
+    """Findings about joints that move, whose measured torque never changes although the described one does."""
     q, qd, qdd, tau = rows
     varies = torques(q, qd, qdd).std(0)
-    still = tau.amax(0) - tau.amin(0) <= STILL * tau.abs().amax(0)
-    told = still & _moves(qd, width) & (varies.square() > FAINT * varies.square().max())
-    joints = zip(names, tau[0].tolist(), varies.tolist(), told.tolist(), strict=True)
-    off = [f"{name} ({x:.3g} in all rows, described as varying by {v:.2g})" for name, x, v, dead in joints if dead]
-    if not off:
-        return []
+    still = tau.amax(0) - tau.amin(0) <= AT.still * tau.abs().amax(0)
+    dead = still & _moves(qd, sign_width) & (varies.square() > AT.faint * varies.square().max())
     cure = "is the sensor connected, and is it the right column? leave the log out, or measure again"
-    return [f"measured torques never change although the joints move: {', '.join(off)}; {cure}"]
+    claim = "the measured torque must change with the motion"
+    found = [f"{x:.3g} in all rows, described as varying by {v:.2g}" for x, v in zip(tau[0], varies, strict=True)]
+    return [
+        Finding("torque.constant", names[j], claim, found[j], cure, value=float(tau[0, j]))
+        for j in dead.nonzero()[:, 0].tolist()
+    ]
 
 
-def _weightless(torques: Torques, rows: Sequence[Tensor], width: float) -> list[str]:
-    """Words for torques that are explained without the gravity of the description.
+def _weightless(torques: Torques, rows: Sequence[Tensor], sign_width: float) -> list[Finding]:
+    """Finding about torques that are explained without the gravity of the description.
 
-    A joint tells it when motion, rotor inertia and friction explain its torque so well that gravity, of which they
-    explain little, cannot be in it. Most joints that gravity loads must tell it.
+    A joint shows it when motion, rotor inertia and friction explain its torque so well that gravity, of which they
+    explain little, cannot be in it. Most joints that gravity loads must show it.
     """
-    q, qd, qdd, tau = rows
+    q, _, _, tau = rows
     still = torch.zeros_like(q)
     gravity = torques(q, still, still)
 
     def motion(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
         return torques(q, qd, qdd) - torques(q, still, still)
 
-    left, _, factor = _compared(motion, rows, width)
-    apart, _, _ = _compared(motion, (q, qd, qdd, gravity), width)
-    size, weight = tau.var(0).cpu(), apart * gravity.var(0).cpu()
-    loaded = weight > LOADED * size
-    told = loaded & (left * size < WEIGHTLESS * weight) & (factor > 1 / LIKE) & (factor < LIKE)
-    if not 2 * int(told.sum()) > int(loaded.sum()):
+    fit, without = _compared(motion, rows, sign_width), _compared(motion, [*rows[:3], gravity], sign_width)
+    size, weight = tau.var(0).cpu(), without.left * gravity.var(0).cpu()
+    loaded = weight > AT.loaded * size
+    shown = loaded & (fit.left * size < AT.weightless * weight) & (fit.factor > 1 / AT.alike) & (fit.factor < AT.alike)
+    if not 2 * int(shown.sum()) > int(loaded.sum()):
         return []
     cure = "add torchdq.inverse_dynamics(robot, q) to them"
-    return [f"the torques seem to be without gravity; {cure}"]
+    return [Finding("torque.weightless", "tau", "torques must include gravity", "torques explained without", cure)]
 
 
-def _compared(torques: Torques, rows: Sequence[Tensor], width: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Parts of the torques' variances that the description leaves, and that friction alone leaves, and its factor [n].
+def _compared(torques: Torques, rows: Sequence[Tensor], sign_width: float) -> _Explained:
+    """Fit of every joint's torque by that of the description, rotor inertia, friction and an offset.
 
-    Every joint's torque is fitted by that of the description, rotor inertia and friction, none of them negative, and an
-    offset. A least squares of four such terms is the best of those of all their subsets that come out positive.
+    None but the offset is negative: the fit is the best of those with all subsets of terms that come out positive.
     """
     q, qd, qdd, tau = rows
-    terms = torch.stack([torques(q, qd, qdd), qdd, qd, smooth_sign(qd, width)], -1).double()  # [samples, n, 4]
+    terms = torch.stack([torques(q, qd, qdd), qdd, qd, smooth_sign(qd, sign_width)], -1).double()  # [samples, n, 4]
     X, y = terms - terms.mean(0), (tau - tau.mean(0)).double()
     X = (X / X.square().mean(0).sqrt().clamp_min(1e-30)).cpu()
     scale = terms.std(0, correction=0).clamp_min(1e-30).cpu()
     y = y.cpu()
     A = torch.einsum("sjk,sjl->jkl", X, X)
     b, total = torch.einsum("sjk,sj->jk", X, y), y.square().sum(0)
-    known = total > 1e-8 * total.max()  # a joint whose torque does not change tells nothing
+    known = total > 1e-8 * total.max()  # a joint whose torque does not change shows nothing
     total = torch.where(known, total, 1.0)
     left, alone, factor = (torch.ones_like(total), torch.ones_like(total), torch.zeros_like(total))
     for subset in product((False, True), repeat=4):
@@ -231,80 +283,92 @@ def _compared(torques: Torques, rows: Sequence[Tensor], width: float) -> tuple[T
         if subset[0]:
             factor = torch.where(good, x[:, 0] / scale[:, 0], factor)
     none = torch.zeros_like(left)
-    return torch.where(known, torch.minimum(left, alone), none), torch.where(known, alone, none), factor
+    return _Explained(torch.where(known, torch.minimum(left, alone), none), torch.where(known, alone, none), factor)
 
 
-def _scaled(names: Sequence[str], left: Tensor, alone: Tensor, factor: Tensor) -> list[str]:
-    """Words for joints whose torques are in another unit than those of the description."""
-    sure = (alone - left > SHARE) & (left < POOR)
-    small, large = factor * FACTOR <= 1, factor >= FACTOR
-    told = torch.zeros_like(sure)
-    if bool((sure & small).any()):
-        told |= (factor > 0) & (factor * SHARED <= 1)
-    if bool((sure & large).any()):
-        told |= factor >= SHARED
-    off = [f"{name} ({x:.2g})" for name, x, one in zip(names, factor.tolist(), told.tolist(), strict=True) if one]
-    if not off:
-        return []
-    cure = "give tau in N m (N for a joint that slides), measured at the joints"
-    return [f"measured torques are multiples of the described ones, of {', '.join(off)}; is the unit right? {cure}"]
-
-
-def _currents(names: Sequence[str], left: Tensor, alone: Tensor, factor: Tensor) -> list[str]:
-    """Words for torques that are small parts of the described ones at most joints, as currents are."""
-    sure = (factor > 0) & (left < POOR) & (alone - left > SHARE)
-    small = sure & (factor * CURRENT <= 1)
-    if not 2 * int(small.sum()) > int(sure.sum()):
-        return []
-    off = [f"{name} ({x:.2g})" for name, x, one in zip(names, factor.tolist(), small.tolist(), strict=True) if one]
-    cure = "give Layout(gain=...), torque per ampere at the joints, or gain=None and identify(..., gains=True)"
+def _units(names: Sequence[str], fit: _Explained) -> list[Finding]:
+    """Findings about joints whose torques are in another unit than those of the description."""
+    wrong, factor = torch.zeros_like(fit.trusted), fit.factor
+    if bool((fit.trusted & (factor * AT.unit <= 1)).any()):
+        wrong |= (factor > 0) & (factor * AT.shared <= 1)
+    if bool((fit.trusted & (factor >= AT.unit)).any()):
+        wrong |= factor >= AT.shared
+    claim = "the unit of tau must be N m (N for a joint that slides), measured at the joint"
+    cure = "is the unit right? give tau in N m"
+    factors = factor.tolist()
     return [
-        f"measured torques are small parts of the described ones, of {', '.join(off)}; are they currents of drives "
-        f"whose gain is missing? {cure}"
+        Finding("torque.unit", names[j], claim, f"{factors[j]:.2g} times the described torque", cure, value=factors[j])
+        for j in wrong.nonzero()[:, 0].tolist()
     ]
 
 
-def _misread(torques: Torques, robot: Robot, rows: Sequence[Tensor], width: float, left: Tensor) -> list[str]:
-    """Words for the reading of the measurements that explains them far better."""
-    bad, best, words = left > DOUBTFUL, float(left.sum()) - GAIN, ""
-    for reading in _readings(torques, robot, rows, width, left):
-        found = _left(torques, reading.applied(rows), width, left)
-        tried = float(found.sum())
-        if tried < best and BETTER * float(found[bad].sum()) < float(left[bad].sum()):
-            best, words = 0.9 * tried, reading.words  # the first of equals
-    return [words] if words else []
+def _currents(names: Sequence[str], fit: _Explained) -> list[Finding]:
+    """Findings about torques that are small parts of the described ones at most joints, as currents are."""
+    sure = (fit.factor > 0) & fit.trusted
+    small = sure & (fit.factor * AT.current <= 1)
+    if not 2 * int(small.sum()) > int(sure.sum()):
+        return []
+    claim = "tau must be a torque, not a current of a drive whose gain is missing"
+    cure = "give Layout(gain=...), torque per ampere at the joints, or gain=None and Model(gains=True) to identify"
+    option = "give --gains, torque per ampere at the joints, or --estimate-gains"
+    factors = fit.factor.tolist()
+    return [
+        Finding(
+            "torque.current",
+            names[j],
+            claim,
+            f"{factors[j]:.2g} times the described torque",
+            cure,
+            option,
+            value=factors[j],
+        )
+        for j in small.nonzero()[:, 0].tolist()
+    ]
 
 
-def _left(torques: Torques, rows: Sequence[Tensor], width: float, left: Tensor) -> Tensor:
+def _misread(torques: Torques, robot: Robot, rows: Sequence[Tensor], sign_width: float, left: Tensor) -> list[Finding]:
+    """Finding about the reading of the measurements that explains them far better."""
+    bad, best, found = left > AT.unexplained, float(left.sum()) - AT.gain, list[Finding]()
+    for reading in _readings(torques, robot, rows, sign_width, left):
+        parts = _left(torques, reading.applied(rows), sign_width, left)
+        tried = float(parts.sum())
+        if tried < best and AT.better * float(parts[bad].sum()) < float(left[bad].sum()):
+            best, found = 0.9 * tried, [reading.finding]  # the first of equals
+    return found
+
+
+def _left(torques: Torques, rows: Sequence[Tensor], sign_width: float, left: Tensor) -> Tensor:
     """Parts that another reading leaves [n]; `left` where its torques are not of the size of those described."""
-    found, _, factor = _compared(torques, rows, width)
-    return torch.where((factor > 1 / LIKE) & (factor < LIKE), found, torch.maximum(found, left))
+    fit = _compared(torques, rows, sign_width)
+    return torch.where((fit.factor > 1 / AT.alike) & (fit.factor < AT.alike), fit.left, torch.maximum(fit.left, left))
 
 
-def _readings(torques: Torques, robot: Robot, rows: Sequence[Tensor], width: float, left: Tensor) -> Iterator[_Reading]:
+def _readings(
+    torques: Torques, robot: Robot, rows: Sequence[Tensor], sign_width: float, left: Tensor
+) -> Iterator[_Reading]:
     """Readings to try, the likeliest first."""
-    n, names = robot.n, robot.joint_names
-    same, plain = torch.arange(n), torch.ones(n, dtype=rows[0].dtype)
-    same, plain = same.to(rows[0].device), plain.to(rows[0].device)
-    bad = (left > DOUBTFUL).tolist()
+    n, names, device = robot.n, robot.joint_names, rows[0].device
+    same, plain = torch.arange(n, device=device), torch.ones(n, dtype=rows[0].dtype, device=device)
+    bad = (left > AT.unexplained).tolist()
     # signs of torques do not touch other joints: each is chosen by itself
-    flipped = (left - _left(torques, [*rows[:3], -rows[3]], width, left) > GAIN / 2).to(same.device)
+    flipped = (left - _left(torques, [*rows[:3], -rows[3]], sign_width, left) > AT.gain / 2).to(device)
     if bool(flipped.any()):
         of = ", ".join(name for name, f in zip(names, flipped.tolist(), strict=True) if f)
         yield _Reading(_sign("torques", of), ("tau",), same, torch.where(flipped, -plain, plain))
-    orders = [("all joints in reverse", same.flip(0))] if n > 1 else []
-    by_name = torch.tensor(sorted(range(n), key=lambda j: names[j])).argsort().to(same.device)
+    orders = [("columns.reversed", ", ".join(names), "with all joints in reverse", same.flip(0))] if n > 1 else []
+    by_name = torch.tensor(sorted(range(n), key=lambda j: names[j]), device=device).argsort()
     if not torch.equal(by_name, same):
-        orders.append(("the joints sorted by their names", by_name))
+        orders.append(("columns.sorted", ", ".join(names), "with the joints sorted by their names", by_name))
     pairs = [pair for pair in combinations(range(n), 2) if n <= WIDE or pair[1] == pair[0] + 1]
     for i, j in (pair for pair in pairs if bad[pair[0]] or bad[pair[1]]):
         order = same.clone()
         order[[i, j]] = order[[j, i]]
-        orders.append((f"{names[i]} and {names[j]} exchanged", order))
+        orders.append(("columns.swapped", f"{names[i]}, {names[j]}", "with both exchanged", order))
     for group, signals in GROUPS.items():
-        for what, order in orders:
-            fits = f"the description fits far better with {what} in the {group}"
-            yield _Reading(f"{fits}; are they in the order of the robot's joints?", signals, order, plain)
+        for code, subject, other, order in orders:
+            claim = f"the {group} must be in the order of the robot's joints"
+            fault = Finding(code, subject, claim, f"a far better fit {other}", "reorder the columns")
+            yield _Reading(fault, signals, order, plain)
         if signals != ("tau",):
             for j in (j for j in range(n) if bad[j]):
                 sign = plain.clone()
@@ -319,15 +383,18 @@ def _in_other_units(
 ) -> Iterator[_Reading]:
     """Readings of motions in degrees, or in millimetres where joints slide."""
     turns = torch.tensor([kind.turns for kind in robot.joint_types], device=plain.device)
-    for unit, times, factor, joints in (
-        ("degrees", "pi/180", math.pi / 180, turns),
-        ("millimetres", "0.001", 0.001, ~turns),
+    for unit, other, times, factor, joints in (
+        ("radians", "degrees", "pi/180", math.pi / 180, turns),
+        ("metres", "millimetres", "0.001", 0.001, ~turns),
     ):
         if bool(joints.any()):
             of = ", ".join(name for name, yes in zip(robot.joint_names, joints.tolist(), strict=True) if yes)
-            words = f"the description fits far better with the {group} of {of} in {unit}; multiply them by {times}"
-            yield _Reading(words, signals, same, torch.where(joints, factor * plain, plain))
+            fault = Finding("motion.unit", of, f"the {group} must be in {unit}", f"a far better fit in {other}")
+            fault = fault._replace(cure=f"multiply them by {times}", value=factor)
+            yield _Reading(fault, signals, same, torch.where(joints, factor * plain, plain))
 
 
-def _sign(group: str, of: str) -> str:
-    return f"the description fits far better with the opposite sign in the {group} of {of}; reverse it in the log"
+def _sign(group: str, of: str) -> Finding:
+    claim = f"the {group} must have the signs of the description"
+    code = "torque.sign" if group == "torques" else "motion.sign"
+    return Finding(code, of, claim, "a far better fit with the opposite", "reverse them in the log")

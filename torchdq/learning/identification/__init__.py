@@ -1,1 +1,1 @@
-"""Identification: physical robots with friction that explain recorded torques, from a ladder of models."""
+"""Identification: physical robots with friction that explain recorded torques, with a selection among models."""

@@ -1,6 +1,6 @@
-"""Least squares for what a fit lacks: further unknowns, sought together with changes of all its parameters.
+"""Augmented least squares: unknowns that a fit lacks, estimated together with changes of all its parameters.
 
-The residual of the fit is r = Z dphi + E x + noise, with the torques per unit E of unknowns x that were not sought.
+The residual of the fit is r = Z dphi + E x + noise, with the torques per unit E of unknowns x that were not estimated.
 Least squares for dphi and x together show how large x is, even where the fitted parameters, above all friction, have
 taken its place.
 """
@@ -18,12 +18,12 @@ from torchdq.learning.identification.regression import columns
 from torchdq.learning.identification.solution import Solution
 from torchdq.learning.identification.terms import ROTOR
 
-ROWS = 2000  # most rows that are looked at
+ROWS = 2000  # most rows that are used
 EXACT = 1e-6  # least variance of what is left, relative to that of the residual
 
 
-class Sought(NamedTuple):
-    """Further unknowns, and the change of the parameters beside them."""
+class AugmentedSolution(NamedTuple):
+    """Further unknowns, and the change of the parameters that goes with them."""
 
     y: Tensor  # [t] change of the fit
     x: Tensor  # [e]
@@ -31,8 +31,8 @@ class Sought(NamedTuple):
     left: Tensor  # [rows, n] residuals
 
 
-class Beside(NamedTuple):
-    """Rows of a fit that are looked at, and the weight of its prior."""
+class AugmentedFit(NamedTuple):
+    """Rows of a fit that are used, and the weight of its prior."""
 
     evidence: Evidence
     found: Solution
@@ -43,11 +43,11 @@ class Beside(NamedTuple):
     curvature: Tensor  # [t, t] of the prior
 
     @classmethod
-    def of(cls, evidence: Evidence, found: Solution, prior: float, residual: Tensor) -> Beside:
+    def of(cls, evidence: Evidence, found: Solution, prior: float, residual: Tensor) -> AugmentedFit:
         """Some rows of a fit.
 
         Args:
-            evidence: of all terms that were sought.
+            evidence: of all terms that were estimated.
             found: the fit.
             prior: weight of its prior.
             residual: its residuals [rows, n].
@@ -60,7 +60,7 @@ class Beside(NamedTuple):
 
     @property
     def lengths(self) -> list[int]:
-        """Rows of each motion that are looked at."""
+        """Rows of each motion that are used."""
         return self.motion.bincount(minlength=len(self.evidence.recording.lengths)).tolist()
 
     @property
@@ -77,11 +77,11 @@ class Beside(NamedTuple):
             tau = tau + robot.armature.to(q) * qdd
         return torch.einsum("rjp,jpt->rjt", Z, self.found.near.S[at].to(q)).cpu(), tau.cpu()
 
-    def sought(self, Z: Tensor, r: Tensor, E: Tensor) -> Sought:
-        """Unknowns of torques per unit [rows, n, e] that explain residuals [rows, n], beside a change of the fit."""
+    def solve(self, Z: Tensor, r: Tensor, E: Tensor) -> AugmentedSolution:
+        """Unknowns of torques per unit [rows, n, e] that explain residuals [rows, n], with a change of the fit."""
         left, A, t = r, torch.cat([Z, E], -1), Z.shape[-1]
         step = len(self.evidence.own) / len(self.rows)
-        for _ in range(2):  # what is noise is seen beside the unknowns
+        for _ in range(2):  # what is noise depends on the unknowns
             variance = left.square().mean(0).maximum(EXACT * self.square)
             weight = 1 / (variance * correlation_times(left, self.lengths))
             b = torch.einsum("rjk,rj->k", A, r * weight)
@@ -92,4 +92,4 @@ class Beside(NamedTuple):
             inverse = torch.linalg.pinv(H / size / size[:, None], rtol=1e-12, hermitian=True) / size / size[:, None]
             x = inverse @ b
             left = r - A @ x
-        return Sought(x[:t], x[t:], inverse.diagonal()[t:].clamp_min(0).sqrt(), left)
+        return AugmentedSolution(x[:t], x[t:], inverse.diagonal()[t:].clamp_min(0).sqrt(), left)

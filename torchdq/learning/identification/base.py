@@ -1,4 +1,4 @@
-"""Base parameters of a robot: combinations that its torques depend on, and what a motion tells about them."""
+"""Base parameters of a robot: combinations that its torques depend on, and the information of a motion about them."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -24,8 +24,10 @@ class BaseParameters(NamedTuple):
     """
 
     robot: Robot
-    coefficients: tuple[str, ...]  # kinds of the parameters beside those of bodies: rotor, viscous, coulomb, offset
-    width: float  # velocity below which dry friction is viscous [rad/s or m/s]
+    coefficients: tuple[
+        str, ...
+    ]  # kinds of the parameters that are not those of bodies: rotor, viscous, coulomb, offset
+    sign_width: float  # velocity below which dry friction is viscous [rad/s or m/s]
     noise: Tensor  # [n] standard deviation of a torque [N m or N]
     base: Tensor  # [rank, k]
     leading: Tensor  # [rank] indices of the parameters that name them
@@ -36,12 +38,12 @@ class BaseParameters(NamedTuple):
         cls,
         robot: Robot,
         coefficients: Sequence[str],
-        width: float,
+        sign_width: float,
         noise: Tensor,
         states: tuple[Tensor, Tensor, Tensor],
     ) -> "BaseParameters":
         """Base parameters that torques in some states depend on: many random q, qd and qdd [samples, n]."""
-        Z = (_columns(robot, *states, coefficients, width) / noise[:, None]).flatten(0, 1)
+        Z = (_columns(robot, *states, coefficients, sign_width) / noise[:, None]).flatten(0, 1)
         size = Z.square().mean(0).sqrt()
         size = torch.where(size > NOTHING * size.max(), size, 0.0)
         Z = torch.where(size > 0, Z / torch.where(size > 0, size, 1.0), 0.0)
@@ -49,7 +51,7 @@ class BaseParameters(NamedTuple):
         base = base_parameters(V[:, e > INDEPENDENT * e[-1]].T * size, torch.where(size > 0, 1 / size, 0.0))
         alone = (base == 1) & ((base != 0).sum(0) == 1)
         leading = alone.int().argmax(1)
-        return cls(robot, tuple(coefficients), width, noise, base, leading, size)
+        return cls(robot, tuple(coefficients), sign_width, noise, base, leading, size)
 
     @property
     def typical(self) -> Tensor:
@@ -69,7 +71,7 @@ class BaseParameters(NamedTuple):
 
     def columns(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
         """Torques per unit of each, over the noise, [..., n, rank]."""
-        Z = _columns(self.robot, q, qd, qdd, self.coefficients, self.width)
+        Z = _columns(self.robot, q, qd, qdd, self.coefficients, self.sign_width)
         return Z.index_select(-1, self.leading) / self.noise[:, None]
 
     def information(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
@@ -78,14 +80,14 @@ class BaseParameters(NamedTuple):
         return Z.mT @ Z / q.shape[-2]
 
     def errors(self, q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
-        """Standard errors [rank] that the torques of samples [samples, n] leave; infinite where they tell nothing."""
+        """Standard errors [rank] that the torques of samples [samples, n] leave; infinite without information."""
         A = len(q) * self.information(q, qd, qdd)
         size = A.diagonal().sqrt()
         size = torch.where(size > 0, size, 1.0)
         e, V = torch.linalg.eigh(A / size / size[:, None])
-        told = e > INDEPENDENT * e[-1]
-        variance = V.square() @ torch.where(told, 1 / torch.where(told, e, 1.0), 0.0)
-        unknown = (V.square()[:, ~told] > 1e-6).any(1)
+        identifiable = e > INDEPENDENT * e[-1]
+        variance = V.square() @ torch.where(identifiable, 1 / torch.where(identifiable, e, 1.0), 0.0)
+        unknown = (V.square()[:, ~identifiable] > 1e-6).any(1)
         return torch.where(unknown, torch.inf, variance.sqrt() / size / self.typical)
 
     def condition(self, q: Tensor, qd: Tensor, qdd: Tensor) -> float:
@@ -95,7 +97,9 @@ class BaseParameters(NamedTuple):
         return float((e[-1] / e[0]).sqrt()) if e[0] > 0 else torch.inf
 
 
-def _columns(robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, coefficients: Sequence[str], width: float) -> Tensor:
+def _columns(
+    robot: Robot, q: Tensor, qd: Tensor, qdd: Tensor, coefficients: Sequence[str], sign_width: float
+) -> Tensor:
     """Torque per unit of every parameter [..., n, k]."""
-    own = {"rotor": qdd, "viscous": qd, "coulomb": smooth_sign(qd, width), "offset": torch.ones_like(qd)}
+    own = {"rotor": qdd, "viscous": qd, "coulomb": smooth_sign(qd, sign_width), "offset": torch.ones_like(qd)}
     return torch.cat([regressor(robot, q, qd, qdd), *(torch.diag_embed(own[name]) for name in coefficients)], -1)

@@ -10,7 +10,7 @@ from torchdq.learning.identification.evidence import Evidence, Unseen
 from torchdq.learning.identification.regression import chunks, columns
 
 NORMAL = 1.96  # half-width of the interval that holds 95 % of normal numbers, in standard deviations
-ROWS = 4096  # most rows that are looked at
+ROWS = 4096  # most rows that are used
 
 
 def half_widths(evidence: Evidence, left_out: Sequence[Sequence[Unseen]], spread: Tensor, noise: Tensor) -> Tensor:

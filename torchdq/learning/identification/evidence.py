@@ -40,7 +40,7 @@ class Evidence(NamedTuple):
     sizes: Tensor  # [blocks, n] number of rows times the variance of the torques of their motion
     squares: Tensor  # [n] mean squares of the torques
     unit: Tensor  # [terms, n] torques per unit that set the width of the prior: `Term.size`
-    told: Tensor  # [terms, n] bool: whether the rows can tell a term from others
+    identifiable: Tensor  # [terms, n] bool: whether the rows can separate a term from others
     at: Tensor  # [n, p] places of the parameters of each joint
 
     @property
@@ -48,9 +48,9 @@ class Evidence(NamedTuple):
         """Number of rows."""
         return len(self.own)
 
-    def near(self, sought: Tensor, strength: float = 1.0) -> Neighbourhood:
-        """Neighbourhood of the description, with those coefficients [terms, n] that are sought."""
-        return Neighbourhood(self.robot, self.terms, sought, self.squares.sqrt(), self.unit, strength)
+    def near(self, estimated: Tensor, strength: float = 1.0) -> Neighbourhood:
+        """Neighbourhood of the description, with those coefficients [terms, n] that are estimated."""
+        return Neighbourhood(self.robot, self.terms, estimated, self.squares.sqrt(), self.unit, strength)
 
     def scores(self, changes: Sequence[Tensor]) -> Tensor:
         """Squared residuals over the torques' variance [blocks, n], parameters [n, p] being those found without it."""
@@ -83,7 +83,7 @@ def gather(
     robot: Robot,
     recording: MotionRows,
     terms: Sequence[Term],
-    width: float,
+    sign_width: float,
     load: Tensor | None,
     blocks: Sequence[Block],
     say: Callable[[str], None],
@@ -93,23 +93,23 @@ def gather(
     Args:
         robot: the robot as described.
         recording: the rows.
-        terms: all terms that may be sought.
-        width: velocity below which dry friction is viscous [rad/s or m/s].
+        terms: all terms that may be estimated.
+        sign_width: velocity below which dry friction is viscous [rad/s or m/s].
         load: torque of the bodies and the rotor, where terms depend on it [rows, n].
         blocks: blocks to leave out; none: nothing is left out.
-        say: is told how far it is.
+        say: is called with the progress.
     """
-    states = rows_of(robot, recording, width, load)
+    states = rows_of(robot, recording, sign_width, load)
     own = unit_torques(terms, states)
     at = places(len(robot.link_names), len(terms), robot.n)
     rows = [block.rows for block in blocks] or [slice(0, len(own))]
-    beside = [part for block in blocks for part in block.beside]
-    sums = gram(robot, recording, own, _bodies(robot, at.shape[1]), ROTOR not in terms, [*rows, *beside], say)
+    margins = [part for block in blocks for part in block.margins]
+    sums = gram(robot, recording, own, _bodies(robot, at.shape[1]), ROTOR not in terms, [*rows, *margins], say)
     left, total, first = sums[: len(rows)], sums[: len(rows)].sum(0), len(rows)
     folds = total - left
     for k, block in enumerate(blocks):
-        folds[k] -= sums[first : first + len(block.beside)].sum(0)
-        first += len(block.beside)
+        folds[k] -= sums[first : first + len(block.margins)].sum(0)
+        first += len(block.margins)
     tau = recording.measured.cpu()
     motions = [block.motion for block in blocks] or rows
     variance = torch.stack([tau[motion].var(0, correction=0) for motion in motions])
@@ -125,11 +125,13 @@ def gather(
     sizes = each[:, None] * torch.where(variance > 0, variance, 1.0)
     squares = tau.square().mean(0)
     rms = own.square().mean(0).sqrt().T.cpu()
-    unit, told = torch.zeros_like(rms), torch.zeros_like(rms, dtype=torch.bool)
+    unit, identifiable = torch.zeros_like(rms), torch.zeros_like(rms, dtype=torch.bool)
     for k, term in enumerate(terms):
-        told[k] = term.told(states)
-        unit[k] = term.size(rms[k], squares.sqrt(), told[k])
-    return Evidence(robot, recording, tuple(terms), own, total, left, folds, each, sizes, squares, unit, told, at)
+        identifiable[k] = term.identifiable(states)
+        unit[k] = term.size(rms[k], squares.sqrt(), identifiable[k])
+    return Evidence(
+        robot, recording, tuple(terms), own, total, left, folds, each, sizes, squares, unit, identifiable, at
+    )
 
 
 def described(robot: Robot) -> Tensor:

@@ -38,14 +38,20 @@ class Neighbourhood:
     Args:
         robot: the robot as described.
         terms: terms that have coefficients.
-        sought: coefficients that are sought [terms, n], the others being zero.
+        estimated: coefficients that are estimated [terms, n], the others being zero.
         torque: root mean squares of the torques [n].
         unit: those of the torques per unit of the coefficients [terms, n].
         strength: weight of the distance of bodies; infinite: they stay as described.
     """
 
     def __init__(
-        self, robot: Robot, terms: Sequence[Term], sought: Tensor, torque: Tensor, unit: Tensor, strength: float = 1.0
+        self,
+        robot: Robot,
+        terms: Sequence[Term],
+        estimated: Tensor,
+        torque: Tensor,
+        unit: Tensor,
+        strength: float = 1.0,
     ):
         mass, com, inertia = (getattr(robot, name).detach().double().cpu() for name in ("mass", "com", "inertia"))
         if not bool((mass >= 0).all()):
@@ -56,7 +62,7 @@ class Neighbourhood:
         self.strength = strength if free else 1.0
         self.links, self.factor = (massive, factor) if free else (massive[:0], factor[:0])
         self.mass, self.com, self.inertia = mass, com, inertia
-        self.start = _scales(robot, terms, torque, unit) * sought.reshape(-1)
+        self.start = _scales(robot, terms, torque, unit) * estimated.reshape(-1)
         signed = torch.tensor([term.signed for term in terms for _ in range(robot.n)], dtype=torch.bool)
         self.effects = self.start.nonzero()[:, 0]
         self.signed = signed[self.effects]
@@ -83,7 +89,7 @@ class Neighbourhood:
         self.S[to, at], self.inverse[at, to] = self.start[self.effects], 1 / self.start[self.effects]
 
     def start_of(self, at: Tensor) -> Tensor:
-        """Coefficients at the start, beside inertial parameters of zero, at places in phi [n, p]."""
+        """Coefficients at the start, with inertial parameters of zero, at places in phi [n, p]."""
         start = self.described.clone()
         start[: len(start) - len(self.start)] = 0
         return start[at]

@@ -6,8 +6,8 @@ An effort e of a joint is h times its torque, h being one over the gain,
 
 with friction in the unit of the effort, which is linear in the parameters for known h. Gauss and Newton's method makes
 it linear in both about the last values: the torque Y pi there is the column of h. The sums of `regression.gram` hold
-all that a recording says, so an iteration reads no samples. One factor of all gains together cannot be told from one of
-all masses, and comes from the description. The ratios of the gains come from bodies that load several joints.
+all that a recording says, so an iteration reads no samples. A common factor of all gains cannot be separated from
+one of all masses, and comes from the description. The ratios of the gains come from bodies that load several joints.
 
 Errors of the gains make errors of the parameters (`spread_of_gains`): the parameters of a fit are linear in the
 torques, and the torques of a joint are its gain times its efforts.
@@ -99,8 +99,8 @@ def spread_of_gains(
     return near.S @ facts.V @ ((facts.V.T @ right) / (facts.e + prior)[:, None]) @ spread
 
 
-def _guess(sums: Tensor, start: Tensor, inertial: int, samples: int, sought: Tensor) -> Tensor:
-    """Efforts per described torque [n], each with friction alone; the mean of the others where a joint tells none."""
+def _guess(sums: Tensor, start: Tensor, inertial: int, samples: int, estimated: Tensor) -> Tensor:
+    """Efforts per described torque [n], each with friction alone; the mean of the others where a joint shows none."""
     n, p = start.shape
     M = torch.zeros(n, p, 1 + p - inertial, dtype=start.dtype)
     M[:, :, 0] = start
@@ -111,6 +111,6 @@ def _guess(sums: Tensor, start: Tensor, inertial: int, samples: int, sought: Ten
     inverse = torch.linalg.pinv(M.mT @ A @ M, rtol=1e-10, hermitian=True)
     x = (inverse @ right[..., None])[..., 0]
     left = (total - (x * right).sum(1)).clamp_min(0) / samples
-    told = sought & (x[:, 0] > 0) & ((inverse[:, 0, 0] * left).sqrt() < FLAT * x[:, 0])
-    middle = x[told, 0].log().mean().exp() if bool(told.any()) else x.new_ones(())
-    return torch.where(told, x[:, 0], middle)
+    clear = estimated & (x[:, 0] > 0) & ((inverse[:, 0, 0] * left).sqrt() < FLAT * x[:, 0])
+    middle = x[clear, 0].log().mean().exp() if bool(clear.any()) else x.new_ones(())
+    return torch.where(clear, x[:, 0], middle)

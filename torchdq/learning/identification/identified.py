@@ -12,13 +12,14 @@ from torch import Tensor
 
 from torchdq import effects
 from torchdq.base.checks import tensor_of
+from torchdq.base.findings import Finding
 from torchdq.base.tables import summary, table
 from torchdq.effects.effect import Effect
 from torchdq.effects.friction import Friction
 from torchdq.errors import ArgumentError
 from torchdq.learning.evaluation.blocks import MotionRows, of_motions, of_tensors
 from torchdq.learning.identification.gains import Gains
-from torchdq.learning.identification.model_selection import Ladder
+from torchdq.learning.identification.model_selection import ModelSelection
 from torchdq.learning.identification.naming import sums
 from torchdq.learning.identification.regression import chunks, columns, places, rigid
 from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, VISCOUS, Term, rows_of, unit_torques
@@ -47,7 +48,7 @@ class Identified(NamedTuple):
     """Identified robot with its parameters and their errors.
 
     `parameters` are phi [k] with the names `names`: ten per link in the order of `Robot.inertial_parameters`, then
-    rotor inertias, viscous, Coulomb and offset, of all joints each, those that were sought.
+    rotor inertias, viscous, Coulomb and offset, of all joints each, those that were estimated.
 
     `covariance` [k, k] is that of the least squares with the prior, linearised at the description: its diagonal is the
     squared standard error that noise of the found size leaves. Smoothed signals and faults of the model are not
@@ -55,8 +56,8 @@ class Identified(NamedTuple):
 
     Parameters that the samples do not identify have the width of the prior instead, the described size over
     sqrt(prior), which is large, and right as long as the description is not off by more; that the robot must be
-    physical narrows it further and is not counted. Single masses and inertias are mostly of that kind; `excited` tells
-    them from the others. Where gains of the drives were sought, the covariance includes their errors, and
+    physical narrows it further and is not counted. Single masses and inertias are mostly of that kind; `identifiable`
+    is false for them. Where gains of the drives were estimated, the covariance includes their errors, and
     `by_these_gains` leaves them out. The samples identify `rank` combinations, the base parameters
     `base` @ `parameters`.
 
@@ -74,14 +75,15 @@ class Identified(NamedTuple):
     half_width: Tensor  # [n] half-width of the intervals of `predict`, in units of errors of parameters and noise
     rms: Tensor  # [n] root mean square of the residual torque [N m or N]
     correlation: Tensor  # [n] correlation time of the residual torque, in rows
-    width: float  # width of the Coulomb friction [rad/s or m/s]
+    sign_width: float  # width of the Coulomb friction [rad/s or m/s]
     simple: Tensor  # [2, n] viscous and Coulomb friction that come nearest to all friction found, in these samples
-    excited: Tensor  # [k] bool: parameters that the samples decide, not the prior; false if the joint hardly moves
-    report: Ladder | None  # how the model was chosen; None: it was given
-    gains: Gains | None  # torque per unit of `tau`, by which it was multiplied; None: not sought
+    identifiable: Tensor  # [k] bool: parameters that the samples decide, not the prior; false if the joint hardly moves
+    selection: ModelSelection | None  # how the model was chosen; None: it was given
+    gains: Gains | None  # torque per unit of `tau`, by which it was multiplied; None: not estimated
+    findings: tuple[Finding, ...] = ()  # what is probably wrong in the motions or missing in the model
 
     def coefficients(self, name: str) -> Tensor | None:
-        """Parameters [n] of the joints of one kind: "rotor", "viscous", "coulomb", "offset"; None: not sought."""
+        """Parameters [n] of the joints of one kind: "rotor", "viscous", "coulomb", "offset"; None: not estimated."""
         kinds, n = [term.name for term in self.terms], self.robot.n
         if name not in kinds:
             return None
@@ -90,23 +92,34 @@ class Identified(NamedTuple):
 
     @property
     def viscous(self) -> Tensor | None:
-        """Viscous friction [n] [N m s/rad or N s/m]; None: not sought."""
+        """Viscous friction [n] [N m s/rad or N s/m]; None: not estimated."""
         return self.coefficients(VISCOUS.name)
 
     @property
     def coulomb(self) -> Tensor | None:
-        """Coulomb friction [n] [N m or N]; None: not sought."""
+        """Coulomb friction [n] [N m or N]; None: not estimated."""
         return self.coefficients(COULOMB.name)
 
     @property
     def offset(self) -> Tensor | None:
-        """Constant torques [n] [N m or N]; None: not sought."""
+        """Constant torques [n] [N m or N]; None: not estimated."""
         return self.coefficients(OFFSET.name)
 
     @property
     def rank(self) -> int:
         """Number of combinations of parameters that the samples identify."""
         return len(self.base)
+
+    @property
+    def unidentifiable(self) -> tuple[str, ...]:
+        """Inertial parameters that the samples do not identify one by one, a line per link: "link2: m, mx"."""
+        rows = self.identifiable[: 10 * len(self.robot.link_names)].reshape(-1, 10).tolist()
+        names = [[name for name, yes in zip(INERTIAL, row, strict=True) if not yes] for row in rows]
+        return tuple(
+            f"{link}: {'all' if len(some) == 10 else ', '.join(some)}"
+            for link, some in zip(self.robot.link_names, names, strict=True)
+            if some
+        )
 
     @property
     def covariance(self) -> Tensor:
@@ -139,7 +152,7 @@ class Identified(NamedTuple):
     def friction(self) -> tuple[Friction, ...]:
         """Friction effects with the numbers found, the same for layers and scenes."""
         own = self.parameters[10 * len(self.robot.link_names) :].reshape(-1, self.robot.n).tolist()
-        found = [term.found(numbers, self.width) for term, numbers in zip(self.terms, own, strict=True)]
+        found = [term.found(numbers, self.sign_width) for term, numbers in zip(self.terms, own, strict=True)]
         return tuple(effect for some in found for effect in some)
 
     def effects(self) -> tuple[Effect, ...]:
@@ -148,9 +161,10 @@ class Identified(NamedTuple):
         A constant torque is not among them: `offset` is added to the torques of the scene.
 
         >>> import torch, torchdq, torchdq.envs
-        >>> from torchdq.learning import identify
+        >>> from torchdq.learning import Samples, identify
         >>> robot, (q, qd, qdd) = torchdq.robots.load("two_link"), torch.randn(3, 200, 2, dtype=torch.float64)
-        >>> found = identify(robot, q, qd, qdd, torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.5 * qd)
+        >>> tau = torchdq.inverse_dynamics(robot, q, qd, qdd) + 0.5 * qd
+        >>> found = identify(robot, Samples(q, qd, qdd, tau))
         >>> torchdq.envs.Scene(found.robot, found.effects()).robot.name
         'two_link'
         """
@@ -161,16 +175,17 @@ class Identified(NamedTuple):
         """Torques as a module: the robot found, with its friction, the width of dry friction, and the offset.
 
         A layer does not know the motion before, so friction that remembers is that of steady sliding there.
-        `identify(..., memory=False)` finds the best friction without memory. `IdentifiedWithResidual` adds a network
-        to friction that remembers.
+        `Model(memory=False)` of `identify` finds the best friction without memory. `IdentifiedWithResidual` adds a
+        network to friction that remembers.
 
         Args:
             learn: quantities that the layer goes on learning, as in `torchdq.InverseDynamics`; "friction" only if no
                 two effects of `friction()` are of one kind.
         """
-        friction = _together([one.steady(self.width) for one in self.friction()])
+        friction = _summed([one.steady(self.sign_width) for one in self.friction()])
         names = [*learn, "offset"] if self.offset is not None else list(learn)
-        layer = InverseDynamics(self.robot, tuple(dict.fromkeys(names)), friction_width=self.width, friction=friction)
+        learned = tuple(dict.fromkeys(names))
+        layer = InverseDynamics(self.robot, learned, friction_width=self.sign_width, friction=friction)
         if self.offset is not None:
             layer.offset = self.offset
         return layer
@@ -192,30 +207,28 @@ class Identified(NamedTuple):
         """
         none = [term.name for term in (ROTOR, OFFSET) if term in self.terms]
         others = [term.name for term in self.terms if term not in (ROTOR, VISCOUS, COULOMB, OFFSET)]
-        said = [f"a URDF file has no place for {' and '.join(none)}, left out"] if none else []
+        omitted = [f"a URDF file has no place for {' and '.join(none)}, left out"] if none else []
         if others:
-            said += [
-                f"a URDF file holds viscous and Coulomb friction alone; they stand for friction of other shapes, too: "
-                f"{', '.join(others)}"
-            ]
-        if said:
-            warnings.warn("; ".join(said), stacklevel=2)
+            stand = "a URDF file holds viscous and Coulomb friction alone; they stand for friction of other shapes, too"
+            omitted.append(f"{stand}: {', '.join(others)}")
+        if omitted:
+            warnings.warn("; ".join(omitted), stacklevel=2)
         return self.with_simple_friction().replace(armature=None).to_urdf(original)
 
     def __repr__(self) -> str:
-        return f"Identified({self.robot.name}: {len(self.names)} parameters, {self.rank} combinations of them told)"
+        return f"Identified({self.robot.name}: {len(self.names)} parameters, rank {self.rank})"
 
     def __str__(self) -> str:
-        title = f"{self.robot.name}, identified: {self.rank} combinations of {len(self.names)} parameters are told"
+        title = f"{self.robot.name}, identified: {len(self.names)} parameters, rank {self.rank}"
         shown = (self.spread != 0).any(1) | (self.parameters != 0)
         shown[: 10 * len(self.robot.link_names)] = True
-        numbers = zip(self.names, self._units, self.parameters, self.errors, self.excited, shown, strict=True)
+        numbers = zip(self.names, self._units, self.parameters, self.errors, self.identifiable, shown, strict=True)
         rows = [
-            (name, f"{x:.4g}", f"{e:.2g}", unit, "yes" if told else "no")
-            for name, unit, x, e, told, so in numbers
+            (name, f"{x:.4g}", f"{e:.2g}", unit, "yes" if known else "no")
+            for name, unit, x, e, known, so in numbers
             if so
         ]
-        parameters = table(("parameter", "estimate", "standard error", "unit", "excited"), rows)
+        parameters = table(("parameter", "estimate", "standard error", "unit", "identifiable"), rows)
         residuals = summary(
             "residual", {"rms": (self.rms, FORCE), "noise": (self.noise, FORCE), "model": (self.model, FORCE)}
         )
@@ -223,8 +236,8 @@ class Identified(NamedTuple):
             drives = zip(self.robot.joint_names, *(x.tolist() for x in self.gains), strict=True)
             cells = [(joint, f"{x:.4g}", f"{error:.2g}") for joint, x, error in drives]
             residuals += "\n\n" + table(("joint", "torque per unit of effort", "standard error"), cells)
-        report = "" if self.report is None else f"\n\n{self.report}"
-        return f"{title}\n\n{parameters}\n\n{residuals}{report}"
+        selection = "" if self.selection is None else f"\n\n{self.selection}"
+        return f"{title}\n\n{parameters}\n\n{residuals}{selection}"
 
     @property
     def _units(self) -> list[str]:
@@ -247,7 +260,7 @@ class Identified(NamedTuple):
         Args:
             motions: motions from `smooth`, whose rows follow each other in the result; or joint positions [..., n]
                 [rad or m], the last of the leading axes being time, which friction with a memory depends on.
-            qd, qdd: joint velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2], [..., n], beside positions.
+            qd, qdd: joint velocities [rad/s or m/s] and accelerations [rad/s^2 or m/s^2], [..., n], with positions.
         """
         batch, recording = recorded(self.robot, motions, qd, qdd)
         n, at = self.robot.n, places(len(self.robot.link_names), len(self.terms), self.robot.n)
@@ -259,7 +272,7 @@ class Identified(NamedTuple):
             load = None
             if any(term.loaded for term in self.terms):
                 load = rigid(self.robot, recording, pi, self.robot.armature)
-            own = unit_torques(self.terms, rows_of(self.robot, recording, self.width, load))
+            own = unit_torques(self.terms, rows_of(self.robot, recording, self.sign_width, load))
             for part in chunks(slice(0, len(tau)), n * spread.shape[1] + spread.numel()):
                 q, qd, qdd = recording.q[part], recording.qd[part], recording.qdd[part]
                 Z = columns(self.robot, q, qd, qdd, own[part])
@@ -283,19 +296,18 @@ def recorded(
     rest = {"qd": qd, "qdd": qdd, **others}
     if isinstance(motions, Tensor):
         given = {name: x for name, x in rest.items() if x is not None}
-        for name in rest:
-            if name not in given and name != "direction":
-                raise ArgumentError(f"{name} must be given beside positions, found None")
+        for name in rest.keys() - given.keys():
+            raise ArgumentError(f"{name} must be given with positions, found None")
         recording = of_tensors(robot, q=motions, **given)
         return torch.broadcast_shapes(motions.shape, *(x.shape for x in given.values()))[:-1], recording
     for name, x in rest.items():
         if x is not None:
-            raise ArgumentError(f"{name} must not be given beside motions, which hold it")
+            raise ArgumentError(f"{name} must not be given with motions, which hold it")
     recording = of_motions(robot, motions)
     return (len(recording.q),), recording
 
 
-def _together(effects: Sequence[Friction]) -> list[Friction]:
+def _summed(effects: Sequence[Friction]) -> list[Friction]:
     """Effects as sums: those that differ only in the numbers in which their torques are linear become one."""
     sums: dict[Friction, Friction] = {}
     for effect in effects:

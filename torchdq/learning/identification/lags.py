@@ -2,8 +2,9 @@
 
 Torques that are late by s are tau(t) = Z(t - s) phi. Friction that was fitted without the lag explains a part of it,
 above all friction that remembers. So the search iterates: the whole model is moved by the lag found so far, and least
-squares seek the parameters anew, together with the rest of the lag, whose torque per unit is -d/dt Z(t - s) phi. The
-search ends when nothing of the lag is left. The lag found is then that of the best model, whatever the first one was.
+squares estimate the parameters again, together with the rest of the lag, whose torque per unit is -d/dt Z(t - s) phi.
+The search ends when nothing of the lag is left. The lag found is then that of the best model, whatever the first one
+was.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from torchdq.learning.identification.augmented import Beside
+from torchdq.base.findings import Finding
+from torchdq.learning.identification.augmented import AugmentedFit
 from torchdq.learning.identification.evidence import Evidence
 
 SURE = 5.0  # least size of a lag, in standard errors, to be one
@@ -46,23 +48,19 @@ class _Search(NamedTuple):
     after: Tensor  # [motions] the same with them
 
 
-def lags(fit: Beside) -> list[TorqueLag]:
+def lags(fit: AugmentedFit) -> list[TorqueLag]:
     """Lags of motions that a fit lacks, and that matter."""
     run, seconds = _runs(fit.evidence)
     if run is None:
         return []
     found = _search(fit, run)
-    numbers = zip(*(x.tolist() for x in (found.late, found.error, found.settled, _told(found))), strict=True)
+    sure = (found.late.abs() > SURE * found.error) & (found.error > 0)
+    clear = sure & (found.after < (1 - MATTERS) * found.before)
+    numbers = zip(*(x.tolist() for x in (found.late, found.error, found.settled, clear)), strict=True)
     return [TorqueLag(k, seconds * s, seconds * e, s, end) for k, (s, e, end, yes) in enumerate(numbers) if yes]
 
 
-def _told(found: _Search) -> Tensor:
-    """Motions whose lags are there, and matter."""
-    sure = (found.late.abs() > SURE * found.error) & (found.error > 0)
-    return sure & (found.after < (1 - MATTERS) * found.before)
-
-
-def _search(fit: Beside, run: Tensor) -> _Search:
+def _search(fit: AugmentedFit, run: Tensor) -> _Search:
     """Lags of all motions by Gauss-Newton."""
     measured = fit.evidence.recording.measured.cpu()[fit.rows]
     late = torch.zeros(len(fit.lengths), dtype=measured.dtype)
@@ -76,8 +74,8 @@ def _search(fit: Beside, run: Tensor) -> _Search:
         Z, tau, (early, behind), inside = _moved(fit, run, late[fit.motion], y)
         Z, r = Z * inside[..., None], (measured - tau) * inside
         if not k:
-            before = squares(fit.sought(Z, r, Z[..., :0]).left)
-        found = fit.sought(Z, r, ((behind - early) * inside)[..., None] * one)
+            before = squares(fit.solve(Z, r, Z[..., :0]).left)
+        found = fit.solve(Z, r, ((behind - early) * inside)[..., None] * one)
         y, x = found.y, found.x.clamp(-FARTHEST, FARTHEST)
         late = late + x
         settled = x.abs() < SETTLED * found.error.clamp_min(1.0)
@@ -86,7 +84,9 @@ def _search(fit: Beside, run: Tensor) -> _Search:
     return _Search(late, found.error, settled, before, squares(found.left))
 
 
-def _moved(fit: Beside, run: Tensor, late: Tensor, y: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, Tensor], Tensor]:
+def _moved(
+    fit: AugmentedFit, run: Tensor, late: Tensor, y: Tensor
+) -> tuple[Tensor, Tensor, tuple[Tensor, Tensor], Tensor]:
     """Model as it was some rows before [rows].
 
     Torques per unit of y [rows, n, t], and of the fit [rows, n]; torques at y of half a row less and half a row more;
@@ -104,8 +104,8 @@ def _moved(fit: Beside, run: Tensor, late: Tensor, y: Tensor) -> tuple[Tensor, T
         return torch.lerp(x[first], x[second], share)
 
     Z, tau = fit.columns(*(drawn(x) for x in (recording.q, recording.qd, recording.qdd, fit.evidence.own)))
-    beside = (tau + Z @ y).reshape(3, len(late), -1)
-    return Z[: len(late)], tau[: len(late)], (beside[1], beside[2]), inside[:, None].to(tau)
+    near = (tau + Z @ y).reshape(3, len(late), -1)
+    return Z[: len(late)], tau[: len(late)], (near[1], near[2]), inside[:, None].to(tau)
 
 
 def _runs(evidence: Evidence) -> tuple[Tensor | None, float]:
@@ -127,22 +127,31 @@ def _runs(evidence: Evidence) -> tuple[Tensor | None, float]:
     return torch.cat([follows.new_zeros(1), ~follows]).cumsum(0), seconds
 
 
-def lagging(names: Sequence[str], lags: Sequence[TorqueLag]) -> list[str]:
-    """Words for torques that lag the motion."""
+def lag_findings(names: Sequence[str], lags: Sequence[TorqueLag]) -> list[Finding]:
+    """Findings about torques that lag the motion, with the lag in seconds: one for all motions that share it."""
     if not lags:
         return []
     weight = sum(1 / lag.error**2 for lag in lags)
     mean = sum(lag.seconds / lag.error**2 for lag in lags) / weight
     alike = len(lags) > 1 and all(abs(lag.seconds - mean) < ALIKE * abs(mean) for lag in lags)
     whole = TorqueLag(-1, mean, weight**-0.5, mean / lags[0].seconds * lags[0].rows, all(lag.settled for lag in lags))
+    claim = "torques must not lag the motion, or friction is biased beyond its errors"
+    cause = "were they filtered, stamped by another clock, or late by friction that remembers (effects.LuGre)?"
     found = []
     for lag in [whole] if alike else lags:
-        of = f"{len(lags)} motions" if lag.motion < 0 else (names and names[lag.motion]) or f"motion {lag.motion + 1}"
-        cure = f"smooth(log, delay={lag.seconds:.2g})" if names else f"moving them {abs(lag.rows):.1f} rows"
-        cure += "" if names else (" up" if lag.seconds > 0 else " down")
-        way = "after" if lag.seconds > 0 else "before"
+        of = (
+            f"{len(lags)} motions"
+            if lag.motion < 0
+            else (names[lag.motion] if names else "") or f"motion {lag.motion + 1}"
+        )
         size = f"{1e3 * abs(lag.seconds):.1f} +- {1e3 * lag.error:.1f} ms"
-        least = "about" if lag.settled else "at least"
-        found.append(f"torques come {least} {size} {way} the motion in {of}; {cure} mends it")
-    cause = "were they filtered, stamped by another clock, or late by friction that remembers (effects.LuGre)?"
-    return [f"{'; '.join(found)}; {cause} Friction is biased beyond its errors"]
+        way, least = "after" if lag.seconds > 0 else "before", "about" if lag.settled else "at least"
+        cure, option = (
+            f"smooth(log, delay={lag.seconds:.2g}) removes it; {cause}",
+            f"--delay {lag.seconds:.2g} removes it; {cause}",
+        )
+        if not names:
+            cure = f"moving them {abs(lag.rows):.1f} rows {'up' if lag.seconds > 0 else 'down'} removes it; {cause}"
+        words = f"torques {least} {size} {way} the motion"
+        found.append(Finding("torque.lag", of, claim, words, cure, option, value=lag.seconds))
+    return found

@@ -1,9 +1,10 @@
-"""Ladder of models, from the description to the identified robot, measured on blocks of motions that were left out.
+"""Selection of a model, from the description to the identified robot, on blocks of motions that were left out.
 
-The rungs are the description; friction, rotor inertia and offsets beside it; and all inertial parameters with a prior
-at the description, whose strength is found, too; the last two also with friction of other shapes and offsets of the
-joints that gain from them (`shapes`). The simplest rung within one standard error of the best is chosen, the error
-being that of the paired differences over the blocks: what little data cannot decide stays as described.
+The candidates are the description; the description with friction, rotor inertia and offsets; and all inertial
+parameters with a prior at the description, whose strength is chosen, too; the last two also with friction of other
+shapes and offsets of the joints that gain from them (`friction_shapes`). The simplest candidate within one standard
+error of the best is chosen, the error being that of the paired differences over the blocks: what little data cannot
+decide stays as described.
 """
 
 from __future__ import annotations
@@ -18,8 +19,8 @@ from torch import Tensor
 from torchdq.base.tables import table
 from torchdq.learning.evaluation.blocks import Block, MotionRows
 from torchdq.learning.identification.evidence import Evidence, Unseen, described, gather
+from torchdq.learning.identification.friction_shapes import Gain, gainful
 from torchdq.learning.identification.regression import places, rigid
-from torchdq.learning.identification.shapes import Gain, gainful
 from torchdq.learning.identification.solution import Solution, changes, solve
 from torchdq.learning.identification.terms import OFFSET, ROTOR, Term
 from torchdq.robot import Robot
@@ -29,12 +30,12 @@ STRENGTHS = tuple(10.0**k for k in range(5, -1, -1))  # prior of the bodies, the
 UnseenParts = tuple[list[Unseen], list[Unseen]]  # blocks, and regions of the states
 
 
-class Rung(NamedTuple):
-    """Model, and how it did on the blocks that were left out."""
+class CandidateModel(NamedTuple):
+    """Model, and its validation on the blocks that were left out."""
 
     name: str
-    scores: Tensor  # [blocks, n] mean squared residual over the variance of the joint's torque
-    sought: Tensor  # [terms, n] coefficients that it has
+    scores: Tensor  # [blocks, n] mean squared residual over the variance of the joint's torque; none: not validated
+    estimated: Tensor  # [terms, n] coefficients that it has
     strength: float  # weight of the bodies' prior; infinite: they stay as described
     gains: tuple[Gain, ...] = ()  # friction of other shapes that it has
     found: tuple[Tensor, ...] = ()  # changes of the parameters, found without each block and region [n, p]
@@ -50,81 +51,79 @@ class Rung(NamedTuple):
         return float(self.scores.mean(1).std() / len(self.scores) ** 0.5)
 
 
-class Ladder(NamedTuple):
-    """Rungs from the simplest to the richest, and the one that was chosen.
+class ModelSelection(NamedTuple):
+    """Candidates from the simplest to the richest, and the one that was chosen.
 
     Printed, it is a table of them with the reasons for the choice.
     """
 
-    rungs: tuple[Rung, ...]
-    chosen: int
-    parts: str  # words for the blocks and regions that were left out, or for why there are none
-    left: Tensor  # [n] mean squared residual of the chosen rung on blocks, or on regions where larger [(N m)^2 or N^2]
+    candidates: tuple[CandidateModel, ...]
+    choice: int  # number of the chosen one
+    validation: str  # the blocks and regions that were left out, or why there are none
+    left: Tensor  # [n] mean squared residual of the chosen one on blocks, or on regions where larger [(N m)^2 or N^2]
     useless: tuple[str, ...] = ()  # shapes of friction, and offsets, that no joint gained from
-    untold: tuple[str, ...] = ()  # groups of parameters that the samples do not tell
 
     @property
-    def rung(self) -> Rung:
-        """Rung that was chosen."""
-        return self.rungs[self.chosen]
+    def chosen(self) -> CandidateModel:
+        """CandidateModel that was chosen."""
+        return self.candidates[self.choice]
 
     @property
-    def words(self) -> str:
+    def validated(self) -> bool:
+        """Whether the model was chosen on blocks that were left out; if not, there was no choice."""
+        return len(self.chosen.scores) > 0
+
+    @property
+    def summary(self) -> str:
         """The model, and what it was chosen on."""
-        return f"{self.rung.name}, {'chosen on' if len(self.rung.scores) else 'not chosen, since'} {self.parts}"
+        return f"{self.chosen.name}, {'chosen on' if self.validated else 'not chosen:'} {self.validation}"
 
     def __repr__(self) -> str:
-        if not len(self.rung.scores):
-            return f"Ladder({self.rung.name!r}, not chosen)"
-        return f"Ladder({len(self.rungs)} rungs, {self.rung.name!r} chosen, score {self.rung.score:.4g})"
+        if not self.validated:
+            return f"ModelSelection({self.chosen.name!r}, not chosen)"
+        size, chosen = len(self.candidates), self.chosen
+        return f"ModelSelection({size} candidates, {chosen.name!r} chosen, score {chosen.score:.4g})"
 
     def __str__(self) -> str:
-        if not len(self.rung.scores):
-            return "\n".join([self.words, *self._untold()])
-        best = min(self.rungs, key=lambda rung: rung.score)
+        if not self.validated:
+            return self.summary
+        chosen, best = self.chosen, min(self.candidates, key=lambda candidate: candidate.score)
         rows = [
             (
-                rung.name,
-                f"{rung.score:.5f}",
-                f"{rung.error:.5f}",
-                f"{rung.score**0.5:.3f}",
-                "" if math.isinf(rung.strength) else f"{rung.strength:g}",
-                " and ".join(["chosen"] * (rung is self.rung) + ["best"] * (rung is best)),
+                *(one.name, f"{one.score:.5f}", f"{one.error:.5f}", f"{one.score**0.5:.3f}"),
+                "" if math.isinf(one.strength) else f"{one.strength:g}",
+                " and ".join(["chosen"] * (one is chosen) + ["best"] * (one is best)),
             )
-            for rung in self.rungs
+            for one in self.candidates
         ]
+        reason = "the best" if chosen is best else "the simplest within one standard error of the best"
         lines = [
-            f"squared residual over variance of the torque, mean over joints, on {self.parts}",
+            f"squared residual over variance of the torque, mean over joints, on {self.validation}",
             table(("model", "score", "standard error", "root", "prior", ""), rows),
-            f"chosen: {self.rung.name}, "
-            + ("the best" if self.rung is best else "the simplest within one standard error of the best"),
+            f"chosen: {chosen.name}, {reason}",
         ]
-        if self.rung.gains:
+        if chosen.gains:
             found: dict[str, list[str]] = {}
-            for gain in self.rung.gains:
+            for gain in chosen.gains:
                 found.setdefault(gain.joint, []).append(f"{gain.term} ({gain.gain:.2g} +- {gain.error:.1g})")
-            lines.append(f"{_more(self.rung.gains)}, with what a joint gains:")
+            lines.append(f"{_additions(chosen.gains)}, with the gain in validation, by joint:")
             lines += [f"  {joint}: {', '.join(terms)}" for joint, terms in found.items()]
         if self.useless:
             lines.append(f"no joint gains from {', '.join(self.useless)}")
-        return "\n".join([*lines, *self._untold()])
-
-    def _untold(self) -> list[str]:
-        found = [f"  {group}" for group in self.untold]
-        return ["not told by the samples, left near the description:", *found] if found else []
+        return "\n".join(lines)
 
 
-def climb(
+def select(
     robot: Robot,
     recording: MotionRows,
     fixed: Sequence[Term],
     candidates: Sequence[Term],
-    width: float,
+    sign_width: float,
     strengths: Sequence[float],
     blocks: Sequence[Block],
     say: Callable[[str], None],
-) -> tuple[Ladder, Evidence, UnseenParts]:
-    """Ladder of models of a recording, the evidence with the terms of its chosen rung, and residuals of this rung.
+) -> tuple[ModelSelection, Evidence, UnseenParts]:
+    """Selection of a model of a recording, the evidence with the terms of the chosen one, and its residuals.
 
     The residuals are those of blocks, and of regions, by parameters that were found without each.
 
@@ -133,84 +132,97 @@ def climb(
         recording: the rows.
         fixed: terms of every joint.
         candidates: friction of other shapes, and offsets.
-        width: velocity below which dry friction is viscous [rad/s or m/s].
+        sign_width: velocity below which dry friction is viscous [rad/s or m/s].
         strengths: of the prior of the bodies to choose from, the strongest first.
         blocks: blocks to leave out.
-        say: is told how far it is.
+        say: is called with the progress.
     """
     terms, n = (*fixed, *candidates), robot.n
     loaded = any(term.loaded for term in terms)
     none = torch.zeros(n, 10 * len(robot.link_names) + len(terms), dtype=torch.float64)
-    sought = torch.tensor([[term in fixed] * n for term in terms], dtype=torch.bool).reshape(len(terms), n)
+    estimated = torch.tensor([[term in fixed] * n for term in terms], dtype=torch.bool).reshape(len(terms), n)
     others = [k for k, term in enumerate(terms) if term not in fixed]
 
     load = rigid(robot, recording, described(robot), robot.armature) if loaded else None
-    evidence = gather(robot, recording, terms, width, load, blocks, say)
+    evidence = gather(robot, recording, terms, sign_width, load, blocks, say)
     nothing = (none,) * len(evidence.left)
-    rungs = [Rung("description", evidence.scores(nothing), torch.zeros_like(sought), math.inf, found=nothing)]
+    tried = [
+        CandidateModel("description", evidence.scores(nothing), torch.zeros_like(estimated), math.inf, found=nothing)
+    ]
 
     def add(name: str, evidence: Evidence, strengths: Sequence[float], mask: Tensor, gains: Sequence[Gain]) -> None:
         say(name)
-        rungs.append(_rung(name, evidence, strengths, mask, variance, gains))
+        tried.append(_candidate(name, evidence, strengths, mask, variance, gains))
 
-    found, variance = _noise(evidence, sought, math.inf, say)
+    found, variance = _noise(evidence, estimated, math.inf, say)
     if fixed:
-        add("+ friction", evidence, (math.inf,), sought, ())
+        add("+ friction", evidence, (math.inf,), estimated, ())
     if others:
-        mask, gains = gainful(evidence, variance, sought, others, math.inf, say)
+        mask, gains = gainful(evidence, variance, estimated, others, math.inf, say)
         if gains:
-            add(f"+ {_more(gains)}", evidence, (math.inf,), mask, gains)
+            add(f"+ {_additions(gains)}", evidence, (math.inf,), mask, gains)
     if math.isinf(strengths[-1]):
-        return _chosen(rungs, evidence, evidence, others, blocks)
-    found, variance = _noise(evidence, sought, strengths[-1], say)
-    add("identified", evidence, strengths, sought, ())
+        return _chosen(tried, evidence, evidence, others, blocks)
+    found, variance = _noise(evidence, estimated, strengths[-1], say)
+    add("identified", evidence, strengths, estimated, ())
     identified = evidence
     if others:
         if loaded:
             load = rigid(robot, recording, found.parameters[: 10 * len(robot.link_names)], _rotors(evidence, found))
-            identified = gather(robot, recording, terms, width, load, blocks, say)
-        strength = rungs[-1].strength
+            identified = gather(robot, recording, terms, sign_width, load, blocks, say)
+        strength = tried[-1].strength
         for _ in range(2):  # what is noise depends on the friction
-            mask, gains = gainful(identified, variance, sought, others, strength, say)
+            mask, gains = gainful(identified, variance, estimated, others, strength, say)
             if not gains:
                 break
             found, variance = _noise(identified, mask, strength, say)
         if gains:
-            add(f"identified, {_more(gains)}", identified, strengths, mask, gains)
+            add(f"identified, {_additions(gains)}", identified, strengths, mask, gains)
 
-    return _chosen(rungs, evidence, identified, others, blocks)
+    return _chosen(tried, evidence, identified, others, blocks)
 
 
-def _more(gains: Sequence[Gain]) -> str:
-    """Words for what joints gain from."""
+def _additions(gains: Sequence[Gain]) -> str:
+    """Names of the kinds of terms that joints gain from."""
     offsets = [gain.term == OFFSET.name for gain in gains]
     return " and ".join(["friction of other shapes"] * (not all(offsets)) + ["offsets"] * any(offsets))
 
 
 def _chosen(
-    rungs: Sequence[Rung], evidence: Evidence, identified: Evidence, others: Sequence[int], blocks: Sequence[Block]
-) -> tuple[Ladder, Evidence, UnseenParts]:
-    """Ladder of rungs, the evidence of the chosen one with its terms alone, and its residuals on what was left out."""
-    chosen = _simplest([rung.scores for rung in rungs])
-    useless = [evidence.terms[k].name for k in others if not any(bool(rung.sought[k].any()) for rung in rungs)]
+    tried: Sequence[CandidateModel],
+    evidence: Evidence,
+    identified: Evidence,
+    others: Sequence[int],
+    blocks: Sequence[Block],
+) -> tuple[ModelSelection, Evidence, UnseenParts]:
+    """Selection among candidates, evidence with the terms of the chosen one, and its residuals on parts left out."""
+    chosen = _simplest([one.scores for one in tried])
+    useless = [evidence.terms[k].name for k in others if not any(bool(one.estimated[k].any()) for one in tried)]
     regions = len(evidence.left) - len(blocks)
     what = f"parts of motions and {regions} regions of the states" if regions else "motions"
-    squares = rungs[chosen].scores * evidence.sizes / evidence.counts[:, None]
+    squares = tried[chosen].scores * evidence.sizes / evidence.counts[:, None]
     left = torch.stack([part.mean(0) for part in (squares[: len(blocks)], squares[len(blocks) :]) if len(part)]).amax(0)
-    ladder = Ladder(tuple(rungs), chosen, f"{len(blocks)} {what} that were left out in turn", left, tuple(useless))
-    own = evidence if math.isinf(rungs[chosen].strength) else identified
-    return ladder, _only(own, rungs[chosen].sought.any(1)), own.left_out(rungs[chosen].found, blocks)
+    selection = ModelSelection(
+        tuple(tried), chosen, f"{len(blocks)} {what} that were left out in turn", left, tuple(useless)
+    )
+    own = evidence if math.isinf(tried[chosen].strength) else identified
+    return selection, _only(own, tried[chosen].estimated.any(1)), own.left_out(tried[chosen].found, blocks)
 
 
-def _rung(
-    name: str, evidence: Evidence, strengths: Sequence[float], sought: Tensor, variance: Tensor, gains: Sequence[Gain]
-) -> Rung:
-    """Rung with the strength of the prior that does best on the blocks, or a stronger one as good."""
+def _candidate(
+    name: str,
+    evidence: Evidence,
+    strengths: Sequence[float],
+    estimated: Tensor,
+    variance: Tensor,
+    gains: Sequence[Gain],
+) -> CandidateModel:
+    """CandidateModel with the strength of the prior that does best on the blocks, or a stronger one as good."""
     scores, every = list[Tensor](), list[list[Tensor]]()
     starts: list[Tensor | None] = [None] * len(evidence.folds)
     before = 1.0
     for strength in strengths:
-        near, found = evidence.near(sought, strength), []
+        near, found = evidence.near(estimated, strength), []
         ratio = math.sqrt(strength / before)
         for k, sums in enumerate(evidence.folds):
             start = starts[k]
@@ -222,7 +234,7 @@ def _rung(
         every.append(found)
         scores.append(evidence.scores(found))
     best = _simplest(scores)
-    return Rung(name, scores[best], sought, strengths[best], tuple(gains), tuple(every[best]))
+    return CandidateModel(name, scores[best], estimated, strengths[best], tuple(gains), tuple(every[best]))
 
 
 def _simplest(scores: Sequence[Tensor]) -> int:
@@ -236,10 +248,12 @@ def _simplest(scores: Sequence[Tensor]) -> int:
     return best
 
 
-def _noise(evidence: Evidence, sought: Tensor, strength: float, say: Callable[[str], None]) -> tuple[Solution, Tensor]:
+def _noise(
+    evidence: Evidence, estimated: Tensor, strength: float, say: Callable[[str], None]
+) -> tuple[Solution, Tensor]:
     """Fit to all rows, and the variance of its residuals times their correlation time [n]."""
     one = torch.ones(evidence.robot.n, dtype=torch.float64)
-    near = evidence.near(sought, strength)
+    near = evidence.near(estimated, strength)
     found = solve(near, evidence.total, evidence.squares, evidence.samples, one, evidence.at, say=say)
     variance = found.facts.noise.maximum(found.rms) ** 2
     return found, variance * evidence.correlation(found.change(evidence.at))
@@ -270,6 +284,6 @@ def _only(evidence: Evidence, used: Tensor) -> Evidence:
         left=cut(evidence.left),
         folds=cut(evidence.folds),
         unit=evidence.unit[used],
-        told=evidence.told[used],
+        identifiable=evidence.identifiable[used],
         at=places(len(evidence.robot.link_names), len(terms), evidence.robot.n),
     )

@@ -17,7 +17,7 @@ from torchdq.robot import Robot
 
 COARSE = 1e-2  # least noise relative to the joint's torques, where there are too few samples to estimate it
 EXACT = 1e-5  # least noise relative to the joint's torques otherwise; more weight costs more digits than it gives
-FAINT = 1e-3  # weight of the description while the noise is estimated: negligible beside a few samples
+FAINT = 1e-3  # weight of the description while the noise is estimated: negligible against a few samples
 INDEPENDENT = 1e-13  # least eigenvalue, relative to the largest, of an identifiable combination: beyond rounding
 CHUNK = 2**22  # numbers of the regressor that are held at a time
 
@@ -78,8 +78,8 @@ def gram(
 ) -> Tensor:
     """Sums [parts, n, p + 1, p + 1] of [Z d]^T [Z d] over parts of the rows.
 
-    d is the residual of the described parameters [n, p], and of the described rotors if `rotor` is true; `say` is told
-    how many rows have been read.
+    d is the residual of the described parameters [n, p], and of the described rotors if `rotor` is true; `say` is
+    called with the number of rows read.
     """
     n, p = described.shape
     sums = recording.q.new_zeros(len(parts), n, p + 1, p + 1)

@@ -1,4 +1,4 @@
-"""Viscous and Coulomb friction in place of all friction that was found, since URDF and MJCF files hold no other.
+"""Viscous and Coulomb friction instead of all friction found, since URDF and MJCF files hold no other.
 
 A file has no place for friction of other shapes, such as that in proportion to the load. The viscous and Coulomb
 friction that were found together with it are too small alone, often zero. So a file gets the two that come nearest to
@@ -16,7 +16,7 @@ from torchdq.learning.identification.terms import COULOMB, VISCOUS, rows_of
 SIMPLE = (VISCOUS, COULOMB)
 
 
-def simple_friction(evidence: Evidence, parameters: Tensor, width: float) -> Tensor:
+def simple_friction(evidence: Evidence, parameters: Tensor, sign_width: float) -> Tensor:
     """Viscous and Coulomb friction [2, n] that come nearest to all friction found, over the rows of the evidence.
 
     Joints that have no other friction keep theirs.
@@ -24,22 +24,22 @@ def simple_friction(evidence: Evidence, parameters: Tensor, width: float) -> Ten
     Args:
         evidence: rows, and the torques of all terms per unit.
         parameters: all parameters found [k].
-        width: velocity below which dry friction is viscous [rad/s or m/s].
+        sign_width: velocity below which dry friction is viscous [rad/s or m/s].
     """
     robot, terms = evidence.robot, evidence.terms
     own = parameters[10 * len(robot.link_names) :].reshape(-1, robot.n)
     rows = [own[terms.index(term)] if term in terms else getattr(robot, term.described).to(own) for term in SIMPLE]
     known = torch.stack(rows)
-    rubbing = [k for k, term in enumerate(terms) if term.effect is not None]
-    if not rubbing:
+    friction = [k for k, term in enumerate(terms) if term.effect is not None]
+    if not friction:
         return known
-    tau = (evidence.own[..., rubbing] * own[rubbing].T.to(evidence.own)).sum(-1)
-    sign = rows_of(robot, evidence.recording, width).sign
+    tau = (evidence.own[..., friction] * own[friction].T.to(evidence.own)).sum(-1)
+    sign = rows_of(robot, evidence.recording, sign_width).sign
     columns = torch.stack([evidence.recording.qd, sign], -1)
     nearest = _nonnegative(
         torch.einsum("rjp,rjq->jpq", columns, columns).cpu(), torch.einsum("rjp,rj->jp", columns, tau).cpu()
     )
-    others = [k for k in rubbing if terms[k] not in SIMPLE]
+    others = [k for k in friction if terms[k] not in SIMPLE]
     return torch.where((own[others] != 0).any(0), nearest.T, known)
 
 

@@ -17,7 +17,7 @@ from torchdq.learning.identification.regression import Information, information,
 
 ITERATIONS = 200  # most Newton steps of a minimum
 EXACT, ROUGH = 1e-12, 1e-6  # part of the prior's weight by which a minimum may be missed; a score needs less
-ROUNDS = 10  # most times that the joints are weighted anew
+ROUNDS = 10  # most times that the joints are reweighted
 JITTERS = (0.0, 1e-15, 1e-13, 1e-11)  # added to a diagonal of ones, until rounding leaves a matrix positive definite
 
 
@@ -39,22 +39,22 @@ class Solution(NamedTuple):
         """Parameters less the described bodies, at places in phi [n, p]."""
         return self.near.start_of(at) + (self.near.S @ self.y)[at]
 
-    def doubt(self, prior: float) -> float:
-        """Times that the prior is stronger than the changes found in the bodies leave likely, at least one.
+    def inflation(self, prior: float) -> float:
+        """Factor by which the prior is stronger than the changes found in the bodies make likely, at least one.
 
         A strength is an expectation of changes of the size 1 / sqrt(strength).
         """
-        told = float((self.facts.e / (self.facts.e + prior)).sum()) - len(self.near.effects)
-        return max(1.0, prior * self.near.strength * self.near.apart(self.y) / max(told, 1.0))
+        effective = float((self.facts.e / (self.facts.e + prior)).sum()) - len(self.near.effects)
+        return max(1.0, prior * self.near.strength * self.near.apart(self.y) / max(effective, 1.0))
 
-    def spread(self, prior: float, doubt: float = 1.0) -> Tensor:
+    def spread(self, prior: float, inflation: float = 1.0) -> Tensor:
         """F [k, t], the covariance of the errors being F F^T, linearised at the description.
 
         It is that of the noise, and of what the prior hides where it is stronger than likely: with e the information
-        in a combination of parameters, (e + doubt prior) / (e + prior)^2.
+        in a combination of parameters, (e + inflation prior) / (e + prior)^2.
         """
         e = self.facts.e
-        return self.near.S @ self.facts.V * ((e + doubt * prior).sqrt() / (e + prior))
+        return self.near.S @ self.facts.V * ((e + inflation * prior).sqrt() / (e + prior))
 
 
 def solve(
@@ -77,7 +77,7 @@ def solve(
         correlation: correlation times of the residuals in rows [n]: so many samples say as much as one.
         at: places of the parameters of each joint [n, p].
         prior: weight of the distance.
-        say: is told how far it is.
+        say: is called with the progress.
     """
     S, independent = near.S[at], samples / correlation
     own = shifted(sums, near.start_of(at)) / correlation[:, None, None]

@@ -25,7 +25,7 @@ from torchdq.robot import Robot
 
 FORCE = ("N m", "N")  # units of joints that turn, and that slide
 STILL = 1e-9  # least speed by which the sign of friction is divided [rad/s or m/s]
-WAVE = 0.125  # least deviation of a wave from its mean, relative to that in whole periods, for it to be told
+WAVE = 0.125  # least deviation of a wave from its mean, relative to that in whole periods, to be identifiable
 
 
 class TermRows(NamedTuple):
@@ -71,25 +71,26 @@ class Term(NamedTuple):
         """Whether the number is below one."""
         return self.effect is not None and self.parameter in self.effect(1.0).FRACTIONS
 
-    def size(self, unit: Tensor, torque: Tensor, told: Tensor) -> Tensor:
+    def size(self, unit: Tensor, torque: Tensor, identifiable: Tensor) -> Tensor:
         """Torque per unit [n] at which the number makes the torque that it is expected to make.
 
         It is the root mean square over the rows, so that terms that the rows cannot separate share it evenly. But a
-        fraction is expected to be at most one. Where the rows do not tell the term at all, a number that is a torque is
-        expected to be at most the measured torque of its joint, others as if the joint moved at 1 rad/s or 1 rad/s^2.
+        fraction is expected to be at most one. Where the rows do not identify the term at all, a number that is a
+        torque is expected to be at most the measured torque of its joint, others as if the joint moved at 1 rad/s or
+        1 rad/s^2.
 
         Args:
             unit: root mean squares of the torques per unit [n].
             torque: root mean squares of the measured torques [n].
-            told: joints whose rows can tell the term [n].
+            identifiable: joints whose rows identify the term [n].
         """
-        return unit.maximum(torque) if self.fraction else torch.where(told, unit, unit.clamp_min(1.0))
+        return unit.maximum(torque) if self.fraction else torch.where(identifiable, unit, unit.clamp_min(1.0))
 
-    def told(self, rows: TermRows) -> Tensor:
-        """Joints [n] whose rows can tell the term from others: they move, and for a wave through enough of a period.
+    def identifiable(self, rows: TermRows) -> Tensor:
+        """Joints [n] whose rows identify the term: they move, and for a wave through enough of a period.
 
         In a small part of a period a wave looks like a constant torque and a slope, as gravity does. In least squares
-        of sine and cosine beside a constant, the errors go as one over the least standard deviation of
+        of sine and cosine with a constant, the errors go as one over the least standard deviation of
         a sin(x) + b cos(x), with a^2 + b^2 = 1. That is 1 / sqrt(2) in whole periods, and must be `WAVE` / sqrt(2) at
         least, as in about a quarter of a period.
         """

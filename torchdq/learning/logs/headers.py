@@ -1,6 +1,6 @@
-"""Search for the columns of a layout in the header of a log; and what is said where some are not there.
+"""Columns of a layout in the header of a log, and errors about those that are missing.
 
-A log with half of its columns still has its use: an error names the models that what is there can tell.
+A log with half of its columns still has its use: an error names the models that are possible with what is there.
 """
 
 import re
@@ -8,10 +8,16 @@ from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 
-from torchdq.learning.logs.layouts import NEEDED, SIGNALS, Layout, LogError, is_number, listed
+from torchdq.base.findings import Finding
+from torchdq.learning.logs.errors import LogError
+from torchdq.learning.logs.layouts import NEEDED, SIGNALS, Layout, is_number, listed
 
 SEPARATORS = {";": "semicolons", "\t": "tabs", " ": "spaces", "|": "bars"}  # where commas are needed
 CURRENT = re.compile(r"cur(rent)?(?![a-z])|\bi_?\[?\d", re.IGNORECASE)  # in names of columns of motor currents
+OTHER_NAMES = (
+    "other names are given by Layout(columns=...), e.g. {'q': 'position_{0}'}",
+    "other names are given by --columns, e.g. --columns q position_{0}",
+)
 
 
 def find_columns(where: str, layout: Layout, heads: list[str]) -> tuple[Layout, dict[str, list[str]]]:
@@ -32,81 +38,112 @@ def find_columns(where: str, layout: Layout, heads: list[str]) -> tuple[Layout, 
         columns.pop("qdd", None)
     if "command" not in layout.columns:
         columns.pop("command", None)
+    fault = _twice(columns) or _missing(columns, counts, heads, joints == n)
+    if not fault and joints != n:
+        fault = Finding("log.joints", "", f"{n} joints are needed", str(joints), value=joints)
+    if not fault and not layout.joints:
+        fault = _more(columns, counts, layout, n)
+    for signal, names in columns.items():
+        if not fault and signal != "time" and len(names) != n:
+            expected = f"{n} columns of {signal} are needed, one for each joint"
+            fault = Finding("column.count", "", expected, str(len(names)), value=len(names))
+    if fault:
+        raise LogError(fault, where=where)
+    return layout if layout.joints else replace(layout, joints=n), columns
+
+
+def _twice(columns: dict[str, list[str]]) -> Finding | None:
+    """Fault of columns that would be read for several signals or joints."""
     readers = Counter(name for names in columns.values() for name in names)
-    if twice := [name for name, count in readers.items() if count > 1]:
-        raise LogError(
-            f"{where}: {', '.join(map(repr, twice))} would be read for several signals or joints; see columns"
-        )
-    needed = ", ".join(_range(columns[signal]) for signal in NEEDED if signal in columns)
+    if not (twice := [name for name, count in readers.items() if count > 1]):
+        return None
+    claim = f"{', '.join(map(repr, twice))} would be read for several signals or joints"
+    return Finding("column.shared", "", claim, "", "see columns", "see --columns")
+
+
+def _missing(columns: dict[str, list[str]], counts: Counter[str], heads: list[str], whole: bool) -> Finding | None:
+    """Fault of the first column that is not there, or there twice; `whole` if positions of all joints are there."""
+    names = ((names[0], names[-1]) for signal in NEEDED if (names := columns.get(signal)))
+    needed = ", ".join(first if first == last else f"{first} ... {last}" for first, last in names)
     for name in (name for names in columns.values() for name in names):
         if counts[name] != 1:
-            found = f"there are several columns {name!r}" if name in counts else f"there is no column {name!r}"
-            cure = _cure(name, heads)
+            claim = f"there are several columns {name!r}" if name in counts else f"there is no column {name!r}"
+            code = "column.repeated" if name in counts else "column.missing"
+            fault = Finding(code, "", f"{claim}; needed are columns {needed}", "", *_cure(name, heads))
             lost = [signal for signal, names in columns.items() if not counts.keys() & {*names}]
-            if joints == n and name not in counts and (way := still_possible(lost, heads)):
-                cure += f"; {way}"
-            raise LogError(f"{where}: {found}; needed are columns {needed}; {cure}")
-    if joints != n:
-        raise LogError(f"{where}: {joints} joints, expected {n}")
-    for signal in columns if not layout.joints else ():
+            return missing_signals(fault, lost, heads) if whole and name not in counts else fault
+    return None
+
+
+def _more(columns: dict[str, list[str]], counts: Counter[str], layout: Layout, n: int) -> Finding | None:
+    """Fault of signals that have columns of more joints than there are positions of."""
+    for signal in columns:
         for more in layout.names(signal, n + 1)[n:]:
             if signal != "time" and more in counts:
                 cure = f"positions of all joints are needed, or Layout(joints={n}), which leaves the others out"
-                raise LogError(f"{where}: there is {more!r}, but positions of {n} joints; {cure}")
-    for signal, names in columns.items():
-        if signal != "time" and len(names) != n:
-            raise LogError(f"{where}: {len(names)} columns of {signal}, expected {n}, one for each joint")
-    return replace(layout, joints=n) if not layout.joints else layout, columns
+                some = ",".join(columns[signal])
+                option = f"positions of all joints are needed, or the names of some: --columns {signal} {some}"
+                return Finding("column.more", "", f"there is {more!r}, but positions of {n} joints", "", cure, option)
+    return None
 
 
-def still_possible(lost: Collection[str], names: Sequence[str]) -> str:
-    """Words for what a log without some of its signals is still good for, and how to say so; "" if for nothing.
+def missing_signals(fault: Finding, lost: Collection[str], names: Sequence[str]) -> Finding:
+    """Fault with cures that name the models which are possible without some signals.
 
     Args:
+        fault: the column or array that is missing.
         lost: signals of which nothing is there.
         names: names of what is there.
     """
-    if "q" in lost or "time" in lost:
-        return ""
-    if "tau" in lost:
-        currents = [name for name in names if CURRENT.search(name)]
-        none = "columns={'qd': None, 'tau': None}" if "qd" in lost else "columns={'tau': None}"
-        velocities = ", 'qd': None" if "qd" in lost else ""
-        if currents:
-            return (
-                f"if {currents[0]!r} is a motor current, read it by columns={{'tau': ...{velocities}}} and gain=None, "
-                "and identify(robot, motions, gains=True) finds torques per ampere"
-            )
-        return (
-            f"without torques, Layout({none}) reads the motion alone: smooth makes velocities and accelerations of it, "
-            "and fit_rollout fits a simulation to the positions if the commands are known (columns={'command': ...})"
-        )
-    if "qd" in lost:
-        return (
+    if "q" in lost or "time" in lost or not {"qd", "tau"} & {*lost}:
+        return fault
+    velocities = "qd" in lost
+    current = next((name for name in names if CURRENT.search(name)), None)
+    if "tau" not in lost:
+        cure = (
             "if velocities were not recorded, Layout(columns={'qd': None}) reads positions and torques: smooth makes "
             "velocities of the positions, and identify and fit work as with recorded ones"
         )
-    return ""
+        option = "if velocities were not recorded, --columns qd none reads positions and torques"
+    elif current is not None:
+        given = ", 'qd': None" if velocities else ""
+        cure = (
+            f"if {current!r} is a motor current, read it by columns={{'tau': ...{given}}} and gain=None, "
+            "and identify(robot, motions, Model(gains=True)) finds torques per ampere"
+        )
+        given = " qd none" if velocities else ""
+        option = (
+            f"if {current!r} is a motor current, read it by --columns tau NAME{given}, and --estimate-gains finds "
+            "torques per ampere"
+        )
+    else:
+        none = "columns={'qd': None, 'tau': None}" if velocities else "columns={'tau': None}"
+        cure = (
+            f"without torques, Layout({none}) reads the motion alone: smooth makes velocities and accelerations of it, "
+            "and fit_rollout fits a simulation to the positions if the commands are known (columns={'command': ...})"
+        )
+        option = (
+            "torques are needed to identify a robot; without them fit_rollout, in Python, fits a scene to positions"
+        )
+    return fault._replace(cure=f"{fault.cure}; {cure}", option=f"{fault.option or fault.cure}; {option}")
 
 
-def _range(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"
-
-
-def _cure(name: str, heads: list[str]) -> str:
-    """Probable reason why a column is not there, and what to do."""
+def _cure(name: str, heads: list[str]) -> tuple[str, str]:
+    """Probable reason why a column is not there, and what to do, in Python's words and in options."""
+    same = ""
     if heads[0].startswith("#"):
-        return f"the line is {heads[0][:40]!r} ...; remove the lines before the header"
-    if '"' in heads[0]:
-        return "quotation marks must be removed"
-    if len(heads) == 1:
-        for separator, word in SEPARATORS.items():
-            if separator in heads[0]:
-                return f"columns are separated by {word}; commas are needed"
-    if all(is_number(head) for head in heads):
-        return "the line holds numbers; a file without a header needs a Layout(header=False, joints=...)"
-    for head in heads:
-        if head.lower() == name.lower() and head != name:
-            return f"there is {head!r}; capitals count"
-    example = "{'q': 'position_{0}'}"
-    return f"other names are given by Layout(columns=...), e.g. {example}; found {listed(heads)}"
+        same = f"the line is {heads[0][:40]!r} ...; remove the lines before the header"
+    elif '"' in heads[0]:
+        same = "quotation marks must be removed"
+    elif len(heads) == 1 and (words := [word for separator, word in SEPARATORS.items() if separator in heads[0]]):
+        same = f"columns are separated by {words[0]}; commas are needed"
+    elif all(is_number(head) for head in heads):
+        line = "the line holds numbers; a file without a header needs"
+        return f"{line} a Layout(header=False, joints=...)", f"{line} --blocks, e.g. --blocks q qd tau"
+    elif close := [head for head in heads if head.lower() == name.lower() and head != name]:
+        same = f"there is {close[0]!r}; capitals count"
+    return (
+        (same, same)
+        if same
+        else (f"{OTHER_NAMES[0]}; found {listed(heads)}", f"{OTHER_NAMES[1]}; found {listed(heads)}")
+    )

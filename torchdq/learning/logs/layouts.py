@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from torchdq.base.checks import names_of
-from torchdq.errors import ArgumentError, TorchdqError
+from torchdq.base.findings import Finding
+from torchdq.errors import ArgumentError
 
 SIGNALS = ("time", "q", "qd", "tau", "qdd", "command")
 NEEDED = SIGNALS[:4]  # unless a layout says that they were not recorded
@@ -19,14 +20,6 @@ BLOCKS = NEEDED[1:]  # what the first three of a layout's blocks hold
 SPARE = SIGNALS[2:]  # signals that a layout may say were not recorded
 SHOWN = 8  # most names of columns that a message holds
 NUMBER = re.compile(r"\{(\d+)\}")  # place of a joint's number in a pattern, and the number of the first joint
-
-
-class LogError(TorchdqError, ValueError):
-    """Unusable log; the message names the file, and the row and column where there is one."""
-
-
-class MissingLogError(LogError, FileNotFoundError):
-    """Log in a file that does not exist."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +85,9 @@ class Layout:
             expected = "a mapping such as {'q': 'position_{0}'}"
             raise ArgumentError(f"columns must be {expected}, found {self.columns!r}")
         if any(given is not None for given in self.columns.values()) and not self.header:
-            raise ArgumentError("columns needs a header to find the names in; found header=False")
+            claim = "columns needs a header to find the names in; found header=False"
+            option = "--blocks says that there is no header; give --columns or --blocks, not both"
+            raise ArgumentError(Finding("layout.header", "", claim, "", "", option))
         if not self.header and not self.joints:
             raise ArgumentError("joints must be given for a file without a header; found joints=0, header=False")
         names_of("columns", tuple(self.columns), SIGNALS, "signal")
@@ -103,17 +98,18 @@ class Layout:
                 continue
             if not given or not isinstance(given, str | Sequence) or not all(isinstance(one, str) for one in given):
                 expected = "a name, a pattern such as 'position_{0}' or a list of names"
-                raise ArgumentError(f"{name} must be {expected}, found {given!r}")
+                raise ArgumentError(_columns_fault(f"{name} must be {expected}, found {given!r}", signal))
             if signal == "time" and not isinstance(given, str):
-                raise ArgumentError(f"{name} must be one name, found {given!r}")
+                raise ArgumentError(_columns_fault(f"{name} must be one name, found {given!r}", signal))
             if not isinstance(given, str):
-                lists[name] = len(given)
-        for name, count in lists.items():
-            first, most = next(iter(lists.items()))
+                lists[signal] = len(given)
+        for signal, count in lists.items():
+            name, (first, most) = f"columns[{signal!r}]", next(iter(lists.items()))
             if self.joints and count != self.joints:
-                raise ArgumentError(f"{name} has {count} names, expected {self.joints}, the number of joints")
+                claim = f"{name} has {count} names, expected {self.joints}, the number of joints"
+                raise ArgumentError(_columns_fault(claim, signal))
             if count != most:
-                raise ArgumentError(f"{name} has {count} names, {first} {most}")
+                raise ArgumentError(_columns_fault(f"{name} has {count} names, columns[{first!r}] {most}", signal))
         counts = Counter(one for x in self.columns.values() for one in ([x] if isinstance(x, str) else x or ()))
         if twice := [name for name, count in counts.items() if count > 1]:
             raise ArgumentError(
@@ -150,7 +146,7 @@ class Layout:
                 raise ArgumentError(f"transmission must be {expected}, none of them zero, found {found}")
             object.__setattr__(self, "transmission", found)
         if coupled and not np.all(self.known_gains) and "tau" in self.at_motors:
-            cure = "give gains of data sheets; identify(..., gains=True) then finds a factor for each joint"
+            cure = "give gains of data sheets; Model(gains=True) of identify then finds a factor for each joint"
             raise ArgumentError(f"gain must be known where a transmission couples joints, found {self.gain}; {cure}")
         if self.zero and not self.transmission:
             raise ArgumentError(f"zero needs a transmission, e.g. ones, found zero={self.zero} and transmission=()")
@@ -187,13 +183,18 @@ class Layout:
     @property
     def order(self) -> list[str]:
         """Columns of a file without a header: the time and all columns of the blocks."""
-        lost = [block for signal, block in zip(BLOCKS, self.blocks, strict=False) if not self.has(signal)]
-        blocks = [block for block in self.blocks if block not in lost]
+        absent = [block for signal, block in zip(BLOCKS, self.blocks, strict=False) if not self.has(signal)]
+        blocks = [block for block in self.blocks if block not in absent]
         return ["time", *(f"{block}{joint}" for block in blocks for joint in range(1, self.joints + 1))]
 
     def _given(self, signal: str) -> str | Sequence[str] | None:
         block = dict(zip(BLOCKS, self.blocks, strict=False)).get(signal, signal)
         return self.columns.get(signal, "time" if signal == "time" else f"{block}{{1}}")
+
+
+def _columns_fault(claim: str, signal: str) -> Finding:
+    """Fault of the names that a layout has for a signal."""
+    return Finding("layout.columns", "", claim, "", "", f"give other names by --columns {signal} NAMES")
 
 
 def _gains(given: Any) -> tuple[float | None, ...] | None:

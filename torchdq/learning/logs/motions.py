@@ -1,10 +1,9 @@
 """Motions of robot arms from their logs: on an even time base, filtered, differentiated, split into training and test.
 
-log = read("arm.csv")             # `torchdq.learning.logs.read`: checked, torques in N m, on its own uneven time stamps
-motion = smooth(log)              # even steps, filtered without delay, with accelerations
-before, after = cut(motion, 0.6)  # to fit and to test; with several motions: hold_out
-train = samples(before)           # tensors, for `torchdq.learning.fit`
-signs = directions(before)        # signs of the velocities, filtered as the torques, for `torchdq.learning.identify`
+log = read_log("arm.csv")                     # checked, torques in N m, on its own uneven time stamps
+motion = smooth(log)                          # even steps, zero-phase filtered, with accelerations
+train, test = train_test_split(motion, 0.6)   # a part of one motion, or whole ones of several
+data = stack_samples(train)                   # tensors, for `torchdq.learning.fit`
 """
 
 from collections.abc import Sequence
@@ -13,11 +12,12 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from torchdq.base.checks import is_number, require_count, require_number
+from torchdq.base.checks import is_number, require_number
+from torchdq.base.findings import Finding
 from torchdq.base.tables import summary
 from torchdq.errors import ArgumentError
+from torchdq.learning.logs.errors import LogError
 from torchdq.learning.logs.filters import derivative, even, low_pass
-from torchdq.learning.logs.layouts import LogError
 from torchdq.learning.logs.read import Log
 from torchdq.learning.logs.samples import UNITS, Samples
 
@@ -26,6 +26,7 @@ SIGN_WIDTH = 1e-3  # velocity below which its sign is rounded, small beside what
 CUTOFF = 8.0  # [Hz] usual for the filters: arms of a metre hardly move faster
 SETTLED = 1.5  # periods of the cutoff at rest after which the filter has forgotten that the log begins or ends there
 FEWEST = 15  # rows that the filter needs
+TRAIN = 2 / 3  # usual share of a single motion to learn from
 AT_REST = 0.02  # [rad/s] speed of every joint below which a row is left out: static friction may be anything there
 
 
@@ -38,7 +39,7 @@ class Motion(NamedTuple):
     qdd: np.ndarray  # [rad/s^2 or m/s^2]
     tau: np.ndarray | None  # [N m or N]; None: not recorded
     direction: np.ndarray | None = None  # sign of the velocity, filtered as the torques; None: unknown
-    width: float = SIGN_WIDTH  # velocity below which that sign is rounded [rad/s or m/s]
+    sign_width: float = SIGN_WIDTH  # velocity below which that sign is rounded [rad/s or m/s]
     cutoff_qd: float | None = None  # filter of positions, velocities and accelerations [Hz]; None: unfiltered
     cutoff_tau: float | None = None  # filter of torques and directions [Hz]; None: unfiltered
     known_gains: bool | tuple[bool, ...] = True  # whether `tau` is in N m, of all joints or of each, or e.g. in A
@@ -57,27 +58,29 @@ def smooth(
     cutoff_qd: float | None = None,
     cutoff_tau: float | None = None,
     rate: float | None = None,
-    width: float = SIGN_WIDTH,
+    sign_width: float = SIGN_WIDTH,
     delay: float = 0.0,
 ) -> Motion:
-    """Motion of a log in even steps of its median step, without the rows at rest and ends that the filter spoils.
+    """Zero-phase filtered and differentiated motion of a log, in even steps, as `Motion`.
 
-    All signals pass a Butterworth filter of fourth order forwards and backwards, so that none lags behind another.
-    Velocities that were not recorded are derivatives of the filtered positions, accelerations of the filtered
-    velocities. An end at rest goes on at rest, so that nothing of the motion is lost there.
+    Signals are interpolated at the median step of the log and pass a Butterworth filter of fourth order forwards and
+    backwards, so that none lags behind another. Velocities that were not recorded are derivatives of the filtered
+    positions, accelerations of the filtered velocities. Rows at rest are left out, and so are ends that the filter
+    spoils; an end at rest is continued at rest, so that nothing of the motion is cut off there.
 
     The filter rounds the step that dry friction makes in the torque where a velocity changes its sign. `direction` is
-    that sign, rounded alike: with it `identify` finds the friction without bias, if its shape is right (`directions`).
+    that sign, filtered in the same way: with it `identify` finds the friction without bias, if its shape is right.
 
     Args:
-        log: from `read`.
+        log: from `read_log`.
         cutoff_qd: low-pass frequency of positions, velocities and accelerations [Hz]; None: the layout's, or 8 Hz, or a
             quarter of the rate of the rows where that is less. The motion tells which.
         cutoff_tau: low-pass frequency of torques [Hz]; None: likewise.
         rate: rows per second that are kept [Hz], rounded to every so many of the log; None: all. Twice the cutoff are
             independent, as `identify` takes them to be for its standard errors.
-        width: velocity below which dry friction is viscous [rad/s or m/s], as in `torchdq.effects.Coulomb`, whose
-            default is 0.01: the default here is a sharp step, for logs of real arms. Only `direction` depends on it.
+        sign_width: velocity below which dry friction is viscous [rad/s or m/s], the width of `torchdq.effects.Coulomb`,
+            whose default is 0.01: the default here is a sharp step, for logs of real arms. Only `direction` depends on
+            it.
         delay: time by which the torques lag the positions in the log, which they are moved back by [s]; `identify`
             warns where it finds one.
     Raises:
@@ -86,31 +89,40 @@ def smooth(
         MissingLibraryError: scipy is not installed.
 
     >>> import numpy as np
-    >>> from torchdq.learning import read
+    >>> from torchdq.learning import read_log
     >>> time = np.arange(0, 10, 0.01)[:, None]
-    >>> log = read({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
+    >>> log = read_log({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
     >>> smooth(log).qdd.shape
     (886, 1)
     """
     if not isinstance(log, Log):
-        raise ArgumentError(f"log must be a Log, found {type(log).__name__}; read(path) reads one")
+        raise ArgumentError(f"log must be a Log, found {type(log).__name__}; read_log(path) reads one")
     step = float(np.median(np.diff(log.time)))
     cutoff_qd = _cutoff("cutoff_qd", cutoff_qd, log.layout.cutoff_qd, step)
     cutoff_tau = _cutoff("cutoff_tau", cutoff_tau, log.layout.cutoff_tau, step)
-    if rate is not None:
-        require_number("rate", rate, positive=True)
-    every = 1.0 if rate is None else max(1.0, np.rint(1 / rate / step))
-    require_number("width", width, positive=True)
+    for name, x in (("rate", rate), ("sign_width", sign_width)):
+        if x is not None:
+            require_number(name, x, positive=True)
     require_number("delay", delay)
     time = np.arange(log.time[0] - min(delay, 0.0), log.time[-1] - max(delay, 0.0), step)
     if not len(time):
-        raise ArgumentError(
-            f"delay must be shorter than the log, which lasts {log.time[-1] - log.time[0]:.3g} s, found {delay!r}"
-        )
+        lasts = f"{log.time[-1] - log.time[0]:.3g} s"
+        claim = f"delay must be shorter than the log, which lasts {lasts}, found {delay!r}"
+        raise ArgumentError(Finding("delay.long", "", claim, "", "", "give a shorter --delay", value=delay))
     lowest = cutoff_qd if log.tau is None else min(cutoff_qd, cutoff_tau)
-    reach, seconds = _reach(lowest), time[-1] - time[0]
-    if seconds <= reach or len(time) <= FEWEST:
-        raise _too_short(log, 3 * reach)
+    if time[-1] - time[0] <= _reach(lowest) or len(time) <= FEWEST:
+        raise _too_short(log, 3 * _reach(lowest))
+    whole = _filtered(log, time, (cutoff_qd, cutoff_tau), sign_width, delay)
+    used = _used(log, whole, lowest, 1.0 if rate is None else max(1.0, np.rint(1 / rate / step)))
+    if not used.any():
+        lasts = f"{time[-1] - time[0]:.3g} s of motion"
+        raise ArgumentError(f"rate must leave rows of the {lasts}, found {rate:g} Hz, which leaves none")
+    return _rows(whole, used)
+
+
+def _filtered(log: Log, time: np.ndarray, cutoffs: tuple[float, float], sign_width: float, delay: float) -> Motion:
+    """Whole motion of a log at even times, filtered at the cutoffs of velocities and torques."""
+    (cutoff_qd, cutoff_tau), step = cutoffs, float(np.median(np.diff(log.time)))
 
     def filtered(x: np.ndarray, cutoff: float) -> np.ndarray:
         return low_pass(x, cutoff, step, "smooth")
@@ -121,29 +133,29 @@ def smooth(
     q = filtered(drawn(log.q), cutoff_qd)
     qd = derivative(time, q, "smooth") if log.qd is None else filtered(drawn(log.qd), cutoff_qd)
     qdd = derivative(time, qd, "smooth") if log.qdd is None else filtered(drawn(log.qdd), cutoff_qd)
-    tau = None if log.tau is None else filtered(drawn(log.tau, delay), cutoff_tau)
-    direction = None if log.tau is None else filtered(qd / np.hypot(qd, width), cutoff_tau)
+    found = Motion(time, q, qd, qdd, None, None, sign_width, cutoff_qd, None, log.layout.known_gains, str(log.path))
+    if log.tau is None:
+        return found
+    tau, direction = drawn(log.tau, delay), qd / np.hypot(qd, sign_width)
+    return found._replace(
+        tau=filtered(tau, cutoff_tau), direction=filtered(direction, cutoff_tau), cutoff_tau=cutoff_tau
+    )
 
-    moves = abs(qd).max(axis=-1) > AT_REST
+
+def _used(log: Log, whole: Motion, lowest: float, every: float) -> np.ndarray:
+    """Rows that move and that the filter does not spoil, every so many of them [rows]."""
+    time, reach = whole.time, _reach(lowest)
+    moves = abs(whole.qd).max(axis=-1) > AT_REST
     since, left = time - time[0], time[-1] - time
     first, last = (reach if moves[at <= SETTLED / lowest].any() else 0.0 for at in (since, left))
-    if seconds <= first + reach + last:
+    if time[-1] - time[0] <= first + reach + last:
         raise _too_short(log, first + reach + last)
-    used = moves & (since >= first) & (left >= last)
+    used: np.ndarray = moves & (since >= first) & (left >= last)
     if not used.any():
-        raise LogError(f"{log.path}: no joint ever moves faster than {AT_REST} rad/s")
-    used &= np.arange(len(time)) % every == 0
-    if not used.any():
-        raise ArgumentError(
-            f"rate must leave rows of the {seconds:.3g} s of motion, found {rate:g} Hz, which leaves none"
+        raise LogError(
+            Finding("log.still", "", f"no joint ever moves faster than {AT_REST} rad/s"), where=str(log.path)
         )
-    whole = Motion(
-        *(time, q, qd, qdd, tau, direction, width, cutoff_qd),
-        cutoff_tau=None if tau is None else cutoff_tau,
-        known_gains=log.layout.known_gains,
-        name=str(log.path),
-    )
-    return _rows(whole, used)
+    return used & (np.arange(len(time)) % every == 0)
 
 
 def _cutoff(name: str, asked: float | None, usual: float | None, step: float) -> float:
@@ -152,7 +164,8 @@ def _cutoff(name: str, asked: float | None, usual: float | None, step: float) ->
     if cutoff is None:
         return min(CUTOFF, 0.25 / step)
     if not is_number(cutoff) or not 0 < cutoff < 0.5 / step:
-        raise ArgumentError(f"{name} must be between 0 and {0.5 / step:.4g} Hz, half the rate, found {cutoff!r}")
+        claim = f"{name} must be between 0 and {0.5 / step:.4g} Hz, half the rate"
+        raise ArgumentError(Finding("cutoff.range", "", claim, repr(cutoff), "", "give another --cutoff"))
     return float(cutoff)
 
 
@@ -162,80 +175,76 @@ def _reach(cutoff: float | None) -> float:
 
 
 def _too_short(log: Log, needed: float) -> LogError:
-    return LogError(f"{log.path}: {log.time[-1] - log.time[0]:.3g} s of motion, more than {needed:.3g} s are needed")
+    seconds = log.time[-1] - log.time[0]
+    fault = Finding(
+        "log.short", "", f"more than {needed:.3g} s of motion are needed", f"{seconds:.3g} s", value=seconds
+    )
+    return LogError(fault, where=str(log.path))
 
 
-def cut(motion: Motion, share: float) -> tuple[Motion, Motion]:
-    """First part of a motion, with a share of the rows, and the rest.
+def train_test_split(
+    motions: Motion | Sequence[Motion], share: float = TRAIN, seed: int | None = None
+) -> tuple[list[Motion], list[Motion]]:
+    """Motions to learn from and motions to test on.
 
-    What the filter has mixed with the first part belongs to neither: `ENDS` seconds, or three periods of its cutoff.
+    Several motions are split as wholes, because rows of one motion resemble each other: at least one is on each side.
+    A single one is cut; what the filter has mixed with its first part belongs to neither, 0.5 s or three periods of its
+    cutoff.
 
     Args:
-        motion: from `smooth`.
-        share: fraction of the rows that the first part gets, between 0 and 1.
+        motions: one motion from `smooth`, or several.
+        share: fraction that is learned from, between 0 and 1: of the motions, rounded, or of the rows of a single one.
+        seed: seed by which several motions are drawn; None: the last ones are tested on.
     Raises:
-        ArgumentError: a part would be empty.
+        ArgumentError: there is no motion, the share is not between 0 and 1, or a part would be empty.
 
     >>> import numpy as np
-    >>> from torchdq.learning import read
+    >>> from torchdq.learning import read_log
     >>> time = np.arange(0, 10, 0.01)[:, None]
-    >>> log = read({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
+    >>> log = read_log({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
     >>> motion = smooth(log)
-    >>> first, rest = cut(motion, 0.7)
+    >>> (first,), (rest,) = train_test_split(motion, 0.7)
     >>> len(first.time) > len(rest.time)
     True
+    >>> train, test = train_test_split([motion, motion, motion])
+    >>> len(train), len(test)
+    (2, 1)
     """
-    if not isinstance(motion, Motion):
-        raise ArgumentError(f"motion must be a Motion, found {type(motion).__name__}; smooth(log) makes one")
+    several = _several(motions)
+    if not is_number(share) or not 0 < share < 1:
+        raise ArgumentError(f"share must be between 0 and 1, found {share!r}")
+    if len(several) == 1:
+        return _cut(several[0], share)
+    count = min(max(round(share * len(several)), 1), len(several) - 1)
+    order = range(len(several)) if seed is None else np.random.default_rng(seed).permutation(len(several)).tolist()
+    train, test = sorted(order[:count]), sorted(order[count:])
+    return [several[i] for i in train], [several[i] for i in test]
+
+
+def _cut(motion: Motion, share: float) -> tuple[list[Motion], list[Motion]]:
+    """First part of a motion, with a share of the rows, and the rest."""
     rows = len(motion.time)
-    require_number("share", share)
     first = np.arange(rows) < share * rows
     cutoffs = [cutoff for cutoff in (motion.cutoff_qd, motion.cutoff_tau) if cutoff is not None]
     gap = _reach(min(cutoffs, default=None))
     second = motion.time > motion.time[first].max(initial=-np.inf) + gap
-    if not (0 < share < 1 and first.any() and second.any()):
-        expected = f"leave rows on both sides of the cut of {rows} rows, and of {gap:.3g} s after it"
-        raise ArgumentError(f"share must {expected}, found {share}")
-    return _rows(motion, first), _rows(motion, second)
+    if not (first.any() and second.any()):
+        claim = (
+            f"share must leave rows on both sides of the cut of {rows} rows, and of {gap:.3g} s after it, found {share}"
+        )
+        raise ArgumentError(
+            Finding(
+                "motion.short", motion.name, claim, "", "", "give a longer log, or another one to test on by --test"
+            )
+        )
+    return [_rows(motion, first)], [_rows(motion, second)]
 
 
 def _rows(motion: Motion, rows: np.ndarray) -> Motion:
     return Motion._make(x[rows] if isinstance(x, np.ndarray) else x for x in motion)
 
 
-def hold_out(motions: Sequence[Motion], share: float, seed: int = 0) -> tuple[list[Motion], list[Motion]]:
-    """Motions to fit and motions to test, chosen at random: whole ones, because rows of one motion resemble each other.
-
-    Args:
-        motions: at least two.
-        share: fraction of the motions that is held out for the test, rounded; at least one is, and not all.
-        seed: seed of the choice.
-    Raises:
-        ArgumentError: there are fewer than two motions, or the share is not between 0 and 1.
-
-    >>> import numpy as np
-    >>> from torchdq.learning import read
-    >>> time = np.arange(0, 10, 0.01)[:, None]
-    >>> log = read({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
-    >>> motion = smooth(log)
-    >>> fitted, tested = hold_out([motion, motion, motion], share=0.3)
-    >>> len(fitted), len(tested)
-    (2, 1)
-    """
-    if len(motions) < 2:
-        raise ArgumentError(f"motions must be at least two to hold one out, found {len(motions)}; cut a single one")
-    if not is_number(share) or not 0 < share < 1:
-        raise ArgumentError(f"share must be between 0 and 1, found {share!r}")
-    require_count("seed", seed, least=0)
-    count = min(max(round(share * len(motions)), 1), len(motions) - 1)
-    held = set(np.random.default_rng(seed).permutation(len(motions))[:count].tolist())
-    parts: tuple[list[Motion], list[Motion]] = ([], [])
-    for i, motion in enumerate(motions):
-        parts[i in held].append(motion)
-    return parts
-
-
-def samples(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.float64) -> Samples:
+def stack_samples(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.float64) -> Samples:
     """Rows of one or several motions as tensors `[N, n]`, in their order.
 
     Args:
@@ -246,11 +255,11 @@ def samples(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.float
             of unknown gains.
 
     >>> import numpy as np
-    >>> from torchdq.learning import read
+    >>> from torchdq.learning import read_log
     >>> time = np.arange(0, 10, 0.01)[:, None]
-    >>> log = read({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
+    >>> log = read_log({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
     >>> motion = smooth(log)
-    >>> samples([motion, motion]).tau.shape
+    >>> stack_samples([motion, motion]).tau.shape
     torch.Size([1772, 1])
     """
     several = _several(motions)
@@ -269,34 +278,12 @@ def require_torques(motions: Sequence[Motion]) -> None:
         name = motion.name and f" of {motion.name}"
         if motion.tau is None:
             cure = "without torques, fit_rollout fits a simulation to positions and commands"
-            raise ArgumentError(f"motions must have torques, found none in that{name}; {cure}")
+            claim = f"motions must have torques, found none in that{name}"
+            raise ArgumentError(Finding("torques.missing", "", claim, "", cure))
         if not np.all(motion.known_gains):
-            cure = "give Layout(gain=...), or identify(robot, motions, gains=True), which finds them"
-            raise ArgumentError(f"motions must have torques, found efforts of unknown gains in that{name}; {cure}")
-
-
-def directions(motions: Motion | Sequence[Motion], dtype: torch.dtype = torch.float64) -> torch.Tensor:
-    """Signs of the velocities, filtered as the torques are, [N, n], of the rows of `samples`; for `identify`.
-
-    Args:
-        motions: one motion from `smooth`, or several of the same arm.
-        dtype: dtype of the tensor.
-    Raises:
-        ArgumentError: as `samples`, or a motion has no directions.
-
-    >>> import numpy as np
-    >>> from torchdq.learning import read
-    >>> time = np.arange(0, 10, 0.01)[:, None]
-    >>> log = read({"time": time[:, 0], "q": np.sin(time), "qd": np.cos(time), "tau": np.cos(time)})
-    >>> motion = smooth(log)
-    >>> directions(motion).shape
-    torch.Size([886, 1])
-    """
-    parts = [motion.direction for motion in _several(motions)]
-    known = [x for x in parts if x is not None]
-    if len(known) < len(parts):
-        raise ArgumentError("motions must have the field direction; smooth(log) makes it where there are torques")
-    return torch.as_tensor(np.concatenate(known), dtype=dtype)
+            cure = "give Layout(gain=...), or identify(robot, motions, Model(gains=True)), which finds them"
+            claim = f"motions must have torques, found efforts of unknown gains in that{name}"
+            raise ArgumentError(Finding("gains.unknown", "", claim, "", cure, "give --gains, or --estimate-gains"))
 
 
 def _several(motions: Motion | Sequence[Motion]) -> Sequence[Motion]:

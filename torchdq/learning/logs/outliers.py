@@ -1,51 +1,54 @@
-"""Spikes of a log: rows in which a signal leaps far away and back, by faults of a sensor or a bus."""
+"""Outliers of a log: rows in which a signal leaps far away and back, by faults of a sensor or a bus."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-BESIDE = 3  # rows to both sides that a row is compared with: a spike is shorter
-FAR = 20.0  # times the usual distance from the rows beside, from which a row is a spike
-BEYOND = 3.0  # least distance of a spike from the usual range, relative to its size
+from torchdq.base.findings import Finding
+
+REACH = 3  # rows to both sides that a row is compared with: an outlier is shorter
+FAR = 20.0  # times the usual distance from these rows, from which a row is an outlier
+BEYOND = 3.0  # least distance of an outlier from the usual range, relative to its size
 OUTER = 0.01  # part of the rows below the usual range, and above it
 LEAST = 0.1  # least size of that range, relative to the largest of all joints: a joint at rest has noise alone
 USUAL = 1.4826  # standard deviation of normal numbers over the median of their sizes
 SHOWN = 5  # most rows that a message names
-CURE = "least squares follow a few such rows more than all the others; delete these rows from the log"
 
 
-def spikes(x: np.ndarray) -> np.ndarray:
-    """Spikes of signals [rows, n]: whether a row leaps from those beside it on both sides [rows, n].
+def outliers(x: np.ndarray) -> np.ndarray:
+    """Whether a row of signals [rows, n] leaps from those before and after it [rows, n].
 
-    A spike is far from both neighbours in the same direction, which steps such as those of dry friction are not. It is
-    also outside the usual range of the signal by three times the size of that range. Both follow from the median of
-    all distances and the range of most rows, which a few spikes do not change.
+    An outlier is far from both neighbours in the same direction, which steps such as those of dry friction are not. It
+    is also outside the usual range of the signal by three times the size of that range. Both follow from the median of
+    all distances and the range of most rows, which a few outliers do not change.
 
     >>> x = np.sin(np.linspace(0, 6, 200))[:, None]
     >>> x[[50, 120]] = 1000.0
-    >>> np.flatnonzero(spikes(x)[:, 0]).tolist()
+    >>> np.flatnonzero(outliers(x)[:, 0]).tolist()
     [50, 120]
     """
     found = np.zeros(x.shape, dtype=bool)
-    if len(x) <= 4 * BESIDE:
+    if len(x) <= 4 * REACH:
         return found
-    before = x[BESIDE:-BESIDE] - x[: -2 * BESIDE]
-    after = x[BESIDE:-BESIDE] - x[2 * BESIDE :]
+    before = x[REACH:-REACH] - x[: -2 * REACH]
+    after = x[REACH:-REACH] - x[2 * REACH :]
     far = np.where(before * after > 0, np.minimum(abs(before), abs(after)), 0.0)
     low, high = np.quantile(x, (OUTER, 1 - OUTER), axis=0)
     usual, reach = USUAL * np.median(np.minimum(abs(before), abs(after)), axis=0), high - low
     reach = BEYOND * np.maximum(reach, LEAST * reach.max())
-    found[BESIDE:-BESIDE] = far > FAR * usual
+    found[REACH:-REACH] = far > FAR * usual
     return found & ((x > high + reach) | (x < low - reach))
 
 
-def spikes_told(what: Sequence[str], x: np.ndarray, first: int = 0) -> list[str]:
-    """Words for spikes of signals [rows, n], by what the columns are called; rows are numbered from `first`."""
-    found, told = spikes(x), []
+def outlier_findings(names: Sequence[str], x: np.ndarray, first: int = 0) -> list[Finding]:
+    """Findings about the outliers of torques [rows, n], a joint or column each; rows are numbered from `first`."""
+    found, findings = outliers(x), []
     for j in np.flatnonzero(found.any(0)).tolist():
         rows = np.flatnonzero(found[:, j])
         some = ", ".join(f"{x[i, j]:.3g} in row {first + i}" for i in rows[:SHOWN].tolist())
         more = f" and {len(rows) - SHOWN} more rows" if len(rows) > SHOWN else ""
-        size = float(np.quantile(abs(x[:, j]), 1 - OUTER))
-        told.append(f"{what[j]} is {some}{more}, elsewhere up to {size:.2g}")
-    return [f"{'; '.join(told)}: {CURE}"] if told else []
+        size = f"{some}{more}, elsewhere up to {np.quantile(abs(x[:, j]), 1 - OUTER):.2g}"
+        cure = "least squares follow a few such rows more than all the others; delete these rows from the log"
+        claim = "tau must not leap in single rows"
+        findings.append(Finding("torque.outliers", names[j], claim, size, cure, value=len(rows)))
+    return findings

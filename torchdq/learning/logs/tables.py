@@ -6,9 +6,9 @@ from typing import NamedTuple, NoReturn
 
 import numpy as np
 
-from torchdq.learning.logs.layouts import Layout, LogError
-
-PACKED, ALWAYS = 100, 2**24  # most times that a file may grow when it is unpacked, and bytes that are always unpacked
+from torchdq.base.findings import Finding
+from torchdq.learning.logs.errors import LogError
+from torchdq.learning.logs.layouts import Layout
 
 
 class Table(NamedTuple):
@@ -20,8 +20,8 @@ class Table(NamedTuple):
     values: np.ndarray  # [rows, columns]
     first: int  # number of the first row, for messages
     cell: Callable[[int, int], object]  # a value as the source writes it, for messages
-    doubt: str = ""  # words for what a file may lack
     before: int = 0  # rows of numbers before the first, which are left out
+    notes: tuple[Finding, ...] = ()  # what the source may lack
 
     @property
     def time(self) -> np.ndarray:
@@ -38,19 +38,19 @@ class Table(NamedTuple):
         """Name of a column."""
         return [name for names in self.names.values() for name in names][column]
 
-    def refuse(self, row: int, name: str, fault: str) -> NoReturn:
+    def refuse(self, row: int, name: str, fault: Finding) -> NoReturn:
         """Raise for a row and a column of this name."""
-        raise LogError(f"{self.path}, row {self.first + row}, column {name!r}: {fault}")
-
-
-def require_bounded(path: Path, size: int, unpacked: int) -> None:
-    """Refuse a file that grows too much when it is unpacked."""
-    if unpacked > (most := max(ALWAYS, PACKED * size)):
-        times = f"{PACKED} times its own size"
-        raise LogError(f"{path} unpacks to more than {most} bytes, {times}; unpack it by hand if you trust it")
+        raise LogError(fault._replace(subject=f"column {name!r}"), where=f"{self.path}, row {self.first + row}")
 
 
 def require_rows(path: Path, rows: int) -> None:
     """Refuse a log of fewer than two rows."""
     if rows < 2:
-        raise LogError(f"{path}: {rows} rows of numbers, at least two are needed")
+        raise LogError(
+            Finding("log.rows", expected="at least two rows of numbers are needed", found=str(rows)), where=str(path)
+        )
+
+
+def rows_option(first: object, last: object) -> tuple[str, str]:
+    """Part of a log, as an argument of `read_log` and as an option of the command line."""
+    return f"rows=({first}, {last})", f"--rows {str(first).upper()} {str(last).upper()}"

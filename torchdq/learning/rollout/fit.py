@@ -20,7 +20,7 @@ from torchdq.base.checks import require_count, require_number
 from torchdq.base.progress import Progress
 from torchdq.effects.actuator import Actuator
 from torchdq.errors import ArgumentError
-from torchdq.learning.evaluation.diagnostics import LogWarning
+from torchdq.learning.logs.errors import LogWarning
 from torchdq.learning.rollout import shooting
 from torchdq.learning.rollout.problem import Change, Iterate, Problem
 from torchdq.learning.rollout.recordings import CheckedRecording, Recording, checked

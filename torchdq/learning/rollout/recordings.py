@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from torchdq.errors import ArgumentError
-from torchdq.learning.logs.layouts import LogError
+from torchdq.learning.logs.errors import LogError
 
 
 class Recording(NamedTuple):

@@ -151,7 +151,7 @@ class _Copies:
 
         held_out: dict[int, HeldOut] = {}
         for k in range(groups):
-            unused = [rows for block in found[k::GROUPS] for rows in (block.rows, *block.beside)]
+            unused = [rows for block in found[k::GROUPS] for rows in (block.rows, *block.margins)]
             trained = self._trained_without(unused, k, say(k))
             for block in found[k::GROUPS]:
                 held_out[block.rows.start] = trained.predictions(self.x[block.rows], self.residual[block.rows])

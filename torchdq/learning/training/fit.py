@@ -27,7 +27,8 @@ from torchdq.base.progress import Progress
 from torchdq.base.tables import table
 from torchdq.errors import ArgumentError, TorchdqError
 from torchdq.layers.residual import ResidualDynamics
-from torchdq.learning.evaluation.diagnostics import LogWarning, doubts
+from torchdq.learning.evaluation.diagnostics import diagnose
+from torchdq.learning.logs.errors import LogWarning
 from torchdq.learning.logs.samples import Samples, of_motions, torque_variance, validated
 from torchdq.learning.training.cross_validation import cross_validation, with_fixed_physics
 from torchdq.learning.training.loop import Optimiser, Training, TrainingError, learned, seeded
@@ -311,5 +312,5 @@ def _warn_of(model: nn.Module, train: Samples) -> None:
     if rigid is None or any(batches(rigid.robot).values()) or rigid.robot.n != train.q.shape[1]:
         return
     model.eval()
-    if doubt := doubts(rigid.robot, rigid, train, rigid.friction_width):
-        warnings.warn(doubt, LogWarning, stacklevel=3)
+    if findings := diagnose(rigid.robot, rigid, train, rigid.friction_width):
+        warnings.warn(LogWarning(*findings), stacklevel=3)

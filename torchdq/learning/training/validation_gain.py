@@ -26,7 +26,7 @@ from torchdq.layers.residual import ResidualDynamics
 from torchdq.layers.residual.smooth import smooth_step
 from torchdq.learning.evaluation.correlation import correlation_times
 from torchdq.learning.evaluation.coverage import interval_factors
-from torchdq.learning.evaluation.diagnostics import LogWarning
+from torchdq.learning.logs.errors import LogWarning
 
 REACHES = (0.5, 0.75, 0.9, 0.99)  # shares of the held-out rows that a domain may reach
 LEAST = 2  # fewest independent rows of a block, on average

@@ -36,7 +36,7 @@ class _Fit(NamedTuple):
     X: Tensor  # [folds, coefficients, columns]
 
     def coefficients(self, y: Tensor) -> Tensor:
-        """Coefficients [folds, coefficients] beside bodies y [folds, b]."""
+        """Coefficients [folds, coefficients] for bodies y [folds, b]."""
         b = y.shape[1]
         return self.X[..., -1] - (self.X[..., :b] @ y[..., None])[..., 0]
 
@@ -52,26 +52,26 @@ class _Fit(NamedTuple):
 def gainful(
     evidence: Evidence,
     variance: Tensor,
-    sought: Tensor,
+    estimated: Tensor,
     candidates: Sequence[int],
     strength: float,
     say: Callable[[str], None],
 ) -> tuple[Tensor, list[Gain]]:
-    """Coefficients that are sought [terms, n], with those of candidates that gain, and the gains.
+    """Coefficients that are estimated [terms, n], with those of candidates that gain, and the gains.
 
     Args:
         evidence: sums of the blocks.
         variance: of the residuals, times their correlation time [n].
-        sought: coefficients that are sought already [terms, n].
+        estimated: coefficients that are estimated already [terms, n].
         candidates: terms to choose from.
         strength: of the prior of the bodies; infinite: they stay as described.
-        say: is told how far it is.
+        say: is called with the progress.
     """
-    near = evidence.near(torch.ones_like(sought), strength)
+    near = evidence.near(torch.ones_like(estimated), strength)
     n, b, p = len(variance), 10 * len(near.links), evidence.at.shape[1]
-    inertial = p - len(sought)
-    scale = near.start.reshape(len(sought), n)
-    basis = torch.zeros(n, p + 1, b + len(sought) + 1, dtype=torch.float64)
+    inertial = p - len(estimated)
+    scale = near.start.reshape(len(estimated), n)
+    basis = torch.zeros(n, p + 1, b + len(estimated) + 1, dtype=torch.float64)
     basis[:, :inertial, :b] = near.S[:inertial, :b]
     basis[:, inertial:p, b:-1] = torch.diag_embed(scale.T)
     basis[:, -1, -1] = 1
@@ -94,12 +94,12 @@ def gainful(
         e = one.errors(y)[:blocks]
         return torch.einsum("ks,kst,kt->k", e, left[:, j], e) / evidence.sizes[:, j]
 
-    sought, gains = sought.clone(), list[Gain]()
+    estimated, gains = estimated.clone(), list[Gain]()
     names = evidence.robot.joint_names
     open_joints = set(range(n))
     for round_ in range(ROUNDS):
         say(f"friction, round {round_ + 1} of at most {ROUNDS}")
-        fits = [fit(j, sought[:, j] & (scale[:, j] > 0)) for j in range(n)]
+        fits = [fit(j, estimated[:, j] & (scale[:, j] > 0)) for j in range(n)]
         H, h = torch.stack([one.H for one in fits]).sum(0), torch.stack([one.h for one in fits]).sum(0)
         y = solved(H, h)
         added = list[tuple[int, int, Gain]]()
@@ -107,9 +107,9 @@ def gainful(
             before = score(j, fits[j], y)
             best: tuple[int, Gain] | None = None
             for c in candidates:
-                if sought[c, j] or not evidence.told[c, j] or not scale[c, j] > 0:
+                if estimated[c, j] or not evidence.identifiable[c, j] or not scale[c, j] > 0:
                     continue
-                mask = sought[:, j] & (scale[:, j] > 0)
+                mask = estimated[:, j] & (scale[:, j] > 0)
                 mask[c] = True
                 more = fit(j, mask)
                 y_more = solved(H - fits[j].H + more.H, h - fits[j].h + more.h)
@@ -128,6 +128,6 @@ def gainful(
         if not added:
             break
         for j, c, gain in added:
-            sought[c, j] = True
+            estimated[c, j] = True
             gains.append(gain)
-    return sought, gains
+    return estimated, gains

@@ -1,0 +1,278 @@
+"""Layouts name the columns of logs, with half of them or other ones; errors say which model is still possible.
+
+Signals of motors are made from those of the joints by a mechanism written out here, and torques by its lossless power.
+"""
+
+import dataclasses
+import json
+import math
+import re
+
+import numpy as np
+import pytest
+from recorded_logs import arrays, names, refused, sines, table, written
+
+from torchdq import robots
+from torchdq.errors import ArgumentError, TorchdqError
+from torchdq.learning import Layout, Model, identify, read_log, smooth, stack_samples, train_test_split
+
+pytest.importorskip("scipy", reason="smoothing needs scipy")
+
+COUPLED = ((0.01, 0.0, 0.0), (0.0, -0.0125, 0.0), (0.0, 0.0125, 0.02))  # the second motor turns the third joint too
+KNOWN = arrays()
+
+
+def blocks(path, **signals):
+    """CSV file of signals with the joint's number behind their names."""
+    heads = ["time", *(f"{name}{joint + 1}" for name, x in signals.items() for joint in range(x.shape[1]))]
+    return written(path, np.column_stack([KNOWN["time"], *signals.values()]), heads)
+
+
+# --- arguments -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"columns": "q"}, r"columns must be a mapping such as \{'q': 'position_\{0\}'\}, found 'q'"),
+        ({"columns": {"velocity": "v{1}"}}, "no signal named 'velocity'; .*time"),
+        ({"columns": {"q": 3}}, r"columns\['q'\] must be a name, a pattern .* or a list of names, found 3"),
+        ({"columns": {"q": ["a", 3]}}, r"columns\['q'\] must be"),
+        ({"columns": {"q": []}}, r"columns\['q'\] must be"),
+        ({"columns": {"q": None}}, r"columns\['q'\] must be a name"),
+        ({"columns": {"time": ["a", "b"]}}, r"columns\['time'\] must be one name"),
+        ({"columns": {"q": ["a", "b"], "qd": ["c"]}}, r"columns\['qd'\] has 1 names, columns\['q'\] 2"),
+        ({"columns": {"q": ["a", "b"]}, "joints": 3}, r"columns\['q'\] has 2 names, expected 3, the number of joints"),
+        ({"columns": {"q": "a{1}"}, "header": False, "joints": 2}, "columns needs a header"),
+        ({"header": False}, "joints must be given for a file without a header"),
+        ({"blocks": ("q", "tau")}, r"blocks must be three or more different names.* columns=\{'qd': None\}"),
+        ({"blocks": ("q", "q", "tau")}, "blocks must be three or more different names"),
+        ({"blocks": "qvt"}, "blocks must be three or more different names, .* found 'qvt'"),
+        ({"columns": {"tau": ["ta", "tb", "tb"]}}, "columns must name every column once, found 'tb' several times"),
+        ({"columns": {"q": "x{1}", "qd": "x{1}"}}, r"columns must name every column once, found 'x\{1\}'"),
+        ({"gain": 2.0}, r"gain must be numbers, one per joint, such as \(2.0, 1.5\), .*found 2.0"),
+        ({"gain": "much"}, "gain must be numbers, one per joint, .*found 'much'"),
+        ({"gain": (1.0, math.nan)}, "gain must be finite numbers"),
+        ({"gain": (1.0, 0.0)}, "gain must be numbers, .* none of them zero"),
+        ({"joints": 2.0}, "joints must be a whole number from 0, found 2.0"),
+        ({"cutoff_qd": "8"}, "cutoff_qd must be a positive number, found '8'"),
+        ({"fastest": math.nan}, "fastest must be a positive number, found nan"),
+        ({"transmission": (0.01, 0.0)}, "transmission must be numbers, .* none of them zero"),
+        ({"transmission": 0.01}, "transmission must be numbers, one per joint, .*found 0.01"),
+        ({"transmission": "fast"}, "transmission must be numbers, one per joint"),
+        ({"transmission": ((1.0, 2.0), (2.0, 4.0))}, "transmission must be .* which has an inverse"),
+        ({"transmission": ((1.0, 2.0),)}, "transmission must be .* the rows of a square matrix"),
+        ({"transmission": ((1.0, np.nan), (0.0, 1.0))}, "transmission must be finite numbers"),
+        ({"transmission": COUPLED, "gain": None}, "gain must be known where a transmission couples joints"),
+        ({"zero": (1.0,)}, "zero needs a transmission"),
+        ({"zero": (np.inf,), "transmission": (1.0,)}, "zero must be finite numbers"),
+        ({"at_motors": ("time",)}, "there is no signal named 'time'"),
+    ],
+)
+def test_arguments_are_checked(options, message):
+    with pytest.raises(TorchdqError, match=message):
+        Layout(**options)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"transmission": (0.1, 0.1)}, "transmission must have 3 numbers, one per joint, found 2"),
+        ({"transmission": ((1.0, 0.0), (0.0, 1.0))}, "transmission must have 3 rows, one per joint, found 2"),
+        ({"transmission": (1, 1, 1), "zero": (0.1,)}, "zero must have 3 numbers, one per joint, found 1"),
+        ({"columns": {"tau": "q"}}, "columns must name every array once, found 'q' for several signals"),
+    ],
+)
+def test_they_are_checked_against_the_log(options, message):
+    with pytest.raises(ArgumentError, match=message):
+        read_log(KNOWN, Layout(**options))
+
+
+def test_gains_are_rows_of_numbers_some_of_which_may_be_unknown():
+    for gain in ([2.0, 1.5], np.array([2.0, 1.5]), (2, 1.5)):
+        assert Layout(gain=gain).gain == (2.0, 1.5)
+    assert Layout(gain=(1, None, 2)).gain == (1.0, None, 2.0)
+    assert Layout(gain=(1, None)).known_gains == (True, False) and Layout(gain=(None, None)).gain is None
+    assert Layout().known_gains is True and Layout(gain=None).known_gains is False
+
+
+def test_a_layout_may_come_from_a_file_of_plain_data():
+    given = {"joints": 2, "blocks": ["p", "v", "i"], "gain": [2, 3], "columns": {"qd": None, "q": "p_{0}"}}
+    given |= {"transmission": [[0.01, 0], [0.01, 0.02]], "zero": [0.1, 0.2], "at_motors": ["q", "tau"], "cutoff_qd": 5}
+    found = Layout(**json.loads(json.dumps(given)))
+    expected = {name: tuple(x) if isinstance(x, list) else x for name, x in given.items()}
+    assert found == Layout(**expected | {"transmission": ((0.01, 0.0), (0.01, 0.02))})
+    assert hash(found) == hash(Layout(**given))
+
+
+def test_every_field_is_explained():
+    text = Layout.__doc__ or ""
+    entries = text[text.index("Args:") : text.index(">>>")]
+    for field in dataclasses.fields(Layout):
+        assert re.search(rf"^ +(\w+, )?{field.name}(, \w+)?: ", entries, re.MULTILINE), field.name
+    assert entries.count("[rad") == 6 and "[Hz]" in entries and "a list of names in the robot's order" in entries
+
+
+# --- names of columns ------------------------------------------------------------------------------------------------
+
+
+def test_columns_have_names_by_a_mapping(tmp_path):
+    heads = ["stamp", *(f"position_{i}" for i in range(3)), *(f"joint_states.velocity[{i}]" for i in range(3))]
+    path = written(tmp_path / "ros.csv", table(n=3), [*heads, "base", "shoulder", "elbow"])
+    columns = {"time": "stamp", "q": "position_{0}", "qd": "joint_states.velocity[{0}]"}
+    columns["tau"] = ["base", "shoulder", "elbow"]
+    found = read_log(path, Layout(columns=columns))
+    assert found.layout.joints == 3
+    np.testing.assert_allclose(np.column_stack(found[2:6]), table(n=3), atol=1e-7)
+    columns["tau"] = "effort_{1}"
+    words = "no column 'position_3'; needed are columns stamp, position_0 ... position_3, joint_states"
+    with refused("column.missing", words=words):
+        read_log(path, Layout(joints=4, columns=columns))
+
+
+def test_patterns_count_from_the_number_in_their_braces_and_others_keep_their_names(tmp_path):
+    heads = ["time", "p_00", "p_01", "qd1", "qd2", "tau1", "tau2", "a5", "a6"]
+    rows = np.column_stack([table(n=2), sines(table(n=2)[:, 0], 2)[2]])
+    path = written(tmp_path / "log.csv", rows, heads)
+    found = read_log(path, Layout(columns={"q": "p_0{0}", "qdd": "a{5}"}))
+    np.testing.assert_allclose(np.column_stack([*found[2:6], found.qdd]), rows, atol=1e-6)
+    with refused("column.missing", words="'b1'"):  # named, so it must be there
+        read_log(path, Layout(columns={"q": "p_0{0}", "qdd": "b{1}"}))
+
+
+def test_a_single_joint_needs_no_number_and_an_archives_arrays_have_names_too(tmp_path):
+    columns = {"time": "t", "q": "angle", "qd": "speed", "tau": "torque"}
+    path = written(tmp_path / "log.csv", table(n=1), list(columns.values()))
+    np.testing.assert_allclose(np.column_stack(read_log(path, Layout(columns=columns))[2:6]), table(n=1), atol=1e-7)
+    named = {name: KNOWN[signal] for signal, name in columns.items()}
+    np.testing.assert_array_equal(read_log(named, Layout(columns=columns)).tau, KNOWN["tau"])
+    del named["angle"]
+    np.savez(tmp_path / "log.npz", **named)
+    with refused("array.missing", words="there is no array 'angle'"):
+        read_log(tmp_path / "log.npz", Layout(columns=columns))
+
+
+def test_a_column_is_read_for_one_signal(tmp_path):
+    path = written(tmp_path / "log.csv", np.ones((3, 7)), names(2))
+    with refused("column.shared", words="'q2'"):
+        read_log(path, Layout(columns={"tau": ["tau1", "q2"]}))
+
+
+def test_a_missing_column_says_how_many_others_there_are(tmp_path):
+    heads = ["stamp", *(f"{joint}_{what}" for what in ("pos", "vel", "eff") for joint in ("base", "elbow"))]
+    for more, end in ((0, "elbow_eff"), (1, "extra0"), (5, "extra0 and 4 more")):
+        path = written(tmp_path / "log.csv", np.ones((3, 7 + more)), heads + [f"extra{i}" for i in range(more)])
+        with refused("column.missing", words=f", elbow_pos, base_vel, elbow_vel, base_eff, {end}"[-len(end) :]):
+            read_log(path)
+
+
+# --- signals that are missing ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("kept", "cure", "option"),
+    [
+        (
+            {"q": "q", "tau": "tau"},
+            "Layout(columns={'qd': None}) reads positions and torques: smooth",
+            "--columns qd none reads",
+        ),
+        ({"q": "q", "qd": "qd"}, "columns={'tau': None}) reads the motion alone", "torques are needed"),
+        ({"q": "q"}, "columns={'qd': None, 'tau': None}) reads the motion alone", "torques are needed"),
+        (
+            {"q": "q", "qd": "qd", "tau": "current"},
+            "if 'current1' is a motor current, read it by columns={'tau': ...} and gain=None",
+            "--columns tau NAME, and --estimate-gains finds",
+        ),
+        ({"q": "q", "tau": "I"}, "if 'I1' is a motor current, read it by columns={'tau': ..., 'qd'", "NAME qd none,"),
+        ({"qd": "qd", "tau": "tau"}, "other names are given by Layout", "other names are given by --columns, e.g."),
+    ],
+)
+def test_half_a_log_says_which_model_is_still_possible(tmp_path, kept, cure, option):
+    path = blocks(tmp_path / "log.csv", **{name: KNOWN[signal] for signal, name in kept.items()})
+    sources = [path]
+    if {*kept.values()} <= KNOWN.keys():
+        sources.append({"time": KNOWN["time"]} | {signal: KNOWN[signal] for signal in kept})
+    for source in sources:
+        with pytest.raises(TorchdqError) as raised:
+            read_log(source)
+        (fault,) = raised.value.findings
+        assert fault.code in ("column.missing", "array.missing") and cure in fault.cure and option in fault.option
+        if "q" not in kept:
+            assert "motion alone" not in fault.cure and "smooth" not in fault.cure
+        shown = raised.value.text(command_line=True)
+        assert not re.search(r"Layout|\w=|[({]'|read_log\(|identify\(|smooth\(", shown), shown
+
+
+def test_a_column_that_is_missing_among_others_is_a_mistake_and_no_choice(tmp_path):
+    path = blocks(tmp_path / "log.csv", q=KNOWN["q"], qd=KNOWN["qd"][:, :2], tau=KNOWN["tau"])
+    with refused("column.missing", words="there is no column 'qd3'"):
+        read_log(path)
+    path = blocks(tmp_path / "log.csv", q=KNOWN["q"][:, :2], qd=KNOWN["qd"], tau=KNOWN["tau"])
+    with refused("column.more", words="there is 'qd3', but positions of 2 joints"):
+        read_log(path)
+    assert read_log(path, Layout(joints=2)).tau.shape == (5000, 2)
+
+
+@pytest.mark.parametrize("header", [True, False])
+def test_a_signal_that_the_layout_says_was_not_recorded_is_none(tmp_path, header):
+    path = blocks(tmp_path / "log.csv", q=KNOWN["q"], tau=KNOWN["tau"])
+    if not header:
+        path.write_text(path.read_text().partition("\n")[2])
+    found = read_log(path, Layout(joints=3, header=header, columns={"qd": None}))
+    assert found.qd is None and "qd " not in str(found)
+    np.testing.assert_allclose(found.tau, KNOWN["tau"], atol=1e-9)
+    found = read_log(blocks(tmp_path / "q.csv", q=KNOWN["q"]), Layout(columns={"qd": None, "tau": None}))
+    assert found.qd is None and found.tau is None
+    np.testing.assert_allclose(found.q, KNOWN["q"], atol=1e-9)
+
+
+def test_commands_are_kept_as_they_are(tmp_path):
+    path = blocks(tmp_path / "log.csv", q=KNOWN["q"], wanted=KNOWN["q"] + 0.1)
+    layout = Layout(columns={"qd": None, "tau": None, "command": "wanted{1}"}, transmission=(0.5, 0.5, 0.5))
+    found = read_log(path, layout)
+    np.testing.assert_allclose(found.command, KNOWN["q"] + 0.1, atol=1e-9)
+    np.testing.assert_allclose(found.q, 0.5 * KNOWN["q"], atol=1e-9)
+    assert read_log(KNOWN | {"command": KNOWN["q"]}).command is not None and read_log(KNOWN).command is None
+    with refused("array.missing", words="'wanted'"):
+        read_log(KNOWN, Layout(columns={"command": "wanted"}))
+
+
+# --- drives ----------------------------------------------------------------------------------------------------------
+
+
+def test_efforts_of_unknown_gains_are_never_taken_for_torques(tmp_path):
+    path = blocks(tmp_path / "log.csv", q=KNOWN["q"], qd=KNOWN["qd"], current=KNOWN["tau"] / 7)
+    log = read_log(path, Layout(columns={"tau": "current{1}"}, gain=None))
+    np.testing.assert_allclose(log.tau, KNOWN["tau"] / 7, atol=1e-9)
+    motion = smooth(log)
+    assert not motion.known_gains and not train_test_split(motion, 0.5)[1][0].known_gains
+    assert "unknown gains" in str(log) and "unknown gains" in str(motion)
+    with pytest.raises(ArgumentError, match=r"efforts of unknown gains in that of .*log\.csv; .*gains=True") as raised:
+        stack_samples([motion])
+    assert "--estimate-gains" in raised.value.findings[0].option
+    two = motion._replace(**{name: getattr(motion, name)[:, :2] for name in ("q", "qd", "qdd", "tau", "direction")})
+    with pytest.raises(ArgumentError, match=r"efforts of unknown gains; give Model\(gains=True\)"):
+        identify(robots.load("two_link"), two)
+    with pytest.raises(ArgumentError, match="motions must have torques"):
+        identify(robots.load("two_link"), two._replace(tau=None, known_gains=True), Model())
+    known = smooth(read_log(path, Layout(columns={"tau": "current{1}"}, gain=(7, 7, 7))))
+    assert known.known_gains
+    np.testing.assert_allclose(stack_samples(known).tau, 7 * motion.tau)
+
+
+@pytest.mark.parametrize("transmission", [(0.01, -0.0125, 0.02), COUPLED])
+def test_motors_are_taken_to_the_joints(transmission):
+    x, zero = {name: KNOWN[name] for name in ("time", "q", "qd", "tau")}, np.array([0.1, -0.2, 0.3])
+    S = np.diag(transmission) if np.ndim(transmission) == 1 else np.array(transmission)
+    motors = {"time": x["time"], "qd": x["qd"] @ np.linalg.inv(S).T, "q": (x["q"] - zero) @ np.linalg.inv(S).T}
+    gain = np.array([2.0, 3.0, 4.0])
+    # each motor's torque is the power of all joints per its own velocity
+    motors["tau"] = np.einsum("jm,tj->tm", S, x["tau"]) / gain
+    found = read_log(motors, Layout(transmission=transmission, zero=zero, gain=gain, farthest=30.0))
+    for name, expected in x.items():
+        np.testing.assert_allclose(getattr(found, name), expected, atol=1e-9)
+    power = (motors["tau"] * gain * motors["qd"]).sum(1)
+    np.testing.assert_allclose((found.tau * found.qd).sum(1), power, atol=1e-9 * abs(power).max())
+    only = read_log(motors | {"tau": x["tau"]}, Layout(transmission=transmission, zero=zero, at_motors=("q", "qd")))
+    np.testing.assert_array_equal(only.tau, x["tau"])

@@ -1,0 +1,72 @@
+"""Model of an arm's torques: the parameters that `identify` estimates besides those of the bodies."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from torchdq.effects.friction import Friction
+from torchdq.errors import ArgumentError
+from torchdq.learning.identification.terms import COULOMB, OFFSET, ROTOR, SHAPES, VISCOUS, Term, terms_of
+from torchdq.robot import Robot
+
+
+@dataclass(frozen=True)
+class Model:
+    """Parameters that `identify` estimates besides those of the bodies.
+
+    Args:
+        friction: "auto": viscous and Coulomb friction, and of other shapes what improves the prediction of blocks left
+            out; None: the joints have none. Or friction effects, of which the coefficients are estimated: the values
+            that they have there do not matter, all their other numbers hold.
+        offset: "auto": estimate a constant torque of the joints whose prediction improves on blocks left out; True: of
+            every joint; False: of none.
+        armature: estimate the rotor inertia of every joint, or leave it as described.
+        gains: estimate the torque per unit of effort of every joint, where `tau` is a current, or a torque by gains
+            that are not trusted. Before the samples they are 1 with a standard deviation of 0.3, and unknown at joints
+            for which the layout of the log has no gain. One factor of all gains, like one of all masses, comes from the
+            description. Gains are found first, with viscous and Coulomb friction; all else is found from the torques
+            that they make.
+        memory: whether friction may have a memory, as `torchdq.effects.LuGre` has: scenes simulate it, layers do not.
+
+    Raises:
+        ArgumentError: offset or friction is none of these.
+
+    >>> from torchdq import effects
+    >>> Model(friction=(effects.Viscous(), effects.Coulomb()), offset=False).armature
+    False
+    """
+
+    friction: Literal["auto"] | Friction | Sequence[Friction] | None = "auto"
+    offset: bool | Literal["auto"] = "auto"
+    armature: bool = False
+    gains: bool = False
+    memory: bool = True
+
+    def __post_init__(self) -> None:
+        if isinstance(self.friction, str | bool) and self.friction != "auto":
+            expected = "None, 'auto', or a sequence of friction effects, such as (effects.Viscous(), effects.Coulomb())"
+            raise ArgumentError(f"friction must be {expected}, found {self.friction!r}")
+        if self.offset != "auto" and not isinstance(self.offset, bool):
+            raise ArgumentError(f"offset must be True, False or 'auto', found {self.offset!r}")
+
+    def fixed(self, robot: Robot, sign_width: float) -> list[Term]:
+        """Terms that every joint has."""
+        friction = [VISCOUS, COULOMB]
+        if self.friction != "auto":
+            friction = [*terms_of(self.friction, robot, sign_width)] if self.friction is not None else []
+        if not self.memory and any(term.bristles for term in friction):
+            cure = "give other friction, or memory=True"
+            raise ArgumentError(f"friction must have no memory if memory=False, found LuGre; {cure}")
+        return [ROTOR] * self.armature + friction + [OFFSET] * (self.offset is True)
+
+    def candidates(self) -> list[Term]:
+        """Terms that a joint has if they improve its prediction: offsets, and friction of other shapes."""
+        shapes = SHAPES if self.friction == "auto" else ()
+        return [OFFSET] * (self.offset == "auto") + [term for term in shapes if self.memory or not term.bristles]
+
+    def of_motors(self, robot: Robot) -> list[Term]:
+        """Terms with which gains are estimated."""
+        rotor = [ROTOR] * (self.armature or robot.armature is not None)
+        return rotor + [VISCOUS, COULOMB] * (self.friction is not None) + [OFFSET] * (self.offset is True)

@@ -1,0 +1,49 @@
+"""Errors and warnings about logs; their `findings` say what is wrong and what to do about it."""
+
+from __future__ import annotations
+
+from torchdq.base.findings import Finding, merged
+from torchdq.errors import TorchdqError
+
+
+class _AboutLog(Exception):
+    """Findings in a log, and where in it they are; or a message alone."""
+
+    def __init__(self, *found: Finding | str, where: str = ""):
+        super().__init__(*found)
+        self.findings = tuple(one for one in found if isinstance(one, Finding))
+        self.where = where
+
+    def text(self, command_line: bool = False) -> str:
+        """Text of the findings, with cures in Python's words or in options of the command line."""
+        words = merged(self.findings, command_line) or "; ".join(map(str, self.args))
+        return (
+            words if not self.where else f"{self.where}{', ' if words.startswith(('column', 'array')) else ': '}{words}"
+        )
+
+    def __str__(self) -> str:
+        return self.text()
+
+
+class LogError(_AboutLog, TorchdqError, ValueError):
+    """Unusable log: `findings` hold the fault, with a column or array as subject, and `where` names file and row."""
+
+    __module__ = "torchdq.learning"
+
+
+class MissingLogError(LogError, FileNotFoundError):
+    """Log in a file that does not exist."""
+
+    __module__ = "torchdq.learning"
+
+
+class LogWarning(_AboutLog, UserWarning):
+    """Measurements that are probably wrong, or that a model cannot explain: `findings`, with joints as subjects.
+
+    Silenced by `warnings.simplefilter("ignore", torchdq.learning.LogWarning)`.
+
+    >>> print(LogWarning(Finding("torque.sign", "elbow", "the sign of tau must be that of the description")))
+    elbow: the sign of tau must be that of the description
+    """
+
+    __module__ = "torchdq.learning"
