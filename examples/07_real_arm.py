@@ -116,18 +116,18 @@ def of_states(model: nn.Module) -> Torques:
 
 
 def of_motions(model: Identified | IdentifiedWithResidual) -> Torques:
-    """Torques of a motion by a model that knows what was before."""
+    """Torques of a motion by a model with memory."""
     return lambda motion: model.predict(motion).tau
 
 
 def covered(model: IdentifiedWithResidual, test: Motion) -> np.ndarray:
     """Share of the torques in their 95 % intervals, per joint."""
-    told, tau = model.predict(test), samples(test).tau
-    return ((tau >= told.low) & (tau <= told.high)).double().mean(0).numpy()
+    predicted, tau = model.predict(test), samples(test).tau
+    return ((tau >= predicted.low) & (tau <= predicted.high)).double().mean(0).numpy()
 
 
 def parts_of(args: Args) -> tuple[list[Motion], dict[str, Motion]]:
-    """Motions to learn from, and those to test on by name."""
+    """Training motions, and test motions by name."""
     layout = LAYOUTS[args.format]
     motions = [smooth(read(path, layout)) for path in args.train]
     if args.test:

@@ -1,4 +1,4 @@
-"""Pictures of the guides in docs/pictures: each is what the example of its guide draws, made small.
+"""Pictures of the guides in docs/pictures: each is drawn by the example of its guide, and scaled down.
 
 python examples/guide_pictures.py             # all of them
 python examples/guide_pictures.py urdf log    # those of some guides
@@ -35,7 +35,7 @@ SOURCES = {
 
 
 def made(guide: str) -> Path:
-    """Picture of a guide, drawn anew by its example."""
+    """Picture of a guide, drawn by its example."""
     source, target = SOURCES[guide], FOLDER / f"{guide}.png"
     example = import_module(source.example)
     with tempfile.TemporaryDirectory() as folder:

@@ -1,4 +1,4 @@
-"""One look of the pictures of all examples: style, colours, files."""
+"""Common style of the figures of all examples."""
 
 from pathlib import Path
 from typing import Any
@@ -7,7 +7,7 @@ import matplotlib
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
-BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "#8A8A8A"  # told apart by everyone
+BLUE, ORANGE, GREY = "#0072B2", "#D55E00", "#8A8A8A"  # distinguishable by everyone
 STYLE = {
     "font.size": 11,
     "axes.titlesize": 11,

@@ -36,7 +36,7 @@ CASES: dict[str, str] = {
     # bodies
     "I1": "bodies without mass: allowed between joints, an error where a joint moves nothing",
     "I2": "point masses, rods and laminas",
-    "I3": "inertias that no body has",
+    "I3": "inertias that are not physically consistent",
     "I4": "learned inertias stay those of bodies",
     "I5": "mass ratios of 1e8, heavy at the tip and heavy at the base",
     "I6": "a pivot that is rounding: an error, never a huge finite acceleration",
@@ -87,7 +87,7 @@ CASES: dict[str, str] = {
     # descriptions
     "U1": "links without an inertial element",
     "U2": "numbers that are negative, not finite, or no numbers",
-    "U3": "graphs that are no tree: all faults in one message",
+    "U3": "graphs that are not trees: all defects in one message",
     "U4": "mimic joints",
     "U5": "joints of kinds that are not simulated, and fixed joints that merge",
     "U6": "axes that are missing, zero, or not unit vectors",
