@@ -10,7 +10,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
+from pictures import DATA
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "pictures"
@@ -41,10 +43,12 @@ def made(guide: str) -> Path:
     with tempfile.TemporaryDirectory() as folder:
         example.main(example.Args(out=Path(folder)))
         with Image.open(Path(folder, source.picture)) as drawn:
-            picture = drawn.convert("RGB")
+            picture, data = drawn.convert("RGB"), PngInfo()
+            if DATA in drawn.info:
+                data.add_text(DATA, drawn.info[DATA])
     picture.thumbnail((WIDTH, WIDTH), Image.Resampling.LANCZOS)
     FOLDER.mkdir(exist_ok=True)
-    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(target, optimize=True)
+    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(target, optimize=True, pnginfo=data)
     return target
 
 
