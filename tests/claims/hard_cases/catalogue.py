@@ -112,7 +112,7 @@ GROUPS = {
 
 @cache
 def held() -> dict[str, list[str]]:
-    """Names of the test files that hold a case, by its id."""
+    """Names of the test files of each case, by its id."""
     found: dict[str, set[str]] = {}
     for path in TESTS.rglob("test_*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -127,16 +127,16 @@ def table() -> str:
     """All cases, group by group, as on the page."""
     lines = []
     for letter, title in GROUPS.items():
-        lines += [f"## {title}", "", "| case | what has to hold | held by |", "|---|---|---|"]
+        lines += [f"## {title}", "", "| case | requirement | tests |", "|---|---|---|"]
         ids = [id for id in CASES if id.startswith(letter)]
         lines += [f"| {id} | {CASES[id]} | {', '.join(f'`{name}`' for name in held()[id])} |" for id in ids]
         lines.append("")
-    lines += ["Not there:", ""]
+    lines += ["Not applicable:", ""]
     return "\n".join([*lines, *(f"* {id}, {why}." for id, why in WITHOUT_COUNTERPART.items())])
 
 
 def shown() -> str:
-    """What the page shows."""
+    """The table on the page."""
     return PAGE.read_text(encoding="utf-8").split(BEGIN)[1].split(END)[0].strip()
 
 
