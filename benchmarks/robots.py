@@ -1,10 +1,11 @@
-"""Every robot of example-robot-data, on a fixed and on a free base: errors against Pinocchio, operations, times.
+"""Every robot of example-robot-data, with a fixed and a floating base: errors against Pinocchio, operations, times.
 
     python benchmarks/robots.py [--quick] [--json FILE] [--page]
 
-`--page` writes ROBOTS.md. Errors are the largest of 20 random states, relative to the largest torque or force; those of
-accelerations are divided by the growth of rounding errors (`torchdq.error_growth`), which no method avoids. Joints that
-mimic others follow them, and the reference is reduced to the same coordinates. Times are of one thread.
+`--page` writes ROBOTS.md. Errors are the largest of 20 random states, relative to the largest torque or force; those
+of accelerations are divided by the amplification of rounding errors (`torchdq.error_growth`), which is common to all
+methods. Mimic joints follow their drivers, and the reference is reduced to the same coordinates. Times are on one
+thread.
 """
 
 from __future__ import annotations
@@ -195,20 +196,20 @@ def _accelerations(robot, X, q, V, qd, forces, A, qdd) -> float:
 def page(rows: list[Row], refused: list[tuple[str, str]], facts: dict[str, str]) -> str:
     """Text of ROBOTS.md."""
     lines = [
-        "# Robots that were tried",
+        "# Tested robots",
         "",
         "Made by `python benchmarks/robots.py --page`: " + " ".join((__doc__ or "").split("ROBOTS.md. ")[1].split()),
-        "A dash stands for undefined accelerations: a joint moves no inertia, or the file's bodies cannot exist. The "
-        "last column of a free base has only what that of the fixed one has not.",
+        "A dash means undefined accelerations: a joint has zero effective inertia, or bodies are unphysical. For a "
+        "floating base, the last column lists only additional defects.",
         "",
         "| file | base | joints | followers | error of torques | of accelerations | mul + add | compile [s] | "
-        "ns | Pinocchio [ns] | what the file got wrong |",
+        "ns | Pinocchio [ns] | defects of the file |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
-    told = {r.file: r.remarks for r in rows if r.base == "fixed"}
+    known = {r.file: r.remarks for r in rows if r.base == "fixed"}
     for r in rows:
         acceleration = "-" if r.accelerations != r.accelerations else f"{r.accelerations:.0e}"
-        new = r.remarks if r.base == "fixed" else [x for x in r.remarks if x not in told.get(r.file, ())]
+        new = r.remarks if r.base == "fixed" else [x for x in r.remarks if x not in known.get(r.file, ())]
         remarks = "; ".join(new).replace("|", "\\|")
         lines.append(
             f"| {r.file} | {r.base} | {r.joints} | {r.followers or ''} | {r.torques:.0e} | {acceleration} | "

@@ -57,7 +57,7 @@ class Args:
 
 
 class Motion(NamedTuple):
-    """What is drawn of all arms, each [frame, arm, joint]."""
+    """Quantities drawn of all arms, each [frame, arm, joint]."""
 
     q: Tensor
     qd: Tensor
@@ -116,7 +116,7 @@ def simulated(robot: torchdq.Robot, at: np.ndarray, frames: int, step: float) ->
     return Motion(*map(torch.stack, zip(*found, strict=True)))
 
 
-def torques_beside(figure: Figure, tau: np.ndarray) -> Iterator[None]:
+def torque_panels(figure: Figure, tau: np.ndarray) -> Iterator[None]:
     """Draw torques [frame, joint] over the period; every time it is asked, a dot moves on."""
     time = np.linspace(0.0, PERIOD, len(tau) + 1)
     dots = []
@@ -173,10 +173,10 @@ def main(args: Args) -> tuple[Path, float]:
     with plt.rc_context({"font.size": 10, "text.color": INK}):
         figure = plt.figure(figsize=(WIDTH / 100, HEIGHT / 100), dpi=100, facecolor=CARD)
         arms = arms_moving(figure, robot, at, motion, chosen)
-        torques = torques_beside(figure, motion.tau[:, chosen].numpy())
+        torques = torque_panels(figure, motion.tau[:, chosen].numpy())
         figure.text(0.025, 0.935, f"{len(at)} arms, one program", size=15, weight="bold", va="center")
-        told = "computed torque, against masses and friction that it does not know"
-        figure.text(0.025, 0.875, told, color=QUIET, va="center")
+        subtitle = "computed torque, with unknown masses and friction"
+        figure.text(0.025, 0.875, subtitle, color=QUIET, va="center")
         figure.text(0.70, 0.935, "torques of the orange arm [N m]", va="center")
         corners = Image.new("L", (4 * WIDTH, 4 * HEIGHT))
         ImageDraw.Draw(corners).rounded_rectangle((0, 0, 4 * WIDTH - 1, 4 * HEIGHT - 1), 64, fill=255)

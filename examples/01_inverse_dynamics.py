@@ -64,7 +64,7 @@ class Args:
     test_log: str | None = None
     """Recording to test the friction on; none: it is fitted on the first 60 % of each log, tested on the rest."""
     format: Literal["auto", "panda", "ur10e", "double_pendulum", "csv"] = "auto"
-    """Layout of the recordings, see `recordings.LAYOUTS`; auto: told by the file's name and its columns."""
+    """Layout of the recordings, see `recordings.LAYOUTS`; auto: detected by the file's name and its columns."""
     step: float = 1e-3
     """Step of the simulated two-link arm [s]."""
     timing: float = 0.2

@@ -286,8 +286,8 @@ def truth(plant: Plant) -> Model:
 
     def model(q: Tensor, qd: Tensor, qdd: Tensor) -> Tensor:
         unmodelled = torch.as_tensor(plant.unmodelled(q.double().numpy(), qd.double().numpy()), dtype=q.dtype)
-        rubbing = damping * qd + friction * qd / (qd**2 + WIDTH**2).sqrt()
-        return torchdq.inverse_dynamics(robot, q, qd, qdd) + rubbing - unmodelled
+        dissipation = damping * qd + friction * qd / (qd**2 + WIDTH**2).sqrt()
+        return torchdq.inverse_dynamics(robot, q, qd, qdd) + dissipation - unmodelled
 
     return model
 

@@ -118,7 +118,7 @@ def of_states(model: nn.Module) -> Torques:
 
 
 def of_motions(model: Identified | IdentifiedWithResidual) -> Torques:
-    """Torques of a motion by a model that knows what was before."""
+    """Torques of a motion by a model with memory."""
     return lambda motion: model.predict(motion).tau
 
 
@@ -129,7 +129,7 @@ def covered(model: IdentifiedWithResidual, test: Motion) -> np.ndarray:
 
 
 def parts_of(args: Args) -> tuple[list[Motion], dict[str, Motion]]:
-    """Motions to learn from, and those to test on by name."""
+    """Training motions, and test motions by name."""
     layout = LAYOUTS[args.format]
     motions = [smooth(read_log(path, layout)) for path in args.train]
     if args.test:

@@ -1,12 +1,12 @@
-"""Masses, inertias and friction of an arm from a recorded motion: the Panda's parameters, found again from noisy logs.
+"""Masses, inertias and friction of a Panda, identified from a noisy log.
 
     python examples/09_identify.py
 
-The arm that is simulated differs from its description: masses by up to 20 %, centres of mass by a centimetre, inertias,
-and it has friction and rotors of which the description knows nothing. It follows sums of sinusoids under a controller
-that believes the description; positions and torques are logged with noise, smoothed, and given to `identify`. Most
-single masses and inertias cannot be told from torques, whatever the motion; the combinations that can are listed with
-their errors, and the found robot is judged by the torques of a motion it has not seen.
+The simulated arm differs from its description: masses by up to 20 %, centres of mass by a centimetre, inertias,
+friction and rotors. It tracks sums of sinusoids under a controller with the nominal model; positions and torques are
+logged with noise, smoothed, and given to `identify`. Most single masses and inertias are not identifiable from
+torques, in any motion. The identifiable combinations are listed with their errors, and the identified robot is tested
+on another motion.
 """
 
 import sys
@@ -137,14 +137,14 @@ def main(args: Args) -> Result:
     start = torch.cat([described.inertial_parameters, torch.zeros(3 * n).double()])
     real, guess, value, error = *(found.base @ x for x in (truth, start, found.parameters)), found.base_errors
     chi_square = float(((value - real) / error).square().mean())
-    table = Table("what the motion tells", "true", "described", "found", "+-")
+    table = Table("base parameters", "true", "described", "found", "+-")
     for name, row in zip(found.base_names, zip(real, guess, value, error, strict=True), strict=True):
         table.add_row(name, *(f"{float(x):.4f}" for x in row))
     console = Console(width=110)
     console.print(table)
     samples = train.q.shape[0] * train.q.shape[1]
     console.print(
-        f"{found.rank} of {len(truth)} parameters can be told by {samples} samples; chi square per one of them"
+        f"{found.rank} of {len(truth)} parameters are identifiable from {samples} samples; chi square per one of them"
     )
     console.print(f"{chi_square:.2f}; masses true, described, found +- error:")
     for i, link in enumerate(described.link_names):
@@ -186,7 +186,7 @@ def draw(args: Args, test: Motions, plain: Tensor, after: Tensor, off: tuple[Ten
     axes["c"].set_yscale("symlog", linthresh=4)
     axes["c"].set_yticks([-100, -10, 0, 10, 100])
     axes["c"].set(xlabel="combination of parameters", ylabel="off the truth [standard errors]")
-    axes["c"].set_title("what the motion tells")
+    axes["c"].set_title("base parameters")
     axes["c"].legend(ncols=3, loc="lower right")
     save(figure, args.out / "identify.png")
 

@@ -1,10 +1,10 @@
-"""The five figures of the paper, drawn anew: torques, the arm, its closed loop, and what kinematics and dynamics cost.
+"""The five figures of the paper, reproduced: torques, arm, closed loop, cost of kinematics and dynamics.
 
     python examples/10_paper_figures.py [--out out/paper]
 
 The arm is the paper's, two links of 1 m and 1 kg. Costs are counted by running the formulas (`torchdq cost`),
-twice: with dense products of whole matrices and dual quaternions, as the paper counts, and with known zeros and ones
-left out. A third count is of what this package executes. At the end stands which of the paper's claims hold, and where.
+twice: with dense products of whole matrices and dual quaternions, as the paper counts, and without structural zeros and
+ones. A third count is that of this package's programs. A summary lists which of the paper's claims hold, and where.
 """
 
 import sys

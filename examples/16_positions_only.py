@@ -2,10 +2,9 @@
 
     python examples/16_positions_only.py
 
-The arm that is simulated is a UR10e behind position servos, as its controller shows it: commands go in every 10 ms, and
-positions come out with the resolution of an encoder. It has servo gains, dry friction, a delay and a payload of which
-the scene knows nothing. `fit_rollout` finds them from one motion; the found scene is judged by the positions of a
-motion that it has not seen.
+The simulated arm is a UR10e with position servos: commands are sent every 10 ms, and positions are measured with the
+resolution of an encoder. Its servo gains, Coulomb friction, delay and payload are unknown. `fit_rollout` estimates them
+from one motion, and the fitted scene is tested on the positions of another motion.
 """
 
 from dataclasses import dataclass
@@ -26,7 +25,7 @@ STEP, EVERY = 0.002, 5  # [s] of the simulation, and its steps from command to c
 DELAY, PAYLOAD, NOISE = 0.014, 2.4, 5e-5  # [s], [kg], [rad]
 KP = (9e3, 9e3, 6e3, 2e3, 2e3, 1.5e3)  # [N m/rad]
 KD = (900.0, 900.0, 500.0, 120.0, 120.0, 90.0)  # [N m s/rad]
-RUBBING = (25.0, 30.0, 18.0, 6.0, 5.0, 4.0)  # [N m]
+FRICTION = (25.0, 30.0, 18.0, 6.0, 5.0, 4.0)  # [N m]
 ROTORS = (4.0, 4.0, 3.0, 0.6, 0.6, 0.6)  # [kg m^2], from a data sheet
 LEARN = ("Servo.kp", "Servo.kd", "Coulomb.coulomb", "Payload.mass", "delay")
 
@@ -51,9 +50,9 @@ class Result(NamedTuple):
     after: Tensor  # [n] the same, as found
 
 
-def arm(kp: object, kd: object, rubbing: object, payload: float) -> Scene:
+def arm(kp: object, kd: object, coulomb: object, payload: float) -> Scene:
     """The arm behind its servos."""
-    drives = (effects.RotorInertia(ROTORS), effects.Servo(kp, kd), effects.Coulomb(rubbing, 0.02))
+    drives = (effects.RotorInertia(ROTORS), effects.Servo(kp, kd), effects.Coulomb(coulomb, 0.02))
     return Scene(torchdq.robots.load("ur10e"), (effects.Gravity(), *drives, effects.Payload(payload)), dt=STEP)
 
 
@@ -92,7 +91,7 @@ def main(args: Args) -> Result:
     torch.set_num_threads(1)
     seconds = 3.0 if args.quick else args.seconds
     generator = np.random.default_rng(args.seed)
-    real = arm(KP, KD, RUBBING, PAYLOAD)
+    real = arm(KP, KD, FRICTION, PAYLOAD)
     guess = arm(5e3, 300.0, 10.0, 0.5)
     logs = []
     for _ in range(2):
@@ -112,7 +111,7 @@ def main(args: Args) -> Result:
     sizes = f"{1e3 * before.mean():.3g} as guessed, {1e3 * after.mean():.3g} as found"
     print(f"\nposition errors in another motion [mrad]: {sizes}")
     draw(torch.as_tensor(test.time), errors, args.out / "positions_only.png")
-    true = torch.tensor([*KP, *KD, *RUBBING, PAYLOAD, DELAY], dtype=torch.float64)
+    true = torch.tensor([*KP, *KD, *FRICTION, PAYLOAD, DELAY], dtype=torch.float64)
     return Result(found, true, before, after)
 
 

@@ -1,13 +1,13 @@
-"""From a log of drives to an identified robot: positions of motors, and their currents, nothing else.
+"""Identification from a log of drives: positions of the motors, and their currents.
 
     python examples/18_log_with_currents.py
     python examples/18_log_with_currents.py --seed 3
 
-The log is one of an arm that is simulated first, and differs from its description. Its drives write stamps, encoders at
-the motors and currents; velocities they do not. Gears reverse a joint, and the last two motors turn the wrist together.
-A `Layout` says all of it. Torques per ampere are those of a data sheet, from which the drives' own are off by up to a
-fifth: `Model(gains=True)` of `identify` finds the factor of each joint. A common factor cannot be separated
-from the masses; it comes from the description.
+The log is that of a simulated arm, which differs from its description. Its drives record time stamps, motor encoders
+and currents, but no velocities. A gear reverses one joint, and the last two motors drive the wrist together. A
+`Layout` describes all of it. The torques per ampere are those of a data sheet, and wrong by up to a fifth: with
+`Model(gains=True)`, `identify` estimates the factor of each joint. A common factor of all joints is not identifiable
+along with the masses; it comes from the description.
 """
 
 import sys

@@ -1,13 +1,12 @@
-"""Which motion to record, what it will tell, and a hundred arms that the recording leaves possible.
+"""Excitation trajectory, predicted standard errors, and a hundred samples from the posterior.
 
     python examples/19_what_to_record.py
     python examples/19_what_to_record.py --robot arm.urdf --table 0.05
 
-`excitation_trajectory` finds a motion within 90 % of the arm's limits and above a table, writes it to a file for the
-controller and predicts the standard errors. Here an arm that differs from its description stands for the real one: its
-torques along the motion, with noise, are identified, and the errors turn out as predicted. `posterior_samples` then
-draws arms from what is left open, each of which can exist; simulated together under the same torques, they show how
-much that matters.
+A motion is designed within 90 % of the arm's limits and above a table, written to a file for the controller, and its
+standard errors are predicted. Here a simulated arm that differs from its description replaces the real one: it is
+identified from its noisy torques along the motion, and the errors are as predicted. Arms are then drawn from the
+posterior, all physically consistent, and simulated under the same torques, to show the effect of the uncertainty.
 """
 
 import sys
@@ -141,7 +140,10 @@ def draw(astray: Tensor, off: Tensor, args: Args) -> None:
     left.axhspan(-2, 2, color="#E4E4E4", label="two predicted standard errors")
     left.plot(off, "o", color=BLUE, markersize=4)
     left.set(
-        xlabel="base parameter", ylabel="off the truth [standard errors]", ylim=(-4, 4), title="what the motion told"
+        xlabel="base parameter",
+        ylabel="off the truth [standard errors]",
+        ylim=(-4, 4),
+        title="identified base parameters",
     )
     left.legend(loc="lower left")
     time = STEP * torch.arange(len(astray))

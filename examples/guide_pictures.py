@@ -1,4 +1,4 @@
-"""Pictures of the guides in docs/pictures: each is what the example of its guide draws, made small.
+"""Pictures of the guides in docs/pictures: each is drawn by the example of its guide, and scaled down.
 
 python examples/guide_pictures.py             # all of them
 python examples/guide_pictures.py urdf log    # those of some guides
@@ -10,7 +10,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
+from pictures import DATA
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "docs" / "pictures"
@@ -35,16 +37,18 @@ SOURCES = {
 
 
 def made(guide: str) -> Path:
-    """Picture of a guide, drawn anew by its example."""
+    """Picture of a guide, drawn by its example."""
     source, target = SOURCES[guide], FOLDER / f"{guide}.png"
     example = import_module(source.example)
     with tempfile.TemporaryDirectory() as folder:
         example.main(example.Args(out=Path(folder)))
         with Image.open(Path(folder, source.picture)) as drawn:
-            picture = drawn.convert("RGB")
+            picture, data = drawn.convert("RGB"), PngInfo()
+            if DATA in drawn.info:
+                data.add_text(DATA, drawn.info[DATA])
     picture.thumbnail((WIDTH, WIDTH), Image.Resampling.LANCZOS)
     FOLDER.mkdir(exist_ok=True)
-    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(target, optimize=True)
+    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(target, optimize=True, pnginfo=data)
     return target
 
 

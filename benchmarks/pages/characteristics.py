@@ -144,7 +144,7 @@ def read(words: str, sensor: Effect, steps: int = 100, dt: float = 0.01) -> Pict
 
 
 def _words(name: str) -> str:
-    """Words of a legend, of a keyword: `width_0_1` is "width 0.1"."""
+    """Label in a legend, from a keyword: `width__0_1` becomes "width 0.1"."""
     head, _, number = name.partition("__")
     return head.replace("_", " ") + (f" {number.replace('_', '.')}" if number else "")
 

@@ -1,4 +1,4 @@
-"""Facts about effects, asked of the package: operations, states, allowed values, and where an effect may be used."""
+"""Facts about effects, computed by the package: operations, states, allowed values, and where an effect may be used."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TRIED = (-1.0, 0.0, 0.5, 1.0, 2.0, math.inf)  # values of a parameter
 
 
 class Facts(NamedTuple):
-    """Facts about an effect of a seven-joint arm, asked of the package: operations, states, places of use."""
+    """Facts about an effect of a seven-joint arm, computed by the package: operations, states, places of use."""
 
     operations: int  # that it adds to a step, its parameters being numbers
     with_tensors: int | None  # the same, each sample having parameters of its own; None: it has none
@@ -56,7 +56,7 @@ def operations(*parts: Effect) -> int:
 
 
 def tensors_of(effect: Effect, robot: Robot, batch: int) -> Effect:
-    """Effect with a tensor [batch, ...] in the place of each number that is not its default."""
+    """Effect with a tensor [batch, ...] instead of each number that differs from its default."""
     whole = effect.resolved(robot)
     defaults = {entry.name: entry.default for entry in dataclasses.fields(effect)}
     given = [name for name in whole.SHAPES if defaults[name] is None or getattr(effect, name) != defaults[name]]
@@ -102,7 +102,7 @@ def kinds() -> list[type[Effect]]:
 
 
 def allowed(effect: Effect, name: str, robot: Robot) -> str:
-    """Words for the values that a parameter may have, found by trying some."""
+    """Text for the allowed values of a parameter, found by trying some."""
     axes = effect.SHAPES.get(name)
     if axes is None:
         return ""

@@ -21,14 +21,14 @@ from torchdq.effects import Effect
 ROOT = Path(__file__).resolve().parents[2]
 PRICES = ROOT / "benchmarks" / "results" / "effects.json"
 SLOTS = {
-    "model": "It changes numbers of the robot, before anything else is computed from them.",
-    "joint": "Its torque adds to those of all other effects at the joints, in whatever order they stand.",
-    "body": "Its wrench adds to those of all other effects on the bodies, in whatever order they stand.",
+    "model": "It changes parameters of the robot, before all other computations.",
+    "joint": "Its torque adds to those of all other joint effects, in any order.",
+    "body": "Its wrench adds to those of all other body effects, in any order.",
     "actuator": "Actuators change the commanded torque one after the other, in the order of the list.",
-    "sensor": "Sensors change the reading one after the other, in the order of the list; a controller sees the result.",
+    "sensor": "Sensors change the measurement one after the other, in the order of the list, before the controller.",
 }
-LAST = "It acts on what all other effects of the model have changed, wherever it stands."
-SYMBOLS = frozenset({"load", "target"})  # symbols of formulas that are no parameters
+LAST = "It acts after all other model effects, wherever it is in the list."
+SYMBOLS = frozenset({"load", "target"})  # symbols of formulas that are not parameters
 
 
 def address(name: str) -> str:
@@ -59,12 +59,12 @@ def page(name: str) -> str:
         f"`{signature(kind)}`",
         parameters(kind),
         *([f"Every step takes {inputs}, by name."] if inputs else []),
-        "## What it costs",
+        "## Cost",
         _price(name),
         _remembers(name),
-        "## When it is absent",
+        "## Absence",
         _absent(name),
-        "## Together with others",
+        "## Combination with other effects",
         _together(kind),
         _where(name),
         "## Example",
@@ -76,12 +76,12 @@ def page(name: str) -> str:
 
 
 def shown(name: str) -> str:
-    """Words for the picture of an effect."""
-    return {"model": "What it changes", "sensor": "What is read"}.get(getattr(effects, name).SLOT, "Characteristic")
+    """Caption of the picture of an effect."""
+    return {"model": "Change of the model", "sensor": "Measurements"}.get(getattr(effects, name).SLOT, "Characteristic")
 
 
 def signature(kind: type[Effect]) -> str:
-    """How it is made."""
+    """Call that constructs the effect."""
     ordered = [entry for entry in dataclasses.fields(kind) if not entry.kw_only]
     named = [entry for entry in dataclasses.fields(kind) if entry.kw_only]
 
@@ -151,7 +151,9 @@ def _price(name: str) -> str:
         (f"`{CASES[name].made}`", f"+ {found.operations}", _time(price["numbers"])),
     ]
     if found.with_tensors is not None:
-        rows.append(("the same as tensors, other in every sample", f"+ {found.with_tensors}", _time(price["tensors"])))
+        rows.append(
+            ("the same as tensors, different in every sample", f"+ {found.with_tensors}", _time(price["tensors"]))
+        )
     head = (f"step of a seven-joint arm (`{stored['robot']}`)", "operations", "ns")
     return f"{table(head, rows)}\n\nMeasured as [all prices of effects](index.md#all-effects)."
 
@@ -170,35 +172,35 @@ def _time(price: list[float]) -> str:
 def _remembers(name: str) -> str:
     found, words = facts(name), []
     if found.states:
-        words.append(f"It remembers {found.states:g} numbers per joint from step to step, in `state.memory`")
-        words[-1] = words[-1].replace(" 1 numbers", " one number")
+        words.append(f"It has {found.states:g} states per joint, in `state.memory`")
+        words[-1] = words[-1].replace(" 1 states", " one state")
     if found.noises:
-        words.append(f"It takes {found.noises:g} random numbers per joint at every step")
+        words.append(f"It uses {found.noises:g} random numbers per joint and step")
     outside = built(CASES[name].made).outside()
     if outside:
         words.append(f"Outside the program, {outside}")
-    return ". ".join(words or ["It remembers nothing, and takes no random numbers"]) + "."
+    return ". ".join(words or ["It has no states, and uses no random numbers"]) + "."
 
 
 def _absent(name: str) -> str:
     bare, off = operations(), CASES[name].off
     text = (
-        f"A scene that does not name it records nothing for it: a step has the {bare} operations of the rigid bodies, "
-        "and gives the same result, to the bit."
+        f"In a scene without it, nothing of it is recorded: a step has the {bare} operations of the rigid bodies, with "
+        "bitwise the same result."
     )
     if not off:
         return text
     left = operations(built(off)) - bare
     if left:
-        return f"{text} `{off}` changes nothing either, but is computed: {left} operations. Leave it out."
-    return f"{text} One of no size, `{off}`, is as good as absent: its zeros fold away, and {bare} operations are left."
+        return f"{text} `{off}` has no effect, but {left} operations; omit it instead."
+    return f"{text} With zero size, `{off}`, it folds away, and {bare} operations remain."
 
 
 def _together(kind: type[Effect]) -> str:
     words = [LAST if getattr(kind, "LATE", False) else SLOTS[kind.SLOT]]
-    words.append(f"A scene holds it at most once: {kind.ONCE}." if kind.ONCE else "A scene may hold several of them.")
+    words.append(f"A scene has it at most once: {kind.ONCE}." if kind.ONCE else "A scene may have several of them.")
     words += [f"No other effect may take {reason}." for reason in kind.SOLE.values()]
-    words += [f"The input `{name}`, where there is one, is shared by all effects." for name in sorted(kind.SHARED)]
+    words += [f"The input `{name}`, if used, is shared by all effects." for name in sorted(kind.SHARED)]
     return " ".join(words)
 
 
@@ -212,7 +214,7 @@ def _where(name: str) -> str:
     if found.c:
         yes.append("exported C (`torchdq.compile(scene.program()).export(folder)`)")
     text = f"It may be used in {_several(yes)}."
-    return text if found.c else text + " It cannot be exported to C, since a part of it runs in torch."
+    return text if found.c else text + " It cannot be exported to C, because part of it runs in torch."
 
 
 def _several(words: list[str]) -> str:
@@ -229,18 +231,18 @@ def _file(kind: type[Effect]) -> str:
 # --- the table of all -----------------------------------------------------------------------------------------------
 
 INTRODUCTION = """\
-A scene simulates what it is asked for, and nothing else. A bare `Scene(robot)` is the rigid bodies alone: no gravity,
-no friction, no limits. Each effect below is a small object that belongs to one slot, and every slot has its place in a
+A scene simulates the effects that it lists, and no others. A bare `Scene(robot)` has rigid bodies only: no gravity, no
+friction, no limits. Each effect below is a small object that belongs to one slot, and every slot has its place in a
 step:
 
 1. **actuator**: changes the commanded torque.
 2. **joint** and **body**: torques at the joints and wrenches on the links add to it.
-3. **model**: the robot's own numbers, with which the accelerations are computed.
-4. **sensor**: changes what is read of the new state.
+3. **model**: the robot's parameters, with which the accelerations are computed.
+4. **sensor**: changes the measurements of the new state.
 
-All of it is recorded into one program. A parameter that is a number is a constant of the program and folds into it. A
-parameter that is a tensor is an argument: it may need gradients, or differ from sample to sample, and needs no new
-program. So the same effect has two prices.
+All of them are recorded into one program. Parameters that are numbers are constants, and are folded. Parameters that
+are tensors are arguments: they may require gradients, or differ from sample to sample, without recompilation. So each
+effect has two costs.
 
 ```python
 import torch
@@ -254,16 +256,17 @@ state = scene.step(scene.start(torch.zeros(4096, 7)), torque=torch.zeros(4096, 7
 print(scene.describe(seconds=0))  # operations of every effect; with more seconds, nanoseconds too
 ```
 
-Where a parameter is left out, it is taken from the robot's description, if that has it. `scene.describe()` also lists
-what the description asks for and the scene does not simulate."""
+Omitted parameters are taken from the robot's description, if it has them. `scene.describe()` also lists the effects of
+the description that the scene does not simulate."""
 
 FOOT = """\
-*Operations* are what the effect adds to one step of a seven-joint arm, first with numbers as parameters, then with
-tensors, other in every sample; *ns* is the time of the first. *States* are numbers per joint that the scene remembers
-for it. All effects may be used in a scene; beside it, *layer* is `torchdq.DQRNEA(robot, friction=...)` and the other
-layers, *identify* is `torchdq.learning.identify`, and *C* is `torchdq.compile(scene.program()).export(folder)`.
+*Operations* are those that the effect adds to one step of a seven-joint arm, first with numbers as parameters, then
+with tensors that differ from sample to sample; *ns* is the time of the first. *States* are the states per joint of the
+effect. Every effect can be used in a scene; *also in* lists other uses: *layer* is `torchdq.DQRNEA(robot,
+friction=...)` and the other layers, *identify* is `torchdq.learning.identify`, and *C* is
+`torchdq.compile(scene.program()).export(folder)`.
 
-An effect of your own is a small class, see [Contributing](../contributing.md)."""
+Your own effect is a small class, see [Contributing](../contributing.md#an-effect)."""
 
 
 def index() -> str:
@@ -271,7 +274,7 @@ def index() -> str:
     stored, sections = prices(), []
     for slot in SLOTS:
         rows = [_row(kind.__name__, stored) for kind in kinds() if slot == kind.SLOT]
-        head = (slot, "what it is", "states", "operations", "ns", "beside scenes")
+        head = (slot, "effect", "states", "operations", "ns", "also in")
         sections.append(table(head, rows))
     bare = f"A step without effects has {operations()} operations and takes {stored['bare']:.0f} ns."
     inner = "\n\n".join([*sections, f"{bare} {_measured(stored)}"])

@@ -1,4 +1,4 @@
-"""What the registered environments show, entry by entry, with the quantities themselves, so that a test can compare.
+"""Observations of the registered environments, entry by entry, with the quantities themselves for comparison in tests.
 
 The name of a task is the one under which `torchdq.envs` registers it, in small letters.
 """
@@ -74,7 +74,7 @@ def reference(now: Situation, order: int) -> Tensor:
 
 COMMON = {
     "clipped": "number of entries of the action that were outside [-1, 1]",
-    "nonfinite": "true where the simulation has failed in this step",
+    "nonfinite": "true if the simulation failed in this step",
 }
 FIRST = {"v0": "first version"}
 
@@ -87,7 +87,9 @@ ENVIRONMENTS: dict[str, Environment] = {
             ),
             Entries("velocity of each joint over its limit", "1", lambda now: fractions(now.robot, now.qd)),
             Entries(
-                "way from the end effector to the goal, x y z in the base frame", "m", lambda now: now.goal - tip(now)
+                "vector from the end effector to the goal, x y z in the base frame",
+                "m",
+                lambda now: now.goal - tip(now),
             ),
             Entries("position of the end effector, x y z in the base frame", "m", tip),
         ),

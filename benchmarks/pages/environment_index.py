@@ -1,4 +1,4 @@
-"""Text of the page about all environments: how they are made, their arguments, tasks of one's own, other libraries."""
+"""Text of the page about all environments: construction, arguments, custom tasks, other libraries."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from pages.text import MADE, sentence, table, wrapped
 from torchdq.envs import ArmVectorEnv, randomization, vector_env
 
 INTRODUCTION = """\
-An environment is a [scene](../effects/index.md), a task, and random numbers. Thousands of them are one program: a
-step of all of them is one call, in which observations, rewards, ends and resets are included."""
+An environment is a [scene](../effects/index.md), a task, and random numbers. Thousands of environments run as one
+program: a step of all of them is one call, including observations, rewards, terminations and resets."""
 
 WAYS = """\
-## Three ways to make them
+## Construction
 
 ```python
 import gymnasium
@@ -34,16 +34,16 @@ observation, info = envs.reset(seed=0)
 observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 6))
 ```
 
-`gymnasium.make_vec` returns numpy arrays and resets finished rows at the next step, as gymnasium's wrappers expect it,
-unless `output="torch"` and `autoreset_mode` ask otherwise. Rows are independent: row i of a batch with the seed s is,
-bit for bit, the single environment with the seed s + i. So seeds that are closer than the number of rows share
-episodes: test on a seed that is further away. A row whose simulation fails ends alone."""
+`gymnasium.make_vec` returns numpy arrays and resets finished rows at the next step, as gymnasium's wrappers expect,
+unless `output="torch"` and `autoreset_mode` are given. Rows are independent: row i of a batch with the seed s is
+bitwise the same as the single environment with the seed s + i. Seeds that differ by less than the number of rows share
+episodes: test on a seed that is further away. A failed simulation ends its own row only."""
 
 TASKS = """\
-## A task of your own
+## Custom tasks
 
-The quick way is a `TorchTask`: reward, observation, end or start are functions of tensors, and all else is that of a
-registered task.
+A `TorchTask` takes reward, observation, end or start of an episode from functions of tensors, and everything else from
+a registered task.
 
 ```python
 from torchdq.envs import ArmVectorEnv, TorchTask
@@ -58,14 +58,14 @@ observation, info = envs.reset(seed=0)
 observation, reward, terminated, truncated, info = envs.step(torch.zeros(64, 7))
 ```
 
-A recorded task is part of the program of the step, and faster; it is a class like `torchdq.envs.tasks.Reach`.
-[Contributing](../contributing.md) has one."""
+A recorded task is part of the program of the step, and faster; it is a class like `torchdq.envs.tasks.Reach`, see
+[Contributing](../contributing.md#a-task)."""
 
 RANDOMISE = """\
-## Other robots in every episode
+## Domain randomisation
 
-`randomise` draws parameters for every episode. Values are a number, a pair (lower, upper), or a distribution of torch
-that has `icdf`, such as `Normal`.
+`randomise` draws parameters in every episode. Values are a number, a pair (lower, upper), or a torch distribution with
+`icdf`, such as `Normal`.
 
 ```python
 envs = ArmVectorEnv(64, "reach", "panda", randomise={"mass": 0.1, "friction": (0.5, 1.5), "payload": 1.0})
@@ -73,12 +73,12 @@ observation, info = envs.reset(seed=0)
 ```"""
 
 SAVING = """\
-## Stop and go on
+## Checkpoints
 
 ```python
 saved = envs.get_state()  # states, goals, random numbers and drawn parameters
 envs.step(torch.zeros(64, 7))
-envs.set_state(saved)  # as if nothing had been
+envs.set_state(saved)  # the step is undone
 ```"""
 
 
@@ -98,7 +98,7 @@ def index() -> str:
                 rate_words(best),
             )
         )
-    head = ("id", "what to do", "observation", "action", "steps of an episode", "steps per second")
+    head = ("id", "task", "observation", "action", "steps of an episode", "steps per second")
     parts = [
         "# Environments",
         MADE.format(script=SCRIPT),
@@ -106,7 +106,7 @@ def index() -> str:
         f"{table(head, rows)}\n\nOf the default robot, `{ROBOT}`. {measured(stored)}",
         WAYS,
         "## Arguments",
-        "All three ways take the arguments of `ArmVectorEnv`; here are all of them with their defaults.",
+        "All three take the arguments of `ArmVectorEnv`, listed here with their defaults.",
         arguments(),
         TASKS,
         f"{RANDOMISE}\n\n{_randomised()}",
@@ -134,7 +134,7 @@ def _randomised() -> str:
     """Table of the module that draws parameters."""
     lines = inspect.getdoc(randomization).splitlines() if inspect.getdoc(randomization) else []
     rows = [match.groups() for line in lines if (match := re.match(r' +("[\w.]+") {2,}(.+?) {2,}(.+)$', line))]
-    return table(("name", "what is drawn", "a number x is the range"), [(f"`{a}`", b, c) for a, b, c in rows])
+    return table(("name", "parameter", "range for a number x"), [(f"`{a}`", b, c) for a, b, c in rows])
 
 
 def _libraries() -> str:

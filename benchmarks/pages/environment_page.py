@@ -57,7 +57,7 @@ def arm() -> Robot:
 
 
 def rates() -> dict[str, Any]:
-    """Rates of every environment, as they were measured and stored."""
+    """Rates of every environment, measured and stored."""
     return json.loads(RATES.read_text(encoding="utf-8"))
 
 
@@ -72,46 +72,47 @@ def page(task: str) -> str:
         f"# {spec.id.split('/')[1]}",
         MADE.format(script=SCRIPT),
         sentence(said.summary),
-        f'`gymnasium.make("{spec.id}")` makes one, `gymnasium.make_vec` many, and '
+        f'`gymnasium.make("{spec.id}")` creates one environment, `gymnasium.make_vec` many, and '
         f'`torchdq.envs.ArmVectorEnv(4096, "{task}")` many on tensors.',
         f"![One arm at five moments of an episode]({task}.png)",
-        f"One episode, seen after {', '.join(f'{k * dt:g}' for k in MOMENTS)} s.",
+        f"One episode, after {', '.join(f'{k * dt:g}' for k in MOMENTS)} s.",
         "## Task",
         *_paragraphs(case.task),
         "## Observation",
-        f"`Box({len(case.task().bounds(robot))},)` for the default robot ({joints}), as the sensors read it. Entries "
-        "beyond their bounds are clipped.",
+        f"`Box({len(case.task().bounds(robot))},)` for the default robot ({joints}), as measured by the sensors. "
+        "Entries are clipped to their bounds.",
         _observation(task, robot),
         "## Action",
-        f"`Box(-1, 1, ({robot.n},))`. What a full action means is the argument `action`; `scale` replaces the numbers.",
+        f"`Box(-1, 1, ({robot.n},))`. The argument `action` sets the meaning of a full action; `scale` replaces the "
+        "numbers.",
         _actions(robot),
         "## Reward",
         f"$$\n{tex(said.formulas[0], frozenset({'action'}))}\n$$",
-        "It is computed from the true state, whatever the sensors read. A step in which the simulation fails has the "
+        "It is computed from the true state, not from measurements. A step in which the simulation fails has the "
         f"reward {vector_env.WORST:g}.",
         "## End of an episode",
         table(
-            ("what", "when"),
+            ("flag", "condition"),
             [
-                ("terminated", "only where the simulation has failed: a number is not finite, or far too large"),
-                ("truncated", f"after {limit} steps, which are {limit * dt:g} s; `max_episode_steps` replaces it"),
+                ("terminated", "only if the simulation failed: a state is non-finite, or far too large"),
+                ("truncated", f"after {limit} steps, {limit * dt:g} s; `max_episode_steps` replaces it"),
             ],
         ),
         "## Start of an episode",
-        f"{start.summary} An episode starts from {case.task().draws(robot) // robot.n} random numbers per joint. The "
-        "seed decides them: row i of a batch with the seed s is, bit for bit, the single environment with the seed "
-        "s + i. [`randomise`](index.md#other-robots-in-every-episode) draws parameters of the robot as well.",
-        "## What is simulated",
-        f"With `effects=None` the effects of an ordinary arm, with the numbers of its description. Where it has none, "
-        f"rotors have {ROTOR:g} kg m^2 and joints a damping of {DAMPING:g} N m s/rad. For `{ROBOT}`:",
-        table(("effect", "numbers"), [_effect(effect) for effect in envs.scene.effects]),
-        f"One step is {dt:g} s, in {envs.scene.substeps} steps of `{type(envs.scene.integrator).__name__}`.",
+        f"{start.summary} An episode starts from {case.task().draws(robot) // robot.n} random numbers per joint, "
+        "determined by the seed: row i of a batch with the seed s is bitwise the same as the single environment with "
+        "the seed s + i. [`randomise`](index.md#domain-randomisation) draws parameters of the robot as well.",
+        "## Effects",
+        f"With `effects=None` those of a typical arm, with the parameters of its description. Missing ones are "
+        f"{ROTOR:g} kg m^2 for rotors and {DAMPING:g} N m s/rad for damping. For `{ROBOT}`:",
+        table(("effect", "parameters"), [_effect(effect) for effect in envs.scene.effects]),
+        f"One step is {dt:g} s, in {envs.scene.substeps} substeps of `{type(envs.scene.integrator).__name__}`.",
         "## info",
-        table(("entry", "what it is"), [(f"`{name}`", words) for name, words in case.info.items()]),
+        table(("entry", "meaning"), [(f"`{name}`", words) for name, words in case.info.items()]),
         "## Speed",
         _rates(task),
         "## Versions",
-        table(("id", "what changed"), [(f"`torchdq/{task.title()}-{v}`", words) for v, words in case.versions.items()]),
+        table(("id", "changes"), [(f"`torchdq/{task.title()}-{v}`", words) for v, words in case.versions.items()]),
         "## Example",
         f"```python\n{_example(task, spec.id)}\n```",
     ]
@@ -119,7 +120,7 @@ def page(task: str) -> str:
 
 
 def _paragraphs(task: type) -> list[str]:
-    """What the docstring says of goal, observation and reference; the reward has a section of its own."""
+    """Sentences of the docstring about goal and reference; the reward has its own section."""
     sentences = [
         words
         for paragraph in documented(task, frozenset({"action"})).text
@@ -134,7 +135,7 @@ def _observation(task: str, robot: Robot) -> str:
         low, high = zip(*bounds[at : at + width], strict=True)
         rows.append((f"{at} to {at + width - 1}", entries.what, entries.unit, _range(low), _range(high)))
         at += width
-    return table(("entries", "what", "unit", "lower bound", "upper bound"), rows)
+    return table(("entries", "quantity", "unit", "lower bound", "upper bound"), rows)
 
 
 def widths(task: str) -> list[int]:
@@ -146,7 +147,7 @@ def widths(task: str) -> list[int]:
 
 
 def situation(envs: ArmVectorEnv) -> Any:
-    """What environments without sensors are at, in their own words."""
+    """State of environments without sensors."""
     from pages.environment_cases import Situation
 
     state = envs.get_state()
@@ -182,7 +183,7 @@ def _numbers(x: Any) -> str:
 def _rates(task: str) -> str:
     stored = rates()
     rows = [(what, f"{envs}", rate_words(rate)) for what, envs, rate in stored["rates"][task]]
-    made = table(("made by", "environments", "steps of an environment per second"), rows)
+    made = table(("constructor", "environments", "steps of an environment per second"), rows)
     return f"{made}\n\n{measured(stored)}"
 
 
@@ -192,7 +193,7 @@ def rate_words(rate: float) -> str:
 
 
 def measured(stored: dict[str, Any]) -> str:
-    """Words for how rates were measured, and on which machine."""
+    """Conditions and machine of the measured rates."""
     machine = ", ".join(f"{key} {value}" for key, value in stored["machine"].items())
     return f"float32, one thread, observations, rewards and resets included: {machine}."
 

@@ -53,7 +53,7 @@ OTHER = ("grey", "--")
 
 
 LONG = re.compile(r"\d+\.\d{3,}")  # of coordinates
-BESIDE = ("without", "true", "rigid")  # curves that others are compared with
+REFERENCES = ("without", "true", "rigid")  # curves that others are compared with
 
 
 class Curve(NamedTuple):
@@ -77,7 +77,7 @@ def svg(picture: Picture) -> str:
         figure = Figure(figsize=SIZE, layout="constrained")
         axes = figure.add_subplot(xlabel=picture.x, ylabel=picture.y)
         for k, ((words, curve), look) in enumerate(zip(picture.curves.items(), LOOKS, strict=False), 1):
-            colour, line = OTHER if words in BESIDE else look
+            colour, line = OTHER if words in REFERENCES else look
             axes.plot(curve.x, curve.y, line, color=LIGHT[colour], label=words, gid=f"curve {k}")
         if len(picture.curves) > 1:
             figure.legend(loc="outside upper left", ncols=3)

@@ -1,5 +1,7 @@
 """Every guide has an example, and shows the picture that it draws. Their code is run by test_documents.py."""
 
+import json
+
 import helpers
 import pytest
 from places import ROOT
@@ -8,6 +10,8 @@ for needed in ("matplotlib", "scipy", "tyro"):
     pytest.importorskip(needed, reason="the guides need the extra 'examples'")
 import guide_pictures as pictures  # noqa: E402
 from matplotlib.image import imread  # noqa: E402
+from pictures import DATA  # noqa: E402
+from PIL import Image  # noqa: E402
 
 DOCS = ROOT / "docs"
 GUIDES = sorted((DOCS / "guides").glob("*.md"))
@@ -30,8 +34,10 @@ def test_every_guide_has_its_example_and_its_picture():
     assert {file.stem for file in pictures.FOLDER.iterdir()} == set(pictures.SOURCES)
 
 
-def test_a_picture_is_what_the_example_draws(monkeypatch, tmp_path):
+def test_a_picture_shows_the_data_that_the_example_draws(monkeypatch, tmp_path):
     monkeypatch.setattr(pictures, "FOLDER", tmp_path)
-    drawn = imread(pictures.made("urdf"))
-    kept = imread(DOCS / "pictures" / "urdf.png")
-    assert drawn.shape == kept.shape and abs(drawn - kept).mean() < 0.01
+    with Image.open(pictures.made("urdf")) as drawn, Image.open(DOCS / "pictures" / "urdf.png") as kept:
+        new, old = (json.loads(picture.info[DATA]) for picture in (drawn, kept))
+    assert len(new) == len(old) == 16  # a torque and its three terms, of four joints
+    for row, expected in zip(new, old, strict=True):
+        assert row == pytest.approx(expected, rel=2e-3, abs=1e-3)

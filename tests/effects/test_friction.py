@@ -379,7 +379,7 @@ def test_bristles_along_a_log_are_those_of_the_simulation():
     unit = effects.LuGre(None, 5e-4, 1.5, 0.3)  # whose torque is its deflection
     found = columns(WHEEL, unit, q, qd, time=time)["coulomb"]
     assert z.abs().max() > 1.05 and (found - z).abs().max() < 0.02
-    with pytest.raises(ArgumentError, match="time must be given for LuGre, which remembers"):
+    with pytest.raises(ArgumentError, match="time must be given for LuGre, which has memory"):
         columns(WHEEL, unit, q, qd)
     with pytest.raises(ArgumentError, match="time must increase"):
         columns(WHEEL, unit, q, qd, time=0 * time)

@@ -624,7 +624,7 @@ def link_to_test(test: str) -> str:
 
 def table(rows: Iterable[Row], name: Callable[[str], str], errata: Callable[[Row], list[Erratum]]) -> str:
     """Rows as a table."""
-    lines = ["| | what it says | code | test | erratum |", "|---|---|---|---|---|"]
+    lines = ["| | equation | code | test | erratum |", "|---|---|---|---|---|"]
     for row in rows:
         code = ", ".join(map(link_to_code, row.places))
         code = f"{plain(row.instead)}: {code}" if row.instead else code
@@ -678,20 +678,20 @@ def laws() -> str:
 
 INTRODUCTION = f"""
 *A Novel Dual Quaternion Based Cost Efficient Recursive Newton-Euler Inverse Dynamics Algorithm*
-([CITATION.cff](CITATION.cff)): every equation, table, line of Algorithm 1 and figure, where it is in this package, and
-the test that holds it.
+([CITATION.cff](CITATION.cff)): every equation, table, line of Algorithm 1 and figure, its place in this package, and
+the test that checks it.
 
-**The same** are the algebra, the screws and home poses that describe a robot, the two passes of the recursion, the
-closed form and the controller, down to the symbols. **Corrected** are {len(IDS)} places, in {len(ERRATA)} readings:
-below the equations of its section each stands with the printed form, the correct one, and the error that the printed
-one makes. Without an erratum an equation is right, but for a dot, letter or number that the eye restores; some may be
-lost in a copy of the text only. **More** than in the paper are prismatic and helical joints, trees, frames anywhere on
-a link, and the forms of the algorithms that cost least ([rnea](torchdq/dynamics/aligned/rnea.py),
-[crba](torchdq/dynamics/crba.py), [aba](torchdq/dynamics/aligned/aba.py)), which agree with these to rounding.
+**Unchanged**, down to the symbols: the algebra, the screws and home poses that describe a robot, the two passes of the
+recursion, the closed form and the controller. **Corrected**: {len(IDS)} places, in {len(ERRATA)} readings, listed
+below the equations of each section with the printed form, the correct one, and the error of the printed one. Equations
+without an erratum are correct up to obvious misprints, some of which may be artefacts of a copy. **Added**: prismatic
+and helical joints, trees, frames anywhere on a link, and the most efficient forms of the algorithms
+([rnea](torchdq/dynamics/aligned/rnea.py), [crba](torchdq/dynamics/crba.py), [aba](torchdq/dynamics/aligned/aba.py)),
+which agree with these to rounding.
 
-* q, qd, qdd are the paper's theta and its derivatives; dq_i is q_i less its value at home.
-* **x_i^j and delta_i^j are the pose of F_i in F_j**, as section 5.1 has it, and Ad(x_i^j) takes screws from F_i to
-  F_j; the inverse is x_j^i = (x_i^j)\\*. From (40) on the print uses the opposite reading: errata 38, 40, 46 and 61.
+* q, qd, qdd are the paper's theta and its derivatives; dq_i is q_i minus its value at home.
+* **x_i^j and delta_i^j are the pose of F_i in F_j**, as in section 5.1, and Ad(x_i^j) maps screws from F_i to
+  F_j; the inverse is x_j^i = (x_i^j)\\*. From (40) on the paper uses the opposite reading: errata 38, 40, 46 and 61.
   In the code X_AB is the pose of B in A, so that x_i^{{i-1}} is X_PB of link B and its parent P.
 * **A twist is angular + eps linear, a wrench force + eps moment**, both about the origin of their frame. Power is
   therefore f (.) (D(w) + eps P(w)), with the parts of one exchanged.
@@ -700,22 +700,23 @@ a link, and the forms of the algorithms that cost least ([rnea](torchdq/dynamics
 * (.) is the double geodesic product, (x) and (\\*) are the entry-wise cross and double geodesic products, L^H is the
   conjugate transpose.
 
-Errors are medians over twenty random chains of six joints, whose torques are about 58 N m, or over twenty random draws;
-where an arm is named, they are of that one, the paper's.
-[paper/test_paper_errata.py](tests/paper/test_paper_errata.py) measures every one of them,
-and compares this package at the same place with Pinocchio or the definition. Where words stand
-before the code, it does not compute the equation: they say what does instead.
+Errors are medians over twenty random chains of six joints, with torques of about 58 N m, or over twenty random draws;
+if an arm is named, they are those of the paper's arm.
+[paper/test_paper_errata.py](tests/paper/test_paper_errata.py) measures all of them, and
+compares this package in the same place with Pinocchio or the definition. Words before the code mean that the code does
+not compute the equation itself, but an alternative.
 """.strip()
 
 IN_USE = f"""
-Line by line it is [printed.rnea](torchdq/paper/printed.py). The code below is its form on trees, in use where the
-geometry of a robot is learned or differs from sample to sample; elsewhere it is
-[newton_euler](torchdq/dynamics/aligned/rnea.py), the same recursion in the frames that cost least
+Line by line it is [printed.rnea](torchdq/paper/printed.py). The code below is its form on trees, used if the
+geometry of a robot is learned or differs from sample to sample; otherwise it is
+[newton_euler](torchdq/dynamics/aligned/rnea.py), the same recursion in the most efficient frames
 ({link_to_test("program/test_program.py::test_torques_in_aligned_frames_equal_the_papers_recursion")}).
 """.strip()
 
 FOOT = """
-`python tests/paper/paper_index.py --write` writes this page; `tests/paper/test_paper_index.py` holds it to the sources.
+`python tests/paper/paper_index.py --write` writes this page; `tests/paper/test_paper_index.py` checks it against the
+sources.
 """.strip()
 
 
@@ -739,11 +740,12 @@ def page() -> str:
         corrected(of_tables),
         *section("Control: section 5.4", SECTION_5_4),
         *section("Costs: section 6", SECTION_6),
-        "`torchdq cost` prints Tables 2, 3 and 4 row by row, with what is counted by running each formula, "
-        "and why it differs ([tables](torchdq/paper/tables.py), held by [test_cost.py](tests/paper/test_cost.py)):",
+        "`torchdq cost` prints Tables 2, 3 and 4 row by row, with the counts of running each formula, "
+        "and reasons for differences ([tables](torchdq/paper/tables.py), checked by "
+        "[test_cost.py](tests/paper/test_cost.py)):",
         verdicts(),
-        "Dual quaternions cost less than homogeneous matrices, as the paper finds, where every product is one of full "
-        "matrices; where zeros and ones are known, the matrices cost less than the algorithm as printed.",
+        "Dual quaternions cost less than homogeneous matrices, as the paper finds, if every product is one of dense "
+        "matrices; with structural zeros and ones removed, the matrices cost less than the algorithm as printed.",
         laws(),
         "## Figures",
         table(FIGURES, lambda id: f"Fig. {id}", none_of),

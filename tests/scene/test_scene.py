@@ -1,6 +1,6 @@
 """Scenes: what is off is absent, controllers are what their equations say, and tensors go in and out as they should.
 
-Effects are the claim of test_effects.py, time that of test_integrators.py.
+What each effect does is the claim of tests/effects, how time passes that of test_integrators.py.
 """
 
 import dataclasses

@@ -1,12 +1,11 @@
-"""Effects that a scene can simulate, each an object that belongs to one slot."""
+"""Physical effects of a scene, each an object that belongs to one slot."""
 
 from torchdq.effects.actuator import CommandDelay, DeadBand, FirstOrderLag, QuantisedCommand, Saturation, TorqueSpeed
 from torchdq.effects.body import Contact, Drag, Push
 from torchdq.effects.effect import Effect
-from torchdq.effects.friction import Coulomb, Directional, LoadDependent, Quadratic, Ripple, Stribeck, Viscous
+from torchdq.effects.friction import Coulomb, Directional, LoadDependent, LuGre, Quadratic, Ripple, Stribeck, Viscous
 from torchdq.effects.joint import JointLimits, Servo, Spring
 from torchdq.effects.model import Gravity, MassScale, Payload, RotorInertia
-from torchdq.effects.presliding import LuGre
 from torchdq.effects.residual import Residual
 from torchdq.effects.sensor import Bias, MeasurementDelay, Noise, QuantisedReading
 from torchdq.effects.transmission import Elastic

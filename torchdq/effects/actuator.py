@@ -1,4 +1,4 @@
-"""Effects of the actuators on commanded torques. They act once per step, in their order."""
+"""Actuator effects on commanded torques, applied once per step, in their order."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from torchdq.robot import Robot
 
 @dataclass(frozen=True)
 class Actuator(Effect):
-    """Base class of actuators, which change commanded torques before they act on the joints."""
+    """Base of actuators, which change commanded torques before they act on the joints."""
 
     SLOT: ClassVar[str] = "actuator"
 
@@ -31,10 +31,10 @@ class Actuator(Effect):
 
 @dataclass(frozen=True)
 class Saturation(Actuator):
-    """The torque clipped to its limit, exactly: tau = min(max(u, -limit), limit).
+    """Torque limit: tau = min(max(u, -limit), limit).
 
     Args:
-        limit: [N m or N], shape [..., n]; None: the effort limits of the robot's description, infinite where none.
+        limit: [N m or N], shape [..., n]; None: the effort limits of the robot's description, infinite if absent.
     """
 
     SHAPES: ClassVar[Shapes] = {"limit": ("n",)}
@@ -49,15 +49,15 @@ class Saturation(Actuator):
 
 @dataclass(frozen=True)
 class TorqueSpeed(Actuator):
-    """A motor whose torque falls with speed: -stall max(0, 1 + qd/speed) <= tau <= stall max(0, 1 - qd/speed).
+    """Torque-speed limit of a motor: -stall max(0, 1 + qd/speed) <= tau <= stall max(0, 1 - qd/speed).
 
-    Torque-speed line of a direct-current motor at maximum voltage, in both directions, and |tau| <= stall; braking has
-    the full torque.
+    Torque-speed line of a DC motor at maximum voltage, in both directions, and |tau| <= stall; the full torque is
+    available for braking.
 
     Args:
-        stall: torque at rest [N m or N], shape [..., n]; None: the effort limits of the description. Where it is an
-            infinite number there is no limit.
-        speed: at which no torque is left [rad/s or m/s], shape [..., n]; None: the velocity limits of the description.
+        stall: stall torque [N m or N], shape [..., n]; None: the effort limits of the description. An infinite number
+            is no limit.
+        speed: no-load speed [rad/s or m/s], shape [..., n]; None: the velocity limits of the description.
     """
 
     SHAPES: ClassVar[Shapes] = {"stall": ("n",), "speed": ("n",)}
@@ -68,7 +68,7 @@ class TorqueSpeed(Actuator):
     speed: Parameter = None
 
     def resolved(self, robot: Robot) -> Self:
-        """Copy for a robot; raises if a torque at rest that is a tensor is infinite, which only a number can be."""
+        """Copy for a robot; raises if a stall torque that is a tensor is infinite, which only a number can be."""
         whole = super().resolved(robot)
         x = whole.stall
         if isinstance(x, Tensor) and not without_values((x,)) and bool(x.detach().isinf().any()):
@@ -78,31 +78,31 @@ class TorqueSpeed(Actuator):
         return whole
 
     def idle(self) -> tuple[str, ...]:
-        """Torque at rest, if it is infinite at every joint."""
+        """Stall torque, if it is infinite at every joint."""
         return ("stall",) if isinstance(self.stall, tuple) and all(map(unbounded, self.stall)) else ()
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
-        """Torques clipped to what the motors have at their speeds."""
+        """Torques clipped to the available torques at these velocities."""
         result = []
         for x, v, stall, speed in zip(u, qd, self.stall, self.speed, strict=True):
             if unbounded(stall):
                 result.append(x)
                 continue
-            lost = clip(stall / speed * v, -stall, stall)
-            upper = stall - maximum(lost, 0.0)
-            result.append(clip(x, -(upper + lost), upper))
+            drop = clip(stall / speed * v, -stall, stall)
+            upper = stall - maximum(drop, 0.0)
+            result.append(clip(x, -(upper + drop), upper))
         return result, ()
 
 
 @dataclass(frozen=True)
 class FirstOrderLag(Actuator):
-    """A first-order lag: T tau' = u - tau, solved exactly over a step in which u is constant.
+    """First-order lag: T tau' = u - tau, solved exactly for constant u over a step.
 
-    The torque that acts over the step is the mean of that solution, so that its impulse is exact at any length of the
-    step; the solution at the end is remembered.
+    The torque over the step is the mean of that solution, so that its impulse is exact at any step size; the solution
+    at the end of the step is the state.
 
     Args:
-        time: T [s], shape [..., n]; zero is no lag.
+        time: T [s], shape [..., n]; zero disables it.
     """
 
     SHAPES: ClassVar[Shapes] = {"time": ("n",)}
@@ -124,7 +124,7 @@ class FirstOrderLag(Actuator):
 
 @dataclass(frozen=True)
 class CommandDelay(Late, Actuator):
-    """Torques that arrive a whole number of steps late: tau(t) = u(t - steps dt); before that, none.
+    """Delay of the torques by a whole number of steps: tau(t) = u(t - steps dt), initially zero.
 
     Args:
         steps: from 1 to 500.
@@ -133,29 +133,29 @@ class CommandDelay(Late, Actuator):
     PER_JOINT = 1
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
-        """The torques of `steps` steps ago."""
+        """The commands `steps` steps before."""
         return self.passed(u, memory)
 
 
 @dataclass(frozen=True)
 class DeadBand(Actuator):
-    """Dead band: commands lose up to a width, tau = u - min(max(u, -width), width).
+    """Dead band of the commands: tau = u - min(max(u, -width), width).
 
     Args:
-        width: [N m or N], shape [..., n].
+        width: half-width of the band [N m or N], shape [..., n].
     """
 
     SHAPES: ClassVar[Shapes] = {"width": ("n",)}
     width: Parameter
 
     def driven(self, u: Row, qd: Row, memory: Row, dt: float) -> tuple[Row, Row]:
-        """Commands less the part within the width."""
+        """Commands minus the part inside the band."""
         return [x - clip(x, -w, w) for x, w in zip(u, self.width, strict=True)], ()
 
 
 @dataclass(frozen=True)
 class QuantisedCommand(Actuator):
-    """Commands rounded to whole multiples of a step; the gradient is zero, as of any staircase.
+    """Quantisation of the commands to multiples of a step; its gradient is zero.
 
         tau = step floor(u / step + 1/2)
 
@@ -176,7 +176,7 @@ def _decay(z: Number) -> Number:
     """Mean (1 - exp(-z)) / z of the exponential exp(-t) over t from 0 to z > 0."""
     if isinstance(z, float):
         return -math.expm1(-z) / z
-    # the difference of 1 and a number near it has no digits left; 1 - z/2 + z^2/6 - ... has all
+    # 1 - exp(-z) cancels for small z; the series 1 - z/2 + z^2/6 - ... does not
     series = polynomial([(-1) ** k / math.factorial(k + 1) for k in range(9)], z)
     return select(below(z, 0.05), series, (1.0 - exp(-z)) / z)
 

@@ -1,4 +1,4 @@
-"""Effects on the bodies: wrenches that the environment exerts on links."""
+"""Body effects: wrenches of the environment on links."""
 
 from __future__ import annotations
 
@@ -21,37 +21,37 @@ from torchdq.robot import Robot
 
 
 class Bodies(NamedTuple):
-    """Links of a posed robot in motion; points, twists and wrenches are in the frames in which it keeps them."""
+    """Links of a posed robot in motion; points, twists and wrenches are in the frames of `posed`."""
 
     robot: Robot
     posed: Posed
     V: Sequence[Screw]  # twists of the links
 
     def frame(self, name: str) -> tuple[int, Point]:
-        """Link that a frame is fixed to, and the frame's origin and axes on it."""
+        """Link of a frame, and the frame's origin and axes on it."""
         link, X_BF = frame(self.robot, name)
         return link, self.posed.point(link, X_BF)
 
     def velocity(self, i: int, r: Pure) -> Pure:
-        """Velocity of a point of a link, in the link's axes."""
+        """Velocity of a point of a link, in link axes."""
         w, v = self.V[i]
         return quat.add(v, quat.cross(w, r))
 
 
 @dataclass(frozen=True)
 class BodyEffect(Effect):
-    """A wrench on one or more links."""
+    """Wrench on one or more links."""
 
     SLOT: ClassVar[str] = "body"
 
     def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
-        """Wrench (force, moment) on links, by their numbers, in and about the frames in which they are kept."""
+        """Wrenches (force, moment) by link number, in and about the frames of `bodies`."""
         raise undefined(self, "wrenches")
 
 
 @dataclass(frozen=True)
 class Push(BodyEffect):
-    """A wrench on a frame, given at every step; a step at which it is not given costs nothing.
+    """External wrench on a frame, an optional input of every step.
 
         tau = J^T F
 
@@ -59,8 +59,8 @@ class Push(BodyEffect):
 
     Args:
         frame: name of the frame; None: the robot's end effector.
-        axes: "world": force and moment are given in the axes of the base frame, or of the world if the base is free;
-            "body": in those of the frame. Both are about the frame's origin.
+        axes: "world": force and moment in base axes, or in world axes for a floating base; "body": in frame axes. Both
+            are about the frame's origin.
         name: name of the input, shape [..., 6] [N, N m].
     """
 
@@ -69,7 +69,7 @@ class Push(BodyEffect):
     name: str = "push"
 
     def described(self, robot: Robot) -> Self:
-        """Copy with the frame named."""
+        """Copy with the name of its frame."""
         if self.axes not in ("world", "body"):
             raise ArgumentError(f"axes of Push must be 'world' or 'body', found {self.axes!r}")
         return on_a_link(self, robot)
@@ -79,7 +79,7 @@ class Push(BodyEffect):
         return {self.name: 6}
 
     def needs(self, n: int) -> tuple[str, ...]:
-        """No names: a step may be without a push."""
+        """None: the push is optional."""
         return ()
 
     def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
@@ -99,7 +99,7 @@ class Push(BodyEffect):
 class Drag(BodyEffect):
     """Drag of a medium on every link: f = -(a + b |v|) v at the centre of mass, moment -c w.
 
-    A free base is not a link and has no drag.
+    A floating base is not a link and has no drag.
 
     Args:
         linear: a [N s/m], shape [..., links]; Stokes.
@@ -116,7 +116,7 @@ class Drag(BodyEffect):
     sign_width: Parameter = 1e-3
 
     def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
-        """The resistance to every link."""
+        """The drag on every link."""
         result = {}
         for i, (a, b, angular) in enumerate(zip(self.linear, self.quadratic, self.angular, strict=True), 1):
             c = bodies.posed.com(i)
@@ -130,16 +130,16 @@ class Drag(BodyEffect):
 
 @dataclass(frozen=True)
 class Contact(BodyEffect):
-    """Compliant contact of a frame's origin with a half-space: normal force k d (1 + c dd), friction mu times it.
+    """Compliant contact of a frame's origin with a half-space: normal force k d (1 + c dd), friction coefficient mu.
 
         d = height - n . p,   f = f_n n - mu f_n v_t / sqrt(|v_t|^2 + w^2),   f_n = max(k d (1 + c dd), 0)
 
-    Source of the normal force: Hunt and Crossley 1975. The force is continuous and the ground never pulls.
+    Source of the normal force: Hunt and Crossley 1975. The force is continuous and never attractive.
 
     Args:
         frame: name of the frame; None: the robot's end effector.
-        height: of the surface along the normal from the base's origin, the world's if the base is free [m].
-        normal: unit normal n of the surface in the base frame, or in the world, shape [..., 3].
+        height: of the surface along the normal, from the origin of the base, or of the world for a floating base [m].
+        normal: unit normal n of the surface, in the base frame or in the world frame, shape [..., 3].
         stiffness: k [N/m], a number or [...].
         dissipation: c [s/m], a number or [...].
         friction: mu, a number or [...].
@@ -165,11 +165,11 @@ class Contact(BodyEffect):
     sign_width: Parameter = 1e-2
 
     def described(self, robot: Robot) -> Self:
-        """Copy with the frame named."""
+        """Copy with the name of its frame."""
         return on_a_link(self, robot)
 
     def resolved(self, robot: Robot) -> Self:
-        """Copy for a robot; raises unless the normal has the length 1, but for rounding."""
+        """Copy for a robot; raises unless the normal is a unit vector up to rounding."""
         whole = super().resolved(robot)
         normal = tensor_of(whole.normal).double()
         if not without_values((normal,)) and bool(((normal.square().sum(-1) - 1).abs() > 1e-5).any()):
@@ -177,7 +177,7 @@ class Contact(BodyEffect):
         return whole
 
     def wrenches(self, bodies: Bodies, inputs: Inputs) -> dict[int, Screw]:
-        """The force on the link that touches."""
+        """The contact force on the link."""
         link, point = bodies.frame(str(self.frame))
         p = point.position
         v = bodies.velocity(link, p)

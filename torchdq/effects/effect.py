@@ -1,10 +1,10 @@
-"""Base of all effects: a small frozen object that belongs to one slot of a scene and states its contribution.
+"""Base of all effects: a small frozen object that belongs to one slot of a scene and defines its contribution.
 
-A parameter that is a number becomes a constant of the scene's program. A parameter that is a tensor becomes an argument
-of it: it may require gradients, change between steps, or differ from sample to sample (leading batch axes) without a
-new program. A parameter that is None is taken from the robot's description.
+Parameters that are numbers become constants of the scene's program. Parameters that are tensors become arguments: they
+may require gradients, change between steps, or differ from sample to sample (leading batch axes) without recompilation.
+Parameters that are None are taken from the robot's description.
 
-The methods of an effect are written for any kind of number: while a scene is recorded, its tensors are rows of recorded
+The methods of an effect are written for any kind of number: while a scene is recorded, tensors are rows of recorded
 numbers.
 """
 
@@ -30,16 +30,16 @@ from torchdq.robot import Robot
 from torchdq.robot.fields import trailing
 from torchdq.robot.robot import arguments
 
-Inputs = Mapping[str, Row]  # by name, given at a step
-Parameter = Any  # a number, a sequence of numbers, a tensor, or None: as described; while recording: a row of numbers
+Inputs = Mapping[str, Row]  # inputs of a step by name
+Parameter = Any  # number, sequence, tensor, or None: from the description; while recording: a row of numbers
 Shapes = Mapping[str, tuple[int | str, ...]]  # trailing axes by name, see `Robot.sizes`
 
 
-MOST_LATE = 500  # steps of a delay; a program with as many takes half a minute to compile
+MOST_LATE = 500  # steps of a delay; the compile time of its program is then half a minute
 
 
 class _Placeholder:
-    """Placeholder of a tensor in the specification of a scene."""
+    """Placeholder for a tensor in the specification of a scene."""
 
     def __repr__(self) -> str:
         return "tensor"
@@ -53,20 +53,20 @@ TENSOR = _Placeholder()
 
 @dataclass(frozen=True)
 class Parametric:
-    """Base of everything whose parameters are constants or arguments of a scene's programs."""
+    """Base of objects whose parameters are constants or arguments of a scene's programs."""
 
     SHAPES: ClassVar[Shapes] = {}  # trailing axes of each parameter
     SIGNED: ClassVar[frozenset[str]] = frozenset()  # parameters that may be negative
     UNBOUNDED: ClassVar[frozenset[str]] = frozenset()  # parameters that may be infinite
     DIVIDING: ClassVar[frozenset[str]] = frozenset()  # parameters that must not be zero
-    DESCRIBED: ClassVar[Mapping[str, str]] = {}  # attribute of the robot that a parameter is if it is None
+    DESCRIBED: ClassVar[Mapping[str, str]] = {}  # attribute of the robot that replaces None
 
     def missing(self) -> dict[str, str]:
         """Parameters that are None, with the attributes of the robot that replace them."""
         return {name: source for name, source in self.DESCRIBED.items() if getattr(self, name) is None}
 
     def described(self, robot: Robot) -> Self:
-        """Copy whose parameters that are None come from the robot's description."""
+        """Copy with the values of the robot's description instead of None."""
         found = {name: owned(robot, attrgetter(source)(robot)) for name, source in self.missing().items()}
         return replace(self, **found)
 
@@ -91,7 +91,7 @@ class Parametric:
             raise ArgumentError(f"{what} must be given: the description of robot {robot.name!r} has none")
         single = value.ndim == 0 if isinstance(value, Tensor) else is_number(value) and value != 0
         per_joint = any(isinstance(axis, str) for axis in axes)
-        if single and axes and not per_joint:  # one number for all joints makes sense, one for all components none
+        if single and axes and not per_joint:  # one number for all joints is meaningful, one for all components is not
             raise ArgumentError(f"{what} must have {size} components, found the number {float(value):g}")
         if isinstance(value, Tensor):
             require_tensor(what, value)
@@ -105,7 +105,7 @@ class Parametric:
                 self._check_values(name, torch.stack(value.detach().aminmax()).tolist())
             return value.expand((*value.shape[: value.ndim - len(shape)], *shape))
         given = value if isinstance(value, Sequence) and not isinstance(value, str | bytes) else [value] * size
-        if not all(map(is_number, given)):  # float() would take words and truth values, and detach tensors
+        if not all(map(is_number, given)):  # float() would accept strings and booleans, and detach tensors
             raise ArgumentError(f"{what} must be a number, {size} numbers or a tensor, found {value!r}")
         if len(given) != size:
             raise ArgumentError(f"{what} must be one number or {size}, found {len(given)}")
@@ -114,7 +114,7 @@ class Parametric:
         return tuple(numbers) if shape else numbers[0]
 
     def _check_values(self, name: str, numbers: Sequence[float]) -> None:
-        """Raise unless a parameter may have these values; of a tensor, the smallest and the largest are enough."""
+        """Raise unless these values are allowed for a parameter; the extreme values of a tensor suffice."""
         what = f"{name} of {type(self).__name__}"
         for x in numbers:
             if math.isnan(x) or (math.isinf(x) and name not in self.UNBOUNDED):
@@ -125,7 +125,7 @@ class Parametric:
                 raise ArgumentError(f"{what} must be positive, found 0; it divides")
 
     def idle(self) -> tuple[str, ...]:
-        """Parameters that the description may give, if all are constants of no effect: zeros, or absent limits."""
+        """Parameters from the description, if all are constants without effect: zeros, or absent limits."""
 
         def none(name: str, row: Any) -> bool:
             return isinstance(row, tuple) and all(math.isinf(x) if name in self.UNBOUNDED else x == 0 for x in row)
@@ -137,11 +137,11 @@ class Parametric:
         return {name: getattr(self, name) for name in self.SHAPES if isinstance(getattr(self, name), Tensor)}
 
     def template(self) -> Self:
-        """Copy with `TENSOR` in the place of each tensor: everything that a program depends on."""
+        """Copy with `TENSOR` instead of each tensor: everything that a program depends on."""
         return replace(self, **dict.fromkeys(self.tensors(), TENSOR))
 
     def bound(self, rows: Mapping[str, Row]) -> Self:
-        """Copy with rows of recorded numbers in the place of its tensors."""
+        """Copy with rows of recorded numbers instead of its tensors."""
         return replace(self, **{name: tuple(row) if self.SHAPES[name] else row[0] for name, row in rows.items()})
 
 
@@ -150,33 +150,33 @@ class Effect(Parametric):
     """One physical effect of a scene."""
 
     SLOT: ClassVar[str]  # "model", "joint", "body", "actuator" or "sensor"
-    ONCE: ClassVar[str] = ""  # reason why a scene holds it at most once; "": it may be repeated
-    SOLE: ClassVar[Mapping[str, str]] = {}  # described attributes that no other effect may take, and why
+    ONCE: ClassVar[str] = ""  # reason why a scene has it at most once; "": it may be repeated
+    SOLE: ClassVar[Mapping[str, str]] = {}  # attributes of the description reserved for this effect, and why
     SHARED: ClassVar[frozenset[str]] = frozenset()  # inputs that it shares with others
     SCALES: ClassVar[tuple[str, ...]] = ()  # parameters that friction randomisation scales together
 
     def inputs(self, n: int) -> dict[str, int]:
-        """Names and widths of the inputs that it takes at a step."""
+        """Names and widths of its inputs at a step."""
         return {}
 
     def needs(self, n: int) -> tuple[str, ...]:
-        """Names of the inputs that must be given at every step."""
+        """Names of the inputs that are required at every step."""
         return tuple(self.inputs(n))
 
     def computed(self, n: int) -> dict[str, int]:
-        """Names and widths of the rows that the scene computes for it before a step; nobody gives them."""
+        """Names and widths of the rows that the scene computes for it before a step."""
         return {}
 
     def noises(self, n: int) -> int:
-        """Number of random numbers, uniform in (0, 1), that it consumes at a step."""
+        """Number of random numbers, uniform in (0, 1), that it uses at a step."""
         return 0
 
     def memory(self, n: int) -> int:
-        """Number of values that it remembers from step to step."""
+        """Number of its states."""
         return 0
 
     def free_range(self) -> tuple[Parameter, Parameter] | None:
-        """Positions [n] below and above which it pushes joints back; None: it does not."""
+        """Positions [n] below and above which it acts as a limit; None: it is not a limit."""
         return None
 
     def start(self, q: Row, qd: Row) -> Row:
@@ -184,7 +184,7 @@ class Effect(Parametric):
         return (0.0,) * self.memory(len(q))
 
     def outside(self) -> str:
-        """Words for what is computed outside the program of a step; "": nothing."""
+        """Description of computations outside the program of a step; "": none."""
         return ""
 
 
@@ -200,12 +200,12 @@ class Late(Effect):
     steps: int
 
     def described(self, robot: Robot) -> Self:
-        """Effect as it is; raises if the number of steps is not a positive integer."""
+        """The effect; raises unless the number of steps is a positive integer."""
         require_count(f"steps of {type(self).__name__}", self.steps)
-        if self.steps > MOST_LATE:  # every step is a row of numbers in the program
+        if self.steps > MOST_LATE:  # every step is a row in the program
             raise ArgumentError(
                 f"steps of {type(self).__name__} must be at most {MOST_LATE}, found {self.steps}; a longer delay needs "
-                "longer time steps, or rows kept outside the scene"
+                "longer time steps, or a buffer outside the scene"
             )
         return self
 
@@ -214,12 +214,12 @@ class Late(Effect):
         return self.steps * self.PER_JOINT * n
 
     def passed(self, row: Row, memory: Row) -> tuple[Row, Row]:
-        """Row that arrives, and the delayed rows after it."""
+        """Row that arrives, and the remaining delayed rows."""
         return memory[: len(row)], (*memory[len(row) :], *row)
 
 
 def undefined(part: Any, method: str) -> NotImplementedError:
-    """Error for a method that a class of one's own must define."""
+    """Error for a method that a subclass must define."""
     return NotImplementedError(f"{type(part).__name__} must define the method {method}")
 
 
@@ -234,12 +234,12 @@ def owned(robot: Robot, x: Tensor | None) -> Tensor | tuple[float, ...] | None:
 
 
 def unbounded(x: Number) -> bool:
-    """True for an infinite constant: a limit that is absent and costs nothing."""
+    """True for an infinite constant: an absent limit."""
     return isinstance(x, float) and math.isinf(x)
 
 
 def on_a_link(effect: Any, robot: Robot) -> Any:
-    """Effect with its frame named, None being the end effector; the frame must be on a moving link."""
+    """Effect with the name of its frame, by default the end effector; the frame must be on a moving link."""
     frame = robot.end_effector() if effect.frame is None else robot.frame(effect.frame)
     if frame.link == BASE and not robot.floating:
         raise ArgumentError(f"frame of {type(effect).__name__} is {frame.name!r}, which is fixed to the base")

@@ -1,8 +1,8 @@
-"""Friction of the joints, each law stated once, for scenes, layers and identification.
+"""Friction of the joints, each law defined once, for scenes, layers and identification.
 
 The law of an effect is the impedance of one joint, on any kind of number: the motor must add the torque
-(D + g |load|) qd + f to overcome it. That torque is linear in the parameters that `LINEAR` names. A scene exerts the
-opposite on its joints (`torchdq.envs`); `torchdq.effects.resistance` has it on tensors, for layers and for logs.
+(D + g |load|) qd + f to overcome it. That torque is linear in the parameters listed in `LINEAR`. A scene applies the
+opposite to its joints; `torchdq.effects.resistance` evaluates it on tensors, for layers and for logs.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 from torchdq.algebra.quaternion import Number
 from torchdq.base.checks import is_number
@@ -19,33 +19,33 @@ from torchdq.dynamics.posed import Row
 from torchdq.effects.effect import Inputs, Parameter, Shapes
 from torchdq.effects.joint import Impedance, JointEffect
 from torchdq.errors import ArgumentError
-from torchdq.numbers.functions import absolute, cos, maximum, sin
+from torchdq.numbers.functions import absolute, cos, exp, maximum, sin
 from torchdq.robot import Robot
 
-TEMPERATURE = "temperature"  # input of friction that depends on it
+TEMPERATURE = "temperature"  # input of temperature-dependent friction
 
 
 @dataclass(frozen=True)
 class Friction(JointEffect):
-    """Base of friction, whose coefficients may change with temperature: c (1 + warming temperature), at least zero.
+    """Base of friction, with temperature-dependent coefficients c (1 + warming temperature), at least zero.
 
-    The input `temperature` [..., n] is that of the joints above the one at which the coefficients hold [K]. All
-    friction of a scene shares it; where nothing is warming it is no input.
+    The input `temperature` [..., n] is the difference to the temperature at which the coefficients are given [K]. All
+    friction of a scene shares it; without warming it is not an input.
 
     Args:
-        warming: relative change of the coefficients [1/K], shape [..., n]; negative where friction falls with warmth.
+        warming: relative change of the coefficients [1/K], shape [..., n]; negative if friction falls with temperature.
     """
 
     SHAPES: ClassVar[Shapes] = {"warming": ("n",)}
     SIGNED: ClassVar[frozenset[str]] = frozenset({"warming"})
     SHARED: ClassVar[frozenset[str]] = frozenset({TEMPERATURE})
-    LINEAR: ClassVar[tuple[str, ...]] = ()  # parameters in which the torque is linear, zero where all of them are
+    LINEAR: ClassVar[tuple[str, ...]] = ()  # parameters in which the torque is linear; zero if all are zero
     FRACTIONS: ClassVar[frozenset[str]] = frozenset()  # parameters that are below 1
-    LEARNED_AS: ClassVar[Mapping[str, str]] = {}  # names of parameters that a layer learns
+    LEARNED_AS: ClassVar[Mapping[str, str]] = {}  # names of the learned parameters of a layer
     warming: Parameter = field(default=0.0, kw_only=True)
 
     def law(self, q: Number, qd: Number) -> Impedance:
-        """Impedance of one joint, whose numbers the parameters are."""
+        """Impedance of one joint, with numbers as parameters."""
         raise NotImplementedError
 
     def _check_values(self, name: str, numbers: Sequence[float]) -> None:
@@ -56,28 +56,28 @@ class Friction(JointEffect):
             )
 
     def steady(self, sign_width: float) -> Friction:
-        """Memoryless friction with the same torque in steady motion; Coulomb friction gets that `sign_width`."""
+        """Memoryless friction with the same torque in steady motion, of the given `sign_width`."""
         return self
 
     def bristles(self) -> float:
-        """Deflection of bristles that follow from the positions alone [rad or m]; zero without memory."""
+        """Deflection of bristles that can be computed from positions alone [rad or m]; zero without memory."""
         return 0.0
 
     def parts(self) -> list[tuple[Friction, str]]:
-        """Laws whose torques add up to this one's, each in proportion to one parameter that may be any positive one."""
+        """Laws that sum to this one, each proportional to one nonnegative parameter."""
         law = replace(self, **dict.fromkeys(self.LINEAR))
         return [(law, name) for name in self.LINEAR]
 
     def inputs(self, n: int) -> dict[str, int]:
-        """The temperature [n], if the coefficients change with it."""
+        """The temperature [n], if the coefficients depend on it."""
         return {} if _zero(self.warming) else {TEMPERATURE: n}
 
     def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
-        """Impedances of all joints, by the law."""
+        """Impedances of all joints."""
         return [one.law(x, v) for one, x, v in zip(self.joints(len(q), inputs), q, qd, strict=True)]
 
     def joints(self, n: int, inputs: Inputs) -> list[Self]:
-        """Friction of each joint at its temperature: copies whose parameters are numbers."""
+        """Friction of each joint at its temperature: copies with numbers as parameters."""
         rows = {name: getattr(self, name) for name in self.SHAPES if name != "warming"}
         if not _zero(self.warming):
             pairs = zip(self.warming, inputs[TEMPERATURE], strict=True)
@@ -109,7 +109,7 @@ class Viscous(Friction):
 
 @dataclass(frozen=True)
 class Quadratic(Friction):
-    """Friction that grows with the square of the speed, as in fluids: tau = -c |qd| qd.
+    """Quadratic friction, as in fluids: tau = -c |qd| qd.
 
     Args:
         coefficient: c [N m s^2/rad^2 or N s^2/m^2], shape [..., n].
@@ -218,7 +218,7 @@ class Stribeck(Friction):
         return ("coulomb", "static") if both else ()
 
     def parts(self) -> list[tuple[Friction, str]]:
-        """Dry friction of a moving joint, and what is more at rest, so that the friction at rest is at least that."""
+        """Coulomb friction, and the excess near rest, so that static friction is at least Coulomb friction."""
         return [(Coulomb(sign_width=self.sign_width), "coulomb"), (super().parts()[-1][0], "static")]
 
     def law(self, q: Number, qd: Number) -> Impedance:
@@ -232,9 +232,9 @@ class Stribeck(Friction):
 class LoadDependent(Friction):
     """Coulomb friction in proportion to the load, as in gears: tau = -g |load| qd / sqrt(qd^2 + w^2).
 
-    The load is the torque that moves the bodies and the rotor, inverse dynamics without friction. In a scene it follows
-    from all other torques u' at the joint: load = u' / (1 + m sign(u')), with m = g times the smooth sign.
-    The coefficient is below 1, so that a load can always turn the joint backwards.
+    The load is the torque that accelerates the bodies and the rotor: inverse dynamics without friction. In a scene it
+    is computed from all other torques u' at the joint: load = u' / (1 + m sign(u')), with m = g times the smooth sign.
+    The coefficient is below 1, so that the joint is always backdrivable.
 
     Args:
         coefficient: g, friction over load, below 1, shape [..., n].
@@ -257,14 +257,14 @@ class LoadDependent(Friction):
 
 @dataclass(frozen=True)
 class Ripple(Friction):
-    """Torque that repeats with the position, as of cogging or of gear teeth, the same in both directions.
+    """Torque ripple, periodic in the position, as from cogging or gear teeth.
 
         tau = -(sine sin(2 pi q / period) + cosine cos(2 pi q / period))
 
-    It takes no energy out; friction in the direction of motion is that of other effects.
+    It is conservative: the same in both directions of motion.
 
     Args:
-        period: of the position [rad or m], shape [..., n].
+        period: in the position [rad or m], shape [..., n].
         sine, cosine: [N m or N], shape [..., n].
         warming: as in `Friction`.
     """
@@ -286,13 +286,110 @@ class Ripple(Friction):
         )
 
 
+class Bristle(NamedTuple):
+    """Mean rate a qd' - b z of a deflection z over a step, at whose end the velocity is qd'."""
+
+    a: Number  # [1/rad or 1/m]
+    b: Number  # >= 0 [1/s]
+
+
+@dataclass(frozen=True)
+class LuGre(Friction):
+    """LuGre friction: elastic bristles hold a joint like a spring before it slides, tau = -c (z + T zd).
+
+        zd = (qd - |qd| z / g) / b,   g = 1 + (r - 1) exp(-(qd/v)^2)
+
+    The state remembers z. At a constant velocity z = g sign(qd), so that friction is c, and r c near rest. In the
+    source's terms the stiffness of the bristles is sigma_0 = c / b and their damping is sigma_1 = T sigma_0; here
+    T = s / (1 + (s qd / (8 b))^2), since friction with a constant T could accelerate a fast joint. The term sigma_2 is
+    `Viscous`.
+
+    Source: C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky, "A new model for control of systems with
+    friction", IEEE Transactions on Automatic Control 40 (1995).
+
+    Args:
+        coulomb: c, friction of a sliding joint [N m or N], shape [..., n]; None: the friction of the robot's
+            description.
+        deflection: b, of the bristles when they slide [rad or m], shape [..., n].
+        ratio: r, friction near rest over that of a sliding joint, at least 1, shape [..., n].
+        velocity: v, the Stribeck velocity, at which that excess has fallen to 1/e [rad/s or m/s], shape [..., n].
+        settling: s, the time in which bent bristles of a free joint without inertia relax [s], shape [..., n].
+        warming: as in `Friction`.
+    """
+
+    SHAPES: ClassVar[Shapes] = {
+        **{name: ("n",) for name in ("coulomb", "deflection", "ratio", "velocity", "settling")},
+        **Friction.SHAPES,
+    }
+    LINEAR = SCALES = ("coulomb",)
+    DIVIDING = frozenset({"deflection", "velocity"})
+    DESCRIBED: ClassVar[Mapping[str, str]] = {"coulomb": "friction"}
+    coulomb: Parameter = None
+    deflection: Parameter = 5e-4
+    ratio: Parameter = 1.0
+    velocity: Parameter = 0.1
+    settling: Parameter = 0.0
+
+    def _check_values(self, name: str, numbers: Sequence[float]) -> None:
+        super()._check_values(name, numbers)
+        if name == "ratio" and min(numbers) < 1:
+            raise ArgumentError(f"ratio of LuGre must be at least 1, found {min(numbers):g}")
+
+    def steady(self, sign_width: float) -> Friction:
+        """Coulomb friction of the same size, without the excess near rest."""
+        return Coulomb(self.coulomb, sign_width, warming=self.warming)
+
+    def bristles(self) -> float:
+        """The deflection, if it is that of all joints, ratio is 1 and settling 0; raises otherwise."""
+        if not is_number(self.deflection) or (self.ratio, self.settling) != (1.0, 0.0):
+            raise ArgumentError(
+                "friction must hold LuGre with one deflection for all joints, ratio=1 and settling=0, so that its "
+                f"bristles follow from the positions, found {self!r}"
+            )
+        return float(self.deflection)
+
+    def memory(self, n: int) -> int:
+        """The deflection of every joint."""
+        return n
+
+    def bristle(self, qd: Number, h: Number) -> Bristle:
+        """Rate of the deflection of one joint over a step h, at whose start the velocity is qd; h = 0: now."""
+        ratio, speed = qd / self.velocity, absolute(qd)
+        g = 1.0 + (self.ratio - 1.0) * exp(-(ratio * ratio))
+        sliding = speed / (self.deflection * g)
+        share = 1.0 + h * sliding
+        return Bristle(1.0 / (self.deflection * share), sliding / share)
+
+    def impedances(self, q: Row, qd: Row, inputs: Inputs) -> Sequence[Impedance]:
+        """Impedances of bristles that are not bent."""
+        return self.impedances_at_end(q, qd, inputs, (0.0,) * len(q), 0.0)
+
+    def impedances_at_end(self, q: Row, qd: Row, inputs: Inputs, memory: Row, h: Number) -> Sequence[Impedance]:
+        """Impedances of the torque c (z + (h + T) (a qd' - b z)), of which h a is the stiffness times the step."""
+        result = []
+        for one, v, z in zip(self.joints(len(q), inputs), qd, memory, strict=True):
+            a, b = one.bristle(v, h)
+            fast = one.settling * v / (8.0 * one.deflection)
+            T = one.settling / (1.0 + fast * fast)
+            result.append(Impedance(one.coulomb * T * a, one.coulomb * (z - (h + T) * b * z), one.coulomb * a))
+        return result
+
+    def memory_rates(self, q: Row, qd: Row, inputs: Inputs, memory: Row, ends: Row, h: Number) -> Row:
+        """Rates a qd' - b z, at any temperature."""
+        result = []
+        for one, v, z, end in zip(replace(self, warming=0.0).joints(len(q), inputs), qd, memory, ends, strict=True):
+            a, b = one.bristle(v, h)
+            result.append(a * end - b * z)
+        return result
+
+
 def _zero(x: Any) -> bool:
     """True for a constant parameter that is zero at every joint."""
     return all(is_number(value) and value == 0 for value in (x if isinstance(x, tuple) else (x,)))
 
 
 def parts_of(friction: Any, robot: Robot) -> list[tuple[Friction, str]]:
-    """Laws of friction effects with the parameter that is to be found, each once; raises for what logs cannot tell.
+    """Laws of friction effects with the parameter to estimate, without duplicates; raises for temperature dependence.
 
     Args:
         friction: an effect, or a sequence of them.
@@ -312,12 +409,12 @@ def parts_of(friction: Any, robot: Robot) -> list[tuple[Friction, str]]:
 
 
 def of_layers(effects: Any, robot: Robot, learn: bool = False) -> tuple[Friction, ...]:
-    """Friction effects for a layer of a robot, resolved; raises unless the layer's inputs are all that they need.
+    """Friction effects of a layer, resolved; raises if they need more than the inputs of a layer.
 
     Args:
         effects: a sequence of them.
         robot: the robot.
-        learn: whether linear parameters that neither are given nor described start at zero.
+        learn: whether linear parameters that are neither given nor described start at zero.
     """
     found: list[Friction] = []
     for effect in effects if isinstance(effects, Sequence) and not isinstance(effects, str) else (effects,):

@@ -1,4 +1,4 @@
-"""Effects at the joints: springs, servos, limits; friction is in `friction`.
+"""Joint effects: springs, servos, limits; friction is in `friction`.
 
 A joint effect is an impedance: the torque -D qd - f(q) with a damping D >= 0 that may depend on the state, and a force
 f of stiffness K = df/dq >= 0. In this form a linearly implicit integrator can use velocity and position at the end of
@@ -23,13 +23,13 @@ from torchdq.numbers.functions import absolute, at_least, maximum, minimum
 from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 
-TOUCHING = 2.0**-126  # smallest normal number of float32: a limit acts from this force on [N m or N]
+TOUCHING = 2.0**-126  # smallest normal number of float32: least force of an active limit [N m or N]
 
 
 class Impedance(NamedTuple):
     """Torque -(D + g |load|) qd - f of one joint, whose force f has the stiffness K = df/dq.
 
-    The load is the torque that moves the bodies and the rotor: all torques on the joint together, this one included.
+    The load is the torque that accelerates the bodies and the rotor: the sum of all torques on the joint.
     """
 
     damping: Number = 0.0  # D >= 0 [N m s/rad or N s/m]
@@ -55,26 +55,26 @@ def total(impedances: Sequence[Impedance], h: Number = 0.0) -> tuple[Number, Num
 
 
 def load_size(torque: Number, g: Number, qd: Number) -> Number:
-    """Size of the load of a joint, of load = torque - g |load| qd; `torque` is that of all but this friction."""
+    """Absolute value of the load = torque - g |load| qd of a joint; `torque` is the sum of all other torques."""
     if isinstance(g, float) and g == 0.0:
-        return 0.0  # nobody asks for it
+        return 0.0  # not used
     m = g * qd
     return (absolute(torque) - m * torque) / (1.0 - m * m)
 
 
 @dataclass(frozen=True)
 class JointEffect(Effect):
-    """A torque at every joint that depends on the state of that joint alone."""
+    """Torque at every joint as a function of the state of that joint."""
 
     SLOT: ClassVar[str] = "joint"
-    ORDERED: ClassVar[tuple[str, ...]] = ()  # two parameters, of which the first must not be above the second
+    ORDERED: ClassVar[tuple[str, ...]] = ()  # two parameters in increasing order
 
     def resolved(self, robot: Robot) -> Self:
-        """Copy for a robot; raises unless parameters that have an order are in it."""
+        """Copy for a robot; raises unless the parameters in `ORDERED` increase."""
         whole = super().resolved(robot)
         if self.ORDERED:
             low, high = self.ORDERED
-            if wrong := crossed(getattr(whole, low), getattr(whole, high), robot):
+            if wrong := _out_of_order(getattr(whole, low), getattr(whole, high), robot):
                 raise ArgumentError(f"{low} of {type(self).__name__} must not be above {high}, found {wrong}")
         return whole
 
@@ -83,21 +83,21 @@ class JointEffect(Effect):
         raise undefined(self, "impedances")
 
     def impedances_at_end(self, q: Row, qd: Row, inputs: Inputs, memory: Row, h: Number) -> Sequence[Impedance]:
-        """Impedances of an effect that remembers, at the end of an implicit step h; h = 0: now."""
+        """Impedances of an effect with memory, at the end of an implicit step h; h = 0: now."""
         return self.impedances(q, qd, inputs)
 
     def memory_rates(self, q: Row, qd: Row, inputs: Inputs, memory: Row, ends: Row, h: Number) -> Row:
-        """Mean rates of the memory over such a step, at whose end the velocities are `ends`."""
+        """Mean rates of the memory over that step, with the velocities `ends` at its end."""
         return ()
 
 
 @dataclass(frozen=True)
 class Spring(JointEffect):
-    """A linear spring at every joint: tau = -k (q - rest).
+    """Linear spring at every joint: tau = -k (q - rest).
 
     Args:
         stiffness: k [N m/rad or N/m], shape [..., n].
-        rest: position in which it is relaxed [rad or m], shape [..., n].
+        rest: equilibrium position [rad or m], shape [..., n].
     """
 
     SHAPES: ClassVar[Shapes] = {"stiffness": ("n",), "rest": ("n",)}
@@ -112,10 +112,10 @@ class Spring(JointEffect):
 
 @dataclass(frozen=True)
 class Servo(JointEffect):
-    """A position servo that acts continuously: tau = kp (target - q) - kd qd, the input `target` [..., n].
+    """Continuous position servo: tau = kp (target - q) - kd qd, with the input `target` [..., n].
 
-    Unlike a controller, which sees the state once per step, it is part of what is integrated, and the linearly implicit
-    integrator keeps it stable at any gain.
+    Unlike a controller, which samples the state once per step, it is part of the integrated equations, so that the
+    linearly implicit integrator keeps it stable at any gain.
 
     Args:
         kp: stiffness [N m/rad or N/m], shape [..., n].
@@ -137,14 +137,14 @@ class Servo(JointEffect):
 
 @dataclass(frozen=True)
 class JointLimits(JointEffect):
-    """Compliant joint limits: tau = -k p (1 + c pd) beyond a limit by the distance p, with pd only while it grows.
+    """Compliant joint limits: tau = -k p (1 + c max(pd, 0)), with the distance p beyond a limit.
 
-    The torque is continuous, never pulls towards the limit, and takes energy out (after K. H. Hunt and F. R. E.
+    The torque is continuous, never attracts to the limit, and dissipates energy (after K. H. Hunt and F. R. E.
     Crossley, "Coefficient of restitution interpreted as damping in vibroimpact", Journal of Applied Mechanics, 1975).
 
     Args:
-        lower, upper: limits [rad or m], shape [..., n]; None: those of the robot's description. A joint whose limits
-            are infinite numbers has none, and costs nothing.
+        lower, upper: limits [rad or m], shape [..., n]; None: those of the robot's description. Infinite limits are
+            absent, and cost nothing.
         stiffness: k [N m/rad or N/m], shape [..., n].
         dissipation: c [s/rad or s/m], shape [..., n].
     """
@@ -179,8 +179,8 @@ class JointLimits(JointEffect):
         return result
 
 
-def crossed(lower: Parameter, upper: Parameter, robot: Robot) -> str:
-    """Words for the first joint whose lower value is above the upper one; "" if there is none, or none can be read."""
+def _out_of_order(lower: Parameter, upper: Parameter, robot: Robot) -> str:
+    """Text for the first joint with a lower value above the upper one; "" if there is none, or values are unknown."""
     if isinstance(lower, tuple) and isinstance(upper, tuple):
         pairs = zip(robot.joint_names, lower, upper, strict=True)
         return next((f"{a:g} and {b:g} at joint {joint!r}" for joint, a, b in pairs if a > b), "")

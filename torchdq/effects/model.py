@@ -1,4 +1,4 @@
-"""Effects on the model: rigid bodies, rotors and gravity."""
+"""Model effects: rigid bodies, rotors and gravity."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from torchdq.robot.loading import GRAVITY
 
 @dataclass(frozen=True)
 class ModelEffect(Effect):
-    """A change of the robot's own numbers."""
+    """Change of the robot's parameters."""
 
     SLOT: ClassVar[str] = "model"
-    LATE: ClassVar[bool] = False  # whether it acts on what the others have changed, wherever it stands
+    LATE: ClassVar[bool] = False  # whether it acts after all other model effects
 
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
-        """Rows of the robot's tensors that it changes; `overrides` are those of earlier effects."""
+        """Rows of the changed tensors of the robot; `overrides` are those of earlier effects."""
         raise undefined(self, "changed")
 
 
@@ -37,8 +37,8 @@ class Gravity(ModelEffect):
     """Uniform gravity: f = m g at the centre of mass of every body.
 
     Args:
-        acceleration: g in the base frame [m/s^2], shape [..., 3]; None: the robot's own, or 9.81 downwards. A tilted
-            base is a tilted vector.
+        acceleration: g in the base frame [m/s^2], shape [..., 3]; None: that of the robot, or 9.81 downwards. For a
+            tilted base, tilt the vector.
     """
 
     SHAPES: ClassVar[Shapes] = {"acceleration": (3,)}
@@ -53,13 +53,13 @@ class Gravity(ModelEffect):
         return replace(found, acceleration=GRAVITY) if found.acceleration is None else found
 
     def changed(self, robot: Robot, overrides: Overrides) -> dict[str, Sequence[Number]]:
-        """Gravity of the robot: this acceleration."""
+        """The acceleration."""
         return {"gravity": self.acceleration}
 
 
 @dataclass(frozen=True)
 class RotorInertia(ModelEffect):
-    """Inertia of the rotors, seen at the joints, added to the diagonal of the mass matrix.
+    """Rotor inertia reflected to the joints, added to the diagonal of the mass matrix.
 
         (M(q) + diag(J)) qdd + c(q, qd) + g(q) = tau
 
@@ -81,11 +81,12 @@ class RotorInertia(ModelEffect):
 
 @dataclass(frozen=True)
 class Payload(ModelEffect):
-    """A body held by a frame, merged with the link that carries it; its mass is as given, whatever scales the links.
+    """Rigid body attached to a frame and merged with its link; `MassScale` does not change it.
 
         m = m_l + m_p,   m c = m_l c_l + m_p c_p
 
-    The link has the mass m_l and the centre of mass c_l; inertias add about the common centre of mass c.
+    m_l and c_l are mass and centre of mass of the link; inertias add about the common centre of mass c. For a payload
+    that is the same in every sample, `Robot.with_payload` is equivalent.
 
     Args:
         mass: m_p [kg], a number or [...].
@@ -112,7 +113,7 @@ class Payload(ModelEffect):
         return named
 
     def resolved(self, robot: Robot) -> Self:
-        """Copy for a robot; raises unless a body of that mass and inertia, if they are not learned, can exist."""
+        """Copy for a robot; raises unless mass and inertia, if they are not learned, are physically consistent."""
         whole = super().resolved(robot)
         parts = [tensor_of(x) for x in (whole.mass, whole.inertia)]
         if all(x.numel() and not (x.requires_grad or without_values((x,))) for x in parts):
@@ -120,7 +121,7 @@ class Payload(ModelEffect):
             faults = bodies(("payload",), mass.unsqueeze(-1), matrices(inertia).unsqueeze(-3))
             if faults:
                 raise ArgumentError(
-                    f"Payload must be a body that can exist, inertia in the order xx xy yy xz yz zz: {faults[0]}"
+                    f"Payload must be physically consistent, inertia in the order xx xy yy xz yz zz: {faults[0]}"
                 )
         return whole
 
@@ -136,12 +137,12 @@ class Payload(ModelEffect):
 
 @dataclass(frozen=True)
 class MassScale(ModelEffect):
-    """Links that are denser than described: mass and inertia times a factor, centres of mass unchanged.
+    """Scaled link masses: mass and inertia times a factor, centres of mass unchanged.
 
         m = k m_0,   I = k I_0
 
-    Payloads are not scaled, wherever the effects stand.
-    A tensor [batch, links] makes every sample its own robot that is still physical.
+    Payloads are not scaled, in any order of the effects. A tensor [batch, links] gives every sample its own masses, all
+    physically consistent.
 
     Args:
         factor: k, shape [..., links].

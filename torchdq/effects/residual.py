@@ -1,4 +1,4 @@
-"""Torques that a network has learned, as an effect at the joints."""
+"""Learned residual torques as a joint effect."""
 
 from __future__ import annotations
 
@@ -19,34 +19,33 @@ from torchdq.program.transforms import without_values
 from torchdq.robot import Robot
 
 NAME = "residual"  # row of the torques in the programs of a scene
-BLOCK = 512  # rows that are solved at once: their arrays stay in a processor's cache, larger ones are slow
-CHANGE = 1e-3  # relative change in the last iteration that is worth a warning; the error left is much smaller
+BLOCK = 512  # rows that are solved at once, so that their arrays fit into the processor's cache
+CHANGE = 1e-3  # relative change in the last iteration that gives a warning; the error is much smaller
 
 
 @dataclass(frozen=True)
 class Residual(JointEffect):
-    """Learned torques: the joints feel the opposite of what a model says the motors need beyond the rigid bodies.
+    """Learned residual torques: the opposite of the torque that a model predicts beyond rigid bodies.
 
         tau = -r(q, qd, qdd)
 
-    The model runs in torch once per step, at the state at its start, and its torque is held over the step, over all
-    substeps and whatever the integrator, as a commanded torque is. So a simulation is of first order in `dt`, and a
-    torque that changes fast, such as stiff friction, needs short steps: leave friction to `Viscous` and `Coulomb`,
-    which are integrated implicitly. Gradients flow to the model's parameters and to the state.
+    torch evaluates the model once per step, in the state at its start. Its torque is held over the step and all
+    substeps, for every integrator, like a commanded torque. So the simulation is of first order in `dt`, and a torque
+    that changes fast, such as stiff friction, needs short steps: use `Viscous` and `Coulomb` for friction, which are
+    integrated implicitly. Gradients flow to the model's parameters and to the state.
 
-    A `torchdq.ResidualDynamics` also sees the acceleration, which its torque r decides in turn. So r is the solution of
-    r = residual(q, qd, a - W r), with the acceleration a of the scene without it and W = -dqdd/dr, by Newton's
-    iteration from r = 0. A network that has learned a missing rotor, which is heavier than the link behind it, is
-    simulated right in this way; at the acceleration a it would be wrong by as much as the rotor. Gradients are exact
-    where the iteration has converged. The model's torque among the features is that of the robot of the
-    `ResidualDynamics`, without wrenches on bodies, as in training without `f_ext`.
+    The torque r of a `torchdq.ResidualDynamics` depends on the acceleration, which depends on r. So Newton's method,
+    from r = 0, solves r = residual(q, qd, a - W r), with the acceleration a of the scene without it and W = -dqdd/dr.
+    This is accurate also for a network that has learned a missing rotor that is heavier than its link. Gradients are
+    exact if the iteration has converged. The rigid-body torque among the features is that of the robot of the
+    `ResidualDynamics`, without external wrenches, as in training without `f_ext`.
 
     Args:
-        model: a `torchdq.ResidualDynamics`, of which the network and a learned offset act; its `effects()` are this
-            one and those of all else that it learned. Or a function or module of (q, qd) that returns the torques
-            [..., n], for which there is nothing to iterate; a module computes in the dtype of its parameters.
-        iterations: number of Newton's iterations for a `ResidualDynamics` in a step; one is enough for a network that
-            is linear in the acceleration. Of several, the last uses the derivatives of the one before it.
+        model: a `torchdq.ResidualDynamics`, of which network and learned offset act; its `effects()` are this one and
+            those of its other learned parameters. Or a function or module of (q, qd) that returns torques [..., n],
+            without iteration; a module computes in the dtype of its parameters.
+        iterations: number of Newton iterations per step for a `ResidualDynamics`; one suffices for a network that is
+            linear in the acceleration. The last of several reuses the derivatives of the one before.
 
     >>> import torch, torchdq
     >>> from torchdq.envs import Scene, effects
@@ -60,7 +59,7 @@ class Residual(JointEffect):
     iterations: int = 3
 
     def described(self, robot: Robot) -> Self:
-        """Effect as it is; raises if its model cannot give torques of the robot's joints."""
+        """The effect; raises if its model does not return torques of the robot's joints."""
         require_count("iterations of Residual", self.iterations)
         has_robot = isinstance(getattr(self.model, "robot", None), Robot)
         if isinstance(self.model, type) or not callable(self.model) or (has_robot and not self._learns_accelerations):
@@ -82,7 +81,7 @@ class Residual(JointEffect):
         return callable(getattr(self.model, "unmodelled", None))
 
     def template(self) -> Self:
-        """Copy without the model, on which no program depends."""
+        """Copy without the model, because programs do not depend on it."""
         return replace(self, model=TENSOR, iterations=1)
 
     def computed(self, n: int) -> dict[str, int]:
@@ -90,7 +89,7 @@ class Residual(JointEffect):
         return {NAME: n}
 
     def outside(self) -> str:
-        """Words for the model: the size of its network, and what its torques add to."""
+        """Description of the model, with the size of its network."""
         kind, model = "function", self.model
         if isinstance(model, nn.Module):
             network: Any = model.network if self._learns_accelerations else model
@@ -102,12 +101,11 @@ class Residual(JointEffect):
         return [Impedance(force=x) for x in inputs.get(NAME, (0.0,) * len(q))]
 
     def torques(self, q: Tensor, qd: Tensor, accelerations: Callable[[Tensor | None], Tensor]) -> Tensor:
-        """Torques [..., n] of the model in a state; the joints feel the opposite.
+        """Torques [..., n] of the model in a state; the opposite acts on the joints.
 
         Args:
             q, qd: positions and velocities [..., n].
-            accelerations: function that returns the accelerations [..., n] under the torques [..., n] that it is given,
-                or under none.
+            accelerations: function from additional torques [..., n], or None, to accelerations [..., n].
         """
         if not self._learns_accelerations:
             return self._of_state(q, qd)
@@ -117,10 +115,10 @@ class Residual(JointEffect):
         gradients = torch.is_grad_enabled() or without_values((q,))
         r, before, *factors = self._solved(q.detach(), qd.detach(), free.detach(), W.detach(), gradients)
         if self.iterations > 1 and not without_values((q,)):
-            self._tell_if_unsolved(before, r)
+            self._warn_unless_converged(before, r)
         if not gradients:
             return r
-        # derivatives of the solution: J^-1 times those of the residual while r is held
+        # derivatives of the solution: J^-1 times those of the residual at fixed r
         r = r.detach()
         change = self._of_joints(self.model.unmodelled(q, qd, free - (W @ r.unsqueeze(-1)).squeeze(-1)), q)
         return r + _solution(factors, change - change.detach())
@@ -144,7 +142,7 @@ class Residual(JointEffect):
             before = r
             if k == 0 or k < self.iterations - 1:
                 found, *factors = self._linearised(line, r)
-            else:  # the factors of the iteration before are almost as good
+            else:  # with the factors of the iteration before
                 found = self._of_joints(line.torques(r), q)
             r = r + _solution(factors, found - r)
         if gradients:
@@ -154,12 +152,12 @@ class Residual(JointEffect):
     def _linearised(self, line: Any, r: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Torques at r, and the factors of J = 1 - their derivative by r."""
         found, J = line.linearised(r)
-        # a row without a solution becomes NaN or infinite alone
+        # a row without a solution becomes NaN or infinite, without effect on the others
         factors, pivots, _ = torch.linalg.lu_factor_ex(J)
         return self._of_joints(found, r), factors, pivots
 
-    def _tell_if_unsolved(self, before: Tensor, after: Tensor) -> None:
-        """Warn about rows in which the last iteration still changed the torques."""
+    def _warn_unless_converged(self, before: Tensor, after: Tensor) -> None:
+        """Warn about rows whose torques still changed in the last iteration."""
         change = (after - before).abs() / (1.0 + after.abs())
         rows = (change > CHANGE).any(-1)
         if bool(rows.any()):
@@ -180,7 +178,7 @@ class Residual(JointEffect):
         return found.to(q.dtype) if isinstance(self.model, nn.Module) else found
 
     def _of_joints(self, found: Any, q: Tensor) -> Tensor:
-        """Torques that a model returned; raises unless they are those of the joints."""
+        """Torques returned by a model; raises unless they have the shape of the joints."""
         require_tensor("what model of Residual returns", found)
         if found.shape[-1:] != q.shape[-1:] or found.ndim < q.ndim:
             raise ArgumentError(
@@ -196,5 +194,5 @@ def _solution(factors: Sequence[Tensor], x: Tensor) -> Tensor:
 
 
 def _named(model: Any) -> str:
-    """Words for a model in an error."""
+    """Name of a model in an error."""
     return repr(model) if isinstance(model, type | Tensor) or not isinstance(model, nn.Module) else type(model).__name__

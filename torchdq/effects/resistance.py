@@ -1,4 +1,4 @@
-"""Torques of friction effects on tensors: those that motors add to overcome them, along a motion or a log."""
+"""Friction torques on tensors: those that motors add to overcome friction, along a motion or a log."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ What = Literal["columns", "rates", "friction"]  # what a program returns
 def torques(
     effects: Sequence[Friction], q: Row, qd: Row, load: Row | None, inputs: Inputs, memory: Row = ()
 ) -> list[Number]:
-    """Torques that overcome friction, (D + g |load|) qd + f of every joint, on any kind of number."""
+    """Friction torques of the motors, (D + g |load|) qd + f at every joint, on any kind of number."""
     result = []
     found = [effect.impedances_at_end(q, qd, inputs, memory, 0.0) for effect in effects]
     for i in range(len(qd)):
@@ -45,7 +45,7 @@ def torques(
 
 
 def loads(effects: Sequence[Friction], q: Row, qd: Row, tau: Row) -> list[Number]:
-    """Torques that move the bodies and rotors, of the motors' torques tau less friction, on any kind of number."""
+    """Loads: motor torques tau minus friction, on any kind of number."""
     result = []
     found = [effect.impedances(q, qd, {}) for effect in effects]
     for i, (v, t) in enumerate(zip(qd, tau, strict=True)):
@@ -57,14 +57,14 @@ def loads(effects: Sequence[Friction], q: Row, qd: Row, tau: Row) -> list[Number
 
 @dataclass(frozen=True)
 class Templates:
-    """Effects of n joints as programs know them; a graph of torch.compile can hold this object, and cannot make one."""
+    """Effects of n joints without tensors; an object that graphs of torch.compile can hold, but not construct."""
 
     effects: tuple[Friction, ...]
     n: int
 
 
 class Parts(NamedTuple):
-    """Effects for programs: without their tensors, and these by position and name."""
+    """Effects without their tensors, and the tensors by position and name."""
 
     templates: Templates
     tensors: Mapping[str, Tensor]
@@ -77,7 +77,7 @@ def parts(effects: Sequence[Friction], n: int) -> Parts:
 
 
 def friction(of: Parts, q: Tensor, qd: Tensor, load: Tensor, backend: BackendName | None = None) -> Tensor:
-    """Torque [..., n] that overcomes all of some effects, which neither remember nor warm up.
+    """Friction torque [..., n] of effects without memory and temperature dependence.
 
     Args:
         of: the effects.
@@ -98,20 +98,20 @@ def columns(
     time: Tensor | None = None,
     backend: BackendName | None = None,
 ) -> dict[str, Tensor]:
-    """Torque [..., n] that overcomes friction per unit of each parameter in `effect.LINEAR`, by its name.
+    """Friction torque [..., n] per unit of each parameter in `effect.LINEAR`, by name: columns of a regressor.
 
-    The torque of the effect is their sum, each times its parameter; the values that the effect has for these do not
-    matter, and may be None.
+    The torque of the effect is the sum of the columns times their parameters. The effect's own values of these
+    parameters are ignored, and may be None.
 
     Args:
         robot: the robot, for its joints.
         effect: the friction.
         q, qd: positions and velocities [rad or m, rad/s or m/s], shape [..., n].
         load: torques of the rigid bodies and rotors in that motion, `torchdq.inverse_dynamics` [N m or N], shape
-            [..., n]; None: for an effect that does not depend on them.
+            [..., n]; None: for an effect that does not depend on it.
         temperature: as in `torchdq.effects.friction.Friction`, shape [..., n].
-        time: for friction that remembers, increasing times of q [rows, n], one motion from its start [s], shape [rows];
-            None: for friction that does not.
+        time: for friction with memory, increasing times of q [rows, n], one motion from its start [s], shape [rows];
+            None: for friction without memory.
         backend: as in `torchdq.functional`.
 
     >>> import torch, torchdq
@@ -126,14 +126,14 @@ def columns(
     given = {"q": q, "qd": qd, "load": load, TEMPERATURE: temperature if known.inputs(robot.n) else None}
     if known.memory(robot.n):
         if time is None:
-            raise ArgumentError(f"time must be given for {type(effect).__name__}, which remembers where it has been")
+            raise ArgumentError(f"time must be given for {type(effect).__name__}, which has memory")
         given["memory"] = _followed(known, q, time, backend)
     rows = _evaluated("columns", units, given, backend)
     return dict(zip(effect.LINEAR, rows.values(), strict=True))
 
 
 def _followed(effect: Friction, q: Tensor, time: Tensor, backend: BackendName | None) -> Tensor:
-    """Memory [rows, m] of friction along the positions of one motion q [rows, n], its rates being linear in it."""
+    """Memory [rows, m] of friction along one motion q [rows, n]; its rates are linear in it."""
     if q.ndim != 2 or time.shape != q.shape[:1]:
         raise ArgumentError(
             f"q must be [rows, n] and time [rows] for {type(effect).__name__}, one motion, found {tuple(q.shape)} and "

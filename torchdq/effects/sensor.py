@@ -1,6 +1,6 @@
-"""Effects of the sensors on the readings of positions and velocities. They act at the end of a step, in their order.
+"""Sensor effects on measured positions and velocities, applied at the end of a step, in their order.
 
-With a sensor in the scene, its controller acts on the readings, and so should any other source of torques.
+The controller of a scene with sensors uses the measurements, and so should any other source of torques.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from torchdq.numbers.functions import log, sqrt
 
 @dataclass(frozen=True)
 class Sensor(Effect):
-    """A change of the readings: a row of n positions and n velocities."""
+    """Change of the measurements: a row of n positions and n velocities."""
 
     SLOT: ClassVar[str] = "sensor"
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
-        """Readings behind the sensor, and its memory after the step."""
+        """Measurements after the sensor, and its memory after the step."""
         raise undefined(self, "read")
 
 
 @dataclass(frozen=True)
 class Noise(Sensor):
-    """White Gaussian noise on every reading, made of uniform numbers u_1 and u_2.
+    """White Gaussian noise on every measurement, from uniform numbers u_1 and u_2.
 
         y = x + s sqrt(-2 log(u_1)) cos(2 pi u_2)
 
-    Velocities have the sine of the same pair, which is independent of the cosine.
+    Velocities use the sine of the same pair, which is independent of the cosine.
 
     Source: G. E. P. Box, M. E. Muller, "A note on the generation of random normal deviates", Annals of Mathematical
     Statistics 29 (1958).
@@ -47,11 +47,11 @@ class Noise(Sensor):
     velocity: Parameter = 0.0
 
     def noises(self, n: int) -> int:
-        """Number of random numbers: two for every joint, which make two independent normal ones."""
+        """Two per joint, for two independent normal numbers."""
         return 2 * n
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
-        """The readings with noise of the given spread."""
+        """Measurements with noise."""
         result = []
         n = len(reading) // 2
         for i in range(n):  # one pair of uniform numbers makes a pair of normal ones
@@ -65,7 +65,7 @@ class Noise(Sensor):
 
 @dataclass(frozen=True)
 class Bias(Sensor):
-    """Readings off by a constant: y = x + b.
+    """Constant bias of the measurements: y = x + b.
 
     Args:
         position: b of positions [rad or m], shape [..., n].
@@ -78,13 +78,13 @@ class Bias(Sensor):
     velocity: Parameter = 0.0
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
-        """The readings, each off by its constant."""
+        """Measurements with bias."""
         return [x + b for x, b in zip(reading, (*self.position, *self.velocity), strict=True)], ()
 
 
 @dataclass(frozen=True)
 class QuantisedReading(Sensor):
-    """Readings rounded to whole multiples of a step; zero leaves them as they are, and costs nothing.
+    """Quantisation of the measurements to multiples of a step; zero disables it, at no cost.
 
         y = s floor(x / s + 1/2)
 
@@ -107,7 +107,7 @@ class QuantisedReading(Sensor):
 
 @dataclass(frozen=True)
 class MeasurementDelay(Late, Sensor):
-    """Readings that arrive a whole number of steps late: y(t) = x(t - steps dt); the first ones show the initial state.
+    """Delay of the measurements by a whole number of steps: y(t) = x(t - steps dt), initially the initial state.
 
     Args:
         steps: from 1 to 500.
@@ -120,5 +120,5 @@ class MeasurementDelay(Late, Sensor):
         return (*q, *qd) * self.steps
 
     def read(self, reading: Row, memory: Row, noise: Row) -> tuple[Row, Row]:
-        """The readings of `steps` steps ago."""
+        """The measurements `steps` steps before."""
         return self.passed(reading, memory)

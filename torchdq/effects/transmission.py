@@ -1,6 +1,6 @@
 """Transmissions between the actuators and the joints: rigid, or elastic with rotors of their own.
 
-The integrated state is x = (q, rotor positions), v = (qd, rotor velocities); a rigid transmission has no rotors, and
+The integrated state is x = (q, rotor positions), v = (qd, rotor velocities). A rigid transmission has no rotors, and
 records nothing.
 """
 
@@ -16,7 +16,7 @@ from torchdq.effects.effect import Effect, Parameter, Shapes
 
 
 class Rotors(NamedTuple):
-    """Rotors behind the joints, with a spring and a damper to each joint."""
+    """Rotors, with a spring and a damper to each joint."""
 
     stiffness: Row = ()  # [N m/rad or N/m]
     damping: Row = ()  # [N m s/rad or N s/m]
@@ -33,7 +33,7 @@ class Eliminated(NamedTuple):
 
 @dataclass(frozen=True)
 class Transmission(Effect):
-    """Connection of the actuators to the joints: rigid, as it is in a scene that names no other."""
+    """Transmission from the actuators to the joints; the default is rigid."""
 
     SLOT: ClassVar[str] = "joint"
     ONCE: ClassVar[str] = "a joint has one spring to its rotor"
@@ -51,7 +51,7 @@ class Transmission(Effect):
         return u
 
     def accelerations(self, u: Row, passed: Row) -> Row:
-        """Accelerations of rotors that pass on some torques."""
+        """Accelerations of the rotors under the torques `passed` to the joints."""
         return ()
 
     def eliminated(self, u: Row, x: Row, v: Row, h: Number) -> Eliminated:
@@ -61,19 +61,19 @@ class Transmission(Effect):
 
 @dataclass(frozen=True)
 class Elastic(Transmission):
-    """Elastic joints: the actuator turns a rotor, and a spring and damper turn the joint.
+    """Elastic joints: a rotor drives each joint through a spring and a damper.
 
         J thd' = u - t,   t = k (th - q) + d (thd - qd)
 
     The torque t acts on the joint.
 
     Source: M. W. Spong, "Modeling and control of elastic joint robots", Journal of Dynamic Systems, Measurement, and
-    Control 109 (1987), with the damper added. The state remembers the rotor's position and velocity [2 n].
+    Control 109 (1987), with the damper added. The states are position and velocity of the rotors [2 n].
 
     Args:
         stiffness: k [N m/rad or N/m], shape [..., n].
         damping: d [N m s/rad or N s/m], shape [..., n].
-        inertia: J of the rotor, seen at the joint [kg m^2 or kg], shape [..., n]; None: the robot's rotor inertia.
+        inertia: J of the rotor, reflected to the joint [kg m^2 or kg], shape [..., n]; None: the robot's rotor inertia.
     """
 
     SHAPES: ClassVar[Shapes] = {"stiffness": ("n",), "damping": ("n",), "inertia": ("n",)}
@@ -91,7 +91,7 @@ class Elastic(Transmission):
         return 2 * n
 
     def start(self, q: Row, qd: Row) -> Row:
-        """Position and velocity of every rotor: those of its joint, so that its spring is relaxed."""
+        """Position and velocity of every rotor, equal to those of its joint: the spring is relaxed."""
         return (*q, *qd)
 
     def extended(self, q: Row, qd: Row, memory: Row) -> tuple[Row, Row]:
@@ -116,7 +116,7 @@ class Elastic(Transmission):
         return [(u_i - t) / J for u_i, t, J in zip(u, passed, self.inertia, strict=True)]
 
     def eliminated(self, u: Row, x: Row, v: Row, h: Number) -> Eliminated:
-        """Equations of the joints, whose springs act on the end of a step, where a rotor turns at w' = (b + s qd') / a.
+        """Equations of the joints for springs at the end of a step, with rotor velocities w' = (b + s qd') / a.
 
         s = h (d + h k),   a = J + s,   b = J w + h (u - k (th - q));   t = k (th - q) + (s/h) (w' - qd')
         """

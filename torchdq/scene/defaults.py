@@ -21,11 +21,11 @@ DAMPING = 1.0  # likewise [N m s/rad or N s/m]
 
 
 def default_effects(robot: Robot) -> tuple[Effect, ...]:
-    """Effects of an ordinary arm: gravity, and joints with rotors, friction, limits and motors.
+    """Default effects of an arm: gravity, and joints with rotors, friction, limits and motors.
 
-    Numbers are those of the description. Where it has none, rotors and damping are `ROTOR` and `DAMPING`, since
-    without them small joints would turn faster than any motor does. Motors lose torque with speed if the limits of
-    torque and velocity of all joints are known; if not, torques are only limited.
+    Parameters are those of the description. Missing rotor inertia and damping are `ROTOR` and `DAMPING`, because small
+    joints without them would exceed realistic speeds. Motors have a torque-speed limit if torque and velocity limits of
+    all joints are known; otherwise torques are only saturated.
     """
     limits, rotors = robot.limits, owned(robot, robot.armature)
     found: list[Effect] = [

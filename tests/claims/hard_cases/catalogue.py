@@ -36,7 +36,7 @@ CASES: dict[str, str] = {
     # bodies
     "I1": "bodies without mass: allowed between joints, an error where a joint moves nothing",
     "I2": "point masses, rods and laminas",
-    "I3": "inertias that no body has",
+    "I3": "inertias that are not physically consistent",
     "I4": "learned inertias stay those of bodies",
     "I5": "mass ratios of 1e8, heavy at the tip and heavy at the base",
     "I6": "a pivot that is rounding: an error, never a huge finite acceleration",
@@ -87,7 +87,7 @@ CASES: dict[str, str] = {
     # descriptions
     "U1": "links without an inertial element",
     "U2": "numbers that are negative, not finite, or no numbers",
-    "U3": "graphs that are no tree: all faults in one message",
+    "U3": "graphs that are not trees: all defects in one message",
     "U4": "mimic joints",
     "U5": "joints of kinds that are not simulated, and fixed joints that merge",
     "U6": "axes that are missing, zero, or not unit vectors",
@@ -112,7 +112,7 @@ GROUPS = {
 
 @cache
 def held() -> dict[str, list[str]]:
-    """Names of the test files that hold a case, by its id."""
+    """Names of the test files of each case, by its id."""
     found: dict[str, set[str]] = {}
     for path in TESTS.rglob("test_*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -127,16 +127,16 @@ def table() -> str:
     """All cases, group by group, as on the page."""
     lines = []
     for letter, title in GROUPS.items():
-        lines += [f"## {title}", "", "| case | what has to hold | held by |", "|---|---|---|"]
+        lines += [f"## {title}", "", "| case | requirement | tests |", "|---|---|---|"]
         ids = [id for id in CASES if id.startswith(letter)]
         lines += [f"| {id} | {CASES[id]} | {', '.join(f'`{name}`' for name in held()[id])} |" for id in ids]
         lines.append("")
-    lines += ["Not there:", ""]
+    lines += ["Not applicable:", ""]
     return "\n".join([*lines, *(f"* {id}, {why}." for id, why in WITHOUT_COUNTERPART.items())])
 
 
 def shown() -> str:
-    """What the page shows."""
+    """The table on the page."""
     return PAGE.read_text(encoding="utf-8").split(BEGIN)[1].split(END)[0].strip()
 
 

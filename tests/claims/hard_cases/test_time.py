@@ -1,6 +1,6 @@
 """Hard cases of time: orders, energy, reversal, adaptive steps, long gradients, stiffness, friction, limits, NaN.
 
-What test_integrators.py, test_effects.py and test_scene.py hold already is marked there; here is single precision, the
+What test_integrators.py, tests/effects and test_scene.py hold already is marked there; here is single precision, the
 compiled programs, second derivatives, and physics that those do not ask for. References are closed solutions, mpmath,
 and scipy's DOP853 on pinocchio's accelerations.
 """

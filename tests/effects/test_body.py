@@ -1,0 +1,162 @@
+"""Body effects: pushes, drag and contact are the torques of their wrenches."""
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import torch
+from effect_harness import CASES, FORMS, SAMPLES, accelerations, agrees, bare, close, double, forms_of, pinocchio
+
+import torchdq
+from torchdq.envs import Scene, State, effects
+from torchdq.scene.integrators import ExplicitEuler
+
+
+class At(NamedTuple):
+    """A frame in a state, everything in world axes."""
+
+    rotation: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray  # of the frame's origin
+    spin: np.ndarray
+    jacobian: np.ndarray  # [6, n], of both
+
+
+def at_frame(b, name, k):
+    data = b.model.createData()
+    q, v, f = b.case.configuration(b.q[k]), b.case.velocity(b.qd[k]), b.case.frame_id(name)
+    pin.forwardKinematics(b.model, data, q, v)
+    pin.updateFramePlacement(b.model, data, f)
+    jacobian = pin.computeFrameJacobian(b.model, data, q, f, pin.LOCAL_WORLD_ALIGNED)[:, b.case.order]
+    twist = jacobian @ b.qd[k].numpy()
+    return At(data.oMf[f].rotation.copy(), data.oMf[f].translation.copy(), twist[:3], twist[3:], jacobian)
+
+
+@pytest.mark.parametrize("axes", ["world", "body"])
+@pytest.mark.parametrize("frame", ["tip", "link"])
+@pytest.mark.parametrize("name", CASES)
+def test_a_push_is_the_torque_of_its_jacobian(name, frame, axes):
+    b = bare(name)
+    frame = b.robot.end_effector().name if frame == "tip" else b.robot.link_names[b.n // 2]
+    push = np.random.default_rng(1).normal(size=(SAMPLES, 6)) * 5
+    torques = []
+    for k in range(SAMPLES):
+        at = at_frame(b, frame, k)
+        turn = np.eye(3) if axes == "world" else at.rotation
+        torques.append(at.jacobian.T @ np.concatenate([turn @ push[k, :3], turn @ push[k, 3:]]))
+    assert agrees(b, effects.Push(frame, axes), torques=np.array(torques), push=double(push))
+
+
+def test_a_push_is_an_external_wrench():
+    """The same wrench through torchdq's own `f_ext`, which acts on links in their frames."""
+    b = bare("tree")
+    link = b.n - 1
+    push = double(np.random.default_rng(2).normal(size=(SAMPLES, 6)))
+    f_ext = torch.zeros(SAMPLES, b.n, 6, dtype=torch.float64)
+    f_ext[:, link] = push
+    robot = b.robot.replace(gravity=torch.zeros(3, dtype=torch.float64), armature=None)
+    expected = torchdq.forward_dynamics(robot, b.q, b.qd, b.u, f_ext=f_ext)
+    assert close(
+        accelerations(b, effects.Push(b.robot.link_names[link], "body"), push=push), expected, pinocchio(b).size
+    )
+
+
+def test_wrenches_on_a_link_add_up():
+    b, frame = bare("tree"), bare("tree").robot.end_effector().name
+    one, two = np.random.default_rng(6).normal(size=(2, SAMPLES, 6)) * 5
+    torques = [at_frame(b, frame, k).jacobian.T @ (one[k] + two[k]) for k in range(SAMPLES)]
+    pushes = (effects.Push(frame, name="one"), effects.Push(frame, name="two"))
+    assert agrees(b, pushes, torques=np.array(torques), one=double(one), two=double(two))
+
+
+def test_a_push_that_is_not_given_is_none_and_costs_nothing():
+    robot = CASES["panda"].robot
+    scene = Scene(robot, (effects.Push(),))
+    assert scene.program("torque").count() == Scene(robot).program("torque").count()
+    assert scene.program("torque", "push").count().total > scene.program("torque").count().total
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("name", CASES)
+def test_drag_resists_the_motion_of_every_link(name, form):
+    b = bare(name)
+    ranges = {"linear": (0.1, 1.0), "quadratic": (0.1, 1.0), "angular": (0.01, 0.2), "sign_width": (0.01, 0.5)}
+    parameters, values = forms_of(ranges, form, b.n, {"sign_width": None})
+    torques = np.zeros((SAMPLES, b.n))
+    for k, i in itertools.product(range(SAMPLES), range(b.n)):
+        at = at_frame(b, b.robot.link_names[i], k)
+        arm = at.rotation @ b.robot.com[i].numpy()
+        v = at.velocity + np.cross(at.spin, arm)
+        speed = np.sqrt(v @ v + values["sign_width"][k] ** 2)
+        force = -(values["linear"][k, i] + values["quadratic"][k, i] * speed) * v
+        moment = np.cross(arm, force) - values["angular"][k, i] * at.spin
+        torques[k] += at.jacobian.T @ np.concatenate([force, moment])
+    if form == "list":
+        parameters["sign_width"] = float(values["sign_width"][0])
+    assert agrees(b, effects.Drag(**parameters), torques=torques)
+
+
+def contact(b, values, k, frame):
+    """Force of the ground and the joint torques it causes."""
+    at = at_frame(b, frame, k)
+    n = values["normal"][k]
+    depth = max(values["height"][k] - n @ at.position, 0.0)
+    rate = -(n @ at.velocity)
+    f_n = max(values["stiffness"][k] * depth * (1 + values["dissipation"][k] * rate), 0.0)
+    sliding = at.velocity - (n @ at.velocity) * n
+    f = f_n * n - values["friction"][k] * f_n * sliding / np.sqrt(sliding @ sliding + values["sign_width"][k] ** 2)
+    return f, at.jacobian[:3].T @ f
+
+
+@pytest.mark.parametrize("tensors", [False, True], ids=["constant", "tensors"])
+@pytest.mark.parametrize("name", CASES)
+def test_contact_pushes_along_the_normal_and_rubs_across_it(name, tensors):
+    b = bare(name)
+    frame = b.robot.end_effector().name
+    rng = np.random.default_rng(4)
+    normal = rng.normal(size=3)
+    normal /= np.linalg.norm(normal)
+    single = {"stiffness": 100.0, "dissipation": 0.3, "friction": 0.7, "sign_width": 0.2}
+    values = {name: np.full(SAMPLES, x) for name, x in single.items()} | {"normal": np.tile(normal, (SAMPLES, 1))}
+    heights = np.array([at_frame(b, frame, k).position @ normal for k in range(SAMPLES)])
+    if tensors:
+        values["height"] = heights + np.linspace(-0.1, 0.3, SAMPLES)
+        parameters = {name: double(x) for name, x in values.items()}
+    else:
+        values["height"] = np.full(SAMPLES, float(np.median(heights)) + 0.05)
+        parameters = single | {"normal": normal.tolist(), "height": values["height"][0]}
+    forces, torques = zip(*(contact(b, values, k, frame) for k in range(SAMPLES)), strict=True)
+    assert 0 < sum(np.linalg.norm(f) > 0 for f in forces) < SAMPLES  # some touch, some do not
+    assert agrees(b, effects.Contact(**parameters), torques=np.array(torques))
+
+
+def tip_force(q, qd, effect):
+    """Force on the tip of the arm, in its plane, from the joint torques it causes."""
+    robot = CASES["two_link"].robot
+    made, empty = (
+        Scene(robot, parts, integrator=ExplicitEuler(), dt=1.0).step(State(q, qd)) for parts in ((effect,), ())
+    )
+    tau = torch.einsum("bij,bj->bi", torchdq.mass_matrix(robot, q), made.qd - empty.qd)
+    a, s = q[:, 0], q.sum(-1)
+    rows = [torch.stack([-a.sin() - s.sin(), -s.sin()], -1), torch.stack([a.cos() + s.cos(), s.cos()], -1)]
+    J = torch.stack(rows, -2)  # of a two-link arm with links of one metre
+    return torch.linalg.solve(J.mT, tau), torch.einsum("bij,bj->bi", J, qd)
+
+
+def test_the_ground_never_pulls_and_rubs_no_more_than_its_cone_allows():
+    generator = torch.Generator().manual_seed(0)
+    q = torch.rand(2000, 2, generator=generator, dtype=torch.float64) * 2 + 0.3
+    qd = torch.randn(2000, 2, generator=generator, dtype=torch.float64) * 4
+    effect = effects.Contact(height=1.2, normal=(0.0, 1.0, 0.0), stiffness=50.0, dissipation=2.0, friction=0.6)
+    force, velocity = tip_force(q, qd, effect)
+    tip = q[:, 0].sin() + q.sum(-1).sin()
+    assert (force[:, 1] >= -1e-9).all()
+    assert (force[:, 0].abs() <= 0.6 * force[:, 1] + 1e-9).all()
+    assert (force[:, 0] * velocity[:, 0] <= 1e-9).all()
+    assert (force[tip > 1.2].abs() < 1e-9).all()
+    touching = force[:, 1] > 1e-6
+    assert 100 < touching.sum() < 1900
+    # a tip that leaves fast enough is let go at once
+    assert ((tip < 1.2) & ~touching & (velocity[:, 1] > 0.5)).any()
