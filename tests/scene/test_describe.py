@@ -21,7 +21,7 @@ needs_compiler = pytest.mark.skipif(build.compiler() is None, reason="there is n
 
 
 def test_a_description_of_a_scene_with_limits_warns_of_nothing():
-    scene = Scene(PANDA, (effects.Gravity(), effects.Limits()))
+    scene = Scene(PANDA, (effects.Gravity(), effects.JointLimits()))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert scene.describe(64, seconds=0.1).costs
@@ -49,7 +49,7 @@ ASKED = {
     "gravity": (effects.Gravity(),),
     "damping of shoulder": (effects.Viscous(),),
     "dry friction of shoulder": (effects.Coulomb(), effects.Stribeck(static=1.0)),
-    "position limits of shoulder": (effects.Limits(),),
+    "position limits of shoulder": (effects.JointLimits(),),
     "torque limits of shoulder": (effects.Saturation(), effects.TorqueSpeed()),
     "velocity limits of shoulder": (effects.TorqueSpeed(),),
 }

@@ -33,7 +33,9 @@ LINEARIZED = {
     "tree": (Scene(TREE, (effects.Gravity(), effects.Coulomb(0.3, 0.5), effects.Drag(0.1, 0.1, 0.1))), {}),
     "of its own in every sample": (Scene(ARM, (effects.Payload(torch.linspace(0.1, 2.0, 4).double()),)), {}),
     "remembering and sensing": (
-        Scene(ARM, (effects.Elastic(50.0, 0.5, 0.1), effects.Lag(0.05), effects.Bias(0.1, 0.2)), PD(5.0, 1.0)),
+        Scene(
+            ARM, (effects.Elastic(50.0, 0.5, 0.1), effects.FirstOrderLag(0.05), effects.Bias(0.1, 0.2)), PD(5.0, 1.0)
+        ),
         {"reference": random(4, 6, seed=9)},
     ),
     "RungeKutta4": (Scene(ARM, (effects.Gravity(),), integrator=RungeKutta4()), {}),

@@ -28,7 +28,7 @@ def test_a_rollout_is_its_steps():
 
 @pytest.mark.parametrize("checkpoint", [0, 2])
 def test_a_rollout_of_no_steps_is_empty(checkpoint):
-    scene = Scene(ARM, (effects.Lag(0.1),))
+    scene = Scene(ARM, (effects.FirstOrderLag(0.1),))
     found = scene.rollout(scene.start(random(4, 2)), steps=0, checkpoint=checkpoint)
     assert [tuple(x.shape) for x in found.rows().values()] == [(0, 4, 2), (0, 4, 2), (0, 4, 2)]
 
@@ -108,7 +108,7 @@ def start():
 def test_rows_are_finite_one_by_one():
     q, qd = double((0.0, 0.0), (math.inf, 0.0), (0.0, 0.0)), double((0.0, 0.0), (0.0, 0.0), (math.nan, 0.0))
     assert Scene(ARM).finite(State(q, qd)).tolist() == [True, False, False]
-    remembering = Scene(ARM, (effects.Lag(0.1),))
+    remembering = Scene(ARM, (effects.FirstOrderLag(0.1),))
     state = remembering.start(torch.zeros(2, 2, dtype=torch.float64))
     assert remembering.finite(state._replace(memory=double((0.0, 0.0), (0.0, math.nan)))).tolist() == [True, False]
 

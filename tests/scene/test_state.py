@@ -11,7 +11,7 @@ from scenes import ARM, PANDA, equal, inputs_of, rich, uniform
 import torchdq
 from torchdq.envs import Scene, effects
 
-SCENE = Scene(PANDA, (effects.Gravity(), effects.Limits()))
+SCENE = Scene(PANDA, (effects.Gravity(), effects.JointLimits()))
 HOME = torch.tensor([0.0, -0.8, 0.0, -2.4, 0.0, 1.6, 0.8]).double().repeat(3, 1)
 
 
@@ -38,7 +38,7 @@ def test_ordinary_starts_and_scenes_without_limits_are_silent():
         SCENE.start(HOME)
         SCENE.start(moved(0, 2, 3.2))  # pressed against its stop
         Scene(PANDA).start(moved(0, 2, 84.0))
-        open_ended = effects.Limits(lower=-math.inf, upper=math.inf)
+        open_ended = effects.JointLimits(lower=-math.inf, upper=math.inf)
         Scene(PANDA, (open_ended,)).start(moved(0, 2, 84.0))
         torch.func.vmap(lambda q: SCENE.start(q).q)(moved(0, 2, 84.0))
 
@@ -46,7 +46,7 @@ def test_ordinary_starts_and_scenes_without_limits_are_silent():
 def test_limits_that_are_tensors_are_compared_row_by_row():
     upper = torch.full((3, 7), 100.0).double()
     upper[2] = 3.0
-    scene = Scene(PANDA, (effects.Limits(lower=-100.0, upper=upper),))
+    scene = Scene(PANDA, (effects.JointLimits(lower=-100.0, upper=upper),))
     with pytest.warns(UserWarning, match="1 of 3 rows start far outside their Limits: joint 'panda_joint1' is at 50"):
         scene.start(torch.full((3, 7), 50.0).double())
 

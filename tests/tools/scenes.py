@@ -20,14 +20,14 @@ RICH = (
     effects.RotorInertia(0.1),
     effects.Viscous(0.3),
     effects.Coulomb(0.2),
-    effects.Limits(-1.0, 1.0, 100.0),
+    effects.JointLimits(-1.0, 1.0, 100.0),
     effects.Drag(0.1, 0.1, 0.1),
     effects.Contact(height=0.3, stiffness=100.0, friction=0.5),
     effects.Push(),
-    effects.Lag(0.05),
+    effects.FirstOrderLag(0.05),
     effects.Saturation(5.0),
     effects.Noise(0.1, 0.2),
-    effects.ReadingDelay(2),
+    effects.MeasurementDelay(2),
 )
 
 
