@@ -90,7 +90,7 @@ def test_effects_that_act_are_not_reported():
         ({"effects": (effects.Stribeck(1.0),)}, "static of Stribeck must be given"),
         ({"effects": (effects.Elastic(1.0, 0.0, [0.1, 0.0]),)}, "inertia of Elastic must be positive"),
         ({"effects": (effects.Drag(1.0, sign_width=0.0),)}, "sign_width of Drag must be positive"),
-        ({"effects": (effects.Contact(width=0.0),)}, "width of Contact must be positive"),
+        ({"effects": (effects.Contact(sign_width=0.0),)}, "sign_width of Contact must be positive"),
         ({"effects": (effects.TorqueSpeed(1.0, 0.0),)}, "speed of TorqueSpeed must be positive"),
         ({"effects": (effects.QuantisedCommand(0.0),)}, "step of QuantisedCommand must be positive"),
         ({"effects": (effects.JointLimits(1.0, -1.0),)}, "lower of Limits must not be above upper, found 1 and -1"),
