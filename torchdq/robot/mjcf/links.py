@@ -75,10 +75,7 @@ def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows
     frames = [Frame(name, link, double((*X[0], *X[1]))) for name, link, X in (*found, *between) if link != WORLD]
     leaves = [names[i] for i in range(m.nbody) if i not in parents and placed[i][0] >= 0]
     return ModelLinks(
-        Links(links, bodies, frames, leaves),
-        lumped,
-        [name for name, link, _ in found[1:] if link == WORLD],
-        placed,
+        Links(links, bodies, frames, leaves), lumped, [name for name, link, _ in found[1:] if link == WORLD], placed
     )
 
 
