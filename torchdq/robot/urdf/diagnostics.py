@@ -35,7 +35,7 @@ ATTRIBUTES = {
 }
 USED = {"link", "joint", "inertial", "parent", "child", *ATTRIBUTES}  # tags with numbers of the dynamics
 USED_IF_FIXED = {"origin", "parent", "child"}
-MOST_NAMED = 20  # of one kind
+MOST_NAMED = 20  # ignored elements, and as many that may matter
 
 
 def diagnostics(
@@ -168,12 +168,7 @@ def _bodies(root: ET.Element, file: Elements, links: Links, frames: Sequence[str
 
 
 def _joints(
-    root: ET.Element,
-    file: Elements,
-    links: Links,
-    free: Sequence[Follows],
-    moves: Sequence[Follows],
-    coupled: bool,
+    root: ET.Element, file: Elements, links: Links, free: Sequence[Follows], moves: Sequence[Follows], coupled: bool
 ) -> list[Finding]:
     """Notes on joints: what they ask for that rigid bodies do not do, and those that stand still."""
     joints = [file.joints[link.joint.name] for link in links.links]
