@@ -46,13 +46,32 @@ def content(
     return Content(name, data)
 
 
+def xml(
+    kind: str, source: Any, most: int, error: type[TorchdqError], missing: type[TorchdqError], hint: str = ""
+) -> str:
+    """XML text of a source, which may be the text itself; arguments as in `content`."""
+    if _is_xml(source):
+        if len(source) > most:
+            raise error(f"the text has {len(source)} characters; a {kind} has at most {most}")
+        return source
+    hint = "XML text would begin with '<'" + (hint and f"; {hint}")
+    name, data = content(kind, source, most, error, missing, hint)
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as fault:
+        raise error(f"{name} is not UTF-8 text: {fault}") from fault
+
+
 def file_name(source: Any) -> str:
     """Path or address of a source, or the name of an open file; "" of bytes, of XML text and where there is none."""
     if callable(getattr(source, "read", None)):
         name = getattr(source, "name", None)
         return name if isinstance(name, str) else ""
-    text = os.fsdecode(source) if isinstance(source, str | os.PathLike) else ""
-    return "" if text.lstrip("\ufeff \t\r\n").startswith("<") else text
+    return os.fsdecode(source) if isinstance(source, str | os.PathLike) and not _is_xml(source) else ""
+
+
+def _is_xml(source: Any) -> bool:
+    return isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")
 
 
 def _read(kind: str, source: Any, most: int, missing: type[TorchdqError], hint: str) -> Content:

@@ -13,13 +13,15 @@ from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, SIX, distinct, inertias, matrices, table
 from torchdq.robot.check import consistency
 
-NO_TIP = "no tip chosen among the leaves"  # beginning of a note that goes when a tip is chosen
+NO_TIP = "tip.missing"  # code of a note that goes when a tip is chosen
+UNSIMULATED = "unsimulated."  # beginning of the codes of parts that would act on the motion, and have no field
 
 
-class Unsimulated(str):
-    """Note on a part of a description that would act on the motion, and that a robot has no field for."""
-
-    __slots__ = ()
+def note(code: str, about: Sequence[Any], what: str, among: int = 0) -> Finding:
+    """Note about named things, or names; all of several joints are called so where `among` is their number."""
+    names = [x if isinstance(x, str) else x.name for x in about]
+    subject = "all joints" if 1 < len(names) == among else ", ".join(names)
+    return Finding(code, subject, what, severity="note")
 
 
 class Limits(NamedTuple):
@@ -76,7 +78,7 @@ class RobotDescription:
     base_com: Tensor | None = None
     base_inertia: Tensor | None = None
     joint_map: JointMap | None = None
-    notes: tuple[Finding | str, ...] = ()
+    notes: tuple[Finding, ...] = ()  # faults, suspicions and parts that are not used
 
 
 def assemble(
@@ -94,8 +96,8 @@ def assemble(
     inertia: Any,
     home: Any = None,
     repair: bool = False,
-) -> tuple[RobotDescription, list[Finding]]:
-    """Description without limits or friction, with a frame per link, one at the tip and one at the base; its faults."""
+) -> RobotDescription:
+    """Description without limits or friction, with a frame per link, one at the tip and one at the base."""
     n = len(parents)
     if not isinstance(name, str):
         raise DescriptionError(f"name must be a string, found {name!r}")
@@ -104,7 +106,6 @@ def assemble(
         raise DescriptionError(f"link_names must not be 'base' or 'tip', which are frames already, found {links}")
     mass, com, inertia = table("mass", mass, n), table("com", com, n, 3), inertias(inertia, n)
     I, notes = consistency.repaired(links, mass, matrices(inertia)) if repair else (matrices(inertia), [])
-    faults = consistency.bodies(links, mass, I)
     zero = torch.zeros(n, dtype=torch.float64, device="cpu")
     infinite = zero + torch.inf
     at_links = (Frame(link, i, IDENTITY) for i, link in enumerate(links))
@@ -125,5 +126,5 @@ def assemble(
         frames=(Frame("base", BASE, IDENTITY), *at_links, Frame("tip", n - 1, X_BE)),
         tip="tip",
         home=None if home is None else table("home", home, n),
-        notes=tuple(notes),
-    ), faults
+        notes=(*consistency.bodies(links, mass, I), *notes),
+    )

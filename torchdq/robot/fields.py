@@ -99,8 +99,8 @@ STRUCTURE: dict[str, tuple[str, Callable[[Any, int, int], bool]]] = {
     ),
     "tip": ("the name of a frame or None", lambda x, n, links: x is None or isinstance(x, str)),
     "notes": (
-        "a tuple of findings or strings",
-        lambda x, n, links: isinstance(x, tuple) and all(isinstance(one, Finding | str) for one in x),
+        "a tuple of findings",
+        lambda x, n, links: isinstance(x, tuple) and all(isinstance(one, Finding) for one in x),
     ),
 }
 

@@ -9,7 +9,6 @@ from torch import Tensor
 
 from torchdq import dq
 from torchdq.backends.choice import backend
-from torchdq.base.findings import Finding
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, distinct, double, numbers, poses, table, words
@@ -46,8 +45,8 @@ def read(
     tip_pose: Any,
     joint_names: Sequence[str] | None,
     **bodies: Any,
-) -> tuple[RobotDescription, list[Finding]]:
-    """Description and its faults; `Robot.from_dh` says what is expected."""
+) -> RobotDescription:
+    """Description; `Robot.from_dh` says what is expected."""
     n = numbers("a", a).numel()
     if n == 0:
         raise DescriptionError("a must hold a number for each of at least one joint")

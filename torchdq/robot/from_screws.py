@@ -10,12 +10,11 @@ from torch import Tensor
 
 from torchdq import dq
 from torchdq.backends.choice import backend
-from torchdq.base.findings import Finding
 from torchdq.dynamics.joints import HELICAL, PRISMATIC, REVOLUTE
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import IDENTITY, UNIT, distinct, indices, numbers, poses, table
-from torchdq.robot.description import RobotDescription, assemble
+from torchdq.robot.description import RobotDescription, assemble, note
 
 # Pitches [m/rad] that are not worth a note: a thousandth of an atom, and what rounding leaves of l . m per size of m.
 ATOM, PRODUCTS = 1e-13, 32 * sys.float_info.epsilon
@@ -47,8 +46,8 @@ def read(
     parents: Sequence[int] | None,
     joint_names: Sequence[str] | None,
     **bodies: Any,
-) -> tuple[RobotDescription, list[Finding]]:
-    """Description and its faults; `Robot.from_screws` says what is expected."""
+) -> RobotDescription:
+    """Description; `Robot.from_screws` says what is expected."""
     s = numbers("joint_screws", joint_screws)
     n = s.shape[0] if s.ndim else 0
     s = table("joint_screws", s, n, 6)
@@ -66,10 +65,10 @@ def read(
     X_WP = torch.stack([IDENTITY if p == BASE else X_WB[p] for p in tree])
     X_PB_home = dq.mul(dq.conj(X_WP), X_WB)  # delta_i^{i-1}, (37)
     a = dq.ad(dq.conj(X_WB), s)  # a_i = Ad(delta_0^i) s_i
-    found, faults = assemble(names, tree, kinds, X_PB_home, a, dq.mul(dq.conj(X_WB[-1]), X_WE), **bodies)
+    found = assemble(names, tree, kinds, X_PB_home, a, dq.mul(dq.conj(X_WB[-1]), X_WE), **bodies)
     dropped = [
-        f"joint {name!r}: its pitch of {pitch:.3g} m/rad is taken for rounding, and the joint for revolute"
+        note("screw.pitch", [name], f"its pitch of {pitch:.3g} m/rad is rounding, and it is revolute")
         for name, kind, pitch, size in zip(names, kinds, pitches.tolist(), sizes.tolist(), strict=True)
         if kind == REVOLUTE and abs(pitch) > ATOM + PRODUCTS * size
     ]
-    return dataclasses.replace(found, notes=(*found.notes, *dropped)), faults
+    return dataclasses.replace(found, notes=(*found.notes, *dropped))

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, Literal, get_args
 
 from torchdq.base.checks import require_choice
-from torchdq.base.findings import Finding
 from torchdq.base.sources import file_name
 from torchdq.errors import DescriptionError
 from torchdq.robot import from_dh as dh
@@ -82,8 +81,8 @@ def from_urdf(
     require_choice("base", base, get_args(Base))
     require_choice("mimic", mimic, get_args(MimicJoints))
     with _named(source):
-        description, faults, *told = urdf.read(source, joints, lock, base, mimic, on_unphysical == "repair")
-        return _finish(cls, description, faults, tip, gravity, on_unphysical, *told)
+        description = urdf.read(source, joints, lock, base, mimic, on_unphysical == "repair")
+        return _robot(cls, description, tip, gravity, on_unphysical)
 
 
 def from_mjcf(
@@ -125,8 +124,7 @@ def from_mjcf(
     """
     with _named(source):
         found = mjcf.read(source, base, joints, lock, gravity)
-        told = (found.doubts, found.ignored)
-        return _finish(cls, found.description, found.faults, tip, found.gravity, on_unphysical, *told)
+        return _robot(cls, found.description, tip, found.gravity, on_unphysical)
 
 
 def from_xacro(
@@ -215,8 +213,8 @@ def from_screws(
     """
     bodies = dict(mass=mass, com=com, inertia=inertia, home=home, link_names=link_names, name=name)
     bodies["repair"] = on_unphysical == "repair"
-    found = screws.read(joint_screws, link_poses, tip_pose, parents, joint_names, **bodies)
-    return _finish(cls, *found, None, gravity, on_unphysical)
+    description = screws.read(joint_screws, link_poses, tip_pose, parents, joint_names, **bodies)
+    return _robot(cls, description, None, gravity, on_unphysical)
 
 
 def from_dh(
@@ -253,8 +251,8 @@ def from_dh(
     """
     bodies = dict(mass=mass, com=com, inertia=inertia, link_names=link_names, name=name)
     bodies["repair"] = on_unphysical == "repair"
-    found = dh.read(a, alpha, d, theta, convention, kinds, tip_pose, joint_names, **bodies)
-    return _finish(cls, *found, None, gravity, on_unphysical)
+    description = dh.read(a, alpha, d, theta, convention, kinds, tip_pose, joint_names, **bodies)
+    return _robot(cls, description, None, gravity, on_unphysical)
 
 
 @contextmanager
@@ -269,28 +267,27 @@ def _named(source: Any) -> Iterator[None]:
         raise type(error)(f"{name}: {error}", findings=error.findings) from error
 
 
-def _finish(
+def _robot(
     cls: type[Robot],
     description: RobotDescription,
-    faults: Sequence[Finding],
     tip: str | None,
     gravity: Sequence[float] | None,
     on_unphysical: OnUnphysical,
-    said: Sequence[str] = (),
-    ignored: Sequence[str] = (),
 ) -> Robot:
-    """Robot of a description; warns of doubts about units that were `said`, and of notes on what was `ignored`."""
+    """Robot of a description, whose faults are raised or warned of, and its suspicions warned of."""
     g = None if gravity is None else finite("gravity", gravity)
     robot = cls(**vars(description), gravity=g)
     if tip is not None:
         robot = with_tip(robot, tip)
+    faults = [x for x in description.notes if x.severity == "error" or x.code == consistency.TRIANGLE]
     consistency.complain(robot.name, faults, on_unphysical)
+    warned = [x for x in description.notes if x.severity == "warning" and x not in faults]
+    suspicions = [*(x for x in warned if x.code.startswith("units.")), *units.diagnostics(robot)]
+    if on_unphysical != "ignore":
+        units.warn(f"robot {robot.name!r}", suspicions, stacklevel=3)
+        if ignored := "\n  ".join(str(x) for x in warned if x not in suspicions):
+            what = f"robot {robot.name!r}: the file contains elements that are ignored but may affect the dynamics"
+            warnings.warn(f"{what}:\n  {ignored}", stacklevel=3)
     # torques and poses need no inertia; accelerations raise
-    inert = inert_joints(robot)
-    doubts = units.doubts(robot, quiet=on_unphysical == "ignore", said=said)
-    if ignored and on_unphysical != "ignore":
-        lines = "\n  ".join(ignored)
-        warnings.warn(
-            f"robot {robot.name!r}: its file has what is not used and may change the dynamics:\n  {lines}", stacklevel=3
-        )
-    return dataclasses.replace(robot, notes=(*faults, *inert, *doubts, *robot.notes))
+    notes = (*faults, *inert_joints(robot), *suspicions, *robot.notes)
+    return dataclasses.replace(robot, notes=tuple(dict.fromkeys(notes)))

@@ -51,9 +51,7 @@ class RobotModel:
     base_com: Tensor | None = None  # [..., 3] in the frame of the base [m]
     base_inertia: Tensor | None = None  # [..., 6] about its centre of mass, as `inertia` [kg m^2]
     joint_map: JointMap | None = None  # joints that follow the coordinates; None: every joint is a coordinate
-    notes: tuple[
-        Finding | str, ...
-    ] = ()  # faults, and parts of the description that are not used or are used differently
+    notes: tuple[Finding, ...] = ()  # faults, suspicions, and parts of the description that are not used
     _arguments: tuple[str, ...] = field(default=(), repr=False)  # see `arguments`
     _constants: Constants | None = field(default=None, repr=False)  # see `constants`; None: those of the fields
     _storages: tuple[Tensor, ...] = field(default=(), repr=False)  # storages of the constants; (): new ones
@@ -73,7 +71,7 @@ class RobotModel:
             own = {name: x for name, x in values(self).items() if name != "notes"}
             made["_constants"] = Constants.of(own, {name: len(SHAPES[name]) for name in names})
         if self.tip is not None:
-            made["notes"] = tuple([note for note in self.notes if NO_TIP not in str(note)])
+            made["notes"] = tuple([note for note in self.notes if note.code != NO_TIP])
         for name, value in made.items():
             object.__setattr__(self, name, value)
 

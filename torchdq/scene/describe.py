@@ -17,7 +17,7 @@ from torchdq.base.progress import Notice
 from torchdq.base.timing import measure
 from torchdq.effects.effect import Effect
 from torchdq.robot import Robot
-from torchdq.robot.description import Unsimulated
+from torchdq.robot.description import UNSIMULATED
 from torchdq.scene.initial_state import motion_at_start
 from torchdq.scene.state import State
 
@@ -174,4 +174,4 @@ def left_out(robot: Robot, effects: Sequence[Effect]) -> tuple[str, ...]:
         if robot.n and (idle := acting.idle()):
             values = ", ".join(f"{name} is {getattr(acting, name)[0]:g}" for name in idle)
             lines.append(f"{type(acting).__name__} acts on no joint: {values}")
-    return (*lines, *[note for note in robot.notes if isinstance(note, Unsimulated)])
+    return (*lines, *[str(note) for note in robot.notes if note.code.startswith(UNSIMULATED)])

@@ -136,7 +136,7 @@ BROKEN = {
     "parents": ({"parents": (1, 0)}, "parents .* earlier link or -1"),
     "kinds": ({"kinds": ("ball", "ball")}, "kinds .* revolute, prismatic, helical"),
     "tip": ({"tip": 3}, "tip .* name of a frame"),
-    "notes": ({"notes": "none"}, "notes .* strings"),
+    "notes": ({"notes": "none"}, "notes .* findings"),
 }
 
 

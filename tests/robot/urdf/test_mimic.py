@@ -1,227 +1,369 @@
-"""Mimic joints that follow others, and free bases, as descriptions: what `urdf.read` makes of a file.
+"""Motions of joints of URDF files: those that follow others by <mimic>, and those that are locked.
 
 The map from coordinates to joints is compared with the same robot whose joints are all independent, driven by hand.
 """
 
 import math
+import random
+import warnings
 
 import numpy as np
 import oracles
 import pinocchio as pin
 import pytest
 import torch
-from robot.urdf.test_read import FOLLOWING, LIMIT, arm, beside, fixed, hand, joint, link, same, tree, urdf
+from urdf_text import (
+    FOLLOWING,
+    LIMIT,
+    about,
+    accompanied,
+    also,
+    angles,
+    arm,
+    codes,
+    fixed,
+    hand,
+    joint,
+    link,
+    mimic,
+    position,
+    random_elements,
+    rotation,
+    same,
+    states,
+    torques,
+    tree,
+    urdf,
+)
 
 import torchdq
-from torchdq import ArgumentError, DescriptionError, Robot
-from torchdq.robot.urdf import read as reader
+from torchdq import ArgumentError, DescriptionError, Robot, UnknownNameError
 
 F64 = torch.float64
+BESIDE = accompanied(FOLLOWING)
 
 
-def read(text, joints=None, lock=None, **options):
-    """Description of a robot without faults."""
-    description, faults, *_ = reader.read(text, joints, lock, **options)
-    assert not faults
-    return description
+def sentences(robot, code):
+    """Sentences of the notes with a code."""
+    return [str(note) for note in robot.notes if note.code == code]
+
+
+def locked(robot):
+    """What the note on locked joints says."""
+    return sentences(robot, "lock") == [] or sentences(robot, "lock")[0].removeprefix("locked: ")
 
 
 # --- mimic joints ----------------------------------------------------------------------------------------------------
 
 
 def test_followers_have_no_coordinates():
-    found = read(FOLLOWING)
+    found = Robot.from_urdf(FOLLOWING)
     assert found.joint_names == ("thumb",)
     assert found.joint_map.joint_names == ("index", "little", "ring", "thumb")  # in the order of their names
     assert found.joint_map.S.tolist() == [[-2.0], [1.0], [-1.0], [1.0]]  # ring follows index at a half
     assert found.home.tolist() == [-0.25, 0.0, -0.125, 0.0]
-    assert found.link_names == ("index_link", "little_link", "ring_link", "thumb_link")
-    assert len(found.kinds) == len(found.parents) == len(found.mass) == 4
-    note = "mimic joints follow others: index = -2 thumb + 0.25, little = 1 thumb, ring = -1 thumb + 0.125"
-    assert note in found.notes and not any("independent" in note for note in map(str, found.notes))
-
-
-def test_a_robot_without_followers_has_no_map():
-    found = read(tree())
-    assert found.joint_map is None and found.home is None
+    assert found.link_names == ("index_link", "little_link", "ring_link", "thumb_link") and len(found.mass) == 4
+    expected = "joints follow others: index = -2 thumb + 0.25, little = 1 thumb, ring = -1 thumb + 0.125"
+    assert sentences(found, "joint.follows") == [expected] and not sentences(found, "unsimulated.mimic")
+    plain = Robot.from_urdf(tree())
+    assert plain.joint_map is None and plain.home is None
 
 
 def test_displacements_are_the_map_of_the_coordinates():
-    found, whole = read(beside(FOLLOWING)), Robot.from_urdf(beside(FOLLOWING), mimic="independent")
+    found, whole = Robot.from_urdf(BESIDE), Robot.from_urdf(BESIDE, mimic="independent")
     assert found.joint_names == ("other", "thumb") and found.joint_map.joint_names == whole.joint_names
     q = torch.tensor([0.3, -0.7], dtype=F64)
-    at = found.joint_map.S @ q - found.home
     expected = {"thumb": -0.7, "index": -2 * -0.7 + 0.25, "ring": 0.5 * (1.4 + 0.25), "little": -0.7, "other": 0.3}
-    assert same(at, [expected[name] for name in whole.joint_names])
+    assert same(found.joint_map.S @ q - found.home, [expected[name] for name in whole.joint_names])
     assert torch.equal(found.X_PB_home, whole.X_PB_home) and torch.equal(found.screw, whole.screw)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_a_random_file_of_followers_is_the_reduced_system(seed):
+    """Torques S^T tau and mass matrix S^T M S of the joints at S q - home, whatever computes them."""
+    text, rng = urdf(*random_elements(seed, n=7, kinds=("revolute", "prismatic"))), random.Random(seed)
+    names = [f"j{i}" for i in range(1, 8)]
+    rng.shuffle(names)
+    for follower, driver in zip(names[3:], rng.choices(names[:3], k=4), strict=True):
+        factor, offset = rng.uniform(-2, 2), rng.choice([0.0, 0.3])
+        at = text.index("</joint>", text.index(f'<joint name="{follower}"'))
+        text = text[:at] + mimic(driver, factor, offset) + text[at:]
+    found, whole = (Robot.from_urdf(text, mimic=x, on_unphysical="ignore") for x in ("coupled", "independent"))
+    assert set(found.joint_names) == set(names[:3]) and found.joint_map.joint_names == whole.joint_names
+    q, qd, qdd = (x[0] for x in states(3))
+    S, home = found.joint_map.S, torch.zeros(7, dtype=F64) if found.home is None else found.home
+    tau = torchdq.inverse_dynamics(whole, S @ q - home, S @ qd, S @ qdd, backend="eager")
+    assert same(torchdq.inverse_dynamics(found, q, qd, qdd, backend="eager"), S.T @ tau, 1e-12)
+    M = torchdq.mass_matrix(whole, S @ q - home, backend="eager")
+    assert same(torchdq.mass_matrix(found, q, backend="eager"), S.T @ M @ S, 1e-12)
+
+
+@pytest.mark.parametrize("name", ["baxter", "tiago_pro", "panda"])
+def test_mass_matrices_of_mimic_robots_are_those_of_pinocchio(name):
+    path = oracles.urdf_paths()[name]
+    found = Robot.from_urdf(path)
+    model = pin.buildModelFromUrdf(str(path), mimic=True)
+    pin_joints = [(joint, name) for joint, name in zip(model.joints, model.names, strict=True) if joint.nv == 1]
+    at = {joint_name: (joint.idx_q, joint.idx_v) for joint, joint_name in pin_joints}
+    assert set(found.joint_names) <= set(at)
+    q = torch.linspace(-0.7, 0.7, found.n, dtype=F64)
+    z = pin.neutral(model)
+    for joint_name, x in zip(found.joint_names, q.tolist(), strict=True):
+        k = at[joint_name][0]
+        z[k : k + 1] = x
+    theirs = pin.crba(model, model.createData(), z)
+    rows = [at[joint_name][1] for joint_name in found.joint_names]
+    theirs = (np.triu(theirs) + np.triu(theirs, 1).T)[np.ix_(rows, rows)]
+    assert same(torchdq.mass_matrix(found, q, backend="eager"), theirs, 1e-13)
+
+
 def test_the_order_of_a_chain_of_followers_does_not_matter():
-    chain = hand('<mimic joint="index" multiplier="2" offset="1"/>', '<mimic joint="ring" offset="1"/>', "")
-    found = read(chain)
+    found = Robot.from_urdf(hand(mimic("index", 2, 1), mimic("ring", 1, 1), ""))
     assert found.joint_names == ("little", "ring")
     rows = dict(zip(found.joint_map.joint_names, found.joint_map.S.tolist(), strict=True))
     assert rows == {"index": [0.0, 1.0], "little": [1.0, 0.0], "ring": [0.0, 1.0], "thumb": [0.0, 2.0]}
     assert found.home.tolist() == [-1.0, 0.0, 0.0, -3.0]
-
-
-def test_a_follower_may_come_before_its_driver_in_the_tree():
-    text = arm().replace(LIMIT, LIMIT + '<mimic joint="elbow" multiplier="0.5"/>', 1)
-    found = read(text)
-    assert found.joint_names == ("elbow",) and found.joint_map.joint_names == ("shoulder", "elbow")
-    assert found.joint_map.S.tolist() == [[0.5], [1.0]]
+    # a follower may come before its driver in the tree
+    found = Robot.from_urdf(arm().replace(LIMIT, LIMIT + mimic("elbow", 0.5), 1))
+    assert found.joint_names == ("elbow",) and found.joint_map.S.tolist() == [[0.5], [1.0]]
 
 
 def test_a_long_chain_of_followers_is_composed():
     n = 1500
     links = [link("base", None), *(link(f"l{i}") for i in range(n))]
-    joints = [
-        joint(f"j{i}", "base", f"l{i}", more=LIMIT + (f'<mimic joint="j{i + 1}"/>' if i + 1 < n else ""))
-        for i in range(n)
-    ]
-    found = read(urdf(*links, *joints))
+    follow = [mimic(f"j{i + 1}") for i in range(n - 1)] + [""]
+    found = Robot.from_urdf(urdf(*links, *(joint(f"j{i}", "base", f"l{i}", more=LIMIT + follow[i]) for i in range(n))))
     assert found.joint_names == (f"j{n - 1}",) and bool((found.joint_map.S == 1).all())
 
 
 @pytest.mark.parametrize(
-    "mimics, expected",
+    "mimics, code, subject, words",
     [
-        (['<mimic joint="thumb"/>'], "joint 'thumb': it must not follow itself by <mimic>, found the circle ['thumb']"),
-        (['<mimic joint="index"/>', '<mimic joint="thumb"/>'], "found the circle ['thumb', 'index']"),
-        (["", '<mimic joint="thumb" multiplier="1e40"/>', '<mimic joint="index" multiplier="1e40"/>'], "joint 'ring'"),
-        (["", '<mimic joint="thumb" multiplier="x"/>'], "mimic multiplier must be a finite number, found 'x'"),
+        ([mimic("thumb")], "mimic.circle", "joint 'thumb'", "found the circle ['thumb']"),
+        ([mimic("index"), mimic("thumb")], "mimic.circle", "joint 'thumb'", "found the circle ['thumb', 'index']"),
+        (
+            ["", mimic("thumb", "1e40"), mimic("index", "1e40")],
+            "mimic.large",
+            "joint 'ring'",
+            "'index' by more than 1e+50",
+        ),
+        (["", mimic("thumb", "x")], "number.invalid", "joint 'index'", "mimic multiplier must be a finite number"),
+        ([mimic("index"), mimic("ring"), mimic("index"), mimic("thumb")], "mimic.circle", "joint 'index'", "'ring']"),
     ],
 )
-def test_followers_that_end_nowhere_are_refused(mimics, expected):
+def test_followers_that_end_nowhere_are_refused_and_bring_no_other_faults(mimics, code, subject, words):
     with pytest.raises(DescriptionError, match="cannot be used") as caught:
-        read(hand(*mimics))
-    assert expected in str(caught.value) and len(str(caught.value).splitlines()) == 2
-    if "multiplier" not in expected:
-        assert len(read(hand(*mimics), mimic="independent").joint_names) == 4
+        Robot.from_urdf(hand(*mimics))
+    (found,) = caught.value.findings
+    assert (found.code, found.subject) == (code, subject) and words in str(found)
+    if code.startswith("mimic"):
+        assert Robot.from_urdf(hand(*mimics), mimic="independent").n == 4
 
 
-@pytest.mark.parametrize("mimic", ['<mimic joint="nobody"/>', "<mimic/>"])
-def test_a_follower_of_nobody_is_independent(mimic):
-    found = read(hand("", mimic, '<mimic joint="index"/>'))
+@pytest.mark.parametrize("more", ['<mimic joint="nobody"/>', "<mimic/>"])
+def test_a_follower_of_nobody_is_independent(more):
+    text = hand("", more, mimic("index"))
+    with pytest.warns(UserWarning, match="index"):
+        found = Robot.from_urdf(text)
     assert found.joint_names == ("index", "little", "thumb") and len(found.joint_map.S) == 4
-    told = "mimic joints whose drivers are not in the file, taken as independent: index mimics "
-    assert any(note.startswith(told) for note in map(str, found.notes))
-
-
-def test_followers_of_a_circle_bring_no_other_faults():
-    text = hand('<mimic joint="index"/>', '<mimic joint="ring"/>', '<mimic joint="index"/>', '<mimic joint="thumb"/>')
-    with pytest.raises(DescriptionError) as caught:
-        read(text)
-    assert len(str(caught.value).splitlines()) == 2
+    assert ("mimic.orphan", "joint 'index'") in codes(found, ("warning",))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = Robot.from_urdf(text, mimic="independent")
+    assert found.n == 4 and ("unsimulated.mimic", "index, ring") in codes(found)
 
 
 @pytest.mark.parametrize("multiplier", ["0", "-0.0"])
-def test_a_follower_at_no_multiple_stays_at_its_offset(multiplier):
-    mimic = f'<mimic joint="thumb" multiplier="{multiplier}" offset="0.5"/>'
-    found = read(hand("", mimic, '<mimic joint="index" multiplier="2"/>'))
+def test_a_follower_at_no_multiple_or_of_a_fixed_joint_stays_at_its_offset(multiplier):
+    found = Robot.from_urdf(hand("", mimic("thumb", multiplier, 0.5), mimic("index", 2)))
     assert found.joint_names == ("little", "thumb") and found.joint_map is None
-    assert "mimic joints that stay where they are: index at 0.5, ring at 1" in found.notes
+    assert sentences(found, "mimic.stuck") == ["index, ring: it follows nothing that moves: index at 0.5, ring at 1"]
     frame = next(frame for frame in found.frames if frame.name == "ring_link")
     assert frame.link == -1 and same(torchdq.dq.translation(frame.X_BF), [0, 0, 1])
-
-
-def test_a_follower_of_a_fixed_joint_stays_at_its_offset():
-    text = hand("", '<mimic joint="bolt" offset="0.5"/>')
-    text = text.replace("</robot>", link("plate") + fixed("bolt", "base", "plate") + "</robot>")
-    found = read(text)
-    assert "mimic joints that stay where they are: index at 0.5" in found.notes
-    assert found.joint_names == ("little", "ring", "thumb")
+    found = Robot.from_urdf(also(link("plate") + fixed("bolt", "base", "plate"), hand("", mimic("bolt", 1, 0.5))))
+    assert ("mimic.stuck", "index") in codes(found) and found.joint_names == ("little", "ring", "thumb")
+    with pytest.raises(UnknownNameError, match="movable joint to lock named 'index'"):
+        Robot.from_urdf(hand("", mimic("thumb", multiplier, 0.5)), lock="index")
 
 
 def limits(lower=-1, upper=2, velocity=3, effort=4):
     return f'<limit lower="{lower}" upper="{upper}" velocity="{velocity}" effort="{effort}"/>'
 
 
-def pair(driver, follower, mimic):
+def pair(driver, follower, factor=1, offset=0):
+    ends = joint("driver", "base", "a", more=driver)
     return urdf(
+        *map(link, "ab"),
         link("base", None),
-        link("a"),
-        link("b"),
-        joint("driver", "base", "a", more=driver),
-        joint("follower", "base", "b", more=follower + mimic),
+        ends,
+        joint("follower", "base", "b", more=follower + mimic("driver", factor, offset)),
     )
 
 
 @pytest.mark.parametrize(
-    "follower, mimic, expected",
+    "follower, how, expected, note",
     [
-        (limits(-9, 9, 9, 1), "", [-1, 2, 3]),
-        (limits(-0.5, 1, 1, 1), "", [-0.5, 1, 1]),
-        (limits(-0.5, 1, 1, 1), ' multiplier="-2" offset="0.5"', [-0.25, 0.5, 0.5]),
-        (limits(5, 6, 3, 1), "", [-1, 2, 3]),  # no position is allowed to both
-        (limits(0, 0, 0, 0), "", [-1, 2, 3]),  # as files have them where nothing is meant
-        ("", "", [-1, 2, 3]),
+        (limits(-9, 9, 9, 1), (), [-1, 2, 3], ""),
+        (
+            limits(-0.5, 1, 1, 1),
+            (),
+            [-0.5, 1, 1],
+            "driver: limits narrowed to those of followers: lower -1 to -0.5, upper",
+        ),
+        (limits(-0.5, 1, 1, 1), (-2, 0.5), [-0.25, 0.5, 0.5], "driver: limits narrowed"),
+        (limits(5, 6, 3, 1), (), [-1, 2, 3], "follower: limits that leave its driver no room"),
+        (
+            limits(0, 0, 0, 0),
+            (),
+            [-1, 2, 3],
+            "follower: limits that leave",
+        ),  # as files have them where nothing is meant
+        ("", (), [-1, 2, 3], ""),
     ],
 )
-def test_limits_of_a_coordinate_keep_its_followers_within_theirs(follower, mimic, expected):
-    found = read(pair(limits(), follower, f'<mimic joint="driver"{mimic}/>'))
+def test_limits_of_a_coordinate_keep_its_followers_within_theirs(follower, how, expected, note):
+    found = Robot.from_urdf(pair(limits(), follower, *how))
     assert [float(x) for x in found.limits] == [*expected, 4]
-    narrowed = [
-        note for note in map(str, found.notes) if note.startswith("limits narrowed to those of followers: driver ")
-    ]
-    left_out = "limits of followers that leave their drivers no room, left out: follower" in found.notes
-    assert bool(narrowed) == (expected != [-1, 2, 3])
-    assert left_out == (follower in (limits(5, 6, 3, 1), limits(0, 0, 0, 0)))
-
-
-def test_the_note_says_how_limits_are_narrowed():
-    notes = read(pair(limits(), limits(-0.5, 9, 9, 1), '<mimic joint="driver"/>')).notes
-    assert "limits narrowed to those of followers: driver lower -1 to -0.5" in notes
+    told = sentences(found, "limits.narrowed") + sentences(found, "limits.no_room")
+    assert len(told) == bool(note) and all(x.startswith(note) for x in told)
 
 
 def test_friction_of_followers_is_that_of_the_coordinate():
     dynamics = '<dynamics damping="0.3" friction="0.2"/>'
-    found = read(pair(LIMIT + dynamics, LIMIT + dynamics, '<mimic joint="driver" multiplier="-2"/>'))
-    # the power lost is the same: d qd^2 + d (-2 qd)^2, and f |qd| + f |-2 qd|
+    found = Robot.from_urdf(pair(LIMIT + dynamics, LIMIT + dynamics, -2))
+    # the power dissipated is the same: d qd^2 + d (-2 qd)^2, and f |qd| + f |-2 qd|
     assert same(found.damping, [0.3 * 5]) and same(found.friction, [0.2 * 3])
 
 
-def test_masses_and_motion_are_those_of_the_reduced_system():
-    """Mass matrix S^T M S of the joints, which is that of the coordinates whatever computes it."""
-    text = beside(FOLLOWING)
-    found, whole = read(text), Robot.from_urdf(text, mimic="independent")
-    S, q = found.joint_map.S, torch.tensor([0.3, -0.7], dtype=F64)
-    M = torchdq.mass_matrix(whole, S @ q - found.home, backend="eager")
-    assert same(torch.diagonal(S.T @ M @ S), [1.0, 1 + 4 + 1 + 1])  # four sliding fingers of 1 kg
+# --- locked joints ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["baxter", "tiago_pro", "panda"])
-def test_mass_matrices_of_mimic_robots_are_those_of_pinocchio(name):
-    path = oracles.urdf_paths()[name]
-    found = read(path)
-    whole = Robot.from_urdf(path, mimic="independent")
-    model = pin.buildModelFromUrdf(str(path), mimic=True)
-    pin_joints = [(joint, name) for joint, name in zip(model.joints, model.names, strict=True) if joint.nv == 1]
-    at = {joint_name: (joint.idx_q, joint.idx_v) for joint, joint_name in pin_joints}
-    assert set(found.joint_names) <= set(at)
-    q = torch.linspace(-0.7, 0.7, len(found.joint_names), dtype=F64)
-    z = pin.neutral(model)
-    for joint_name, x in zip(found.joint_names, q.tolist(), strict=True):
-        k = at[joint_name][0]
-        z[k : k + 1] = x
-    S = found.joint_map.S
-    M = S.T @ torchdq.mass_matrix(whole, S @ q - (0 if found.home is None else found.home), backend="eager") @ S
-    theirs = pin.crba(model, model.createData(), z)
-    rows = [at[joint_name][1] for joint_name in found.joint_names]
-    theirs = (np.triu(theirs) + np.triu(theirs, 1).T)[np.ix_(rows, rows)]
-    assert same(M, theirs, 1e-13)
+def chain_of_three(elbow):
+    return urdf(
+        link("base", None),
+        *(link(name, mass) for name, mass in (("upper", 1.0), ("lower", 0.7), ("hand", 0.3))),
+        joint("shoulder", "base", "upper", axis=(0, 1, 0)),
+        elbow,
+        joint("wrist", "lower", "hand", axis=(1, 0, 0), xyz=(0, 0.1, 0.2)),
+    )
 
 
-def test_a_locked_driver_locks_its_followers():
-    found = read(beside(FOLLOWING), lock={"thumb": 0.5})
-    assert found.joint_names == ("other",) and found.joint_map is None
-    assert "locked: thumb at 0.5, index at -0.75, ring at -0.375, little at 0.5" in found.notes
+@pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic"])
+@pytest.mark.parametrize("length", [1.0, 2.0])
+def test_a_locked_joint_is_a_fixed_joint_at_that_position(kind, length):
+    p, rpy, value, axis = np.array([0.1, 0.2, 0.3]), (0.4, 0.5, 0.6), 0.7, np.array([2.0, -3.0, 6.0]) / 7.0
+    moving = chain_of_three(joint("elbow", "upper", "lower", kind, p, rpy, length * axis))
+    R = rotation(rpy)
+    at, turn = (p + R @ axis * value, R) if kind == "prismatic" else (p, R @ about(axis, value))
+    stiff = Robot.from_urdf(chain_of_three(fixed("elbow", "upper", "lower", at, angles(turn))))
+    robot = Robot.from_urdf(moving, lock={"elbow": value})
+    assert robot.joint_names == stiff.joint_names == ("shoulder", "wrist") and same(torques(robot), torques(stiff))
+    assert same(position(robot, [0.3, 0.4], "hand"), position(stiff, [0.3, 0.4], "hand"))
+    assert locked(robot) == "elbow at 0.7"
 
 
-def test_a_driver_that_is_kept_keeps_its_followers():
-    found = read(beside(FOLLOWING), joints="thumb")
-    assert found.joint_names == ("thumb",) and len(found.joint_map.S) == 4
-    assert "locked: other at 0" in found.notes
+@pytest.mark.parametrize("lock", ["elbow", ["elbow"], ("elb*",), {"elbow"}, {"e*": 0}])
+def test_joints_are_locked_by_names_and_patterns_at_zero(lock):
+    robot = Robot.from_urdf(arm(), lock=lock)
+    assert torch.equal(torques(robot), torques(Robot.from_urdf(arm(), lock={"elbow": 0.0})))
+    assert locked(robot) == "elbow at 0"
+
+
+def test_a_name_to_lock_goes_before_a_pattern():
+    assert locked(Robot.from_urdf(tree(), lock={"left_*": 0.5, "left_a": 0.0})).startswith("left_a at 0, left_b at 0.5")
+    assert Robot.from_urdf(tree(), lock={"left_?": 0.0}).joint_names == ("waist", "right_a")
+
+
+@pytest.mark.parametrize("joints", ["left_*", ["left_a", "left_b"], ("*_b", "left_a")])
+@pytest.mark.parametrize("waist", [0.0, 0.4])
+def test_joints_that_are_not_kept_are_locked_at_zero_or_elsewhere(joints, waist):
+    robot = Robot.from_urdf(tree(), joints=joints, lock={"waist": waist} if waist else None)
+    others = Robot.from_urdf(tree(), lock={"waist": waist, "right_a": 0.0})
+    assert robot.joint_names == ("left_a", "left_b") and robot.frame_names == others.frame_names
+    assert torch.equal(torques(robot), torques(others)) and locked(robot) == f"waist at {waist:g}, right_a at 0"
+
+
+REFUSED = [
+    (
+        {"lock": {"shoulder": 0.1, "elbow": 0.2}},
+        r"lock must leave at least one joint free, .* locks shoulder, elbow, which",
+    ),
+    ({"lock": "*"}, "lock must leave at least one joint free"),
+    ({"joints": []}, "joints must name at least one joint to keep, found none; known: shoulder"),
+    ({"joints": ()}, "joints must name at least one joint to keep"),
+    ({"lock": {"elbows": 0.0}}, "no movable joint to lock named 'elbows'; did you mean 'elbow'"),
+    ({"joints": ["elb"]}, "no movable joint named 'elb'"),
+    ({"joints": "arm*"}, r"no movable joint named 'arm\*'"),
+    ({"joints": ["elbow"], "lock": ["elbow"]}, "joints and lock must not name the same joint, found elbow in both"),
+    ({"lock": {"elbow": -1e300}}, r"lock\['elbow'\] must not exceed 1e\+50 in size, found -1e\+300"),
+    *(
+        ({"lock": {"elbow": x}}, r"lock\['elbow'\] must be a finite number, found ")
+        for x in (math.nan, math.inf, 10**400, None, "0.4", True, [0.4])
+    ),
+    *(
+        ({"lock": x}, r"lock must .*found .*known: shoulder, elbow")
+        for x in (True, 5, 0.4, [5], [None], {5: 0.4}, b"elbow")
+    ),
+    *(({"joints": x}, r"joints must be a name, a pattern .*known: shoulder") for x in (5, {"elbow": 0.0}, [5])),
+]
+
+
+@pytest.mark.filterwarnings("ignore:.*locked beyond")
+@pytest.mark.parametrize("options, message", REFUSED)
+def test_what_is_locked_or_kept_is_named(options, message):
+    with pytest.raises((ArgumentError, UnknownNameError), match=message):
+        Robot.from_urdf(arm(), **options)
+
+
+def test_a_fixed_joint_cannot_be_locked_and_a_body_alone_has_none_to_keep_or_to_lock():
+    with pytest.raises(UnknownNameError, match="movable joint to lock named 'elbow'"):
+        Robot.from_urdf(chain_of_three(fixed("elbow", "upper", "lower")), lock={"elbow": 0.0})
+    alone = urdf(link("base"))
+    assert Robot.from_urdf(alone, joints=[]).n == Robot.from_urdf(alone, lock=[]).n == 0
+
+
+@pytest.mark.parametrize("value, beyond", [(2.0, False), (2.0000001, False), (2.1, True), (-400.0, True)])
+def test_a_lock_beyond_the_limits_is_warned_of(value, beyond):
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        robot = Robot.from_urdf(arm(), lock={"elbow": value})
+    assert [x.filename for x in seen if "locked beyond its limits: elbow" in str(x.message)] == [__file__] * beyond
+    told = [f"locked beyond their limits: elbow at {value:g}, limits [-1, 2]"] * beyond
+    assert sentences(robot, "lock.beyond_limits") == told
+
+
+# --- locked followers ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "options, joints, told",
+    [
+        ({"lock": {"thumb": 0.5}}, ("other",), "thumb at 0.5, index at -0.75, ring at -0.375, little at 0.5"),
+        ({"joints": "other"}, ("other",), "thumb at 0, index at 0.25, ring at 0.125, little at 0"),
+        ({"joints": "thumb"}, ("thumb",), "other at 0"),
+        # one that is named itself does not follow
+        ({"lock": {"thumb": 0.5, "index": 0.0}}, ("other",), "thumb at 0.5, index at 0, ring at 0, little at 0.5"),
+        (
+            {"lock": {"thumb": 0.5, "index": 0.0}, "mimic": "independent"},
+            ("other",),
+            "thumb at 0.5, index at 0, ring at 0, little at 0.5",
+        ),
+        (
+            {"joints": "index", "lock": {"thumb": 0.5}, "mimic": "independent"},
+            ("index",),
+            "thumb at 0.5, ring at 0, little at 0.5, other at 0",
+        ),
+        ({"joints": "thumb", "mimic": "independent"}, ("thumb",), "index at 0, ring at 0, little at 0, other at 0"),
+    ],
+)
+def test_the_followers_of_a_locked_joint_are_locked_where_the_file_puts_them(options, joints, told):
+    robot = Robot.from_urdf(BESIDE, **options)
+    assert robot.joint_names == joints and locked(robot) == told
+    assert (robot.joint_map is None) == (joints != ("thumb",) or "mimic" in options)
+    for name, at in (x.split(" at ") for x in told.split(", ")):
+        assert same(position(robot, [0.0] * robot.n, f"{name}_link")[2], float(at)) or float(at) == 0
+    apart = {"thumb": "index, little", "index": "ring"}.get(joints[0], "") if "mimic" in options else ""
+    assert (("lock.mimic", apart) in codes(robot)) == bool(apart)
 
 
 @pytest.mark.parametrize(
@@ -235,86 +377,23 @@ def test_a_driver_that_is_kept_keeps_its_followers():
 )
 def test_a_follower_is_not_locked_or_kept_alone(arguments, named):
     with pytest.raises(ArgumentError, match=named) as caught:
-        read(beside(FOLLOWING), **arguments)
+        Robot.from_urdf(BESIDE, **arguments)
     assert "pass mimic='independent'" in str(caught.value)
-    assert read(beside(FOLLOWING), mimic="independent", **arguments).joint_names
+    assert Robot.from_urdf(BESIDE, mimic="independent", **arguments).joint_names
 
 
-def test_a_follower_may_be_locked_elsewhere_with_its_driver():
-    found = read(beside(FOLLOWING), lock={"thumb": 0.5, "index": 0.0})
-    assert "locked: thumb at 0.5, index at 0, ring at 0, little at 0.5" in found.notes
+def test_followers_are_not_locked_beyond_all_numbers_nor_are_all_joints():
+    with pytest.raises(ArgumentError, match=r"lock must leave .* locks thumb, index, ring, little, which are all"):
+        Robot.from_urdf(FOLLOWING, lock="thumb")
+    with (
+        pytest.warns(UserWarning, match="locked beyond"),
+        pytest.raises(ArgumentError, match=r"lock\['index'\] .*e\+60"),
+    ):
+        Robot.from_urdf(hand("", mimic("thumb", "1e40")), lock={"thumb": 1e20})
 
 
-# --- free bases ------------------------------------------------------------------------------------------------------
-
-FLYING = tree().replace(link("base", None), link("base", 5.0))
-
-
-def test_a_fixed_base_has_no_body():
-    found = read(FLYING)
-    assert found.base_mass is found.base_com is found.base_inertia is None
-
-
-def test_a_free_base_has_its_body():
-    found = read(FLYING, base="floating")
-    assert found.base_mass == 5.0 and same(found.base_com, [0.02, -0.03, 0.1])
-    assert same(found.base_inertia, [0.04, 0.001, 0.05, -0.002, 0.003, 0.03])
-    assert found.base_mass.shape == () and found.base_com.shape == (3,) and found.base_inertia.shape == (6,)
-
-
-def test_all_that_is_fixed_to_a_free_base_is_of_its_body():
-    # two equal balls of 1 kg, 0.6 m apart along x, as for a link that a joint carries
-    ball = (0.01, 0, 0.01, 0, 0, 0.01)
-    text = urdf(
-        link("frame", None),
-        link("pelvis", 1.0, ball, (0, 0, 0)),
-        link("ball", 1.0, ball, (0.1, 0, 0)),
-        link("leg"),
-        fixed("a", "frame", "pelvis"),
-        fixed("b", "pelvis", "ball", (0.5, 0, 0)),
-        joint("hip", "pelvis", "leg"),
-    )
-    found = read(text, base="floating")
-    assert found.base_mass == 2.0 and same(found.base_com, [0.3, 0, 0])
-    assert same(found.base_inertia, [0.02, 0, 0.2, 0, 0, 0.2])
-    assert found.joint_names == ("hip",) and float(found.mass[0]) == 1.0
-
-
-def test_a_joint_that_is_locked_to_a_free_base_adds_its_link():
-    found = read(FLYING, base="floating", lock={"waist": 0.4})
-    assert found.base_mass == 8.0
-
-
-def test_a_free_base_without_mass_is_told():
-    _, faults, *_ = reader.read(tree(), None, None, base="floating")
-    assert [(fault.code, fault.subject) for fault in faults] == [("base.massless", "link 'base'")]
-
-
-def test_a_free_base_with_inertia_alone_is_no_fault():
-    found = read(tree().replace(link("base", None), link("base", 0.0)), base="floating")
-    assert found.base_mass == 0.0 and float(found.base_inertia[0]) == 0.04
-    assert any("'base': it has no mass, so its inertia must be zero" in note for note in map(str, found.notes))
-
-
-def test_a_free_base_is_judged():
-    text = FLYING.replace(link("base", 5.0), link("base", -5.0))
-    assert read(text).base_mass is None
-    _, faults, *_ = reader.read(text, None, None, base="floating")
-    assert [(fault.code, fault.subject, fault.found) for fault in faults] == [("mass.negative", "link 'base'", "-5 kg")]
-
-
-def test_a_flying_body_needs_no_joints():
-    found = read(urdf(link("drone", 2.0)), base="floating")
-    assert found.joint_names == () and found.base_mass == 2.0
-
-
-@pytest.mark.parametrize("name", ["talos_full_v2", "solo12", "romeo", "quadrotor_base"])
-def test_free_bases_of_real_robots_are_those_of_pinocchio(name):
-    path = oracles.urdf_paths()[name]
-    found, *_ = reader.read(path, None, None, base="floating", mimic="independent")
-    body = pin.buildModelFromUrdf(str(path), pin.JointModelFreeFlyer()).inertias[1]
-    I = body.inertia
-    assert math.isclose(found.base_mass, body.mass, rel_tol=1e-14)
-    np.testing.assert_allclose(found.base_com, body.lever, rtol=0, atol=1e-14)
-    six = [I[0, 0], I[0, 1], I[1, 1], I[0, 2], I[1, 2], I[2, 2]]
-    np.testing.assert_allclose(found.base_inertia, six, rtol=0, atol=1e-14 * np.abs(I).max())
+@pytest.mark.parametrize("circle", [["index", "thumb"], ["thumb"], ["index", "ring", "thumb"]], ids=repr)
+def test_joints_that_mimic_each_other_are_locked_once(circle):
+    text = accompanied(hand(*(mimic(name, 1, 1) for name in circle)))
+    assert Robot.from_urdf(text, lock=["thumb"], mimic="independent").n == 5 - len(circle)
+    assert Robot.from_urdf(text, joints="other", mimic="independent").n == 1

@@ -36,7 +36,7 @@ def check(robot: RobotModel) -> None:
         found = inert_joints(robot)
     if found:
         consistency.refuse(robot.name, found)
-    units.doubts(robot)
+    units.warn(f"robot {robot.name!r}", units.diagnostics(robot), stacklevel=3)
 
 
 def require_structure(robot: RobotModel, values: Mapping[str, Any]) -> None:

@@ -15,7 +15,7 @@ class Report(NamedTuple):
 
     summary: str
     joints: tuple[tuple[str, ...], ...]
-    notes: tuple[Finding | str, ...]
+    notes: tuple[Finding, ...]
 
     def __str__(self) -> str:
         rows = [HEADER, *self.joints]

@@ -70,7 +70,8 @@ def _holding(robot: AnyRobot, mass: Any, com: Any, inertia: Any, at: Frame) -> A
                 f"mass and inertia must be those of a body, xx xy yy xz yz zz: {found[0]}", findings=found
             )
     changes: dict[str, Any] = {**_held(robot, at.link, at.X_BF, held)}
-    suspicious = measurable(robot, *held) and units.doubts_of_payload(robot, at.name, held, stacklevel=3)
+    suspicious = units.of_payload(robot, held) if measurable(robot, *held) else []
+    units.warn(f"a payload of robot {robot.name!r}", suspicious, stacklevel=3)
     # a warning of the payload is not repeated for the link
     return replace(robot, **changes, on_unphysical="ignore" if suspicious else "error")
 
@@ -154,7 +155,7 @@ def attach(robot: AnyRobot, other: AnyRobot, frame: str, prefix: str | None = No
             'file has mass only if the file is read with base="floating"',
             stacklevel=2,
         )
-    note = f"{other.name!r} attached to {at.name!r}"
+    note = f"{other.name!r} attached"
     if not with_base:
         note += "; the mass of its base is left out" if other.floating else ", without a mass of its base"
     changes: dict[str, Any] = {
@@ -168,7 +169,11 @@ def attach(robot: AnyRobot, other: AnyRobot, frame: str, prefix: str | None = No
         "limits": Limits(*(_cat(pair, 1) for pair in zip(robot.limits, other.limits, strict=True))),
         "frames": (*robot.frames, *frames),
         "tip": robot.tip if other.tip is None else start + other.tip,
-        "notes": (*robot.notes, *(_of(other, x) for x in other.notes), note),
+        "notes": (
+            *robot.notes,
+            *(_of(other, x) for x in other.notes),
+            Finding("robot.attached", f"frame {at.name!r}", note, severity="note"),
+        ),
         "_arguments": (*known, *(name for name in other._arguments if name not in (*BASE_BODY, "gravity"))),
     }
     made = type(robot)(**{"name": robot.name, "gravity": robot.gravity, **changes})
@@ -177,11 +182,9 @@ def attach(robot: AnyRobot, other: AnyRobot, frame: str, prefix: str | None = No
     return made._with(notes=(*made.notes, *found)) if found else made
 
 
-def _of(other: RobotModel, note: Finding | str) -> Finding | str:
+def _of(other: RobotModel, note: Finding) -> Finding:
     """Note of an attached robot, with its name."""
-    if isinstance(note, Finding):
-        return note._replace(subject=": ".join(filter(None, (other.name, note.subject))))
-    return type(note)(f"{other.name}: {note}")
+    return note._replace(subject=": ".join(filter(None, (other.name, note.subject))))
 
 
 def _joined_names(robot: RobotModel, other: RobotModel, prefix: str) -> dict[str, Any]:

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence, Set
 from typing import Any
 
 from torchdq.base.checks import matching, require_number
+from torchdq.base.findings import Finding
 from torchdq.errors import ArgumentError
 
 KIND = "movable joint"
@@ -57,13 +58,16 @@ def require_free(movable: Iterable[str], locked: Iterable[str]) -> None:
         )
 
 
-def lock_notes(lock: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> list[str]:
+def lock_notes(lock: Mapping[str, float], limits: Mapping[str, tuple[float, float]]) -> list[Finding]:
     """Notes about positions [rad or m] of locked joints, and about those beyond their limits."""
     if not lock:
         return []
-    notes = [f"locked: {', '.join(f'{name} at {value:g}' for name, value in lock.items())}"]
+    held = f"locked: {', '.join(f'{name} at {value:g}' for name, value in lock.items())}"
+    notes = [Finding("lock", "", held, severity="note")]
     beyond = _beyond(lock, limits)
-    return [*notes, f"locked beyond their limits: {beyond}"] if beyond else notes
+    if beyond:
+        notes.append(Finding("lock.beyond_limits", "", f"locked beyond their limits: {beyond}", severity="note"))
+    return notes
 
 
 def warn_beyond_limits(

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from torchdq import dq
 from torchdq.algebra.inertia import RigidBody
+from torchdq.base.findings import Finding
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import ArgumentError
 from torchdq.robot.arrays import IDENTITY
@@ -132,8 +133,10 @@ def subchain(robot: AnyRobot, base: str, tip: str) -> AnyRobot:
     new = {first.link: BASE} | {old: i for i, old in enumerate(chain)}
     frames = [Frame(x.name, new[x.link], x.X_BF) for x in robot.frames if x.link in new]
     left_out = ", ".join(name for i, name in enumerate(robot.every_joint) if i not in chain)
-    notes = [f"chain from {base!r} to {tip!r}, without the joints {left_out}"] if left_out else []
-    notes += ["the base, which was free, is fixed"] if robot.floating else []
+    cut = f"chain from {base!r} to {tip!r}, without the joints {left_out}"
+    notes = [Finding("robot.cut", "", cut, severity="note")] if left_out else []
+    if robot.floating:
+        notes.append(Finding("base.fixed", "", "the base, which was free, is fixed", severity="note"))
     return _made(
         robot,
         chain,

@@ -66,17 +66,19 @@ def with_tip(robot: AnyRobot, name: str | None) -> AnyRobot:
     return replace(robot, tip=None if name is None else robot.frame(name).name)
 
 
-def complaints(robot: RobotModel, changes: Collection[str], on_unphysical: OnUnphysical) -> list[Finding | str]:
+def complaints(robot: RobotModel, changes: Collection[str], on_unphysical: OnUnphysical) -> list[Finding]:
     """Faults of changed fields and their suspicious units that are not among the notes, once raised or warned of."""
     if {"tip", "frames"} & set(changes) and robot.tip is not None:
         robot.frame(robot.tip)
-    known = {(note.code, note.subject) for note in robot.notes if isinstance(note, Finding)}
+    known = {(note.code, note.subject) for note in robot.notes}
     found = [x for x in faults.faults(robot, changes) if (x.code, x.subject) not in known]
     consistency.complain(robot.name, found, on_unphysical)
     if found or not {*MEASURED} & {*changes} or not measurable(robot):
-        return [*found]
-    known_units = {units.without_numbers(str(note)) for note in robot.notes}
-    return [*units.doubts(robot, quiet=on_unphysical == "ignore", known=known_units)]
+        return found
+    suspicions = [x for x in units.diagnostics(robot) if (x.code, x.subject) not in known]
+    if on_unphysical != "ignore":
+        units.warn(f"robot {robot.name!r}", suspicions, stacklevel=3)
+    return suspicions
 
 
 def measurable(robot: RobotModel, *others: Tensor) -> bool:
@@ -85,7 +87,7 @@ def measurable(robot: RobotModel, *others: Tensor) -> bool:
     return not batches(robot) and all(x.device.type == "cpu" and fields.readable(x, False) for x in read)
 
 
-def repaired(robot: RobotModel) -> tuple[dict[str, Any], tuple[Finding | str, ...]]:
+def repaired(robot: RobotModel) -> tuple[dict[str, Any], tuple[Finding, ...]]:
     """Fields whose impossible inertias are replaced by the nearest possible ones, and the notes of the robot then."""
     links = {"inertia": (robot.link_names, robot.mass, robot.inertia)}
     if robot.base_mass is not None and robot.base_inertia is not None:
@@ -103,5 +105,5 @@ def repaired(robot: RobotModel) -> tuple[dict[str, Any], tuple[Finding | str, ..
             repairs += notes
             new[name] = I[..., *SIX].reshape(getattr(robot, name).shape).to(getattr(robot, name))
     better = {(code, note.subject) for note in repairs for code in consistency.MISSHAPEN}
-    kept = (x for x in robot.notes if not isinstance(x, Finding) or (x.code, x.subject) not in better)
+    kept = (x for x in robot.notes if (x.code, x.subject) not in better)
     return new, (*repairs, *kept)

@@ -31,6 +31,7 @@ class MjcfJoint(NamedTuple):
     damping: float
     friction: float
     armature: float
+    velocity: float = math.inf  # no limit of it in the format
 
     @property
     def single(self) -> bool:

@@ -12,37 +12,26 @@ from torchdq.algebra.inertia import RigidBody
 from torchdq.dynamics.tree import BASE
 from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import double
+from torchdq.robot.assembly import Links, MovingLink
 from torchdq.robot.bodies import NOTHING, merged
 from torchdq.robot.description import Frame
 from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.mjcf.joints import MjcfJoint, names_of
 from torchdq.robot.mjcf.source import MjcfModel
 
-WORLD = -2  # in place of a link: what stands still beside a free base
+WORLD = -2  # index of what stands still, apart from a free base
 
 
-class MovingLink(NamedTuple):
-    """Link and the joint that carries it."""
+class Bodies(NamedTuple):
+    """Bodies of a model as links that move, and everything that is fixed to them."""
 
-    name: str
-    parent: int
-    joint: MjcfJoint
-    X_PB: DualQuaternion  # at home
-
-
-class Links(NamedTuple):
-    """Links of a model, and everything that is fixed to them."""
-
-    links: list[MovingLink]
-    bodies: dict[int, RigidBody]  # by link; those of the base too
-    frames: list[Frame]
-    leaves: list[str]  # moving bodies that carry no others
+    of: Links
     lumped: int  # bodies that are part of others
-    left_out: list[str]  # bodies and sites that stand still beside a free base
+    left_out: list[str]  # bodies and sites that stand still, apart from a free base
     placed: list[tuple[int, DualQuaternion]]  # link of each body of the model, and its pose there
 
 
-def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], base: int | None) -> Links:
+def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], base: int | None) -> Bodies:
     """Links of a model.
 
     Args:
@@ -65,7 +54,7 @@ def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows
         for joint in own:
             if joint in moving:
                 if link == WORLD:
-                    _refuse_beside(names[base or 0], names[body], joint)
+                    _refuse_apart(names[base or 0], names[body], joint)
                 name = names[body] if joint is moving[-1] else f"{names[body]} before {joint.name}"
                 links.append(MovingLink(name, link, joint, X))
                 link, X = len(links) - 1, dual_quaternion.ONE
@@ -83,21 +72,20 @@ def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows
     taken = {name for name, _, _ in found}
     between = [(x.name, i, dual_quaternion.ONE) for i, x in enumerate(links) if x.name not in taken]
     parents = set(m.body_parentid.tolist())
-    return Links(
-        links,
-        bodies,
-        [Frame(name, link, double((*X[0], *X[1]))) for name, link, X in (*found, *between) if link != WORLD],
-        [names[i] for i in range(m.nbody) if i not in parents and placed[i][0] >= 0],
+    frames = [Frame(name, link, double((*X[0], *X[1]))) for name, link, X in (*found, *between) if link != WORLD]
+    leaves = [names[i] for i in range(m.nbody) if i not in parents and placed[i][0] >= 0]
+    return Bodies(
+        Links(links, bodies, frames, leaves),
         lumped,
         [name for name, link, _ in found[1:] if link == WORLD],
         placed,
     )
 
 
-def _refuse_beside(base: str, body: str, joint: MjcfJoint) -> None:
+def _refuse_apart(base: str, body: str, joint: MjcfJoint) -> None:
     raise DescriptionError(
         f"everything that moves must hang on the free body {base!r}, found that joint {joint.name!r} carries {body!r} "
-        f"beside it; lock that joint, or hold the free body with base='fixed'"
+        f"apart from it; lock that joint, or hold the free body with base='fixed'"
     )
 
 

@@ -1,17 +1,19 @@
-"""Parts of an MJCF file that the dynamics do not use, or use otherwise; and its gravity."""
+"""Diagnostics of an MJCF file: parts that the dynamics do not use, or use differently; and its gravity."""
 
 from __future__ import annotations
 
 import math
 import re
 from collections.abc import Callable, Sequence
+from typing import Any
 
+from torchdq.base.findings import Finding
 from torchdq.dynamics.tree import BASE
 from torchdq.robot.check.units import TURN
-from torchdq.robot.description import Unsimulated
+from torchdq.robot.description import UNSIMULATED, note
 from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.mjcf.joints import FREE, MjcfJoint, actuators_at, names_of
-from torchdq.robot.mjcf.links import WORLD, Links
+from torchdq.robot.mjcf.links import WORLD, Bodies
 from torchdq.robot.mjcf.source import MjcfModel
 
 _URDF = re.compile(r"\ufeff?(?:\s|<\?.*?\?>|<!--.*?-->)*<robot\b", re.DOTALL)  # text whose root is that of a URDF
@@ -31,109 +33,131 @@ def _relieved(of: MjcfModel) -> set[float]:
     return {float(m.body_gravcomp[i]) for i in range(1, m.nbody) if m.body_weldid[i] and m.body_mass[i] > 0}
 
 
-def notes(
-    of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], links: Links, others: Sequence[str]
-) -> tuple[str, ...]:
-    """Notes on a model; those on parts that would act on its motion are `Unsimulated`.
+def diagnostics(
+    of: MjcfModel,
+    joints: Sequence[MjcfJoint],
+    moves: Sequence[Follows],
+    bodies: Bodies,
+    others: Sequence[str],
+    falls: bool,
+) -> list[Finding]:
+    """Findings of a model; parts that would act on its motion, and are not read, have codes that begin `UNSIMULATED`.
 
     Args:
         of: the model.
         joints, moves: its joints, and the displacement of each of them.
-        links: its links.
+        bodies: its bodies.
         others: equality constraints that are no linear couplings.
+        falls: whether gravity acts.
     """
-    m = of.model
+    return [
+        *_ignored(of, joints, moves, bodies, falls),
+        *_degrees(of, joints),
+        *_used_otherwise(of, joints, moves, bodies),
+        *_unsimulated(of, joints, moves, others),
+    ]
+
+
+def _used_otherwise(
+    of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], bodies: Bodies
+) -> list[Finding]:
+    """Notes on parts that a robot has fields for, or that are used differently."""
     moving = [joint for joint in joints if moves[joint.row].root is not None and joint.single]
 
-    def listed(wanted: Callable[[MjcfJoint], object], among: Sequence[MjcfJoint] = moving) -> str:
-        found = [joint.name for joint in among if wanted(joint)]
-        return "all joints" if 1 < len(found) == len(moving) else ", ".join(found)
+    def listed(code: str, wanted: Callable[[MjcfJoint], object], what: str) -> Finding:
+        return note(code, [joint for joint in moving if wanted(joint)], what, len(moving))
+
+    m, lumped = of.model, f"{bodies.lumped} bodies without moving joints lumped; they are frames"
+    still = [joint for joint in joints if not joint.single and moves[joint.row].root is None]
+    found = [
+        listed("damping.unused", lambda j: j.damping, "viscous damping given but not simulated"),
+        listed("friction.unused", lambda j: j.friction, "Coulomb friction given but not simulated"),
+        listed(
+            "limits.unused", lambda j: math.isfinite(j.lower) or math.isfinite(j.upper), "limits given but not enforced"
+        ),
+        listed("limits.reversed", lambda j: _reversed(of, j.row), "the range ends before it begins, taken as none"),
+        note("frame.left_out", bodies.left_out, "left out, because it stands still and the base is free"),
+        note("joint.held", still, "held where the file puts it"),
+    ]
+    if m.nactuator:
+        found.append(listed("joint.unactuated", lambda j: j.effort is None, "joints without actuators"))
+    more = {
+        "body.lumped": lumped if bodies.lumped else "",
+        "gravity.compensated": "no gravity, because every moving body is compensated for it (gravcomp)"
+        if _relieved(of) == {1.0}
+        else "",
+        "body.mocap": "bodies moved by hand (mocap) stand still" if m.nmocap else "",
+    }
+    return [x for x in found if x.subject] + [note(code, [], words) for code, words in more.items() if words]
+
+
+def _unsimulated(
+    of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], others: Sequence[str]
+) -> list[Finding]:
+    """Notes on parts that would act on the motion, and that a robot has no field for."""
+    m = of.model
+    moving = [joint for joint in joints if moves[joint.row].root is not None]
+    free, single = ([joint for joint in moving if (joint.kind == FREE) == there] for there in (True, False))
 
     def dof(joint: MjcfJoint) -> int:
         return int(m.jnt_dofadr[joint.row])
 
-    free = [joint for joint in joints if joint.kind == FREE and moves[joint.row].root is not None]
-    fluid = m.opt.density or m.opt.viscosity
     acting = {k for joint in joints for k in actuators_at(of, joint.row)}
     actuators = [*enumerate(names_of(of, "ACTUATOR", m.nactuator))]
-    remote = [name for k, name in actuators if k not in acting]
     gears = {k: float(m.actuator_gear[m.actuator_outadr[k], 0]) for k in acting}
     read = [name if gears[k] == 1 else f"{name} (gear {gears[k]:g})" for k, name in actuators if k in acting]
-    read_by_robot = (
-        ("viscous damping given but not simulated", listed(lambda j: j.damping)),
-        ("Coulomb friction given but not simulated", listed(lambda j: j.friction)),
-        ("limits given but not enforced", listed(lambda j: math.isfinite(j.lower) or math.isfinite(j.upper))),
-        ("ranges that end before they begin, taken as none", listed(lambda j: _reversed(of, j.row))),
-        ("joints without actuators", listed(lambda j: j.effort is None) if m.nactuator else ""),
-        ("left out, because it stands still beside the free base", ", ".join(links.left_out)),
-    )
-    no_field = (
-        ("damping that is no multiple of the velocity, not used", listed(lambda j: m.dof_dampingpoly[dof(j)].any())),
-        ("springs given but not simulated", listed(lambda j: _spring(of, j.row), [*moving, *free])),
-        ("damping or friction of the free base, not used", listed(lambda j: _resists(of, dof(j)), free)),
-        ("actuators not simulated, but their greatest efforts, damping and rotor inertia are read", ", ".join(read)),
-        ("actuators that act on no joint, not used", ", ".join(remote)),
-        ("tendons not used", ", ".join(names_of(of, "TENDON", m.ntendon))),
-        ("equality constraints not used", ", ".join(others)),
-        ("flexible bodies not used", ", ".join(names_of(of, "FLEX", m.nflex))),
-        ("plugins not used", ", ".join(names_of(of, "PLUGIN", m.nplugin))),
-        ("contacts given but not simulated", "between geoms" if of.collides else ""),
-        ("resistance of air or water, not used", "yes" if fluid else ""),
-    )
-    relieved = _relieved(of) == {1.0}
-    found = [f"{what}: {names}" for what, names in read_by_robot if names]
-    found += [Unsimulated(f"{what}: {names}") for what, names in no_field if names]
-    found += [f"{links.lumped} bodies without moving joints lumped; they are frames"] if links.lumped else []
-    found += ["no gravity, because every moving body is compensated for it (gravcomp)"] if relieved else []
-    found += ["bodies moved by hand (mocap) stand still"] if m.nmocap else []
-    return tuple(found)
+    given: list[tuple[str, Sequence[Any], str]] = [
+        ("damping", [j for j in single if m.dof_dampingpoly[dof(j)].any()], "damping that is not linear, not used"),
+        ("spring", [j for j in moving if _spring(of, j.row)], "springs given but not simulated"),
+        ("base", [j for j in free if _resists(of, dof(j))], "damping or friction of the free base, not used"),
+        ("actuator", read, "actuators not simulated; their greatest efforts, damping and rotor inertia are read"),
+        ("actuator", [name for k, name in actuators if k not in acting], "actuators that act on no joint, not used"),
+        ("tendon", names_of(of, "TENDON", m.ntendon), "tendons not used"),
+        ("equality", others, "equality constraints not used"),
+        ("flex", names_of(of, "FLEX", m.nflex), "flexible bodies not used"),
+        ("plugin", names_of(of, "PLUGIN", m.nplugin), "plugins not used"),
+        ("contact", ["geoms"] if of.collides else [], "contacts given but not simulated"),
+        ("fluid", ["air or water"] if m.opt.density or m.opt.viscosity else [], "resistance not used"),
+    ]
+    return [note(UNSIMULATED + code, names, what, len(single)) for code, names, what in given if names]
 
 
-def ignored(
-    of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], links: Links, falls: bool
-) -> list[Unsimulated]:
-    """Notes on what changes the accelerations in MuJoCo and not here.
-
-    Args:
-        of, joints, moves, links: as in `notes`.
-        falls: whether gravity acts.
-    """
+def _ignored(
+    of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], bodies: Bodies, falls: bool
+) -> list[Finding]:
+    """Warnings of what changes the accelerations in MuJoCo and not here."""
     m = of.model
     free = [joint for joint in joints if joint.kind == FREE and moves[joint.row].root is not None]
+    inherited = (
+        "armature ignored: MuJoCo adds it to the mass matrix of the base, also where the joint inherits it from a "
+        "default class"
+    )
     found = [
-        Unsimulated(
-            f"armature of the free joint {joint.name!r} ignored: MuJoCo adds it to the mass matrix of the base, also "
-            "where the joint inherits it from a default class; write <freejoint/>, which has and inherits none"
-        )
-        for joint in free
-        if m.dof_armature[(dof := int(m.jnt_dofadr[joint.row])) : dof + 6].any()
+        Finding(f"{UNSIMULATED}armature", f"free joint {x.name!r}", inherited, cure="write <freejoint/>, without any")
+        for x in free
+        if m.dof_armature[(dof := int(m.jnt_dofadr[x.row])) : dof + 6].any()
     ]
     names, still = names_of(of, "BODY", m.nbody), WORLD if free else BASE
     relieved = [
-        names[i] for i, (link, _) in enumerate(links.placed) if link != still and m.body_gravcomp[i] * m.body_mass[i]
+        names[i] for i, (link, _) in enumerate(bodies.placed) if link != still and m.body_gravcomp[i] * m.body_mass[i]
     ]
     if falls and relieved and _relieved(of) != {1.0}:
-        found.append(Unsimulated(f"gravcomp ignored: {', '.join(relieved)}: gravity acts on them in full"))
+        what = "gravcomp ignored: gravity acts on them in full"
+        found.append(Finding(f"{UNSIMULATED}gravcomp", ", ".join(relieved), what))
     if _URDF.match(of.source.text):
-        found.append(
-            Unsimulated(
-                "the file is a URDF, of which MuJoCo leaves out joints that mimic others, and frames on fixed joints; "
-                "Robot.from_urdf reads them"
-            )
-        )
+        what = "the file is a URDF, of which MuJoCo leaves out joints that mimic others, and frames on fixed joints"
+        found.append(Finding(f"{UNSIMULATED}urdf", "", what, cure="Robot.from_urdf reads them"))
     return found
 
 
-def doubts(of: MjcfModel, joints: Sequence[MjcfJoint]) -> list[str]:
-    """Doubt about the ranges of all hinges: that they are in radians where the file has degrees."""
+def _degrees(of: MjcfModel, joints: Sequence[MjcfJoint]) -> list[Finding]:
+    """Suspicion about the ranges of all hinges: that they are in radians where the file has degrees."""
     bounds = [abs(x) for joint in joints if joint.kind == "revolute" for x in (joint.lower, joint.upper)]
     most = max((math.degrees(x) for x in bounds if math.isfinite(x)), default=0.0)
     if not of.degrees or not 0 < most <= TURN:
         return []
-    return [
-        f"ranges of hinges must be in degrees in a file without <compiler angle='radian'/>, found none beyond "
-        f"{most:.4g}; are they in radians?"
-    ]
+    expected = "ranges of hinges must be in degrees in a file without <compiler angle='radian'/>"
+    return [Finding("units.radians", "", expected, f"none beyond {most:.4g}", "are they in radians?")]
 
 
 def _reversed(of: MjcfModel, joint: int) -> bool:

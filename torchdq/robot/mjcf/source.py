@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from torchdq.base.optional import imported
-from torchdq.base.sources import content, located
+from torchdq.base.sources import located, xml
 from torchdq.errors import DescriptionError, MissingFileError, MissingLibraryError
 
 OLDEST = 4  # version of MuJoCo
@@ -78,22 +78,16 @@ def _attempt(step: Callable[[], Any], needed: list[str] | None = None) -> Any:
 
 def _text(source: Any) -> MjcfText:
     """XML text of a source."""
-    hint = "XML text would begin with '<'"
-    stripped = source.lstrip("\ufeff \t\r\n") if isinstance(source, str) else ""
-    given = source.encode("utf-8", "surrogatepass") if stripped.startswith("<") else source
-    name, data = content("robot description", given, MOST_BYTES, DescriptionError, MissingFileError, hint)
-    try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise DescriptionError(f"{name} is not UTF-8 text: {error}") from error
+    text = xml("robot description", source, MOST_BYTES, DescriptionError, MissingFileError)
     if "<mujoco" not in text and "<robot" not in text:
         expected = "an MJCF file, whose root element is <mujoco>"
-        raise DescriptionError(f"{name} must be {expected}, found {reprlib.repr(text)}")
+        raise DescriptionError(f"the robot description must be {expected}, found {reprlib.repr(text)}")
     if "\0" in text:
-        raise DescriptionError(f"{name} is not XML text: it holds a zero byte")
-    is_path = isinstance(given, str | PathLike)
-    path = Path(located(fsdecode(given), MissingFileError)) if is_path else None
-    return MjcfText(text) if path is None else MjcfText(text, path.parent, path)
+        raise DescriptionError("the robot description is not XML text: it holds a zero byte")
+    if source is text or not isinstance(source, str | PathLike):
+        return MjcfText(text)
+    path = Path(located(fsdecode(source), MissingFileError))
+    return MjcfText(text, path.parent, path)
 
 
 def _parsed(mujoco: Any, source: MjcfText) -> Any:

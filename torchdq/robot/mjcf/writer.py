@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ from torchdq.robot.mjcf.links import body_of
 from torchdq.robot.mjcf.read import Mjcf
 from torchdq.robot.mjcf.source import MjcfText
 from torchdq.robot.model import RobotModel
-from torchdq.robot.xml_text import Element, XmlText
+from torchdq.robot.xml_text import add, parsed, written
 
 JOINTS = ("joint", "freejoint")
 ATTRIBUTES = {"damping": "damping", "friction": "frictionloss", "armature": "armature"}
@@ -41,10 +42,10 @@ def to_mjcf(robot: RobotModel, original: Any) -> str:
     """Text of the MJCF file that a robot was read from, with the numbers of the robot.
 
     Only masses, centres of mass, inertias, armature, damping, friction loss and ranges that differ from the file's are
-    written, with all their digits, on the elements themselves even where a default class gave the number; everything
-    else stays byte for byte. If nothing differs, the text is the original. A body that got its mass from geoms gets an
-    <inertial>. A body that carries others without joints takes on all that changed of their common body, so that the
-    others stay as they are: read again, the text gives the robot. Needs the package `mujoco`.
+    written, with all their digits, on the elements themselves even where a default class gave the number; all other
+    elements and the comments stay. If nothing differs, the text is the original. A body that got its mass from geoms
+    gets an <inertial>. A body that carries others without joints takes on all that changed of their common body, so
+    that the others stay as they are: read again, the text gives the robot. Needs the package `mujoco`.
 
     Args:
         robot: the robot, with all joints of the file.
@@ -56,7 +57,7 @@ def to_mjcf(robot: RobotModel, original: Any) -> str:
             have no place there: limits of velocity and effort, infinite limits, bodies in files that are included.
     """
     base: mjcf.MjcfBase = "fixed" if robot.base_mass is None else "floating"
-    first = mjcf.read(original, base, None, None)
+    first = mjcf.read(original, base)
     text = first.of.source.text
     before = _robot(robot, first)
     require_same_tree(robot, before)
@@ -64,56 +65,64 @@ def to_mjcf(robot: RobotModel, original: Any) -> str:
     joints = grouped(changed_joints(robot, before))
     if not bodies and not joints:
         return text
-    xml = XmlText(text)
-    elements = _bodies(xml, first)
+    root = parsed(text, whole=True)
+    elements = _bodies(root, first)
     for link, body, changed in bodies:
-        _write_body(xml, first, elements, link, body, changed)
+        _write_body(first, elements, link, body, changed)
     for name, changes in joints.items():
-        _write_joint(xml, first, elements, before, name, changes)
-    written = str(xml)
-    again = mjcf.read(MjcfText(written, first.of.source.folder), base, None, None)
+        _write_joint(first, elements, before, name, changes)
+    result = written(root, text)
+    again = mjcf.read(MjcfText(result, first.of.source.folder), base)
     require_read_back(robot, _robot(robot, again))
-    return written
+    return result
 
 
 def _robot(robot: RobotModel, of: Mjcf) -> RobotModel:
     return type(robot)(**vars(of.description), gravity=None)
 
 
-def _bodies(xml: XmlText, first: Mjcf) -> list[Element]:
+def _bodies(root: ET.Element, first: Mjcf) -> list[ET.Element]:
     """Elements of the bodies of a model, in its order; the first is that of the world."""
     m = first.of.model
-    worlds = [element for element in xml.root.children if element.tag == "worldbody"]
-    found = [element for world in worlds for element in world.under("body")]
-    place = {element: i + 1 for i, element in enumerate(found)}
-    parents = [place.get(_carrier(element), 0) for element in found]
-    names = [element.attributes.get("name", "") for element in found]
+    found: list[ET.Element] = [ET.Element("worldbody")]
+    parents: list[int] = []
+
+    def visit(element: ET.Element, parent: int) -> None:
+        for body in _inside(element, "body"):
+            found.append(body)
+            parents.append(parent)
+            visit(body, len(found) - 1)
+
+    for world in root.findall("worldbody"):
+        visit(world, 0)
+    names = [element.get("name", "") for element in found[1:]]
     theirs = [m.body(i).name for i in range(1, m.nbody)], m.body_parentid[1:].tolist()
-    if xml.root.tag != "mujoco" or (names, parents) != theirs:
+    if root.tag != "mujoco" or (names, parents) != theirs:
         raise ArgumentError(
-            f"original must be an MJCF file that holds its bodies itself, one by one, found {len(found)} of "
+            f"original must be an MJCF file that holds its bodies itself, one by one, found {len(names)} of "
             f"{m.nbody - 1} there; bodies of files that it includes, copies and URDF cannot be written"
         )
-    return [*worlds[:1], *found]
+    return found
 
 
-def _carrier(element: Element) -> Any:
-    """Element of the body around another."""
-    around = element.parent
-    while around is not None and around.tag not in ("body", "worldbody"):
-        around = around.parent
-    return around
+def _inside(element: ET.Element, *tags: str) -> Iterator[ET.Element]:
+    """Elements of a body with one of these tags, in its frames too, but not in the bodies that it carries."""
+    for child in element:
+        if child.tag in tags:
+            yield child
+        elif child.tag != "body":
+            yield from _inside(child, *tags)
 
 
 # --- bodies ----------------------------------------------------------------------------------------------------------
 
 
 def _write_body(
-    xml: XmlText, first: Mjcf, elements: Sequence[Element], link: int, body: RigidBody, changed: tuple[bool, bool, bool]
+    first: Mjcf, elements: Sequence[ET.Element], link: int, body: RigidBody, changed: tuple[bool, bool, bool]
 ) -> None:
     """Write the body of a link, less the bodies without joints that are part of it."""
-    placed = first.links.placed
-    name = first.links.frames[0].name if link == BASE else first.links.links[link].name
+    placed, links = first.bodies.placed, first.bodies.of
+    name = links.frames[0].name if link == BASE else links.links[link].name
     parts = [i for i in range(1, len(placed)) if placed[i][0] == link]
     if first.of.weighed:
         raise ArgumentError(
@@ -131,46 +140,43 @@ def _write_body(
         rest = merged(rest, body_of(first.of, i).moved(placed[i][1]))
     own = body_of(first.of, carrying)
     new, alone = own_body(own, rest, body, changed, f"body {name!r}", "bodies without joints")
-    words: dict[str, str | None] = {"pos": digits(new[1])} if changed[1] or (changed[0] and not alone) else {}
-    words |= {"mass": repr(new[0])} if changed[0] else {}
-    words |= _principal(new[2]) if changed[2] or not alone else {}
     inertial = elements[carrying].find("inertial")
-    if inertial is not None:
-        xml.set(inertial, {key: x for key, x in words.items() if x is not None or key in inertial.attributes})
-        return
-    words = {"pos": digits(new[1]), "mass": repr(new[0]), **_principal(new[2])}
-    xml.add(elements[carrying], "<inertial " + " ".join(f'{key}="{x}"' for key, x in words.items() if x) + "/>")
+    whole = inertial is None
+    if inertial is None:
+        inertial = add(elements[carrying], "inertial")
+    if whole or changed[1] or (changed[0] and not alone):
+        inertial.set("pos", digits(new.com))
+    if whole or changed[0]:
+        inertial.set("mass", repr(new.mass))
+    if whole or changed[2] or not alone:
+        for key in OTHER_AXES:
+            inertial.attrib.pop(key, None)
+        inertial.attrib.update(_principal(new.inertia))
 
 
-def _principal(inertia: Sequence[float]) -> dict[str, str | None]:
+def _principal(inertia: Sequence[float]) -> dict[str, str]:
     """Attributes for an inertia: MuJoCo's own search for the principal axes of a full one stops at twelve digits."""
     moments, axes = np.linalg.eigh(matrices(double(inertia)).numpy())
     axes[:, 0] *= np.linalg.det(axes)
     rows = quat.from_rotation_rows(tuple(map(tuple, axes.tolist())))
     r = max(rows, key=quat.norm2)
     r = quat.scale(1.0 / math.sqrt(quat.norm2(r)), r)
-    return {"quat": digits(r), "diaginertia": digits(moments.tolist()), **dict.fromkeys(OTHER_AXES)}
+    return {"quat": digits(r), "diaginertia": digits(moments.tolist())}
 
 
 # --- joints ----------------------------------------------------------------------------------------------------------
 
 
 def _write_joint(
-    xml: XmlText,
-    first: Mjcf,
-    elements: Sequence[Element],
-    before: RobotModel,
-    name: str,
-    changes: Sequence[ChangedJoint],
+    first: Mjcf, elements: Sequence[ET.Element], before: RobotModel, name: str, changes: Sequence[ChangedJoint]
 ) -> None:
     m, joint = first.of.model, next(joint for joint in first.joints if joint.name == name)
-    own = [x for x in elements[joint.body].under(*JOINTS) if _carrier(x) is elements[joint.body]]
-    element = own[joint.row - int(m.body_jntadr[joint.body])]
+    element = [*_inside(elements[joint.body], *JOINTS)][joint.row - int(m.body_jntadr[joint.body])]
     dof = int(m.jnt_dofadr[joint.row])
     files = {"damping": m.dof_damping, "friction": m.dof_frictionloss, "armature": m.dof_armature}
     # what a coordinate has is the sum over the joints that follow it and their actuators
     shared = bool(actuators_at(first.of, joint.row)) or before.joint_map is not None
-    words: dict[str, str | None] = {}
+    words: dict[str, str] = {}
     ends: dict[str, float] = {}
     for _, field, old, new in changes:
         if field in ATTRIBUTES:
@@ -193,4 +199,4 @@ def _write_joint(
             words["limited"] = "true"
     if "damping" in words and m.dof_dampingpoly[dof].any():
         words["damping"] = f"{words['damping']} {digits(m.dof_dampingpoly[dof].tolist())}"
-    xml.set(element, words)
+    element.attrib.update(words)

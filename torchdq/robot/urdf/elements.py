@@ -1,4 +1,4 @@
-"""Elements of a URDF file: names, numbers, inertials and joints, checked one by one."""
+"""Links and joints of a URDF file: names and numbers, checked one by one; every fault is found, none raises."""
 
 from __future__ import annotations
 
@@ -9,14 +9,24 @@ import xml.etree.ElementTree as ET
 from typing import NamedTuple
 
 from torchdq.algebra.inertia import Six
+from torchdq.algebra.quaternion import ZERO, Pure
+from torchdq.algebra.screw import Screw
+from torchdq.base.findings import Finding
 from torchdq.robot.arrays import MOST
 
 MOVING = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic"}
+ENTRIES = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
+PLANAR = ("x", "y", "angle")  # ends of the names of the joints that a planar joint is made of
 MOST_CHARACTERS = 1_000  # longest name
+UNLIMITED = {"lower": -math.inf, "upper": math.inf, "velocity": math.inf, "effort": math.inf}
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
-Origin = dict[str, tuple[float, ...]]  # "xyz" and "rpy"
+class Origin(NamedTuple):
+    """Placement: translation [m], then roll, pitch and yaw about the fixed x, y and z axes [rad]."""
+
+    xyz: Pure = ZERO
+    rpy: Pure = ZERO
 
 
 class Inertial(NamedTuple):
@@ -39,144 +49,231 @@ class Mimic(NamedTuple):
 class UrdfJoint(NamedTuple):
     """Joint element."""
 
-    kind: str
+    name: str
+    kind: str  # "revolute", "prismatic" or "fixed"
     parent: str
     child: str
     origin: Origin
-    axis: tuple[float, ...]  # unit vector
+    axis: Pure  # unit vector
     scaled: bool  # whether the file's axis had another length
-    limits: dict[str, float]
+    lower: float
+    upper: float
+    velocity: float
+    effort: float | None  # None: it follows another joint, whose effort counts
     damping: float
     friction: float
-    mimics: Mimic | None
+    mimic: Mimic | None
+    row: int = -1  # among the joints of the file
+    home: float = 0.0
+    armature: float = 0.0
+
+    @property
+    def moves(self) -> bool:
+        """Whether the joint is not fixed."""
+        return self.kind != "fixed"
+
+    @property
+    def screw(self) -> Screw:
+        """Screw of the joint in the frame of the link that it carries."""
+        return (self.axis, ZERO) if self.kind == "revolute" else (ZERO, self.axis)
 
 
-def name_in(what: str, element: ET.Element | None, attribute: str, faults: list[str]) -> str:
-    """Name in an attribute; empty if there is none."""
-    name = "" if element is None else element.get(attribute, "")
-    if len(name) <= MOST_CHARACTERS:
-        return name
-    faults.append(
-        f"{what} {attribute} must have at most {MOST_CHARACTERS} characters, found {len(name)}: {name[:30]!r}..."
-    )
-    return name[:MOST_CHARACTERS]
+class Elements(NamedTuple):
+    """Links and joints of a file by name, in its order."""
+
+    name: str
+    links: dict[str, Inertial | None]
+    joints: dict[str, UrdfJoint]
+    unreadable: dict[str, list[Finding]]  # faults in <inertial>, by link
+    faults: list[Finding]  # all others
 
 
-def _numbers(
-    what: str,
-    element: ET.Element | None,
-    attribute: str,
-    default: float | None,
-    count: int,
-    faults: list[str],
-    signed: bool = True,
-    most: float = MOST,
-) -> tuple[float, ...]:
-    """Numbers of an attribute, `count` finite ones; a plain float() would let 'nan', '1_0' and other digits through.
-
-    An attribute that is absent has `default` in place of each number; None: it must not be absent.
-    """
-    text = None if element is None else element.get(attribute)
-    found = _absent(element) if text is None else reprlib.repr(text)
-    if text is None and default is not None:
-        return (default,) * count
-    text = text or ""
-    words = text.split(None, count + 1)[: count + 1]  # a file of nothing but numbers is not taken apart
-    values = tuple(float(word) for word in words if _NUMBER.fullmatch(word))
-    expected = "a finite number" if count == 1 else f"{count} finite numbers"
-    if len(words) != count or len(values) != count or not all(map(math.isfinite, values)):
-        faults.append(f"{what} {attribute} must be {expected}, found {found}")
-    elif not signed and min(values) < 0:
-        faults.append(f"{what} {attribute} must not be negative, found {reprlib.repr(text)}")
-    elif any(abs(value) > most for value in values):
-        faults.append(f"{what} {attribute} must not exceed {most:g} in size, found {reprlib.repr(text)}")
-    else:
-        return values
-    return (0.0,) * count
+def elements(root: ET.Element) -> Elements:
+    """Links and joints of a root element; planar joints are taken apart into two slides and a turn."""
+    faults: list[Finding] = []
+    name = _Part("robot", "", root, faults).name("name") or "robot"
+    links, joints = (_by_name(root, tag, faults) for tag in ("link", "joint"))
+    unreadable: dict[str, list[Finding]] = {name: [] for name in links}
+    bodies = {name: _inertial(link, unreadable[name]) for name, link in links.items()}
+    found: dict[str, UrdfJoint] = {}
+    for name_, element in joints.items():
+        joint = _joint(name_, element, faults)
+        parts = [joint]
+        if joint.kind == "planar":
+            between = [f"{name_}_{part}" for part in PLANAR]
+            if taken := [x for x in between if x in joints] + [x for x in between[:2] if x in links]:
+                expected = f"its parts are named {', '.join(between)}, but the file has {taken} already"
+                faults.append(Finding("name.twice", f"joint {name_!r}", expected))
+                continue
+            bodies |= dict.fromkeys(between[:2])
+            parts = _taken_apart(joint, between)
+        for part in parts:
+            found[part.name] = part._replace(row=len(found))
+    return Elements(name, bodies, found, {name: x for name, x in unreadable.items() if x}, faults)
 
 
-def _absent(element: ET.Element | None) -> str:
-    """Words for an attribute that is not there, with those that are."""
-    others = ", ".join(map(reprlib.repr, () if element is None else element.attrib))
-    return f"none beside {others}" if others else "none"
+def _by_name(root: ET.Element, tag: str, faults: list[Finding]) -> dict[str, ET.Element]:
+    found: dict[str, ET.Element] = {}
+    for element in root.findall(tag):
+        name = _Part(tag, "", element, faults).name("name")
+        if not name:
+            faults.append(Finding("name.missing", tag, f"a <{tag}> has no name"))
+        elif name in found:
+            faults.append(Finding("name.twice", f"{tag} {name!r}", "it is described twice"))
+        found[name] = element
+    return found
 
 
-def _origin(what: str, element: ET.Element, faults: list[str]) -> Origin:
-    origin = element.find("origin")
-    if origin is not None and "quat_xyzw" in origin.attrib:
-        faults.append(f"{what} origin must be given as xyz and rpy, found quat_xyzw")
-    return {key: _numbers(f"{what} origin", origin, key, 0.0, 3, faults) for key in ("xyz", "rpy")}
+class _Part(NamedTuple):
+    """Element of a link or a joint; faults of its attributes are added to a list."""
+
+    subject: str  # link or joint
+    what: str  # place of the element there
+    element: ET.Element | None
+    faults: list[Finding]
+
+    def child(self, tag: str) -> _Part:
+        """First child with a tag."""
+        child = None if self.element is None else self.element.find(tag)
+        return _Part(self.subject, f"{self.what}{tag} ", child, self.faults)
+
+    def fault(self, code: str, expected: str, found: str = "", cure: str = "") -> None:
+        """Add a fault."""
+        self.faults.append(Finding(code, self.subject, self.what + expected, found, cure, severity="error"))
+
+    def name(self, attribute: str) -> str:
+        """Name in an attribute; empty if there is none."""
+        name = "" if self.element is None else self.element.get(attribute, "")
+        if len(name) > MOST_CHARACTERS:
+            expected = f"{attribute} must have at most {MOST_CHARACTERS} characters"
+            self.fault("name.long", expected, f"{len(name)}: {name[:30]!r}...")
+        return name[:MOST_CHARACTERS]
+
+    def number(self, attribute: str, default: float | None, signed: bool = True, most: float = MOST) -> float:
+        """Number of an attribute; see `numbers`."""
+        return self.numbers(attribute, default, 1, signed, most)[0]
+
+    def numbers(
+        self, attribute: str, default: float | None, count: int, signed: bool = True, most: float = MOST
+    ) -> tuple[float, ...]:
+        """Finite numbers of an attribute; a plain float() would let 'nan', '1_0' and other digits through.
+
+        An attribute that is absent has `default` for each number; None: it must not be absent.
+        """
+        given = {} if self.element is None else self.element.attrib
+        if attribute not in given and default is not None:
+            return (default,) * count
+        text = given.get(attribute, "")
+        words = text.split(None, count + 1)[: count + 1]  # a file of nothing but numbers is not taken apart
+        values = tuple(float(word) for word in words if _NUMBER.fullmatch(word))
+        found = reprlib.repr(text)
+        if attribute not in given:
+            found = f"none, but {', '.join(map(reprlib.repr, given))}" if given else "none"
+        if len(words) != count or len(values) != count or not all(map(math.isfinite, values)):
+            expected = "a finite number" if count == 1 else f"{count} finite numbers"
+            self.fault("number.invalid", f"{attribute} must be {expected}", found)
+        elif not signed and min(values) < 0:
+            self.fault("number.negative", f"{attribute} must not be negative", found)
+        elif any(abs(value) > most for value in values):
+            self.fault("number.large", f"{attribute} must not exceed {most:g} in size", found)
+        else:
+            return values
+        return (0.0,) * count
+
+    def origin(self) -> Origin:
+        """Placement of the element."""
+        origin = self.child("origin")
+        if origin.element is not None and "quat_xyzw" in origin.element.attrib:
+            self.fault("origin.quaternion", "origin must be given as xyz and rpy", "quat_xyzw")
+        return Origin(origin.numbers("xyz", 0.0, 3), origin.numbers("rpy", 0.0, 3))
 
 
-def inertial_of(name: str, link: ET.Element, faults: list[str]) -> Inertial | None:
+def _inertial(link: ET.Element, faults: list[Finding]) -> Inertial | None:
     """Inertial element of a link; None if it is absent or gives no mass."""
-    element = link.find("inertial")
-    if element is None:
+    part = _Part(f"link {link.get('name', '')[:MOST_CHARACTERS]!r}", "", link, faults)
+    if link.find("inertial") is None:
         return None
-    what = f"link {name!r}:"
-    origin = _origin(f"{what} inertial", element, faults)
-    mass, inertia = element.find("mass"), element.find("inertia")
-    if mass is None:
+    origin = part.child("inertial").origin()
+    if link.find("inertial/mass") is None:
         return None
+    part = _Part(part.subject, "", link.find("inertial"), faults)
+    inertia = part.child("inertia")
     # one attribute that is not given is a fault; without any the body is a point
-    stated = inertia is not None and bool(inertia.attrib)
-    absent = None if stated else 0.0
-    entries = tuple(
-        _numbers(f"{what} inertia", inertia, key, absent, 1, faults)[0]
-        for key in ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
-    )
-    return Inertial(_numbers(f"{what} mass", mass, "value", None, 1, faults)[0], entries, origin, stated)
+    stated = inertia.element is not None and bool(inertia.element.attrib)
+    moments = tuple(inertia.number(key, None if stated else 0.0) for key in ENTRIES)
+    return Inertial(part.child("mass").number("value", None), moments, origin, stated)
 
 
-def joint_of(name: str, joint: ET.Element, faults: list[str]) -> UrdfJoint:
-    """Joint element."""
-    what, kind = f"joint {name!r}:", joint.get("type", "")
+def _joint(name: str, element: ET.Element, faults: list[Finding]) -> UrdfJoint:
+    part, kind = _Part(f"joint {name!r}", "", element, faults), element.get("type", "")
     if kind not in MOVING and kind not in ("fixed", "planar"):
-        advice = "; leave it out and pass base='floating' if it carries the robot" if kind == "floating" else ""
-        known = "revolute, continuous, prismatic, planar or fixed"
-        faults.append(f"{what} type must be {known}, found {reprlib.repr(kind)}{advice}")
-    ends = {}
+        cure = "leave it out and pass base='floating' if it carries the robot" if kind == "floating" else ""
+        known = "type must be revolute, continuous, prismatic, planar or fixed"
+        part.fault("joint.type", known, reprlib.repr(kind), cure)
+    ends = []
     for end in ("parent", "child"):
-        element = joint.find(end)
-        ends[end] = name_in(f"{what} {end}", element, "link", faults)
-        if not ends[end]:
-            faults.append(f"{what} it names no {end} link; a file has it as <{end} link=...>")
-    origin = _origin(what, joint, faults)
-    before = len(faults)
-    axis = joint.find("axis")
-    given = axis is not None and "xyz" in axis.attrib
-    x, y, z = _numbers(f"{what} axis", axis, "xyz", None, 3, faults) if given else (1.0, 0.0, 0.0)
+        ends.append(part.child(end).name("link"))
+        if not ends[-1]:
+            part.fault("joint.end", f"it names no {end} link", cure=f"a file has it as <{end} link=...>")
+    origin, axis, before = part.origin(), part.child("axis"), len(faults)
+    given = axis.element is not None and "xyz" in axis.element.attrib
+    x, y, z = axis.numbers("xyz", None, 3) if given else (1.0, 0.0, 0.0)
     length = math.hypot(x, y, z)
     if kind in (*MOVING, "planar") and length < 1e-9 and len(faults) == before:
-        faults.append(f"{what} axis must have a direction, found {(x, y, z)}")
-    limit, dynamics, mimic = joint.find("limit"), joint.find("dynamics"), joint.find("mimic")
-    limits = {"lower": -math.inf, "upper": math.inf, "velocity": math.inf, "effort": math.inf}
-    if limit is not None:
-        for key in ("velocity", "effort") if kind == "continuous" else tuple(limits):
+        part.fault("axis.zero", "axis must have a direction", f"{(x, y, z)}")
+    limit, bounds = part.child("limit"), {**UNLIMITED}
+    if limit.element is not None:
+        for key in ("velocity", "effort") if kind == "continuous" else tuple(bounds):
             place = key in ("lower", "upper")
             # the format's own default for a limit that is not stated is 0 for the positions
-            if place or limit.get(key) is not None:
-                limits[key] = _numbers(f"{what} limit", limit, key, 0.0, 1, faults, signed=place, most=math.inf)[0]
-        if limits["lower"] > limits["upper"]:
-            faults.append(f"{what} lower limit {limits['lower']:g} is above upper limit {limits['upper']:g}")
+            if place or key in limit.element.attrib:
+                bounds[key] = limit.number(key, 0.0, signed=place, most=math.inf)
+        if bounds["lower"] > bounds["upper"]:
+            expected = f"lower limit {bounds['lower']:g} is above upper limit {bounds['upper']:g}"
+            part.fault("limits.reversed", expected)
+    dynamics, mimic = part.child("dynamics"), part.child("mimic")
     return UrdfJoint(
-        kind,
-        ends["parent"],
-        ends["child"],
+        name,
+        MOVING.get(kind, "planar" if kind == "planar" else "fixed"),
+        ends[0],
+        ends[1],
         origin,
         (x / length, y / length, z / length) if length >= 1e-9 else (1.0, 0.0, 0.0),
         abs(length - 1.0) > 1e-6,
-        limits,
-        _numbers(f"{what} dynamics", dynamics, "damping", 0.0, 1, faults, signed=False)[0],
-        _numbers(f"{what} dynamics", dynamics, "friction", 0.0, 1, faults, signed=False)[0],
-        None if mimic is None else _mimic(f"{what} mimic", mimic, faults),
+        lower=bounds["lower"],
+        upper=bounds["upper"],
+        velocity=bounds["velocity"],
+        effort=bounds["effort"],
+        damping=dynamics.number("damping", 0.0, signed=False),
+        friction=dynamics.number("friction", 0.0, signed=False),
+        mimic=None
+        if mimic.element is None
+        else Mimic(mimic.name("joint"), mimic.number("multiplier", 1.0), mimic.number("offset", 0.0)),
     )
 
 
-def _mimic(what: str, mimic: ET.Element, faults: list[str]) -> Mimic:
-    factors = {"multiplier": 1.0, "offset": 0.0}
-    numbers = (_numbers(what, mimic, key, default, 1, faults)[0] for key, default in factors.items())
-    return Mimic(name_in(what, mimic, "joint", faults), *numbers)
+def _taken_apart(joint: UrdfJoint, names: list[str]) -> list[UrdfJoint]:
+    """Planar joint as two slides in the plane and a turn about its normal, with two more links in between."""
+    x, y, z = joint.axis
+    # a right-handed frame with the axis as z (Duff et al., JCGT 6(1), 2017)
+    s = math.copysign(1.0, z)
+    a = -1.0 / (s + z)
+    b = x * y * a
+    axes = (1.0 + s * x * x * a, s * b, -s * x), (b, s + y * y * a, -y), joint.axis
+    ends = [joint.parent, *names[:2], joint.child]
+    return [
+        joint._replace(
+            name=name,
+            kind="revolute" if i == 2 else "prismatic",
+            parent=ends[i],
+            child=ends[i + 1],
+            origin=joint.origin if i == 0 else Origin(),
+            axis=axes[i],
+            **UNLIMITED,  # type: ignore[arg-type]
+            mimic=None,
+        )
+        for i, name in enumerate(names)
+    ]
 
 
 def listed(names: list[str]) -> str:

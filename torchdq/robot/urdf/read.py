@@ -1,154 +1,74 @@
-"""Robots from URDF files: numbers are read and checked in `urdf_document`, and put together in `urdf_tree`."""
+"""Descriptions of robots in URDF files: document, elements, tree and description, one after the other."""
 
 from __future__ import annotations
 
 import itertools
-import math
-from collections.abc import Callable
 from typing import Any
 
 import torch
 
-from torchdq.algebra.quaternion import ZERO
 from torchdq.base.findings import Finding
 from torchdq.dynamics.tree import BASE
+from torchdq.errors import DescriptionError
 from torchdq.robot.arrays import SIX, double, matrices
+from torchdq.robot.assembly import described
 from torchdq.robot.check import consistency
-from torchdq.robot.description import NO_TIP, Frame, Limits, RobotDescription, Unsimulated
-from torchdq.robot.urdf.document import Document, parse, text_of
-from torchdq.robot.urdf.elements import MOVING, Inertial, UrdfJoint
-from torchdq.robot.urdf.lock import locked, notes_of
-from torchdq.robot.urdf.mimic import coordinates
-from torchdq.robot.urdf.tree import lumped, tree_of
+from torchdq.robot.description import RobotDescription, note
+from torchdq.robot.urdf.diagnostics import diagnostics
+from torchdq.robot.urdf.document import root_of
+from torchdq.robot.urdf.elements import Elements, elements
+from torchdq.robot.urdf.mimic import locked, motions
+from torchdq.robot.urdf.tree import below, children_of, links_of, rooted
 
 
 def read(
-    source: Any, kept: Any, lock: Any, base: str = "fixed", mimic: str = "coupled", repair: bool = False
-) -> tuple[RobotDescription, list[Finding], tuple[str, ...], tuple[str, ...]]:
-    """Description, its faults, doubts about units, and notes on what is ignored though it may change the dynamics.
-
-    `Robot.from_urdf` says what is expected.
-    """
-    free = base == "floating"
-    document = parse(text_of(source), free, mimic == "coupled")
-    at = locked(document, kept, lock)
-    tree = tree_of(document, at | document.stuck)
-    joints = [document.joints[name] for name in tree.joints]
-    reduced, joint_map, home, coupled = coordinates(dict(zip(tree.joints, joints, strict=True)), document.followers)
-    n = len(joints)
-    moving = {name: inertial for name, inertial in document.links.items() if tree.places[name].link != BASE}
-    judged = {name: inertial for name, inertial in document.links.items() if inertial and (free or name in moving)}
-    judged, faults, notes = _physical(judged, repair)
-    *bodies, (base_mass, base_com, base_inertia) = lumped(tree.places, judged, n)
-    mass, com, inertia = zip(*bodies, strict=True) if n else ((), (), ())
-    if free and not any((base_mass, *base_inertia)):
-        faults.append(
-            Finding(
-                "base.massless",
-                f"link {document.base!r}",
-                "a free base must have mass",
-                "none on it and on links that are fixed to it",
-                "give it mass, or pass base='fixed'",
-                severity="error",
-            )
-        )
-    children = {joint.parent for joint in document.joints.values()}
-    leaves = [name for name in moving if name not in children]
-    description = RobotDescription(
-        name=document.name,
-        joint_names=tuple(reduced),
-        link_names=tuple(joint.child for joint in joints),
-        parents=tree.parents,
-        kinds=tuple(MOVING[joint.kind] for joint in joints),
-        X_PB_home=double([r + d for r, d in tree.X_PB]).reshape(n, 8),
-        screw=double([_screw(joint) for joint in joints]).reshape(n, 6),
-        mass=double(mass),
-        com=double(com).reshape(n, 3),
-        inertia=double(inertia).reshape(n, 6),
-        limits=Limits(*(double([joint.limits[key] for joint in reduced.values()]) for key in Limits._fields)),
-        damping=double([joint.damping for joint in reduced.values()]),
-        friction=double([joint.friction for joint in reduced.values()]),
-        frames=tuple(Frame(name, link, double(r + d)) for name, (link, (r, d)) in tree.places.items()),
-        tip=leaves[0] if len(leaves) == 1 else None,
-        home=None if home is None else double(home),
-        base_mass=double(base_mass) if free else None,
-        base_com=double(base_com) if free else None,
-        base_inertia=double(base_inertia) if free else None,
-        joint_map=joint_map,
-        notes=(*notes, *_notes(document, tree.joints, moving, leaves, at, coupled, mimic == "independent")),
-    )
-    return description, faults, document.doubts, document.ignored
+    source: Any, kept: Any = None, lock: Any = None, base: str = "fixed", mimic: str = "coupled", repair: bool = False
+) -> RobotDescription:
+    """Description of the robot in a file; `Robot.from_urdf` says what is expected."""
+    free, coupled = base == "floating", mimic == "coupled"
+    root = root_of(source)
+    found = elements(root)
+    faults: list[Finding] = []
+    still_free = motions(found.joints, coupled, faults)
+    base_link, frames = rooted(found, faults)
+    # bodies that never move need not be readable
+    excused = set() if free or faults else below([base_link], children_of(found.joints, fixed=True))
+    unreadable = [x for name, all_of in found.unreadable.items() if name not in excused for x in all_of]
+    if faults := [*unreadable, *found.faults, *faults]:
+        lines = "\n  ".join(map(str, faults))
+        raise DescriptionError(f"the robot description cannot be used:\n  {lines}", findings=faults)
+    judged, findings = _physical(found, repair)
+    moves = locked(found, still_free, coupled, kept, lock)
+    links = links_of(judged, base_link, moves)
+    moving = {frame.name for frame in links.frames if free or frame.link != BASE}
+    unphysical = [x for name, all_of in findings.items() if name in moving for x in all_of]
+    body = links.bodies[BASE]
+    if free and not any((body.mass, *body.inertia)):
+        expected, missing = "a free base must have mass", "none on it and on links that are fixed to it"
+        cure = "give it mass, or pass base='fixed'"
+        unphysical.append(Finding("base.massless", f"link {base_link!r}", expected, missing, cure, severity="error"))
+    notes = diagnostics(root, found, links, frames, still_free, moves, coupled)
+    return described(found.name, links, moves, free, (*unphysical, *notes))
 
 
-def _screw(joint: UrdfJoint) -> tuple[float, ...]:
-    return (*joint.axis, *ZERO) if MOVING[joint.kind] == "revolute" else (*ZERO, *joint.axis)
-
-
-def _physical(
-    links: dict[str, Inertial], repair: bool
-) -> tuple[dict[str, Inertial], list[Finding], list[Finding | str]]:
-    """Bodies whose inertias are not rounding, and are repaired on request; faults, and notes of all that changed."""
+def _physical(file: Elements, repair: bool) -> tuple[Elements, dict[str, list[Finding]]]:
+    """Bodies whose inertias are not rounding, and are repaired on request; by link, faults and notes of changes."""
+    links = {name: body for name, body in file.links.items() if body and name not in file.unreadable}
     names = tuple(links)
     mass = double([body.mass for body in links.values()])
     six = double([body.inertia for body in links.values()]).reshape(-1, 6)
     tiny = ((six != 0).any(-1) & (six.abs().amax(-1) <= consistency.rounding(mass))).tolist() if names else []
     six = torch.where(double(tiny).bool()[:, None], 0.0, six)
-    notes: list[Finding | str] = [
-        "inertia that is rounding taken as zero: " + ", ".join(itertools.compress(names, tiny))
-    ] * any(tiny)
-    I = matrices(six)
-    if repair:
-        I, more = consistency.repaired(names, mass, I)
-        notes += more
-    found = consistency.bodies(names, mass, I)
-    faults = [fault for fault in found if fault.code != consistency.MASSLESS]
-    # the numbers are well defined, and other readers use them as well
-    notes += [fault for fault in found if fault.code == consistency.MASSLESS]
-    new = {
+    findings: dict[str, list[Finding]] = {name: [] for name in names}
+    for name in itertools.compress(names, tiny):
+        findings[name].append(note("inertia.rounding", [name], "inertia that is rounding taken as zero"))
+    I, repairs = consistency.repaired(names, mass, matrices(six)) if repair else (matrices(six), [])
+    subjects = {f"link {name!r}": name for name in names}
+    for x in (*consistency.bodies(names, mass, I), *repairs):
+        # the numbers of a body without mass are well defined, and other readers use them as well
+        findings[subjects[x.subject]].append(x._replace(severity="note") if x.code == consistency.MASSLESS else x)
+    bodies = {
         name: body._replace(inertia=tuple(row))
         for (name, body), row in zip(links.items(), I[:, *SIX].tolist(), strict=True)
     }
-    return new, faults, notes
-
-
-def _stuck(joint: UrdfJoint) -> bool:
-    lower, upper, velocity, effort = (joint.limits[key] for key in Limits._fields)
-    return lower == upper or velocity == 0 or effort == 0
-
-
-def _notes(
-    document: Document,
-    names: tuple[str, ...],
-    moving: dict[str, Inertial | None],
-    leaves: list[str],
-    lock: dict[str, float],
-    coupled: list[str],
-    independent: bool,
-) -> tuple[str, ...]:
-    """Requests of the file that the dynamics do not use, or use otherwise."""
-
-    def listed(wanted: Callable[[UrdfJoint], object]) -> str:
-        found = [name for name in names if wanted(document.joints[name])]
-        return "all joints" if 1 < len(found) == len(names) else ", ".join(found)
-
-    massless = ", ".join(name for name, inertial in moving.items() if inertial is None or inertial.mass == 0)
-    points = ", ".join(name for name, inertial in moving.items() if inertial and inertial.mass and not inertial.stated)
-    fixed = sum(joint.kind == "fixed" for joint in document.joints.values())
-    given = (
-        ("viscous damping given but not simulated", lambda j: j.damping),
-        ("Coulomb friction given but not simulated", lambda j: j.friction),
-        ("limits given but not enforced", lambda j: any(map(math.isfinite, j.limits.values()))),
-        ("limits of zero, which leave no room", _stuck),
-        ("axes scaled to unit length", lambda j: j.scaled),
-    )
-    apart = listed(lambda j: j.mimics is not None and independent)
-    notes = [
-        (f"{fixed} fixed joints lumped; their links are frames", fixed),
-        *((note, True) for note in (*document.notes, *notes_of(document, lock), *coupled)),
-        (f"links without mass: {massless}", massless),
-        (f"links with mass but without <inertia>, taken as points at their centres of mass: {points}", points),
-        *((f"{what}: {listed(wanted)}", listed(wanted)) for what, wanted in given),
-        (Unsimulated(f"mimic joints treated as independent: {apart}"), apart),
-        (f"{NO_TIP} {', '.join(leaves)}; name one with tip=", len(leaves) > 1),
-    ]
-    return tuple(note for note, applies in notes if applies)
+    return file._replace(links={name: bodies.get(name) for name in file.links}), findings

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from torchdq.algebra import quaternion as quat
@@ -21,25 +22,25 @@ from torchdq.robot.edit.changed import (
     require_same_tree,
 )
 from torchdq.robot.urdf.document import text_of
+from torchdq.robot.urdf.elements import ENTRIES, Inertial, elements
 from torchdq.robot.urdf.tree import pose
-from torchdq.robot.xml_text import Element, XmlText
+from torchdq.robot.xml_text import add, parsed, written
 
 if TYPE_CHECKING:
     from torchdq.robot.robot import Robot
 
-ATTRIBUTES = {"damping": "dynamics", "friction": "dynamics"}  # elements of attributes; the others are limits
-SIX = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")
+ELEMENTS = {"damping": "dynamics", "friction": "dynamics"}  # of attributes; the others are limits
 
 
 def to_urdf(robot: Robot, original: Any) -> str:
     """Text of the URDF file that a robot was read from, with the numbers of the robot.
 
     Only masses, centres of mass, inertias, damping, friction and limits that differ from the file's are written, with
-    all their digits; everything else stays byte for byte. If nothing differs, the text is the original. A link that
-    carries others on fixed joints takes on all that changed of their common body, so that the others stay as they are:
-    read again, the text gives the robot, with mimic="independent" if it was read so: <mimic> stays in the text; and
-    with the same `joints` if it was read with some of them, links beyond the others being carried as on fixed joints at
-    zero. Gravity and the tip are no part of a URDF file.
+    all their digits; all other elements and the comments stay. If nothing differs, the text is the original. A link
+    that carries others on fixed joints takes on all that changed of their common body, so that the others stay as they
+    are: read again, the text gives the robot, with mimic="independent" if it was read so: <mimic> stays in the text;
+    and with the same `joints` if it was read with some of them, links beyond the others being carried as on fixed
+    joints at zero. Gravity and the tip are no part of a URDF file.
 
     Args:
         robot: the robot, with all joints of the file, or those that it was read with.
@@ -54,8 +55,8 @@ def to_urdf(robot: Robot, original: Any) -> str:
     >>> text = "<robot name='r'><link name='a'/><link name='b'><inertial><mass value='2'/></inertial></link>" + (
     ...     "<joint name='j' type='prismatic'><parent link='a'/><child link='b'/><limit upper='1'/></joint></robot>")
     >>> robot = torchdq.Robot.from_urdf(text)
-    >>> print(robot.replace(mass=1.5 * robot.mass).to_urdf(text)[32:87])
-    <link name='b'><inertial><mass value="3.0"/></inertial>
+    >>> print(robot.replace(mass=1.5 * robot.mass).to_urdf(text)[30:88])
+    <link name='b'><inertial><mass value="3.0" /></inertial>
     """
     text = text_of(original)
     options: dict[str, Any] = {"on_unphysical": "ignore", "base": "fixed" if robot.base_mass is None else "floating"}
@@ -67,90 +68,66 @@ def to_urdf(robot: Robot, original: Any) -> str:
         options["joints"] = robot.joint_names
         first = type(robot).from_urdf(text, **options)
     require_same_tree(robot, first)
-    xml = XmlText(text)
-    links = {element.attributes.get("name", ""): element for element in xml.root.children if element.tag == "link"}
-    joints = {element.attributes.get("name", ""): element for element in xml.root.children if element.tag == "joint"}
-    for link, body, changed in changed_bodies(robot, first):
-        _write_body(xml, first, links, link, body, changed)
+    bodies, joints = [*changed_bodies(robot, first)], grouped(changed_joints(robot, first))
+    if not bodies and not joints:
+        return text
+    root, file = parsed(text, whole=True), elements(parsed(text))
+    links, named = ({x.get("name", ""): x for x in root.findall(tag)} for tag in ("link", "joint"))
+    for link, body, changed in bodies:
+        _write_body(links, file.links, first, link, body, changed)
     coupled = set() if first.joint_map is None else _leaders(first)
-    for joint, changes in grouped(changed_joints(robot, first)).items():
-        _write_joint(xml, joints[joint], changes, joint in coupled)
-    written = str(xml)
-    if written != text:
-        require_read_back(robot, type(robot).from_urdf(written, **options))
-    return written
+    for joint, changes in joints.items():
+        _write_joint(named[joint], changes, joint in coupled)
+    result = written(root, text)
+    require_read_back(robot, type(robot).from_urdf(result, **options))
+    return result
 
 
 # --- bodies ----------------------------------------------------------------------------------------------------------
 
 
 def _write_body(
-    xml: XmlText,
+    links: Mapping[str, ET.Element],
+    described: Mapping[str, Inertial | None],
     first: Robot,
-    links: dict[str, Element],
     link: int,
     body: RigidBody,
     changed: tuple[bool, bool, bool],
 ) -> None:
     """Write the body of a link, less the links on fixed joints that are part of it."""
-    poses = {f.name: (tuple(f.X_BF[:4].tolist()), tuple(f.X_BF[4:].tolist())) for f in first.frames if f.link == link}
-    carrying = _root(first, links) if link == BASE else first.link_names[link]
+    parts = {frame.name: frame.X_BF.tolist() for frame in first.frames if frame.link == link and frame.name in links}
+    carrying = next(iter(parts)) if link == BASE else first.link_names[link]
     rest = NOTHING
-    for name, X in poses.items():
-        if name != carrying and name in links:
-            rest = merged(rest, _read(links[name].find("inertial"))[0].moved(X))
-    inertial = links[carrying].find("inertial")
-    own, r = _read(inertial)
-    new, alone = own_body(own, rest, body, changed, f"link {carrying!r}", "links on fixed joints")
-    turned = new[2] if r == quat.ONE else RigidBody(0.0, quat.ZERO, new[2]).moved((quat.conj(r), (0.0,) * 4)).inertia
-    words = {
-        "origin": {"xyz": digits(new[1])} if changed[1] or (changed[0] and not alone) else {},
-        "mass": {"value": repr(new[0])} if changed[0] or inertial is None else {},
-        "inertia": dict(zip(SIX, map(repr, turned), strict=True)) if changed[2] or not alone else {},
-    }
-    _write(xml, links[carrying], inertial, words)
-
-
-def _root(first: Robot, links: dict[str, Element]) -> str:
-    return next(frame.name for frame in first.frames if frame.link == BASE and frame.name in links)
-
-
-def _write(xml: XmlText, link: Element, inertial: Element | None, words: dict[str, dict[str, str]]) -> None:
-    """Write attributes of the children of <inertial>, all of which may be missing."""
+    for name, X in parts.items():
+        if name != carrying:
+            rest = merged(rest, _body(described[name]).moved((tuple(X[:4]), tuple(X[4:]))))
+    own = described[carrying]
+    new, alone = own_body(_body(own), rest, body, changed, f"link {carrying!r}", "links on fixed joints")
+    inertial, turned = links[carrying].find("inertial"), new.inertia
+    if own is not None and (r := pose(own.origin)[0]) != quat.ONE:  # axes of the inertia
+        turned = RigidBody(0.0, quat.ZERO, new.inertia).moved((quat.conj(r), (0.0,) * 4)).inertia
+    whole = inertial is None
     if inertial is None:
-        words = {**words, "inertia": words["inertia"] or dict.fromkeys(SIX, "0")}
-        words["origin"] = words["origin"] or {"xyz": "0 0 0"}
-        xml.add(link, "<inertial>", *(f"  {_tag(tag, x)}" for tag, x in words.items()), "</inertial>")
-        return
-    for tag, attributes in words.items():
-        child = inertial.find(tag)
-        if not attributes:
-            continue
-        if child is None:
-            xml.add(inertial, _tag(tag, attributes))
-        else:
-            old = child.attributes
-            xml.set(child, {key: x for key, x in attributes.items() if key not in old or not _same(old[key], x)})
+        inertial = add(links[carrying], "inertial")
+    if whole or changed[2] or not alone:
+        _set(inertial, "inertia", dict(zip(ENTRIES, map(repr, turned), strict=True)))
+    if whole or changed[0]:
+        _set(inertial, "mass", {"value": repr(new.mass)})
+    if whole or changed[1] or (changed[0] and not alone):
+        _set(inertial, "origin", {"xyz": digits(new.com)})
 
 
-def _same(old: str, new: str) -> bool:
-    return [*map(float, old.split())] == [*map(float, new.split())]
-
-
-def _tag(tag: str, attributes: dict[str, str]) -> str:
-    return f"<{tag} " + " ".join(f'{key}="{x}"' for key, x in attributes.items()) + "/>"
-
-
-def _read(inertial: Element | None) -> tuple[RigidBody, quat.Quaternion]:
-    """Body of an <inertial> element in the frame of its link, and the rotation of the axes of its inertia there."""
+def _body(inertial: Inertial | None) -> RigidBody:
+    """Body of an <inertial> element in the frame of its link."""
     if inertial is None:
-        return NOTHING, quat.ONE
-    mass, origin, inertia = (inertial.find(tag) for tag in ("mass", "origin", "inertia"))
-    values = {} if origin is None else origin.attributes
-    X = pose({key: tuple(map(float, values.get(key, "0 0 0").split())) for key in ("xyz", "rpy")})
-    moments = tuple(0.0 if inertia is None else float(inertia.attributes[key]) for key in SIX)
-    body = RigidBody(0.0 if mass is None else float(mass.attributes["value"]), quat.ZERO, moments)
-    return body.moved(X), X[0]
+        return NOTHING
+    return RigidBody(inertial.mass, quat.ZERO, inertial.inertia).moved(pose(inertial.origin))
+
+
+def _set(parent: ET.Element, tag: str, attributes: Mapping[str, str]) -> None:
+    """Write attributes of the first child with a tag, which may be missing."""
+    child = parent.find(tag)
+    (add(parent, tag) if child is None else child).attrib.update(attributes)
 
 
 # --- joints ----------------------------------------------------------------------------------------------------------
@@ -162,24 +139,17 @@ def _leaders(first: Robot) -> set[str]:
     return {name for k, name in enumerate(first.joint_names) if int((S[:, k] != 0).sum()) > 1}
 
 
-def _write_joint(xml: XmlText, joint: Element, changes: Sequence[ChangedJoint], leads: bool) -> None:
-    words: dict[str, dict[str, str]] = {"dynamics": {}, "limit": {}}
+def _write_joint(joint: ET.Element, changes: Sequence[ChangedJoint], leads: bool) -> None:
     for name, field, old, new in changes:
-        tag = ATTRIBUTES.get(field, "limit")
+        tag = ELEMENTS.get(field, "limit")
         if field == "armature":
             raise ArgumentError(f"armature of joint {name!r} has no place in a URDF file, found {new:g}")
-        if field in ("lower", "upper") and joint.attributes.get("type") == "continuous":
+        if field in ("lower", "upper") and joint.get("type") == "continuous":
             raise ArgumentError(
                 f"{field} limit of joint {name!r} has no place in the file, where it is continuous, "
                 f"found {new:g}; make it a revolute joint there"
             )
         element = joint.find(tag)
-        given = None if element is None else element.attributes.get(field)
-        own = float(given) if given is not None else 0.0
+        own = 0.0 if element is None else float(element.get(field, 0.0))
         # what a coordinate has is the sum over the joints that follow it
-        words[tag][field] = repr(own + (new - old) if leads and tag == "dynamics" else new)
-    for tag, attributes in words.items():
-        if attributes and (element := joint.find(tag)) is not None:
-            xml.set(element, attributes)
-        elif attributes:
-            xml.add(joint, _tag(tag, attributes))
+        _set(joint, tag, {field: repr(own + (new - old) if leads and tag == "dynamics" else new)})

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from os import PathLike, fsdecode
 from pathlib import Path
@@ -37,7 +37,7 @@ def expanded(path: Any, arguments: Any, packages: Any, defaults: Mapping[str, st
 
     `defaults` are arguments that go behind the others, and that the file need not ask for.
     """
-    xacrodoc = imported("xacrodoc", "xacrodoc", *ASKED_BY)  # teaches xacro to find packages without ROS
+    imported("xacrodoc", "xacrodoc", *ASKED_BY)  # teaches xacro to find packages without ROS
     xacro = imported("xacro", "xacro", *ASKED_BY)
     if not isinstance(path, str | PathLike) or fsdecode(path).lstrip().startswith("<"):
         raise ArgumentError(f"path must be the path of a xacro file, whose includes lie beside it, found {path!r:.300}")
@@ -46,12 +46,12 @@ def expanded(path: Any, arguments: Any, packages: Any, defaults: Mapping[str, st
     own = {} if arguments is None else _strings("arguments", arguments)
     given = Arguments({**(defaults or {}), **own})
     folders = {} if packages is None else _strings("packages", packages)
+    missing: list[str] = []
     try:
-        with _found_near(xacrodoc, file, folders):
+        with _found_near(file, folders, missing):
             document = xacro.process_file(str(file), mappings=given)
     except Exception as error:  # a xacro file is a program, whose errors are of any type
-        missing = "Package not found" in str(error)
-        hint = "; say where it is, as in packages={'name': 'folder'}" if missing else ""
+        hint = f"; say where {missing[0]!r} is, as in packages={{'name': 'folder'}}" if missing else ""
         raise DescriptionError(f"xacro cannot expand {str(file)!r}: {type(error).__name__}: {error}{hint}") from error
     for name in own:
         if name not in given.asked:
@@ -67,8 +67,8 @@ def _strings(name: str, x: Any) -> dict[str, str]:
 
 
 @contextmanager
-def _found_near(xacrodoc: Any, file: Path, folders: Mapping[str, str]) -> Iterator[None]:
-    """Search for packages in these folders and around a file first, then where xacrodoc was told to.
+def _found_near(file: Path, folders: Mapping[str, str], missing: list[str]) -> Iterator[None]:
+    """Search for packages in these folders and around a file first, then as xacrodoc does; lists those not found.
 
     What xacrodoc finds it remembers for the process, so the same package elsewhere would be taken for this one.
     """
@@ -76,18 +76,18 @@ def _found_near(xacrodoc: Any, file: Path, folders: Mapping[str, str]) -> Iterat
     finder, before = packages.PackageFinder(), packages.get_path
     finder.walk_up_from(file)
     finder.update_package_cache(folders)
-    packages.get_path = _first(finder.get_path, before, packages.PackageNotFoundError)
+
+    def path_of(package: str) -> str:
+        for find in (finder.get_path, before):
+            try:
+                return find(package)
+            except packages.PackageNotFoundError as error:
+                fault = error
+        missing.append(package)
+        raise fault
+
+    packages.get_path = path_of
     try:
         yield
     finally:
         packages.get_path = before
-
-
-def _first(one: Callable[[str], str], other: Callable[[str], str], missing: type[Exception]) -> Callable[[str], str]:
-    def path_of(package: str) -> str:
-        try:
-            return one(package)
-        except missing:
-            return other(package)
-
-    return path_of

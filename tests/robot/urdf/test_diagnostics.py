@@ -1,0 +1,171 @@
+"""Elements of URDF files that are not read: those that may change the dynamics are warned of, others are only noted."""
+
+import warnings
+
+import oracles
+import pytest
+import torch
+from urdf_text import LIMIT, also, arm, codes, fixed, joint, link, mimic, torques
+
+from torchdq import Robot
+
+ORIGIN, INERTIA = (
+    '<origin xyz="0.1 0.2 0.3" rpy="0 0 1"/>',
+    '<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>',
+)
+BODY = f"<mass value='2'/>{INERTIA}"
+MATTER = {  # content of a link "x" and of a joint "j" that carries it, subject and words of the finding
+    "multiplyer": (
+        "",
+        "<mimic joint='elbow' multiplyer='-1'/>",
+        "j",
+        "multiplyer of <mimic> is not read; is multiplier",
+    ),
+    "mas": (f"<inertial><mas value='2'/>{INERTIA}</inertial>", "", "x", "<mas> is not read; is <mass> meant?"),
+    "orign of a body": (
+        f"<inertial><orign xyz='1 0 0'/>{BODY}</inertial>",
+        "",
+        "x",
+        "<orign> is not read; is <origin>",
+    ),
+    "orign of a joint": ("", "<orign xyz='1 0 0'/>", "j", "<orign> is not read; is <origin> meant?"),
+    "ryp": ("", "<origin xyz='1 0 0' ryp='0 0 1'/>", "j", "ryp of <origin> is not read; is rpy meant?"),
+    "xzy": ("", "<axis xzy='0 1 0'/>", "j", "xzy of <axis> is not read; is xyz meant?"),
+    "vector": ("", "<axis vector='0 1 0'/>", "j", "vector of <axis> is not read"),
+    "axes": ("", "<axes xyz='0 1 0'/>", "j", "<axes> is not read; is <axis> meant?"),
+    "Damping": ("", "<dynamics Damping='2'/>", "j", "Damping of <dynamics> is not read; is damping meant?"),
+    "Inertial": (f"<Inertial>{BODY}</Inertial>", "", "x", "<Inertial> is not read; is <inertial> meant?"),
+    "uper": ("", "<limit lower='0' uper='1' effort='1' velocity='1'/>", "j", "uper of <limit> is not read; is upper"),
+    "no driver": ("", "<mimic joint='elbo'/>", "j", "it mimics 'elbo', which is not in the file"),
+    "two bodies": (
+        f"<inertial>{BODY}</inertial>" * 2,
+        "",
+        "x",
+        "<inertial> is given 2 times, of which the first is read",
+    ),
+    "two origins": ("", ORIGIN * 2, "j", "<origin> is given 2 times"),
+    "two axes": ("", "<axis xyz='0 1 0'/><axis xyz='0 0 1'/>", "j", "<axis> is given 2 times"),
+    "body outside": (BODY, "", "x", "<mass> is not read in <link>"),
+    "place outside": (f"{ORIGIN}<inertial>{BODY}</inertial>", "", "x", "<origin> is not read in <link>"),
+    "xyz of a joint": ("", "' xyz='1 0 0", "j", "xyz is not read in <joint>"),
+}
+HARMLESS = {
+    "misspelt mesh": ("<visul/><visual><orign/></visual><collision><orign/></collision>", "", "revolute"),
+    "vendors' tags": ("<self_collision/>", "<hardware/><gear ratio='2'/><x:axes/>", "revolute"),
+    "springs": ("", "<dynamics stiffness='2'/>", "revolute"),
+    "place of an empty link": (ORIGIN, "", "revolute"),
+    "place of a link and of its body": (f"{ORIGIN}<inertial>{ORIGIN}<mass value='1'/></inertial>", "", "revolute"),
+    "axes of a fixed joint": ("", "<axis xyz='0 0 1'/><axis xzy='0 1 0'/><axes/>", "fixed"),
+    "two of what is not read": ("", "<calibration/><calibration/>", "revolute"),
+    "limits left out": ("", "<limit effort='1' velocity='1'/>", "revolute"),
+}
+
+
+def with_link(body, more, kind="revolute"):
+    """An arm with a link "x" of this content, on a joint "j" of that."""
+    attribute, more = (more, "") if more.startswith("'") else ("", more)
+    ends = "<parent link='lower'/><child link='x'/>"
+    return also(f"<link name='x'>{body}</link><joint name='j' type='{kind}{attribute}'>{ends}{more}</joint>")
+
+
+@pytest.mark.parametrize("case", MATTER)
+def test_what_may_change_the_dynamics_is_one_warning(case):
+    body, more, about, words = MATTER[case]
+    with pytest.warns(UserWarning) as seen:
+        robot = Robot.from_urdf(with_link(body, more))
+    (message,) = [str(warning.message) for warning in seen]
+    assert message.startswith("robot 'arm': the file contains elements that are ignored but may affect the dynamics:\n")
+    subject = f"link {about!r}" if about == "x" else f"joint {about!r}"
+    found = [x for x in robot.notes if x.severity == "warning" and x.subject == subject]
+    assert any(words in str(x) and str(x) in message for x in found) and seen[0].filename == __file__
+    assert {x.code for x in found} <= {"element.ignored", "mimic.orphan"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert set(found) <= set(Robot.from_urdf(with_link(body, more), on_unphysical="ignore").notes)
+
+
+@pytest.mark.parametrize("case", HARMLESS)
+def test_what_changes_no_dynamics_is_no_warning(case):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        Robot.from_urdf(with_link(*HARMLESS[case]))
+
+
+@pytest.mark.filterwarnings("ignore:.*may affect the dynamics")
+def test_the_first_of_elements_that_are_given_twice_is_read():
+    body = link("x", 1.0).replace("<inertial>", "<inertial><mass value='7'/></inertial><inertial>")
+    robot = Robot.from_urdf(
+        also(body + joint("j", "lower", "x", more=LIMIT + LIMIT.replace("2", "9") + "<axis xyz='1 0 0'/>"))
+    )
+    assert float(robot.mass[2]) == 7.0 and float(robot.limits.upper[2]) == 2.0 and robot.screw[2, 2] == 1
+
+
+@pytest.mark.filterwarnings("ignore:.*may affect the dynamics")
+def test_what_is_not_read_has_no_effect_and_is_named_once():
+    body = link("x", 1.0).replace("<inertial>", "").replace("</inertial>", "")
+    text = also("<Joint/><mesh/>" + body + fixed("f", "lower", "x") + LIMIT).replace("<axis", "<orign/><axis", 1)
+    robot = Robot.from_urdf(text.replace('<joint name="elbow"', '<joint name="elbow" damping="1" dont_collapse="1"'))
+    assert torch.equal(torques(robot), torques(arm()))
+    ignored = {(x.subject, str(x).removeprefix(f"{x.subject}: ")) for x in robot.notes if x.code == "element.ignored"}
+    assert ignored == {
+        ("", "<Joint> is not read; is <joint> meant?"),
+        ("", "<limit> is not read in <robot>"),
+        ("", "<mesh> is not read"),
+        ("", "<orign> is not read"),  # there is an origin as well
+        ("joint 'elbow'", "damping is not read in <joint>"),
+        ("", "<origin> is not read in <link>"),  # which has no body
+        *(("link 'x'", f"<{tag}> is not read in <link>") for tag in ("inertia", "mass")),
+    }
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        LIMIT.replace("<limit", "<limit acceleration='3' soft:lower='1'"),
+        LIMIT + "<dynamics damping='0' friction='0' spring_stiffness='1'/>",
+        LIMIT + mimic("shoulder").replace("/>", " of='x'/>"),
+    ],
+)
+def test_attributes_in_addition_to_all_of_urdf_are_extensions_and_silent(text):
+    found = codes(Robot.from_urdf(also(link("x") + joint("j", "lower", "x", more=text))))
+    assert "element.ignored" not in {code for code, _ in found}
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        "<transmission><joint name='x'><hardwareInterface/></joint><actuator/></transmission>",
+        "<gazebo reference='x'><link><inertial><mass value='x'/></inertial></link></gazebo>",
+        "<ros2_control><joint name='elbow'/></ros2_control>",
+        "<material name='m'/>",
+        '<drake:x gz:y="1"/>',
+    ],
+)
+def test_what_others_read_is_nothing_to_note(more):
+    robot = Robot.from_urdf(also(more))
+    assert torch.equal(torques(robot), torques(arm())) and robot.notes == Robot.from_urdf(arm()).notes
+
+
+@pytest.mark.parametrize("zero", ["effort", "velocity", "lower and upper"])
+def test_limits_of_zero_are_noted(zero):
+    limits = {"lower": -1, "upper": 2, "effort": 3, "velocity": 4} | dict.fromkeys(zero.split(" and "), 0)
+    more = "<limit " + " ".join(f'{key}="{x}"' for key, x in limits.items()) + "/>"
+    assert ("limits.zero", "j") in codes(Robot.from_urdf(also(link("x") + joint("j", "lower", "x", more=more))))
+
+
+def test_the_report_says_all_that_was_found():
+    text = also('<drake:x/><y/><link name="map"/>').replace(LIMIT, "", 1)
+    report = str(Robot.from_urdf(text).report())
+    for note in ("<y> is not read", "map: nothing carries it", "left out", "shoulder: no <limit>, taken as unlimited"):
+        assert note in report
+
+
+IGNORED = {"alex_psyonic_hands"}  # its fingers mimic 'index_q1', and the joint is 'Left_index_q1'
+
+
+@pytest.mark.parametrize("name", oracles.example_robots())
+def test_robots_of_others_have_no_ignored_elements_but_one(name):
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        Robot.from_urdf(oracles.example_robots()[name], on_unphysical="warn")
+    assert any("may affect the dynamics" in str(warning.message) for warning in seen) == (name in IGNORED)

@@ -1,0 +1,332 @@
+"""Text of URDF files: where it comes from, what is no URDF, and hostile files, which are refused quickly."""
+
+import io
+import os
+import threading
+import time
+
+import pytest
+import torch
+from urdf_text import also, arm, fixed, joint, link, torques, urdf
+
+import torchdq
+from torchdq import ArgumentError, DescriptionError, MissingFileError, Robot
+
+ENDLESS = 10.0  # seconds of this thread: what is refused at once takes less than one
+
+
+def refusal(text, error=DescriptionError, **arguments):
+    """What the loader says about a file that it must refuse, at once."""
+    begin = time.thread_time()
+    with pytest.raises(error) as caught:
+        Robot.from_urdf(text, **arguments)
+    assert time.thread_time() - begin < ENDLESS
+    return str(caught.value)
+
+
+def is_arm(source):
+    return torch.equal(torques(Robot.from_urdf(source)), torques(arm()))
+
+
+# --- sources ---------------------------------------------------------------------------------------------------------
+
+OPENED = {
+    "path": lambda path: path,
+    "path as text": str,
+    "bytes": lambda path: path.read_bytes(),
+    "bytearray": lambda path: bytearray(path.read_bytes()),
+    "text handle": lambda path: path.open(encoding="utf-8"),
+    "binary handle": lambda path: path.open("rb"),
+    "StringIO": lambda path: io.StringIO(path.read_text()),
+    "BytesIO": lambda path: io.BytesIO(path.read_bytes()),
+    "file address": lambda path: path.as_uri(),
+    "file address of this machine": lambda path: path.as_uri().replace("file://", "file://localhost"),
+    "byte order mark": lambda path: b"\xef\xbb\xbf" + path.read_bytes(),
+}
+
+
+@pytest.mark.parametrize("kind", OPENED)
+def test_paths_bytes_open_files_and_addresses_are_read(tmp_path, kind):
+    path = tmp_path / "an arm.urdf"
+    path.write_text(arm())
+    source = OPENED[kind](path)
+    assert is_arm(source)
+    if hasattr(source, "close"):
+        source.close()
+
+
+def test_the_home_folder_is_written_as_in_a_shell(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "arm.urdf").write_text(arm())
+    assert Robot.from_urdf("~/arm.urdf").n == 2
+
+
+@pytest.mark.parametrize(
+    "variable, value, folder",
+    [
+        ("ROS_PACKAGE_PATH", "{0}/none:{0}/src", "src/arm_description"),
+        ("ROS_PACKAGE_PATH", "{0}/src/arm_description", "src/arm_description"),
+        ("AMENT_PREFIX_PATH", "{0}/none:{0}/install", "install/share/arm_description"),
+    ],
+)
+def test_a_package_of_ros_is_found(tmp_path, monkeypatch, variable, value, folder):
+    for name in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
+        monkeypatch.delenv(name, raising=False)
+    address = "package://arm_description/urdf/arm.urdf"
+    message = refusal(address, MissingFileError)
+    assert repr(address) in message and "ROS_PACKAGE_PATH are not set" in message and "setup script" in message
+    monkeypatch.setenv(variable, value.format(tmp_path))
+    assert f"{tmp_path}/{folder}" in refusal(address, MissingFileError)
+    path = tmp_path / folder / "urdf" / "arm.urdf"
+    path.parent.mkdir(parents=True)
+    path.write_text(arm())
+    assert Robot.from_urdf(address).n == 2
+
+
+@pytest.mark.parametrize(
+    "source, expected",
+    [
+        ("https://host/arm.urdf", "only file:/// and package:// addresses are read, found 'https://host/arm.urdf'"),
+        ("file://other/arm.urdf", "only file:/// and package://"),
+        ("", "its path is empty, found ''"),
+        (" \n", "its path is empty"),
+        (b"", "the robot description is empty"),
+        (io.StringIO(""), "the open file is empty"),
+        ("$HOME/arm.urdf", "there is no file '$HOME/arm.urdf'; variables such as $HOME are not replaced"),
+        ("panda", "a robot that comes with this package is torchdq.robots.load('panda')"),
+        ("no/such/arm.urdf", "'no/such/arm.urdf'"),
+        ("a\0b", "cannot be read"),
+        ("a/../" * 2000, "cannot be read"),
+        (io.StringIO, "cannot be read"),
+        (".", "cannot be read"),
+    ],
+)
+def test_a_source_that_cannot_be_read_says_what_to_do(source, expected):
+    assert expected in refusal(source)
+
+
+def test_a_missing_file_is_what_a_caller_expects_and_a_long_path_is_not_repeated():
+    for error in (FileNotFoundError, DescriptionError):
+        with pytest.raises(error):
+            Robot.from_urdf("no/such/arm.urdf")
+    assert "File name too long" in (message := refusal("a" * 100_000)) and len(message) < 500
+    file = io.StringIO(arm())
+    file.close()
+    assert "cannot be read" in refusal(file)
+
+
+@pytest.mark.parametrize("source", [None, 5, True, ["arm.urdf"], {"path": "arm.urdf"}], ids=repr)
+def test_what_is_no_source_is_refused_by_kind(source):
+    message = refusal(source, ArgumentError)
+    assert message.startswith("the robot description must be a path") and repr(source) in message
+
+
+def test_errors_of_a_file_name_it(tmp_path):
+    """Of text there is nothing to name."""
+    path = tmp_path / "broken.urdf"
+    path.write_text(arm()[:-20])
+    assert refusal(path.read_text()).startswith("the file is not well-formed XML")
+    assert refusal(path).startswith(f"{path}: the file is not well-formed XML")
+    with path.open() as file:
+        assert refusal(file).startswith(f"{path}: the file is not well-formed")
+    path.write_text(arm(mass="x"))
+    with pytest.raises(DescriptionError) as caught:
+        Robot.from_urdf(path)
+    assert [x.code for x in caught.value.findings] == ["number.invalid"]
+    path.write_text("<mujoco><worldbody>")
+    pytest.importorskip("mujoco")
+    with pytest.raises(DescriptionError, match=f"{path}.*MuJoCo cannot compile|MuJoCo cannot .*{path.name}"):
+        torchdq.Robot.from_mjcf(path)
+
+
+@pytest.mark.case("U8")
+@pytest.mark.parametrize("prefix", ["", "file://", "package://arm", "http://localhost:1"])
+def test_meshes_are_never_opened(tmp_path, prefix):
+    pipe = tmp_path / "mesh.stl"
+    os.mkfifo(pipe)  # nobody writes into it, so whoever opens it waits for ever
+    mesh = f'<geometry><mesh filename="{prefix}{pipe}"/></geometry>'
+    robots, text = [], arm(more=f"<visual>{mesh}</visual><collision>{mesh}</collision>")
+    loading = threading.Thread(target=lambda: robots.append(Robot.from_urdf(text)), daemon=True)
+    loading.start()
+    loading.join(10)
+    assert torch.equal(torques(robots[0]), torques(arm()))
+
+
+# --- XML -------------------------------------------------------------------------------------------------------------
+
+HEADS = ["\n  ", "<!-- arm -->", '<?xml version="1.0" encoding="utf-8"?>', "\ufeff"]
+HEADS += [
+    f'<?xml version="1.0" encoding="{x}"?>' for x in ("utf-16", "latin-1", "ebcdic-of-no-kind")
+]  # text is decoded
+
+
+@pytest.mark.parametrize("before", HEADS)
+def test_text_may_begin_as_xml_may(before):
+    assert is_arm(before + arm())
+
+
+MESHES = '<visual><geometry><sphere radius="nan"/></geometry></visual><visual/><collision><geometry/></collision>'
+UNREAD = {
+    "odd meshes": arm(more=MESHES),
+    "other programs": also(
+        '<transmission name="t"/><gazebo><plugin/></gazebo><material name="m"/><material name="m"/>'
+    ),
+    "elements": also('<drake:x value="1"><drake:y/></drake:x>'),
+    "attributes": arm().replace("<robot", '<robot xsi:schema="x"'),
+    "prefixes in a link": arm(more='<gz:y gz:x="1"/>'),
+    "a namespace": arm().replace("<robot", '<robot xmlns="http://www.ros.org"'),
+    "nesting": arm(more="<a>" * 90_000 + "</a>" * 90_000),
+    **{
+        f"xacro {i}": also(x)
+        for i, x in enumerate(
+            ("<!-- <xacro:arm/> ${x} -->", '<gazebo reference="${x}"/>', "<transmission><xacro:arm/></transmission>")
+        )
+    },
+}
+
+
+@pytest.mark.case("U8")
+@pytest.mark.parametrize("case", UNREAD)
+def test_what_dynamics_do_not_need_may_be_wrong_and_prefixes_need_no_declaration(case):
+    assert is_arm(UNREAD[case])
+
+
+BOMB = '<!DOCTYPE robot [<!ENTITY a "aaaaaaaaaa">' + "".join(
+    f'<!ENTITY {after} "{f"&{before};" * 10}">' for before, after in zip("abcdefghi", "bcdefghij", strict=True)
+)
+LINKS = 10_000
+HOSTILE = {
+    "a document type": ("<!DOCTYPE robot>" + arm(), "document type or entities"),
+    "a bomb": (BOMB + "]>" + arm().replace('"arm"', '"&j;"'), "document type or entities"),
+    "a file": (
+        '<!DOCTYPE robot [<!ENTITY file SYSTEM "file:///etc/hostname">]>' + arm().replace('"arm"', '"&file;"'),
+        "document type or entities",
+    ),
+    "the network": ('<!DOCTYPE robot SYSTEM "http://localhost:1/robot.dtd">' + arm(), "document type or entities"),
+    "a bomb in another encoding": ((BOMB + "]>" + arm()).encode("utf-16"), "not UTF-8"),
+    "nesting in a link": (arm(more="<a>" * 200_000 + "</a>" * 200_000), "400"),
+    "nesting": (urdf("<a>" * 200_000 + "</a>" * 200_000), "400"),
+    "robots in robots": ("<robot>" * 90_000 + "</robot>" * 90_000, "<robot> holds no <joint> but ['robot']"),
+    "attributes": (
+        arm().replace("<robot", "<robot " + " ".join(f'a{i}="1"' for i in range(300_000))),
+        "attributes; a robot description has at most 200000",
+    ),
+    "a long text": (arm() + " " * 10_000_000, "10000000"),
+    **{
+        f"links in a {shape}": (
+            urdf(
+                *(link(f"l{i}", None) for i in range(LINKS + 1)),
+                *(fixed(f"j{i}", f"l{i if shape == 'chain' else 0}", f"l{i + 1}") for i in range(LINKS)),
+            ),
+            "10001 links and 10000 joints; at most 2000",
+        )
+        for shape in ("chain", "star")
+    },
+    **{f"cut at {part}": (arm()[: int(part * len(arm()))], "not well-formed XML") for part in (0.1, 0.5, 0.9, 0.99)},
+    "cut in a character": (arm().replace('"arm"', '"ä"').encode()[:14], "not UTF-8"),
+    **{
+        f"in {code}": (arm().replace('"arm"', '"bras articulé"').encode(code), "not UTF-8")
+        for code in ("utf-16", "utf-32", "latin-1")
+    },
+    **{repr(bad): (also(bad), "not well-formed XML") for bad in ("\0", "\ud800", "<", "&", "&nbsp;", "<!-- ", "]]>")},
+}
+
+
+@pytest.mark.case("U8")
+@pytest.mark.parametrize("case", HOSTILE)
+def test_a_hostile_text_is_refused(case):
+    text, expected = HOSTILE[case]
+    assert expected in refusal(text)
+
+
+@pytest.mark.case("U8")
+def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
+    path = tmp_path / "arm.urdf"
+    with path.open("wb") as file:
+        file.truncate(1 << 40)  # a terabyte, of which nothing is on the disk
+    assert "more than 10000000 bytes" in refusal(path)
+
+
+def test_a_long_chain_is_read_in_time_that_grows_with_its_length():
+    def seconds(n):
+        links = [link("l0", None), *(link(f"l{i + 1}", 1.0) for i in range(n))]
+        text = urdf(*links, *(joint(f"j{i}", f"l{i}", f"l{i + 1}", axis=(0, 1, 0)) for i in range(n)))
+        begin = time.thread_time()
+        assert Robot.from_urdf(text).n == n
+        return time.thread_time() - begin
+
+    seconds(50)
+    assert seconds(800) < ENDLESS
+
+
+# --- other formats ---------------------------------------------------------------------------------------------------
+
+ROOTS = {
+    "sdf": "this is SDF",
+    "mujoco": "this is MJCF",
+    "srdf": "this is SRDF",
+    "launch": "this is a launch file",
+    "COLLADA": "this is a mesh",
+    "html": "this is a web page",
+    "Robot": "tags are written in lower case",
+    "arm": "a URDF file was expected",
+}
+
+
+@pytest.mark.parametrize("root", ROOTS)
+def test_the_root_must_be_a_robot(root):
+    message = refusal(f"<{root}>{link('base')}</{root}>")
+    assert f"root element must be <robot>, found <{root}>; {ROOTS[root]}" in message
+
+
+@pytest.mark.parametrize(
+    "start", ["version https://git-lfs x", "PXR-USDC", "{}", "xml: 1", "404: not", "solid x", "hm"]
+)
+def test_a_file_that_is_no_xml_is_told_by_its_beginning(start):
+    message = refusal(start.encode())
+    assert "the file is not XML" in message and ("it must begin with '<'" in message) == (start == "hm")
+
+
+XACRO = 'xmlns:xacro="http://www.ros.org/wiki/xacro"'
+UNEXPANDED = {
+    "a macro that is called": '<xacro:arm prefix="a"/><link name="base"/>',
+    "a file that is included": '<xacro:include filename="arm.xacro"/>',
+    "a macro inside of a link": '<link name="base"><xacro:inertia mass="1"/></link>',
+    "a condition": '<link name="base" xacro:if="true"/>',
+    "an expression in a name": '<link name="${prefix}_base"/>',
+    "an expression in a number": arm(mass="${2 * m}").removeprefix('<robot name="arm">').removesuffix("</robot>"),
+    "a command in a name": '<link name="$(arg prefix)base"/>',
+}
+
+
+@pytest.mark.parametrize("case", UNEXPANDED)
+@pytest.mark.parametrize("head", [f'<robot name="a" {XACRO}>', '<robot name="a">'], ids=["declared", "undeclared"])
+def test_unexpanded_xacro_is_refused_with_the_command_that_expands_it(case, head):
+    message = refusal(head + UNEXPANDED[case] + "</robot>")
+    assert "this is xacro, which must be expanded first: use Robot.from_xacro" in message and "\n" not in message
+
+
+def test_a_root_of_xacro_is_refused_as_xacro_and_a_declaration_is_none():
+    assert "this is xacro" in refusal(f'<xacro:robot {XACRO}><link name="base"/></xacro:robot>')
+    assert is_arm(arm().replace("<robot", f"<robot {XACRO}"))
+
+
+@pytest.mark.parametrize(
+    "more, expected",
+    [
+        (
+            '<group name="hand"/><disable_collisions link1="a" link2="b"/>',
+            "['disable_collisions', 'group']; this is SRDF",
+        ),
+        ("<robot><link name='c'/></robot>", "<robot> holds no <joint> but ['robot']; a robot is described by"),
+        ('<Joint name="j" type="fixed"/>', "['Joint']; a robot is described by <link> and <joint>"),
+    ],
+)
+def test_a_file_of_other_things_is_no_robot_without_joints(more, expected):
+    assert expected in refusal(urdf(link("base", None), more))
+
+
+@pytest.mark.parametrize("more", ["", '<material name="m"/>', "<gazebo/>", '<drake:x value="1"/>', "<ros2_control/>"])
+def test_a_body_alone_may_have_what_robots_have(more):
+    robot = Robot.from_urdf(urdf(link("base"), more))
+    assert robot.n == 0 and "0 joints, chain, 0 kg" in repr(robot)

@@ -1,0 +1,151 @@
+"""Descriptions of robots from links, joints and bodies in numbers: the common end of the readers of URDF and MJCF."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+from torchdq.algebra.dual_quaternion import DualQuaternion
+from torchdq.algebra.inertia import RigidBody
+from torchdq.base.findings import Finding
+from torchdq.dynamics.tree import BASE
+from torchdq.robot.arrays import double
+from torchdq.robot.bodies import NOTHING
+from torchdq.robot.description import NO_TIP, Frame, JointMap, Limits, RobotDescription, note
+from torchdq.robot.edit.couplings import Follows
+
+NEAR = 1e-6  # difference of limits that is not noted: files are printed with about six digits
+
+
+class MovingLink(NamedTuple):
+    """Link and the joint that carries it."""
+
+    name: str
+    parent: int
+    # with name, row, kind, screw, home, lower, upper, velocity, effort, damping, friction and armature; effort is None
+    # where nothing acts on the joint itself
+    joint: Any
+    X_PB: DualQuaternion  # at home
+
+
+class Links(NamedTuple):
+    """Links of a robot that move, and everything that is fixed to them."""
+
+    links: list[MovingLink]
+    bodies: Mapping[int, RigidBody]  # by link; that of the base too
+    frames: list[Frame]
+    leaves: list[str]  # moving bodies that carry no others
+
+
+class Coordinate(NamedTuple):
+    """Numbers of a coordinate, from those of the joints that follow it."""
+
+    lower: float
+    upper: float
+    velocity: float
+    effort: float
+    damping: float
+    friction: float
+    armature: float
+
+
+def described(
+    name: str, of: Links, moves: Sequence[Follows], free: bool, notes: Sequence[Finding] = ()
+) -> RobotDescription:
+    """Description of a robot.
+
+    Args:
+        name: its name.
+        of: its links.
+        moves: displacement of every joint, by row.
+        free: whether the base is free.
+        notes: findings of the reader.
+    """
+    carrying = [link.joint for link in of.links]
+    n, roots = len(carrying), [joint for joint in carrying if moves[joint.row].root == joint.row]
+    following: dict[int | None, list[Any]] = {root.row: [] for root in roots}
+    for joint in carrying:
+        following[moves[joint.row].root].append(joint)
+    findings = [*notes]
+    numbers = [_coordinate(root, [(x, moves[x.row]) for x in following[root.row]], findings) for root in roots]
+    rows = [double(row) for row in zip(*numbers, strict=True)] if roots else [double([])] * len(Coordinate._fields)
+    lower, upper, velocity, effort, damping, friction, armature = rows
+    homes: dict[int | None, float] = {root.row: root.home for root in roots}
+    # at q, a joint that follows is displaced by factor (q - home of its root) + offset = (S q) - home
+    home = double([x.factor * homes[x.root] - x.offset for x in (moves[joint.row] for joint in carrying)])
+    joint_map = None
+    if len(roots) < n:
+        S, equations = double([[0.0] * len(roots)] * n), []
+        rows_of = {joint.row: i for i, joint in enumerate(carrying)}
+        for k, root in enumerate(roots):
+            for joint in following[root.row]:
+                S[rows_of[joint.row], k] = moves[joint.row].factor
+                equations += [] if joint is root else [_equation(joint, moves[joint.row], root)]
+        joint_map = JointMap(tuple(joint.name for joint in carrying), S)
+        findings.append(note("joint.follows", [], f"joints follow others: {', '.join(equations)}"))
+    if len(of.leaves) > 1:
+        cure = "name one with tip="
+        findings.append(Finding(NO_TIP, "", f"no tip chosen among {', '.join(of.leaves)}", cure=cure, severity="note"))
+    bodies = [of.bodies.get(i, NOTHING) for i in range(n)]
+    base = of.bodies.get(BASE, NOTHING)
+    return RobotDescription(
+        name=name,
+        joint_names=tuple(root.name for root in roots),
+        link_names=tuple(link.name for link in of.links),
+        parents=tuple(link.parent for link in of.links),
+        kinds=tuple(joint.kind for joint in carrying),
+        X_PB_home=double([(*link.X_PB[0], *link.X_PB[1]) for link in of.links]).reshape(n, 8),
+        screw=double([(*joint.screw[0], *joint.screw[1]) for joint in carrying]).reshape(n, 6),
+        mass=double([body.mass for body in bodies]),
+        com=double([body.com for body in bodies]).reshape(n, 3),
+        inertia=double([body.inertia for body in bodies]).reshape(n, 6),
+        limits=Limits(lower, upper, velocity, effort),
+        damping=damping,
+        friction=friction,
+        frames=tuple(of.frames),
+        tip=of.leaves[0] if len(of.leaves) == 1 else None,
+        home=home if bool(home.any()) else None,
+        armature=armature if bool(armature.any()) else None,
+        base_mass=double(base.mass) if free else None,
+        base_com=double(base.com) if free else None,
+        base_inertia=double(base.inertia) if free else None,
+        joint_map=joint_map,
+        notes=tuple(findings),
+    )
+
+
+def _equation(joint: Any, x: Follows, root: Any) -> str:
+    """Position of a joint by that of the joint that it follows."""
+    rest = joint.home + x.offset - x.factor * root.home
+    return f"{joint.name} = {x.factor:g} {root.name}" + (f" {'-' if rest < 0 else '+'} {abs(rest):g}" if rest else "")
+
+
+def _coordinate(root: Any, following: Sequence[tuple[Any, Follows]], findings: list[Finding]) -> Coordinate:
+    """Numbers of the coordinate of a joint; limits of followers that leave it no room are left out."""
+    lower, upper, velocity = root.lower, root.upper, root.velocity
+    for joint, x in following:
+        if joint is not root:
+            ends = [root.home + (bound - joint.home - x.offset) / x.factor for bound in (joint.lower, joint.upper)]
+            low, high = max(lower, min(ends)), min(upper, max(ends))
+            speed = min(velocity, joint.velocity / abs(x.factor))
+            if lower < upper and velocity > 0 and not (low < high and speed > 0):
+                findings.append(note("limits.no_room", [joint], "limits that leave its driver no room, left out"))
+            else:
+                lower, upper, velocity = low, high, speed
+    pairs = {"lower": (root.lower, lower), "upper": (root.upper, upper), "velocity": (root.velocity, velocity)}
+    narrowed = [f"{key} {a:g} to {b:g}" for key, (a, b) in pairs.items() if not math.isclose(a, b, abs_tol=NEAR)]
+    if narrowed:
+        findings.append(
+            note("limits.narrowed", [root], f"limits narrowed to those of followers: {', '.join(narrowed)}")
+        )
+    efforts = [abs(x.factor) * joint.effort for joint, x in following if joint.effort is not None]
+    return Coordinate(
+        lower,
+        upper,
+        velocity,
+        sum(efforts) if efforts else math.inf,
+        sum(x.factor**2 * joint.damping for joint, x in following),
+        sum(abs(x.factor) * joint.friction for joint, x in following),
+        sum(x.factor**2 * joint.armature for joint, x in following),
+    )

@@ -1,0 +1,229 @@
+"""Diagnostics of a URDF file that has been read: what is ignored though it may matter, and what is used differently."""
+
+from __future__ import annotations
+
+import math
+import reprlib
+import xml.etree.ElementTree as ET
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from difflib import get_close_matches
+
+from torchdq.base.findings import Finding
+from torchdq.robot.assembly import Links
+from torchdq.robot.check.units import degrees
+from torchdq.robot.description import UNSIMULATED, note
+from torchdq.robot.edit.couplings import Follows
+from torchdq.robot.edit.locking import lock_notes
+from torchdq.robot.urdf.document import EXTENSIONS
+from torchdq.robot.urdf.elements import Elements, UrdfJoint
+
+TAGS = {
+    "robot": {"link", "joint"} | EXTENSIONS,
+    "link": {"inertial", "visual", "collision", "sensor", "contact"},
+    "joint": {"origin", "parent", "child", "axis", "limit", "dynamics", "mimic", "calibration", "safety_controller"},
+    "inertial": {"origin", "mass", "inertia"},
+}
+ATTRIBUTES = {
+    "origin": ("xyz", "rpy"),
+    "mass": ("value",),
+    "inertia": ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"),
+    "axis": ("xyz",),
+    "limit": ("lower", "upper", "velocity", "effort"),
+    "dynamics": ("damping", "friction"),
+    "mimic": ("joint", "multiplier", "offset"),
+}
+USED = {"link", "joint", "inertial", "parent", "child", *ATTRIBUTES}  # tags with numbers of the dynamics
+USED_IF_FIXED = {"origin", "parent", "child"}
+MOST_NAMED = 20  # of one kind
+
+
+def diagnostics(
+    root: ET.Element,
+    file: Elements,
+    links: Links,
+    frames: Sequence[str],
+    free: Sequence[Follows],
+    moves: Sequence[Follows],
+    coupled: bool,
+) -> list[Finding]:
+    """Findings of a file.
+
+    Args:
+        root: its root element.
+        file: its links and joints.
+        links: those that move.
+        frames: links that are left out because nothing carries them.
+        free, moves: displacements of the joints, without and with locks.
+        coupled: whether joints follow others by <mimic>.
+    """
+    return [
+        *_ignored(root),
+        *_orphans(file, coupled),
+        *_degrees(file),
+        *_bodies(root, file, links, frames),
+        *_joints(root, file, links, free, moves, coupled),
+    ]
+
+
+# --- warnings --------------------------------------------------------------------------------------------------------
+
+
+def _ignored(root: ET.Element) -> list[Finding]:
+    """Elements and attributes that are not read: those that may have been meant for others are warned of.
+
+    Extensions of other programs stay silent: names with a prefix, and attributes in addition to all that URDF has.
+    """
+    found: dict[Finding, None] = {}
+    for element in (root, *root.findall("link"), *root.findall("joint")):
+        subject = "" if element is root else f"{element.tag} {element.get('name', '')!r}"
+        used = USED_IF_FIXED if element.get("type") == "fixed" else USED
+        for part in (element, *element.findall("inertial")[: element.tag == "link"]):
+            for what, cure, matters in (*_tags(part, used), *_attributes(part, used)):
+                # what others may need is named once, and not for every link
+                about, severity = (subject, "warning") if matters else ("", "note")
+                found[Finding("element.ignored", about, what, cure=cure, severity=severity)] = None  # type: ignore[arg-type]
+    return [x for kind in ("warning", "note") for x in [x for x in found if x.severity == kind][:MOST_NAMED]]
+
+
+def _tags(element: ET.Element, used: set[str]) -> Iterator[tuple[str, str, bool]]:
+    """Children of an element that are not read, a cure, and whether they may matter."""
+    counts, known = Counter(child.tag for child in element), TAGS[element.tag]
+    missing = sorted(tag for tag in known & used if tag not in counts or element.tag == "robot")
+    for tag, count in counts.items():
+        if tag in known and tag in used and count > 1 and element.tag != "robot":
+            yield f"<{tag}> is given {count} times, of which the first is read", "", True
+        elif ":" in tag or tag in known:
+            continue
+        elif tag in USED:
+            # some files place a link, which does nothing; it is the body's place if the body has none of its own
+            body = element.find("inertial")
+            harmless = tag == "origin" and element.tag == "link" and (body is None or body.find("origin") is not None)
+            yield f"<{tag}> is not read in <{element.tag}>", "", not harmless
+        else:
+            close = get_close_matches(tag.lower(), missing, n=1)
+            yield f"<{_short(tag)}> is not read", f"is <{close[0]}> meant?" if close else "", bool(close)
+
+
+def _attributes(element: ET.Element, used: set[str]) -> Iterator[tuple[str, str, bool]]:
+    """Attributes that are not read, a cure, and whether they may matter."""
+    for name in element.attrib:
+        if any(name in known for known in ATTRIBUTES.values()):
+            yield f"{name} is not read in <{element.tag}>", "", True
+    for part in element:
+        own = ATTRIBUTES.get(part.tag, ()) if part.tag in TAGS[element.tag] else ()
+        missing = [name for name in own if name not in part.attrib]
+        for name in part.attrib if missing else ():
+            if ":" not in name and name not in own:
+                close = get_close_matches(name.lower(), missing, n=1)
+                # springs and the like stand alone in <dynamics>
+                matters = part.tag in used and bool(close or (len(missing) == len(own) and part.tag != "dynamics"))
+                yield f"{_short(name)} of <{part.tag}> is not read", f"is {close[0]} meant?" if close else "", matters
+
+
+def _short(name: str) -> str:
+    return reprlib.repr(name)[1:-1]
+
+
+def _orphans(file: Elements, coupled: bool) -> Iterator[Finding]:
+    """Moving joints that mimic a joint that is not in the file."""
+    for name, joint in file.joints.items():
+        if coupled and joint.moves and joint.mimic and (driver := joint.mimic.joint) not in file.joints:
+            close = get_close_matches(driver, [other for other in file.joints if other != name], n=1)
+            meant = f"is {close[0]!r} meant?" if close else ""
+            what = f"it mimics {reprlib.repr(driver)}, which is not in the file, and is taken as independent"
+            yield Finding("mimic.orphan", f"joint {name!r}", what, cure=meant)
+
+
+def _degrees(file: Elements) -> Iterator[Finding]:
+    """Angles of placements that are larger than a turn."""
+    for name, body in file.links.items():
+        if body and (finding := degrees(f"link {name!r}", "rpy of its inertial", body.origin.rpy)):
+            yield finding
+    for name, joint in file.joints.items():
+        if finding := degrees(f"joint {name!r}", "rpy", joint.origin.rpy):
+            yield finding
+
+
+# --- notes -----------------------------------------------------------------------------------------------------------
+
+
+def _bodies(root: ET.Element, file: Elements, links: Links, frames: Sequence[str]) -> list[Finding]:
+    """Notes on links: those left out or without numbers."""
+    moving = [frame.name for frame in links.frames if frame.link >= 0]
+    bodies = {name: file.links[name] for name in moving}
+    empty = [x.get("name", "") for x in root.findall("link") if x.find("inertial") is not None]
+    empty = [name for name in empty if file.links.get(name) is None and name not in file.unreadable]
+    points = [name for name, body in bodies.items() if body and body.mass and not body.stated]
+    fixed = [joint for joint in file.joints.values() if not joint.moves]
+    notes = (
+        note("frame.left_out", frames, "nothing carries it and it has neither body nor joint, left out"),
+        note("inertial.unreadable", [*file.unreadable], "<inertial> cannot be read, of a link that never moves"),
+        note("inertial.no_mass", empty, "<inertial> gives no <mass>, taken as massless"),
+        note("link.massless", [name for name, x in bodies.items() if x is None or x.mass == 0], "no mass"),
+        note("inertial.point", points, "mass without <inertia>, taken as a point at its centre of mass"),
+        Finding("joint.fixed", "", f"{len(fixed)} fixed joints lumped; their links are frames", severity="note"),
+    )
+    return [x for x in notes if x.subject or (fixed and x.code == "joint.fixed")]
+
+
+def _joints(
+    root: ET.Element,
+    file: Elements,
+    links: Links,
+    free: Sequence[Follows],
+    moves: Sequence[Follows],
+    coupled: bool,
+) -> list[Finding]:
+    """Notes on joints: what they ask for that rigid bodies do not do, and those that stand still."""
+    joints = [file.joints[link.joint.name] for link in links.links]
+    bounds = {
+        x.get("name", ""): x.find("limit") for x in root.findall("joint") if x.get("type") in ("revolute", "prismatic")
+    }
+    partial = [
+        f"{name} ({' and '.join(absent)})"
+        for name, limit in bounds.items()
+        if limit is not None and (absent := [key for key in ("lower", "upper") if key not in limit.attrib])
+    ]
+
+    def of(code: str, wanted: Callable[[UrdfJoint], object], what: str) -> Finding:
+        return note(code, [joint for joint in joints if wanted(joint)], what, len(joints))
+
+    stuck = [joint for joint in file.joints.values() if joint.moves and free[joint.row].root is None]
+    held = {
+        name: moves[joint.row].offset
+        for name, joint in file.joints.items()
+        if moves[joint.row].root is None and free[joint.row].root is not None
+    }
+    apart = [
+        name
+        for name in held
+        if (mimic := file.joints[name].mimic)
+        and (driver := file.joints.get(mimic.joint))
+        and moves[driver.row].root is not None
+    ]
+    stand = ", ".join(f"{joint.name} at {free[joint.row].offset:g}" for joint in stuck)
+    planar = [x.get("name", "") for x in root.findall("joint") if x.get("type") == "planar"]
+    notes = (
+        note(
+            "limits.missing",
+            [name for name, limit in bounds.items() if limit is None],
+            "no <limit>, taken as unlimited",
+        ),
+        note("limits.partial", partial, "left out of <limit>, taken as 0, as the format has it"),
+        note("joint.planar", planar, "planar, taken as two slides, x and y, and a turn"),
+        note("mimic.stuck", stuck, f"it follows nothing that moves: {stand}"),
+        note("lock.mimic", apart, "locked although the joint that it mimics moves"),
+        of("damping.unused", lambda j: j.damping, "viscous damping given but not simulated"),
+        of("friction.unused", lambda j: j.friction, "Coulomb friction given but not simulated"),
+        of("limits.unused", _limited, "limits given but not enforced"),
+        of("limits.zero", lambda j: j.lower == j.upper or 0 in (j.velocity, j.effort), "limits of zero leave no room"),
+        of("axis.scaled", lambda j: j.scaled, "axes scaled to unit length"),
+        of(f"{UNSIMULATED}mimic", lambda j: j.mimic and not coupled, "<mimic> not used, independent"),
+    )
+    limits = {name: (file.joints[name].lower, file.joints[name].upper) for name in held}
+    return [*lock_notes(held, limits), *(x for x in notes if x.subject)]
+
+
+def _limited(joint: UrdfJoint) -> bool:
+    return any(x is not None and math.isfinite(x) for x in (joint.lower, joint.upper, joint.velocity, joint.effort))
