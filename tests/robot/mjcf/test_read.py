@@ -4,144 +4,20 @@ An error of torques and of the mass matrix is relative to the largest number of 
 """
 
 import warnings
-from pathlib import Path
 
 import mujoco
 import numpy as np
 import oracles
 import pytest
 import torch
+from mjcf_text import ARM, COUPLED, FREE, fixed_assets, model_of, random_mjcf
+from urdf_text import codes
 
 import torchdq
 from torchdq.robot.mjcf import read as mjcf
 
 TOLERANCE = 1e-10
-ASSETS = Path(mujoco.__file__).parents[1] / "gymnasium" / "envs" / "mujoco" / "assets"
-
-ARM = """
-<mujoco model="arm">
-  <compiler angle="degree" eulerseq="xyz"/>
-  <option gravity="0.3 -1 -9"/>
-  <default>
-    <joint armature="0.02" damping="0.5"/>
-    <geom density="700"/>
-    <default class="finger"><joint type="slide" range="0 0.04" damping="2" frictionloss="0.1"/></default>
-  </default>
-  <worldbody>
-    <body name="foot" pos="0.1 0.2 0.3" euler="10 20 30">
-      <geom type="box" size="0.1 0.1 0.1"/>
-      <body name="shoulder" pos="0 0 0.2" quat="0.9 0.1 -0.2 0.3">
-        <joint name="turn" axis="0 0.1 1" pos="0.01 0.02 -0.1" range="-90 120"/>
-        <joint name="tilt" axis="1 0 0.2" pos="0 0.05 0.1" ref="20" frictionloss="0.3"/>
-        <geom type="capsule" size="0.04 0.2" pos="0.1 0 0.1" euler="20 30 0"/>
-        <body name="plate" pos="0.1 -0.1 0.3" axisangle="1 1 0 40">
-          <inertial pos="0.01 0.02 0.03" mass="0.7" fullinertia="0.01 0.012 0.015 0.001 -0.002 0.0005"/>
-          <site name="mark" pos="0.01 0 0.2" euler="0 45 0"/>
-          <site name="plate" pos="0.01 0 0.2"/>
-          <body name="rail" pos="0.2 0 0">
-            <joint name="slide" type="slide" axis="0.2 1 0" pos="0.3 0.1 0" ref="0.1" armature="0.4"/>
-            <geom type="ellipsoid" size="0.05 0.1 0.07" mass="1.2"/>
-            <body name="hand" pos="0 0.1 0.1" xyaxes="0 1 0 0 0 1">
-              <joint axis="0 1 0" damping="0"/>
-              <geom type="cylinder" size="0.05 0.1"/>
-            </body>
-          </body>
-        </body>
-      </body>
-    </body>
-    <body name="tower">
-      <joint name="yaw" axis="0 0 -1"/>
-      <inertial pos="0 0 0.4" mass="3" diaginertia="0.1 0.2 0.15" quat="1 1 0 0"/>
-    </body>
-  </worldbody>
-  <actuator>
-    <motor joint="turn" gear="3" ctrlrange="-2 1" armature="0.01" damping="0.1"/>
-    <position joint="turn" gear="-2" kp="50" forcerange="-4 5"/>
-    <motor joint="slide"/>
-  </actuator>
-</mujoco>
-"""
-COUPLED = """
-<mujoco>
-  <compiler angle="radian"/>
-  <worldbody>
-    <body name="lift" pos="0 0 1">
-      <joint name="lift" type="slide" axis="0 0 1" ref="0.2"/><geom size="0.1"/>
-      <body name="left" pos="0.1 0 0">
-        <joint name="left" axis="0 1 0" ref="0.3" range="-1 2" damping="2" frictionloss="0.5" armature="0.1"/>
-        <geom size="0.05"/>
-        <body name="tip" pos="0.1 0 0"><joint name="tip" axis="0 1 0" range="0 1.5"/><geom size="0.02"/></body>
-      </body>
-      <body name="right" pos="-0.1 0 0">
-        <joint name="right" axis="0 1 0" ref="-0.1" damping="3" frictionloss="0.25" armature="0.2"/>
-        <geom size="0.05"/>
-      </body>
-    </body>
-  </worldbody>
-  <equality>
-    <joint name="both" joint1="right" joint2="left" polycoef="0.05 -2 0 0 0"/>
-    <joint name="follow" joint1="tip" joint2="right" polycoef="0 -0.5 0 0 0"/>
-    <joint name="again" joint1="left" joint2="right" polycoef="0.025 -0.5 0 0 0"/>
-    <joint name="off" joint1="lift" joint2="right" active="false"/>
-  </equality>
-  <actuator><motor joint="left" ctrlrange="-3 3"/><motor joint="right" ctrlrange="-1 1"/></actuator>
-</mujoco>
-"""
-FREE = """
-<mujoco model="walker">
-  <option gravity="0 0 -3.7"/>
-  <worldbody>
-    <geom type="plane" size="1 1 1"/>
-    <body name="torso" pos="0 0 1" quat="0.9 0.3 0.1 0.2">
-      <freejoint name="root"/>
-      <inertial pos="0.01 0 0.02" mass="5" diaginertia="0.1 0.2 0.15" quat="0.5 0.5 0.1 0.2"/>
-      <body name="head" pos="0 0 0.4"><geom type="box" size="0.1 0.05 0.08" pos="0.05 0 0"/></body>
-      <body name="leg" pos="0 0 -0.2"><joint name="hip" axis="0 1 0"/><geom type="capsule" size="0.03 0.2"/></body>
-    </body>
-  </worldbody>
-</mujoco>
-"""
-
-
-def random_mjcf(seed: int) -> str:
-    """Tree of bodies with no, one or two joints at random places, in a frame, with inertias of any kind."""
-    rng = np.random.default_rng(seed)
-    word = lambda n, scale=1.0: " ".join(f"{x:.17g}" for x in rng.normal(scale=scale, size=n))  # noqa: E731
-
-    def body(i: int, depth: int) -> str:
-        joints = "".join(
-            f'<joint name="j{i}_{k}" type="{rng.choice(["hinge", "slide"])}" axis="{word(3)}" pos="{word(3, 0.2)}" '
-            f'ref="{word(1)}" armature="{rng.uniform()}"/>'
-            for k in range(rng.choice([0, 1, 2], p=[0.2, 0.5, 0.3]))
-        )
-        shape = f'<geom type="box" size="0.1 0.2 0.3" pos="{word(3, 0.1)}" quat="{word(4)}"/>'
-        below = "".join(body(10 * i + k, depth - 1) for k in range(rng.integers(1, 3))) if depth else ""
-        return f'<body name="b{i}" pos="{word(3, 0.5)}" quat="{word(4)}">{joints}{shape}{below}</body>'
-
-    trees = body(1, 3) + body(2, 1)
-    return f'<mujoco><compiler angle="radian"/><worldbody><frame pos="{word(3)}">{trees}</frame></worldbody></mujoco>'
-
-
-def fixed_assets() -> list[Path]:
-    """Models that come with gymnasium and have a fixed base and single joints."""
-    found = []
-    for path in sorted(ASSETS.glob("*.xml")):
-        m = mujoco.MjModel.from_xml_path(str(path))
-        if m.njnt == m.nv and m.nv:
-            found.append(path)
-    return found
-
-
 CASES = {"arm": ARM, **{f"random{i}": random_mjcf(i) for i in range(6)}} | {path.stem: path for path in fixed_assets()}
-
-
-def model_of(source) -> mujoco.MjModel:
-    """MuJoCo's model."""
-    return (
-        mujoco.MjModel.from_xml_path(str(source))
-        if isinstance(source, Path)
-        else mujoco.MjModel.from_xml_string(source)
-    )
 
 
 def near(found, reference, tolerance: float = TOLERANCE) -> None:
@@ -243,18 +119,16 @@ def test_numbers_of_joints_are_the_files():
 
 
 def test_parts_that_are_not_used_are_noted():
-    notes = "\n".join(map(str, torchdq.Robot.from_mjcf(ARM).notes))
-    for words in (
-        "viscous damping given but not simulated: turn, tilt, slide, yaw",
-        "Coulomb friction given but not simulated: tilt",
-        "limits given but not enforced: turn",
-        "joints without actuators: tilt, joint3, yaw",
-        "actuators not simulated, but their greatest efforts, damping and rotor inertia are read: ",
-        "contacts given but not simulated",
-        "2 bodies without moving joints lumped",
-        "no tip chosen among the leaves hand, tower",
-    ):
-        assert words in notes
+    assert codes(torchdq.Robot.from_mjcf(ARM)) >= {
+        ("damping.unused", "turn, tilt, slide, yaw"),
+        ("friction.unused", "tilt"),
+        ("limits.unused", "turn"),
+        ("joint.unactuated", "tilt, joint3, yaw"),
+        ("unsimulated.actuator", "actuator0 (gear 3), actuator1 (gear -2), actuator2"),
+        ("unsimulated.contact", "geoms"),
+        ("body.lumped", ""),
+        ("tip.missing", ""),
+    }
     extras = """<mujoco><option density="1.2"/><worldbody><body name="b" gravcomp="0.5"><joint name="j" stiffness="2"/>
       <geom size="1"/><site name="s"/><body name="c" pos="1 0 0"><joint name="k"/><geom size="1"/></body></body>
       <body name="m" mocap="true"/></worldbody>
@@ -262,18 +136,18 @@ def test_parts_that_are_not_used_are_noted():
       <equality><connect name="loop" body1="c" body2="b" anchor="0 0 0"/>
       <joint name="curve" joint1="k" joint2="j" polycoef="0 1 2 0 0"/></equality>
       <actuator><general name="pull" tendon="t"/></actuator></mujoco>"""
-    with pytest.warns(UserWarning, match="gravcomp ignored: b"):
-        notes = "\n".join(map(str, torchdq.Robot.from_mjcf(extras).notes))
-    for words in (
-        "springs given but not simulated: j",
-        "actuators that act on no joint, not used: pull",
-        "tendons not used: t",
-        "equality constraints not used: connect 'loop', joint 'curve'",
-        "resistance of air or water",
-        "gravcomp ignored: b: gravity acts on them in full",
-        "moved by hand (mocap)",
-    ):
-        assert words in notes
+    with pytest.warns(UserWarning, match="b: gravcomp ignored"):
+        robot = torchdq.Robot.from_mjcf(extras)
+    assert codes(robot) >= {
+        ("unsimulated.spring", "j"),
+        ("unsimulated.actuator", "pull"),
+        ("unsimulated.tendon", "t"),
+        ("unsimulated.equality", "connect 'loop', joint 'curve'"),
+        ("unsimulated.fluid", "air or water"),
+        ("unsimulated.gravcomp", "b"),
+        ("body.mocap", ""),
+    }
+    assert "pull: actuators that act on no joint, not used" in str(robot.report())
 
 
 def test_gravity_is_the_files_unless_it_is_given():
@@ -289,9 +163,9 @@ def test_bodies_that_are_all_compensated_for_gravity_feel_none():
     text = "<mujoco><worldbody><body gravcomp='1'><joint/><geom size='1'/>{}</body></worldbody></mujoco>"
     robot = torchdq.Robot.from_mjcf(text.format(""))
     assert robot.gravity is None
-    assert any("gravcomp" in note for note in map(str, robot.notes))
+    assert ("gravity.compensated", "") in codes(robot)
     heavy = "<body name='heavy' pos='1 0 0'><joint/><geom size='1'/></body>"
-    with pytest.warns(UserWarning, match="gravcomp ignored: body1: gravity acts on them in full"):
+    with pytest.warns(UserWarning, match="body1: gravcomp ignored: gravity acts on them in full"):
         assert torchdq.Robot.from_mjcf(text.format(heavy)).gravity is not None
 
 
@@ -312,8 +186,8 @@ def test_gravity_that_is_compensated_in_part_is_warned_of(a, b, told):
     stand = f"<body name='stand' gravcomp='1'>{geom}{bodies}</body>"
     text = f"<mujoco><worldbody>{stand}</worldbody></mujoco>"
     robot, lines = warned(torchdq.Robot.from_mjcf, text)
-    assert lines == [f"gravcomp ignored: {told}: gravity acts on them in full"] * bool(told)
-    assert set(lines) <= {*robot.notes}
+    assert lines == [f"{told}: gravcomp ignored: gravity acts on them in full"] * bool(told)
+    assert set(lines) <= {*map(str, robot.notes)}
     for quiet in ({"gravity": None}, {"on_unphysical": "ignore"}):
         assert warned(torchdq.Robot.from_mjcf, text, **quiet)[1] == []
     model = model_of(text)
@@ -344,7 +218,7 @@ def near_robot(a: torchdq.Robot, b: torchdq.Robot) -> None:
 
 def coupled(**arguments) -> torchdq.robot.description.RobotDescription:
     """Description of the robot with coupled joints."""
-    return mjcf.read(COUPLED, **{"base": "file", "kept": None, "lock": None} | arguments).description
+    return mjcf.read(COUPLED, "file", **arguments).description
 
 
 def test_linear_couplings_of_joints_are_a_map_of_coordinates():
@@ -374,16 +248,16 @@ def test_joints_that_are_coupled_to_a_locked_one_are_locked():
     found = coupled(lock={"left": 0.4})
     assert found.joint_names == ("lift",)
     assert found.joint_map is None
-    (note,) = [note for note in map(str, found.notes) if note.startswith("locked: ")]
-    assert note == "locked: left at 0.4, tip at 0.075, right at -0.25"
+    (note,) = [note for note in found.notes if note.code == "lock"]
+    assert str(note) == "locked: left at 0.4, tip at 0.075, right at -0.25"
     assert coupled(kept="right").joint_names == ("left",)
     still = COUPLED.replace('joint2="left" polycoef="0.05 -2', 'polycoef="0.05 0')
-    assert mjcf.read(still, "file", None, None).description.joint_names == ("lift",)
+    assert mjcf.read(still, "file").description.joint_names == ("lift",)
 
 
 def test_a_coupling_that_is_said_twice_holds_no_joint():
     text = COUPLED.replace("0.05 -2", "0.05 -3").replace("0.025 -0.5", "0.0166666667 -0.3333333333")
-    found = mjcf.read(text, "file", None, None).description
+    found = mjcf.read(text, "file").description
     assert found.joint_names == ("lift", "left")
 
 
@@ -417,14 +291,14 @@ def test_a_position_beyond_the_range_is_warned_of():
 
 def test_a_range_that_ends_before_it_begins_is_noted():
     robot = torchdq.Robot.from_mjcf(ARM.replace('range="-90 120"', 'range="120 -90"'))
-    assert "ranges that end before they begin, taken as none: turn" in robot.notes
+    assert ("limits.reversed", "turn") in codes(robot)
 
 
 def test_joints_that_couplings_hold_are_told_from_locked_ones():
     text = COUPLED.replace('joint2="left" polycoef="0.05 -2', 'polycoef="0.05 0')
-    notes = torchdq.Robot.from_mjcf(text).notes
-    assert "held by equality constraints: left at 0.3, tip at -0.025, right at -0.05" in notes
-    assert not any(note.startswith("locked") for note in notes)
+    found = {note.code: str(note) for note in torchdq.Robot.from_mjcf(text).notes}
+    assert found["joint.stuck"].endswith("held by equality constraints: left at 0.3, tip at -0.025, right at -0.05")
+    assert "lock" not in found
 
 
 @pytest.mark.parametrize("flag", ["equality", "constraint"])
@@ -432,19 +306,17 @@ def test_couplings_that_a_flag_disables_are_noted_and_not_used(flag):
     text = COUPLED.replace("<worldbody>", f"<option><flag {flag}='disable'/></option><worldbody>", 1)
     robot = torchdq.Robot.from_mjcf(text)
     assert robot.joint_map is None and "right" in robot.joint_names
-    assert any(
-        note.startswith("equality constraints not used: ") and "joint 'both'" in note for note in map(str, robot.notes)
-    )
+    assert any("joint 'both'" in subject for code, subject in codes(robot) if code == "unsimulated.equality")
 
 
 # --- free bases ------------------------------------------------------------------------------------------------------
 
 
 def test_a_free_joint_makes_a_floating_base():
-    found, faults, gravity = mjcf.read(FREE, "file", None, None)[:3]
+    found, gravity = mjcf.read(FREE, "file")[:2]
     assert found.joint_names == ("hip",)
     assert found.parents == (-1,)
-    assert faults == []
+    assert not codes(found, ("error", "warning"))
     near(gravity, (0, 0, -3.7))
     assert [(frame.name, frame.link) for frame in found.frames] == [("torso", -1), ("head", -1), ("leg", 0)]
     # the mass matrix of the torso and head alone
@@ -467,7 +339,7 @@ def test_a_free_base_is_held_on_request():
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     near(transform(torchdq.forward_kinematics(robot, torch.zeros(1).double(), "head")), xpose(data.body("head")))
-    assert any(note == "held where the file puts them: root" for note in map(str, robot.notes))
+    assert ("joint.held", "root") in codes(robot)
     assert torchdq.Robot.from_mjcf(FREE, lock=["root"]).base_mass is None
 
 
@@ -479,11 +351,11 @@ def test_armature_of_a_free_joint_is_warned_of():
     for text, armature in ((FREE, 0.0), (freed, 0.0), (joint, 0.7)):
         assert model_of(text).dof_armature[:6].tolist() == [armature] * 6
         robot, lines = warned(torchdq.Robot.from_mjcf, text)
-        assert [line.split(" ignored")[0] for line in lines] == ["armature of the free joint 'root'"] * bool(armature)
-        assert all("write <freejoint/>" in line and line in robot.notes for line in lines)
+        assert [line.split(" ignored")[0] for line in lines] == ["free joint 'root': armature"] * bool(armature)
+        assert all("write <freejoint/>" in line and line in map(str, robot.notes) for line in lines)
         near(robot.base_mass, float(torchdq.Robot.from_mjcf(FREE).base_mass))
     assert warned(torchdq.Robot.from_mjcf, joint, base="fixed")[1] == []
-    assert "damping or friction of the free base, not used: root" in robot.notes
+    assert ("unsimulated.base", "root") in codes(robot)
 
 
 BALL = "<body name='x' pos='1 0 0'><joint name='knob' type='ball'/><geom size='1'/></body>"
@@ -496,7 +368,7 @@ DOOR = "<body name='door'><joint name='hinge'/><geom size='1'/></body>"
     [
         (FREE.replace('<body name="leg"', BALL + '<body name="leg"'), {}, "DescriptionError", "ball joints knob"),
         (FREE.replace("</worldbody>", CUBE + "</worldbody>"), {}, "DescriptionError", "free joints root, loose; lock"),
-        (FREE.replace("</worldbody>", DOOR + "</worldbody>"), {}, "DescriptionError", "'hinge' carries 'door' beside"),
+        (FREE.replace("</worldbody>", DOOR + "</worldbody>"), {}, "DescriptionError", "'hinge' carries 'door' apart"),
         (ARM, {"base": "floating"}, "ArgumentError", "needs a body with a free joint"),
         (ARM, {"base": "flying"}, "ArgumentError", "base must be one of 'file', 'fixed', 'floating'"),
         (ARM, {"lock": "*"}, "ArgumentError", "lock must leave at least one joint free"),
@@ -522,7 +394,12 @@ DOOR = "<body name='door'><joint name='hinge'/><geom size='1'/></body>"
         (ARM.replace('ref="0.1"', 'ref="1e60"'), {}, "DescriptionError", "joint 'slide': home must be finite, at most"),
         (ARM.replace('mass="3"', 'mass="1e60"'), {}, "DescriptionError", "mass must be finite, at most 1e+50"),
         (COUPLED.replace("0 -0.5 0", "0 1e60 0"), {}, "DescriptionError", "couplings of joints must be finite"),
-        (COUPLED.replace("0.05 -2", "nan -2"), {}, "DescriptionError", "home must be finite"),
+        (
+            COUPLED.replace("0.05 -2", "nan -2"),
+            {},
+            "DescriptionError",
+            "joint 'right': couplings of joints must be finite",
+        ),
         ("<mujoco", {}, "DescriptionError", "MuJoCo cannot compile the robot description: XML parse error"),
         ("<sdf/>", {}, "DescriptionError", "an MJCF file, whose root element is <mujoco>, found '<sdf/>'"),
         (b"\xff<mujoco/>", {}, "DescriptionError", "not UTF-8"),
@@ -541,7 +418,7 @@ def test_a_ball_joint_may_be_locked():
     text = FREE.replace('<body name="leg"', BALL + '<body name="leg"')
     found = mjcf.read(text, "file", None, ["knob"]).description
     assert found.joint_names == ("hip",)
-    assert "held where the file puts them: knob" in found.notes
+    assert ("joint.held", "knob") in codes(found)
 
 
 # --- files -----------------------------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Robots of URDF files: random files are read as Pinocchio reads them, and what it has no word for is worked out here."""
+"""Robots of URDF files: random files are read as Pinocchio reads them, and the rest is worked out by hand."""
 
 import math
 
@@ -41,7 +41,7 @@ F64 = torch.float64
 @pytest.mark.case("U5", "U9", "U10")
 @pytest.mark.parametrize("seed", range(12))
 def test_a_random_file_is_the_robot_that_pinocchio_reads(seed):
-    """Trees of any order of elements, with turned bodies and axes, and links on fixed joints, in rows and on the base."""
+    """Trees in any order, with turned bodies and axes, and links on fixed joints, in rows and on the base."""
     text = urdf(*random_elements(seed, n=10))
     robot, model = Robot.from_urdf(text, on_unphysical="ignore"), pin.buildModelFromXML(text)
     data = model.createData()

@@ -71,7 +71,7 @@ def test_arguments_are_those_of_the_file(folder):
 
 def test_packages_are_searched_where_they_are_said_to_be(folder, monkeypatch):
     elsewhere = folder.parents[1] / "elsewhere.xacro"
-    with pytest.raises(torchdq.DescriptionError, match=r"cannot expand .*rod_description; say where it is"):
+    with pytest.raises(torchdq.DescriptionError, match=r"cannot expand .*; say where 'rod_description' is"):
         torchdq.Robot.from_xacro(elsewhere)
     robot = torchdq.Robot.from_xacro(elsewhere, packages={"rod_description": folder.parent})
     assert robot.joint_names == ("shoulder",)

@@ -119,7 +119,7 @@ def _unsimulated(
         ("contact", ["geoms"] if of.collides else [], "contacts given but not simulated"),
         ("fluid", ["air or water"] if m.opt.density or m.opt.viscosity else [], "resistance not used"),
     ]
-    return [note(UNSIMULATED + code, names, what, len(single)) for code, names, what in given if names]
+    return [note(UNSIMULATED + code, names, what) for code, names, what in given if names]
 
 
 def _ignored(
