@@ -38,7 +38,7 @@ class Links(NamedTuple):
     leaves: list[str]  # moving bodies that carry no others
 
 
-class Coordinate(NamedTuple):
+class CoordinateNumbers(NamedTuple):
     """Numbers of a coordinate, from those of the joints that follow it."""
 
     lower: float
@@ -69,7 +69,9 @@ def described(
         following[moves[joint.row].root].append(joint)
     findings = [*notes]
     numbers = [_coordinate(root, [(x, moves[x.row]) for x in following[root.row]], findings) for root in roots]
-    rows = [double(row) for row in zip(*numbers, strict=True)] if roots else [double([])] * len(Coordinate._fields)
+    rows = (
+        [double(row) for row in zip(*numbers, strict=True)] if roots else [double([])] * len(CoordinateNumbers._fields)
+    )
     lower, upper, velocity, effort, damping, friction, armature = rows
     homes: dict[int | None, float] = {root.row: root.home for root in roots}
     # at q, a joint that follows is displaced by factor (q - home of its root) + offset = (S q) - home
@@ -121,7 +123,7 @@ def _equation(joint: Any, x: Follows, root: Any) -> str:
     return f"{joint.name} = {x.factor:g} {root.name}" + (f" {'-' if rest < 0 else '+'} {abs(rest):g}" if rest else "")
 
 
-def _coordinate(root: Any, following: Sequence[tuple[Any, Follows]], findings: list[Finding]) -> Coordinate:
+def _coordinate(root: Any, following: Sequence[tuple[Any, Follows]], findings: list[Finding]) -> CoordinateNumbers:
     """Numbers of the coordinate of a joint; limits of followers that leave it no room are left out."""
     lower, upper, velocity = root.lower, root.upper, root.velocity
     for joint, x in following:
@@ -140,7 +142,7 @@ def _coordinate(root: Any, following: Sequence[tuple[Any, Follows]], findings: l
             note("limits.narrowed", [root], f"limits narrowed to those of followers: {', '.join(narrowed)}")
         )
     efforts = [abs(x.factor) * joint.effort for joint, x in following if joint.effort is not None]
-    return Coordinate(
+    return CoordinateNumbers(
         lower,
         upper,
         velocity,

@@ -22,7 +22,7 @@ from torchdq.robot.mjcf.source import MjcfModel
 WORLD = -2  # index of what stands still, apart from a free base
 
 
-class Bodies(NamedTuple):
+class ModelLinks(NamedTuple):
     """Bodies of a model as links that move, and everything that is fixed to them."""
 
     of: Links
@@ -31,7 +31,7 @@ class Bodies(NamedTuple):
     placed: list[tuple[int, DualQuaternion]]  # link of each body of the model, and its pose there
 
 
-def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], base: int | None) -> Bodies:
+def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], base: int | None) -> ModelLinks:
     """Links of a model.
 
     Args:
@@ -74,7 +74,7 @@ def links_of(of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows
     parents = set(m.body_parentid.tolist())
     frames = [Frame(name, link, double((*X[0], *X[1]))) for name, link, X in (*found, *between) if link != WORLD]
     leaves = [names[i] for i in range(m.nbody) if i not in parents and placed[i][0] >= 0]
-    return Bodies(
+    return ModelLinks(
         Links(links, bodies, frames, leaves),
         lumped,
         [name for name, link, _ in found[1:] if link == WORLD],

@@ -13,7 +13,7 @@ from torchdq.robot.check.units import TURN
 from torchdq.robot.description import UNSIMULATED, note
 from torchdq.robot.edit.couplings import Follows
 from torchdq.robot.mjcf.joints import FREE, MjcfJoint, actuators_at, names_of
-from torchdq.robot.mjcf.links import WORLD, Bodies
+from torchdq.robot.mjcf.links import WORLD, ModelLinks
 from torchdq.robot.mjcf.source import MjcfModel
 
 _URDF = re.compile(r"\ufeff?(?:\s|<\?.*?\?>|<!--.*?-->)*<robot\b", re.DOTALL)  # text whose root is that of a URDF
@@ -37,7 +37,7 @@ def diagnostics(
     of: MjcfModel,
     joints: Sequence[MjcfJoint],
     moves: Sequence[Follows],
-    bodies: Bodies,
+    bodies: ModelLinks,
     others: Sequence[str],
     falls: bool,
 ) -> list[Finding]:
@@ -59,7 +59,7 @@ def diagnostics(
 
 
 def _used_otherwise(
-    of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], bodies: Bodies
+    of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], bodies: ModelLinks
 ) -> list[Finding]:
     """Notes on parts that a robot has fields for, or that are used differently."""
     moving = [joint for joint in joints if moves[joint.row].root is not None and joint.single]
@@ -123,7 +123,7 @@ def _unsimulated(
 
 
 def _ignored(
-    of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], bodies: Bodies, falls: bool
+    of: MjcfModel, joints: Sequence[MjcfJoint], moves: Sequence[Follows], bodies: ModelLinks, falls: bool
 ) -> list[Finding]:
     """Warnings of what changes the accelerations in MuJoCo and not here."""
     m = of.model

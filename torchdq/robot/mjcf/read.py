@@ -24,7 +24,7 @@ from torchdq.robot.edit.couplings import Follows, JointCoupling, solved
 from torchdq.robot.edit.locking import lock_notes, positions, require_free, to_keep, warn_beyond_limits
 from torchdq.robot.mjcf import notes as mjcf_notes
 from torchdq.robot.mjcf.joints import BALL, FREE, MjcfJoint, equalities, joints_of
-from torchdq.robot.mjcf.links import Bodies, links_of
+from torchdq.robot.mjcf.links import ModelLinks, links_of
 from torchdq.robot.mjcf.source import MjcfModel, compiled
 
 MjcfBase = Literal["file", "fixed", "floating"]
@@ -37,7 +37,7 @@ class Mjcf(NamedTuple):
     gravity: Any  # [m/s^2], as it was given or as the file has it; None: none
     of: MjcfModel
     joints: list[MjcfJoint]
-    bodies: Bodies
+    bodies: ModelLinks
 
 
 def read(source: Any, base: MjcfBase, kept: Any = None, lock: Any = None, gravity: Any = "file") -> Mjcf:

@@ -35,7 +35,7 @@ ATTRIBUTES = {
 }
 USED = {"link", "joint", "inertial", "parent", "child", *ATTRIBUTES}  # tags with numbers of the dynamics
 USED_IF_FIXED = {"origin", "parent", "child"}
-MOST_NAMED = 20  # of one kind
+MOST_NAMED = 20  # ignored elements, and as many that may matter
 
 
 def diagnostics(

@@ -15,7 +15,14 @@ MOST_BYTES = 10_000_000
 MOST_LINKS = 2_000
 # children of <robot>, besides links and joints, that say nothing of a tree of bodies
 EXTENSIONS = {"material", "gazebo", "transmission", "ros2_control", "sensor", "mujoco"}
-SEMANTIC = {"group", "group_state", "disable_collisions", "virtual_joint", "end_effector", "passive_joint"}  # of SRDF
+SEMANTIC = {
+    "group",
+    "group_state",
+    "disable_collisions",
+    "virtual_joint",
+    "end_effector",
+    "passive_joint",
+}  # SRDF has them
 FOREIGN = {  # by root element
     "sdf": "this is SDF; load the URDF file it was made from",
     "mujoco": "this is MJCF, a model for MuJoCo; use Robot.from_mjcf",

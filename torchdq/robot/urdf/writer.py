@@ -29,7 +29,7 @@ from torchdq.robot.xml_text import add, parsed, written
 if TYPE_CHECKING:
     from torchdq.robot.robot import Robot
 
-ELEMENTS = {"damping": "dynamics", "friction": "dynamics"}  # of attributes; the others are limits
+ELEMENTS = {"damping": "dynamics", "friction": "dynamics"}  # that hold an attribute; the others are limits
 
 
 def to_urdf(robot: Robot, original: Any) -> str:
