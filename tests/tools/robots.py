@@ -77,3 +77,8 @@ def homogeneous(R, p):
 
 def pose(T):
     return dq.from_matrix(torch.as_tensor(T, dtype=F64))
+
+
+def noted(robot, code):
+    """Sentences of the notes with a code."""
+    return [str(note) for note in robot.notes if note.code == code]

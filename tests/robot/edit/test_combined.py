@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 import torch
 from oracles import random_tree
+from robots import noted
 
 import torchdq
 from torchdq import ArgumentError, UnknownNameError, dq, floating
@@ -276,7 +277,7 @@ def test_the_free_base_of_an_attached_robot_becomes_part_of_its_carrier(carrier)
         expected = expected.replace(frames=(*expected.frames, seat))
         expected = expected.with_payload(*BASE.values(), frame="seat")
     else:
-        assert any("the mass of its base is left out" in note for note in map(str, robot.notes))
+        assert "the mass of its base is left out" in noted(robot, "robot.attached")[0]
     for name in ("mass", "com", "inertia", *BASE):
         ours, theirs = getattr(robot, name), getattr(expected, name)
         assert ours is theirs is None or torch.allclose(ours, theirs, rtol=1e-14), name
@@ -349,6 +350,7 @@ def test_robots_are_put_together_as_values():
     both = arm.with_payload(1.0).with_tool("t", pose()).attach(hand, "t", prefix="h_")
     after = [x for robot in (arm, hand) for x in (robot.mass, robot.com, robot.inertia, robot.X_PB_home)]
     assert all(map(torch.equal, before, after)) and (arm.n, hand.n, both.n) == (7, 2, 9)
-    assert both.tip == "t" and "'two_link' attached to 't', without a mass of its base" in str(both.notes[-1])
+    assert both.tip == "t"
+    assert noted(both, "robot.attached") == ["frame 't': 'two_link' attached, without a mass of its base"]
     assert both.to(torch.float32).attach(hand, "t", prefix="g_").mass.dtype == torch.float32
     assert both.lock({"h_*": 0.1}).n == 7

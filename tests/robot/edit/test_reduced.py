@@ -11,6 +11,7 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
+from robots import noted
 
 import torchdq
 from torchdq import ArgumentError, Robot, UnknownNameError, dq
@@ -79,24 +80,22 @@ def test_locking_a_loaded_robot_is_locking_its_file():
     for name in ("X_PB_home", "mass", "com", "inertia", "damping", "friction"):
         assert torch.allclose(getattr(ours, name), getattr(files, name), rtol=1e-13, atol=1e-14), name
     assert torch.equal(ours.limits.upper, files.limits.upper)
-    held = "locked: panda_joint3 at 0.4, panda_finger_joint1 at 0.02, panda_finger_joint2 at 0.02"
-    assert held in map(str, ours.notes)
+    assert noted(ours, "lock") == [
+        "locked: panda_joint3 at 0.4, panda_finger_joint1 at 0.02, panda_finger_joint2 at 0.02"
+    ]
 
 
 def test_a_lock_beyond_the_limits_of_a_loaded_robot_is_told():
     panda = torchdq.robots.load("panda")
     with pytest.warns(UserWarning, match=r"'panda' is locked beyond its limits: panda_joint1 at 90, .* in rad") as seen:
-        notes = panda.lock({"panda_joint1": 90.0, "panda_joint2": 0.1}).notes
+        locked = panda.lock({"panda_joint1": 90.0, "panda_joint2": 0.1})
     assert len(seen) == 1 and seen[0].filename == __file__
-    assert any(
-        note.startswith("locked beyond their limits: panda_joint1 at 90, limits [-2.89") for note in map(str, notes)
-    )
+    (note,) = noted(locked, "lock.beyond_limits")
+    assert "panda_joint1 at 90, limits [-2.89" in note and "panda_joint2" not in note
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        notes = panda.lock(["panda_joint4"]).notes  # home was not chosen
-    assert any(
-        note.startswith("locked beyond their limits: panda_joint4 at 0, limits [-3.07") for note in map(str, notes)
-    )
+        locked = panda.lock(["panda_joint4"])  # home was not chosen
+    assert "panda_joint4 at 0, limits [-3.07" in noted(locked, "lock.beyond_limits")[0]
 
 
 def test_a_robot_is_not_changed_by_locking_it():
@@ -181,8 +180,9 @@ def test_a_chain_from_a_link_is_what_it_carries():
     full = torchdq.robots.load("panda")
     chain = full.subchain("panda_link3", "tip")
     assert chain.joint_names == full.joint_names[3:] and chain.parents == (-1, 0, 1, 2)
-    assert "chain from 'panda_link3' to 'tip', without the joints panda_joint1, panda_joint2, panda_joint3" in str(
-        chain.notes
+    assert (
+        noted(chain, "robot.cut")[0]
+        == "chain from 'panda_link3' to 'tip', without the joints panda_joint1, panda_joint2, panda_joint3"
     )
     s = oracles.states(chain)
     q, qd, qdd = (torch.cat([torch.zeros(3, 3, dtype=F64), x], -1) for x in (s.q, s.qd, s.qdd))
@@ -226,7 +226,7 @@ def test_robots_of_a_stack_with_different_limits_are_locked_and_cut_as_one():
     locked = stack.lock({"panda_joint1": 2.0, "panda_joint2": 0.1})
     alone = narrow.lock({"panda_joint1": 2.0, "panda_joint2": 0.1})
     assert torch.equal(locked.limits.upper[1], alone.limits.upper) and locked.mass.shape == (2, 5)
-    assert "locked beyond their limits: panda_joint1 at 2, limits [-2.8973, 1.44865]" in str(locked.notes)
+    assert "panda_joint1 at 2, limits [-2.8973, 1.44865]" in noted(locked, "lock.beyond_limits")[0]
     assert stack.subchain("panda_link3", "panda_link6").limits.upper.shape == (2, 3)
 
 
@@ -290,11 +290,9 @@ def test_a_map_that_nothing_follows_any_more_is_gone():
 def test_a_coordinate_is_locked_where_its_own_joint_is_at_home():
     full = mapped("gears")
     home = float(full.home[3])
-    assert home and any(
-        f"locked: j3 at {home:g}, j4 at {home / 2:g}," in note for note in map(str, full.lock("j3").notes)
-    )
+    assert home and f"locked: j3 at {home:g}, j4 at {home / 2:g}," in noted(full.lock("j3"), "lock")[0]
     same = full.lock({"j3": home})
-    assert any("locked: j3 at 0.3, j4 at 0.15, j5 at 0.6" in note for note in map(str, full.lock({"j3": 0.3}).notes))
+    assert noted(full.lock({"j3": 0.3}), "lock") == ["locked: j3 at 0.3, j4 at 0.15, j5 at 0.6"]
     assert torch.equal(same.home, full.lock("j3").home) and torch.equal(same.inertia, full.lock("j3").inertia)
 
 
@@ -361,6 +359,6 @@ def test_a_chain_whose_coordinates_move_other_joints_is_refused():
 def test_a_chain_of_a_robot_on_a_free_base_stands_on_a_fixed_one():
     fixed = torchdq.robots.load("panda")
     chain, expected = on_free_base(fixed).subchain("base", "tip"), fixed.subchain("base", "tip")
-    assert not chain.floating and "the base, which was free, is fixed" in map(str, chain.notes)
+    assert not chain.floating and noted(chain, "base.fixed")
     s = oracles.states(expected)
     assert torch.equal(*(torchdq.inverse_dynamics(x, s.q, s.qd, s.qdd) for x in (chain, expected)))

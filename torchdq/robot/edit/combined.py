@@ -155,7 +155,7 @@ def attach(robot: AnyRobot, other: AnyRobot, frame: str, prefix: str | None = No
             'file has mass only if the file is read with base="floating"',
             stacklevel=2,
         )
-    note = f"{other.name!r} attached to {at.name!r}"
+    note = f"{other.name!r} attached"
     if not with_base:
         note += "; the mass of its base is left out" if other.floating else ", without a mass of its base"
     changes: dict[str, Any] = {
@@ -172,7 +172,7 @@ def attach(robot: AnyRobot, other: AnyRobot, frame: str, prefix: str | None = No
         "notes": (
             *robot.notes,
             *(_of(other, x) for x in other.notes),
-            Finding("robot.attached", at.name, note, severity="note"),
+            Finding("robot.attached", f"frame {at.name!r}", note, severity="note"),
         ),
         "_arguments": (*known, *(name for name in other._arguments if name not in (*BASE_BODY, "gravity"))),
     }
