@@ -177,7 +177,7 @@ def test_a_public_function_says_what_it_takes(name):
 
 
 PURE = {  # take no quantity of physics
-    *("cut", "hold_out", "plot_torques", "sample", "compile", "backend", "load", "names", "clear_caches"),
+    *("cut", "hold_out", "plot_torques", "posterior_samples", "compile", "backend", "load", "names", "clear_caches"),
     "require_finite",
 }
 
