@@ -7,7 +7,8 @@ motors), that 20 s at 100 Hz leave, of each recorded motion and of the one that 
 % of the limits of the robot and above the table, for the same noise, 1 % of the greatest torques. Some errors cannot be
 halved: dry friction acts in every motion, and gravity on a body is no larger than it is. Those are counted which would
 not be half the recorded motion's even if every sample were as good as the best of many random states within the limits.
-The search takes one thread, and its processor time is given, which other work on the machine does not change."""
+The search takes one thread, and its processor time is given, which other work on the machine does not change.
+"""
 
 import os
 

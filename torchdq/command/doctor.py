@@ -10,7 +10,7 @@ from torchdq.command.command import Command
 from torchdq.command.outcome import Grid, Outcome
 from torchdq.command.reports.health import findings
 
-STATES = {"ok": "ok", "note": "ok", "warning": "warning", "error": "broken"}  # of findings, by severity
+STATES = {"ok": "ok", "note": "ok", "warning": "warning", "error": "broken"}  # states that are shown, by severity
 
 
 @dataclass(kw_only=True)

@@ -66,7 +66,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             sys.stdout.write(f"{PROGRAM} {__version__}\n")
             return WELL
         if given in (["--help"], ["-h"]):
-            return _help()
+            lines = [(name, (kind.__doc__ or "").split("\n\n")[0]) for name, kind in COMMANDS.items()]
+            usage = f"usage: {PROGRAM} [--help] [--version] COMMAND ..."
+            write(Outcome((usage, ABOUT[0], Grid((), lines), ABOUT[1]), {}), as_json=False)
+            return WELL
         return _run(_parsed(given))
     except SystemExit as end:  # tyro's, after a message of its own
         return end.code if isinstance(end.code, int) else USAGE
@@ -78,14 +81,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return WELL
 
 
-def _help() -> int:
-    """Exit code after a page about all commands."""
-    lines = [(name, (kind.__doc__ or "").split("\n\n")[0]) for name, kind in COMMANDS.items()]
-    text = (f"usage: {PROGRAM} [--help] [--version] COMMAND ...", ABOUT[0], Grid((), lines), ABOUT[1])
-    write(Outcome(text, {}), as_json=False)
-    return WELL
-
-
 def _parsed(given: Sequence[str]) -> Command:
     """Command that the arguments name."""
     if given and not given[0].startswith("-") and given[0] not in COMMANDS:
@@ -93,7 +88,7 @@ def _parsed(given: Sequence[str]) -> Command:
         _say("error", f"there is no command {given[0]!r}; {meant}the commands are {', '.join(COMMANDS)}")
         raise SystemExit(USAGE)
     given = _apart(given)
-    command: Any = tyro.extras.subcommand_cli_from_dict(
+    command: Command = tyro.extras.subcommand_cli_from_dict(
         dict(COMMANDS), prog=PROGRAM, description=ABOUT[0], args=given, config=CONFIGURATION
     )
     return command
@@ -101,12 +96,8 @@ def _parsed(given: Sequence[str]) -> Command:
 
 def _apart(given: Sequence[str]) -> list[str]:
     """Arguments in which numbers of an option that stand together, with commas between, stand apart: --q 1,2 or 1 2."""
-    kind = COMMANDS.get(given[0]) if given else None
-    many = (
-        {f"--{one.name.replace('_', '-')}" for one in fields(kind) if re.match(r"tuple\[(int|float)", str(one.type))}
-        if kind
-        else set()
-    )
+    options = fields(COMMANDS[given[0]]) if given and given[0] in COMMANDS else ()
+    many = {f"--{one.name.replace('_', '-')}" for one in options if re.match(r"tuple\[(int|float)", str(one.type))}
     apart, option = list[str](), ""
     for text in given:
         name, equals, value = text.partition("=")

@@ -49,15 +49,10 @@ def robot_of(
         robot = robot.lock(locked) if joints else robot
         return NamedRobot(robot if tip is None else robot.with_tip(tip), "shipped", "")
     with Progress(f"reading {name}"):
-        if _is_file(name):
+        path = Path(name)
+        if os.sep in name or path.suffix.lower() in ENDINGS or path.exists() or "://" in name or name.startswith("~"):
             return _read(name, options)
         return _by_name(name, options)
-
-
-def _is_file(name: str) -> bool:
-    """Whether a name is that of a file, there or not."""
-    path = Path(name)
-    return os.sep in name or path.suffix.lower() in ENDINGS or path.exists() or "://" in name or name.startswith("~")
 
 
 def _read(name: str, options: dict[str, Any]) -> NamedRobot:

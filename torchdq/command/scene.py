@@ -75,8 +75,12 @@ class SceneCommand(RobotCommand):
         require_number("seconds", self.seconds, positive=True)
         require_number("dt", self.dt, positive=True)
         robot = self.load_moving().robot
-        scene = self._scene(robot)
-        start = scene.start(self._start(robot))
+        names_of("integrator", self.integrator, STEPPERS, "integrator")
+        controller = None if self.hold is None else controllers.PD(*self.hold)
+        chosen = [one for text in self.effects for one in effects_of(text, robot)]
+        scene = Scene(robot, chosen, controller, STEPPERS[self.integrator](), self.dt)
+        q = _per_joint("q", self.q, robot)
+        start = scene.start(torch.zeros(robot.n, dtype=torch.float64).clamp(*robot.limits[:2]) if q is None else q)
         steps = max(1, round(self.seconds / self.dt))
         states = self._run(scene, start, steps)
         energies = torch.cat([scene.energy(start)[None], scene.energy(states)])
@@ -84,7 +88,11 @@ class SceneCommand(RobotCommand):
         if self.csv is not None:
             self._write(self.csv, start, states, energies)
         first, last, extreme = energies[0], energies[-1], energies.sum(-1)
-        failure = "" if bool(extreme.isfinite().all()) else self._diverged(extreme)
+        failure = ""
+        if not bool(extreme.isfinite().all()):
+            at = self.dt * int((~extreme.isfinite()).nonzero()[0])
+            cure = "A smaller --dt, another --integrator, or a start within the limits may help."
+            failure = f"The simulation has failed: from {at:g} s on its numbers are not finite. {cure}"
         rows = [
             ("kinetic", *(f"{float(x):.6g}" for x in (first[0], energies[:, 0].max(), last[0]))),
             ("potential", *(f"{float(x):.6g}" for x in (first[1], energies[:, 1].max(), last[1]))),
@@ -94,7 +102,9 @@ class SceneCommand(RobotCommand):
         many = f"{steps} step{'s' * (steps != 1)}"
         about = f"{robot.name}, {many} of {self.dt:g} s with {type(scene.integrator).__name__}: {names}"
         text: list[str | Grid] = [about, Grid(("energy [J]", "start", "most", "end"), rows)]
-        text += [_positions(robot, start, states), "price of a step:", str(price)]
+        joints = zip(robot.joint_names, start.q.tolist(), states.q[-1].tolist(), states.qd[-1].tolist(), strict=True)
+        positions = [(name, *(f"{x:.6g}" for x in values)) for name, *values in joints]
+        text += [Grid(("joint", "start", "end", "speed at the end"), positions), "price of a step:", str(price)]
         text += [Grid((), [("wrote", str(self.csv))])] if self.csv is not None else []
         text += [failure] if failure else []
         data = {
@@ -115,22 +125,6 @@ class SceneCommand(RobotCommand):
         }
         return Outcome(tuple(text), data, bool(failure))
 
-    def _diverged(self, energies: Tensor) -> str:
-        """Sentence on a simulation that diverged."""
-        at = self.dt * int((~energies.isfinite()).nonzero()[0])
-        cure = "A smaller --dt, another --integrator, or a start within the limits may help."
-        return f"The simulation has failed: from {at:g} s on its numbers are not finite. {cure}"
-
-    def _scene(self, robot: Robot) -> Scene:
-        names_of("integrator", self.integrator, STEPPERS, "integrator")
-        controller = None if self.hold is None else controllers.PD(*self.hold)
-        chosen = [one for text in self.effects for one in effects_of(text, robot)]
-        return Scene(robot, chosen, controller, STEPPERS[self.integrator](), self.dt)
-
-    def _start(self, robot: Robot) -> Tensor:
-        q = _per_joint("q", self.q, robot)
-        return torch.zeros(robot.n, dtype=torch.float64).clamp(*robot.limits[:2]) if q is None else q
-
     def _run(self, scene: Scene, start: State, steps: int) -> State:
         """States after each step."""
         torque = _per_joint("torque", self.torque, scene.robot)
@@ -139,9 +133,9 @@ class SceneCommand(RobotCommand):
             still = torch.zeros_like(start.q)
             held = {"reference": torch.cat([start.q, still, still])}
         parts, state = [], start
-        with torch.no_grad(), Progress(f"simulating {scene.robot.name!r}") as notice:
+        with torch.no_grad(), Progress(f"simulating {scene.robot.name!r}") as progress:
             for done in range(0, steps, AT_ONCE):
-                notice.at(f"{done} of {steps} steps")
+                progress.at(f"{done} of {steps} steps")
                 count = min(AT_ONCE, steps - done)
                 series: dict[str, Any] = {name: x.expand(count, -1) for name, x in held.items()}
                 given = None if torque is None else torque.expand(count, -1)
@@ -194,9 +188,3 @@ def _per_joint(name: str, values: Sequence[float], robot: Robot) -> Tensor | Non
     if len(values) != robot.n:
         raise ArgumentError(f"{name} must be {robot.n} numbers, one for each joint, found {len(values)}")
     return torch.tensor(values, dtype=torch.float64)
-
-
-def _positions(robot: Robot, start: State, states: State) -> Grid:
-    numbers = zip(robot.joint_names, start.q.tolist(), states.q[-1].tolist(), states.qd[-1].tolist(), strict=True)
-    rows = [(name, *(f"{x:.6g}" for x in values)) for name, *values in numbers]
-    return Grid(("joint", "start", "end", "speed at the end"), rows)

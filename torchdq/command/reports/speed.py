@@ -61,11 +61,11 @@ def speeds(
         require_count("batches", batch)
     require_number("seconds", seconds, least=0)
     dtype = dtype_of("dtype", dtype)
-    with Progress(f"measuring the speed of {robot.name!r}") as notice:
-        programs = _programs(robot.bake(), dtype, notice.at)
+    with Progress(f"measuring the speed of {robot.name!r}") as progress:
+        programs = _programs(robot.bake(), dtype, progress.at)
         found = []
         for batch in batches:
-            notice.at(f"{batch} samples in a call")
+            progress.at(f"{batch} samples in a call")
             calls: dict[str, Callable[[], object]] = {
                 name: partial(program, *_inputs(program, batch)) for name, program in programs.items()
             }

@@ -163,7 +163,7 @@ def identify_payload(
         changes = torch.cat([torch.diag_embed(x) for x in units], -1) if units else body[..., :0]
         residual = tau - alone.to(tau)
         variance, correlation = _empty_residual(empty, reference)
-        Z = torch.cat([body[..., :4], changes], -1)  # of a point mass
+        Z = torch.cat([body[..., :4], changes], -1)  # columns of a point mass
         weight, point = _reweighted(Z, residual, rows.lengths, variance, correlation)
         mass = point[0].maximum(_error(Z, weight))
         J = _expected(mass, (point[1:4] / mass).clamp(-10 * size, 10 * size), size)

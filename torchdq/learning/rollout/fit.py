@@ -79,7 +79,7 @@ def fit_rollout(
             those found until then.
 
     >>> import torchdq
-    >>> from torchdq.scene.scene import Scene, effects
+    >>> from torchdq.envs import Scene, effects
     >>> two_link, t = torchdq.robots.load("two_link"), 0.01 * torch.arange(201.0, dtype=torch.float64)
     >>> torque = 5 * torch.stack([(5 * t).sin(), (7 * t).cos()], -1)
     >>> scene = Scene(two_link, (effects.Gravity(), effects.Viscous(0.5)), dt=0.01)

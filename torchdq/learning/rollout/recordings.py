@@ -37,7 +37,8 @@ class Commands(NamedTuple):
     def mean(self, start: np.ndarray, span: float) -> np.ndarray:
         """Mean commands [..., width] over intervals of a length from `start` [...] on."""
         first, last = self._row(start), self._row(start + span)
-        u, sums = self.values, self._sums()
+        u, steps = self.values, np.diff(self.time)[:, None] * self.values[:-1]
+        sums = np.concatenate([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)])  # integrals up to each time
         early = (self.time[np.minimum(first + 1, len(u) - 1)] - start)[..., None] * u[first]
         late = (start + span - self.time[last])[..., None] * u[last]
         between = sums[last] - sums[np.minimum(first + 1, last)]
@@ -58,11 +59,6 @@ class Commands(NamedTuple):
         """Rows whose commands hold at some times; a time that misses a row by rounding has reached it."""
         found = np.searchsorted(self.time, t + 1e-9 * (self.time[-1] - self.time[0]) / len(self.time), side="right") - 1
         return np.clip(found, 0, len(self.time) - 1)
-
-    def _sums(self) -> np.ndarray:
-        """Integrals of the commands up to each of their times."""
-        steps = np.diff(self.time)[:, None] * self.values[:-1]
-        return np.concatenate([np.zeros_like(steps[:1]), np.cumsum(steps, axis=0)])
 
 
 class CheckedRecording(NamedTuple):

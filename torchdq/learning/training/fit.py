@@ -13,7 +13,7 @@ import math
 import textwrap
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -116,6 +116,7 @@ def fit(
         ArgumentError: an argument has the wrong shape or value, or the model has nothing to learn.
         TrainingError: the loss or a gradient is not finite; the checkpoint is left as it was.
         CheckpointError: the checkpoint is damaged, or of another model, other data or other settings.
+        OSError: the checkpoint cannot be read or written.
 
     >>> import torchdq
     >>> from torchdq.nn import InverseDynamics
@@ -189,13 +190,10 @@ class _Run:
                 self.history.train.append(sum(losses) / len(losses))
                 self.history.step.append(optimiser.step)
                 self._validate()
-                errors = {"train": self.history.train, "valid": self.history.valid}
-                shown = ", ".join(f"{name} {error[-1]:.3g}" for name, error in errors.items() if error)
+                shown = f"train {self.history.train[-1]:.3g}"
+                shown += f", valid {self.history.valid[-1]:.3g}" if self.valid else ""
                 if path is not None:
-                    content = io.BytesIO()
-                    torch.save({"identity": identity, **self._state()}, content)
-                    path.parent.mkdir(parents=True, exist_ok=True)
-                    write_atomically({path: content.getvalue()})
+                    self._save(path, identity)
         if self.best is not None:
             self.model.load_state_dict(self.best)
 
@@ -231,16 +229,6 @@ class _Run:
 
     # --- checkpoints ---
 
-    def _state(self) -> dict[str, Any]:
-        history = asdict(self.history)
-        del history["residual"]
-        return {
-            "model": self.model.state_dict(),
-            "optimiser": self.optimiser.state(),
-            "best": self.best,
-            "history": history,
-        }
-
     def _identity(self) -> dict[str, Any]:
         """Plain values that must agree for a run to go on: the model, the robots in it, the data and the settings."""
         robots = [robot for part in self.model.modules() if isinstance(robot := getattr(part, "_robot", None), Robot)]
@@ -257,10 +245,20 @@ class _Run:
             **self.optimiser.training._asdict(),
         }
 
+    def _save(self, path: Path, identity: dict[str, Any]) -> None:
+        """Write a checkpoint, whole or not at all."""
+        history = {name: getattr(self.history, name) for name in ("step", "train", "valid")}
+        state = {"model": self.model.state_dict(), "optimiser": self.optimiser.state(), "best": self.best}
+        content = io.BytesIO()
+        torch.save({"identity": identity, "history": history, **state}, content)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_atomically({path: content.getvalue()})
+
     def _resume(self, path: Path, identity: dict[str, Any]) -> None:
         """Go on from a checkpoint of this run; the model is as it was if it is none."""
+        content = io.BytesIO(path.read_bytes())
         try:
-            state = torch.load(path, map_location="cpu", weights_only=True)  # a file from elsewhere runs nothing
+            state = torch.load(content, map_location="cpu", weights_only=True)  # a file from elsewhere runs nothing
             found = dict(state["identity"])
         except Exception as fault:  # torch raises errors of many kinds on bytes that it has not written
             raise CheckpointError(f"{path} is damaged, or not a checkpoint of fit; remove it to start again") from fault

@@ -24,7 +24,7 @@ class Training(NamedTuple):
     batch: int  # rows per step
     rate: float  # learning rate of the first step
     decay: float  # weight decay
-    seed: int  # of the order of the rows, and of dropout
+    seed: int  # for the order of the rows, and dropout
 
 
 @contextmanager

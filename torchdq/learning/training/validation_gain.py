@@ -96,7 +96,7 @@ def validation_gain(
     shared = reaches.shape[1] < len(variance)
     moments = _moments(model, parts, reaches)
     falls = torch.stack([_fall_of(moments, k, variance, shared) for k in range(len(parts))]) / variance
-    kinds = [kind for kind in falls.tensor_split([len(blocks)]) if len(kind)]  # of blocks, and of regions
+    kinds = [kind for kind in falls.tensor_split([len(blocks)]) if len(kind)]  # blocks, and regions
     means = torch.stack([kind.mean(0) for kind in kinds])
     errors = torch.stack([kind.std(0) / math.sqrt(len(kind)) for kind in kinds])
     at, weight = _choice(moments, variance, shared)
