@@ -21,7 +21,7 @@ from torchdq.effects.model import ModelEffect
 from torchdq.envs import ArmEnv, ArmVectorEnv, Scene, TorchTask, effects
 from torchdq.errors import nearest
 from torchdq.learning import LogError, Recording, Samples, cut, excite, fit, fit_rollout, identify, read
-from torchdq.scene import controllers, integrators
+from torchdq.scene import controllers
 
 F64 = torch.float64
 ARM = torchdq.robots.load("two_link")
@@ -294,9 +294,12 @@ MORE = [
     (lambda: ArmEnv(robot=ARM, scale=1.0).reset(options={"qq": 1}), "no option of reset", "'qq'; known: none"),
     (lambda: ArmVectorEnv(2, robot=ARM, scale=np.array([1.0, -2.0])), "scale must be a positive number or 2 of them"),
     (lambda: TorchTask(observation=len), "bounds must be given with an observation", "bounds=[(-10, 10)] * k"),
-    (lambda: TorchTask(bounds=[(-1, 1)]), "bounds must be None without an observation"),
+    (lambda: TorchTask(bounds=[(-1, 1)]), "bounds must be given with an observation, and only then"),
     (lambda: TorchTask(observation=len, bounds=(-1, 1)), "bounds must be pairs (lower, upper), one for each", "-1"),
-    (lambda: TorchTask(observation=len, bounds=3), "bounds must be a sequence of pairs (lower, upper), found 3"),
+    (
+        lambda: TorchTask(observation=len, bounds=3),
+        "bounds must be pairs (lower, upper), one for each number of an observation, found 3",
+    ),
     (lambda: torchdq.compile(ARM, "mass_matrix").export(None), "folder must be a path, found NoneType"),
     (lambda: torchdq.compile(ARM, "mass_matrix").export(__file__), "folder must be one that files can be written to"),
     (lambda: convert.configuration_to_mujoco(UNTURNED, np.zeros(2)), "the row of the joints must be a tensor"),

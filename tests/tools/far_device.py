@@ -304,7 +304,9 @@ def a_training_iteration_is_repeated_by_a_graph():
 
     def iteration(net, optimiser):
         optimiser.zero_grad(set_to_none=False)
-        states = scene.rollout(scene.start(q), steps=4, policy=lambda s: net(torch.cat([s.q, s.qd], 1)), nonfinite="ignore")
+        states = scene.rollout(
+            scene.start(q), steps=4, policy=lambda s: net(torch.cat([s.q, s.qd], 1)), nonfinite="ignore"
+        )
         loss = states.q.square().mean()
         loss.backward()
         optimiser.step()
