@@ -444,7 +444,7 @@ def _task_of(task: str | EpisodeTask) -> EpisodeTask:
             f"task must be the name of one or an object like those of torchdq.envs.tasks, found {task!r}"
             + (f"; {task.__name__} is a class, call it" if isinstance(task, type) else "")
         )
-    known = {entry.name for entry in fields(task)} if is_dataclass(task) else set()
+    known: set[str] = {entry.name for entry in fields(task)} if is_dataclass(task) else set()
     if unknown := getattr(task, "__dict__", {}).keys() - known:
         raise ArgumentError(
             f"task has the attributes {', '.join(unknown)}, which are not fields, so tasks that differ in them would "

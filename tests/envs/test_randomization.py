@@ -169,7 +169,7 @@ def test_a_factor_of_nothing_is_refused(name):
         make({"gains": 0.1}, action="torque")
 
 
-def test_a_payload_of_the_scene_stays_beside_the_drawn_one():
+def test_a_payload_of_the_scene_adds_to_the_drawn_one():
     held = make({"payload": 1.0}, effects=(effects.Gravity(), effects.Payload(3.0))).scene.effects[1:]
     assert held[0].mass == 3.0 and held[1].mass.shape == (200,)
 

@@ -110,7 +110,7 @@ def test_drawing_changes_nothing():
     assert all(torch.equal(a, b) for a, b in zip(streams, before, strict=True))
 
 
-def test_some_rows_are_seeded_anew():
+def test_some_rows_are_seeded_again():
     streams = seeded(0, 4).uniform(3)[1].with_rows(Indexed(torch.tensor([2])), seeded(9, 1))
     assert torch.equal(streams.uniform(3)[0][2], seeded(9, 1).uniform(3)[0][0])
     assert torch.equal(streams.uniform(3)[0][1], seeded(0, 4).uniform(3)[1].uniform(3)[0][1])

@@ -309,7 +309,7 @@ def test_effects_remember_at_the_beginning_what_they_do_in_a_scene():
 # --- ends of episodes ------------------------------------------------------------------------------------------------
 
 
-def test_finished_rows_begin_anew_in_the_same_step():
+def test_finished_rows_are_reset_in_the_same_step():
     envs = make(max_episode_steps=4)
     envs.reset(seed=0)
     envs.reset(seed=50, options={"reset_mask": np.array([True, False, True, False, False])})
@@ -328,7 +328,7 @@ def test_finished_rows_begin_anew_in_the_same_step():
     assert envs._buffers["steps"].tolist() == [2, 0, 2, 2, 2]
 
 
-def test_finished_rows_begin_anew_at_the_next_step():
+def test_finished_rows_are_reset_at_the_next_step():
     noisy = (*default_effects(ROBOT), effects.Noise(0.01, 0.01))
     envs, at_once = (make(max_episode_steps=3, autoreset_mode=mode, effects=noisy) for mode in ("NextStep", "SameStep"))
     assert envs.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP

@@ -119,12 +119,12 @@ def faked(monkeypatch, *rounds):
 
 
 def test_costs_within_their_spread_are_bounds_and_none_is_negative(monkeypatch):
-    """Bare step, then three effects: one that costs, one lost in the noise, and one that makes the step faster."""
+    """Bare step, then three effects: one that costs, one within the noise, and one that makes the step faster."""
     bare, noise = [100.0, 120.0, 90.0, 110.0, 100.0], [0.0, 30.0, -25.0, 5.0, -10.0]
     costly = [t + 50 + d for t, d in zip(bare, (0, 1, -1, 2, 0), strict=True)]
-    lost = [t + d for t, d in zip(costly, noise, strict=True)]
-    faster = [t - 40 for t in lost]
-    faked(monkeypatch, bare, costly, lost, faster)
+    noisy = [t + d for t, d in zip(costly, noise, strict=True)]
+    faster = [t - 40 for t in noisy]
+    faked(monkeypatch, bare, costly, noisy, faster)
     scene = Scene(ARM, (effects.Viscous(0.1), effects.Coulomb(0.2), effects.Push()))
     found = scene.describe(batch=2, seconds=60.0)
     assert [cost.nanoseconds for cost in found.costs] == [100.0, 50.0, 0.0, 0.0]

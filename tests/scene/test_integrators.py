@@ -182,7 +182,7 @@ def test_what_cannot_be_repeated_is_named(make, message):
 
 
 @pytest.mark.case("T5")
-def test_a_sample_that_does_not_arrive_is_lost():
+def test_a_sample_that_does_not_arrive_is_nan():
     scene = Scene(ARM, (effects.Gravity(),), integrator=DormandPrince(most=3), dt=0.5)
     assert scene.step(State(*random(2, 3, 2))).q.isnan().all()
 

@@ -124,7 +124,7 @@ def test_every_effect_is_switched_off_and_on():
 
 @pytest.mark.case("T14")
 @pytest.mark.parametrize("effect", SOMETHING, ids=lambda e: type(e).__name__)
-def test_a_scene_that_lost_its_effect_is_one_that_never_had_it(effect):
+def test_a_scene_without_its_effect_is_one_that_never_had_it(effect):
     bare, without = Scene(TREE), Scene(TREE, (effect,)).replace(effects=())
     assert without.spec is bare.spec  # and so are its programs
     q, qd, torque = random(3, 4, 3)
@@ -279,7 +279,7 @@ def test_parameters_follow_the_dtype_of_the_state():
 
 
 @pytest.mark.case("T13", "P9")
-def test_a_sample_that_is_lost_takes_no_other_with_it():
+def test_a_sample_that_is_nan_takes_no_other_with_it():
     scene, d = rich(ARM), random(5, 2, seed=6).abs()
     scene = scene.replace(effects=(*RICH, effects.Spring(d)))
     noise, inputs = uniform(scene, 5), inputs_of(scene, 5)

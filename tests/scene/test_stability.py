@@ -111,8 +111,8 @@ def test_a_falling_arm_is_not_stiff(integrator):
     assert scene.check(scene.start(HOME), seconds=0.5)
 
 
-def test_rows_are_lost_one_by_one():
-    """A sample whose step is too long is found; a row that was not finite at the start is not lost."""
+def test_rows_diverge_one_by_one():
+    """A sample whose step is too long is found; a row that was not finite at the start does not diverge."""
     damping = double(0.1, 500.0, 0.1)[:, None].expand(3, 2)
     scene = Scene(ARM, (effects.Viscous(damping),), integrator=SemiImplicitEuler())
     start = scene.start(double((0.1, 0.2), (0.1, 0.2), (math.nan, 0.2)), double(0.1, 0.2))
@@ -123,7 +123,7 @@ def test_rows_are_lost_one_by_one():
 
 
 def test_controllers_hold_the_start_and_are_run():
-    """Gains that a sampled controller cannot have are no stiffness of the joints, but the rows are lost."""
+    """Gains that a sampled controller cannot have are not a stiffness of the joints, but the rows diverge."""
     calm, wild = (Scene(ARM, (effects.Gravity(),), ComputedTorqueController(100.0, kd)) for kd in (20.0, 500.0))
     assert calm.check(calm.start(double(0.3, 0.4)))
     found = wild.check(wild.start(double(0.3, 0.4), double(0.1, 0.1)), seconds=6.0)

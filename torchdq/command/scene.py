@@ -16,7 +16,6 @@ from torchdq import effects
 from torchdq.base import machine
 from torchdq.base.checks import names_of, require_number
 from torchdq.base.files import write_atomically
-from torchdq.base.progress import Progress
 from torchdq.command.command import RobotCommand
 from torchdq.command.outcome import Grid, Outcome
 from torchdq.errors import ArgumentError
@@ -36,7 +35,6 @@ STEPPERS = {
     and kind not in (Integrator, Unrecorded)
     and all(entry.default is not MISSING for entry in fields(kind))
 }
-AT_ONCE = 500  # steps between two lines about progress
 DEFAULT = "default"
 
 
@@ -127,21 +125,13 @@ class SceneCommand(RobotCommand):
 
     def _run(self, scene: Scene, start: State, steps: int) -> State:
         """States after each step."""
-        torque = _per_joint("torque", self.torque, scene.robot)
-        held: dict[str, Any] = {}
+        torque, series = _per_joint("torque", self.torque, scene.robot), dict[str, Any]()
+        if torque is not None:
+            series["torque"] = torque.expand(steps, -1)
         if scene.controller is not None:
-            still = torch.zeros_like(start.q)
-            held = {"reference": torch.cat([start.q, still, still])}
-        parts, state = [], start
-        with torch.no_grad(), Progress(f"simulating {scene.robot.name!r}") as progress:
-            for done in range(0, steps, AT_ONCE):
-                progress.at(f"{done} of {steps} steps")
-                count = min(AT_ONCE, steps - done)
-                series: dict[str, Any] = {name: x.expand(count, -1) for name, x in held.items()}
-                given = None if torque is None else torque.expand(count, -1)
-                parts.append(scene.rollout(state, given, count, **series))
-                state = State._make(None if x is None else x[-1] for x in parts[-1])
-        return State._make(None if x[0] is None else torch.cat(x) for x in zip(*parts, strict=True))
+            series["reference"] = torch.cat([start.q, *[torch.zeros_like(start.q)] * 2]).expand(steps, -1)
+        with torch.no_grad():
+            return scene.rollout(start, steps=steps, nonfinite="ignore", **series)
 
     def _write(self, path: Path, start: State, states: State, energies: Tensor) -> None:
         """Write the CSV file; the first row is the start."""

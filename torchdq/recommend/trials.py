@@ -58,7 +58,7 @@ class Trial:
     state: State
     inputs: dict[str, Tensor]
     intervals: int  # number of the scene's dt until the horizon
-    most_steps: int = MOST_STEPS  # of a trajectory
+    most_steps: int = MOST_STEPS  # largest number of steps of a trajectory
     report: Callable[[str], object] = field(default=str, compare=False)  # is called with what is being tried
 
     @classmethod

@@ -279,7 +279,7 @@ class DormandPrince(Unrecorded):
             d, w = [increment[..., :n]], [v + increment[..., n:]]
             return torch.cat([*system.rates(1.0, d, w), *system.accelerations(system.moved([x], 1.0, d), w)], -1)
 
-        sizes = StepSizes.start(T, x.new_zeros(x.shape[:-1]), floor)
+        sizes = _StepSizes.start(T, x.new_zeros(x.shape[:-1]), floor)
         with Progress(f"steps of DormandPrince over {T:g} s") as notice:
             for count in range(self.most):
                 notice.at(f"{count} of at most {self.most}")
@@ -301,7 +301,7 @@ class DormandPrince(Unrecorded):
         return torch.where(stuck, torch.nan, x), torch.where(stuck, torch.nan, v)
 
 
-class StepSizes(NamedTuple):
+class _StepSizes(NamedTuple):
     """Time that each sample has reached on its way to T, and the size of its next step, by the errors so far."""
 
     T: float  # [s]
@@ -311,7 +311,7 @@ class StepSizes(NamedTuple):
     floor: float  # relative rounding of times
 
     @classmethod
-    def start(cls, T: float, t: Tensor, floor: float) -> StepSizes:
+    def start(cls, T: float, t: Tensor, floor: float) -> _StepSizes:
         """Sixteenths of the way as first steps."""
         return cls(T, t, torch.full_like(t, T / 16), torch.zeros_like(t, dtype=torch.bool), floor)
 
@@ -330,7 +330,7 @@ class StepSizes(NamedTuple):
         """Sizes of the next steps, zero for samples that do not go on."""
         return torch.where(self.going, torch.minimum(self.h, self.T - self.t), 0.0)
 
-    def after(self, error: Tensor) -> tuple[Tensor, StepSizes]:
+    def after(self, error: Tensor) -> tuple[Tensor, _StepSizes]:
         """Samples whose step is accepted, its error being at most 1, and the sizes after it."""
         going, step = self.going, self.step
         good = going & (error <= 1)

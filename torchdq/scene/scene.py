@@ -86,6 +86,7 @@ class Scene:
     precision: Precision = "auto"
     spec: SceneSpec = field(init=False, repr=False)
     noises: int = field(init=False, repr=False)  # random numbers that a step consumes
+    computed: dict[str, int] = field(init=False, repr=False)  # rows that a scene computes before a step, with widths
     parameters: dict[str, Tensor] = field(init=False, repr=False)  # tensors of all parts, by "owner.name"
 
     def __post_init__(self) -> None:
@@ -122,6 +123,7 @@ class Scene:
         for owner, part in (*parts, *enumerate(resolved)):
             found.update({f"{owner}.{name}": x for name, x in part.tensors().items()})
         object.__setattr__(self, "noises", spec.noises)
+        object.__setattr__(self, "computed", spec.computed())
         object.__setattr__(self, "parameters", found)
 
     # --- inputs and parameters ---
@@ -224,9 +226,9 @@ class Scene:
         self.spec.require_inputs(inputs, task)
         present = {name: x for name, x in inputs.items() if x is not None}
         if not isinstance(self.integrator, Unrecorded):
-            if self.spec.computed():
+            if self.computed:
                 system, *_ = self.drive(state, present, task)
-                present |= {name: system.inputs[name] for name in self.spec.computed()}
+                present |= {name: system.inputs[name] for name in self.computed}
             return _split(self.evaluate("step", self._with_noise({**state.rows(), **present}, noise), task))
         dtype = state.q.dtype
         if self.precision == "double" and dtype == torch.float32:
