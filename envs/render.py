@@ -24,6 +24,8 @@ from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import SHAPES, arguments
 
+__all__ = ["Painter", "Skeleton", "save_gif"]
+
 MOST_ARMS = 16  # arms in one image
 
 PAPER, GROUND, GRID, SHADOW, INK = "#f7f8fa", "#eef1f4", "#d9dfe6", "#cfd6de", "#2f4156"

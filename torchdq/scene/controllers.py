@@ -18,6 +18,8 @@ from torchdq.robot import Robot
 from torchdq.robot.argument import require_robot
 from torchdq.robot.robot import SHAPES, arguments, constants, recorded
 
+__all__ = ["PD", "ComputedTorque", "Controller"]
+
 
 @dataclass(frozen=True)
 class Controller(Parametric):
