@@ -183,7 +183,12 @@ LEARNING = [
     (lambda: cut(read(LOG), 0.5), ArgumentError, "motion must be a Motion, found Log; smooth(log) makes one"),
     (lambda: identify("panda", SAMPLES.q), ArgumentError, "robot must be a torchdq.Robot, found str"),
     (lambda: excite("panda", 5.0), ArgumentError, "robot must be a torchdq.Robot, found str"),
-    (lambda: fit(ARM, SAMPLES, steps=1), ArgumentError, "model must be a torch module", "InverseDynamics(robot, learn="),
+    (
+        lambda: fit(ARM, SAMPLES, steps=1),
+        ArgumentError,
+        "model must be a torch module",
+        "InverseDynamics(robot, learn=",
+    ),
     (
         lambda: fit_rollout(ARM, Recording(TIME, Q, {}), "mass"),
         ArgumentError,
