@@ -25,6 +25,8 @@ from torchdq.robot.argument import require_robot
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.robot import arguments
 
+__all__ = ["Painter", "Skeleton", "save_gif"]
+
 MOST_ARMS = 16  # arms in one image
 PAPER, GROUND, SHADOW, INK = "#f7f8fa", "#eef1f4", "#cfd6de", "#2f4156"
 LINK, JOINT, TIP, TARGET = "#7d9fc0", "#f7f8fa", "#f2a541", "#d1344b"

@@ -13,6 +13,8 @@ from torchdq.base.optional import imported
 from torchdq.envs.vector_env import ArmVectorEnv
 from torchdq.errors import ArgumentError
 
+__all__ = ["StableBaselinesVecEnv"]
+
 VecEnv: Any = imported(
     "stable_baselines3.common.vec_env", "stable-baselines3", "StableBaselinesVecEnv", "'torchdq[rl]'"
 ).VecEnv

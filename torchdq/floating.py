@@ -106,9 +106,12 @@ def inverse_dynamics(
         qd: joint velocities [rad/s or m/s], shape [..., n]; None: zero.
         A_WB_B: rate of V_WB_B [rad/s^2, m/s^2], shape [..., 6]; None: zero.
         qdd: joint accelerations [rad/s^2 or m/s^2], shape [..., n]; None: zero.
-        f_tip: wrench (force, moment) the end effector exerts on the environment, shape [..., 6], in the tip frame.
-        f_ext: wrenches (force, moment) the environment exerts on the links, shape [..., links, 6], in the link frames.
-        f_base: wrench (force, moment) the environment exerts on the base besides F_B, shape [..., 6], in its frame.
+        f_tip: wrench (force, moment) the end effector exerts on the environment [N, N m], shape [..., 6], in the tip
+            frame; it enters with +.
+        f_ext: wrenches (force, moment) the environment exerts on the links [N, N m], shape [..., links, 6], in the link
+            frames; they enter with -.
+        f_base: wrench (force, moment) the environment exerts on the base besides F_B [N, N m], shape [..., 6], in its
+            frame.
 
     >>> import torch, torchdq
     >>> robot = torchdq.robots.load("two_link").replace(base_mass=torch.tensor(2.0), base_com=torch.zeros(3),

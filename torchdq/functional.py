@@ -339,7 +339,8 @@ def computed_torque(
     Args:
         robot: the model of the robot that is controlled.
         q, qd: measured positions [rad or m] and velocities [rad/s or m/s], shape [..., n].
-        q_des, qd_des, qdd_des: desired positions, velocities and accelerations, shape [..., n].
+        q_des, qd_des, qdd_des: desired positions [rad or m], velocities [rad/s or m/s] and accelerations [rad/s^2 or
+            m/s^2], shape [..., n].
         kp: position gain [1/s^2], a number or shape [..., n].
         kd: velocity gain [1/s], a number or shape [..., n]; 2 sqrt(kp) is critical damping.
         f_tip: wrench the end effector exerts on the environment [N, N m], shape [..., 6], in the tip frame.

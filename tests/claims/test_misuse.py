@@ -86,9 +86,9 @@ def test_names_are_near_whatever_their_case_and_far_names_are_not():
 # --- what is compiled ------------------------------------------------------------------------------------------------
 
 COMPILED = [
-    (lambda: (controllers.PD(kp=9.0, kd=1.0),), "found PD; pass its program, pd.program(robot)"),
-    (lambda: (Scene(ARM),), "found Scene; pass its program, scene.program()"),
-    (lambda: (torchdq.DQRNEA(ARM),), "found DQRNEA; pass its program, dqrnea.program()"),
+    (lambda: (controllers.PD(kp=9.0, kd=1.0),), "found a PD; pass what its program(robot) returns"),
+    (lambda: (Scene(ARM),), "found a Scene; pass what its program() returns"),
+    (lambda: (torchdq.DQRNEA(ARM),), "found a DQRNEA; pass what its program() returns"),
     (lambda: (torchdq.compile(ARM, "mass_matrix"),), "found 'mass_matrix_two_link', which is compiled already"),
     (lambda: (Robot,), "found Robot; it is a class"),
     (lambda: (ARM,), "function must be the name of one, found ''; known: inverse_dynamics"),
@@ -195,7 +195,12 @@ LEARNING = [
     ),
     (lambda: identify("panda", SAMPLES.q), ArgumentError, "robot must be a torchdq.Robot, found str"),
     (lambda: excitation_trajectory("panda", 5.0), ArgumentError, "robot must be a torchdq.Robot, found str"),
-    (lambda: fit(ARM, SAMPLES, steps=1), ArgumentError, "model must be a torch module", "DQRNEA(robot, learn="),
+    (
+        lambda: fit(ARM, SAMPLES, steps=1),
+        ArgumentError,
+        "model must be a torch module",
+        "InverseDynamics(robot, learn=",
+    ),
     (
         lambda: fit_rollout(ARM, Recording(TIME, Q, {}), "mass"),
         ArgumentError,
@@ -306,7 +311,7 @@ MORE = [
     (lambda: fit(torch.nn.Linear(2, 2), SAMPLES, steps=1), "model must be called as model(q, qd, qdd), found Linear"),
     (
         lambda: fit(torchdq.ForwardDynamics(ARM, learn="mass"), SAMPLES, steps=1),
-        "model must return the torques of motions (q, qd, qdd), found a ForwardDynamics; fit a DQRNEA",
+        "model must return the torques of motions (q, qd, qdd), found a ForwardDynamics; fit an InverseDynamics",
     ),
 ]
 

@@ -98,17 +98,8 @@ def test_the_module_equals_the_function(gains, loaded):
     f_tip = random(3, 6, seed=1) if loaded else None
     controller = torchdq.ComputedTorque(robot, *gains)
     assert torch.equal(controller(*state, f_tip), torchdq.computed_torque(robot, *state, *gains, f_tip))
-
-
-def test_the_module_follows_the_dtype_of_its_inputs():
-    controller = torchdq.ComputedTorque(ARMS["two_link"], 25.0, 10.0)
-    assert controller(*random(5, 3, 2).float()).dtype == torch.float32
-
-
-def test_gains_are_buffers_unless_learnt():
-    controller = torchdq.ComputedTorque(ARMS["two_link"], 25.0, 10.0)
-    assert not list(controller.parameters())
-    assert {"kp", "kd"} <= controller.state_dict().keys()
+    assert controller(*state.float()).dtype == torch.float32
+    assert not list(controller.parameters()) and {"kp", "kd"} <= controller.state_dict().keys()
 
 
 def test_learnt_gains_are_parameters():
@@ -147,16 +138,10 @@ def test_learning_finds_the_gains_behind_recorded_torques():
     assert torch.allclose(controller.kd, double([10.0, 8.0]), rtol=1e-4)
 
 
-@pytest.mark.parametrize(
-    "bad", [-1.0, double([25.0, -1e-9]), float("nan"), double([1.0, 2.0, 3.0])], ids=["-1", "one joint", "nan", "shape"]
-)
-@pytest.mark.parametrize("gain", ["kp", "kd"])
-def test_bad_gains_are_refused_by_name(gain, bad):
-    with pytest.raises(torchdq.ArgumentError, match=rf"{gain} must be .* not negative"):
-        torchdq.ComputedTorque(ARMS["two_link"], **{"kp": 25.0, "kd": 10.0, gain: bad})
-
-
 NO_GAINS = {
+    "negative": -1.0,
+    "negative at one joint": [25.0, -1e-9],
+    "nan": math.nan,
     "complex": 1j,
     "truth": True,
     "infinite": math.inf,
@@ -195,14 +180,6 @@ def test_what_is_no_gain_is_refused_by_name_everywhere(gain, bad):
 @pytest.mark.parametrize("gain", [[25, 16], (25.0, 16.0), np.array([25.0, 16.0], np.float32), torch.tensor([25, 16])])
 def test_gains_may_be_any_row_of_real_numbers(gain):
     assert torchdq.ComputedTorque(ARMS["two_link"], gain, np.float32(10)).kp.tolist() == [25.0, 16.0]
-
-
-@pytest.mark.parametrize("wrong", ["q", "qd", "q_des", "qd_des", "qdd_des"])
-def test_arguments_of_the_wrong_shape_are_refused_by_name(wrong):
-    names = ("q", "qd", "q_des", "qd_des", "qdd_des")
-    arguments = {name: torch.zeros(3 if name == wrong else 2) for name in names}
-    with pytest.raises(torchdq.ArgumentError, match=rf"^{wrong} must have the shape"):
-        torchdq.computed_torque(ARMS["two_link"], **arguments, kp=1.0, kd=1.0)
 
 
 # --- the closed loop -------------------------------------------------------------------------------------------------
@@ -310,22 +287,13 @@ def test_critical_damping_has_the_solution_everyone_knows(run):
     assert (expected - by_hand).abs().max() < 1e-13
 
 
-@pytest.mark.parametrize("row", ["exact", "pinocchio", "vectors"])
-def test_the_error_dies_as_its_equation_says(run, row):
-    _, e, expected = errors_of(run, row)
-    assert (e[-1] - expected[-1]).abs().max() < 1e-11
-
-
-def test_the_error_is_not_yet_gone_when_compared(run):
-    """Or else the test before would compare zero with zero."""
-    _, e, _ = errors_of(run, "exact")
-    assert e[-1].abs().max() > 1e-4
-
-
 @pytest.mark.parametrize("row", ["exact", "pinocchio", "vectors", "swinging"])
 def test_the_error_follows_its_equation_all_the_way(run, row):
     _, e, expected = errors_of(run, row)
     assert (e - expected).abs().max() < 1e-9  # of Runge-Kutta, before it has died out with the error
+    if row != "swinging":
+        assert (e[-1] - expected[-1]).abs().max() < 1e-11 and e[-1].abs().max() > 1e-6  # not yet gone
+    assert row != "exact" or e[-1].abs().max() > 1e-4
 
 
 def test_without_its_dot_75_leaves_a_fifth_of_a_radian(run):
@@ -406,9 +374,21 @@ def test_a_residual_that_was_trained_on_torques_with_friction_gets_no_other():
     torch.testing.assert_close(found, torchdq.ComputedTorque(robot, 25.0, 10.0)(*state), rtol=1e-12, atol=1e-12)
 
 
-def test_a_module_that_returns_no_torques_of_motions_is_no_model():
+def test_a_module_that_returns_no_torques_of_motions_is_no_model_and_a_model_learns_by_itself():
     with pytest.raises(torchdq.ArgumentError, match=r"robot must be .* found a ForwardDynamics"):
         torchdq.ComputedTorque(torchdq.ForwardDynamics(ARMS["two_link"]), 1.0, 1.0)
+    with pytest.raises(torchdq.ArgumentError, match="learn must be among 'kp' and 'kd'"):
+        torchdq.ComputedTorque(torchdq.DQRNEA(ARMS["two_link"]), 1.0, 1.0, learn="mass")
+
+
+def test_a_layer_that_computes_something_else_is_asked_itself():
+    class Heavier(torchdq.InverseDynamics):
+        def forward(self, *motion):
+            return 2 * super().forward(*motion)
+
+    robot, state = ARMS["two_link"], random(5, 3, 2)
+    found = torchdq.ComputedTorque(Heavier(robot), 25.0, 10.0)(*state)
+    torch.testing.assert_close(found, 2 * torchdq.ComputedTorque(robot, 25.0, 10.0)(*state), rtol=1e-13, atol=0.0)
 
 
 @pytest.mark.parametrize("kind", ["layer", "residual"])
@@ -430,22 +410,9 @@ def test_a_trained_model_is_taken_at_the_commanded_acceleration(kind):
     assert controller.kp.grad is not None and all(p.grad is not None for p in model.parameters())
 
 
-def test_a_model_learns_by_itself():
-    with pytest.raises(torchdq.ArgumentError, match="learn must be among 'kp' and 'kd'"):
-        torchdq.ComputedTorque(torchdq.DQRNEA(ARMS["two_link"]), 1.0, 1.0, learn="mass")
-
-
 @pytest.mark.parametrize("wrong", ["q", "qd", "q_des", "qd_des", "qdd_des"])
 def test_arguments_that_do_not_fit_a_model_are_refused_by_name(wrong):
     controller = torchdq.ComputedTorque(torchdq.DQRNEA(ARMS["two_link"]), 1.0, 1.0)
     names = ("q", "qd", "q_des", "qd_des", "qdd_des")
     with pytest.raises(torchdq.ArgumentError, match=rf"^{wrong} must have the shape"):
         controller(**{name: torch.zeros(3 if name == wrong else 2) for name in names})
-
-
-@pytest.mark.parametrize("gain", [-100.0, math.nan, math.inf, True, "stiff"])
-@pytest.mark.parametrize("name", ["kp", "kd"])
-def test_a_gain_that_is_no_gain_is_refused(name, gain):
-    gains = {"kp": 25.0, "kd": 10.0} | {name: gain}
-    with pytest.raises(torchdq.ArgumentError, match=f"{name} must"):
-        torchdq.computed_torque(torchdq.robots.load("two_link"), *torch.zeros(5, 2, dtype=torch.float64), **gains)

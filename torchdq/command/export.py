@@ -31,7 +31,8 @@ class ExportCommand(RobotCommand):
     """A function as C with its header and a test, for CasADi, or as a graph of torch operations.
 
     Functions: inverse_dynamics, forward_dynamics, mass_matrix, closed_form, regressor, forward_kinematics, jacobian,
-    kinetic_energy, potential_energy, inverse_dynamics_jacobian, computed_torque.
+    kinetic_energy, potential_energy, dynamics_jacobian, inverse_dynamics_jacobian,
+    computed_torque.
 
     Example: torchdq export arm.urdf inverse_dynamics --out controller --name arm_torques
     """

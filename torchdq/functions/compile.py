@@ -185,23 +185,25 @@ class CompiledProgram:
         if language == "casadi":
             if batch:
                 raise ArgumentError("batch must be False for language 'casadi', which has knots, or f.map(n)")
-            if self.dtype != torch.float64:
-                raise ArgumentError(
-                    f"language 'casadi' takes programs in float64, found {self.dtype}; leave out dtype in "
-                    "torchdq.compile"
-                )
-            require_count("knots", knots, 0)
-            require_choice("derivatives", derivatives, (1, 2))
-            exported = CasadiExport(
-                self.program, self.axes, casadi.identifier(named), library, self.about, knots, derivatives == 2
-            )
-            return exported.write(Path(folder))
+            return self._casadi(named, library, knots, derivatives).write(Path(folder))
         if knots:
             raise ArgumentError(
                 f"knots are for language 'casadi', found {knots!r}; in 'c', batch=True takes any number"
             )
         whole = Export(self.program, named, self.dtype == torch.float32, library, self.about, batch)
         return whole.write(Path(folder), self.examples)
+
+    def _casadi(self, name: str, library: Library, knots: int, derivatives: int) -> CasadiExport:
+        """Source for CasADi; raises unless the program and the options have one."""
+        if self.dtype != torch.float64:
+            raise ArgumentError(
+                f"language 'casadi' takes programs in float64, found {self.dtype}; leave out dtype in torchdq.compile"
+            )
+        require_count("knots", knots, 0)
+        require_choice("derivatives", derivatives, (1, 2))
+        return CasadiExport(
+            self.program, self.axes, casadi.identifier(name), library, self.about, knots, derivatives == 2
+        )
 
     def __call__(self, *inputs: Tensor, out: Tensor | Sequence[Tensor] | None = None) -> Tensor | tuple[Tensor, ...]:
         """Results [..., width] of arguments [..., width]; uniform arguments are [width]; matrices are flat, row by row.
@@ -288,9 +290,9 @@ def _require_compilable(x: Any) -> None:
     if isinstance(x, CompiledProgram):
         raise ArgumentError(f"robot must be a torchdq.Robot, found {x.program.name!r}, which is compiled already")
     if callable(getattr(x, "program", None)):
-        kind = type(x).__name__
         way = "program()" if isinstance(getattr(x, "robot", None), Robot) else "program(robot)"
-        raise ArgumentError(f"robot must be a torchdq.Robot, found {kind}; pass its program, {kind.lower()}.{way}")
+        kind = type(x).__name__
+        raise ArgumentError(f"robot must be a torchdq.Robot, found a {kind}; pass what its {way} returns")
     require_robot(x)
 
 
@@ -307,7 +309,8 @@ def compile(
         robot: the robot; its tensors are constants of the program, replaced tensors are arguments. Or a program that is
             recorded already, such as the step of a scene, `scene.program()`, which needs no other argument but dtype.
         function: "inverse_dynamics", "forward_dynamics", "mass_matrix", "closed_form", "regressor", "jacobian",
-            "forward_kinematics", "kinetic_energy", "potential_energy", "inverse_dynamics_jacobian", "computed_torque";
+            "forward_kinematics", "kinetic_energy", "potential_energy", "dynamics_jacobian",
+            "inverse_dynamics_jacobian" (the same without the mass matrix), "computed_torque";
             of a robot with a free base, "floating.inverse_dynamics" and so on.
         dtype: float32 or float64, or the name of one.
         arguments: names of the arguments that calls will pass; None: all but the wrenches.
@@ -335,21 +338,23 @@ def compile(
         names = ", ".join(RECIPES)
         raise ArgumentError(f"function must be the name of one, found {function!r}; known: {names}")
     names_of("function", function, RECIPES, "function that is compiled")
-    known = [name for name, _, _ in RECIPES[function].arguments]
-    present = [name for name in known if name not in ("f_tip", "f_ext", "f_base")]
-    if arguments is not None:
-        present = list(names_of("arguments", arguments, known, f"argument of {function}"))
-        for name in (name for name, _, optional in RECIPES[function].arguments if not optional):
-            if name not in present:
-                raise ArgumentError(f"arguments of {function!r} must hold {name!r}, found {present}; add it")
     what = Function(constants(robot), function, options_of(robot, function, options))
     what.require_base()
-    widths = {name: math.prod(what.axes(name)) for name in (*known, *tensors_of(robot))}
-    taken = [Argument(name, widths[name]) for name in known if name in present]
-    taken += [
-        Argument(name, widths[name], getattr(robot, name).ndim == len(SHAPES[name])) for name in tensors_of(robot)
-    ]
+    parameters = {name: getattr(robot, name) for name in tensors_of(robot)}
+    taken = [Argument(name, math.prod(what.axes(name))) for name in _present(function, arguments)]
+    taken += [Argument(name, math.prod(what.axes(name)), x.ndim == len(SHAPES[name])) for name, x in parameters.items()]
     recorded = what.program(tuple(taken))
     found = _ready(recorded, dtype_of("dtype", dtype), what.results(recorded))
-    about = heading(function, robot.name, robot.joint_names)
-    return replace(found, about=about, examples={name: getattr(robot, name) for name in tensors_of(robot)})
+    return replace(found, about=heading(function, robot.name, robot.joint_names), examples=parameters)
+
+
+def _present(function: str, arguments: Sequence[str] | None) -> list[str]:
+    """Arguments of a function that calls will pass, in its order; None: all but the wrenches."""
+    known = {name: optional for name, _, optional in RECIPES[function].arguments}
+    if arguments is None:
+        return [name for name in known if name not in ("f_tip", "f_ext", "f_base")]
+    present = names_of("arguments", arguments, known, f"argument of {function}")
+    for name, optional in known.items():
+        if not (optional or name in present):
+            raise ArgumentError(f"arguments of {function!r} must hold {name!r}, found {list(present)}; add it")
+    return [name for name in known if name in present]

@@ -23,12 +23,12 @@ class InverseDynamics(RobotModule):
 
     Args:
         robot: the robot.
-        learn: names of quantities, such as ("mass", "friction"). Tensors of the robot: "mass", "com", "inertia",
-            "gravity", "armature", "home", "X_PB_home", "screw" (the last three and gravity are unconstrained);
-            "armature" starts at 1e-3 kg m^2 (or kg) if the robot has none. "friction": the coefficients in which the
-            effects of `friction` are linear, from their values, or 1e-2 (in SI units) where these are zero or absent;
-            without effects those of viscous and Coulomb friction, `viscous` and `coulomb`, from the damping and the
-            friction of the robot's description. "offset": a constant torque of every joint, from zero.
+        learn: names of quantities, such as ("mass", "friction"), or one name. Tensors of the robot: "mass", "com",
+            "inertia", "gravity", "armature", "home", "X_PB_home", "screw" (the last three and gravity are
+            unconstrained); "armature" starts at 1e-3 kg m^2 (or kg) if the robot has none. "friction": the coefficients
+            in which the effects of `friction` are linear, from their values, or 1e-2 (in SI units) where these are zero
+            or absent; without effects those of viscous and Coulomb friction, `viscous` and `coulomb`, from the damping
+            and the friction of the robot's description. "offset": a constant torque of every joint, from zero.
         backend: as in `torchdq.functional`; None: as `torchdq.backend` says at the time of the call.
         friction_width: velocity below which that Coulomb friction is viscous [rad/s or m/s].
         friction: friction effects of `torchdq.effects` without a memory, the same as in a scene; learned coefficients

@@ -10,7 +10,6 @@ from typing import Literal, NamedTuple
 from torch import Tensor
 
 from torchdq.algebra.quaternion import Number
-from torchdq.backends.call import Computation
 from torchdq.base.caches import PROGRAMS, remembered
 from torchdq.base.checks import names_of, require_choice
 from torchdq.effects.effect import TENSOR
@@ -42,7 +41,7 @@ class _LayerFields(NamedTuple):
     friction: Templates
 
 
-class LayerFunction(_LayerFields, Computation):
+class LayerFunction(_LayerFields, Function):  # type: ignore[misc]  # of two plain tuples the first has the fields
     """Function of rigid bodies with friction and offset, as a computation of `torchdq.backends.call`.
 
     Tensors of friction are named after the position of their effect, "0.coefficient"; the offset is "offset".
@@ -57,28 +56,16 @@ class LayerFunction(_LayerFields, Computation):
         """Trailing axes of an argument or a parameter."""
         owner, dot, parameter = name.partition(".")
         if dot:
-            return trailing(self.friction.effects[int(owner)].SHAPES[parameter], self.rigid.sizes)
-        return (self.rigid.sizes["n"],) if name == "offset" else self.rigid.axes(name)
+            return trailing(self.friction.effects[int(owner)].SHAPES[parameter], self.sizes)
+        return (self.sizes["n"],) if name == "offset" else super().axes(name)
 
     def shared(self, name: str) -> bool:
         """True for parameters."""
-        return "." in name or name in OWN or name in SHAPES
+        return "." in name or name in OWN or super().shared(name)
 
     def label(self, name: str) -> str:
         """Name of a tensor in error messages."""
-        return name.partition(".")[2] if "." in name else self.rigid.label(name)
-
-    def subject(self) -> str:
-        """Words about the robot after a shape in error messages."""
-        return self.rigid.subject()
-
-    def check(self, tensors: Mapping[str, Tensor]) -> None:
-        """Raise unless all required arguments are present."""
-        self.rigid.check(tensors)
-
-    def results(self, program: Program) -> tuple[tuple[int, ...], ...]:
-        """Trailing axes of the results."""
-        return self.rigid.results(program)
+        return name.partition(".")[2] or super().label(name)
 
     def program(self, arguments: tuple[Argument, ...]) -> Program:
         """Program of the layer, recorded once."""

@@ -19,6 +19,8 @@ from torchdq.robot.argument import require_robot
 from torchdq.robot.fields import SHAPES
 from torchdq.robot.robot import arguments, constants, recorded
 
+__all__ = ["PD", "ComputedTorque", "Controller"]
+
 
 @dataclass(frozen=True)
 class Controller(Parametric):

@@ -32,6 +32,17 @@ from torchdq.base.progress import Progress
 from torchdq.dynamics.posed import Row
 from torchdq.errors import ArgumentError
 
+__all__ = [
+    "DormandPrince",
+    "ExplicitEuler",
+    "Integrator",
+    "LinearlyImplicit",
+    "Repeated",
+    "RungeKutta4",
+    "SemiImplicitEuler",
+    "StoermerVerlet",
+]
+
 
 class System(Protocol):
     """Equations of motion, as integrators evaluate them.

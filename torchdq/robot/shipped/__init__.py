@@ -6,6 +6,8 @@ from torchdq.errors import UnknownNameError
 from torchdq.robot.robot import Robot
 from torchdq.robot.shipped import panda, puma560, two_link, ur10e
 
+__all__ = ["load", "names"]
+
 ROBOTS: dict[str, Callable[[], Robot]] = {
     "two_link": two_link.build,
     "panda": panda.build,

@@ -1,0 +1,172 @@
+"""The public faces: `__all__` at run time, signatures as in the catalogue, and names that docs and examples use."""
+
+import ast
+import importlib
+import inspect
+import re
+
+import pytest
+from places import ROOT
+
+import torchdq
+from torchdq import floating, functional
+from torchdq.export.meaning import WORDS
+from torchdq.functions.catalogue import FLOATING, RECIPES
+from torchdq.functions.recipe import WRENCHES
+
+FACES = [
+    *("torchdq", "torchdq.functional", "torchdq.floating", "torchdq.nn", "torchdq.layers.residual", "torchdq.effects"),
+    *("torchdq.dq", "torchdq.convert", "torchdq.learning", "torchdq.envs"),
+]
+OTHERS = {"robot", "backend", "precision", "frame", "expressed"}  # arguments that are no tensors
+FUNCTIONS = {
+    **{name: getattr(functional, name) for name in RECIPES if hasattr(functional, name)},
+    **{FLOATING + name: getattr(floating, name) for name in floating.__all__ if name.islower()},
+}
+
+
+@pytest.mark.parametrize("face", FACES)
+def test_a_face_lists_what_it_has(face):
+    module = importlib.import_module(face)
+    assert len(set(module.__all__)) == len(module.__all__)
+    assert [name for name in module.__all__ if not hasattr(module, name)] == []
+
+
+@pytest.mark.parametrize("face", [functional, floating, torchdq.nn], ids=lambda x: x.__name__)
+def test_a_face_holds_nothing_but_signatures_and_documentation(face):
+    own = {name for name, x in vars(face).items() if getattr(x, "__module__", None) == face.__name__}
+    assert own <= set(face.__all__)
+
+
+# --- one table for both faces ----------------------------------------------------------------------------------------
+
+
+def test_every_function_of_the_catalogue_is_in_a_face():
+    programs_only = {"inverse_dynamics_jacobian"}  # a part of dynamics_jacobian, to be compiled
+    assert set(FUNCTIONS) == set(RECIPES) - programs_only
+
+
+@pytest.mark.parametrize("key", FUNCTIONS)
+def test_a_signature_is_that_of_the_catalogue(key):
+    parameters = dict(inspect.signature(FUNCTIONS[key]).parameters)
+    assert next(iter(parameters)) == "robot" and parameters["backend"].default is None
+    tensors = {name: x for name, x in parameters.items() if name not in OTHERS}
+    recipe = RECIPES[key].arguments
+    # gains come before the wrench, everything else in the order of the table
+    assert [x for x in tensors if x not in RECIPES[key].single] == [
+        x for x, _, _ in recipe if x not in RECIPES[key].single
+    ]
+    required = [k for k, (_, _, optional) in enumerate(recipe) if not optional]
+    for k, (name, _, optional) in enumerate(recipe):
+        allowed = (
+            tensors[name].annotation if isinstance(tensors[name].annotation, str) else str(tensors[name].annotation)
+        )
+        assert ("None" in allowed) == optional
+        # an argument that may be None has that default, unless one that must be given follows
+        assert (tensors[name].default is None) == (optional and k > max(required))
+
+
+@pytest.mark.parametrize("name", [key for key in FUNCTIONS if FLOATING + key in FUNCTIONS])
+def test_a_free_base_adds_an_argument_before_that_of_the_joints(name):
+    before = {"X_WB": "q", "V_WB_B": "qd", "A_WB_B": "qdd", "f_base": None}
+    fixed, free = (list(inspect.signature(FUNCTIONS[key]).parameters) for key in (name, FLOATING + name))
+    assert [x for x in free if x not in before] == fixed
+    for base, joints in before.items():
+        assert (base in free) == (joints in fixed if joints else WRENCHES[1][0] in fixed)
+        assert base not in free or free[free.index(base) + 1] == (joints or "backend")
+
+
+@pytest.mark.parametrize("key", FUNCTIONS)
+def test_every_argument_is_documented_with_its_unit_or_by_the_function_that_has_it(key):
+    text = inspect.getdoc(FUNCTIONS[key]).split("Args:\n")[1].split("\n\n")[0]
+    entries = re.findall(r"^ {4}(\w+(?:, \w+)*): ((?:.|\n {8})*)", text, re.MULTILINE)
+    written = {name: body for names, body in entries for name in names.split(", ")}
+    for name in inspect.signature(FUNCTIONS[key]).parameters:
+        if name in ("robot", "backend"):
+            continue
+        assert name in written, name
+        unit = re.search(r"\[[^\]]*\]", WORDS.get(name, ""))
+        if unit and "as in" not in written[name]:
+            for part in unit[0].strip("[]").split(" or "):
+                assert part.split(",")[0].strip("- ") in written[name], (name, unit[0])
+
+
+# --- names in docs and examples --------------------------------------------------------------------------------------
+
+# about the inside of the package, for who extends it or reads the paper
+INSIDE = {"contributing.md", "paper.md", "10_paper_figures.py"}
+GAPS = {"Family", "GAP", "Team", "team", "nominal", "usual"}  # examples use them, and no face has them yet
+CODE = re.compile(r"^```(?:python|pycon)[^\n]*\n(.*?)^```", re.DOTALL | re.MULTILINE)
+
+
+def sources():
+    """Python of the examples and of the code blocks on the pages, by file."""
+    for path in sorted((ROOT / "examples").glob("*.py")):
+        yield path, path.read_text(encoding="utf-8")
+    for path in sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]):
+        for block in CODE.findall(path.read_text(encoding="utf-8")):
+            lines = block.splitlines()
+            if any(line.startswith(">>>") for line in lines):
+                lines = [line[4:] for line in lines if line.startswith((">>> ", "... "))]
+            yield path, "\n".join(lines)
+
+
+def names_used(text):
+    """Pairs (module, name) of the package that a text imports, or reads of a module that it has imported."""
+    modules = {}
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                if alias.name.split(".")[0] == "torchdq":
+                    modules[alias.asname or alias.name.split(".")[0]] = alias.name if alias.asname else "torchdq"
+        elif isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "torchdq":
+            for alias in node.names:
+                yield node.module, alias.name
+                if is_module(f"{node.module}.{alias.name}"):
+                    modules[alias.asname or alias.name] = f"{node.module}.{alias.name}"
+    modules.setdefault("torchdq", "torchdq")  # pages import it once, at their top
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Attribute):
+            module = dotted(node.value, modules)
+            if module:
+                yield module, node.attr
+
+
+def dotted(node, modules):
+    """Module that an expression is, or none."""
+    if isinstance(node, ast.Name):
+        return modules.get(node.id)
+    if isinstance(node, ast.Attribute):
+        outer = dotted(node.value, modules)
+        inner = outer and f"{outer}.{node.attr}"
+        if inner and is_module(inner):
+            return inner
+        if outer and inspect.ismodule(getattr(importlib.import_module(outer), node.attr, None)):
+            return getattr(importlib.import_module(outer), node.attr).__name__
+    return None
+
+
+def is_module(name):
+    try:
+        importlib.import_module(name)
+    except ImportError:
+        return False
+    return True
+
+
+def is_public(module, name):
+    """Whether a name is in the `__all__` of its module, or is a public submodule or an attribute of the package."""
+    of = importlib.import_module(module)
+    return name in getattr(of, "__all__", ()) or name.startswith("__") or is_module(f"{module}.{name}")
+
+
+PAGES = sorted({path for path, _ in sources() if path.name not in INSIDE})
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_names_in_docs_and_examples_are_public(path):
+    hidden = set()
+    for at, text in sources():
+        if at == path:
+            hidden |= {(module, name) for module, name in names_used(text) if not is_public(module, name)}
+    assert sorted(f"{module}.{name}" for module, name in hidden if name not in GAPS) == []
