@@ -81,8 +81,7 @@ def pytest_configure(config):
 
 
 def pytest_collection_finish():
-    """What is there now stays to the end, so that no collection of garbage looks at it again: a tenth of all time."""
-    gc.collect()
+    """What is there now stays to the end, so that no collection of garbage visits it again: a tenth of all time."""
     gc.freeze()
     gc.enable()
 
