@@ -2,7 +2,10 @@
 
 Tests run operation by operation, unless a test file names another backend as BACKEND. Compiling costs a fraction of a
 second for every robot and function, which thousands of random robots do not repay. That the compiled programs give the
-same numbers, gradients and errors is the claim of test_backends.py.
+same numbers, gradients and errors is the claim of backends/test_backends.py.
+
+What is compiled is compiled with -O1, in half of the time, except for test files with AS_SHIPPED = True and where
+$TORCHDQ_CFLAGS says otherwise, as in `make test-all`.
 
 A test marked `case("G1")` holds a case of `hard_cases/catalogue.py`, and says by the fixture `margin` what it observed
 and what it allows. `pytest --margins FILE` writes both, and their ratio, for every criterion.
@@ -11,6 +14,7 @@ and what it allows. `pytest --margins FILE` writes both, and their ratio, for ev
 import gc
 import json
 import math
+import os
 from pathlib import Path
 
 import messages
@@ -19,6 +23,7 @@ import torch
 
 import torchdq
 
+os.environ.setdefault("TORCHDQ_CFLAGS", "-O1")
 LOOSE = 1e-4  # a criterion that is never approached closer than this says little
 
 
@@ -31,6 +36,19 @@ def chosen_backend(request):
     torch.manual_seed(0)  # of those that name no generator, whatever ran before
     with torchdq.backend(getattr(request.module, "BACKEND", "eager")):
         yield
+
+
+@pytest.fixture(autouse=True, scope="module")
+def optimised(request):
+    """The flags of the package itself, for test files that are about what they make of a program."""
+    if not getattr(request.module, "AS_SHIPPED", False):
+        yield
+        return
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TORCHDQ_CFLAGS", "")
+        torchdq.clear_caches()
+        yield
+    torchdq.clear_caches()
 
 
 @pytest.fixture
@@ -63,8 +81,7 @@ def pytest_configure(config):
 
 
 def pytest_collection_finish():
-    """What is there now stays to the end, so that no collection of garbage looks at it again: a tenth of all time."""
-    gc.collect()
+    """What is there now stays to the end, so that no collection of garbage visits it again: a tenth of all time."""
     gc.freeze()
     gc.enable()
 

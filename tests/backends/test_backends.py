@@ -13,8 +13,9 @@ import mpmath
 import numpy as np
 import pytest
 import torch
-from helpers import eager
-from oracles import EPS, random_tree, states
+from helpers import eager, random
+from oracles import EPS, states
+from programs import FUNCTIONS, PANDA, TREE, TWO, on, tree
 from torch._subclasses.fake_tensor import FakeTensor, FakeTensorMode
 from torch.autograd import forward_ad, gradcheck, gradgradcheck
 from torch.fx.experimental.proxy_tensor import make_fx
@@ -32,46 +33,12 @@ from torchdq.program.program import LARGEST_GROWTH, Argument, record
 from torchdq.robot.robot import arguments
 
 F32, F64 = torch.float32, torch.float64
-BACKEND = "auto"  # see conftest.py
+BACKEND, AS_SHIPPED = "auto", True  # see conftest.py
 
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
 
 
-def tree(n: int = 4, armature: bool = True, seeds=range(100)) -> torchdq.Robot:
-    """The first random tree with joints of all kinds."""
-    cases = (random_tree(n, seed, armature) for seed in seeds)
-    return next(case.robot for case in cases if set(case.robot.kinds) == {"revolute", "prismatic", "helical"})
-
-
-TWO, TREE, PANDA = torchdq.robots.load("two_link"), tree(), torchdq.robots.load("panda")
 RPH = tree(3).bake()
-
-FUNCTIONS = {
-    "inverse_dynamics": lambda r, s: torchdq.inverse_dynamics(r, s.q, s.qd, s.qdd, s.f_tip, s.f_ext),
-    "inverse_dynamics at rest": lambda r, s: torchdq.inverse_dynamics(r, s.q),
-    "mass_matrix": lambda r, s: torchdq.mass_matrix(r, s.q),
-    "forward_dynamics": lambda r, s: torchdq.forward_dynamics(r, s.q, s.qd, s.qdd, s.f_tip, s.f_ext),
-    "closed_form": lambda r, s: tuple(torchdq.closed_form(r, s.q, s.qd)),
-    "regressor": lambda r, s: torchdq.regressor(r, s.q, s.qd, s.qdd),
-    "kinetic_energy": lambda r, s: torchdq.kinetic_energy(r, s.q, s.qd),
-    "potential_energy": lambda r, s: torchdq.potential_energy(r, s.q),
-    "forward_kinematics": lambda r, s: torchdq.forward_kinematics(r, s.q),
-    "jacobian": lambda r, s: torchdq.jacobian(r, s.q, r.tip),
-    "jacobian in world": lambda r, s: torchdq.jacobian(r, s.q, r.tip, "world"),
-    "dynamics_jacobian": lambda r, s: torchdq.dynamics_jacobian(r, s.q, s.qd, s.qdd),
-    "DQRNEA": lambda r, s: torchdq.DQRNEA(r, learn=("mass",))(s.q, s.qd, s.qdd),
-    "ForwardDynamics": lambda r, s: torchdq.ForwardDynamics(r)(s.q, s.qd, s.qdd),
-    "ComputedTorque": lambda r, s: torchdq.ComputedTorque(r, 25.0, 10.0)(s.q, s.qd, s.qdd, s.qd, s.q, s.f_tip),
-}
-
-
-def as_tuple(x):
-    return x if isinstance(x, tuple) else (x,)
-
-
-def on(backend: str, function, *args):
-    with torchdq.backend(backend):
-        return as_tuple(function(*args))
 
 
 def agree(found, expected, factor: float = 256.0) -> None:
@@ -79,10 +46,6 @@ def agree(found, expected, factor: float = 256.0) -> None:
     for f, e in zip(found, expected, strict=True):
         assert f.shape == e.shape and f.dtype == e.dtype
         assert (f - e).abs().max() <= factor * EPS[e.dtype] * e.abs().max()
-
-
-def random(*shape: int, seed: int = 0, dtype=F64) -> torch.Tensor:
-    return torch.randn(*shape, dtype=dtype, generator=torch.Generator().manual_seed(seed))
 
 
 # --- values ----------------------------------------------------------------------------------------------------------

@@ -21,7 +21,6 @@ from torchdq.backends import cache as kept
 from torchdq.backends import compiler as machine
 from torchdq.backends.c_source import pieces_of, source
 from torchdq.backends.compiler import BuildError
-from torchdq.base import progress as notice
 from torchdq.program.program import Argument, record
 
 pytestmark = pytest.mark.skipif(build.compiler() is None, reason="there is no C compiler")
@@ -90,9 +89,9 @@ def cache(tmp_path, monkeypatch) -> Path:
 @pytest.fixture
 def warned():
     """Process that was not warned about anything."""
-    notice._topics.cache_clear()
+    torchdq.clear_caches()
     yield
-    notice._topics.cache_clear()
+    torchdq.clear_caches()
 
 
 def libraries(cache: Path) -> list[Path]:
@@ -274,7 +273,7 @@ def test_a_compiler_that_fails_is_an_error_that_names_the_program(tmp_path):
 
 
 BAD = {
-    "hangs": ("sleep 600 & sleep 600", "did not end within 1 s"),
+    "hangs": ("sleep 600 & echo $! > started; wait", "did not end within 1 s"),
     "prints garbage and fails": (r"printf '\377\376garbage' >&2; exit 1", "garbage"),
     "crashes": ("kill -SEGV $$", "exit status -11"),
     "writes garbage": (
@@ -299,6 +298,11 @@ def test_a_compiler_that_does_not_compile_is_an_error_and_nothing_is_kept(name, 
     with pytest.raises(BuildError, match=rf"bad could not compile the program 'scale': (.|\n)*{said}"):
         build.load(*double(3.0))
     assert list(cache.iterdir()) == [] and time.monotonic() - started < 300
+    if name == "hangs":  # what it started ends with it
+        left = Path("/proc", (tmp_path / "started").read_text().strip(), "cmdline")
+        while left.exists() and left.read_bytes() and time.monotonic() - started < 30:
+            time.sleep(0.05)
+        assert not left.exists() or not left.read_bytes()  # a process that ended and nobody waited for has none
     monkeypatch.undo()
     monkeypatch.setenv("TORCHDQ_CACHE", str(cache))
     assert apply(build.load(*double(3.0)), 2.0) == 6.0

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from claims.test_operation_counts import PROGRAMS
 from helpers import thinned
+from kinds_of_programs import PROGRAMS
 
 from torchdq.backends import nvrtc
 from torchdq.backends.cuda_source import marks, recomputing_source, source

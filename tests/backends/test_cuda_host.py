@@ -4,10 +4,10 @@ import math
 
 import pytest
 import torch
-from backends.test_backends import FUNCTIONS, PANDA, TREE, TWO, on
 from helpers import random, rods
 from host_gpu import BACKWARDS, HOST, function, host_backends  # noqa: F401
 from oracles import EPS, states
+from programs import FUNCTIONS, MIXED, PANDA, TREE, TWO, agree, condition, mixed, on, same
 from torch.autograd import gradcheck, gradgradcheck
 
 import torchdq
@@ -25,26 +25,6 @@ from torchdq.program.uniform import split
 pytestmark = pytest.mark.skipif(compiler() is None, reason="there is no C compiler")
 
 F32, F64 = torch.float32, torch.float64
-
-
-def condition(name, robot, s):
-    """Largest condition number of the mass matrix for a function that solves with it; 1 for the others."""
-    solves = "orward" in name and "kinematics" not in name
-    return torch.linalg.cond(torchdq.mass_matrix(robot, s.q.double())).max().item() if solves else 1.0
-
-
-def same(found, expected):
-    """Both are equal to the last bit, NaN in the same places."""
-    for f, e in zip(found, expected, strict=True):
-        torch.testing.assert_close(f, e, rtol=0, atol=0, equal_nan=True)
-
-
-def agree(found, expected, factor=64.0, dtype=None):
-    """Both are the same sums, rounded differently: the error is a multiple of eps and of the largest entry."""
-    for f, e in zip(found, expected, strict=True):
-        assert f.shape == e.shape and f.dtype == e.dtype
-        atol = factor * EPS[dtype or e.dtype] * float(e.abs().max())
-        torch.testing.assert_close(f, e, rtol=0, atol=atol, equal_nan=True)
 
 
 # --- values ----------------------------------------------------------------------------------------------------------
@@ -136,14 +116,6 @@ def test_constants_that_are_not_finite_are_exact():
 
 
 # --- rows that would lose their digits -------------------------------------------------------------------------------
-
-# some of its samples are beyond what float32 may magnify, all are far from singular
-MIXED = rods(6, tip=1000.0)
-
-
-def mixed(batch, dtype=F32):
-    q, qd, tau = (x.to(dtype) for x in random(3, batch, MIXED.n))
-    return 2 * q, qd, 10 * tau
 
 
 def test_rows_over_the_limit_are_recomputed_in_float64():

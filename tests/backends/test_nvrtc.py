@@ -18,7 +18,6 @@ import torchdq
 from torchdq.backends import cache, nvrtc
 from torchdq.backends.compiler import BuildError, compiler
 from torchdq.backends.nvrtc import Usage, usage
-from torchdq.base import progress as notice
 
 needs_a_compiler = pytest.mark.skipif(
     compiler() is None or sys.platform != "linux", reason="there is no C compiler, or this is not Linux"
@@ -85,9 +84,9 @@ def machine(tmp_path, monkeypatch) -> Path:
     monkeypatch.setattr(sys, "prefix", str(tmp_path / "prefix"))
     monkeypatch.setattr(nvrtc, "ROOT", tmp_path)
     monkeypatch.setattr(nvrtc, "MAJORS", (98, 97))
-    notice._topics.cache_clear()
+    torchdq.clear_caches()
     yield tmp_path
-    notice._topics.cache_clear()
+    torchdq.clear_caches()
 
 
 def put(folder: Path, made, names=NAMES) -> Path:

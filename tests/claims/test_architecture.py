@@ -19,7 +19,7 @@ import tomllib
 
 import pytest
 from helpers import all_in_one
-from places import ROOT
+from places import ROOT, TESTS
 
 import torchdq
 from torchdq import functional
@@ -322,7 +322,8 @@ def test_nothing_is_named_after_what_it_is_not():
 
 # --- rules of the house ----------------------------------------------------------------------------------------------
 
-LONGEST_FILE = 400  # lines
+ALLOWED = tomllib.loads((TESTS / "claims" / "allowances.toml").read_text(encoding="utf-8"))  # with the reasons
+LONGEST, MOST_ARGUMENTS = 60, 8  # lines of code of a function, and its arguments
 CORE = ("torchdq.numbers", "torchdq.program", "torchdq.backends")
 JOINT_KINDS = {"revolute", "prismatic", "helical", "fixed", "free"}
 DEFAULTS = ".defaults"  # modules of this name build the effects that there are by default
@@ -347,10 +348,60 @@ def nodes_of(kind, modules=FILES):
     return [(module, node) for module in modules for node in ast.walk(TREES[module]) if isinstance(node, kind)]
 
 
-def test_no_file_is_long():
-    lengths = {module: len(path.read_text(encoding="utf-8").splitlines()) for module, path in FILES.items()}
-    found = [(module, length) for module, length in lengths.items() if length > LONGEST_FILE]
-    assert not found, listed(found)
+def functions(tree, path):
+    """Functions of a module with their qualified names."""
+    for node in ast.iter_child_nodes(tree):
+        name = f"{path}.{node.name}" if hasattr(node, "name") and not isinstance(node, ast.alias) else path
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            yield name, node
+        yield from functions(node, name)
+
+
+def lines_of_code(function):
+    """Lines of a function from its first statement that is no docstring."""
+    body = function.body[1:] if ast.get_docstring(function, clean=False) else function.body
+    return function.end_lineno - body[0].lineno + 1 if body else 0
+
+
+def arguments_of(function):
+    """Number of arguments, the object itself not counted."""
+    given = function.args
+    named = [*given.posonlyargs, *given.args, *given.kwonlyargs, *filter(None, (given.vararg, given.kwarg))]
+    return sum(x.arg not in ("self", "cls") for x in named)
+
+
+def test_functions_are_short_and_have_few_arguments():
+    """But for those that say why not; those that are short by now are taken from the list."""
+    found = {
+        name: f"{lines_of_code(node)} lines of code, {arguments_of(node)} arguments"
+        for module, tree in TREES.items()
+        for name, node in functions(tree, module)
+        if lines_of_code(node) > LONGEST or arguments_of(node) > MOST_ARGUMENTS
+    }
+    excused = ALLOWED["long"]
+    assert found.keys() == excused.keys(), listed(sorted((x, found.get(x)) for x in found.keys() ^ excused.keys()))
+
+
+def inner_folder(module):
+    """Folder of a module below the room that it is in; None: there is none."""
+    parts = module.split(".")
+    parts = parts if FILES[module].name == "__init__.py" else parts[:-1]
+    return ".".join(parts[:3]) if len(parts) > 2 else None
+
+
+def test_folders_within_a_room_form_no_circle():
+    """Rooms themselves do not, by their floors."""
+    known = {}
+    for module, tree in TREES.items():
+        here = inner_folder(module)
+        there = {inner_folder(other) for other in imports_of(tree) if other in FILES}
+        known.setdefault(here, set()).update(x for x in there if here and x and x.split(".")[1] == here.split(".")[1])
+    reached = {folder: set(others) for folder, others in known.items()}
+    for _ in known:
+        for others in reached.values():
+            others.update(*(reached.get(other, ()) for other in tuple(others)))
+    pairs = {", ".join(sorted((a, b))) for a in reached for b in reached[a] if a != b and a in reached.get(b, ())}
+    assert pairs == set(ALLOWED["circles"]), listed(pairs ^ set(ALLOWED["circles"]))
 
 
 @pytest.mark.parametrize("module", [name for name in FILES if any(within(name, package) for package in CORE)])
@@ -488,6 +539,68 @@ def test_what_may_not_be_installed_is_imported_in_one_place():
     ]
     found = [*imports, *caught, *named]
     assert not found, listed(found)
+
+
+# --- tests -----------------------------------------------------------------------------------------------------------
+
+TEST_TREES = {
+    path.relative_to(TESTS).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
+    for path in sorted(TESTS.rglob("*.py"))
+}
+
+
+def test_every_module_has_its_tests():
+    """In the file of its name, in those that notice faults planted in it, or in the one that is said to hold it."""
+    tables = [path.read_text(encoding="utf-8").splitlines() for path in (TESTS / "mutants").glob("*.txt")]
+    planted = {line.partition(" < ")[0] for lines in tables for line in lines if not line.startswith(" ")}
+    said = {module for modules in ALLOWED["held"].values() for module in modules.split()}
+    found = []
+    for module, path in FILES.items():
+        *folders, name = module.split(".")[1:] or [""]
+        if path.name in ("__init__.py", "__main__.py"):
+            continue
+        mirrored = (TESTS.joinpath(*folders) / f"test_{name}.py").exists()
+        if mirrored or path.relative_to(ROOT).as_posix() in planted:
+            continue
+        if module.removeprefix("torchdq.") not in said:
+            found.append(module)
+    assert not found, listed(found)
+    gone = [module for module in said if f"torchdq.{module}" not in FILES]
+    gone += [file for file in ALLOWED["held"] if not (TESTS / file).exists()]
+    assert not gone, listed(gone)
+
+
+def test_tests_import_no_tests():
+    found = [
+        (file, node.lineno)
+        for file, tree in TEST_TREES.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for name in (getattr(node, "module", "") or "", *(alias.name for alias in node.names))
+        if name.rpartition(".")[2].startswith("test_") or name == "conftest"
+    ]
+    assert not found, listed(found)
+
+
+def private_reads(tree):
+    """Places where a private attribute of something else is read, or replaced by name."""
+    own = {"self", "cls", "torch", "_ctypes", "os", "atexit", "forkserver", "Tensor", "func"}
+    documented = {"_replace", "_asdict", "_fields", "_make", "_version"}  # of named tuples and tensors
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and re.match("_[a-z]", node.attr) and node.attr not in documented:
+            root = node.value
+            while isinstance(root, ast.Attribute):
+                root = root.value
+            if getattr(root, "id", "") not in own:
+                yield node.lineno, ast.unparse(node)
+        elif re.match(r"\w*patch\.setattr\(\w+, '_[a-z]", ast.unparse(node) if isinstance(node, ast.Call) else ""):
+            yield node.lineno, ast.unparse(node)
+
+
+def test_tests_read_few_private_attributes():
+    found = [(file, *place) for file, tree in TEST_TREES.items() for place in private_reads(tree)]
+    allowed = ALLOWED["private_reads"]
+    assert len(found) <= allowed, listed([f"{len(found)} of at most {allowed}", *found])
 
 
 # --- what is installed -----------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ import oracles
 import report
 import torch
 from accuracy import findings
-from claims import test_mujoco, test_pinocchio
+from compared import READ_BY_MUJOCO, TOLERANCE
 from places import ROOT
 
 FOLDER = ROOT / "benchmarks"
@@ -77,9 +77,9 @@ def test_a_table_is_written_between_its_marks_and_nowhere_else(tmp_path, monkeyp
 
 def test_numbers_of_checks_are_those_of_the_suite():
     """What README and pages say was compared is what the tests compare."""
-    robots, mujoco, trees = len(oracles.example_robots()), len(test_mujoco.NAMES), oracles.TREES
+    robots, mujoco, trees = len(oracles.example_robots()), len(READ_BY_MUJOCO), oracles.TREES
     readme, page = (" ".join((report.ROOT / x).read_text("utf-8").split()) for x in ("README.md", "docs/robots.md"))
-    tolerance = f"{test_pinocchio.TOLERANCE[torch.float64]:.0e}"
+    tolerance = f"{TOLERANCE[torch.float64]:.0e}"
     assert f"agree with Pinocchio to {tolerance} on {robots} robots and {trees} random trees" in readme
     assert f"agree with Pinocchio to {tolerance}" in page
     assert f"on {robots} robots of `example-robot-data` and on {trees} random trees" in page

@@ -6,10 +6,9 @@ devices, and environments.
 
 import pytest
 import torch
-from backends.test_backends import FUNCTIONS, PANDA, TREE, TWO
-from backends.test_cuda_host import MIXED, agree, condition, mixed, same
 from helpers import random
 from oracles import states
+from programs import FUNCTIONS, MIXED, PANDA, TREE, TWO, agree, condition, mixed, same
 from torch.autograd import gradcheck, gradgradcheck
 
 import torchdq

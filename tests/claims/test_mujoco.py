@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 import oracles
 import pytest
+from compared import MUJOCO_REFUSES, READ_BY_MUJOCO
 from oracles import worst
 
 import torchdq
@@ -24,39 +25,6 @@ import torchdq
 TOLERANCE = 1e-12
 AXES = 2e-12
 EXACT = 2e-14
-
-EIGENVALUES, TRIANGLE, MASSLESS = (
-    "inertia must have positive eigenvalues",
-    "inertia must satisfy",
-    "larger than mjMINVAL",
-)
-
-# MuJoCo reads no link with an inertia that no body could have; torchdq does where it does not move or when told to
-REFUSED = {
-    "alex_psyonic_hands": TRIANGLE,
-    "allegro_left_hand": TRIANGLE,
-    "allegro_right_hand": TRIANGLE,
-    "anymal-kinova": EIGENVALUES,
-    "anymal_b_simple-anymal": EIGENVALUES,
-    "anymal_c_simple-anymal": TRIANGLE,
-    "b1": EIGENVALUES,
-    "b1-z1": EIGENVALUES,
-    "finger_edu": EIGENVALUES,
-    "go1": EIGENVALUES,
-    "human": MASSLESS,
-    "hyq_no_sensors": EIGENVALUES,
-    "icub": EIGENVALUES,
-    "icub_reduced": EIGENVALUES,
-    "pr2": TRIANGLE,
-    "romeo": MASSLESS,
-    "romeo_laas_small": EIGENVALUES,
-    "romeo_small": TRIANGLE,
-    "tiago": EIGENVALUES,
-    "tiago_dual": EIGENVALUES,
-    "tiago_no_hand": EIGENVALUES,
-}
-NAMES = [name for name in oracles.example_robots() if name not in REFUSED]
-
 
 # --- MuJoCo's answers ------------------------------------------------------------------------------------------------
 
@@ -116,20 +84,20 @@ def answers(name: str) -> Answers:
 # --- tests -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", REFUSED)
+@pytest.mark.parametrize("name", MUJOCO_REFUSES)
 def test_a_robot_left_out_is_one_that_mujoco_does_not_read(name):
-    with pytest.raises(ValueError, match=REFUSED[name]):
+    with pytest.raises(ValueError, match=MUJOCO_REFUSES[name]):
         compiled(name)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", READ_BY_MUJOCO)
 def test_mass_matrix(name):
     robot, M = robot_of(name), answers(name).M
     size = np.sqrt(np.diagonal(M, axis1=-2, axis2=-1).max(0))
     assert worst(torchdq.mass_matrix(robot, oracles.states(robot).q), M, size[:, None] * size) <= AXES
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", READ_BY_MUJOCO)
 def test_bias_torques(name):
     robot, bias = robot_of(name), answers(name).bias
     s = oracles.states(robot)
@@ -137,7 +105,7 @@ def test_bias_torques(name):
     assert worst(torchdq.inverse_dynamics(robot, s.q, s.qd), bias, size) <= TOLERANCE
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", READ_BY_MUJOCO)
 def test_inverse_dynamics(name):
     robot, tau = robot_of(name), answers(name).tau
     s = oracles.states(robot)
@@ -145,7 +113,7 @@ def test_inverse_dynamics(name):
     assert worst(torchdq.inverse_dynamics(robot, s.q, s.qd, s.qdd), tau, size) <= TOLERANCE
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", READ_BY_MUJOCO)
 def test_orientations_of_links(name):
     robot = robot_of(name)
     q = oracles.states(robot).q
@@ -154,7 +122,7 @@ def test_orientations_of_links(name):
     assert worst(found, answers(name).rotation, 1.0) <= EXACT
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", READ_BY_MUJOCO)
 def test_positions_of_links(name):
     robot, p = robot_of(name), answers(name).position
     q = oracles.states(robot).q
@@ -163,7 +131,7 @@ def test_positions_of_links(name):
     assert worst(found, p, np.linalg.norm(p, axis=-1).max()) <= EXACT
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", READ_BY_MUJOCO)
 def test_every_link_but_the_base_is_compared(name):
     base, *others = robot_of(name).frame_names
     assert set(others) <= set(frames(name)), base

@@ -1,206 +1,23 @@
 """The operations of every kind of program: never more than those of `operation_counts.json`.
 
-Programs are recorded here, and none is compiled or run. Where one has become cheaper, write the table anew:
+Programs are recorded here, and none is compiled or run. Where one has become cheaper, write the table again:
 
-    python tests/claims/test_operation_counts.py --write
+    PYTHONPATH=tests/tools python tests/claims/test_operation_counts.py --write
 """
 
-import importlib
 import json
 import sys
 import warnings
-from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import pytest
-import torch
-from places import ROOT
+from kinds_of_programs import PROGRAMS, STUDIED, recipes, step, study
 
-import torchdq
-from torchdq.envs import ArmVectorEnv, Scene, effects
-from torchdq.envs.tasks import Checked
-from torchdq.functions.catalogue import FLOATING, RECIPES
-from torchdq.program.program import Program
-from torchdq.scene import integrators
+from torchdq.functions.catalogue import RECIPES
 
 TABLE = Path(__file__).with_name("operation_counts.json")
-BENCHMARKS = ROOT / "benchmarks"
-ANEW = "some programs have fewer operations than on record: python tests/claims/test_operation_counts.py --write"
-
-ROBOTS = ("two_link", "panda", "ur10e", "puma560")
-
-
-# --- functions of robots ---------------------------------------------------------------------------------------------
-
-INERTIA = ("mass", "com", "inertia")
-GEOMETRY = ("X_PB_home", "screw")
-WRENCHES = ("f_tip", "f_ext")
-
-
-@cache
-def robot(name: str, arguments: tuple[str, ...] = ()) -> torchdq.Robot:
-    """Shipped robot; the named tensors are arguments of its programs."""
-    loaded = torchdq.robots.load(name)
-    return loaded.replace(**{field: getattr(loaded, field) for field in arguments})
-
-
-def free(on_fixed: torchdq.Robot) -> torchdq.Robot:
-    """Robot whose base is a body that moves."""
-    body = {"base_mass": 3.0, "base_com": [0.1, -0.05, 0.2], "base_inertia": [0.3, 0.02, 0.4, -0.03, 0.01, 0.5]}
-    return on_fixed.replace(**{name: torch.tensor(x, dtype=torch.float64) for name, x in body.items()}).bake()
-
-
-def recipe(name: str, function: str, present=None, options=(), fields=(), derivative=False) -> Program:
-    """Program of a public function, or of the product of a cotangent with its Jacobian."""
-    known = robot(name, fields)
-    known = free(known) if function.startswith(FLOATING) else known
-    compiled = torchdq.compile(known, function, arguments=present, options=options)
-    return (compiled.vjp() if derivative else compiled).program
-
-
-def recipes(name: str) -> dict[str, Callable[[], Program]]:
-    """Programs of a robot by the function, and by what of it is asked for."""
-    tip = robot(name).tip or robot(name).frame_names[-1]
-    found = {
-        "inverse_dynamics": {},
-        "inverse_dynamics q": {"present": ("q",)},
-        "inverse_dynamics wrenches": {"present": ("q", "qd", "qdd", *WRENCHES)},
-        "inverse_dynamics inertial arguments": {"fields": INERTIA},
-        "inverse_dynamics geometry arguments": {"fields": GEOMETRY},
-        "inverse_dynamics vjp": {"derivative": True},
-        "inverse_dynamics_jacobian": {},
-        "dynamics_jacobian": {},
-        "forward_dynamics": {},
-        "forward_dynamics wrenches": {"present": ("q", "qd", "tau", *WRENCHES)},
-        "forward_dynamics geometry arguments": {"fields": GEOMETRY},
-        "forward_dynamics vjp": {"derivative": True},
-        "computed_torque": {},
-        "mass_matrix": {},
-        "error_growth": {},
-        "closed_form": {"options": ("",)},
-        "closed_form tip": {"options": (tip,)},
-        "regressor": {},
-        "kinetic_energy": {},
-        "potential_energy": {},
-        "forward_kinematics": {"options": (tip,)},
-        "forward_kinematics all": {"options": robot(name).frame_names},
-        "jacobian": {"options": (tip, "body")},
-        "jacobian world": {"options": (tip, "world")},
-        "floating.inverse_dynamics": {},
-        "floating.inverse_dynamics vjp": {"derivative": True},
-        "floating.forward_dynamics": {},
-        "floating.forward_dynamics vjp": {"derivative": True},
-        "floating.mass_matrix": {},
-        "floating.closed_form": {},
-        "floating.error_growth": {},
-        "floating.regressor": {},
-        "floating.forward_kinematics": {"options": (tip,)},
-        "floating.jacobian": {"options": (tip,)},
-        "floating.kinetic_energy": {},
-        "floating.potential_energy": {},
-        "floating.centre_of_mass": {},
-        "floating.momentum": {},
-        "floating.momentum_rate": {},
-    }
-    return {f"{name}/{key}": partial(recipe, name, key.split()[0], **of) for key, of in found.items()}
-
-
-# --- steps of scenes -------------------------------------------------------------------------------------------------
-
-DRAG = effects.Drag(0.1, 0.1, 0.1)
-CONTACT = effects.Contact(friction=0.5)
-EFFECTS = {
-    "none": (),
-    "Gravity": (effects.Gravity(),),
-    "RotorInertia": (effects.RotorInertia(0.1),),
-    "Payload": (effects.Payload(1.0),),
-    "MassScale": (effects.MassScale(1.1),),
-    "Viscous": (effects.Viscous(1.0),),
-    "Coulomb": (effects.Coulomb(1.0),),
-    "Stribeck": (effects.Stribeck(1.0, 1.5),),
-    "Quadratic": (effects.Quadratic(1.0),),
-    "Directional": (effects.Directional(1.0, 1.5),),
-    "LoadDependent": (effects.LoadDependent(0.2),),
-    "Ripple": (effects.Ripple(0.1, 0.5, 0.5),),
-    "LuGre": (effects.LuGre(1.0),),
-    "warming Viscous": (effects.Viscous(1.0, warming=-0.01),),
-    "Spring": (effects.Spring(10.0),),
-    "JointLimits": (effects.JointLimits(),),
-    "Elastic": (effects.Elastic(1e3, 1.0, 0.1),),
-    "Push": (effects.Push(),),
-    "Drag": (DRAG,),
-    "Contact": (CONTACT,),
-    "DragContactPush": (DRAG, CONTACT, effects.Push()),
-}
-# the other integrators evaluate effects the way these two do, only more often
-SEVERAL = ("none", "Gravity", "Elastic", "Drag", "Contact")
-INTEGRATORS = {
-    "semi": (integrators.SemiImplicitEuler(), EFFECTS),
-    "implicit": (integrators.LinearlyImplicit(), EFFECTS),
-    "rk4": (integrators.RungeKutta4(), SEVERAL),
-    "verlet": (integrators.StoermerVerlet(), SEVERAL),
-}
-
-
-def step(integrator: str, effect: str) -> Program:
-    """Program of a step of the panda under an effect."""
-    return Scene(robot("panda"), EFFECTS[effect], integrator=INTEGRATORS[integrator][0], dt=0.01).program()
-
-
-def environment(name: str, task: str) -> Program:
-    """Program of a step of an environment, its rewards and observations included."""
-    envs = ArmVectorEnv(2, task, name)
-    return envs.scene.program("torque", *envs.task.inputs(envs.scene.n), task=Checked(envs.task))
-
-
-# --- the study of accuracy -------------------------------------------------------------------------------------------
-
-CASES = ("pendulum", "double_pendulum", "arm7", "servo", "chain42", "tumbling", "rough")
-METHODS = ("ExplicitEuler", "SemiImplicitEuler", "LinearlyImplicit", "StoermerVerlet", "RungeKutta4")
-STUDIED = [
-    (case, method)
-    for case in CASES
-    for method in METHODS
-    # evaluated several times in a step, 42 joints take seconds to record
-    if case != "chain42" or method not in ("StoermerVerlet", "RungeKutta4")
-]
-
-
-@cache
-def study(module: str):
-    """Module of the study."""
-    sys.path.insert(0, str(BENCHMARKS))
-    try:
-        return importlib.import_module(f"accuracy.{module}")
-    finally:
-        sys.path.remove(str(BENCHMARKS))
-
-
-@cache
-def case(name: str):
-    """Scene of the study."""
-    return study("scenes").CASES[name]()
-
-
-def studied(name: str, method: str) -> Program:
-    """Program of a step of the study, whose duration is an argument."""
-    return study("methods").step_program(case(name), study("methods").INTEGRATORS[method])
-
-
-PROGRAMS: dict[str, Callable[[], Program]] = {
-    **{key: program for name in ROBOTS for key, program in recipes(name).items()},
-    **{f"panda/scene/{i}/{e}": partial(step, i, e) for i, (_, several) in INTEGRATORS.items() for e in several},
-    **{
-        f"{task.title()}/{name}": partial(environment, name, task)
-        for task in ("reach", "track")
-        for name in ("panda", "ur10e")
-    },
-    **{f"study/{name}/{method}": partial(studied, name, method) for name, method in STUDIED},
-}
-
-
-# --- tests -----------------------------------------------------------------------------------------------------------
+AGAIN = "some programs have fewer operations than on record: python tests/claims/test_operation_counts.py --write"
 
 
 @cache
@@ -210,7 +27,7 @@ def table() -> dict[str, list[int]]:
 
 
 def write() -> None:
-    """Write the table anew, a line per program."""
+    """Write the table again, a line per program."""
     rows = [f"{json.dumps(key)}: {json.dumps(list(PROGRAMS[key]().count()))}" for key in sorted(PROGRAMS)]
     TABLE.write_text("{\n" + ",\n".join(rows) + "\n}\n", encoding="utf-8")
 
@@ -220,7 +37,7 @@ def test_a_program_has_no_more_operations_than_on_record(key):
     found, recorded = PROGRAMS[key]().count(), table()[key]
     assert found.total <= sum(recorded), f"{list(found)} instead of {recorded}"
     if found.total < sum(recorded):
-        warnings.warn(ANEW, stacklevel=1)
+        warnings.warn(AGAIN, stacklevel=1)
 
 
 def test_the_record_is_of_these_programs_in_order():

@@ -20,6 +20,7 @@ import oracles
 import pinocchio as pin
 import pytest
 import torch
+from compared import TOLERANCE
 from helpers import thinned
 from oracles import Case, States, over, size_of_torques, worst
 
@@ -32,7 +33,6 @@ DIFFERENTIATED = (
     *oracles.SHIPPED_NAMES,
     *oracles.TREE_NAMES[::7],
 )
-TOLERANCE = {torch.float64: 1e-12, torch.float32: 5e-6}
 TILTED = (4.0, -7.0, 5.5)  # gravity of a base that hangs askew [m/s^2]
 
 
